@@ -1,0 +1,102 @@
+"""The object field F_o: an SDF in the unit sphere, and the decomposed colour c_o = c_a * c_l of its surface (eq. 4).
+
+The SDF is a sum of quadratic B-spline volumes from coarse to fine. The sum is as expressive as the finest grid alone,
+but a step on a coarse level moves the surface as a whole: that preconditioning is what keeps a grid smooth when it
+learns from reflections. Colour is evaluated once a ray, on the composited surface point and normal.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch import nn
+
+from blender_nep.fields.encodings import encoding_size, integrated_directional_encoding, positional_encoding
+from blender_nep.ops import bspline
+
+FEATURES = 16
+ALBEDO_OCTAVES, LIGHT_OCTAVES = 5, 1
+
+
+@dataclass
+class Appearance:
+    """Decomposed colour of surface points: albedo c_a [n, 3] in 0..1, light c_l [n, 3] >= 0, roughness r [n, 1]."""
+
+    albedo: torch.Tensor
+    light: torch.Tensor
+    roughness: torch.Tensor
+
+    @property
+    def colour(self) -> torch.Tensor:
+        """c_o = c_a * c_l (eq. 4), linear radiance."""
+        return self.albedo * self.light
+
+
+def _mlp(inputs: int, width: int, outputs: int) -> nn.Sequential:
+    return nn.Sequential(nn.Linear(inputs, width), nn.ReLU(), nn.Linear(width, width), nn.ReLU(),
+                         nn.Linear(width, outputs))
+
+
+class ObjectField(nn.Module):
+    """F_o over the unit sphere. `cells` are those of the coarsest SDF level; every `add_level` halves the cell."""
+
+    def __init__(self, cells: int, initial_radius: float, width: int = 64) -> None:
+        super().__init__()
+        centre = (torch.arange(cells + 2) - 0.5) / cells * 2 - 1
+        x, y, z = torch.meshgrid(centre, centre, centre, indexing="ij")
+        self.levels = nn.ParameterList([nn.Parameter((x * x + y * y + z * z).sqrt() - initial_radius)])
+        self.surface_head = _mlp(3 + 6 * ALBEDO_OCTAVES, width, 4 + FEATURES)
+        light_inputs = FEATURES + encoding_size(4) + 3 + 3 + 6 * LIGHT_OCTAVES
+        self.light_head = _mlp(light_inputs, width, 3)
+
+    def add_level(self) -> None:
+        """Adds a level of half the cell size, zero everywhere: the field does not change."""
+        n = 2 * self.levels[-1].shape[0] - 2
+        device = self.levels[-1].device
+        self.levels.append(nn.Parameter(torch.zeros(n, n, n, device=device)))
+
+    @property
+    def cell(self) -> float:
+        """Width of the finest cell, unit frame."""
+        return 2.0 / (self.levels[-1].shape[0] - 2)
+
+    def coefficients(self) -> torch.Tensor:
+        """Spline coefficients [N, N, N] of the whole SDF on the finest level."""
+        total = self.levels[0]
+        for level in self.levels[1:]:
+            total = bspline.refine(total) + level
+        return total
+
+    @torch.no_grad()
+    def sdf(self, points: torch.Tensor) -> torch.Tensor:
+        """Signed distance, negative inside: [n, 3] -> [n]."""
+        return bspline.sample(self.coefficients(), points.clamp(-1, 1))[:, 0]
+
+    @torch.no_grad()
+    def normal(self, points: torch.Tensor) -> torch.Tensor:
+        """Unit normals, outward: [n, 3] -> [n, 3]."""
+        gradient = bspline.sample(self.coefficients(), points.clamp(-1, 1))[:, 1:4]
+        return nn.functional.normalize(gradient, dim=-1)
+
+    def sdf_grid(self, n: int) -> np.ndarray:
+        """SDF on n^3 points spanning [-1, 1]^3, index order x, y, z; float32."""
+        axis = torch.linspace(-1, 1, n, device=self.levels[0].device)
+        coefficients = self.coefficients().detach()
+        planes = []
+        for x in axis:
+            y, z = torch.meshgrid(axis, axis, indexing="ij")
+            points = torch.stack([x.expand_as(y), y, z], -1).reshape(-1, 3)
+            planes.append(bspline.sample(coefficients, points)[:, 0].reshape(n, n).cpu().numpy())
+        return np.stack(planes)
+
+    def appearance(self, points: torch.Tensor, normals: torch.Tensor, directions: torch.Tensor) -> Appearance:
+        """Colour of surface points [n, 3] with unit normals, seen along unit view directions [n, 3] (camera to point)."""
+        raw = self.surface_head(positional_encoding(points, ALBEDO_OCTAVES))
+        albedo, roughness, feature = raw[:, :3].sigmoid(), raw[:, 3:4].sigmoid(), raw[:, 4:]
+        cosine = (directions * normals).sum(-1, keepdim=True)
+        reflected = directions - 2 * cosine * normals
+        light = self.light_head(torch.cat([feature, integrated_directional_encoding(reflected, roughness), normals,
+                                           positional_encoding(points, LIGHT_OCTAVES)], -1))
+        return Appearance(albedo, nn.functional.softplus(light), roughness)

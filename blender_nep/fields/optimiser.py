@@ -1,0 +1,36 @@
+"""Adam for grids: one step size for a whole level instead of one for every voxel.
+
+Plain Adam gives each voxel a unit step of its own, which turns noise in rarely seen voxels into sandpaper. A single
+second moment per level (Nicolet et al. 2021, "Large Steps in Inverse Rendering of Geometry", sec. 4: AdamUniform; here
+the mean square of the touched entries rather than the maximum) keeps the gradient field's own smoothness.
+"""
+
+from __future__ import annotations
+
+import torch
+
+
+class UniformAdam(torch.optim.Optimizer):
+    """Adam with one second moment per tensor. `lr` is in units of the parameter: the typical step of a touched entry."""
+
+    def __init__(self, params, lr: float, betas: tuple[float, float] = (0.9, 0.99)) -> None:
+        super().__init__(params, {"lr": lr, "betas": betas})
+
+    @torch.no_grad()
+    def step(self) -> None:
+        for group in self.param_groups:
+            b1, b2 = group["betas"]
+            for p in group["params"]:
+                if p.grad is None:
+                    continue
+                state = self.state[p]
+                if not state:
+                    state["step"], state["mean"] = 0, torch.zeros_like(p)
+                    state["square"] = torch.zeros((), device=p.device)
+                state["step"] += 1
+                touched = torch.count_nonzero(p.grad).clamp(min=1)
+                state["mean"].lerp_(p.grad, 1 - b1)
+                square = p.grad.flatten().dot(p.grad.flatten()) / touched
+                state["square"].lerp_(square, 1 - b2)
+                scale = (state["square"] / (1 - b2 ** state["step"])).sqrt().clamp(min=1e-20)
+                p.sub_(state["mean"] * (group["lr"] / (1 - b1 ** state["step"]) / scale))
