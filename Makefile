@@ -1,0 +1,44 @@
+# make demo   a capture that is in the repository -> asset, .blend, comparison picture
+# make test   lint and all tests
+# make lint   lint alone
+#
+# Everything is installed into .venv, with the versions of constraints.txt; Python 3.11 is needed (bpy 5.0 has no other).
+# On Linux PyPI's torch carries CUDA (gigabytes). A CPU-only one:
+#   make demo PIP_EXTRA_INDEX_URL=https://download.pytorch.org/whl/cpu
+
+PYTHON ?= $(shell for p in python3.11 python3 python; do \
+	$$p -c 'import sys, venv; sys.exit(sys.version_info[:2] != (3, 11))' 2>/dev/null && echo $$p && break; done)
+VENV := .venv
+BIN := $(VENV)/bin
+CAPTURE := data/suzanne_small
+OUT := out/demo
+
+ifdef PIP_EXTRA_INDEX_URL
+export PIP_EXTRA_INDEX_URL
+endif
+
+.PHONY: demo test lint clean
+
+demo: $(VENV)/installed
+	$(BIN)/python backend/run.py --capture $(CAPTURE) --out $(OUT) --preset preview --relight 3 --overwrite
+	@echo "Look at $(OUT)/comparison.png; the .blend and the asset are in $(OUT) too."
+
+test: lint
+	$(BIN)/python -m pytest -q
+
+lint: $(VENV)/installed-dev
+	$(BIN)/ruff check .
+
+# Stamps: an environment is filled once, and again when the list of packages changes.
+$(VENV)/installed: pyproject.toml constraints.txt
+	@test -n "$(PYTHON)" || { echo "Python 3.11 with its venv module was not found; try: make PYTHON=/path/to/python3.11" >&2; exit 1; }
+	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[bpy]'
+	touch $@
+
+$(VENV)/installed-dev: $(VENV)/installed
+	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[bpy,dev]'
+	touch $@
+
+clean:
+	rm -rf $(VENV) out build *.egg-info

@@ -1,0 +1,87 @@
+"""The cameras and photos of a capture, as far as Blender needs them (transforms.json, the instant-ngp form)."""
+import json
+import math
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from .imagefiles import load_pixels
+
+SRGB_FILES = {".png", ".jpg", ".jpeg"}
+GREY = 0.18  # behind photos that were cut out
+
+
+@dataclass(frozen=True)
+class Frame:
+    """One photo: its file, pinhole camera (pixels; cx, cy from the top left) and camera-to-world matrix [4,4]."""
+    path: Path
+    width: int
+    height: int
+    fl_x: float
+    fl_y: float
+    cx: float
+    cy: float
+    matrix: np.ndarray
+    color_space: str
+
+    def photo(self) -> np.ndarray:
+        """[H,W,3] linear radiance, over grey where the file has transparency. OSError where it cannot be read."""
+        pixels = load_pixels(self.path)
+        rgb, alpha = pixels[..., :3], pixels[..., 3:]
+        if self.color_space == "srgb":
+            rgb = srgb_to_linear(rgb)
+        return np.nan_to_num(rgb) * alpha + GREY * (1 - alpha)
+
+
+def read_frames(folder: Path) -> list[Frame]:
+    """The capture's frames. OSError or ValueError where there are none to read."""
+    path = Path(folder) / "transforms.json"
+    meta = json.loads(path.read_text(encoding="utf-8"))
+    frames = [_frame(Path(folder), meta, entry) for entry in meta.get("frames", [])]
+    if not frames:
+        raise ValueError(f"{path} lists no frames")
+    return frames
+
+
+def spread_frames(frames: list[Frame], count: int) -> list[Frame]:
+    """Up to `count` frames that look from directions as different as can be, the first listed one first."""
+    looks = np.array([frame.matrix[:3, 2] for frame in frames])
+    chosen = [0]
+    while len(chosen) < min(count, len(frames)):
+        nearest = (looks @ looks[chosen].T).max(axis=1)
+        nearest[chosen] = np.inf
+        chosen.append(int(nearest.argmin()))
+    return [frames[index] for index in chosen]
+
+
+def srgb_to_linear(x: np.ndarray) -> np.ndarray:
+    """IEC 61966-2-1."""
+    return np.where(x <= 0.04045, x / 12.92, ((np.maximum(x, 0) + 0.055) / 1.055) ** 2.4)
+
+
+def linear_to_srgb(x: np.ndarray) -> np.ndarray:
+    """IEC 61966-2-1, clipped to 0..1: what Blender's view transform Standard does to Rec.709."""
+    x = np.clip(x, 0, 1)
+    return np.where(x <= 0.0031308, 12.92 * x, 1.055 * x ** (1 / 2.4) - 0.055)
+
+
+def _frame(folder: Path, meta: dict, entry: dict) -> Frame:
+    def value(name: str, default=None):
+        found = entry.get(name, meta.get(name, default))
+        if found is None:
+            raise ValueError(f"{folder / 'transforms.json'}: a frame has no {name}")
+        return found
+
+    path = folder / str(value("file_path"))
+    if not path.suffix:
+        path = path.with_suffix(".png")  # instant-ngp's synthetic form leaves the ending out
+    if "w" in entry or "w" in meta:
+        width, height = int(value("w")), int(value("h"))
+    else:
+        height, width = load_pixels(path).shape[:2]
+    angle = entry.get("camera_angle_x", meta.get("camera_angle_x"))
+    fl_x = float(value("fl_x", None if angle is None else 0.5 * width / math.tan(0.5 * angle)))
+    space = meta.get("color_space") or ("srgb" if path.suffix.lower() in SRGB_FILES else "linear")
+    return Frame(path, width, height, fl_x, float(value("fl_y", fl_x)), float(value("cx", width / 2)),
+                 float(value("cy", height / 2)), np.array(value("transform_matrix"), np.float64), space)

@@ -1,0 +1,108 @@
+"""comparison.png: photo beside re-rendering under the recovered light, then the object under other lights.
+
+One row a photo, one column a light. Tiles are shown through Blender's view transform Standard (sRGB), which changes no
+hue; photo and re-rendering share one exposure, every other light gets its own.
+"""
+from pathlib import Path
+
+import numpy as np
+
+from .capture_files import Frame, linear_to_srgb
+from .imagefiles import write_png
+from .lettering import draw_text, fitting
+from .relight import RelitScene
+
+TILE_RANGE = (320, 448)  # pixels, longer side of a tile
+HEADER, GAP = 58, 6  # pixels
+PAPER, INK = 24 / 255, 232 / 255
+EXPOSED = 0.65  # of white, where a tile's EXPOSED_PERCENTILE lies
+EXPOSED_PERCENTILE = 90
+
+
+def compare(item, frames: list[Frame], recovered, worlds: list, *, samples: int = 64, seed: int = 0, progress=None):
+    """Render the comparison of `item` under the World `recovered` and the others.
+
+    Returns ([H,W,3] uint8 sheet, [gain of each row's photo]). progress(done, total) is called after every render.
+    OSError where a photo cannot be read.
+    """
+    width, height = _tile_size(frames[0])
+    relit = RelitScene(item, width, height, samples, seed)
+    rows, gains, done, total = [], [], 0, len(frames) * (1 + len(worlds))
+    try:
+        for frame in frames:
+            photo = resize(frame.photo(), width, height)
+            gain = 1.0 if frame.color_space == "srgb" else exposure(photo)
+            tiles = [photo * gain]
+            for index, world in enumerate([recovered, *worlds]):
+                radiance = relit.render(frame, world)
+                tiles.append(radiance * (gain if index == 0 else exposure(radiance)))
+                done += 1
+                if progress:
+                    progress(done, total)
+            rows.append([linear_to_srgb(tile) for tile in tiles])
+            gains.append(gain)
+    finally:
+        relit.close()
+    titles = [f"photo {frames[0].path.name}" if len(frames) == 1 else "photo", "re-rendered, recovered light",
+              *(f"light: {world.name}" for world in worlds)]
+    return _sheet(rows, titles, _subtitle(gains)), gains
+
+
+def write_comparison(path: Path, sheet: np.ndarray) -> None:
+    """PNG, whole or not at all."""
+    write_png(path, sheet)
+
+
+def exposure(radiance: np.ndarray) -> float:
+    """The factor that brings the image's bright parts (90th percentile of luminance) just under white."""
+    luminance = radiance @ np.array([0.2126, 0.7152, 0.0722])
+    bright = float(np.percentile(luminance, EXPOSED_PERCENTILE))
+    return float(np.clip(EXPOSED / max(bright, 1e-6), 1 / 64, 64))
+
+
+def resize(image: np.ndarray, width: int, height: int) -> np.ndarray:
+    """[h,w,3] to [height,width,3]: area means where it shrinks, bilinear where it grows."""
+    for axis, size in ((0, height), (1, width)):
+        image = np.moveaxis(_resize_rows(np.moveaxis(image, axis, 0), size), 0, axis)
+    return image
+
+
+def _resize_rows(image: np.ndarray, size: int) -> np.ndarray:
+    count = len(image)
+    if size < count:  # exact area means, from the running sum
+        total = np.concatenate([np.zeros_like(image[:1], np.float64), np.cumsum(image, axis=0, dtype=np.float64)])
+        edges = np.arange(size + 1) * count / size
+        low = np.minimum(edges.astype(int), count - 1)
+        part = (edges - low).reshape(-1, *[1] * (image.ndim - 1))
+        at = total[low] * (1 - part) + total[low + 1] * part
+        return (at[1:] - at[:-1]) * (size / count)
+    centre = np.clip((np.arange(size) + 0.5) * count / size - 0.5, 0, count - 1)
+    low = np.minimum(centre.astype(int), max(count - 2, 0))
+    part = (centre - low).reshape(-1, *[1] * (image.ndim - 1))
+    return image[low] * (1 - part) + image[np.minimum(low + 1, count - 1)] * part
+
+
+def _tile_size(frame: Frame) -> tuple[int, int]:
+    longer = max(frame.width, frame.height)
+    scale = min(max(longer, TILE_RANGE[0]), TILE_RANGE[1]) / longer
+    return max(1, round(frame.width * scale)), max(1, round(frame.height * scale))
+
+
+def _subtitle(gains: list[float]) -> str:
+    stops = ", ".join(f"{np.log2(gain):+.1f}" for gain in gains)
+    return f"View transform Standard. Exposure of photo and re-rendering, row by row: {stops} EV; other lights: own."
+
+
+def _sheet(rows: list[list[np.ndarray]], titles: list[str], subtitle: str) -> np.ndarray:
+    height, width = rows[0][0].shape[:2]
+    sheet = np.full((HEADER + len(rows) * (height + GAP), GAP + len(titles) * (width + GAP), 3), PAPER)
+    for i, row in enumerate(rows):
+        for j, tile in enumerate(row):
+            y, x = HEADER + i * (height + GAP), GAP + j * (width + GAP)
+            sheet[y:y + height, x:x + width] = tile
+    size = 17.0
+    texts = [(GAP + j * (width + GAP), 22.0, size, fitting(title, width, size)) for j, title in enumerate(titles)]
+    texts.append((GAP, 46.0, 13.0, fitting(subtitle, sheet.shape[1], 13.0)))
+    ink = draw_text(sheet.shape[1], HEADER, texts)[..., None]
+    sheet[:HEADER] = sheet[:HEADER] * (1 - ink) + INK * ink
+    return np.round(sheet * 255).astype(np.uint8)

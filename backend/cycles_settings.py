@@ -1,0 +1,19 @@
+"""The Cycles settings that every render here shares."""
+
+
+def use_cycles(scene, samples: int, seed: int = 0) -> None:
+    """Cycles on the CPU with a fixed sample count, denoised where this Blender was built with OpenImageDenoise."""
+    scene.render.engine = "CYCLES"
+    scene.cycles.device = "CPU"
+    scene.cycles.samples = samples
+    scene.cycles.use_adaptive_sampling = False
+    scene.cycles.seed = seed
+    scene.cycles.use_denoising = has_denoiser()
+    if scene.cycles.use_denoising:
+        scene.cycles.denoiser = "OPENIMAGEDENOISE"
+
+
+def has_denoiser() -> bool:
+    """Distribution builds may lack OpenImageDenoise; asking for it there raises (4.3) or is ignored (5.2)."""
+    import _cycles
+    return bool(_cycles.with_openimagedenoise)

@@ -1,0 +1,74 @@
+"""Rendering one view of a synthetic scene in Cycles: the photo and, from the same samples, its ground truth."""
+import os
+import tempfile
+from pathlib import Path
+
+import bpy
+import numpy as np
+
+from .cycles_settings import use_cycles
+from .imagefiles import read_exr, still_image
+from .scenes import GROUND_TRUTH_COLOUR, GROUND_TRUTH_VALUES
+
+BOUNCES = 5
+INDIRECT_CLAMP = 20.0  # radiance; keeps fireflies out of few samples, above what highlights reflect
+
+
+class ViewRenderer:
+    """Renders a scene's views with all passes in one go; `render(matrix)` returns (photo, ground truth)."""
+
+    def __init__(self, scene, size: int, samples: int, field_of_view: float, seed: int):
+        self.scene = scene
+        data = bpy.data.cameras.new("camera")
+        data.angle = field_of_view
+        self.camera = bpy.data.objects.new("camera", data)
+        scene.collection.objects.link(self.camera)
+        scene.camera = self.camera
+        scene.render.resolution_x = scene.render.resolution_y = size
+        scene.render.resolution_percentage = 100
+        use_cycles(scene, samples, seed)
+        scene.render.use_persistent_data = True  # geometry is uploaded once for all views
+        scene.cycles.max_bounces = scene.cycles.diffuse_bounces = scene.cycles.glossy_bounces = BOUNCES
+        scene.cycles.sample_clamp_indirect = INDIRECT_CLAMP
+        scene.cycles.caustics_reflective = scene.cycles.caustics_refractive = False
+        layer = self.layer = scene.view_layers[0]
+        layer.use_pass_z = layer.use_pass_normal = True
+        for name in (GROUND_TRUTH_COLOUR, *GROUND_TRUTH_VALUES):
+            aov = layer.aovs.add()
+            aov.name = name
+            aov.type = "COLOR" if name == GROUND_TRUTH_COLOUR else "VALUE"
+
+    @property
+    def focal_length(self) -> float:
+        """In pixels."""
+        return self.scene.render.resolution_x * self.camera.data.lens / self.camera.data.sensor_width
+
+    def render(self, matrix) -> tuple[np.ndarray, dict[str, np.ndarray]]:
+        """(photo [H,W,3] linear, {channel: [H,W]}): albedo.RGBA, roughness.V, metallic.V, Normal.XYZ, Depth.V, mask.V.
+
+        Depth is the distance along the camera's axis; the normal is in world space; albedo's alpha is the mask.
+        """
+        self.camera.matrix_world = matrix
+        settings = self.scene.render.image_settings
+        still_image(settings, multilayer=True)
+        settings.file_format, settings.color_depth, settings.exr_codec = "OPEN_EXR_MULTILAYER", "32", "ZIP"
+        if hasattr(settings, "use_exr_interleave"):
+            settings.use_exr_interleave = True  # one part, as before Blender 5.0
+        with tempfile.TemporaryDirectory() as folder:
+            path = Path(folder) / "view.exr"
+            self.scene.render.filepath = os.fspath(path)
+            bpy.ops.render.render(write_still=True, scene=self.scene.name)
+            passes = read_exr(path)
+        layer = self.layer.name
+        photo = np.stack([passes[f"{layer}.Combined.{c}"] for c in "RGB"], axis=-1)
+        mask = np.clip(_value(passes, f"{layer}.mask"), 0, 1)
+        truth = {f"albedo.{c}": passes[f"{layer}.albedo.{c}"] for c in "RGB"}
+        truth |= {"albedo.A": mask, "mask.V": mask, "Depth.V": _value(passes, f"{layer}.Depth")}
+        truth |= {f"{name}.V": _value(passes, f"{layer}.{name}") for name in ("roughness", "metallic")}
+        truth |= {f"Normal.{c}": passes[f"{layer}.Normal.{c}"] for c in "XYZ"}
+        return np.maximum(photo, 0), truth
+
+
+def _value(passes: dict[str, np.ndarray], name: str) -> np.ndarray:
+    """A one-channel pass, whose channel letter differs between Blender versions (X, V or Z)."""
+    return next(pixels for key, pixels in passes.items() if key.rpartition(".")[0] == name)

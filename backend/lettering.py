@@ -1,0 +1,63 @@
+"""Text as pixels: Blender's own font rendered by Cycles, because neither PIL nor a GPU context can be counted on."""
+import os
+import tempfile
+from pathlib import Path
+
+import bpy
+import numpy as np
+
+from .imagefiles import read_exr, still_image
+
+SAMPLES = 8
+ADVANCE = 0.46  # mean width of a letter of Blender's font, in text sizes
+
+
+def draw_text(width: int, height: int, texts: list[tuple[float, float, float, str]]) -> np.ndarray:
+    """[H,W] coverage 0..1 of texts (x, y of the baseline's start in pixels from the top left, size, string)."""
+    scene = bpy.data.scenes.new("nep.lettering")
+    made = []
+    try:
+        scene.render.engine = "CYCLES"
+        scene.cycles.samples, scene.cycles.use_denoising, scene.cycles.max_bounces = SAMPLES, False, 0
+        scene.render.film_transparent = True
+        scene.render.resolution_x, scene.render.resolution_y = width, height
+        scene.render.resolution_percentage = 100
+        data = bpy.data.cameras.new("nep.lettering")
+        data.type, data.ortho_scale = "ORTHO", float(max(width, height))
+        camera = bpy.data.objects.new("nep.lettering", data)
+        camera.location = (width / 2, -height / 2, 10)
+        scene.collection.objects.link(camera)
+        scene.camera = camera
+        made.append(camera)
+        for x, y, size, string in texts:
+            curve = bpy.data.curves.new("nep.lettering", "FONT")
+            curve.body, curve.size = string, size
+            item = bpy.data.objects.new("nep.lettering", curve)
+            item.location = (x, -y, 0)
+            scene.collection.objects.link(item)
+            made.append(item)
+        return _alpha(scene)
+    finally:
+        for item in made:
+            data = item.data
+            bpy.data.objects.remove(item)
+            (bpy.data.cameras if isinstance(data, bpy.types.Camera) else bpy.data.curves).remove(data)
+        bpy.data.scenes.remove(scene)
+
+
+def fitting(string: str, width: float, size: float) -> str:
+    """The string, shortened where it would be wider than `width` pixels."""
+    most = max(4, int(width / (ADVANCE * size)))
+    return string if len(string) <= most else string[:most - 2] + ".."
+
+
+def _alpha(scene) -> np.ndarray:
+    settings = scene.render.image_settings
+    still_image(settings)
+    settings.file_format, settings.color_mode, settings.color_depth = "OPEN_EXR", "RGBA", "16"
+    settings.exr_codec = "ZIP"
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "text.exr"
+        scene.render.filepath = os.fspath(path)
+        bpy.ops.render.render(write_still=True, scene=scene.name)
+        return np.clip(read_exr(path)["A"], 0, 1)

@@ -1,0 +1,184 @@
+"""From a capture to a relit asset in one command, headless.
+
+    blender -b -P backend/run.py -- --capture DIR --out DIR [--preset preview] [--relight 3]
+    python backend/run.py --capture DIR --out DIR          (with the bpy wheel)
+
+The engine (`python -m blender_nep`, in a Python that has torch) makes the asset folder; then Blender imports it, sets
+the recovered light as World, renders comparison.png and saves asset.blend with everything packed, both in the asset
+folder. SIGTERM or Ctrl-C stops the engine, which writes its checkpoint. The exit code is the engine's (0 done, 2 usage
+or no engine, 3 capture, 4 bounds, 5 output, 6 learning, 7 stopped), 8 where Blender's part failed.
+"""
+import argparse
+import os
+import signal
+import sys
+import threading
+import time
+from pathlib import Path
+
+if __package__ in (None, ""):
+    sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
+
+from backend.arguments import script_arguments
+from backend.engine import (
+    STOPPED,
+    Engine,
+    EngineError,
+    describe,
+    find_engine_python,
+    is_asset,
+    reconstruct_arguments,
+)
+
+BLENDER_FAILED = 8
+POLL_S = 0.1
+SAY_EVERY_S = 2.0
+
+
+def parse(arguments: list[str]) -> argparse.Namespace:
+    parser = argparse.ArgumentParser(prog="run.py", description=__doc__.split("\n\n")[0])
+    parser.add_argument("--capture", type=Path, required=True, help="folder with transforms.json and photos")
+    parser.add_argument("--out", type=Path, required=True, help="asset folder to write")
+    parser.add_argument("--preset", choices=("preview", "balanced", "quality"))
+    parser.add_argument("--relight", type=int, default=3, metavar="N", help="HDRIs to show the object under")
+    parser.add_argument("--photos", type=int, default=2, metavar="N", help="photos to compare with")
+    parser.add_argument("--samples", type=int, default=48, help="Cycles samples a pixel of the comparison")
+    parser.add_argument("--engine-python", help="the Python that has blender-nep and torch")
+    parser.add_argument("--masks", choices=("use", "ignore"))
+    parser.add_argument("--device", default="auto", choices=("auto", "cpu", "cuda"), help="of the engine")
+    parser.add_argument("--mesh", help="learn materials on this mesh, in capture coordinates")
+    parser.add_argument("--resume", action="store_true", help="go on from a checkpoint, or from a finished asset")
+    parser.add_argument("--overwrite", action="store_true", help="replace an asset or a run in the asset folder")
+    parser.add_argument("--seed", type=int)
+    parser.add_argument("--watch-stdin", action="store_true", help="stop when standard input closes")
+    return parser.parse_args(arguments)
+
+
+def say(text: str) -> None:
+    print(text, file=sys.stderr, flush=True)
+
+
+class StopRequests:
+    """SIGTERM, SIGINT and, when asked, a closed standard input set `asked`."""
+
+    def __init__(self, watch_stdin: bool):
+        self.asked = threading.Event()
+        self.previous = {number: signal.signal(number, self._on_signal) for number in (signal.SIGTERM, signal.SIGINT)}
+        if watch_stdin:
+            threading.Thread(target=self._watch, daemon=True).start()
+
+    def _on_signal(self, number, frame) -> None:
+        self.asked.set()
+
+    def _watch(self) -> None:
+        while os.read(sys.stdin.fileno(), 4096):
+            continue
+        self.asked.set()
+
+
+def reconstruct(options: argparse.Namespace, stop: StopRequests) -> None:
+    """Run the engine to its end. EngineError says how it failed."""
+    python = find_engine_python(options.engine_python, configured_python())
+    engine = Engine(python, reconstruct_arguments(options.capture, options.out, preset=options.preset,
+                                                  device=options.device, seed=options.seed, masks=options.masks,
+                                                  mesh=options.mesh, resume=options.resume,
+                                                  overwrite=options.overwrite))
+    said = -SAY_EVERY_S
+    try:
+        ended = False
+        while not ended:
+            if stop.asked.is_set():
+                engine.request_stop()
+            events, ended = engine.poll()
+            for event in events:
+                if event["event"] == "progress" and time.monotonic() - said < SAY_EVERY_S:
+                    continue
+                if event["event"] in ("progress", "warning"):
+                    said = time.monotonic()
+                    say(describe(event))
+            if not ended:
+                time.sleep(POLL_S)
+    finally:
+        engine.close()
+    failed = engine.outcome()
+    if failed:
+        raise failed
+
+
+def configured_python() -> str:
+    """The engine's Python in the add-on's preferences, where the add-on is enabled in this Blender."""
+    import bpy
+    for name, addon in bpy.context.preferences.addons.items():
+        if name.rpartition(".")[2] == "blender_nep":
+            return getattr(addon.preferences, "engine_python", "")
+    return ""
+
+
+def blender_work(options: argparse.Namespace, stop: StopRequests) -> None:
+    """Import the asset, render comparison.png, save asset.blend. OSError, ValueError or RuntimeError where it fails."""
+    import bpy
+
+    from backend.asset_import import import_asset
+    from backend.capture_files import read_frames, spread_frames
+    from backend.comparison import compare, write_comparison
+    from backend.relight import add_camera
+    from backend.world import blender_hdris, build_world
+
+    frames = spread_frames(read_frames(options.capture), options.photos)
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    scene = bpy.context.scene
+    scene.render.engine = "CYCLES"
+    scene.view_settings.view_transform = "Standard"
+    item = import_asset(options.out, scene.collection)
+    recovered = build_world(options.out / "environment.exr", name="recovered light")
+    scene.world = recovered
+    hdris = blender_hdris()[:options.relight]
+    if len(hdris) < options.relight:
+        say(f"warning: this Blender ships {len(hdris)} HDRIs; {options.relight} were asked for")
+    worlds = [build_world(path, name=path.stem) for path in hdris]
+
+    def progress(done: int, total: int) -> None:
+        say(f"comparison: render {done}/{total}")
+        if stop.asked.is_set():
+            raise EngineError(STOPPED, "Stopped while rendering the comparison; the asset is complete.")
+
+    sheet, _ = compare(item, frames, recovered, worlds, samples=options.samples, seed=options.seed or 0,
+                       progress=progress)
+    write_comparison(options.out / "comparison.png", sheet)
+    for frame in frames:
+        camera = add_camera(frame, scene, name=frame.path.stem)
+        scene.camera = scene.camera or camera
+    scene.render.resolution_x, scene.render.resolution_y = frames[0].width, frames[0].height
+    save_packed(options.out / "asset.blend")
+
+
+def save_packed(path: Path) -> None:
+    """Save the file with every image inside; it appears whole or not at all."""
+    import bpy
+    bpy.ops.file.pack_all()
+    partial = path.with_name("partial_" + path.name)
+    bpy.ops.wm.save_as_mainfile(filepath=str(partial.resolve()), copy=True, compress=True)
+    os.replace(partial, path)
+
+
+def main(arguments: list[str]) -> int:
+    options = parse(arguments)
+    stop = StopRequests(options.watch_stdin)
+    try:
+        if options.resume and is_asset(options.out):
+            say(f"{options.out} holds a finished asset: going on with Blender's part")
+        else:
+            reconstruct(options, stop)
+        blender_work(options, stop)
+    except EngineError as error:
+        say(f"run.py: {error}")
+        return error.code
+    except (OSError, ValueError, RuntimeError) as error:
+        say(f"run.py: Blender's part failed: {error}")
+        return BLENDER_FAILED
+    say(f"done: {options.out / 'asset.blend'}, {options.out / 'comparison.png'}")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(script_arguments()))

@@ -1,0 +1,43 @@
+"""Light from an equirectangular image as a World.
+
+Blender's orientation: a direction (x, y, z) lies at u = 0.5 - atan2(y, x) / 2 pi and v = 0.5 + atan2(z, |xy|) / pi;
+v = 1 is the image's top row. `environment.exr` of an asset is written that way, so no rotation is needed.
+"""
+from pathlib import Path
+
+import bpy
+
+from .asset_import import load_image
+
+COLOUR_SPACE = "Linear Rec.709"
+HDRI_ORDER = ("studio", "forest", "sunset", "interior", "city", "courtyard", "sunrise", "night")  # most unlike first
+
+
+def build_world(path: Path, *, name: str, pack: bool = True):
+    """A World that shines with the equirectangular image at `path`, strength 1. OSError where it cannot be read."""
+    image = load_image(path, colour_space=COLOUR_SPACE, pack=pack)
+    world = bpy.data.worlds.new(name)
+    if not world.use_nodes:
+        world.use_nodes = True
+    nodes, links = world.node_tree.nodes, world.node_tree.links
+    nodes.clear()
+    texture = nodes.new("ShaderNodeTexEnvironment")
+    texture.image = image
+    texture.location = (-320, 0)
+    background = nodes.new("ShaderNodeBackground")
+    output = nodes.new("ShaderNodeOutputWorld")
+    output.location = (220, 0)
+    links.new(texture.outputs["Color"], background.inputs["Color"])
+    links.new(background.outputs["Background"], output.inputs["Surface"])
+    world.use_fake_user = True  # stays in the file while another World is switched on
+    return world
+
+
+def blender_hdris() -> list[Path]:
+    """The HDRIs that ship with Blender (CC0), in HDRI_ORDER; empty where a distribution left them out."""
+    folder = bpy.utils.system_resource("DATAFILES", path="studiolights/world")
+    if not folder:
+        return []
+    found = [path for path in Path(folder).iterdir() if path.suffix in (".exr", ".hdr")]
+    rank = {name: place for place, name in enumerate(HDRI_ORDER)}
+    return sorted(found, key=lambda path: (rank.get(path.stem, len(rank)), path.stem))

@@ -1,0 +1,155 @@
+"""The asset folder: mesh, textures, light, picture and report, in the capture's own coordinates.
+
+An asset is complete when `report.json` is there: it is removed first and written last.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import OpenEXR
+import torch
+import trimesh
+from PIL import Image
+
+from blender_nep.capture import Capture, PixelRays
+from blender_nep.capture.images import linear_to_srgb
+from blender_nep.checkpoints import output_errors
+from blender_nep.events import plain
+from blender_nep.preview import render_preview
+
+TEXTURES = ("albedo", "roughness", "metallic", "confidence")
+
+
+@dataclass
+class TexturedMesh:
+    """A mesh and its textures in the capture's frame. Textures [H, W] or [H, W, 3] float32, row 0 at v = 1."""
+
+    vertices: np.ndarray
+    faces: np.ndarray
+    normals: np.ndarray
+    uv: np.ndarray
+    textures: dict[str, np.ndarray]
+
+
+def write_asset(
+    folder: Path,
+    capture: Capture,
+    rays: PixelRays,
+    surface,
+    materials,
+    light: tuple[torch.Tensor, torch.Tensor],
+    report: Callable[[], dict],
+) -> None:
+    """Write the asset of a capture into `folder`. Raises OutputError.
+
+    `surface` and `materials` are those of surface.py and material_learning.py; `light` is EnvironmentField.equirect's
+    (radiance [H, 2H, 3], coverage [H, 2H]); `report` is called last, when everything else is on the disk.
+    """
+    radiance = torch.as_tensor(light[0]).detach().float().cpu().numpy()
+    mesh = TexturedMesh(
+        vertices=np.asarray(surface.vertices) * capture.object_radius + capture.object_center,
+        faces=np.asarray(surface.faces),
+        normals=np.asarray(surface.normals),
+        uv=np.asarray(surface.uv),
+        textures={name: np.asarray(getattr(materials, name), np.float32) for name in TEXTURES},
+    )
+    picture = render_preview(rays, surface, mesh.textures, radiance)
+    with output_errors(folder):
+        partial = folder / ".partial"
+        shutil.rmtree(partial, ignore_errors=True)
+        (partial / "textures").mkdir(parents=True)
+        try:
+            write_obj(partial / "mesh.obj", mesh)
+            for name, texture in mesh.textures.items():
+                write_exr(partial / "textures" / f"{name}.exr", texture)
+                write_png(partial / "textures" / f"{name}.png", texture, srgb=name == "albedo")
+            write_glb(partial / "asset.glb", mesh)
+            write_exr(partial / "environment.exr", radiance)
+            Image.fromarray(picture).save(partial / "preview.png")
+            (partial / "report.json").write_text(json.dumps(plain(report()), indent=1), encoding="utf-8")
+            _move(partial, folder)
+        finally:
+            shutil.rmtree(partial, ignore_errors=True)
+
+
+def _move(partial: Path, folder: Path) -> None:
+    """Put the files in place, flushed to the disk; while that goes on no report.json is there."""
+    (folder / "report.json").unlink(missing_ok=True)
+    (folder / "textures").mkdir(exist_ok=True)
+    files = sorted((p for p in partial.rglob("*") if p.is_file()), key=lambda p: (p.name == "report.json", p))
+    for file in files:
+        with open(file, "rb+") as opened:
+            os.fsync(opened.fileno())
+        os.replace(file, folder / file.relative_to(partial))
+
+
+def write_exr(path: Path, pixels: np.ndarray) -> None:
+    """Half-float OpenEXR of linear values [H, W, 3] (channels R, G, B) or [H, W] (channel V). Raises OSError."""
+    half = np.clip(np.nan_to_num(pixels), -65504, 65504).astype(np.float16)
+    channels = {"RGB": half} if half.ndim == 3 else {"V": half}
+    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
+    path.touch()  # OpenEXR tells of a folder that may not be written, or a full disk, in a RuntimeError without errno
+    try:
+        OpenEXR.File(header, channels).write(str(path))
+    except RuntimeError as error:
+        free = shutil.disk_usage(path.parent).free
+        raise OSError(28 if free < half.nbytes else 5, f"OpenEXR: {error}") from error
+
+
+def write_png(path: Path, pixels: np.ndarray, *, srgb: bool) -> None:
+    """8-bit PNG of linear values in [0, 1]; `srgb`: encoded for the eye, else linear data."""
+    values = linear_to_srgb(pixels) if srgb else np.clip(pixels, 0, 1)
+    Image.fromarray(to_bytes(values)).save(path)
+
+
+def to_bytes(values: np.ndarray) -> np.ndarray:
+    """[0, 1] to 0..255, rounded."""
+    return np.round(255 * np.clip(np.nan_to_num(values), 0, 1)).astype(np.uint8)
+
+
+def write_obj(path: Path, mesh: TexturedMesh) -> None:
+    """Wavefront OBJ with normals and UVs, one index for all three, and a material of the PBR extension (Pm, Pr)."""
+    material = [
+        "newmtl nep",
+        "Kd 1 1 1",
+        "Pr 1",
+        "Pm 1",
+        "map_Kd textures/albedo.png",
+        "map_Pr textures/roughness.png",
+        "map_Pm textures/metallic.png",
+    ]
+    path.with_suffix(".mtl").write_text("\n".join(material) + "\n", encoding="utf-8")
+    with open(path, "w", encoding="utf-8") as file:
+        file.write(f"mtllib {path.stem}.mtl\no nep\nusemtl nep\n")
+        np.savetxt(file, mesh.vertices, "v %.7g %.7g %.7g")
+        np.savetxt(file, mesh.uv, "vt %.6f %.6f")
+        np.savetxt(file, mesh.normals, "vn %.4f %.4f %.4f")
+        np.savetxt(file, np.repeat(mesh.faces + 1, 3, axis=1), "f %d/%d/%d %d/%d/%d %d/%d/%d")
+
+
+def write_glb(path: Path, mesh: TexturedMesh) -> None:
+    """glTF 2.0 binary: Y up, base colour sRGB-encoded, roughness in G and metallic in B of one linear texture."""
+    y_up = np.array([[1, 0, 0], [0, 0, 1], [0, -1, 0]], np.float64)
+    rough, metal = to_bytes(mesh.textures["roughness"]), to_bytes(mesh.textures["metallic"])
+    material = trimesh.visual.material.PBRMaterial(
+        name="nep",
+        baseColorTexture=Image.fromarray(to_bytes(linear_to_srgb(mesh.textures["albedo"]))),
+        metallicRoughnessTexture=Image.fromarray(np.stack([np.zeros_like(rough), rough, metal], -1)),
+        metallicFactor=1.0,
+        roughnessFactor=1.0,
+    )
+    whole = trimesh.Trimesh(
+        mesh.vertices @ y_up.T,
+        mesh.faces,
+        vertex_normals=mesh.normals @ y_up.T,
+        visual=trimesh.visual.TextureVisuals(uv=mesh.uv, material=material),
+        process=False,
+    )
+    path.write_bytes(trimesh.Scene({"nep": whole}).export(file_type="glb", include_normals=True))

@@ -1,0 +1,117 @@
+"""The object's bounding sphere: estimated from the cameras and the masks, and checked against the photos."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from blender_nep.capture.camera import Camera
+from blender_nep.errors import BoundsError
+
+_HINT = "Set object_center and object_radius in transforms.json, so that the sphere holds the object and no camera."
+
+
+def sphere_from_cameras(cameras: list[Camera]) -> tuple[np.ndarray, float]:
+    """Centre [3] nearest to all optical axes, and the radius of the largest ball that every tenth camera sees whole.
+
+    A photographer who walks around a thing has it whole in the more distant photos; a sphere somewhat too large costs
+    resolution, one too small cuts the object. Least squares on the distances from the axes, reweighted five times
+    towards their median. The ball stays 30 % away from the nearest camera. Raises BoundsError when the axes do not
+    meet (parallel views).
+    """
+    position = np.stack([c.position for c in cameras])
+    axis = np.stack([c.optical_axis for c in cameras])
+    across = np.eye(3) - axis[:, :, None] * axis[:, None, :]
+    weight = np.ones(len(cameras))
+    for _ in range(5):
+        a = (weight[:, None, None] * across).sum(0)
+        if np.linalg.cond(a) > 1e6:
+            raise BoundsError("the cameras' optical axes are parallel: the object's place cannot be estimated", _HINT)
+        center = np.linalg.solve(a, (weight[:, None] * np.einsum("nij,nj->ni", across, position)).sum(0))
+        offset = np.linalg.norm(np.einsum("nij,nj->ni", across, center - position), axis=1)
+        weight = 1.0 / np.maximum(offset, 1e-3 * np.linalg.norm(position - center, axis=1).mean() + 1e-12)
+    seen = np.array([c.side_distances(center).min() for c in cameras])
+    in_front = ((center - position) * axis).sum(1) > 0
+    if (in_front & (seen > 0)).sum() < 2:
+        raise BoundsError("the cameras do not look at a common place: the object cannot be located", _HINT)
+    radius = np.percentile(seen[in_front & (seen > 0)], 90)
+    return center, float(min(radius, 0.7 * np.linalg.norm(position - center, axis=1).min()))
+
+
+def sphere_from_masks(
+    cameras: list[Camera], masks: list[np.ndarray], center: np.ndarray, radius: float, resolution: int = 48
+) -> tuple[np.ndarray, float] | None:
+    """The sphere around a coarse visual hull, or None when the masks agree on nothing.
+
+    Carves a grid over the cube of half side 1.5 `radius`, then again over what was left of it. A voxel stays when at
+    least half of the cameras have it in their frame and 95 % of those see mask there (masks may have errors). `masks`
+    [h, w] in 0..1, of any resolution.
+    """
+    low, high = center - 1.5 * radius, center + 1.5 * radius
+    for _ in range(2):
+        axes = [np.linspace(low[i], high[i], resolution) for i in range(3)]
+        points = np.stack(np.meshgrid(*axes, indexing="ij"), -1).reshape(-1, 3)
+        inside = _carve(cameras, masks, points)
+        if not inside.any():
+            return None
+        voxel = (high - low) / (resolution - 1)
+        kept = points[inside]
+        low, high = kept.min(0) - 2 * voxel, kept.max(0) + 2 * voxel
+    middle = (kept.min(0) + kept.max(0)) / 2
+    return middle, float(1.05 * np.linalg.norm(kept - middle, axis=1).max() + np.linalg.norm(voxel) / 2)
+
+
+def _carve(cameras: list[Camera], masks: list[np.ndarray], points: np.ndarray) -> np.ndarray:
+    framed, covered = np.zeros(len(points)), np.zeros(len(points))
+    for camera, mask in zip(cameras, masks, strict=True):
+        x, y, depth = camera.project(points)
+        with np.errstate(invalid="ignore"):
+            row = np.floor(y * mask.shape[0] / camera.height).astype(np.int64)
+            column = np.floor(x * mask.shape[1] / camera.width).astype(np.int64)
+        ok = (depth > 0) & (row >= 0) & (row < mask.shape[0]) & (column >= 0) & (column < mask.shape[1])
+        framed += ok
+        covered[ok] += mask[row[ok], column[ok]] > 0.5
+    return (framed >= 0.5 * len(cameras)) & (covered >= 0.95 * framed)
+
+
+def check_sphere(names: list[str], cameras: list[Camera], center: np.ndarray, radius: float) -> list[str]:
+    """Warnings about the sphere. Raises BoundsError when a camera stands inside it or no photo sees it."""
+    distance = np.array([np.linalg.norm(c.position - center) for c in cameras])
+    inside = np.flatnonzero(distance <= radius)
+    if len(inside):
+        raise BoundsError(
+            f"{len(inside)} of {len(cameras)} cameras stand inside the object's sphere (the first: {names[inside[0]]}, "
+            f"{distance[inside[0]]:.4g} from the centre, radius {radius:.4g})",
+            _HINT,
+        )
+    seen = np.array([sees_sphere(c, center, radius) for c in cameras])
+    if not seen.any():
+        raise BoundsError(f"no photo sees the object's sphere (centre {_text(center)}, radius {radius:.4g})", _HINT)
+    warnings = []
+    if not seen.all():
+        blind = [names[i] for i in np.flatnonzero(~seen)]
+        warnings.append(f"{len(blind)} of {len(cameras)} photos do not see the object's sphere: {shortened(blind)}")
+    if np.median(distance) > 10 * radius:
+        warnings.append(
+            f"the cameras are {np.median(distance) / radius:.0f} object radii away: the object covers few pixels "
+            "(is object_radius too small?)"
+        )
+    cut = np.array([c.side_distances(center).min() < 0.5 * radius for c in cameras])
+    if cut[seen].mean() > 0.5:
+        warnings.append("most photos see less than half of the object's sphere (is object_radius too large?)")
+    return warnings
+
+
+def sees_sphere(camera: Camera, center: np.ndarray, radius: float) -> bool:
+    """Whether some part of the sphere can lie in the camera's frame (exact but at the frame's corners)."""
+    sides = camera.side_distances(center)
+    depth = (camera.position - center) @ camera.camera_to_world[:3, 2]
+    return bool(sides.min() > -radius and depth > -radius)
+
+
+def shortened(names: list[str], most: int = 5) -> str:
+    """The first few names, and how many more there are."""
+    return ", ".join(names[:most]) + (f" and {len(names) - most} more" if len(names) > most else "")
+
+
+def _text(point: np.ndarray) -> str:
+    return "(" + ", ".join(f"{x:.4g}" for x in point) + ")"

@@ -1,0 +1,86 @@
+"""A capture: photos of one object among its surroundings, with cameras and the object's bounding sphere."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from blender_nep.capture.camera import Camera
+from blender_nep.capture.images import read_image, read_mask
+from blender_nep.errors import CaptureError
+
+
+@dataclass(frozen=True)
+class View:
+    """One photo, its camera, and the mask of the object if there is one."""
+
+    name: str
+    image_path: Path
+    mask_path: Path | None
+    camera: Camera
+
+
+@dataclass
+class Capture:
+    """Views, and the sphere that holds the object, in the capture's own coordinates and units."""
+
+    folder: Path
+    views: list[View]
+    color_space: str
+    """'linear' or 'srgb': how 8- and 16-bit photos are encoded. OpenEXR is always linear."""
+    object_center: np.ndarray
+    object_radius: float
+    bounds_source: str
+    """Where the sphere comes from: 'transforms.json', 'masks' or 'cameras'."""
+    warnings: list[str] = field(default_factory=list)
+
+    @property
+    def to_unit(self) -> np.ndarray:
+        """[4, 4] float64: capture frame to unit frame, where the object's sphere is the unit sphere at the origin."""
+        matrix = np.eye(4)
+        matrix[:3, :3] /= self.object_radius
+        matrix[:3, 3] = -self.object_center / self.object_radius
+        return matrix
+
+    @property
+    def from_unit(self) -> np.ndarray:
+        """[4, 4] float64: unit frame to capture frame."""
+        matrix = np.eye(4)
+        matrix[:3, :3] *= self.object_radius
+        matrix[:3, 3] = self.object_center
+        return matrix
+
+    def load_photo(self, i: int) -> tuple[np.ndarray, np.ndarray | None]:
+        """Radiance [H, W, 3] linear float32 (raw, may hold NaN) and the photo's own alpha [H, W] in 0..1.
+
+        Alpha is None where the file has none or where it is 1 throughout. Where it is 0 the photo is cut out: nothing
+        is known of the surroundings there. Raises CaptureError.
+        """
+        view = self.views[i]
+        radiance, alpha = read_image(view.image_path, self.color_space)
+        self._check_size(view, view.image_path, radiance)
+        return radiance, alpha if alpha is not None and alpha.min() < 0.999 else None
+
+    def load_radiance(self, i: int) -> np.ndarray:
+        """[H, W, 3] float32 linear, raw: may hold NaN, Inf and negative values. Raises CaptureError."""
+        return self.load_photo(i)[0]
+
+    def load_mask(self, i: int) -> np.ndarray | None:
+        """Coverage by the object [H, W] float32 in 0..1: the mask file, else the photo's alpha, else None."""
+        view = self.views[i]
+        if view.mask_path is None:
+            return self.load_photo(i)[1]
+        mask = read_mask(view.mask_path)
+        self._check_size(view, view.mask_path, mask)
+        return mask
+
+    @staticmethod
+    def _check_size(view: View, path: Path, pixels: np.ndarray) -> None:
+        if pixels.shape[:2] != (view.camera.height, view.camera.width):
+            raise CaptureError(
+                f"{path.name} is {pixels.shape[1]} x {pixels.shape[0]} pixels, but its photo is "
+                f"{view.camera.width} x {view.camera.height}",
+                "A photo and its mask need the same size.",
+            )

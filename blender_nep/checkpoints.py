@@ -1,0 +1,226 @@
+"""Checkpoints of a job, and the wish to stop it.
+
+Everything lies in the asset's `checkpoints/`: `run.json` (what is being run), `ROOM.pt` (a room that is under way, with
+the state before it as `ROOM.previous.pt`) and `ROOM.done.pt` (a room's result). Files are written under a temporary
+name, flushed to the disk and renamed, so that a kill at any moment leaves the old one or the new one.
+"""
+
+from __future__ import annotations
+
+import errno
+import json
+import os
+import pickle
+import signal
+import threading
+import time
+from collections.abc import Callable
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+
+from blender_nep.errors import OutputError, Stopped
+
+_NUMPY = "__numpy__"
+
+
+class StopRequest:
+    """Whether somebody wants the job to end: SIGTERM, SIGINT, {"cmd": "stop"} or the end of standard input."""
+
+    def __init__(self) -> None:
+        self._event = threading.Event()
+        self.reason = ""
+
+    @property
+    def requested(self) -> bool:
+        """True from the first wish on."""
+        return self._event.is_set()
+
+    def request(self, reason: str) -> None:
+        """Ask the job to write its checkpoint and end."""
+        self.reason = self.reason or reason
+        self._event.set()
+
+    @contextmanager
+    def signals(self):
+        """Within this context SIGTERM and the first SIGINT (Ctrl-C) are wishes; a second Ctrl-C interrupts at once."""
+
+        def handle(number: int, _frame: object) -> None:
+            if self.requested and number == signal.SIGINT:
+                signal.default_int_handler(number, None)
+            self.request(signal.Signals(number).name)
+
+        before = {n: signal.signal(n, handle) for n in (signal.SIGTERM, signal.SIGINT)}
+        try:
+            yield self
+        finally:
+            for number, handler in before.items():
+                signal.signal(number, handler)
+
+    def watch(self, descriptor: int = 0) -> None:
+        """Listen for {"cmd": "stop"} lines on a file descriptor (standard input); its end means the parent died."""
+        threading.Thread(target=self._listen, args=(descriptor,), daemon=True).start()
+
+    def _listen(self, descriptor: int) -> None:
+        # os.read, not sys.stdin: a thread that waits in a buffered reader makes the interpreter abort at its exit
+        rest = b""
+        while received := os.read(descriptor, 4096):
+            *lines, rest = (rest + received).split(b"\n")
+            for line in lines:
+                try:
+                    command = json.loads(line)
+                except ValueError:
+                    continue
+                if isinstance(command, dict) and command.get("cmd") == "stop":
+                    self.request("stop command")
+        self.request("standard input was closed")
+
+
+def write_atomically(path: Path, write: Callable[[Path], None]) -> None:
+    """Call write(temporary path), flush it to the disk and rename it to `path`. Raises OutputError."""
+    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+    with output_errors(path):
+        try:
+            write(temporary)
+            with open(temporary, "rb+") as file:
+                os.fsync(file.fileno())
+            os.replace(temporary, path)
+        finally:
+            temporary.unlink(missing_ok=True)
+
+
+@contextmanager
+def output_errors(path: Path):
+    """Turn the operating system's refusals to write into OutputError."""
+    try:
+        yield
+    except OSError as error:
+        raise output_error(path, error) from error
+    except RuntimeError as error:  # torch's own writer reports a full disk so
+        if "PytorchStreamWriter" in str(error) or "unexpected pos" in str(error):
+            raise output_error(path, OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))) from error
+        raise
+
+
+def output_error(path: Path, error: OSError) -> OutputError:
+    """The OutputError for an OSError met while writing `path`."""
+    reason = error.strerror or str(error)
+    if error.errno in (errno.ENOSPC, errno.EDQUOT):
+        return OutputError(f"the disk is full: {path} cannot be written", "Free some space, then go on with --resume.")
+    if error.errno in (errno.EACCES, errno.EPERM, errno.EROFS):
+        return OutputError(f"{path} may not be written ({reason})", "Choose another --out, or change its permissions.")
+    return OutputError(f"{path} cannot be written ({reason})", "Choose another --out.")
+
+
+def save_state(path: Path, state: dict) -> None:
+    """Write a dict of tensors, arrays, numbers, strings and containers of them. Raises OutputError."""
+    write_atomically(path, lambda temporary: torch.save(_pack(state), temporary))
+
+
+def load_state(path: Path) -> dict:
+    """Read what save_state wrote, tensors on the CPU. No code is run from the file. Raises ValueError if torn."""
+    try:
+        return _unpack(torch.load(path, map_location="cpu", weights_only=True))
+    except (RuntimeError, EOFError, pickle.UnpicklingError, KeyError, OSError, ValueError, TypeError) as error:
+        raise ValueError(f"{path.name} is damaged ({type(error).__name__})") from error
+
+
+def _pack(value: Any) -> Any:
+    """Arrays as marked tensors, so that a file can be read without unpickling arbitrary classes."""
+    if isinstance(value, np.ndarray):
+        return {_NUMPY: torch.from_numpy(np.array(value, order="C"))}
+    if isinstance(value, np.generic):
+        return value.item()
+    if isinstance(value, dict):
+        return {k: _pack(v) for k, v in value.items()}
+    if isinstance(value, list | tuple):
+        return [_pack(v) for v in value] if isinstance(value, list) else tuple(_pack(v) for v in value)
+    return value
+
+
+def _unpack(value: Any) -> Any:
+    if isinstance(value, dict):
+        if _NUMPY in value:
+            return value[_NUMPY].cpu().numpy()
+        return {k: _unpack(v) for k, v in value.items()}
+    if isinstance(value, list | tuple):
+        return [_unpack(v) for v in value] if isinstance(value, list) else tuple(_unpack(v) for v in value)
+    return value
+
+
+class Checkpoint:
+    """The state of one room that is under way: due every `interval` seconds, the last two are kept."""
+
+    interval = 15.0
+    """Seconds between two saves; a save that takes long stretches it, up to 25."""
+
+    def __init__(
+        self,
+        folder: Path,
+        room: str,
+        stop: StopRequest,
+        warn: Callable[[str], None],
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self.path = folder / f"{room}.pt"
+        self.previous = folder / f"{room}.previous.pt"
+        self._stop, self._warn, self._clock = stop, warn, clock
+        self._started = self._saved = clock()
+        self._wait = self.interval
+        self.seconds_before = 0.0
+        """Seconds that earlier, killed runs spent in this room up to the loaded state."""
+        self.loaded = False
+        """Whether `load` gave a state: the room is resumed in its middle."""
+        self._saved_for_stop = False
+
+    @property
+    def stopping(self) -> bool:
+        """True when the loop should save and raise Stopped."""
+        return self._stop.requested
+
+    def due(self) -> bool:
+        """Whether the loop should save now."""
+        return self.stopping or self._clock() - self._saved >= self._wait
+
+    def save(self, state: dict) -> None:
+        """Write `state` atomically, keeping the one before. Raises OutputError."""
+        start = self._clock()
+        stopping = self.stopping
+        with output_errors(self.path):
+            if self.path.exists():
+                os.replace(self.path, self.previous)
+        save_state(self.path, {"seconds": self.seconds_before + start - self._started, "state": state})
+        self._saved = self._clock()
+        self._wait = min(max(self.interval, 20 * (self._saved - start)), 25.0)
+        self._saved_for_stop |= stopping
+
+    def load(self) -> dict | None:
+        """The newest readable state, or None when the room starts from its beginning."""
+        for path in (self.path, self.previous):
+            if not path.exists():
+                continue
+            try:
+                saved = load_state(path)
+                self.seconds_before, state = float(saved["seconds"]), saved["state"]
+                self.loaded = True
+                return state
+            except (ValueError, KeyError, TypeError) as error:
+                self._warn(f"checkpoint {path.name} cannot be used: {error}")
+        return None
+
+    def raise_if_stopped(self, *, saves: bool) -> None:
+        """Raise Stopped once a stop was asked for and, in a room that `saves`, its state is on the disk."""
+        if self.stopping and (self._saved_for_stop or not saves):
+            raise Stopped(f"stopped ({self._stop.reason}); the checkpoint is written", "Go on with --resume.")
+
+    def seconds(self) -> float:
+        """Seconds spent in this room, earlier runs included."""
+        return self.seconds_before + self._clock() - self._started
+
+    def remove(self) -> None:
+        """Drop the room's states: its result is on the disk."""
+        for path in (self.path, self.previous):
+            path.unlink(missing_ok=True)

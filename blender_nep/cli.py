@@ -1,0 +1,137 @@
+"""The command line: `blender-nep info` and `blender-nep reconstruct`."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from pathlib import Path
+
+from blender_nep import __version__
+
+EXIT_CODES = """\
+exit codes:
+  0  done
+  1  unexpected: a bug, or out of memory (the traceback is in ASSET/log.txt)
+  2  wrong arguments, an asset that is already there, or a resume with other settings
+  3  the capture cannot be read or is not usable (a missing image, an empty folder, too few photos, NaN, sizes)
+  4  the object's sphere cannot be right (a camera inside it, nothing in it, no photo sees it)
+  5  the asset cannot be written (disk full, permissions, not a folder)
+  6  learning failed (no surface was found, or it diverged)
+  7  stopped on request, the checkpoint is written: go on with --resume
+
+Events for programs are JSON lines on standard output (none when that is a terminal); text for people is on stderr.
+"""
+
+
+def parser() -> argparse.ArgumentParser:
+    """The arguments of the command line."""
+    top = argparse.ArgumentParser(
+        prog="blender-nep",
+        description="Photos of a glossy object to a relightable mesh (NeP, CVPR 2024).",
+        epilog=EXIT_CODES,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    top.add_argument("--version", action="version", version=f"blender-nep {__version__}")
+    commands = top.add_subparsers(dest="command", required=True, metavar="{info,reconstruct}")
+
+    info = commands.add_parser("info", help="say what a capture holds and what looks wrong")
+    info.add_argument("capture", type=Path, metavar="CAPTURE", help="folder with transforms.json and photos")
+    info.add_argument("--json", action="store_true", help="as one JSON object")
+
+    run = commands.add_parser(
+        "reconstruct",
+        help="make an asset of a capture",
+        epilog=EXIT_CODES,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    run.add_argument("capture", type=Path, metavar="CAPTURE", help="folder with transforms.json and photos")
+    run.add_argument("--out", type=Path, required=True, metavar="ASSET", help="folder of the asset")
+    run.add_argument(
+        "--preset",
+        choices=("preview", "balanced", "quality"),
+        default="balanced",
+        help="time against error (%(default)s)",
+    )
+    run.add_argument("--device", choices=("auto", "cpu", "cuda"), default="auto", help="(%(default)s)")
+    run.add_argument(
+        "--seed", type=_seed, default=0, metavar="N", help="the same seed gives the same asset (%(default)s)"
+    )
+    run.add_argument(
+        "--masks", choices=("use", "ignore"), default="use", help="masks help, none are needed (%(default)s)"
+    )
+    run.add_argument("--mesh", type=Path, metavar="FILE", help="learn materials on this mesh (capture coordinates)")
+    run.add_argument("--resume", action="store_true", help="go on with the run in ASSET that was stopped or killed")
+    run.add_argument("--overwrite", action="store_true", help="replace an asset or a run in ASSET")
+    run.add_argument("--clean", action="store_true", help="remove the checkpoints when the asset is written")
+    run.add_argument("--threads", type=_count, metavar="N", help="CPU threads (all cores)")
+    run.add_argument(
+        "--watch-stdin", action="store_true", help='stop at {"cmd": "stop"} on standard input, or when it is closed'
+    )
+    return top
+
+
+def _seed(text: str) -> int:
+    value = int(text)
+    if not 0 <= value < 2**31:
+        raise argparse.ArgumentTypeError("must be between 0 and 2147483647")
+    return value
+
+
+def _count(text: str) -> int:
+    value = int(text)
+    if value < 1:
+        raise argparse.ArgumentTypeError("must be at least 1")
+    return value
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Run the command line and return its exit code."""
+    options = parser().parse_args(arguments)
+    return _info(options) if options.command == "info" else _reconstruct(options)
+
+
+def _info(options: argparse.Namespace) -> int:
+    from blender_nep.capture.summary import describe, summarise
+    from blender_nep.errors import NepError
+
+    try:
+        found = summarise(options.capture)
+    except NepError as error:
+        if options.json:
+            print(json.dumps({"error": {"code": error.code, "message": error.message, "hint": error.hint}}, indent=1))
+        print(f"error: {error.message}" + (f"\n       {error.hint}" if error.hint else ""), file=sys.stderr)
+        return error.code
+    print(json.dumps(found, indent=1) if options.json else describe(found))
+    return 0
+
+
+def _reconstruct(options: argparse.Namespace) -> int:
+    from blender_nep.events import Events, open_protocol
+
+    terminal = sys.stdout.isatty()
+    protocol = open_protocol()
+    events = Events(None if terminal else protocol, sys.stderr)
+
+    from blender_nep import job
+    from blender_nep.checkpoints import StopRequest
+    from blender_nep.presets import preset
+
+    stop = StopRequest()
+    if options.watch_stdin:
+        stop.watch()
+    settings = job.Settings(
+        capture=options.capture,
+        out=options.out,
+        preset=preset(options.preset),
+        device=options.device,
+        seed=options.seed,
+        use_masks=options.masks == "use",
+        mesh=options.mesh,
+        resume=options.resume,
+        overwrite=options.overwrite,
+        clean=options.clean,
+        threads=options.threads,
+    )
+    with stop.signals():
+        return job.run(settings, events, stop)

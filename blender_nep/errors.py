@@ -1,0 +1,64 @@
+"""Errors with an exit code, one clear message, and a hint on what to do.
+
+Exit codes of the command line and of the `error` event:
+
+| code | class         | meaning                                                                            |
+|------|---------------|------------------------------------------------------------------------------------|
+| 0    |               | done                                                                               |
+| 1    | NepError      | unexpected: a bug, or out of memory; the traceback is in the asset's `log.txt`      |
+| 2    | UsageError    | wrong arguments, or a resume whose settings differ from the run it continues        |
+| 3    | CaptureError  | the capture cannot be read or is not usable                                        |
+| 4    | BoundsError   | the object's bounding sphere cannot be right                                       |
+| 5    | OutputError   | the asset cannot be written                                                        |
+| 6    | LearningError | learning failed: no surface was found, or the optimisation diverged                |
+| 7    | Stopped       | stopped on request; the checkpoint is written, `--resume` goes on                  |
+"""
+
+from __future__ import annotations
+
+
+class NepError(Exception):
+    """An expected failure: `message` says what is wrong (one line), `hint` what to do about it."""
+
+    code = 1
+
+    def __init__(self, message: str, hint: str = "") -> None:
+        super().__init__(message)
+        self.message = message
+        self.hint = hint
+
+
+class UsageError(NepError):
+    """Wrong arguments."""
+
+    code = 2
+
+
+class CaptureError(NepError):
+    """The capture cannot be read, or is not usable."""
+
+    code = 3
+
+
+class BoundsError(NepError):
+    """The bounding sphere of the object cannot be right."""
+
+    code = 4
+
+
+class OutputError(NepError):
+    """The asset cannot be written."""
+
+    code = 5
+
+
+class LearningError(NepError):
+    """Learning failed."""
+
+    code = 6
+
+
+class Stopped(NepError):
+    """Stopped on request, after the checkpoint was written."""
+
+    code = 7

@@ -1,0 +1,221 @@
+"""What a job says: JSON lines for programs on standard output, a progress bar or plain lines for people on stderr."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import math
+import os
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, TextIO
+
+from tqdm import tqdm
+
+
+def open_protocol() -> TextIO:
+    """The real standard output, for events alone: from now on whatever is printed goes to stderr.
+
+    Works on file descriptors, so that prints of C and C++ libraries cannot break the protocol either.
+    """
+    sys.stdout.flush()
+    stream = os.fdopen(os.dup(1), "w", encoding="utf-8", buffering=1)
+    os.dup2(2, 1)
+    sys.stdout = sys.stderr
+    return stream
+
+
+def time_text(seconds: float) -> str:
+    """75 -> '1:15'; '?' when not finite."""
+    if not math.isfinite(seconds):
+        return "?"
+    whole = max(0, round(seconds))
+    hours, minutes = divmod(whole // 60, 60)
+    return f"{hours}:{minutes:02d}:{whole % 60:02d}" if hours else f"{minutes}:{whole % 60:02d}"
+
+
+class Timeline:
+    """How far the whole job is, and how long it still takes.
+
+    Each room brings a first guess of its seconds. The time left in a room follows its own pace once that shows; the
+    rooms to come are scaled by how wrong the guesses were so far.
+    """
+
+    def __init__(self, expected: dict[str, float], clock: Callable[[], float] = time.monotonic) -> None:
+        self.expected = {room: max(seconds, 0.1) for room, seconds in expected.items()}
+        self._clock = clock
+        self._spent = 0.0
+        self._guessed = 0.0
+        self._room = ""
+        self._room_start = 0.0
+        self._first = 0.0
+        self._done: set[str] = set()
+
+    def enter(self, room: str) -> None:
+        """A room begins."""
+        self._room, self._room_start, self._first = room, self._clock(), 0.0
+
+    def begin_at(self, fraction: float) -> None:
+        """The room is resumed in its middle: what was done before takes no time now."""
+        self._first = fraction
+
+    def leave(self, *, skipped: bool = False) -> None:
+        """The room ended; `skipped`: it took no time because its result was there."""
+        self._done.add(self._room)
+        if not skipped:
+            self._spent += self._clock() - self._room_start
+            self._guessed += self.expected[self._room] * (1 - self._first)
+
+    def at(self, fraction: float) -> tuple[float, float]:
+        """(fraction of the whole job, seconds left) when the current room is `fraction` done (0..1)."""
+        elapsed, guess = self._clock() - self._room_start, self.expected[self._room]
+        advanced = fraction - self._first
+        shows = advanced > 0.02 or (advanced > 0 and elapsed > 15)
+        if shows:
+            pace = (self._spent + elapsed) / (self._guessed + guess * advanced)
+        else:
+            pace = self._spent / self._guessed if self._guessed > 1 else 1.0
+        room_left = elapsed / advanced * (1 - fraction) if shows else guess * pace * (1 - fraction)
+        later = sum(s for r, s in self.expected.items() if r not in self._done and r != self._room)
+        done = sum(s for r, s in self.expected.items() if r in self._done) + guess * fraction
+        return min(done / sum(self.expected.values()), 1.0), room_left + later * min(max(pace, 0.1), 20.0)
+
+
+class Events:
+    """Sends the events of one job to programs (`protocol`), people (`human`) and the log (`log`)."""
+
+    def __init__(
+        self, protocol: TextIO | None = None, human: TextIO | None = None, clock: Callable[[], float] = time.monotonic
+    ) -> None:
+        self._protocol, self._human, self._clock = protocol, human, clock
+        self._log: TextIO | None = None
+        self._bar: tqdm | None = None
+        self._last_event = self._last_line = -math.inf
+        self._last_step: tuple[str, int] | None = None
+        self._pending: list[str] = []
+        self.warnings: list[str] = []
+
+    def open_log(self, path: Path) -> None:
+        """Append everything to a log file from now on, and what was said before."""
+        self._log = open(path, "a", encoding="utf-8")
+        for line in self._pending:
+            self._log.write(line)
+        self._pending.clear()
+        self._log.flush()
+
+    @property
+    def has_log(self) -> bool:
+        """Whether a log file is open."""
+        return self._log is not None
+
+    def log(self, text: str) -> None:
+        """A line in the log alone."""
+        line = f"{time.strftime('%Y-%m-%d %H:%M:%S')} {text}\n"
+        if self._log is None:
+            self._pending.append(line)
+            return
+        try:
+            self._log.write(line)
+            self._log.flush()
+        except OSError:  # a full disk: the error itself must still reach the user
+            self._log = None
+
+    def say(self, text: str) -> None:
+        """A line for people."""
+        self.log(text)
+        if self._human is None:
+            return
+        if self._bar is not None:
+            self._bar.clear()
+        print(text, file=self._human, flush=True)
+
+    def emit(self, event: str, **content: Any) -> None:
+        """One JSON line for programs. A reader that went away is not told any more."""
+        if self._protocol is None:
+            return
+        try:
+            self._protocol.write(json.dumps({"event": event, **plain(content)}) + "\n")
+            self._protocol.flush()
+        except (BrokenPipeError, ValueError):
+            self._protocol = None
+
+    def progress(
+        self, room: str, step: int, steps: int, fraction: float, eta: float, loss: float | None, **extra: Any
+    ) -> None:
+        """How far the job is: at most four events a second, but always the first and last step of a room."""
+        now, edge = self._clock(), step in (0, steps) or self._last_step is None or self._last_step[0] != room
+        if (edge and self._last_step != (room, step)) or now - self._last_event >= 0.25:
+            self._last_event, self._last_step = now, (room, step)
+            self.emit(
+                "progress",
+                room=room,
+                step=step,
+                steps=steps,
+                fraction=round(fraction, 4),
+                eta_s=round(eta, 1),
+                loss=loss,
+                **extra,
+            )
+            self._show(room, step, steps, fraction, eta, loss)
+
+    def _show(self, room: str, step: int, steps: int, fraction: float, eta: float, loss: float | None) -> None:
+        figure = "" if loss is None else f", loss {loss:.4f}"
+        if self._human is not None and self._human.isatty():
+            if self._bar is None:
+                form = "{desc}: {percentage:3.0f}%|{bar}| {unit}"
+                self._bar = tqdm(total=1.0, file=self._human, bar_format=form, dynamic_ncols=True)
+            self._bar.n = fraction
+            self._bar.unit = f"{step}/{steps}{figure}, {time_text(eta)} left"
+            self._bar.set_description_str(room.replace("_", " "))
+        if self._clock() - self._last_line >= 10:
+            self._last_line = self._clock()
+            text = f"{fraction:4.0%}  {room.replace('_', ' ')} {step}/{steps}{figure}, {time_text(eta)} left"
+            self.log(text)
+            if self._human is not None and self._bar is None:
+                print(text, file=self._human, flush=True)
+
+    def preview(self, path: Path) -> None:
+        """A picture or mesh worth looking at is on the disk."""
+        self.emit("preview", path=str(path))
+
+    def warning(self, message: str) -> None:
+        """Something that the user should know; each is said once."""
+        if message not in self.warnings:
+            self.warnings.append(message)
+            self.emit("warning", message=message)
+            self.say(f"warning: {message}")
+
+    def done(self, asset: Path) -> None:
+        """The asset is complete."""
+        self.emit("done", asset=str(asset))
+        self.say(f"done: {asset}")
+
+    def error(self, code: int, message: str, hint: str) -> None:
+        """The job failed."""
+        self.emit("error", code=code, message=message, hint=hint)
+        self.say(f"error: {message}" + (f"\n       {hint}" if hint else ""))
+
+    def close(self) -> None:
+        """End the bar and the log."""
+        if self._bar is not None:
+            self._bar.close()
+            self._bar = None
+        if self._log is not None:
+            with contextlib.suppress(OSError):
+                self._log.close()
+            self._log = None
+
+
+def plain(value: Any) -> Any:
+    """As JSON has it: containers of strings, numbers and null (for NaN and Inf, which JSON does not know)."""
+    if isinstance(value, dict):
+        return {str(k): plain(v) for k, v in value.items()}
+    if isinstance(value, list | tuple | set):
+        return [plain(v) for v in value]
+    if hasattr(value, "tolist"):  # numpy and torch
+        return plain(value.tolist())
+    if isinstance(value, Path):
+        return str(value)
+    return None if isinstance(value, float) and not math.isfinite(value) else value

@@ -1,0 +1,200 @@
+"""The prefiltered environment field F_e: the radiance of everything outside the object's unit sphere.
+
+A spherical volume centred on the object. Shells stand at equal steps of log |x| from the border |x| = 1 outwards, every
+shell is an equirectangular grid (rows from +z to -z, columns with atan2(y, x)). A node holds a raw density (softplus,
+per unit of dt / |x|, so that the volume is scale-invariant) and the logarithm of linear radiance. The outermost shell is
+the sky: it closes every ray that nothing else stops.
+
+The paper takes a Mip-NeRF for F_e so that cones can be asked for. Here the volume is prefiltered once learned
+(`environment_prefilter`), so that cones of any width are right by construction.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import torch
+from torch import nn
+
+from blender_nep.fields.environment_prefilter import PrefilteredEnvironment
+from blender_nep.ops.environment_cones import accumulate_evidence
+from blender_nep.ops.environment_rendering import render_environment
+from blender_nep.presets import EnvironmentPreset
+
+
+class EnvironmentField(nn.Module):
+    """F_e, see the module's text.
+
+    Args:
+        preset: resolutions, priors and learning rate.
+        mean_radiance: linear radiance that the field starts from; best the photos' geometric mean.
+    """
+
+    def __init__(self, preset: EnvironmentPreset, mean_radiance: float = 0.2):
+        super().__init__()
+        self.preset = preset
+        shells, rows = preset.resolutions[0]
+        raw = torch.empty(shells, rows, 2 * rows, 4)
+        raw[..., 0] = preset.initial_raw_density
+        raw[..., 1:] = math.log(max(mean_radiance, 1e-4))
+        self.raw = nn.Parameter(raw)
+        self.register_buffer("coverage", torch.zeros(raw.shape[:3]))
+        self._prefiltered: PrefilteredEnvironment | None = None
+
+    @property
+    def level(self) -> int:
+        """Index into `preset.resolutions` of the present grid."""
+        return [tuple(r) for r in self.preset.resolutions].index((self.raw.shape[0], self.raw.shape[1]))
+
+    @property
+    def relative_step(self) -> float:
+        """Longest march step, as a fraction of the distance from the origin."""
+        return self.preset.steps_per_shell_inverse * math.log(self.preset.outer_radius) / (self.raw.shape[0] - 1)
+
+    def render(
+        self,
+        origins: torch.Tensor,
+        directions: torch.Tensor,
+        t_near: torch.Tensor,
+        t_far: torch.Tensor,
+        half_angle: torch.Tensor | float = 0.0,
+        generator: torch.Generator | None = None,
+    ) -> tuple[torch.Tensor, torch.Tensor]:
+        """Volume-render ray segments; differentiable in the field's parameters.
+
+        Args:
+            origins, directions: [n, 3], unit frame, directions of unit length.
+            t_near, t_far: [n] ends of the segment; t_far = inf lets the sky close the ray. For a camera, keep t_near at
+                `preset.camera_near` or more.
+            half_angle: of the pixel's cone; pixels are narrower than a node, so that it changes nothing here. Use
+                `query_cone` for wide cones.
+            generator: given, samples are jittered (training); None, they stand in the middle of each step.
+
+        Returns:
+            radiance [n, 3] premultiplied linear, transmittance [n] (0 where t_far is inf).
+        """
+        jitter = None
+        if generator is not None:
+            jitter = torch.rand(len(origins), generator=generator, device=origins.device, dtype=origins.dtype)
+        return render_environment(
+            self.raw,
+            origins,
+            directions,
+            t_near,
+            t_far,
+            outer_radius=self.preset.outer_radius,
+            relative_step=self.relative_step,
+            density_gain=self.preset.density_gain,
+            jitter=jitter,
+            gradient_near=self.preset.gradient_near if generator is not None else 0.0,
+            transmittance_limit=self.preset.transmittance_limit,
+            depth_limit=self.preset.depth_limit,
+        )
+
+    def regularisation(self, generator: torch.Generator | None = None) -> torch.Tensor:
+        """Priors of an under-determined field, a scalar to add to a mean photometric loss.
+
+        Total variation of the raw grid (smooth in all three axes, edges allowed) and the mean density, on a random run
+        of shells a call.
+        """
+        preset, raw = self.preset, self.raw
+        shells, rows, columns = raw.shape[:3]
+        run = max(2, round(shells * preset.regularised_fraction))
+        first = int(torch.randint(0, shells - run + 1, (1,), generator=generator, device=raw.device))
+        slab = raw[first : first + run]
+        total = raw.new_zeros(())
+        for axis in (0, 1, 2):
+            difference = slab.diff(dim=axis)
+            total = total + torch.sqrt(difference * difference + preset.variation_softness**2).mean(dim=(0, 1, 2)) @ (
+                raw.new_tensor([preset.density_variation] + [preset.colour_variation] * 3)
+            )
+        return total + preset.density_penalty * torch.nn.functional.softplus(slab[..., 0]).mean()
+
+    def refine(self, fraction: float) -> bool:
+        """Go to the resolution due at this fraction of the training; True if the parameter was replaced.
+
+        After True the optimiser has to be rebuilt: `raw` is a new parameter.
+        """
+        due = sum(fraction >= start for start in self.preset.refine_at)
+        if due <= self.level:
+            return False
+        self.raw = nn.Parameter(resample(self.raw.detach(), *self.preset.resolutions[due]))
+        self.coverage = self.raw.new_zeros(self.raw.shape[:3])
+        return True
+
+    @torch.no_grad()
+    def freeze(self, origins: torch.Tensor, directions: torch.Tensor) -> None:
+        """Learning is over: measures `coverage` with camera rays [n, 3] (a node that about as many rays as it has
+        pixels' worth of evidence saw counts as seen) and makes the field ready for cones."""
+        evidence = np.zeros(self.raw.shape[:3], np.float32)
+        near = np.full(len(origins), self.preset.camera_near, np.float32)
+        accumulate_evidence(self.raw.detach().cpu().numpy(), origins.cpu().numpy(), directions.cpu().numpy(), near,
+                            math.log(self.preset.outer_radius), self.preset.density_gain, self.relative_step, evidence)
+        seen = torch.from_numpy(evidence) / (torch.from_numpy(evidence) + self.preset.coverage_evidence)
+        self.coverage = seen.to(self.raw.device)
+        self._prefiltered = None
+
+    @torch.no_grad()
+    def query_cone(self, origins: torch.Tensor, directions: torch.Tensor, half_angle: torch.Tensor | float,
+                   t_near: torch.Tensor | None = None) -> tuple[torch.Tensor, torch.Tensor]:
+        """Mean radiance [n, 3] in cones from points in the unit sphere, and how far photos saw it [n] in 0..1.
+
+        origins, unit directions [n, 3]; half_angle [n] radians, 0 .. pi / 2; t_near [n]: where the environment begins,
+        by default at the border.
+        """
+        if self._prefiltered is None:
+            self._prefiltered = PrefilteredEnvironment(self.raw, self.coverage, self.preset.density_gain,
+                                                       self.preset.outer_radius)
+        if t_near is None:
+            b = (origins * directions).sum(-1)
+            t_near = (-b + (b * b - (origins * origins).sum(-1) + 1).clamp(min=0).sqrt()).clamp(min=1e-3)
+        half_angle = torch.as_tensor(half_angle, device=origins.device, dtype=origins.dtype).expand(len(origins))
+        return self._prefiltered.query(origins, directions, half_angle, t_near)
+
+    def equirect(self, height: int) -> tuple[torch.Tensor, torch.Tensor]:
+        """The light seen from the object's centre, for Blender's World: [height, 2 height, 3] and coverage.
+
+        Cycles maps a direction to u = 0.5 - atan2(y, x) / (2 pi), v = 0.5 + atan2(z, hypot(x, y)) / pi; row 0 is +z.
+        """
+        device = self.raw.device
+        theta = (torch.arange(height, device=device) + 0.5) * math.pi / height
+        phi = (0.5 - (torch.arange(2 * height, device=device) + 0.5) / (2 * height)) * 2 * math.pi
+        theta, phi = torch.meshgrid(theta, phi, indexing="ij")
+        direction = torch.stack([theta.sin() * phi.cos(), theta.sin() * phi.sin(), theta.cos()], -1).reshape(-1, 3)
+        radiance, coverage = self.query_cone(torch.zeros_like(direction), direction, 0.5 * math.pi / height)
+        return radiance.reshape(height, 2 * height, 3), coverage.reshape(height, 2 * height)
+
+    def parameter_groups(self) -> list[dict]:
+        """For torch.optim.Adam. The large eps keeps nodes that hardly any ray meets from full steps on noise."""
+        return [
+            {"params": [self.raw], "lr": self.preset.learning_rate, "betas": (0.9, 0.99), "eps": self.preset.adam_eps}
+        ]
+
+    def _load_from_state_dict(self, state_dict, prefix, *arguments):
+        stored = state_dict.get(prefix + "raw")
+        if stored is not None and stored.shape != self.raw.shape:
+            self.raw = nn.Parameter(self.raw.new_empty(stored.shape))
+            self.coverage = self.raw.new_zeros(stored.shape[:3])
+        self._prefiltered = None
+        super()._load_from_state_dict(state_dict, prefix, *arguments)
+
+
+def resample(raw: torch.Tensor, shells: int, rows: int) -> torch.Tensor:
+    """The grid at another resolution [shells, rows, 2 rows, 4], by trilinear interpolation, periodic in the columns."""
+    old_rows = raw.shape[1]
+    padded = pad_angles(raw).permute(3, 0, 1, 2)[None]
+    device = raw.device
+    k = torch.linspace(-1.0, 1.0, shells, device=device)
+    j = ((torch.arange(rows, device=device) + 0.5) * (old_rows / rows) + 0.5) * (2 / (old_rows + 1)) - 1
+    c = ((torch.arange(2 * rows, device=device) + 0.5) * (old_rows / rows) + 0.5) * (2 / (2 * old_rows + 1)) - 1
+    place = torch.stack(torch.meshgrid(k, j, c, indexing="ij")[::-1], -1)[None].to(raw.dtype)
+    sampled = torch.nn.functional.grid_sample(padded, place, mode="bilinear", align_corners=True)
+    return sampled[0].permute(1, 2, 3, 0).contiguous()
+
+
+def pad_angles(raw: torch.Tensor) -> torch.Tensor:
+    """[K, H, W, C] -> [K, H + 2, W + 2, C]: one row beyond each pole (turned by half a turn), columns wrapped."""
+    half = raw.shape[2] // 2
+    rows = torch.cat([raw[:, :1].roll(half, 2), raw, raw[:, -1:].roll(half, 2)], 1)
+    return torch.cat([rows[:, :, -1:], rows, rows[:, :, :1]], 2)

@@ -1,0 +1,78 @@
+"""Learning F_e alone, from the pixels that do not show the object (`--mesh`), and what both ways of learning share."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import torch
+
+from blender_nep.capture.rays import PixelRays
+from blender_nep.checkpoints import Checkpoint
+from blender_nep.errors import Stopped
+from blender_nep.fields.environment_field import EnvironmentField
+from blender_nep.metrics import tone_map
+from blender_nep.presets import EnvironmentPreset
+
+
+def geometric_mean(rays: PixelRays) -> float:
+    """Geometric mean of the photos' radiance, from some 10,000 pixels: where F_e starts."""
+    some = rays.radiance[:: max(1, rays.count // 10_000)].float()
+    return float(some.clamp(min=1e-3).log().mean().exp())
+
+
+def learning_rate(preset: EnvironmentPreset, fraction: float) -> float:
+    """F_e's learning rate at a fraction of the training: constant, then down to a tenth in the second half."""
+    return preset.learning_rate * 0.1 ** max(0.0, (fraction - 0.5) / 0.5)
+
+
+def optimiser(environment: EnvironmentField) -> torch.optim.Optimizer:
+    """Adam for the field's present grid."""
+    return torch.optim.Adam(environment.parameter_groups(), fused=True)
+
+
+def freeze(environment: EnvironmentField, rays: PixelRays, background: torch.Tensor, seed: int) -> None:
+    """Ends the learning of F_e: measures its coverage by a random part of the background pixels (indices)."""
+    generator = torch.Generator(background.device).manual_seed(seed)
+    pick = torch.randint(len(background), (environment.preset.coverage_rays,), generator=generator,
+                         device=background.device)
+    origins, directions, _ = rays.rays(background[pick])
+    environment.freeze(origins, directions)
+
+
+def learn_environment(rays: PixelRays, background: torch.Tensor, preset: EnvironmentPreset, *, seed: int,
+                      device: torch.device, progress: Callable, checkpoint: Checkpoint) -> EnvironmentField:
+    """F_e from the pixels `background` (indices) alone. Raises Stopped on request, after writing the checkpoint."""
+    generator = torch.Generator(device).manual_seed(seed)
+    environment = EnvironmentField(preset, geometric_mean(rays)).to(device)
+    adam, step = optimiser(environment), 0
+    state = checkpoint.load()
+    if state is not None:
+        step = state["step"]
+        environment.load_state_dict(state["environment"])
+        adam = optimiser(environment)
+        adam.load_state_dict(state["optimiser"])
+        generator.set_state(state["generator"])
+    while step < preset.steps:
+        if environment.refine(step / preset.steps):
+            adam = optimiser(environment)
+        for group in adam.param_groups:
+            group["lr"] = learning_rate(preset, step / preset.steps)
+        pick = torch.randint(len(background), (preset.rays_per_step,), generator=generator, device=device)
+        index = background[pick]
+        origins, directions, half_angle = rays.rays(index)
+        near = torch.full_like(half_angle, preset.camera_near)
+        radiance, _ = environment.render(origins, directions, near, torch.full_like(near, torch.inf), half_angle,
+                                         generator)
+        photometric = (tone_map(radiance) - tone_map(rays.radiance[index].float())).abs().mean()
+        adam.zero_grad()
+        (photometric + environment.regularisation(generator)).backward()
+        adam.step()
+        step += 1
+        progress(step, preset.steps, float(photometric.detach()))
+        if checkpoint.stopping or checkpoint.due():
+            checkpoint.save({"step": step, "environment": environment.state_dict(), "optimiser": adam.state_dict(),
+                             "generator": generator.get_state()})
+            if checkpoint.stopping:
+                raise Stopped("Stopped during fields learning; the checkpoint is written.", "Go on with --resume.")
+    freeze(environment, rays, background, seed)
+    return environment

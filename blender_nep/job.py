@@ -1,0 +1,366 @@
+"""The five rooms in order: capture, fields learning, surface, material learning, asset.
+
+Each room's result is written before the next begins, so that a killed run goes on from there.
+"""
+
+from __future__ import annotations
+
+import importlib.metadata
+import json
+import os
+import platform
+import random
+import sys
+import time
+import traceback
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numba
+import numpy as np
+import torch
+
+import blender_nep
+from blender_nep.capture import Capture, PixelRays, load_capture
+from blender_nep.checkpoints import StopRequest, output_errors
+from blender_nep.errors import NepError, OutputError, UsageError
+from blender_nep.events import Events, Timeline
+from blender_nep.presets import Preset
+from blender_nep.rooms import Rooms
+from blender_nep.run_folder import RunFolder, fingerprint, refuse_other_run
+
+ROOMS = ("capture", "fields_learning", "surface", "material_learning", "asset")
+
+
+@dataclass(frozen=True)
+class Settings:
+    """What the user asked for."""
+
+    capture: Path
+    out: Path
+    preset: Preset
+    device: str = "auto"
+    seed: int = 0
+    use_masks: bool = True
+    mesh: Path | None = None
+    resume: bool = False
+    overwrite: bool = False
+    clean: bool = False
+    threads: int | None = None
+
+
+def run(settings: Settings, events: Events, stop: StopRequest, rooms: Rooms | None = None) -> int:
+    """Run a job to its end; returns the exit code. An error is one `error` event, its traceback goes to the log."""
+    try:
+        Job(settings, events, stop, rooms or Rooms()).run()
+        return 0
+    except NepError as error:
+        events.log("".join(traceback.format_exception(error)))
+        events.error(error.code, error.message, error.hint)
+        return error.code
+    except KeyboardInterrupt:
+        events.error(7, "interrupted", "Work since the last checkpoint is lost; --resume goes on from there.")
+        return 7
+    except Exception as error:  # the last resort: a bug, or no memory; the log has it all
+        events.log("".join(traceback.format_exception(error)))
+        where = f"The details are in {settings.out / 'log.txt'}."
+        if not events.has_log:
+            where = "".join(traceback.format_exception(error))
+        events.error(1, *_unexpected(error, where))
+        return 1
+    finally:
+        events.close()
+
+
+def _unexpected(error: Exception, where: str) -> tuple[str, str]:
+    if isinstance(error, MemoryError | torch.OutOfMemoryError) or "allocate memory" in str(error):
+        return "out of memory", f"Try --preset preview, or smaller photos. {where}"
+    text = " ".join(str(error).split())
+    return f"unexpected {type(error).__name__}: {text[:200]}", where
+
+
+def choose_device(name: str) -> torch.device:
+    """`auto`: cuda where torch has it. Raises UsageError when cuda is asked for and missing."""
+    if name == "auto":
+        name = "cuda" if torch.cuda.is_available() else "cpu"
+    if name == "cuda" and not torch.cuda.is_available():
+        raise UsageError("no CUDA device can be used", "Use --device cpu; everything runs on the CPU too.")
+    return torch.device(name)
+
+
+def usable_cores() -> int:
+    """CPU cores that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def peak_memory() -> float | None:
+    """Largest resident memory of this process in MB; None where the system does not tell."""
+    if sys.platform == "win32":
+        return None
+    import resource
+
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / (1 << 20 if sys.platform == "darwin" else 1 << 10)
+
+
+def versions() -> dict[str, str]:
+    """What this run was made with."""
+    names = ("torch", "numpy", "numba", "trimesh", "xatlas", "embreex", "OpenEXR", "scikit-image")
+    found = {"blender_nep": blender_nep.__version__, "python": platform.python_version()}
+    return found | {name: importlib.metadata.version(name) for name in names}
+
+
+class Job:
+    """One run, from the capture to the asset."""
+
+    def __init__(self, settings: Settings, events: Events, stop: StopRequest, rooms: Rooms) -> None:
+        self.settings, self.events, self.stop, self.rooms = settings, events, stop, rooms
+        preset = settings.preset
+        self.timeline = Timeline(
+            {
+                "capture": 5.0,
+                "fields_learning": preset.fields_seconds,
+                "surface": preset.surface_seconds,
+                "material_learning": preset.material_seconds,
+                "asset": 10.0,
+            }
+        )
+        self.seconds: dict[str, float] = {}
+        self.resumed: list[str] = []
+        self.losses: dict[str, float] = {}
+
+    def run(self) -> None:
+        """All rooms. Raises NepError and its kinds."""
+        s = self.settings
+        self._refuse_to_overwrite()
+        if s.mesh is not None and not s.mesh.is_file():
+            raise UsageError(f"there is no mesh {s.mesh}", "Check the path of --mesh.")
+        self.device = choose_device(s.device)
+        self._seed_and_threads()
+        capture, rays = self._enter_capture()
+        what = fingerprint(capture, s.preset, s.seed, s.use_masks, s.mesh)
+        self.folder = RunFolder(s.out, self.stop, self.events.warning)
+        if s.resume and (s.out / "report.json").is_file():
+            self._finish_complete(what)
+            return
+        self._make_output()
+        if self.folder.begin(what, resume=s.resume):
+            self.events.say(f"resuming the run in {s.out}")
+        elif s.resume:
+            self.events.say(f"{s.out} holds no checkpoint yet: starting from the beginning")
+
+        given = None
+        if s.mesh is not None:
+            given = self._room(
+                "surface",
+                lambda *_: (self.rooms.load_surface(s.mesh, capture, s.preset.surface), {}),
+                self.rooms.pack_surface,
+                self.rooms.unpack_surface,
+            )
+        fields = self._room(
+            "fields_learning",
+            lambda progress, checkpoint: self.rooms.learn_fields(
+                rays,
+                s.preset,
+                seed=s.seed,
+                device=self.device,
+                progress=progress,
+                checkpoint=checkpoint,
+                surface=given and given[0],
+            ),
+            self.rooms.pack_fields,
+            lambda state: self.rooms.unpack_fields(state, s.preset, self.device),
+        )
+        surface, surface_report = given or self._room(
+            "surface",
+            lambda *_: self.rooms.extract_surface(fields.object_field, s.preset.surface),
+            self.rooms.pack_surface,
+            self.rooms.unpack_surface,
+        )
+        materials = self._room(
+            "material_learning",
+            lambda progress, checkpoint: self.rooms.learn_materials(
+                surface,
+                fields.environment,
+                rays,
+                s.preset.material,
+                seed=s.seed,
+                device=self.device,
+                progress=progress,
+                checkpoint=checkpoint,
+            ),
+            self.rooms.pack_materials,
+            self.rooms.unpack_materials,
+        )
+        parts = {"fields_learning": fields.report, "surface": surface_report, "material_learning": materials.report}
+        self._write_asset(capture, rays, surface, materials, fields.environment, parts, what)
+
+    def _finish_complete(self, what: dict[str, object]) -> None:
+        """A resume of an asset that is complete: nothing to do, if it is what was asked for."""
+        s = self.settings
+        try:
+            before = json.loads((s.out / "report.json").read_text(encoding="utf-8")).get("fingerprint", {})
+        except (OSError, ValueError, AttributeError) as error:
+            raise UsageError(f"{s.out / 'report.json'} is damaged", "Start again with --overwrite.") from error
+        refuse_other_run(s.out, before, what)
+        if s.clean and self.folder.path.exists():
+            self.folder.remove()
+        self.events.say("the asset is complete: there is nothing to resume")
+        self.events.done(s.out)
+
+    def _refuse_to_overwrite(self) -> None:
+        s = self.settings
+        if s.out.exists() and not s.out.is_dir():
+            raise OutputError(f"{s.out} is a file, not a folder", "Choose another --out.")
+        if s.resume or s.overwrite or not s.out.exists():
+            return
+        with output_errors(s.out):
+            if (s.out / "report.json").exists() or (s.out / "mesh.obj").exists():
+                raise UsageError(f"{s.out} already holds an asset", "Choose another --out, or give --overwrite.")
+            if (s.out / "checkpoints").exists():
+                raise UsageError(
+                    f"{s.out} holds a run that did not end", "Go on with --resume, or start again with --overwrite."
+                )
+
+    def _seed_and_threads(self) -> None:
+        threads = self.settings.threads or usable_cores()
+        torch.set_num_threads(threads)
+        numba.set_num_threads(min(threads, numba.config.NUMBA_NUM_THREADS))
+        random.seed(self.settings.seed)
+        np.random.seed(self.settings.seed % 2**32)
+        torch.manual_seed(self.settings.seed)
+
+    def _make_output(self) -> None:
+        out = self.settings.out
+        with output_errors(out):
+            out.mkdir(parents=True, exist_ok=True)
+            if self.settings.overwrite and not self.settings.resume:
+                (out / "report.json").unlink(missing_ok=True)  # from here on the folder is no valid asset
+            self.events.open_log(out / "log.txt")
+
+    def _enter_capture(self) -> tuple[Capture, PixelRays]:
+        s = self.settings
+        self.timeline.enter("capture")
+        start = time.monotonic()
+        self._progress("capture", 0, 1, None)
+        capture = load_capture(s.capture, use_masks=s.use_masks)
+        for warning in capture.warnings:
+            self.events.warning(warning)
+        rays = PixelRays.from_capture(capture, s.preset.max_pixels_per_photo, s.use_masks, self.device)
+        for warning in rays.warnings:
+            self.events.warning(warning)
+        self._progress("capture", 1, 1, None)
+        self.timeline.leave()
+        self.seconds["capture"] = time.monotonic() - start
+        return capture, rays
+
+    def _progress(self, room: str, step: int, steps: int, loss: float | None, **extra: Any) -> None:
+        fraction, eta = self.timeline.at(step / max(steps, 1))
+        preview = extra.pop("preview", None)
+        self.events.progress(room, step, steps, fraction, eta, loss, **extra)
+        if preview is not None:
+            self.events.preview(Path(preview))
+
+    def _room(self, room: str, work: Callable, pack: Callable[[Any], dict], unpack: Callable[[dict], Any]) -> Any:
+        """Enter a room: take its result from the disk, or work and write it. Raises Stopped between rooms, too."""
+        self.timeline.enter(room)
+        saved = self.folder.load_result(room)
+        if saved is not None:
+            self.seconds[room] = saved[1]
+            self.resumed.append(room)
+            self.timeline.leave(skipped=True)
+            self.events.log(f"room {room}: taken from the disk")
+            return unpack(saved[0])
+        self.events.log(f"room {room}")
+        checkpoint = self.folder.checkpoint(room)
+        checkpoint.raise_if_stopped(saves=False)
+
+        begun = False
+
+        def progress(step: int, steps: int, loss: float | None = None, **extra: Any) -> None:
+            nonlocal begun
+            if checkpoint.loaded and not begun:
+                self.timeline.begin_at(max(step - 1, 0) / max(steps, 1))
+            begun = True
+            if loss is not None:
+                self.losses[room] = float(loss)
+            self._progress(room, step, steps, None if loss is None else float(loss), **extra)
+            checkpoint.raise_if_stopped(saves=True)
+
+        self._progress(room, 0, 1, None)
+        result = work(progress, checkpoint)
+        self.seconds[room] = checkpoint.seconds()
+        self.folder.save_result(room, pack(result), self.seconds[room])
+        checkpoint.remove()
+        self._progress(room, 1, 1, self.losses.get(room))
+        self.timeline.leave()
+        return result
+
+    def _write_asset(
+        self,
+        capture: Capture,
+        rays: PixelRays,
+        surface: Any,
+        materials: Any,
+        environment: Any,
+        parts: dict[str, dict],
+        what: dict[str, object],
+    ) -> None:
+        s = self.settings
+        self.timeline.enter("asset")
+        self._progress("asset", 0, 1, None)
+        start = time.monotonic()
+        light, coverage = environment.equirect(s.preset.environment_height)
+        skipped = self._skipped(rays)
+        for part in parts.values():
+            skipped |= part.get("skipped", {})
+
+        def report() -> dict:
+            self.seconds["asset"] = time.monotonic() - start
+            return {
+                "preset": s.preset.name,
+                "seed": s.seed,
+                "device": str(self.device),
+                "threads": torch.get_num_threads(),
+                "versions": versions(),
+                "capture": {
+                    "views": len(capture.views),
+                    "pixels": rays.count,
+                    "color_space": capture.color_space,
+                    "object_center": capture.object_center.tolist(),
+                    "object_radius": capture.object_radius,
+                    "bounds_source": capture.bounds_source,
+                    "masks": rays.mask is not None,
+                },
+                "seconds": {room: round(self.seconds[room], 2) for room in ROOMS},
+                "seconds_total": round(sum(self.seconds.values()), 2),
+                "peak_memory_mb": None if peak_memory() is None else round(peak_memory(), 1),
+                "resumed_rooms": self.resumed,
+                "skipped": skipped,
+                "losses": self.losses,
+                "rooms": {room: {k: v for k, v in part.items() if k != "skipped"} for room, part in parts.items()},
+                "warnings": self.events.warnings,
+                "fingerprint": what,
+            }
+
+        self.rooms.write_asset(s.out, capture, rays, surface, materials, (light, coverage), report)
+        if s.clean:
+            self.folder.remove()
+        self._progress("asset", 1, 1, None)
+        self.timeline.leave()
+        self.events.preview(s.out / "preview.png")
+        self.events.done(s.out)
+
+    def _skipped(self, rays: PixelRays) -> dict[str, str]:
+        """What this job left out by itself: {what: why}."""
+        skipped = {}
+        if rays.mask is None:
+            skipped["mask term"] = "the capture has no masks" if self.settings.use_masks else "--masks ignore"
+        if not rays.background:
+            skipped["environment pixels"] = "the photos are cut-outs: no surroundings to learn from"
+        elif len(rays.outside) == 0:
+            skipped["pixels outside the sphere"] = "the sphere fills all photos"
+        if self.settings.mesh is not None:
+            skipped["surface extraction"] = "a mesh was given (--mesh)"
+        return skipped

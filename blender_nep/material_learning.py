@@ -1,0 +1,276 @@
+"""Stage 2: albedo, roughness and metallic of the surface from the photos, by the rendering equation over the mesh.
+
+The mesh and F_e stand still, so primary hits, visibility and prefiltered light are computed once (`IncomingLight`). Then
+one material is fitted for all, more are added while they explain clearly more (`material_palette`), and what the object
+reflects of itself is brought up to date in between.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+import numpy as np
+import torch
+from scipy.spatial import cKDTree
+from torch import Tensor
+
+from blender_nep.errors import LearningError
+from blender_nep.material_palette import Palette, best_of, choose, error, fit_groups, tone
+from blender_nep.material_textures import NEIGHBOURS, Evidence, bake, kernel, labels_at, neighbours, texture_size, vote
+from blender_nep.photo_samples import PhotoSamples, select_samples
+from blender_nep.raytracing import RayTracer
+from blender_nep.shading.incoming_light import IncomingLight
+from blender_nep.shading.plenoptic import Material, PlenopticFunction, SurfacePoints, TerminalRadiance, reflected
+from blender_nep.surface import Surface
+
+if TYPE_CHECKING:
+    from blender_nep.capture.rays import PixelRays
+    from blender_nep.fields.environment_field import EnvironmentField
+    from blender_nep.presets import MaterialPreset
+
+
+@dataclass
+class Materials:
+    """Textures over the surface's UVs, row 0 = top (v = 1), linear float32."""
+
+    albedo: np.ndarray
+    """[H,W,3] Base Color"""
+    roughness: np.ndarray
+    """[H,W] Principled's"""
+    metallic: np.ndarray
+    """[H,W]"""
+    confidence: np.ndarray
+    """[H,W] 0..1"""
+    report: dict = field(default_factory=dict)
+
+
+def learn_materials(surface: Surface, environment: EnvironmentField, rays: PixelRays, preset: MaterialPreset, *,
+                    seed: int, device: torch.device | str, progress: Callable, checkpoint) -> Materials:
+    """Textures of the surface. Raises LearningError when no photo shows it; Stopped on request.
+
+    The whole room takes a few minutes at most and its long part, the light, depends on the seed alone: a resumed run
+    goes on from the gathered light where that was saved.
+    """
+    device = torch.device(device)
+    learner = _MaterialLearner(surface, environment, rays, preset, seed, device, progress, checkpoint)
+    return learner.run()
+
+
+class _MaterialLearner:
+    def __init__(self, surface, environment, rays, preset, seed, device, progress, checkpoint):
+        self.surface, self.preset, self.device = surface, preset, device
+        self.progress, self.checkpoint = progress, checkpoint
+        self.generator = torch.Generator().manual_seed(seed)
+        self.steps, self.loss, self.start = 100, float("nan"), time.monotonic()
+        tracer = RayTracer(surface.vertices, surface.faces)
+        self.samples: PhotoSamples = select_samples(
+            rays, tracer, surface.normals, count=preset.samples, least_cosine=preset.least_cosine,
+            generator=np.random.default_rng(seed))
+        self.footprint = self._footprint(rays)
+        self.report: dict = {"samples": len(self.samples), "left_out": self.samples.skipped, "seconds": {}}
+        self._clock("select")
+        self.f_p = PlenopticFunction(
+            tracer, surface.normals, environment, TerminalRadiance().to(device), levels=preset.levels,
+            diffuse=preset.diffuse_cones, specular=preset.specular_cones, use_cones=preset.use_cones, device=device)
+        self.points = self.f_p.points(self.samples.face, self.samples.barycentric, self.samples.view)
+        self.target = self.samples.radiance
+        self.tree = cKDTree(self.samples.position)
+        self.around = neighbours(self.tree, self.samples.position, 2 * NEIGHBOURS)
+
+    def run(self) -> Materials:
+        """Light, one material, a palette, its places, textures."""
+        preset = self.preset
+        if preset.levels > 0:
+            self._learn_terminal()
+        self.light = IncomingLight(self.f_p, self.points, preset.ladder, preset.residual_lobes, self.generator,
+                                   lambda fraction: self._step(10 + int(60 * fraction)))
+        self._clock("light")
+        n = len(self.samples)
+        self.label = torch.zeros(n, dtype=torch.int64, device=self.device)
+        self.weight = 0.05 + self.light.coverage[:, : len(preset.ladder) // 2].mean(1)
+        self.palette = self._fit(self.label, 1)
+        self._reflect_itself()
+        self.palette = self._fit(self.label, 1)
+        single = self._residual()
+        self._learn_residual()
+        self._grow_palette()
+        for k in range(preset.rounds):
+            self._reflect_itself()
+            self.palette = self._fit(self.label, len(self.palette))
+            self._assign()
+            self._step(85 + 3 * k)
+        self._clock("materials")
+        evidence = self._evidence()
+        size = texture_size(self.surface, self.footprint, preset.most_texels)
+        textures = bake(self.surface, evidence, self.palette, size)
+        self._clock("textures")
+        self._finish_report(single, size)
+        self._step(100)
+        if not all(np.isfinite(x).all() for x in textures):
+            raise LearningError("material learning diverged: its textures are not finite", "try another --seed")
+        return Materials(*textures, self.report)
+
+    def _fit(self, group: Tensor, groups: int) -> Palette:
+        p = self.preset
+        cost, albedo = fit_groups(self.light, self.target, self.weight, group, groups, clip=p.clip,
+                                  least_roughness=p.least_roughness, hypotheses=p.metallic)
+        return best_of(cost, albedo, p.least_roughness, p.metallic, p.metal_margin)
+
+    def _grow_palette(self) -> None:
+        """Candidates from small regions of the surface; greedy choice; then every sample takes its best."""
+        p = self.preset
+        if p.most_materials == 1:
+            return
+        voxel = np.floor(self.samples.position / p.region).astype(np.int64)
+        _, inverse, count = np.unique(voxel, axis=0, return_inverse=True, return_counts=True)
+        group, groups = torch.from_numpy(inverse.ravel()).to(self.device), len(count)
+        regional = self._fit(group, groups)
+        size = torch.zeros(groups, device=self.device).index_add_(0, group, self.weight)
+        large = np.flatnonzero(count >= max(20, np.median(count) / 2))
+        if len(large) > p.candidates:
+            large = large[np.argsort(-count[large])[: p.candidates]]
+        candidates = _join(self.palette, regional.pick(large.tolist()))
+        cost = torch.stack([self._by_group(self._error(candidates, k), group, groups) for k in range(len(candidates))])
+        chosen = choose(cost / size.clamp_min(1e-9), size, p.most_materials, p.gain)
+        self._step(80)
+        self.palette = candidates.pick(chosen)
+        self._assign()
+        # A material that hardly any sample takes is an artefact of a badly lit corner.
+        for _ in range(2):
+            share = torch.bincount(self.label, minlength=len(self.palette)) / len(self.label)
+            keep = (share >= p.least_share).nonzero().squeeze(-1).tolist() or [int(share.argmax())]
+            self.palette = self.palette.pick(keep)
+            self._assign()
+            self.palette = self._fit(self.label, len(self.palette))
+            self._assign()
+
+    def _error(self, palette: Palette, k: int) -> Tensor:
+        one = torch.tensor([k], device=self.device)
+        return error(self.light, self.target, self.weight, palette.at(one), self.preset.clip)
+
+    def _costs(self) -> Tensor:
+        return torch.stack([self._error(self.palette, k) for k in range(len(self.palette))], 1)
+
+    def _assign(self) -> None:
+        if len(self.palette) == 1:
+            self.label.zero_()
+            return
+        self.label = torch.from_numpy(vote(self._costs().cpu().numpy(), *self.around)).to(self.device)
+
+    def _residual(self) -> float:
+        own = self._costs().gather(1, self.label[:, None])
+        self.loss = float(own.sum() / self.weight.sum())
+        return self.loss
+
+    def _by_group(self, values: Tensor, group: Tensor, groups: int) -> Tensor:
+        return torch.zeros(groups, device=self.device).index_add_(0, group, values)
+
+    def _materials_at(self, points: SurfacePoints) -> Material:
+        return self.palette.at(labels_at(self.tree, self.label, points.position))
+
+    def _reflect_itself(self) -> None:
+        self.light.update(self._materials_at, self.generator)
+        self._residual()
+
+    def _learn_terminal(self) -> None:
+        """MLP(x, d) from the photos: what they show of the surface is the radiance it sends out."""
+        net, p = self.f_p.terminal, self.preset
+        with torch.random.fork_rng(devices=[]):
+            torch.manual_seed(int(torch.randint(1 << 30, (1,), generator=self.generator)))
+            net.load_state_dict(TerminalRadiance().state_dict())
+        optimiser = torch.optim.Adam(net.parameters(), 3e-3)
+        goal = torch.log1p(4 * self.target)
+        for k in range(p.terminal_steps):
+            batch = torch.randint(len(goal), (4096,), generator=self.generator).to(self.device)
+            loss = (net.log_radiance(self.points[batch]) - goal[batch]).abs().mean()
+            optimiser.zero_grad()
+            loss.backward()
+            optimiser.step()
+            if k % 20 == 0:
+                self.loss = loss.item()
+                self._step(int(10 * k / p.terminal_steps))
+        self._clock("terminal")
+
+    def _learn_residual(self) -> None:
+        """Distant light that no photo shows: non-negative lobes that make the one-material picture fit better."""
+        p, light = self.preset, self.light
+        uncovered = float(1 - light.coverage.mean())
+        self.report["light_not_in_photos"] = round(uncovered, 4)
+        if p.residual_lobes == 0 or not p.residual or uncovered < 0.005:
+            self.report.setdefault("skipped", {})["residual"] = "all light that matters was seen by the photos"
+            return
+        raw = torch.full((p.residual_lobes, 3), -3.0, device=self.device, requires_grad=True)
+        optimiser = torch.optim.Adam([raw], 0.1)
+        material = self.palette.at(self.label)
+        base, rows = light.diffuse, torch.arange(len(self.target), device=self.device)
+        moments = light.moments(material.roughness)
+        low, mix = light.rung(material.roughness)
+        lobes = torch.lerp(light.residual_specular[rows, low], light.residual_specular[rows, low + 1], mix[:, None])
+        edge, dielectric = light._uniform[:, 0, 1:2], light._uniform[:, 0, 2:3]
+        goal = tone(self.target)
+        for k in range(p.residual_steps):
+            weights = torch.nn.functional.softplus(raw)
+            full = lobes @ weights
+            lit = type(moments)(moments.full + full, moments.edge + full * edge, moments.dielectric + full * dielectric)
+            predicted = reflected(material, lit, base + light.residual_diffuse @ weights, light.cos_v)
+            loss = ((tone(predicted) - goal).abs().clamp_max(p.clip).mean(-1) * self.weight).mean() + 1e-4 * weights.mean()
+            optimiser.zero_grad()
+            loss.backward()
+            optimiser.step()
+            if k % 10 == 0:
+                self._step(72)
+        light.residual.weights = torch.nn.functional.softplus(raw).detach()
+        self.f_p.residual = light.residual
+        self._reflect_itself()
+        self._clock("residual")
+
+    def _evidence(self) -> Evidence:
+        cost = self._costs()
+        own = cost.gather(1, self.label[:, None])[:, 0] / self.weight
+        distance, index = self.around
+        weight = kernel(distance)
+        smooth = np.stack([(c[index] * weight).sum(1) for c in cost.T.cpu().numpy()], 1) / weight.sum(1, keepdims=True)
+        return Evidence(self.samples.position, self.samples.photo.cpu().numpy(), smooth,
+                        self.palette.albedo[self.label].cpu().numpy(), own.cpu().numpy())
+
+    def _footprint(self, rays: PixelRays) -> float:
+        """Median width of a pixel on the surface, unit frame."""
+        first = rays.sphere[:: max(1, len(rays.sphere) // 1000)]
+        origin, _, angle = rays.rays(first)
+        return float((1.77 * angle * origin.norm(dim=-1)).median())
+
+    def _finish_report(self, single: float, size: int) -> None:
+        palette, share = self.palette, torch.bincount(self.label, minlength=len(self.palette)) / len(self.label)
+        self.report["materials"] = [
+            {"share": round(float(s), 4), "albedo": [round(x, 4) for x in a.tolist()], "roughness": round(float(r), 4),
+             "metallic": float(m)}
+            for s, a, r, m in zip(share, palette.albedo, palette.roughness, palette.metallic, strict=True)]
+        self.report["residual_one_material"], self.report["residual"] = round(single, 5), round(self._residual(), 5)
+        self.report["texture_texels"] = size
+        self.report["cones_traced"] = self.light.rays
+        hits = len(self.light.slot)
+        self.report["self_reflection_rays"] = hits
+        skipped = self.report.setdefault("skipped", {})
+        if hits == 0:
+            skipped["indirect light"] = "the object cannot see itself"
+        if len(palette) == 1:
+            skipped["material boundaries"] = "one material explains the photos"
+
+    def _step(self, step: int) -> None:
+        # Nothing here outlasts two checkpoints: a stop is honoured between steps by saving an empty state.
+        if self.checkpoint.due():
+            self.checkpoint.save({})
+        self.progress(step, self.steps, self.loss)
+
+    def _clock(self, name: str) -> None:
+        now = time.monotonic()
+        self.report["seconds"][name] = round(now - self.start, 2)
+        self.start = now
+
+
+def _join(a: Palette, b: Palette) -> Palette:
+    return Palette(torch.cat([a.albedo, b.albedo]), torch.cat([a.roughness, b.roughness]),
+                   torch.cat([a.metallic, b.metallic]))

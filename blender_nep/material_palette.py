@@ -1,0 +1,158 @@
+"""How few materials explain the photos, and which one lies where.
+
+Given roughness and the choice metal or dielectric, the radiance of a pixel is linear in its albedo: every hypothesis is
+solved in closed form, robustly, for any group of pixels. Materials are then chosen one after another, as long as a
+further one explains enough more; where each one lies is voted for by the pixels around a point.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from blender_nep.shading import brdf
+from blender_nep.shading.incoming_light import IncomingLight
+from blender_nep.shading.plenoptic import Material, SpecularMoments, reflected
+
+_LOG5 = 1.6094379124341003
+_ROUGHNESS = 28
+"""Steps of the roughness scan, evenly in sqrt(roughness)."""
+_ITERATIONS = 4
+"""Of the reweighted least squares."""
+
+
+def tone(radiance: Tensor) -> Tensor:
+    """The photometric space: log(1 + 4 x) / log 5."""
+    return torch.log1p(4 * radiance.clamp_min(0)) / _LOG5
+
+
+@dataclass
+class Palette:
+    """K materials: albedo [K,3], roughness [K], metallic [K]."""
+
+    albedo: Tensor
+    roughness: Tensor
+    metallic: Tensor
+
+    def __len__(self) -> int:
+        return len(self.roughness)
+
+    def at(self, index: Tensor) -> Material:
+        """The material of each index [n]."""
+        return Material(self.albedo[index], self.roughness[index], self.metallic[index])
+
+    def pick(self, index: list[int]) -> Palette:
+        i = torch.tensor(index, device=self.roughness.device)
+        return Palette(self.albedo[i], self.roughness[i], self.metallic[i])
+
+
+def roughness_scan(least: float, device: torch.device) -> Tensor:
+    """Roughnesses tried, finer where lobes are narrow."""
+    return torch.linspace(least**0.5, 1, _ROUGHNESS, device=device) ** 2
+
+
+def error(light: IncomingLight, target: Tensor, weight: Tensor, material: Material, clip: float) -> Tensor:
+    """Robust residual [n] of every sample under a material (of n, or one broadcast): tone-mapped, clipped, weighted."""
+    n = len(target)
+    r = material.roughness.expand(n)
+    whole = Material(material.albedo.expand(n, 3), r, material.metallic.expand(n))
+    predicted = reflected(whole, light.moments(r), light.diffuse, light.cos_v)
+    return (tone(predicted) - tone(target)).abs().mean(-1).clamp_max(clip) * weight
+
+
+def fit_groups(light: IncomingLight, target: Tensor, weight: Tensor, group: Tensor, groups: int, *,
+               least_roughness: float, clip: float, hypotheses: tuple[float, ...] = (0.0, 1.0)
+               ) -> tuple[Tensor, Tensor]:
+    """Every hypothesis (metallic, roughness) for every group of samples.
+
+    target [n,3] linear, weight [n], group [n] int64 in 0..groups-1 (-1: none).
+    Returns cost [M,R,groups] (mean clipped residual) and albedo [M,R,groups,3].
+    """
+    scan = roughness_scan(least_roughness, target.device)
+    member = (group >= 0).nonzero().squeeze(-1)
+    group, goal, weight = group[member], target[member], weight[member]
+    cos_v, diffuse, tone_goal = light.cos_v[member, None], light.diffuse[member], tone(goal)
+    total = _sum(weight[:, None], group, groups).clamp_min(1e-9)
+    cost = torch.zeros(len(hypotheses), len(scan), groups, device=target.device)
+    albedo = torch.zeros(len(hypotheses), len(scan), groups, 3, device=target.device)
+    for j, r in enumerate(scan):
+        moments = light.moments(r, member)
+        for i, metallic in enumerate(hypotheses):
+            a = torch.full((groups, 3), 0.5, device=target.device)
+            for k in range(_ITERATIONS + 1):
+                offset, slope = _line(moments, diffuse, cos_v, r, metallic, a[group])
+                predicted = offset + slope * a[group]
+                residual = tone(predicted) - tone_goal
+                if k == _ITERATIONS:
+                    break
+                # d tone / d radiance turns the tone-mapped residual into a linear one; 1 / |residual| makes it L1.
+                mean = 0.5 * (predicted.clamp_min(0) + goal) if k else goal
+                robust = weight[:, None] / (1 + 4 * mean) ** 2
+                if k:
+                    robust = robust * (residual.abs() < 2 * clip) / residual.abs().clamp_min(0.02)
+                top = _sum(robust * slope * (goal - offset), group, groups)
+                bottom = _sum(robust * slope * slope, group, groups)
+                a = (top / bottom.clamp_min(1e-12)).clamp(0, 1)
+            bounded = residual.abs().mean(-1).clamp_max(clip) * weight
+            cost[i, j] = _sum(bounded[:, None], group, groups)[:, 0] / total[:, 0]
+            albedo[i, j] = a
+    return cost, albedo
+
+
+def best_of(cost: Tensor, albedo: Tensor, least_roughness: float, hypotheses: tuple[float, ...],
+            metal_margin: float) -> Palette:
+    """The best hypothesis of each group; roughness to a fraction of a step by a parabola through the minimum.
+
+    metal_margin: a metal must be better by this share of the residual, the prior that most things are not.
+    """
+    scan = roughness_scan(least_roughness, cost.device)
+    prior = torch.tensor([1 + metal_margin * m for m in hypotheses], device=cost.device)
+    value, j = cost.min(1)
+    i = (value * prior[:, None]).argmin(0)
+    each = torch.arange(cost.shape[2], device=cost.device)
+    j = j[i, each]
+    inner = j.clamp(1, len(scan) - 2)
+    left, middle, right = (cost[i, inner + k, each] for k in (-1, 0, 1))
+    curve = left - 2 * middle + right
+    shift = torch.where((curve > 1e-9) & (j == inner), 0.5 * (left - right) / curve.clamp_min(1e-9), 0.0)
+    shift = shift.clamp(-0.5, 0.5)
+    step = torch.where(shift < 0, -1, 1)
+    other = (j + step).clamp(0, len(scan) - 1)
+    a = torch.lerp(albedo[i, j, each], albedo[i, other, each], shift.abs()[:, None])
+    root = torch.lerp(scan[j].sqrt(), scan[other].sqrt(), shift.abs())
+    return Palette(a, root**2, torch.tensor(hypotheses, device=cost.device)[i])
+
+
+def choose(cost: Tensor, size: Tensor, most: int, gain: float) -> list[int]:
+    """Greedy choice of materials: indices of candidates.
+
+    cost [C,groups] mean residual of each group under each candidate, size [groups] its weight. The first is the one that
+    is best for all; each further one must lower the total by the share `gain`.
+    """
+    weighted = cost * size
+    chosen = [int(weighted.sum(1).argmin())]
+    current = weighted[chosen[0]]
+    while len(chosen) < most:
+        totals = torch.minimum(weighted, current).sum(1)
+        best = int(totals.argmin())
+        if totals[best] > (1 - gain) * current.sum():
+            break
+        chosen.append(best)
+        current = torch.minimum(weighted[best], current)
+    return chosen
+
+
+def _line(moments: SpecularMoments, diffuse: Tensor, cos_v: Tensor, r: Tensor, metallic: float, albedo: Tensor
+          ) -> tuple[Tensor, Tensor]:
+    """Radiance as offset + slope * albedo [n,3] (the multiple-scattering factor is taken at the albedo of before)."""
+    if metallic > 0.5:
+        scale = brdf.multiscatter_scale(brdf.metal_fss(albedo), cos_v, r)
+        return scale * moments.edge, scale * (moments.full - moments.edge)
+    coat = moments.dielectric * brdf.multiscatter_scale(brdf.DIELECTRIC_FSS, cos_v, r)
+    return coat, diffuse * (1 - brdf.dielectric_albedo(cos_v, r))
+
+
+def _sum(values: Tensor, group: Tensor, groups: int) -> Tensor:
+    return torch.zeros(groups, values.shape[1], device=values.device, dtype=values.dtype).index_add_(0, group, values)

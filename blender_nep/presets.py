@@ -1,0 +1,167 @@
+"""Presets: every number that a user or an ablation may change, with its unit and its source.
+
+`preview`, `balanced` and `quality` are points on one run-time-against-error curve, not different programs.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+
+@dataclass(frozen=True)
+class FieldsPreset:
+    """Stage 1, fields learning. Lengths in object radii; fractions are of `steps`."""
+
+    steps: int = 2000
+    sphere_rays: int = 2560
+    """Rays a step through pixels that see the object's sphere."""
+    outside_rays: int = 1024
+    """Rays a step through all other pixels."""
+    near: float = 0.6
+    """Nothing is nearer to a camera than this: else F_e paints each photo on a screen before its camera."""
+    coarsest_cells: int = 16
+    first_levels: int = 3
+    last_levels: int = 4
+    """The finest SDF grid has coarsest_cells * 2^(last_levels - 1) cells an axis."""
+    fine_from: float = 0.45
+    initial_radius: float = 0.6
+    head_width: int = 64
+    first_sharpness: float = 12.0
+    last_sharpness: float = 150.0
+    sharpness_until: float = 1.0
+    coarse_until: float = 0.2
+    first_samples: int = 32
+    """Samples a ray in the object until `coarse_until`, while the band is wide; then `samples`."""
+    samples: int = 16
+    sdf_rate: float = 0.003
+    """Typical step of a touched spline coefficient, object radii."""
+    head_rate: float = 5e-3
+    eikonal: float = 0.02
+    curvature: float = 5e-4
+    """Weight of the mean of sqrt(|Hessian of the SDF|^2 + 1) at surface points, in 1 / object radius,
+    at the first sharpness; it grows with the sharpness, as the photos' pull does."""
+    mask: float = 0.5
+    dynamic_weight: str = "scaled"
+    """none, paper (eq. 5 as printed) or scaled: see fields_learning.dynamic_weight."""
+
+
+@dataclass(frozen=True)
+class EnvironmentPreset:
+    """The environment field F_e: a spherical volume of raw density and log radiance."""
+
+    resolutions: tuple[tuple[int, int], ...] = ((20, 32), (28, 64), (40, 96))
+    """(shells, rows) of the grid, coarse to fine; there are twice as many columns as rows."""
+    refine_at: tuple[float, ...] = (0.15, 0.4)
+    """Fractions of the training at which the next resolution starts."""
+    outer_radius: float = 32.0
+    """Radius of the sky shell, in radii of the object's sphere."""
+    density_gain: float = 16.0
+    """Optical depth per unit of softplus and of dt / |x|."""
+    initial_raw_density: float = -4.0
+    steps_per_shell_inverse: float = 1.0
+    """March step over shell spacing."""
+    camera_near: float = 0.6
+    """No density nearer to a camera than this (unit radii): each camera would paint its own floaters."""
+    gradient_near: float = 2.0
+    """Gradients of samples nearer to the camera are scaled by (t / this)^2; 0 for none."""
+    transmittance_limit: float = 1e-3
+    depth_limit: float = 1e-5
+    """Samples of less optical depth are skipped."""
+    learning_rate: float = 0.05
+    adam_eps: float = 1e-8
+    density_variation: float = 1e-3
+    colour_variation: float = 1e-3
+    variation_softness: float = 0.05
+    """Raw differences below this cost quadratically, above linearly."""
+    density_penalty: float = 1e-3
+    regularised_fraction: float = 0.25
+    """Part of the shells that each step regularises."""
+    coverage_evidence: float = 0.5
+    """Rays' worth of weight at which a node counts as half seen, of `coverage_rays` camera rays."""
+    coverage_rays: int = 200_000
+    rays_per_step: int = 4096
+    """Background rays a step where F_e is learned alone."""
+    steps: int = 2000
+    """Steps where F_e is learned alone."""
+
+
+@dataclass(frozen=True)
+class SurfacePreset:
+    """From the object field to a mesh."""
+
+    grid: int = 224
+    """Marching-cubes samples along each side of [-1,1]^3."""
+    faces: int = 24_000
+    """Face budget after decimation; xatlas takes about 3 s for 20,000 faces and 14 s for 60,000."""
+    atlas_texels: int = 1024
+    """Side of the UV atlas while packing, texels: the unit of `padding_texels`."""
+    padding_texels: int = 3
+    """Free texels between charts, so that dilated seams do not meet."""
+
+
+@dataclass(frozen=True)
+class MaterialPreset:
+    """Stage 2, material learning."""
+
+    samples: int = 40_000
+    """Photo pixels that the materials are learned from."""
+    least_cosine: float = 0.25
+    """Pixels seen at a smaller cosine are grazing and left out."""
+    ladder: tuple[float, ...] = (0.04, 0.09, 0.14, 0.2, 0.28, 0.4, 0.55, 0.75, 1.0)
+    """Roughnesses at which the specular light is prefiltered."""
+    diffuse_cones: int = 8
+    specular_cones: int = 4
+    """Cones a lobe (paper, section 3.3)."""
+    use_cones: bool = True
+    """False: as many infinitely thin rays (the paper's ablation without cones)."""
+    levels: int = 2
+    """N, surface interactions by the rendering equation before the terminal MLP; 0: no indirect light."""
+    terminal_steps: int = 300
+    """Of Adam, for the terminal MLP."""
+    residual: bool = True
+    residual_lobes: int = 48
+    """Lobes of the distant light that no photo shows."""
+    residual_steps: int = 60
+    metallic: tuple[float, ...] = (0.0, 1.0)
+    """Hypotheses compared by their residual."""
+    metal_margin: float = 0.0
+    """Share of the residual by which a metal must be better than a dielectric: a prior, 0 turns it off."""
+    least_roughness: float = 0.04
+    clip: float = 0.25
+    """Residuals (tone-mapped, 0..1) above it count no more: they are wrong geometry, not material."""
+    region: float = 0.12
+    """Width of the regions that candidate materials come from, unit frame."""
+    candidates: int = 120
+    most_materials: int = 6
+    gain: float = 0.05
+    """A further material must lower the residual by this share."""
+    least_share: float = 0.01
+    """Materials on a smaller share of the samples are dropped."""
+    rounds: int = 2
+    """Of fitting the palette, assigning it and updating the indirect light."""
+    most_texels: int = 1024
+    """Largest side of a texture; the photos' own sampling density decides below it."""
+
+
+@dataclass(frozen=True)
+class Preset:
+    """All settings of one job."""
+
+    name: str = "balanced"
+    max_pixels_per_photo: int = 250_000
+    """Photos are box-filtered down until they have at most this many pixels."""
+    fields_seconds: float = 300.0
+    surface_seconds: float = 20.0
+    material_seconds: float = 150.0
+    """What the three long rooms take on two cores: first guess of the time left, corrected as the job runs."""
+    environment_height: int = 256
+    """Rows of environment.exr."""
+    fields: FieldsPreset = field(default_factory=FieldsPreset)
+    environment: EnvironmentPreset = field(default_factory=EnvironmentPreset)
+    surface: SurfacePreset = field(default_factory=SurfacePreset)
+    material: MaterialPreset = field(default_factory=MaterialPreset)
+
+
+def preset(name: str) -> Preset:
+    """The named preset. Raises KeyError for an unknown name."""
+    return {"preview": Preset(name="preview"), "balanced": Preset(), "quality": Preset(name="quality")}[name]

@@ -1,0 +1,144 @@
+"""The asset's preview picture: a photo beside the same view of the asset in its own light.
+
+A quick look, not a proof: distant light without shadows, prefiltered by roughness.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+import torch
+
+from blender_nep.capture.images import linear_to_srgb
+from blender_nep.raytracing import RayTracer
+
+if TYPE_CHECKING:
+    from blender_nep.capture import PixelRays
+
+
+def render_preview(rays: PixelRays, surface, textures: dict[str, np.ndarray], light: np.ndarray) -> np.ndarray:
+    """[H, 2 W, 3] uint8 sRGB: left the photo that sees most of the object, right the asset. `light` [h, 2h, 3]."""
+    tracer = RayTracer(surface.vertices, surface.faces)
+    view = _best_view(rays, tracer)
+    index = torch.arange(rays.offset[view], rays.offset[view + 1], device=rays.valid.device)
+    photo = rays.radiance[index].float().cpu().numpy()
+    origins, directions, _ = (t.cpu().numpy() for t in rays.rays(index))
+    distance, face, barycentric = tracer.intersect(origins, directions)
+    hit = np.flatnonzero(np.isfinite(distance))
+    lamps = Pyramid.of(light)
+    picture = lamps.lookup(directions, np.zeros(len(directions)))
+    if len(hit):
+        corners = np.asarray(surface.faces)[face[hit]]
+        weights = barycentric[hit][..., None]
+        normal = (np.asarray(surface.normals)[corners] * weights).sum(1)
+        normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-9)
+        uv = (np.asarray(surface.uv)[corners] * weights).sum(1)
+        picture[hit] = shade(normal, -directions[hit], {k: sample(t, uv) for k, t in textures.items()}, lamps)
+    shape = (*rays.size[view], 3)
+    exposure = 0.8 / max(float(np.quantile(photo.max(-1), 0.97)), 1e-6)
+    pair = np.concatenate([photo.reshape(shape), picture.reshape(shape)], 1) * min(exposure, 100.0)
+    return np.round(255 * linear_to_srgb(pair)).astype(np.uint8)
+
+
+def _best_view(rays: PixelRays, tracer: RayTracer) -> int:
+    """Of the photos that show much of the object and do not cut it, the one taken most nearly from 20 degrees above."""
+    score, height_off = [], []
+    for view in range(rays.views):
+        height, width = rays.size[view]
+        step = max(1, min(height, width) // 32)
+        grid = np.arange(height * width).reshape(height, width)[::step, ::step]
+        index = torch.from_numpy(grid.ravel() + rays.offset[view]).to(rays.valid.device)
+        origins, directions, _ = (t.cpu().numpy() for t in rays.rays(index))
+        hit = np.isfinite(tracer.intersect(origins, directions)[0]).reshape(grid.shape)
+        border = hit[0].sum() + hit[-1].sum() + hit[:, 0].sum() + hit[:, -1].sum()
+        usable = float(rays.valid[index].float().mean())
+        score.append(usable * (hit.sum() - 5.0 * border) / hit.size)
+        height_off.append(abs(origins[0, 2] / np.linalg.norm(origins[0]) - math.sin(math.radians(20))))
+    good = np.array(score) >= np.quantile(score, 0.5)
+    return int(np.argmin(np.where(good, height_off, np.inf)))
+
+
+def sample(texture: np.ndarray, uv: np.ndarray) -> np.ndarray:
+    """Nearest texels [n, C] of a texture [H, W] or [H, W, C] at uv [n, 2], v upwards."""
+    height, width = texture.shape[:2]
+    column = np.clip((uv[:, 0] * width).astype(int), 0, width - 1)
+    row = np.clip(((1 - uv[:, 1]) * height).astype(int), 0, height - 1)
+    return texture[row, column].reshape(len(uv), -1)
+
+
+def shade(normal: np.ndarray, to_eye: np.ndarray, material: dict[str, np.ndarray], light: Pyramid) -> np.ndarray:
+    """Split-sum shading (Karis 2013, with his analytic fit of the BRDF integral, 2014) [n, 3] by distant light."""
+    albedo, roughness, metallic = material["albedo"], material["roughness"], material["metallic"]
+    cosine = np.clip((normal * to_eye).sum(-1, keepdims=True), 1e-3, 1)
+    mirror = 2 * cosine * normal - to_eye
+    a004 = np.minimum((1 - roughness) ** 2, 2 ** (-9.28 * cosine)) * (1 - roughness) + 0.0425 - 0.0275 * roughness
+    scale, bias = -1.04 * a004 + 1.04 - 0.572 * roughness, 1.04 * a004 - 0.04 + 0.022 * roughness
+    f0 = 0.04 * (1 - metallic) + metallic * albedo
+    specular = (f0 * np.clip(scale, 0, 1) + np.clip(bias, 0, 1)) * light.lookup(mirror, roughness[:, 0])
+    return albedo * (1 - metallic) * light.irradiance(normal) / math.pi + specular
+
+
+@dataclass
+class Pyramid:
+    """An equirectangular light [h, 2h, 3], halved again and again; Blender's World orientation, z up."""
+
+    levels: list[np.ndarray]
+
+    @classmethod
+    def of(cls, light: np.ndarray) -> Pyramid:
+        """All levels down to 4 rows, each the box-filtered one before."""
+        levels = [np.asarray(light, np.float32)]
+        while levels[-1].shape[0] >= 8:
+            last = levels[-1][: levels[-1].shape[0] // 2 * 2, : levels[-1].shape[1] // 2 * 2]
+            levels.append((last[::2, ::2] + last[1::2, ::2] + last[::2, 1::2] + last[1::2, 1::2]) / 4)
+        return cls(levels)
+
+    def lookup(self, direction: np.ndarray, roughness: np.ndarray) -> np.ndarray:
+        """Radiance [n, 3] from directions [n, 3], averaged over about the GGX lobe's width (alpha radians)."""
+        texel = math.pi / self.levels[0].shape[0]
+        level = np.clip(np.log2(np.maximum(roughness**2 / texel, 1)), 0, len(self.levels) - 1)
+        low = np.floor(level).astype(int)
+        out = np.zeros((len(direction), 3), np.float32)
+        for k in np.unique(np.concatenate([low, np.minimum(low + 1, len(self.levels) - 1)])):
+            weight = np.clip(1 - np.abs(level - k), 0, 1)
+            used = weight > 0
+            out[used] += weight[used, None] * _bilinear(self.levels[k], direction[used])
+        return out
+
+    def irradiance(self, normal: np.ndarray) -> np.ndarray:
+        """Integral of radiance times cosine over the hemisphere around normals [n, 3]."""
+        coarse = min(self.levels, key=lambda level: abs(level.shape[0] - 16))
+        height, width = coarse.shape[:2]
+        up = math.pi * (0.5 - (np.arange(height) + 0.5) / height)
+        around = 2 * math.pi * (0.5 - (np.arange(width) + 0.5) / width)
+        area = np.cos(up) * (math.pi / height) * (2 * math.pi / width)
+        direction = np.stack(
+            [
+                np.outer(np.cos(up), np.cos(around)),
+                np.outer(np.cos(up), np.sin(around)),
+                np.outer(np.sin(up), np.ones(width)),
+            ],
+            -1,
+        ).reshape(-1, 3)
+        power = (coarse * area[:, None, None]).reshape(-1, 3)
+        return np.concatenate(
+            [np.maximum(part @ direction.T, 0) @ power for part in np.array_split(normal, len(normal) // 4096 + 1)]
+        )
+
+
+def _bilinear(image: np.ndarray, direction: np.ndarray) -> np.ndarray:
+    """Blender's equirectangular lookup: u = 1/2 - atan2(y, x) / 2 pi, v = 1/2 + asin(z) / pi; row 0 is the zenith."""
+    height, width = image.shape[:2]
+    x = (0.5 - np.arctan2(direction[:, 1], direction[:, 0]) / (2 * math.pi)) * width - 0.5
+    y = (0.5 - np.arcsin(np.clip(direction[:, 2], -1, 1)) / math.pi) * height - 0.5
+    column, row = np.floor(x).astype(int), np.floor(y).astype(int)
+    fx, fy = (x - column)[:, None], (y - row)[:, None]
+
+    def at(j: np.ndarray, i: np.ndarray) -> np.ndarray:
+        return image[np.clip(j, 0, height - 1), i % width]
+
+    top = at(row, column) * (1 - fx) + at(row, column + 1) * fx
+    return top * (1 - fy) + (at(row + 1, column) * (1 - fx) + at(row + 1, column + 1) * fx) * fy

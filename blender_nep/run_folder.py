@@ -1,0 +1,112 @@
+"""The `checkpoints/` folder of one run: what is being run, and the result of each room that is done."""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import json
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+from blender_nep.capture import Capture
+from blender_nep.checkpoints import Checkpoint, StopRequest, load_state, output_errors, save_state, write_atomically
+from blender_nep.errors import UsageError
+from blender_nep.presets import Preset
+
+FORMAT = 1
+"""Version of the files in `checkpoints/`; others are not read."""
+
+
+def fingerprint(capture: Capture, preset: Preset, seed: int, masks: bool, mesh: Path | None) -> dict[str, object]:
+    """What decides the result of a run, by name: a resume must agree with all of it.
+
+    Photos enter by name and size, transforms.json and a mesh by content.
+    """
+    paths = [p for v in capture.views for p in (v.image_path, v.mask_path) if p is not None]
+    photos = "\n".join(f"{p.relative_to(capture.folder)} {p.stat().st_size}" for p in paths)
+    return {
+        "format": FORMAT,
+        "capture": _digest((capture.folder / "transforms.json").read_bytes() + photos.encode()),
+        "preset": preset.name + " " + _digest(json.dumps(dataclasses.asdict(preset), sort_keys=True).encode()),
+        "seed": seed,
+        "masks": "use" if masks else "ignore",
+        "mesh": "" if mesh is None else _digest(mesh.read_bytes()),
+    }
+
+
+def _digest(data: bytes) -> str:
+    return hashlib.sha256(data).hexdigest()[:16]
+
+
+def refuse_other_run(asset: Path, before: dict[str, object], what: dict[str, object]) -> None:
+    """Raise UsageError when the run in `asset` is not the one that is asked for."""
+    different = [name for name, value in what.items() if before.get(name) != value]
+    if different:
+        raise UsageError(
+            f"cannot resume: the run in {asset} had another {', '.join(different)}",
+            "Use the same capture and options as then, or start again with --overwrite.",
+        )
+
+
+class RunFolder:
+    """Results of finished rooms and checkpoints of the one under way, in `asset`/checkpoints."""
+
+    def __init__(self, asset: Path, stop: StopRequest, warn: Callable[[str], None]) -> None:
+        self.asset = asset
+        self.path = asset / "checkpoints"
+        self._stop, self._warn = stop, warn
+
+    @property
+    def _run_file(self) -> Path:
+        return self.path / "run.json"
+
+    def begin(self, what: dict[str, object], *, resume: bool) -> bool:
+        """Make the folder, or take up the run in it. Returns whether a run is continued.
+
+        Raises UsageError when the run in the folder is another one, OutputError when the folder cannot be made.
+        """
+        if resume and self._run_file.is_file():
+            before = self._read_run()
+            refuse_other_run(self.asset, before or what, what)
+            if before:
+                return True
+        with output_errors(self.path):
+            if self.path.exists():
+                shutil.rmtree(self.path)
+            self.path.mkdir(parents=True)
+        write_atomically(self._run_file, lambda file: file.write_text(json.dumps(what, indent=1), encoding="utf-8"))
+        return False
+
+    def _read_run(self) -> dict[str, object]:
+        try:
+            run = json.loads(self._run_file.read_text(encoding="utf-8"))
+            return run if isinstance(run, dict) else {}
+        except ValueError:
+            self._warn("checkpoints/run.json is damaged: the run starts from its beginning")
+            return {}
+
+    def checkpoint(self, room: str) -> Checkpoint:
+        """The checkpoint of a room that begins now."""
+        return Checkpoint(self.path, room, self._stop, self._warn)
+
+    def save_result(self, room: str, result: dict, seconds: float) -> None:
+        """Write a room's result. Raises OutputError."""
+        save_state(self.path / f"{room}.done.pt", {"seconds": seconds, "result": result})
+
+    def load_result(self, room: str) -> tuple[dict, float] | None:
+        """A finished room's (result, seconds), or None."""
+        path = self.path / f"{room}.done.pt"
+        if not path.is_file():
+            return None
+        try:
+            saved = load_state(path)
+            return saved["result"], float(saved["seconds"])
+        except (ValueError, KeyError, TypeError) as error:
+            self._warn(f"{path.name} cannot be used: {error}; its room is done again")
+            return None
+
+    def remove(self) -> None:
+        """Drop the whole folder (--clean)."""
+        with output_errors(self.path):
+            shutil.rmtree(self.path)

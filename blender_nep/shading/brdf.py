@@ -1,0 +1,206 @@
+"""The BRDF of Blender's Principled shader, as far as the method uses it: Lambert diffuse under a GGX reflection.
+
+Directions are unit vectors away from the surface: v to the eye, l to the light, h their half-vector, n the normal; all
+shaded quantities are functions of cosines or of local vectors whose z axis is n. `roughness` is Principled's, alpha =
+roughness^2 is GGX's.
+
+What Cycles does (Principled v2, default inputs: IOR 1.5, specular level 0.5, white tint) and this module follows:
+- height-correlated Smith masking (Heitz 2014, eq. 99);
+- metal: Schlick's Fresnel from the Base Color (F82 tint with a white edge is Schlick's);
+- dielectric: the exact Fresnel equations; below it the diffuse lobe, scaled by what the specular lobe does not reflect
+  towards the eye (1 - E_dielectric(v), albedo scaling);
+- Multiscatter GGX: the single-scattering lobe is scaled by 1 + F_ms (1 - E) / E (Turquin 2019, Kulla & Conty 2017).
+Difference: Cycles reads E from a 32-point fit, here it is tabulated by quadrature; the two agree within 0.005.
+"""
+
+from __future__ import annotations
+
+import math
+from functools import lru_cache
+
+import torch
+
+IOR = 1.5
+"""Principled's default."""
+DIELECTRIC_F0 = ((IOR - 1) / (IOR + 1)) ** 2
+"""0.04"""
+DIELECTRIC_FSS = (IOR - 1) / (4.08567 + 1.00071 * IOR)
+"""Cosine-weighted mean Fresnel reflectance of a dielectric (d'Eon & Irving 2011's fit)."""
+MIN_ROUGHNESS = 0.02
+"""Below it a lobe is narrower than any pixel's cone here, and alpha^2 loses float32's digits."""
+_TABLE = 32
+
+
+def alpha_of(roughness: torch.Tensor) -> torch.Tensor:
+    """GGX alpha from Principled's roughness, clamped to a lobe that float32 can hold."""
+    return roughness.clamp(MIN_ROUGHNESS, 1.0) ** 2
+
+
+def ggx_d(cos_h: torch.Tensor, alpha: torch.Tensor) -> torch.Tensor:
+    """GGX normal distribution D(h) [1/sr] (Walter 2007, eq. 33), in the form that keeps small alphas exact."""
+    squared = alpha * alpha
+    # 1 - cos^2 as (1-c)(1+c): no cancellation near the pole.
+    base = cos_h * cos_h * squared + (1 - cos_h) * (1 + cos_h)
+    return squared / (math.pi * base * base)
+
+
+def smith_lambda(cosine: torch.Tensor, alpha: torch.Tensor) -> torch.Tensor:
+    """Smith's auxiliary function of GGX (Heitz 2014, eq. 72)."""
+    squared = (cosine * cosine).clamp_min(1e-12)
+    return 0.5 * ((1 + alpha * alpha * (1 - squared).clamp_min(0) / squared).sqrt() - 1)
+
+
+def smith_g1(cosine: torch.Tensor, alpha: torch.Tensor) -> torch.Tensor:
+    """Masking in one direction, 0..1."""
+    return 1 / (1 + smith_lambda(cosine, alpha))
+
+
+def smith_g2(cos_v: torch.Tensor, cos_l: torch.Tensor, alpha: torch.Tensor) -> torch.Tensor:
+    """Height-correlated masking and shadowing, 0..1."""
+    return 1 / (1 + smith_lambda(cos_v, alpha) + smith_lambda(cos_l, alpha))
+
+
+def schlick_weight(cos_vh: torch.Tensor) -> torch.Tensor:
+    """(1 - v.h)^5: Schlick's Fresnel is F0 + (1 - F0) times this."""
+    return (1 - cos_vh).clamp(0, 1) ** 5
+
+
+def dielectric_fresnel(cos_vh: torch.Tensor, ior: float = IOR) -> torch.Tensor:
+    """Unpolarised Fresnel reflectance of a dielectric seen from outside, 0..1."""
+    c = cos_vh.clamp(0, 1)
+    g = (ior * ior - 1 + c * c).sqrt()
+    a = (g - c) / (g + c)
+    b = (c * (g + c) - 1) / (c * (g - c) + 1)
+    return 0.5 * a * a * (1 + b * b)
+
+
+def specular(cos_v: torch.Tensor, cos_l: torch.Tensor, cos_h: torch.Tensor, alpha: torch.Tensor) -> torch.Tensor:
+    """Single-scattering GGX lobe D G2 / (4 v.n l.n) [1/sr] without Fresnel; 0 below the horizon."""
+    lobe = ggx_d(cos_h, alpha) * smith_g2(cos_v, cos_l, alpha) / (4 * cos_v.clamp_min(1e-6) * cos_l.clamp_min(1e-6))
+    return torch.where((cos_v > 0) & (cos_l > 0), lobe, torch.zeros_like(lobe))
+
+
+def multiscatter_scale(fss: torch.Tensor | float, cos_v: torch.Tensor, roughness: torch.Tensor) -> torch.Tensor:
+    """Factor of the single-scattering lobe that adds the light scattered more than once.
+
+    fss: mean Fresnel reflectance, broadcast against cos_v, roughness [...].
+    """
+    e, e_average = specular_albedo(cos_v, roughness), average_specular_albedo(roughness)
+    fms = fss * e_average / (1 - fss * (1 - e_average))
+    return 1 + fms * (1 - e) / e
+
+
+def metal_fss(albedo: torch.Tensor) -> torch.Tensor:
+    """Mean of Schlick's Fresnel over the cosine-weighted hemisphere: F0 + (1 - F0) / 21."""
+    return albedo + (1 - albedo) / 21
+
+
+def evaluate(v: torch.Tensor, light: torch.Tensor, albedo: torch.Tensor, roughness: torch.Tensor,
+             metallic: torch.Tensor) -> torch.Tensor:
+    """f_r(v, l) [..., 3] in 1/sr, for local unit directions v, l [..., 3], albedo [..., 3], the rest [...]."""
+    h = torch.nn.functional.normalize(v + light, dim=-1)
+    cos_v, cos_l, cos_h, cos_vh = v[..., 2], light[..., 2], h[..., 2], (v * h).sum(-1)
+    lobe = specular(cos_v, cos_l, cos_h, alpha_of(roughness))
+    fresnel = albedo + (1 - albedo) * schlick_weight(cos_vh)[..., None]
+    metal = fresnel * multiscatter_scale(metal_fss(albedo), cos_v[..., None], roughness[..., None]) * lobe[..., None]
+    dielectric = dielectric_fresnel(cos_vh) * multiscatter_scale(DIELECTRIC_FSS, cos_v, roughness) * lobe
+    diffuse = albedo * (1 - dielectric_albedo(cos_v, roughness))[..., None] / math.pi
+    diffuse = torch.where(((cos_v > 0) & (cos_l > 0))[..., None], diffuse, torch.zeros_like(diffuse))
+    m = metallic[..., None]
+    return m * metal + (1 - m) * (dielectric[..., None] + diffuse)
+
+
+def sample_cosine(u: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+    """Cosine-weighted directions from u [..., 2] in [0,1): (local l [..., 3], pdf [...] in 1/sr)."""
+    radius, phi = u[..., 0].sqrt(), 2 * math.pi * u[..., 1]
+    z = (1 - u[..., 0]).clamp_min(0).sqrt()
+    return torch.stack([radius * phi.cos(), radius * phi.sin(), z], -1), z / math.pi
+
+
+def sample_vndf(v: torch.Tensor, alpha: torch.Tensor, u: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+    """Half-vectors distributed as GGX's visible normals (Dupuy & Benyoub 2023, spherical caps).
+
+    v [..., 3] local with v.z > 0, alpha [...], u [..., 2]. Returns local h [..., 3] and the pdf [...] of the reflected l.
+    """
+    stretched = torch.nn.functional.normalize(torch.stack([alpha * v[..., 0], alpha * v[..., 1], v[..., 2]], -1), dim=-1)
+    phi = 2 * math.pi * u[..., 0]
+    z = (1 - u[..., 1]) * (1 + stretched[..., 2]) - stretched[..., 2]
+    sine = ((1 - z) * (1 + z)).clamp_min(0).sqrt()
+    cap = torch.stack([sine * phi.cos(), sine * phi.sin(), z], -1) + stretched
+    h = torch.stack([alpha * cap[..., 0], alpha * cap[..., 1], cap[..., 2].clamp_min(1e-9)], -1)
+    h = torch.nn.functional.normalize(h, dim=-1)
+    return h, vndf_pdf(v[..., 2], h[..., 2], alpha)
+
+
+def vndf_pdf(cos_v: torch.Tensor, cos_h: torch.Tensor, alpha: torch.Tensor) -> torch.Tensor:
+    """Density [1/sr] of the direction reflected about a visible normal: D G1(v) / (4 v.n)."""
+    return ggx_d(cos_h, alpha) * smith_g1(cos_v, alpha) / (4 * cos_v.clamp_min(1e-6))
+
+
+def reflect(v: torch.Tensor, h: torch.Tensor) -> torch.Tensor:
+    """v mirrored about h [..., 3]: both away from the surface."""
+    return 2 * (v * h).sum(-1, keepdim=True) * h - v
+
+
+def frame(n: torch.Tensor) -> torch.Tensor:
+    """Orthonormal frames [..., 3, 3] whose columns are tangent, bitangent, n (Duff et al. 2017)."""
+    sign = torch.where(n[..., 2] < 0, -1.0, 1.0).to(n.dtype)
+    a = -1 / (sign + n[..., 2])
+    b = n[..., 0] * n[..., 1] * a
+    tangent = torch.stack([1 + sign * n[..., 0] ** 2 * a, sign * b, -sign * n[..., 0]], -1)
+    bitangent = torch.stack([b, sign + n[..., 1] ** 2 * a, -n[..., 1]], -1)
+    return torch.stack([tangent, bitangent, n], -1)
+
+
+def specular_albedo(cos_v: torch.Tensor, roughness: torch.Tensor) -> torch.Tensor:
+    """E(v): directional albedo of the single-scattering lobe without Fresnel, 0..1."""
+    return _look_up(_tables()[0], cos_v, roughness)
+
+
+def dielectric_albedo(cos_v: torch.Tensor, roughness: torch.Tensor) -> torch.Tensor:
+    """Directional albedo of the dielectric's specular lobe, multiple scattering included, 0..1."""
+    return _look_up(_tables()[1], cos_v, roughness)
+
+
+def average_specular_albedo(roughness: torch.Tensor) -> torch.Tensor:
+    """E_avg: cosine-weighted mean of E(v) over the hemisphere, 0..1."""
+    average = _tables()[2].to(roughness.device, roughness.dtype)
+    x = (roughness.clamp(0, 1) * (_TABLE - 1)).clamp(0, _TABLE - 1 - 1e-4)
+    i = x.long()
+    return torch.lerp(average[i], average[i + 1], x - i)
+
+
+def _look_up(table: torch.Tensor, cos_v: torch.Tensor, roughness: torch.Tensor) -> torch.Tensor:
+    """Bilinear, rows: roughness, columns: sqrt(cos_v) (finer towards grazing). Differentiable in both."""
+    table = table.to(roughness.device, roughness.dtype)
+    y, x = torch.broadcast_tensors(roughness.clamp(0, 1), cos_v.clamp(1e-6, 1).sqrt())
+    x, y = (x * (_TABLE - 1)).clamp(0, _TABLE - 1 - 1e-4), (y * (_TABLE - 1)).clamp(0, _TABLE - 1 - 1e-4)
+    i, j = y.long(), x.long()
+    fy, fx = y - i, x - j
+    near = torch.lerp(table[i, j], table[i, j + 1], fx)
+    return torch.lerp(near, torch.lerp(table[i + 1, j], table[i + 1, j + 1], fx), fy)
+
+
+@lru_cache(maxsize=1)
+def _tables() -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+    """E [T,T], E of the dielectric lobe [T,T], E_avg [T], by stratified quadrature over VNDF samples (float32, CPU)."""
+    axis = torch.linspace(0, 1, _TABLE, dtype=torch.float64)
+    alpha = alpha_of(axis)[:, None, None]
+    cos_v = (axis**2).clamp_min(1e-4)[None, :, None]
+    side = 48
+    strata = (torch.arange(side, dtype=torch.float64) + 0.5) / side
+    u = torch.stack(torch.meshgrid(strata, strata, indexing="ij"), -1).reshape(1, 1, -1, 2)
+    shape = torch.broadcast_shapes(alpha.shape, cos_v.shape, u.shape[:-1])
+    cosine = cos_v.expand(shape)
+    v = torch.stack([(1 - cosine**2).sqrt(), torch.zeros(shape, dtype=torch.float64), cosine], -1)
+    h, _ = sample_vndf(v, alpha.expand(shape), u.expand(*shape, 2))
+    cos_l = reflect(v, h)[..., 2]
+    weight = smith_g2(cosine, cos_l, alpha) / smith_g1(cosine, alpha) * (cos_l > 0)
+    e = weight.mean(-1)
+    single = (weight * dielectric_fresnel((v * h).sum(-1))).mean(-1)
+    mu = axis**2  # integral of 2 mu E(mu) dmu with mu = axis^2
+    average = torch.trapezoid(2 * mu * e * 2 * axis, axis, dim=1)
+    average = average / torch.trapezoid(2 * mu * 2 * axis, axis)
+    fms = DIELECTRIC_FSS * average / (1 - DIELECTRIC_FSS * (1 - average))
+    dielectric = single * (1 + fms[:, None] * (1 - e) / e)
+    return e.float(), dielectric.float(), average.float()

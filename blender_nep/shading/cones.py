@@ -1,0 +1,88 @@
+"""Material-aware cones: how wide a cone one reflected direction may stand for (paper, section 3.3).
+
+Everything is an angle or a solid angle: the tangent of a doubled angle turns negative past 45 degrees.
+"""
+
+from __future__ import annotations
+
+import math
+
+import torch
+from torch import Tensor
+
+from blender_nep.shading.brdf import alpha_of, reflect, sample_cosine, sample_vndf, smith_g1, smith_g2
+
+BETA = 0.9
+"""Share of the lobe's energy that the cones together cover."""
+_GOLDEN = (math.sqrt(5) - 1) / 2
+"""Turn between successive points of a sunflower's spiral."""
+_FILL = 0.35
+"""Solid angle of a cone over its share of the lobe. Its axis is random within the share, so that a full cone would blur
+the lobe twice: compared with 20,000 rays on lamps of many sizes, 4 cones are 2-10 % off with 1 and 1-5 % with 0.2-0.5."""
+
+
+def half_vector_angle(roughness: Tensor, beta: float = BETA) -> Tensor:
+    """theta_m: the angle about the normal that holds the share beta of GGX's half-vectors, radians (paper, eq. 11)."""
+    return torch.atan(alpha_of(roughness) * math.sqrt(beta / (1 - beta)))
+
+
+def lobe_half_angle(roughness: Tensor, beta: float = BETA) -> Tensor:
+    """Half-angle of the reflected lobe, radians, at most a hemisphere's: a mirrored direction turns twice as far."""
+    return (2 * half_vector_angle(roughness, beta)).clamp_max(math.pi / 2)
+
+
+def solid_angle(half_angle: Tensor) -> Tensor:
+    """2 pi (1 - cos half_angle) in sr, without cancellation for narrow cones."""
+    return 4 * math.pi * torch.sin(half_angle / 2) ** 2
+
+
+def half_angle_of(solid: Tensor) -> Tensor:
+    """Half-angle of the cone with this solid angle (0..4 pi sr)."""
+    return 2 * torch.asin((solid / (4 * math.pi)).clamp(0, 1).sqrt())
+
+
+def split(half_angle: Tensor, count: int) -> Tensor:
+    """Half-angle of each of `count` cones that together have the solid angle of one."""
+    return half_angle_of(solid_angle(half_angle) / count)
+
+
+def spiral(count: int, turn: Tensor) -> tuple[Tensor, Tensor]:
+    """`count` equal shares of a lobe: how much of it lies further in, and the azimuth, both [..., count] in 0..1.
+
+    turn [..., 2] in 0..1 moves the points along the radius and around.
+    """
+    k = torch.arange(count, device=turn.device, dtype=turn.dtype)
+    return (turn[..., :1] + k / count) % 1.0, (turn[..., 1:] + k * _GOLDEN) % 1.0
+
+
+def specular_cones(v: Tensor, roughness: Tensor, count: int, turn: Tensor
+                   ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    """The GGX lobe split among `count` cones.
+
+    v [..., 3] local, v.z > 0; roughness [...]; turn [..., 2] in [0,1). Axes are visible normals, so that lobe * l.n / pdf is
+    the weight G2 / G1; a cone is as wide as its share of the lobe (1 / (count pdf), Krivanek & Colbert 2008), never wider than its share of the solid angle that holds beta of the energy.
+    Returns local l [..., count, 3], weight [..., count] (0 below the horizon; the sum is E(v)),
+    cos of v.h [..., count], half_angle [..., count].
+    """
+    radial, azimuth = spiral(count, turn)
+    v, roughness = v[..., None, :].expand(*radial.shape, 3), roughness[..., None].expand(radial.shape)
+    alpha = alpha_of(roughness)
+    h, pdf = sample_vndf(v, alpha, torch.stack([azimuth, radial], -1))
+    light = reflect(v, h)
+    cos_l = light[..., 2]
+    weight = smith_g2(v[..., 2], cos_l.clamp_min(1e-6), alpha) / smith_g1(v[..., 2], alpha)
+    weight = torch.where(cos_l > 0, weight, torch.zeros_like(weight)) / count
+    own_share = half_angle_of(_FILL / (count * pdf.clamp_min(1e-9)))
+    half_angle = torch.minimum(own_share, half_angle_of(_FILL * solid_angle(lobe_half_angle(roughness)) / count))
+    return light, weight, (v * h).sum(-1), half_angle
+
+
+def diffuse_cones(count: int, turn: Tensor) -> tuple[Tensor, Tensor]:
+    """The cosine-weighted hemisphere split among `count` cones of equal weight.
+
+    turn [..., 2] in [0,1). Returns local l [..., count, 3] and half_angle [..., count]; the mean radiance of the cones is the
+    irradiance over pi.
+    """
+    light, pdf = sample_cosine(torch.stack(spiral(count, turn), -1))
+    widest = torch.full_like(pdf, 2 * math.pi / count)
+    return light, half_angle_of(_FILL * torch.minimum(1 / (count * pdf.clamp_min(1e-6)), widest))

@@ -1,0 +1,223 @@
+"""The neural plenoptic function f_p(x, d): what light arrives at a surface point x from direction d (paper, eq. 8).
+
+A ray that leaves the object returns the environment field F_e through a cone, plus a residual for distant light that no
+photo shows; a ray that meets the mesh again returns the radiance reflected there, by the rendering equation, down to N
+levels, and below that the terminal MLP.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+
+from blender_nep.raytracing import RayTracer
+from blender_nep.shading import brdf
+from blender_nep.shading.cones import diffuse_cones, specular_cones
+
+_CHUNK = 1 << 16
+
+
+class Environment(Protocol):
+    """What is asked of F_e."""
+
+    def query_cone(self, origins: Tensor, directions: Tensor, half_angle: Tensor) -> tuple[Tensor, Tensor]:
+        """Mean radiance [n,3] in a cone, and how far photos saw it [n] in 0..1."""
+
+
+@dataclass
+class Material:
+    """Principled inputs at points: albedo [n,3], roughness [n], metallic [n], linear, 0..1."""
+
+    albedo: Tensor
+    roughness: Tensor
+    metallic: Tensor
+
+
+@dataclass
+class SurfacePoints:
+    """Points of the mesh and the unit directions from which they are looked at."""
+
+    position: Tensor
+    """[n,3]"""
+    face: np.ndarray
+    """[n] int"""
+    normal: Tensor
+    """[n,3] smooth, unit, on the side of the eye"""
+    view: Tensor
+    """[n,3] towards the eye, unit"""
+
+    def __len__(self) -> int:
+        return len(self.position)
+
+    def __getitem__(self, index: Tensor) -> SurfacePoints:
+        i = index.cpu().numpy()
+        return SurfacePoints(self.position[index], self.face[i], self.normal[index], self.view[index])
+
+
+@dataclass
+class Arrival:
+    """What rays from surface points met: F_e's light where they leave, the next surface point where they do not."""
+
+    radiance: Tensor
+    """[n,3] from F_e; 0 where the ray hits the mesh"""
+    coverage: Tensor
+    """[n] how far photos saw that light; 1 where the ray hits the mesh"""
+    row: Tensor
+    """[k] int64: which rays hit"""
+    hits: SurfacePoints
+    """[k] where"""
+
+
+class TerminalRadiance(nn.Module):
+    """MLP(x, d): radiance that the surface sends out, where the recursion ends. Learned from the photos themselves."""
+
+    octaves = 4
+
+    def __init__(self, width: int = 48):
+        super().__init__()
+        inputs = 3 + 6 * self.octaves + 3 + 3
+        self.net = nn.Sequential(nn.Linear(inputs, width), nn.ReLU(), nn.Linear(width, width), nn.ReLU(),
+                                 nn.Linear(width, 3))
+
+    def forward(self, points: SurfacePoints) -> Tensor:
+        """Radiance [n,3] >= 0."""
+        return torch.expm1(self.log_radiance(points)).clamp(0, 1e4) / 4
+
+    def log_radiance(self, points: SurfacePoints) -> Tensor:
+        """log(1 + 4 radiance): the photometric space, up to a factor."""
+        scaled = points.position[:, None] * (2.0 ** torch.arange(self.octaves, device=points.position.device))[:, None]
+        encoded = torch.cat([scaled.sin().flatten(1), scaled.cos().flatten(1)], 1)
+        mirrored = brdf.reflect(points.view, points.normal)
+        return nn.functional.softplus(self.net(torch.cat([points.position, encoded, points.normal, mirrored], 1)))
+
+
+class PlenopticFunction:
+    """f_p over one mesh and one environment field.
+
+    materials_at(points) gives the current Material there; levels is N, the number of surface interactions computed by
+    the rendering equation counting the one that the eye sees (1: what a reflected ray hits comes from the terminal MLP;
+    0: hits stay black, the ablation without indirect light).
+    """
+
+    def __init__(self, tracer: RayTracer, normals: np.ndarray, environment: Environment, terminal: TerminalRadiance,
+                 *, levels: int, diffuse: int, specular: int, use_cones: bool, device: torch.device | str):
+        self.tracer, self.normals, self.environment, self.terminal = tracer, normals, environment, terminal
+        self.levels, self.diffuse, self.specular, self.use_cones = levels, diffuse, specular, use_cones
+        self.device = torch.device(device)
+        self.residual: Callable[[Tensor, Tensor], Tensor] | None = None
+        """(directions [n,3], coverage [n]) -> distant light [n,3] that photos do not show; None until learned"""
+
+    def points(self, face: np.ndarray, barycentric: np.ndarray, view: Tensor) -> SurfacePoints:
+        """Surface points from a ray tracer's hits and the directions [n,3] towards the eye."""
+        position = self.tracer.interpolate(self.tracer.vertices, face, barycentric).astype(np.float32)
+        normal = self.tracer.smooth_normals(self.normals, face, barycentric)
+        flat = torch.from_numpy(self.tracer.face_normals[face]).to(self.device)
+        normal = torch.from_numpy(normal).to(self.device)
+        # A two-sided mesh: the normal is that of the side that is looked at.
+        side = torch.where((flat * view).sum(-1, keepdim=True) < 0, -1.0, 1.0)
+        return SurfacePoints(torch.from_numpy(position).to(self.device), face, facing(normal * side, view), view)
+
+    @torch.no_grad()
+    def trace(self, start: SurfacePoints, directions: Tensor, half_angle: Tensor) -> Arrival:
+        """Rays from start [n] along unit directions [n,3]: leave to F_e by cones of half_angle [n] or meet the mesh."""
+        d = directions.cpu().numpy()
+        origins = self.tracer.leave(start.position.cpu().numpy(), start.face, d)
+        t, face, barycentric = self.tracer.intersect(origins, d)
+        hit = np.isfinite(t)
+        radiance = torch.zeros_like(directions)
+        coverage = torch.ones(len(directions), device=self.device)
+        free = torch.from_numpy(np.flatnonzero(~hit)).to(self.device)
+        if not self.use_cones:
+            half_angle = torch.full_like(half_angle, 2e-3)
+        for index in free.split(_CHUNK):
+            radiance[index], coverage[index] = self.environment.query_cone(start.position[index], directions[index],
+                                                                         half_angle[index])
+        row = torch.from_numpy(np.flatnonzero(hit)).to(self.device)
+        hits = self.points(face[hit], barycentric[hit], -directions[row])
+        return Arrival(radiance.clamp_min(0), coverage.clamp(0, 1), row, hits)
+
+    @torch.no_grad()
+    def outgoing(self, points: SurfacePoints, materials_at: Callable[[SurfacePoints], Material], level: int,
+                 generator: torch.Generator) -> Tensor:
+        """Radiance [n,3] that points send to their eye: the rendering equation at `level`, recursively (eq. 9)."""
+        if self.levels == 0:
+            return torch.zeros_like(points.position)
+        if level > self.levels:
+            return torch.cat([self.terminal(points[i]) for i in torch.arange(len(points)).split(_CHUNK)]
+                             or [torch.zeros_like(points.position)])
+        step = _CHUNK // (self.diffuse + self.specular)
+        parts = [self._outgoing(points[i], materials_at, level, generator)
+                 for i in torch.arange(len(points), device=self.device).split(step)]
+        return torch.cat(parts) if parts else torch.zeros_like(points.position)
+
+    def incoming(self, start: SurfacePoints, directions: Tensor, half_angle: Tensor,
+                 materials_at: Callable[[SurfacePoints], Material], level: int, generator: torch.Generator) -> Tensor:
+        """f_p [n,3] at start along directions; level is that of the surface the light falls on (1: seen by the eye)."""
+        arrival = self.trace(start, directions, half_angle)
+        radiance = arrival.radiance
+        if self.residual is not None:
+            radiance = radiance + self.residual(directions, arrival.coverage)
+        if len(arrival.row):
+            radiance[arrival.row] = self.outgoing(arrival.hits, materials_at, level + 1, generator)
+        return radiance
+
+    def _outgoing(self, points: SurfacePoints, materials_at: Callable[[SurfacePoints], Material], level: int,
+                  generator: torch.Generator) -> Tensor:
+        n = len(points)
+        material = materials_at(points)
+        frame = brdf.frame(points.normal)
+        v = local(frame, points.view)
+        turn = torch.rand(n, 2, 2, generator=generator).to(self.device)
+        s, weight, cos_vh, s_angle = specular_cones(v, material.roughness, self.specular, turn[:, 0])
+        d, d_angle = diffuse_cones(self.diffuse, turn[:, 1])
+        directions = torch.einsum("nij,nkj->nki", frame, torch.cat([s, d], 1))
+        angle = torch.cat([s_angle, d_angle], 1)
+        each = torch.arange(n, device=self.device).repeat_interleave(self.specular + self.diffuse)
+        light = self.incoming(points[each], directions.reshape(-1, 3), angle.reshape(-1), materials_at, level, generator)
+        light = light.reshape(n, -1, 3)
+        spec, diff = light[:, : self.specular], light[:, self.specular :].mean(1)
+        moments = SpecularMoments(*((w[..., None] * spec).sum(1) for w in moment_weights(weight, cos_vh)))
+        return reflected(material, moments, diff, v[:, 2])
+
+
+@dataclass
+class SpecularMoments:
+    """Light through the specular lobe, by what the Fresnel term makes of it, each [..., 3] (split-sum)."""
+
+    full: Tensor
+    """with F = 1"""
+    edge: Tensor
+    """with F = (1 - v.h)^5"""
+    dielectric: Tensor
+    """with the dielectric's Fresnel reflectance"""
+
+
+def moment_weights(weight: Tensor, cos_vh: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """Weights of one sample in the three moments, from its G2 / G1 weight and the cosine of v.h."""
+    return weight, weight * brdf.schlick_weight(cos_vh), weight * brdf.dielectric_fresnel(cos_vh)
+
+
+def reflected(material: Material, specular: SpecularMoments, diffuse: Tensor, cos_v: Tensor) -> Tensor:
+    """Radiance [n,3] towards the eye from the lobes' prefiltered light; diffuse [n,3] is irradiance over pi."""
+    albedo, r, m = material.albedo, material.roughness[:, None], material.metallic[:, None]
+    c = cos_v[:, None]
+    metal = (specular.edge + albedo * (specular.full - specular.edge)) * brdf.multiscatter_scale(
+        brdf.metal_fss(albedo), c, r)
+    coat = specular.dielectric * brdf.multiscatter_scale(brdf.DIELECTRIC_FSS, c, r)
+    return m * metal + (1 - m) * (coat + albedo * diffuse * (1 - brdf.dielectric_albedo(c, r)))
+
+
+def local(frame: Tensor, directions: Tensor) -> Tensor:
+    """Directions [n,3] in frames [n,3,3] whose columns are tangent, bitangent, normal."""
+    return torch.einsum("nij,ni->nj", frame, directions)
+
+
+def facing(normal: Tensor, view: Tensor, least: float = 0.02) -> Tensor:
+    """Smooth normals [n,3] tilted until they face the eye: interpolated ones may look away at a silhouette."""
+    cosine = (normal * view).sum(-1, keepdim=True)
+    return nn.functional.normalize(normal + (least - cosine).clamp_min(0) * view, dim=-1)

@@ -1,0 +1,63 @@
+"""Texels of an unwrapped mesh: which point of the surface each one shows, and filling those that show none.
+
+Row 0 of a texture is its top (v = 1); texel (i, j) of an [H, W] texture is centred at uv = ((j + 0.5) / W,
+1 - (i + 0.5) / H).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+from scipy import ndimage
+
+
+def rasterise(uv: np.ndarray, faces: np.ndarray, size: int) -> tuple[np.ndarray, np.ndarray]:
+    """Surface point of every texel of a square texture.
+
+    uv [V,2] in 0..1, faces [F,3], size in texels. Returns face [size,size] int32 (-1: no surface there) and barycentric
+    [size,size,3] float32. A texel belongs to the face that its centre lies in (the last one where charts overlap).
+    """
+    corners = np.empty((len(uv), 2))
+    corners[:, 0] = uv[:, 0] * size - 0.5
+    corners[:, 1] = (1 - uv[:, 1]) * size - 0.5
+    face = np.full((size, size), -1, np.int32)
+    barycentric = np.zeros((size, size, 3), np.float32)
+    _rasterise(corners, np.ascontiguousarray(faces, np.int64), face, barycentric)
+    return face, barycentric
+
+
+@njit(cache=True)
+def _rasterise(corners, faces, face, barycentric):
+    height, width = face.shape
+    for f in range(len(faces)):
+        ax, ay = corners[faces[f, 0]]
+        bx, by = corners[faces[f, 1]]
+        cx, cy = corners[faces[f, 2]]
+        area = (bx - ax) * (cy - ay) - (by - ay) * (cx - ax)
+        if abs(area) < 1e-12:
+            continue
+        i0 = max(0, int(np.ceil(min(ay, by, cy) - 1e-6)))
+        i1 = min(height - 1, int(np.floor(max(ay, by, cy) + 1e-6)))
+        j0 = max(0, int(np.ceil(min(ax, bx, cx) - 1e-6)))
+        j1 = min(width - 1, int(np.floor(max(ax, bx, cx) + 1e-6)))
+        for i in range(i0, i1 + 1):
+            for j in range(j0, j1 + 1):
+                u = ((bx - j) * (cy - i) - (by - i) * (cx - j)) / area
+                v = ((cx - j) * (ay - i) - (cy - i) * (ax - j)) / area
+                w = 1.0 - u - v
+                if u >= -1e-9 and v >= -1e-9 and w >= -1e-9:
+                    face[i, j] = f
+                    barycentric[i, j, 0] = u
+                    barycentric[i, j, 1] = v
+                    barycentric[i, j, 2] = w
+
+
+def dilate(texture: np.ndarray, known: np.ndarray) -> np.ndarray:
+    """Texture [H,W] or [H,W,C] with every texel outside `known` [H,W] bool taken from the nearest one inside it.
+
+    Filtering and mip-mapping then find no foreign colour at a seam. Returned unchanged when nothing is known.
+    """
+    if known.all() or not known.any():
+        return texture.copy()
+    row, column = ndimage.distance_transform_edt(~known, return_distances=False, return_indices=True)
+    return texture[row, column]

@@ -1,0 +1,181 @@
+"""Material learning end to end: photos of a sphere made by brute-force Monte Carlo, materials known."""
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+import torch
+import trimesh
+
+from blender_nep.errors import LearningError
+from blender_nep.material_learning import learn_materials
+from blender_nep.presets import MaterialPreset, SurfacePreset
+from blender_nep.shading import brdf
+from blender_nep.surface import Surface, unwrap
+from blender_nep.texels import rasterise
+
+PRESET = replace(MaterialPreset(), samples=3000, ladder=(0.05, 0.12, 0.2, 0.3, 0.45, 0.7, 1.0), terminal_steps=60,
+                 residual_lobes=16, residual_steps=20, most_texels=256, region=0.3, candidates=30)
+RADIUS = 0.7
+
+
+class AnalyticEnvironment:
+    """Radiance of a few soft lamps at infinity; cones widen the lamps as a spherical Gaussian's convolution does."""
+
+    def __init__(self):
+        generator = torch.Generator().manual_seed(7)
+        self.axis = torch.nn.functional.normalize(torch.randn(14, 3, generator=generator), dim=-1)
+        self.colour = torch.rand(14, 3, generator=generator) * 4 + 0.2
+        self.sharpness = torch.linspace(8, 120, 14)
+
+    def query_cone(self, origins, directions, half_angle):
+        variance = 1 / self.sharpness + half_angle[:, None] ** 2 / 4
+        gain = (1 / self.sharpness) / variance
+        lobes = gain * torch.exp((directions @ self.axis.T - 1) / variance)
+        return 0.15 + lobes @ self.colour, torch.ones(len(directions))
+
+
+@dataclass
+class SyntheticRays:
+    """The part of PixelRays that material learning uses."""
+
+    radiance: torch.Tensor
+    origin: torch.Tensor
+    direction: torch.Tensor
+    photo: torch.Tensor
+    mask: None = None
+
+    def __post_init__(self):
+        self.sphere = torch.arange(len(self.radiance))
+
+    def rays(self, index):
+        return self.origin[index], self.direction[index], torch.full((len(index),), 0.004)
+
+    def view_of(self, index):
+        return self.photo[index]
+
+
+class NoCheckpoint:
+    stopping = False
+
+    def due(self):
+        return False
+
+    def load(self):
+        return None
+
+
+def make_photos(materials, views=14, side=40, rays=192):
+    """Photos of the sphere; materials(points [n,3]) -> albedo, roughness, metallic. Uniform hemisphere + VNDF samples."""
+    environment, generator = AnalyticEnvironment(), torch.Generator().manual_seed(11)
+    eye = torch.nn.functional.normalize(torch.randn(views, 3, generator=generator), dim=-1) * 3
+    u = (torch.arange(side) + 0.5) / side * 0.5 - 0.25
+    x, y = torch.meshgrid(u, u, indexing="ij")
+    frame = brdf.frame(torch.nn.functional.normalize(-eye, dim=-1))
+    local = torch.nn.functional.normalize(torch.stack([x, y, torch.ones_like(x)], -1).reshape(-1, 3), dim=-1)
+    direction = torch.einsum("vij,nj->vni", frame, local).reshape(-1, 3)
+    origin = eye.repeat_interleave(side * side, 0)
+    along = -(origin * direction).sum(-1)
+    squared = along**2 - (origin**2).sum(-1) + RADIUS**2
+    hit = squared > 0
+    t = along - squared.clamp_min(0).sqrt()
+    points = origin[hit] + direction[hit] * t[hit, None]
+    normal, view = points / RADIUS, -direction[hit]
+    albedo, roughness, metallic = materials(points)
+    f = brdf.frame(normal)
+    v = torch.einsum("nij,ni->nj", f, view)
+    n = len(points)
+    uniform = torch.rand(n, rays, 2, generator=generator)
+
+    def incoming(to_light):
+        d = torch.einsum("nij,nkj->nki", f, to_light).reshape(-1, 3)
+        return environment.query_cone(d, d, torch.zeros(len(d)))[0].reshape(n, rays, 3)
+
+    # Balance heuristic between the two samplers: an estimator that shares nothing with the cones.
+    each = [x[:, None].expand(n, rays, *x.shape[1:]) for x in (v, albedo, roughness, metallic)]
+    alpha = brdf.alpha_of(each[2])
+    h, _ = brdf.sample_vndf(each[0], alpha, uniform)
+    total = torch.zeros(n, 3)
+    for to_light in (brdf.reflect(each[0], h), brdf.sample_cosine(uniform.flip(-1))[0]):
+        half = torch.nn.functional.normalize(each[0] + to_light, dim=-1)
+        pdf = brdf.vndf_pdf(each[0][..., 2], half[..., 2], alpha) + to_light[..., 2].clamp_min(0) / math.pi
+        value = brdf.evaluate(each[0], to_light, *each[1:]) * to_light[..., 2:].clamp_min(0)
+        total += (value * incoming(to_light) / pdf[..., None].clamp_min(1e-9)).mean(1)
+    radiance = torch.zeros(len(origin), 3)
+    radiance[hit] = total
+    return SyntheticRays(radiance, origin, direction, torch.arange(views).repeat_interleave(side * side))
+
+
+@pytest.fixture(scope="module")
+def ball():
+    mesh = trimesh.creation.icosphere(subdivisions=4, radius=RADIUS)
+    vertices, faces = np.asarray(mesh.vertices), np.asarray(mesh.faces)
+    return unwrap(Surface(vertices, faces, vertices / RADIUS), SurfacePreset(atlas_texels=256))
+
+
+def learn(ball, photos, preset=PRESET, environment=None):
+    steps = []
+    result = learn_materials(ball, environment or AnalyticEnvironment(), photos, preset, seed=0, device="cpu",
+                             progress=lambda step, steps_, loss, **_: steps.append(step), checkpoint=NoCheckpoint())
+    assert steps == sorted(steps) and steps[-1] == 100
+    return result
+
+
+def constant(albedo, roughness, metallic):
+    def materials(points):
+        n = len(points)
+        return torch.tensor(albedo).expand(n, 3), torch.full((n,), roughness), torch.full((n,), metallic)
+
+    return materials
+
+
+@pytest.mark.parametrize(("albedo", "roughness", "metallic"), [
+    ((0.9, 0.6, 0.3), 0.18, 1.0), ((0.5, 0.1, 0.1), 0.15, 0.0), ((0.7, 0.7, 0.7), 0.5, 1.0), ((0.2, 0.4, 0.7), 0.6, 0.0)])
+def test_one_material_is_recovered(ball, albedo, roughness, metallic):
+    result = learn(ball, make_photos(constant(albedo, roughness, metallic)))
+    assert np.abs(result.albedo - albedo).max() < 0.04
+    assert np.abs(result.roughness - roughness).max() < 0.03
+    assert (result.metallic == metallic).all()
+    assert len(result.report["materials"]) == 1
+    assert result.confidence.max() > 0.5 and result.confidence.min() >= 0
+
+
+def test_paint_and_metal_are_told_apart_where_they_lie(ball):
+    def two(points):
+        metal = (points[:, 0] > 0).float()
+        red, pale = torch.tensor([0.6, 0.06, 0.05]), torch.tensor([0.85, 0.8, 0.7])
+        return red + (pale - red) * metal[:, None], 0.15 + 0.1 * metal, metal
+
+    result = learn(ball, make_photos(two))
+    face, barycentric = rasterise(ball.uv, ball.faces, len(result.metallic))
+    known = face >= 0
+    points = np.einsum("nc,nck->nk", barycentric[known], ball.vertices[ball.faces[face[known]]])
+    clear = np.abs(points[:, 0]) > 0.05
+    metal = points[clear, 0] > 0
+    assert ((result.metallic[known][clear] > 0.5) == metal).mean() > 0.97
+    truth = np.where(metal[:, None], [0.85, 0.8, 0.7], [0.6, 0.06, 0.05])
+    assert ((result.albedo[known][clear] - truth) ** 2).mean() < 0.004
+    assert ((result.roughness[known][clear] - np.where(metal, 0.25, 0.15)) ** 2).mean() < 0.003
+
+
+def test_same_seed_same_textures(ball):
+    photos = make_photos(constant((0.9, 0.6, 0.3), 0.2, 1.0), views=5, rays=32)
+    a, b = learn(ball, photos), learn(ball, photos)
+    assert (a.albedo == b.albedo).all() and (a.roughness == b.roughness).all()
+
+
+@pytest.mark.parametrize("scale", [0.0, 1e4])
+def test_black_and_blinding_light_give_finite_textures(ball, scale):
+    photos = make_photos(constant((0.9, 0.6, 0.3), 0.02, 1.0), views=4, rays=16)
+    photos.radiance = photos.radiance * scale
+    result = learn(ball, photos)
+    for texture in (result.albedo, result.roughness, result.metallic, result.confidence):
+        assert np.isfinite(texture).all() and texture.min() >= 0 and texture.max() <= 1
+
+
+def test_a_surface_that_no_photo_shows_says_so(ball):
+    photos = make_photos(constant((0.5, 0.5, 0.5), 0.5, 0.0), views=2, rays=4)
+    photos.direction = -photos.direction
+    with pytest.raises(LearningError):
+        learn(ball, photos)

@@ -1,0 +1,141 @@
+"""Surface extraction against spheres whose SDF, area and normals are known in closed form."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+import torch
+import trimesh
+
+from blender_nep.errors import CaptureError, LearningError
+from blender_nep.presets import SurfacePreset
+from blender_nep.surface import extract_surface, load_surface
+from blender_nep.texels import dilate, rasterise
+
+PRESET = SurfacePreset(grid=72, faces=1500, atlas_texels=256)
+
+
+class AnalyticField(torch.nn.Module):
+    """An SDF given as a function of points [n,3]."""
+
+    def __init__(self, function):
+        super().__init__()
+        self.function = function
+        self.anchor = torch.nn.Parameter(torch.zeros(1))
+
+    def sdf(self, points):
+        return self.function(points)
+
+    def normal(self, points):
+        points = points.detach().clone().requires_grad_(True)
+        (gradient,) = torch.autograd.grad(self.function(points).sum(), points)
+        return torch.nn.functional.normalize(gradient, dim=-1)
+
+    def sdf_grid(self, n):
+        axis = torch.linspace(-1, 1, n)
+        grid = torch.stack(torch.meshgrid(axis, axis, axis, indexing="ij"), -1).reshape(-1, 3)
+        return self.function(grid).reshape(n, n, n).numpy()
+
+
+def ball(centre, radius):
+    return lambda p: (p - torch.tensor(centre, dtype=p.dtype)).norm(dim=-1) - radius
+
+
+def union(*parts):
+    return lambda p: torch.stack([part(p) for part in parts]).amin(0)
+
+
+@dataclass
+class UnitCapture:
+    to_unit: np.ndarray
+
+
+def as_mesh(surface):
+    return trimesh.Trimesh(surface.vertices, surface.faces, process=False)
+
+
+def test_sphere_position_normals_orientation():
+    surface, report = extract_surface(AnalyticField(ball([0.1, 0.0, -0.05], 0.6)), PRESET)
+    offset = surface.vertices - [0.1, 0.0, -0.05]
+    assert np.abs(np.linalg.norm(offset, axis=1) - 0.6).max() < 0.01
+    cosine = (offset / 0.6 * surface.normals).sum(1)
+    assert cosine.min() > 0.99
+    assert as_mesh(surface).volume == pytest.approx(4 / 3 * np.pi * 0.6**3, rel=0.03)
+    assert report["faces"] <= PRESET.faces * 1.02 and report["watertight"]
+
+
+def test_floaters_and_inner_shells_are_dropped_and_counted():
+    solid = union(ball([0, 0, 0], 0.5), ball([0.8, 0, 0], 0.1))
+    hollow = AnalyticField(lambda p: torch.maximum(solid(p), -ball([0, 0, 0], 0.3)(p)))
+    surface, report = extract_surface(hollow, PRESET)
+    assert report["components"] == 3
+    assert report["dropped_inner_shells"] == 1 and report["dropped_floaters"] == 1
+    assert np.linalg.norm(surface.vertices, axis=1).min() > 0.48
+
+
+def test_object_cut_by_the_sphere_is_capped():
+    surface, report = extract_surface(AnalyticField(ball([0.6, 0, 0], 0.7)), PRESET)
+    assert report["watertight"]
+    assert np.linalg.norm(surface.vertices, axis=1).max() < 1.0
+
+
+def test_uv_atlas_covers_every_face_without_overlap():
+    surface, _ = extract_surface(AnalyticField(ball([0, 0, 0], 0.6)), PRESET)
+    assert surface.uv.min() >= 0 and surface.uv.max() <= 1
+    a, b, c = (surface.uv[surface.faces[:, k]] for k in range(3))
+    area = 0.5 * np.abs((b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0])
+    face, _ = rasterise(surface.uv, surface.faces, 512)
+    # Overlapping charts would leave fewer texels than the faces' areas add up to.
+    assert (face >= 0).sum() == pytest.approx(area.sum() * 512**2, rel=0.02)
+    assert np.isin(np.flatnonzero(area * 512**2 > 4), face).all()
+
+
+def test_empty_full_and_broken_fields_raise():
+    for function in (lambda p: p.norm(dim=-1) + 1, lambda p: p.norm(dim=-1) - 5, lambda p: p[:, 0] * float("nan")):
+        with pytest.raises(LearningError) as error:
+            extract_surface(AnalyticField(function), PRESET)
+        assert error.value.code == 6 and error.value.hint
+
+
+def test_rasterised_texels_lie_at_their_own_uv():
+    rng = np.random.default_rng(0)
+    uv = rng.random((3, 2))
+    face, barycentric = rasterise(uv, np.array([[0, 1, 2]]), 64)
+    i, j = np.nonzero(face == 0)
+    centres = np.stack([(j + 0.5) / 64, 1 - (i + 0.5) / 64], 1)
+    assert np.abs(barycentric[i, j] @ uv - centres).max() < 1e-5
+    # Brute force: the number of centres inside, by the sign of the three edge functions.
+    grid = np.stack(np.meshgrid((np.arange(64) + 0.5) / 64, (np.arange(64) + 0.5) / 64), -1).reshape(-1, 2)
+    edges = [np.cross(uv[(k + 1) % 3] - uv[k], grid - uv[k]) for k in range(3)]
+    inside = (np.min(edges, 0) >= 0) | (np.max(edges, 0) <= 0)
+    assert inside.sum() == len(i)
+
+
+def test_dilate_takes_the_nearest_known_texel():
+    known = np.zeros((9, 9), bool)
+    known[4, 1] = known[4, 7] = True
+    texture = np.full((9, 9, 3), np.nan)
+    texture[4, 1], texture[4, 7] = 1, 2
+    filled = dilate(texture, known)
+    assert (filled[:, :4] == 1).all() and (filled[:, 5:] == 2).all()
+
+
+def test_loaded_mesh_comes_to_the_unit_frame(tmp_path):
+    mesh = trimesh.creation.icosphere(subdivisions=2, radius=3)
+    mesh.apply_translation([5, 0, 0])
+    mesh.export(tmp_path / "ball.ply")
+    to_unit = np.diag([0.25, 0.25, 0.25, 1.0])
+    to_unit[0, 3] = -1.25
+    surface = load_surface(tmp_path / "ball.ply", UnitCapture(to_unit), PRESET)
+    assert np.abs(np.linalg.norm(surface.vertices, axis=1) - 0.75).max() < 1e-6
+    assert (surface.normals * surface.vertices).sum(1).min() > 0.74
+    assert surface.uv is not None
+
+
+def test_unusable_mesh_files_say_so(tmp_path):
+    (tmp_path / "bad.ply").write_text("no mesh")
+    trimesh.creation.icosphere(radius=0.1).apply_translation([9, 0, 0]).export(tmp_path / "far.ply")
+    for name in ("missing.ply", "bad.ply", "far.ply"):
+        with pytest.raises(CaptureError) as error:
+            load_surface(tmp_path / name, UnitCapture(np.eye(4)), PRESET)
+        assert error.value.hint
