@@ -14,8 +14,8 @@ from torch.nn import functional
 
 from blender_nep.capture.rays import PixelRays
 from blender_nep.errors import LearningError, Stopped
-from blender_nep.fields.environment_field import EnvironmentField
 from blender_nep.fields import environment_learning
+from blender_nep.fields.environment_field import EnvironmentField
 from blender_nep.fields.object_field import Appearance, ObjectField
 from blender_nep.fields.optimiser import UniformAdam
 from blender_nep.fields.volume_rendering import render_surface, sphere_interval
@@ -174,8 +174,8 @@ class FieldsLearning:
         target = tone_map(rays.radiance[index].float())
         out = self.render(origins, directions, half_angle, self.generator)
         photometric = (out.weight * (tone_map(out.radiance) - target).abs()).mean()
-        loss = photometric + p.eikonal * out.eikonal + p.curvature * (self.sharpness / p.first_sharpness) * out.curvature
-        loss = loss + self.environment.regularisation(self.generator)
+        stiffness = p.curvature * (self.sharpness / p.first_sharpness) ** 0.5
+        loss = photometric + p.eikonal * out.eikonal + stiffness * out.curvature + self.environment.regularisation(self.generator)
         if rays.mask is not None and p.mask > 0:
             mask = rays.mask[index].float() / 255
             loss = loss + p.mask * functional.binary_cross_entropy(out.opacity.clamp(1e-4, 1 - 1e-4), mask)
@@ -199,15 +199,17 @@ class FieldsLearning:
         else:
             self.failed += 1
             if self.failed >= PATIENCE:
-                raise LearningError("The photometric loss is not finite.",
-                                    "Check the photos for extreme values and the object sphere with `blender-nep info`.")
+                raise LearningError(
+                    "The photometric loss is not finite.",
+                    "Check the photos for extreme values and the object sphere with `blender-nep info`.")
         self.step += 1
         self.loss = float(photometric.detach())
         return self.loss
 
     def state(self) -> dict:
         """Everything that a resumed run needs."""
-        return {"step": self.step, "loss": self.loss, "levels": len(self.object_field.levels), "object": self.object_field.state_dict(),
+        return {"step": self.step, "loss": self.loss,
+                "levels": len(self.object_field.levels), "object": self.object_field.state_dict(),
                 "environment": self.environment.state_dict(), "sdf_optimiser": self.sdf_optimiser.state_dict(),
                 "head_optimiser": self.head_optimiser.state_dict(),
                 "environment_optimiser": self.environment_optimiser.state_dict(),

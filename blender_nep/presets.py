@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 class FieldsPreset:
     """Stage 1, fields learning. Lengths in object radii; fractions are of `steps`."""
 
-    steps: int = 2000
+    steps: int = 1500
     sphere_rays: int = 2560
     """Rays a step through pixels that see the object's sphere."""
     outside_rays: int = 1024
@@ -28,7 +28,7 @@ class FieldsPreset:
     head_width: int = 64
     first_sharpness: float = 12.0
     last_sharpness: float = 150.0
-    sharpness_until: float = 1.0
+    sharpness_until: float = 0.5
     coarse_until: float = 0.2
     first_samples: int = 32
     """Samples a ray in the object until `coarse_until`, while the band is wide; then `samples`."""
@@ -39,7 +39,7 @@ class FieldsPreset:
     eikonal: float = 0.02
     curvature: float = 5e-4
     """Weight of the mean of sqrt(|Hessian of the SDF|^2 + 1) at surface points, in 1 / object radius,
-    at the first sharpness; it grows with the sharpness, as the photos' pull does."""
+    at the first sharpness; it grows with the sharpness' root, as the photos' pull grows."""
     mask: float = 0.5
     dynamic_weight: str = "scaled"
     """none, paper (eq. 5 as printed) or scaled: see fields_learning.dynamic_weight."""
@@ -150,9 +150,9 @@ class Preset:
     name: str = "balanced"
     max_pixels_per_photo: int = 250_000
     """Photos are box-filtered down until they have at most this many pixels."""
-    fields_seconds: float = 300.0
-    surface_seconds: float = 20.0
-    material_seconds: float = 150.0
+    fields_seconds: float = 130.0
+    surface_seconds: float = 5.0
+    material_seconds: float = 35.0
     """What the three long rooms take on two cores: first guess of the time left, corrected as the job runs."""
     environment_height: int = 256
     """Rows of environment.exr."""
@@ -162,6 +162,25 @@ class Preset:
     material: MaterialPreset = field(default_factory=MaterialPreset)
 
 
+PRESETS = {
+    "preview": Preset(
+        name="preview", max_pixels_per_photo=40_000, fields_seconds=45, surface_seconds=3, material_seconds=20,
+        environment_height=128,
+        fields=FieldsPreset(steps=700, sphere_rays=2048, outside_rays=768),
+        environment=EnvironmentPreset(resolutions=((20, 32), (28, 64)), refine_at=(0.25,), steps=600),
+        surface=SurfacePreset(grid=144, faces=10_000, atlas_texels=512),
+        material=MaterialPreset(samples=12_000, terminal_steps=150, most_texels=512)),
+    "balanced": Preset(),
+    "quality": Preset(
+        name="quality", max_pixels_per_photo=650_000, fields_seconds=600, surface_seconds=20, material_seconds=90,
+        environment_height=512,
+        fields=FieldsPreset(steps=6000, sphere_rays=4096, outside_rays=1536, last_sharpness=250),
+        environment=EnvironmentPreset(steps=4000),
+        surface=SurfacePreset(grid=288, faces=60_000, atlas_texels=2048),
+        material=MaterialPreset(samples=80_000, most_texels=2048)),
+}
+
+
 def preset(name: str) -> Preset:
-    """The named preset. Raises KeyError for an unknown name."""
-    return {"preview": Preset(name="preview"), "balanced": Preset(), "quality": Preset(name="quality")}[name]
+    """The named preset: preview, balanced or quality. Raises KeyError for another name."""
+    return PRESETS[name]

@@ -7,7 +7,8 @@ from types import SimpleNamespace
 import pytest
 import torch
 
-from blender_nep.fields.environment_field import EnvironmentField, resample
+from blender_nep.fields.environment_field import EnvironmentField
+from blender_nep.fields.environment_grid import resample
 from blender_nep.fields.environment_learning import learn_environment
 from blender_nep.metrics import tone_map
 from blender_nep.presets import EnvironmentPreset
@@ -93,8 +94,8 @@ def test_constant_environment_gives_the_constant(degrees):
 def test_cone_starts_at_the_border_for_points_on_it(room):
     """From the border outwards nothing is skipped; from a point on it inwards the far side begins after the sphere."""
     directions = random_directions(30, 6)
-    outwards, _ = room.query_cone(directions, directions, 0.05)
-    across, _ = room.query_cone(-directions, directions, 0.05)
+    outwards, _ = room.query_cone(directions, directions, 0.005)
+    across, _ = room.query_cone(-directions, directions, 0.005)
     torch.testing.assert_close(outwards, across, rtol=0.2, atol=0.05)
 
 

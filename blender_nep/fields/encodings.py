@@ -26,13 +26,13 @@ def _legendre_table(levels: int) -> tuple[list[tuple[int, int]], torch.Tensor]:
     """(l, m) pairs and the coefficients [pairs, l_max + 1] of z^k in Y_l^m / (x + iy)^m, in float64."""
     pairs = [(2**i, m) for i in range(levels) for m in range(2**i + 1)]
     table = torch.zeros(len(pairs), 2 ** (levels - 1) + 1, dtype=torch.float64)
-    for row, (l, m) in enumerate(pairs):
-        norm = math.sqrt((2 * l + 1) * math.factorial(l - m) / (4 * math.pi * math.factorial(l + m)))
-        for k in range(l - m + 1):
-            half = 0.5 * (l + k + m - 1.0)
-            binomial = math.prod(half - j for j in range(l)) / math.factorial(l)
-            table[row, k] = (norm * (-1) ** m * 2**l * math.factorial(l) / math.factorial(k)
-                             / math.factorial(l - k - m) * binomial)
+    for row, (degree, m) in enumerate(pairs):
+        norm = math.sqrt((2 * degree + 1) * math.factorial(degree - m) / (4 * math.pi * math.factorial(degree + m)))
+        for k in range(degree - m + 1):
+            half = 0.5 * (degree + k + m - 1.0)
+            binomial = math.prod(half - j for j in range(degree)) / math.factorial(degree)
+            table[row, k] = (norm * (-1) ** m * 2**degree * math.factorial(degree) / math.factorial(k)
+                             / math.factorial(degree - k - m) * binomial)
     return pairs, table
 
 
@@ -59,6 +59,6 @@ def integrated_directional_encoding(direction: torch.Tensor, kappa_inv: torch.Te
         z_power.append(z_power[-1] * z)
     polynomial = torch.stack(z_power, -1) @ table.T
     order = torch.tensor([m for _, m in pairs], device=direction.device)
-    degree = torch.tensor([l * (l + 1) / 2 for l, _ in pairs], dtype=direction.dtype, device=direction.device)
+    degree = torch.tensor([n * (n + 1) / 2 for n, _ in pairs], dtype=direction.dtype, device=direction.device)
     scaled = polynomial * torch.exp(-degree * kappa_inv.clamp(min=0))
     return torch.cat([scaled * torch.stack(re, -1)[..., order], scaled * torch.stack(im, -1)[..., order]], -1)

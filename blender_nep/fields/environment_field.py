@@ -17,6 +17,7 @@ import numpy as np
 import torch
 from torch import nn
 
+from blender_nep.fields.environment_grid import resample
 from blender_nep.fields.environment_prefilter import PrefilteredEnvironment
 from blender_nep.ops.environment_cones import accumulate_evidence
 from blender_nep.ops.environment_rendering import render_environment
@@ -178,23 +179,3 @@ class EnvironmentField(nn.Module):
             self.coverage = self.raw.new_zeros(stored.shape[:3])
         self._prefiltered = None
         super()._load_from_state_dict(state_dict, prefix, *arguments)
-
-
-def resample(raw: torch.Tensor, shells: int, rows: int) -> torch.Tensor:
-    """The grid at another resolution [shells, rows, 2 rows, 4], by trilinear interpolation, periodic in the columns."""
-    old_rows = raw.shape[1]
-    padded = pad_angles(raw).permute(3, 0, 1, 2)[None]
-    device = raw.device
-    k = torch.linspace(-1.0, 1.0, shells, device=device)
-    j = ((torch.arange(rows, device=device) + 0.5) * (old_rows / rows) + 0.5) * (2 / (old_rows + 1)) - 1
-    c = ((torch.arange(2 * rows, device=device) + 0.5) * (old_rows / rows) + 0.5) * (2 / (2 * old_rows + 1)) - 1
-    place = torch.stack(torch.meshgrid(k, j, c, indexing="ij")[::-1], -1)[None].to(raw.dtype)
-    sampled = torch.nn.functional.grid_sample(padded, place, mode="bilinear", align_corners=True)
-    return sampled[0].permute(1, 2, 3, 0).contiguous()
-
-
-def pad_angles(raw: torch.Tensor) -> torch.Tensor:
-    """[K, H, W, C] -> [K, H + 2, W + 2, C]: one row beyond each pole (turned by half a turn), columns wrapped."""
-    half = raw.shape[2] // 2
-    rows = torch.cat([raw[:, :1].roll(half, 2), raw, raw[:, -1:].roll(half, 2)], 1)
-    return torch.cat([rows[:, :, -1:], rows, rows[:, :, :1]], 2)

@@ -1,4 +1,4 @@
-"""Cones through the prefiltered environment: one march along the axis, at the level as wide as the cone is there.
+"""Cones through the prefiltered environment: composited along the axis, at the level as wide as the cone is there.
 
 A level holds, for every shell, means over discs of one angular radius: premultiplied radiance, opacity of one shell
 spacing, and opacity times coverage. Crassin et al. 2011, voxel cone tracing, in spherical coordinates.
@@ -16,69 +16,64 @@ from numba import njit, prange
 from blender_nep.ops.environment_rendering_numba import angular_cell, cell_columns
 
 
-@njit(cache=True, inline="always")
-def _add_level(grid, k, fk, x, y, z, share, out):
-    """Adds share * (bilinear value at a direction, linear between shells k and k + 1) to out [5]."""
-    rows, columns = grid.shape[1], grid.shape[2]
+@njit(cache=True, inline="always", fastmath=True, error_model="numpy")
+def _add_level(grid, k, x, y, z, share, out):
+    """Adds share * (bilinear value of shell k at a direction) to out [5]."""
+    rows, columns = grid.shape[0], grid.shape[1]
     j, c, fj, fc = angular_cell(x, y, z, rows, columns)
     top, bottom, tl, tr, bl, br = cell_columns(j, c, rows, columns)
-    for a in range(2):
-        s = share * (fk if a else 1.0 - fk)
-        for h in range(5):
-            out[h] += s * ((1 - fj) * ((1 - fc) * grid[k + a, top, tl, h] + fc * grid[k + a, top, tr, h])
-                           + fj * ((1 - fc) * grid[k + a, bottom, bl, h] + fc * grid[k + a, bottom, br, h]))
+    w0 = share * (1.0 - fj) * (1.0 - fc)
+    w1 = share * (1.0 - fj) * fc
+    w2 = share * fj * (1.0 - fc)
+    w3 = share * fj * fc
+    for h in range(5):
+        out[h] += (w0 * grid[top, tl, k, h] + w1 * grid[top, tr, k, h]
+                   + w2 * grid[bottom, bl, k, h] + w3 * grid[bottom, br, k, h])
 
 
-@njit(cache=True, parallel=True)
-def _march(levels_of, radii, origins, directions, near, half_angle, log_outer, shells, step, out, threads):
-    n, blocks = origins.shape[0], threads * 16
-    levels = radii.shape[0]
-    spacing = log_outer / (shells - 1)
-    for b in prange(blocks):
+@njit(cache=True, parallel=True, fastmath=True, error_model="numpy")
+def _composite(levels_of, radii, shell_radii, occupied, origins, directions, near, half_angle, out, blocks):
+    n, levels, shells = origins.shape[0], radii.shape[0], shell_radii.shape[0]
+    to_level = 1.0 / math.log(radii[1] / radii[0])
+    first = math.log(radii[0])
+    for block in prange(blocks):
         value = np.empty(5)
-        for i in range(b * n // blocks, (b + 1) * n // blocks):
-            passed, t = 1.0, near[i]
-            # wide cones are blurred along the ray as well: longer steps
-            stride = step * min(3.0, 1.0 + 4.0 * half_angle[i])
-            for h in range(4):
-                out[i, h] = 0.0
-            while passed > 0.005:
-                x = origins[i, 0] + t * directions[i, 0]
-                y = origins[i, 1] + t * directions[i, 1]
-                z = origins[i, 2] + t * directions[i, 2]
-                radius = max(math.sqrt(x * x + y * y + z * z), 1.0)
-                place = math.log(radius) / log_outer * (shells - 1)
-                closing = place >= shells - 1
-                place = min(place, shells - 1.0)
-                k = min(int(place), shells - 2)
-                angle = half_angle[i] * t / radius
-                level = 0
-                while level < levels - 2 and radii[level + 1] < angle:
-                    level += 1
-                mix = (math.log(max(angle, 1e-6) / radii[level]) / math.log(radii[level + 1] / radii[level]))
-                mix = min(max(mix, 0.0), 1.0)
+        for i in range(block * n // blocks, (block + 1) * n // blocks):
+            ox, oy, oz = float(origins[i, 0]), float(origins[i, 1]), float(origins[i, 2])
+            dx, dy, dz = float(directions[i, 0]), float(directions[i, 1]), float(directions[i, 2])
+            along = ox * dx + oy * dy + oz * dz
+            rest = along * along - (ox * ox + oy * oy + oz * oz)
+            width = math.log(max(float(half_angle[i]), 1e-6))
+            passed, red, green, blue, seen = 1.0, 0.0, 0.0, 0.0, 0.0
+            for k in range(shells):
+                if not occupied[k]:
+                    continue
+                radius = shell_radii[k]
+                t = math.sqrt(max(rest + radius * radius, 0.0)) - along
+                if t < near[i] and k < shells - 1:
+                    continue
+                place = min(max((width + math.log(max(t, 1e-6) / radius) - first) * to_level, 0.0), levels - 1.0)
+                level = min(int(place), levels - 2)
+                mix = place - level
+                x, y, z = ox + t * dx, oy + t * dy, oz + t * dz
                 for h in range(5):
                     value[h] = 0.0
-                for g in range(2):
-                    share = mix if g else 1.0 - mix
-                    if share > 0.0:
-                        _add_level(levels_of[level + g], k, place - k, x, y, z, share, value)
-                opacity = min(max(value[3], 0.0), 1.0)
-                if opacity > 1e-6:
-                    alpha = 1.0 if closing else 1.0 - (1.0 - min(opacity, 0.999999)) ** (stride / spacing)
-                    weight = passed * alpha / opacity
-                    out[i, 0] += weight * value[0]
-                    out[i, 1] += weight * value[1]
-                    out[i, 2] += weight * value[2]
-                    out[i, 3] += weight * value[4]
-                    passed *= 1.0 - alpha
-                if closing:
+                if mix < 1.0:
+                    _add_level(levels_of[level], k, x, y, z, 1.0 - mix, value)
+                if mix > 0.0:
+                    _add_level(levels_of[level + 1], k, x, y, z, mix, value)
+                red += passed * value[0]
+                green += passed * value[1]
+                blue += passed * value[2]
+                seen += passed * value[4]
+                passed *= 1.0 - min(value[3], 1.0)
+                if passed < 1e-3:
                     break
-                t += stride * radius
-            seen = 1.0 - passed
-            if seen > 0.0:
-                for h in range(4):
-                    out[i, h] /= seen
+            scale = 1.0 / max(1.0 - passed, 1e-9)
+            out[i, 0] = red * scale
+            out[i, 1] = green * scale
+            out[i, 2] = blue * scale
+            out[i, 3] = seen * scale
 
 
 @njit(cache=True)
@@ -109,19 +104,23 @@ def accumulate_evidence(raw, origins, directions, near, log_outer, density_gain,
 
 
 def level_list(levels: list[torch.Tensor]) -> numba.typed.List:
-    """Levels [K, H_l, W_l, 5] as the kernel takes them."""
-    return numba.typed.List([level.contiguous().numpy() for level in levels])
+    """Levels [K, H_l, W_l, 5] as the kernel takes them, [H_l, W_l, K, 5]: a cone's axis meets neighbours in memory."""
+    return numba.typed.List([level.permute(1, 2, 0, 3).contiguous().numpy() for level in levels])
 
 
-def march_cones(levels: numba.typed.List, radii: list[float], origins: torch.Tensor,
-                directions: torch.Tensor, near: torch.Tensor, half_angle: torch.Tensor, outer_radius: float,
-                step: float) -> torch.Tensor:
-    """Mean radiance and coverage [n, 4] in cones; levels [K, H_l, W_l, 5], radii in radians, near [n], half_angle [n].
+def composite_cones(levels: numba.typed.List, radii: list[float], shell_radii: torch.Tensor,
+                    occupied: torch.Tensor, origins: torch.Tensor, directions: torch.Tensor, near: torch.Tensor, half_angle: torch.Tensor) -> torch.Tensor:
+    """Mean radiance and coverage [n, 4] in cones from inside the innermost shell: one lookup a shell, at the level as
+    wide as the cone is there.
 
-    The body is Numba's on every device: fields of a GPU are copied once, when they are prefiltered.
+    levels: see `level_list`, of discs whose angular radii (radians) form a geometric series; shell_radii [K];
+    occupied [K] bool, shells to look at;
+    near [n], half_angle [n]. The body is Numba's on every device: fields of a GPU are copied once, when they are
+    prefiltered.
     """
     out = np.empty((len(origins), 4), np.float32)
-    _march(levels, np.asarray(radii, np.float64),
-           *(a.detach().cpu().contiguous().float().numpy() for a in (origins, directions, near, half_angle)),
-           math.log(outer_radius), levels[0].shape[0], step, out, numba.get_num_threads())
+    near = (near - 1e-4).clamp(min=0)
+    _composite(levels, np.asarray(radii, np.float64), shell_radii.double().numpy(), occupied.numpy(),
+               *(a.detach().cpu().contiguous().float().numpy() for a in (origins, directions, near, half_angle)),
+               out, 16 * numba.get_num_threads())
     return torch.from_numpy(out).to(origins.device)

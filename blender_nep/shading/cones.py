@@ -60,7 +60,8 @@ def specular_cones(v: Tensor, roughness: Tensor, count: int, turn: Tensor
     """The GGX lobe split among `count` cones.
 
     v [..., 3] local, v.z > 0; roughness [...]; turn [..., 2] in [0,1). Axes are visible normals, so that lobe * l.n / pdf is
-    the weight G2 / G1; a cone is as wide as its share of the lobe (1 / (count pdf), Krivanek & Colbert 2008), never wider than its share of the solid angle that holds beta of the energy.
+    the weight G2 / G1; a cone is as wide as its share of the lobe (1 / (count pdf), Krivanek & Colbert 2008), never
+    wider than its share of the solid angle that holds beta of the energy.
     Returns local l [..., count, 3], weight [..., count] (0 below the horizon; the sum is E(v)),
     cos of v.h [..., count], half_angle [..., count].
     """
@@ -80,8 +81,8 @@ def specular_cones(v: Tensor, roughness: Tensor, count: int, turn: Tensor
 def diffuse_cones(count: int, turn: Tensor) -> tuple[Tensor, Tensor]:
     """The cosine-weighted hemisphere split among `count` cones of equal weight.
 
-    turn [..., 2] in [0,1). Returns local l [..., count, 3] and half_angle [..., count]; the mean radiance of the cones is the
-    irradiance over pi.
+    turn [..., 2] in [0,1). Returns local l [..., count, 3] and half_angle [..., count]; the mean radiance of the cones
+    is the irradiance over pi.
     """
     light, pdf = sample_cosine(torch.stack(spiral(count, turn), -1))
     widest = torch.full_like(pdf, 2 * math.pi / count)
