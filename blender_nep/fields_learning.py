@@ -175,7 +175,8 @@ class FieldsLearning:
         out = self.render(origins, directions, half_angle, self.generator)
         photometric = (out.weight * (tone_map(out.radiance) - target).abs()).mean()
         stiffness = p.curvature * (self.sharpness / p.first_sharpness) ** 0.5
-        loss = photometric + p.eikonal * out.eikonal + stiffness * out.curvature + self.environment.regularisation(self.generator)
+        loss = (photometric + p.eikonal * out.eikonal + stiffness * out.curvature
+                + self.environment.regularisation(self.generator))
         if rays.mask is not None and p.mask > 0:
             mask = rays.mask[index].float() / 255
             loss = loss + p.mask * functional.binary_cross_entropy(out.opacity.clamp(1e-4, 1 - 1e-4), mask)

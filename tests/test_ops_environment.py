@@ -7,10 +7,12 @@ import numpy as np
 import pytest
 import torch
 
-from blender_nep.fields.environment_prefilter import disc_mean, from_weights, visible_weights
+from blender_nep.fields.environment_prefilter import disc_mean
 from blender_nep.ops.environment_rendering import render_environment
 from blender_nep.ops.environment_rendering_torch import interpolate
 from blender_nep.ops.environment_segments import scale_invariant_segments
+from blender_nep.ops.environment_smoothness import total_variation
+from blender_nep.ops.environment_weights import from_weights, weights_from_centre
 
 OUTER = 20.0
 EXACT = {"transmittance_limit": 0.0, "depth_limit": 0.0}
@@ -86,7 +88,7 @@ def test_neglecting_little_changes_little():
 
 @pytest.mark.parametrize("body", ["numba", "torch"])
 def test_uniform_medium_has_its_closed_form(body):
-    """Density sigma / |x| along a ray: optical depth sigma (asinh(t1 / b) - asinh(t0 / b)), t from the closest point."""
+    """Density sigma / |x|: optical depth sigma (asinh(t1 / b) - asinh(t0 / b)), t measured from the closest point."""
     origins, directions, near, far = random_rays(40, 8)
     far = torch.where(torch.isinf(far), 3.0, far)
     raw = torch.zeros(4, 6, 12, 4, dtype=torch.float64)
@@ -189,10 +191,50 @@ def test_disc_mean_of_a_cosine(degrees):
 
 def test_weights_and_opacities_are_each_others_inverse():
     generator = torch.Generator().manual_seed(0)
-    opacity = torch.rand(8, 3, 4, 1, generator=generator)
+    opacity = torch.rand(8, 3, 4, 1, generator=generator) * 0.7
     opacity[-1] = 1
     nodes = torch.cat([torch.rand(8, 3, 4, 3, generator=generator), torch.ones(8, 3, 4, 1),
                        torch.rand(8, 3, 4, 1, generator=generator)], -1)
-    weights = visible_weights(opacity)
-    torch.testing.assert_close(weights.sum(0), torch.ones(3, 4, 1))
-    torch.testing.assert_close(from_weights(weights * nodes)[:-1], (opacity * nodes)[:-1], rtol=1e-3, atol=1e-3)
+    clear = torch.cumprod(1 - opacity, 0)
+    weights = opacity * torch.cat([torch.ones_like(clear[:1]), clear[:-1]])
+    back = torch.from_numpy(from_weights(weights * nodes)).permute(2, 0, 1, 3)
+    torch.testing.assert_close(back, opacity * nodes, rtol=2e-3, atol=1e-4)
+
+
+def test_nothing_left_to_see_is_opaque_and_keeps_its_colour():
+    weighted = torch.zeros(4, 1, 1, 5)
+    weighted[1] = torch.tensor([2.0, 3.0, 4.0, 1.0, 0.5])
+    out = torch.from_numpy(from_weights(weighted))[0, 0]
+    assert (out[0] == 0).all()
+    torch.testing.assert_close(out[1:], weighted[1, 0, 0].expand(3, 5))
+
+
+def test_weights_from_the_centre_are_what_rays_from_there_see():
+    raw, rows = random_grid(7, 8, 1).float(), 16
+    weights = weights_from_centre(raw, torch.ones(7, 8, 16), 2.0, math.log(OUTER) / 6, rows)
+    torch.testing.assert_close(weights[..., 3].sum(0), torch.ones(rows, 2 * rows))
+    torch.testing.assert_close(weights[..., 4], weights[..., 3])
+    theta = (torch.arange(rows) + 0.5) * math.pi / rows
+    phi = (torch.arange(2 * rows) + 0.5) * math.pi / rows - math.pi
+    theta, phi = torch.meshgrid(theta, phi, indexing="ij")
+    directions = torch.stack([theta.sin() * phi.cos(), theta.sin() * phi.sin(), theta.cos()], -1).reshape(-1, 3)
+    n = len(directions)
+    # along a ray just beside the centre, from the border outwards
+    origins = 1e-3 * torch.linalg.cross(directions, torch.tensor([[0.36, 0.48, 0.8]]).expand(n, 3))
+    radiance, _ = render(raw, (origins, directions, torch.ones(n), torch.full((n,), math.inf)), step=0.01)
+    seen = weights[..., :3].sum(0).reshape(-1, 3)
+    assert ((seen - radiance).abs() / radiance).mean() < 0.02
+
+
+def test_variation_bodies_agree_and_a_step_costs_its_height():
+    results = []
+    for body in ("numba", "torch"):
+        grid = random_grid(6, 4, 1).requires_grad_()
+        value = total_variation(grid, 2, 3, (1.0, 0.5, 0.2, 0.0), 0.05, body)
+        (2 * value).backward()
+        results.append((value.detach(), grid.grad))
+    for ours, reference in zip(*results, strict=True):
+        torch.testing.assert_close(ours, reference, rtol=1e-9, atol=1e-12)
+    step = torch.zeros(4, 8, 16, 1, dtype=torch.float64)
+    step[2:] = 3.0
+    assert float(total_variation(step, 0, 4, (1.0,), 1e-9)) == pytest.approx(3.0 / 3)

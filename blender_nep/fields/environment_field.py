@@ -1,9 +1,9 @@
 """The prefiltered environment field F_e: the radiance of everything outside the object's unit sphere.
 
-A spherical volume centred on the object. Shells stand at equal steps of log |x| from the border |x| = 1 outwards, every
+A spherical volume centred on the object. Shells stand at equal steps of log |x| from the border |x| = 1 outwards; every
 shell is an equirectangular grid (rows from +z to -z, columns with atan2(y, x)). A node holds a raw density (softplus,
-per unit of dt / |x|, so that the volume is scale-invariant) and the logarithm of linear radiance. The outermost shell is
-the sky: it closes every ray that nothing else stops.
+per unit of dt / |x|, so that the volume is scale-invariant) and the logarithm of linear radiance. The outermost shell
+is the sky: it closes every ray that nothing else stops.
 
 The paper takes a Mip-NeRF for F_e so that cones can be asked for. Here the volume is prefiltered once learned
 (`environment_prefilter`), so that cones of any width are right by construction.
@@ -21,6 +21,7 @@ from blender_nep.fields.environment_grid import resample
 from blender_nep.fields.environment_prefilter import PrefilteredEnvironment
 from blender_nep.ops.environment_cones import accumulate_evidence
 from blender_nep.ops.environment_rendering import render_environment
+from blender_nep.ops.environment_smoothness import total_variation
 from blender_nep.presets import EnvironmentPreset
 
 
@@ -100,17 +101,13 @@ class EnvironmentField(nn.Module):
         of shells a call.
         """
         preset, raw = self.preset, self.raw
-        shells, rows, columns = raw.shape[:3]
+        shells = raw.shape[0]
         run = max(2, round(shells * preset.regularised_fraction))
         first = int(torch.randint(0, shells - run + 1, (1,), generator=generator, device=raw.device))
-        slab = raw[first : first + run]
-        total = raw.new_zeros(())
-        for axis in (0, 1, 2):
-            difference = slab.diff(dim=axis)
-            total = total + torch.sqrt(difference * difference + preset.variation_softness**2).mean(dim=(0, 1, 2)) @ (
-                raw.new_tensor([preset.density_variation] + [preset.colour_variation] * 3)
-            )
-        return total + preset.density_penalty * torch.nn.functional.softplus(slab[..., 0]).mean()
+        weight = (preset.density_variation, *[preset.colour_variation] * 3)
+        variation = total_variation(raw, first, run, weight, preset.variation_softness)
+        density = torch.nn.functional.softplus(raw[first : first + run, ..., 0]).mean()
+        return variation + preset.density_penalty * density
 
     def refine(self, fraction: float) -> bool:
         """Go to the resolution due at this fraction of the training; True if the parameter was replaced.

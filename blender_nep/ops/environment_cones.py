@@ -13,14 +13,14 @@ import numpy as np
 import torch
 from numba import njit, prange
 
-from blender_nep.ops.environment_rendering_numba import angular_cell, cell_columns
+from blender_nep.ops.environment_rendering_numba import angular_cell, cell, cell_columns, polar
 
 
 @njit(cache=True, inline="always", fastmath=True, error_model="numpy")
-def _add_level(grid, k, x, y, z, share, out):
+def _add_level(grid, k, turn, fall, share, out):
     """Adds share * (bilinear value of shell k at a direction) to out [5]."""
     rows, columns = grid.shape[0], grid.shape[1]
-    j, c, fj, fc = angular_cell(x, y, z, rows, columns)
+    j, c, fj, fc = cell(turn, fall, rows, columns)
     top, bottom, tl, tr, bl, br = cell_columns(j, c, rows, columns)
     w0 = share * (1.0 - fj) * (1.0 - fc)
     w1 = share * (1.0 - fj) * fc
@@ -55,13 +55,13 @@ def _composite(levels_of, radii, shell_radii, occupied, origins, directions, nea
                 place = min(max((width + math.log(max(t, 1e-6) / radius) - first) * to_level, 0.0), levels - 1.0)
                 level = min(int(place), levels - 2)
                 mix = place - level
-                x, y, z = ox + t * dx, oy + t * dy, oz + t * dz
+                turn, fall = polar(ox + t * dx, oy + t * dy, oz + t * dz)
                 for h in range(5):
                     value[h] = 0.0
                 if mix < 1.0:
-                    _add_level(levels_of[level], k, x, y, z, 1.0 - mix, value)
+                    _add_level(levels_of[level], k, turn, fall, 1.0 - mix, value)
                 if mix > 0.0:
-                    _add_level(levels_of[level + 1], k, x, y, z, mix, value)
+                    _add_level(levels_of[level + 1], k, turn, fall, mix, value)
                 red += passed * value[0]
                 green += passed * value[1]
                 blue += passed * value[2]
@@ -78,7 +78,7 @@ def _composite(levels_of, radii, shell_radii, occupied, origins, directions, nea
 
 @njit(cache=True)
 def accumulate_evidence(raw, origins, directions, near, log_outer, density_gain, step, evidence):
-    """Adds to evidence [K, H, W] the weight with which each camera ray sees each node (nearest). One thread: no race."""
+    """Adds to evidence [K, H, W] the weight with which each camera ray sees each node (nearest). One thread."""
     shells, rows, columns = raw.shape[0], raw.shape[1], raw.shape[2]
     for i in range(origins.shape[0]):
         passed, t = 1.0, near[i]
@@ -103,24 +103,26 @@ def accumulate_evidence(raw, origins, directions, near, log_outer, density_gain,
             t += step * radius
 
 
-def level_list(levels: list[torch.Tensor]) -> numba.typed.List:
-    """Levels [K, H_l, W_l, 5] as the kernel takes them, [H_l, W_l, K, 5]: a cone's axis meets neighbours in memory."""
-    return numba.typed.List([level.permute(1, 2, 0, 3).contiguous().numpy() for level in levels])
+def composite_cones(
+    levels: list[np.ndarray], radii: list[float], shell_radii: torch.Tensor, occupied: torch.Tensor,
+    origins: torch.Tensor, directions: torch.Tensor, near: torch.Tensor, half_angle: torch.Tensor,
+) -> torch.Tensor:
+    """Mean radiance and coverage [n, 4] in cones from inside the innermost shell.
 
+    One lookup a shell, at the level as wide as the cone is there. The body is Numba's on every device: fields of a GPU
+    are copied once, when they are prefiltered.
 
-def composite_cones(levels: numba.typed.List, radii: list[float], shell_radii: torch.Tensor,
-                    occupied: torch.Tensor, origins: torch.Tensor, directions: torch.Tensor, near: torch.Tensor, half_angle: torch.Tensor) -> torch.Tensor:
-    """Mean radiance and coverage [n, 4] in cones from inside the innermost shell: one lookup a shell, at the level as
-    wide as the cone is there.
-
-    levels: see `level_list`, of discs whose angular radii (radians) form a geometric series; shell_radii [K];
-    occupied [K] bool, shells to look at;
-    near [n], half_angle [n]. The body is Numba's on every device: fields of a GPU are copied once, when they are
-    prefiltered.
+    Args:
+        levels: [H_l, W_l, K, 5] each, see `environment_weights.from_weights`; radii: angular radii of their discs,
+            radians, a geometric series.
+        shell_radii: [K]; occupied: [K] bool, shells to look at.
+        origins, directions: [n, 3]; near: [n], shells before it are left out; half_angle: [n] radians.
     """
     out = np.empty((len(origins), 4), np.float32)
     near = (near - 1e-4).clamp(min=0)
-    _composite(levels, np.asarray(radii, np.float64), shell_radii.double().numpy(), occupied.numpy(),
-               *(a.detach().cpu().contiguous().float().numpy() for a in (origins, directions, near, half_angle)),
-               out, 16 * numba.get_num_threads())
+    _composite(
+        numba.typed.List(levels), np.asarray(radii, np.float64), shell_radii.double().numpy(), occupied.numpy(),
+        *(a.detach().cpu().contiguous().float().numpy() for a in (origins, directions, near, half_angle)),
+        out, 16 * numba.get_num_threads(),
+    )
     return torch.from_numpy(out).to(origins.device)

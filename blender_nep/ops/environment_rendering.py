@@ -25,7 +25,8 @@ class _RenderNumba(torch.autograd.Function):
         kernels.march(
             grid, origins.numpy(), directions.numpy(), *(part.numpy() for part in segments), offsets.numpy(),
             jitter.numpy(), infinite.numpy(), log_radius, density_gain, gradient_near, transmittance_limit, depth_limit,
-            keep, radiance.numpy(), transmittance.numpy(), live.numpy(), cells.numpy(), fractions.numpy(), local.numpy(),
+            keep, radiance.numpy(), transmittance.numpy(), live.numpy(), cells.numpy(), fractions.numpy(),
+            local.numpy(),
         )
         ctx.shape = grid.shape
         ctx.records = (offsets, live, cells, fractions, local, radiance.clone(), transmittance.clone())

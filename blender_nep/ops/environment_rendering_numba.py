@@ -18,18 +18,31 @@ COLOUR_LIMIT = 9.0
 
 
 @njit(cache=True, inline="always", fastmath=True, error_model="numpy")
+def polar(x, y, z):
+    """Azimuth in turns from -x, [0, 1], and angle from +z in half turns, [0, 1]."""
+    fall = math.atan2(math.sqrt(x * x + y * y), z) * (1.0 / math.pi)
+    return math.atan2(y, x) * (0.5 / math.pi) + 0.5, fall
+
+
+@njit(cache=True, inline="always", fastmath=True, error_model="numpy")
+def cell(turn, fall, rows, columns):
+    """Cell of `polar` angles in a cell-centred equirectangular grid: see `angular_cell`."""
+    v = fall * rows + 0.5
+    j = min(int(v), rows)
+    u = turn * columns + (columns - 0.5)
+    c = int(u)
+    return j, c % columns, v - j, u - c
+
+
+@njit(cache=True, inline="always", fastmath=True, error_model="numpy")
 def angular_cell(x, y, z, rows, columns):
     """Cell of a direction in a cell-centred equirectangular grid: (row + 1, column, row fraction, column fraction).
 
     Rows run from +z (0) to -z; columns with atan2(y, x). The returned row lies in [0, rows]: 0 is the cell between the
     first row and itself across the pole. The column lies in [0, columns).
     """
-    theta = math.atan2(math.sqrt(x * x + y * y), z)
-    v = theta * (rows / math.pi) + 0.5
-    j = min(int(v), rows)
-    u = (math.atan2(y, x) * (0.5 / math.pi) + 0.5) * columns + (columns - 0.5)
-    c = int(u)
-    return j, c % columns, v - j, u - c
+    turn, fall = polar(x, y, z)
+    return cell(turn, fall, rows, columns)
 
 
 @njit(cache=True, inline="always", fastmath=True, error_model="numpy")
@@ -176,7 +189,8 @@ def sample_gradients(offsets, live, local, radiance, transmittance, g_radiance, 
             behind_g -= weight * green
             behind_b -= weight * blue
             rest = passed * (1.0 - alpha)
-            g_depth = gr * (rest * red - behind_r) + gg * (rest * green - behind_g) + gb * (rest * blue - behind_b) - g_t
+            g_depth = gr * (rest * red - behind_r) + gg * (rest * green - behind_g) - g_t
+            g_depth += gb * (rest * blue - behind_b)
             g_samples[m, 0] = scale * g_depth * local[m, 0]
             g_samples[m, 1] = scale * gr * weight * red
             g_samples[m, 2] = scale * gg * weight * green

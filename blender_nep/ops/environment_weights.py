@@ -1,0 +1,123 @@
+"""From densities to what is seen from the centre, and back to opacities: both ends of the environment's prefilter."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import torch
+from numba import njit, prange
+
+from blender_nep.ops.environment_rendering_numba import COLOUR_LIMIT, angular_cell, cell_columns
+
+RADIAL_STEPS = 4
+"""Steps in which the weights of one shell spacing are integrated."""
+LEAST_WEIGHT = 1e-6
+LEAST_LEFT = 1e-4
+"""Where less than this is left to see, opacities are not taken from weights: they would be ratios of rounding."""
+
+
+@njit(cache=True, parallel=True, fastmath=True, error_model="numpy")
+def _weights_from_centre(raw, coverage, density_gain, spacing, out):
+    shells, rows, columns = raw.shape[0], raw.shape[1], raw.shape[2]
+    fine_rows, fine_columns = out.shape[1], out.shape[2]
+    for row in prange(fine_rows):
+        theta = (row + 0.5) * math.pi / fine_rows
+        node, before = np.empty(5), np.empty(5)
+        for column in range(fine_columns):
+            phi = (column + 0.5) * 2 * math.pi / fine_columns - math.pi
+            j, c, fj, fc = angular_cell(
+                math.sin(theta) * math.cos(phi), math.sin(theta) * math.sin(phi), math.cos(theta), rows, columns
+            )
+            top, bottom, tl, tr, bl, br = cell_columns(j, c, rows, columns)
+            w0, w1, w2, w3 = (1.0 - fj) * (1.0 - fc), (1.0 - fj) * fc, fj * (1.0 - fc), fj * fc
+            passed = 1.0
+            for k in range(shells):
+                for h in range(4):
+                    node[h] = (w0 * raw[k, top, tl, h] + w1 * raw[k, top, tr, h]
+                               + w2 * raw[k, bottom, bl, h] + w3 * raw[k, bottom, br, h])
+                    out[k, row, column, h] = 0.0
+                node[4] = (w0 * coverage[k, top, tl] + w1 * coverage[k, top, tr]
+                           + w2 * coverage[k, bottom, bl] + w3 * coverage[k, bottom, br])
+                out[k, row, column, 4] = 0.0
+                for step in range(RADIAL_STEPS if k > 0 else 0):
+                    f = (step + 0.5) / RADIAL_STEPS
+                    value = before[0] + f * (node[0] - before[0])
+                    density = density_gain * (max(value, 0.0) + math.log1p(math.exp(-abs(value))))
+                    alpha = -math.expm1(-density * spacing / RADIAL_STEPS)
+                    weight = passed * alpha
+                    passed -= weight
+                    if weight < 1e-9:
+                        continue
+                    # each step's weight is shared between the shells on its two sides
+                    for h in range(1, 4):
+                        value = before[h] + f * (node[h] - before[h])
+                        value = weight * math.exp(min(max(value, -COLOUR_LIMIT), COLOUR_LIMIT))
+                        out[k - 1, row, column, h - 1] += (1.0 - f) * value
+                        out[k, row, column, h - 1] += f * value
+                    value = weight * (before[4] + f * (node[4] - before[4]))
+                    out[k - 1, row, column, 3] += (1.0 - f) * weight
+                    out[k, row, column, 3] += f * weight
+                    out[k - 1, row, column, 4] += (1.0 - f) * value
+                    out[k, row, column, 4] += f * value
+                for h in range(5):
+                    before[h] = node[h]
+            for h in range(1, 4):
+                out[-1, row, column, h - 1] += passed * math.exp(min(max(node[h], -COLOUR_LIMIT), COLOUR_LIMIT))
+            out[-1, row, column, 3] += passed
+            out[-1, row, column, 4] += passed * node[4]
+
+
+@njit(cache=True, parallel=True, error_model="numpy")
+def _from_weights(weighted, out):
+    shells = weighted.shape[0]
+    for row in prange(weighted.shape[1]):
+        before = np.empty(5)
+        for column in range(weighted.shape[2]):
+            total = 0.0
+            for h in range(5):
+                before[h] = 0.0
+                for k in range(shells):
+                    before[h] += weighted[k, row, column, h]
+            total = max(before[3], LEAST_WEIGHT)
+            for h in range(5):
+                before[h] /= total
+            left = total
+            for k in range(shells):
+                weight = float(weighted[k, row, column, 3])
+                if weight > LEAST_WEIGHT:
+                    for h in range(5):
+                        before[h] = weighted[k, row, column, h] / weight
+                opacity = 1.0
+                if left > LEAST_LEFT and k < shells - 1:
+                    opacity = min(weight / left, 1.0)
+                for h in range(5):
+                    out[row, column, k, h] = before[h] * opacity
+                left -= weight
+
+
+def weights_from_centre(
+    raw: torch.Tensor, coverage: torch.Tensor, density_gain: float, spacing: float, rows: int
+) -> torch.Tensor:
+    """What each shell contributes to the view from the centre: (w radiance, w, w coverage) [K, rows, 2 rows, 5].
+
+    raw [K, H, W, 4] (raw density, log radiance) and coverage [K, H, W] in 0..1 are interpolated as when rendering;
+    spacing of the shells in log |x|. The weights of a direction sum to 1: the last shell is the sky.
+    """
+    out = np.empty((raw.shape[0], rows, 2 * rows, 5), np.float32)
+    grid, seen = (a.detach().cpu().float().contiguous().numpy() for a in (raw, coverage))
+    _weights_from_centre(grid, seen, density_gain, spacing, out)
+    return torch.from_numpy(out)
+
+
+def from_weights(weighted: torch.Tensor) -> np.ndarray:
+    """Opacities that composite to given weights, laid out for `composite_cones`.
+
+    [K, H, W, 5] (w radiance, w, w coverage) -> [H, W, K, 5], the same premultiplied by opacity instead of w: a cone's
+    axis meets neighbours in memory. Where nothing is left to see, a shell is opaque and goes on with the colour before
+    it; so is the last.
+    """
+    shells, rows, columns, channels = weighted.shape
+    out = np.empty((rows, columns, shells, channels), np.float32)
+    _from_weights(weighted.contiguous().numpy(), out)
+    return out
