@@ -248,7 +248,8 @@ def learn_fields(rays: PixelRays, preset: Preset, *, seed: int, device: torch.de
         learning.load(state)
     steps = preset.fields.steps
     while learning.step < steps:
-        progress(learning.step, steps, learning.learn_step())
+        loss = learning.learn_step()
+        progress(learning.step, steps, loss)
         if checkpoint.stopping or checkpoint.due():
             checkpoint.save(learning.state())
             if checkpoint.stopping:

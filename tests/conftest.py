@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from types import SimpleNamespace
 
+import blender_nep  # noqa: F401  # isort: skip  # before torch: it sets how OpenMP threads wait
 import numpy as np
 import OpenEXR
 import pytest

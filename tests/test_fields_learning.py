@@ -1,0 +1,116 @@
+"""Stage 1 on the capture in the repository: what is learned, determinism, resume; the dynamic weight by its formula."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+import trimesh
+
+from blender_nep.capture import PixelRays, load_capture
+from blender_nep.errors import LearningError
+from blender_nep.fields.object_field import Appearance
+from blender_nep.fields_learning import Fields, FieldsLearning, dynamic_weight, learn_fields
+from blender_nep.presets import preset
+from blender_nep.raytracing import RayTracer
+from blender_nep.surface import Surface
+
+CAPTURE = Path(__file__).parent.parent / "data" / "suzanne_small"
+CPU = torch.device("cpu")
+
+
+class NoCheckpoint:
+    """A checkpoint that has nothing and wants nothing."""
+
+    stopping = False
+
+    def load(self):
+        return None
+
+    def due(self):
+        return False
+
+
+@pytest.fixture(scope="module")
+def rays():
+    return PixelRays.from_capture(load_capture(CAPTURE), 10_000, False, CPU)
+
+
+def small(**fields):
+    p = preset("preview")
+    return replace(p, fields=replace(p.fields, **{"steps": 24, "sphere_rays": 512, "outside_rays": 256, **fields}))
+
+
+def no_progress(step, steps, loss):
+    assert 0 < step <= steps and np.isfinite(loss)
+
+
+def test_dynamic_weight_is_equation_5_and_passes_no_gradient():
+    albedo = torch.tensor([[0.2, 0.5, 0.9], [0.1, 0.1, 0.1]], requires_grad=True)
+    light = torch.tensor([[1.0, 1.0, 1.0], [30.0, 30.0, 30.0]], requires_grad=True)
+    appearance = Appearance(albedo, light, torch.zeros(2, 1))
+    weight = dynamic_weight(appearance, "paper", cap=1.5, epsilon=1e-3)
+    assert not weight.requires_grad
+    torch.testing.assert_close(weight[:, 0], torch.tensor([1.5, 1 / (2.9**2 + 1e-3)]))
+    assert (dynamic_weight(appearance, "none") == 1).all()
+    scaled = dynamic_weight(appearance, "scaled")
+    assert scaled[0] > scaled[1], "where the colour is the albedo, the pixel counts more"
+
+
+def test_a_short_learning_comes_nearer_to_the_truth(rays):
+    truth = trimesh.load(CAPTURE / "gt_mesh.ply", process=False, force="mesh")
+    capture = load_capture(CAPTURE)
+    points = (trimesh.sample.sample_surface(truth, 2000, seed=0)[0] - capture.object_center) / capture.object_radius
+    points = torch.from_numpy(points).float()
+    chosen = small(steps=150, sphere_rays=1024, outside_rays=512)
+    before = FieldsLearning(rays, chosen, 0, CPU).object_field.sdf(points).abs().mean()
+    learned = learn_fields(rays, chosen, seed=0, device=CPU, progress=no_progress, checkpoint=NoCheckpoint())
+    after = learned.object_field.sdf(points).abs().mean()
+    assert after < 0.35 * before, f"{before:.4f} -> {after:.4f}"
+    copy = Fields.from_state(learned.state(), chosen, CPU)
+    torch.testing.assert_close(copy.object_field.sdf(points), learned.object_field.sdf(points))
+    direction = torch.nn.functional.normalize(points, dim=-1)
+    torch.testing.assert_close(copy.environment.query_cone(points * 0, direction, 0.2),
+                               learned.environment.query_cone(points * 0, direction, 0.2))
+
+
+def test_a_resumed_run_gives_the_same_fields(rays):
+    def advance(learning, steps):
+        for _ in range(steps):
+            learning.learn_step()
+        return learning
+
+    whole = advance(FieldsLearning(rays, small(), 3, CPU), 20)
+    half = advance(FieldsLearning(rays, small(), 3, CPU), 12)
+    resumed = FieldsLearning(rays, small(), 3, CPU)
+    resumed.load(half.state())
+    advance(resumed, 8)
+    assert resumed.step == whole.step and resumed.loss == whole.loss
+    for a, b in zip(whole.object_field.parameters(), resumed.object_field.parameters(), strict=True):
+        assert torch.equal(a, b)
+    assert torch.equal(whole.environment.raw, resumed.environment.raw)
+
+
+def test_with_a_mesh_the_environment_learns_from_the_pixels_beside_it(rays):
+    ball = trimesh.creation.icosphere(subdivisions=3, radius=0.7)
+    surface = Surface(np.asarray(ball.vertices), np.asarray(ball.faces), np.asarray(ball.vertex_normals))
+    chosen = small()
+    chosen = replace(chosen, environment=replace(chosen.environment, steps=5, rays_per_step=256, coverage_rays=1000))
+    fields = learn_fields(rays, chosen, seed=0, device=CPU, progress=no_progress, checkpoint=NoCheckpoint(),
+                          surface=surface)
+    assert fields.object_field is None and "object field" in fields.report["skipped"]
+    origins, directions, _ = rays.rays(rays.sphere[:5000])
+    hit = RayTracer(surface.vertices, surface.faces).occluded(origins.numpy(), directions.numpy())
+    off_axis = torch.linalg.cross(origins, directions).norm(dim=-1).numpy()
+    assert (hit[off_axis < 0.68]).all() and not hit[off_axis > 0.7].any()
+
+
+def test_a_loss_that_is_not_finite_is_given_up_with_a_message(rays):
+    learning = FieldsLearning(rays, small(), 0, CPU)
+    with torch.no_grad():
+        for parameter in learning.object_field.light_head.parameters():
+            parameter.fill_(float("nan"))
+    with pytest.raises(LearningError, match="not finite"):
+        for _ in range(100):
+            learning.learn_step()
