@@ -37,6 +37,11 @@ def rays():
     return PixelRays.from_capture(load_capture(CAPTURE), 10_000, False, CPU)
 
 
+@pytest.fixture(scope="module")
+def masked_rays():
+    return PixelRays.from_capture(load_capture(CAPTURE), 10_000, True, CPU)
+
+
 def small(**fields):
     p = preset("preview")
     return replace(p, fields=replace(p.fields, **{"steps": 24, "sphere_rays": 512, "outside_rays": 256, **fields}))
@@ -58,16 +63,16 @@ def test_dynamic_weight_is_equation_5_and_passes_no_gradient():
     assert scaled[0] > scaled[1], "where the colour is the albedo, the pixel counts more"
 
 
-def test_a_short_learning_comes_nearer_to_the_truth(rays):
+def test_a_short_learning_with_masks_comes_nearer_to_the_truth(masked_rays):
     truth = trimesh.load(CAPTURE / "gt_mesh.ply", process=False, force="mesh")
     capture = load_capture(CAPTURE)
     points = (trimesh.sample.sample_surface(truth, 2000, seed=0)[0] - capture.object_center) / capture.object_radius
     points = torch.from_numpy(points).float()
     chosen = small(steps=150, sphere_rays=1024, outside_rays=512)
-    before = FieldsLearning(rays, chosen, 0, CPU).object_field.sdf(points).abs().mean()
-    learned = learn_fields(rays, chosen, seed=0, device=CPU, progress=no_progress, checkpoint=NoCheckpoint())
+    before = FieldsLearning(masked_rays, chosen, 0, CPU).object_field.sdf(points).abs().mean()
+    learned = learn_fields(masked_rays, chosen, seed=0, device=CPU, progress=no_progress, checkpoint=NoCheckpoint())
     after = learned.object_field.sdf(points).abs().mean()
-    assert after < 0.35 * before, f"{before:.4f} -> {after:.4f}"
+    assert after < 0.5 * before, f"{before:.4f} -> {after:.4f}"
     copy = Fields.from_state(learned.state(), chosen, CPU)
     torch.testing.assert_close(copy.object_field.sdf(points), learned.object_field.sdf(points))
     direction = torch.nn.functional.normalize(points, dim=-1)
