@@ -51,8 +51,7 @@ def learn_materials(surface: Surface, environment: EnvironmentField, rays: Pixel
                     seed: int, device: torch.device | str, progress: Callable, checkpoint) -> Materials:
     """Textures of the surface. Raises LearningError when no photo shows it; Stopped on request.
 
-    The whole room takes a few minutes at most and its long part, the light, depends on the seed alone: a resumed run
-    goes on from the gathered light where that was saved.
+    A resumed run goes on from the gathered light where that was saved, and ends with the same textures.
     """
     device = torch.device(device)
     learner = _MaterialLearner(surface, environment, rays, preset, seed, device, progress, checkpoint)
@@ -65,6 +64,7 @@ class _MaterialLearner:
         self.progress, self.checkpoint = progress, checkpoint
         self.generator = torch.Generator().manual_seed(seed)
         self.steps, self.loss, self.start = 100, float("nan"), time.monotonic()
+        self.state: dict = {}
         tracer = RayTracer(surface.vertices, surface.faces)
         self.samples: PhotoSamples = select_samples(
             rays, tracer, surface.normals, count=preset.samples, least_cosine=preset.least_cosine,
@@ -83,11 +83,7 @@ class _MaterialLearner:
     def run(self) -> Materials:
         """Light, one material, a palette, its places, textures."""
         preset = self.preset
-        if preset.levels > 0:
-            self._learn_terminal()
-        self.light = IncomingLight(self.f_p, self.points, preset.ladder, preset.residual_lobes, self.generator,
-                                   lambda fraction: self._step(10 + int(60 * fraction)))
-        self._clock("light")
+        self._gather_light()
         n = len(self.samples)
         self.label = torch.zeros(n, dtype=torch.int64, device=self.device)
         self.weight = 0.05 + self.light.coverage[:, : len(preset.ladder) // 2].mean(1)
@@ -95,8 +91,8 @@ class _MaterialLearner:
         self._reflect_itself()
         self.palette = self._fit(self.label, 1)
         single = self._residual()
-        self._learn_residual()
         self._grow_palette()
+        self._learn_residual()
         for k in range(preset.rounds):
             self._reflect_itself()
             self.palette = self._fit(self.label, len(self.palette))
@@ -112,6 +108,23 @@ class _MaterialLearner:
         if not all(np.isfinite(x).all() for x in textures):
             raise LearningError("material learning diverged: its textures are not finite", "try another --seed")
         return Materials(*textures, self.report)
+
+    def _gather_light(self) -> None:
+        """The terminal MLP and the prefiltered light: the long part, which a resumed run takes from the checkpoint."""
+        saved = self.checkpoint.load() or {}
+        if "light" in saved:
+            self.f_p.terminal.load_state_dict(saved["terminal"])
+            self.light = IncomingLight.restored(self.f_p, self.points, self.preset.ladder, saved["light"])
+            self.generator.set_state(saved["generator"])
+        else:
+            if self.preset.levels > 0:
+                self._learn_terminal()
+            self.light = IncomingLight.gathered(self.f_p, self.points, self.preset.ladder, self.preset.residual_lobes,
+                                                self.generator, lambda share: self._step(10 + int(60 * share)))
+        self.state = {"terminal": self.f_p.terminal.state_dict(), "light": self.light.state(),
+                      "generator": self.generator.get_state()}
+        self._step(70)
+        self._clock("light")
 
     def _fit(self, group: Tensor, groups: int) -> Palette:
         p = self.preset
@@ -135,7 +148,7 @@ class _MaterialLearner:
         candidates = _join(self.palette, regional.pick(large.tolist()))
         cost = torch.stack([self._by_group(self._error(candidates, k), group, groups) for k in range(len(candidates))])
         chosen = choose(cost / size.clamp_min(1e-9), size, p.most_materials, p.gain)
-        self._step(80)
+        self._step(75)
         self.palette = candidates.pick(chosen)
         self._assign()
         # A material that hardly any sample takes is an artefact of a badly lit corner.
@@ -195,33 +208,35 @@ class _MaterialLearner:
         self._clock("terminal")
 
     def _learn_residual(self) -> None:
-        """Distant light that no photo shows: non-negative lobes that make the one-material picture fit better."""
+        """Distant light that no photo shows: non-negative lobes that make the photos fit better."""
         p, light = self.preset, self.light
         uncovered = float(1 - light.coverage.mean())
         self.report["light_not_in_photos"] = round(uncovered, 4)
-        if p.residual_lobes == 0 or not p.residual or uncovered < 0.005:
-            self.report.setdefault("skipped", {})["residual"] = "all light that matters was seen by the photos"
+        if not p.residual or uncovered < 0.005:
+            why = "all light that matters was seen by the photos" if p.residual else "turned off by the preset"
+            self.report.setdefault("skipped", {})["residual"] = why
             return
-        raw = torch.full((p.residual_lobes, 3), -3.0, device=self.device, requires_grad=True)
+        raw = torch.full((p.residual_lobes, 3), -5.0, device=self.device, requires_grad=True)
         optimiser = torch.optim.Adam([raw], 0.1)
         material = self.palette.at(self.label)
         base, rows = light.diffuse, torch.arange(len(self.target), device=self.device)
         moments = light.moments(material.roughness)
         low, mix = light.rung(material.roughness)
         lobes = torch.lerp(light.residual_specular[rows, low], light.residual_specular[rows, low + 1], mix[:, None])
-        edge, dielectric = light._uniform[:, 0, 1:2], light._uniform[:, 0, 2:3]
+        edge, dielectric = light.uniform[:, 0, 1:2], light.uniform[:, 0, 2:3]
         goal = tone(self.target)
         for k in range(p.residual_steps):
             weights = torch.nn.functional.softplus(raw)
             full = lobes @ weights
             lit = type(moments)(moments.full + full, moments.edge + full * edge, moments.dielectric + full * dielectric)
             predicted = reflected(material, lit, base + light.residual_diffuse @ weights, light.cos_v)
-            loss = ((tone(predicted) - goal).abs().clamp_max(p.clip).mean(-1) * self.weight).mean() + 1e-4 * weights.mean()
+            photometric = ((tone(predicted) - goal).abs().clamp_max(p.clip).mean(-1) * self.weight).mean()
+            loss = photometric + p.residual_prior * weights.mean()
             optimiser.zero_grad()
             loss.backward()
             optimiser.step()
             if k % 10 == 0:
-                self._step(72)
+                self._step(80)
         light.residual.weights = torch.nn.functional.softplus(raw).detach()
         self.f_p.residual = light.residual
         self._reflect_itself()
@@ -260,9 +275,9 @@ class _MaterialLearner:
             skipped["material boundaries"] = "one material explains the photos"
 
     def _step(self, step: int) -> None:
-        # Nothing here outlasts two checkpoints: a stop is honoured between steps by saving an empty state.
+        # Before the light is gathered there is nothing worth keeping; what follows it takes seconds.
         if self.checkpoint.due():
-            self.checkpoint.save({})
+            self.checkpoint.save(self.state)
         self.progress(step, self.steps, self.loss)
 
     def _clock(self, name: str) -> None:

@@ -103,11 +103,11 @@ class SurfacePreset:
 class MaterialPreset:
     """Stage 2, material learning."""
 
-    samples: int = 40_000
+    samples: int = 30_000
     """Photo pixels that the materials are learned from."""
     least_cosine: float = 0.25
     """Pixels seen at a smaller cosine are grazing and left out."""
-    ladder: tuple[float, ...] = (0.04, 0.09, 0.14, 0.2, 0.28, 0.4, 0.55, 0.75, 1.0)
+    ladder: tuple[float, ...] = (0.04, 0.07, 0.1, 0.13, 0.17, 0.22, 0.28, 0.36, 0.46, 0.6, 0.78, 1.0)
     """Roughnesses at which the specular light is prefiltered."""
     diffuse_cones: int = 8
     specular_cones: int = 4
@@ -122,6 +122,9 @@ class MaterialPreset:
     residual_lobes: int = 48
     """Lobes of the distant light that no photo shows."""
     residual_steps: int = 60
+    residual_prior: float = 0.05
+    """Cost of a mean residual radiance of 1, in tone-mapped error: light made up must explain more than it costs, else
+    it takes the place of albedo."""
     metallic: tuple[float, ...] = (0.0, 1.0)
     """Hypotheses compared by their residual."""
     metal_margin: float = 0.0

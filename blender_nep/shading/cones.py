@@ -87,3 +87,8 @@ def diffuse_cones(count: int, turn: Tensor) -> tuple[Tensor, Tensor]:
     light, pdf = sample_cosine(torch.stack(spiral(count, turn), -1))
     widest = torch.full_like(pdf, 2 * math.pi / count)
     return light, half_angle_of(_FILL * torch.minimum(1 / (count * pdf.clamp_min(1e-6)), widest))
+
+
+def cone_of_density(density: Tensor) -> Tensor:
+    """Half-angle [...] of the cone of one sample among others, `density` [...] of them per steradian."""
+    return half_angle_of((_FILL / density).clamp_max(math.pi / 4))

@@ -1,0 +1,90 @@
+"""f_p in a furnace: in uniform light a white object shines like the light, however often it reflects itself."""
+
+import numpy as np
+import pytest
+import torch
+import trimesh
+
+from blender_nep.raytracing import RayTracer
+from blender_nep.shading.incoming_light import DistantResidual, IncomingLight
+from blender_nep.shading.plenoptic import Material, PlenopticFunction, TerminalRadiance, reflected
+
+
+class UniformLight:
+    def __init__(self, coverage=1.0):
+        self.coverage = coverage
+
+    def query_cone(self, origins, directions, half_angle):
+        return torch.ones_like(origins), torch.full((len(origins),), self.coverage)
+
+
+class UniformTerminal(TerminalRadiance):
+    def forward(self, points):
+        return torch.ones_like(points.position)
+
+
+def white(metallic):
+    def materials_at(points):
+        n = len(points)
+        return Material(torch.ones(n, 3), torch.full((n,), 0.4), torch.full((n,), metallic))
+
+    return materials_at
+
+
+@pytest.fixture(scope="module")
+def two_balls():
+    """Two spheres side by side: they see each other."""
+    left, right = (trimesh.creation.icosphere(subdivisions=4, radius=0.45).apply_translation([x, 0, 0])
+                   for x in (-0.5, 0.5))
+    mesh = trimesh.util.concatenate([left, right])
+    return np.asarray(mesh.vertices), np.asarray(mesh.faces), np.asarray(mesh.vertex_normals)
+
+
+def scene(two_balls, levels, coverage=1.0):
+    vertices, faces, normals = two_balls
+    f_p = PlenopticFunction(RayTracer(vertices, faces), normals, UniformLight(coverage), UniformTerminal(),
+                            levels=levels, diffuse=8, specular=4, use_cones=True, device="cpu")
+    rng = np.random.default_rng(0)
+    face = rng.integers(0, len(faces), 600)
+    barycentric = rng.dirichlet([1, 1, 1], 600).astype(np.float32)
+    tilt = 0.3 * torch.randn(600, 3, generator=torch.Generator().manual_seed(1))
+    view = torch.nn.functional.normalize(torch.from_numpy(f_p.tracer.face_normals[face]) + tilt, dim=-1)
+    return f_p, f_p.points(face, barycentric, view)
+
+
+@pytest.mark.parametrize("levels", [1, 2])
+@pytest.mark.parametrize("metallic", [0.0, 1.0])
+def test_white_furnace_with_self_reflection(two_balls, levels, metallic):
+    f_p, points = scene(two_balls, levels)
+    out = f_p.outgoing(points, white(metallic), 1, torch.Generator().manual_seed(2))
+    assert out.mean().item() == pytest.approx(1, abs=0.02)
+
+
+def test_without_indirect_light_what_the_object_sees_of_itself_is_black(two_balls):
+    f_p, points = scene(two_balls, 0)
+    light = IncomingLight.gathered(f_p, points, (0.1, 0.5, 1.0), 0, torch.Generator().manual_seed(3), lambda _: None)
+    light.update(white(1.0), torch.Generator())
+    assert len(light.slot) > 0
+    assert 0.5 < light.diffuse.mean().item() < 0.99
+
+
+def test_prefiltered_light_is_exact_in_a_furnace(two_balls):
+    f_p, points = scene(two_balls, 1)
+    light = IncomingLight.gathered(f_p, points, (0.1, 0.3, 0.6, 1.0), 0, torch.Generator().manual_seed(4), lambda _: None)
+    light.update(white(1.0), torch.Generator().manual_seed(5))
+    for roughness in (0.1, 0.2, 0.6, 1.0):
+        r = torch.full((len(points),), roughness)
+        out = reflected(Material(torch.ones(len(points), 3), r, torch.ones(len(points))), light.moments(r), light.diffuse,
+                        light.cos_v)
+        assert out.median().item() == pytest.approx(1, abs=0.01)
+    assert torch.allclose(light.diffuse, torch.ones_like(light.diffuse), atol=1e-3)
+
+
+def test_residual_light_enters_only_where_no_photo_looked():
+    residual = DistantResidual.zeros(32, torch.device("cpu"))
+    residual.weights = torch.ones(32, 3)
+    d = torch.nn.functional.normalize(torch.randn(500, 3, generator=torch.Generator().manual_seed(6)), dim=-1)
+    assert (residual(d, torch.ones(500)) == 0).all()
+    half, none = residual(d, torch.full((500,), 0.5)), residual(d, torch.zeros(500))
+    assert torch.allclose(2 * half, none) and none.min() > 0
+    assert none.std() / none.mean() < 0.1  # equal lobes make an even sky
