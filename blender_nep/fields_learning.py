@@ -207,6 +207,28 @@ class FieldsLearning:
         self.loss = float(photometric.detach())
         return self.loss
 
+    @torch.no_grad()
+    def evidence(self, pixels: int = 16384) -> float:
+        """How much better the object explains the pixels that it covers than F_e alone would, if it were not there: the
+        ratio of their mean tone-mapped errors. Near 1: the sphere is empty. 0 where no pixel is covered."""
+        pick = torch.randint(len(self.rays.sphere), (pixels,), generator=self.generator, device=self.device)
+        index = self.rays.sphere[pick]
+        origins, directions, half_angle = self.rays.rays(index)
+        surface = render_surface(self.object_field.coefficients(), origins, directions, self.sharpness,
+                                 self.preset.samples, None)
+        solid = surface.opacity > 0.9
+        ray = surface.ray[solid]
+        if len(ray) < 0.001 * pixels:
+            return 0.0
+        normal = functional.normalize(surface.gradient[solid], dim=-1, eps=1e-6)
+        colour = self.object_field.appearance(surface.point[solid], normal, directions[ray]).colour
+        near = torch.full((len(ray),), self.preset.near, device=self.device)
+        behind, _ = self.environment.render(origins[ray], directions[ray], near, torch.full_like(near, torch.inf),
+                                            half_angle[ray], None)
+        photo = tone_map(self.rays.radiance[index[ray]].float())
+        error = (tone_map(colour) - photo).abs().mean().clamp(min=1e-6)
+        return float((tone_map(behind) - photo).abs().mean() / error)
+
     def state(self) -> dict:
         """Everything that a resumed run needs."""
         return {"step": self.step, "loss": self.loss,
@@ -254,8 +276,15 @@ def learn_fields(rays: PixelRays, preset: Preset, *, seed: int, device: torch.de
             checkpoint.save(learning.state())
             if checkpoint.stopping:
                 raise Stopped("Stopped during fields learning; the checkpoint is written.", "Go on with --resume.")
+    evidence = learning.evidence()
+    if evidence < preset.fields.least_evidence:
+        raise LearningError(
+            f"The object's sphere seems to contain nothing: the surroundings explain its pixels almost as well as an object"
+            f" does (ratio {evidence:.2f}, needed {preset.fields.least_evidence}).",
+            "Set object_center and object_radius in transforms.json so that the sphere holds the object closely.")
     environment_learning.freeze(learning.environment, rays, rays.outside if len(rays.outside) else rays.sphere, seed)
-    return Fields(learning.object_field, learning.environment, {"steps": steps, "loss": learning.loss})
+    return Fields(learning.object_field, learning.environment, {"steps": steps, "loss": learning.loss,
+                                                                   "evidence": round(evidence, 3)})
 
 
 def _pixels_beside(surface: Surface, rays: PixelRays, chunk: int = 1 << 18) -> torch.Tensor:

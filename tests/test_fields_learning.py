@@ -68,7 +68,7 @@ def test_a_short_learning_with_masks_comes_nearer_to_the_truth(masked_rays):
     capture = load_capture(CAPTURE)
     points = (trimesh.sample.sample_surface(truth, 2000, seed=0)[0] - capture.object_center) / capture.object_radius
     points = torch.from_numpy(points).float()
-    chosen = small(steps=150, sphere_rays=1024, outside_rays=512)
+    chosen = small(steps=150, sphere_rays=1024, outside_rays=512, least_evidence=0.0)
     before = FieldsLearning(masked_rays, chosen, 0, CPU).object_field.sdf(points).abs().mean()
     learned = learn_fields(masked_rays, chosen, seed=0, device=CPU, progress=no_progress, checkpoint=NoCheckpoint())
     after = learned.object_field.sdf(points).abs().mean()
@@ -119,3 +119,9 @@ def test_a_loss_that_is_not_finite_is_given_up_with_a_message(rays):
     with pytest.raises(LearningError, match="not finite"):
         for _ in range(100):
             learning.learn_step()
+
+
+def test_a_sphere_without_an_object_is_refused(rays):
+    with pytest.raises(LearningError, match="seems to contain nothing"):
+        learn_fields(rays, small(steps=4, least_evidence=1e9), seed=0, device=CPU, progress=no_progress,
+                     checkpoint=NoCheckpoint())
