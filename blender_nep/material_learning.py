@@ -18,7 +18,7 @@ from scipy.spatial import cKDTree
 from torch import Tensor
 
 from blender_nep.errors import LearningError
-from blender_nep.material_palette import Palette, best_of, choose, error, fit_groups, tone
+from blender_nep.material_palette import Palette, best_of, choose, error, fit_groups, same_material, tone
 from blender_nep.material_textures import NEIGHBOURS, Evidence, bake, kernel, labels_at, neighbours, texture_size, vote
 from blender_nep.photo_samples import PhotoSamples, select_samples
 from blender_nep.raytracing import RayTracer
@@ -30,6 +30,10 @@ if TYPE_CHECKING:
     from blender_nep.capture.rays import PixelRays
     from blender_nep.fields.environment_field import EnvironmentField
     from blender_nep.presets import MaterialPreset
+
+
+_SHADES = 2.5
+"""Albedo that a dielectric may seem to have where F_e is too dark, until shades of one hue are merged."""
 
 
 @dataclass
@@ -95,7 +99,7 @@ class _MaterialLearner:
         self._learn_residual()
         for k in range(preset.rounds):
             self._reflect_itself()
-            self.palette = self._fit(self.label, len(self.palette))
+            self._merge_shades()
             self._assign()
             self._step(85 + 3 * k)
         self._clock("materials")
@@ -126,10 +130,10 @@ class _MaterialLearner:
         self._step(70)
         self._clock("light")
 
-    def _fit(self, group: Tensor, groups: int) -> Palette:
+    def _fit(self, group: Tensor, groups: int, most_diffuse: float = 1.0) -> Palette:
         p = self.preset
         cost, albedo = fit_groups(self.light, self.target, self.weight, group, groups, clip=p.clip,
-                                  least_roughness=p.least_roughness, hypotheses=p.metallic)
+                                  least_roughness=p.least_roughness, hypotheses=p.metallic, most_diffuse=most_diffuse)
         return best_of(cost, albedo, p.least_roughness, p.metallic, p.metal_margin)
 
     def _grow_palette(self) -> None:
@@ -140,7 +144,7 @@ class _MaterialLearner:
         voxel = np.floor(self.samples.position / p.region).astype(np.int64)
         _, inverse, count = np.unique(voxel, axis=0, return_inverse=True, return_counts=True)
         group, groups = torch.from_numpy(inverse.ravel()).to(self.device), len(count)
-        regional = self._fit(group, groups)
+        regional = self._fit(group, groups, _SHADES)
         size = torch.zeros(groups, device=self.device).index_add_(0, group, self.weight)
         large = np.flatnonzero(count >= max(20, np.median(count) / 2))
         if len(large) > p.candidates:
@@ -157,8 +161,19 @@ class _MaterialLearner:
             keep = (share >= p.least_share).nonzero().squeeze(-1).tolist() or [int(share.argmax())]
             self.palette = self.palette.pick(keep)
             self._assign()
-            self.palette = self._fit(self.label, len(self.palette))
+            self.palette = self._fit(self.label, len(self.palette), _SHADES)
             self._assign()
+        self._merge_shades()
+
+    def _merge_shades(self) -> None:
+        """Materials of one hue become one: a difference in brightness alone is more likely F_e's than the object's."""
+        share = torch.bincount(self.label, minlength=len(self.palette)).float()
+        into = same_material(self.palette, share, self.preset.merge_hue, self.preset.merge_roughness)
+        kept = sorted(set(into))
+        if len(kept) < len(self.palette):
+            self.report["merged_shades"] = len(self.palette) - len(kept)
+            self.label = torch.tensor([kept.index(k) for k in into], device=self.device)[self.label]
+        self.palette = self._fit(self.label, len(kept))
 
     def _error(self, palette: Palette, k: int) -> Tensor:
         one = torch.tensor([k], device=self.device)

@@ -63,11 +63,12 @@ def error(light: IncomingLight, target: Tensor, weight: Tensor, material: Materi
 
 
 def fit_groups(light: IncomingLight, target: Tensor, weight: Tensor, group: Tensor, groups: int, *,
-               least_roughness: float, clip: float, hypotheses: tuple[float, ...] = (0.0, 1.0)
-               ) -> tuple[Tensor, Tensor]:
+               least_roughness: float, clip: float, hypotheses: tuple[float, ...] = (0.0, 1.0),
+               most_diffuse: float = 1.0) -> tuple[Tensor, Tensor]:
     """Every hypothesis (metallic, roughness) for every group of samples.
 
-    target [n,3] linear, weight [n], group [n] int64 in 0..groups-1 (-1: none).
+    target [n,3] linear, weight [n], group [n] int64 in 0..groups-1 (-1: none); most_diffuse: limit of
+    a dielectric's albedo (above 1 the hue survives where F_e is too dark).
     Returns cost [M,R,groups] (mean clipped residual) and albedo [M,R,groups,3].
     """
     scan = roughness_scan(least_roughness, target.device)
@@ -94,7 +95,7 @@ def fit_groups(light: IncomingLight, target: Tensor, weight: Tensor, group: Tens
                     robust = robust * (residual.abs() < 2 * clip) / residual.abs().clamp_min(0.02)
                 top = _sum(robust * slope * (goal - offset), group, groups)
                 bottom = _sum(robust * slope * slope, group, groups)
-                a = (top / bottom.clamp_min(1e-12)).clamp(0, 1)
+                a = (top / bottom.clamp_min(1e-12)).clamp(0, 1.0 if metallic > 0.5 else most_diffuse)
             bounded = residual.abs().mean(-1).clamp_max(clip) * weight
             cost[i, j] = _sum(bounded[:, None], group, groups)[:, 0] / total[:, 0]
             albedo[i, j] = a
@@ -142,6 +143,27 @@ def choose(cost: Tensor, size: Tensor, most: int, gain: float) -> list[int]:
         chosen.append(best)
         current = torch.minimum(weighted[best], current)
     return chosen
+
+
+def same_material(palette: Palette, share: Tensor, hue: float, roughness: float) -> list[int]:
+    """For each material the larger one that it is a shade of, or itself.
+
+    Two are shades of one when both are metal or both are not, their chromaticities (albedo over its sum) differ by less
+    than `hue`, and, for metals, their roughnesses by less than `roughness`: a metal's roughness is read off its
+    reflections, a dielectric's brightness is mostly irradiance, which F_e knows least where photos do not look.
+    """
+    chroma = palette.albedo / palette.albedo.sum(1, keepdim=True).clamp_min(1e-6)
+    into = list(range(len(palette)))
+    for k in share.argsort(descending=True).tolist():
+        if into[k] != k:
+            continue
+        near = (chroma - chroma[k]).norm(dim=1) < hue
+        near &= palette.metallic == palette.metallic[k]
+        near &= (palette.metallic < 0.5) | ((palette.roughness - palette.roughness[k]).abs() < roughness)
+        for j in near.nonzero().squeeze(-1).tolist():
+            if into[j] == j and share[j] <= share[k]:
+                into[j] = k
+    return into
 
 
 def _line(moments: SpecularMoments, diffuse: Tensor, cos_v: Tensor, r: Tensor, metallic: float, albedo: Tensor

@@ -143,6 +143,9 @@ class MaterialPreset:
     """A further material must lower the residual by this share."""
     least_share: float = 0.01
     """Materials on a smaller share of the samples are dropped."""
+    merge_hue: float = 0.09
+    merge_roughness: float = 0.08
+    """Materials nearer than this in chromaticity (and metals in roughness) are one; 0 turns the prior off."""
     rounds: int = 2
     """Of fitting the palette, assigning it and updating the indirect light."""
     most_texels: int = 1024
