@@ -18,7 +18,8 @@ from blender_nep.fields import environment_learning
 from blender_nep.fields.environment_field import EnvironmentField
 from blender_nep.fields.object_field import Appearance, ObjectField
 from blender_nep.fields.optimiser import UniformAdam
-from blender_nep.fields.volume_rendering import render_surface, sphere_interval
+from blender_nep.fields.visual_hull import background_silhouettes, carve, mask_silhouettes
+from blender_nep.fields.volume_rendering import BAND, render_surface, sphere_interval
 from blender_nep.metrics import tone_map
 from blender_nep.ops import bspline
 from blender_nep.presets import Preset
@@ -60,7 +61,7 @@ class Fields:
 
 def _object_field(preset: Preset, device: torch.device) -> ObjectField:
     p = preset.fields
-    return ObjectField(p.coarsest_cells, p.initial_radius, p.head_width).to(device)
+    return ObjectField(p.coarsest_cells, p.initial_radius, p.head_width, p.decomposition).to(device)
 
 
 @dataclass
@@ -103,57 +104,83 @@ class FieldsLearning:
         self.object_field = _object_field(preset, device)
         preset = preset.fields
         self.step, self.loss = 0, float("nan")
-        self.failed = 0
+        self.failed, self.report = 0, {}
+        # without surroundings there is nothing to learn first; the hull then comes from the masks or not at all
+        known = len(rays.outside) >= preset.least_outside * rays.count
+        self.background_steps = preset.background_steps if known else 0
+        self.start_sharpness = preset.first_sharpness
         heads = [*self.object_field.surface_head.parameters(), *self.object_field.light_head.parameters()]
         self.head_optimiser = torch.optim.Adam(heads, lr=preset.head_rate, betas=(0.9, 0.99), fused=True)
         self._set_levels(preset.first_levels)
         self._refine_environment()
+        self.object_pixels = rays.sphere
+        self.looks = 0
+
+    @property
+    def steps(self) -> int:
+        """Of F_e alone and of both fields together."""
+        return self.background_steps + self.preset.steps
+
+    @property
+    def fraction(self) -> float:
+        """How much of the learning of both fields is done, 0..1."""
+        return max(self.step - self.background_steps, 0) / self.preset.steps
 
     def _set_levels(self, count: int) -> None:
+        if count == len(self.object_field.levels) and self.step:
+            return
         while len(self.object_field.levels) < count:
             self.object_field.add_level()
         self.sdf_optimiser = UniformAdam(self.object_field.levels, lr=self.preset.sdf_rate)
 
     def _refine_environment(self) -> None:
-        if self.environment.refine(self.step / self.preset.steps) or self.step == 0:
+        if self.environment.refine(self.step / self.steps) or self.step == 0:
             self.environment_optimiser = environment_learning.optimiser(self.environment)
 
     @property
     def sharpness(self) -> float:
         """NeuS sharpness, 1 / unit length, at this step: rises geometrically, then stays."""
         p = self.preset
-        rise = min(self.step / (p.sharpness_until * p.steps), 1.0)
-        return p.first_sharpness * (p.last_sharpness / p.first_sharpness) ** rise
+        rise = min(self.fraction / p.sharpness_until, 1.0)
+        return self.start_sharpness * (p.last_sharpness / self.start_sharpness) ** rise
 
     def render(self, origins: torch.Tensor, directions: torch.Tensor, half_angle: torch.Tensor,
                generator: torch.Generator | None) -> Rendering:
         """Radiance of rays through both fields. All rays [n, 3] may or may not meet the sphere."""
         p = self.preset
-        samples = p.first_samples if self.step < p.coarse_until * p.steps else p.samples
+        samples = p.first_samples if self.fraction < p.coarse_until else p.samples
         entry, leave = sphere_interval(origins, directions)
         meets = (leave > entry).nonzero()[:, 0]
         near = torch.full_like(entry, p.near)
         infinity = torch.full_like(entry, torch.inf)
         n = len(entry)
-        # front parts of all rays (whole rays for those that miss), then back parts of those that meet the sphere
-        part = torch.cat([torch.arange(n, device=self.device), meets])
-        start = torch.cat([near, leave[meets]])
-        end = torch.cat([torch.where(leave > entry, entry, infinity), infinity[meets]])
-        radiance, transmittance = self.environment.render(origins[part], directions[part], start, end,
-                                                          half_angle[part], generator)
-        front, back = radiance[:n], radiance[n:]
-        through = transmittance[:n, None]
-
         coefficients = self.object_field.coefficients()
         surface = render_surface(coefficients, origins[meets], directions[meets], self.sharpness, samples, generator)
         normal = functional.normalize(surface.gradient, dim=-1, eps=1e-6)
         appearance = self.object_field.appearance(surface.point, normal, directions[meets[surface.ray]])
         opacity = surface.opacity.clamp(max=1)
-        inside = back.index_add(0, surface.ray, opacity[:, None] * (appearance.colour - back[surface.ray]))
-        total = front.index_add(0, meets, through[meets] * inside)
+        # front parts of all rays (whole rays for those that miss), then back parts where something shows through
+        clear = torch.ones(len(meets), device=self.device).index_add(0, surface.ray, -opacity)
+        behind = (clear.detach() > p.opaque).nonzero()[:, 0]
+        back_ray = meets[behind]
+        part = torch.cat([torch.arange(n, device=self.device), back_ray])
+        start = torch.cat([near, leave[back_ray]])
+        end = torch.cat([torch.where(leave > entry, entry, infinity), infinity[back_ray]])
+        radiance, transmittance = self.environment.render(origins[part], directions[part], start, end,
+                                                          half_angle[part], generator)
+        if self.fraction < p.shy_until:
+            # what other pixels know of the surroundings counts more than what the object would have them be
+            share = torch.ones(n, device=self.device).index_fill(0, meets, p.shyness)[part]
+            radiance = torch.lerp(radiance.detach(), radiance, share[:, None])
+            transmittance = torch.lerp(transmittance.detach(), transmittance, share)
+        front, back = radiance[:n], radiance[n:]
+        inside = torch.zeros(len(meets), 3, device=self.device)
+        inside = inside.index_add(0, surface.ray, opacity[:, None] * appearance.colour)
+        inside = inside.index_add(0, behind, clear[behind, None] * back)
+        total = front.index_add(0, meets, transmittance[:n][meets, None] * inside)
         ray = meets[surface.ray]
         opacities = torch.zeros(n, device=self.device).index_add(0, ray, opacity)
-        w_s = dynamic_weight(appearance, p.dynamic_weight)
+        w_s = dynamic_weight(appearance, p.dynamic_weight if p.decomposition else "none")
         weight = torch.ones(n, 1, device=self.device).index_add(0, ray, opacity.detach()[:, None] * (w_s - 1))
         hessian = bspline.sample(coefficients, surface.point.detach().clamp(-1, 1), hessian=True)[:, 4:]
         bending = (hessian[:, :3] ** 2).sum(1) + 2 * (hessian[:, 3:] ** 2).sum(1)
@@ -161,51 +188,116 @@ class FieldsLearning:
                          ((surface.sdf_gradient.norm(dim=-1) - 1) ** 2).mean() if len(ray) else total.sum() * 0,
                          (bending + 1).sqrt().mean() if len(ray) else total.sum() * 0)
 
+    def _set_environment_rate(self) -> None:
+        for group in self.environment_optimiser.param_groups:
+            group["lr"] = environment_learning.learning_rate(self.environment.preset, self.step / self.steps)
+
+    def _draw(self, pool: torch.Tensor, count: int) -> torch.Tensor:
+        return pool[torch.randint(len(pool), (count,), generator=self.generator, device=self.device)]
+
+    def _learn_background_step(self) -> float:
+        """A step of F_e alone, from pixels that do not see the object's sphere."""
+        p = self.preset
+        self._refine_environment()
+        index = self._draw(self.rays.outside, p.object_rays + p.sphere_rays + p.outside_rays)
+        self._set_environment_rate()
+        self.loss = environment_learning.learn_step(self.environment, self.environment_optimiser, self.rays, index,
+                                                    self.generator)
+        self._judge(self.loss)
+        self.step += 1
+        return self.loss
+
+    def _find_hull(self) -> None:
+        """Starts the SDF from the visual hull, where the silhouettes show one; else it stays a sphere."""
+        p = self.preset
+        if self.rays.mask is not None:
+            silhouettes = mask_silhouettes(self.rays)
+        elif self.background_steps:
+            silhouettes = background_silhouettes(self.environment, self.rays)
+        else:
+            return
+        hull = carve(self.rays, silhouettes, round(2 / self.object_field.cell))
+        if hull is None or hull.contrast < p.least_contrast:
+            return
+        self.report["hull"] = {"volume": round(hull.volume, 4), "contrast": round(hull.contrast, 2)}
+        self.object_field.start_from(torch.from_numpy(hull.sdf).to(self.device))
+        self.start_sharpness = p.hull_sharpness
+
+    @torch.no_grad()
+    def _look_for_object(self, block: int = 4) -> None:
+        """Sets `object_pixels`: the valid pixels in which the object is seen now, and some around them."""
+        rays, coefficients, found = self.rays, self.object_field.coefficients(), []
+        band = BAND / self.sharpness
+        for view, (height, width) in enumerate(rays.size):
+            row = torch.arange(0, height, block, device=self.device).add(block // 2).clamp(max=height - 1)
+            column = torch.arange(0, width, block, device=self.device).add(block // 2).clamp(max=width - 1)
+            index = (rays.offset[view] + row[:, None] * width + column).flatten()
+            origins, directions, _ = rays.rays(index)
+            entry, leave = sphere_interval(origins, directions)
+            _, count = bspline.march(coefficients, origins, directions, entry, leave, band, 0.5 * band)
+            seen = (count > 0).float().reshape(1, 1, len(row), len(column))
+            seen = functional.max_pool2d(seen, 3, 1, 1)
+            seen = seen[0, 0].repeat_interleave(block, 0)[:height].repeat_interleave(block, 1)[:, :width] > 0
+            valid = rays.valid[rays.offset[view]:rays.offset[view + 1]]
+            found.append(rays.offset[view] + (seen.flatten() & valid).nonzero()[:, 0])
+        found = torch.cat(found)
+        self.object_pixels = found if len(found) else rays.sphere
+
     def learn_step(self) -> float:
         """One optimisation step; returns the loss."""
         p, rays = self.preset, self.rays
-        if self.step == int(p.fine_from * p.steps):
+        if self.step < self.background_steps:
+            return self._learn_background_step()
+        if self.step == self.background_steps:
+            self._find_hull()
+        if self.fraction >= p.fine_from:
             self._set_levels(p.last_levels)
+        looks = sum(self.fraction >= fraction for fraction in p.look_at)
+        if looks > self.looks:
+            self.looks = looks
+            self._look_for_object()
         self._refine_environment()
-        pick = [pool[torch.randint(len(pool), (count,), generator=self.generator, device=self.device)]
-                for pool, count in ((rays.sphere, p.sphere_rays), (rays.outside, p.outside_rays)) if len(pool)]
+        pick = [self._draw(pool, count) for pool, count in ((self.object_pixels, p.object_rays),
+                                                            (rays.sphere, p.sphere_rays),
+                                                            (rays.outside, p.outside_rays)) if len(pool)]
         index = torch.cat(pick)
         origins, directions, half_angle = rays.rays(index)
         target = tone_map(rays.radiance[index].float())
         out = self.render(origins, directions, half_angle, self.generator)
         photometric = (out.weight * (tone_map(out.radiance) - target).abs()).mean()
-        stiffness = p.curvature * (self.sharpness / p.first_sharpness) ** 0.5
-        loss = (photometric + p.eikonal * out.eikonal + stiffness * out.curvature
+        loss = (photometric + p.eikonal * out.eikonal + p.curvature * out.curvature
                 + self.environment.regularisation(self.generator))
         if rays.mask is not None and p.mask > 0:
             mask = rays.mask[index].float() / 255
             loss = loss + p.mask * functional.binary_cross_entropy(out.opacity.clamp(1e-4, 1 - 1e-4), mask)
-        warm = min(1.0, (self.step + 1) / 50) * 0.1 ** max(0.0, (self.step / p.steps - 0.3) / 0.7)
+        warm = min(1.0, (self.step - self.background_steps + 1) / 50) * 0.1 ** max(0.0, (self.fraction - 0.3) / 0.7)
         # a sharper surface answers to smaller steps
         for group in self.sdf_optimiser.param_groups:
             group["lr"] = p.sdf_rate * warm * (p.first_sharpness / self.sharpness) ** 0.5
         for group in self.head_optimiser.param_groups:
             group["lr"] = p.head_rate * warm
-        for group in self.environment_optimiser.param_groups:
-            group["lr"] = environment_learning.learning_rate(self.environment.preset, self.step / p.steps)
+        self._set_environment_rate()
         optimisers = (self.sdf_optimiser, self.head_optimiser, self.environment_optimiser)
         for optimiser in optimisers:
             optimiser.zero_grad()
-        value = float(loss.detach())
-        if value == value and abs(value) < 1e6:
+        if self._judge(float(loss.detach())):
             loss.backward()
             for optimiser in optimisers:
                 optimiser.step()
-            self.failed = 0
-        else:
-            self.failed += 1
-            if self.failed >= PATIENCE:
-                raise LearningError(
-                    "The photometric loss is not finite.",
-                    "Check the photos for extreme values and the object sphere with `blender-nep info`.")
         self.step += 1
         self.loss = float(photometric.detach())
         return self.loss
+
+    def _judge(self, loss: float) -> bool:
+        """Whether a step's loss can be used. Raises LearningError when too many in a row cannot."""
+        if loss == loss and abs(loss) < 1e6:
+            self.failed = 0
+            return True
+        self.failed += 1
+        if self.failed >= PATIENCE:
+            raise LearningError("The photometric loss is not finite.",
+                                "Check the photos for extreme values and the object sphere with `blender-nep info`.")
+        return False
 
     @torch.no_grad()
     def evidence(self, pixels: int = 16384) -> float:
@@ -236,7 +328,8 @@ class FieldsLearning:
                 "environment": self.environment.state_dict(), "sdf_optimiser": self.sdf_optimiser.state_dict(),
                 "head_optimiser": self.head_optimiser.state_dict(),
                 "environment_optimiser": self.environment_optimiser.state_dict(),
-                "generator": self.generator.get_state()}
+                "generator": self.generator.get_state(), "looks": self.looks, "object_pixels": self.object_pixels,
+                "start_sharpness": self.start_sharpness, "report": self.report}
 
     def load(self, state: dict) -> None:
         """Go on from `state`."""
@@ -249,6 +342,8 @@ class FieldsLearning:
         self.head_optimiser.load_state_dict(state["head_optimiser"])
         self.environment_optimiser.load_state_dict(state["environment_optimiser"])
         self.generator.set_state(state["generator"])
+        self.looks, self.object_pixels = state["looks"], state["object_pixels"]
+        self.start_sharpness, self.report = state["start_sharpness"], state["report"]
 
 
 def learn_fields(rays: PixelRays, preset: Preset, *, seed: int, device: torch.device, progress, checkpoint,
@@ -268,10 +363,9 @@ def learn_fields(rays: PixelRays, preset: Preset, *, seed: int, device: torch.de
     state = checkpoint.load()
     if state is not None:
         learning.load(state)
-    steps = preset.fields.steps
-    while learning.step < steps:
+    while learning.step < learning.steps:
         loss = learning.learn_step()
-        progress(learning.step, steps, loss)
+        progress(learning.step, learning.steps, loss)
         if checkpoint.stopping or checkpoint.due():
             checkpoint.save(learning.state())
             if checkpoint.stopping:
@@ -283,8 +377,8 @@ def learn_fields(rays: PixelRays, preset: Preset, *, seed: int, device: torch.de
             f" does (ratio {evidence:.2f}, needed {preset.fields.least_evidence}).",
             "Set object_center and object_radius in transforms.json so that the sphere holds the object closely.")
     environment_learning.freeze(learning.environment, rays, rays.outside if len(rays.outside) else rays.sphere, seed)
-    return Fields(learning.object_field, learning.environment, {"steps": steps, "loss": learning.loss,
-                                                                   "evidence": round(evidence, 3)})
+    report = {"steps": learning.steps, "loss": learning.loss, "evidence": round(evidence, 3), **learning.report}
+    return Fields(learning.object_field, learning.environment, report)
 
 
 def _pixels_beside(surface: Surface, rays: PixelRays, chunk: int = 1 << 18) -> torch.Tensor:

@@ -10,11 +10,25 @@ from dataclasses import dataclass, field
 
 @dataclass(frozen=True)
 class FieldsPreset:
-    """Stage 1, fields learning. Lengths in object radii; fractions are of `steps`."""
+    """Stage 1, fields learning. Lengths in object radii."""
 
+    background_steps: int = 300
+    """Steps of F_e alone before; then the object starts from its visual hull."""
     steps: int = 1500
-    sphere_rays: int = 2560
-    """Rays a step through pixels that see the object's sphere."""
+    """Steps of both fields together; fractions below are of these."""
+    least_outside: float = 0.05
+    """Share of the pixels that must miss the sphere for F_e to be learned first."""
+    least_contrast: float = 2.0
+    """A hull's silhouette values inside over outside; under it the SDF starts from a sphere."""
+    shyness: float = 0.1
+    """Scale of F_e's gradients from pixels that see the object's sphere, until `shy_until`."""
+    shy_until: float = 0.5
+    object_rays: int = 1536
+    """Rays a step through pixels in which the object is seen; before the first look, in which its sphere is."""
+    look_at: tuple[float, ...] = (0.25, 0.5, 0.75)
+    """When to look in which pixels the object is seen."""
+    sphere_rays: int = 1024
+    """Rays a step through any pixels that see the object's sphere."""
     outside_rays: int = 1024
     """Rays a step through all other pixels."""
     near: float = 0.6
@@ -27,22 +41,27 @@ class FieldsPreset:
     initial_radius: float = 0.6
     head_width: int = 64
     first_sharpness: float = 12.0
-    last_sharpness: float = 150.0
-    sharpness_until: float = 0.5
+    """NeuS sharpness at the start where the SDF is a sphere, 1 / object radius; `hull_sharpness` from a hull."""
+    hull_sharpness: float = 40.0
+    last_sharpness: float = 300.0
+    sharpness_until: float = 0.85
     coarse_until: float = 0.2
     first_samples: int = 32
     """Samples a ray in the object until `coarse_until`, while the band is wide; then `samples`."""
     samples: int = 16
+    opaque: float = 5e-3
+    """F_e behind the object is not rendered where less than this shows through."""
     sdf_rate: float = 0.003
     """Typical step of a touched spline coefficient, object radii."""
     head_rate: float = 5e-3
     eikonal: float = 0.02
     curvature: float = 5e-4
-    """Weight of the mean of sqrt(|Hessian of the SDF|^2 + 1) at surface points, in 1 / object radius,
-    at the first sharpness; it grows with the sharpness' root, as the photos' pull grows."""
+    """Weight of the mean of sqrt(|Hessian of the SDF|^2 + 1) at surface points, in 1 / object radius."""
     mask: float = 0.5
-    dynamic_weight: str = "scaled"
+    dynamic_weight: str = "none"
     """none, paper (eq. 5 as printed) or scaled: see fields_learning.dynamic_weight."""
+    decomposition: bool = True
+    """False: one radiance head of position, normal and view direction, as in plain NeuS (an ablation)."""
     least_evidence: float = 1.75
     """How much better the object must explain its pixels than F_e alone; 0 turns the check off. Measured: 1.5 for a
     sphere of air, 2.1 to 7.5 for objects."""
@@ -56,6 +75,8 @@ class EnvironmentPreset:
     """(shells, rows) of the grid, coarse to fine; there are twice as many columns as rows."""
     refine_at: tuple[float, ...] = (0.15, 0.4)
     """Fractions of the training at which the next resolution starts."""
+    model: str = "field"
+    """field, or infinite: a 2-D environment map at infinity, as NeRO and nvdiffrec assume (an ablation)."""
     outer_radius: float = 32.0
     """Radius of the sky shell, in radii of the object's sphere."""
     density_gain: float = 16.0
@@ -175,7 +196,7 @@ PRESETS = {
     "preview": Preset(
         name="preview", max_pixels_per_photo=40_000, fields_seconds=45, surface_seconds=3, material_seconds=20,
         environment_height=128,
-        fields=FieldsPreset(steps=700, sphere_rays=2048, outside_rays=768),
+        fields=FieldsPreset(steps=700, object_rays=1280, sphere_rays=768, outside_rays=768),
         environment=EnvironmentPreset(resolutions=((20, 32), (28, 64)), refine_at=(0.25,), steps=600),
         surface=SurfacePreset(grid=144, faces=10_000, atlas_texels=512),
         material=MaterialPreset(samples=12_000, terminal_steps=150, most_texels=512)),
@@ -183,7 +204,7 @@ PRESETS = {
     "quality": Preset(
         name="quality", max_pixels_per_photo=650_000, fields_seconds=600, surface_seconds=20, material_seconds=90,
         environment_height=512,
-        fields=FieldsPreset(steps=6000, sphere_rays=4096, outside_rays=1536, last_sharpness=250),
+        fields=FieldsPreset(steps=6000, object_rays=2560, sphere_rays=1536, outside_rays=1536),
         environment=EnvironmentPreset(steps=4000),
         surface=SurfacePreset(grid=288, faces=60_000, atlas_texels=2048),
         material=MaterialPreset(samples=80_000, most_texels=2048)),

@@ -231,3 +231,36 @@ def test_learning_explains_rays_that_it_did_not_see_and_is_deterministic():
     constant = (tone_map(test.radiance).mean(0) - tone_map(test.radiance)).square().mean()
     assert error < 0.25 * constant
     assert torch.equal(field.raw, learn_room(0)[0].raw)
+
+
+@pytest.fixture
+def sky() -> EnvironmentField:
+    """An environment at infinity whose radiance is a smooth function of the direction."""
+    field = EnvironmentField(dataclasses.replace(PRESET, model="infinite"))
+    shells, rows = field.raw.shape[:2]
+    assert shells == 2
+    theta = ((torch.arange(rows) + 0.5) * math.pi / rows)[:, None].expand(rows, 2 * rows)
+    with torch.no_grad():
+        field.raw[..., 1:] = theta.cos()[None, ..., None]
+    return field
+
+
+def test_an_infinite_environment_depends_on_the_direction_alone(sky):
+    directions = random_directions(200, 3)
+    near = torch.full((200,), 0.6)
+    far = torch.full_like(near, math.inf)
+    for origins in (torch.zeros(200, 3), 2.5 * random_directions(200, 4)):
+        radiance, transmittance = sky.render(origins, directions, near, far)
+        torch.testing.assert_close(radiance, directions[:, 2:].exp().expand(200, 3), rtol=0.02, atol=0)
+        assert (transmittance < 1e-6).all()
+        radiance, transmittance = sky.render(origins, directions, near, near + 1)
+        assert (radiance == 0).all() and (transmittance == 1).all()
+    # the mean of exp(z) over a hemisphere about z is e - 1
+    up = torch.tensor([[0.0, 0.0, 1.0]])
+    mean, _ = sky.query_cone(0.5 * up, up, math.pi / 2)
+    torch.testing.assert_close(mean, torch.full((1, 3), math.e - 1), rtol=0.05, atol=0)
+
+
+def test_an_unknown_environment_model_is_refused():
+    with pytest.raises(ValueError, match="field or infinite"):
+        EnvironmentField(dataclasses.replace(PRESET, model="cube"))

@@ -10,7 +10,7 @@ import trimesh
 
 from blender_nep.capture import PixelRays, load_capture
 from blender_nep.errors import LearningError
-from blender_nep.fields.object_field import Appearance
+from blender_nep.fields.object_field import Appearance, ObjectField
 from blender_nep.fields_learning import Fields, FieldsLearning, dynamic_weight, learn_fields
 from blender_nep.presets import preset
 from blender_nep.raytracing import RayTracer
@@ -44,7 +44,8 @@ def masked_rays():
 
 def small(**fields):
     p = preset("preview")
-    return replace(p, fields=replace(p.fields, **{"steps": 24, "sphere_rays": 512, "outside_rays": 256, **fields}))
+    return replace(p, fields=replace(p.fields, **{"background_steps": 6, "steps": 24, "object_rays": 256, "sphere_rays": 256,
+                                                 "outside_rays": 256, **fields}))
 
 
 def no_progress(step, steps, loss):
@@ -68,7 +69,7 @@ def test_a_short_learning_with_masks_comes_nearer_to_the_truth(masked_rays):
     capture = load_capture(CAPTURE)
     points = (trimesh.sample.sample_surface(truth, 2000, seed=0)[0] - capture.object_center) / capture.object_radius
     points = torch.from_numpy(points).float()
-    chosen = small(steps=150, sphere_rays=1024, outside_rays=512, least_evidence=0.0)
+    chosen = small(steps=150, object_rays=512, sphere_rays=512, outside_rays=512, least_evidence=0.0)
     before = FieldsLearning(masked_rays, chosen, 0, CPU).object_field.sdf(points).abs().mean()
     learned = learn_fields(masked_rays, chosen, seed=0, device=CPU, progress=no_progress, checkpoint=NoCheckpoint())
     after = learned.object_field.sdf(points).abs().mean()
@@ -80,17 +81,18 @@ def test_a_short_learning_with_masks_comes_nearer_to_the_truth(masked_rays):
                                learned.environment.query_cone(points * 0, direction, 0.2))
 
 
-def test_a_resumed_run_gives_the_same_fields(rays):
+@pytest.mark.parametrize("stop", [4, 16], ids=["while F_e is learned alone", "with both fields"])
+def test_a_resumed_run_gives_the_same_fields(rays, stop):
     def advance(learning, steps):
         for _ in range(steps):
             learning.learn_step()
         return learning
 
-    whole = advance(FieldsLearning(rays, small(), 3, CPU), 20)
-    half = advance(FieldsLearning(rays, small(), 3, CPU), 12)
+    whole = advance(FieldsLearning(rays, small(), 3, CPU), 24)
+    half = advance(FieldsLearning(rays, small(), 3, CPU), stop)
     resumed = FieldsLearning(rays, small(), 3, CPU)
     resumed.load(half.state())
-    advance(resumed, 8)
+    advance(resumed, 24 - stop)
     assert resumed.step == whole.step and resumed.loss == whole.loss
     for a, b in zip(whole.object_field.parameters(), resumed.object_field.parameters(), strict=True):
         assert torch.equal(a, b)
@@ -119,6 +121,34 @@ def test_a_loss_that_is_not_finite_is_given_up_with_a_message(rays):
     with pytest.raises(LearningError, match="not finite"):
         for _ in range(100):
             learning.learn_step()
+
+
+@pytest.mark.parametrize("ablation", [{"decomposition": False}, {"dynamic_weight": "paper"}, {"dynamic_weight": "scaled"},
+                                      {"curvature": 0.0}, {"background_steps": 0}])
+def test_ablations_of_the_object_field_learn(rays, ablation):
+    learning = FieldsLearning(rays, small(**{"background_steps": 2, **ablation}), 0, CPU)
+    losses = [learning.learn_step() for _ in range(20)]
+    assert np.isfinite(losses).all() and np.mean(losses[-4:]) < np.mean(losses[2:6])
+
+
+def test_without_decomposition_the_colour_is_one_radiance_of_the_view_direction():
+    field = ObjectField(8, 0.6, decomposed=False)
+    points = torch.tensor([[0.6, 0, 0]]).expand(2, 3)
+    normal = torch.tensor([[1.0, 0, 0]]).expand(2, 3)
+    seen = field.appearance(points, normal, torch.tensor([[-1.0, 0, 0], [-0.6, 0.8, 0]]))
+    assert (seen.albedo == 1).all() and not torch.equal(seen.colour[0], seen.colour[1])
+
+
+def test_the_object_is_looked_for_in_the_pixels_that_show_it(rays):
+    learning = FieldsLearning(rays, small(first_sharpness=100.0), 0, CPU)
+    learning._look_for_object()
+    radius = learning.preset.initial_radius
+    origins, directions, _ = rays.rays(torch.cat([rays.sphere, rays.outside]))
+    off_axis = torch.linalg.cross(origins, directions).norm(dim=-1)
+    found = torch.zeros(rays.count, dtype=torch.bool)
+    found[learning.object_pixels] = True
+    found = found[torch.cat([rays.sphere, rays.outside])]
+    assert found[off_axis < radius].all() and not found[off_axis > radius + 0.45].any()
 
 
 def test_a_sphere_without_an_object_is_refused(rays):

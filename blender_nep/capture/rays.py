@@ -81,6 +81,17 @@ class PixelRays:
         omega = cosine**3 / (fl_x * fl_y)
         return self._origin[view], direction, 2 * torch.asin(torch.sqrt(omega / (4 * math.pi)))
 
+    def project(self, view: int, points: Tensor) -> tuple[Tensor, Tensor]:
+        """Where a view sees points [n, 3] (unit frame): image coordinates [n, 2], each in -1..1 across the photo, x to
+        the right and y downwards, and whether they lie ahead of the camera [n] bool."""
+        fl_x, fl_y, cx, cy = self._intrinsics[view]
+        height, width = self.size[view]
+        local = (points - self._origin[view]) @ self._rotation[view]
+        depth = -local[:, 2]
+        safe = depth.clamp(min=1e-6)
+        x, y = local[:, 0] / safe * fl_x + cx, cy - local[:, 1] / safe * fl_y
+        return torch.stack([2 * x / width - 1, 2 * y / height - 1], -1), depth > 1e-3
+
     @classmethod
     def from_capture(
         cls, capture: Capture, max_pixels_per_photo: int, use_masks: bool, device: torch.device | str = "cpu"

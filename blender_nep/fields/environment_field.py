@@ -35,19 +35,31 @@ class EnvironmentField(nn.Module):
 
     def __init__(self, preset: EnvironmentPreset, mean_radiance: float = 0.2):
         super().__init__()
+        if preset.model not in ("field", "infinite"):
+            raise ValueError(f"unknown environment model {preset.model!r}: field or infinite")
         self.preset = preset
-        shells, rows = preset.resolutions[0]
+        shells, rows = self.resolutions[0]
         raw = torch.empty(shells, rows, 2 * rows, 4)
-        raw[..., 0] = preset.initial_raw_density
+        raw[..., 0] = -20.0 if self.infinite else preset.initial_raw_density
         raw[..., 1:] = math.log(max(mean_radiance, 1e-4))
         self.raw = nn.Parameter(raw)
         self.register_buffer("coverage", torch.zeros(raw.shape[:3]))
         self._prefiltered: PrefilteredEnvironment | None = None
 
     @property
+    def infinite(self) -> bool:
+        """The environment is a 2-D map: only the sky shell counts, and every ray starts from the centre."""
+        return self.preset.model == "infinite"
+
+    @property
+    def resolutions(self) -> list[tuple[int, int]]:
+        """(shells, rows) of the grid, coarse to fine."""
+        return [(2 if self.infinite else shells, rows) for shells, rows in self.preset.resolutions]
+
+    @property
     def level(self) -> int:
-        """Index into `preset.resolutions` of the present grid."""
-        return [tuple(r) for r in self.preset.resolutions].index((self.raw.shape[0], self.raw.shape[1]))
+        """Index into `resolutions` of the present grid."""
+        return self.resolutions.index((self.raw.shape[0], self.raw.shape[1]))
 
     @property
     def relative_step(self) -> float:
@@ -79,6 +91,10 @@ class EnvironmentField(nn.Module):
         jitter = None
         if generator is not None:
             jitter = torch.rand(len(origins), generator=generator, device=origins.device, dtype=origins.dtype)
+        if self.infinite:
+            origins = torch.zeros_like(origins)
+            t_near = torch.full_like(t_near, self.preset.outer_radius)
+            t_far = torch.where(torch.isinf(t_far), t_far, t_near)
         return render_environment(
             self.raw,
             origins,
@@ -117,7 +133,7 @@ class EnvironmentField(nn.Module):
         due = sum(fraction >= start for start in self.preset.refine_at)
         if due <= self.level:
             return False
-        self.raw = nn.Parameter(resample(self.raw.detach(), *self.preset.resolutions[due]))
+        self.raw = nn.Parameter(resample(self.raw.detach(), *self.resolutions[due]))
         self.coverage = self.raw.new_zeros(self.raw.shape[:3])
         return True
 
@@ -126,6 +142,8 @@ class EnvironmentField(nn.Module):
         """Learning is over: measures `coverage` with camera rays [n, 3] (a node that about as many rays as it has
         pixels' worth of evidence saw counts as seen) and makes the field ready for cones."""
         evidence = np.zeros(self.raw.shape[:3], np.float32)
+        if self.infinite:
+            origins = torch.zeros_like(origins)
         near = np.full(len(origins), self.preset.camera_near, np.float32)
         accumulate_evidence(self.raw.detach().cpu().numpy(), origins.cpu().numpy(), directions.cpu().numpy(), near,
                             math.log(self.preset.outer_radius), self.preset.density_gain, self.relative_step, evidence)
@@ -144,6 +162,8 @@ class EnvironmentField(nn.Module):
         if self._prefiltered is None:
             self._prefiltered = PrefilteredEnvironment(self.raw, self.coverage, self.preset.density_gain,
                                                        self.preset.outer_radius)
+        if self.infinite:
+            origins, t_near = torch.zeros_like(origins), torch.full_like(origins[:, 0], self.preset.outer_radius)
         if t_near is None:
             b = (origins * directions).sum(-1)
             t_near = (-b + (b * b - (origins * origins).sum(-1) + 1).clamp(min=0).sqrt()).clamp(min=1e-3)

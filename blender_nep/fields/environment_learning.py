@@ -39,6 +39,19 @@ def freeze(environment: EnvironmentField, rays: PixelRays, background: torch.Ten
     environment.freeze(origins, directions)
 
 
+def learn_step(environment: EnvironmentField, adam: torch.optim.Optimizer, rays: PixelRays, index: torch.Tensor,
+               generator: torch.Generator) -> float:
+    """One step of F_e alone on the pixels `index`; returns the photometric loss."""
+    origins, directions, half_angle = rays.rays(index)
+    near = torch.full_like(half_angle, environment.preset.camera_near)
+    radiance, _ = environment.render(origins, directions, near, torch.full_like(near, torch.inf), half_angle, generator)
+    photometric = (tone_map(radiance) - tone_map(rays.radiance[index].float())).abs().mean()
+    adam.zero_grad()
+    (photometric + environment.regularisation(generator)).backward()
+    adam.step()
+    return float(photometric.detach())
+
+
 def learn_environment(rays: PixelRays, background: torch.Tensor, preset: EnvironmentPreset, *, seed: int,
                       device: torch.device, progress: Callable, checkpoint: Checkpoint) -> EnvironmentField:
     """F_e from the pixels `background` (indices) alone. Raises Stopped on request, after writing the checkpoint."""
@@ -58,17 +71,9 @@ def learn_environment(rays: PixelRays, background: torch.Tensor, preset: Environ
         for group in adam.param_groups:
             group["lr"] = learning_rate(preset, step / preset.steps)
         pick = torch.randint(len(background), (preset.rays_per_step,), generator=generator, device=device)
-        index = background[pick]
-        origins, directions, half_angle = rays.rays(index)
-        near = torch.full_like(half_angle, preset.camera_near)
-        radiance, _ = environment.render(origins, directions, near, torch.full_like(near, torch.inf), half_angle,
-                                         generator)
-        photometric = (tone_map(radiance) - tone_map(rays.radiance[index].float())).abs().mean()
-        adam.zero_grad()
-        (photometric + environment.regularisation(generator)).backward()
-        adam.step()
+        loss = learn_step(environment, adam, rays, background[pick], generator)
         step += 1
-        progress(step, preset.steps, float(photometric.detach()))
+        progress(step, preset.steps, loss)
         if checkpoint.stopping or checkpoint.due():
             checkpoint.save({"step": step, "environment": environment.state_dict(), "optimiser": adam.state_dict(),
                              "generator": generator.get_state()})

@@ -17,7 +17,7 @@ from blender_nep.fields.encodings import encoding_size, integrated_directional_e
 from blender_nep.ops import bspline
 
 FEATURES = 16
-ALBEDO_OCTAVES, LIGHT_OCTAVES = 5, 1
+ALBEDO_OCTAVES, LIGHT_OCTAVES, VIEW_OCTAVES = 5, 1, 4
 
 
 @dataclass
@@ -40,15 +40,19 @@ def _mlp(inputs: int, width: int, outputs: int) -> nn.Sequential:
 
 
 class ObjectField(nn.Module):
-    """F_o over the unit sphere. `cells` are those of the coarsest SDF level; every `add_level` halves the cell."""
+    """F_o over the unit sphere. `cells` are those of the coarsest SDF level; every `add_level` halves the cell.
 
-    def __init__(self, cells: int, initial_radius: float, width: int = 64) -> None:
+    `decomposed`: colour by eq. 4; else by one radiance head, as in NeuS."""
+
+    def __init__(self, cells: int, initial_radius: float, width: int = 64, decomposed: bool = True) -> None:
         super().__init__()
         centre = (torch.arange(cells + 2) - 0.5) / cells * 2 - 1
         x, y, z = torch.meshgrid(centre, centre, centre, indexing="ij")
         self.levels = nn.ParameterList([nn.Parameter((x * x + y * y + z * z).sqrt() - initial_radius)])
         self.surface_head = _mlp(3 + 6 * ALBEDO_OCTAVES, width, 4 + FEATURES)
-        light_inputs = FEATURES + encoding_size(4) + 3 + 3 + 6 * LIGHT_OCTAVES
+        self.decomposed = decomposed
+        directional = encoding_size(4) if decomposed else 3 + 6 * VIEW_OCTAVES
+        light_inputs = FEATURES + directional + 3 + 3 + 6 * LIGHT_OCTAVES
         self.light_head = _mlp(light_inputs, width, 3)
 
     def add_level(self) -> None:
@@ -56,6 +60,20 @@ class ObjectField(nn.Module):
         n = 2 * self.levels[-1].shape[0] - 2
         device = self.levels[-1].device
         self.levels.append(nn.Parameter(torch.zeros(n, n, n, device=device)))
+
+    @torch.no_grad()
+    def start_from(self, sdf: torch.Tensor) -> None:
+        """Makes the whole field this SDF, given at the centres of the finest level's cells [n, n, n]."""
+        n = self.levels[-1].shape[0] - 2
+        if sdf.shape != (n, n, n):
+            raise ValueError(f"an SDF of {n}^3 cells is needed, not {tuple(sdf.shape)}")
+        # a coefficient stands at its cell's centre; one more lies beyond each border
+        target = nn.functional.pad(sdf[None, None], (1,) * 6, mode="replicate")[0, 0]
+        coarse = nn.functional.interpolate(sdf[None, None], self.levels[0].shape[0] - 2, mode="area")
+        self.levels[0].copy_(nn.functional.pad(coarse, (1,) * 6, mode="replicate")[0, 0])
+        for level in self.levels[1:]:
+            level.zero_()
+        self.levels[-1].add_(target - self.coefficients())
 
     @property
     def cell(self) -> float:
@@ -95,8 +113,11 @@ class ObjectField(nn.Module):
         """Colour of surface points [n, 3] with unit normals, seen along unit view directions [n, 3] (camera to point)."""
         raw = self.surface_head(positional_encoding(points, ALBEDO_OCTAVES))
         albedo, roughness, feature = raw[:, :3].sigmoid(), raw[:, 3:4].sigmoid(), raw[:, 4:]
-        cosine = (directions * normals).sum(-1, keepdim=True)
-        reflected = directions - 2 * cosine * normals
-        light = self.light_head(torch.cat([feature, integrated_directional_encoding(reflected, roughness), normals,
-                                           positional_encoding(points, LIGHT_OCTAVES)], -1))
+        if self.decomposed:
+            cosine = (directions * normals).sum(-1, keepdim=True)
+            directional = integrated_directional_encoding(directions - 2 * cosine * normals, roughness)
+        else:
+            albedo, directional = torch.ones_like(albedo), positional_encoding(directions, VIEW_OCTAVES)
+        light = self.light_head(torch.cat([feature, directional, normals, positional_encoding(points, LIGHT_OCTAVES)],
+                                          -1))
         return Appearance(albedo, nn.functional.softplus(light), roughness)
