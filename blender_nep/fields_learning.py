@@ -7,6 +7,7 @@ environment behind it. Masks help where they are given and are never required.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import torch
@@ -26,6 +27,8 @@ from blender_nep.presets import Preset
 from blender_nep.raytracing import RayTracer
 from blender_nep.surface import Surface
 
+HELD_OUT = 101
+"""Pixels whose index is a multiple of this are not learned from."""
 PATIENCE = 20
 """Steps in a row that may fail to give a finite loss before learning is given up."""
 
@@ -104,6 +107,9 @@ class FieldsLearning:
         self.object_field = _object_field(preset, device)
         preset = preset.fields
         self.step, self.loss = 0, float("nan")
+        self.learned = 0
+        self.held_out: list[float] = []
+        self.checked: torch.Tensor | None = None
         self.failed, self.report = 0, {}
         # without surroundings there is nothing to learn first; the hull then comes from the masks or not at all
         known = len(rays.outside) >= preset.least_outside * rays.count
@@ -118,13 +124,26 @@ class FieldsLearning:
 
     @property
     def steps(self) -> int:
-        """Of F_e alone and of both fields together."""
-        return self.background_steps + self.preset.steps
+        """Of F_e alone and of both fields together, as far as can be told."""
+        if self.step < self.background_steps:
+            return self.background_steps + self.preset.steps
+        return self.step + math.ceil((self.preset.steps - self.learned) / self._pace)
 
     @property
     def fraction(self) -> float:
         """How much of the learning of both fields is done, 0..1."""
-        return max(self.step - self.background_steps, 0) / self.preset.steps
+        return self.learned / self.preset.steps
+
+    @property
+    def _pace(self) -> int:
+        """Steps that one step stands for: more once the error on held-out pixels no longer falls, so that what is left,
+        the sharpening and the calming down, is soon over."""
+        return 4 if self._settled else 1
+
+    @property
+    def _settled(self) -> bool:
+        p, errors = self.preset, self.held_out
+        return len(errors) > p.patience and min(errors[-p.patience:]) > (1 - p.least_gain) * min(errors[:-p.patience])
 
     def _set_levels(self, count: int) -> None:
         if count == len(self.object_field.levels) and self.step:
@@ -193,7 +212,20 @@ class FieldsLearning:
             group["lr"] = environment_learning.learning_rate(self.environment.preset, self.step / self.steps)
 
     def _draw(self, pool: torch.Tensor, count: int) -> torch.Tensor:
-        return pool[torch.randint(len(pool), (count,), generator=self.generator, device=self.device)]
+        """About `count` random pixels of the pool, without the held-out ones."""
+        index = pool[torch.randint(len(pool), (count,), generator=self.generator, device=self.device)]
+        return index[index % HELD_OUT != 0]
+
+    @torch.no_grad()
+    def _check(self, pixels: int = 4096) -> float:
+        """Photometric error on held-out pixels in which the object was seen at the first look."""
+        if self.checked is None:
+            index = self.object_pixels[self.object_pixels % HELD_OUT == 0]
+            self.checked = index[:: max(1, len(index) // pixels)]
+        if not len(self.checked):
+            return float("inf")
+        out = self.render(*self.rays.rays(self.checked), None)
+        return float((tone_map(out.radiance) - tone_map(self.rays.radiance[self.checked].float())).abs().mean())
 
     def _learn_background_step(self) -> float:
         """A step of F_e alone, from pixels that do not see the object's sphere."""
@@ -256,6 +288,8 @@ class FieldsLearning:
         if looks > self.looks:
             self.looks = looks
             self._look_for_object()
+        if self.looks and self.fraction >= p.look_at[0] + p.check_every * len(self.held_out):
+            self.held_out.append(self._check())
         self._refine_environment()
         pick = [self._draw(pool, count) for pool, count in ((self.object_pixels, p.object_rays),
                                                             (rays.sphere, p.sphere_rays),
@@ -285,6 +319,7 @@ class FieldsLearning:
             for optimiser in optimisers:
                 optimiser.step()
         self.step += 1
+        self.learned = min(self.learned + self._pace, p.steps)
         self.loss = float(photometric.detach())
         return self.loss
 
@@ -329,7 +364,8 @@ class FieldsLearning:
                 "head_optimiser": self.head_optimiser.state_dict(),
                 "environment_optimiser": self.environment_optimiser.state_dict(),
                 "generator": self.generator.get_state(), "looks": self.looks, "object_pixels": self.object_pixels,
-                "start_sharpness": self.start_sharpness, "report": self.report}
+                "start_sharpness": self.start_sharpness, "report": self.report, "learned": self.learned,
+                "held_out": self.held_out, "checked": self.checked}
 
     def load(self, state: dict) -> None:
         """Go on from `state`."""
@@ -344,6 +380,7 @@ class FieldsLearning:
         self.generator.set_state(state["generator"])
         self.looks, self.object_pixels = state["looks"], state["object_pixels"]
         self.start_sharpness, self.report = state["start_sharpness"], state["report"]
+        self.learned, self.held_out, self.checked = state["learned"], state["held_out"], state["checked"]
 
 
 def learn_fields(rays: PixelRays, preset: Preset, *, seed: int, device: torch.device, progress, checkpoint,
@@ -363,7 +400,7 @@ def learn_fields(rays: PixelRays, preset: Preset, *, seed: int, device: torch.de
     state = checkpoint.load()
     if state is not None:
         learning.load(state)
-    while learning.step < learning.steps:
+    while learning.fraction < 1:
         loss = learning.learn_step()
         progress(learning.step, learning.steps, loss)
         if checkpoint.stopping or checkpoint.due():
@@ -377,7 +414,9 @@ def learn_fields(rays: PixelRays, preset: Preset, *, seed: int, device: torch.de
             f" does (ratio {evidence:.2f}, needed {preset.fields.least_evidence}).",
             "Set object_center and object_radius in transforms.json so that the sphere holds the object closely.")
     environment_learning.freeze(learning.environment, rays, rays.outside if len(rays.outside) else rays.sphere, seed)
-    report = {"steps": learning.steps, "loss": learning.loss, "evidence": round(evidence, 3), **learning.report}
+    report = {"steps": learning.step, "of_steps": learning.background_steps + preset.fields.steps,
+              "held_out_error": [round(e, 4) for e in learning.held_out], "loss": learning.loss,
+              "evidence": round(evidence, 3), **learning.report}
     return Fields(learning.object_field, learning.environment, report)
 
 

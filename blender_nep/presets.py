@@ -27,6 +27,11 @@ class FieldsPreset:
     """Rays a step through pixels in which the object is seen; before the first look, in which its sphere is."""
     look_at: tuple[float, ...] = (0.25, 0.5, 0.75)
     """When to look in which pixels the object is seen."""
+    check_every: float = 0.05
+    """How often the error on held-out pixels is measured, from the first look on."""
+    patience: int = 3
+    least_gain: float = 0.005
+    """When this many checks in a row do not lower the error by this share, learning is brought to its end."""
     sphere_rays: int = 1024
     """Rays a step through any pixels that see the object's sphere."""
     outside_rays: int = 1024

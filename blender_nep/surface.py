@@ -14,6 +14,7 @@ import xatlas
 from skimage import measure
 
 from blender_nep.errors import CaptureError, LearningError
+from blender_nep.support import MARGIN, Support, find_support
 
 if TYPE_CHECKING:
     from blender_nep.capture.capture import Capture
@@ -43,8 +44,14 @@ def extract_surface(object_field: ObjectField, preset: SurfacePreset) -> tuple[S
 
     Raises LearningError when the field has no surface in the sphere.
     """
-    vertices, faces = _zero_level(object_field.sdf_grid(preset.grid))
+    sdf = object_field.sdf_grid(preset.grid)
+    vertices, faces = _zero_level(sdf)
+    support = find_support(vertices, faces, _BORDER)
+    if support is not None:
+        vertices, faces = _zero_level(_above(sdf, support))
     vertices, faces, report = keep_object(vertices, faces)
+    if support is not None:
+        report["cut_support_plane"] = {"normal": support.normal.round(3).tolist(), "height": round(support.height, 4)}
     report["faces_marching_cubes"] = len(faces)
     if len(faces) > preset.faces:
         vertices, faces = _decimate(vertices, faces, preset.faces)
@@ -144,6 +151,14 @@ def _zero_level(sdf: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         raise LearningError("no surface was found: the object field fills the whole sphere", hint)
     vertices, faces, _, _ = measure.marching_cubes(cropped, 0.0)
     return vertices.astype(np.float64) * (2 / (n - 1)) - 1, faces.astype(np.int64)
+
+
+def _above(sdf: np.ndarray, support: Support) -> np.ndarray:
+    """The SDF [n,n,n] intersected with the half-space above a support plane."""
+    axis = np.linspace(-1, 1, sdf.shape[0], dtype=np.float32)
+    x, y, z = (np.float32(c) * axis for c in support.normal)
+    below = support.height + MARGIN - (x[:, None, None] + y[None, :, None] + z[None, None, :])
+    return np.maximum(sdf, below.astype(np.float32))
 
 
 def _decimate(vertices: np.ndarray, faces: np.ndarray, budget: int) -> tuple[np.ndarray, np.ndarray]:

@@ -1,0 +1,93 @@
+"""Geometry scores of a surface against a capture's true mesh, in object radii; the cameras' own view decides what counts.
+
+libigl measures the distances, Embree casts the rays.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import igl
+import numpy as np
+import trimesh
+from trimesh.ray.ray_pyembree import RayMeshIntersector
+
+from blender_nep.capture.capture import Capture
+from blender_nep.surface import Surface
+
+VOXEL = 0.01
+"""One point a voxel of this width, so that places seen often do not dominate."""
+
+
+class Body:
+    """A mesh in the unit frame that rays meet and distances are measured to."""
+
+    def __init__(self, vertices: np.ndarray, faces: np.ndarray) -> None:
+        self.mesh = trimesh.Trimesh(vertices, faces, process=False)
+        self.caster = RayMeshIntersector(self.mesh)
+
+    def first_hits(self, origins: np.ndarray, directions: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Points, ray indices and faces of the first hits."""
+        return self.caster.intersects_location(origins, directions, multiple_hits=False)
+
+    def distance(self, points: np.ndarray) -> np.ndarray:
+        """Distance [n] of points [n, 3] to the surface."""
+        v, f = np.asarray(self.mesh.vertices, np.float64), np.asarray(self.mesh.faces, np.int64)
+        return np.sqrt(igl.point_mesh_squared_distance(np.ascontiguousarray(points, np.float64), v, f)[0])
+
+    def visible(self, cameras: list[tuple[np.ndarray, np.ndarray]], most: int, rng: np.random.Generator) -> np.ndarray:
+        """Points that the cameras' rays meet first, thinned to one a voxel."""
+        points = np.concatenate([self.first_hits(*rays)[0] for rays in cameras])
+        _, first = np.unique(np.floor(points / VOXEL).astype(np.int64), axis=0, return_index=True)
+        return points[rng.permutation(first)[:most]]
+
+
+def true_mesh(folder: Path, capture: Capture) -> Body:
+    """`gt_mesh.ply` of a capture, in the unit frame."""
+    mesh = trimesh.load(folder / "gt_mesh.ply", process=False, force="mesh")
+    mesh.apply_transform(np.asarray(capture.to_unit, np.float64))
+    return Body(mesh.vertices, mesh.faces)
+
+
+def camera_rays(capture: Capture, view: int, stride: int) -> tuple[np.ndarray, np.ndarray, tuple[int, int]]:
+    """Origins and directions [n, 3] of every stride-th pixel of a view in the unit frame, and (rows, columns)."""
+    camera = capture.views[view].camera
+    x, y = np.meshgrid(np.arange(0, camera.width, stride) + 0.5, np.arange(0, camera.height, stride) + 0.5)
+    local = np.stack([(x - camera.cx) / camera.fl_x, (camera.cy - y) / camera.fl_y, -np.ones_like(x)], -1).reshape(-1, 3)
+    directions = local @ camera.camera_to_world[:3, :3].T
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    origin = (camera.position - capture.object_center) / capture.object_radius
+    return np.broadcast_to(origin, directions.shape), directions, x.shape
+
+
+def score(surface: Surface, folder: Path, capture: Capture, test: Capture, points: int = 60_000) -> dict[str, float]:
+    """cd_visible, cd_full, fscore_005, normal_deg and mask_iou; the last two in the test views."""
+    rng = np.random.default_rng(0)
+    truth, ours = true_mesh(folder, capture), Body(surface.vertices, surface.faces)
+    cameras = [camera_rays(capture, v, 6)[:2] for v in range(len(capture.views))]
+    to_ours = ours.distance(truth.visible(cameras, points, rng))
+    to_truth = truth.distance(ours.visible(cameras, points, rng))
+    recall, precision = (to_ours < 0.005).mean(), (to_truth < 0.005).mean()
+    full = [a.distance(trimesh.sample.sample_surface(b.mesh, points, seed=0)[0]).mean()
+            for a, b in ((ours, truth), (truth, ours))]
+    angles, shared, either = [], 0, 0
+    for view in range(len(test.views)):
+        origins, directions, size = camera_rays(test, view, 1)
+        normals, hits = np.zeros((2, len(origins), 3)), np.zeros((2, len(origins)), bool)
+        for k, body in enumerate((ours, truth)):
+            _, ray, face = body.first_hits(origins, directions)
+            normals[k, ray], hits[k, ray] = body.mesh.face_normals[face], True
+        shared, either = shared + hits.all(0).sum(), either + hits.any(0).sum()
+        # a pixel at the silhouette sees both object and background
+        inner = hits[1].reshape(size)
+        inner[1:-1, 1:-1] &= inner[:-2, 1:-1] & inner[2:, 1:-1] & inner[1:-1, :-2] & inner[1:-1, 2:]
+        chosen = hits[0] & inner.ravel()
+        cosine = np.abs((normals[0, chosen] * normals[1, chosen]).sum(1)).clip(0, 1)
+        angles.append(np.degrees(np.arccos(cosine)))
+    return {
+        "cd_visible": float((to_ours.mean() + to_truth.mean()) / 2),
+        "cd_full": float(np.mean(full)),
+        "fscore_005": float(2 * recall * precision / max(recall + precision, 1e-9)),
+        "normal_deg": float(np.concatenate(angles).mean()),
+        "mask_iou": float(shared / max(either, 1)),
+    }

@@ -1,0 +1,48 @@
+"""The benchmark's own scores, on bodies whose scores are known; ablations change what their names say."""
+
+from dataclasses import asdict
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+
+pytest.importorskip("igl")
+from benchmarks.fields import ABLATIONS, ablated, table
+from benchmarks.geometry import Body, score
+from blender_nep.capture import load_capture
+from blender_nep.presets import preset
+from blender_nep.surface import Surface
+
+CAPTURE = Path(__file__).parent.parent / "data" / "suzanne_small"
+
+
+def test_the_truth_scores_perfectly_and_a_moved_copy_by_its_shift():
+    capture, test = load_capture(CAPTURE), load_capture(CAPTURE, transforms="transforms_test.json")
+    test.object_center, test.object_radius = capture.object_center, capture.object_radius
+    mesh = trimesh.load(CAPTURE / "gt_mesh.ply", process=False, force="mesh")
+    mesh.apply_transform(capture.to_unit)
+    vertices, faces = np.asarray(mesh.vertices), np.asarray(mesh.faces)
+    same = score(Surface(vertices, faces, np.zeros_like(vertices)), CAPTURE, capture, test)
+    assert same["cd_visible"] < 1e-6 and same["cd_full"] < 1e-6 and same["normal_deg"] < 1e-3
+    assert same["mask_iou"] == 1 and same["fscore_005"] == 1
+    moved = score(Surface(vertices + np.array([0, 0, 0.02]), faces, np.zeros_like(vertices)), CAPTURE, capture, test)
+    assert 0.002 < moved["cd_visible"] < 0.02 and 0.8 < moved["mask_iou"] < 0.99
+
+
+def test_distances_between_concentric_balls_are_the_difference_of_their_radii():
+    small, large = (trimesh.creation.icosphere(subdivisions=4, radius=r) for r in (0.5, 0.6))
+    distance = Body(large.vertices, large.faces).distance(np.asarray(small.vertices))
+    assert distance == pytest.approx(0.1, abs=2e-3)
+
+
+@pytest.mark.parametrize("name", [n for n in ABLATIONS if n != "full"])
+def test_an_ablation_changes_only_the_fields_it_names(name):
+    base, other = asdict(preset("balanced")), asdict(ablated(name, preset("balanced")))
+    changed = {(part, key) for part in ABLATIONS[name] for key in base[part] if base[part][key] != other[part][key]}
+    assert changed == {(part, key) for part, values in ABLATIONS[name].items() for key in values}
+
+
+def test_a_failed_run_is_a_row_with_its_message():
+    row = {"capture": "a", "preset": "balanced", "ablation": "full", "error": "no surface was found"}
+    assert "no surface was found" in table([row])
