@@ -144,7 +144,8 @@ class Events:
     def progress(
         self, room: str, step: int, steps: int, fraction: float, eta: float, loss: float | None, **extra: Any
     ) -> None:
-        """How far the job is: at most four events a second, but always the first and last step of a room."""
+        """How far the job is: at most four events a second, but always the first and last step of a room.
+        `note` (extra) stands for the step where there is something better to say."""
         now, edge = self._clock(), step in (0, steps) or self._last_step is None or self._last_step[0] != room
         if (edge and self._last_step != (room, step)) or now - self._last_event >= 0.25:
             self._last_event, self._last_step = now, (room, step)
@@ -158,20 +159,20 @@ class Events:
                 loss=loss,
                 **extra,
             )
-            self._show(room, step, steps, fraction, eta, loss)
+            self._show(room, extra.get("note", f"{step}/{steps}"), fraction, eta, loss)
 
-    def _show(self, room: str, step: int, steps: int, fraction: float, eta: float, loss: float | None) -> None:
+    def _show(self, room: str, place: str, fraction: float, eta: float, loss: float | None) -> None:
         figure = "" if loss is None else f", loss {loss:.4f}"
         if self._human is not None and self._human.isatty():
             if self._bar is None:
                 form = "{desc}: {percentage:3.0f}%|{bar}| {unit}"
                 self._bar = tqdm(total=1.0, file=self._human, bar_format=form, dynamic_ncols=True)
             self._bar.n = fraction
-            self._bar.unit = f"{step}/{steps}{figure}, {time_text(eta)} left"
+            self._bar.unit = f"{place}{figure}, {time_text(eta)} left"
             self._bar.set_description_str(room.replace("_", " "))
         if self._clock() - self._last_line >= 10:
             self._last_line = self._clock()
-            text = f"{fraction:4.0%}  {room.replace('_', ' ')} {step}/{steps}{figure}, {time_text(eta)} left"
+            text = f"{fraction:4.0%}  {room.replace('_', ' ')} {place}{figure}, {time_text(eta)} left"
             self.log(text)
             if self._human is not None and self._bar is None:
                 print(text, file=self._human, flush=True)

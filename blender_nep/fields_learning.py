@@ -299,12 +299,13 @@ class FieldsLearning:
         target = tone_map(rays.radiance[index].float())
         out = self.render(origins, directions, half_angle, self.generator)
         photometric = (out.weight * (tone_map(out.radiance) - target).abs()).mean()
-        loss = (photometric + p.eikonal * out.eikonal + p.curvature * out.curvature
-                + self.environment.regularisation(self.generator))
+        # stiff while the light is still unknown, which would else be explained by dents; then free for detail
+        soften = (p.last_curvature / p.curvature if p.curvature > 0 else 1.0) ** max(0.0, 2 * self.fraction - 1)
+        loss = photometric + p.eikonal * out.eikonal + p.curvature * soften * out.curvature
         if rays.mask is not None and p.mask > 0:
             mask = rays.mask[index].float() / 255
             loss = loss + p.mask * functional.binary_cross_entropy(out.opacity.clamp(1e-4, 1 - 1e-4), mask)
-        warm = min(1.0, (self.step - self.background_steps + 1) / 50) * 0.1 ** max(0.0, (self.fraction - 0.3) / 0.7)
+        warm = min(1.0, (self.step - self.background_steps + 1) / 50) * 0.03 ** max(0.0, (self.fraction - 0.3) / 0.7)
         # a sharper surface answers to smaller steps
         for group in self.sdf_optimiser.param_groups:
             group["lr"] = p.sdf_rate * warm * (p.first_sharpness / self.sharpness) ** 0.5
@@ -316,6 +317,7 @@ class FieldsLearning:
             optimiser.zero_grad()
         if self._judge(float(loss.detach())):
             loss.backward()
+            self.environment.regularise(self.generator)
             for optimiser in optimisers:
                 optimiser.step()
         self.step += 1

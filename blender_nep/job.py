@@ -288,7 +288,8 @@ class Job:
             self._progress(room, step, steps, None if loss is None else float(loss), **extra)
             checkpoint.raise_if_stopped(saves=True)
 
-        self._progress(room, 0, 1, None)
+        # a room's kernels are compiled at its first step, on each machine once; later runs take them from the cache
+        self._progress(room, 0, 1, None, note="warming up")
         result = work(progress, checkpoint)
         self.seconds[room] = checkpoint.seconds()
         self.folder.save_result(room, pack(result), self.seconds[room])

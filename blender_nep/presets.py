@@ -61,7 +61,9 @@ class FieldsPreset:
     head_rate: float = 5e-3
     eikonal: float = 0.02
     curvature: float = 5e-4
-    """Weight of the mean of sqrt(|Hessian of the SDF|^2 + 1) at surface points, in 1 / object radius."""
+    """Weight of the mean of sqrt(|Hessian of the SDF|^2 + 1) at surface points, in 1 / object radius, until half time;
+    it then falls to `last_curvature`."""
+    last_curvature: float = 1e-4
     mask: float = 0.5
     dynamic_weight: str = "none"
     """none, paper (eq. 5 as printed) or scaled: see fields_learning.dynamic_weight."""
@@ -201,7 +203,7 @@ PRESETS = {
     "preview": Preset(
         name="preview", max_pixels_per_photo=40_000, fields_seconds=45, surface_seconds=3, material_seconds=20,
         environment_height=128,
-        fields=FieldsPreset(steps=700, object_rays=1280, sphere_rays=768, outside_rays=768),
+        fields=FieldsPreset(background_steps=200, steps=700, object_rays=1280, sphere_rays=768, outside_rays=768),
         environment=EnvironmentPreset(resolutions=((20, 32), (28, 64)), refine_at=(0.25,), steps=600),
         surface=SurfacePreset(grid=144, faces=10_000, atlas_texels=512),
         material=MaterialPreset(samples=12_000, terminal_steps=150, most_texels=512)),
@@ -209,7 +211,7 @@ PRESETS = {
     "quality": Preset(
         name="quality", max_pixels_per_photo=650_000, fields_seconds=600, surface_seconds=20, material_seconds=90,
         environment_height=512,
-        fields=FieldsPreset(steps=6000, object_rays=2560, sphere_rays=1536, outside_rays=1536),
+        fields=FieldsPreset(background_steps=400, steps=4500, object_rays=2048, last_sharpness=400),
         environment=EnvironmentPreset(steps=4000),
         surface=SurfacePreset(grid=288, faces=60_000, atlas_texels=2048),
         material=MaterialPreset(samples=80_000, most_texels=2048)),

@@ -90,3 +90,10 @@ def test_march_brackets_a_sphere():
     torch_spans, torch_count = bspline._march_torch(coefficients, origins, directions, near, far, band, step, 4)
     assert torch.equal(torch_count, count)
     torch.testing.assert_close(torch_spans, spans, atol=2e-3, rtol=0)
+
+
+def test_refinement_bodies_agree_and_pass_gradcheck():
+    coefficients = torch.randn(6, 7, 5, dtype=torch.float64, generator=torch.Generator().manual_seed(0))
+    coefficients.requires_grad_()
+    torch.testing.assert_close(bspline.refine(coefficients), bspline.refine_torch(coefficients), rtol=1e-12, atol=1e-12)
+    assert torch.autograd.gradcheck(bspline.refine, (coefficients,))

@@ -177,17 +177,25 @@ def test_cones_follow_a_changed_field():
     torch.testing.assert_close(after, before * math.e, rtol=1e-3, atol=0)
 
 
-def test_regularisation_prefers_smooth_and_empty():
+def test_regularisation_prefers_smooth_and_empty_and_adds_the_gradient_of_its_value():
     generator = torch.Generator().manual_seed(0)
-    smooth = EnvironmentField(PRESET).regularisation(generator)
+    smooth = EnvironmentField(PRESET).regularise(generator)
     rough = EnvironmentField(PRESET)
     with torch.no_grad():
         rough.raw += torch.randn(rough.raw.shape, generator=generator)
     dense = EnvironmentField(PRESET)
     with torch.no_grad():
         dense.raw[..., 0] = 3.0
-    assert rough.regularisation(generator) > smooth and dense.regularisation(generator) > smooth
-    smooth.backward()
+    assert rough.regularise(generator) > smooth and dense.regularise(generator) > smooth
+    rough.raw.grad = torch.ones_like(rough.raw)
+    state = generator.get_state()
+    before = rough.regularise(generator)
+    gradient = rough.raw.grad - 1
+    with torch.no_grad():
+        rough.raw -= 100.0 * gradient
+    after = rough.regularise(generator.set_state(state))
+    expected = before - 100.0 * float(gradient.square().sum())
+    assert after == pytest.approx(expected, rel=0.02) and after < before
 
 
 def pixel_rays(room: EnvironmentField, n: int, seed: int) -> SimpleNamespace:

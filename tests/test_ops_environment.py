@@ -230,11 +230,11 @@ def test_variation_bodies_agree_and_a_step_costs_its_height():
     results = []
     for body in ("numba", "torch"):
         grid = random_grid(6, 4, 1).requires_grad_()
-        value = total_variation(grid, 2, 3, (1.0, 0.5, 0.2, 0.0), 0.05, body)
+        value = total_variation(grid, (1.0, 0.5, 0.2, 0.0), 0.05, body)
         (2 * value).backward()
         results.append((value.detach(), grid.grad))
     for ours, reference in zip(*results, strict=True):
         torch.testing.assert_close(ours, reference, rtol=1e-9, atol=1e-12)
     step = torch.zeros(4, 8, 16, 1, dtype=torch.float64)
     step[2:] = 3.0
-    assert float(total_variation(step, 0, 4, (1.0,), 1e-9)) == pytest.approx(3.0 / 3)
+    assert float(total_variation(step, (1.0,), 1e-9)) == pytest.approx(3.0 / 3)

@@ -60,7 +60,7 @@ class PixelRays:
 
     def view_of(self, index: Tensor) -> Tensor:
         """The view [n] int64 of each pixel index [n]."""
-        return torch.searchsorted(self._start, index, right=True) - 1
+        return torch.searchsorted(self._start, index.contiguous(), right=True) - 1
 
     def rays(self, index: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """Origins [n, 3], unit directions [n, 3] (unit frame) and half angles [n] of pixels index [n] int64.

@@ -110,20 +110,28 @@ class EnvironmentField(nn.Module):
             depth_limit=self.preset.depth_limit,
         )
 
-    def regularisation(self, generator: torch.Generator | None = None) -> torch.Tensor:
-        """Priors of an under-determined field, a scalar to add to a mean photometric loss.
+    def regularise(self, generator: torch.Generator | None = None) -> float:
+        """Priors of an under-determined field: adds their gradient to `raw.grad`, after the photometric loss's
+        backward, and returns their value, to be compared with a mean photometric loss.
 
         Total variation of the raw grid (smooth in all three axes, edges allowed) and the mean density, on a random run
-        of shells a call.
+        of shells a call. In place on those shells: as a term of the loss it would fill, and add up, gradients of the
+        whole grid, which took as long as the rendering.
         """
         preset, raw = self.preset, self.raw
         shells = raw.shape[0]
         run = max(2, round(shells * preset.regularised_fraction))
         first = int(torch.randint(0, shells - run + 1, (1,), generator=generator, device=raw.device))
+        slab = raw.detach()[first : first + run].requires_grad_()
         weight = (preset.density_variation, *[preset.colour_variation] * 3)
-        variation = total_variation(raw, first, run, weight, preset.variation_softness)
-        density = torch.nn.functional.softplus(raw[first : first + run, ..., 0]).mean()
-        return variation + preset.density_penalty * density
+        with torch.enable_grad():
+            value = total_variation(slab, weight, preset.variation_softness)
+            value = value + preset.density_penalty * torch.nn.functional.softplus(slab[..., 0]).mean()
+            value.backward()
+        if raw.grad is None:
+            raw.grad = torch.zeros_like(raw)
+        raw.grad[first : first + run] += slab.grad
+        return float(value.detach())
 
     def refine(self, fraction: float) -> bool:
         """Go to the resolution due at this fraction of the training; True if the parameter was replaced.

@@ -47,7 +47,8 @@ def learn_step(environment: EnvironmentField, adam: torch.optim.Optimizer, rays:
     radiance, _ = environment.render(origins, directions, near, torch.full_like(near, torch.inf), half_angle, generator)
     photometric = (tone_map(radiance) - tone_map(rays.radiance[index].float())).abs().mean()
     adam.zero_grad()
-    (photometric + environment.regularisation(generator)).backward()
+    photometric.backward()
+    environment.regularise(generator)
     adam.step()
     return float(photometric.detach())
 

@@ -55,34 +55,29 @@ def _variation(grid, weight, softness, value, gradient):
 
 class _VariationNumba(torch.autograd.Function):
     @staticmethod
-    def forward(ctx, grid, first, run, weight, softness):
-        slab = grid.detach()[first : first + run].numpy()
+    def forward(ctx, grid, weight, softness):
+        slab = grid.detach().numpy()
         value, gradient = np.empty(slab.shape[1]), np.empty(slab.shape, slab.dtype)
         _variation(slab, np.asarray(weight, np.float64), softness, value, gradient)
-        ctx.gradient, ctx.first, ctx.shape = torch.from_numpy(gradient), first, grid.shape
+        ctx.gradient = torch.from_numpy(gradient)
         return grid.new_tensor(value.sum())
 
     @staticmethod
     def backward(ctx, g):
-        whole = ctx.gradient.new_zeros(ctx.shape)
-        torch.mul(ctx.gradient, g, out=whole[ctx.first : ctx.first + len(ctx.gradient)])
-        return whole, None, None, None, None
+        return ctx.gradient * g, None, None
 
 
-def total_variation(
-    grid: torch.Tensor, first: int, run: int, weight: tuple[float, ...], softness: float, body: str = "auto"
-) -> torch.Tensor:
+def total_variation(grid: torch.Tensor, weight: tuple[float, ...], softness: float, body: str = "auto") -> torch.Tensor:
     """Sum over the three axes of the mean of sqrt(difference^2 + softness^2), weighted a channel; a scalar.
 
     Args:
-        grid: [K, H, W, C], periodic in W; only shells first:first + run are looked at.
+        grid: [K, H, W, C], periodic in W.
         weight: one for each channel.
         softness: differences below this cost quadratically, above linearly.
         body: "auto" (Numba on the CPU, torch elsewhere), "numba" or "torch".
     """
     if body == "torch" or (body == "auto" and grid.device.type != "cpu"):
-        slab = grid[first : first + run]
-        differences = (slab.diff(dim=0), slab.diff(dim=1), slab.roll(-1, 2) - slab)
+        differences = (grid.diff(dim=0), grid.diff(dim=1), grid.roll(-1, 2) - grid)
         means = sum(torch.sqrt(d * d + softness**2).mean(dim=(0, 1, 2)) for d in differences)
         return means @ grid.new_tensor(weight)
-    return _VariationNumba.apply(grid, first, run, weight, softness)
+    return _VariationNumba.apply(grid, weight, softness)
