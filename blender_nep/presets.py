@@ -69,9 +69,9 @@ class FieldsPreset:
     """none, paper (eq. 5 as printed) or scaled: see fields_learning.dynamic_weight."""
     decomposition: bool = True
     """False: one radiance head of position, normal and view direction, as in plain NeuS (an ablation)."""
-    least_evidence: float = 1.75
-    """How much better the object must explain its pixels than F_e alone; 0 turns the check off. Measured: 1.5 for a
-    sphere of air, 2.1 to 7.5 for objects."""
+    least_evidence: float = 1.4
+    """How much better the object must explain its pixels than F_e alone; 0 turns the check off. Measured: 0.6 and
+    1.1 for spheres of air, 1.9 to 8.6 for objects."""
 
 
 @dataclass(frozen=True)
@@ -187,7 +187,7 @@ class Preset:
     name: str = "balanced"
     max_pixels_per_photo: int = 250_000
     """Photos are box-filtered down until they have at most this many pixels."""
-    fields_seconds: float = 130.0
+    fields_seconds: float = 95.0
     surface_seconds: float = 5.0
     material_seconds: float = 35.0
     """What the three long rooms take on two cores: first guess of the time left, corrected as the job runs."""
@@ -201,7 +201,7 @@ class Preset:
 
 PRESETS = {
     "preview": Preset(
-        name="preview", max_pixels_per_photo=40_000, fields_seconds=45, surface_seconds=3, material_seconds=20,
+        name="preview", max_pixels_per_photo=40_000, fields_seconds=38, surface_seconds=3, material_seconds=20,
         environment_height=128,
         fields=FieldsPreset(background_steps=200, steps=700, object_rays=1280, sphere_rays=768, outside_rays=768),
         environment=EnvironmentPreset(resolutions=((20, 32), (28, 64)), refine_at=(0.25,), steps=600),
@@ -209,7 +209,7 @@ PRESETS = {
         material=MaterialPreset(samples=12_000, terminal_steps=150, most_texels=512)),
     "balanced": Preset(),
     "quality": Preset(
-        name="quality", max_pixels_per_photo=650_000, fields_seconds=600, surface_seconds=20, material_seconds=90,
+        name="quality", max_pixels_per_photo=650_000, fields_seconds=400, surface_seconds=20, material_seconds=90,
         environment_height=512,
         fields=FieldsPreset(background_steps=400, steps=4500, object_rays=2048, last_sharpness=400),
         environment=EnvironmentPreset(steps=4000),
