@@ -34,9 +34,9 @@ class Frame:
         return np.nan_to_num(rgb) * alpha + GREY * (1 - alpha)
 
 
-def read_frames(folder: Path) -> list[Frame]:
+def read_frames(folder: Path, transforms: str = "transforms.json") -> list[Frame]:
     """The capture's frames. OSError or ValueError where there are none to read."""
-    path = Path(folder) / "transforms.json"
+    path = Path(folder) / transforms
     meta = json.loads(path.read_text(encoding="utf-8"))
     frames = [_frame(Path(folder), meta, entry) for entry in meta.get("frames", [])]
     if not frames:
@@ -70,7 +70,7 @@ def _frame(folder: Path, meta: dict, entry: dict) -> Frame:
     def value(name: str, default=None):
         found = entry.get(name, meta.get(name, default))
         if found is None:
-            raise ValueError(f"{folder / 'transforms.json'}: a frame has no {name}")
+            raise ValueError(f"{folder}: a frame has no {name}")
         return found
 
     path = folder / str(value("file_path"))

@@ -25,6 +25,7 @@ import torch
 
 from benchmarks.geometry import Body, score, true_mesh
 from blender_nep.capture import PixelRays, load_capture
+from blender_nep.checkpoints import NoCheckpoint
 from blender_nep.errors import NepError
 from blender_nep.fields.environment_field import EnvironmentField
 from blender_nep.fields_learning import learn_fields
@@ -44,16 +45,6 @@ ABLATIONS: dict[str, dict[str, dict]] = {
     "F_e not shy": {"fields": {"shyness": 1.0}},
 }
 """Preset fields that differ from the preset's own."""
-
-
-class _NoCheckpoint:
-    stopping = False
-
-    def load(self) -> None:
-        return None
-
-    def due(self) -> bool:
-        return False
 
 
 def ablated(name: str, preset: Preset) -> Preset:
@@ -109,7 +100,7 @@ def run(folder: Path, preset: Preset, seed: int) -> dict:
     rays = PixelRays.from_capture(capture, preset.max_pixels_per_photo, False, device)
     torch.manual_seed(seed)
     wall, cpu = time.perf_counter(), time.process_time()
-    fields = learn_fields(rays, preset, seed=seed, device=device, progress=lambda *_: None, checkpoint=_NoCheckpoint())
+    fields = learn_fields(rays, preset, seed=seed, device=device, progress=lambda *_: None, checkpoint=NoCheckpoint())
     out = {"seconds": time.perf_counter() - wall, "cpu_seconds": time.process_time() - cpu}
     wall = time.perf_counter()
     surface, report = extract_surface(fields.object_field, preset.surface)

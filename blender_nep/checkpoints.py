@@ -224,3 +224,17 @@ class Checkpoint:
         """Drop the room's states: its result is on the disk."""
         for path in (self.path, self.previous):
             path.unlink(missing_ok=True)
+
+
+class NoCheckpoint:
+    """For learning without a folder: nothing to go on from, nothing to save, nobody to stop it."""
+
+    stopping = False
+
+    def load(self) -> None:
+        """There is no state."""
+        return None
+
+    def due(self) -> bool:
+        """Never."""
+        return False

@@ -136,9 +136,15 @@ class FieldsLearning:
 
     @property
     def _pace(self) -> int:
-        """Steps that one step stands for: more once the error on held-out pixels no longer falls, so that what is left,
+        """Steps that one step stands for: more while the error on held-out pixels does not fall, so that what is left,
         the sharpening and the calming down, is soon over."""
         return 4 if self._settled else 1
+
+    @property
+    def _slowing(self) -> float:
+        """Factor of F_o's step sizes: 1, then down to `last_rate`, geometrically."""
+        p = self.preset
+        return p.last_rate ** max(0.0, (self.fraction - p.slow_from) / (1 - p.slow_from))
 
     @property
     def _settled(self) -> bool:
@@ -146,8 +152,6 @@ class FieldsLearning:
         return len(errors) > p.patience and min(errors[-p.patience:]) > (1 - p.least_gain) * min(errors[:-p.patience])
 
     def _set_levels(self, count: int) -> None:
-        if count == len(self.object_field.levels) and self.step:
-            return
         while len(self.object_field.levels) < count:
             self.object_field.add_level()
         self.sdf_optimiser = UniformAdam(self.object_field.levels, lr=self.preset.sdf_rate)
@@ -282,7 +286,7 @@ class FieldsLearning:
             return self._learn_background_step()
         if self.step == self.background_steps:
             self._find_hull()
-        if self.fraction >= p.fine_from:
+        if self.fraction >= p.fine_from and len(self.object_field.levels) < p.last_levels:
             self._set_levels(p.last_levels)
         looks = sum(self.fraction >= fraction for fraction in p.look_at)
         if looks > self.looks:
@@ -305,7 +309,7 @@ class FieldsLearning:
         if rays.mask is not None and p.mask > 0:
             mask = rays.mask[index].float() / 255
             loss = loss + p.mask * functional.binary_cross_entropy(out.opacity.clamp(1e-4, 1 - 1e-4), mask)
-        warm = min(1.0, (self.step - self.background_steps + 1) / 50) * 0.03 ** max(0.0, (self.fraction - 0.3) / 0.7)
+        warm = min(1.0, (self.step - self.background_steps + 1) / 50) * self._slowing
         # a sharper surface answers to smaller steps
         for group in self.sdf_optimiser.param_groups:
             group["lr"] = p.sdf_rate * warm * (p.first_sharpness / self.sharpness) ** 0.5

@@ -14,6 +14,7 @@ import torch
 
 from blender_nep.capture.images import linear_to_srgb
 from blender_nep.raytracing import RayTracer
+from blender_nep.texels import look_up
 
 if TYPE_CHECKING:
     from blender_nep.capture import PixelRays
@@ -36,7 +37,7 @@ def render_preview(rays: PixelRays, surface, textures: dict[str, np.ndarray], li
         normal = (np.asarray(surface.normals)[corners] * weights).sum(1)
         normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-9)
         uv = (np.asarray(surface.uv)[corners] * weights).sum(1)
-        picture[hit] = shade(normal, -directions[hit], {k: sample(t, uv) for k, t in textures.items()}, lamps)
+        picture[hit] = shade(normal, -directions[hit], {k: look_up(t, uv) for k, t in textures.items()}, lamps)
     shape = (*rays.size[view], 3)
     exposure = 0.8 / max(float(np.quantile(photo.max(-1), 0.97)), 1e-6)
     pair = np.concatenate([photo.reshape(shape), picture.reshape(shape)], 1) * min(exposure, 100.0)
@@ -59,14 +60,6 @@ def _best_view(rays: PixelRays, tracer: RayTracer) -> int:
         height_off.append(abs(origins[0, 2] / np.linalg.norm(origins[0]) - math.sin(math.radians(20))))
     good = np.array(score) >= np.quantile(score, 0.5)
     return int(np.argmin(np.where(good, height_off, np.inf)))
-
-
-def sample(texture: np.ndarray, uv: np.ndarray) -> np.ndarray:
-    """Nearest texels [n, C] of a texture [H, W] or [H, W, C] at uv [n, 2], v upwards."""
-    height, width = texture.shape[:2]
-    column = np.clip((uv[:, 0] * width).astype(int), 0, width - 1)
-    row = np.clip(((1 - uv[:, 1]) * height).astype(int), 0, height - 1)
-    return texture[row, column].reshape(len(uv), -1)
 
 
 def shade(normal: np.ndarray, to_eye: np.ndarray, material: dict[str, np.ndarray], light: Pyramid) -> np.ndarray:

@@ -52,6 +52,21 @@ def _rasterise(corners, faces, face, barycentric):
                     barycentric[i, j, 2] = w
 
 
+def look_up(texture: np.ndarray, uv: np.ndarray) -> np.ndarray:
+    """Bilinear values [n, C] of a texture [H, W] or [H, W, C] at uv [n, 2]; beyond the edge, the edge's."""
+    height, width = texture.shape[:2]
+    texture = texture.reshape(height, width, -1)
+    x, y = uv[:, 0] * width - 0.5, (1 - uv[:, 1]) * height - 0.5
+    column, row = np.floor(x).astype(np.int64), np.floor(y).astype(np.int64)
+    fx, fy = (x - column)[:, None], (y - row)[:, None]
+
+    def at(j: np.ndarray, i: np.ndarray) -> np.ndarray:
+        return texture[j.clip(0, height - 1), i.clip(0, width - 1)]
+
+    top = at(row, column) * (1 - fx) + at(row, column + 1) * fx
+    return top * (1 - fy) + (at(row + 1, column) * (1 - fx) + at(row + 1, column + 1) * fx) * fy
+
+
 def dilate(texture: np.ndarray, known: np.ndarray) -> np.ndarray:
     """Texture [H,W] or [H,W,C] with every texel outside `known` [H,W] bool taken from the nearest one inside it.
 

@@ -7,9 +7,10 @@ from types import SimpleNamespace
 import pytest
 import torch
 
+from blender_nep.checkpoints import NoCheckpoint
 from blender_nep.fields.environment_field import EnvironmentField
 from blender_nep.fields.environment_grid import resample
-from blender_nep.fields.environment_learning import learn_environment
+from blender_nep.fields.environment_learning import learn_environment, learn_step, optimiser
 from blender_nep.metrics import tone_map
 from blender_nep.presets import EnvironmentPreset
 
@@ -208,16 +209,6 @@ def pixel_rays(room: EnvironmentField, n: int, seed: int) -> SimpleNamespace:
     return SimpleNamespace(radiance=radiance, count=n, rays=lambda i: (origins[i], directions[i], half_angle[i]))
 
 
-class NoCheckpoint:
-    stopping = False
-
-    def load(self):
-        return None
-
-    def due(self):
-        return False
-
-
 def learn_room(seed: int):
     preset = dataclasses.replace(PRESET, steps=120, rays_per_step=1024, coverage_rays=5000, learning_rate=0.1)
     rays = pixel_rays(box_field(), 20_000, 20)
@@ -226,6 +217,18 @@ def learn_room(seed: int):
                               progress=lambda step, steps, loss: seen.append((step, steps, loss)),
                               checkpoint=NoCheckpoint())
     return field, seen
+
+
+def test_a_step_whose_loss_is_not_finite_changes_nothing():
+    rays = pixel_rays(box_field(), 500, 20)
+    rays.radiance[7] = math.nan
+    field = EnvironmentField(PRESET)
+    before, adam = field.raw.detach().clone(), optimiser(field)
+    loss = learn_step(field, adam, rays, torch.arange(500), torch.Generator().manual_seed(0))
+    assert math.isnan(loss) and torch.equal(field.raw, before)
+    rays.radiance[7] = 1.0
+    assert math.isfinite(learn_step(field, adam, rays, torch.arange(500), torch.Generator().manual_seed(0)))
+    assert not torch.equal(field.raw, before) and torch.isfinite(field.raw).all()
 
 
 def test_learning_explains_rays_that_it_did_not_see_and_is_deterministic():

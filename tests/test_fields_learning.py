@@ -9,6 +9,7 @@ import torch
 import trimesh
 
 from blender_nep.capture import PixelRays, load_capture
+from blender_nep.checkpoints import NoCheckpoint
 from blender_nep.errors import LearningError
 from blender_nep.fields.object_field import Appearance, ObjectField
 from blender_nep.fields_learning import Fields, FieldsLearning, dynamic_weight, learn_fields
@@ -18,18 +19,6 @@ from blender_nep.surface import Surface
 
 CAPTURE = Path(__file__).parent.parent / "data" / "suzanne_small"
 CPU = torch.device("cpu")
-
-
-class NoCheckpoint:
-    """A checkpoint that has nothing and wants nothing."""
-
-    stopping = False
-
-    def load(self):
-        return None
-
-    def due(self):
-        return False
 
 
 @pytest.fixture(scope="module")

@@ -192,7 +192,7 @@ class EnvironmentField(nn.Module):
         return radiance.reshape(height, 2 * height, 3), coverage.reshape(height, 2 * height)
 
     def parameter_groups(self) -> list[dict]:
-        """For torch.optim.Adam. The large eps keeps nodes that hardly any ray meets from full steps on noise."""
+        """For torch.optim.Adam."""
         return [
             {"params": [self.raw], "lr": self.preset.learning_rate, "betas": (0.9, 0.99), "eps": self.preset.adam_eps}
         ]

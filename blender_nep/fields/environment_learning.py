@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 
 import torch
@@ -41,16 +42,19 @@ def freeze(environment: EnvironmentField, rays: PixelRays, background: torch.Ten
 
 def learn_step(environment: EnvironmentField, adam: torch.optim.Optimizer, rays: PixelRays, index: torch.Tensor,
                generator: torch.Generator) -> float:
-    """One step of F_e alone on the pixels `index`; returns the photometric loss."""
+    """One step of F_e alone on the pixels `index`; returns the photometric loss. A loss that is not finite changes
+    nothing."""
     origins, directions, half_angle = rays.rays(index)
     near = torch.full_like(half_angle, environment.preset.camera_near)
     radiance, _ = environment.render(origins, directions, near, torch.full_like(near, torch.inf), half_angle, generator)
     photometric = (tone_map(radiance) - tone_map(rays.radiance[index].float())).abs().mean()
-    adam.zero_grad()
-    photometric.backward()
-    environment.regularise(generator)
-    adam.step()
-    return float(photometric.detach())
+    loss = float(photometric.detach())
+    if math.isfinite(loss):
+        adam.zero_grad()
+        photometric.backward()
+        environment.regularise(generator)
+        adam.step()
+    return loss
 
 
 def learn_environment(rays: PixelRays, background: torch.Tensor, preset: EnvironmentPreset, *, seed: int,

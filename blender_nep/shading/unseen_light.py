@@ -1,0 +1,147 @@
+"""Light that no photo shows, found by the object's own reflections of it.
+
+Photos of an object in a room look at the walls behind it; the lamps on the ceiling are seen only as highlights. F_e has
+no evidence there (its coverage is 0), and without that light albedo is too bright, and paint is taken for metal. Where
+F_e was not seen, a map of radiance is added to it: a true residual, weighted by what coverage is missing.
+
+The map is equirectangular (Blender's orientation, row 0 is +z) on a sphere of finite radius around the object's centre,
+so that near lamps keep their parallax. It is linear in its radiance: with the materials held, the photos are a sparse matrix
+times the map.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from scipy import sparse
+from torch import Tensor
+
+
+class UnseenLight:
+    """Radiance [rows, 2 rows, 3] >= 0 on a sphere of `radius` (unit frame; inf: at infinity)."""
+
+    def __init__(self, rows: int, radius: float, device: torch.device | str) -> None:
+        self.radius = radius
+        self.radiance = torch.zeros(rows, 2 * rows, 3, device=device)
+
+    @property
+    def dark(self) -> bool:
+        """Whether the map adds nothing."""
+        return not bool(self.radiance.any())
+
+    def __call__(self, origins: Tensor, directions: Tensor, half_angle: Tensor) -> Tensor:
+        """Mean radiance [n, 3] of cones from origins [n, 3] along unit directions, half_angle [n] radians."""
+        index, weight = taps(len(self.radiance), self.radius, origins, directions, half_angle)
+        return (pyramid(self.radiance)[index] * weight[..., None]).sum(1)
+
+    def state(self) -> dict:
+        """As a dict of tensors and numbers."""
+        return {"radius": self.radius, "radiance": self.radiance}
+
+    def equirect(self, height: int) -> Tensor:
+        """The map as seen from the centre, [height, 2 height, 3]."""
+        fine = torch.nn.functional.pad(self.radiance.permute(2, 0, 1)[None], (1, 1, 0, 0), mode="circular")
+        rows = len(self.radiance)
+        fine = torch.nn.functional.interpolate(fine, (height, round((2 * rows + 2) * height / rows)), mode="bilinear",
+                                               align_corners=False)
+        border = (fine.shape[3] - 2 * height) // 2
+        return fine[0, :, :, border:border + 2 * height].permute(1, 2, 0)
+
+
+def level_sizes(rows: int) -> list[int]:
+    """Rows of the map's levels, each half of the one before."""
+    sizes = [rows]
+    while sizes[-1] % 2 == 0 and sizes[-1] > 4:
+        sizes.append(sizes[-1] // 2)
+    return sizes
+
+
+def pyramid(radiance: Tensor) -> Tensor:
+    """All levels [texels, 3] of a map [rows, 2 rows, 3], one after the other; means weighted by solid angle."""
+    levels = [radiance]
+    for rows in level_sizes(len(radiance))[1:]:
+        last = levels[-1]
+        sine = torch.sin((torch.arange(2 * rows, device=last.device) + 0.5) * math.pi / (2 * rows))
+        pair = (last * sine[:, None, None]).reshape(rows, 2, rows * 2, 2, 3).sum((1, 3))
+        levels.append(pair / (2 * sine.reshape(rows, 2).sum(1))[:, None, None])
+    return torch.cat([level.reshape(-1, 3) for level in levels])
+
+
+def taps(rows: int, radius: float, origins: Tensor, directions: Tensor, half_angle: Tensor) -> tuple[Tensor, Tensor]:
+    """Where cones meet the map: indices into `pyramid` [n, 4] and bilinear weights [n, 4], at the level whose texels are
+    about as wide as the cone."""
+    if math.isfinite(radius):
+        along = (origins * directions).sum(-1, keepdim=True)
+        square = (origins * origins).sum(-1, keepdim=True)
+        directions = origins + directions * ((along**2 - square + radius**2).clamp_min(0).sqrt() - along)
+        directions = directions / directions.norm(dim=-1, keepdim=True).clamp_min(1e-9)
+    sizes = level_sizes(rows)
+    # a bilinear lookup has the variance of a disc of sqrt(2/3) texels: the finest level that is not narrower
+    wanted = torch.log2((half_angle / (math.sqrt(2 / 3) * math.pi / rows)).clamp_min(1e-6))
+    level = wanted.round().long().clamp(0, len(sizes) - 1)
+    size = torch.tensor(sizes, device=level.device)
+    first = torch.cat([size.new_zeros(1), (2 * size * size).cumsum(0)])[level]
+    height = size[level]
+    width = 2 * height
+    polar = torch.atan2(directions[:, :2].norm(dim=-1), directions[:, 2])
+    around = torch.atan2(directions[:, 1], directions[:, 0])
+    y = (polar / math.pi * height - 0.5).clamp(min=0)
+    x = (0.5 - around / (2 * math.pi)) * width - 0.5
+    row, column = y.floor(), x.floor()
+    fy, fx = y - row, x - column
+    row, column = row.long(), column.long()
+    top, bottom = row.clamp_max(height - 1), (row + 1).clamp_max(height - 1)
+    left, right = column % width, (column + 1) % width
+    index = first[:, None] + torch.stack([top * width + left, top * width + right, bottom * width + left,
+                                          bottom * width + right], 1)
+    return index, torch.stack([(1 - fy) * (1 - fx), (1 - fy) * fx, fy * (1 - fx), fy * fx], 1)
+
+
+@dataclass
+class OpenCones:
+    """Cones that left the object towards where photos did not look well, from n surface points in order."""
+
+    row: Tensor
+    """[k] int64, ascending: the surface point"""
+    direction: Tensor
+    """[k, 3]"""
+    half_angle: Tensor
+    """[k]"""
+    share: Tensor
+    """[k] missing coverage, 0..1"""
+    weight: Tensor
+    """[k, 1 + R]: in the diffuse lobe, and in the specular lobe of each rung"""
+    fresnel: Tensor
+    """[k, 2]: (1 - v.h)^5 and the dielectric's Fresnel reflectance"""
+
+    def __len__(self) -> int:
+        return len(self.row)
+
+
+class UnseenTransport:
+    """What surface points send to their eyes for each texel of the map's pyramid: a sparse matrix a colour channel.
+
+    position [n, 3] of the points; response [k, 3]: what a point sends for a light of 1 in one of its cones.
+    """
+
+    def __init__(self, light: UnseenLight, cones: OpenCones, position: Tensor, response: Tensor) -> None:
+        index, weight = taps(len(light.radiance), light.radius, position[cones.row], cones.direction, cones.half_angle)
+        texels = sum(2 * size * size for size in level_sizes(len(light.radiance)))
+        ends = 4 * torch.bincount(cones.row, minlength=len(position)).cumsum(0)
+        starts = np.concatenate([[0], ends.cpu().numpy()]).astype(np.int32)
+        columns = index.reshape(-1).int().cpu().numpy()
+        self.matrices = []
+        for channel in range(3):
+            values = (weight * (cones.share * response[:, channel])[:, None]).reshape(-1).cpu().numpy()
+            self.matrices.append(sparse.csr_matrix((values, columns, starts), (len(position), texels)))
+
+    def sent(self, levels: np.ndarray) -> np.ndarray:
+        """Radiance [n, 3] for a pyramid [texels, 3]."""
+        return np.stack([matrix @ levels[:, c] for c, matrix in enumerate(self.matrices)], 1)
+
+    def adjoint(self, gradient: np.ndarray) -> np.ndarray:
+        """From a gradient by radiance [n, 3] to one by the pyramid [texels, 3]."""
+        return np.stack([matrix.T @ gradient[:, c] for c, matrix in enumerate(self.matrices)], 1)
