@@ -76,6 +76,8 @@ class Rendering:
     weight: torch.Tensor
     eikonal: torch.Tensor
     curvature: torch.Tensor
+    haze: torch.Tensor
+    """mean opacity of F_e between the cameras and the object's sphere"""
 
 
 def dynamic_weight(appearance: Appearance, kind: str, cap: float = 1.5, epsilon: float = 1e-3) -> torch.Tensor:
@@ -191,6 +193,7 @@ class FieldsLearning:
         end = torch.cat([torch.where(leave > entry, entry, infinity), infinity[back_ray]])
         radiance, transmittance = self.environment.render(origins[part], directions[part], start, end,
                                                           half_angle[part], generator)
+        haze = (1 - transmittance[:n][meets]).mean() if len(meets) else radiance.sum() * 0
         if self.fraction < p.shy_until:
             # what other pixels know of the surroundings counts more than what the object would have them be
             share = torch.ones(n, device=self.device).index_fill(0, meets, p.shyness)[part]
@@ -209,7 +212,7 @@ class FieldsLearning:
         bending = (hessian[:, :3] ** 2).sum(1) + 2 * (hessian[:, 3:] ** 2).sum(1)
         return Rendering(total, opacities, weight,
                          ((surface.sdf_gradient.norm(dim=-1) - 1) ** 2).mean() if len(ray) else total.sum() * 0,
-                         (bending + 1).sqrt().mean() if len(ray) else total.sum() * 0)
+                         (bending + 1).sqrt().mean() if len(ray) else total.sum() * 0, haze)
 
     def _set_environment_rate(self) -> None:
         for group in self.environment_optimiser.param_groups:
@@ -306,6 +309,7 @@ class FieldsLearning:
         # stiff while the light is still unknown, which would else be explained by dents; then free for detail
         soften = (p.last_curvature / p.curvature if p.curvature > 0 else 1.0) ** max(0.0, 2 * self.fraction - 1)
         loss = photometric + p.eikonal * out.eikonal + p.curvature * soften * out.curvature
+        loss = loss + self.environment.preset.front_opacity * out.haze
         if rays.mask is not None and p.mask > 0:
             mask = rays.mask[index].float() / 255
             loss = loss + p.mask * functional.binary_cross_entropy(out.opacity.clamp(1e-4, 1 - 1e-4), mask)

@@ -313,6 +313,9 @@ class Job:
         self._progress("asset", 0, 1, None)
         start = time.monotonic()
         light, coverage = environment.equirect(s.preset.environment_height)
+        if materials.unseen is not None:
+            more = materials.unseen.equirect(s.preset.environment_height).to(light.device)
+            light = light + more * (1 - coverage)[..., None]
         skipped = self._skipped(rays)
         for part in parts.values():
             skipped |= part.get("skipped", {})

@@ -18,13 +18,15 @@ from scipy.spatial import cKDTree
 from torch import Tensor
 
 from blender_nep.errors import LearningError
-from blender_nep.material_palette import Palette, best_of, choose, error, fit_groups, same_material, tone
+from blender_nep.material_palette import Palette, best_of, choose, error, fit_groups, same_material
 from blender_nep.material_textures import NEIGHBOURS, Evidence, bake, kernel, labels_at, neighbours, texture_size, vote
 from blender_nep.photo_samples import PhotoSamples, select_samples
 from blender_nep.raytracing import RayTracer
 from blender_nep.shading.incoming_light import IncomingLight
-from blender_nep.shading.plenoptic import Material, PlenopticFunction, SurfacePoints, TerminalRadiance, reflected
+from blender_nep.shading.plenoptic import Material, PlenopticFunction, SurfacePoints, TerminalRadiance
+from blender_nep.shading.unseen_light import UnseenLight
 from blender_nep.surface import Surface
+from blender_nep.unseen_light_learning import UnseenFit, UnseenLightProblem
 
 if TYPE_CHECKING:
     from blender_nep.capture.rays import PixelRays
@@ -48,6 +50,8 @@ class Materials:
     """[H,W]"""
     confidence: np.ndarray
     """[H,W] 0..1"""
+    unseen: UnseenLight | None = None
+    """Light that no photo shows, to be added to F_e's where its coverage is missing"""
     report: dict = field(default_factory=dict)
 
 
@@ -96,8 +100,11 @@ class _MaterialLearner:
         self.palette = self._fit(self.label, 1)
         single = self._residual()
         self._grow_palette()
-        self._learn_residual()
+        for _ in range(preset.rounds):
+            self._find_unseen_light()
+            self._grow_palette()
         for k in range(preset.rounds):
+            self._find_unseen_light()
             self._reflect_itself()
             self._merge_shades()
             self._assign()
@@ -111,7 +118,7 @@ class _MaterialLearner:
         self._step(100)
         if not all(np.isfinite(x).all() for x in textures):
             raise LearningError("material learning diverged: its textures are not finite", "try another --seed")
-        return Materials(*textures, self.report)
+        return Materials(*textures, self.light.unseen, self.report)
 
     def _gather_light(self) -> None:
         """The terminal MLP and the prefiltered light: the long part, which a resumed run takes from the checkpoint."""
@@ -123,8 +130,8 @@ class _MaterialLearner:
         else:
             if self.preset.levels > 0:
                 self._learn_terminal()
-            self.light = IncomingLight.gathered(self.f_p, self.points, self.preset.ladder, self.preset.residual_lobes,
-                                                self.generator, lambda share: self._step(10 + int(60 * share)))
+            self.light = IncomingLight.gathered(self.f_p, self.points, self.preset.ladder, self.generator,
+                                                lambda share: self._step(10 + int(60 * share)))
         self.state = {"terminal": self.f_p.terminal.state_dict(), "light": self.light.state(),
                       "generator": self.generator.get_state()}
         self._step(70)
@@ -222,8 +229,8 @@ class _MaterialLearner:
                 self._step(int(10 * k / p.terminal_steps))
         self._clock("terminal")
 
-    def _learn_residual(self) -> None:
-        """Distant light that no photo shows: non-negative lobes that make the photos fit better."""
+    def _find_unseen_light(self) -> None:
+        """Light that no photo shows, under the present materials; how far away it is, the first time."""
         p, light = self.preset, self.light
         uncovered = float(1 - light.coverage.mean())
         self.report["light_not_in_photos"] = round(uncovered, 4)
@@ -231,31 +238,38 @@ class _MaterialLearner:
             why = "all light that matters was seen by the photos" if p.residual else "turned off by the preset"
             self.report.setdefault("skipped", {})["residual"] = why
             return
-        raw = torch.full((p.residual_lobes, 3), -5.0, device=self.device, requires_grad=True)
-        optimiser = torch.optim.Adam([raw], 0.1)
-        material = self.palette.at(self.label)
-        base, rows = light.diffuse, torch.arange(len(self.target), device=self.device)
-        moments = light.moments(material.roughness)
-        low, mix = light.rung(material.roughness)
-        lobes = torch.lerp(light.residual_specular[rows, low], light.residual_specular[rows, low + 1], mix[:, None])
-        edge, dielectric = light.uniform[:, 0, 1:2], light.uniform[:, 0, 2:3]
-        goal = tone(self.target)
-        for k in range(p.residual_steps):
-            weights = torch.nn.functional.softplus(raw)
-            full = lobes @ weights
-            lit = type(moments)(moments.full + full, moments.edge + full * edge, moments.dielectric + full * dielectric)
-            predicted = reflected(material, lit, base + light.residual_diffuse @ weights, light.cos_v)
-            photometric = ((tone(predicted) - goal).abs().clamp_max(p.clip).mean(-1) * self.weight).mean()
-            loss = photometric + p.residual_prior * weights.mean()
-            optimiser.zero_grad()
-            loss.backward()
-            optimiser.step()
-            if k % 10 == 0:
-                self._step(80)
-        light.residual.weights = torch.nn.functional.softplus(raw).detach()
-        self.f_p.residual = light.residual
+        rows = torch.randperm(len(self.target), generator=self.generator)[: p.unseen_samples].sort()[0].to(self.device)
+        if light.unseen is None:
+            light.unseen = UnseenLight(p.unseen_rows, self.f_p.environment.typical_distance(), self.device)
+            self.report["unseen_light_radius"] = round(light.unseen.radius, 3)
+        self._take(self._sharpen(rows))
+        self.f_p.unseen = light.unseen
         self._reflect_itself()
-        self._clock("residual")
+        self.weight = torch.ones_like(self.weight)
+
+    def _problem(self, palette: Palette, rows: Tensor) -> UnseenLightProblem:
+        return UnseenLightProblem(self.light, palette, self.label, self.target, rows, self.preset)
+
+    def _take(self, fit: UnseenFit) -> None:
+        self.light.unseen, self.palette.albedo = fit.light, fit.albedo
+
+    def _sharpen(self, rows: Tensor) -> UnseenFit:
+        """The unseen light with the roughnesses that suit it: a sharp lamp in a rough surface looks like a soft lamp in a
+        smooth one, so that neither can be found while the other is held."""
+        p, radius, start = self.preset, self.light.unseen.radius, self.light.unseen
+        best = self._problem(self.palette, rows).solve(radius, p.unseen_steps, start)
+        for k in range(len(self.palette)):
+            for factor in (0.8, 1.25):
+                for _ in range(6):
+                    roughness = self.palette.roughness.clone()
+                    roughness[k] = (roughness[k] * factor).clamp(p.least_roughness, 1)
+                    other = Palette(best.albedo, roughness, self.palette.metallic)
+                    fit = self._problem(other, rows).solve(radius, p.unseen_steps // 2, best.light)
+                    pass
+                    if fit.error >= best.error:
+                        break
+                    best, self.palette = fit, other
+        return best
 
     def _evidence(self) -> Evidence:
         cost = self._costs()

@@ -12,9 +12,8 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from blender_nep.shading import brdf
 from blender_nep.shading.incoming_light import IncomingLight
-from blender_nep.shading.plenoptic import Material, SpecularMoments, reflected
+from blender_nep.shading.plenoptic import Material, albedo_line, reflected
 
 _LOG5 = 1.6094379124341003
 _ROUGHNESS = 28
@@ -74,7 +73,7 @@ def fit_groups(light: IncomingLight, target: Tensor, weight: Tensor, group: Tens
     scan = roughness_scan(least_roughness, target.device)
     member = (group >= 0).nonzero().squeeze(-1)
     group, goal, weight = group[member], target[member], weight[member]
-    cos_v, diffuse, tone_goal = light.cos_v[member, None], light.diffuse[member], tone(goal)
+    cos_v, diffuse, tone_goal = light.cos_v[member], light.diffuse[member], tone(goal)
     total = _sum(weight[:, None], group, groups).clamp_min(1e-9)
     cost = torch.zeros(len(hypotheses), len(scan), groups, device=target.device)
     albedo = torch.zeros(len(hypotheses), len(scan), groups, 3, device=target.device)
@@ -83,7 +82,8 @@ def fit_groups(light: IncomingLight, target: Tensor, weight: Tensor, group: Tens
         for i, metallic in enumerate(hypotheses):
             a = torch.full((groups, 3), 0.5, device=target.device)
             for k in range(_ITERATIONS + 1):
-                offset, slope = _line(moments, diffuse, cos_v, r, metallic, a[group])
+                own = Material(a[group], r.expand(len(goal)), torch.full_like(cos_v, metallic))
+                offset, slope = albedo_line(own, moments, diffuse, cos_v)
                 predicted = offset + slope * a[group]
                 residual = tone(predicted) - tone_goal
                 if k == _ITERATIONS:
@@ -164,16 +164,6 @@ def same_material(palette: Palette, share: Tensor, hue: float, roughness: float)
             if into[j] == j and share[j] <= share[k]:
                 into[j] = k
     return into
-
-
-def _line(moments: SpecularMoments, diffuse: Tensor, cos_v: Tensor, r: Tensor, metallic: float, albedo: Tensor
-          ) -> tuple[Tensor, Tensor]:
-    """Radiance as offset + slope * albedo [n,3] (the multiple-scattering factor is taken at the albedo of before)."""
-    if metallic > 0.5:
-        scale = brdf.multiscatter_scale(brdf.metal_fss(albedo), cos_v, r)
-        return scale * moments.edge, scale * (moments.full - moments.edge)
-    coat = moments.dielectric * brdf.multiscatter_scale(brdf.DIELECTRIC_FSS, cos_v, r)
-    return coat, diffuse * (1 - brdf.dielectric_albedo(cos_v, r))
 
 
 def _sum(values: Tensor, group: Tensor, groups: int) -> Tensor:

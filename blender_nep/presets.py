@@ -109,9 +109,12 @@ class EnvironmentPreset:
     variation_softness: float = 0.05
     """Raw differences below this cost quadratically, above linearly."""
     density_penalty: float = 1e-3
+    front_opacity: float = 0.05
+    """Cost of opacity between a camera and the place where its ray is nearest to the object, in tone-mapped error. Without
+    it a haze grows there, different for each photo, and lamps grow too bright to shine through it."""
     regularised_fraction: float = 0.25
     """Part of the shells that each step regularises."""
-    coverage_evidence: float = 0.5
+    coverage_evidence: float = 0.05
     """Rays' worth of weight at which a node counts as half seen, of `coverage_rays` camera rays."""
     coverage_rays: int = 200_000
     rays_per_step: int = 4096
@@ -154,12 +157,17 @@ class MaterialPreset:
     terminal_steps: int = 300
     """Of Adam, for the terminal MLP."""
     residual: bool = True
-    residual_lobes: int = 48
-    """Lobes of the distant light that no photo shows."""
-    residual_steps: int = 60
-    residual_prior: float = 0.05
-    """Cost of a mean residual radiance of 1, in tone-mapped error: light made up must explain more than it costs, else
-    it takes the place of albedo."""
+    """Learn the light that no photo shows from the object's reflections of it."""
+    unseen_rows: int = 32
+    """Rows of the map of that light."""
+    unseen_samples: int = 8000
+    """Photo pixels that it is learned from."""
+    unseen_steps: int = 80
+    """Of Adam, each time that it is learned; another roughness is tried for half as many."""
+    unseen_smoothness: float = 0.02
+    """Cost of its total variation, tone-mapped from texel to texel, in tone-mapped error."""
+    unseen_prior: float = 1e-3
+    """Cost of a mean radiance of 1 of it, in tone-mapped error: light made up must explain more than it costs."""
     metallic: tuple[float, ...] = (0.0, 1.0)
     """Hypotheses compared by their residual."""
     metal_margin: float = 0.0

@@ -70,13 +70,16 @@ class Rooms:
     def pack_materials(self, materials: Materials) -> dict:
         """Textures and report as a dict."""
         textures = {k: getattr(materials, k) for k in ("albedo", "roughness", "metallic", "confidence")}
-        return {"textures": textures, "report": materials.report}
+        unseen = materials.unseen.state() if materials.unseen is not None else None
+        return {"textures": textures, "unseen": unseen, "report": materials.report}
 
     def unpack_materials(self, state: dict) -> Materials:
         """The inverse of pack_materials."""
         from blender_nep.material_learning import Materials
+        from blender_nep.shading.unseen_light import UnseenLight
 
-        return Materials(**state["textures"], report=state["report"])
+        unseen = UnseenLight.from_state(state["unseen"]) if state["unseen"] is not None else None
+        return Materials(**state["textures"], unseen=unseen, report=state["report"])
 
     def write_asset(self, *arguments: Any) -> None:
         """The asset folder."""

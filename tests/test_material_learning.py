@@ -16,7 +16,7 @@ from blender_nep.surface import Surface, unwrap
 from blender_nep.texels import rasterise
 
 PRESET = replace(MaterialPreset(), samples=1200, terminal_steps=60,
-                 residual_lobes=16, residual_steps=20, most_texels=256, region=0.4, candidates=10)
+                 unseen_rows=16, unseen_steps=20, most_texels=256, region=0.4, candidates=10)
 RADIUS = 0.7
 
 

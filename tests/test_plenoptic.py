@@ -6,7 +6,7 @@ import torch
 import trimesh
 
 from blender_nep.raytracing import RayTracer
-from blender_nep.shading.incoming_light import DistantResidual, IncomingLight
+from blender_nep.shading.incoming_light import IncomingLight
 from blender_nep.shading.plenoptic import Material, PlenopticFunction, TerminalRadiance, reflected
 
 
@@ -62,7 +62,7 @@ def test_white_furnace_with_self_reflection(two_balls, levels, metallic):
 
 def test_without_indirect_light_what_the_object_sees_of_itself_is_black(two_balls):
     f_p, points = scene(two_balls, 0)
-    light = IncomingLight.gathered(f_p, points, (0.1, 0.5, 1.0), 0, torch.Generator().manual_seed(3), lambda _: None)
+    light = IncomingLight.gathered(f_p, points, (0.1, 0.5, 1.0), torch.Generator().manual_seed(3), lambda _: None)
     light.update(white(1.0), torch.Generator())
     assert len(light.slot) > 0
     assert 0.5 < light.diffuse.mean().item() < 0.99
@@ -70,7 +70,7 @@ def test_without_indirect_light_what_the_object_sees_of_itself_is_black(two_ball
 
 def test_prefiltered_light_is_exact_in_a_furnace(two_balls):
     f_p, points = scene(two_balls, 1)
-    light = IncomingLight.gathered(f_p, points, (0.1, 0.3, 0.6, 1.0), 0, torch.Generator().manual_seed(4), lambda _: None)
+    light = IncomingLight.gathered(f_p, points, (0.1, 0.3, 0.6, 1.0), torch.Generator().manual_seed(4), lambda _: None)
     light.update(white(1.0), torch.Generator().manual_seed(5))
     for roughness in (0.1, 0.2, 0.6, 1.0):
         r = torch.full((len(points),), roughness)
@@ -78,13 +78,3 @@ def test_prefiltered_light_is_exact_in_a_furnace(two_balls):
                         light.cos_v)
         assert out.median().item() == pytest.approx(1, abs=0.01)
     assert torch.allclose(light.diffuse, torch.ones_like(light.diffuse), atol=1e-3)
-
-
-def test_residual_light_enters_only_where_no_photo_looked():
-    residual = DistantResidual.zeros(32, torch.device("cpu"))
-    residual.weights = torch.ones(32, 3)
-    d = torch.nn.functional.normalize(torch.randn(500, 3, generator=torch.Generator().manual_seed(6)), dim=-1)
-    assert (residual(d, torch.ones(500)) == 0).all()
-    half, none = residual(d, torch.full((500,), 0.5)), residual(d, torch.zeros(500))
-    assert torch.allclose(2 * half, none) and none.min() > 0
-    assert none.std() / none.mean() < 0.1  # equal lobes make an even sky

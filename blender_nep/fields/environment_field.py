@@ -178,6 +178,24 @@ class EnvironmentField(nn.Module):
         half_angle = torch.as_tensor(half_angle, device=origins.device, dtype=origins.dtype).expand(len(origins))
         return self._prefiltered.query(origins, directions, half_angle, t_near)
 
+    @torch.no_grad()
+    def typical_distance(self, directions: int = 1000) -> float:
+        """Median distance from the object's centre at which what the photos saw of the surroundings stands."""
+        k = torch.arange(directions, device=self.raw.device) + 0.5
+        z, around = 1 - 2 * k / directions, math.pi * (1 + math.sqrt(5)) * k
+        flat = (1 - z * z).sqrt()
+        d = torch.stack([flat * around.cos(), flat * around.sin(), z], -1)
+        _, coverage = self.query_cone(torch.zeros_like(d), d, 0.05)
+        d = d[coverage > 0.5]
+        if self.infinite or not len(d):
+            return self.preset.outer_radius
+        near, distance = torch.ones(len(d), device=d.device), torch.full((len(d),), self.preset.outer_radius,
+                                                                         device=d.device)
+        for radius in torch.logspace(0, math.log10(self.preset.outer_radius), 64).flip(0).tolist():
+            _, passed = self.render(torch.zeros_like(d), d, near, torch.full_like(near, radius))
+            distance[passed < 0.5] = radius
+        return float(distance.median())
+
     def equirect(self, height: int) -> tuple[torch.Tensor, torch.Tensor]:
         """The light seen from the object's centre, for Blender's World: [height, 2 height, 3] and coverage.
 

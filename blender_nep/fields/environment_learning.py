@@ -45,13 +45,17 @@ def learn_step(environment: EnvironmentField, adam: torch.optim.Optimizer, rays:
     """One step of F_e alone on the pixels `index`; returns the photometric loss. A loss that is not finite changes
     nothing."""
     origins, directions, half_angle = rays.rays(index)
-    near = torch.full_like(half_angle, environment.preset.camera_near)
-    radiance, _ = environment.render(origins, directions, near, torch.full_like(near, torch.inf), half_angle, generator)
+    n, near = len(index), torch.full_like(half_angle, environment.preset.camera_near)
+    middle = torch.maximum(near, -(origins * directions).sum(-1))
+    radiance, transmittance = environment.render(
+        origins.repeat(2, 1), directions.repeat(2, 1), torch.cat([near, middle]),
+        torch.cat([middle, torch.full_like(near, torch.inf)]), half_angle.repeat(2), generator)
+    radiance, clear = radiance[:n] + transmittance[:n, None] * radiance[n:], transmittance[:n]
     photometric = (tone_map(radiance) - tone_map(rays.radiance[index].float())).abs().mean()
     loss = float(photometric.detach())
     if math.isfinite(loss):
         adam.zero_grad()
-        photometric.backward()
+        (photometric + environment.preset.front_opacity * (1 - clear).mean()).backward()
         environment.regularise(generator)
         adam.step()
     return loss

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import numpy as np
 import torch
@@ -17,87 +16,68 @@ from torch import Tensor
 
 from blender_nep.shading import brdf
 from blender_nep.shading.cones import cone_of_density, diffuse_cones, specular_cones
-from blender_nep.shading.plenoptic import Material, PlenopticFunction, SpecularMoments, SurfacePoints, moment_weights
+from blender_nep.shading.plenoptic import (
+    Material,
+    PlenopticFunction,
+    SpecularMoments,
+    SurfacePoints,
+    albedo_line,
+    moment_weights,
+)
+from blender_nep.shading.unseen_light import OpenCones, UnseenLight
 
 _FULL, _EDGE, _DIELECTRIC = range(3)
 
 
-def directions_on_sphere(count: int) -> Tensor:
-    """`count` nearly uniform unit directions [count,3] (Fibonacci's spiral)."""
-    k = torch.arange(count) + 0.5
-    z = 1 - 2 * k / count
-    phi = math.pi * (1 + math.sqrt(5)) * k
-    s = (1 - z * z).sqrt()
-    return torch.stack([s * phi.cos(), s * phi.sin(), z], -1)
-
-
-@dataclass
-class DistantResidual:
-    """Distant light that no photo shows: non-negative lobes over directions, seen where F_e's coverage is missing.
-
-    Linear in `weights` [K,3]; a lobe is exp(k (d.a - 1)) with k such that neighbours overlap. Added to F_e's radiance,
-    times (1 - coverage): where photos saw the light there is nothing to learn.
-    """
-
-    axes: Tensor
-    weights: Tensor
-
-    @classmethod
-    def zeros(cls, count: int, device: torch.device) -> DistantResidual:
-        return cls(directions_on_sphere(count).to(device), torch.zeros(count, 3, device=device))
-
-    def basis(self, directions: Tensor, coverage: Tensor) -> Tensor:
-        """Each lobe's value [n,K] for directions [n,3] with coverage [n]."""
-        lobes = torch.exp(len(self.axes) / 4 * (directions @ self.axes.T - 1))
-        return lobes * (1 - coverage)[:, None]
-
-    def __call__(self, directions: Tensor, coverage: Tensor) -> Tensor:
-        return self.basis(directions, coverage) @ self.weights
+LEAST_SHARE = 0.02
+"""Cones of which photos saw all but this share are not kept for the light that photos did not see."""
 
 
 class IncomingLight:
     """Light moments of n surface points on a ladder of R roughnesses, plus the diffuse irradiance."""
 
-    _STATE = ("direct_specular", "direct_diffuse", "coverage", "residual_specular", "residual_diffuse", "slot",
-              "slot_weight")
+    _STATE = ("direct_specular", "direct_diffuse", "coverage", "diffuse_coverage", "slot", "slot_weight")
 
     def __init__(self, plenoptic: PlenopticFunction, points: SurfacePoints, ladder: tuple[float, ...]):
         """Without light yet: see `gathered` and `restored`. points: the n surface points."""
         self.plenoptic, self.points = plenoptic, points
         self.ladder = torch.tensor(ladder, device=points.position.device)
         self.cos_v = (points.normal * points.view).sum(-1)
+        self.unseen: UnseenLight | None = None
 
     @classmethod
-    def gathered(cls, plenoptic: PlenopticFunction, points: SurfacePoints, ladder: tuple[float, ...], lobes: int,
+    def gathered(cls, plenoptic: PlenopticFunction, points: SurfacePoints, ladder: tuple[float, ...],
                  generator: torch.Generator, progress: Callable[[float], None]) -> IncomingLight:
-        """Traces every cone once; progress(share done) is called after each chunk. lobes: of the residual."""
+        """Traces every cone once; progress(share done) is called after each chunk."""
         light = cls(plenoptic, points, ladder)
         device, n, rungs = points.position.device, len(points), len(ladder)
-        light.residual = DistantResidual.zeros(lobes, device)
         light.direct_specular = torch.zeros(n, rungs, 3, 3, device=device)
         """[n,R,moment,channel] from F_e"""
         light.direct_diffuse = torch.zeros(n, 3, device=device)
         light.coverage = torch.ones(n, rungs, device=device)
         """[n,R] share of the specular light that photos saw"""
-        light.residual_specular = torch.zeros(n, rungs, lobes, device=device)
-        light.residual_diffuse = torch.zeros(n, lobes, device=device)
+        light.diffuse_coverage = torch.ones(n, device=device)
+        """[n] share of the irradiance's solid angle that photos saw"""
         light.rays = 0
         found = []
         for rows in torch.arange(n, device=device).split(2048):
             found.append(light._gather(rows, generator))
             progress((int(rows[-1]) + 1) / n)
-        slots, weights, hits = zip(*found, strict=True)
+        slots, weights, hits, unseen = zip(*found, strict=True)
+        light.open = OpenCones.joined(unseen)
         light.slot, light.slot_weight = torch.cat(slots), torch.cat(weights)
         light.hits = SurfacePoints(torch.cat([h.position for h in hits]), np.concatenate([h.face for h in hits]),
                                    torch.cat([h.normal for h in hits]), torch.cat([h.view for h in hits]))
-        light.specular, light.diffuse = light.direct_specular.clone(), light.direct_diffuse.clone()
+        light.specular = light.known_specular = light.direct_specular
+        light.diffuse = light.known_diffuse = light.direct_diffuse
         return light
 
     def state(self) -> dict:
         """What was traced, for a checkpoint."""
         hits = {"position": self.hits.position, "face": torch.from_numpy(self.hits.face.astype(np.int64)),
                 "normal": self.hits.normal, "view": self.hits.view}
-        return {"rays": self.rays, "hits": hits, **{name: getattr(self, name) for name in self._STATE}}
+        own = {name: getattr(self, name) for name in self._STATE}
+        return {"rays": self.rays, "hits": hits, "open": vars(self.open), **own}
 
     @classmethod
     def restored(cls, plenoptic: PlenopticFunction, points: SurfacePoints, ladder: tuple[float, ...], state: dict
@@ -110,12 +90,14 @@ class IncomingLight:
         light.rays, hits = state["rays"], state["hits"]
         light.hits = SurfacePoints(hits["position"].to(device), hits["face"].cpu().numpy(), hits["normal"].to(device),
                                    hits["view"].to(device))
-        light.residual = DistantResidual.zeros(light.residual_diffuse.shape[1], device)
-        light.specular, light.diffuse = light.direct_specular.clone(), light.direct_diffuse.clone()
+        light.open = OpenCones(**{name: value.to(device) for name, value in state["open"].items()})
+        light.specular = light.known_specular = light.direct_specular
+        light.diffuse = light.known_diffuse = light.direct_diffuse
         return light
 
-    def _gather(self, rows: Tensor, generator: torch.Generator) -> tuple[Tensor, Tensor, SurfacePoints]:
-        """Traces the cones of some rows; returns those that met the mesh: row, weights [k,1+R,3], where."""
+    def _gather(self, rows: Tensor, generator: torch.Generator) -> tuple[Tensor, Tensor, SurfacePoints, OpenCones]:
+        """Traces the cones of some rows; returns those that met the mesh: row, weights [k,1+R,3], where; and those
+        that left it where photos did not look."""
         points, f_p = self.points[rows], self.plenoptic
         n, device = len(rows), rows.device
         frame = brdf.frame(points.normal)
@@ -136,11 +118,14 @@ class IncomingLight:
         self.direct_diffuse[rows], self.direct_specular[rows] = total[:, 0, 0], total[:, 1:]
         seen = gather(weight[:, 1:, 0] * arrival.coverage[:, None])
         self.coverage[rows] = seen / gather(weight[:, 1:, 0]).clamp_min(1e-9)
-        if self.residual_diffuse.shape[1]:
-            basis = self.residual.basis(direction, arrival.coverage)
-            lobes = torch.stack([gather(weight[:, k, :1] * basis) for k in range(weight.shape[1])], 1)
-            self.residual_diffuse[rows], self.residual_specular[rows] = lobes[:, 0], lobes[:, 1:]
-        return rows[0] + each[arrival.row], weight[arrival.row], arrival.hits
+        self.diffuse_coverage[rows] = gather(weight[:, 0, 0] * arrival.coverage) / gather(weight[:, 0, 0]).clamp_min(1e-9)
+        far = (arrival.coverage < 1 - LEAST_SHARE).nonzero().squeeze(-1)
+        full = weight[far, 1:, _FULL]
+        rung = full.argmax(1)
+        terms = weight[far, 1 + rung][:, [_EDGE, _DIELECTRIC]] / full.gather(1, rung[:, None]).clamp_min(1e-12)
+        unseen = OpenCones(rows[0] + each[far], direction[far], angle.reshape(-1)[live][far], 1 - arrival.coverage[far],
+                           weight[far, :, _FULL], terms)
+        return rows[0] + each[arrival.row], weight[arrival.row], arrival.hits, unseen
 
     def _cones(self, v: Tensor, generator: torch.Generator) -> tuple[Tensor, Tensor, Tensor]:
         """Cones for local views v [n,3]: all lobes' samples serve all lobes, by the balance heuristic (Veach 1995).
@@ -179,32 +164,50 @@ class IncomingLight:
         return out
 
     def update(self, materials_at: Callable[[SurfacePoints], Material], generator: torch.Generator) -> None:
-        """The moments under the current materials (what the object sends to itself) and the current residual."""
+        """The moments under the current materials (what the object sends to itself) and the unseen light."""
         specular, diffuse = self.direct_specular.clone(), self.direct_diffuse.clone()
-        weights = self.residual.weights
-        if weights.any():
-            full = self.residual_specular @ weights
-            specular += full[:, :, None, :] * self.uniform[..., None]
-            diffuse += self.residual_diffuse @ weights
         if len(self.slot) and self.plenoptic.levels > 0:
             light = self.plenoptic.outgoing(self.hits, materials_at, 2, generator)
             for part in torch.arange(len(light), device=light.device).split(1 << 15):
                 share = self.slot_weight[part, ..., None] * light[part, None, None, :]
                 diffuse.index_add_(0, self.slot[part], share[:, 0, 0])
                 specular.index_add_(0, self.slot[part], share[:, 1:])
+        self.known_specular, self.known_diffuse = specular, diffuse
+        """what F_e and the object itself send"""
         self.specular, self.diffuse = specular, diffuse
+        if self.unseen is not None:
+            self.specular, self.diffuse = specular.clone(), diffuse.clone()
+            self._add_unseen(self.specular, self.diffuse)
 
-    @property
-    def uniform(self) -> Tensor:
-        """Moments [n,R,3] of a light of 1 from everywhere, up to a factor: Schlick's mean at the mirror angle."""
-        edge = brdf.schlick_weight(self.cos_v)
-        dielectric = brdf.dielectric_fresnel(self.cos_v)
-        return torch.stack([torch.ones_like(edge), edge, dielectric], -1)[:, None].expand(*self.coverage.shape, 3)
+    def _add_unseen(self, specular: Tensor, diffuse: Tensor) -> None:
+        far = self.open
+        for part in torch.arange(len(far), device=diffuse.device).split(1 << 16):
+            cones = far[part]
+            light = self.unseen(self.points.position[cones.row], cones.direction, cones.half_angle) * cones.share[:, None]
+            diffuse.index_add_(0, cones.row, cones.weight[:, :1] * light)
+            terms = torch.cat([torch.ones_like(light[:, :1]), cones.fresnel], 1)
+            share = cones.weight[:, 1:, None, None] * terms[:, None, :, None] * light[:, None, None, :]
+            specular.index_add_(0, cones.row, share)
 
-    def moments(self, roughness: Tensor, rows: Tensor | slice = slice(None)) -> SpecularMoments:
-        """Moments of rows [m] at roughness [m] (or a scalar tensor), interpolated between the rungs."""
+    def open_lines(self, material: Material, rows: Tensor) -> tuple[OpenCones, Tensor, Tensor]:
+        """The open cones of some samples [m], renumbered 0..m-1, and what each sample, of the materials [m], sends to its
+        eye for a light of 1 in one of them: offset and slope [k,3] of `albedo_line`."""
+        place = torch.full((len(self.points),), -1, device=rows.device)
+        place[rows] = torch.arange(len(rows), device=rows.device)
+        cones = self.open[(place[self.open.row] >= 0).nonzero().squeeze(-1)]
+        cones.row = place[cones.row]
+        each, row = torch.arange(len(cones), device=rows.device), cones.row
+        own = Material(material.albedo[row], material.roughness[row], material.metallic[row])
+        low, mix = self.rung(own.roughness)
+        full = torch.lerp(cones.weight[each, 1 + low], cones.weight[each, 2 + low], mix)[:, None]
+        moments = SpecularMoments(full, full * cones.fresnel[:, :1], full * cones.fresnel[:, 1:])
+        return cones, *albedo_line(own, moments, cones.weight[:, :1], self.cos_v[rows][row])
+
+    def moments(self, roughness: Tensor, rows: Tensor | slice = slice(None), *, unseen: bool = True) -> SpecularMoments:
+        """Moments of rows [m] at roughness [m] (or a scalar tensor), interpolated between the rungs; with the unseen light
+        or without."""
         low, mix = self.rung(roughness)
-        table = self.specular[rows]
+        table = (self.specular if unseen else self.known_specular)[rows]
         if low.ndim == 0:
             between = torch.lerp(table[:, low], table[:, low + 1], mix)
         else:

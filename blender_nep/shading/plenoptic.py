@@ -18,6 +18,7 @@ from torch import Tensor, nn
 from blender_nep.raytracing import RayTracer
 from blender_nep.shading import brdf
 from blender_nep.shading.cones import diffuse_cones, specular_cones
+from blender_nep.shading.unseen_light import UnseenLight
 
 _CHUNK = 1 << 16
 
@@ -109,8 +110,8 @@ class PlenopticFunction:
         self.tracer, self.normals, self.environment, self.terminal = tracer, normals, environment, terminal
         self.levels, self.diffuse, self.specular, self.use_cones = levels, diffuse, specular, use_cones
         self.device = torch.device(device)
-        self.residual: Callable[[Tensor, Tensor], Tensor] | None = None
-        """(directions [n,3], coverage [n]) -> distant light [n,3] that photos do not show; None until learned"""
+        self.unseen: UnseenLight | None = None
+        """Light that no photo shows; None until learned."""
 
     def points(self, face: np.ndarray, barycentric: np.ndarray, view: Tensor) -> SurfacePoints:
         """Surface points from a ray tracer's hits and the directions [n,3] towards the eye."""
@@ -160,8 +161,10 @@ class PlenopticFunction:
         """f_p [n,3] at start along directions; level is that of the surface the light falls on (1: seen by the eye)."""
         arrival = self.trace(start, directions, half_angle)
         radiance = arrival.radiance
-        if self.residual is not None:
-            radiance = radiance + self.residual(directions, arrival.coverage)
+        if self.unseen is not None:
+            far = (arrival.coverage < 1).nonzero().squeeze(-1)
+            more = self.unseen(start.position[far], directions[far], half_angle[far])
+            radiance[far] += more * (1 - arrival.coverage[far])[:, None]
         if len(arrival.row):
             radiance[arrival.row] = self.outgoing(arrival.hits, materials_at, level + 1, generator)
         return radiance
@@ -204,12 +207,20 @@ def moment_weights(weight: Tensor, cos_vh: Tensor) -> tuple[Tensor, Tensor, Tens
 
 def reflected(material: Material, specular: SpecularMoments, diffuse: Tensor, cos_v: Tensor) -> Tensor:
     """Radiance [n,3] towards the eye from the lobes' prefiltered light; diffuse [n,3] is irradiance over pi."""
-    albedo, r, m = material.albedo, material.roughness[:, None], material.metallic[:, None]
-    c = cos_v[:, None]
-    metal = (specular.edge + albedo * (specular.full - specular.edge)) * brdf.multiscatter_scale(
-        brdf.metal_fss(albedo), c, r)
+    offset, slope = albedo_line(material, specular, diffuse, cos_v)
+    return offset + slope * material.albedo
+
+
+def albedo_line(material: Material, specular: SpecularMoments, diffuse: Tensor, cos_v: Tensor) -> tuple[Tensor, Tensor]:
+    """The reflected radiance as offset + slope * albedo, [n,3] each: what the albedo is solved from.
+
+    Exact but for the light that a metal scatters more than once, which is taken at the material's present albedo.
+    """
+    r, m, c = material.roughness[:, None], material.metallic[:, None], cos_v[:, None]
+    more = brdf.multiscatter_scale(brdf.metal_fss(material.albedo), c, r)
     coat = specular.dielectric * brdf.multiscatter_scale(brdf.DIELECTRIC_FSS, c, r)
-    return m * metal + (1 - m) * (coat + albedo * diffuse * (1 - brdf.dielectric_albedo(c, r)))
+    base = diffuse * (1 - brdf.dielectric_albedo(c, r))
+    return m * more * specular.edge + (1 - m) * coat, m * more * (specular.full - specular.edge) + (1 - m) * base
 
 
 def local(frame: Tensor, directions: Tensor) -> Tensor:

@@ -12,6 +12,7 @@ times the map.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -27,11 +28,6 @@ class UnseenLight:
         self.radius = radius
         self.radiance = torch.zeros(rows, 2 * rows, 3, device=device)
 
-    @property
-    def dark(self) -> bool:
-        """Whether the map adds nothing."""
-        return not bool(self.radiance.any())
-
     def __call__(self, origins: Tensor, directions: Tensor, half_angle: Tensor) -> Tensor:
         """Mean radiance [n, 3] of cones from origins [n, 3] along unit directions, half_angle [n] radians."""
         index, weight = taps(len(self.radiance), self.radius, origins, directions, half_angle)
@@ -40,6 +36,13 @@ class UnseenLight:
     def state(self) -> dict:
         """As a dict of tensors and numbers."""
         return {"radius": self.radius, "radiance": self.radiance}
+
+    @classmethod
+    def from_state(cls, state: dict) -> UnseenLight:
+        """The inverse of `state`."""
+        light = cls(len(state["radiance"]), state["radius"], state["radiance"].device)
+        light.radiance = state["radiance"]
+        return light
 
     def equirect(self, height: int) -> Tensor:
         """The map as seen from the centre, [height, 2 height, 3]."""
@@ -54,7 +57,7 @@ class UnseenLight:
 def level_sizes(rows: int) -> list[int]:
     """Rows of the map's levels, each half of the one before."""
     sizes = [rows]
-    while sizes[-1] % 2 == 0 and sizes[-1] > 4:
+    while sizes[-1] % 2 == 0 and sizes[-1] > 8:
         sizes.append(sizes[-1] // 2)
     return sizes
 
@@ -119,6 +122,14 @@ class OpenCones:
 
     def __len__(self) -> int:
         return len(self.row)
+
+    def __getitem__(self, index: Tensor) -> OpenCones:
+        return OpenCones(*(value[index] for value in vars(self).values()))
+
+    @classmethod
+    def joined(cls, parts: Sequence[OpenCones]) -> OpenCones:
+        """One after the other."""
+        return cls(*(torch.cat(values) for values in zip(*(vars(part).values() for part in parts), strict=True)))
 
 
 class UnseenTransport:

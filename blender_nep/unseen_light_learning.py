@@ -1,0 +1,94 @@
+"""Learning the light that no photo shows, together with the albedos, from what the object reflects."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from blender_nep.material_palette import Palette, tone
+from blender_nep.presets import MaterialPreset
+from blender_nep.shading.incoming_light import IncomingLight
+from blender_nep.shading.plenoptic import albedo_line
+from blender_nep.shading.unseen_light import UnseenLight, UnseenTransport, pyramid
+
+_DARKEST, _BRIGHTEST = math.log(1e-3), math.log(1e3)
+"""Of the map's log radiance."""
+_FIRST = math.log(0.02)
+_RATE = 0.2
+"""Adam's, for the log radiance: lamps are a hundred times brighter than walls."""
+_SOFT = 0.03
+"""Tone-mapped differences below it cost quadratically."""
+_ALBEDO_RATE = 0.05
+"""Adam's, for the albedos' logits."""
+
+
+@dataclass
+class UnseenFit:
+    """The light, the albedos [K,3] of the palette that were found with it, and the mean tone-mapped error that is left."""
+
+    light: UnseenLight
+    albedo: Tensor
+    error: float
+
+
+class UnseenLightProblem:
+    """Some photo samples [m], their materials, and the light that reaches them; `solve` finds what is missing of it.
+
+    rows [m]: which samples of `light`; label, target of all samples.
+    """
+
+    def __init__(self, light: IncomingLight, palette: Palette, label: Tensor, target: Tensor, rows: Tensor,
+                 preset: MaterialPreset) -> None:
+        self.light, self.palette, self.rows, self.label, self.preset = light, palette, rows, label[rows], preset
+        self.goal = tone(target[rows])
+        material = palette.at(self.label)
+        moments = light.moments(material.roughness, rows, unseen=False)
+        self.offset, self.slope = albedo_line(material, moments, light.known_diffuse[rows], light.cos_v[rows])
+        self.cones, self.open_offset, self.open_slope = light.open_lines(material, rows)
+
+    def solve(self, radius: float, steps: int, start: UnseenLight | None) -> UnseenFit:
+        """The map on a sphere of `radius` and the albedos that explain the photos best, by Adam from `start`.
+
+        Priors: total variation of the tone-mapped map, and a cost of light that explains nothing.
+        """
+        p, device = self.preset, self.goal.device
+        rows = p.unseen_rows
+        unseen = UnseenLight(rows, radius, device)
+        position = self.light.points.position[self.rows]
+        transports = [UnseenTransport(unseen, self.cones, position, line) for line in (self.open_offset, self.open_slope)]
+        raw = torch.full((rows, 2 * rows, 3), _FIRST, device=device)
+        if start is not None:
+            raw = start.radiance.clamp_min(math.exp(_FIRST) / 4).log()
+        raw.requires_grad_()
+        logit = torch.logit(self.palette.albedo.clamp(0.01, 0.99)).requires_grad_()
+        optimiser = torch.optim.Adam([{"params": [raw], "lr": _RATE}, {"params": [logit], "lr": _ALBEDO_RATE}])
+        area = torch.sin((torch.arange(rows, device=device) + 0.5) * math.pi / rows)[:, None, None]
+        area = area / area.mean()
+        error = float("nan")
+        for k in range(steps):
+            for group, rate in zip(optimiser.param_groups, (_RATE, _ALBEDO_RATE), strict=True):
+                group["lr"] = rate * 0.1 ** (k / steps)
+            radiance = raw.clamp(_DARKEST, _BRIGHTEST).exp()
+            levels = pyramid(radiance)
+            image = levels.detach().cpu().numpy().astype(np.float32)
+            sent = [torch.from_numpy(t.sent(image)).to(device).requires_grad_() for t in transports]
+            albedo = torch.sigmoid(logit)[self.label]
+            predicted = self.offset + sent[0] + albedo * (self.slope + sent[1])
+            photometric = (tone(predicted) - self.goal).abs().mean()
+            optimiser.zero_grad()
+            photometric.backward()
+            error = float(photometric.detach())
+            gradient = sum(t.adjoint(s.grad.cpu().numpy()) for t, s in zip(transports, sent, strict=True))
+            brightness = tone(radiance)
+            down, across = brightness[:-1] - brightness[1:], brightness - brightness.roll(-1, 1)
+            prior = p.unseen_smoothness * ((area[1:] * (down**2 + _SOFT**2).sqrt()).mean()
+                                           + (area * (across**2 + _SOFT**2).sqrt()).mean())
+            prior = prior + p.unseen_prior * (area * radiance).mean()
+            ((levels * torch.from_numpy(gradient).to(device)).sum() + prior).backward()
+            optimiser.step()
+        unseen.radiance = raw.detach().clamp(_DARKEST, _BRIGHTEST).exp()
+        return UnseenFit(unseen, torch.sigmoid(logit).detach(), error)

@@ -1,0 +1,167 @@
+"""Light that no photo shows: its map against brute force, its transport's adjoint, and that reflections reveal a lamp."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+import trimesh
+
+from blender_nep.material_palette import Palette
+from blender_nep.presets import MaterialPreset
+from blender_nep.raytracing import RayTracer
+from blender_nep.shading.incoming_light import IncomingLight
+from blender_nep.shading.plenoptic import PlenopticFunction, TerminalRadiance, reflected
+from blender_nep.shading.unseen_light import UnseenLight, UnseenTransport, level_sizes, pyramid
+from blender_nep.unseen_light_learning import UnseenLightProblem
+
+
+def directions(n: int, seed: int) -> torch.Tensor:
+    return torch.nn.functional.normalize(torch.randn(n, 3, generator=torch.Generator().manual_seed(seed)), dim=-1)
+
+
+def centres(rows: int) -> torch.Tensor:
+    """Directions [rows, 2 rows, 3] of an equirectangular map's texels, in Blender's orientation."""
+    polar = (torch.arange(rows) + 0.5) * math.pi / rows
+    around = (0.5 - (torch.arange(2 * rows) + 0.5) / (2 * rows)) * 2 * math.pi
+    polar, around = torch.meshgrid(polar, around, indexing="ij")
+    return torch.stack([polar.sin() * around.cos(), polar.sin() * around.sin(), polar.cos()], -1)
+
+
+def smooth(d: torch.Tensor) -> torch.Tensor:
+    """A radiance that varies slowly over directions."""
+    return 2 + d + 0.5 * d[..., :1] * d[..., 1:2]
+
+
+def test_levels_keep_the_flux_of_the_map():
+    radiance = torch.rand(32, 64, 3, generator=torch.Generator().manual_seed(0))
+    levels, start = pyramid(radiance), 0
+    flux = []
+    for rows in level_sizes(32):
+        level = levels[start : start + 2 * rows * rows].reshape(rows, 2 * rows, 3)
+        edge = torch.cos(torch.arange(rows + 1) * math.pi / rows)
+        area = (edge[:-1] - edge[1:]) * math.pi / rows
+        flux.append((level * area[:, None, None]).sum((0, 1)))
+        start += 2 * rows * rows
+    assert start == len(levels) and level_sizes(32)[-1] == 8
+    for other in flux[1:]:
+        torch.testing.assert_close(other, flux[0], rtol=5e-3, atol=0)
+
+
+@pytest.mark.parametrize("half_angle", [0.02, 0.2, 0.5])
+def test_a_cone_returns_the_mean_over_its_directions(half_angle):
+    light = UnseenLight(32, math.inf, "cpu")
+    light.radiance = smooth(centres(32))
+    axis = directions(200, 1)
+    found = light(torch.zeros(200, 3), axis, torch.full((200,), half_angle))
+    generator = torch.Generator().manual_seed(2)
+    u = torch.rand(2000, 2, generator=generator)
+    cosine, turn = 1 - u[:, 0] * (1 - math.cos(half_angle)), 2 * math.pi * u[:, 1]
+    first = torch.nn.functional.normalize(torch.linalg.cross(axis, directions(200, 3)), dim=-1)
+    second = torch.linalg.cross(axis, first)
+    flat = (1 - cosine**2).sqrt()
+    inside = (cosine[:, None, None] * axis + (flat * turn.cos())[:, None, None] * first
+              + (flat * turn.sin())[:, None, None] * second)
+    truth = smooth(inside).mean(0)
+    assert ((found - truth).abs() / truth).mean() < 0.03
+
+
+def test_a_near_lamp_is_seen_where_it_is_from_off_the_centre():
+    rows, radius = 64, 4.0
+    lamp = torch.tensor([0.6, 0.64, 0.48])
+    light = UnseenLight(rows, radius, "cpu")
+    light.radiance = torch.exp((centres(rows) @ lamp - 1) * 200)[..., None].expand(-1, -1, 3).contiguous()
+    origin = 0.8 * directions(50, 4)
+    towards = torch.nn.functional.normalize(radius * lamp - origin, dim=-1)
+    angle = torch.full((50,), 0.01)
+    assert (light(origin, towards, angle) > 0.9).all()
+    assert (light(origin, -towards, angle) < 0.1).all()
+    far = UnseenLight(rows, math.inf, "cpu")
+    far.radiance = light.radiance
+    assert (far(origin, lamp.expand(50, 3), angle) > 0.9).all()
+
+
+def test_seen_from_the_centre_it_is_the_map():
+    light = UnseenLight(16, 3.0, "cpu")
+    light.radiance = smooth(centres(16))
+    torch.testing.assert_close(light.equirect(16), light.radiance)
+    fine = light.equirect(64)
+    assert fine.shape == (64, 128, 3)
+    assert ((fine - smooth(centres(64))).abs()[4:-4] < 0.15).all()
+
+
+class DarkCeiling:
+    """An environment of grey walls whose upper part no photo shows: there it is black and not covered."""
+
+    def query_cone(self, origins, direction, half_angle):
+        seen = (direction[:, 2] < 0.3).float()
+        return 0.3 * seen[:, None].expand(-1, 3).contiguous(), seen
+
+
+@pytest.fixture(scope="module")
+def ball():
+    """Samples of a sphere, its light without the lamp, and where they are."""
+    mesh = trimesh.creation.icosphere(subdivisions=4, radius=0.7)
+    vertices, faces = np.asarray(mesh.vertices), np.asarray(mesh.faces)
+    normals = vertices / 0.7
+    f_p = PlenopticFunction(RayTracer(vertices, faces), normals, DarkCeiling(), TerminalRadiance(), levels=1, diffuse=8,
+                            specular=4, use_cones=True, device="cpu")
+    rng = np.random.default_rng(0)
+    face = rng.integers(0, len(faces), 4000)
+    barycentric = rng.dirichlet([1, 1, 1], 4000).astype(np.float32)
+    normal = torch.from_numpy(f_p.tracer.face_normals[face])
+    view = torch.nn.functional.normalize(normal + 0.5 * directions(4000, 5), dim=-1)
+    points = f_p.points(face, barycentric, view)
+    ladder = (0.1, 0.2, 0.4, 1.0)
+    light = IncomingLight.gathered(f_p, points, ladder, torch.Generator().manual_seed(6), lambda _: None)
+    light.update(None, torch.Generator())
+    return light
+
+
+def lamp(rows: int) -> UnseenLight:
+    light = UnseenLight(rows, 4.0, "cpu")
+    light.radiance = 10 * (centres(rows) @ torch.tensor([0.48, 0.0, 0.877]) > 0.95)[..., None].expand(-1, -1, 3).float()
+    return light
+
+
+def test_the_transport_is_what_the_cones_receive_and_its_adjoint_fits(ball):
+    palette = Palette(torch.tensor([[0.8, 0.5, 0.2]]), torch.tensor([0.3]), torch.tensor([0.4]))
+    material = palette.at(torch.zeros(4000, dtype=torch.int64))
+    rows = torch.arange(0, 4000, 3)
+    light = lamp(16)
+    cones, offset, slope = ball.open_lines(palette.at(torch.zeros(len(rows), dtype=torch.int64)), rows)
+    transport = UnseenTransport(light, cones, ball.points.position[rows], offset + slope * palette.albedo)
+    sent = transport.sent(pyramid(light.radiance).numpy())
+    before = reflected(material, ball.moments(material.roughness), ball.diffuse, ball.cos_v)
+    ball.unseen = light
+    ball.update(None, torch.Generator())
+    after = reflected(material, ball.moments(material.roughness), ball.diffuse, ball.cos_v)
+    np.testing.assert_allclose(sent, (after - before)[rows].numpy(), rtol=2e-3, atol=2e-4)
+    other = np.random.default_rng(1).normal(size=sent.shape).astype(np.float32)
+    levels = np.random.default_rng(2).normal(size=(len(pyramid(light.radiance)), 3)).astype(np.float32)
+    assert (transport.sent(levels) * other).sum() == pytest.approx((transport.adjoint(other) * levels).sum(), rel=1e-3)
+    ball.unseen = None
+    ball.update(None, torch.Generator())
+
+
+@pytest.mark.parametrize("metallic", [0.0, 1.0])
+def test_reflections_reveal_a_lamp_that_no_photo_shows(ball, metallic):
+    palette = Palette(torch.tensor([[0.7, 0.4, 0.2]]), torch.tensor([0.2]), torch.tensor([metallic]))
+    label = torch.zeros(4000, dtype=torch.int64)
+    material = palette.at(label)
+    truth = lamp(16)
+    ball.unseen = truth
+    ball.update(None, torch.Generator())
+    target = reflected(material, ball.moments(material.roughness), ball.diffuse, ball.cos_v)
+    ball.unseen = None
+    ball.update(None, torch.Generator())
+    wrong = replace(palette, albedo=torch.full((1, 3), 0.5))
+    problem = UnseenLightProblem(ball, wrong, label, target, torch.arange(4000), replace(MaterialPreset(), unseen_rows=16))
+    fit = problem.solve(4.0, 150, None)
+    area = torch.sin((torch.arange(16) + 0.5) * math.pi / 16)[:, None, None]
+    bright = truth.radiance > 1
+    flux = [float((light.radiance * area)[bright].sum()) for light in (truth, fit.light)]
+    assert flux[1] == pytest.approx(flux[0], rel=0.2)
+    assert float((fit.light.radiance * area)[~bright].sum()) < 0.3 * flux[0]
+    torch.testing.assert_close(fit.albedo, palette.albedo, rtol=0.1, atol=0.02)
