@@ -18,12 +18,12 @@ from scipy.spatial import cKDTree
 from torch import Tensor
 
 from blender_nep.errors import LearningError
-from blender_nep.material_palette import Palette, best_of, choose, error, fit_groups, same_material
+from blender_nep.material_palette import Palette, best_of, choose, error, fit_groups, same_material, tone
 from blender_nep.material_textures import NEIGHBOURS, Evidence, bake, kernel, labels_at, neighbours, texture_size, vote
 from blender_nep.photo_samples import PhotoSamples, select_samples
 from blender_nep.raytracing import RayTracer
 from blender_nep.shading.incoming_light import IncomingLight
-from blender_nep.shading.plenoptic import Material, PlenopticFunction, SurfacePoints, TerminalRadiance
+from blender_nep.shading.plenoptic import Material, PlenopticFunction, SurfacePoints, TerminalRadiance, reflected
 from blender_nep.shading.unseen_light import UnseenLight
 from blender_nep.surface import Surface
 from blender_nep.unseen_light_learning import UnseenFit, UnseenLightProblem
@@ -238,7 +238,7 @@ class _MaterialLearner:
             why = "all light that matters was seen by the photos" if p.residual else "turned off by the preset"
             self.report.setdefault("skipped", {})["residual"] = why
             return
-        rows = torch.randperm(len(self.target), generator=self.generator)[: p.unseen_samples].sort()[0].to(self.device)
+        rows = self._telling_samples(p.unseen_samples)
         if light.unseen is None:
             light.unseen = UnseenLight(p.unseen_rows, self.f_p.environment.typical_distance(), self.device)
             self.report["unseen_light_radius"] = round(light.unseen.radius, 3)
@@ -246,6 +246,15 @@ class _MaterialLearner:
         self.f_p.unseen = light.unseen
         self._reflect_itself()
         self.weight = torch.ones_like(self.weight)
+
+    def _telling_samples(self, count: int) -> Tensor:
+        """Samples to learn the unseen light from: those that it does not explain yet, as highlights, come more often."""
+        material = self.palette.at(self.label)
+        predicted = reflected(material, self.light.moments(material.roughness), self.light.diffuse, self.light.cos_v)
+        left = (tone(predicted) - tone(self.target)).abs().mean(-1)
+        chance = left + left.mean()
+        count = min(count, len(left))
+        return torch.multinomial(chance.cpu(), count, generator=self.generator).sort()[0].to(self.device)
 
     def _problem(self, palette: Palette, rows: Tensor) -> UnseenLightProblem:
         return UnseenLightProblem(self.light, palette, self.label, self.target, rows, self.preset)

@@ -114,8 +114,8 @@ class EnvironmentPreset:
     it a haze grows there, different for each photo, and lamps grow too bright to shine through it."""
     regularised_fraction: float = 0.25
     """Part of the shells that each step regularises."""
-    coverage_evidence: float = 0.05
-    """Rays' worth of weight at which a node counts as half seen, of `coverage_rays` camera rays."""
+    coverage_evidence: float = 0.3
+    """Rays' worth of weight from which on a node counts as seen, of `coverage_rays` camera rays."""
     coverage_rays: int = 200_000
     rays_per_step: int = 4096
     """Background rays a step where F_e is learned alone."""
@@ -166,8 +166,10 @@ class MaterialPreset:
     """Of Adam, each time that it is learned; another roughness is tried for half as many."""
     unseen_smoothness: float = 0.02
     """Cost of its total variation, tone-mapped from texel to texel, in tone-mapped error."""
-    unseen_prior: float = 1e-3
-    """Cost of a mean radiance of 1 of it, in tone-mapped error: light made up must explain more than it costs."""
+    unseen_prior: float = 5e-3
+    """Cost of its mean, tone-mapped, in tone-mapped error: light made up must explain more than it costs."""
+    unseen_colour: float = 0.02
+    """Cost of its mean difference from grey, likewise."""
     metallic: tuple[float, ...] = (0.0, 1.0)
     """Hypotheses compared by their residual."""
     metal_margin: float = 0.0

@@ -53,7 +53,8 @@ class UnseenLightProblem:
     def solve(self, radius: float, steps: int, start: UnseenLight | None) -> UnseenFit:
         """The map on a sphere of `radius` and the albedos that explain the photos best, by Adam from `start`.
 
-        Priors: total variation of the tone-mapped map, and a cost of light that explains nothing.
+        Priors, all of the tone-mapped map: its total variation; its mean, so that a few lamps are found rather than a bright
+        sky; its colour, because coloured light on a grey object looks like grey light on a coloured one.
         """
         p, device = self.preset, self.goal.device
         rows = p.unseen_rows
@@ -87,7 +88,8 @@ class UnseenLightProblem:
             down, across = brightness[:-1] - brightness[1:], brightness - brightness.roll(-1, 1)
             prior = p.unseen_smoothness * ((area[1:] * (down**2 + _SOFT**2).sqrt()).mean()
                                            + (area * (across**2 + _SOFT**2).sqrt()).mean())
-            prior = prior + p.unseen_prior * (area * radiance).mean()
+            prior = prior + p.unseen_prior * (area * brightness).mean()
+            prior = prior + p.unseen_colour * (area * (brightness - brightness.mean(-1, keepdim=True)).abs()).mean()
             ((levels * torch.from_numpy(gradient).to(device)).sum() + prior).backward()
             optimiser.step()
         unseen.radiance = raw.detach().clamp(_DARKEST, _BRIGHTEST).exp()

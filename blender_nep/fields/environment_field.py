@@ -155,7 +155,7 @@ class EnvironmentField(nn.Module):
         near = np.full(len(origins), self.preset.camera_near, np.float32)
         accumulate_evidence(self.raw.detach().cpu().numpy(), origins.cpu().numpy(), directions.cpu().numpy(), near,
                             math.log(self.preset.outer_radius), self.preset.density_gain, self.relative_step, evidence)
-        seen = torch.from_numpy(evidence) / (torch.from_numpy(evidence) + self.preset.coverage_evidence)
+        seen = (torch.from_numpy(evidence) / self.preset.coverage_evidence).clamp(max=1)
         self.coverage = seen.to(self.raw.device)
         self._prefiltered = None
 

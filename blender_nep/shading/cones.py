@@ -19,6 +19,11 @@ _GOLDEN = (math.sqrt(5) - 1) / 2
 _FILL = 0.35
 """Solid angle of a cone over its share of the lobe. Its axis is random within the share, so that a full cone would blur
 the lobe twice: compared with 20,000 rays on lamps of many sizes, 4 cones are 2-10 % off with 1 and 1-5 % with 0.2-0.5."""
+_WIDE_FILL = 1.5
+"""The same for the diffuse lobe, so wide that a blur hardly matters, but the gaps between narrow cones do: the irradiance
+from a lamp of 8 degrees is 62 % off with 32 cones of 0.35, 28 % with 1, 23 % with 1.5, and 110 % with 8 of 0.35."""
+_NARROW, _WIDE = 60.0, 6.0
+"""Samples per steradian from which on cones are filled by _FILL, and up to which by 1."""
 
 
 def half_vector_angle(roughness: Tensor, beta: float = BETA) -> Tensor:
@@ -86,9 +91,10 @@ def diffuse_cones(count: int, turn: Tensor) -> tuple[Tensor, Tensor]:
     """
     light, pdf = sample_cosine(torch.stack(spiral(count, turn), -1))
     widest = torch.full_like(pdf, 2 * math.pi / count)
-    return light, half_angle_of(_FILL * torch.minimum(1 / (count * pdf.clamp_min(1e-6)), widest))
+    return light, half_angle_of(_WIDE_FILL * torch.minimum(1 / (count * pdf.clamp_min(1e-6)), widest))
 
 
 def cone_of_density(density: Tensor) -> Tensor:
     """Half-angle [...] of the cone of one sample among others, `density` [...] of them per steradian."""
-    return half_angle_of((_FILL / density).clamp_max(math.pi / 4))
+    sparse = (torch.log(_NARROW / density) / math.log(_NARROW / _WIDE)).clamp(0, 1)
+    return half_angle_of(((_FILL + (1 - _FILL) * sparse) / density).clamp_max(math.pi / 4))

@@ -7,7 +7,6 @@ the object again depend on the materials: they are kept in a list and evaluated 
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 
 import numpy as np
@@ -37,6 +36,9 @@ class IncomingLight:
     """Light moments of n surface points on a ladder of R roughnesses, plus the diffuse irradiance."""
 
     _STATE = ("direct_specular", "direct_diffuse", "coverage", "diffuse_coverage", "slot", "slot_weight")
+
+    irradiance = 32
+    """Cones for the diffuse lobe of each point: traced once, so that more than in the recursion can be afforded."""
 
     def __init__(self, plenoptic: PlenopticFunction, points: SurfacePoints, ladder: tuple[float, ...]):
         """Without light yet: see `gathered` and `restored`. points: the n surface points."""
@@ -104,7 +106,7 @@ class IncomingLight:
         v = torch.einsum("nij,ni->nj", frame, points.view)
         direction, angle, weight = self._cones(v, generator)
         # A cone of no weight (below the horizon) need not be traced.
-        live = (weight[:, :, 0, 0] > 0).reshape(-1).nonzero().squeeze(-1)
+        live = (weight[..., _FULL].amax(-1) > 0).reshape(-1).nonzero().squeeze(-1)
         each = live // direction.shape[1]
         direction = torch.einsum("nij,nj->ni", frame[each], direction.reshape(-1, 3)[live])
         weight = weight.flatten(0, 1)[live]
@@ -128,40 +130,35 @@ class IncomingLight:
         return rows[0] + each[arrival.row], weight[arrival.row], arrival.hits, unseen
 
     def _cones(self, v: Tensor, generator: torch.Generator) -> tuple[Tensor, Tensor, Tensor]:
-        """Cones for local views v [n,3]: all lobes' samples serve all lobes, by the balance heuristic (Veach 1995).
+        """Cones for local views v [n,3]: `irradiance` of them for the diffuse lobe; the samples of all rungs serve all
+        of them, by the balance heuristic (Veach 1995).
 
         Returns local directions [n,C,3], half-angles [n,C] and weights [n,C,1+R,3]: the diffuse lobe (its weight thrice)
         and the three moments of each rung. A lobe's weights are scaled to its exact albedo, so that a white furnace is
         exact; a cone is as wide as its share of all samples around it.
         """
-        f_p, n, rungs = self.plenoptic, len(v), len(self.ladder)
+        n, rungs, each = len(v), len(self.ladder), self.plenoptic.specular
         turn = torch.rand(n, rungs + 1, 2, generator=generator).to(v.device)
-        specular = specular_cones(v[:, None].expand(n, rungs, 3), self.ladder.expand(n, rungs), f_p.specular,
-                                  turn[:, 1:])[0]
-        direction = torch.cat([diffuse_cones(f_p.diffuse, turn[:, 0])[0], specular.reshape(n, -1, 3)], 1)
+        diffuse, diffuse_angle = diffuse_cones(self.irradiance, turn[:, 0])
+        direction = specular_cones(v[:, None].expand(n, rungs, 3), self.ladder.expand(n, rungs), each, turn[:, 1:])[0]
+        direction = direction.reshape(n, -1, 3)
         cos_v, cos_l = v[:, None, 2], direction[..., 2]
         h = torch.nn.functional.normalize(v[:, None] + direction, dim=-1)
         cos_h, cos_vh = h[..., 2].clamp(0, 1), (v[:, None] * h).sum(-1)
-        above = cos_l > 0
-        cosine = cos_l.clamp_min(0) / math.pi
-        density, lobes = f_p.diffuse * cosine, [cosine]
+        density, lobes = torch.zeros_like(cos_l), []
         for roughness in self.ladder:
             alpha = brdf.alpha_of(roughness)
-            density = density + f_p.specular * brdf.vndf_pdf(cos_v, cos_h, alpha)
+            density = density + each * brdf.vndf_pdf(cos_v, cos_h, alpha)
             lobes.append(brdf.specular(cos_v.expand_as(cos_l), cos_l, cos_h, alpha) * cos_l.clamp_min(0))
         density = density.clamp_min(1e-9)
-        weight = torch.stack(lobes, -1) / density[..., None] * above[..., None]
-        albedo = torch.cat([torch.ones(n, 1, device=v.device), brdf.specular_albedo(cos_v, self.ladder)], 1)
+        weight = torch.stack(lobes, -1) / density[..., None] * (cos_l > 0)[..., None]
+        albedo = brdf.specular_albedo(cos_v, self.ladder)
         weight = weight * (albedo / weight.sum(1).clamp_min(1e-6))[:, None].clamp_max(1e3)
         fresnel = torch.stack(moment_weights(torch.ones_like(cos_vh), cos_vh), -1)
-        return direction, cone_of_density(density), self._with_fresnel(weight, fresnel)
-
-    @staticmethod
-    def _with_fresnel(weight: Tensor, fresnel: Tensor) -> Tensor:
-        """Weights [n,C,1+R] times the moments' Fresnel terms [n,C,3]; the diffuse lobe has none."""
-        out = weight[..., None] * fresnel[:, :, None]
-        out[:, :, 0] = weight[:, :, :1]
-        return out
+        whole = weight.new_zeros(n, self.irradiance + weight.shape[1], 1 + rungs, 3)
+        whole[:, : self.irradiance, 0] = 1 / self.irradiance
+        whole[:, self.irradiance :, 1:] = weight[..., None] * fresnel[:, :, None]
+        return torch.cat([diffuse, direction], 1), torch.cat([diffuse_angle, cone_of_density(density)], 1), whole
 
     def update(self, materials_at: Callable[[SurfacePoints], Material], generator: torch.Generator) -> None:
         """The moments under the current materials (what the object sends to itself) and the unseen light."""
