@@ -100,21 +100,23 @@ class _MaterialLearner:
         self.palette = self._fit(self.label, 1)
         single = self._residual()
         self._grow_palette()
-        for _ in range(preset.rounds):
-            self._find_unseen_light()
-            self._grow_palette()
         for k in range(preset.rounds):
             self._find_unseen_light()
-            self._reflect_itself()
+            self._grow_palette()
+            self._step(75 + 5 * k)
+        self._reflect_itself()
+        for k in range(preset.rounds):
+            self._find_unseen_light()
             self._merge_shades()
             self._assign()
-            self._step(85 + 3 * k)
+            self._step(85 + 5 * k)
         self._clock("materials")
-        evidence = self._evidence()
         size = texture_size(self.surface, self.footprint, preset.most_texels)
-        textures = bake(self.surface, evidence, self.palette, size)
-        self._clock("textures")
         self._finish_report(single, size)
+        self.palette = self.palette.with_blends()
+        self._assign()
+        textures = bake(self.surface, self._evidence(), self.palette, size)
+        self._clock("textures")
         self._step(100)
         if not all(np.isfinite(x).all() for x in textures):
             raise LearningError("material learning diverged: its textures are not finite", "try another --seed")
@@ -171,6 +173,21 @@ class _MaterialLearner:
             self.palette = self._fit(self.label, len(self.palette), _SHADES)
             self._assign()
         self._merge_shades()
+        self._drop_blends()
+
+    def _drop_blends(self) -> None:
+        """Without the materials that are but the soft boundary of two others."""
+        for k in torch.bincount(self.label, minlength=len(self.palette)).argsort().tolist():
+            if len(self.palette) < 3:
+                return
+            others = self.palette.pick([j for j in range(len(self.palette)) if j != k])
+            with_it, without = (self._smoothed(self._costs(palette)).min(1).mean()
+                                for palette in (self.palette.with_blends(), others.with_blends()))
+            if without <= (1 + self.preset.gain) * with_it:
+                self.palette = others
+                self._assign()
+                self._drop_blends()
+                return
 
     def _merge_shades(self) -> None:
         """Materials of one hue become one: a difference in brightness alone is more likely F_e's than the object's."""
@@ -186,8 +203,17 @@ class _MaterialLearner:
         one = torch.tensor([k], device=self.device)
         return error(self.light, self.target, self.weight, palette.at(one), self.preset.clip)
 
-    def _costs(self) -> Tensor:
-        return torch.stack([self._error(self.palette, k) for k in range(len(self.palette))], 1)
+    def _costs(self, palette: Palette | None = None) -> Tensor:
+        """[n,K]; a blend must be better than a material alone by a margin."""
+        palette = self.palette if palette is None else palette
+        costs = torch.stack([self._error(palette, k) for k in range(len(palette))], 1)
+        return costs * torch.where(palette.blended, 1 + self.preset.blend_margin, 1.0)
+
+    def _smoothed(self, costs: Tensor) -> np.ndarray:
+        """Means over each sample's neighbours, near ones counting more."""
+        distance, index = self.around
+        weight = kernel(distance)
+        return np.stack([(c[index] * weight).sum(1) for c in costs.T.cpu().numpy()], 1) / weight.sum(1, keepdims=True)
 
     def _assign(self) -> None:
         if len(self.palette) == 1:
@@ -244,7 +270,8 @@ class _MaterialLearner:
             self.report["unseen_light_radius"] = round(light.unseen.radius, 3)
         self._take(self._sharpen(rows))
         self.f_p.unseen = light.unseen
-        self._reflect_itself()
+        light.add_unseen()
+        self._residual()
         self.weight = torch.ones_like(self.weight)
 
     def _telling_samples(self, count: int) -> Tensor:
@@ -269,24 +296,23 @@ class _MaterialLearner:
         best = self._problem(self.palette, rows).solve(radius, p.unseen_steps, start)
         for k in range(len(self.palette)):
             for factor in (0.8, 1.25):
+                first = best
                 for _ in range(6):
                     roughness = self.palette.roughness.clone()
                     roughness[k] = (roughness[k] * factor).clamp(p.least_roughness, 1)
                     other = Palette(best.albedo, roughness, self.palette.metallic)
                     fit = self._problem(other, rows).solve(radius, p.unseen_steps // 2, best.light)
-                    pass
                     if fit.error >= best.error:
                         break
                     best, self.palette = fit, other
+                if best is not first:
+                    break
         return best
 
     def _evidence(self) -> Evidence:
         cost = self._costs()
         own = cost.gather(1, self.label[:, None])[:, 0] / self.weight
-        distance, index = self.around
-        weight = kernel(distance)
-        smooth = np.stack([(c[index] * weight).sum(1) for c in cost.T.cpu().numpy()], 1) / weight.sum(1, keepdims=True)
-        return Evidence(self.samples.position, self.samples.photo.cpu().numpy(), smooth,
+        return Evidence(self.samples.position, self.samples.photo.cpu().numpy(), self._smoothed(cost),
                         self.palette.albedo[self.label].cpu().numpy(), own.cpu().numpy())
 
     def _footprint(self, rays: PixelRays) -> float:

@@ -18,6 +18,8 @@ from blender_nep.shading.plenoptic import Material, albedo_line, reflected
 _LOG5 = 1.6094379124341003
 _ROUGHNESS = 28
 """Steps of the roughness scan, evenly in sqrt(roughness)."""
+_MIXTURES = (0.25, 0.5, 0.75)
+"""Shares of the second material in a blend of two."""
 _ITERATIONS = 4
 """Of the reweighted least squares."""
 
@@ -29,11 +31,31 @@ def tone(radiance: Tensor) -> Tensor:
 
 @dataclass
 class Palette:
-    """K materials: albedo [K,3], roughness [K], metallic [K]."""
+    """K materials: albedo [K,3], roughness [K], metallic [K]; the last `blends` of them are mixtures of two others."""
 
     albedo: Tensor
     roughness: Tensor
     metallic: Tensor
+    blends: int = 0
+
+    @property
+    def blended(self) -> Tensor:
+        """[K] bool: which are mixtures."""
+        return torch.arange(len(self), device=self.roughness.device) >= len(self) - self.blends
+
+    def with_blends(self, most: int = 4) -> Palette:
+        """With mixtures of every two of the first `most` materials: boundaries between materials may be soft."""
+        pairs = [(i, j) for j in range(min(len(self), most)) for i in range(j)]
+        if not pairs:
+            return self
+        i, j = torch.tensor(pairs, device=self.roughness.device).T.repeat_interleave(len(_MIXTURES), 1)
+        t = torch.tensor(_MIXTURES, device=self.roughness.device).repeat(len(pairs))
+
+        def extended(values: Tensor) -> Tensor:
+            share = t.reshape(-1, *[1] * (values.ndim - 1))
+            return torch.cat([values, torch.lerp(values[i], values[j], share)])
+
+        return Palette(extended(self.albedo), extended(self.roughness), extended(self.metallic), len(t))
 
     def __len__(self) -> int:
         return len(self.roughness)

@@ -166,7 +166,7 @@ class MaterialPreset:
     """Of Adam, each time that it is learned; another roughness is tried for half as many."""
     unseen_smoothness: float = 0.02
     """Cost of its total variation, tone-mapped from texel to texel, in tone-mapped error."""
-    unseen_prior: float = 5e-3
+    unseen_prior: float = 1e-2
     """Cost of its mean, tone-mapped, in tone-mapped error: light made up must explain more than it costs."""
     unseen_colour: float = 0.02
     """Cost of its mean difference from grey, likewise."""
@@ -188,6 +188,8 @@ class MaterialPreset:
     merge_hue: float = 0.09
     merge_roughness: float = 0.08
     """Materials nearer than this in chromaticity (and metals in roughness) are one; 0 turns the prior off."""
+    blend_margin: float = 0.05
+    """A mixture of two materials must be better than each alone by this share."""
     rounds: int = 2
     """Of fitting the palette, assigning it and updating the indirect light."""
     most_texels: int = 1024

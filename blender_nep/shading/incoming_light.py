@@ -161,7 +161,7 @@ class IncomingLight:
         return torch.cat([diffuse, direction], 1), torch.cat([diffuse_angle, cone_of_density(density)], 1), whole
 
     def update(self, materials_at: Callable[[SurfacePoints], Material], generator: torch.Generator) -> None:
-        """The moments under the current materials (what the object sends to itself) and the unseen light."""
+        """The moments under the current materials: what the object sends to itself, and the unseen light."""
         specular, diffuse = self.direct_specular.clone(), self.direct_diffuse.clone()
         if len(self.slot) and self.plenoptic.levels > 0:
             light = self.plenoptic.outgoing(self.hits, materials_at, 2, generator)
@@ -171,12 +171,14 @@ class IncomingLight:
                 specular.index_add_(0, self.slot[part], share[:, 1:])
         self.known_specular, self.known_diffuse = specular, diffuse
         """what F_e and the object itself send"""
-        self.specular, self.diffuse = specular, diffuse
-        if self.unseen is not None:
-            self.specular, self.diffuse = specular.clone(), diffuse.clone()
-            self._add_unseen(self.specular, self.diffuse)
+        self.add_unseen()
 
-    def _add_unseen(self, specular: Tensor, diffuse: Tensor) -> None:
+    def add_unseen(self) -> None:
+        """The moments, with the unseen light of now."""
+        self.specular, self.diffuse = self.known_specular, self.known_diffuse
+        if self.unseen is None:
+            return
+        self.specular, self.diffuse = specular, diffuse = self.known_specular.clone(), self.known_diffuse.clone()
         far = self.open
         for part in torch.arange(len(far), device=diffuse.device).split(1 << 16):
             cones = far[part]
