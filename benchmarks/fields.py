@@ -69,7 +69,7 @@ def background_psnr(environment: EnvironmentField, test_rays: PixelRays, truth: 
     return float(-10 * torch.log10(torch.cat(errors).mean()))
 
 
-def cone_error(environment: EnvironmentField, degrees: float, axes: int = 24, rays: int = 4096) -> float:
+def cone_error(environment: EnvironmentField, degrees: float, axes: int = 96, rays: int = 4096) -> float:
     """Mean relative error of cone queries against the mean of `rays` narrow rays in the same cone, over random axes."""
     generator = torch.Generator().manual_seed(0)
     half_angle, errors = math.radians(degrees), []

@@ -16,6 +16,7 @@ import trimesh
 from PIL import Image
 
 from blender_nep.errors import LearningError
+from blender_nep.material_learning import Materials
 from blender_nep.rooms import Rooms
 from blender_nep.surface import Surface
 
@@ -137,17 +138,16 @@ class BallRooms(Rooms):
 
     def learn_materials(self, surface, environment, rays, preset, *, seed, device, progress, checkpoint):
         self._loop("material_learning", progress, checkpoint)
-        return SimpleNamespace(**ball_textures(), report={"texels": 64})
-
-    def unpack_materials(self, state):
-        return SimpleNamespace(**state["textures"], report=state["report"])
+        return Materials(**ball_textures(), report={"texels": 64})
 
 
 class GreyLight:
     """A uniform environment."""
 
+    coverage = 1.0
+
     def equirect(self, height):
-        return torch.full((height, 2 * height, 3), 0.5), torch.ones(height, 2 * height)
+        return torch.full((height, 2 * height, 3), 0.5), torch.full((height, 2 * height), self.coverage)
 
 
 def ball_surface() -> Surface:

@@ -11,6 +11,7 @@ import sys
 import time
 
 import numpy as np
+import OpenEXR
 import pytest
 import torch
 from conftest import BallRooms
@@ -20,6 +21,7 @@ from blender_nep.checkpoints import Checkpoint, StopRequest, load_state, save_st
 from blender_nep.errors import LearningError, Stopped
 from blender_nep.events import Events, Timeline, time_text
 from blender_nep.presets import preset
+from blender_nep.shading.unseen_light import UnseenLight
 
 
 @pytest.fixture
@@ -62,6 +64,25 @@ def test_masks_ignored_are_reported_as_skipped(start):
     start(BallRooms(), use_masks=False)
     report = json.loads((start.out / "report.json").read_text())
     assert report["skipped"]["mask term"] == "--masks ignore"
+
+
+@pytest.mark.parametrize("coverage", [1.0, 0.0])
+def test_the_light_that_no_photo_shows_is_in_the_environment_map(start, coverage):
+    class Lit(BallRooms):
+        def learn_fields(self, *arguments, **keywords):
+            fields = super().learn_fields(*arguments, **keywords)
+            fields.environment.coverage = coverage
+            return fields
+
+        def learn_materials(self, *arguments, **keywords):
+            materials = super().learn_materials(*arguments, **keywords)
+            materials.unseen = UnseenLight(8, 4.0, "cpu")
+            materials.unseen.radiance += 2.0
+            return materials
+
+    assert start(Lit())[0] == 0
+    light = OpenEXR.File(str(start.out / "environment.exr")).channels()["RGB"].pixels
+    assert np.allclose(light, 0.5 + 2.0 * (1 - coverage))
 
 
 def test_clean_removes_checkpoints(start):
@@ -312,6 +333,7 @@ from blender_nep import job
 from blender_nep.checkpoints import Checkpoint, StopRequest
 from blender_nep.events import Events
 from blender_nep.presets import preset
+from blender_nep.shading.unseen_light import UnseenLight
 Checkpoint.interval = 0.01
 settings = job.Settings(Path({capture!r}), Path({out!r}), preset("preview"))
 job.run(settings, Events(), StopRequest(), BallRooms(steps=150, on_step=lambda room, step: time.sleep(0.005)))

@@ -147,8 +147,8 @@ class EnvironmentField(nn.Module):
 
     @torch.no_grad()
     def freeze(self, origins: torch.Tensor, directions: torch.Tensor) -> None:
-        """Learning is over: measures `coverage` with camera rays [n, 3] (a node that about as many rays as it has
-        pixels' worth of evidence saw counts as seen) and makes the field ready for cones."""
+        """Learning is over: measures `coverage` with camera rays [n, 3] (a node counts as seen, 1, once these see it with
+        a weight of `coverage_evidence` rays) and makes the field ready for cones."""
         evidence = np.zeros(self.raw.shape[:3], np.float32)
         if self.infinite:
             origins = torch.zeros_like(origins)
