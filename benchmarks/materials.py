@@ -38,18 +38,26 @@ from blender_nep.rooms import Rooms
 from blender_nep.surface import Surface, extract_surface, load_surface
 from blender_nep.texels import look_up
 
-ABLATIONS: dict[str, dict] = {
+ABLATIONS: dict[str, dict[str, dict]] = {
     "full": {},
-    "no cones": {"use_cones": False},
-    "256 + 128 rays": {"use_cones": False, "diffuse_cones": 256, "specular_cones": 128},
-    "no indirect light": {"levels": 0},
-    "N = 1": {"levels": 1},
-    "N = 3": {"levels": 3},
-    "no residual": {"residual": False},
-    "one material": {"most_materials": 1},
+    "no cones": {"material": {"use_cones": False}},
+    "few samples": {"material": {"samples": 6000}},
+    "few samples, 256 + 128 rays": {"material": {"samples": 6000, "use_cones": False, "diffuse_cones": 256,
+                                                 "irradiance_cones": 256, "specular_cones": 128}},
+    "environment at infinity": {"environment": {"model": "infinite"}},
+    "no indirect light": {"material": {"levels": 0}},
+    "N = 1": {"material": {"levels": 1}},
+    "N = 3": {"material": {"levels": 3}},
+    "no residual": {"material": {"residual": False}},
+    "one material": {"material": {"most_materials": 1}},
 }
-"""Fields of the material preset that differ from the preset's own."""
+"""Preset fields that differ from the preset's own."""
 CHANNELS = {"albedo": 3, "roughness": 1, "metallic": 1}
+
+
+def ablated(name: str, preset: Preset) -> Preset:
+    """The preset with one of ABLATIONS."""
+    return replace(preset, **{part: replace(getattr(preset, part), **values) for part, values in ABLATIONS[name].items()})
 
 
 def stage_1(folder: Path, capture: Capture, rays: PixelRays, preset: Preset, geometry: str, seed: int, kept: Path
@@ -153,15 +161,15 @@ def main() -> None:
     rows = []
     for folder, name, geometry, ablation in itertools.product(arguments.captures, arguments.preset, arguments.geometry,
                                                               arguments.ablation):
-        stage = f"{folder.name}-{name}-{geometry}-{arguments.seed}"
-        file = arguments.out / f"{stage}-{ablation.replace(' ', '_')}.json"
+        run_name = f"{folder.name}-{name}-{geometry}-{arguments.seed}"
+        other_light = "_infinite" if "environment" in ABLATIONS[ablation] else ""
+        stage = f"{run_name}{other_light}.stage_1.pt"
+        file = arguments.out / f"{run_name}-{ablation.replace(' ', '_')}.json"
         if not file.is_file():
             row = {"capture": folder.name, "geometry": geometry, "preset": name, "ablation": ablation,
                    "seed": arguments.seed, "threads": arguments.threads}
-            preset = PRESETS[name]
-            preset = replace(preset, material=replace(preset.material, **ABLATIONS[ablation]))
             try:
-                row |= run(folder, preset, geometry, arguments.seed, arguments.out / f"{stage}.stage_1.pt",
+                row |= run(folder, ablated(ablation, PRESETS[name]), geometry, arguments.seed, arguments.out / stage,
                            file.with_suffix(".png"))
             except NepError as error:
                 row["error"] = str(error)

@@ -18,15 +18,15 @@ from scipy.spatial import cKDTree
 from torch import Tensor
 
 from blender_nep.errors import LearningError
-from blender_nep.material_palette import Palette, best_of, choose, error, fit_groups, same_material, tone
+from blender_nep.material_palette import Palette, best_of, choose, error, fit_groups, same_material
 from blender_nep.material_textures import NEIGHBOURS, Evidence, bake, kernel, labels_at, neighbours, texture_size, vote
 from blender_nep.photo_samples import PhotoSamples, select_samples
 from blender_nep.raytracing import RayTracer
 from blender_nep.shading.incoming_light import IncomingLight
-from blender_nep.shading.plenoptic import Material, PlenopticFunction, SurfacePoints, TerminalRadiance, reflected
+from blender_nep.shading.plenoptic import Material, PlenopticFunction, SurfacePoints, TerminalRadiance
 from blender_nep.shading.unseen_light import UnseenLight
 from blender_nep.surface import Surface
-from blender_nep.unseen_light_learning import UnseenFit, UnseenLightProblem
+from blender_nep.unseen_light_learning import learn_unseen_light
 
 if TYPE_CHECKING:
     from blender_nep.capture.rays import PixelRays
@@ -132,7 +132,8 @@ class _MaterialLearner:
         else:
             if self.preset.levels > 0:
                 self._learn_terminal()
-            self.light = IncomingLight.gathered(self.f_p, self.points, self.preset.ladder, self.generator,
+            self.light = IncomingLight.gathered(self.f_p, self.points, self.preset.ladder,
+                                                self.preset.irradiance_cones, self.generator,
                                                 lambda share: self._step(10 + int(60 * share)))
         self.state = {"terminal": self.f_p.terminal.state_dict(), "light": self.light.state(),
                       "generator": self.generator.get_state()}
@@ -264,50 +265,15 @@ class _MaterialLearner:
             why = "all light that matters was seen by the photos" if p.residual else "turned off by the preset"
             self.report.setdefault("skipped", {})["residual"] = why
             return
-        rows = self._telling_samples(p.unseen_samples)
         if light.unseen is None:
             light.unseen = UnseenLight(p.unseen_rows, self.f_p.environment.typical_distance(), self.device)
             self.report["unseen_light_radius"] = round(light.unseen.radius, 3)
-        self._take(self._sharpen(rows))
+        light.unseen, self.palette = learn_unseen_light(light, self.palette, self.label, self.target, p, self.generator,
+                                                        lambda: self._step(self.done))
         self.f_p.unseen = light.unseen
         light.add_unseen()
         self._residual()
         self.weight = torch.ones_like(self.weight)
-
-    def _telling_samples(self, count: int) -> Tensor:
-        """Samples to learn the unseen light from: those that it does not explain yet, as highlights, come more often."""
-        material = self.palette.at(self.label)
-        predicted = reflected(material, self.light.moments(material.roughness), self.light.diffuse, self.light.cos_v)
-        left = (tone(predicted) - tone(self.target)).abs().mean(-1)
-        chance = left + left.mean()
-        count = min(count, len(left))
-        return torch.multinomial(chance.cpu(), count, generator=self.generator).sort()[0].to(self.device)
-
-    def _problem(self, palette: Palette, rows: Tensor) -> UnseenLightProblem:
-        return UnseenLightProblem(self.light, palette, self.label, self.target, rows, self.preset)
-
-    def _take(self, fit: UnseenFit) -> None:
-        self.light.unseen, self.palette.albedo = fit.light, fit.albedo
-
-    def _sharpen(self, rows: Tensor) -> UnseenFit:
-        """The unseen light with the roughnesses that suit it: a sharp lamp in a rough surface looks like a soft lamp in a
-        smooth one, so that neither can be found while the other is held."""
-        p, radius, start = self.preset, self.light.unseen.radius, self.light.unseen
-        best = self._problem(self.palette, rows).solve(radius, p.unseen_steps, start)
-        for k in range(len(self.palette)):
-            for factor in (0.8, 1.25):
-                first = best
-                for _ in range(6):
-                    roughness = self.palette.roughness.clone()
-                    roughness[k] = (roughness[k] * factor).clamp(p.least_roughness, 1)
-                    other = Palette(best.albedo, roughness, self.palette.metallic)
-                    fit = self._problem(other, rows).solve(radius, p.unseen_steps // 2, best.light)
-                    if fit.error >= best.error:
-                        break
-                    best, self.palette = fit, other
-                if best is not first:
-                    break
-        return best
 
     def _evidence(self) -> Evidence:
         cost = self._costs()
@@ -339,6 +305,7 @@ class _MaterialLearner:
             skipped["material boundaries"] = "one material explains the photos"
 
     def _step(self, step: int) -> None:
+        self.done = step
         # Before the light is gathered there is nothing worth keeping; what follows it takes seconds.
         if self.checkpoint.due():
             self.checkpoint.save(self.state)

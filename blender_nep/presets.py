@@ -149,7 +149,10 @@ class MaterialPreset:
     """Roughnesses at which the specular light is prefiltered."""
     diffuse_cones: int = 8
     specular_cones: int = 4
-    """Cones a lobe (paper, section 3.3)."""
+    """Cones a lobe (paper, section 3.3), where what a ray hits is shaded."""
+    irradiance_cones: int = 32
+    """Cones of the diffuse lobe of what the photos show; these are traced once. The specular lobe has specular_cones for
+    each roughness of the ladder."""
     use_cones: bool = True
     """False: as many infinitely thin rays (the paper's ablation without cones)."""
     levels: int = 2

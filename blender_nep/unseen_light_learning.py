@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,7 +13,7 @@ from torch import Tensor
 from blender_nep.material_palette import Palette, tone
 from blender_nep.presets import MaterialPreset
 from blender_nep.shading.incoming_light import IncomingLight
-from blender_nep.shading.plenoptic import albedo_line
+from blender_nep.shading.plenoptic import albedo_line, reflected
 from blender_nep.shading.unseen_light import UnseenLight, UnseenTransport, pyramid
 
 _DARKEST, _BRIGHTEST = math.log(1e-3), math.log(1e3)
@@ -24,6 +25,52 @@ _SOFT = 0.03
 """Tone-mapped differences below it cost quadratically."""
 _ALBEDO_RATE = 0.05
 """Adam's, for the albedos' logits."""
+_FACTORS = (0.8, 1.25)
+"""By which roughnesses are tried lower and higher."""
+_MOST_TRIALS = 6
+"""Each way."""
+
+
+def learn_unseen_light(light: IncomingLight, palette: Palette, label: Tensor, target: Tensor, preset: MaterialPreset,
+                       generator: torch.Generator, beat: Callable[[], None]) -> tuple[UnseenLight, Palette]:
+    """The unseen light, going on from `light.unseen`, and the palette with albedos and roughnesses that suit it.
+
+    A sharp lamp in a rough surface looks like a soft lamp in a smooth one, so that neither can be found while the other is
+    held: each material's roughness is tried lower and higher by a quarter, with the light learned anew, as long as
+    that helps. beat() is called after every trial.
+    """
+    rows = _telling_samples(light, palette, label, target, preset.unseen_samples, generator)
+
+    def solve(tried: Palette, steps: int, start: UnseenLight) -> UnseenFit:
+        fit = UnseenLightProblem(light, tried, label, target, rows, preset).solve(start.radius, steps, start)
+        beat()
+        return fit
+
+    best = solve(palette, preset.unseen_steps, light.unseen)
+    for k in range(len(palette)):
+        for factor in _FACTORS:
+            first = best
+            for _ in range(_MOST_TRIALS):
+                roughness = palette.roughness.clone()
+                roughness[k] = (roughness[k] * factor).clamp(preset.least_roughness, 1)
+                other = Palette(best.albedo, roughness, palette.metallic)
+                fit = solve(other, preset.unseen_steps // 2, best.light)
+                if fit.error >= best.error:
+                    break
+                best, palette = fit, other
+            if best is not first:
+                break
+    return best.light, Palette(best.albedo, palette.roughness, palette.metallic)
+
+
+def _telling_samples(light: IncomingLight, palette: Palette, label: Tensor, target: Tensor, count: int,
+                     generator: torch.Generator) -> Tensor:
+    """Samples to learn from: those that the light does not explain yet, as highlights, come more often."""
+    material = palette.at(label)
+    predicted = reflected(material, light.moments(material.roughness), light.diffuse, light.cos_v)
+    left = (tone(predicted) - tone(target)).abs().mean(-1)
+    chance = (left + left.mean()).clamp_min(1e-6).cpu()
+    return torch.multinomial(chance, min(count, len(left)), generator=generator).sort()[0].to(target.device)
 
 
 @dataclass

@@ -36,6 +36,18 @@ class AnalyticEnvironment:
         return 0.15 + lobes @ self.colour, torch.ones(len(directions))
 
 
+class HalfSeen(AnalyticEnvironment):
+    """The same light, of which no photo shows the upper part: there F_e is black and without coverage."""
+
+    def query_cone(self, origins, directions, half_angle):
+        radiance, _ = super().query_cone(origins, directions, half_angle)
+        seen = (directions[:, 2] < 0.3).float()
+        return radiance * seen[:, None], seen
+
+    def typical_distance(self):
+        return math.inf
+
+
 @dataclass
 class SyntheticRays:
     """The part of PixelRays that material learning uses."""
@@ -74,9 +86,9 @@ class MemoryCheckpoint:
         return self.state
 
 
-def make_photos(materials, views=10, side=32, rays=160):
-    """Photos of the sphere; materials(points [n,3]) -> albedo, roughness, metallic. Uniform hemisphere + VNDF samples."""
-    environment, generator = AnalyticEnvironment(), torch.Generator().manual_seed(11)
+def make_photos(materials, views=10, side=32, rays=160, environment=None):
+    """Photos of the sphere in all of the light; materials(points [n,3]) -> albedo, roughness, metallic."""
+    environment, generator = environment or AnalyticEnvironment(), torch.Generator().manual_seed(11)
     eye = torch.nn.functional.normalize(torch.randn(views, 3, generator=generator), dim=-1) * 3
     u = (torch.arange(side) + 0.5) / side * 0.5 - 0.25
     x, y = torch.meshgrid(u, u, indexing="ij")
@@ -98,7 +110,7 @@ def make_photos(materials, views=10, side=32, rays=160):
 
     def incoming(to_light):
         d = torch.einsum("nij,nkj->nki", f, to_light).reshape(-1, 3)
-        return environment.query_cone(d, d, torch.zeros(len(d)))[0].reshape(n, rays, 3)
+        return AnalyticEnvironment.query_cone(environment, d, d, torch.zeros(len(d)))[0].reshape(n, rays, 3)
 
     # Balance heuristic between the two samplers: an estimator that shares nothing with the cones.
     each = [x[:, None].expand(n, rays, *x.shape[1:]) for x in (v, albedo, roughness, metallic)]
@@ -122,9 +134,9 @@ def ball():
     return unwrap(Surface(vertices, faces, vertices / RADIUS), SurfacePreset(atlas_texels=256))
 
 
-def learn(ball, photos, preset=PRESET, checkpoint=None):
+def learn(ball, photos, preset=PRESET, checkpoint=None, environment=None):
     steps = []
-    result = learn_materials(ball, AnalyticEnvironment(), photos, preset, seed=0, device="cpu",
+    result = learn_materials(ball, environment or AnalyticEnvironment(), photos, preset, seed=0, device="cpu",
                              progress=lambda step, steps_, loss, **_: steps.append(step),
                              checkpoint=checkpoint or MemoryCheckpoint())
     assert steps == sorted(steps) and steps[-1] == 100
@@ -176,6 +188,38 @@ def test_same_seed_same_textures_also_when_resumed(ball):
     resumed = learn(ball, photos, checkpoint=MemoryCheckpoint(checkpoint.state))
     for other in (b, resumed):
         assert (a.albedo == other.albedo).all() and (a.roughness == other.roughness).all()
+
+
+@pytest.mark.parametrize(("albedo", "metallic"), [((0.9, 0.6, 0.3), 1.0), ((0.6, 0.3, 0.15), 0.0)])
+def test_light_that_no_photo_shows_is_found_in_the_reflections(ball, albedo, metallic):
+    photos = make_photos(constant(albedo, 0.2, metallic))
+    preset = replace(PRESET, most_materials=1, unseen_steps=60)
+    found, ignored = (learn(ball, photos, replace(preset, residual=residual), environment=HalfSeen())
+                      for residual in (True, False))
+    error, error_ignored = (np.abs(result.albedo - albedo).max() for result in (found, ignored))
+    assert error < 0.1 and error < 0.5 * error_ignored
+    assert found.metallic.mean() == metallic and np.abs(found.roughness - 0.2).max() < 0.06
+    assert ignored.unseen is None and "residual" in ignored.report["skipped"]
+    light = found.unseen.equirect(16)
+    assert light[:6].mean() > 5 * light[8:].mean()
+
+
+@pytest.mark.parametrize("roughness", [0.02, 1.0])
+@pytest.mark.parametrize("metallic", [0.0, 1.0])
+@pytest.mark.parametrize("albedo", [0.0, 1.0])
+def test_extreme_materials_under_a_blinding_lamp_stay_finite_and_sensible(ball, albedo, metallic, roughness):
+    class Blinding(HalfSeen):
+        def __init__(self):
+            super().__init__()
+            self.colour[3] *= 1e4
+
+    photos = make_photos(constant((albedo,) * 3, roughness, metallic), views=4, rays=32, environment=Blinding())
+    result = learn(ball, photos, environment=Blinding())
+    for texture in (result.albedo, result.roughness, result.metallic, result.confidence):
+        assert np.isfinite(texture).all() and texture.min() >= 0 and texture.max() <= 1
+    assert torch.isfinite(result.unseen.radiance).all()
+    if albedo == 0 and metallic == 0:
+        assert result.albedo.mean() < 0.2, "a black body is not bright"
 
 
 @pytest.mark.parametrize("scale", [0.0, 1e4])

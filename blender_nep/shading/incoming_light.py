@@ -28,6 +28,8 @@ from blender_nep.shading.unseen_light import OpenCones, UnseenLight
 _FULL, _EDGE, _DIELECTRIC = range(3)
 
 
+_CHUNK = 1 << 17
+"""Cones traced at a time."""
 LEAST_SHARE = 0.02
 """Cones of which photos saw all but this share are not kept for the light that photos did not see."""
 
@@ -36,9 +38,6 @@ class IncomingLight:
     """Light moments of n surface points on a ladder of R roughnesses, plus the diffuse irradiance."""
 
     _STATE = ("direct_specular", "direct_diffuse", "coverage", "diffuse_coverage", "slot", "slot_weight")
-
-    irradiance = 32
-    """Cones for the diffuse lobe of each point: traced once, so that more than in the recursion can be afforded."""
 
     def __init__(self, plenoptic: PlenopticFunction, points: SurfacePoints, ladder: tuple[float, ...]):
         """Without light yet: see `gathered` and `restored`. points: the n surface points."""
@@ -49,8 +48,9 @@ class IncomingLight:
 
     @classmethod
     def gathered(cls, plenoptic: PlenopticFunction, points: SurfacePoints, ladder: tuple[float, ...],
-                 generator: torch.Generator, progress: Callable[[float], None]) -> IncomingLight:
-        """Traces every cone once; progress(share done) is called after each chunk."""
+                 irradiance: int, generator: torch.Generator, progress: Callable[[float], None]) -> IncomingLight:
+        """Traces every cone once, `irradiance` of them for the diffuse lobe; progress(share done) is called after each
+        chunk."""
         light = cls(plenoptic, points, ladder)
         device, n, rungs = points.position.device, len(points), len(ladder)
         light.direct_specular = torch.zeros(n, rungs, 3, 3, device=device)
@@ -62,8 +62,9 @@ class IncomingLight:
         """[n] share of the irradiance's solid angle that photos saw"""
         light.rays = 0
         found = []
-        for rows in torch.arange(n, device=device).split(2048):
-            found.append(light._gather(rows, generator))
+        cones = irradiance + rungs * plenoptic.specular
+        for rows in torch.arange(n, device=device).split(max(1, _CHUNK // cones)):
+            found.append(light._gather(rows, irradiance, generator))
             progress((int(rows[-1]) + 1) / n)
         slots, weights, hits, unseen = zip(*found, strict=True)
         light.open = OpenCones.joined(unseen)
@@ -97,14 +98,15 @@ class IncomingLight:
         light.diffuse = light.known_diffuse = light.direct_diffuse
         return light
 
-    def _gather(self, rows: Tensor, generator: torch.Generator) -> tuple[Tensor, Tensor, SurfacePoints, OpenCones]:
+    def _gather(self, rows: Tensor, irradiance: int, generator: torch.Generator
+                ) -> tuple[Tensor, Tensor, SurfacePoints, OpenCones]:
         """Traces the cones of some rows; returns those that met the mesh: row, weights [k,1+R,3], where; and those
         that left it where photos did not look."""
         points, f_p = self.points[rows], self.plenoptic
         n, device = len(rows), rows.device
         frame = brdf.frame(points.normal)
         v = torch.einsum("nij,ni->nj", frame, points.view)
-        direction, angle, weight = self._cones(v, generator)
+        direction, angle, weight = self._cones(v, irradiance, generator)
         # A cone of no weight (below the horizon) need not be traced.
         live = (weight[..., _FULL].amax(-1) > 0).reshape(-1).nonzero().squeeze(-1)
         each = live // direction.shape[1]
@@ -129,7 +131,7 @@ class IncomingLight:
                            weight[far, :, _FULL], terms)
         return rows[0] + each[arrival.row], weight[arrival.row], arrival.hits, unseen
 
-    def _cones(self, v: Tensor, generator: torch.Generator) -> tuple[Tensor, Tensor, Tensor]:
+    def _cones(self, v: Tensor, irradiance: int, generator: torch.Generator) -> tuple[Tensor, Tensor, Tensor]:
         """Cones for local views v [n,3]: `irradiance` of them for the diffuse lobe; the samples of all rungs serve all
         of them, by the balance heuristic (Veach 1995).
 
@@ -139,7 +141,7 @@ class IncomingLight:
         """
         n, rungs, each = len(v), len(self.ladder), self.plenoptic.specular
         turn = torch.rand(n, rungs + 1, 2, generator=generator).to(v.device)
-        diffuse, diffuse_angle = diffuse_cones(self.irradiance, turn[:, 0])
+        diffuse, diffuse_angle = diffuse_cones(irradiance, turn[:, 0])
         direction = specular_cones(v[:, None].expand(n, rungs, 3), self.ladder.expand(n, rungs), each, turn[:, 1:])[0]
         direction = direction.reshape(n, -1, 3)
         cos_v, cos_l = v[:, None, 2], direction[..., 2]
@@ -155,9 +157,9 @@ class IncomingLight:
         albedo = brdf.specular_albedo(cos_v, self.ladder)
         weight = weight * (albedo / weight.sum(1).clamp_min(1e-6))[:, None].clamp_max(1e3)
         fresnel = torch.stack(moment_weights(torch.ones_like(cos_vh), cos_vh), -1)
-        whole = weight.new_zeros(n, self.irradiance + weight.shape[1], 1 + rungs, 3)
-        whole[:, : self.irradiance, 0] = 1 / self.irradiance
-        whole[:, self.irradiance :, 1:] = weight[..., None] * fresnel[:, :, None]
+        whole = weight.new_zeros(n, irradiance + weight.shape[1], 1 + rungs, 3)
+        whole[:, : irradiance, 0] = 1 / irradiance
+        whole[:, irradiance :, 1:] = weight[..., None] * fresnel[:, :, None]
         return torch.cat([diffuse, direction], 1), torch.cat([diffuse_angle, cone_of_density(density)], 1), whole
 
     def update(self, materials_at: Callable[[SurfacePoints], Material], generator: torch.Generator) -> None:
