@@ -108,6 +108,7 @@ class _MaterialLearner:
         for k in range(preset.rounds):
             self._find_unseen_light()
             self._merge_shades()
+            self._drop_superfluous()
             self._assign()
             self._step(85 + 5 * k)
         self._clock("materials")
@@ -174,20 +175,19 @@ class _MaterialLearner:
             self.palette = self._fit(self.label, len(self.palette), _SHADES)
             self._assign()
         self._merge_shades()
-        self._drop_blends()
+        self._drop_superfluous()
 
-    def _drop_blends(self) -> None:
-        """Without the materials that are but the soft boundary of two others."""
+    def _drop_superfluous(self) -> None:
+        """Without the materials that explain hardly more than the others and their blends, as soft boundaries do."""
         for k in torch.bincount(self.label, minlength=len(self.palette)).argsort().tolist():
-            if len(self.palette) < 3:
+            if len(self.palette) == 1:
                 return
             others = self.palette.pick([j for j in range(len(self.palette)) if j != k])
-            with_it, without = (self._smoothed(self._costs(palette)).min(1).mean()
-                                for palette in (self.palette.with_blends(), others.with_blends()))
+            with_it, without = (self._left_out(palette.with_blends()) for palette in (self.palette, others))
             if without <= (1 + self.preset.gain) * with_it:
                 self.palette = others
                 self._assign()
-                self._drop_blends()
+                self._drop_superfluous()
                 return
 
     def _merge_shades(self) -> None:
@@ -210,9 +210,16 @@ class _MaterialLearner:
         costs = torch.stack([self._error(palette, k) for k in range(len(palette))], 1)
         return costs * torch.where(palette.blended, 1 + self.preset.blend_margin, 1.0)
 
-    def _smoothed(self, costs: Tensor) -> np.ndarray:
-        """Means over each sample's neighbours, near ones counting more."""
-        distance, index = self.around
+    def _left_out(self, palette: Palette) -> float:
+        """Mean residual of every sample under the material that its neighbours vote for without it: what a material gains
+        by fitting the noise does not count."""
+        costs = self._costs(palette)
+        label = self._smoothed(costs, first=1).argmin(1)
+        return float(costs.cpu().numpy()[np.arange(len(label)), label].mean())
+
+    def _smoothed(self, costs: Tensor, first: int = 0) -> np.ndarray:
+        """Means over each sample's neighbours from the `first` on (0: itself), near ones counting more."""
+        distance, index = (values[:, first:] for values in self.around)
         weight = kernel(distance)
         return np.stack([(c[index] * weight).sum(1) for c in costs.T.cpu().numpy()], 1) / weight.sum(1, keepdims=True)
 

@@ -208,7 +208,7 @@ class Preset:
     """Photos are box-filtered down until they have at most this many pixels."""
     fields_seconds: float = 95.0
     surface_seconds: float = 5.0
-    material_seconds: float = 35.0
+    material_seconds: float = 70.0
     """What the three long rooms take on two cores: first guess of the time left, corrected as the job runs."""
     environment_height: int = 256
     """Rows of environment.exr."""
@@ -225,7 +225,7 @@ PRESETS = {
         fields=FieldsPreset(background_steps=200, steps=700, object_rays=1280, sphere_rays=768, outside_rays=768),
         environment=EnvironmentPreset(resolutions=((20, 32), (28, 64)), refine_at=(0.25,), steps=600),
         surface=SurfacePreset(grid=144, faces=10_000, atlas_texels=512),
-        material=MaterialPreset(samples=12_000, terminal_steps=150, most_texels=512)),
+        material=MaterialPreset(samples=12_000, terminal_steps=150, unseen_samples=4000, unseen_steps=60, most_texels=512)),
     "balanced": Preset(),
     "quality": Preset(
         name="quality", max_pixels_per_photo=650_000, fields_seconds=400, surface_seconds=20, material_seconds=90,
@@ -233,7 +233,7 @@ PRESETS = {
         fields=FieldsPreset(background_steps=400, steps=4500, object_rays=2048, last_sharpness=400),
         environment=EnvironmentPreset(steps=4000),
         surface=SurfacePreset(grid=288, faces=60_000, atlas_texels=2048),
-        material=MaterialPreset(samples=80_000, most_texels=2048)),
+        material=MaterialPreset(samples=80_000, unseen_samples=16_000, most_texels=2048)),
 }
 
 
