@@ -8,25 +8,21 @@ writes one JSON file and is skipped when that exists; a run that fails is a row 
 
 from __future__ import annotations
 
-import argparse
 import itertools
-import json
 import math
-import os
 import resource
 import sys
 import time
-from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
-import numba
 import numpy as np
 import torch
 
 from benchmarks.geometry import Body, score, true_mesh
+from benchmarks.harness import learning_parser, markdown, resumed, use_threads, with_changes
 from blender_nep.capture import PixelRays, load_capture
 from blender_nep.checkpoints import NoCheckpoint
-from blender_nep.errors import NepError
 from blender_nep.fields.environment_field import EnvironmentField
 from blender_nep.fields_learning import learn_fields
 from blender_nep.metrics import tone_map
@@ -45,11 +41,6 @@ ABLATIONS: dict[str, dict[str, dict]] = {
     "F_e not shy": {"fields": {"shyness": 1.0}},
 }
 """Preset fields that differ from the preset's own."""
-
-
-def ablated(name: str, preset: Preset) -> Preset:
-    """The preset with one of ABLATIONS."""
-    return replace(preset, **{part: replace(getattr(preset, part), **values) for part, values in ABLATIONS[name].items()})
 
 
 def background_psnr(environment: EnvironmentField, test_rays: PixelRays, truth: Body) -> float:
@@ -117,43 +108,24 @@ COLUMNS = ("cd_visible", "cd_full", "fscore_005", "normal_deg", "mask_iou", "bac
            "peak_mb")
 
 
-def table(rows: list[dict]) -> str:
-    """Markdown; a failed run shows its message."""
-    lines = ["| capture | preset | ablation | " + " | ".join(COLUMNS) + " |", "|---" * (3 + len(COLUMNS)) + "|"]
-    for row in rows:
-        cells = [f"{row[c]:.4g}" if c in row else row.get("error", "") for c in COLUMNS]
-        lines.append("| " + " | ".join([row["capture"], row["preset"], row["ablation"], *cells]) + " |")
-    return "\n".join(lines)
+def cells(row: dict) -> list:
+    """One line of the table; a failed run shows its message."""
+    scores = [float(row[c]) if c in row else row.get("error", "") for c in COLUMNS]
+    return [row["capture"], row["preset"], row["ablation"], *scores]
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
-    parser.add_argument("captures", nargs="+", type=Path)
-    parser.add_argument("--preset", nargs="+", default=["balanced"], choices=list(PRESETS))
-    parser.add_argument("--ablation", nargs="+", default=["full"], choices=list(ABLATIONS))
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--threads", type=int, default=os.cpu_count())
-    parser.add_argument("--out", type=Path, default=Path("out/benchmarks/fields"))
-    arguments = parser.parse_args()
-    torch.set_num_threads(arguments.threads)
-    numba.set_num_threads(min(arguments.threads, numba.config.NUMBA_NUM_THREADS))
-    arguments.out.mkdir(parents=True, exist_ok=True)
-    rows = []
+    arguments = learning_parser(__doc__, ABLATIONS, "out/benchmarks/fields").parse_args()
+    use_threads(arguments.threads)
+    header, rows = ["capture", "preset", "ablation", *COLUMNS], []
     for folder, name, ablation in itertools.product(arguments.captures, arguments.preset, arguments.ablation):
+        row = {"capture": folder.name, "preset": name, "ablation": ablation, "seed": arguments.seed,
+               "threads": arguments.threads}
         file = arguments.out / f"{folder.name}-{name}-{ablation.replace(' ', '_')}-{arguments.seed}.json"
-        if not file.is_file():
-            row = {"capture": folder.name, "preset": name, "ablation": ablation, "seed": arguments.seed,
-                   "threads": arguments.threads}
-            try:
-                row |= run(folder, ablated(ablation, PRESETS[name]), arguments.seed)
-            except NepError as error:
-                row["error"] = str(error)
-            part = file.with_suffix(".part")
-            part.write_text(json.dumps(row, indent=1), encoding="utf-8")
-            part.replace(file)
-        rows.append(json.loads(file.read_text(encoding="utf-8")))
-        print(table(rows[-1:]).splitlines()[-1], flush=True)
-    print("\n" + table(rows))
+        preset = with_changes(PRESETS[name], ABLATIONS[ablation])
+        rows.append(cells(resumed(file, row, partial(run, folder, preset, arguments.seed))))
+        print(markdown(header, rows[-1:]).splitlines()[-1], flush=True)
+    print("\n" + markdown(header, rows))
 
 
 if __name__ == "__main__":

@@ -10,15 +10,11 @@ fails is a row with its message. Ends with a table.
 
 from __future__ import annotations
 
-import argparse
 import itertools
-import json
-import os
 import time
-from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
-import numba
 import numpy as np
 import OpenEXR
 import torch
@@ -26,11 +22,11 @@ import trimesh
 from PIL import Image
 
 from benchmarks.geometry import Body, camera_rays, true_mesh
+from benchmarks.harness import learning_parser, markdown, resumed, use_threads, with_changes
 from blender_nep.capture import PixelRays, load_capture
 from blender_nep.capture.capture import Capture
 from blender_nep.capture.images import linear_to_srgb
 from blender_nep.checkpoints import NoCheckpoint, load_state, save_state
-from blender_nep.errors import NepError
 from blender_nep.fields_learning import learn_fields
 from blender_nep.material_learning import Materials, learn_materials
 from blender_nep.presets import PRESETS, Preset
@@ -41,8 +37,8 @@ from blender_nep.texels import look_up
 ABLATIONS: dict[str, dict[str, dict]] = {
     "full": {},
     "no cones": {"material": {"use_cones": False}},
-    "few samples": {"material": {"samples": 6000}},
-    "few samples, 256 + 128 rays": {"material": {"samples": 6000, "use_cones": False, "diffuse_cones": 256,
+    "few samples": {"material": {"samples": 1500}},
+    "few samples, 256 + 128 rays": {"material": {"samples": 1500, "use_cones": False, "diffuse_cones": 256,
                                                  "irradiance_cones": 256, "specular_cones": 128}},
     "environment at infinity": {"environment": {"model": "infinite"}},
     "no indirect light": {"material": {"levels": 0}},
@@ -55,11 +51,6 @@ ABLATIONS: dict[str, dict[str, dict]] = {
 CHANNELS = {"albedo": 3, "roughness": 1, "metallic": 1}
 
 
-def ablated(name: str, preset: Preset) -> Preset:
-    """The preset with one of ABLATIONS."""
-    return replace(preset, **{part: replace(getattr(preset, part), **values) for part, values in ABLATIONS[name].items()})
-
-
 def stage_1(folder: Path, capture: Capture, rays: PixelRays, preset: Preset, geometry: str, seed: int, kept: Path
             ) -> tuple[Surface, object, float]:
     """The surface, F_e, and the seconds that both took."""
@@ -68,6 +59,7 @@ def stage_1(folder: Path, capture: Capture, rays: PixelRays, preset: Preset, geo
         state = load_state(kept)
         surface, _ = Rooms().unpack_surface(state["surface"])
         return surface, Rooms().unpack_fields(state["fields"], preset, device).environment, state["seconds"]
+    kept.parent.mkdir(parents=True, exist_ok=True)
     start, surface, report = time.perf_counter(), None, {}
     if geometry == "true":
         surface = load_surface(folder / "gt_mesh.ply", capture, preset.surface)
@@ -111,6 +103,7 @@ def score(surface: Surface, materials: Materials, folder: Path, capture: Capture
                 strip.append(image.reshape(*size, 3))
         if view < shown:
             rows.append(np.concatenate(strip, 1))
+    picture.parent.mkdir(parents=True, exist_ok=True)
     Image.fromarray((np.concatenate(rows).clip(0, 1) * 255).astype(np.uint8)).save(picture)
     return {f"mse_{name}": float(np.concatenate(values).mean()) for name, values in errors.items()}
 
@@ -132,53 +125,33 @@ def run(folder: Path, preset: Preset, geometry: str, seed: int, kept: Path, pict
 COLUMNS = ("mse_roughness", "mse_metallic", "mse_albedo", "seconds", "cpu_seconds")
 
 
-def table(rows: list[dict]) -> str:
-    """Markdown; a failed run shows its message."""
-    lines = ["| capture | geometry | preset | ablation | " + " | ".join(COLUMNS) + " | materials |",
-             "|---" * (5 + len(COLUMNS)) + "|"]
-    for row in rows:
-        cells = [f"{row[c]:.4g}" if c in row else row.get("error", "") for c in COLUMNS]
-        found = [f"{m['share']:.2f}: {m['albedo']} r {m['roughness']} m {m['metallic']}"
-                 for m in row.get("report", {}).get("materials", [])]
-        lines.append("| " + " | ".join([row["capture"], row["geometry"], row["preset"], row["ablation"], *cells,
-                                        "; ".join(found)]) + " |")
-    return "\n".join(lines)
+def cells(row: dict) -> list:
+    """One line of the table; a failed run shows its message."""
+    scores = [float(row[c]) if c in row else row.get("error", "") for c in COLUMNS]
+    found = [f"{m['share']:.2f}: {m['albedo']} r {m['roughness']} m {m['metallic']}"
+             for m in row.get("report", {}).get("materials", [])]
+    return [row["capture"], row["geometry"], row["preset"], row["ablation"], *scores, "; ".join(found)]
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
-    parser.add_argument("captures", nargs="+", type=Path)
-    parser.add_argument("--preset", nargs="+", default=["balanced"], choices=list(PRESETS))
+    parser = learning_parser(__doc__, ABLATIONS, "out/benchmarks/materials")
     parser.add_argument("--geometry", nargs="+", default=["true", "own"], choices=["true", "own"])
-    parser.add_argument("--ablation", nargs="+", default=["full"], choices=list(ABLATIONS))
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--threads", type=int, default=os.cpu_count())
-    parser.add_argument("--out", type=Path, default=Path("out/benchmarks/materials"))
     arguments = parser.parse_args()
-    torch.set_num_threads(arguments.threads)
-    numba.set_num_threads(min(arguments.threads, numba.config.NUMBA_NUM_THREADS))
-    arguments.out.mkdir(parents=True, exist_ok=True)
-    rows = []
+    use_threads(arguments.threads)
+    header, rows = ["capture", "geometry", "preset", "ablation", *COLUMNS, "materials"], []
     for folder, name, geometry, ablation in itertools.product(arguments.captures, arguments.preset, arguments.geometry,
                                                               arguments.ablation):
+        row = {"capture": folder.name, "geometry": geometry, "preset": name, "ablation": ablation,
+               "seed": arguments.seed, "threads": arguments.threads}
         run_name = f"{folder.name}-{name}-{geometry}-{arguments.seed}"
         other_light = "_infinite" if "environment" in ABLATIONS[ablation] else ""
-        stage = f"{run_name}{other_light}.stage_1.pt"
         file = arguments.out / f"{run_name}-{ablation.replace(' ', '_')}.json"
-        if not file.is_file():
-            row = {"capture": folder.name, "geometry": geometry, "preset": name, "ablation": ablation,
-                   "seed": arguments.seed, "threads": arguments.threads}
-            try:
-                row |= run(folder, ablated(ablation, PRESETS[name]), geometry, arguments.seed, arguments.out / stage,
-                           file.with_suffix(".png"))
-            except NepError as error:
-                row["error"] = str(error)
-            part = file.with_suffix(".part")
-            part.write_text(json.dumps(row, indent=1), encoding="utf-8")
-            part.replace(file)
-        rows.append(json.loads(file.read_text(encoding="utf-8")))
-        print(table(rows[-1:]).splitlines()[-1], flush=True)
-    print("\n" + table(rows))
+        preset = with_changes(PRESETS[name], ABLATIONS[ablation])
+        kept = arguments.out / f"{run_name}{other_light}.stage_1.pt"
+        rows.append(cells(resumed(file, row, partial(run, folder, preset, geometry, arguments.seed, kept,
+                                                     file.with_suffix(".png")))))
+        print(markdown(header, rows[-1:]).splitlines()[-1], flush=True)
+    print("\n" + markdown(header, rows))
 
 
 if __name__ == "__main__":

@@ -24,6 +24,7 @@ from backend.capture_files import Frame, linear_to_srgb, read_frames, spread_fra
 from backend.comparison import exposure
 from backend.relight import RelitScene
 from backend.world import blender_hdris, build_world
+from benchmarks.harness import markdown, write_row
 
 OBJECT = "target"
 
@@ -98,14 +99,11 @@ def main() -> None:
                           arguments.out / f"{name}.png")
         except OSError as error:
             row = {"capture": folder.name, "asset": str(asset), "error": str(error)}
-        (arguments.out / f"{name}.json").write_text(json.dumps(row, indent=1), encoding="utf-8")
-        rows.append(row)
+        write_row(arguments.out / f"{name}.json", row)
         print(json.dumps(row), file=sys.stderr, flush=True)
-    print("| capture | asset | PSNR by light, dB | mean |\n|---|---|---|---|")
-    for row in rows:
         lights = ", ".join(f"{light} {value:.1f}" for light, value in row.get("psnr", {}).items())
-        mean = f"{row['mean']:.1f}" if "mean" in row else row["error"]
-        print(f"| {row['capture']} | {Path(row['asset']).name} | {lights} | {mean} |")
+        rows.append([folder.name, asset.name, lights, row.get("mean", row.get("error"))])
+    print(markdown(["capture", "asset", "PSNR by light, dB", "mean"], rows))
 
 
 if __name__ == "__main__":

@@ -71,7 +71,7 @@ class _MaterialLearner:
         self.surface, self.preset, self.device = surface, preset, device
         self.progress, self.checkpoint = progress, checkpoint
         self.generator = torch.Generator().manual_seed(seed)
-        self.steps, self.loss, self.start = 100, float("nan"), time.monotonic()
+        self.steps, self.done, self.loss, self.start = 100, 0, float("nan"), time.monotonic()
         self.state: dict = {}
         tracer = RayTracer(surface.vertices, surface.faces)
         self.samples: PhotoSamples = select_samples(
@@ -313,7 +313,7 @@ class _MaterialLearner:
 
     def _step(self, step: int) -> None:
         self.done = step
-        # Before the light is gathered there is nothing worth keeping; what follows it takes seconds.
+        # Before the light is gathered there is nothing worth keeping; a resumed job repeats what follows it.
         if self.checkpoint.due():
             self.checkpoint.save(self.state)
         self.progress(step, self.steps, self.loss)

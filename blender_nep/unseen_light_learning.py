@@ -18,7 +18,8 @@ from blender_nep.shading.unseen_light import UnseenLight, UnseenTransport, pyram
 
 _DARKEST, _BRIGHTEST = math.log(1e-3), math.log(1e3)
 """Of the map's log radiance."""
-_FIRST = math.log(0.02)
+_GLIMMER = 0.005
+"""Radiance that darker texels start from: from black, a logarithm does not rise."""
 _RATE = 0.2
 """Adam's, for the log radiance: lamps are a hundred times brighter than walls."""
 _SOFT = 0.03
@@ -42,7 +43,7 @@ def learn_unseen_light(light: IncomingLight, palette: Palette, label: Tensor, ta
     rows = _telling_samples(light, palette, label, target, preset.unseen_samples, generator)
 
     def solve(tried: Palette, steps: int, start: UnseenLight) -> UnseenFit:
-        fit = UnseenLightProblem(light, tried, label, target, rows, preset).solve(start.radius, steps, start)
+        fit = UnseenLightProblem(light, tried, label, target, rows, preset).solve(start, steps)
         beat()
         return fit
 
@@ -97,21 +98,18 @@ class UnseenLightProblem:
         self.offset, self.slope = albedo_line(material, moments, light.known_diffuse[rows], light.cos_v[rows])
         self.cones, self.open_offset, self.open_slope = light.open_lines(material, rows)
 
-    def solve(self, radius: float, steps: int, start: UnseenLight | None) -> UnseenFit:
-        """The map on a sphere of `radius` and the albedos that explain the photos best, by Adam from `start`.
+    def solve(self, start: UnseenLight, steps: int) -> UnseenFit:
+        """The map and the albedos that explain the photos best, by Adam from `start`, brightened to a glimmer.
 
         Priors, all of the tone-mapped map: its total variation; its mean, so that a few lamps are found rather than a bright
         sky; its colour, because coloured light on a grey object looks like grey light on a coloured one.
         """
         p, device = self.preset, self.goal.device
-        rows = p.unseen_rows
-        unseen = UnseenLight(rows, radius, device)
+        rows = len(start.radiance)
+        unseen = UnseenLight(rows, start.radius, device)
         position = self.light.points.position[self.rows]
         transports = [UnseenTransport(unseen, self.cones, position, line) for line in (self.open_offset, self.open_slope)]
-        raw = torch.full((rows, 2 * rows, 3), _FIRST, device=device)
-        if start is not None:
-            raw = start.radiance.clamp_min(math.exp(_FIRST) / 4).log()
-        raw.requires_grad_()
+        raw = start.radiance.clamp_min(_GLIMMER).log().requires_grad_()
         logit = torch.logit(self.palette.albedo.clamp(0.01, 0.99)).requires_grad_()
         optimiser = torch.optim.Adam([{"params": [raw], "lr": _RATE}, {"params": [logit], "lr": _ALBEDO_RATE}])
         area = torch.sin((torch.arange(rows, device=device) + 0.5) * math.pi / rows)[:, None, None]

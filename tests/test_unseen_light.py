@@ -157,8 +157,8 @@ def test_reflections_reveal_a_lamp_that_no_photo_shows(ball, metallic):
     ball.unseen = None
     ball.update(None, torch.Generator())
     wrong = replace(palette, albedo=torch.full((1, 3), 0.5))
-    problem = UnseenLightProblem(ball, wrong, label, target, torch.arange(4000), replace(MaterialPreset(), unseen_rows=16))
-    fit = problem.solve(4.0, 150, None)
+    problem = UnseenLightProblem(ball, wrong, label, target, torch.arange(4000), MaterialPreset())
+    fit = problem.solve(UnseenLight(16, 4.0, "cpu"), 150)
     area = torch.sin((torch.arange(16) + 0.5) * math.pi / 16)[:, None, None]
     bright = truth.radiance > 1
     flux = [float((light.radiance * area)[bright].sum()) for light in (truth, fit.light)]

@@ -27,17 +27,16 @@ from blender_nep.shading.unseen_light import OpenCones, UnseenLight
 
 _FULL, _EDGE, _DIELECTRIC = range(3)
 
-
 _CHUNK = 1 << 17
 """Cones traced at a time."""
-LEAST_SHARE = 0.02
+_LEAST_SHARE = 0.02
 """Cones of which photos saw all but this share are not kept for the light that photos did not see."""
 
 
 class IncomingLight:
     """Light moments of n surface points on a ladder of R roughnesses, plus the diffuse irradiance."""
 
-    _STATE = ("direct_specular", "direct_diffuse", "coverage", "diffuse_coverage", "slot", "slot_weight")
+    _STATE = ("direct_specular", "direct_diffuse", "coverage", "slot", "slot_weight")
 
     def __init__(self, plenoptic: PlenopticFunction, points: SurfacePoints, ladder: tuple[float, ...]):
         """Without light yet: see `gathered` and `restored`. points: the n surface points."""
@@ -58,8 +57,6 @@ class IncomingLight:
         light.direct_diffuse = torch.zeros(n, 3, device=device)
         light.coverage = torch.ones(n, rungs, device=device)
         """[n,R] share of the specular light that photos saw"""
-        light.diffuse_coverage = torch.ones(n, device=device)
-        """[n] share of the irradiance's solid angle that photos saw"""
         light.rays = 0
         found = []
         cones = irradiance + rungs * plenoptic.specular
@@ -122,8 +119,7 @@ class IncomingLight:
         self.direct_diffuse[rows], self.direct_specular[rows] = total[:, 0, 0], total[:, 1:]
         seen = gather(weight[:, 1:, 0] * arrival.coverage[:, None])
         self.coverage[rows] = seen / gather(weight[:, 1:, 0]).clamp_min(1e-9)
-        self.diffuse_coverage[rows] = gather(weight[:, 0, 0] * arrival.coverage) / gather(weight[:, 0, 0]).clamp_min(1e-9)
-        far = (arrival.coverage < 1 - LEAST_SHARE).nonzero().squeeze(-1)
+        far = (arrival.coverage < 1 - _LEAST_SHARE).nonzero().squeeze(-1)
         full = weight[far, 1:, _FULL]
         rung = full.argmax(1)
         terms = weight[far, 1 + rung][:, [_EDGE, _DIELECTRIC]] / full.gather(1, rung[:, None]).clamp_min(1e-12)
@@ -158,8 +154,8 @@ class IncomingLight:
         weight = weight * (albedo / weight.sum(1).clamp_min(1e-6))[:, None].clamp_max(1e3)
         fresnel = torch.stack(moment_weights(torch.ones_like(cos_vh), cos_vh), -1)
         whole = weight.new_zeros(n, irradiance + weight.shape[1], 1 + rungs, 3)
-        whole[:, : irradiance, 0] = 1 / irradiance
-        whole[:, irradiance :, 1:] = weight[..., None] * fresnel[:, :, None]
+        whole[:, :irradiance, 0] = 1 / irradiance
+        whole[:, irradiance:, 1:] = weight[..., None] * fresnel[:, :, None]
         return torch.cat([diffuse, direction], 1), torch.cat([diffuse_angle, cone_of_density(density)], 1), whole
 
     def update(self, materials_at: Callable[[SurfacePoints], Material], generator: torch.Generator) -> None:
