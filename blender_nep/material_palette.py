@@ -65,7 +65,7 @@ class Palette:
         return Material(self.albedo[index], self.roughness[index], self.metallic[index])
 
     def pick(self, index: list[int]) -> Palette:
-        i = torch.tensor(index, device=self.roughness.device)
+        i = torch.tensor(index, dtype=torch.int64, device=self.roughness.device)
         return Palette(self.albedo[i], self.roughness[i], self.metallic[i])
 
 

@@ -231,6 +231,12 @@ def test_black_and_blinding_light_give_finite_textures(ball, scale):
         assert np.isfinite(texture).all() and texture.min() >= 0 and texture.max() <= 1
 
 
+def test_a_handful_of_pixels_still_gives_one_material(ball):
+    photos = make_photos(constant((0.9, 0.6, 0.3), 0.18, 1.0))
+    result = learn(ball, photos, replace(PRESET, samples=60))
+    assert len(result.report["materials"]) == 1 and np.abs(result.albedo - (0.9, 0.6, 0.3)).max() < 0.15
+
+
 def test_a_surface_that_no_photo_shows_says_so(ball):
     photos = make_photos(constant((0.5, 0.5, 0.5), 0.5, 0.0), views=2, rays=4)
     photos.direction = -photos.direction
