@@ -119,7 +119,7 @@ def advance_all() -> bool:
         changed |= job.advance()
         _show_previews(job)
         if job.ended and was_running:
-            _clean_up(job)
+            clean_up(job)
         if job.ended and job.watched:
             job.watched = not _import_when_possible(job)
     if changed:
@@ -138,7 +138,8 @@ def _show_previews(job: Job) -> None:
         live_preview.show_mesh(scene, job.key, mesh)
 
 
-def _clean_up(job: Job) -> None:
+def clean_up(job: Job) -> None:
+    """After the end of a job: its preview goes, its time is remembered."""
     live_preview.remove_meshes(job.key)
     live_preview.forget_picture(job.key)
     if job.failed is None:
@@ -173,19 +174,20 @@ def _import_when_possible(job: Job) -> bool:
     scene = scene_of(job)
     if job.failed is not None or scene is None:
         return True
-    if bpy.context.mode != "OBJECT":  # nobody is thrown out of Edit Mode
+    window = next((window for window in bpy.context.window_manager.windows if window.scene == scene), None)
+    if window is None:  # another scene is shown: an import works on what is
         return False
-    import_result(job, scene)
+    with bpy.context.temp_override(window=window):
+        if bpy.context.mode != "OBJECT":  # nobody is thrown out of Edit Mode
+            return False
+        import_result(job)
     return True
 
 
-def import_result(job: Job, scene) -> None:
-    """Into `scene`, as one undo step. A failure becomes the job's."""
-    windows = bpy.context.window_manager.windows
-    window = next((w for w in windows if w.scene == scene), windows[0] if windows else None)
+def import_result(job: Job) -> None:
+    """Into the context's scene, as one undo step. A failure becomes the job's."""
     try:
-        with bpy.context.temp_override(window=window, scene=scene, view_layer=scene.view_layers[0]):
-            bpy.ops.nep.import_result("EXEC_DEFAULT", True, folder=str(job.output))
+        bpy.ops.nep.import_result("EXEC_DEFAULT", True, folder=str(job.output))
     except RuntimeError as error:  # how an operator's error report arrives
         job.failed = EngineError(1, str(error).removeprefix("Error: ").strip(), "Press Import Result to try again.")
 

@@ -40,7 +40,7 @@ def of(context) -> NepPreferences | None:
 def user_folder() -> Path | None:
     """Where files of the extension live; None where it is not installed as one."""
     try:
-        return Path(bpy.utils.extension_path_user(ROOT_PACKAGE, create=True))
+        return Path(bpy.utils.extension_path_user(ROOT_PACKAGE))
     except ValueError:
         return None
 

@@ -27,6 +27,7 @@ class NEP_OT_reconstruct(bpy.types.Operator):
                                    items=(("SCENE", "As in the scene", "The scene's setting"), *settings.PRESETS))
     resume: bpy.props.BoolProperty(name="Resume", description="Go on from the checkpoint in the output folder")
     overwrite: bpy.props.BoolProperty(name="Overwrite", description="Replace what is in the output folder")
+    wait: bpy.props.BoolProperty(name="Wait", description="In a script: return when the object is there", default=True)
 
     @classmethod
     def description(cls, context, properties):
@@ -54,14 +55,15 @@ class NEP_OT_reconstruct(bpy.types.Operator):
         job = self._start(context)
         if job is None:
             return {"CANCELLED"}
-        if self.options.is_invoke:  # confirmed in the interface
+        if self.options.is_invoke or not self.wait:  # confirmed in the interface
             return {"FINISHED"}
+        job.watched = False  # it is imported here, whatever scene has its folder
         while not job.ended:
-            clock.tick()
+            job.advance()
             time.sleep(clock.PERIOD_S)
-        if job.failed is None and job.watched:  # another scene's folder: the script asked for the object here
-            job.watched = False
-            jobs.import_result(job, context.scene)
+        jobs.clean_up(job)
+        if job.failed is None:
+            jobs.import_result(job)
         if job.failed is not None:
             self.report({"WARNING" if job.was_stopped else "ERROR"}, str(job.failed))
             return {"CANCELLED"}

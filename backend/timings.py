@@ -27,6 +27,7 @@ def remember(file: Path, asset: Path) -> None:
     known[preset] = [*known.get(preset, []), seconds][-REMEMBERED:]
     partial = Path(file).with_suffix(".partial")
     try:
+        partial.parent.mkdir(parents=True, exist_ok=True)
         partial.write_text(json.dumps(known), encoding="utf-8")
         os.replace(partial, file)
     except OSError:

@@ -230,7 +230,8 @@ def test_expected_time_is_learned_from_assets(tmp_path):
     assert timings.expected_seconds(file, "preview") == (90.0, False)
     file.write_text("torn")
     assert timings.expected_seconds(file, "balanced") == (270.0, False)
-    timings.remember(tmp_path / "no folder" / "timings.json", asset)
+    timings.remember(tmp_path / "new folder" / "timings.json", asset)
+    assert timings.expected_seconds(tmp_path / "new folder" / "timings.json", "balanced") == (200.0, True)
 
 
 def test_words_for_people():
