@@ -3,7 +3,7 @@ import bpy
 
 from ..backend.engine_command import NoEngineError
 from ..backend.job_files import has_checkpoint, is_asset
-from ..backend.progress import duration
+from ..backend.progress import duration, in_panel_words
 from ..backend.timings import expected_seconds
 from . import jobs, live_preview, preferences, settings
 
@@ -91,8 +91,8 @@ def _draw_end(layout, context, job) -> None:
                 else "The object is in the scene.")
         _message(layout, context, text, "CHECKMARK")
         return
-    _message(layout, context, failed.message, "PAUSE" if job.was_stopped else "ERROR")
-    _message(layout, context, failed.hint, "NONE")
+    _message(layout, context, in_panel_words(failed.message), "PAUSE" if job.was_stopped else "ERROR")
+    _message(layout, context, in_panel_words(failed.hint), "NONE")
     if isinstance(failed, NoEngineError):
         layout.operator("nep.open_preferences", icon="PREFERENCES")
     elif not job.was_stopped:

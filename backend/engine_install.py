@@ -176,7 +176,8 @@ def install(options: argparse.Namespace, steps: Steps) -> None:
     python = venv_python(environment)
     pinned = ["--constraint", str(options.source / "constraints.txt")] if version == PINNED else []
     index = ["--index-url", CPU_INDEX] if options.build == "cpu" else []
-    pip_step(steps, python, ["torch", *index, *pinned], "Fetching torch", 0.05, 0.6, version)
+    # alone: torch's own index has other versions of what it needs, which then comes from where everything else does
+    pip_step(steps, python, ["torch", "--no-deps", *index, *pinned], "Fetching torch", 0.05, 0.5, version)
     with tempfile.TemporaryDirectory(prefix="nep_source_") as copy:  # pip builds beside the sources: not in the extension
         for name in SOURCES:
             place = options.source / name
@@ -184,7 +185,7 @@ def install(options: argparse.Namespace, steps: Steps) -> None:
                 shutil.copytree(place, Path(copy, name), ignore=shutil.ignore_patterns("__pycache__"))
             else:
                 shutil.copy(place, Path(copy, name))
-        pip_step(steps, python, [copy, *pinned], "Fetching what else the engine needs", 0.6, 0.95, version)
+        pip_step(steps, python, [copy, *pinned], "Fetching what else the engine needs", 0.5, 0.95, version)
     tell("progress", fraction=0.95, message="Trying the engine")
     script = "import torch, blender_nep; print('versions', torch.__version__, blender_nep.__version__)"
     code, text = steps.run([str(python), "-I", "-c", script])

@@ -49,6 +49,19 @@ def duration(seconds: float) -> str:
     return f"about {hours} h" + (f" {minutes} min" if minutes else "")
 
 
+# the engine speaks of its command line; the panel has other words for the same
+_IN_PANEL = {"--overwrite": "Start Again", "--resume": "Resume", "--out": "output folder", "--seed": "Seed",
+             "--device cpu": "the device CPU", "--preset preview": "the preset Preview", "--mesh": "Known Mesh",
+             "`blender-nep info`": "the capture's description"}
+
+
+def in_panel_words(text: str) -> str:
+    """A message of the engine for whoever has no command line."""
+    for option, words in _IN_PANEL.items():
+        text = text.replace(option, words)
+    return text
+
+
 def describe(event: dict) -> str:
     """One line for people."""
     if event["event"] == "progress":

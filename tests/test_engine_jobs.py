@@ -21,7 +21,7 @@ from backend import timings  # noqa: E402
 from backend.engine import Engine  # noqa: E402
 from backend.engine_command import NoEngineError, reconstruct_arguments  # noqa: E402
 from backend.job_files import EventFile, has_checkpoint, is_asset, is_running, read_job  # noqa: E402
-from backend.progress import Progress, describe, duration  # noqa: E402
+from backend.progress import Progress, describe, duration, in_panel_words  # noqa: E402
 from blender_nep.job_folder import Journal  # noqa: E402
 
 LIMIT_S = 120
@@ -240,3 +240,4 @@ def test_words_for_people():
     assert Progress.of({"event": "progress", "fraction": None, "eta_s": None}).lines() == [""]
     assert [duration(s) for s in (1, 44, 299, 300, 3600, 5400)] == [
         "about 5 s", "about 45 s", "about 5 min", "about 5 min", "about 1 h", "about 1 h 30 min"]
+    assert in_panel_words("Free some space, then go on with --resume.") == "Free some space, then go on with Resume."
