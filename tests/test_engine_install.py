@@ -49,19 +49,24 @@ elif what[:3] == ["-m", "pip", "install"]:
 """
 
 
+def played_python(folder: Path) -> str:
+    """Makes the played Python; the file `mode` beside it says how it behaves."""
+    place = ("Scripts", "python.exe") if os.name == "nt" else ("bin", "python")
+    path = folder / "base-python"
+    path.write_text(PLAYED.format(python=sys.executable, folder=str(folder), place=place))
+    path.chmod(path.stat().st_mode | stat.S_IXUSR)
+    (folder / "mode").write_text("well")
+    return str(path)
+
+
 @pytest.fixture
 def base(tmp_path):
     """A function that sets how the played Python behaves; base.python is its path."""
-    place = ("Scripts", "python.exe") if os.name == "nt" else ("bin", "python")
-    path = tmp_path / "base-python"
-    path.write_text(PLAYED.format(python=sys.executable, folder=str(tmp_path), place=place))
-    path.chmod(path.stat().st_mode | stat.S_IXUSR)
 
     def behave(mode):
         (tmp_path / "mode").write_text(mode)
 
-    behave.python, behave.folder = str(path), tmp_path / "into"
-    behave("well")
+    behave.python, behave.folder = played_python(tmp_path), tmp_path / "into"
     return behave
 
 
