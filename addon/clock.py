@@ -8,7 +8,11 @@ import bpy
 
 PERIOD_S = 0.1
 
+REDRAW_PERIODS = 5  # a sidebar costs more to draw than there is new to see in 0.1 s
+
 _watched: list[Callable[[], bool]] = []
+_rounds = 0
+_stale = False
 
 
 def watch(function: Callable[[], bool]) -> None:
@@ -22,9 +26,14 @@ def watch(function: Callable[[], bool]) -> None:
 
 def tick() -> float | None:
     """One round. Returns the time to the next one for Blender's timer, None when nothing is left to do."""
+    global _rounds, _stale
+    _rounds += 1
     for function in list(_watched):
         if not function():
             _watched.remove(function)
+    if _stale and (_rounds % REDRAW_PERIODS == 0 or not _watched):
+        _stale = False
+        redraw()
     return PERIOD_S if _watched else None
 
 
@@ -33,6 +42,12 @@ def stop() -> None:
     _watched.clear()
     if bpy.app.timers.is_registered(tick):
         bpy.app.timers.unregister(tick)
+
+
+def redraw_soon() -> None:
+    """The sidebars show something old."""
+    global _stale
+    _stale = True
 
 
 def redraw(area_type: str = "VIEW_3D") -> None:

@@ -123,7 +123,7 @@ def advance_all() -> bool:
         if job.ended and job.watched:
             job.watched = not _import_when_possible(job)
     if changed:
-        clock.redraw()
+        clock.redraw_soon()
     return any(not job.ended or job.watched for job in jobs.values())
 
 

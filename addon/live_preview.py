@@ -28,9 +28,19 @@ def show_mesh(scene, job: str, file: Path) -> None:
         item[MARK] = job
         item.hide_select = item.hide_render = True
         scene.collection.objects.link(item)
-    mesh = item.data
+    _fill(item.data, vertices, faces)
+
+
+def _fill(mesh, vertices: np.ndarray, faces: np.ndarray) -> None:
+    """New geometry, vertices [n,3] and triangles [m,3]; several times as fast as from_pydata, which makes Python wait."""
     mesh.clear_geometry()
-    mesh.from_pydata(vertices, [], faces)
+    mesh.vertices.add(len(vertices))
+    mesh.vertices.foreach_set("co", np.ascontiguousarray(vertices, np.float32).ravel())
+    mesh.loops.add(faces.size)
+    mesh.loops.foreach_set("vertex_index", np.ascontiguousarray(faces, np.int32).ravel())
+    mesh.polygons.add(len(faces))
+    mesh.polygons.foreach_set("loop_start", np.arange(0, faces.size, 3, dtype=np.int32))
+    mesh.update(calc_edges=True)
     mesh.shade_smooth()
 
 

@@ -45,7 +45,9 @@ def _draw_settings(layout, context) -> None:
     row.label(text=f"{text} on this machine" if measured else f"{text} for 60 small photos", icon="TIME")
     layout.prop(chosen, "use_masks")
     layout.prop(chosen, "device")
-    layout.prop(chosen, "closing")
+    column = layout.column(align=True)
+    column.label(text="When Blender closes:")
+    column.prop(chosen, "closing", text="")
     header, body = layout.panel("nep_advanced", default_closed=True)
     header.label(text="Advanced")
     if body is not None:
@@ -59,7 +61,8 @@ def _draw_buttons(layout, scene) -> None:
     column = layout.column()
     column.scale_y = 1.4
     if finished:
-        column.operator("nep.import_result", icon="IMPORT").folder = str(output)
+        text = "Import Result" if jobs.result_waits(scene) else "Import Again"
+        column.operator("nep.import_result", text=text, icon="IMPORT").folder = str(output)
     if unfinished:
         column.operator("nep.reconstruct", text="Resume", icon="PLAY").resume = True
     if finished or unfinished:
@@ -76,7 +79,7 @@ def _draw_running(layout, context, job) -> None:
         column.label(text=line)
     icon = live_preview.picture_icon(job.key)
     if icon is not None:
-        layout.template_icon(icon, scale=7)
+        layout.template_icon(icon, scale=9)
         layout.label(text="Left: photo. Right: what was learned")
     for warning in job.warnings[-2:]:
         _message(layout, context, warning, "INFO")
