@@ -8,7 +8,7 @@ import bpy
 from ..backend import engine_install
 from ..backend.engine_check import EngineCheck
 from ..backend.engine_command import EngineError, find_engine_python
-from ..backend.job_files import EventFile
+from ..backend.job_files import EventFile, last_lines
 from ..backend.started_process import StartedProcess
 from . import clock, preferences
 
@@ -42,7 +42,8 @@ class Installation:
                 self.process.send(kill=True)
         if ended:
             if not self.python and self.error is None:
-                self.error = "The installation was ended from outside.", "Install again: it begins anew."
+                said = last_lines(self.process.folder / "engine.log", 1)
+                self.error = "The installation ended without a word.", said or "Install again: it begins anew."
             self.process.close()
         return ended
 
