@@ -1,9 +1,13 @@
-"""The sidebar panel."""
+"""The sidebar panel: what to reconstruct, how far it is, what came of it."""
 import bpy
 
-from . import reconstruct
+from ..backend.engine_command import NoEngineError
+from ..backend.job_files import has_checkpoint, is_asset
+from ..backend.progress import duration, in_panel_words
+from ..backend.timings import expected_seconds
+from . import jobs, live_preview, preferences, settings
 
-LINE = 36  # letters of a message in one row of a narrow sidebar
+LETTER = 8.5  # pixels of an average letter at a scale of 1
 
 
 class NEP_PT_reconstruct(bpy.types.Panel):
@@ -14,35 +18,116 @@ class NEP_PT_reconstruct(bpy.types.Panel):
     bl_category = "NeP"
 
     def draw(self, context):
-        layout, settings, job = self.layout, context.scene.nep, reconstruct.job
-        layout.use_property_split = True
-        layout.use_property_decorate = False
-        column = layout.column()
-        column.enabled = job is None
-        for name in ("capture", "output", "preset", "use_masks", "resume"):
-            column.prop(settings, name)
-        if job is None:
-            row = layout.row()
-            row.scale_y = 1.4
-            row.operator("nep.reconstruct", icon="PLAY")
-        else:
-            layout.progress(factor=job.fraction, text=f"{100 * job.fraction:.0f} %")
-            for line in _wrapped(job.status):
-                layout.label(text=line)
-            layout.operator("nep.cancel", icon="CANCEL")
-        for line in _wrapped(reconstruct.last_message):
-            layout.label(text=line)
+        job = jobs.of(context.scene)
+        running = job is not None and not job.ended
+        self.layout.use_property_split = True
+        self.layout.use_property_decorate = False
+        column = self.layout.column()
+        column.enabled = not running
+        _draw_settings(column, context)
+        if running:
+            _draw_running(self.layout, context, job)
+            return
+        _draw_buttons(self.layout, context.scene)
+        if job is not None:
+            _draw_end(self.layout, context, job)
 
 
-def _wrapped(text: str) -> list[str]:
-    lines = []
+def _draw_settings(layout, context) -> None:
+    chosen = context.scene.nep
+    layout.prop(chosen, "capture")
+    layout.prop(chosen, "output")
+    layout.prop(chosen, "preset")
+    seconds, measured = expected_seconds(preferences.timings_file(), chosen.preset)
+    text = duration(seconds)
+    row = layout.row()
+    row.alignment = "RIGHT"
+    row.label(text=f"{text} on this machine" if measured else f"{text} for 60 small photos", icon="TIME")
+    layout.prop(chosen, "use_masks")
+    layout.prop(chosen, "device")
+    column = layout.column(align=True)
+    column.label(text="When Blender closes:")
+    column.prop(chosen, "closing", text="")
+    header, body = layout.panel("nep_advanced", default_closed=True)
+    header.label(text="Advanced")
+    if body is not None:
+        for name in ("use_preview", "seed", "threads", "mesh"):
+            body.prop(chosen, name)
+
+
+def _draw_buttons(layout, scene) -> None:
+    output = settings.folder(scene.nep.output)
+    finished, unfinished = output is not None and is_asset(output), output is not None and has_checkpoint(output)
+    column = layout.column()
+    column.scale_y = 1.4
+    if finished:
+        text = "Import Result" if jobs.result_waits(scene) else "Import Again"
+        column.operator("nep.import_result", text=text, icon="IMPORT").folder = str(output)
+    if unfinished:
+        column.operator("nep.reconstruct", text="Resume", icon="PLAY").resume = True
+    if finished or unfinished:
+        layout.operator("nep.reconstruct", text="Start Again", icon="FILE_REFRESH").overwrite = True
+    else:
+        column.operator("nep.reconstruct", icon="PLAY")
+
+
+def _draw_running(layout, context, job) -> None:
+    progress = job.progress
+    layout.progress(factor=progress.fraction, text=f"{100 * progress.fraction:.0f} %")
+    column = layout.column(align=True)
+    for line in ["Stopping: writing the checkpoint"] if job.stopping else progress.lines():
+        column.label(text=line)
+    icon = live_preview.picture_icon(job.key)
+    if icon is not None:
+        layout.template_icon(icon, scale=9)
+        layout.label(text="Left: photo. Right: what was learned")
+    for warning in job.warnings[-2:]:
+        _message(layout, context, warning, "INFO")
+    layout.operator("nep.cancel", icon="CANCEL")
+    layout.operator("nep.open_log", icon="TEXT")
+
+
+def _draw_end(layout, context, job) -> None:
+    failed = job.failed
+    if failed is None:
+        text = ("The result is ready. Import Result brings it into the scene." if jobs.result_waits(context.scene)
+                else "The object is in the scene.")
+        _message(layout, context, text, "CHECKMARK")
+        return
+    _message(layout, context, in_panel_words(failed.message), "PAUSE" if job.was_stopped else "ERROR")
+    _message(layout, context, in_panel_words(failed.hint), "NONE")
+    if isinstance(failed, NoEngineError):
+        layout.operator("nep.open_preferences", icon="PREFERENCES")
+    elif not job.was_stopped:
+        layout.operator("nep.open_log", icon="TEXT")
+
+
+def _message(layout, context, text: str, icon: str) -> None:
+    """A text in as many rows as the sidebar's width asks for; the icon stands before the first."""
+    width = (context.region.width if context.region else 280) / context.preferences.system.ui_scale
+    column = layout.column(align=True)
+    column.scale_y = 0.8
+    for index, line in enumerate(wrapped(text, int(width / LETTER))):
+        column.label(text=line, icon=icon if index == 0 else "BLANK1" if icon != "NONE" else "NONE")
+
+
+def wrapped(text: str, letters: int) -> list[str]:
+    """The words of a text in lines of at most `letters`; longer words, as paths are, are cut."""
+    letters, lines = max(letters, 12), []
     for paragraph in text.splitlines():
         line = ""
         for word in paragraph.split():
-            if line and len(line) + 1 + len(word) > LINE:
+            while len(word) > letters:
+                if line:
+                    lines.append(line)
+                    line = ""
+                lines.append(word[:letters])
+                word = word[letters:]
+            if line and len(line) + 1 + len(word) > letters:
                 lines.append(line)
                 line = word
             else:
                 line = f"{line} {word}".strip()
-        lines.append(line)
+        if line:
+            lines.append(line)
     return lines

@@ -1,6 +1,6 @@
-"""The operators: reconstruct a glossy object with the engine in its own process, and cancel that.
+"""The operators of a job: start (or resume) it, cancel it, read its log.
 
-In the interface the job runs beside Blender (a modal operator with a timer looks after it); called from a script
+In the interface the job runs beside Blender and jobs.py looks after it; called from a script
 (`bpy.ops.nep.reconstruct(...)`) the operator returns when the object is there.
 """
 import time
@@ -8,52 +8,12 @@ from pathlib import Path
 
 import bpy
 
-from ..backend.asset_import import import_asset
-from ..backend.engine import Engine, EngineError, describe, find_engine_python, reconstruct_arguments
-from ..backend.world import build_world
-from .preferences import engine_python
-from .settings import PRESETS
+from ..backend.engine import Engine
+from ..backend.engine_command import EngineError, find_engine_python, reconstruct_arguments
+from ..backend.job_files import FOLDER, has_checkpoint, is_asset, is_running
+from . import clock, jobs, preferences, settings
 
-POLL_S = 0.1
-
-
-class Job:
-    """The engine at work for one output folder, and the last thing it said."""
-
-    def __init__(self, python: str, arguments: list[str], output: Path):
-        self.engine = Engine(python, arguments)
-        self.output = output
-        self.fraction = 0.0
-        self.status = "Starting the engine"
-        self.stopping = False
-
-    def advance(self) -> bool:
-        """Take in the engine's events; True when it has ended."""
-        events, ended = self.engine.poll()
-        for event in events:
-            if event["event"] == "progress":
-                self.fraction = min(max(float(event.get("fraction") or 0), 0.0), 1.0)
-            if event["event"] in ("progress", "warning") and not self.stopping:
-                self.status = describe(event)
-        return ended
-
-    def stop(self) -> None:
-        self.stopping = True
-        self.status = "Stopping: writing the checkpoint"
-        self.engine.request_stop()
-
-
-job: Job | None = None
-last_message = ""  # how the last job ended, shown in the panel
-
-
-def end_job() -> None:
-    """Let go of the running job, if any: its engine writes a checkpoint and leaves."""
-    global job
-    if job is not None:
-        job.engine.request_stop()
-        job.engine.close()
-        job = None
+LOG_LETTERS = 200_000
 
 
 class NEP_OT_reconstruct(bpy.types.Operator):
@@ -62,87 +22,84 @@ class NEP_OT_reconstruct(bpy.types.Operator):
     bl_description = "Make a mesh with materials, and the light around it, from the photos of the capture folder"
 
     capture: bpy.props.StringProperty(name="Capture", description="Capture folder; empty: the scene's setting")
-    output: bpy.props.StringProperty(name="Output", description="Asset folder; empty: the scene's setting")
+    output: bpy.props.StringProperty(name="Output", description="Result folder; empty: the scene's setting")
     preset: bpy.props.EnumProperty(name="Preset", description="How much time to spend", default="SCENE",
-                                   items=(("SCENE", "As in the scene", "The scene's setting"), *PRESETS))
+                                   items=(("SCENE", "As in the scene", "The scene's setting"), *settings.PRESETS))
+    resume: bpy.props.BoolProperty(name="Resume", description="Go on from the checkpoint in the output folder")
+    overwrite: bpy.props.BoolProperty(name="Overwrite", description="Replace what is in the output folder")
+    wait: bpy.props.BoolProperty(name="Wait", description="In a script: return when the object is there", default=True)
+
+    @classmethod
+    def description(cls, context, properties):
+        if properties.resume:
+            return "Go on with the job in the output folder from where it stopped"
+        if properties.overwrite:
+            return "Replace the result or the unfinished job in the output folder"
+        return cls.bl_description
 
     @classmethod
     def poll(cls, context):
-        if job is not None:
-            cls.poll_message_set("A reconstruction is running")
+        job = jobs.of(context.scene)
+        if job is not None and not job.ended:
+            cls.poll_message_set("A job is running in this output folder")
             return False
         return True
 
     def invoke(self, context, event):
-        if not self._start(context):
-            return {"CANCELLED"}
-        self._timer = context.window_manager.event_timer_add(POLL_S, window=context.window)
-        context.window_manager.modal_handler_add(self)
-        return {"RUNNING_MODAL"}
-
-    def modal(self, context, event):
-        if event.type != "TIMER":
-            return {"PASS_THROUGH"}
-        for area in context.screen.areas:
-            if area.type == "VIEW_3D":
-                area.tag_redraw()
-        if job is not None and not job.advance():
-            return {"PASS_THROUGH"}
-        context.window_manager.event_timer_remove(self._timer)
-        return self._finish(context)
-
-    def cancel(self, context):
-        """Blender ends or opens another file."""
-        end_job()
+        output = self._output(context)
+        if self.overwrite and output is not None and (is_asset(output) or has_checkpoint(output)):
+            return context.window_manager.invoke_confirm(self, event)
+        return {"FINISHED"} if self._start(context) else {"CANCELLED"}
 
     def execute(self, context):
-        if not self._start(context):
+        job = self._start(context)
+        if job is None:
             return {"CANCELLED"}
-        while not job.advance():
-            time.sleep(POLL_S)
-        return self._finish(context)
-
-    def _start(self, context) -> bool:
-        global job, last_message
-        settings = context.scene.nep
-        capture, output = self.capture or settings.capture, self.output or settings.output
-        if not capture or not output:
-            self.report({"ERROR"}, "Choose a capture folder and an output folder first")
-            return False
-        output = Path(bpy.path.abspath(output))
-        arguments = reconstruct_arguments(
-            bpy.path.abspath(capture), output, preset=settings.preset if self.preset == "SCENE" else self.preset,
-            masks="use" if settings.use_masks else "ignore", resume=settings.resume)
-        try:
-            job = Job(find_engine_python(configured=engine_python(context)), arguments, output)
-        except EngineError as error:
-            last_message = str(error)
-            self.report({"ERROR"}, last_message)
-            return False
-        last_message = ""
-        return True
-
-    def _finish(self, context):
-        global job, last_message
-        if job is None:  # let go of meanwhile
+        if self.options.is_invoke or not self.wait:  # confirmed in the interface
+            return {"FINISHED"}
+        job.watched = False  # it is imported here, whatever scene has its folder
+        while not job.ended:
+            job.advance()
+            time.sleep(clock.PERIOD_S)
+        jobs.clean_up(job)
+        if job.failed is None:
+            jobs.import_result(job)
+        if job.failed is not None:
+            self.report({"WARNING" if job.was_stopped else "ERROR"}, str(job.failed))
             return {"CANCELLED"}
-        done, job = job, None
-        done.engine.close()
-        failed = done.engine.outcome()
-        try:
-            if failed:
-                raise failed
-            item = import_asset(done.output, context.scene.collection)
-            build_world(done.output / "environment.exr", name=f"{item.name} light")
-        except (EngineError, OSError) as error:
-            last_message = str(error)
-            self.report({"WARNING" if failed and done.stopping else "ERROR"}, last_message)
-            return {"CANCELLED"}
-        if not bpy.app.background:
-            bpy.ops.ed.undo_push(message=self.bl_label)
-        last_message = f"Imported {item.name}; its light is the World '{item.name} light'"
-        self.report({"INFO"}, last_message)
         return {"FINISHED"}
+
+    def _output(self, context) -> Path | None:
+        return settings.folder(self.output or context.scene.nep.output)
+
+    def _start(self, context) -> jobs.Job | None:
+        """A job that has begun, or None when it cannot: the report and the panel say why."""
+        chosen = context.scene.nep
+        capture, output = settings.folder(self.capture or chosen.capture), self._output(context)
+        if capture is None or output is None:
+            named = (self.capture or chosen.capture) and (self.output or chosen.output)
+            self.report({"ERROR"}, "Save the file first: its folders are relative to it" if named
+                        else "Choose a capture folder and an output folder first")
+            return None
+        if is_running(output):
+            self.report({"ERROR"}, f"Another job is running in {output}; wait for it, or choose another output folder")
+            return None
+        keep_going = chosen.closing == "KEEP"
+        try:
+            python = find_engine_python(configured=preferences.engine_python(context))
+            engine = Engine.start(python, reconstruct_arguments(
+                str(capture), str(output), preset=chosen.preset if self.preset == "SCENE" else self.preset,
+                device=chosen.device, seed=chosen.seed, masks="use" if chosen.use_masks else "ignore",
+                mesh=bpy.path.abspath(chosen.mesh) if chosen.mesh else None, threads=chosen.threads or None,
+                resume=self.resume, overwrite=self.overwrite, preview=chosen.use_preview, keep_going=keep_going),
+                keep_going=keep_going)
+        except EngineError as error:
+            jobs.jobs[jobs.key(output)] = jobs.Job(output, None, failed=error)
+            self.report({"ERROR"}, str(error))
+            return None
+        job = jobs.Job(output, engine)
+        jobs.add(job)
+        return job
 
 
 class NEP_OT_cancel(bpy.types.Operator):
@@ -152,11 +109,56 @@ class NEP_OT_cancel(bpy.types.Operator):
 
     @classmethod
     def poll(cls, context):
-        if job is None or job.stopping:
-            cls.poll_message_set("Nothing to cancel" if job is None else "Already stopping")
+        job = jobs.of(context.scene)
+        if job is None or job.ended or job.stopping:
+            cls.poll_message_set("It is stopping already" if job and job.stopping and not job.ended
+                                 else "No job is running in the output folder")
             return False
         return True
 
     def execute(self, context):
-        job.stop()
+        jobs.of(context.scene).stop()
         return {"FINISHED"}
+
+
+class NEP_OT_open_log(bpy.types.Operator):
+    bl_idname = "nep.open_log"
+    bl_label = "Open Log"
+    bl_description = "Read what the job in the output folder has written down, in a text editor"
+
+    @classmethod
+    def poll(cls, context):
+        if not any(path.is_file() for path in _logs(context.scene)):
+            cls.poll_message_set("There is no log in the output folder")
+            return False
+        return True
+
+    def execute(self, context):
+        parts = []
+        for path in _logs(context.scene):
+            try:
+                parts.append(f"{path}\n\n{path.read_text(encoding='utf-8', errors='replace')[-LOG_LETTERS:]}")
+            except OSError:
+                continue  # one of the two is enough
+        text = bpy.data.texts.get("NeP log") or bpy.data.texts.new("NeP log")
+        text.clear()
+        text.write("\n\n".join(parts))
+        if not bpy.app.background:
+            _show_text(context, text)
+        return {"FINISHED"}
+
+
+def _logs(scene) -> list[Path]:
+    output = settings.folder(scene.nep.output)
+    return [] if output is None else [output / "log.txt", output / FOLDER / "engine.log"]
+
+
+def _show_text(context, text) -> None:
+    """In a text editor that is open, else in a window of its own."""
+    areas = [area for window in context.window_manager.windows for area in window.screen.areas]
+    area = next((area for area in areas if area.type == "TEXT_EDITOR"), None)
+    if area is None:
+        bpy.ops.wm.window_new()
+        area = context.window_manager.windows[-1].screen.areas[0]
+        area.type = "TEXT_EDITOR"
+    area.spaces.active.text = text

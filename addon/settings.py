@@ -1,19 +1,52 @@
 """What the artist chooses; saved in the .blend file with the scene."""
+from pathlib import Path
+
 import bpy
 
 PRESETS = (("preview", "Preview", "A first look within minutes"),
            ("balanced", "Balanced", "Good quality in reasonable time"),
            ("quality", "Quality", "The best result; needs the most time"))
+DEVICES = (("auto", "Automatic", "The graphics card where the engine can use it, else the processor"),
+           ("cpu", "CPU", "The processor"),
+           ("cuda", "CUDA", "An NVIDIA graphics card; the engine needs a CUDA build of torch"))
+CLOSINGS = (("STOP", "Stop and Keep the Checkpoint", "The job ends with Blender; Resume goes on from its checkpoint"),
+            ("KEEP", "Keep Going", "The job goes on; it is found again when this file is opened"))
+
+
+def folder(path: str) -> Path | None:
+    """The folder that a setting names; None for no folder, and for one relative to a file that is not saved yet."""
+    if not path or (path.startswith("//") and not bpy.data.is_saved):
+        return None
+    return Path(bpy.path.abspath(path))
+
+
+def _output_changed(settings, context):
+    from . import jobs
+    jobs.look(settings.id_data)
 
 
 class NepSettings(bpy.types.PropertyGroup):
     capture: bpy.props.StringProperty(
         name="Capture", description="Folder with transforms.json and the photos of one object", subtype="DIR_PATH")
     output: bpy.props.StringProperty(
-        name="Output", description="Folder for the asset; an unfinished run in it can be resumed", subtype="DIR_PATH")
+        name="Output", description="Folder for the result; a job in it is found again when this file is opened",
+        subtype="DIR_PATH", update=_output_changed)
     preset: bpy.props.EnumProperty(
         name="Preset", description="How much time to spend", items=PRESETS, default="balanced")
     use_masks: bpy.props.BoolProperty(
         name="Use Masks", description="Use the capture's object masks where it has them", default=True)
-    resume: bpy.props.BoolProperty(
-        name="Resume", description="Go on from the checkpoint in the output folder", default=True)
+    device: bpy.props.EnumProperty(name="Device", description="What to compute on", items=DEVICES, default="auto")
+    closing: bpy.props.EnumProperty(
+        name="When Blender Closes", description="What happens to a running job", items=CLOSINGS, default="STOP")
+    use_preview: bpy.props.BoolProperty(
+        name="Live Preview", description="Show the mesh, and a photo beside its re-rendering, while they are learned",
+        default=True)
+    seed: bpy.props.IntProperty(
+        name="Seed", description="The same seed gives the same result; try another where a result is bad", min=0)
+    threads: bpy.props.IntProperty(
+        name="Threads", description="Processor threads to use; 0: all of them", min=0, max=1024)
+    mesh: bpy.props.StringProperty(
+        name="Known Mesh", subtype="FILE_PATH",
+        description="Mesh file of the object in the capture's coordinates: only its materials are learned")
+    imported_job: bpy.props.StringProperty(
+        name="Imported Job", description="The job whose result is in this scene", options={"HIDDEN"})

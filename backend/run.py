@@ -20,15 +20,10 @@ if __package__ in (None, ""):
     sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 from backend.arguments import script_arguments
-from backend.engine import (
-    STOPPED,
-    Engine,
-    EngineError,
-    describe,
-    find_engine_python,
-    is_asset,
-    reconstruct_arguments,
-)
+from backend.engine import STOPPED, Engine
+from backend.engine_command import EngineError, find_engine_python, reconstruct_arguments
+from backend.job_files import is_asset
+from backend.progress import describe
 
 BLENDER_FAILED = 8
 POLL_S = 0.1
@@ -79,10 +74,9 @@ class StopRequests:
 def reconstruct(options: argparse.Namespace, stop: StopRequests) -> None:
     """Run the engine to its end. EngineError says how it failed."""
     python = find_engine_python(options.engine_python, configured_python())
-    engine = Engine(python, reconstruct_arguments(options.capture, options.out, preset=options.preset,
-                                                  device=options.device, seed=options.seed, masks=options.masks,
-                                                  mesh=options.mesh, resume=options.resume,
-                                                  overwrite=options.overwrite))
+    engine = Engine.start(python, reconstruct_arguments(
+        options.capture, options.out, preset=options.preset, device=options.device, seed=options.seed,
+        masks=options.masks, mesh=options.mesh, resume=options.resume, overwrite=options.overwrite))
     said = -SAY_EVERY_S
     try:
         ended = False
@@ -98,9 +92,9 @@ def reconstruct(options: argparse.Namespace, stop: StopRequests) -> None:
                     say(describe(event))
             if not ended:
                 time.sleep(POLL_S)
+        failed = engine.outcome()
     finally:
         engine.close()
-    failed = engine.outcome()
     if failed:
         raise failed
 

@@ -64,6 +64,15 @@ class StopRequest:
         """Listen for {"cmd": "stop"} lines on a file descriptor (standard input); its end means the parent died."""
         threading.Thread(target=self._listen, args=(descriptor,), daemon=True).start()
 
+    def watch_file(self, path: Path) -> None:
+        """Look for a file whose appearance means stop."""
+        threading.Thread(target=self._look_for, args=(path,), daemon=True).start()
+
+    def _look_for(self, path: Path) -> None:
+        while not self._event.wait(0.3):
+            if path.exists():
+                self.request("stop file")
+
     def _listen(self, descriptor: int) -> None:
         # os.read, not sys.stdin: a thread that waits in a buffered reader makes the interpreter abort at its exit
         rest = b""

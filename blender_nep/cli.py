@@ -66,6 +66,11 @@ def parser() -> argparse.ArgumentParser:
     run.add_argument("--clean", action="store_true", help="remove the checkpoints when the asset is written")
     run.add_argument("--threads", type=_count, metavar="N", help="CPU threads (all cores)")
     run.add_argument(
+        "--job-files", action="store_true",
+        help="keep ASSET/job, by which other programs follow this run, find it again and stop it",
+    )
+    run.add_argument("--preview", action="store_true", help="show in ASSET/job what has been learned so far")
+    run.add_argument(
         "--watch-stdin", action="store_true", help='stop at {"cmd": "stop"} on standard input, or when it is closed'
     )
     return top
@@ -132,6 +137,8 @@ def _reconstruct(options: argparse.Namespace) -> int:
         overwrite=options.overwrite,
         clean=options.clean,
         threads=options.threads,
+        job_files=options.job_files,
+        preview=options.preview,
     )
     with stop.signals():
         return job.run(settings, events, stop)

@@ -10,9 +10,12 @@ import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, TextIO
+from typing import TYPE_CHECKING, Any, TextIO
 
 from tqdm import tqdm
+
+if TYPE_CHECKING:
+    from blender_nep.job_folder import Journal
 
 
 def open_protocol() -> TextIO:
@@ -87,7 +90,10 @@ class Events:
     """Sends the events of one job to programs (`protocol`), people (`human`) and the log (`log`)."""
 
     def __init__(
-        self, protocol: TextIO | None = None, human: TextIO | None = None, clock: Callable[[], float] = time.monotonic
+        self,
+        protocol: TextIO | Journal | None = None,
+        human: TextIO | None = None,
+        clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self._protocol, self._human, self._clock = protocol, human, clock
         self._log: TextIO | None = None
@@ -104,6 +110,11 @@ class Events:
             self._log.write(line)
         self._pending.clear()
         self._log.flush()
+
+    def move_to(self, folder: Path, journal: Journal) -> None:
+        """Tell programs that events go to a job folder from now on, and send them there."""
+        self.emit("job", folder=str(folder.resolve()))
+        self._protocol = journal
 
     @property
     def has_log(self) -> bool:
@@ -129,7 +140,11 @@ class Events:
             return
         if self._bar is not None:
             self._bar.clear()
-        print(text, file=self._human, flush=True)
+        self._print(text)
+
+    def _print(self, text: str) -> None:
+        with contextlib.suppress(OSError):  # a log file on a full disk
+            print(text, file=self._human, flush=True)
 
     def emit(self, event: str, **content: Any) -> None:
         """One JSON line for programs. A reader that went away is not told any more."""
@@ -175,7 +190,7 @@ class Events:
             text = f"{fraction:4.0%}  {room.replace('_', ' ')} {place}{figure}, {time_text(eta)} left"
             self.log(text)
             if self._human is not None and self._bar is None:
-                print(text, file=self._human, flush=True)
+                self._print(text)
 
     def preview(self, path: Path) -> None:
         """A picture or mesh worth looking at is on the disk."""

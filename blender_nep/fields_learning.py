@@ -394,11 +394,12 @@ class FieldsLearning:
 
 
 def learn_fields(rays: PixelRays, preset: Preset, *, seed: int, device: torch.device, progress, checkpoint,
-                 surface: Surface | None = None) -> Fields:
+                 surface: Surface | None = None, watch=None) -> Fields:
     """Learns F_o and F_e from the photos (Sec. 3.2). With `surface` (a known mesh in the unit frame) F_e alone, from the
     pixels whose rays miss the mesh.
 
-    progress(step, steps, loss) is called after every step; checkpoint is asked whether to save or stop.
+    progress(step, steps, loss) is called after every step, and watch(FieldsLearning), which may only look; checkpoint is
+    asked whether to save or stop.
     Raises LearningError when the loss diverges and Stopped on request.
     """
     if surface is not None:
@@ -413,6 +414,8 @@ def learn_fields(rays: PixelRays, preset: Preset, *, seed: int, device: torch.de
     while learning.fraction < 1:
         loss = learning.learn_step()
         progress(learning.step, learning.steps, loss)
+        if watch is not None:
+            watch(learning)
         if checkpoint.stopping or checkpoint.due():
             checkpoint.save(learning.state())
             if checkpoint.stopping:

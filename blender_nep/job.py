@@ -27,6 +27,7 @@ from blender_nep.capture import Capture, PixelRays, load_capture
 from blender_nep.checkpoints import StopRequest, output_errors
 from blender_nep.errors import NepError, OutputError, UsageError
 from blender_nep.events import Events, Timeline
+from blender_nep.job_folder import JobFolder
 from blender_nep.presets import Preset
 from blender_nep.rooms import Rooms
 from blender_nep.run_folder import RunFolder, fingerprint, refuse_other_run
@@ -49,6 +50,8 @@ class Settings:
     overwrite: bool = False
     clean: bool = False
     threads: int | None = None
+    job_files: bool = False
+    preview: bool = False
 
 
 def run(settings: Settings, events: Events, stop: StopRequest, rooms: Rooms | None = None) -> int:
@@ -134,6 +137,8 @@ class Job:
         """All rooms. Raises NepError and its kinds."""
         s = self.settings
         self._refuse_to_overwrite()
+        if s.job_files:
+            self._open_job_folder()
         if s.mesh is not None and not s.mesh.is_file():
             raise UsageError(f"there is no mesh {s.mesh}", "Check the path of --mesh.")
         self.device = choose_device(s.device)
@@ -168,6 +173,7 @@ class Job:
                 progress=progress,
                 checkpoint=checkpoint,
                 surface=given and given[0],
+                **self._watching(capture, rays),
             ),
             self.rooms.pack_fields,
             lambda state: self.rooms.unpack_fields(state, s.preset, self.device),
@@ -222,6 +228,22 @@ class Job:
                 raise UsageError(
                     f"{s.out} holds a run that did not end", "Go on with --resume, or start again with --overwrite."
                 )
+
+    def _open_job_folder(self) -> None:
+        """From here on the run is followed by its files. Before, the folder may have been somebody else's."""
+        s = self.settings
+        self.job_folder = JobFolder(s.out)
+        self.job_folder.take_stderr()
+        self.stop.watch_file(self.job_folder.stop_file)
+        self.job_folder.describe(capture=str(s.capture), out=str(s.out), preset=s.preset.name)
+        self.events.move_to(self.job_folder.path, self.job_folder.journal)
+
+    def _watching(self, capture: Capture, rays: PixelRays) -> dict[str, Any]:
+        if not self.settings.preview or self.settings.mesh is not None:
+            return {}
+        from blender_nep.live_preview import LivePreview
+
+        return {"watch": LivePreview(self.settings.out, rays, capture.from_unit, self.events)}
 
     def _seed_and_threads(self) -> None:
         threads = self.settings.threads or usable_cores()

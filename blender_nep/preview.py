@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 def render_preview(rays: PixelRays, surface, textures: dict[str, np.ndarray], light: np.ndarray) -> np.ndarray:
     """[H, 2 W, 3] uint8 sRGB: left the photo that sees most of the object, right the asset. `light` [h, 2h, 3]."""
     tracer = RayTracer(surface.vertices, surface.faces)
-    view = _best_view(rays, tracer)
+    view = best_view(rays, tracer)
     index = torch.arange(rays.offset[view], rays.offset[view + 1], device=rays.valid.device)
     photo = rays.radiance[index].float().cpu().numpy()
     origins, directions, _ = (t.cpu().numpy() for t in rays.rays(index))
@@ -39,12 +39,16 @@ def render_preview(rays: PixelRays, surface, textures: dict[str, np.ndarray], li
         uv = (np.asarray(surface.uv)[corners] * weights).sum(1)
         picture[hit] = shade(normal, -directions[hit], {k: look_up(t, uv) for k, t in textures.items()}, lamps)
     shape = (*rays.size[view], 3)
-    exposure = 0.8 / max(float(np.quantile(photo.max(-1), 0.97)), 1e-6)
-    pair = np.concatenate([photo.reshape(shape), picture.reshape(shape)], 1) * min(exposure, 100.0)
+    pair = np.concatenate([photo.reshape(shape), picture.reshape(shape)], 1) * exposure(photo)
     return np.round(255 * linear_to_srgb(pair)).astype(np.uint8)
 
 
-def _best_view(rays: PixelRays, tracer: RayTracer) -> int:
+def exposure(photo: np.ndarray) -> float:
+    """The factor that brings a photo [..., 3] of linear radiance into a picture's range: few highlights are clipped."""
+    return min(0.8 / max(float(np.quantile(photo.max(-1), 0.97)), 1e-6), 100.0)
+
+
+def best_view(rays: PixelRays, tracer: RayTracer) -> int:
     """Of the photos that show much of the object and do not cut it, the one taken most nearly from 20 degrees above."""
     score, height_off = [], []
     for view in range(rays.views):

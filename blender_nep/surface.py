@@ -45,10 +45,10 @@ def extract_surface(object_field: ObjectField, preset: SurfacePreset) -> tuple[S
     Raises LearningError when the field has no surface in the sphere.
     """
     sdf = object_field.sdf_grid(preset.grid)
-    vertices, faces = _zero_level(sdf)
+    vertices, faces = zero_level(sdf)
     support = find_support(vertices, faces, _BORDER)
     if support is not None:
-        vertices, faces = _zero_level(_above(sdf, support))
+        vertices, faces = zero_level(_above(sdf, support))
     vertices, faces, report = keep_object(vertices, faces)
     if support is not None:
         report["cut_support_plane"] = {"normal": support.normal.round(3).tolist(), "height": round(support.height, 4)}
@@ -134,7 +134,7 @@ def keep_object(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np
     return vertices[used], inverse.reshape(-1, 3).astype(np.int64), report
 
 
-def _zero_level(sdf: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def zero_level(sdf: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Marching cubes over [-1,1]^3 of an SDF [n,n,n] intersected with the unit sphere (which caps what it cuts)."""
     n = sdf.shape[0]
     if not np.isfinite(sdf).all():

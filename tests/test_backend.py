@@ -18,7 +18,8 @@ ROOT = Path(__file__).resolve().parent.parent
 sys.path.insert(0, str(ROOT))
 
 from backend import engine  # noqa: E402
-from backend.engine import Engine, EngineError, find_engine_python  # noqa: E402
+from backend.engine import Engine  # noqa: E402
+from backend.engine_command import ENGINE_PYTHON_VARIABLE, find_engine_python  # noqa: E402
 
 BUNDLED = ROOT / "data" / "suzanne_small"
 LIMIT_S = 120
@@ -26,8 +27,6 @@ VERTICES = np.array([[0.5, 0.25, 0.75], [-0.5, 0.3, 0.6], [0.1, -0.6, 0.2], [0.0
 
 FAKE_ENGINE = """#!{python}
 import json, os, pathlib, shutil, signal, sys, time
-if sys.argv[2] == "-c":
-    sys.exit(os.environ.get("FAKE_LACKS") or 0)
 assert sys.argv[1:4] == ["-I", "-m", "blender_nep"], sys.argv
 assert not [name for name in os.environ if name.startswith(("PYTHON", "BLENDER_"))], dict(os.environ)
 out = pathlib.Path(sys.argv[sys.argv.index("--out") + 1])
@@ -169,25 +168,21 @@ def test_a_deaf_engine_is_killed_in_the_end(fake_python, tmp_path, monkeypatch):
     monkeypatch.setenv("FAKE_ENGINE", "deaf")
     monkeypatch.setattr(engine, "STOP_GRACE_S", 0.1)
     monkeypatch.setattr(engine, "TERMINATE_GRACE_S", 0.1)
-    job = Engine(fake_python, ["reconstruct", "x", "--out", str(tmp_path / "out")])
-    until(tmp_path / "out" / "waiting", job.process)
+    job = Engine.start(fake_python, ["reconstruct", "x", "--out", str(tmp_path / "out")])
+    until(tmp_path / "out" / "waiting", job._process.process)
     job.request_stop()
     while not job.poll()[1]:
         time.sleep(0.02)
-    job.close()
     assert job.outcome().code == 128 + 9
+    job.close()
 
 
-def test_the_engines_python_is_named_found_or_missed(fake_python, tmp_path, monkeypatch):
-    assert find_engine_python(fake_python) == fake_python
-    monkeypatch.setenv(engine.ENGINE_PYTHON_VARIABLE, fake_python)
-    assert find_engine_python() == fake_python
-    monkeypatch.setenv("FAKE_LACKS", "torch")
-    with pytest.raises(EngineError, match="it lacks torch") as failure:
-        find_engine_python()
-    assert failure.value.code == engine.NO_ENGINE
-    with pytest.raises(EngineError, match="cannot be started"):
-        find_engine_python(str(tmp_path / "no-python"))
+def test_the_engines_python_is_named_or_found(fake_python, monkeypatch):
+    monkeypatch.delenv(ENGINE_PYTHON_VARIABLE, raising=False)
+    assert find_engine_python(configured=fake_python) == fake_python
+    monkeypatch.setenv(ENGINE_PYTHON_VARIABLE, "/from/the/variable")
+    assert find_engine_python(configured=fake_python) == "/from/the/variable"
+    assert find_engine_python("/named", fake_python) == "/named"
 
 
 # --- Blender ------------------------------------------------------------------------------------------------------
@@ -338,7 +333,7 @@ def test_capture_to_relit_asset(fake_python, asset, tmp_path):
     process = start_run(fake_python, "asset", out, *small, asset=asset)
     _, told = process.communicate(timeout=LIMIT_S)
     assert process.returncode == 0, told
-    assert "fields learning" in told and "done:" in told
+    assert "Learning shape and light" in told and "done:" in told
     sheet = np.asarray(Image.open(out / "comparison.png"), np.float32)
     assert sheet.shape[1] > 3 * 320 and sheet.shape[0] > 320
     tiles = [sheet[-200:-20, 6 + k * 326:6 + k * 326 + 320] for k in range(3)]

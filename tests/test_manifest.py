@@ -5,18 +5,21 @@ import re
 import stat
 import subprocess
 import sys
+import time
 import tomllib
 import zipfile
 from pathlib import Path
 
 import numpy as np
+from test_engine_install import played_python
 
 ROOT = Path(__file__).resolve().parent.parent
 LIMIT_S = 120
 NEEDED = {"schema_version", "id", "name", "tagline", "version", "type", "maintainer", "license", "blender_version_min"}
 ADDON_TAGS = {"3D View", "Bake", "Import-Export", "Material", "Render"}  # those of Blender's list that could apply here
 PERMISSIONS = {"files", "network", "clipboard", "camera", "microphone"}
-PACKED = ("blender_manifest.toml", "__init__.py", "addon", "backend")
+PACKED = ("blender_manifest.toml", "__init__.py", "addon", "backend", "blender_nep", "pyproject.toml", "README.md",
+          "LICENSE", "constraints.txt")
 
 FAKE_ENGINE = """#!{python}
 import json, os, pathlib, shutil, sys
@@ -80,6 +83,7 @@ def test_extension_installs_reconstructs_and_goes(tmp_path):
     fake = tmp_path / "fake-python"
     fake.write_text(FAKE_ENGINE.replace("{python}", sys.executable))
     fake.chmod(fake.stat().st_mode | stat.S_IXUSR)
+    played_python(tmp_path)
     user = tmp_path / "user"
     user.mkdir()
     variables = os.environ | {"BLENDER_USER_RESOURCES": str(user), "FAKE_IMAGE": str(tmp_path / "image.exr"),
@@ -101,6 +105,7 @@ def use_extension(archive: str, folder: str) -> None:
         assert operator.get_rna_type().description
     assert not bpy.ops.nep.cancel.poll() and bpy.ops.nep.reconstruct.poll()
 
+    set_engine_up(bpy, __import__(f"{name}.addon", fromlist=["clock"]), Path(folder))
     fails(lambda: bpy.ops.nep.reconstruct(), "Choose a capture folder")
     fails(lambda: bpy.ops.nep.reconstruct(capture="missing", output=folder + "/none"), "there is no capture")
     settings = bpy.context.scene.nep
@@ -113,6 +118,42 @@ def use_extension(archive: str, folder: str) -> None:
     assert not hasattr(bpy.types.Scene, "nep") and not hasattr(bpy.types, "NEP_PT_reconstruct")
     bpy.ops.preferences.addon_enable(module=name)
     assert hasattr(bpy.types, "NEP_PT_reconstruct")
+
+
+def set_engine_up(bpy, addon, folder: Path) -> None:
+    """Press Install Engine and Check in the preferences, with a Python that plays venv and pip."""
+    setup, chosen = addon.engine_setup, addon.preferences.of(bpy.context)
+    default = addon.preferences.engine_folder(bpy.context)
+    assert default.name == "blender_nep" and default.is_relative_to(folder / "user"), "the extension's own folder"
+    assert not addon.preferences.engine_python(bpy.context)
+    chosen.base_python, chosen.engine_folder = str(folder / "base-python"), str(folder / "engines")
+    bpy.context.preferences.system.use_online_access = False
+    assert not bpy.ops.nep.install_engine.poll()
+    bpy.context.preferences.system.use_online_access = True
+    (folder / "mode").write_text("slow")
+    assert bpy.ops.nep.install_engine() == {"FINISHED"} and not bpy.ops.nep.install_engine.poll()
+    rounds(addon, lambda: (folder / "slow").exists())
+    assert bpy.ops.nep.cancel_install() == {"FINISHED"}
+    rounds(addon, lambda: not setup.installing)
+    assert "cancelled" in setup.installation.error[0] and not addon.preferences.engine_python(bpy.context)
+    (folder / "mode").write_text("well")
+    assert bpy.ops.nep.install_engine() == {"FINISHED"}
+    rounds(addon, lambda: not setup.installing)
+    assert addon.preferences.engine_python(bpy.context) == setup.installation.python
+    assert (folder / "engines" / "nep-engine" / "engine.json").is_file()
+    rounds(addon, lambda: not setup.checking)
+    assert setup.check.python == setup.installation.python, "what was installed is checked"
+    chosen.engine_python = "/no/python"
+    assert addon.preferences.engine_python(bpy.context) == "/no/python"
+
+
+def rounds(addon, until) -> None:
+    """Rounds of the add-on's timer, which never fires here."""
+    deadline = time.monotonic() + LIMIT_S
+    while not until():
+        assert time.monotonic() < deadline
+        addon.clock.tick()
+        time.sleep(0.02)
 
 
 def fails(call, message: str) -> None:

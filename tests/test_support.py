@@ -5,7 +5,7 @@ import pytest
 
 from blender_nep.presets import SurfacePreset
 from blender_nep.support import find_support
-from blender_nep.surface import _BORDER, _zero_level, extract_surface
+from blender_nep.surface import _BORDER, extract_surface, zero_level
 
 N = 96
 AXIS = np.linspace(-1, 1, N)
@@ -41,7 +41,7 @@ class Analytic:
 def test_a_table_is_found_and_cut_off(tilt):
     normal = np.array([np.sin(tilt), 0, np.cos(tilt)])
     sdf = np.minimum(BALL, table(normal, -0.4))
-    found = find_support(*_zero_level(sdf), _BORDER)
+    found = find_support(*zero_level(sdf), _BORDER)
     assert found.normal @ normal > 0.999 and found.height == pytest.approx(-0.4, abs=0.01)
     surface, report = extract_surface(Analytic(sdf), SurfacePreset(grid=N, faces=100_000))
     assert (surface.vertices @ normal).min() > -0.4 and report["watertight"]
@@ -54,4 +54,4 @@ def test_a_ball_in_the_air_and_a_stand_that_leaves_the_sphere_are_left_alone():
     stand = np.maximum(np.linalg.norm(GRID[..., :2], axis=-1) - 0.2, GRID[..., 2])
     wide = np.maximum(np.linalg.norm(GRID[..., :2], axis=-1) - 0.5, GRID[..., 2])
     for sdf in (BALL, np.minimum(BALL, stand), np.minimum(BALL, wide)):
-        assert find_support(*_zero_level(sdf), _BORDER) is None
+        assert find_support(*zero_level(sdf), _BORDER) is None

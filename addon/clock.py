@@ -1,0 +1,60 @@
+"""The one timer of the add-on: every 0.1 s it calls whoever has something to look after, and rests when nobody has.
+
+Registered functions survive File > New; none of them may keep a reference to Blender's data between two calls.
+"""
+from collections.abc import Callable
+
+import bpy
+
+PERIOD_S = 0.1
+
+REDRAW_PERIODS = 5  # a sidebar costs more to draw than there is new to see in 0.1 s
+
+_watched: list[Callable[[], bool]] = []
+_rounds = 0
+_stale = False
+
+
+def watch(function: Callable[[], bool]) -> None:
+    """Call it every period until it returns False."""
+    if function not in _watched:
+        _watched.append(function)
+    # without an event loop timers never fire: scripts call `tick` themselves
+    if not bpy.app.background and not bpy.app.timers.is_registered(tick):
+        bpy.app.timers.register(tick, first_interval=PERIOD_S, persistent=True)
+
+
+def tick() -> float | None:
+    """One round. Returns the time to the next one for Blender's timer, None when nothing is left to do."""
+    global _rounds, _stale
+    _rounds += 1
+    for function in list(_watched):
+        if not function():
+            _watched.remove(function)
+    if _stale and (_rounds % REDRAW_PERIODS == 0 or not _watched):
+        _stale = False
+        redraw()
+    return PERIOD_S if _watched else None
+
+
+def stop() -> None:
+    """A timer that is still registered when Blender ends makes it hang or crash."""
+    _watched.clear()
+    if bpy.app.timers.is_registered(tick):
+        bpy.app.timers.unregister(tick)
+
+
+def redraw_soon() -> None:
+    """The sidebars show something old."""
+    global _stale
+    _stale = True
+
+
+def redraw(area_type: str = "VIEW_3D") -> None:
+    """Draw the sidebars (or, in other areas, everything) again."""
+    for window in bpy.context.window_manager.windows:
+        for area in window.screen.areas:
+            if area.type == area_type:
+                for region in area.regions:
+                    if region.type == "UI" or area_type != "VIEW_3D":
+                        region.tag_redraw()

@@ -1,0 +1,85 @@
+"""Asks a Python, without waiting for it, what of the engine it has. No bpy in this file."""
+import json
+import subprocess
+import time
+
+from .engine_command import engine_environment
+
+LIMIT_S = 180.0  # the first import of torch from a cold disk takes its time
+
+# everything that the engine needs is imported by the modules named here
+SCRIPT = """
+import importlib, json, platform, sys
+found = {"python": platform.python_version(), "missing": []}
+for name in ("torch", "blender_nep", "blender_nep.job", "blender_nep.fields_learning", "blender_nep.material_learning",
+             "blender_nep.surface", "blender_nep.asset"):
+    try:
+        module = importlib.import_module(name)
+        found[name] = str(getattr(module, "__version__", ""))
+    except ImportError as error:
+        found["missing"].append(error.name or str(error))
+if "torch" in found:
+    torch = sys.modules["torch"]
+    found["cuda"] = torch.version.cuda or ""
+    found["gpu"] = torch.cuda.get_device_name(0) if torch.cuda.is_available() else ""
+print(json.dumps(found))
+"""
+
+
+class EngineCheck:
+    """A question that is under way. `lines` is the answer in words, and `works` what it comes to, once `poll` is true."""
+
+    def __init__(self, python: str):
+        self.python = python
+        self.works = False
+        self.versions: dict[str, str] = {}
+        self.lines: list[str] = []
+        self._start = time.monotonic()
+        try:
+            # an answer of one line fits into the pipe: nobody has to read before the end
+            self._process = subprocess.Popen([python, "-I", "-c", SCRIPT], env=engine_environment(),
+                                             stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL)
+        except OSError as error:
+            self._process = None
+            self.lines = [f"{python} cannot be started: {error.strerror or error}.", "Choose another Python."]
+
+    def poll(self) -> bool:
+        """Whether the answer is there."""
+        if self._process is None:
+            return True
+        if self._process.poll() is None:
+            if time.monotonic() - self._start < LIMIT_S:
+                return False
+            self.close()
+            self.lines = [f"{self.python} did not answer within {LIMIT_S:.0f} s."]
+            return True
+        output, code = self._process.stdout.read(), self._process.returncode
+        self._process.stdout.close()
+        self._process = None
+        try:
+            self._understand(json.loads(output.splitlines()[-1]))
+        except (IndexError, ValueError, KeyError, TypeError):
+            self.lines = [f"{self.python} is no Python that can run the engine (it ended with code {code})."]
+        return True
+
+    def _understand(self, found: dict) -> None:
+        missing = sorted({name.partition(".")[0] for name in found["missing"]})
+        self.lines = [f"Python {found['python']}"]
+        for name, title in (("blender_nep", "blender-nep"), ("torch", "torch")):
+            if name in found:
+                self.lines.append(f"{title} {found[name]}")
+        if "torch" in found:
+            self.lines.append(f"CUDA on {found['gpu']}" if found["gpu"] else
+                              "CPU (a CUDA build, but no usable graphics card)" if found["cuda"] else "CPU")
+        if missing:
+            self.lines.append(f"Missing: {', '.join(missing)}. Install the engine, or choose another Python.")
+        self.works = not missing
+        self.versions = {name: found[name] for name in ("python", "blender_nep", "torch") if name in found}
+
+    def close(self) -> None:
+        """Do not wait for the answer any more."""
+        if self._process is not None:
+            self._process.kill()
+            self._process.wait()
+            self._process.stdout.close()
+            self._process = None

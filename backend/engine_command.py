@@ -1,0 +1,78 @@
+"""How the engine is started: which Python, in what environment, with what arguments. No bpy in this file."""
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+ENGINE_PYTHON_VARIABLE = "NEP_ENGINE_PYTHON"
+ENGINE_MODULE = "blender_nep"
+NO_ENGINE = 2
+CHECK_LIMIT_S = 60.0
+
+
+class EngineError(Exception):
+    """The engine failed or cannot be started. `code` is the exit code; `hint` says what to do, or is empty."""
+
+    def __init__(self, code: int, message: str, hint: str = ""):
+        super().__init__(f"{message}\n{hint}" if hint else message)
+        self.code, self.message, self.hint = code, message, hint
+
+
+class NoEngineError(EngineError):
+    """There is no engine, or not all of it."""
+
+    def __init__(self, message: str):
+        super().__init__(NO_ENGINE, message, "Install the engine in the add-on's preferences, or name a Python that has it "
+                         f"there, with --engine-python or by the variable {ENGINE_PYTHON_VARIABLE}.")
+
+
+def engine_environment() -> dict[str, str]:
+    """The environment without Blender's and its Python's variables, which would lead the engine's Python astray."""
+    return {name: value for name, value in os.environ.items() if not name.startswith(("PYTHON", "BLENDER_"))}
+
+
+def venv_python(folder: Path) -> Path:
+    """The Python of a virtual environment."""
+    return Path(folder) / Path(*(("Scripts", "python.exe") if os.name == "nt" else ("bin", "python")))
+
+
+def find_engine_python(explicit: str | None = None, configured: str | None = None) -> str:
+    """The Python that runs the engine.
+
+    In this order: `explicit` (an argument), the variable NEP_ENGINE_PYTHON, `configured` (the add-on's preferences);
+    one that is named is taken as it is: whether it has the engine is seen, and said, when it is started. Otherwise the
+    `.venv` of this checkout or the running Python, whichever has it. NoEngineError where there is none.
+    """
+    for python in (explicit, os.environ.get(ENGINE_PYTHON_VARIABLE), configured):
+        if python:
+            return python
+    for python in (venv_python(Path(__file__).resolve().parent.parent / ".venv"), sys.executable):
+        if python and Path(python).exists() and _has_engine(str(python)):
+            return str(python)
+    raise NoEngineError("No Python with the engine (blender-nep and torch) was found.")
+
+
+def _has_engine(python: str) -> bool:
+    script = f"import importlib.util as u; assert all(map(u.find_spec, ('{ENGINE_MODULE}', 'torch')))"
+    try:
+        return subprocess.run([python, "-I", "-c", script], env=engine_environment(), stdin=subprocess.DEVNULL,
+                              capture_output=True, timeout=CHECK_LIMIT_S).returncode == 0
+    except (OSError, subprocess.TimeoutExpired):
+        return False
+
+
+def reconstruct_arguments(capture: str, out: str, *, preset: str | None = None, device: str = "auto",
+                          seed: int | None = None, masks: str | None = None, mesh: str | None = None,
+                          threads: int | None = None, resume: bool = False, overwrite: bool = False,
+                          preview: bool = False, keep_going: bool = False, more: tuple[str, ...] = ()) -> list[str]:
+    """The engine's command line for one reconstruction.
+
+    keep_going: it outlives this program; else it stops, with its checkpoint, when its standard input is closed.
+    """
+    arguments = ["reconstruct", str(capture), "--out", str(out), "--device", device, "--job-files"]
+    for name, value in (("--preset", preset), ("--seed", seed), ("--masks", masks), ("--mesh", mesh),
+                        ("--threads", threads)):
+        if value is not None:
+            arguments += [name, str(value)]
+    flags = {"--watch-stdin": not keep_going, "--resume": resume, "--overwrite": overwrite, "--preview": preview}
+    return [*arguments, *more, *(name for name, wanted in flags.items() if wanted)]

@@ -1,0 +1,238 @@
+"""Makes an environment with the engine: `engine_install.py --source EXTENSION --folder DIR --python BASE --build cpu`.
+
+A program of its own, started by the add-on: it may wait for pip, and Blender need not. It tells JSON lines (progress,
+done, error) on its standard output; pip's own words go to standard error. When its standard input is closed it stops
+and removes what it has made. The environment is DIR/nep-engine; engine.json in it is written last: without it, nothing
+is installed. The next run begins anew where another was killed.
+"""
+import argparse
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from pathlib import Path
+
+NAME = "nep-engine"
+DONE, UNFINISHED = "engine.json", "unfinished"
+CPU_INDEX = "https://download.pytorch.org/whl/cpu"
+OLDEST = (3, 11)
+PINNED = (3, 11)  # the Python that constraints.txt was written for
+SOURCES = ("pyproject.toml", "README.md", "LICENSE", "constraints.txt", "blender_nep")
+PIP = ("-I", "-m", "pip", "install", "--no-input", "--progress-bar", "off", "--disable-pip-version-check")
+CANCELLED = 7
+
+
+class InstallError(Exception):
+    """What went wrong and what to do about it."""
+
+    def __init__(self, message: str, hint: str = ""):
+        super().__init__(message)
+        self.message, self.hint = message, hint
+
+
+class Cancelled(Exception):
+    """Nobody wants the engine any more."""
+
+
+def tell(event: str, **content) -> None:
+    print(json.dumps({"event": event, **content}), flush=True)
+
+
+def venv_python(folder: Path) -> Path:
+    return folder / Path(*(("Scripts", "python.exe") if os.name == "nt" else ("bin", "python")))
+
+
+def installed_python(folder: Path) -> str:
+    """The Python of a complete engine in `folder`, or an empty string."""
+    environment = Path(folder) / NAME
+    python = venv_python(environment)
+    return str(python) if (environment / DONE).is_file() and python.exists() else ""
+
+
+class Steps:
+    """Runs one program after the other; a closed standard input ends the one that runs, and all."""
+
+    def __init__(self):
+        self.cancelled = threading.Event()
+        self._process: subprocess.Popen | None = None
+        threading.Thread(target=self._watch, daemon=True).start()
+
+    def _watch(self) -> None:
+        # os.read, not sys.stdin: a thread that waits in a buffered reader makes the interpreter abort at its exit
+        while line := os.read(0, 4096):
+            if b"stop" in line:
+                break
+        self.cancelled.set()
+        if self._process is not None:
+            self._end(self._process)
+
+    @staticmethod
+    def _end(process: subprocess.Popen) -> None:
+        try:
+            if os.name == "nt":
+                process.kill()
+            else:
+                os.killpg(process.pid, signal.SIGKILL)  # pip and what it has started
+        except OSError:
+            return  # it has ended by itself
+
+    def run(self, command: list[str], on_line=lambda line: None) -> tuple[int, str]:
+        """(exit code, the last lines that it printed). Raises Cancelled; OSError where it cannot be started."""
+        if self.cancelled.is_set():
+            raise Cancelled
+        lines: list[str] = []
+        # a file, not a pipe: what survives a kill cannot keep us waiting for its end
+        with tempfile.TemporaryDirectory(prefix="nep_step_") as folder:
+            said = Path(folder, "said.txt")
+            with open(said, "wb") as output:
+                self._process = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=output,
+                                                 stderr=subprocess.STDOUT, start_new_session=os.name != "nt")
+            begun, ended = "", False
+            with open(said, encoding="utf-8", errors="replace") as reader:
+                while not ended:
+                    ended = self._process.poll() is not None
+                    *new, begun = (begun + reader.read()).split("\n")
+                    for line in [*new, begun] if ended else new:
+                        lines = [*lines[-40:], line]
+                        print(line, file=sys.stderr, flush=True)
+                        on_line(line)
+                    if self.cancelled.is_set():
+                        self._end(self._process)
+                        self._process.wait()
+                        raise Cancelled
+                    if not ended:
+                        time.sleep(0.1)
+        return self._process.returncode, "\n".join(lines).strip()
+
+
+def check_base(steps: Steps, python: str) -> tuple[int, int]:
+    """The version of a Python that can make an environment. Raises InstallError."""
+    script = "import sys; print('version', *sys.version_info[:2]); import venv, ensurepip"
+    try:
+        code, text = steps.run([python, "-I", "-c", script])
+    except OSError as error:
+        raise InstallError(f"{python} cannot be started: {error.strerror or error}.",
+                           "Choose another Base Python.") from error
+    words = next((line.split() for line in text.splitlines() if line.startswith("version ")), None)
+    if words is None:
+        raise InstallError(f"{python} is not a Python that works.", "Choose another Base Python.")
+    version = int(words[1]), int(words[2])
+    name = "Python {}.{}".format(*version)
+    if version < OLDEST:
+        raise InstallError(f"{python} is {name}; the engine needs 3.11 or newer.", "Choose another Base Python.")
+    if code != 0:
+        raise InstallError(
+            f"{name} ({python}) cannot make environments: it lacks the module venv or ensurepip.",
+            "Debian and Ubuntu ship them apart: install the package python{}.{}-venv, or choose another Base Python, for "
+            "example one from python.org.".format(*version))
+    return version
+
+
+def pip_step(steps: Steps, python: Path, arguments: list[str], what: str, begin: float, end: float, version) -> None:
+    """pip install ...; its lines move the progress from `begin` towards `end`. Raises InstallError."""
+    fraction = begin
+
+    def on_line(line: str) -> None:
+        nonlocal fraction
+        if line.startswith(("Collecting", "Processing", "Downloading", "Using", "Building", "Installing", "  Downloading")):
+            fraction += 0.06 * (end - fraction)
+            tell("progress", fraction=round(fraction, 3), message=line.strip()[:100])
+
+    tell("progress", fraction=begin, message=what)
+    code, text = steps.run([str(python), *PIP, *arguments], on_line)
+    if code == 0:
+        return
+    if "No space left" in text:
+        raise InstallError("The disk is full.", "Free some gigabytes, or choose another folder, and install again.")
+    errors = [line for line in text.splitlines() if line.startswith("ERROR:")]
+    missing = next((line for line in errors if "No matching distribution" in line), None)
+    if missing:
+        raise InstallError(f"There is no build of {missing.rpartition(' ')[2]} for this computer and Python {version[0]}."
+                           f"{version[1]}.", "Choose a Base Python 3.11, 3.12 or 3.13, and look at the network connection.")
+    raise InstallError(f"pip failed: {errors[-1][7:] if errors else text[-300:]}", "The log has the details.")
+
+
+def install(options: argparse.Namespace, steps: Steps) -> None:
+    """All of it. Raises InstallError, Cancelled and OSError."""
+    environment = options.folder / NAME
+    tell("progress", fraction=0.0, message="Looking at the base Python")
+    version = check_base(steps, options.python)
+    if environment.exists() and any(environment.iterdir()) and not any(
+            (environment / name).exists() for name in (DONE, UNFINISHED)):
+        raise InstallError(f"{environment} is there already and is no engine.", "Delete it, or choose another folder.")
+    remove(environment)
+    environment.mkdir(parents=True)
+    (environment / UNFINISHED).touch()
+    tell("progress", fraction=0.02, message="Making the environment")
+    code, text = steps.run([options.python, "-I", "-m", "venv", str(environment)])
+    if code != 0:
+        raise InstallError(f"{options.python} could not make an environment: {text[-300:]}",
+                           "Choose another Base Python, for example one from python.org.")
+    python = venv_python(environment)
+    pinned = ["--constraint", str(options.source / "constraints.txt")] if version == PINNED else []
+    index = ["--index-url", CPU_INDEX] if options.build == "cpu" else []
+    # alone: torch's own index has other versions of what it needs, which then comes from where everything else does
+    pip_step(steps, python, ["torch", "--no-deps", *index, *pinned], "Fetching torch", 0.05, 0.5, version)
+    with tempfile.TemporaryDirectory(prefix="nep_source_") as copy:  # pip builds beside the sources: not in the extension
+        for name in SOURCES:
+            place = options.source / name
+            if place.is_dir():
+                shutil.copytree(place, Path(copy, name), ignore=shutil.ignore_patterns("__pycache__"))
+            else:
+                shutil.copy(place, Path(copy, name))
+        pip_step(steps, python, [copy, *pinned], "Fetching what else the engine needs", 0.5, 0.95, version)
+    tell("progress", fraction=0.95, message="Trying the engine")
+    script = "import torch, blender_nep; print('versions', torch.__version__, blender_nep.__version__)"
+    code, text = steps.run([str(python), "-I", "-c", script])
+    if code != 0:
+        raise InstallError(f"The engine was installed and does not start: {text[-300:]}", "The log has the details.")
+    torch, library = text.split("versions ")[-1].split()[:2]
+    about = {"python": "{}.{}".format(*version), "torch": torch, "blender_nep": library, "build": options.build}
+    partial = environment / (DONE + ".partial")
+    partial.write_text(json.dumps(about, indent=1), encoding="utf-8")
+    (environment / UNFINISHED).unlink()
+    os.replace(partial, environment / DONE)
+    tell("done", python=str(python), **{k: v for k, v in about.items() if k != "python"})
+
+
+def remove(environment: Path) -> None:
+    """What a run that did not end has left, or an older engine; its mark goes first, so that a kill leaves no half one."""
+    if environment.exists():
+        (environment / UNFINISHED).touch()
+        (environment / DONE).unlink(missing_ok=True)
+        shutil.rmtree(environment)
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__.split("\n\n")[0])
+    parser.add_argument("--source", type=Path, required=True, help="folder with pyproject.toml")
+    parser.add_argument("--folder", type=Path, required=True, help=f"where {NAME} is made")
+    parser.add_argument("--python", required=True, help="the Python that makes the environment")
+    parser.add_argument("--build", choices=("cpu", "cuda"), default="cpu")
+    options = parser.parse_args()
+    options.folder, options.source = options.folder.absolute(), options.source.absolute()
+    steps = Steps()
+    try:
+        install(options, steps)
+        return 0
+    except Cancelled:
+        code, message, hint = CANCELLED, "The installation was cancelled.", ""
+    except InstallError as error:
+        code, message, hint = 1, error.message, error.hint
+    except OSError as error:
+        code, message = 1, f"{error.filename or options.folder}: {error.strerror or error}."
+        hint = "Choose another folder, or free some space."
+    environment = options.folder / NAME
+    if (environment / UNFINISHED).exists():
+        shutil.rmtree(environment, ignore_errors=True)
+    tell("error", code=code, message=message, hint=hint)
+    return code
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,89 @@
+"""The files of an output folder, as far as Blender reads them: the job in it, its checkpoints, the finished asset.
+
+`OUT/job/` belongs to the engine (blender_nep/job_folder.py lists what is in it). No bpy in this file.
+"""
+import json
+import os
+from pathlib import Path
+
+FOLDER = "job"
+
+
+def is_asset(out: Path) -> bool:
+    """Whether a finished asset lies in the folder: its report is written last."""
+    needed = ("mesh.obj", "textures/albedo.exr", "textures/roughness.exr", "textures/metallic.exr", "report.json")
+    return all((Path(out) / name).is_file() for name in needed)
+
+
+def has_checkpoint(out: Path) -> bool:
+    """Whether a run that did not end can be resumed."""
+    return (Path(out) / "checkpoints" / "run.json").is_file() and not (Path(out) / "report.json").is_file()
+
+
+def read_job(out: Path) -> dict | None:
+    """What job.json says (id, pid, preset, ...) of the last job in the folder; None where there was none."""
+    try:
+        job = json.loads((Path(out) / FOLDER / "job.json").read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return None
+    return job if isinstance(job, dict) and isinstance(job.get("pid"), int) else None
+
+
+def is_running(out: Path) -> bool:
+    """Whether an engine is at work in the folder: it holds a lock that the operating system takes from the dead."""
+    try:
+        descriptor = os.open(Path(out) / FOLDER / "lock", os.O_RDWR)
+    except OSError:
+        return False
+    try:
+        if os.name == "nt":
+            import msvcrt
+            msvcrt.locking(descriptor, msvcrt.LK_NBLCK, 1)
+            msvcrt.locking(descriptor, msvcrt.LK_UNLCK, 1)
+        else:
+            import fcntl
+            fcntl.flock(descriptor, fcntl.LOCK_SH | fcntl.LOCK_NB)
+    except OSError:
+        return True
+    finally:
+        os.close(descriptor)  # gives the lock back
+    return False
+
+
+class EventFile:
+    """Reads the JSON lines that another process appends to a file, as they come. Lines that are no event are left out."""
+
+    def __init__(self, path: Path):
+        self.path = path
+        self._position = 0
+        self._begun = b""  # a line whose end is not written yet
+
+    def read(self) -> list[dict]:
+        """The events that have come since the last call; none where the file cannot be read."""
+        try:
+            with open(self.path, "rb") as file:
+                file.seek(self._position)
+                new = file.read()
+        except OSError:
+            return []
+        self._position += len(new)
+        *lines, self._begun = (self._begun + new).split(b"\n")
+        return [event for event in map(_event, lines) if event]
+
+
+def _event(line: bytes) -> dict | None:
+    try:
+        event = json.loads(line)
+    except ValueError:
+        return None
+    return event if isinstance(event, dict) and "event" in event else None
+
+
+def last_lines(path: Path, count: int) -> str:
+    """The last lines of a text file, of at most 8 KB; empty where it cannot be read."""
+    try:
+        with open(path, "rb") as file:
+            file.seek(max(0, os.fstat(file.fileno()).st_size - 8192))
+            return "\n".join(file.read().decode("utf-8", "replace").splitlines()[-count:])
+    except OSError:
+        return ""

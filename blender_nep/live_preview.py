@@ -1,0 +1,103 @@
+"""What has been learned so far, for people who wait: a coarse mesh, and a photo beside its re-rendering (`--preview`).
+
+It only looks: no random number is drawn and nothing that is learned is touched, so that the asset is the same without it.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+import torch
+from PIL import Image
+
+from blender_nep.capture.images import linear_to_srgb
+from blender_nep.checkpoints import output_errors, write_atomically
+from blender_nep.errors import LearningError, NepError
+from blender_nep.job_folder import FOLDER, PREVIEW_MESH, PREVIEW_PICTURE
+from blender_nep.preview import best_view, exposure
+from blender_nep.raytracing import RayTracer
+from blender_nep.surface import zero_level
+
+if TYPE_CHECKING:
+    from blender_nep.capture import PixelRays
+    from blender_nep.events import Events
+    from blender_nep.fields_learning import FieldsLearning
+
+GRID = 64
+WIDTH = 160
+"""Pixels of the photo in the picture, at most, in width and height."""
+CHUNK = 4096
+
+
+class LivePreview:
+    """Called after every step of fields learning; every `interval` seconds it writes `job/preview.npz` and `.png`."""
+
+    interval = 10.0
+    """Seconds from one preview to the next, at least."""
+    share = 0.03
+    """Of the time, at most, that previews may take."""
+
+    def __init__(self, asset: Path, rays: PixelRays, from_unit: np.ndarray, events: Events,
+                 clock: Callable[[], float] = time.monotonic) -> None:
+        self.path, self.rays, self.from_unit, self.events, self._clock = asset / FOLDER, rays, from_unit, events, clock
+        self._due = clock() + self.interval
+        self._view: int | None = None
+
+    def __call__(self, learning: FieldsLearning) -> None:
+        """Write a preview if it is time. A failure is one warning and the end of the previews."""
+        start = self._clock()
+        if start < self._due or not learning.learned:
+            return
+        try:
+            self._write(learning)
+        except (NepError, OSError, RuntimeError, ValueError) as error:
+            self.events.warning(f"there is no live preview any more: {error}")
+            self._due = math.inf
+            return
+        end = self._clock()
+        self._due = end + max(self.interval, (end - start) / self.share)
+
+    def _write(self, learning: FieldsLearning) -> None:
+        try:
+            vertices, faces = zero_level(learning.object_field.sdf_grid(GRID))
+        except LearningError:  # not yet: the surface is still to be found
+            return
+        with output_errors(self.path):
+            self.path.mkdir(exist_ok=True)
+        if self._view is None:
+            self._view = best_view(self.rays, RayTracer(vertices, faces))
+        vertices = vertices @ self.from_unit[:3, :3].T + self.from_unit[:3, 3]
+        arrays = {"vertices": vertices.astype(np.float32), "faces": faces.astype(np.int32)}
+        picture = Image.fromarray(render_pair(learning, self._view))
+        for name, write in ((PREVIEW_MESH, lambda file: np.savez(file, **arrays)),
+                            (PREVIEW_PICTURE, lambda file: picture.save(file, format="PNG"))):
+            write_atomically(self.path / name, lambda path, write=write: _open_and(write, path))
+            self.events.preview(self.path / name)
+
+
+def _open_and(write: Callable, path: Path) -> None:
+    with open(path, "wb") as file:
+        write(file)
+
+
+@torch.no_grad()
+def render_pair(learning: FieldsLearning, view: int) -> np.ndarray:
+    """[h, 2 w, 3] uint8 sRGB: left a photo, right the fields as its camera sees them, each at most WIDTH pixels wide."""
+    rays = learning.rays
+    height, width = rays.size[view]
+    step = math.ceil(max(height, width) / WIDTH)
+    grid = torch.arange(height * width, device=rays.valid.device).reshape(height, width)[::step, ::step]
+    index = grid.flatten() + rays.offset[view]
+    rendered = torch.cat([_render(learning, part) for part in index.split(CHUNK)])
+    photo = rays.radiance[index].float()
+    pair = [part.cpu().numpy().reshape(*grid.shape, 3) for part in (photo, rendered)]
+    return np.round(255 * linear_to_srgb(np.concatenate(pair, 1) * exposure(pair[0]))).astype(np.uint8)
+
+
+def _render(learning: FieldsLearning, index: torch.Tensor) -> torch.Tensor:
+    return learning.render(*learning.rays.rays(index), None).radiance

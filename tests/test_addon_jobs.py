@@ -1,0 +1,230 @@
+"""The add-on and its jobs, in Blender without a screen: its timer's rounds are made by hand. Each check is a process."""
+
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import ball_engine
+import pytest
+
+ROOT = Path(__file__).resolve().parent.parent
+LIMIT_S = 60
+
+
+@pytest.fixture
+def folders(make_capture, tmp_path, monkeypatch):
+    """A folder with `capture`, an engine, and the add-on as an importable package."""
+    make_capture(masks=True)
+    (tmp_path / "package").mkdir()
+    (tmp_path / "package" / "nep_addon").symlink_to(ROOT)
+    monkeypatch.setenv("NEP_ENGINE_PYTHON", ball_engine.make(tmp_path))
+    monkeypatch.setenv("BLENDER_USER_RESOURCES", str(tmp_path))
+    return tmp_path
+
+
+def in_blender(function, folder: Path, *, code=0, **variables) -> str:
+    """Run a function of this file in a Blender of its own."""
+    done = subprocess.run([sys.executable, __file__, function.__name__, str(folder)], capture_output=True, text=True,
+                          timeout=LIMIT_S, env=os.environ | variables)
+    assert done.returncode == code, done.stdout[-2000:] + done.stderr[-4000:]
+    assert "Traceback" not in done.stderr, done.stderr
+    return done.stdout
+
+
+SLOW = {"BALL_STEPS": "4000", "BALL_DELAY": "0.02"}
+BRISK = {"BALL_STEPS": "100", "BALL_DELAY": "0.03"}
+
+
+def set_up(folder: Path):
+    """A new file whose scene names the capture and an output folder; (bpy, the add-on's modules, settings)."""
+    import bpy
+    addon = register()
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    settings = bpy.context.scene.nep
+    settings.capture, settings.output, settings.preset = str(folder / "capture"), str(folder / "out"), "preview"
+    return bpy, addon, settings
+
+
+def register():
+    import nep_addon
+    nep_addon.register()
+    from nep_addon import addon
+    return addon
+
+
+def rounds(addon, until) -> None:
+    """Rounds of the timer until something holds."""
+    deadline = time.monotonic() + LIMIT_S
+    while not until():
+        assert time.monotonic() < deadline, "nothing came"
+        addon.clock.tick()
+        time.sleep(0.02)
+
+
+def start(bpy, addon, scene=None):
+    """Press the button; returns the job."""
+    assert bpy.ops.nep.reconstruct(wait=False) == {"FINISHED"}
+    return addon.jobs.of(scene or bpy.context.scene)
+
+
+def meshes(bpy) -> list[str]:
+    return sorted(item.name for item in bpy.data.objects if item.type == "MESH")
+
+
+def test_a_job_runs_beside_blender_and_brings_its_object(folders):
+    in_blender(check_life_of_a_job, folders, **BRISK)
+
+
+def check_life_of_a_job(folder):
+    bpy, addon, _settings = set_up(folder)
+    job = start(bpy, addon)
+    assert not bpy.ops.nep.reconstruct.poll() and bpy.ops.nep.cancel.poll()
+    rounds(addon, lambda: "NeP preview" in bpy.data.objects)
+    preview = bpy.data.objects["NeP preview"]
+    assert len(preview.data.polygons) == 320 and preview.hide_render
+    assert addon.live_preview.picture_icon(job.key) is not None
+    bpy.data.objects.remove(preview)  # as undo does
+    rounds(addon, lambda: job.progress.room == "Learning the materials")
+    bpy.ops.wm.read_factory_settings(use_empty=True)  # File > New, in the middle
+    assert addon.jobs.of(bpy.context.scene) is None
+    bpy.context.scene.nep.capture, bpy.context.scene.nep.output = str(folder / "capture"), str(folder / "out")
+    assert addon.jobs.of(bpy.context.scene) is job and not job.ended
+    rounds(addon, lambda: job.ended and not job.watched)
+    assert job.failed is None and meshes(bpy) == ["out"] and not addon.jobs.result_waits(bpy.context.scene)
+    assert addon.clock.tick() is None, "the timer rests"
+    assert "room fields_learning" in log(bpy)
+    assert 0 < addon.panel.expected_seconds(addon.preferences.timings_file(), "preview")[0] < 90
+    fails(bpy.ops.nep.reconstruct, "already holds an asset")
+    assert bpy.ops.nep.reconstruct(overwrite=True) == {"FINISHED"} and len(meshes(bpy)) == 2
+
+
+def log(bpy) -> str:
+    assert bpy.ops.nep.open_log() == {"FINISHED"}
+    return bpy.data.texts["NeP log"].as_string()
+
+
+def fails(call, message: str) -> None:
+    try:
+        call()
+    except RuntimeError as error:
+        assert message in str(error), error
+    else:
+        raise AssertionError(f"no error told of: {message}")
+
+
+@pytest.mark.parametrize("closing", ["KEEP", "STOP"])
+def test_blender_closes_in_the_middle(folders, closing):
+    in_blender(check_close, folders, CLOSING=closing, **(BRISK if closing == "KEEP" else SLOW))
+    in_blender(check_kept if closing == "KEEP" else check_stopped, folders)
+
+
+def check_close(folder):
+    bpy, addon, settings = set_up(folder)
+    settings.closing = os.environ["CLOSING"]
+    job = start(bpy, addon)
+    bpy.ops.wm.save_as_mainfile(filepath=str(folder / "scene.blend"))
+    rounds(addon, (folder / "out" / "checkpoints" / "fields_learning.pt").exists)
+    assert not job.ended
+
+
+def check_kept(folder):
+    """The job is still at work, or has ended meanwhile; in both cases the object comes."""
+    import bpy
+    addon = register()
+    bpy.ops.wm.open_mainfile(filepath=str(folder / "scene.blend"))
+    scene = bpy.context.scene
+    job = addon.jobs.of(scene)
+    assert job is not None and job.progress.fraction > 0
+    rounds(addon, lambda: job.ended and not job.watched)
+    assert job.failed is None and meshes(bpy) == ["out"]
+    # the file was not saved with the object: the result waits again, and is not forced upon anybody
+    bpy.ops.wm.open_mainfile(filepath=str(folder / "scene.blend"))
+    addon.clock.tick()
+    assert meshes(bpy) == [] and addon.jobs.result_waits(bpy.context.scene)
+    assert bpy.ops.nep.import_result() == {"FINISHED"} and meshes(bpy) == ["out"]
+    assert not addon.jobs.result_waits(bpy.context.scene)
+
+
+def check_stopped(folder):
+    import bpy
+    addon = register()
+    bpy.ops.wm.open_mainfile(filepath=str(folder / "scene.blend"))
+    job = addon.jobs.of(bpy.context.scene)
+    rounds(addon, lambda: job.ended)
+    assert job.was_stopped and not addon.jobs.result_waits(bpy.context.scene)
+    assert bpy.ops.nep.reconstruct(resume=True) == {"FINISHED"} and meshes(bpy) == ["out"]
+
+
+def test_cancel_crash_and_resume(folders):
+    in_blender(check_cancel_and_crash, folders, **SLOW)
+
+
+def check_cancel_and_crash(folder):
+    bpy, addon, settings = set_up(folder)
+    sign = folder / "out" / "checkpoints" / "fields_learning.pt"
+    job = start(bpy, addon)
+    rounds(addon, sign.exists)
+    assert bpy.ops.nep.cancel() == {"FINISHED"} and not bpy.ops.nep.cancel.poll()
+    rounds(addon, lambda: job.ended)
+    assert job.was_stopped and meshes(bpy) == []
+    sign.unlink()
+    assert bpy.ops.nep.reconstruct(resume=True, wait=False) == {"FINISHED"}
+    job = addon.jobs.of(bpy.context.scene)
+    rounds(addon, sign.exists)
+    from nep_addon.backend.job_files import read_job
+    os.kill(read_job(folder / "out")["pid"], signal.SIGKILL)
+    rounds(addon, lambda: job.ended)
+    assert "killed" in job.failed.message and not job.was_stopped and not addon.jobs.advance_all()
+    # no engine, no capture: said where the artist looks
+    os.environ["NEP_ENGINE_PYTHON"] = str(folder / "no-python")
+    fails(lambda: bpy.ops.nep.reconstruct(resume=True), "cannot be started")
+    assert "cannot be started" in addon.jobs.of(bpy.context.scene).failed.message
+    settings.output = "//beside"
+    fails(bpy.ops.nep.reconstruct, "Save the file first")
+
+
+def test_two_scenes_have_two_jobs(folders):
+    shutil.copytree(folders / "capture", folders / "second capture")
+    in_blender(check_two_jobs, folders, **BRISK)
+
+
+def check_two_jobs(folder):
+    bpy, addon, _settings = set_up(folder)
+    one = start(bpy, addon)
+    scene = bpy.data.scenes.new("second")
+    scene.nep.capture, scene.nep.output, scene.nep.preset = str(folder / "second capture"), str(folder / "two"), "preview"
+    with bpy.context.temp_override(scene=scene):
+        two = start(bpy, addon, scene)
+    assert one is not two and addon.jobs.of(bpy.context.scene) is one and addon.jobs.of(scene) is two
+    rounds(addon, lambda: all(job.ended for job in (one, two)) and not one.watched)
+    assert meshes(bpy) == ["out"], "what belongs to a scene that is not shown waits"
+    bpy.context.window.scene = scene
+    rounds(addon, lambda: not two.watched)
+    assert one.failed is None and two.failed is None
+    assert [item.name for item in scene.objects if item.type == "MESH"] == ["two"]
+    assert "out" not in scene.objects and "two" not in bpy.data.scenes[0].objects
+
+
+def test_lines_of_the_panel_fit():
+    sys.path.insert(0, str(ROOT.parent))
+    in_blender(check_wrapping, ROOT)
+
+
+def check_wrapping(folder):
+    sys.path.insert(0, str(folder.parent))
+    import bpy  # noqa: F401
+    addon = __import__(f"{folder.name}.addon.panel", fromlist=["wrapped"])
+    text = "The engine's Python /a/very/long/path/that/is/longer/than/a/line lacks torch.\nInstall it."
+    lines = addon.wrapped(text, 20)
+    assert max(map(len, lines)) <= 20 and lines[-1] == "Install it." and "lacks torch." in " ".join(lines)
+    assert "".join(lines).replace(" ", "") == text.replace(" ", "").replace("\n", "")
+    assert addon.wrapped("", 20) == []
+
+
+if __name__ == "__main__":
+    sys.path.insert(0, str(Path(sys.argv[2]) / "package"))
+    globals()[sys.argv[1]](Path(sys.argv[2]))
