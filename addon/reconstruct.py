@@ -8,10 +8,10 @@ from pathlib import Path
 
 import bpy
 
-from ..backend.asset_import import import_asset
 from ..backend.engine import Engine, EngineError, describe, find_engine_python, reconstruct_arguments
-from ..backend.world import build_world
+from .bounds import bounds_arguments
 from .preferences import engine_python
+from .result import place_result
 from .settings import PRESETS
 
 POLL_S = 0.1
@@ -114,8 +114,9 @@ class NEP_OT_reconstruct(bpy.types.Operator):
             bpy.path.abspath(capture), output, preset=settings.preset if self.preset == "SCENE" else self.preset,
             masks="use" if settings.use_masks else "ignore", resume=settings.resume)
         try:
+            arguments += bounds_arguments(context.scene)
             job = Job(find_engine_python(configured=engine_python(context)), arguments, output)
-        except EngineError as error:
+        except (EngineError, ValueError) as error:
             last_message = str(error)
             self.report({"ERROR"}, last_message)
             return False
@@ -132,8 +133,7 @@ class NEP_OT_reconstruct(bpy.types.Operator):
         try:
             if failed:
                 raise failed
-            item = import_asset(done.output, context.scene.collection)
-            build_world(done.output / "environment.exr", name=f"{item.name} light")
+            item = place_result(context.scene, done.output)
         except (EngineError, OSError) as error:
             last_message = str(error)
             self.report({"WARNING" if failed and done.stopping else "ERROR"}, last_message)
