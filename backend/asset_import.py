@@ -112,6 +112,16 @@ def _texture_image(folder: Path, texture: Texture, pack: bool):
     return load_image(path, colour_space=space, pack=pack)
 
 
+def _shade_smooth(mesh) -> None:
+    """Smooth faces, shaded with the normals of the file where it has any."""
+    normals = np.empty((len(mesh.loops), 3), np.float32)
+    mesh.corner_normals.foreach_get("vector", normals.ravel())
+    custom = mesh.has_custom_normals
+    mesh.polygons.foreach_set("use_smooth", np.ones(len(mesh.polygons), bool))
+    if custom:  # Blender 4.2 stores them relative to what smoothing has just changed
+        mesh.normals_split_custom_set(normals.tolist())
+
+
 def _add_confidence(mesh, image) -> None:
     """The image's first channel at each vertex (mean over its corners, nearest texel) as the attribute CONFIDENCE."""
     width, height = image.size
@@ -146,7 +156,7 @@ def _import_mesh(path: Path, collection):
         bpy.data.materials.remove(material)  # the .mtl's approximation; the real one is built from the textures
     for image in [image for image in bpy.data.images if image not in images]:
         bpy.data.images.remove(image)
-    item.data.polygons.foreach_set("use_smooth", np.ones(len(item.data.polygons), bool))
+    _shade_smooth(item.data)
     for other in list(item.users_collection):
         other.objects.unlink(item)
     collection.objects.link(item)

@@ -84,4 +84,6 @@ def main(arguments: list[str]) -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main(script_arguments()))
+    code = main(script_arguments())
+    sys.stdout.flush()
+    os._exit(code)  # with a thread that still waits for input, the wheel of Blender 4.5 never ends by itself
