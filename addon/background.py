@@ -35,11 +35,12 @@ def _tick() -> float | None:
 
 
 def redraw_sidebars() -> None:
-    """Draw the panels of all 3D views again."""
+    """Draw the panels of all 3D views again, and not the views themselves, which may take long."""
     for window in bpy.context.window_manager.windows:
         for area in window.screen.areas:
-            if area.type == "VIEW_3D":
-                area.tag_redraw()
+            for region in area.regions if area.type == "VIEW_3D" else ():
+                if region.type == "UI":
+                    region.tag_redraw()
 
 
 def end_all() -> None:

@@ -54,6 +54,12 @@ def bounds_arguments(scene) -> list[str]:
     return ["--object-center", *numbers[:3], "--object-radius", numbers[3]]
 
 
+def bounds_remark(scene) -> str:
+    """What the artist should know of the bounds' shape, or ''."""
+    found = sphere(scene)
+    return found[2] if found else ""
+
+
 def place_bounds(scene, capture: str, center, radius: float):
     """Put the scene's bounds there; makes them where there are none."""
     item = bounds_object(scene)

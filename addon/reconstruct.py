@@ -9,7 +9,7 @@ from pathlib import Path
 import bpy
 
 from ..backend.engine import Engine, EngineError, describe, find_engine_python, reconstruct_arguments
-from .bounds import bounds_arguments
+from .bounds import bounds_arguments, bounds_remark
 from .preferences import engine_python
 from .result import place_result
 from .settings import PRESETS
@@ -115,6 +115,8 @@ class NEP_OT_reconstruct(bpy.types.Operator):
             masks="use" if settings.use_masks else "ignore", resume=settings.resume)
         try:
             arguments += bounds_arguments(context.scene)
+            if bounds_remark(context.scene):
+                self.report({"WARNING"}, bounds_remark(context.scene))
             job = Job(find_engine_python(configured=engine_python(context)), arguments, output)
         except (EngineError, ValueError) as error:
             last_message = str(error)

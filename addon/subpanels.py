@@ -31,14 +31,13 @@ class NEP_PT_cameras_and_bounds(SubPanel, bpy.types.Panel):
         row = column.row(align=True)
         row.operator("nep.propose_bounds", icon="MESH_UVSPHERE")
         row.operator("nep.clear_bounds", text="", icon="X")
-        found = bounds.sphere(context.scene)
         if bounds.query is not None:
             column.label(text="Looking for the object...", icon="TIME")
-        elif found is None:
+        elif bounds.bounds_object(context.scene) is None:
             column.label(text="Bounds: chosen by the engine")
         else:
             _say(column, "Move and scale the sphere: the whole object inside, no camera inside")
-            _say(column, found[2], icon="ERROR")
+            _say(column, bounds.bounds_remark(context.scene), icon="ERROR")
         _say(column, bounds.last_message, icon="ERROR")
 
 

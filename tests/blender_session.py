@@ -123,7 +123,7 @@ def check_bounds(capture: Path, from_scene: Path) -> None:
     assert item.name == f"NeP bounds: {capture.name}" and item.empty_display_type == "SPHERE"
     item.location, item.scale = (-1e-5, 2.5, -3), (-0.5, 0.25, 0.25)
     np.testing.assert_allclose(told(), [-1e-5, 2.5, -3, 0.5], rtol=1e-6)
-    assert "longest axis" in addon("bounds").sphere(bpy.context.scene)[2]
+    assert "longest axis" in addon("bounds").bounds_remark(bpy.context.scene)
 
     nep().capture = str(from_scene)  # no masks, no sphere: estimated from the cameras alone
     assert bpy.ops.nep.propose_bounds() == {"FINISHED"} and nep().bounds == item
