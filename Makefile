@@ -1,6 +1,7 @@
 # make demo   a capture that is in the repository -> asset, .blend, comparison picture
 # make test   lint and all tests
 # make lint   lint alone
+# make test-blender   the extension in Blender 4.2, 4.5, 5.0 and 5.2 (bpy wheels, 4 GB; needs Python 3.13 too)
 #
 # Everything is installed into .venv, with the versions of constraints.txt; Python 3.11 is needed (bpy 5.0 has no other).
 # On Linux PyPI's torch carries CUDA (gigabytes). A CPU-only one:
@@ -17,7 +18,7 @@ ifdef PIP_EXTRA_INDEX_URL
 export PIP_EXTRA_INDEX_URL
 endif
 
-.PHONY: demo test lint clean
+.PHONY: demo test test-blender lint clean
 
 demo: $(VENV)/installed
 	$(BIN)/python backend/run.py --capture $(CAPTURE) --out $(OUT) --preset preview --relight 3 --overwrite
@@ -25,6 +26,9 @@ demo: $(VENV)/installed
 
 test: lint
 	$(BIN)/python -m pytest -q
+
+test-blender: $(VENV)/installed
+	$(BIN)/python tests/blender_matrix.py
 
 lint: $(VENV)/installed-dev
 	$(BIN)/ruff check .
@@ -41,4 +45,4 @@ $(VENV)/installed-dev: $(VENV)/installed
 	touch $@
 
 clean:
-	rm -rf $(VENV) out build *.egg-info
+	rm -rf $(VENV) .venv-blender out build *.egg-info

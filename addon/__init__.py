@@ -3,12 +3,24 @@ import atexit
 
 import bpy
 
-from . import clock, engine_setup, jobs, live_preview, panel, preferences, reconstruct, result, settings
+from . import (
+    bounds,
+    cameras,
+    clock,
+    comparison,
+    engine_setup,
+    jobs,
+    live_preview,
+    panel,
+    preferences,
+    reconstruct,
+    result,
+    settings,
+    subpanels,
+)
 
-CLASSES = (preferences.NepPreferences, settings.NepSettings, reconstruct.NEP_OT_reconstruct, reconstruct.NEP_OT_cancel,
-           reconstruct.NEP_OT_open_log, result.NEP_OT_import_result, engine_setup.NEP_OT_check_engine,
-           engine_setup.NEP_OT_install_engine, engine_setup.NEP_OT_cancel_install, engine_setup.NEP_OT_open_preferences,
-           panel.NEP_PT_reconstruct)
+CLASSES = (preferences.NepPreferences, settings.NepSettings, *reconstruct.CLASSES, *engine_setup.CLASSES, *cameras.CLASSES,
+           *bounds.CLASSES, *result.CLASSES, *comparison.CLASSES, panel.NEP_PT_reconstruct, *subpanels.CLASSES)
 
 
 def register():
@@ -40,4 +52,6 @@ def _let_go() -> None:
         bpy.app.handlers.load_post.remove(jobs.on_load)
     jobs.let_go()
     engine_setup.let_go()
+    bounds.end_query()
+    comparison.end_render()
     live_preview.close()

@@ -2,6 +2,7 @@
 
 Registered functions survive File > New; none of them may keep a reference to Blender's data between two calls.
 """
+import time
 from collections.abc import Callable
 
 import bpy
@@ -22,6 +23,23 @@ def watch(function: Callable[[], bool]) -> None:
     # without an event loop timers never fire: scripts call `tick` themselves
     if not bpy.app.background and not bpy.app.timers.is_registered(tick):
         bpy.app.timers.register(tick, first_interval=PERIOD_S, persistent=True)
+
+
+def look_after(task, *, wait: bool) -> None:
+    """Follow a task to its end: poll() says whether it has ended, then finish() is called once. `wait`, for scripts:
+    return afterwards."""
+    def advance() -> bool:
+        redraw_soon()
+        if not task.poll():
+            return True
+        task.finish()
+        return False
+
+    if not wait:
+        watch(advance)
+        return
+    while advance():
+        time.sleep(PERIOD_S)
 
 
 def tick() -> float | None:

@@ -213,3 +213,6 @@ def _draw_check(column) -> None:
         column.label(text=check.python, icon="CHECKMARK" if check.works else "ERROR")
         for line in check.lines:
             column.label(text=line, icon="BLANK1")
+
+
+CLASSES = (NEP_OT_check_engine, NEP_OT_install_engine, NEP_OT_cancel_install, NEP_OT_open_preferences)

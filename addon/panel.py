@@ -6,8 +6,7 @@ from ..backend.job_files import has_checkpoint, is_asset
 from ..backend.progress import duration, in_panel_words
 from ..backend.timings import expected_seconds
 from . import jobs, live_preview, preferences, settings
-
-LETTER = 8.5  # pixels of an average letter at a scale of 1
+from .messages import say
 
 
 class NEP_PT_reconstruct(bpy.types.Panel):
@@ -82,7 +81,7 @@ def _draw_running(layout, context, job) -> None:
         layout.template_icon(icon, scale=9)
         layout.label(text="Left: photo. Right: what was learned")
     for warning in job.warnings[-2:]:
-        _message(layout, context, warning, "INFO")
+        say(layout, context, warning, "INFO")
     layout.operator("nep.cancel", icon="CANCEL")
     layout.operator("nep.open_log", icon="TEXT")
 
@@ -92,42 +91,11 @@ def _draw_end(layout, context, job) -> None:
     if failed is None:
         text = ("The result is ready. Import Result brings it into the scene." if jobs.result_waits(context.scene)
                 else "The object is in the scene.")
-        _message(layout, context, text, "CHECKMARK")
+        say(layout, context, text, "CHECKMARK")
         return
-    _message(layout, context, in_panel_words(failed.message), "PAUSE" if job.was_stopped else "ERROR")
-    _message(layout, context, in_panel_words(failed.hint), "NONE")
+    say(layout, context, in_panel_words(failed.message), "PAUSE" if job.was_stopped else "ERROR")
+    say(layout, context, in_panel_words(failed.hint), "NONE")
     if isinstance(failed, NoEngineError):
         layout.operator("nep.open_preferences", icon="PREFERENCES")
     elif not job.was_stopped:
         layout.operator("nep.open_log", icon="TEXT")
-
-
-def _message(layout, context, text: str, icon: str) -> None:
-    """A text in as many rows as the sidebar's width asks for; the icon stands before the first."""
-    width = (context.region.width if context.region else 280) / context.preferences.system.ui_scale
-    column = layout.column(align=True)
-    column.scale_y = 0.8
-    for index, line in enumerate(wrapped(text, int(width / LETTER))):
-        column.label(text=line, icon=icon if index == 0 else "BLANK1" if icon != "NONE" else "NONE")
-
-
-def wrapped(text: str, letters: int) -> list[str]:
-    """The words of a text in lines of at most `letters`; longer words, as paths are, are cut."""
-    letters, lines = max(letters, 12), []
-    for paragraph in text.splitlines():
-        line = ""
-        for word in paragraph.split():
-            while len(word) > letters:
-                if line:
-                    lines.append(line)
-                    line = ""
-                lines.append(word[:letters])
-                word = word[letters:]
-            if line and len(line) + 1 + len(word) > letters:
-                lines.append(line)
-                line = word
-            else:
-                line = f"{line} {word}".strip()
-        if line:
-            lines.append(line)
-    return lines

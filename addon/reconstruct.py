@@ -11,7 +11,7 @@ import bpy
 from ..backend.engine import Engine
 from ..backend.engine_command import EngineError, find_engine_python, reconstruct_arguments
 from ..backend.job_files import FOLDER, has_checkpoint, is_asset, is_running
-from . import clock, jobs, preferences, settings
+from . import bounds, clock, jobs, preferences, settings
 
 LOG_LETTERS = 200_000
 
@@ -86,17 +86,24 @@ class NEP_OT_reconstruct(bpy.types.Operator):
             return None
         keep_going = chosen.closing == "KEEP"
         try:
+            sphere = bounds.bounds_arguments(context.scene)
             python = find_engine_python(configured=preferences.engine_python(context))
             engine = Engine.start(python, reconstruct_arguments(
                 str(capture), str(output), preset=chosen.preset if self.preset == "SCENE" else self.preset,
                 device=chosen.device, seed=chosen.seed, masks="use" if chosen.use_masks else "ignore",
                 mesh=bpy.path.abspath(chosen.mesh) if chosen.mesh else None, threads=chosen.threads or None,
-                resume=self.resume, overwrite=self.overwrite, preview=chosen.use_preview, keep_going=keep_going),
+                resume=self.resume, overwrite=self.overwrite, preview=chosen.use_preview, keep_going=keep_going,
+                more=tuple(sphere)),
                 keep_going=keep_going)
+        except ValueError as error:  # of the bounds
+            self.report({"ERROR"}, str(error))
+            return None
         except EngineError as error:
             jobs.jobs[jobs.key(output)] = jobs.Job(output, None, failed=error)
             self.report({"ERROR"}, str(error))
             return None
+        if bounds.bounds_remark(context.scene):
+            self.report({"WARNING"}, bounds.bounds_remark(context.scene))
         job = jobs.Job(output, engine)
         jobs.add(job)
         return job
@@ -162,3 +169,6 @@ def _show_text(context, text) -> None:
         area = context.window_manager.windows[-1].screen.areas[0]
         area.type = "TEXT_EDITOR"
     area.spaces.active.text = text
+
+
+CLASSES = (NEP_OT_reconstruct, NEP_OT_cancel, NEP_OT_open_log)

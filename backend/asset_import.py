@@ -1,4 +1,5 @@
 """An asset folder becomes a Blender object, in place, with one Principled material."""
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -12,23 +13,59 @@ class Texture:
     name: str
     socket: str
     is_colour: bool
+    label: str
 
 
-TEXTURES = (Texture("albedo", "Base Color", True), Texture("roughness", "Roughness", False),
-            Texture("metallic", "Metallic", False), Texture("confidence", "", False))
+CONFIDENCE = "confidence"  # image node of the material and attribute of the mesh: 1 where the photos decided
+TEXTURES = (Texture("albedo", "Base Color", True, "albedo"), Texture("roughness", "Roughness", False, "roughness"),
+            Texture("metallic", "Metallic", False, "metallic"),
+            Texture(CONFIDENCE, "", False, "confidence (not connected)"))
 
 
 def import_asset(folder: Path, collection, *, name: str = "", pack: bool = True):
-    """Import mesh and material into `collection`; returns the object. OSError where a file is missing or unreadable.
+    """Import mesh and material into `collection`; returns the object.
 
-    The mesh keeps the capture's coordinates, is smooth, and has the UV map of the file.
+    The mesh keeps the capture's coordinates, is smooth with the file's normals, and has its UV map; its attribute
+    `confidence` (float, a value a vertex) says where the photos decided the material. A second import of an asset
+    gets a new name. OSError where a file is missing or unreadable; nothing is left in the .blend then.
     """
     folder = Path(folder)
-    item = _import_mesh(folder / "mesh.obj", collection)
-    item.name = item.data.name = name or folder.resolve().name
-    item.data.materials.clear()
-    item.data.materials.append(build_material(item.name, folder / "textures", pack=pack))
+    check_asset(folder)
+    with nothing_half_made():
+        item = _import_mesh(folder / "mesh.obj", collection)
+        item.name = item.data.name = name or folder.resolve().name
+        material = build_material(item.name, folder / "textures", pack=pack)
+        item.data.materials.clear()
+        item.data.materials.append(material)
+        _add_confidence(item.data, material.node_tree.nodes[CONFIDENCE].image)
     return item
+
+
+def check_asset(folder: Path) -> None:
+    """OSError in words where `folder` cannot be imported as an asset."""
+    if not folder.is_dir():
+        raise OSError(f"there is no folder {folder}. Choose the folder that a reconstruction wrote")
+    if not (folder / "mesh.obj").is_file():
+        if (folder / "checkpoints").is_dir():
+            raise OSError(f"the reconstruction in {folder} has not ended. Resume it first: there is no mesh.obj yet")
+        raise OSError(f"{folder} holds no asset: it has no mesh.obj. Choose the folder that a reconstruction wrote")
+    for texture in TEXTURES:
+        if not any((folder / "textures" / (texture.name + suffix)).is_file() for suffix in (".png", ".exr")):
+            raise OSError(f"the asset {folder} is incomplete: textures/{texture.name}.png is missing. "
+                          "Reconstruct again, or put the file back")
+
+
+@contextmanager
+def nothing_half_made():
+    """Objects, meshes, materials, images and worlds made inside are removed again when an OSError comes out."""
+    kinds = (bpy.data.objects, bpy.data.meshes, bpy.data.materials, bpy.data.worlds, bpy.data.images)
+    before = [set(kind) for kind in kinds]
+    try:
+        yield
+    except OSError:
+        for kind, known in zip(kinds, before, strict=True):
+            bpy.data.batch_remove([block for block in kind if block not in known])
+        raise
 
 
 def build_material(name: str, textures: Path, *, pack: bool = True):
@@ -40,7 +77,7 @@ def build_material(name: str, textures: Path, *, pack: bool = True):
     principled = next(node for node in nodes if node.type == "BSDF_PRINCIPLED")
     for row, texture in enumerate(TEXTURES):
         node = nodes.new("ShaderNodeTexImage")
-        node.name = node.label = texture.name
+        node.name, node.label = texture.name, texture.label
         node.location = (-420, 320 - 290 * row)
         node.image = _texture_image(textures, texture, pack)
         if texture.socket:
@@ -75,9 +112,34 @@ def _texture_image(folder: Path, texture: Texture, pack: bool):
     return load_image(path, colour_space=space, pack=pack)
 
 
+def _shade_smooth(mesh) -> None:
+    """Smooth faces, shaded with the normals of the file where it has any."""
+    normals = np.empty((len(mesh.loops), 3), np.float32)
+    mesh.corner_normals.foreach_get("vector", normals.ravel())
+    custom = mesh.has_custom_normals
+    mesh.polygons.foreach_set("use_smooth", np.ones(len(mesh.polygons), bool))
+    if custom:  # Blender 4.2 stores them relative to what smoothing has just changed
+        mesh.normals_split_custom_set(normals.tolist())
+
+
+def _add_confidence(mesh, image) -> None:
+    """The image's first channel at each vertex (mean over its corners, nearest texel) as the attribute CONFIDENCE."""
+    width, height = image.size
+    pixels = np.empty(width * height * 4, np.float32)
+    image.pixels.foreach_get(pixels)  # row 0 is v = 0
+    corners = len(mesh.loops)
+    uv, vertex = np.empty(2 * corners, np.float32), np.empty(corners, np.int32)
+    mesh.attributes[mesh.uv_layers.active.name].data.foreach_get("vector", uv)
+    mesh.loops.foreach_get("vertex_index", vertex)
+    column, row = np.clip((uv.reshape(-1, 2) * (width, height)).astype(int), 0, (width - 1, height - 1)).T
+    value = pixels.reshape(height, width, 4)[row, column, 0]
+    count = np.maximum(np.bincount(vertex, minlength=len(mesh.vertices)), 1)
+    mean = np.bincount(vertex, value, minlength=len(mesh.vertices)) / count
+    attribute = mesh.attributes.new(CONFIDENCE, "FLOAT", "POINT")
+    attribute.data.foreach_set("value", mean.astype(np.float32))
+
+
 def _import_mesh(path: Path, collection):
-    if not path.is_file():
-        raise OSError(f"the asset has no {path.name}: {path}")
     objects, materials, images = set(bpy.data.objects), set(bpy.data.materials), set(bpy.data.images)
     try:
         bpy.ops.wm.obj_import(filepath=str(path), forward_axis="Y", up_axis="Z")  # Blender's own axes: as captured
@@ -87,12 +149,14 @@ def _import_mesh(path: Path, collection):
     if len(imported) != 1 or not len(imported[0].data.polygons):
         raise OSError(f"{path} holds {len(imported)} objects, or one without faces; one with faces was expected")
     item = imported[0]
+    if not item.data.uv_layers:
+        raise OSError(f"{path} has no UV map: its textures cannot be placed")
     item.data.materials.clear()
     for material in [material for material in bpy.data.materials if material not in materials]:
         bpy.data.materials.remove(material)  # the .mtl's approximation; the real one is built from the textures
     for image in [image for image in bpy.data.images if image not in images]:
         bpy.data.images.remove(image)
-    item.data.polygons.foreach_set("use_smooth", np.ones(len(item.data.polygons), bool))
+    _shade_smooth(item.data)
     for other in list(item.users_collection):
         other.objects.unlink(item)
     collection.objects.link(item)

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from .imagefiles import load_pixels
+from .imagesize import image_size
 
 SRGB_FILES = {".png", ".jpg", ".jpeg"}
 GREY = 0.18  # behind photos that were cut out
@@ -37,11 +38,23 @@ class Frame:
 def read_frames(folder: Path, transforms: str = "transforms.json") -> list[Frame]:
     """The capture's frames. OSError or ValueError where there are none to read."""
     path = Path(folder) / transforms
-    meta = json.loads(path.read_text(encoding="utf-8"))
-    frames = [_frame(Path(folder), meta, entry) for entry in meta.get("frames", [])]
-    if not frames:
+    meta = _read_meta(path)
+    entries = meta.get("frames")
+    if not isinstance(entries, list) or not entries or not all(isinstance(entry, dict) for entry in entries):
         raise ValueError(f"{path} lists no frames")
-    return frames
+    return [_frame(Path(folder), meta, entry) for entry in entries]
+
+
+def read_bounds(folder: Path) -> tuple[list[float], float] | None:
+    """(centre [3], radius) of the object's sphere, where transforms.json says it. OSError or ValueError as above."""
+    meta = _read_meta(Path(folder) / "transforms.json")
+    center, radius = meta.get("object_center"), meta.get("object_radius")
+    if center is None or radius is None:
+        return None
+    sphere = np.array([*center, radius] if isinstance(center, list) else [], np.float64)
+    if len(sphere) != 4 or not np.isfinite(sphere).all() or sphere[3] <= 0:
+        raise ValueError(f"{folder}: object_center must be three numbers and object_radius a positive one")
+    return sphere[:3].tolist(), float(sphere[3])
 
 
 def spread_frames(frames: list[Frame], count: int) -> list[Frame]:
@@ -66,6 +79,18 @@ def linear_to_srgb(x: np.ndarray) -> np.ndarray:
     return np.where(x <= 0.0031308, 12.92 * x, 1.055 * x ** (1 / 2.4) - 0.055)
 
 
+def _read_meta(path: Path) -> dict:
+    if not path.is_file():
+        raise OSError(f"{path.parent} has no {path.name}" if path.parent.is_dir() else f"there is no folder {path.parent}")
+    try:
+        meta = json.loads(path.read_text(encoding="utf-8"))
+    except ValueError as error:
+        raise ValueError(f"{path} is no JSON text: {error}") from error
+    if not isinstance(meta, dict):
+        raise ValueError(f"{path} holds no JSON object")
+    return meta
+
+
 def _frame(folder: Path, meta: dict, entry: dict) -> Frame:
     def value(name: str, default=None):
         found = entry.get(name, meta.get(name, default))
@@ -79,9 +104,18 @@ def _frame(folder: Path, meta: dict, entry: dict) -> Frame:
     if "w" in entry or "w" in meta:
         width, height = int(value("w")), int(value("h"))
     else:
-        height, width = load_pixels(path).shape[:2]
+        width, height = image_size(path)
     angle = entry.get("camera_angle_x", meta.get("camera_angle_x"))
     fl_x = float(value("fl_x", None if angle is None else 0.5 * width / math.tan(0.5 * angle)))
     space = meta.get("color_space") or ("srgb" if path.suffix.lower() in SRGB_FILES else "linear")
     return Frame(path, width, height, fl_x, float(value("fl_y", fl_x)), float(value("cx", width / 2)),
-                 float(value("cy", height / 2)), np.array(value("transform_matrix"), np.float64), space)
+                 float(value("cy", height / 2)), _matrix(value("transform_matrix"), path), space)
+
+
+def _matrix(rows, path: Path) -> np.ndarray:
+    matrix = np.array(rows, np.float64)
+    if matrix.shape == (3, 4):
+        matrix = np.concatenate([matrix, [[0.0, 0.0, 0.0, 1.0]]])
+    if matrix.shape != (4, 4) or not np.isfinite(matrix).all():
+        raise ValueError(f"{path.name}: transform_matrix is not a 4 x 4 matrix of numbers")
+    return matrix

@@ -1,51 +1,64 @@
 """comparison.png: photo beside re-rendering under the recovered light, then the object under other lights.
 
-One row a photo, one column a light. Tiles are shown through Blender's view transform Standard (sRGB), which changes no
-hue; photo and re-rendering share one exposure, every other light gets its own.
+One row a photo, one column a light; below, if wanted, the object turned before one light. Tiles are shown through
+Blender's view transform Standard (sRGB), which changes no hue; photo and re-rendering share one exposure, every other
+light gets its own.
 """
 from pathlib import Path
 
 import numpy as np
 
 from .capture_files import Frame, linear_to_srgb
+from .contact_sheet import draw_sheet, strip_tile_size
 from .imagefiles import write_png
-from .lettering import draw_text, fitting
 from .relight import RelitScene
+from .turntable import turntable_frames
 
 TILE_RANGE = (320, 448)  # pixels, longer side of a tile
-HEADER, GAP = 58, 6  # pixels
-PAPER, INK = 24 / 255, 232 / 255
 EXPOSED = 0.65  # of white, where a tile's EXPOSED_PERCENTILE lies
 EXPOSED_PERCENTILE = 90
 
 
-def compare(item, frames: list[Frame], recovered, worlds: list, *, samples: int = 64, seed: int = 0, progress=None):
+def compare(item, frames: list[Frame], recovered, worlds: list, *, samples: int = 64, seed: int = 0,
+            turntable: int = 0, progress=None):
     """Render the comparison of `item` under the World `recovered` and the others.
 
-    Returns ([H,W,3] uint8 sheet, [gain of each row's photo]). progress(done, total) is called after every render.
+    Returns ([H,W,3] uint8 sheet, [gain of each row's photo]). `turntable` views around the object are shown under the
+    first of `worlds` (the recovered light where there is none). progress(done, total) is called after every render.
     OSError where a photo cannot be read.
     """
     width, height = _tile_size(frames[0])
-    relit = RelitScene(item, width, height, samples, seed)
-    rows, gains, done, total = [], [], 0, len(frames) * (1 + len(worlds))
-    try:
+    columns, done, total = 2 + len(worlds), 0, len(frames) * (1 + len(worlds)) + turntable
+
+    def rendered(relit: RelitScene, frame: Frame, world) -> np.ndarray:
+        nonlocal done
+        radiance = relit.render(frame, world)
+        done += 1
+        if progress:
+            progress(done, total)
+        return radiance
+
+    rows, gains = [], []
+    with RelitScene(item, width, height, samples, seed) as relit:
         for frame in frames:
             photo = resize(frame.photo(), width, height)
             gain = 1.0 if frame.color_space == "srgb" else exposure(photo)
-            tiles = [photo * gain]
-            for index, world in enumerate([recovered, *worlds]):
-                radiance = relit.render(frame, world)
-                tiles.append(radiance * (gain if index == 0 else exposure(radiance)))
-                done += 1
-                if progress:
-                    progress(done, total)
+            tiles = [photo * gain, rendered(relit, frame, recovered) * gain]
+            for world in worlds:
+                radiance = rendered(relit, frame, world)
+                tiles.append(radiance * exposure(radiance))
             rows.append([linear_to_srgb(tile) for tile in tiles])
             gains.append(gain)
-    finally:
-        relit.close()
+    strip, light = [], (worlds or [recovered])[0]
+    if turntable:
+        side = strip_tile_size(columns, width, height, turntable)
+        with RelitScene(item, side, side, samples, seed) as relit:
+            strip = [rendered(relit, frame, light) for frame in turntable_frames(item, frames, turntable, side)]
+        gain = exposure(np.concatenate(strip))
+        strip = [linear_to_srgb(tile * gain) for tile in strip]
     titles = [f"photo {frames[0].path.name}" if len(frames) == 1 else "photo", "re-rendered, recovered light",
               *(f"light: {world.name}" for world in worlds)]
-    return _sheet(rows, titles, _subtitle(gains)), gains
+    return draw_sheet(rows, titles, _subtitle(gains), strip, f"turntable, light: {light.name}"), gains
 
 
 def write_comparison(path: Path, sheet: np.ndarray) -> None:
@@ -91,18 +104,3 @@ def _tile_size(frame: Frame) -> tuple[int, int]:
 def _subtitle(gains: list[float]) -> str:
     stops = ", ".join(f"{np.log2(gain):+.1f}" for gain in gains)
     return f"View transform Standard. Exposure of photo and re-rendering, row by row: {stops} EV; other lights: own."
-
-
-def _sheet(rows: list[list[np.ndarray]], titles: list[str], subtitle: str) -> np.ndarray:
-    height, width = rows[0][0].shape[:2]
-    sheet = np.full((HEADER + len(rows) * (height + GAP), GAP + len(titles) * (width + GAP), 3), PAPER)
-    for i, row in enumerate(rows):
-        for j, tile in enumerate(row):
-            y, x = HEADER + i * (height + GAP), GAP + j * (width + GAP)
-            sheet[y:y + height, x:x + width] = tile
-    size = 17.0
-    texts = [(GAP + j * (width + GAP), 22.0, size, fitting(title, width, size)) for j, title in enumerate(titles)]
-    texts.append((GAP, 46.0, 13.0, fitting(subtitle, sheet.shape[1], 13.0)))
-    ink = draw_text(sheet.shape[1], HEADER, texts)[..., None]
-    sheet[:HEADER] = sheet[:HEADER] * (1 - ink) + INK * ink
-    return np.round(sheet * 255).astype(np.uint8)

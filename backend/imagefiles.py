@@ -72,7 +72,7 @@ def write_exr(path: Path, channels: dict[str, np.ndarray]) -> None:
         packed = packed if len(packed) < len(raw) else raw
         blocks.append(struct.pack("<ii", top, len(packed)) + packed)
     offsets = np.cumsum([len(head) + 8 * len(blocks)] + [len(block) for block in blocks[:-1]])
-    _write_whole(path, head + offsets.astype("<u8").tobytes() + b"".join(blocks))
+    write_whole(path, head + offsets.astype("<u8").tobytes() + b"".join(blocks))
 
 
 def write_png(path: Path, pixels: np.ndarray) -> None:
@@ -85,7 +85,7 @@ def write_png(path: Path, pixels: np.ndarray) -> None:
         return struct.pack(">I", len(body)) + kind + body + struct.pack(">I", zlib.crc32(kind + body))
 
     header = struct.pack(">IIBBBBB", width, height, 8, 2 if pixels.ndim == 3 else 0, 0, 0, 0)
-    _write_whole(path, b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", header) + chunk(b"IDAT", zlib.compress(raw, 9))
+    write_whole(path, b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", header) + chunk(b"IDAT", zlib.compress(raw, 9))
                  + chunk(b"IEND", b""))
 
 
@@ -130,7 +130,8 @@ def still_image(settings, multilayer: bool = False) -> None:
         settings.media_type = "MULTI_LAYER_IMAGE" if multilayer else "IMAGE"
 
 
-def _write_whole(path: Path, data: bytes) -> None:
+def write_whole(path: Path, data: bytes) -> None:
+    """Write a file under a temporary name first: it appears whole or not at all."""
     path = Path(path)
     partial = path.with_name(path.name + ".partial")
     partial.write_bytes(data)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import math
 import sys
 from pathlib import Path
 
@@ -61,6 +62,14 @@ def parser() -> argparse.ArgumentParser:
         "--masks", choices=("use", "ignore"), default="use", help="masks help, none are needed (%(default)s)"
     )
     run.add_argument("--mesh", type=Path, metavar="FILE", help="learn materials on this mesh (capture coordinates)")
+    run.add_argument(
+        "--object-center",
+        type=_finite,
+        nargs=3,
+        metavar=("X", "Y", "Z"),
+        help="centre of the sphere that holds the object, capture coordinates (transforms.json, or estimated)",
+    )
+    run.add_argument("--object-radius", type=_positive, metavar="R", help="its radius; both or none")
     run.add_argument("--resume", action="store_true", help="go on with the run in ASSET that was stopped or killed")
     run.add_argument("--overwrite", action="store_true", help="replace an asset or a run in ASSET")
     run.add_argument("--clean", action="store_true", help="remove the checkpoints when the asset is written")
@@ -90,9 +99,26 @@ def _count(text: str) -> int:
     return value
 
 
+def _finite(text: str) -> float:
+    value = float(text)
+    if not math.isfinite(value):
+        raise argparse.ArgumentTypeError("must be a finite number")
+    return value
+
+
+def _positive(text: str) -> float:
+    value = _finite(text)
+    if value <= 0:
+        raise argparse.ArgumentTypeError("must be positive")
+    return value
+
+
 def main(arguments: list[str] | None = None) -> int:
     """Run the command line and return its exit code."""
-    options = parser().parse_args(arguments)
+    top = parser()
+    options = top.parse_args(arguments)
+    if options.command == "reconstruct" and (options.object_center is None) != (options.object_radius is None):
+        top.error("--object-center and --object-radius work only together")
     return _info(options) if options.command == "info" else _reconstruct(options)
 
 
@@ -133,6 +159,7 @@ def _reconstruct(options: argparse.Namespace) -> int:
         seed=options.seed,
         use_masks=options.masks == "use",
         mesh=options.mesh,
+        sphere=None if options.object_center is None else (tuple(options.object_center), options.object_radius),
         resume=options.resume,
         overwrite=options.overwrite,
         clean=options.clean,

@@ -46,6 +46,8 @@ class Settings:
     seed: int = 0
     use_masks: bool = True
     mesh: Path | None = None
+    sphere: tuple[tuple[float, float, float], float] | None = None
+    """Centre and radius of the object's sphere, capture coordinates; None: the capture's own, or estimated."""
     resume: bool = False
     overwrite: bool = False
     clean: bool = False
@@ -144,7 +146,7 @@ class Job:
         self.device = choose_device(s.device)
         self._seed_and_threads()
         capture, rays = self._enter_capture()
-        what = fingerprint(capture, s.preset, s.seed, s.use_masks, s.mesh)
+        what = fingerprint(capture, s.preset, s.seed, s.use_masks, s.mesh, s.sphere)
         self.folder = RunFolder(s.out, self.stop, self.events.warning)
         if s.resume and (s.out / "report.json").is_file():
             self._finish_complete(what)
@@ -266,7 +268,7 @@ class Job:
         self.timeline.enter("capture")
         start = time.monotonic()
         self._progress("capture", 0, 1, None)
-        capture = load_capture(s.capture, use_masks=s.use_masks)
+        capture = load_capture(s.capture, use_masks=s.use_masks, sphere=s.sphere)
         for warning in capture.warnings:
             self.events.warning(warning)
         rays = PixelRays.from_capture(capture, s.preset.max_pixels_per_photo, s.use_masks, self.device)
@@ -351,6 +353,7 @@ class Job:
                 "threads": torch.get_num_threads(),
                 "versions": versions(),
                 "capture": {
+                    "folder": os.path.abspath(capture.folder),
                     "views": len(capture.views),
                     "pixels": rays.count,
                     "color_space": capture.color_space,

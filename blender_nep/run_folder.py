@@ -18,14 +18,21 @@ FORMAT = 1
 """Version of the files in `checkpoints/`; others are not read."""
 
 
-def fingerprint(capture: Capture, preset: Preset, seed: int, masks: bool, mesh: Path | None) -> dict[str, object]:
+def fingerprint(
+    capture: Capture,
+    preset: Preset,
+    seed: int,
+    masks: bool,
+    mesh: Path | None,
+    sphere: tuple[tuple[float, float, float], float] | None = None,
+) -> dict[str, object]:
     """What decides the result of a run, by name: a resume must agree with all of it.
 
-    Photos enter by name and size, transforms.json and a mesh by content.
+    Photos enter by name and size, transforms.json and a mesh by content; the object's sphere only where it was given.
     """
     paths = [p for v in capture.views for p in (v.image_path, v.mask_path) if p is not None]
     photos = "\n".join(f"{p.relative_to(capture.folder)} {p.stat().st_size}" for p in paths)
-    return {
+    what = {
         "format": FORMAT,
         "capture": _digest((capture.folder / "transforms.json").read_bytes() + photos.encode()),
         "preset": preset.name + " " + _digest(json.dumps(dataclasses.asdict(preset), sort_keys=True).encode()),
@@ -33,6 +40,7 @@ def fingerprint(capture: Capture, preset: Preset, seed: int, masks: bool, mesh: 
         "masks": "use" if masks else "ignore",
         "mesh": "" if mesh is None else _digest(mesh.read_bytes()),
     }
+    return what if sphere is None else what | {"object bounds": [*map(float, sphere[0]), float(sphere[1])]}
 
 
 def _digest(data: bytes) -> str:
@@ -41,7 +49,7 @@ def _digest(data: bytes) -> str:
 
 def refuse_other_run(asset: Path, before: dict[str, object], what: dict[str, object]) -> None:
     """Raise UsageError when the run in `asset` is not the one that is asked for."""
-    different = [name for name, value in what.items() if before.get(name) != value]
+    different = [name for name in {**what, **before} if before.get(name) != what.get(name)]
     if different:
         raise UsageError(
             f"cannot resume: the run in {asset} had another {', '.join(different)}",

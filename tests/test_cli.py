@@ -8,7 +8,7 @@ import sys
 
 import pytest
 
-from blender_nep.cli import main, parser
+from blender_nep.cli import main
 
 LIMIT = 120
 
@@ -37,11 +37,16 @@ def test_help_documents_exit_codes(capsys):
         ["reconstruct", "x", "--out", "y", "--seed", "-1"],
         ["reconstruct", "x", "--out", "y", "--threads", "0"],
         ["reconstruct", "x", "--out", "y", "--masks", "some"],
+        ["reconstruct", "x", "--out", "y", "--object-center", "0", "0", "0"],
+        ["reconstruct", "x", "--out", "y", "--object-radius", "1"],
+        ["reconstruct", "x", "--out", "y", "--object-center", "0", "0", "--object-radius", "1"],
+        ["reconstruct", "x", "--out", "y", "--object-center", "0", "-0.5", "nan", "--object-radius", "1"],
+        ["reconstruct", "x", "--out", "y", "--object-center", "0", "-0.5", "1", "--object-radius", "0"],
     ],
 )
 def test_wrong_arguments_are_code_2(arguments, capsys):
     with pytest.raises(SystemExit) as ended:
-        parser().parse_args(arguments)
+        main(arguments)
     assert ended.value.code == 2 and "usage:" in capsys.readouterr().err
 
 

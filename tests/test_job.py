@@ -14,7 +14,7 @@ import numpy as np
 import OpenEXR
 import pytest
 import torch
-from conftest import BallRooms
+from conftest import CENTER, RADIUS, BallRooms
 
 from blender_nep import checkpoints, job
 from blender_nep.checkpoints import Checkpoint, StopRequest, load_state, save_state
@@ -135,12 +135,28 @@ def test_resume_refuses_other_settings(start):
         ({"seed": 1}, "seed"),
         ({"preset": preset("quality")}, "preset"),
         ({"use_masks": False}, "masks"),
+        ({"sphere": (CENTER, RADIUS)}, "object bounds"),
     ):
         code, events = start(BallRooms(), resume=True, **other)
         assert code == 2 and name in events[-1]["message"]
     (start.folder / "transforms.json").write_text((start.folder / "transforms.json").read_text() + "\n")
     code, events = start(BallRooms(), resume=True)
     assert code == 2 and "capture" in events[-1]["message"]
+
+
+def test_a_given_sphere_counts_and_a_resume_needs_it(start):
+    stop = StopRequest()
+    sphere = ((CENTER[0] + 0.1, CENTER[1], CENTER[2]), 0.7)
+    start(BallRooms(on_step=lambda r, s: stop.request("test")), stop, sphere=sphere)
+    for other in (None, (sphere[0], 0.71)):
+        code, events = start(BallRooms(), resume=True, sphere=other)
+        assert code == 2 and "object bounds" in events[-1]["message"]
+    assert start(BallRooms(), resume=True, sphere=sphere)[0] == 0
+    report = json.loads((start.out / "report.json").read_text())["capture"]
+    assert report["object_center"] == pytest.approx(sphere[0]) and report["object_radius"] == 0.7
+    assert report["bounds_source"] == "options" and report["folder"] == str(start.folder)
+    code, events = start(BallRooms(), overwrite=True, sphere=(CENTER, 2.6))
+    assert code == 4 and "stand inside" in events[-1]["message"]
 
 
 def test_resume_of_nothing_starts_and_of_a_complete_asset_ends(start):

@@ -7,7 +7,10 @@ import numpy as np
 from blender_nep.capture.camera import Camera
 from blender_nep.errors import BoundsError
 
-_HINT = "Set object_center and object_radius in transforms.json, so that the sphere holds the object and no camera."
+_HINT = (
+    "Move and scale the sphere so that it holds the object and no camera "
+    "(object_center and object_radius in transforms.json, or --object-center and --object-radius)."
+)
 
 
 def sphere_from_cameras(cameras: list[Camera]) -> tuple[np.ndarray, float]:

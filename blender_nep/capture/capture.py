@@ -33,7 +33,7 @@ class Capture:
     object_center: np.ndarray
     object_radius: float
     bounds_source: str
-    """Where the sphere comes from: 'transforms.json', 'masks' or 'cameras'."""
+    """Where the sphere comes from: 'options', 'transforms.json', 'masks' or 'cameras'."""
     warnings: list[str] = field(default_factory=list)
 
     @property

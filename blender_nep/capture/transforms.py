@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -23,10 +24,17 @@ MINIMUM_VIEWS = 3
 _PINHOLE = ("PINHOLE", "SIMPLE_PINHOLE", "OPENCV", "PERSPECTIVE", "SIMPLE_RADIAL", "RADIAL")
 
 
-def load_capture(folder: Path | str, *, use_masks: bool = True, transforms: str = "transforms.json") -> Capture:
+def load_capture(
+    folder: Path | str,
+    *,
+    use_masks: bool = True,
+    transforms: str = "transforms.json",
+    sphere: tuple[Sequence[float], float] | None = None,
+) -> Capture:
     """Read and check a capture; photos are opened only for their size (and masks where the bounds need them).
 
-    `use_masks` False: a missing sphere is estimated from the cameras alone. Raises CaptureError, BoundsError.
+    `sphere`: the object's (centre [3], radius), which then counts instead of the file's. `use_masks` False: a missing
+    sphere is estimated from the cameras alone. Raises CaptureError, BoundsError.
     """
     folder = Path(folder)
     meta = _read_json(folder, transforms)
@@ -52,7 +60,11 @@ def load_capture(folder: Path | str, *, use_masks: bool = True, transforms: str 
     _check_places(views)
     color_space = _color_space(meta, views, warnings)
     capture = Capture(folder, views, color_space, np.zeros(3), 1.0, "", warnings)
-    _set_bounds(capture, meta, use_masks)
+    if sphere is None:
+        _set_bounds(capture, meta, use_masks)
+    else:
+        capture.object_center, capture.object_radius = np.array(sphere[0], np.float64), float(sphere[1])
+        capture.bounds_source = "options"
     cameras = [v.camera for v in views]
     warnings += check_sphere([v.name for v in views], cameras, capture.object_center, capture.object_radius)
     return capture

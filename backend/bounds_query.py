@@ -1,0 +1,59 @@
+"""Asking the engine where the object is (`blender_nep info CAPTURE --json`) without making Blender wait. No bpy here."""
+import json
+import subprocess
+import threading
+from pathlib import Path
+
+from .engine_command import ENGINE_MODULE, EngineError, engine_environment, find_engine_python
+
+
+class BoundsQuery:
+    """A thread that looks for the engine's Python and asks it; `poll` says when `sphere` or `error` is there."""
+
+    def __init__(self, capture: Path, configured_python: str):
+        self.sphere: tuple[list[float], float] | None = None
+        self.source = ""  # 'masks' or 'cameras': what the estimate is made of
+        self.error = ""
+        self._capture, self._configured = capture, configured_python
+        self._process: subprocess.Popen | None = None
+        self._closed = False
+        self._lock = threading.Lock()
+        self._thread = threading.Thread(target=self._ask, daemon=True)
+        self._thread.start()
+
+    def _ask(self) -> None:
+        try:
+            python = find_engine_python(configured=self._configured)
+            command = [python, "-I", "-m", ENGINE_MODULE, "info", str(self._capture), "--json"]
+            with self._lock:
+                if self._closed:
+                    return
+                self._process = subprocess.Popen(command, env=engine_environment(), stdin=subprocess.DEVNULL, text=True,
+                                                 stdout=subprocess.PIPE, stderr=subprocess.PIPE, encoding="utf-8")
+            told, complaint = self._process.communicate()
+            self._take(told, complaint)
+        except (EngineError, OSError) as error:
+            self.error = str(error)
+
+    def _take(self, told: str, complaint: str) -> None:
+        try:
+            found = json.loads(told)
+            if "error" in found:
+                self.error = f"{found['error']['message']}\n{found['error']['hint']}".strip()
+            else:
+                self.source = found["bounds_source"]
+                self.sphere = found["object_center"], found["object_radius"]
+        except (ValueError, KeyError):
+            last = complaint.strip().splitlines()[-1:]
+            self.error = "\n".join(["The engine could not look at the capture.", *last])
+
+    def poll(self) -> bool:
+        """True when it has ended."""
+        return not self._thread.is_alive()
+
+    def close(self) -> None:
+        """Let go of it; an engine that still reads photos is ended."""
+        with self._lock:
+            self._closed = True
+            if self._process and self._process.poll() is None:
+                self._process.kill()

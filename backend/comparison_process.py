@@ -1,0 +1,87 @@
+"""`render_comparison.py` in a second Blender: the one with the artist's work stays responsive and untouched."""
+import json
+import os
+import queue
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from collections import deque
+from pathlib import Path
+
+import bpy
+
+SCRIPT = Path(__file__).resolve().with_name("render_comparison.py")
+KILL_AFTER_S = 5.0  # of not ending when its input is closed
+LOG_LINES = 5
+
+
+class ComparisonProcess:
+    """The running render. `poll` from the main thread; afterwards `path` is the picture, or `error` says why not."""
+
+    def __init__(self, arguments: list[str]):
+        """OSError where the process cannot be started."""
+        self.done, self.total = 0, 0
+        self.path: Path | None = None
+        self.error = ""
+        self.cancelled = False
+        self._cancelled_at = 0.0
+        self._events: queue.SimpleQueue[dict] = queue.SimpleQueue()
+        self._log: deque[str] = deque(maxlen=LOG_LINES)
+        self._scratch = tempfile.TemporaryDirectory(prefix="nep_comparison_", ignore_cleanup_errors=True)
+        temporary = dict.fromkeys(("TMPDIR", "TEMP", "TMP"), self._scratch.name)  # renders in progress, gone with it
+        self.process = subprocess.Popen(
+            [*_blender(), *arguments], env=os.environ | temporary, stdin=subprocess.PIPE, stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT, text=True, encoding="utf-8", errors="replace", start_new_session=os.name != "nt")
+        self._reader = threading.Thread(target=self._read, daemon=True)
+        self._reader.start()
+
+    def _read(self) -> None:
+        for line in self.process.stdout:
+            if line.startswith('{"event"'):
+                self._events.put(json.loads(line))
+            elif line.strip():
+                self._log.append(line.strip())
+
+    def poll(self) -> bool:
+        """Take in what it said; True when it has ended."""
+        ended = self.process.poll() is not None and not self._reader.is_alive()
+        while not self._events.empty():
+            event = self._events.get()
+            if event["event"] == "progress":
+                self.done, self.total = event["done"], event["total"]
+            elif event["event"] == "done":
+                self.path = Path(event["path"])
+            elif event["event"] == "error":
+                self.error = event["message"]
+        if self.cancelled and not ended and time.monotonic() - self._cancelled_at > KILL_AFTER_S:
+            self.process.kill()
+        if ended and self.path is None and not self.error:
+            code = self.process.returncode
+            self.error = "Cancelled" if self.cancelled else "\n".join(
+                [f"Blender ended with code {code} while rendering the comparison", *self._log])
+        return ended
+
+    def cancel(self) -> None:
+        """Ask for the end; `poll` says when it has come."""
+        if not self.cancelled:
+            self.cancelled, self._cancelled_at = True, time.monotonic()
+            self.process.stdin.close()
+
+    def close(self) -> None:
+        """Let go of it, running or not."""
+        if self.process.poll() is None:
+            self.process.kill()
+            self.process.wait()
+        self.process.stdin.close()
+        self._reader.join()
+        self.process.stdout.close()
+        self._scratch.cleanup()
+
+
+def _blender() -> list[str]:
+    """The command that runs SCRIPT in this Blender; with the wheel, which has no program, in this Python."""
+    if bpy.app.binary_path:
+        return [bpy.app.binary_path, "-b", "--factory-startup", "--python-exit-code", "1", "-P", str(SCRIPT), "--"]
+    return [sys.executable, str(SCRIPT)]

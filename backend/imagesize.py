@@ -1,0 +1,31 @@
+"""Width and height of an image file from its header, without Blender decoding the pixels. No bpy in this file."""
+import struct
+from pathlib import Path
+
+JPEG_FRAMES = {*range(0xC0, 0xD0)} - {0xC4, 0xC8, 0xCC}  # start-of-frame markers (ITU T.81, table B.1)
+HEADER_BYTES = 1 << 20
+
+
+def image_size(path: Path) -> tuple[int, int]:
+    """(width, height) of a PNG, JPEG or OpenEXR file. OSError where it cannot be read or is none of them."""
+    with open(path, "rb") as file:
+        data = file.read(HEADER_BYTES)
+    try:
+        if data[:8] == b"\x89PNG\r\n\x1a\n":
+            return struct.unpack_from(">II", data, 16)
+        if data[:4] == b"\x76\x2f\x31\x01":
+            x0, y0, x1, y1 = struct.unpack_from("<4i", data, data.index(b"displayWindow\0box2i\0") + 24)
+            return x1 - x0 + 1, y1 - y0 + 1
+        if data[:2] == b"\xff\xd8":
+            return _jpeg_size(data)
+    except (struct.error, ValueError, IndexError) as error:
+        raise OSError(f"the header of {path} is damaged") from error
+    raise OSError(f"{path} is no PNG, JPEG or OpenEXR file")
+
+
+def _jpeg_size(data: bytes) -> tuple[int, int]:
+    position = 2
+    while data[position + 1] not in JPEG_FRAMES:
+        position += 2 + struct.unpack_from(">H", data, position + 2)[0]
+    height, width = struct.unpack_from(">HH", data, position + 5)
+    return width, height

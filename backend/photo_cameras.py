@@ -1,0 +1,83 @@
+"""A capture's cameras as Blender cameras, each with its photo behind it, in a collection of their own."""
+from pathlib import Path
+
+import bpy
+import numpy as np
+
+from .cameras import new_camera, pixel_aspect
+from .capture_files import Frame
+
+COLLECTION_NAME = "NeP cameras: {}"
+CAPTURE_KEY = "nep_capture"  # of the collection: the capture's folder
+SIZE_KEY, ASPECT_KEY = "nep_photo_size", "nep_pixel_aspect"  # of a camera: what Blender keeps in the scene instead
+PHOTO_KEY = "nep_photo"  # of an image that was loaded here
+DISPLAY_SIZE = 0.06  # of the cameras' median distance from their middle
+
+
+def load_cameras(scene, capture: Path, frames: list[Frame], *, match_render: bool = True) -> tuple[list, list[Path]]:
+    """Show the frames' cameras in `scene`, instead of those of an earlier call; returns (cameras, missing photos).
+
+    Blender reads a photo when its camera is looked through, so that hundreds cost nothing here. `match_render`: the
+    scene's render size and pixel aspect become the photos', for photo and view to line up.
+    """
+    remove_cameras(scene)
+    collection = bpy.data.collections.new(COLLECTION_NAME.format(Path(capture).resolve().name))
+    collection[CAPTURE_KEY] = str(capture)
+    scene.collection.children.link(collection)
+    positions = np.array([frame.matrix[:3, 3] for frame in frames])
+    size = DISPLAY_SIZE * float(np.median(np.linalg.norm(positions - positions.mean(axis=0), axis=1))) or 0.1
+    cameras, missing = [], []
+    for frame in frames:
+        camera = new_camera(frame, collection, frame.path.stem)
+        camera[SIZE_KEY], camera[ASPECT_KEY] = [frame.width, frame.height], pixel_aspect(frame)
+        camera.data.display_size = size
+        image = _photo(frame)
+        if image is None:
+            missing.append(frame.path)
+        else:
+            background = camera.data.background_images.new()
+            background.image, background.alpha, background.frame_method = image, 1.0, "STRETCH"
+            camera.data.show_background_images = True
+        cameras.append(camera)
+    if match_render:
+        scene.render.resolution_x, scene.render.resolution_y = frames[0].width, frames[0].height
+        scene.render.pixel_aspect_x, scene.render.pixel_aspect_y = pixel_aspect(frames[0])
+    scene.camera = scene.camera or cameras[0]
+    return cameras, missing
+
+
+def remove_cameras(scene) -> int:
+    """Remove the cameras that `load_cameras` made in this scene, and their photos; returns how many there were."""
+    collections = camera_collections(scene)
+    cameras = [item for collection in collections for item in collection.objects if SIZE_KEY in item]
+    data = [camera.data for camera in cameras]
+    bpy.data.batch_remove(cameras)
+    bpy.data.batch_remove([block for block in data if not block.users])
+    bpy.data.batch_remove([image for image in bpy.data.images if PHOTO_KEY in image and not image.users])
+    for collection in collections:
+        if not collection.objects and not collection.children:  # the artist may have put things of their own into it
+            bpy.data.collections.remove(collection)
+        else:
+            del collection[CAPTURE_KEY]
+    return len(cameras)
+
+
+def camera_collections(scene) -> list:
+    """The collections of `load_cameras` in this scene."""
+    return [collection for collection in scene.collection.children_recursive if CAPTURE_KEY in collection]
+
+
+def _photo(frame: Frame):
+    """An image that refers to the photo's file (relative to the saved .blend); None where the file is missing."""
+    known = len(bpy.data.images)
+    try:
+        image = bpy.data.images.load(str(frame.path.resolve()), check_existing=True)
+    except RuntimeError:
+        return None
+    if len(bpy.data.images) > known:  # not the artist's own
+        image[PHOTO_KEY] = True
+        if frame.color_space == "linear" and frame.path.suffix.lower() != ".exr":
+            image.colorspace_settings.name = "Non-Color"
+        if bpy.data.is_saved:
+            image.filepath = bpy.path.relpath(image.filepath)
+    return image

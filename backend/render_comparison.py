@@ -1,0 +1,89 @@
+"""Render the comparison picture of a finished asset, in a Blender of its own.
+
+    blender -b --factory-startup --python-exit-code 1 -P backend/render_comparison.py -- --asset DIR --capture DIR ...
+    python backend/render_comparison.py --asset DIR --capture DIR ...          (with the bpy wheel)
+
+Says JSON lines on standard output: {"event": "progress", "done": 1, "total": 4}, then {"event": "done", "path": ...} or
+{"event": "error", "message": ...}. A closed standard input ends it at once; the picture appears whole or not at all.
+"""
+import argparse
+import json
+import os
+import sys
+import threading
+from pathlib import Path
+
+if __package__ in (None, ""):
+    sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
+
+import bpy
+
+from backend.arguments import script_arguments
+from backend.capture_files import read_frames, spread_frames
+from backend.comparison import compare, write_comparison
+from backend.result import import_result
+from backend.world import blender_hdris, build_world
+
+FAILED, CANCELLED = 8, 7
+
+
+def parse(arguments: list[str]) -> argparse.Namespace:
+    parser = argparse.ArgumentParser(prog="render_comparison.py", description=__doc__.split("\n\n")[0])
+    parser.add_argument("--asset", type=Path, required=True, help="asset folder")
+    parser.add_argument("--capture", type=Path, required=True, help="the folder with the photos")
+    parser.add_argument("--out", type=Path, help="the PNG (comparison.png in the asset folder)")
+    parser.add_argument("--photos", type=int, default=2, metavar="N", help="photos to compare with")
+    parser.add_argument("--light", action="append", default=[], metavar="NAME", help="one of Blender's own HDRIs")
+    parser.add_argument("--light-file", type=Path, help="another equirectangular .hdr or .exr")
+    parser.add_argument("--turntable", type=int, default=0, metavar="N", help="views around the object, in a strip")
+    parser.add_argument("--samples", type=int, default=48, help="Cycles samples a pixel")
+    parser.add_argument("--seed", type=int, default=0)
+    return parser.parse_args(arguments)
+
+
+def say(event: str, **values) -> None:
+    print(json.dumps({"event": event, **values}), flush=True)
+
+
+def end_with_parent() -> None:
+    """Leave as soon as standard input is closed: the Blender that wants the picture has gone or has cancelled."""
+    def watch():
+        while os.read(sys.stdin.fileno(), 4096):
+            continue
+        os._exit(CANCELLED)
+    threading.Thread(target=watch, daemon=True).start()
+
+
+def light_files(options: argparse.Namespace) -> list[Path]:
+    """The chosen HDRIs. ValueError where one is not there."""
+    shipped = {path.stem: path for path in blender_hdris()}
+    missing = [name for name in options.light if name not in shipped]
+    if missing:
+        raise ValueError(f"this Blender ships no light {', '.join(missing)}. Choose others"
+                         + (f": {', '.join(shipped)}" if shipped else ", or a file: it ships none"))
+    return [shipped[name] for name in options.light] + ([options.light_file] if options.light_file else [])
+
+
+def main(arguments: list[str]) -> int:
+    options = parse(arguments)
+    end_with_parent()
+    try:
+        frames = spread_frames(read_frames(options.capture), max(options.photos, 1))
+        bpy.ops.wm.read_factory_settings(use_empty=True)
+        item, recovered = import_result(options.asset, bpy.context.scene.collection)
+        worlds = [build_world(path, name=path.stem) for path in light_files(options)]
+        sheet, _ = compare(item, frames, recovered, worlds, samples=options.samples, seed=options.seed,
+                           turntable=options.turntable, progress=lambda done, total: say("progress", done=done, total=total))
+        path = options.out or options.asset / "comparison.png"
+        write_comparison(path, sheet)
+    except (OSError, ValueError, RuntimeError) as error:
+        say("error", message=str(error))
+        return FAILED
+    say("done", path=str(path))
+    return 0
+
+
+if __name__ == "__main__":
+    code = main(script_arguments())
+    sys.stdout.flush()
+    os._exit(code)  # with a thread that still waits for input, the wheel of Blender 4.5 never ends by itself

@@ -1,0 +1,128 @@
+"""A capture folder from the cameras of a Blender scene that have a photo as background image."""
+import json
+import os
+from pathlib import Path
+
+import bpy
+
+from .cameras import intrinsics
+from .imagefiles import write_whole
+from .imagesize import image_size
+from .photo_cameras import ASPECT_KEY, SIZE_KEY
+
+SOURCE = "Blender scene"  # marks a transforms.json that was written here and may be replaced
+MINIMUM_PHOTOS = 3
+SUFFIXES = (".exr", ".png", ".jpg", ".jpeg")  # what the engine reads
+ASPECT_TOLERANCE = 0.01
+LINEAR_SPACES = ("Linear Rec.709", "Non-Color")
+
+
+class Unusable(ValueError):
+    """A camera that cannot be part of a capture; the message names it and says why."""
+
+
+def photo_cameras(scene) -> list:
+    """The scene's cameras with a background image, by name."""
+    return sorted((item for item in scene.objects if item.type == "CAMERA" and _photo(item) is not None),
+                  key=lambda item: item.name)
+
+
+def write_scene_capture(scene, folder: Path) -> int:
+    """Write `folder`/transforms.json with the scene's cameras and photos; returns how many there are.
+
+    Photos stay where they are where a relative path leads to them, others are copied to `folder`/images. ValueError
+    says which cameras cannot be used and why (nothing is written then), OSError that the folder cannot be written.
+    """
+    folder = Path(folder)
+    target = folder / "transforms.json"
+    if target.exists() and _read_source(target) != SOURCE:
+        raise ValueError(f"{folder} already holds a capture that was not made from a scene. Choose another folder")
+    cameras = photo_cameras(scene)
+    if len(cameras) < MINIMUM_PHOTOS:
+        raise ValueError(f"{len(cameras)} cameras have a photo as background image; at least {MINIMUM_PHOTOS} from "
+                         "different places are needed. Add the photos in each camera's Background Images")
+    frames, packed, problems = [], {}, []
+    for camera in cameras:
+        try:
+            frames.append(_frame(scene, camera, folder, packed))
+        except (Unusable, OSError) as error:
+            problems.append(str(error))
+    if problems:
+        more = f" (and {len(problems) - 3} more)" if len(problems) > 3 else ""
+        raise ValueError("; ".join(problems[:3]) + more)
+    spaces = {_photo(camera).colorspace_settings.name in LINEAR_SPACES for camera in cameras}
+    meta = {"camera_model": "PINHOLE", "source": SOURCE, "color_space": "linear" if spaces == {True} else "srgb",
+            "frames": frames}
+    folder.mkdir(parents=True, exist_ok=True)
+    for name, data in packed.items():
+        (folder / name).parent.mkdir(exist_ok=True)
+        write_whole(folder / name, data)
+    write_whole(target, (json.dumps(meta, indent=1) + "\n").encode())
+    return len(frames)
+
+
+def _frame(scene, camera, folder: Path, packed: dict[str, bytes]) -> dict:
+    data, background = camera.data, _background(camera)
+    if data.type != "PERSP":
+        kind = {"PANO": "panoramic", "ORTHO": "orthographic"}.get(data.type, data.type.lower())
+        raise Unusable(f"{camera.name} is a {kind} camera: only perspective ones can be used")
+    if (background.scale, background.rotation, tuple(background.offset)) != (1.0, 0.0, (0.0, 0.0)) or \
+            background.use_flip_x or background.use_flip_y:
+        raise Unusable(f"{camera.name} has its photo moved, turned, scaled or flipped: reset its Background Image")
+    if camera.matrix_world.determinant() <= 0:
+        raise Unusable(f"{camera.name} is mirrored: make its scale positive")
+    name, width, height = _photo_file(camera, folder, packed)
+    if ASPECT_KEY in camera:
+        aspect = tuple(camera[ASPECT_KEY])
+        frame_width, frame_height = camera[SIZE_KEY]
+    else:
+        render = scene.render
+        aspect = render.pixel_aspect_x, render.pixel_aspect_y
+        frame_width, frame_height = render.resolution_x, render.resolution_y
+    if abs(width * frame_height / (height * frame_width) - 1) > ASPECT_TOLERANCE:
+        raise Unusable(f"{camera.name}: its photo has {width} x {height} pixels, its frame {frame_width} x "
+                       f"{frame_height}. Set the render size to the photos'")
+    lens = intrinsics(data, width, height, aspect)
+    location, rotation, _ = camera.matrix_world.decompose()
+    matrix = rotation.to_matrix().to_4x4()
+    matrix.translation = location
+    return {"file_path": name, "w": width, "h": height, "fl_x": lens.fl_x, "fl_y": lens.fl_y, "cx": lens.cx,
+            "cy": lens.cy, "transform_matrix": [list(row) for row in matrix]}
+
+
+def _photo_file(camera, folder: Path, packed: dict[str, bytes]) -> tuple[str, int, int]:
+    """(path for transforms.json, width, height); what has to be copied goes into `packed`."""
+    image = _photo(camera)
+    path = Path(bpy.path.abspath(image.filepath, library=image.library))
+    if image.source != "FILE" or path.suffix.lower() not in SUFFIXES:
+        raise Unusable(f"{camera.name}: {image.name} is no photo file ({', '.join(s[1:] for s in SUFFIXES)})")
+    if path.is_file():
+        try:
+            return Path(os.path.relpath(path, folder)).as_posix(), *image_size(path)
+        except ValueError:  # another drive
+            content, size = path.read_bytes(), image_size(path)
+    elif image.packed_file:
+        content, size = image.packed_file.data, tuple(image.size)
+    else:
+        raise Unusable(f"{camera.name}: its photo {path} is missing")
+    name = f"images/{len(packed):03d}_{path.name}"
+    packed[name] = content
+    return name, *size
+
+
+def _background(camera):
+    """The camera's first background image that shows an image; None where it has none."""
+    return next((item for item in camera.data.background_images if item.source == "IMAGE" and item.image), None)
+
+
+def _photo(camera):
+    background = _background(camera)
+    return background.image if background else None
+
+
+def _read_source(path: Path) -> str:
+    try:
+        meta = json.loads(path.read_text(encoding="utf-8"))
+    except ValueError:
+        return ""
+    return meta.get("source", "") if isinstance(meta, dict) else ""
