@@ -6,9 +6,14 @@ import argparse
 import json
 import math
 import sys
+from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from blender_nep import __version__
+
+if TYPE_CHECKING:
+    from blender_nep.presets import Preset
 
 EXIT_CODES = """\
 exit codes:
@@ -70,6 +75,12 @@ def parser() -> argparse.ArgumentParser:
         help="centre of the sphere that holds the object, capture coordinates (transforms.json, or estimated)",
     )
     run.add_argument("--object-radius", type=_positive, metavar="R", help="its radius; both or none")
+    run.add_argument(
+        "--metal",
+        choices=("auto", "yes", "no"),
+        default="auto",
+        help="whether the object is metal, where photos alone cannot tell (%(default)s)",
+    )
     run.add_argument("--resume", action="store_true", help="go on with the run in ASSET that was stopped or killed")
     run.add_argument("--overwrite", action="store_true", help="replace an asset or a run in ASSET")
     run.add_argument("--clean", action="store_true", help="remove the checkpoints when the asset is written")
@@ -137,6 +148,15 @@ def _info(options: argparse.Namespace) -> int:
     return 0
 
 
+def _chosen_preset(options: argparse.Namespace) -> Preset:
+    from blender_nep.presets import preset
+
+    chosen = preset(options.preset)
+    if options.metal == "auto":
+        return chosen
+    return replace(chosen, material=replace(chosen.material, metallic=(float(options.metal == "yes"),)))
+
+
 def _reconstruct(options: argparse.Namespace) -> int:
     from blender_nep.events import Events, open_protocol
 
@@ -146,7 +166,6 @@ def _reconstruct(options: argparse.Namespace) -> int:
 
     from blender_nep import job
     from blender_nep.checkpoints import StopRequest
-    from blender_nep.presets import preset
 
     stop = StopRequest()
     if options.watch_stdin:
@@ -154,7 +173,7 @@ def _reconstruct(options: argparse.Namespace) -> int:
     settings = job.Settings(
         capture=options.capture,
         out=options.out,
-        preset=preset(options.preset),
+        preset=_chosen_preset(options),
         device=options.device,
         seed=options.seed,
         use_masks=options.masks == "use",

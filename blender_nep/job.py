@@ -33,6 +33,8 @@ from blender_nep.rooms import Rooms
 from blender_nep.run_folder import RunFolder, fingerprint, refuse_other_run
 
 ROOMS = ("capture", "fields_learning", "surface", "material_learning", "asset")
+_DOUBT = 0.03
+"""Share of the error by which metal and not metal must differ; under it the photos do not tell."""
 
 
 @dataclass(frozen=True)
@@ -201,6 +203,10 @@ class Job:
             self.rooms.pack_materials,
             self.rooms.unpack_materials,
         )
+        margin = materials.report.get("metal_or_not_margin")
+        if margin is not None and margin < _DOUBT:
+            self.events.warning("the photos hardly tell whether the object is metal: where the result is wrong, say so "
+                                "with --metal yes or --metal no")
         parts = {"fields_learning": fields.report, "surface": surface_report, "material_learning": materials.report}
         self._write_asset(capture, rays, surface, materials, fields.environment, parts, what)
 

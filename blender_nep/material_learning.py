@@ -147,6 +147,17 @@ class _MaterialLearner:
                                   least_roughness=p.least_roughness, hypotheses=p.metallic, most_diffuse=most_diffuse)
         return best_of(cost, albedo, p.least_roughness, p.metallic, p.metal_margin)
 
+    def _opposites(self) -> Palette:
+        """Each material of the palette as it would be if it were metal instead of a dielectric, or the reverse."""
+        p, opposite = self.preset, self.palette
+        for metallic in p.metallic:
+            cost, albedo = fit_groups(self.light, self.target, self.weight, self.label, len(self.palette), clip=p.clip,
+                                      least_roughness=p.least_roughness, hypotheses=(metallic,))
+            found = best_of(cost, albedo, p.least_roughness, (metallic,), 0.0)
+            for k in (self.palette.metallic != metallic).nonzero().squeeze(-1).tolist():
+                opposite = opposite.with_one(k, found)
+        return opposite
+
     def _grow_palette(self) -> None:
         """Candidates from small regions of the surface; greedy choice; then every sample takes its best."""
         p = self.preset
@@ -275,8 +286,10 @@ class _MaterialLearner:
         if light.unseen is None:
             light.unseen = UnseenLight(p.unseen_rows, self.f_p.environment.typical_distance(), self.device)
             self.report["unseen_light_radius"] = round(light.unseen.radius, 3)
-        light.unseen, self.palette = learn_unseen_light(light, self.palette, self.label, self.target, p, self.generator,
-                                                        lambda: self._step(self.done))
+        light.unseen, self.palette, margins = learn_unseen_light(
+            light, self.palette, self._opposites(), self.label, self.target, p, self.generator,
+            lambda: self._step(self.done))
+        self.report["metal_or_not_margin"] = round(min(margins), 4) if margins else None
         self.f_p.unseen = light.unseen
         light.add_unseen()
         self._residual()

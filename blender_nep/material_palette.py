@@ -64,6 +64,12 @@ class Palette:
         """The material of each index [n]."""
         return Material(self.albedo[index], self.roughness[index], self.metallic[index])
 
+    def with_one(self, k: int, other: Palette) -> Palette:
+        """With the k-th material of another palette in the place of its own."""
+        return Palette(*(torch.where(torch.arange(len(self), device=a.device).reshape(-1, *[1] * (a.ndim - 1)) == k, b, a)
+                         for a, b in ((self.albedo, other.albedo), (self.roughness, other.roughness),
+                                      (self.metallic, other.metallic))))
+
     def pick(self, index: list[int]) -> Palette:
         i = torch.tensor(index, dtype=torch.int64, device=self.roughness.device)
         return Palette(self.albedo[i], self.roughness[i], self.metallic[i])

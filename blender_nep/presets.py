@@ -171,12 +171,13 @@ class MaterialPreset:
     """Cost of its total variation, tone-mapped from texel to texel, in tone-mapped error."""
     unseen_prior: float = 1e-2
     """Cost of its mean, tone-mapped, in tone-mapped error: light made up must explain more than it costs."""
-    unseen_colour: float = 0.02
-    """Cost of its mean difference from grey, likewise."""
+    unseen_colour: float = 0.01
+    """Cost of the share of its flux that is not grey: coloured light on a grey thing looks like the reverse."""
     metallic: tuple[float, ...] = (0.0, 1.0)
     """Hypotheses compared by their residual."""
-    metal_margin: float = 0.0
-    """Share of the residual by which a metal must be better than a dielectric: a prior, 0 turns it off."""
+    metal_margin: float = -0.03
+    """Share of the residual by which a metal must be better than a dielectric (less than 0: may be worse): a prior for what
+    photos cannot tell, 0 turns it off. Wrong hypotheses of rendered objects are 12 to 40 % worse."""
     least_roughness: float = 0.04
     clip: float = 0.25
     """Residuals (tone-mapped, 0..1) above it count no more: they are wrong geometry, not material."""

@@ -32,13 +32,18 @@ _MOST_TRIALS = 6
 """Each way."""
 
 
-def learn_unseen_light(light: IncomingLight, palette: Palette, label: Tensor, target: Tensor, preset: MaterialPreset,
-                       generator: torch.Generator, beat: Callable[[], None]) -> tuple[UnseenLight, Palette]:
-    """The unseen light, going on from `light.unseen`, and the palette with albedos and roughnesses that suit it.
+def learn_unseen_light(light: IncomingLight, palette: Palette, others: Palette, label: Tensor, target: Tensor,
+                       preset: MaterialPreset, generator: torch.Generator, beat: Callable[[], None]
+                       ) -> tuple[UnseenLight, Palette, list[float]]:
+    """The unseen light, going on from `light.unseen`, and the palette that suits it.
 
-    A sharp lamp in a rough surface looks like a soft lamp in a smooth one, so that neither can be found while the other is
-    held: each material's roughness is tried lower and higher by a quarter, with the light learned anew, as long as
-    that helps. beat() is called after every trial.
+    What a material is and what light it reflects cannot be found one after the other: a gold thing in white light looks
+    much like a yellow pot in yellow light, and a sharp lamp in a rough surface like a soft lamp in a smooth one. So each
+    material is tried as `others` has it (metal for dielectric and the reverse), then with its roughness lower and higher
+    by a quarter as long as that helps, each time with the light learned anew. beat() is called after every trial.
+
+    Also returns how much worse, as a share, the photos are explained with each material the other way round (0: as well;
+    less: the prior decided).
     """
     rows = _telling_samples(light, palette, label, target, preset.unseen_samples, generator)
 
@@ -47,7 +52,14 @@ def learn_unseen_light(light: IncomingLight, palette: Palette, label: Tensor, ta
         beat()
         return fit
 
-    best = solve(palette, preset.unseen_steps, light.unseen)
+    best, margins = solve(palette, preset.unseen_steps, light.unseen), []
+    for k in range(len(palette)) if len(preset.metallic) > 1 else ():
+        other = palette.with_one(k, others)
+        fit = solve(other, preset.unseen_steps, light.unseen)
+        prior = 1 + preset.metal_margin * float(other.metallic[k] - palette.metallic[k])
+        if prior * fit.error < best.error:
+            best, fit, palette = fit, best, other
+        margins.append(fit.error / best.error - 1)
     for k in range(len(palette)):
         for factor in _FACTORS:
             first = best
@@ -61,7 +73,7 @@ def learn_unseen_light(light: IncomingLight, palette: Palette, label: Tensor, ta
                 best, palette = fit, other
             if best is not first:
                 break
-    return best.light, Palette(best.albedo, palette.roughness, palette.metallic)
+    return best.light, Palette(best.albedo, palette.roughness, palette.metallic), margins
 
 
 def _telling_samples(light: IncomingLight, palette: Palette, label: Tensor, target: Tensor, count: int,
@@ -76,7 +88,8 @@ def _telling_samples(light: IncomingLight, palette: Palette, label: Tensor, targ
 
 @dataclass
 class UnseenFit:
-    """The light, the albedos [K,3] of the palette that were found with it, and the mean tone-mapped error that is left."""
+    """The light, the albedos [K,3] of the palette that were found with it, and the mean tone-mapped error that is left,
+    with what the priors cost."""
 
     light: UnseenLight
     albedo: Tensor
@@ -127,14 +140,15 @@ class UnseenLightProblem:
             photometric = (tone(predicted) - self.goal).abs().mean()
             optimiser.zero_grad()
             photometric.backward()
-            error = float(photometric.detach())
             gradient = sum(t.adjoint(s.grad.cpu().numpy()) for t, s in zip(transports, sent, strict=True))
             brightness = tone(radiance)
             down, across = brightness[:-1] - brightness[1:], brightness - brightness.roll(-1, 1)
             prior = p.unseen_smoothness * ((area[1:] * (down**2 + _SOFT**2).sqrt()).mean()
                                            + (area * (across**2 + _SOFT**2).sqrt()).mean())
             prior = prior + p.unseen_prior * (area * brightness).mean()
-            prior = prior + p.unseen_colour * (area * (brightness - brightness.mean(-1, keepdim=True)).abs()).mean()
+            coloured = (area * (radiance - radiance.mean(-1, keepdim=True)).abs()).mean()
+            prior = prior + p.unseen_colour * coloured / (area * radiance).mean()
+            error = float(photometric.detach() + prior.detach())
             ((levels * torch.from_numpy(gradient).to(device)).sum() + prior).backward()
             optimiser.step()
         unseen.radiance = raw.detach().clamp(_DARKEST, _BRIGHTEST).exp()

@@ -217,7 +217,7 @@ def test_lines_of_the_panel_fit():
 def check_wrapping(folder):
     sys.path.insert(0, str(folder.parent))
     import bpy  # noqa: F401
-    addon = __import__(f"{folder.name}.addon.panel", fromlist=["wrapped"])
+    addon = __import__(f"{folder.name}.addon.messages", fromlist=["wrapped"])
     text = "The engine's Python /a/very/long/path/that/is/longer/than/a/line lacks torch.\nInstall it."
     lines = addon.wrapped(text, 20)
     assert max(map(len, lines)) <= 20 and lines[-1] == "Install it." and "lacks torch." in " ".join(lines)

@@ -237,6 +237,13 @@ def test_a_handful_of_pixels_still_gives_one_material(ball):
     assert len(result.report["materials"]) == 1 and np.abs(result.albedo - (0.9, 0.6, 0.3)).max() < 0.15
 
 
+@pytest.mark.parametrize(("told", "metallic"), [((0.0,), 0.0), ((1.0,), 1.0)])
+def test_who_knows_whether_it_is_metal_decides(ball, told, metallic):
+    photos = make_photos(constant((0.9, 0.6, 0.3), 0.3, 1.0 - metallic), views=5, rays=32)
+    result = learn(ball, photos, replace(PRESET, metallic=told))
+    assert (result.metallic == metallic).all()
+
+
 def test_a_surface_that_no_photo_shows_says_so(ball):
     photos = make_photos(constant((0.5, 0.5, 0.5), 0.5, 0.0), views=2, rays=4)
     photos.direction = -photos.direction

@@ -14,7 +14,7 @@ from blender_nep.raytracing import RayTracer
 from blender_nep.shading.incoming_light import IncomingLight
 from blender_nep.shading.plenoptic import PlenopticFunction, TerminalRadiance, reflected
 from blender_nep.shading.unseen_light import UnseenLight, UnseenTransport, level_sizes, pyramid
-from blender_nep.unseen_light_learning import UnseenLightProblem
+from blender_nep.unseen_light_learning import UnseenLightProblem, learn_unseen_light
 
 
 def directions(n: int, seed: int) -> torch.Tensor:
@@ -141,6 +141,32 @@ def test_the_transport_is_what_the_cones_receive_and_its_adjoint_fits(ball):
     other = np.random.default_rng(1).normal(size=sent.shape).astype(np.float32)
     levels = np.random.default_rng(2).normal(size=(len(pyramid(light.radiance)), 3)).astype(np.float32)
     assert (transport.sent(levels) * other).sum() == pytest.approx((transport.adjoint(other) * levels).sum(), rel=1e-3)
+    ball.unseen = None
+    ball.update(None, torch.Generator())
+
+
+def test_a_palette_with_one_material_of_another():
+    ours = Palette(torch.tensor([[0.1, 0.2, 0.3], [0.4, 0.5, 0.6]]), torch.tensor([0.2, 0.3]), torch.tensor([0.0, 1.0]))
+    other = Palette(1 - ours.albedo, 1 - ours.roughness, 1 - ours.metallic)
+    mixed = ours.with_one(1, other)
+    assert mixed.metallic.tolist() == [0, 0] and mixed.roughness.tolist() == pytest.approx([0.2, 0.7])
+    assert mixed.albedo[0].equal(ours.albedo[0]) and mixed.albedo[1].equal(other.albedo[1])
+
+
+@pytest.mark.parametrize("truth", [0.0, 1.0])
+def test_metal_is_told_from_paint_together_with_the_lamp_that_no_photo_shows(ball, truth):
+    label = torch.zeros(4000, dtype=torch.int64)
+    painted, gold = (Palette(torch.tensor([[0.8, 0.5, 0.2]]), torch.tensor([0.25]), torch.tensor([m])) for m in (0.0, 1.0))
+    real, taken_for = (gold, painted) if truth else (painted, gold)
+    material = real.at(label)
+    ball.unseen = lamp(16)
+    ball.update(None, torch.Generator())
+    target = reflected(material, ball.moments(material.roughness), ball.diffuse, ball.cos_v)
+    ball.unseen = UnseenLight(16, 4.0, "cpu")
+    ball.update(None, torch.Generator())
+    preset = replace(MaterialPreset(), unseen_samples=2000)
+    _, found, margins = learn_unseen_light(ball, taken_for, real, label, target, preset, torch.Generator(), lambda: None)
+    assert found.metallic.tolist() == [truth] and margins[0] > 0.1
     ball.unseen = None
     ball.update(None, torch.Generator())
 
