@@ -34,8 +34,8 @@ class NEP_PT_reconstruct(bpy.types.Panel):
 
 def _draw_settings(layout, context) -> None:
     chosen = context.scene.nep
-    layout.prop(chosen, "capture")
-    layout.prop(chosen, "output")
+    layout.prop(chosen, "capture", placeholder="Folder with the photos")
+    layout.prop(chosen, "output", placeholder="Folder for the result")
     layout.prop(chosen, "preset")
     seconds, measured = expected_seconds(preferences.timings_file(), chosen.preset)
     text = duration(seconds)

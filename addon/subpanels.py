@@ -31,7 +31,7 @@ class NEP_PT_cameras_and_bounds(SubPanel, bpy.types.Panel):
         if bounds.query is not None:
             column.label(text="Looking for the object...", icon="TIME")
         elif bounds.bounds_object(context.scene) is None:
-            column.label(text="Bounds: found by itself")
+            column.label(text="Bounds: found automatically")
         else:
             say(column, context, "Move and scale the sphere: the whole object inside, no camera inside")
             say(column, context, bounds.bounds_remark(context.scene), "ERROR")
