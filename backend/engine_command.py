@@ -11,10 +11,13 @@ CHECK_LIMIT_S = 60.0
 
 
 class EngineError(Exception):
-    """The engine failed or cannot be started. `code` is the exit code; `hint` says what to do, or is empty."""
+    """The engine failed or cannot be started.
 
-    def __init__(self, code: int, message: str, hint: str = ""):
-        super().__init__(f"{message}\n{hint}" if hint else message)
+    `code` is the exit code; `hint` says what to do, or is empty; `log`, for whoever cannot open it: its last lines.
+    """
+
+    def __init__(self, code: int, message: str, hint: str = "", log: str = ""):
+        super().__init__("\n".join(text for text in (message, hint, log) if text))
         self.code, self.message, self.hint = code, message, hint
 
 
