@@ -7,6 +7,7 @@ import bpy
 from ..backend.asset_import import check_asset
 from ..backend.comparison_process import ComparisonProcess
 from . import clock
+from .editors import open_editor
 from .settings import LIGHTS
 
 IMAGE_NAME = "NeP comparison"
@@ -161,6 +162,24 @@ class NEP_OT_cancel_comparison(bpy.types.Operator):
         return {"FINISHED"}
 
 
+class NEP_OT_show_comparison(bpy.types.Operator):
+    bl_idname = "nep.show_comparison"
+    bl_label = "Show Picture"
+    bl_description = "Show the comparison in an Image Editor: one that is open, or a window of its own"
+
+    @classmethod
+    def poll(cls, context):
+        if IMAGE_NAME not in bpy.data.images:
+            cls.poll_message_set("Render a comparison first")
+            return False
+        return True
+
+    def execute(self, context):
+        if not bpy.app.background:
+            open_editor(context, "IMAGE_EDITOR").image = bpy.data.images[IMAGE_NAME]
+        return {"FINISHED"}
+
+
 def end_render() -> None:
     """Forget the render under way, if any."""
     global task, last_message
@@ -169,4 +188,4 @@ def end_render() -> None:
     task, last_message = None, ""
 
 
-CLASSES = (NEP_OT_render_comparison, NEP_OT_cancel_comparison)
+CLASSES = (NEP_OT_render_comparison, NEP_OT_cancel_comparison, NEP_OT_show_comparison)

@@ -27,9 +27,9 @@ class NEP_PT_reconstruct(bpy.types.Panel):
             return
         _draw_settings(self.layout, context)
         _draw_engine(self.layout, context)
-        _draw_buttons(self.layout, context.scene)
         if job is not None:
             _draw_end(self.layout, context, job)
+        _draw_buttons(self.layout, context.scene)
 
 
 def _draw_settings(layout, context) -> None:
@@ -67,15 +67,17 @@ def _draw_buttons(layout, scene) -> None:
     finished, unfinished = output is not None and is_asset(output), output is not None and has_checkpoint(output)
     column = layout.column()
     column.scale_y = 1.4
-    if finished:
-        text = "Import Result" if jobs.result_waits(scene) else "Import Again"
-        column.operator("nep.import_result", text=text, icon="IMPORT").folder = str(output)
+    if finished and jobs.result_waits(scene):
+        column.operator("nep.import_result", icon="IMPORT").folder = str(output)
     if unfinished:
         column.operator("nep.reconstruct", text="Resume", icon="PLAY").resume = True
-    if finished or unfinished:
-        layout.operator("nep.reconstruct", text="Start Again", icon="FILE_REFRESH").overwrite = True
-    else:
+    if not (finished or unfinished):
         column.operator("nep.reconstruct", icon="PLAY")
+        return
+    row = layout.row(align=True)
+    if finished and not jobs.result_waits(scene):
+        row.operator("nep.import_result", text="Import Again", icon="IMPORT").folder = str(output)
+    row.operator("nep.reconstruct", text="Start Again", icon="FILE_REFRESH").overwrite = True
 
 
 def _draw_running(layout, context, job) -> None:

@@ -81,6 +81,8 @@ class NEP_PT_relit_comparison(SubPanel, bpy.types.Panel):
             layout.progress(factor=process.done / max(process.total, 1), text=text)
             layout.operator("nep.cancel_comparison", icon="CANCEL")
         say(layout, context, comparison.last_message)
+        if comparison.IMAGE_NAME in bpy.data.images:
+            layout.operator("nep.show_comparison", icon="IMAGE_DATA")
 
 
 CLASSES = (NEP_PT_cameras_and_bounds, NEP_PT_result_and_light, NEP_PT_relit_comparison)
