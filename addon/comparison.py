@@ -24,6 +24,10 @@ class ComparisonTask:
         self.poll, self.close = self.process.poll, self.process.close
         self._file = bpy.data.filepath
 
+    def shown(self) -> tuple:
+        """What the panel tells of it."""
+        return self.process.done, self.process.total, self.process.cancelled
+
     def finish(self) -> None:
         global task, last_message
         task = None

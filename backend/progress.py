@@ -50,7 +50,8 @@ def duration(seconds: float) -> str:
 
 
 # the engine speaks of its command line; the panel has other words for the same
-_IN_PANEL = {"--overwrite": "Start Again", "--resume": "Resume", "--out": "output folder", "--seed": "Seed",
+_IN_PANEL = {", with --engine-python or by the variable NEP_ENGINE_PYTHON": "",
+             "--overwrite": "Start Again", "--resume": "Resume", "--out": "output folder", "--seed": "Seed",
              "--device cpu": "the device CPU", "--preset preview": "the preset Preview", "--mesh": "Known Mesh",
              "`blender-nep info`": "the capture's description",
              "Stopped during ": "Stopped while ", "fields learning": "learning shape and light",
