@@ -7,10 +7,8 @@ import bpy
 from ..backend.asset_import import check_asset
 from ..backend.comparison_process import ComparisonProcess
 from . import clock
-from .editors import open_editor
+from .comparison_picture import show_image
 from .settings import LIGHTS
-
-IMAGE_NAME = "NeP comparison"
 
 task = None  # the ComparisonTask under way
 last_message = ""  # how the last one ended
@@ -38,24 +36,6 @@ class ComparisonTask:
         last_message = f"Written: {self.process.path}"
         if bpy.data.filepath == self._file:  # else another file is open now
             show_image(self.process.path)
-
-
-def show_image(path: Path):
-    """The picture as the image IMAGE_NAME, read again where there is one, in the Image Editors that are open."""
-    image = bpy.data.images.get(IMAGE_NAME)
-    if image is None:
-        image = bpy.data.images.load(str(path))
-        image.name = IMAGE_NAME
-    else:
-        image.filepath = str(path)
-        image.reload()
-    image.use_fake_user = True
-    for window in bpy.context.window_manager.windows:
-        for area in window.screen.areas:
-            if area.type == "IMAGE_EDITOR":
-                area.spaces.active.image = image
-                area.tag_redraw()
-    return image
 
 
 def capture_of(asset: Path) -> str:
@@ -166,24 +146,6 @@ class NEP_OT_cancel_comparison(bpy.types.Operator):
         return {"FINISHED"}
 
 
-class NEP_OT_show_comparison(bpy.types.Operator):
-    bl_idname = "nep.show_comparison"
-    bl_label = "Show Picture"
-    bl_description = "Show the comparison in an Image Editor: one that is open, or a window of its own"
-
-    @classmethod
-    def poll(cls, context):
-        if IMAGE_NAME not in bpy.data.images:
-            cls.poll_message_set("Render a comparison first")
-            return False
-        return True
-
-    def execute(self, context):
-        if not bpy.app.background:
-            open_editor(context, "IMAGE_EDITOR").image = bpy.data.images[IMAGE_NAME]
-        return {"FINISHED"}
-
-
 def end_render() -> None:
     """Forget the render under way, if any."""
     global task, last_message
@@ -192,4 +154,4 @@ def end_render() -> None:
     task, last_message = None, ""
 
 
-CLASSES = (NEP_OT_render_comparison, NEP_OT_cancel_comparison, NEP_OT_show_comparison)
+CLASSES = (NEP_OT_render_comparison, NEP_OT_cancel_comparison)

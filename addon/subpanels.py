@@ -1,7 +1,7 @@
 """The folded parts of the sidebar panel: cameras and bounds, result and light, relit comparison."""
 import bpy
 
-from . import bounds, comparison, result
+from . import bounds, comparison, comparison_picture, result
 from .messages import say
 
 
@@ -81,7 +81,7 @@ class NEP_PT_relit_comparison(SubPanel, bpy.types.Panel):
             layout.progress(factor=process.done / max(process.total, 1), text=text)
             layout.operator("nep.cancel_comparison", icon="CANCEL")
         say(layout, context, comparison.last_message)
-        if comparison.IMAGE_NAME in bpy.data.images:
+        if comparison_picture.picture() is not None:
             layout.operator("nep.show_comparison", icon="IMAGE_DATA")
 
 
