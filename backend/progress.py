@@ -62,7 +62,7 @@ def in_panel_words(text: str) -> str:
     """A message of the engine for whoever has no command line."""
     for option, words in _IN_PANEL.items():
         text = text.replace(option, words)
-    return text
+    return text[:1].upper() + text[1:]
 
 
 def describe(event: dict) -> str:
