@@ -86,7 +86,7 @@ def check_life_of_a_job(folder):
     rounds(addon, lambda: "NeP preview" in bpy.data.objects)
     preview = bpy.data.objects["NeP preview"]
     assert len(preview.data.polygons) == 320 and preview.hide_render
-    assert addon.live_preview.picture_icons(job.key)
+    assert len(set(addon.live_preview.picture_icons(job.key))) == 2, "photo and what was learned"
     bpy.data.objects.remove(preview)  # as undo does
     rounds(addon, lambda: job.progress.room == "Learning the materials")
     bpy.ops.wm.read_factory_settings(use_empty=True)  # File > New, in the middle
