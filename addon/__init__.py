@@ -8,6 +8,7 @@ from . import (
     cameras,
     clock,
     comparison,
+    comparison_picture,
     engine_setup,
     jobs,
     live_preview,
@@ -20,7 +21,8 @@ from . import (
 )
 
 CLASSES = (preferences.NepPreferences, settings.NepSettings, *reconstruct.CLASSES, *engine_setup.CLASSES, *cameras.CLASSES,
-           *bounds.CLASSES, *result.CLASSES, *comparison.CLASSES, panel.NEP_PT_reconstruct, *subpanels.CLASSES)
+           *bounds.CLASSES, *result.CLASSES, *comparison.CLASSES, *comparison_picture.CLASSES,
+           panel.NEP_PT_reconstruct, *subpanels.CLASSES)
 
 
 def register():

@@ -82,6 +82,9 @@ class BoundsTask:
         self._asked = BoundsQuery(Path(bpy.path.abspath(capture)), configured_python)
         self.poll, self.close = self._asked.poll, self._asked.close
 
+    def shown(self) -> None:
+        """The panel tells nothing of it but that it runs."""
+
     def finish(self) -> None:
         global query, last_message
         query, last_message = None, self._asked.error

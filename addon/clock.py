@@ -9,7 +9,7 @@ import bpy
 
 PERIOD_S = 0.1
 
-REDRAW_PERIODS = 5  # a sidebar costs more to draw than there is new to see in 0.1 s
+REDRAW_PERIODS = 10  # a sidebar costs more to draw than there is new to see in 0.1 s
 
 _watched: list[Callable[[], bool]] = []
 _rounds = 0
@@ -26,14 +26,19 @@ def watch(function: Callable[[], bool]) -> None:
 
 
 def look_after(task, *, wait: bool) -> None:
-    """Follow a task to its end: poll() says whether it has ended, then finish() is called once. `wait`, for scripts:
-    return afterwards."""
+    """Follow a task to its end: poll() says whether it has ended, then finish() is called once; the sidebars are drawn
+    again when what shown() returns has changed. `wait`, for scripts: return afterwards."""
+    seen = task.shown()
+
     def advance() -> bool:
-        redraw_soon()
-        if not task.poll():
-            return True
-        task.finish()
-        return False
+        nonlocal seen
+        ended = task.poll()
+        if ended or task.shown() != seen:
+            seen = task.shown()
+            redraw_soon()
+        if ended:
+            task.finish()
+        return not ended
 
     if not wait:
         watch(advance)

@@ -7,9 +7,8 @@ import bpy
 from ..backend.asset_import import check_asset
 from ..backend.comparison_process import ComparisonProcess
 from . import clock
+from .comparison_picture import show_image
 from .settings import LIGHTS
-
-IMAGE_NAME = "NeP comparison"
 
 task = None  # the ComparisonTask under way
 last_message = ""  # how the last one ended
@@ -23,6 +22,10 @@ class ComparisonTask:
         self.poll, self.close = self.process.poll, self.process.close
         self._file = bpy.data.filepath
 
+    def shown(self) -> tuple:
+        """What the panel tells of it."""
+        return self.process.done, self.process.total, self.process.cancelled
+
     def finish(self) -> None:
         global task, last_message
         task = None
@@ -33,24 +36,6 @@ class ComparisonTask:
         last_message = f"Written: {self.process.path}"
         if bpy.data.filepath == self._file:  # else another file is open now
             show_image(self.process.path)
-
-
-def show_image(path: Path):
-    """The picture as the image IMAGE_NAME, read again where there is one, in the Image Editors that are open."""
-    image = bpy.data.images.get(IMAGE_NAME)
-    if image is None:
-        image = bpy.data.images.load(str(path))
-        image.name = IMAGE_NAME
-    else:
-        image.filepath = str(path)
-        image.reload()
-    image.use_fake_user = True
-    for window in bpy.context.window_manager.windows:
-        for area in window.screen.areas:
-            if area.type == "IMAGE_EDITOR":
-                area.spaces.active.image = image
-                area.tag_redraw()
-    return image
 
 
 def capture_of(asset: Path) -> str:

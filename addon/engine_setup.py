@@ -13,6 +13,7 @@ from ..backend.started_process import StartedProcess
 from . import clock, preferences
 
 EXTENSION = Path(__file__).resolve().parent.parent
+ONLINE_FIRST = "It is a download: allow it in Preferences, System, Network, Allow Online Access"
 CANCEL_GRACE = 100  # clock periods that a cancelled installation has to clean up
 
 
@@ -124,7 +125,7 @@ class NEP_OT_install_engine(bpy.types.Operator):
             cls.poll_message_set("It is being installed")
             return False
         if not bpy.app.online_access:
-            cls.poll_message_set("It is a download: allow it in Preferences, System, Network, Allow Online Access")
+            cls.poll_message_set(ONLINE_FIRST)
             return False
         return True
 
@@ -179,13 +180,14 @@ def draw(layout, chosen) -> None:
     row.label(text="Engine", icon="SYSTEM")
     row.operator("nep.check_engine", icon="VIEWZOOM")
     _draw_check(box.column(align=True))
-    box.prop(chosen, "engine_python")
+    box.prop(chosen, "engine_python", placeholder="The installed engine")
     box = layout.box()
     box.label(text="Installation", icon="IMPORT")
     column = box.column()
     column.enabled = not installing
-    for name in ("engine_folder", "base_python", "build"):
-        column.prop(chosen, name)
+    column.prop(chosen, "engine_folder", placeholder="The extension's own folder")
+    column.prop(chosen, "base_python", placeholder="Blender's own Python")
+    column.prop(chosen, "build")
     version = "{}.{}".format(*sys.version_info)
     if not chosen.base_python and sys.version_info >= (3, 14):
         column.label(text=f"Blender's Python is {version}: where parts of the engine have no build for it yet,", icon="INFO")
@@ -195,6 +197,8 @@ def draw(layout, chosen) -> None:
         box.label(text=installation.message)
         box.operator("nep.cancel_install", icon="CANCEL")
         return
+    if not bpy.app.online_access:
+        box.label(text=ONLINE_FIRST, icon="INFO")
     box.operator("nep.install_engine", icon="IMPORT")
     if installation is not None and installation.error is not None:
         for text, icon in zip(installation.error, ("ERROR", "BLANK1"), strict=True):

@@ -11,6 +11,7 @@ import numpy as np
 
 NAME = "NeP preview"
 MARK = "nep_preview_of"
+SIDES = ("/photo", "/learned")  # of a picture
 
 _pictures = None
 
@@ -57,23 +58,38 @@ def _find(scene, job: str):
 
 
 def load_picture(job: str, file: Path) -> None:
-    """Keep a picture at hand for the panel."""
+    """Keep a picture at hand for the panel: on its left half the photo, on its right half what was learned.
+
+    Blender shows pictures in squares: two halves are seen larger than the whole. A file that is torn is let be.
+    """
     global _pictures
     if _pictures is None:
         _pictures = bpy.utils.previews.new()
-    _pictures.pop(job, None)
-    _pictures.load(job, str(file), "IMAGE", force_reload=True)
+    forget_picture(job)
+    both = _pictures.load(job, str(file), "IMAGE", force_reload=True)
+    width, height = both.image_size
+    if not width:
+        return
+    pixels = np.empty(4 * width * height, np.float32)
+    both.image_pixels_float.foreach_get(pixels)
+    for side, half in zip(SIDES, np.split(pixels.reshape(height, width, 4)[:, :width // 2 * 2], 2, axis=1), strict=True):
+        picture = _pictures.new(job + side)
+        picture.image_size = half.shape[1], height
+        picture.image_pixels_float.foreach_set(half.ravel())
 
 
-def picture_icon(job: str) -> int | None:
-    """The icon of a job's picture, for `template_icon`."""
-    return _pictures[job].icon_id if _pictures is not None and job in _pictures else None
+def picture_icons(job: str) -> list[int]:
+    """The icons of a job's photo and of what was learned of it, for `template_icon`; none where there is no picture."""
+    if _pictures is None or job + SIDES[-1] not in _pictures:
+        return []
+    return [_pictures[job + side].icon_id for side in SIDES]
 
 
 def forget_picture(job: str) -> None:
-    """The job has ended."""
+    """The job has ended, or there is a newer one."""
     if _pictures is not None:
-        _pictures.pop(job, None)
+        for name in ("", *SIDES):
+            _pictures.pop(job + name, None)
 
 
 def close() -> None:

@@ -1,12 +1,14 @@
 """The sidebar panel: what to reconstruct, how far it is, what came of it."""
 import bpy
 
-from ..backend.engine_command import NoEngineError
+from ..backend.engine_command import NoEngineError, engine_is_at_hand
 from ..backend.job_files import has_checkpoint, is_asset
 from ..backend.progress import duration, in_panel_words
 from ..backend.timings import expected_seconds
 from . import jobs, live_preview, preferences, settings
-from .messages import say
+from .messages import inner_width, say
+
+UNIT = 20  # pixels of a row at a scale of 1
 
 
 class NEP_PT_reconstruct(bpy.types.Panel):
@@ -17,25 +19,23 @@ class NEP_PT_reconstruct(bpy.types.Panel):
     bl_category = "NeP"
 
     def draw(self, context):
-        job = jobs.of(context.scene)
-        running = job is not None and not job.ended
         self.layout.use_property_split = True
         self.layout.use_property_decorate = False
-        column = self.layout.column()
-        column.enabled = not running
-        _draw_settings(column, context)
-        if running:
+        job = jobs.of(context.scene)
+        if job is not None and not job.ended:
             _draw_running(self.layout, context, job)
             return
-        _draw_buttons(self.layout, context.scene)
+        _draw_settings(self.layout, context)
+        _draw_engine(self.layout, context)
         if job is not None:
             _draw_end(self.layout, context, job)
+        _draw_buttons(self.layout, context.scene)
 
 
 def _draw_settings(layout, context) -> None:
     chosen = context.scene.nep
-    layout.prop(chosen, "capture")
-    layout.prop(chosen, "output")
+    layout.prop(chosen, "capture", placeholder="Folder with the photos")
+    layout.prop(chosen, "output", placeholder="Folder for the result")
     layout.prop(chosen, "preset")
     seconds, measured = expected_seconds(preferences.timings_file(), chosen.preset)
     text = duration(seconds)
@@ -44,14 +44,22 @@ def _draw_settings(layout, context) -> None:
     row.label(text=f"{text} on this machine" if measured else f"{text} for 60 small photos", icon="TIME")
     layout.prop(chosen, "use_masks")
     layout.prop(chosen, "device")
-    column = layout.column(align=True)
-    column.label(text="When Blender closes:")
-    column.prop(chosen, "closing", text="")
     header, body = layout.panel("nep_advanced", default_closed=True)
     header.label(text="Advanced")
     if body is not None:
+        column = body.column(align=True)
+        column.label(text="When Blender closes:")
+        column.prop(chosen, "closing", text="")
         for name in ("use_preview", "seed", "threads", "mesh"):
             body.prop(chosen, name)
+
+
+def _draw_engine(layout, context) -> None:
+    """What an artist has to do once, before the first job."""
+    if engine_is_at_hand(preferences.engine_python(context)):
+        return
+    say(layout, context, "The engine is not set up yet: it is installed once, from the preferences.", "INFO")
+    layout.operator("nep.open_preferences", icon="PREFERENCES")
 
 
 def _draw_buttons(layout, scene) -> None:
@@ -59,31 +67,41 @@ def _draw_buttons(layout, scene) -> None:
     finished, unfinished = output is not None and is_asset(output), output is not None and has_checkpoint(output)
     column = layout.column()
     column.scale_y = 1.4
-    if finished:
-        text = "Import Result" if jobs.result_waits(scene) else "Import Again"
-        column.operator("nep.import_result", text=text, icon="IMPORT").folder = str(output)
+    if finished and jobs.result_waits(scene):
+        column.operator("nep.import_result", icon="IMPORT").folder = str(output)
     if unfinished:
         column.operator("nep.reconstruct", text="Resume", icon="PLAY").resume = True
-    if finished or unfinished:
-        layout.operator("nep.reconstruct", text="Start Again", icon="FILE_REFRESH").overwrite = True
-    else:
+    if not (finished or unfinished):
         column.operator("nep.reconstruct", icon="PLAY")
+        return
+    row = layout.row(align=True)
+    if finished and not jobs.result_waits(scene):
+        row.operator("nep.import_result", text="Import Again", icon="IMPORT").folder = str(output)
+    row.operator("nep.reconstruct", text="Start Again", icon="FILE_REFRESH").overwrite = True
 
 
 def _draw_running(layout, context, job) -> None:
+    layout.label(text=job.output.name, icon="FILE_FOLDER")
     progress = job.progress
     layout.progress(factor=progress.fraction, text=f"{100 * progress.fraction:.0f} %")
     column = layout.column(align=True)
     for line in ["Stopping: writing the checkpoint"] if job.stopping else progress.lines():
         column.label(text=line)
-    icon = live_preview.picture_icon(job.key)
-    if icon is not None:
-        layout.template_icon(icon, scale=9)
-        layout.label(text="Left: photo. Right: what was learned")
+    _draw_picture(layout, context, live_preview.picture_icons(job.key))
     for warning in job.warnings[-2:]:
-        say(layout, context, warning, "INFO")
-    layout.operator("nep.cancel", icon="CANCEL")
-    layout.operator("nep.open_log", icon="TEXT")
+        say(layout, context, in_panel_words(warning), "INFO")
+    row = layout.row(align=True)
+    row.operator("nep.cancel", icon="CANCEL")
+    row.operator("nep.open_log", text="", icon="TEXT")
+
+
+def _draw_picture(layout, context, icons: list[int]) -> None:
+    """The photo beside what was learned of it, as wide as the sidebar allows."""
+    row = layout.row()
+    for icon, title in zip(icons, ("Photo", "Learned so far"), strict=False):
+        column = row.column(align=True)
+        column.template_icon(icon, scale=max(3, inner_width(context) / len(icons) / UNIT))
+        column.label(text=title)
 
 
 def _draw_end(layout, context, job) -> None:
@@ -94,7 +112,7 @@ def _draw_end(layout, context, job) -> None:
         say(layout, context, text, "CHECKMARK")
         return
     say(layout, context, in_panel_words(failed.message), "PAUSE" if job.was_stopped else "ERROR")
-    say(layout, context, in_panel_words(failed.hint), "NONE")
+    say(layout, context, in_panel_words(failed.hint), "BLANK1")
     if isinstance(failed, NoEngineError):
         layout.operator("nep.open_preferences", icon="PREFERENCES")
     elif not job.was_stopped:

@@ -12,6 +12,7 @@ from ..backend.engine import Engine
 from ..backend.engine_command import EngineError, find_engine_python, reconstruct_arguments
 from ..backend.job_files import FOLDER, has_checkpoint, is_asset, is_running
 from . import bounds, clock, jobs, preferences, settings
+from .editors import open_editor
 
 LOG_LETTERS = 200_000
 
@@ -151,24 +152,13 @@ class NEP_OT_open_log(bpy.types.Operator):
         text.clear()
         text.write("\n\n".join(parts))
         if not bpy.app.background:
-            _show_text(context, text)
+            open_editor(context, "TEXT_EDITOR").text = text
         return {"FINISHED"}
 
 
 def _logs(scene) -> list[Path]:
     output = settings.folder(scene.nep.output)
     return [] if output is None else [output / "log.txt", output / FOLDER / "engine.log"]
-
-
-def _show_text(context, text) -> None:
-    """In a text editor that is open, else in a window of its own."""
-    areas = [area for window in context.window_manager.windows for area in window.screen.areas]
-    area = next((area for area in areas if area.type == "TEXT_EDITOR"), None)
-    if area is None:
-        bpy.ops.wm.window_new()
-        area = context.window_manager.windows[-1].screen.areas[0]
-        area.type = "TEXT_EDITOR"
-    area.spaces.active.text = text
 
 
 CLASSES = (NEP_OT_reconstruct, NEP_OT_cancel, NEP_OT_open_log)

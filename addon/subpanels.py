@@ -1,7 +1,7 @@
 """The folded parts of the sidebar panel: cameras and bounds, result and light, relit comparison."""
 import bpy
 
-from . import bounds, comparison, result
+from . import bounds, comparison, comparison_picture, result
 from .messages import say
 
 
@@ -31,7 +31,7 @@ class NEP_PT_cameras_and_bounds(SubPanel, bpy.types.Panel):
         if bounds.query is not None:
             column.label(text="Looking for the object...", icon="TIME")
         elif bounds.bounds_object(context.scene) is None:
-            column.label(text="Bounds: chosen by the engine")
+            column.label(text="Bounds: found automatically")
         else:
             say(column, context, "Move and scale the sphere: the whole object inside, no camera inside")
             say(column, context, bounds.bounds_remark(context.scene), "ERROR")
@@ -81,6 +81,8 @@ class NEP_PT_relit_comparison(SubPanel, bpy.types.Panel):
             layout.progress(factor=process.done / max(process.total, 1), text=text)
             layout.operator("nep.cancel_comparison", icon="CANCEL")
         say(layout, context, comparison.last_message)
+        if comparison_picture.picture() is not None:
+            layout.operator("nep.show_comparison", icon="IMAGE_DATA")
 
 
 CLASSES = (NEP_PT_cameras_and_bounds, NEP_PT_result_and_light, NEP_PT_relit_comparison)

@@ -114,12 +114,18 @@ def _texture_image(folder: Path, texture: Texture, pack: bool):
 
 def _shade_smooth(mesh) -> None:
     """Smooth faces, shaded with the normals of the file where it has any."""
+    normals, custom = _corner_normals(mesh), mesh.has_custom_normals
+    mesh.polygons.foreach_set("use_smooth", np.ones(len(mesh.polygons), bool))
+    # Blender 4.2 stores them relative to what smoothing has just changed; setting them again takes its time
+    if custom and not np.allclose(_corner_normals(mesh), normals, atol=1e-3):
+        mesh.normals_split_custom_set(normals.tolist())
+
+
+def _corner_normals(mesh) -> np.ndarray:
+    """The normals that are shaded with [corners, 3]."""
     normals = np.empty((len(mesh.loops), 3), np.float32)
     mesh.corner_normals.foreach_get("vector", normals.ravel())
-    custom = mesh.has_custom_normals
-    mesh.polygons.foreach_set("use_smooth", np.ones(len(mesh.polygons), bool))
-    if custom:  # Blender 4.2 stores them relative to what smoothing has just changed
-        mesh.normals_split_custom_set(normals.tolist())
+    return normals
 
 
 def _add_confidence(mesh, image) -> None:

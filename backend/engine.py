@@ -159,10 +159,12 @@ def _trouble_with_python(python: str, tail: str) -> EngineError | None:
     return NoEngineError(f"The engine's Python {python} lacks {missing[1].partition('.')[0]}.")
 
 
-def _death(code: int | None, tail: str) -> EngineError:
-    hint = "Resume goes on from its last checkpoint, if there is one." + (f"\n{tail}" if tail else "")
+def _death(code: int | None, log: str) -> EngineError:
+    hint = "Resume goes on from its last checkpoint, if there is one."
     if code is None:
-        return EngineError(1, "The engine ended and said no reason: it was killed, or the computer restarted.", hint)
+        return EngineError(1, "The engine ended and said no reason: it was killed, or the computer restarted.", hint, log)
+    if code == -getattr(signal, "SIGKILL", 0):
+        return EngineError(128 - code, "The engine was killed: the memory was full, or somebody ended it.", hint, log)
     if code < 0:
-        return EngineError(128 - code, f"The engine was killed by signal {-code}.", hint)
-    return EngineError(code or 1, f"The engine ended with code {code} and said no reason.", tail)
+        return EngineError(128 - code, f"The engine crashed (signal {-code}).", hint, log)
+    return EngineError(code or 1, f"The engine ended with code {code} and said no reason.", log)

@@ -11,10 +11,13 @@ CHECK_LIMIT_S = 60.0
 
 
 class EngineError(Exception):
-    """The engine failed or cannot be started. `code` is the exit code; `hint` says what to do, or is empty."""
+    """The engine failed or cannot be started.
 
-    def __init__(self, code: int, message: str, hint: str = ""):
-        super().__init__(f"{message}\n{hint}" if hint else message)
+    `code` is the exit code; `hint` says what to do, or is empty; `log`, for whoever cannot open it: its last lines.
+    """
+
+    def __init__(self, code: int, message: str, hint: str = "", log: str = ""):
+        super().__init__("\n".join(text for text in (message, hint, log) if text))
         self.code, self.message, self.hint = code, message, hint
 
 
@@ -36,6 +39,11 @@ def venv_python(folder: Path) -> Path:
     return Path(folder) / Path(*(("Scripts", "python.exe") if os.name == "nt" else ("bin", "python")))
 
 
+def engine_is_at_hand(configured: str) -> bool:
+    """Whether an engine is named or lies in this checkout, as far as one sees without asking a Python."""
+    return bool(os.environ.get(ENGINE_PYTHON_VARIABLE) or configured or _checkout_python().exists())
+
+
 def find_engine_python(explicit: str | None = None, configured: str | None = None) -> str:
     """The Python that runs the engine.
 
@@ -46,10 +54,14 @@ def find_engine_python(explicit: str | None = None, configured: str | None = Non
     for python in (explicit, os.environ.get(ENGINE_PYTHON_VARIABLE), configured):
         if python:
             return python
-    for python in (venv_python(Path(__file__).resolve().parent.parent / ".venv"), sys.executable):
+    for python in (_checkout_python(), sys.executable):
         if python and Path(python).exists() and _has_engine(str(python)):
             return str(python)
     raise NoEngineError("No Python with the engine (blender-nep and torch) was found.")
+
+
+def _checkout_python() -> Path:
+    return venv_python(Path(__file__).resolve().parent.parent / ".venv")
 
 
 def _has_engine(python: str) -> bool:

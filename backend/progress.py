@@ -50,16 +50,20 @@ def duration(seconds: float) -> str:
 
 
 # the engine speaks of its command line; the panel has other words for the same
-_IN_PANEL = {"--overwrite": "Start Again", "--resume": "Resume", "--out": "output folder", "--seed": "Seed",
+_IN_PANEL = {", with --engine-python or by the variable NEP_ENGINE_PYTHON": "",
+             "--overwrite": "Start Again", "--resume": "Resume", "--out": "output folder", "--seed": "Seed",
              "--device cpu": "the device CPU", "--preset preview": "the preset Preview", "--mesh": "Known Mesh",
-             "`blender-nep info`": "the capture's description"}
+             "`blender-nep info`": "the capture's description",
+             "stopped (standard input was closed)": "Stopped because Blender closed", "stopped (stop file)": "Stopped",
+             "Stopped during ": "Stopped while ", "fields learning": "learning shape and light",
+             "material learning": "learning the materials"}
 
 
 def in_panel_words(text: str) -> str:
     """A message of the engine for whoever has no command line."""
     for option, words in _IN_PANEL.items():
         text = text.replace(option, words)
-    return text
+    return text[:1].upper() + text[1:]
 
 
 def describe(event: dict) -> str:

@@ -175,4 +175,8 @@ def main(arguments: list[str]) -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main(script_arguments()))
+    code = main(script_arguments())
+    if threading.active_count() > 1:  # one still waits for input: the wheel of Blender 4.5 may then never end by itself
+        sys.stdout.flush()
+        os._exit(code)
+    sys.exit(code)

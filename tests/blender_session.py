@@ -50,7 +50,7 @@ def check_install(archive: str) -> None:
     known = set(bpy.types.UILayout.bl_rna.functions["prop"].parameters.keys())
     assert {"placeholder", "icon", "text"} <= known and "progress" in bpy.types.UILayout.bl_rna.functions
     for name in ("clear_cameras", "capture_from_scene", "propose_bounds", "clear_bounds", "use_recovered_light",
-                 "cancel_comparison"):
+                 "cancel_comparison", "show_comparison"):
         assert not getattr(bpy.ops.nep, name).poll(), name
 
 
@@ -231,6 +231,7 @@ def check_comparison(asset: Path, folder: Path) -> None:
         ["--asset", str(asset), "--capture", nep().capture, "--out", str(folder / "never.png"), "--samples", "100000"])
     assert not bpy.ops.nep.render_comparison.poll() and bpy.ops.nep.cancel_comparison() == {"FINISHED"}
     addon("clock").look_after(task, wait=True)
+    assert bpy.ops.nep.show_comparison.poll()
     assert addon("comparison").last_message == "Cancelled" and not (folder / "never.png").exists()
     assert bpy.ops.nep.render_comparison.poll()
 

@@ -136,7 +136,7 @@ def test_a_killed_engine_is_reported(fake_python, tmp_path):
     process = start_run(fake_python, "crash", tmp_path / "out")
     _, told = process.communicate(timeout=LIMIT_S)
     assert process.returncode == 128 + 9
-    assert "killed by signal 9" in told and "segmentation of hopes" in told
+    assert "was killed" in told and "segmentation of hopes" in told
 
 
 @pytest.mark.parametrize("how", ["SIGTERM", "closed stdin"])
