@@ -50,7 +50,7 @@ def _draw_settings(layout, context) -> None:
         column = body.column(align=True)
         column.label(text="When Blender closes:")
         column.prop(chosen, "closing", text="")
-        for name in ("use_preview", "seed", "threads", "mesh"):
+        for name in ("metal", "use_preview", "seed", "threads", "mesh"):
             body.prop(chosen, name)
 
 
@@ -110,6 +110,8 @@ def _draw_end(layout, context, job) -> None:
         text = ("The result is ready. Import Result brings it into the scene." if jobs.result_waits(context.scene)
                 else "The object is in the scene.")
         say(layout, context, text, "CHECKMARK")
+        for warning in job.warnings[-2:]:
+            say(layout, context, in_panel_words(warning), "INFO")
         return
     say(layout, context, in_panel_words(failed.message), "PAUSE" if job.was_stopped else "ERROR")
     say(layout, context, in_panel_words(failed.hint), "BLANK1")

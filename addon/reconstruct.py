@@ -91,7 +91,7 @@ class NEP_OT_reconstruct(bpy.types.Operator):
             python = find_engine_python(configured=preferences.engine_python(context))
             engine = Engine.start(python, reconstruct_arguments(
                 str(capture), str(output), preset=chosen.preset if self.preset == "SCENE" else self.preset,
-                device=chosen.device, seed=chosen.seed, masks="use" if chosen.use_masks else "ignore",
+                device=chosen.device, seed=chosen.seed, masks="use" if chosen.use_masks else "ignore", metal=chosen.metal,
                 mesh=bpy.path.abspath(chosen.mesh) if chosen.mesh else None, threads=chosen.threads or None,
                 resume=self.resume, overwrite=self.overwrite, preview=chosen.use_preview, keep_going=keep_going,
                 more=tuple(sphere)),

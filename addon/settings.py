@@ -9,6 +9,9 @@ PRESETS = (("preview", "Preview", "A first look within minutes"),
 DEVICES = (("auto", "Automatic", "The graphics card where the engine can use it, else the processor"),
            ("cpu", "CPU", "The processor"),
            ("cuda", "CUDA", "An NVIDIA graphics card; the engine needs a CUDA build of torch"))
+METAL = (("auto", "From the Photos", "Decided by what explains the photos better"),
+         ("yes", "Metal", "All of the object is metal"),
+         ("no", "Not Metal", "Paint, plastic, glaze, stone: no part of the object is metal"))
 CLOSINGS = (("STOP", "Stop and Keep the Checkpoint", "The job ends with Blender; Resume goes on from its checkpoint"),
             ("KEEP", "Keep Going", "The job goes on; it is found again when this file is opened"))
 LIGHTS = tuple((name, name.title(), f"Blender's own HDRI '{name}'") for name in (
@@ -38,6 +41,9 @@ class NepSettings(bpy.types.PropertyGroup):
     use_masks: bpy.props.BoolProperty(
         name="Use Masks", description="Use the capture's object masks where it has them", default=True)
     device: bpy.props.EnumProperty(name="Device", description="What to compute on", items=DEVICES, default="auto")
+    metal: bpy.props.EnumProperty(
+        name="Material", description="Whether the object is metal, where you know it and the photos do not tell",
+        items=METAL, default="auto")
     closing: bpy.props.EnumProperty(
         name="When Blender Closes", description="What happens to a running job", items=CLOSINGS, default="STOP")
     use_preview: bpy.props.BoolProperty(

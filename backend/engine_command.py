@@ -74,15 +74,16 @@ def _has_engine(python: str) -> bool:
 
 
 def reconstruct_arguments(capture: str, out: str, *, preset: str | None = None, device: str = "auto",
-                          seed: int | None = None, masks: str | None = None, mesh: str | None = None,
-                          threads: int | None = None, resume: bool = False, overwrite: bool = False,
-                          preview: bool = False, keep_going: bool = False, more: tuple[str, ...] = ()) -> list[str]:
+                          seed: int | None = None, masks: str | None = None, metal: str | None = None,
+                          mesh: str | None = None, threads: int | None = None, resume: bool = False,
+                          overwrite: bool = False, preview: bool = False, keep_going: bool = False,
+                          more: tuple[str, ...] = ()) -> list[str]:
     """The engine's command line for one reconstruction.
 
     keep_going: it outlives this program; else it stops, with its checkpoint, when its standard input is closed.
     """
     arguments = ["reconstruct", str(capture), "--out", str(out), "--device", device, "--job-files"]
-    for name, value in (("--preset", preset), ("--seed", seed), ("--masks", masks), ("--mesh", mesh),
+    for name, value in (("--preset", preset), ("--seed", seed), ("--masks", masks), ("--metal", metal), ("--mesh", mesh),
                         ("--threads", threads)):
         if value is not None:
             arguments += [name, str(value)]

@@ -40,6 +40,7 @@ def parse(arguments: list[str]) -> argparse.Namespace:
     parser.add_argument("--samples", type=int, default=48, help="Cycles samples a pixel of the comparison")
     parser.add_argument("--engine-python", help="the Python that has blender-nep and torch")
     parser.add_argument("--masks", choices=("use", "ignore"))
+    parser.add_argument("--metal", choices=("auto", "yes", "no"), help="whether it is metal, where photos do not tell")
     parser.add_argument("--device", default="auto", choices=("auto", "cpu", "cuda"), help="of the engine")
     parser.add_argument("--mesh", help="learn materials on this mesh, in capture coordinates")
     parser.add_argument("--resume", action="store_true", help="go on from a checkpoint, or from a finished asset")
@@ -76,7 +77,7 @@ def reconstruct(options: argparse.Namespace, stop: StopRequests) -> None:
     python = find_engine_python(options.engine_python, configured_python())
     engine = Engine.start(python, reconstruct_arguments(
         options.capture, options.out, preset=options.preset, device=options.device, seed=options.seed,
-        masks=options.masks, mesh=options.mesh, resume=options.resume, overwrite=options.overwrite))
+        masks=options.masks, metal=options.metal, mesh=options.mesh, resume=options.resume, overwrite=options.overwrite))
     said = -SAY_EVERY_S
     try:
         ended = False

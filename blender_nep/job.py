@@ -206,7 +206,7 @@ class Job:
         margin = materials.report.get("metal_or_not_margin")
         if margin is not None and margin < _DOUBT:
             self.events.warning("the photos hardly tell whether the object is metal: where the result is wrong, say so "
-                                "with --metal yes or --metal no")
+                                "by --metal yes or --metal no")
         parts = {"fields_learning": fields.report, "surface": surface_report, "material_learning": materials.report}
         self._write_asset(capture, rays, surface, materials, fields.environment, parts, what)
 

@@ -169,6 +169,18 @@ def test_resume_of_nothing_starts_and_of_a_complete_asset_ends(start):
     assert code == 2 and "seed" in events[-1]["message"]
 
 
+@pytest.mark.parametrize(("margin", "told"), [(0.01, True), (-0.02, True), (0.2, False), (None, False)])
+def test_doubt_about_metal_is_told(start, margin, told):
+    class Doubtful(BallRooms):
+        def learn_materials(self, *arguments, **keywords):
+            found = super().learn_materials(*arguments, **keywords)
+            found.report["metal_or_not_margin"] = margin
+            return found
+
+    code, events = start(Doubtful())
+    assert code == 0 and any("--metal" in e["message"] for e in events if e["event"] == "warning") == told
+
+
 def test_a_torn_result_does_its_room_again(start):
     stop = StopRequest()
     start(BallRooms(on_step=lambda r, s: stop.request("test") if r == "material_learning" else None), stop)
