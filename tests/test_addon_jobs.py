@@ -226,8 +226,7 @@ def check_halves(folder):
         half = preview._pictures["job" + side]
         assert tuple(half.image_size) == (32, 32)
         assert [round(value) for value in half.image_pixels_float[:4]] == colour
-    (folder / "pair.png").write_bytes(b"torn")
-    preview.load_picture("job", folder / "pair.png")
+    preview.forget_picture("job")
     assert preview.picture_icons("job") == []
 
 
