@@ -60,7 +60,7 @@ def _find(scene, job: str):
 def load_picture(job: str, file: Path) -> None:
     """Keep a picture at hand for the panel: on its left half the photo, on its right half what was learned.
 
-    Blender shows pictures in squares: two halves are seen larger than the whole. A file that is torn is let be.
+    Blender shows pictures in squares: two halves are seen larger than the whole.
     """
     global _pictures
     if _pictures is None:

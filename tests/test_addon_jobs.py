@@ -86,7 +86,7 @@ def check_life_of_a_job(folder):
     rounds(addon, lambda: "NeP preview" in bpy.data.objects)
     preview = bpy.data.objects["NeP preview"]
     assert len(preview.data.polygons) == 320 and preview.hide_render
-    assert len(set(addon.live_preview.picture_icons(job.key))) == 2, "photo and what was learned"
+    assert len(addon.live_preview.picture_icons(job.key)) == 2, "photo and what was learned"
     bpy.data.objects.remove(preview)  # as undo does
     rounds(addon, lambda: job.progress.room == "Learning the materials")
     bpy.ops.wm.read_factory_settings(use_empty=True)  # File > New, in the middle
@@ -207,6 +207,27 @@ def check_two_jobs(folder):
     assert one.failed is None and two.failed is None
     assert [item.name for item in scene.objects if item.type == "MESH"] == ["two"]
     assert "out" not in scene.objects and "two" not in bpy.data.scenes[0].objects
+
+
+def test_a_picture_is_shown_in_two_halves(folders):
+    in_blender(check_halves, folders)
+
+
+def check_halves(folder):
+    from PIL import Image
+    addon = register()
+    pair = Image.new("RGB", (64, 32), (255, 0, 0))
+    pair.paste((0, 255, 0), (32, 0, 64, 32))
+    pair.save(folder / "pair.png")
+    preview = addon.live_preview
+    for _ in range(2):  # the second takes the place of the first
+        preview.load_picture("job", folder / "pair.png")
+    for side, colour in zip(preview.SIDES, ([1, 0, 0, 1], [0, 1, 0, 1]), strict=True):
+        half = preview._pictures["job" + side]
+        assert tuple(half.image_size) == (32, 32)
+        assert [round(value) for value in half.image_pixels_float[:4]] == colour
+    preview.forget_picture("job")
+    assert preview.picture_icons("job") == []
 
 
 def test_lines_of_the_panel_fit():
