@@ -18,23 +18,12 @@ from scipy.spatial import cKDTree
 from torch import Tensor
 
 from blender_nep.errors import LearningError
-from blender_nep.material_palette import Palette, best_of, choose, error, fit_groups, same_material, tone
-from blender_nep.material_textures import (
-    NEIGHBOURS,
-    Evidence,
-    bake,
-    kernel,
-    labels_at,
-    neighbours,
-    texture_size,
-    vote,
-    weighted_mean,
-)
+from blender_nep.material_palette import Palette, best_of, choose, error, fit_groups, same_material
+from blender_nep.material_textures import NEIGHBOURS, Evidence, bake, kernel, labels_at, neighbours, texture_size, vote
 from blender_nep.photo_samples import PhotoSamples, select_samples
-from blender_nep.pixel_votes import pixel_costs
 from blender_nep.raytracing import RayTracer
 from blender_nep.shading.incoming_light import IncomingLight
-from blender_nep.shading.plenoptic import Material, PlenopticFunction, SurfacePoints, TerminalRadiance, reflected
+from blender_nep.shading.plenoptic import Material, PlenopticFunction, SurfacePoints, TerminalRadiance
 from blender_nep.shading.unseen_light import UnseenLight
 from blender_nep.surface import Surface
 from blender_nep.unseen_light_learning import learn_unseen_light
@@ -79,7 +68,7 @@ def learn_materials(surface: Surface, environment: EnvironmentField, rays: Pixel
 
 class _MaterialLearner:
     def __init__(self, surface, environment, rays, preset, seed, device, progress, checkpoint):
-        self.surface, self.preset, self.device, self.rays, self.seed = surface, preset, device, rays, seed
+        self.surface, self.preset, self.device = surface, preset, device
         self.progress, self.checkpoint = progress, checkpoint
         self.generator = torch.Generator().manual_seed(seed)
         self.steps, self.done, self.loss, self.start = 100, 0, float("nan"), time.monotonic()
@@ -242,7 +231,8 @@ class _MaterialLearner:
     def _smoothed(self, costs: Tensor, first: int = 0) -> np.ndarray:
         """Means over each sample's neighbours from the `first` on (0: itself), near ones counting more."""
         distance, index = (values[:, first:] for values in self.around)
-        return weighted_mean(costs.cpu().numpy(), kernel(distance), index)
+        weight = kernel(distance)
+        return np.stack([(c[index] * weight).sum(1) for c in costs.T.cpu().numpy()], 1) / weight.sum(1, keepdims=True)
 
     def _assign(self) -> None:
         if len(self.palette) == 1:
@@ -306,32 +296,10 @@ class _MaterialLearner:
         self.weight = torch.ones_like(self.weight)
 
     def _evidence(self) -> Evidence:
-        if len(self.palette) == 1:
-            cost = self._costs()
-            return Evidence(self.samples.position, self.samples.photo.cpu().numpy(), self._smoothed(cost),
-                            self.palette.albedo[self.label].cpu().numpy(), (cost[:, 0] / self.weight).cpu().numpy())
-        return self._evidence_of_pixels()
-
-    def _evidence_of_pixels(self) -> Evidence:
-        """Of far more pixels than the light was gathered for: boundaries are as sharp as the photos."""
-        p, palette = self.preset, self.palette
-        pixels = select_samples(self.rays, self.f_p.tracer, self.surface.normals, count=p.voters,
-                                least_cosine=p.least_cosine, generator=np.random.default_rng(self.seed))
-        shown = torch.stack([self._shown(k) for k in range(len(palette))], 1).cpu().numpy()
-        own, all_of_them = ((s.position, self.f_p.tracer.smooth_normals(self.surface.normals, s.face, s.barycentric),
-                             s.photo.cpu().numpy()) for s in (self.samples, pixels))
-        cost = pixel_costs(own, shown, all_of_them, tone(pixels.radiance).cpu().numpy(), p.clip)
-        cost = cost * torch.where(palette.blended, 1 + p.blend_margin, 1.0).cpu().numpy()
-        distance, index = neighbours(cKDTree(pixels.position), pixels.position, 2 * NEIGHBOURS)
-        smoothed = weighted_mean(cost, kernel(distance), index)
-        label = smoothed.argmin(1)
-        return Evidence(pixels.position, all_of_them[2], smoothed, palette.albedo.cpu().numpy()[label],
-                        cost[np.arange(len(cost)), label])
-
-    def _shown(self, k: int) -> Tensor:
-        """What each sample would show, tone-mapped, if it were the k-th material [n,3]."""
-        material = self.palette.at(torch.full((len(self.samples),), k, device=self.device))
-        return tone(reflected(material, self.light.moments(material.roughness), self.light.diffuse, self.light.cos_v))
+        cost = self._costs()
+        own = cost.gather(1, self.label[:, None])[:, 0] / self.weight
+        return Evidence(self.samples.position, self.samples.photo.cpu().numpy(), self._smoothed(cost),
+                        self.palette.albedo[self.label].cpu().numpy(), own.cpu().numpy())
 
     def _footprint(self, rays: PixelRays) -> float:
         """Median width of a pixel on the surface, unit frame."""

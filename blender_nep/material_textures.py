@@ -40,12 +40,9 @@ def neighbours(tree: cKDTree, points: np.ndarray, count: int) -> tuple[np.ndarra
 
 def vote(cost: np.ndarray, distance: np.ndarray, index: np.ndarray) -> np.ndarray:
     """Material [m] int with the least cost over each point's neighbours, near ones counting more. cost [n,K]."""
-    return weighted_mean(cost, kernel(distance), index).argmin(1)
-
-
-def weighted_mean(cost: np.ndarray, weight: np.ndarray, index: np.ndarray) -> np.ndarray:
-    """Mean cost [m,K] over neighbours: index, weight [m,count] into cost [n,K]."""
-    return np.stack([(c[index] * weight).sum(1) for c in cost.T], 1) / weight.sum(1, keepdims=True)
+    weight = kernel(distance)
+    total = np.stack([(cost[:, k][index] * weight).sum(1) for k in range(cost.shape[1])], 1)
+    return total.argmin(1)
 
 
 def kernel(distance: np.ndarray) -> np.ndarray:
