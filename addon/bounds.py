@@ -9,6 +9,8 @@ from ..backend.bounds_query import BoundsQuery
 from ..backend.capture_files import read_bounds
 from . import clock
 from .preferences import engine_python
+from .settings import NOT_SAVED
+from .settings import folder as folder_of
 
 NAME = "NeP bounds: {}"
 STRETCH_TOLERANCE = 1e-3
@@ -60,7 +62,7 @@ def bounds_remark(scene) -> str:
     return found[2] if found else ""
 
 
-def place_bounds(scene, capture: str, center, radius: float):
+def place_bounds(scene, capture: Path, center, radius: float):
     """Put the scene's bounds there; makes them where there are none."""
     item = bounds_object(scene)
     if item is None:
@@ -69,7 +71,7 @@ def place_bounds(scene, capture: str, center, radius: float):
         item.show_in_front = True
         scene.collection.objects.link(item)
         scene.nep.bounds = item
-    item.name = NAME.format(Path(bpy.path.abspath(capture)).resolve().name)
+    item.name = NAME.format(capture.resolve().name)
     item.matrix_world = Matrix.LocRotScale(Vector(center), None, Vector([radius / item.empty_display_size] * 3))
     return item
 
@@ -77,9 +79,9 @@ def place_bounds(scene, capture: str, center, radius: float):
 class BoundsTask:
     """The engine's estimate on its way into a scene."""
 
-    def __init__(self, scene, capture: str, configured_python: str):
+    def __init__(self, scene, capture: Path, configured_python: str):
         self.scene, self.capture = scene.name, capture
-        self._asked = BoundsQuery(Path(bpy.path.abspath(capture)), configured_python)
+        self._asked = BoundsQuery(capture, configured_python)
         self.poll, self.close = self._asked.poll, self._asked.close
 
     def shown(self) -> None:
@@ -89,8 +91,8 @@ class BoundsTask:
         global query, last_message
         query, last_message = None, self._asked.error
         scene = bpy.data.scenes.get(self.scene)
-        if self._asked.sphere is None or scene is None or scene.nep.capture != self.capture:  # another file, or choice
-            return
+        if self._asked.sphere is None or scene is None or folder_of(scene.nep.capture) != self.capture:
+            return  # none found, or another file or another choice by now
         place_bounds(scene, self.capture, *self._asked.sphere)
         if not bpy.app.background:
             bpy.ops.ed.undo_push(message="Propose Bounds")
@@ -130,9 +132,12 @@ class NEP_OT_propose_bounds(bpy.types.Operator):
     def _propose(self, context, wait: bool):
         global query, last_message
         scene, last_message = context.scene, ""
-        capture = scene.nep.capture
+        capture = folder_of(scene.nep.capture)
+        if capture is None:
+            self.report({"ERROR"}, NOT_SAVED)
+            return {"CANCELLED"}
         try:
-            known = read_bounds(Path(bpy.path.abspath(capture)))
+            known = read_bounds(capture)
         except (OSError, ValueError) as error:
             self.report({"ERROR"}, f"The capture cannot be read: {error}")
             return {"CANCELLED"}

@@ -6,6 +6,7 @@ import bpy
 from ..backend.capture_files import read_frames
 from ..backend.photo_cameras import camera_collections, load_cameras, remove_cameras
 from ..backend.scene_capture import MINIMUM_PHOTOS, photo_cameras, write_scene_capture
+from . import settings
 
 
 class NEP_OT_load_cameras(bpy.types.Operator):
@@ -30,10 +31,10 @@ class NEP_OT_load_cameras(bpy.types.Operator):
 
     def execute(self, context):
         capture = self.capture or context.scene.nep.capture
-        if not capture:
-            self.report({"ERROR"}, "Choose a capture folder first")
+        folder = settings.folder(capture)
+        if folder is None:
+            self.report({"ERROR"}, settings.NOT_SAVED if capture else "Choose a capture folder first")
             return {"CANCELLED"}
-        folder = Path(bpy.path.abspath(capture))
         try:
             frames = read_frames(folder)
         except (OSError, ValueError) as error:

@@ -8,7 +8,8 @@ from ..backend.asset_import import check_asset
 from ..backend.comparison_process import ComparisonProcess
 from . import clock
 from .comparison_picture import show_image
-from .settings import LIGHTS
+from .settings import LIGHTS, NOT_SAVED
+from .settings import folder as folder_of
 
 task = None  # the ComparisonTask under way
 last_message = ""  # how the last one ended
@@ -45,6 +46,14 @@ def capture_of(asset: Path) -> str:
     except (OSError, ValueError, KeyError, TypeError):
         return ""
     return folder if Path(folder).is_dir() else ""
+
+
+def _folder(path: str) -> Path:
+    """ValueError where it is relative to a file that is not saved yet."""
+    found = folder_of(path)
+    if found is None:
+        raise ValueError(NOT_SAVED)
+    return found
 
 
 class NEP_OT_render_comparison(bpy.types.Operator):
@@ -105,12 +114,12 @@ class NEP_OT_render_comparison(bpy.types.Operator):
         chosen = self.asset or settings.asset or settings.output
         if not chosen:
             raise ValueError("Import a result first, or choose the output folder of a reconstruction")
-        asset = Path(bpy.path.abspath(chosen))
+        asset = _folder(chosen)
         check_asset(asset)
         capture = self.capture or capture_of(asset) or settings.capture
         if not capture:
             raise ValueError("Choose the capture folder: the comparison shows its photos")
-        arguments = ["--asset", str(asset), "--capture", bpy.path.abspath(capture),
+        arguments = ["--asset", str(asset), "--capture", str(_folder(capture)),
                      "--photos", str(self.photos or settings.comparison_photos),
                      "--samples", str(self.samples or settings.comparison_samples),
                      "--turntable", str(settings.comparison_turntable if self.turntable < 0 else self.turntable)]

@@ -79,7 +79,7 @@ class NEP_OT_reconstruct(bpy.types.Operator):
         capture, output = settings.folder(self.capture or chosen.capture), self._output(context)
         if capture is None or output is None:
             named = (self.capture or chosen.capture) and (self.output or chosen.output)
-            self.report({"ERROR"}, "Save the file first: its folders are relative to it" if named
+            self.report({"ERROR"}, settings.NOT_SAVED if named
                         else "Choose a capture folder and an output folder first")
             return None
         if is_running(output):

@@ -18,6 +18,9 @@ LIGHTS = tuple((name, name.title(), f"Blender's own HDRI '{name}'") for name in 
     "studio", "forest", "sunset", "interior", "city", "courtyard", "sunrise", "night"))
 
 
+NOT_SAVED = "Save the file first: its folders are relative to it"
+
+
 def folder(path: str) -> Path | None:
     """The folder that a setting names; None for no folder, and for one relative to a file that is not saved yet."""
     if not path or (path.startswith("//") and not bpy.data.is_saved):

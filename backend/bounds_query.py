@@ -12,7 +12,6 @@ class BoundsQuery:
 
     def __init__(self, capture: Path, configured_python: str):
         self.sphere: tuple[list[float], float] | None = None
-        self.source = ""  # 'masks' or 'cameras': what the estimate is made of
         self.error = ""
         self._capture, self._configured = capture, configured_python
         self._process: subprocess.Popen | None = None
@@ -41,7 +40,6 @@ class BoundsQuery:
             if "error" in found:
                 self.error = f"{found['error']['message']}\n{found['error']['hint']}".strip()
             else:
-                self.source = found["bounds_source"]
                 self.sphere = found["object_center"], found["object_radius"]
         except (ValueError, KeyError):
             last = complaint.strip().splitlines()[-1:]

@@ -3,8 +3,6 @@ import json
 import os
 from pathlib import Path
 
-import bpy
-
 from .cameras import intrinsics
 from .imagefiles import write_whole
 from .imagesize import image_size
@@ -93,7 +91,7 @@ def _frame(scene, camera, folder: Path, packed: dict[str, bytes]) -> dict:
 def _photo_file(camera, folder: Path, packed: dict[str, bytes]) -> tuple[str, int, int]:
     """(path for transforms.json, width, height); what has to be copied goes into `packed`."""
     image = _photo(camera)
-    path = Path(bpy.path.abspath(image.filepath, library=image.library))
+    path = Path(image.filepath_from_user())
     if image.source != "FILE" or path.suffix.lower() not in SUFFIXES:
         raise Unusable(f"{camera.name}: {image.name} is no photo file ({', '.join(s[1:] for s in SUFFIXES)})")
     if path.is_file():

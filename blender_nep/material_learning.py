@@ -141,19 +141,24 @@ class _MaterialLearner:
         self._step(70)
         self._clock("light")
 
+    def _scan(self, group: Tensor, groups: int, most_diffuse: float = 1.0) -> tuple[Tensor, Tensor]:
+        p = self.preset
+        return fit_groups(self.light, self.target, self.weight, group, groups, clip=p.clip,
+                          least_roughness=p.least_roughness, hypotheses=p.metallic, most_diffuse=most_diffuse)
+
     def _fit(self, group: Tensor, groups: int, most_diffuse: float = 1.0) -> Palette:
         p = self.preset
-        cost, albedo = fit_groups(self.light, self.target, self.weight, group, groups, clip=p.clip,
-                                  least_roughness=p.least_roughness, hypotheses=p.metallic, most_diffuse=most_diffuse)
-        return best_of(cost, albedo, p.least_roughness, p.metallic, p.metal_margin)
+        return best_of(*self._scan(group, groups, most_diffuse), p.least_roughness, p.metallic, p.metal_margin)
 
-    def _opposites(self) -> Palette:
-        """Each material of the palette as it would be if it were metal instead of a dielectric, or the reverse."""
+    def _opposites(self) -> Palette | None:
+        """Each material of the palette as it would be if it were metal instead of a dielectric, or the reverse; None where
+        it is known what they are."""
         p, opposite = self.preset, self.palette
-        for metallic in p.metallic:
-            cost, albedo = fit_groups(self.light, self.target, self.weight, self.label, len(self.palette), clip=p.clip,
-                                      least_roughness=p.least_roughness, hypotheses=(metallic,))
-            found = best_of(cost, albedo, p.least_roughness, (metallic,), 0.0)
+        if len(p.metallic) == 1:
+            return None
+        cost, albedo = self._scan(self.label, len(self.palette))
+        for i, metallic in enumerate(p.metallic):
+            found = best_of(cost[i:i + 1], albedo[i:i + 1], p.least_roughness, (metallic,), 0.0)
             for k in (self.palette.metallic != metallic).nonzero().squeeze(-1).tolist():
                 opposite = opposite.with_one(k, found)
         return opposite

@@ -66,9 +66,8 @@ class Palette:
 
     def with_one(self, k: int, other: Palette) -> Palette:
         """With the k-th material of another palette in the place of its own."""
-        return Palette(*(torch.where(torch.arange(len(self), device=a.device).reshape(-1, *[1] * (a.ndim - 1)) == k, b, a)
-                         for a, b in ((self.albedo, other.albedo), (self.roughness, other.roughness),
-                                      (self.metallic, other.metallic))))
+        pairs = (self.albedo, other.albedo), (self.roughness, other.roughness), (self.metallic, other.metallic)
+        return Palette(*(torch.cat([own[:k], its[k:k + 1], own[k + 1:]]) for own, its in pairs))
 
     def pick(self, index: list[int]) -> Palette:
         i = torch.tensor(index, dtype=torch.int64, device=self.roughness.device)

@@ -32,12 +32,15 @@ def fingerprint(
     """
     paths = [p for v in capture.views for p in (v.image_path, v.mask_path) if p is not None]
     photos = "\n".join(f"{p.relative_to(capture.folder)} {p.stat().st_size}" for p in paths)
+    settings = dataclasses.asdict(preset)
+    metallic = settings["material"].pop("metallic")  # by a name of its own: it is an option of the user
     what = {
         "format": FORMAT,
         "capture": _digest((capture.folder / "transforms.json").read_bytes() + photos.encode()),
-        "preset": preset.name + " " + _digest(json.dumps(dataclasses.asdict(preset), sort_keys=True).encode()),
+        "preset": preset.name + " " + _digest(json.dumps(settings, sort_keys=True).encode()),
         "seed": seed,
         "masks": "use" if masks else "ignore",
+        "choice of metal or not": list(metallic),
         "mesh": "" if mesh is None else _digest(mesh.read_bytes()),
     }
     return what if sphere is None else what | {"object bounds": [*map(float, sphere[0]), float(sphere[1])]}

@@ -32,15 +32,16 @@ _MOST_TRIALS = 6
 """Each way."""
 
 
-def learn_unseen_light(light: IncomingLight, palette: Palette, others: Palette, label: Tensor, target: Tensor,
+def learn_unseen_light(light: IncomingLight, palette: Palette, others: Palette | None, label: Tensor, target: Tensor,
                        preset: MaterialPreset, generator: torch.Generator, beat: Callable[[], None]
                        ) -> tuple[UnseenLight, Palette, list[float]]:
     """The unseen light, going on from `light.unseen`, and the palette that suits it.
 
     What a material is and what light it reflects cannot be found one after the other: a gold thing in white light looks
     much like a yellow pot in yellow light, and a sharp lamp in a rough surface like a soft lamp in a smooth one. So each
-    material is tried as `others` has it (metal for dielectric and the reverse), then with its roughness lower and higher
-    by a quarter as long as that helps, each time with the light learned anew. beat() is called after every trial.
+    material is tried as `others` has it (metal for dielectric and the reverse; None: it is known), then with its roughness
+    lower and higher by a quarter as long as that helps, each time with the light learned anew. beat() is called after every
+    trial.
 
     Also returns how much worse, as a share, the photos are explained with each material the other way round (0: as well;
     less: the prior decided).
@@ -53,7 +54,7 @@ def learn_unseen_light(light: IncomingLight, palette: Palette, others: Palette, 
         return fit
 
     best, margins = solve(palette, preset.unseen_steps, light.unseen), []
-    for k in range(len(palette)) if len(preset.metallic) > 1 else ():
+    for k in range(len(palette)) if others is not None else ():
         other = palette.with_one(k, others)
         fit = solve(other, preset.unseen_steps, light.unseen)
         prior = 1 + preset.metal_margin * float(other.metallic[k] - palette.metallic[k])

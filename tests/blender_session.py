@@ -14,20 +14,11 @@ from pathlib import Path
 
 import bpy
 import numpy as np
+from blender_checks import fails
 from bpy_extras.object_utils import world_to_camera_view
 from mathutils import Vector
 
 NAME = "bl_ext.user_default.blender_nep"
-
-
-def fails(call, message: str) -> None:
-    """An operator that reports an error raises RuntimeError in Python."""
-    try:
-        call()
-    except RuntimeError as error:
-        assert message in str(error), error
-    else:
-        raise AssertionError(f"no error told of: {message}")
 
 
 def nep():

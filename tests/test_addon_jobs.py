@@ -5,11 +5,11 @@ import shutil
 import signal
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import ball_engine
 import pytest
+from blender_checks import fails, rounds
 
 ROOT = Path(__file__).resolve().parent.parent
 LIMIT_S = 60
@@ -56,15 +56,6 @@ def register():
     return addon
 
 
-def rounds(addon, until) -> None:
-    """Rounds of the timer until something holds."""
-    deadline = time.monotonic() + LIMIT_S
-    while not until():
-        assert time.monotonic() < deadline, "nothing came"
-        addon.clock.tick()
-        time.sleep(0.02)
-
-
 def start(bpy, addon, scene=None):
     """Press the button; returns the job."""
     assert bpy.ops.nep.reconstruct(wait=False) == {"FINISHED"}
@@ -105,15 +96,6 @@ def check_life_of_a_job(folder):
 def log(bpy) -> str:
     assert bpy.ops.nep.open_log() == {"FINISHED"}
     return bpy.data.texts["NeP log"].as_string()
-
-
-def fails(call, message: str) -> None:
-    try:
-        call()
-    except RuntimeError as error:
-        assert message in str(error), error
-    else:
-        raise AssertionError(f"no error told of: {message}")
 
 
 @pytest.mark.parametrize("closing", ["KEEP", "STOP"])

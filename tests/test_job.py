@@ -9,6 +9,7 @@ import signal
 import subprocess
 import sys
 import time
+from dataclasses import replace
 
 import numpy as np
 import OpenEXR
@@ -134,6 +135,7 @@ def test_resume_refuses_other_settings(start):
     for other, name in (
         ({"seed": 1}, "seed"),
         ({"preset": preset("quality")}, "preset"),
+        ({"preset": replace(preset("preview"), material=replace(preset("preview").material, metallic=(1.0,)))}, "metal"),
         ({"use_masks": False}, "masks"),
         ({"sphere": (CENTER, RADIUS)}, "object bounds"),
     ):

@@ -5,12 +5,12 @@ import re
 import stat
 import subprocess
 import sys
-import time
 import tomllib
 import zipfile
 from pathlib import Path
 
 import numpy as np
+from blender_checks import fails, rounds
 from test_engine_install import played_python
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -145,25 +145,6 @@ def set_engine_up(bpy, addon, folder: Path) -> None:
     assert setup.check.python == setup.installation.python, "what was installed is checked"
     chosen.engine_python = "/no/python"
     assert addon.preferences.engine_python(bpy.context) == "/no/python"
-
-
-def rounds(addon, until) -> None:
-    """Rounds of the add-on's timer, which never fires here."""
-    deadline = time.monotonic() + LIMIT_S
-    while not until():
-        assert time.monotonic() < deadline
-        addon.clock.tick()
-        time.sleep(0.02)
-
-
-def fails(call, message: str) -> None:
-    """An operator that reports an error raises RuntimeError in Python."""
-    try:
-        call()
-    except RuntimeError as error:
-        assert message in str(error), error
-    else:
-        raise AssertionError(f"no error told of: {message}")
 
 
 if __name__ == "__main__":
