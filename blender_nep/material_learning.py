@@ -18,12 +18,22 @@ from scipy.spatial import cKDTree
 from torch import Tensor
 
 from blender_nep.errors import LearningError
-from blender_nep.material_palette import Palette, best_of, choose, error, fit_groups, same_material
-from blender_nep.material_textures import NEIGHBOURS, Evidence, bake, kernel, labels_at, neighbours, texture_size, vote
+from blender_nep.material_palette import Palette, best_of, choose, error, fit_groups, same_material, tone
+from blender_nep.material_textures import (
+    NEIGHBOURS,
+    Evidence,
+    bake,
+    labels_at,
+    neighbours,
+    texture_size,
+    vote,
+    weighted_mean,
+)
 from blender_nep.photo_samples import PhotoSamples, select_samples
+from blender_nep.pixel_votes import Surfels, left_out_error, pixel_costs
 from blender_nep.raytracing import RayTracer
 from blender_nep.shading.incoming_light import IncomingLight
-from blender_nep.shading.plenoptic import Material, PlenopticFunction, SurfacePoints, TerminalRadiance
+from blender_nep.shading.plenoptic import Material, PlenopticFunction, SurfacePoints, TerminalRadiance, reflected
 from blender_nep.shading.unseen_light import UnseenLight
 from blender_nep.surface import Surface
 from blender_nep.unseen_light_learning import learn_unseen_light
@@ -68,7 +78,7 @@ def learn_materials(surface: Surface, environment: EnvironmentField, rays: Pixel
 
 class _MaterialLearner:
     def __init__(self, surface, environment, rays, preset, seed, device, progress, checkpoint):
-        self.surface, self.preset, self.device = surface, preset, device
+        self.surface, self.preset, self.device, self.rays, self.seed = surface, preset, device, rays, seed
         self.progress, self.checkpoint = progress, checkpoint
         self.generator = torch.Generator().manual_seed(seed)
         self.steps, self.done, self.loss, self.start = 100, 0, float("nan"), time.monotonic()
@@ -229,15 +239,13 @@ class _MaterialLearner:
     def _left_out(self, palette: Palette) -> float:
         """Mean residual of every sample under the material that its neighbours vote for without it: what a material gains
         by fitting the noise does not count."""
-        costs = self._costs(palette)
+        costs = self._costs(palette).cpu().numpy()
         label = self._smoothed(costs, first=1).argmin(1)
-        return float(costs.cpu().numpy()[np.arange(len(label)), label].mean())
+        return float(costs[np.arange(len(label)), label].mean())
 
-    def _smoothed(self, costs: Tensor, first: int = 0) -> np.ndarray:
+    def _smoothed(self, costs: np.ndarray, first: int = 0) -> np.ndarray:
         """Means over each sample's neighbours from the `first` on (0: itself), near ones counting more."""
-        distance, index = (values[:, first:] for values in self.around)
-        weight = kernel(distance)
-        return np.stack([(c[index] * weight).sum(1) for c in costs.T.cpu().numpy()], 1) / weight.sum(1, keepdims=True)
+        return weighted_mean(costs, *(values[:, first:] for values in self.around))
 
     def _assign(self) -> None:
         if len(self.palette) == 1:
@@ -301,10 +309,44 @@ class _MaterialLearner:
         self.weight = torch.ones_like(self.weight)
 
     def _evidence(self) -> Evidence:
-        cost = self._costs()
-        own = cost.gather(1, self.label[:, None])[:, 0] / self.weight
-        return Evidence(self.samples.position, self.samples.photo.cpu().numpy(), self._smoothed(cost),
-                        self.palette.albedo[self.label].cpu().numpy(), own.cpu().numpy())
+        """Of far more pixels than the light was gathered for, where the light of those tells that of the others: boundaries
+        are then as sharp as the photos."""
+        cost = self._costs().cpu().numpy()
+        label, photo = self.label.cpu().numpy(), self.samples.photo.cpu().numpy()
+        own = cost[np.arange(len(label)), label] / self.weight.cpu().numpy()
+        skipped = self.report.setdefault("skipped", {})
+        if len(self.palette) == 1:
+            skipped["votes of all pixels"] = "one material explains the photos"
+        else:
+            shown = torch.stack([self._shown(k) for k in range(len(self.palette))], 1).cpu().numpy()
+            samples = Surfels(self.samples.position, self._normals_at(self.samples), photo)
+            left_out = left_out_error(samples, shown)[np.arange(len(label)), label]
+            self.report["neighbours_error"] = round(float(np.median(left_out)), 4)
+            if np.median(left_out) <= np.median(own):
+                return self._evidence_of_pixels(samples, shown)
+            skipped["votes of all pixels"] = "light changes too fast between the samples of a photo"
+        return Evidence(self.samples.position, photo, self._smoothed(cost),
+                        self.palette.albedo[self.label].cpu().numpy(), own)
+
+    def _evidence_of_pixels(self, samples: Surfels, shown: np.ndarray) -> Evidence:
+        p, palette = self.preset, self.palette
+        voters = select_samples(self.rays, self.f_p.tracer, self.surface.normals, count=p.voters,
+                                least_cosine=p.least_cosine, generator=np.random.default_rng(self.seed))
+        pixels = Surfels(voters.position, self._normals_at(voters), voters.photo.cpu().numpy())
+        cost = pixel_costs(samples, shown, pixels, tone(voters.radiance).cpu().numpy(), p.clip)
+        cost = cost * torch.where(palette.blended, 1 + p.blend_margin, 1.0).cpu().numpy()
+        smoothed = weighted_mean(cost, *neighbours(cKDTree(pixels.position), pixels.position, 2 * NEIGHBOURS))
+        label = smoothed.argmin(1)
+        return Evidence(pixels.position, pixels.photo, smoothed, palette.albedo.cpu().numpy()[label],
+                        cost[np.arange(len(cost)), label])
+
+    def _normals_at(self, samples: PhotoSamples) -> np.ndarray:
+        return self.f_p.tracer.smooth_normals(self.surface.normals, samples.face, samples.barycentric)
+
+    def _shown(self, k: int) -> Tensor:
+        """What each sample would show, tone-mapped, if it were the k-th material [n,3]."""
+        material = self.palette.at(torch.full((len(self.samples),), k, device=self.device))
+        return tone(reflected(material, self.light.moments(material.roughness), self.light.diffuse, self.light.cos_v))
 
     def _footprint(self, rays: PixelRays) -> float:
         """Median width of a pixel on the surface, unit frame."""

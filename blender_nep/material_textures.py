@@ -40,9 +40,13 @@ def neighbours(tree: cKDTree, points: np.ndarray, count: int) -> tuple[np.ndarra
 
 def vote(cost: np.ndarray, distance: np.ndarray, index: np.ndarray) -> np.ndarray:
     """Material [m] int with the least cost over each point's neighbours, near ones counting more. cost [n,K]."""
+    return weighted_mean(cost, distance, index).argmin(1)
+
+
+def weighted_mean(cost: np.ndarray, distance: np.ndarray, index: np.ndarray) -> np.ndarray:
+    """Mean cost [m,K] over each point's neighbours, near ones counting more. distance, index [m,count] into cost [n,K]."""
     weight = kernel(distance)
-    total = np.stack([(cost[:, k][index] * weight).sum(1) for k in range(cost.shape[1])], 1)
-    return total.argmin(1)
+    return np.stack([(c[index] * weight).sum(1) for c in cost.T], 1) / weight.sum(1, keepdims=True)
 
 
 def kernel(distance: np.ndarray) -> np.ndarray:

@@ -173,6 +173,8 @@ class MaterialPreset:
     """Cost of its mean, tone-mapped, in tone-mapped error: light made up must explain more than it costs."""
     unseen_colour: float = 0.01
     """Cost of the share of its flux that is not grey: coloured light on a grey thing looks like the reverse."""
+    voters: int = 240_000
+    """Pixels that say where which material lies, by the light of the samples beside them."""
     metallic: tuple[float, ...] = (0.0, 1.0)
     """Hypotheses compared by their residual."""
     metal_margin: float = -0.03
@@ -227,7 +229,8 @@ PRESETS = {
         fields=FieldsPreset(background_steps=200, steps=700, object_rays=1280, sphere_rays=768, outside_rays=768),
         environment=EnvironmentPreset(resolutions=((20, 32), (28, 64)), refine_at=(0.25,), steps=600),
         surface=SurfacePreset(grid=144, faces=10_000, atlas_texels=512),
-        material=MaterialPreset(samples=12_000, terminal_steps=150, unseen_samples=4000, unseen_steps=60, most_texels=512)),
+        material=MaterialPreset(samples=12_000, voters=60_000, terminal_steps=150, unseen_samples=4000, unseen_steps=60,
+                                most_texels=512)),
     "balanced": Preset(),
     "quality": Preset(
         name="quality", max_pixels_per_photo=650_000, fields_seconds=400, surface_seconds=20, material_seconds=200,
@@ -235,7 +238,7 @@ PRESETS = {
         fields=FieldsPreset(background_steps=400, steps=4500, object_rays=2048, last_sharpness=400),
         environment=EnvironmentPreset(steps=4000),
         surface=SurfacePreset(grid=288, faces=60_000, atlas_texels=2048),
-        material=MaterialPreset(samples=80_000, unseen_samples=16_000, most_texels=2048)),
+        material=MaterialPreset(samples=80_000, voters=600_000, unseen_samples=16_000, most_texels=2048)),
 }
 
 
