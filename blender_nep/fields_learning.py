@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import torch
 from torch.nn import functional
 
+from blender_nep.capture.pixel_set import PixelSet
 from blender_nep.capture.rays import PixelRays
 from blender_nep.errors import LearningError, Stopped
 from blender_nep.fields import environment_learning
@@ -218,7 +219,7 @@ class FieldsLearning:
         for group in self.environment_optimiser.param_groups:
             group["lr"] = environment_learning.learning_rate(self.environment.preset, self.step / self.steps)
 
-    def _draw(self, pool: torch.Tensor, count: int) -> torch.Tensor:
+    def _draw(self, pool: PixelSet, count: int) -> torch.Tensor:
         """About `count` random pixels of the pool, without the held-out ones."""
         index = pool[torch.randint(len(pool), (count,), generator=self.generator, device=self.device)]
         return index[index % HELD_OUT != 0]
@@ -227,7 +228,7 @@ class FieldsLearning:
     def _check(self, pixels: int = 4096) -> float:
         """Photometric error on held-out pixels in which the object was seen at the first look."""
         if self.checked is None:
-            index = self.object_pixels[self.object_pixels % HELD_OUT == 0]
+            index = torch.cat([part[part % HELD_OUT == 0] for part in self.object_pixels.split(1 << 20)])
             self.checked = index[:: max(1, len(index) // pixels)]
         if not len(self.checked):
             return float("inf")
@@ -278,8 +279,8 @@ class FieldsLearning:
             seen = functional.max_pool2d(seen, 3, 1, 1)
             seen = seen[0, 0].repeat_interleave(block, 0)[:height].repeat_interleave(block, 1)[:, :width] > 0
             valid = rays.valid[rays.offset[view]:rays.offset[view + 1]]
-            found.append(rays.offset[view] + (seen.flatten() & valid).nonzero()[:, 0])
-        found = torch.cat(found)
+            found.append(PixelSet.where(seen.flatten() & valid, rays.offset[view]))
+        found = PixelSet.joined(found)
         self.object_pixels = found if len(found) else rays.sphere
 
     def learn_step(self) -> float:
@@ -373,7 +374,7 @@ class FieldsLearning:
                 "environment": self.environment.state_dict(), "sdf_optimiser": self.sdf_optimiser.state_dict(),
                 "head_optimiser": self.head_optimiser.state_dict(),
                 "environment_optimiser": self.environment_optimiser.state_dict(),
-                "generator": self.generator.get_state(), "looks": self.looks, "object_pixels": self.object_pixels,
+                "generator": self.generator.get_state(), "looks": self.looks, "object_pixels": self.object_pixels.state(),
                 "start_sharpness": self.start_sharpness, "report": self.report, "learned": self.learned,
                 "held_out": self.held_out, "checked": self.checked}
 
@@ -388,7 +389,8 @@ class FieldsLearning:
         self.head_optimiser.load_state_dict(state["head_optimiser"])
         self.environment_optimiser.load_state_dict(state["environment_optimiser"])
         self.generator.set_state(state["generator"])
-        self.looks, self.object_pixels = state["looks"], state["object_pixels"]
+        self.looks = state["looks"]
+        self.object_pixels = PixelSet.from_state(state["object_pixels"]).to(self.device)
         self.start_sharpness, self.report = state["start_sharpness"], state["report"]
         self.learned, self.held_out, self.checked = state["learned"], state["held_out"], state["checked"]
 
@@ -433,12 +435,12 @@ def learn_fields(rays: PixelRays, preset: Preset, *, seed: int, device: torch.de
     return Fields(learning.object_field, learning.environment, report)
 
 
-def _pixels_beside(surface: Surface, rays: PixelRays, chunk: int = 1 << 18) -> torch.Tensor:
-    """Indices of the valid pixels whose rays miss the mesh."""
+def _pixels_beside(surface: Surface, rays: PixelRays, chunk: int = 1 << 18) -> PixelSet:
+    """The valid pixels whose rays miss the mesh."""
     tracer = RayTracer(surface.vertices, surface.faces)
     beside = [rays.outside]
     for index in rays.sphere.split(chunk):
         origins, directions, _ = rays.rays(index)
         hit = tracer.occluded(origins.cpu().numpy(), directions.cpu().numpy())
-        beside.append(index[torch.from_numpy(~hit).to(index.device)])
-    return torch.cat(beside)
+        beside.append(PixelSet.of(index[torch.from_numpy(~hit).to(index.device)]))
+    return PixelSet.joined(beside)

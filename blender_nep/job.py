@@ -24,6 +24,7 @@ import torch
 
 import blender_nep
 from blender_nep.capture import Capture, PixelRays, load_capture
+from blender_nep.capture.pixel_store import PixelMemory
 from blender_nep.checkpoints import StopRequest, output_errors
 from blender_nep.errors import NepError, OutputError, UsageError
 from blender_nep.events import Events, Timeline
@@ -277,7 +278,8 @@ class Job:
         capture = load_capture(s.capture, use_masks=s.use_masks, sphere=s.sphere)
         for warning in capture.warnings:
             self.events.warning(warning)
-        rays = PixelRays.from_capture(capture, s.preset.max_pixels_per_photo, s.use_masks, self.device)
+        memory = PixelMemory(s.preset.max_pixels, s.preset.pixels_in_memory, s.out)
+        rays = PixelRays.from_capture(capture, s.preset.max_pixels_per_photo, s.use_masks, self.device, memory=memory)
         for warning in rays.warnings:
             self.events.warning(warning)
         self._progress("capture", 1, 1, None)
