@@ -25,6 +25,7 @@ from blender_nep.fields.volume_rendering import BAND, render_surface, sphere_int
 from blender_nep.metrics import tone_map
 from blender_nep.ops import bspline
 from blender_nep.presets import Preset
+from blender_nep.profile import profiled, section
 from blender_nep.raytracing import RayTracer
 from blender_nep.surface import Surface
 
@@ -170,6 +171,7 @@ class FieldsLearning:
         rise = min(self.fraction / p.sharpness_until, 1.0)
         return self.start_sharpness * (p.last_sharpness / self.start_sharpness) ** rise
 
+    @profiled("render")
     def render(self, origins: torch.Tensor, directions: torch.Tensor, half_angle: torch.Tensor,
                generator: torch.Generator | None) -> Rendering:
         """Radiance of rays through both fields. All rays [n, 3] may or may not meet the sphere."""
@@ -183,7 +185,8 @@ class FieldsLearning:
         coefficients = self.object_field.coefficients()
         surface = render_surface(coefficients, origins[meets], directions[meets], self.sharpness, samples, generator)
         normal = functional.normalize(surface.gradient, dim=-1, eps=1e-6)
-        appearance = self.object_field.appearance(surface.point, normal, directions[meets[surface.ray]])
+        with section("appearance"):
+            appearance = self.object_field.appearance(surface.point, normal, directions[meets[surface.ray]])
         opacity = surface.opacity.clamp(max=1)
         # front parts of all rays (whole rays for those that miss), then back parts where something shows through
         clear = torch.ones(len(meets), device=self.device).index_add(0, surface.ray, -opacity)
@@ -209,7 +212,8 @@ class FieldsLearning:
         opacities = torch.zeros(n, device=self.device).index_add(0, ray, opacity)
         w_s = dynamic_weight(appearance, p.dynamic_weight if p.decomposition else "none")
         weight = torch.ones(n, 1, device=self.device).index_add(0, ray, opacity.detach()[:, None] * (w_s - 1))
-        hessian = bspline.sample(coefficients, surface.point.detach().clamp(-1, 1), hessian=True)[:, 4:]
+        with section("curvature"):
+            hessian = bspline.sample(coefficients, surface.point.detach().clamp(-1, 1), hessian=True)[:, 4:]
         bending = (hessian[:, :3] ** 2).sum(1) + 2 * (hessian[:, 3:] ** 2).sum(1)
         return Rendering(total, opacities, weight,
                          ((surface.sdf_gradient.norm(dim=-1) - 1) ** 2).mean() if len(ray) else total.sum() * 0,
@@ -219,11 +223,13 @@ class FieldsLearning:
         for group in self.environment_optimiser.param_groups:
             group["lr"] = environment_learning.learning_rate(self.environment.preset, self.step / self.steps)
 
+    @profiled("draw pixels")
     def _draw(self, pool: PixelSet, count: int) -> torch.Tensor:
         """About `count` random pixels of the pool, without the held-out ones."""
         index = pool[torch.randint(len(pool), (count,), generator=self.generator, device=self.device)]
         return index[index % HELD_OUT != 0]
 
+    @profiled("held-out error")
     @torch.no_grad()
     def _check(self, pixels: int = 4096) -> float:
         """Photometric error on held-out pixels in which the object was seen at the first look."""
@@ -235,6 +241,7 @@ class FieldsLearning:
         out = self.render(*self.rays.rays(self.checked), None)
         return float((tone_map(out.radiance) - tone_map(self.rays.radiance[self.checked].float())).abs().mean())
 
+    @profiled("steps of F_e alone")
     def _learn_background_step(self) -> float:
         """A step of F_e alone, from pixels that do not see the object's sphere."""
         p = self.preset
@@ -247,6 +254,7 @@ class FieldsLearning:
         self.step += 1
         return self.loss
 
+    @profiled("visual hull")
     def _find_hull(self) -> None:
         """Starts the SDF from the visual hull, where the silhouettes show one; else it stays a sphere."""
         p = self.preset
@@ -263,6 +271,7 @@ class FieldsLearning:
         self.object_field.start_from(torch.from_numpy(hull.sdf).to(self.device))
         self.start_sharpness = p.hull_sharpness
 
+    @profiled("look for the object")
     @torch.no_grad()
     def _look_for_object(self, block: int = 4) -> None:
         """Sets `object_pixels`: the valid pixels in which the object is seen now, and some around them."""
@@ -285,9 +294,11 @@ class FieldsLearning:
 
     def learn_step(self) -> float:
         """One optimisation step; returns the loss."""
+        return self._learn_background_step() if self.step < self.background_steps else self._learn_joint_step()
+
+    @profiled("steps of both fields")
+    def _learn_joint_step(self) -> float:
         p, rays = self.preset, self.rays
-        if self.step < self.background_steps:
-            return self._learn_background_step()
         if self.step == self.background_steps:
             self._find_hull()
         if self.fraction >= p.fine_from and len(self.object_field.levels) < p.last_levels:
@@ -303,8 +314,9 @@ class FieldsLearning:
                                                             (rays.sphere, p.sphere_rays),
                                                             (rays.outside, p.outside_rays)) if len(pool)]
         index = torch.cat(pick)
-        origins, directions, half_angle = rays.rays(index)
-        target = tone_map(rays.radiance[index].float())
+        with section("rays and photo values"):
+            origins, directions, half_angle = rays.rays(index)
+            target = tone_map(rays.radiance[index].float())
         out = self.render(origins, directions, half_angle, self.generator)
         photometric = (out.weight * (tone_map(out.radiance) - target).abs()).mean()
         # stiff while the light is still unknown, which would else be explained by dents; then free for detail
@@ -325,10 +337,12 @@ class FieldsLearning:
         for optimiser in optimisers:
             optimiser.zero_grad()
         if self._judge(float(loss.detach())):
-            loss.backward()
+            with section("backward"):
+                loss.backward()
             self.environment.regularise(self.generator)
-            for optimiser in optimisers:
-                optimiser.step()
+            with section("optimisers"):
+                for optimiser in optimisers:
+                    optimiser.step()
         self.step += 1
         self.learned = min(self.learned + self._pace, p.steps)
         self.loss = float(photometric.detach())

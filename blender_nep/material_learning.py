@@ -21,6 +21,7 @@ from blender_nep.errors import LearningError
 from blender_nep.material_palette import Palette, best_of, choose, error, fit_groups, same_material
 from blender_nep.material_textures import NEIGHBOURS, Evidence, bake, kernel, labels_at, neighbours, texture_size, vote
 from blender_nep.photo_samples import PhotoSamples, select_samples
+from blender_nep.profile import profiled, section
 from blender_nep.raytracing import RayTracer
 from blender_nep.shading.incoming_light import IncomingLight
 from blender_nep.shading.plenoptic import Material, PlenopticFunction, SurfacePoints, TerminalRadiance
@@ -220,6 +221,7 @@ class _MaterialLearner:
         one = torch.tensor([k], device=self.device)
         return error(self.light, self.target, self.weight, palette.at(one), self.preset.clip)
 
+    @profiled("residuals")
     def _costs(self, palette: Palette | None = None) -> Tensor:
         """[n,K]; a blend must be better than a material alone by a margin."""
         palette = self.palette if palette is None else palette
@@ -233,6 +235,7 @@ class _MaterialLearner:
         label = self._smoothed(costs, first=1).argmin(1)
         return float(costs.cpu().numpy()[np.arange(len(label)), label].mean())
 
+    @profiled("votes")
     def _smoothed(self, costs: Tensor, first: int = 0) -> np.ndarray:
         """Means over each sample's neighbours from the `first` on (0: itself), near ones counting more."""
         distance, index = (values[:, first:] for values in self.around)
@@ -243,7 +246,9 @@ class _MaterialLearner:
         if len(self.palette) == 1:
             self.label.zero_()
             return
-        self.label = torch.from_numpy(vote(self._costs().cpu().numpy(), *self.around)).to(self.device)
+        costs = self._costs().cpu().numpy()
+        with section("votes"):
+            self.label = torch.from_numpy(vote(costs, *self.around)).to(self.device)
 
     def _residual(self) -> float:
         own = self._costs().gather(1, self.label[:, None])
@@ -260,6 +265,7 @@ class _MaterialLearner:
         self.light.update(self._materials_at, self.generator)
         self._residual()
 
+    @profiled("terminal MLP")
     def _learn_terminal(self) -> None:
         """MLP(x, d) from the photos: what they show of the surface is the radiance it sends out."""
         net, p = self.f_p.terminal, self.preset

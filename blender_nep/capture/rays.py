@@ -6,7 +6,7 @@ import math
 import os
 from collections import deque
 from collections.abc import Iterator
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,6 +18,7 @@ from blender_nep.capture.capture import Capture
 from blender_nep.capture.pixel_set import PixelSet
 from blender_nep.capture.pixel_store import PixelMemory
 from blender_nep.errors import BoundsError, CaptureError
+from blender_nep.profile import profiled
 
 MAXIMUM_RADIANCE = 6e4
 """Brighter values are clipped: the largest half float is 65504."""
@@ -171,6 +172,7 @@ class PixelRays:
         rays._split()
         return rays
 
+    @profiled("rays that meet the sphere")
     def _split(self) -> None:
         """Which valid pixels' rays meet the unit sphere, and which do not."""
         sphere, outside, seeing, showing = [], [], set(), set()
@@ -242,12 +244,17 @@ def _loaded(capture: Capture, factors: list[int], use_masks: bool) -> Iterator[_
             for i, factor in enumerate(factors):
                 ahead.append(pool.submit(_load, capture, i, factor, use_masks))
                 if len(ahead) > 2 * workers:
-                    yield ahead.popleft().result()
+                    yield _wait(ahead.popleft())
             while ahead:
-                yield ahead.popleft().result()
+                yield _wait(ahead.popleft())
         finally:
             for waiting in ahead:
                 waiting.cancel()
+
+
+@profiled("decode photos")
+def _wait(future: Future) -> _Photo:
+    return future.result()
 
 
 def _load(capture: Capture, i: int, factor: int, use_masks: bool) -> _Photo:
