@@ -23,6 +23,7 @@ from blender_nep.capture.images import linear_to_srgb
 from blender_nep.checkpoints import output_errors
 from blender_nep.events import plain
 from blender_nep.preview import render_preview
+from blender_nep.profile import section
 
 TEXTURES = ("albedo", "roughness", "metallic", "confidence")
 
@@ -60,7 +61,8 @@ def write_asset(
         uv=np.asarray(surface.uv),
         textures={name: np.asarray(getattr(materials, name), np.float32) for name in TEXTURES},
     )
-    picture = render_preview(rays, surface, mesh.textures, radiance)
+    with section("preview picture"):
+        picture = render_preview(rays, surface, mesh.textures, radiance)
     with output_errors(folder):
         partial = folder / ".partial"
         shutil.rmtree(partial, ignore_errors=True)

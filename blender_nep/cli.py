@@ -91,6 +91,10 @@ def parser() -> argparse.ArgumentParser:
     )
     run.add_argument("--preview", action="store_true", help="show in ASSET/job what has been learned so far")
     run.add_argument(
+        "--profile", action="store_true",
+        help="say where the time went: a table on stderr and in report.json, and ASSET/profile.json for speedscope.app",
+    )
+    run.add_argument(
         "--watch-stdin", action="store_true", help='stop at {"cmd": "stop"} on standard input, or when it is closed'
     )
     return top
@@ -185,6 +189,7 @@ def _reconstruct(options: argparse.Namespace) -> int:
         threads=options.threads,
         job_files=options.job_files,
         preview=options.preview,
+        profile=options.profile,
     )
     with stop.signals():
         return job.run(settings, events, stop)

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import torch
 from torch.nn import functional
 
+from blender_nep.capture.pixel_set import PixelSet
 from blender_nep.capture.rays import PixelRays
 from blender_nep.errors import LearningError, Stopped
 from blender_nep.fields import environment_learning
@@ -24,6 +25,7 @@ from blender_nep.fields.volume_rendering import BAND, render_surface, sphere_int
 from blender_nep.metrics import tone_map
 from blender_nep.ops import bspline
 from blender_nep.presets import Preset
+from blender_nep.profile import profiled, section
 from blender_nep.raytracing import RayTracer
 from blender_nep.surface import Surface
 
@@ -169,6 +171,7 @@ class FieldsLearning:
         rise = min(self.fraction / p.sharpness_until, 1.0)
         return self.start_sharpness * (p.last_sharpness / self.start_sharpness) ** rise
 
+    @profiled("render")
     def render(self, origins: torch.Tensor, directions: torch.Tensor, half_angle: torch.Tensor,
                generator: torch.Generator | None) -> Rendering:
         """Radiance of rays through both fields. All rays [n, 3] may or may not meet the sphere."""
@@ -182,7 +185,8 @@ class FieldsLearning:
         coefficients = self.object_field.coefficients()
         surface = render_surface(coefficients, origins[meets], directions[meets], self.sharpness, samples, generator)
         normal = functional.normalize(surface.gradient, dim=-1, eps=1e-6)
-        appearance = self.object_field.appearance(surface.point, normal, directions[meets[surface.ray]])
+        with section("appearance"):
+            appearance = self.object_field.appearance(surface.point, normal, directions[meets[surface.ray]])
         opacity = surface.opacity.clamp(max=1)
         # front parts of all rays (whole rays for those that miss), then back parts where something shows through
         clear = torch.ones(len(meets), device=self.device).index_add(0, surface.ray, -opacity)
@@ -208,7 +212,8 @@ class FieldsLearning:
         opacities = torch.zeros(n, device=self.device).index_add(0, ray, opacity)
         w_s = dynamic_weight(appearance, p.dynamic_weight if p.decomposition else "none")
         weight = torch.ones(n, 1, device=self.device).index_add(0, ray, opacity.detach()[:, None] * (w_s - 1))
-        hessian = bspline.sample(coefficients, surface.point.detach().clamp(-1, 1), hessian=True)[:, 4:]
+        with section("curvature"):
+            hessian = bspline.sample(coefficients, surface.point.detach().clamp(-1, 1), hessian=True)[:, 4:]
         bending = (hessian[:, :3] ** 2).sum(1) + 2 * (hessian[:, 3:] ** 2).sum(1)
         return Rendering(total, opacities, weight,
                          ((surface.sdf_gradient.norm(dim=-1) - 1) ** 2).mean() if len(ray) else total.sum() * 0,
@@ -218,22 +223,25 @@ class FieldsLearning:
         for group in self.environment_optimiser.param_groups:
             group["lr"] = environment_learning.learning_rate(self.environment.preset, self.step / self.steps)
 
-    def _draw(self, pool: torch.Tensor, count: int) -> torch.Tensor:
+    @profiled("draw pixels")
+    def _draw(self, pool: PixelSet, count: int) -> torch.Tensor:
         """About `count` random pixels of the pool, without the held-out ones."""
         index = pool[torch.randint(len(pool), (count,), generator=self.generator, device=self.device)]
         return index[index % HELD_OUT != 0]
 
+    @profiled("held-out error")
     @torch.no_grad()
     def _check(self, pixels: int = 4096) -> float:
         """Photometric error on held-out pixels in which the object was seen at the first look."""
         if self.checked is None:
-            index = self.object_pixels[self.object_pixels % HELD_OUT == 0]
+            index = torch.cat([part[part % HELD_OUT == 0] for part in self.object_pixels.split(1 << 20)])
             self.checked = index[:: max(1, len(index) // pixels)]
         if not len(self.checked):
             return float("inf")
         out = self.render(*self.rays.rays(self.checked), None)
         return float((tone_map(out.radiance) - tone_map(self.rays.radiance[self.checked].float())).abs().mean())
 
+    @profiled("steps of F_e alone")
     def _learn_background_step(self) -> float:
         """A step of F_e alone, from pixels that do not see the object's sphere."""
         p = self.preset
@@ -246,6 +254,7 @@ class FieldsLearning:
         self.step += 1
         return self.loss
 
+    @profiled("visual hull")
     def _find_hull(self) -> None:
         """Starts the SDF from the visual hull, where the silhouettes show one; else it stays a sphere."""
         p = self.preset
@@ -262,6 +271,7 @@ class FieldsLearning:
         self.object_field.start_from(torch.from_numpy(hull.sdf).to(self.device))
         self.start_sharpness = p.hull_sharpness
 
+    @profiled("look for the object")
     @torch.no_grad()
     def _look_for_object(self, block: int = 4) -> None:
         """Sets `object_pixels`: the valid pixels in which the object is seen now, and some around them."""
@@ -278,15 +288,17 @@ class FieldsLearning:
             seen = functional.max_pool2d(seen, 3, 1, 1)
             seen = seen[0, 0].repeat_interleave(block, 0)[:height].repeat_interleave(block, 1)[:, :width] > 0
             valid = rays.valid[rays.offset[view]:rays.offset[view + 1]]
-            found.append(rays.offset[view] + (seen.flatten() & valid).nonzero()[:, 0])
-        found = torch.cat(found)
+            found.append(PixelSet.where(seen.flatten() & valid, rays.offset[view]))
+        found = PixelSet.joined(found)
         self.object_pixels = found if len(found) else rays.sphere
 
     def learn_step(self) -> float:
         """One optimisation step; returns the loss."""
+        return self._learn_background_step() if self.step < self.background_steps else self._learn_joint_step()
+
+    @profiled("steps of both fields")
+    def _learn_joint_step(self) -> float:
         p, rays = self.preset, self.rays
-        if self.step < self.background_steps:
-            return self._learn_background_step()
         if self.step == self.background_steps:
             self._find_hull()
         if self.fraction >= p.fine_from and len(self.object_field.levels) < p.last_levels:
@@ -302,8 +314,9 @@ class FieldsLearning:
                                                             (rays.sphere, p.sphere_rays),
                                                             (rays.outside, p.outside_rays)) if len(pool)]
         index = torch.cat(pick)
-        origins, directions, half_angle = rays.rays(index)
-        target = tone_map(rays.radiance[index].float())
+        with section("rays and photo values"):
+            origins, directions, half_angle = rays.rays(index)
+            target = tone_map(rays.radiance[index].float())
         out = self.render(origins, directions, half_angle, self.generator)
         photometric = (out.weight * (tone_map(out.radiance) - target).abs()).mean()
         # stiff while the light is still unknown, which would else be explained by dents; then free for detail
@@ -324,10 +337,12 @@ class FieldsLearning:
         for optimiser in optimisers:
             optimiser.zero_grad()
         if self._judge(float(loss.detach())):
-            loss.backward()
+            with section("backward"):
+                loss.backward()
             self.environment.regularise(self.generator)
-            for optimiser in optimisers:
-                optimiser.step()
+            with section("optimisers"):
+                for optimiser in optimisers:
+                    optimiser.step()
         self.step += 1
         self.learned = min(self.learned + self._pace, p.steps)
         self.loss = float(photometric.detach())
@@ -373,7 +388,7 @@ class FieldsLearning:
                 "environment": self.environment.state_dict(), "sdf_optimiser": self.sdf_optimiser.state_dict(),
                 "head_optimiser": self.head_optimiser.state_dict(),
                 "environment_optimiser": self.environment_optimiser.state_dict(),
-                "generator": self.generator.get_state(), "looks": self.looks, "object_pixels": self.object_pixels,
+                "generator": self.generator.get_state(), "looks": self.looks, "object_pixels": self.object_pixels.state(),
                 "start_sharpness": self.start_sharpness, "report": self.report, "learned": self.learned,
                 "held_out": self.held_out, "checked": self.checked}
 
@@ -388,7 +403,8 @@ class FieldsLearning:
         self.head_optimiser.load_state_dict(state["head_optimiser"])
         self.environment_optimiser.load_state_dict(state["environment_optimiser"])
         self.generator.set_state(state["generator"])
-        self.looks, self.object_pixels = state["looks"], state["object_pixels"]
+        self.looks = state["looks"]
+        self.object_pixels = PixelSet.from_state(state["object_pixels"]).to(self.device)
         self.start_sharpness, self.report = state["start_sharpness"], state["report"]
         self.learned, self.held_out, self.checked = state["learned"], state["held_out"], state["checked"]
 
@@ -433,12 +449,12 @@ def learn_fields(rays: PixelRays, preset: Preset, *, seed: int, device: torch.de
     return Fields(learning.object_field, learning.environment, report)
 
 
-def _pixels_beside(surface: Surface, rays: PixelRays, chunk: int = 1 << 18) -> torch.Tensor:
-    """Indices of the valid pixels whose rays miss the mesh."""
+def _pixels_beside(surface: Surface, rays: PixelRays, chunk: int = 1 << 18) -> PixelSet:
+    """The valid pixels whose rays miss the mesh."""
     tracer = RayTracer(surface.vertices, surface.faces)
     beside = [rays.outside]
     for index in rays.sphere.split(chunk):
         origins, directions, _ = rays.rays(index)
         hit = tracer.occluded(origins.cpu().numpy(), directions.cpu().numpy())
-        beside.append(index[torch.from_numpy(~hit).to(index.device)])
-    return torch.cat(beside)
+        beside.append(PixelSet.of(index[torch.from_numpy(~hit).to(index.device)]))
+    return PixelSet.joined(beside)

@@ -24,11 +24,13 @@ import torch
 
 import blender_nep
 from blender_nep.capture import Capture, PixelRays, load_capture
+from blender_nep.capture.pixel_store import PixelMemory
 from blender_nep.checkpoints import StopRequest, output_errors
 from blender_nep.errors import NepError, OutputError, UsageError
 from blender_nep.events import Events, Timeline
 from blender_nep.job_folder import JobFolder
 from blender_nep.presets import Preset
+from blender_nep.profile import Profile, profiled, section
 from blender_nep.rooms import Rooms
 from blender_nep.run_folder import RunFolder, fingerprint, refuse_other_run
 
@@ -56,6 +58,7 @@ class Settings:
     threads: int | None = None
     job_files: bool = False
     preview: bool = False
+    profile: bool = False
 
 
 def run(settings: Settings, events: Events, stop: StopRequest, rooms: Rooms | None = None) -> int:
@@ -136,9 +139,19 @@ class Job:
         self.seconds: dict[str, float] = {}
         self.resumed: list[str] = []
         self.losses: dict[str, float] = {}
+        self.profile: Profile | None = None
 
     def run(self) -> None:
         """All rooms. Raises NepError and its kinds."""
+        if not self.settings.profile:
+            return self._run()
+        self.profile = Profile(torch.cuda.synchronize if choose_device(self.settings.device).type == "cuda" else None)
+        with self.profile.recording():
+            self._run()
+        self.profile.write(self.settings.out / "profile.json")
+        self.events.say(self.profile.table())
+
+    def _run(self) -> None:
         s = self.settings
         self._refuse_to_overwrite()
         if s.job_files:
@@ -267,8 +280,10 @@ class Job:
             out.mkdir(parents=True, exist_ok=True)
             if self.settings.overwrite and not self.settings.resume:
                 (out / "report.json").unlink(missing_ok=True)  # from here on the folder is no valid asset
+                (out / "profile.json").unlink(missing_ok=True)
             self.events.open_log(out / "log.txt")
 
+    @profiled("capture")
     def _enter_capture(self) -> tuple[Capture, PixelRays]:
         s = self.settings
         self.timeline.enter("capture")
@@ -277,7 +292,8 @@ class Job:
         capture = load_capture(s.capture, use_masks=s.use_masks, sphere=s.sphere)
         for warning in capture.warnings:
             self.events.warning(warning)
-        rays = PixelRays.from_capture(capture, s.preset.max_pixels_per_photo, s.use_masks, self.device)
+        memory = PixelMemory(s.preset.max_pixels, s.preset.pixels_in_memory, s.out)
+        rays = PixelRays.from_capture(capture, s.preset.max_pixels_per_photo, s.use_masks, self.device, memory=memory)
         for warning in rays.warnings:
             self.events.warning(warning)
         self._progress("capture", 1, 1, None)
@@ -320,7 +336,8 @@ class Job:
 
         # a room's kernels are compiled at its first step, on each machine once; later runs take them from the cache
         self._progress(room, 0, 1, None, note="warming up")
-        result = work(progress, checkpoint)
+        with section(room):
+            result = work(progress, checkpoint)
         self.seconds[room] = checkpoint.seconds()
         self.folder.save_result(room, pack(result), self.seconds[room])
         checkpoint.remove()
@@ -374,12 +391,14 @@ class Job:
                 "resumed_rooms": self.resumed,
                 "skipped": skipped,
                 "losses": self.losses,
+                **({} if self.profile is None else {"profile": self.profile.report()}),
                 "rooms": {room: {k: v for k, v in part.items() if k != "skipped"} for room, part in parts.items()},
                 "warnings": self.events.warnings,
                 "fingerprint": what,
             }
 
-        self.rooms.write_asset(s.out, capture, rays, surface, materials, (light, coverage), report)
+        with section("asset"):
+            self.rooms.write_asset(s.out, capture, rays, surface, materials, (light, coverage), report)
         if s.clean:
             self.folder.remove()
         self._progress("asset", 1, 1, None)

@@ -31,6 +31,7 @@ from blender_nep.material_textures import (
 )
 from blender_nep.photo_samples import PhotoSamples, select_samples
 from blender_nep.pixel_votes import Surfels, left_out_error, pixel_costs
+from blender_nep.profile import profiled, section
 from blender_nep.raytracing import RayTracer
 from blender_nep.shading.incoming_light import IncomingLight
 from blender_nep.shading.plenoptic import Material, PlenopticFunction, SurfacePoints, TerminalRadiance, reflected
@@ -230,6 +231,7 @@ class _MaterialLearner:
         one = torch.tensor([k], device=self.device)
         return error(self.light, self.target, self.weight, palette.at(one), self.preset.clip)
 
+    @profiled("residuals")
     def _costs(self, palette: Palette | None = None) -> Tensor:
         """[n,K]; a blend must be better than a material alone by a margin."""
         palette = self.palette if palette is None else palette
@@ -243,6 +245,7 @@ class _MaterialLearner:
         label = self._smoothed(costs, first=1).argmin(1)
         return float(costs[np.arange(len(label)), label].mean())
 
+    @profiled("votes")
     def _smoothed(self, costs: np.ndarray, first: int = 0) -> np.ndarray:
         """Means over each sample's neighbours from the `first` on (0: itself), near ones counting more."""
         return weighted_mean(costs, *(values[:, first:] for values in self.around))
@@ -251,7 +254,9 @@ class _MaterialLearner:
         if len(self.palette) == 1:
             self.label.zero_()
             return
-        self.label = torch.from_numpy(vote(self._costs().cpu().numpy(), *self.around)).to(self.device)
+        costs = self._costs().cpu().numpy()
+        with section("votes"):
+            self.label = torch.from_numpy(vote(costs, *self.around)).to(self.device)
 
     def _residual(self) -> float:
         own = self._costs().gather(1, self.label[:, None])
@@ -268,6 +273,7 @@ class _MaterialLearner:
         self.light.update(self._materials_at, self.generator)
         self._residual()
 
+    @profiled("terminal MLP")
     def _learn_terminal(self) -> None:
         """MLP(x, d) from the photos: what they show of the surface is the radiance it sends out."""
         net, p = self.f_p.terminal, self.preset
@@ -328,6 +334,7 @@ class _MaterialLearner:
         return Evidence(self.samples.position, photo, self._smoothed(cost),
                         self.palette.albedo[self.label].cpu().numpy(), own)
 
+    @profiled("votes of all pixels")
     def _evidence_of_pixels(self, samples: Surfels, shown: np.ndarray) -> Evidence:
         p, palette = self.preset, self.palette
         voters = select_samples(self.rays, self.f_p.tracer, self.surface.normals, count=p.voters,

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from blender_nep.profile import profiled
 from blender_nep.shading.incoming_light import IncomingLight
 from blender_nep.shading.plenoptic import Material, albedo_line, reflected
 
@@ -88,6 +89,7 @@ def error(light: IncomingLight, target: Tensor, weight: Tensor, material: Materi
     return (tone(predicted) - tone(target)).abs().mean(-1).clamp_max(clip) * weight
 
 
+@profiled("fits")
 def fit_groups(light: IncomingLight, target: Tensor, weight: Tensor, group: Tensor, groups: int, *,
                least_roughness: float, clip: float, hypotheses: tuple[float, ...] = (0.0, 1.0),
                most_diffuse: float = 1.0) -> tuple[Tensor, Tensor]:

@@ -10,6 +10,7 @@ import torch
 from scipy.spatial import cKDTree
 
 from blender_nep.material_palette import Palette
+from blender_nep.profile import profiled
 from blender_nep.surface import Surface
 from blender_nep.texels import dilate, rasterise
 
@@ -31,6 +32,7 @@ class Evidence:
     """[n] of the chosen material"""
 
 
+@profiled("neighbours")
 def neighbours(tree: cKDTree, points: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
     """Distances and indices [n,count] of the nearest samples."""
     count = min(count, tree.n)
@@ -66,6 +68,7 @@ def texture_size(surface: Surface, footprint: float, most: int) -> int:
     return int(np.clip(2 ** round(math.log2(max(wanted, 1))), min(256, most), most))
 
 
+@profiled("textures")
 def bake(surface: Surface, evidence: Evidence, palette: Palette, size: int
          ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Albedo [S,S,3], roughness, metallic, confidence [S,S] float32, seams dilated.
@@ -102,6 +105,7 @@ def bake(surface: Surface, evidence: Evidence, palette: Palette, size: int
             texture(palette.metallic.cpu().numpy()[label]), texture(confidence))
 
 
+@profiled("labels")
 def labels_at(tree: cKDTree, labels: torch.Tensor, points: torch.Tensor) -> torch.Tensor:
     """The label [m] of the sample nearest to each point [m,3]."""
     nearest = tree.query(points.cpu().numpy(), workers=-1)[1]

@@ -10,6 +10,7 @@ import torch
 from torch import Tensor
 
 from blender_nep.errors import LearningError
+from blender_nep.profile import profiled
 from blender_nep.raytracing import RayTracer
 
 if TYPE_CHECKING:
@@ -45,6 +46,7 @@ class PhotoSamples:
         return len(self.face)
 
 
+@profiled("select samples")
 def select_samples(rays: PixelRays, tracer: RayTracer, normals: np.ndarray, *, count: int, least_cosine: float,
                    generator: np.random.Generator) -> PhotoSamples:
     """At most `count` pixels spread over the surface and the views, with what carries no information left out.

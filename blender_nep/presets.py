@@ -210,6 +210,10 @@ class Preset:
     name: str = "balanced"
     max_pixels_per_photo: int = 250_000
     """Photos are box-filtered down until they have at most this many pixels."""
+    max_pixels: int = 256_000_000
+    """Of all photos together: with more, each is filtered down further. 8 bytes a pixel of disk or GPU memory."""
+    pixels_in_memory: int = 32_000_000
+    """With more, they lie in a nameless file in the asset's folder, in half precision, and are read from there."""
     fields_seconds: float = 95.0
     surface_seconds: float = 5.0
     material_seconds: float = 70.0

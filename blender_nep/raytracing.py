@@ -13,6 +13,8 @@ import numpy as np
 from embreex import rtcore_scene
 from embreex.mesh_construction import TriangleMesh
 
+from blender_nep.profile import profiled
+
 _CHUNK = 1 << 16
 """Rays a task: large enough to hide the call, small enough to share among threads."""
 
@@ -45,6 +47,7 @@ class RayTracer:
         self._scene.run(np.zeros((1, 3), np.float32), np.array([[0, 0, 1]], np.float32))
         self._threads = os.cpu_count() or 1
 
+    @profiled("ray tracing")
     def intersect(self, origins: np.ndarray, directions: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """First hit of each ray.
 
@@ -68,6 +71,7 @@ class RayTracer:
         self._each_chunk(work, origins, directions)
         return t, face, barycentric
 
+    @profiled("ray tracing")
     def occluded(self, origins: np.ndarray, directions: np.ndarray) -> np.ndarray:
         """Whether anything lies on the ray [n] bool."""
         out = np.empty(len(origins), bool)

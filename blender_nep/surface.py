@@ -14,6 +14,7 @@ import xatlas
 from skimage import measure
 
 from blender_nep.errors import CaptureError, LearningError
+from blender_nep.profile import profiled, section
 from blender_nep.support import MARGIN, Support, find_support
 
 if TYPE_CHECKING:
@@ -44,7 +45,8 @@ def extract_surface(object_field: ObjectField, preset: SurfacePreset) -> tuple[S
 
     Raises LearningError when the field has no surface in the sphere.
     """
-    sdf = object_field.sdf_grid(preset.grid)
+    with section("SDF grid"):
+        sdf = object_field.sdf_grid(preset.grid)
     vertices, faces = zero_level(sdf)
     support = find_support(vertices, faces, _BORDER)
     if support is not None:
@@ -90,6 +92,7 @@ def load_surface(mesh_path: Path, capture: Capture, preset: SurfacePreset) -> Su
     return unwrap(Surface(vertices, faces, _area_normals(vertices, faces)), preset)
 
 
+@profiled("UV atlas")
 def unwrap(surface: Surface, preset: SurfacePreset) -> Surface:
     """The same surface with a UV atlas (xatlas); vertices are duplicated along its seams."""
     atlas = xatlas.Atlas()
@@ -107,6 +110,7 @@ def unwrap(surface: Surface, preset: SurfacePreset) -> Surface:
     return Surface(surface.vertices[source], faces.astype(np.int64), surface.normals[source], uv.astype(np.float64))
 
 
+@profiled("keep the object")
 def keep_object(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray, dict]:
     """The connected component of the largest area; inner shells and floaters go. Faces are turned outward.
 
@@ -134,6 +138,7 @@ def keep_object(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np
     return vertices[used], inverse.reshape(-1, 3).astype(np.int64), report
 
 
+@profiled("marching cubes")
 def zero_level(sdf: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Marching cubes over [-1,1]^3 of an SDF [n,n,n] intersected with the unit sphere (which caps what it cuts)."""
     n = sdf.shape[0]
@@ -161,6 +166,7 @@ def _above(sdf: np.ndarray, support: Support) -> np.ndarray:
     return np.maximum(sdf, below.astype(np.float32))
 
 
+@profiled("decimation")
 def _decimate(vertices: np.ndarray, faces: np.ndarray, budget: int) -> tuple[np.ndarray, np.ndarray]:
     """At most about `budget` faces, by quadric errors: many where the surface bends, few where it is flat.
 

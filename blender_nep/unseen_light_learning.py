@@ -12,6 +12,7 @@ from torch import Tensor
 
 from blender_nep.material_palette import Palette, tone
 from blender_nep.presets import MaterialPreset
+from blender_nep.profile import profiled
 from blender_nep.shading.incoming_light import IncomingLight
 from blender_nep.shading.plenoptic import albedo_line, reflected
 from blender_nep.shading.unseen_light import UnseenLight, UnseenTransport, pyramid
@@ -32,6 +33,7 @@ _MOST_TRIALS = 6
 """Each way."""
 
 
+@profiled("unseen light")
 def learn_unseen_light(light: IncomingLight, palette: Palette, others: Palette | None, label: Tensor, target: Tensor,
                        preset: MaterialPreset, generator: torch.Generator, beat: Callable[[], None]
                        ) -> tuple[UnseenLight, Palette, list[float]]:

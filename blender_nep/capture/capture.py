@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from blender_nep.capture.camera import Camera
-from blender_nep.capture.images import read_image, read_mask
+from blender_nep.capture.images import MaskRaster, Raster, open_image
 from blender_nep.errors import CaptureError
 
 
@@ -52,35 +52,42 @@ class Capture:
         matrix[:3, 3] = self.object_center
         return matrix
 
+    def open_photo(self, i: int) -> Raster:
+        """A photo as its file stores it, to be made linear in parts. Raises CaptureError."""
+        view = self.views[i]
+        raster = open_image(view.image_path, self.color_space)
+        self._check_size(view, view.image_path, raster.size)
+        return raster
+
+    def open_mask(self, i: int) -> MaskRaster | None:
+        """A view's mask file, or None where there is none. Raises CaptureError."""
+        view = self.views[i]
+        if view.mask_path is None:
+            return None
+        mask = MaskRaster.of(view.mask_path)
+        self._check_size(view, view.mask_path, mask.size)
+        return mask
+
     def load_photo(self, i: int) -> tuple[np.ndarray, np.ndarray | None]:
         """Radiance [H, W, 3] linear float32 (raw, may hold NaN) and the photo's own alpha [H, W] in 0..1.
 
         Alpha is None where the file has none or where it is 1 throughout. Where it is 0 the photo is cut out: nothing
         is known of the surroundings there. Raises CaptureError.
         """
-        view = self.views[i]
-        radiance, alpha = read_image(view.image_path, self.color_space)
-        self._check_size(view, view.image_path, radiance)
-        return radiance, alpha if alpha is not None and alpha.min() < 0.999 else None
-
-    def load_radiance(self, i: int) -> np.ndarray:
-        """[H, W, 3] float32 linear, raw: may hold NaN, Inf and negative values. Raises CaptureError."""
-        return self.load_photo(i)[0]
+        raster = self.open_photo(i)
+        radiance, alpha = raster.rows()
+        return radiance, alpha if raster.has_alpha else None
 
     def load_mask(self, i: int) -> np.ndarray | None:
         """Coverage by the object [H, W] float32 in 0..1: the mask file, else the photo's alpha, else None."""
-        view = self.views[i]
-        if view.mask_path is None:
-            return self.load_photo(i)[1]
-        mask = read_mask(view.mask_path)
-        self._check_size(view, view.mask_path, mask)
-        return mask
+        mask = self.open_mask(i)
+        return self.load_photo(i)[1] if mask is None else mask.rows()
 
     @staticmethod
-    def _check_size(view: View, path: Path, pixels: np.ndarray) -> None:
-        if pixels.shape[:2] != (view.camera.height, view.camera.width):
+    def _check_size(view: View, path: Path, size: tuple[int, int]) -> None:
+        if size != (view.camera.height, view.camera.width):
             raise CaptureError(
-                f"{path.name} is {pixels.shape[1]} x {pixels.shape[0]} pixels, but its photo is "
+                f"{path.name} is {size[1]} x {size[0]} pixels, but its photo is "
                 f"{view.camera.width} x {view.camera.height}",
                 "A photo and its mask need the same size.",
             )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -53,24 +54,107 @@ def image_size(path: Path) -> tuple[int, int]:
         raise _unreadable(path, error) from error
 
 
-def read_image(path: Path, color_space: str) -> tuple[np.ndarray, np.ndarray | None]:
-    """Radiance [H, W, 3] linear float32 (raw: an EXR may hold NaN, Inf, negatives) and alpha [H, W] in 0..1 or None.
+@dataclass
+class Raster:
+    """An image as its file stores it, made linear a few rows at a time: as radiance it is four times as large.
 
-    Radiance is not multiplied by alpha: OpenEXR's associated alpha is divided out.
+    Alpha of OpenEXR is associated: rows() divides it out.
     """
+
+    stored: np.ndarray
+    """[H, W, C] uint8, uint16, float16 or float32; C = 1 grey, 2 grey and alpha, 3, 4 with alpha"""
+    encoded: bool
+    """sRGB"""
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """(H, W)"""
+        return self.stored.shape[:2]
+
+    @property
+    def is_float(self) -> bool:
+        """Whether it may hold NaN, Inf, negatives and values above 1."""
+        return self.stored.dtype.kind == "f"
+
+    @property
+    def _top(self) -> np.float32:
+        return np.float32(1 if self.is_float else np.iinfo(self.stored.dtype).max)
+
+    def least_alpha(self) -> float:
+        """1 where the file has none."""
+        if self.stored.shape[-1] in (1, 3):
+            return 1.0
+        alpha = self.stored[..., -1]
+        if self.is_float:
+            alpha = np.clip(np.nan_to_num(alpha), 0.0, 1.0)
+        return float(np.float32(alpha.min()) / self._top)
+
+    @property
+    def has_alpha(self) -> bool:
+        """Whether something of it is not opaque."""
+        return self.least_alpha() < 0.999
+
+    def rows(self, start: int = 0, end: int | None = None) -> tuple[np.ndarray, np.ndarray | None]:
+        """Radiance [h, W, 3] linear float32 of the rows start..end (raw: NaN, Inf, negatives of an EXR) and alpha [h, W]
+        in 0..1 or None."""
+        part = self.stored[start:end]
+        color = np.repeat(part[..., :1], 3, -1) if part.shape[-1] <= 2 else part[..., :3]
+        alpha = part[..., -1].astype(np.float32) / self._top if part.shape[-1] in (2, 4) else None
+        if self.is_float:
+            color = color.astype(np.float32)
+            if alpha is not None:
+                with np.errstate(invalid="ignore", divide="ignore"):
+                    opaque = alpha[..., None]
+                    color = np.where(opaque > 1e-4, color / np.maximum(opaque, 1e-4), color)
+                alpha = np.clip(np.nan_to_num(alpha), 0.0, 1.0)
+        elif not self.encoded:
+            color = color.astype(np.float32) / self._top
+        else:
+            color = _SRGB_8[color] if part.dtype == np.uint8 else srgb_to_linear(color / float(self._top))
+        return color, alpha
+
+
+def open_image(path: Path, color_space: str) -> Raster:
+    """An image file as it is. Raises CaptureError."""
     try:
         if path.suffix.lower() == ".exr":
-            return _read_exr(path)
-        return _read_integer(path, color_space)
+            return Raster(_read_exr(path), False)
+        return Raster(_read_integer(path), color_space != "linear")
     except (OSError, ValueError, RuntimeError, SyntaxError, KeyError) as error:
         raise _unreadable(path, error) from error
 
 
-def read_mask(path: Path) -> np.ndarray:
-    """Coverage [H, W] float32 in 0..1: alpha where the file has it and it varies, else the first channel, undecoded."""
-    color, alpha = read_image(path, "linear")
-    coverage = alpha if alpha is not None and alpha.min() < 1.0 else color[..., 0]
-    return np.nan_to_num(np.clip(coverage, 0.0, 1.0)).astype(np.float32)
+def read_image(path: Path, color_space: str) -> tuple[np.ndarray, np.ndarray | None]:
+    """Radiance [H, W, 3] linear float32 (raw: an EXR may hold NaN, Inf, negatives) and alpha [H, W] in 0..1 or None.
+
+    Radiance is not multiplied by alpha: OpenEXR's associated alpha is divided out. Raises CaptureError.
+    """
+    return open_image(path, color_space).rows()
+
+
+@dataclass
+class MaskRaster:
+    """A mask file: alpha where it has one that varies, else the first channel, undecoded."""
+
+    raster: Raster
+    from_alpha: bool
+
+    @classmethod
+    def of(cls, path: Path) -> MaskRaster:
+        """Raises CaptureError."""
+        raster = open_image(path, "linear")
+        return cls(raster, raster.least_alpha() < 1.0)
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """(H, W)"""
+        return self.raster.size
+
+    def rows(self, start: int = 0, end: int | None = None) -> np.ndarray:
+        """Coverage [h, W] float32 in 0..1."""
+        color, alpha = self.raster.rows(start, end)
+        coverage = alpha if self.from_alpha else color[..., 0]
+        return np.nan_to_num(np.clip(coverage, 0.0, 1.0)).astype(np.float32)
 
 
 def _unreadable(path: Path, error: Exception) -> CaptureError:
@@ -91,50 +175,35 @@ def _color_channels(names: list[str]) -> list[str] | None:
     return None
 
 
-def _read_exr(path: Path) -> tuple[np.ndarray, np.ndarray | None]:
+def _read_exr(path: Path) -> np.ndarray:
     for part in OpenEXR.File(str(path), separate_channels=True).parts:
-        channels = {n: np.asarray(c.pixels, np.float32) for n, c in part.channels.items()}
+        channels = {n: np.asarray(c.pixels) for n, c in part.channels.items()}
         names = _color_channels(list(channels))
         if names is None:
             continue
-        pixels = np.stack([channels[n] for n in names], -1)
+        half = all(channels[n].dtype == np.float16 for n in names)
+        pixels = np.stack([channels[n] for n in names], -1, dtype=np.float16 if half else np.float32, casting="unsafe")
         low, high = part.header["dataWindow"]
         frame_low, frame_high = part.header["displayWindow"]
         if tuple(low) != tuple(frame_low) or tuple(high) != tuple(frame_high):
             pixels = _place(pixels, np.asarray(low) - frame_low, np.asarray(frame_high) - frame_low + 1)
-        color = np.repeat(pixels[..., :1], 3, -1) if len(names) <= 2 else pixels[..., :3]
-        if len(names) in (1, 3):
-            return np.ascontiguousarray(color), None
-        alpha = pixels[..., -1]
-        with np.errstate(invalid="ignore", divide="ignore"):
-            color = np.where(alpha[..., None] > 1e-4, color / np.maximum(alpha, 1e-4)[..., None], color)
-        return color.astype(np.float32), np.clip(np.nan_to_num(alpha), 0.0, 1.0)
+        return pixels
     raise ValueError("no R, G, B or Y channels")
 
 
 def _place(pixels: np.ndarray, corner: np.ndarray, size: np.ndarray) -> np.ndarray:
     """An EXR's data window within its display window; what was not stored is NaN."""
-    out = np.full((int(size[1]), int(size[0]), pixels.shape[-1]), np.nan, np.float32)
+    out = np.full((int(size[1]), int(size[0]), pixels.shape[-1]), np.nan, pixels.dtype)
     y, x = np.arange(pixels.shape[0]) + int(corner[1]), np.arange(pixels.shape[1]) + int(corner[0])
     rows, columns = (y >= 0) & (y < out.shape[0]), (x >= 0) & (x < out.shape[1])
     out[np.ix_(y[rows], x[columns])] = pixels[np.ix_(rows, columns)]
     return out
 
 
-def _read_integer(path: Path, color_space: str) -> tuple[np.ndarray, np.ndarray | None]:
+def _read_integer(path: Path) -> np.ndarray:
     if path.suffix.lower() == ".png" and png16.header(path)[2] == 16 and not png16.header(path)[4]:
-        pixels = png16.read_png16(path)
-    else:
-        with Image.open(path) as image:
-            alpha = "A" in image.getbands() or "transparency" in image.info
-            pixels = np.asarray(image.convert("RGBA" if alpha else "RGB"))
-    top = float(np.iinfo(pixels.dtype).max)
-    color = np.repeat(pixels[..., :1], 3, -1) if pixels.shape[-1] <= 2 else pixels[..., :3]
-    if color_space == "linear":
-        color = color.astype(np.float32) / np.float32(top)
-    elif pixels.dtype == np.uint8:
-        color = _SRGB_8[color]
-    else:
-        color = srgb_to_linear(color / top)
-    alpha = pixels[..., -1].astype(np.float32) / np.float32(top) if pixels.shape[-1] in (2, 4) else None
-    return color, alpha
+        return png16.read_png16(path)
+    with Image.open(path) as image:
+        alpha = "A" in image.getbands() or "transparency" in image.info
+        mode = "RGBA" if alpha else "RGB"
+        return np.asarray(image if image.mode == mode else image.convert(mode))

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import math
 import os
-from concurrent.futures import ThreadPoolExecutor
+from collections import deque
+from collections.abc import Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,13 +15,20 @@ from torch import Tensor
 
 from blender_nep.capture.bounds import shortened
 from blender_nep.capture.capture import Capture
+from blender_nep.capture.pixel_set import PixelSet
+from blender_nep.capture.pixel_store import PixelMemory
 from blender_nep.errors import BoundsError, CaptureError
+from blender_nep.profile import profiled
 
 MAXIMUM_RADIANCE = 6e4
 """Brighter values are clipped: the largest half float is 65504."""
 
-_FLOAT32_PIXELS = 32_000_000
-"""Up to this many pixels radiance is kept in float32 (384 MB), beyond it in half precision."""
+_BLACK = 1e-6
+"""A photo without a brighter value shows nothing."""
+_STRIP_PIXELS = 1 << 18
+"""Of a photo that are made linear at a time: they fit the processor's cache."""
+_DECODED_PIXELS = 50_000_000
+"""Of the photos that are decoded at the same time; a photo that is larger is decoded alone."""
 
 
 @dataclass
@@ -38,10 +47,10 @@ class PixelRays:
     background: bool
     """False for cut-outs (alpha): where the mask is 0 the radiance is 0 and the surroundings are not known."""
     warnings: list[str]
-    sphere: Tensor
-    """[M] int64: indices of valid pixels whose ray meets the unit sphere."""
-    outside: Tensor
-    """[K] int64: indices of the other valid pixels. Empty for cut-outs."""
+    sphere: PixelSet
+    """[M]: indices of valid pixels whose ray meets the unit sphere."""
+    outside: PixelSet
+    """[K]: indices of the other valid pixels. Empty for cut-outs."""
     _start: Tensor
     _width: Tensor
     _intrinsics: Tensor
@@ -94,53 +103,62 @@ class PixelRays:
 
     @classmethod
     def from_capture(
-        cls, capture: Capture, max_pixels_per_photo: int, use_masks: bool, device: torch.device | str = "cpu"
+        cls,
+        capture: Capture,
+        max_pixels_per_photo: int,
+        use_masks: bool,
+        device: torch.device | str = "cpu",
+        *,
+        memory: PixelMemory | None = None,
     ) -> PixelRays:
         """Load all photos, box-filtered in linear space by the smallest integer factor that meets the pixel budget.
 
-        Raises CaptureError (unreadable, all NaN, all black) and BoundsError (no ray meets the sphere; with masks: in
-        most views no pixel of the object does).
+        Raises CaptureError (unreadable, all NaN, all black), BoundsError (no ray meets the sphere; with masks: in most
+        views no pixel of the object does) and OutputError (no room in the folder of `memory`).
         """
-        with ThreadPoolExecutor(os.cpu_count()) as pool:
-            photos = list(
-                pool.map(lambda i: _load(capture, i, max_pixels_per_photo, use_masks), range(len(capture.views)))
+        memory = memory or PixelMemory()
+        cameras = [v.camera for v in capture.views]
+        most = min(max_pixels_per_photo, max(1, memory.most // len(cameras)))
+        factors = [_factor(c.height, c.width, most) for c in cameras]
+        sizes = [(c.height // f, c.width // f) for c, f in zip(cameras, factors, strict=True)]
+        offset = np.concatenate([[0], np.cumsum([h * w for h, w in sizes])]).tolist()
+        stores = memory.stores(offset[-1], use_masks, device)
+        facts = []
+        for photo in _loaded(capture, factors, use_masks):
+            facts.append(photo.facts)
+            stores.append(photo.radiance, photo.valid, photo.mask)
+        warnings = _judge(capture, facts)
+        if most < max_pixels_per_photo:
+            warnings.append(
+                f"{len(cameras)} photos are so many that each is filtered down to {most} pixels: "
+                f"{memory.most} are kept of all together"
             )
-        warnings = _judge(capture, photos)
-        cut_out = any(p.cut_out for p in photos)
-        masked = use_masks and all(p.mask is not None for p in photos)
-        if use_masks and not masked and any(p.mask is not None for p in photos):
-            missing = [v.name for v, p in zip(capture.views, photos, strict=True) if p.mask is None]
+        cut_out = any(p.cut_out for p in facts)
+        masked = use_masks and all(p.has_mask for p in facts)
+        if use_masks and not masked and any(p.has_mask for p in facts):
+            missing = [v.name for v, p in zip(capture.views, facts, strict=True) if not p.has_mask]
             warnings.append(f"masks are not used: {len(missing)} photos have none ({shortened(missing)})")
         if cut_out and not masked:
             warnings.append("the photos are cut-outs (alpha) and their surroundings are black; results need the masks")
-        if masked and not any((p.mask > 127).any() for p in photos):
+        if masked and not any(p.covered for p in facts):
             raise CaptureError(
                 "the masks are empty: no pixel belongs to the object",
                 "Check mask_path and the masks' polarity (white is object).",
             )
-
-        sizes = [p.valid.shape for p in photos]
-        offset = np.concatenate([[0], np.cumsum([h * w for h, w in sizes])]).tolist()
-        kind = np.float32 if offset[-1] <= _FLOAT32_PIXELS else np.float16
-        radiance = np.concatenate([p.radiance.reshape(-1, 3).astype(kind) for p in photos])
-        mask = torch.from_numpy(np.concatenate([p.mask.ravel() for p in photos])).to(device) if masked else None
-        cameras = [v.camera for v in capture.views]
-        intrinsics = [
-            (c.fl_x / p.factor, c.fl_y / p.factor, c.cx / p.factor, c.cy / p.factor)
-            for c, p in zip(cameras, photos, strict=True)
-        ]
+        intrinsics = [(c.fl_x / f, c.fl_y / f, c.cx / f, c.cy / f) for c, f in zip(cameras, factors, strict=True)]
         origins = [(c.position - capture.object_center) / capture.object_radius for c in cameras]
 
         def tensor(values: object) -> Tensor:
             return torch.tensor(np.array(values), dtype=torch.float32, device=device)
 
-        nothing = torch.zeros(0, dtype=torch.int64, device=device)
+        nothing = PixelSet.of(torch.zeros(0, dtype=torch.int64, device=device))
+        radiance, valid, mask = stores.finished()
         rays = cls(
-            radiance=torch.from_numpy(radiance).to(device),
-            valid=torch.from_numpy(np.concatenate([p.valid.ravel() for p in photos])).to(device),
-            mask=mask,
+            radiance=radiance,
+            valid=valid,
+            mask=mask if masked else None,
             offset=offset,
-            size=[(int(h), int(w)) for h, w in sizes],
+            size=sizes,
             background=not (cut_out and masked),
             warnings=warnings,
             sphere=nothing,
@@ -154,67 +172,135 @@ class PixelRays:
         rays._split()
         return rays
 
+    @profiled("rays that meet the sphere")
     def _split(self) -> None:
         """Which valid pixels' rays meet the unit sphere, and which do not."""
-        hits = torch.zeros(self.count, dtype=torch.bool, device=self.valid.device)
+        sphere, outside, seeing, showing = [], [], set(), set()
         for start in range(0, self.count, 1 << 20):
-            index = torch.arange(start, min(start + (1 << 20), self.count), device=hits.device)
+            index = torch.arange(start, min(start + (1 << 20), self.count), device=self._start.device)
             origin, direction, _ = self.rays(index)
             along = -(origin * direction).sum(-1)
-            hits[index] = (along > 0) & ((origin + along[:, None] * direction).square().sum(-1) < 1)
-        self.sphere = torch.nonzero(self.valid & hits).squeeze(-1)
-        self.outside = torch.nonzero(self.valid & ~hits).squeeze(-1)
-        if not self.background:
-            self.outside = self.outside[:0]
+            hits = (along > 0) & ((origin + along[:, None] * direction).square().sum(-1) < 1)
+            valid = self.valid[start : start + len(index)]
+            met = valid & hits
+            sphere.append(PixelSet.where(met, start))
+            if self.background:
+                outside.append(PixelSet.where(valid & ~hits, start))
+            if self.mask is not None:
+                shown = met & (self.mask[start : start + len(index)] > 127)
+                seeing.update(self.view_of(index[met]).unique().tolist())
+                showing.update(self.view_of(index[shown]).unique().tolist())
+        self.sphere = PixelSet.joined(sphere)
+        if outside:
+            self.outside = PixelSet.joined(outside)
         hint = "Set object_center and object_radius in transforms.json, so that the sphere holds the object."
         if len(self.sphere) == 0:
             raise BoundsError("no photo sees the object's sphere", hint)
-        if self.mask is not None:
-            # An object in the sphere shows in nearly all views of it; one beside it only where it stands in line.
-            showing = self.sphere[self.mask[self.sphere] > 127]
-            seeing, shown = (len(torch.unique(self.view_of(index))) for index in (self.sphere, showing))
-            if shown < 0.5 * seeing:
-                raise BoundsError(
-                    f"the object's sphere contains nothing: in {seeing - shown} of {seeing} photos of it, "
-                    "no masked pixel's ray meets it",
-                    hint,
-                )
+        # An object in the sphere shows in nearly all views of it; one beside it only where it stands in line.
+        if len(showing) < 0.5 * len(seeing):
+            raise BoundsError(
+                f"the object's sphere contains nothing: in {len(seeing) - len(showing)} of {len(seeing)} photos of it, "
+                "no masked pixel's ray meets it",
+                hint,
+            )
+
+
+@dataclass
+class _Facts:
+    bad: int
+    """Pixels of the file that are NaN or Inf"""
+    empty: bool
+    """Hardly anything of it is finite"""
+    brightest: float
+    cut_out: bool
+    has_mask: bool
+    covered: bool
+    """The mask shows something"""
 
 
 @dataclass
 class _Photo:
     radiance: np.ndarray
+    """[h * w, 3] float32, filtered down"""
     valid: np.ndarray
     mask: np.ndarray | None
-    factor: int
-    bad: int
-    brightest: float
-    cut_out: bool
+    facts: _Facts
 
 
-def _load(capture: Capture, i: int, most: int, use_masks: bool) -> _Photo:
-    raw, alpha = capture.load_photo(i)
-    finite = np.isfinite(raw).all(-1)
-    bad = int((~finite).sum())
-    radiance = np.clip(raw, 0, MAXIMUM_RADIANCE).astype(np.float32)
-    radiance[~finite] = 0
-    brightest = float(radiance.max(initial=0.0))
-    mask = capture.load_mask(i) if use_masks and capture.views[i].mask_path else alpha if use_masks else None
-    cut_out = alpha is not None and alpha.min() < 0.5
-    if cut_out:
-        # An edge pixel mixes the object with surroundings that are not there: its radiance is of neither.
-        finite &= (alpha > 0.98) | (alpha < 0.02)
-        radiance[alpha < 0.02] = 0
-    height, width = finite.shape
+def _factor(height: int, width: int, most: int) -> int:
     factor = max(1, math.ceil(math.sqrt(height * width / most) - 1e-9))
     while factor > 1 and min(height, width) < factor:
         factor -= 1
-    weight = _box(finite.astype(np.float32)[..., None], factor)
-    radiance = _box(radiance * finite[..., None], factor) / np.maximum(weight, 1e-6)
-    valid = weight[..., 0] >= 0.5
-    radiance[~valid] = 0
-    coverage = None if mask is None else np.round(255 * _box(mask[..., None], factor)[..., 0]).astype(np.uint8)
-    return _Photo(radiance, valid, coverage, factor, bad, brightest, cut_out)
+    return factor
+
+
+def _loaded(capture: Capture, factors: list[int], use_masks: bool) -> Iterator[_Photo]:
+    """The photos in their order, some of them decoded at the same time: as many as memory has room for."""
+    largest = max(v.camera.height * v.camera.width for v in capture.views)
+    workers = max(1, min(os.cpu_count() or 1, _DECODED_PIXELS // largest))
+    with ThreadPoolExecutor(workers) as pool:
+        ahead: deque = deque()
+        try:
+            for i, factor in enumerate(factors):
+                ahead.append(pool.submit(_load, capture, i, factor, use_masks))
+                if len(ahead) > 2 * workers:
+                    yield _wait(ahead.popleft())
+            while ahead:
+                yield _wait(ahead.popleft())
+        finally:
+            for waiting in ahead:
+                waiting.cancel()
+
+
+@profiled("decode photos")
+def _wait(future: Future) -> _Photo:
+    return future.result()
+
+
+def _load(capture: Capture, i: int, factor: int, use_masks: bool) -> _Photo:
+    """A photo, made linear and filtered down strip by strip."""
+    photo = capture.open_photo(i)
+    least = photo.least_alpha() if photo.has_alpha else 1.0
+    cut_out = least < 0.5
+    coverage = capture.open_mask(i) if use_masks else None
+    height, width = photo.size
+    rows = factor * max(1, _STRIP_PIXELS // (factor * width))
+    strips, bad, brightest = [], 0, 0.0
+    for start in range(0, height, rows):
+        raw, alpha = photo.rows(start, start + rows)
+        if photo.is_float:
+            finite = np.isfinite(raw).all(-1)
+            bad += int((~finite).sum())
+            radiance = np.clip(raw, 0, MAXIMUM_RADIANCE)
+            radiance[~finite] = 0
+        else:
+            finite, radiance = np.ones(raw.shape[:2], bool), raw
+        brightest = max(brightest, float(radiance.max(initial=0.0)))
+        if cut_out:
+            # An edge pixel mixes the object with surroundings that are not there: its radiance is of neither.
+            finite &= (alpha > 0.98) | (alpha < 0.02)
+            radiance[alpha < 0.02] = 0
+        if finite.all():
+            radiance = _box(radiance, factor)
+            valid = np.ones(radiance.shape[:2], bool)
+        else:
+            weight = _box(finite.astype(np.float32)[..., None], factor)
+            radiance = _box(radiance * finite[..., None], factor) / np.maximum(weight, 1e-6)
+            valid = weight[..., 0] >= 0.5
+            radiance[~valid] = 0
+        mask = coverage.rows(start, start + rows) if coverage is not None else alpha if photo.has_alpha else None
+        if not use_masks or mask is None:
+            mask = None
+        else:
+            mask = np.round(255 * _box(mask[..., None], factor)[..., 0]).astype(np.uint8).ravel()
+        strips.append((radiance.reshape(-1, 3), valid.ravel(), mask))
+    radiance, valid = (np.concatenate([s[k] for s in strips]) for k in (0, 1))
+    mask = None if strips[0][2] is None else np.concatenate([s[2] for s in strips])
+    facts = _Facts(bad, bool(bad) and not valid.any(), brightest, cut_out, mask is not None,
+                   mask is not None and bool((mask > 127).any()))
+    if brightest <= _BLACK:
+        valid[:] = False
+    return _Photo(radiance, valid, mask, facts)
 
 
 def _box(pixels: np.ndarray, factor: int) -> np.ndarray:
@@ -229,12 +315,12 @@ def _box(pixels: np.ndarray, factor: int) -> np.ndarray:
     return total / factor**2
 
 
-def _judge(capture: Capture, photos: list[_Photo]) -> list[str]:
+def _judge(capture: Capture, photos: list[_Facts]) -> list[str]:
     """Warnings about the pixels. Raises CaptureError for a photo of NaN, or when every photo is black."""
     names = [v.image_path.name for v in capture.views]
     warnings = []
     for name, photo in zip(names, photos, strict=True):
-        if photo.bad and not photo.valid.any():
+        if photo.empty:
             raise CaptureError(
                 f"{name} holds no finite pixel (all NaN or Inf)",
                 "Render or export it again, or take its frame out of transforms.json.",
@@ -245,12 +331,9 @@ def _judge(capture: Capture, photos: list[_Photo]) -> list[str]:
             f"{sum(b for _, b in bad)} pixels in {len(bad)} photos are NaN or Inf and are left out: "
             + shortened([n for n, _ in bad])
         )
-    black = [n for n, p in zip(names, photos, strict=True) if p.brightest <= 1e-6]
+    black = [n for n, p in zip(names, photos, strict=True) if p.brightest <= _BLACK]
     if len(black) == len(photos):
         raise CaptureError("all photos are black", "Check the exposure, and that the files hold colour in R, G, B.")
-    for name, photo in zip(names, photos, strict=True):
-        if name in black:
-            photo.valid[:] = False
     if black:
         warnings.append(f"{len(black)} photos are black and are left out: {shortened(black)}")
     return warnings

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from blender_nep.capture.pixel_store import PixelMemory
 from blender_nep.capture.rays import PixelRays
 from blender_nep.capture.transforms import load_capture
 
@@ -15,7 +16,7 @@ from blender_nep.capture.transforms import load_capture
 def summarise(folder: Path) -> dict:
     """Facts about a capture, every photo read once, as plain values. Raises CaptureError, BoundsError."""
     capture = load_capture(folder)
-    rays = PixelRays.from_capture(capture, 250_000, use_masks=True)
+    rays = PixelRays.from_capture(capture, 250_000, use_masks=True, memory=PixelMemory(most=32_000_000))
     cameras = [v.camera for v in capture.views]
     unit = np.stack([(c.position - capture.object_center) / capture.object_radius for c in cameras])
     distance = np.linalg.norm(unit, axis=1)

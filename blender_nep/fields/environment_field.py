@@ -23,6 +23,7 @@ from blender_nep.ops.environment_cones import accumulate_evidence
 from blender_nep.ops.environment_rendering import render_environment
 from blender_nep.ops.environment_smoothness import total_variation
 from blender_nep.presets import EnvironmentPreset
+from blender_nep.profile import profiled
 
 
 class EnvironmentField(nn.Module):
@@ -66,6 +67,7 @@ class EnvironmentField(nn.Module):
         """Longest march step, as a fraction of the distance from the origin."""
         return self.preset.steps_per_shell_inverse * math.log(self.preset.outer_radius) / (self.raw.shape[0] - 1)
 
+    @profiled("F_e march")
     def render(
         self,
         origins: torch.Tensor,
@@ -110,6 +112,7 @@ class EnvironmentField(nn.Module):
             depth_limit=self.preset.depth_limit,
         )
 
+    @profiled("F_e priors")
     def regularise(self, generator: torch.Generator | None = None) -> float:
         """Priors of an under-determined field: adds their gradient to `raw.grad`, after the photometric loss's
         backward, and returns their value, to be compared with a mean photometric loss.
@@ -159,6 +162,7 @@ class EnvironmentField(nn.Module):
         self.coverage = seen.to(self.raw.device)
         self._prefiltered = None
 
+    @profiled("F_e cones")
     @torch.no_grad()
     def query_cone(self, origins: torch.Tensor, directions: torch.Tensor, half_angle: torch.Tensor | float,
                    t_near: torch.Tensor | None = None) -> tuple[torch.Tensor, torch.Tensor]:

@@ -13,6 +13,7 @@ from blender_nep.errors import Stopped
 from blender_nep.fields.environment_field import EnvironmentField
 from blender_nep.metrics import tone_map
 from blender_nep.presets import EnvironmentPreset
+from blender_nep.profile import section
 
 
 def geometric_mean(rays: PixelRays) -> float:
@@ -55,9 +56,11 @@ def learn_step(environment: EnvironmentField, adam: torch.optim.Optimizer, rays:
     loss = float(photometric.detach())
     if math.isfinite(loss):
         adam.zero_grad()
-        (photometric + environment.preset.front_opacity * (1 - clear).mean()).backward()
+        with section("backward"):
+            (photometric + environment.preset.front_opacity * (1 - clear).mean()).backward()
         environment.regularise(generator)
-        adam.step()
+        with section("optimisers"):
+            adam.step()
     return loss
 
 

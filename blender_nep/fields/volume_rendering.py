@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import torch
 
 from blender_nep.ops import bspline
+from blender_nep.profile import profiled, section
 
 BAND = 6.0
 """Samples are placed where |sharpness * sdf| < BAND: sigmoid(-6) = 0.0025 of opacity is left out."""
@@ -60,6 +61,7 @@ def place_samples(spans: torch.Tensor, count: torch.Tensor, samples: int, jitter
     return spans[..., 0].gather(1, which) + (u - before)
 
 
+@profiled("object field")
 def render_surface(coefficients: torch.Tensor, origins: torch.Tensor, directions: torch.Tensor, sharpness: float,
                    samples: int, generator: torch.Generator | None) -> SurfaceSamples:
     """Composites the SDF's surface along rays [n, 3]. Rays that meet no surface are left out of the result.
@@ -68,7 +70,8 @@ def render_surface(coefficients: torch.Tensor, origins: torch.Tensor, directions
     """
     entry, leave = sphere_interval(origins, directions)
     step = max(0.5 * 2.0 / (coefficients.shape[0] - 2), 0.25 * BAND / sharpness)
-    spans, count = bspline.march(coefficients, origins, directions, entry, leave, BAND / sharpness, step)
+    with section("march"):
+        spans, count = bspline.march(coefficients, origins, directions, entry, leave, BAND / sharpness, step)
     ray = count.nonzero()[:, 0]
     jitter = torch.full((len(ray),), 0.5, device=origins.device) if generator is None else torch.rand(
         len(ray), generator=generator, device=origins.device)

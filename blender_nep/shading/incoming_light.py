@@ -13,6 +13,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from blender_nep.profile import profiled
 from blender_nep.shading import brdf
 from blender_nep.shading.cones import cone_of_density, diffuse_cones, specular_cones
 from blender_nep.shading.plenoptic import (
@@ -46,6 +47,7 @@ class IncomingLight:
         self.unseen: UnseenLight | None = None
 
     @classmethod
+    @profiled("gather light")
     def gathered(cls, plenoptic: PlenopticFunction, points: SurfacePoints, ladder: tuple[float, ...],
                  irradiance: int, generator: torch.Generator, progress: Callable[[float], None]) -> IncomingLight:
         """Traces every cone once, `irradiance` of them for the diffuse lobe; progress(share done) is called after each
@@ -158,6 +160,7 @@ class IncomingLight:
         whole[:, irradiance:, 1:] = weight[..., None] * fresnel[:, :, None]
         return torch.cat([diffuse, direction], 1), torch.cat([diffuse_angle, cone_of_density(density)], 1), whole
 
+    @profiled("self reflection")
     def update(self, materials_at: Callable[[SurfacePoints], Material], generator: torch.Generator) -> None:
         """The moments under the current materials: what the object sends to itself, and the unseen light."""
         specular, diffuse = self.direct_specular.clone(), self.direct_diffuse.clone()
@@ -171,6 +174,7 @@ class IncomingLight:
         """what F_e and the object itself send"""
         self.add_unseen()
 
+    @profiled("add the unseen light")
     def add_unseen(self) -> None:
         """The moments, with the unseen light of now."""
         self.specular, self.diffuse = self.known_specular, self.known_diffuse

@@ -1,0 +1,97 @@
+"""Sets of pixels as runs of neighbours: eight bytes a pixel for an index would be most of a large capture's memory."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+
+import numpy as np
+import torch
+from torch import Tensor
+
+
+class PixelSet:
+    """A list of pixel indices that behaves like the int64 tensor [n] of them, kept as runs of consecutive ones.
+
+    `pixels[k]`, with k [m] int64 in 0..n-1, a slice or a mask [n] bool, gives int64 indices; torch and NumPy functions
+    take the whole as a tensor or array.
+    """
+
+    def __init__(self, first: Tensor, length: Tensor) -> None:
+        """first [R] int64: where each run starts; length [R] int64, at least 1."""
+        self._first, self._length = first, length
+        end = length.cumsum(0)
+        self._before = end - length
+        self._count = int(end[-1]) if len(end) else 0
+
+    @classmethod
+    def where(cls, flags: Tensor, offset: int = 0) -> PixelSet:
+        """offset + the places [m] at which flags [m] bool are true."""
+        edge = torch.diff(flags.to(torch.int8), prepend=flags.new_zeros(1, dtype=torch.int8),
+                          append=flags.new_zeros(1, dtype=torch.int8))
+        first = (edge == 1).nonzero()[:, 0]
+        return cls(first + offset, (edge == -1).nonzero()[:, 0] - first)
+
+    @classmethod
+    def of(cls, index: Tensor) -> PixelSet:
+        """Of indices [n] int64, in their order."""
+        new = torch.ones(len(index), dtype=torch.bool, device=index.device)
+        new[1:] = index[1:] - index[:-1] != 1
+        start = new.nonzero()[:, 0]
+        return cls(index[start], torch.diff(start, append=start.new_tensor([len(index)])))
+
+    @classmethod
+    def joined(cls, parts: Sequence[PixelSet]) -> PixelSet:
+        """One after the other."""
+        return cls(torch.cat([p._first for p in parts]), torch.cat([p._length for p in parts]))
+
+    def state(self) -> Tensor:
+        """[2, R] int64: starts and lengths of the runs, for the disk."""
+        return torch.stack([self._first, self._length])
+
+    @classmethod
+    def from_state(cls, state: Tensor) -> PixelSet:
+        """The inverse of `state`."""
+        return cls(*state)
+
+    def to(self, device: torch.device | str) -> PixelSet:
+        """The same on another device."""
+        return PixelSet(self._first.to(device), self._length.to(device))
+
+    @property
+    def device(self) -> torch.device:
+        """Where the indices are made."""
+        return self._first.device
+
+    def tensor(self) -> Tensor:
+        """All indices [n] int64."""
+        shift = torch.repeat_interleave(self._first - self._before, self._length, output_size=self._count)
+        return shift.add_(torch.arange(self._count, device=self.device))
+
+    def split(self, size: int) -> Iterator[Tensor]:
+        """The indices, `size` at a time."""
+        return (self[start:start + size] for start in range(0, self._count, size))
+
+    def __len__(self) -> int:
+        return self._count
+
+    def __getitem__(self, place: Tensor | slice) -> Tensor:
+        if isinstance(place, slice):
+            place = torch.arange(*place.indices(self._count), device=self.device)
+        elif place.dtype == torch.bool:
+            place = place.nonzero()[:, 0]
+        run = torch.searchsorted(self._before, place, right=True) - 1
+        return self._first[run] + (place - self._before[run])
+
+    def __array__(self, dtype: object = None, copy: bool | None = None) -> np.ndarray:
+        return np.asarray(self.tensor().cpu().numpy(), dtype)
+
+    @classmethod
+    def __torch_function__(cls, function, types: Iterable[type], arguments=(), keywords=None):
+        """torch.cat([pixels, ...]), radiance[pixels]: with the tensor in its place."""
+
+        def expand(value):
+            if isinstance(value, list | tuple):
+                return type(value)(expand(v) for v in value)
+            return value.tensor() if isinstance(value, PixelSet) else value
+
+        return function(*expand(tuple(arguments)), **{k: expand(v) for k, v in (keywords or {}).items()})

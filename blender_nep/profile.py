@@ -1,0 +1,149 @@
+"""Where the time goes (`--profile`): named sections within sections, their wall and CPU seconds.
+
+    with section("marching"):
+        ...
+
+costs a fraction of a microsecond while nothing is profiled. The picture is a flame graph in the file format of
+https://www.speedscope.app (its web page reads files locally; Chrome's and Firefox's own profilers do not know it).
+"""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, nullcontext
+from dataclasses import dataclass, field
+from functools import wraps
+from pathlib import Path
+
+from blender_nep.checkpoints import write_atomically
+
+_NOTHING = nullcontext()
+_current: Profile | None = None
+
+
+def section(name: str):
+    """A context whose time is counted under `name`, within the sections that are open now. The job's main thread only."""
+    return _NOTHING if _current is None else _current.section(name)
+
+
+def profiled(name: str):
+    """A decorator: each call of the function is a `section`."""
+
+    def decorate(function):
+        @wraps(function)
+        def call(*arguments, **keywords):
+            with section(name):
+                return function(*arguments, **keywords)
+
+        return call
+
+    return decorate
+
+
+@dataclass
+class Part:
+    """What one section took, over all its calls, and the sections within it."""
+
+    name: str
+    calls: int = 0
+    wall: float = 0.0
+    cpu: float = 0.0
+    """Seconds of all threads"""
+    parts: dict[str, Part] = field(default_factory=dict)
+
+    def rows(self, depth: int = 0) -> Iterator[tuple[int, Part]]:
+        """(depth, part) of this one and of everything within, in the order in which it was first entered."""
+        yield depth, self
+        for part in self.parts.values():
+            yield from part.rows(depth + 1)
+
+
+class Profile:
+    """Records while it is the `recording` one."""
+
+    def __init__(self, finish: Callable[[], None] | None = None, wall: Callable[[], float] = time.perf_counter,
+                 cpu: Callable[[], float] = time.process_time) -> None:
+        """finish() waits for work that was only begun, as on a GPU."""
+        self.whole = Part("job")
+        self._open: list[tuple[Part, float, float]] = []
+        self._finish, self._wall, self._cpu = finish, wall, cpu
+
+    @contextmanager
+    def recording(self) -> Iterator[Profile]:
+        """Within this context `section` counts here."""
+        global _current
+        before, _current = _current, self
+        try:
+            with self._timed(self.whole):
+                yield self
+        finally:
+            _current = before
+
+    def section(self, name: str):
+        """See the function of this name."""
+        parts = self._open[-1][0].parts
+        return self._timed(parts.setdefault(name, Part(name)))
+
+    def _now(self) -> tuple[float, float]:
+        if self._finish is not None:
+            self._finish()
+        return self._wall(), self._cpu()
+
+    @contextmanager
+    def _timed(self, part: Part) -> Iterator[None]:
+        self._open.append((part, *self._now()))
+        part.calls += 1
+        try:
+            yield
+        finally:
+            self._add(*self._open.pop())
+
+    def _add(self, part: Part, wall: float, cpu: float) -> None:
+        now = self._now()
+        part.wall += now[0] - wall
+        part.cpu += now[1] - cpu
+
+    def _up_to_now(self) -> None:
+        """Counts what the open sections have taken so far."""
+        for k, (part, wall, cpu) in enumerate(self._open):
+            self._add(part, wall, cpu)
+            self._open[k] = (part, *self._now())
+
+    def report(self) -> list[dict]:
+        """A row for each section so far, those within it after it; `section` is its path."""
+        self._up_to_now()
+        found, path = [], []
+        for depth, part in self.whole.rows():
+            path[depth:] = [part.name]
+            found.append({"section": " / ".join(path), "calls": part.calls, "wall_s": round(part.wall, 3),
+                          "cpu_s": round(part.cpu, 3)})
+        return found
+
+    def table(self) -> str:
+        """For people: the sections, indented, with their share of the CPU seconds of all."""
+        lines = [f"{'section':44}{'calls':>8}{'wall s':>10}{'CPU s':>10}{'CPU %':>8}"]
+        for depth, part in self.whole.rows():
+            share = 100 * part.cpu / max(self.whole.cpu, 1e-9)
+            lines.append(f"{'  ' * depth + part.name:44}{part.calls:8d}{part.wall:10.2f}{part.cpu:10.2f}{share:8.1f}")
+        return "\n".join(lines)
+
+    def write(self, path: Path) -> None:
+        """As a flame graph for speedscope: one of wall and one of CPU seconds. Raises OutputError."""
+        text = json.dumps(self._speedscope())
+        write_atomically(path, lambda file: file.write_text(text, encoding="utf-8"))
+
+    def _speedscope(self) -> dict:
+        names: dict[str, int] = {}
+        stacks, own, path = [], {"wall": [], "cpu": []}, []
+        for depth, part in self.whole.rows():
+            path[depth:] = [names.setdefault(part.name, len(names))]
+            stacks.append(list(path))
+            for clock, weights in own.items():
+                inner = sum(getattr(p, clock) for p in part.parts.values())
+                weights.append(max(0.0, getattr(part, clock) - inner))
+        profiles = [{"type": "sampled", "name": f"{clock} seconds", "unit": "seconds", "startValue": 0,
+                     "endValue": sum(weights), "samples": stacks, "weights": weights} for clock, weights in own.items()]
+        return {"$schema": "https://www.speedscope.app/file-format-schema.json", "name": "blender-nep reconstruct",
+                "shared": {"frames": [{"name": name} for name in names]}, "profiles": profiles}
