@@ -188,6 +188,9 @@ class _Photo:
     mask: np.ndarray | None
     factor: int
     bad: int
+    negative: int
+    blinding: int
+    """Pixels that are not finite, have a negative channel, or one above MAXIMUM_RADIANCE."""
     brightest: float
     cut_out: bool
 
@@ -196,6 +199,7 @@ def _load(capture: Capture, i: int, most: int, use_masks: bool) -> _Photo:
     raw, alpha = capture.load_photo(i)
     finite = np.isfinite(raw).all(-1)
     bad = int((~finite).sum())
+    negative, blinding = (int((finite & out).sum()) for out in ((raw < 0).any(-1), (raw > MAXIMUM_RADIANCE).any(-1)))
     radiance = np.clip(raw, 0, MAXIMUM_RADIANCE).astype(np.float32)
     radiance[~finite] = 0
     brightest = float(radiance.max(initial=0.0))
@@ -214,7 +218,7 @@ def _load(capture: Capture, i: int, most: int, use_masks: bool) -> _Photo:
     valid = weight[..., 0] >= 0.5
     radiance[~valid] = 0
     coverage = None if mask is None else np.round(255 * _box(mask[..., None], factor)[..., 0]).astype(np.uint8)
-    return _Photo(radiance, valid, coverage, factor, bad, brightest, cut_out)
+    return _Photo(radiance, valid, coverage, factor, bad, negative, blinding, brightest, cut_out)
 
 
 def _box(pixels: np.ndarray, factor: int) -> np.ndarray:
@@ -239,12 +243,12 @@ def _judge(capture: Capture, photos: list[_Photo]) -> list[str]:
                 f"{name} holds no finite pixel (all NaN or Inf)",
                 "Render or export it again, or take its frame out of transforms.json.",
             )
-    bad = [(n, p.bad) for n, p in zip(names, photos, strict=True) if p.bad]
-    if bad:
-        warnings.append(
-            f"{sum(b for _, b in bad)} pixels in {len(bad)} photos are NaN or Inf and are left out: "
-            + shortened([n for n, _ in bad])
-        )
+    for kind, what in (("bad", "NaN or Inf and are left out"), ("negative", "negative and are taken as 0"),
+                       ("blinding", f"brighter than {MAXIMUM_RADIANCE:.0f} and are taken as that")):
+        found = [(n, getattr(p, kind)) for n, p in zip(names, photos, strict=True) if getattr(p, kind)]
+        if found:
+            warnings.append(f"{sum(count for _, count in found)} pixels in {len(found)} photos are {what}: "
+                            + shortened([n for n, _ in found]))
     black = [n for n, p in zip(names, photos, strict=True) if p.brightest <= 1e-6]
     if len(black) == len(photos):
         raise CaptureError("all photos are black", "Check the exposure, and that the files hold colour in R, G, B.")
