@@ -1,6 +1,7 @@
 # make demo   a capture that is in the repository -> asset, .blend, comparison picture
 # make test   lint and all tests
 # make lint   lint alone
+# make stress CASES=500 SEED=1   whole small jobs on hostile captures (docs/stress.md); goes on where it was stopped
 # make test-blender   the extension in Blender 4.2, 4.5, 5.0 and 5.2 (bpy wheels, 4 GB; needs Python 3.13 too)
 #
 # Everything is installed into .venv, with the versions of constraints.txt; Python 3.11 is needed (bpy 5.0 has no other).
@@ -13,12 +14,14 @@ VENV := .venv
 BIN := $(VENV)/bin
 CAPTURE := data/suzanne_small
 OUT := out/demo
+CASES := 500
+SEED := 1
 
 ifdef PIP_EXTRA_INDEX_URL
 export PIP_EXTRA_INDEX_URL
 endif
 
-.PHONY: demo test test-blender lint clean
+.PHONY: demo test stress test-blender lint clean
 
 demo: $(VENV)/installed
 	$(BIN)/python backend/run.py --capture $(CAPTURE) --out $(OUT) --preset preview --relight 3 --overwrite
@@ -26,6 +29,9 @@ demo: $(VENV)/installed
 
 test: lint
 	$(BIN)/python -m pytest -q
+
+stress: $(VENV)/installed-dev
+	$(BIN)/python -m benchmarks.stress --cases $(CASES) --seed $(SEED) --out out/stress-$(SEED)
 
 test-blender: $(VENV)/installed
 	$(BIN)/python tests/blender_matrix.py

@@ -6,6 +6,7 @@ An asset is complete when `report.json` is there: it is removed first and writte
 from __future__ import annotations
 
 import json
+import math
 import os
 import shutil
 from collections.abc import Callable
@@ -130,14 +131,24 @@ def write_obj(path: Path, mesh: TexturedMesh) -> None:
     path.with_suffix(".mtl").write_text("\n".join(material) + "\n", encoding="utf-8")
     with open(path, "w", encoding="utf-8") as file:
         file.write(f"mtllib {path.stem}.mtl\no nep\nusemtl nep\n")
-        np.savetxt(file, mesh.vertices, "v %.7g %.7g %.7g")
+        np.savetxt(file, mesh.vertices, "v" + f" %.{_digits(mesh.vertices)}g" * 3)
         np.savetxt(file, mesh.uv, "vt %.6f %.6f")
         np.savetxt(file, mesh.normals, "vn %.4f %.4f %.4f")
         np.savetxt(file, np.repeat(mesh.faces + 1, 3, axis=1), "f %d/%d/%d %d/%d/%d %d/%d/%d")
 
 
+def _digits(vertices: np.ndarray) -> int:
+    """Decimal digits that keep vertices [V, 3] to a ten-millionth of the mesh's size, however far away it stands."""
+    size, farthest = np.ptp(vertices, axis=0).max(), np.abs(vertices).max()
+    return 7 if farthest <= size else min(17, 7 + math.ceil(math.log10(farthest / max(size, 1e-10 * farthest))))
+
+
 def write_glb(path: Path, mesh: TexturedMesh) -> None:
-    """glTF 2.0 binary: Y up, base colour sRGB-encoded, roughness in G and metallic in B of one linear texture."""
+    """glTF 2.0 binary: Y up, base colour sRGB-encoded, roughness in G and metallic in B of one linear texture.
+
+    Vertices are relative to the mesh's middle, which is the node's translation: glTF stores vertices in single precision,
+    too coarse far from the origin.
+    """
     y_up = np.array([[1, 0, 0], [0, 0, 1], [0, -1, 0]], np.float64)
     rough, metal = to_bytes(mesh.textures["roughness"]), to_bytes(mesh.textures["metallic"])
     material = trimesh.visual.material.PBRMaterial(
@@ -147,11 +158,16 @@ def write_glb(path: Path, mesh: TexturedMesh) -> None:
         metallicFactor=1.0,
         roughnessFactor=1.0,
     )
+    middle = 0.5 * (mesh.vertices.min(0) + mesh.vertices.max(0))
+    place = np.eye(4)
+    place[:3, 3] = y_up @ middle
     whole = trimesh.Trimesh(
-        mesh.vertices @ y_up.T,
+        (mesh.vertices - middle) @ y_up.T,
         mesh.faces,
         vertex_normals=mesh.normals @ y_up.T,
         visual=trimesh.visual.TextureVisuals(uv=mesh.uv, material=material),
         process=False,
     )
-    path.write_bytes(trimesh.Scene({"nep": whole}).export(file_type="glb", include_normals=True))
+    scene = trimesh.Scene()
+    scene.add_geometry(whole, node_name="nep", geom_name="nep", transform=place)
+    path.write_bytes(scene.export(file_type="glb", include_normals=True))

@@ -20,6 +20,7 @@ from blender_nep.fields import environment_learning
 from blender_nep.fields.environment_field import EnvironmentField
 from blender_nep.fields.object_field import Appearance, ObjectField
 from blender_nep.fields.optimiser import UniformAdam
+from blender_nep.fields.step_guard import StepGuard, usable_gradients, usable_loss
 from blender_nep.fields.visual_hull import background_silhouettes, carve, mask_silhouettes
 from blender_nep.fields.volume_rendering import BAND, render_surface, sphere_interval
 from blender_nep.metrics import tone_map
@@ -31,8 +32,6 @@ from blender_nep.surface import Surface
 
 HELD_OUT = 101
 """Pixels whose index is a multiple of this are not learned from."""
-PATIENCE = 20
-"""Steps in a row that may fail to give a finite loss before learning is given up."""
 
 
 @dataclass
@@ -114,7 +113,7 @@ class FieldsLearning:
         self.learned = 0
         self.held_out: list[float] = []
         self.checked: torch.Tensor | None = None
-        self.failed, self.report = 0, {}
+        self.guard, self.report = StepGuard(), {}
         # without surroundings there is nothing to learn first; the hull then comes from the masks or not at all
         known = len(rays.outside) >= preset.least_outside * rays.count
         self.background_steps = preset.background_steps if known else 0
@@ -225,9 +224,10 @@ class FieldsLearning:
 
     @profiled("draw pixels")
     def _draw(self, pool: PixelSet, count: int) -> torch.Tensor:
-        """About `count` random pixels of the pool, without the held-out ones."""
+        """About `count` random pixels of the pool, without the held-out ones, unless it has no others."""
         index = pool[torch.randint(len(pool), (count,), generator=self.generator, device=self.device)]
-        return index[index % HELD_OUT != 0]
+        learned = index[index % HELD_OUT != 0]
+        return learned if len(learned) else index
 
     @profiled("held-out error")
     @torch.no_grad()
@@ -250,7 +250,7 @@ class FieldsLearning:
         self._set_environment_rate()
         self.loss = environment_learning.learn_step(self.environment, self.environment_optimiser, self.rays, index,
                                                     self.generator)
-        self._judge(self.loss)
+        self.guard.judge(usable_loss(self.loss))
         self.step += 1
         return self.loss
 
@@ -336,10 +336,13 @@ class FieldsLearning:
         optimisers = (self.sdf_optimiser, self.head_optimiser, self.environment_optimiser)
         for optimiser in optimisers:
             optimiser.zero_grad()
-        if self._judge(float(loss.detach())):
+        usable = usable_loss(float(loss.detach()))
+        if usable:
             with section("backward"):
                 loss.backward()
             self.environment.regularise(self.generator)
+            usable = usable_gradients(optimisers)
+        if self.guard.judge(usable):
             with section("optimisers"):
                 for optimiser in optimisers:
                     optimiser.step()
@@ -347,17 +350,6 @@ class FieldsLearning:
         self.learned = min(self.learned + self._pace, p.steps)
         self.loss = float(photometric.detach())
         return self.loss
-
-    def _judge(self, loss: float) -> bool:
-        """Whether a step's loss can be used. Raises LearningError when too many in a row cannot."""
-        if loss == loss and abs(loss) < 1e6:
-            self.failed = 0
-            return True
-        self.failed += 1
-        if self.failed >= PATIENCE:
-            raise LearningError("The photometric loss is not finite.",
-                                "Check the photos for extreme values and the object sphere with `blender-nep info`.")
-        return False
 
     @torch.no_grad()
     def evidence(self, pixels: int = 16384) -> float:
@@ -390,7 +382,7 @@ class FieldsLearning:
                 "environment_optimiser": self.environment_optimiser.state_dict(),
                 "generator": self.generator.get_state(), "looks": self.looks, "object_pixels": self.object_pixels.state(),
                 "start_sharpness": self.start_sharpness, "report": self.report, "learned": self.learned,
-                "held_out": self.held_out, "checked": self.checked}
+                "held_out": self.held_out, "checked": self.checked, "guard": self.guard.state()}
 
     def load(self, state: dict) -> None:
         """Go on from `state`."""
@@ -407,6 +399,7 @@ class FieldsLearning:
         self.object_pixels = PixelSet.from_state(state["object_pixels"]).to(self.device)
         self.start_sharpness, self.report = state["start_sharpness"], state["report"]
         self.learned, self.held_out, self.checked = state["learned"], state["held_out"], state["checked"]
+        self.guard.load(state["guard"])
 
 
 def learn_fields(rays: PixelRays, preset: Preset, *, seed: int, device: torch.device, progress, checkpoint,
@@ -420,9 +413,9 @@ def learn_fields(rays: PixelRays, preset: Preset, *, seed: int, device: torch.de
     """
     if surface is not None:
         background = _pixels_beside(surface, rays)
-        environment = environment_learning.learn_environment(rays, background, preset.environment, seed=seed, device=device,
-                                        progress=progress, checkpoint=checkpoint)
-        return Fields(None, environment, {"skipped": {"object field": "a mesh was given"}})
+        environment, report = environment_learning.learn_environment(
+            rays, background, preset.environment, seed=seed, device=device, progress=progress, checkpoint=checkpoint)
+        return Fields(None, environment, {"skipped": {"object field": "a mesh was given"}, **report})
     learning = FieldsLearning(rays, preset, seed, device)
     state = checkpoint.load()
     if state is not None:
@@ -445,7 +438,7 @@ def learn_fields(rays: PixelRays, preset: Preset, *, seed: int, device: torch.de
     environment_learning.freeze(learning.environment, rays, rays.outside if len(rays.outside) else rays.sphere, seed)
     report = {"steps": learning.step, "of_steps": learning.background_steps + preset.fields.steps,
               "held_out_error": [round(e, 4) for e in learning.held_out], "loss": learning.loss,
-              "evidence": round(evidence, 3), **learning.report}
+              "evidence": round(evidence, 3), **learning.guard.report(), **learning.report}
     return Fields(learning.object_field, learning.environment, report)
 
 

@@ -64,7 +64,9 @@ class Settings:
 def run(settings: Settings, events: Events, stop: StopRequest, rooms: Rooms | None = None) -> int:
     """Run a job to its end; returns the exit code. An error is one `error` event, its traceback goes to the log."""
     try:
-        Job(settings, events, stop, rooms or Rooms()).run()
+        # An SDF in bfloat16 has steps of 1/256 object radii: where a caller has lowered the precision, a job does not.
+        with torch.autocast("cpu", enabled=False), torch.autocast("cuda", enabled=False):
+            Job(settings, events, stop, rooms or Rooms()).run()
         return 0
     except NepError as error:
         events.log("".join(traceback.format_exception(error)))
@@ -216,6 +218,9 @@ class Job:
             self.rooms.pack_materials,
             self.rooms.unpack_materials,
         )
+        left_out = fields.report.get("steps_not_finite")
+        if left_out:
+            self.events.warning(f"{left_out} steps of fields learning were left out: their loss or gradient was not finite")
         margin = materials.report.get("metal_or_not_margin")
         if margin is not None and margin < _DOUBT:
             self.events.warning("the photos hardly tell whether the object is metal: where the result is wrong, say so "

@@ -57,6 +57,8 @@ def extract_surface(object_field: ObjectField, preset: SurfacePreset) -> tuple[S
     report["faces_marching_cubes"] = len(faces)
     if len(faces) > preset.faces:
         vertices, faces = _decimate(vertices, faces, preset.faces)
+        # a quadric's best place may lie a little outside of the sphere that the surface was cropped at
+        vertices *= np.minimum(1, _BORDER / np.maximum(np.linalg.norm(vertices, axis=1, keepdims=True), 1e-9))
     vertices, faces = _weld(vertices, faces)
     report["faces"] = len(faces)
     report["watertight"] = bool(trimesh.Trimesh(vertices, faces, process=False).is_watertight)

@@ -27,13 +27,14 @@ class Textures:
 
 @pytest.fixture
 def write(make_capture, tmp_path):
-    """write(light) writes the ball's asset and returns its folder."""
+    """write(light) writes the ball's asset, at `center` where that is given, and returns its folder."""
     capture = load_capture(make_capture(masks=True).folder)
     rays = PixelRays.from_capture(capture, 10**6, use_masks=True)
     folder = tmp_path / "asset"
     folder.mkdir()
 
-    def run(light=None, report=lambda: {"seed": 3}):
+    def run(light=None, report=lambda: {"seed": 3}, center=CENTER):
+        capture.object_center = np.asarray(center)
         asset.write_asset(folder, capture, rays, ball_surface(), Textures(), light or GreyLight().equirect(16), report)
         return folder
 
@@ -79,15 +80,32 @@ def test_textures_are_half_float_and_upright(write):
 def test_glb_is_y_up_with_packed_textures(write):
     scene = trimesh.load(write() / "asset.glb", process=False)
     mesh = next(iter(scene.geometry.values()))
+    (node,) = scene.graph.nodes_geometry
     surface = ball_surface()
     world = surface.vertices * RADIUS + CENTER
-    np.testing.assert_allclose(mesh.vertices, world[:, [0, 2, 1]] * [1, 1, -1], atol=1e-5)
+    placed = trimesh.transform_points(mesh.vertices, scene.graph[node][0])
+    np.testing.assert_allclose(placed, world[:, [0, 2, 1]] * [1, 1, -1], atol=1e-5)
     np.testing.assert_allclose(mesh.vertex_normals, surface.normals[:, [0, 2, 1]] * [1, 1, -1], atol=1e-3)
     assert mesh.volume > 0  # right-handed still
     packed = np.asarray(mesh.visual.material.metallicRoughnessTexture)
     truth = ball_textures()
     np.testing.assert_allclose(packed[..., 1] / 255, truth["roughness"], atol=2 / 255)
     np.testing.assert_allclose(packed[..., 2] / 255, truth["metallic"], atol=2 / 255)
+
+
+def test_far_from_the_origin_the_mesh_keeps_its_shape(write):
+    """A million radii away float32 and seven digits would leave steps of 0.06 radii."""
+    far = np.array([1e6, -5e5, 2.5e5])
+    folder = write(center=far)
+    surface = ball_surface()
+    lines = [line.split() for line in (folder / "mesh.obj").read_text().splitlines() if line.startswith("v ")]
+    vertices = np.array(lines)[:, 1:].astype(np.float64)
+    np.testing.assert_allclose((vertices - far) / RADIUS, surface.vertices, atol=2e-7)
+    scene = trimesh.load(folder / "asset.glb", process=False)
+    (node,) = scene.graph.nodes_geometry
+    placed = trimesh.transform_points(next(iter(scene.geometry.values())).vertices, scene.graph[node][0])
+    unit = (placed @ np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]]).T - far) / RADIUS
+    np.testing.assert_allclose(unit, surface.vertices, atol=2e-7)
 
 
 def test_a_failed_write_leaves_no_report(write):

@@ -16,6 +16,7 @@ from blender_nep.capture import Camera, PixelRays, load_capture
 from blender_nep.capture.bounds import sphere_from_cameras
 from blender_nep.capture.images import linear_to_srgb, read_image, srgb_to_linear
 from blender_nep.capture.summary import describe, summarise
+from blender_nep.errors import CaptureError
 
 
 def test_camera_directions_project_back():
@@ -187,6 +188,35 @@ def test_alpha_is_the_mask_and_knows_no_background(make_capture):
     assert (rays.radiance[~inside] == 0).all()
 
 
+@pytest.mark.parametrize(("scale", "offset"), [(1e-4, 1e6), (1e4, 1e6), (1e-4, 0.0)])
+def test_a_scene_of_any_size_anywhere_has_the_same_rays(make_capture, scale, offset):
+    tiny = make_capture()
+    before = PixelRays.from_capture(load_capture(tiny.folder), 10**6, use_masks=True)
+    for frame in tiny.meta["frames"]:
+        matrix = np.array(frame["transform_matrix"])
+        matrix[:3, 3] = scale * matrix[:3, 3] + offset
+        frame["transform_matrix"] = matrix.tolist()
+    tiny.meta["object_center"] = (scale * CENTER + offset).tolist()
+    tiny.meta["object_radius"] *= scale
+    after = PixelRays.from_capture(load_capture(tiny.save()), 10**6, use_masks=True)
+    index = torch.arange(before.count)
+    # float64 holds a position at 1e6 to 1.2e-10, which is 1.5e-6 of the smallest scene's radius
+    for one, other in zip(before.rays(index), after.rays(index), strict=True):
+        assert (one - other).abs().max() < 3e-6
+
+
+def test_photos_from_the_same_place_are_told_and_two_places_are_refused(make_capture):
+    tiny = make_capture()
+    frames = tiny.meta["frames"]
+    frames[4]["transform_matrix"] = frames[1]["transform_matrix"]
+    tiny.save()
+    assert any("1 photos were taken from the same place" in w and "004" in w for w in load_capture(tiny.folder).warnings)
+    for i, frame in enumerate(frames):
+        frame["transform_matrix"] = frames[i % 2]["transform_matrix"]
+    with pytest.raises(CaptureError, match="only 2 different places"):
+        load_capture(tiny.save())
+
+
 def test_some_bad_pixels_are_left_out_with_a_warning(make_capture):
     tiny = make_capture(views=3)
     pixels = np.full((24, 24, 3), 0.5, np.float32)
@@ -202,7 +232,9 @@ def test_some_bad_pixels_are_left_out_with_a_warning(make_capture):
     assert not bad & set(torch.cat([rays.sphere, rays.outside]).tolist())
     assert torch.isfinite(rays.radiance).all() and rays.radiance.min() == 0
     assert rays.radiance.max() == 6e4
-    assert len(rays.warnings) == 1 and "2 pixels in 1 photos" in rays.warnings[0]
+    left_out, negative, blinding = rays.warnings
+    assert "2 pixels in 1 photos are NaN or Inf and are left out: 001.exr" in left_out
+    assert "1 pixels in 1 photos are negative" in negative and "1 pixels in 1 photos are brighter" in blinding
 
 
 def test_a_black_photo_is_left_out(make_capture):

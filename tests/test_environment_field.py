@@ -213,9 +213,9 @@ def learn_room(seed: int):
     preset = dataclasses.replace(PRESET, steps=120, rays_per_step=1024, coverage_rays=5000, learning_rate=0.1)
     rays = pixel_rays(box_field(), 20_000, 20)
     seen = []
-    field = learn_environment(rays, torch.arange(20_000), preset, seed=seed, device=torch.device("cpu"),
-                              progress=lambda step, steps, loss: seen.append((step, steps, loss)),
-                              checkpoint=NoCheckpoint())
+    field, _ = learn_environment(rays, torch.arange(20_000), preset, seed=seed, device=torch.device("cpu"),
+                                 progress=lambda step, steps, loss: seen.append((step, steps, loss)),
+                                 checkpoint=NoCheckpoint())
     return field, seen
 
 

@@ -207,8 +207,8 @@ class PixelRays:
 
 @dataclass
 class _Facts:
-    bad: int
-    """Pixels of the file that are NaN or Inf"""
+    repaired: dict[str, int]
+    """Pixels of the file that are not finite ("bad"), have a negative channel, or one above MAXIMUM_RADIANCE ("blinding")"""
     empty: bool
     """Hardly anything of it is finite"""
     brightest: float
@@ -265,12 +265,14 @@ def _load(capture: Capture, i: int, factor: int, use_masks: bool) -> _Photo:
     coverage = capture.open_mask(i) if use_masks else None
     height, width = photo.size
     rows = factor * max(1, _STRIP_PIXELS // (factor * width))
-    strips, bad, brightest = [], 0, 0.0
+    strips, repaired, brightest = [], dict.fromkeys(("bad", "negative", "blinding"), 0), 0.0
     for start in range(0, height, rows):
         raw, alpha = photo.rows(start, start + rows)
         if photo.is_float:
             finite = np.isfinite(raw).all(-1)
-            bad += int((~finite).sum())
+            repaired["bad"] += int((~finite).sum())
+            repaired["negative"] += int((finite & (raw < 0).any(-1)).sum())
+            repaired["blinding"] += int((finite & (raw > MAXIMUM_RADIANCE).any(-1)).sum())
             radiance = np.clip(raw, 0, MAXIMUM_RADIANCE)
             radiance[~finite] = 0
         else:
@@ -296,7 +298,7 @@ def _load(capture: Capture, i: int, factor: int, use_masks: bool) -> _Photo:
         strips.append((radiance.reshape(-1, 3), valid.ravel(), mask))
     radiance, valid = (np.concatenate([s[k] for s in strips]) for k in (0, 1))
     mask = None if strips[0][2] is None else np.concatenate([s[2] for s in strips])
-    facts = _Facts(bad, bool(bad) and not valid.any(), brightest, cut_out, mask is not None,
+    facts = _Facts(repaired, bool(repaired["bad"]) and not valid.any(), brightest, cut_out, mask is not None,
                    mask is not None and bool((mask > 127).any()))
     if brightest <= _BLACK:
         valid[:] = False
@@ -325,12 +327,12 @@ def _judge(capture: Capture, photos: list[_Facts]) -> list[str]:
                 f"{name} holds no finite pixel (all NaN or Inf)",
                 "Render or export it again, or take its frame out of transforms.json.",
             )
-    bad = [(n, p.bad) for n, p in zip(names, photos, strict=True) if p.bad]
-    if bad:
-        warnings.append(
-            f"{sum(b for _, b in bad)} pixels in {len(bad)} photos are NaN or Inf and are left out: "
-            + shortened([n for n, _ in bad])
-        )
+    for kind, what in (("bad", "NaN or Inf and are left out"), ("negative", "negative and are taken as 0"),
+                       ("blinding", f"brighter than {MAXIMUM_RADIANCE:.0f} and are taken as that")):
+        found = [(n, p.repaired[kind]) for n, p in zip(names, photos, strict=True) if p.repaired[kind]]
+        if found:
+            warnings.append(f"{sum(count for _, count in found)} pixels in {len(found)} photos are {what}: "
+                            + shortened([n for n, _ in found]))
     black = [n for n, p in zip(names, photos, strict=True) if p.brightest <= _BLACK]
     if len(black) == len(photos):
         raise CaptureError("all photos are black", "Check the exposure, and that the files hold colour in R, G, B.")

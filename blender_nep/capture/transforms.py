@@ -57,7 +57,7 @@ def load_capture(
             f"{len(rescaled)} photos differ in size from the declared w x h (same aspect; intrinsics rescaled): "
             + shortened(rescaled)
         )
-    _check_places(views)
+    _check_places(views, warnings)
     color_space = _color_space(meta, views, warnings)
     capture = Capture(folder, views, color_space, np.zeros(3), 1.0, "", warnings)
     if sphere is None:
@@ -189,11 +189,23 @@ def _matrix(frame: dict, name: str) -> np.ndarray:
     return matrix
 
 
-def _check_places(views: list[View]) -> None:
+def _check_places(views: list[View], warnings: list[str]) -> None:
+    """Raises CaptureError when the photos were taken from fewer than MINIMUM_VIEWS places; warns of repeated ones."""
     places = np.stack([v.camera.position for v in views])
     spread = np.linalg.norm(places - places[0], axis=1).max()
-    if spread <= 1e-9 * max(1.0, np.abs(places).max()):
+    # relative to the coordinates alone: a small scene far from the origin is a scene, down to float64's last digits
+    if spread <= 1e-10 * np.abs(places).max():
         raise CaptureError("all cameras stand at the same place", "Photos from around the object are needed.")
+    turns = np.stack([v.camera.camera_to_world[:3, :3].ravel() for v in views])
+    cell = np.round(1e6 * np.concatenate([(places - places[0]) / spread, turns], 1)).astype(np.int64)
+    if len(np.unique(cell[:, :3], axis=0)) < MINIMUM_VIEWS:
+        raise CaptureError("the photos were taken from only 2 different places",
+                           f"At least {MINIMUM_VIEWS} places are needed; 20 and more all around the object work well.")
+    _, first = np.unique(cell, axis=0, return_index=True)
+    again = [views[i].name for i in sorted(set(range(len(views))) - set(first.tolist()))]
+    if again:
+        warnings.append(f"{len(again)} photos were taken from the same place in the same direction as others and add "
+                        f"nothing to the shape: {shortened(again)}")
 
 
 def _color_space(meta: dict, views: list[View], warnings: list[str]) -> str:

@@ -11,6 +11,7 @@ from blender_nep.capture.rays import PixelRays
 from blender_nep.checkpoints import Checkpoint
 from blender_nep.errors import Stopped
 from blender_nep.fields.environment_field import EnvironmentField
+from blender_nep.fields.step_guard import StepGuard, usable_gradients, usable_loss
 from blender_nep.metrics import tone_map
 from blender_nep.presets import EnvironmentPreset
 from blender_nep.profile import section
@@ -43,8 +44,8 @@ def freeze(environment: EnvironmentField, rays: PixelRays, background: torch.Ten
 
 def learn_step(environment: EnvironmentField, adam: torch.optim.Optimizer, rays: PixelRays, index: torch.Tensor,
                generator: torch.Generator) -> float:
-    """One step of F_e alone on the pixels `index`; returns the photometric loss. A loss that is not finite changes
-    nothing."""
+    """One step of F_e alone on the pixels `index`; returns the photometric loss, NaN where it or its gradient is not
+    finite: such a step changes nothing."""
     origins, directions, half_angle = rays.rays(index)
     n, near = len(index), torch.full_like(half_angle, environment.preset.camera_near)
     middle = torch.maximum(near, -(origins * directions).sum(-1))
@@ -54,22 +55,27 @@ def learn_step(environment: EnvironmentField, adam: torch.optim.Optimizer, rays:
     radiance, clear = radiance[:n] + transmittance[:n, None] * radiance[n:], transmittance[:n]
     photometric = (tone_map(radiance) - tone_map(rays.radiance[index].float())).abs().mean()
     loss = float(photometric.detach())
-    if math.isfinite(loss):
-        adam.zero_grad()
-        with section("backward"):
-            (photometric + environment.preset.front_opacity * (1 - clear).mean()).backward()
-        environment.regularise(generator)
-        with section("optimisers"):
-            adam.step()
+    if not usable_loss(loss):
+        return math.nan
+    adam.zero_grad()
+    with section("backward"):
+        (photometric + environment.preset.front_opacity * (1 - clear).mean()).backward()
+    environment.regularise(generator)
+    if not usable_gradients([adam]):
+        return math.nan
+    with section("optimisers"):
+        adam.step()
     return loss
 
 
 def learn_environment(rays: PixelRays, background: torch.Tensor, preset: EnvironmentPreset, *, seed: int,
-                      device: torch.device, progress: Callable, checkpoint: Checkpoint) -> EnvironmentField:
-    """F_e from the pixels `background` (indices) alone. Raises Stopped on request, after writing the checkpoint."""
+                      device: torch.device, progress: Callable, checkpoint: Checkpoint
+                      ) -> tuple[EnvironmentField, dict]:
+    """F_e from the pixels `background` (indices) alone, and a report. Raises LearningError when the loss diverges, and
+    Stopped on request, after writing the checkpoint."""
     generator = torch.Generator(device).manual_seed(seed)
     environment = EnvironmentField(preset, geometric_mean(rays)).to(device)
-    adam, step = optimiser(environment), 0
+    adam, step, guard = optimiser(environment), 0, StepGuard()
     state = checkpoint.load()
     if state is not None:
         step = state["step"]
@@ -77,6 +83,7 @@ def learn_environment(rays: PixelRays, background: torch.Tensor, preset: Environ
         adam = optimiser(environment)
         adam.load_state_dict(state["optimiser"])
         generator.set_state(state["generator"])
+        guard.load(state["guard"])
     while step < preset.steps:
         if environment.refine(step / preset.steps):
             adam = optimiser(environment)
@@ -84,12 +91,13 @@ def learn_environment(rays: PixelRays, background: torch.Tensor, preset: Environ
             group["lr"] = learning_rate(preset, step / preset.steps)
         pick = torch.randint(len(background), (preset.rays_per_step,), generator=generator, device=device)
         loss = learn_step(environment, adam, rays, background[pick], generator)
+        guard.judge(usable_loss(loss))
         step += 1
         progress(step, preset.steps, loss)
         if checkpoint.stopping or checkpoint.due():
             checkpoint.save({"step": step, "environment": environment.state_dict(), "optimiser": adam.state_dict(),
-                             "generator": generator.get_state()})
+                             "generator": generator.get_state(), "guard": guard.state()})
             if checkpoint.stopping:
                 raise Stopped("Stopped during fields learning; the checkpoint is written.", "Go on with --resume.")
     freeze(environment, rays, background, seed)
-    return environment
+    return environment, guard.report()

@@ -14,6 +14,8 @@ import numpy as np
 import torch
 from numba import njit, prange
 
+from blender_nep.ops.precision import at_least_float32
+
 
 @njit(cache=True, inline="always")
 def _axis(x, cells, w, dw, ddw):
@@ -171,6 +173,7 @@ def sample(coef: torch.Tensor, points: torch.Tensor, hessian: bool = False) -> t
     coef [N, N, N]; points [n, 3] in [-1, 1] (no gradient flows to them). Returns [n, 4]: value, d/dx, d/dy, d/dz; with
     `hessian` [n, 10]: also xx, yy, zz, xy, xz, yz. Differentiable with respect to coef.
     """
+    coef, points = at_least_float32(coef, points)
     if coef.device.type == "cpu":
         return _Sample.apply(coef, points.contiguous(), 10 if hessian else 4)
     return sample_torch(coef, points, hessian)
@@ -249,6 +252,7 @@ def refine_torch(coef: torch.Tensor) -> torch.Tensor:
 
 def refine(coef: torch.Tensor) -> torch.Tensor:
     """The same spline on cells half as wide: [N, N, N] -> [2N - 2, 2N - 2, 2N - 2]. Linear, differentiable, exact."""
+    (coef,) = at_least_float32(coef)
     return _Refine.apply(coef) if coef.device.type == "cpu" else refine_torch(coef)
 
 
@@ -311,7 +315,7 @@ def march(coef, origins, directions, t_near, t_far, band: float, step: float, mo
     origins, directions [n, 3]; t_near, t_far [n]; `step` is the finest step (about half a cell). Returns
     spans [n, most, 2] (start and end along the ray) and count [n]. No gradient. CPU or any torch device.
     """
-    coef = coef.detach()
+    coef, origins, directions, t_near, t_far = at_least_float32(coef.detach(), origins, directions, t_near, t_far)
     if coef.device.type == "cpu":
         spans = np.zeros((origins.shape[0], most, 2), np.float32)
         count = np.zeros(origins.shape[0], np.int32)

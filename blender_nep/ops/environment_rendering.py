@@ -7,6 +7,7 @@ import torch
 from blender_nep.ops import environment_rendering_numba as kernels
 from blender_nep.ops import environment_rendering_torch as reference
 from blender_nep.ops.environment_segments import scale_invariant_segments
+from blender_nep.ops.precision import at_least_float32
 
 MAXIMUM_STEPS = 512
 
@@ -70,6 +71,7 @@ def render_environment(
     Returns:
         radiance [n, 3] premultiplied, transmittance [n].
     """
+    raw, origins, directions, t_near, t_far = at_least_float32(raw, origins, directions, t_near, t_far)
     with torch.no_grad():
         segments = scale_invariant_segments(origins, directions, t_near, t_far, outer_radius)
         infinite = torch.isinf(t_far)

@@ -8,6 +8,8 @@ import numpy as np
 import torch
 from numba import njit, prange
 
+from blender_nep.ops.precision import at_least_float32
+
 
 @njit(cache=True, parallel=True, fastmath=True, error_model="numpy")
 def _variation(grid, weight, softness, value, gradient):
@@ -76,6 +78,7 @@ def total_variation(grid: torch.Tensor, weight: tuple[float, ...], softness: flo
         softness: differences below this cost quadratically, above linearly.
         body: "auto" (Numba on the CPU, torch elsewhere), "numba" or "torch".
     """
+    (grid,) = at_least_float32(grid)
     if body == "torch" or (body == "auto" and grid.device.type != "cpu"):
         differences = (grid.diff(dim=0), grid.diff(dim=1), grid.roll(-1, 2) - grid)
         means = sum(torch.sqrt(d * d + softness**2).mean(dim=(0, 1, 2)) for d in differences)

@@ -1,0 +1,159 @@
+"""What must hold after every job, however hostile its capture: the checks of the stress tests.
+
+A failure is a line "kind: what was found"; the kind is what a campaign counts.
+"""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import OpenEXR
+import torch
+import trimesh
+
+from blender_nep.asset import TEXTURES
+from blender_nep.checkpoints import load_state
+
+FILES = ("mesh.obj", "mesh.mtl", "asset.glb", "environment.exr", "preview.png", "report.json",
+         *(f"textures/{name}{suffix}" for name in TEXTURES for suffix in (".exr", ".png")))
+REPAIRS = {
+    "nan": "NaN or Inf", "inf": "NaN or Inf", "most_nan": "NaN or Inf", "negative": "negative", "huge": "brighter than",
+    "one_black": "black",
+}
+"""What the report's warnings must speak of, for each defect of the pixels (of OpenEXR photos)."""
+
+
+def strict_json(text: str) -> dict:
+    """JSON without NaN and Infinity, which Python's reader would let pass. Raises ValueError."""
+
+    def refuse(name: str) -> None:
+        raise ValueError(f"{name} is not JSON")
+
+    return json.loads(text, parse_constant=refuse)
+
+
+def check_refusal(code: int, events: list[dict], human: str, out: Path) -> list[str]:
+    """Of a job that ended with an exit code other than 0: one clear message, a documented code, no half an asset."""
+    failures = []
+    errors = [e for e in events if e["event"] == "error"]
+    if code == 1:
+        failures.append(f"exit code 1: {errors[-1]['message'] if errors else 'no message'}")
+    elif code not in (2, 3, 4, 5, 6):
+        failures.append(f"undocumented exit code: {code}")
+    if len(errors) != 1 or errors[0]["code"] != code or "\n" in errors[0]["message"] or not errors[0]["message"]:
+        failures.append(f"unclear error: {errors}")
+    elif code != 1 and ("Traceback" in human or "nan" in errors[0]["message"].lower().split()):
+        failures.append(f"unclear error: {errors[0]['message']}")
+    if (out / "report.json").exists():
+        failures.append("half an asset: report.json after an error")
+    return failures
+
+
+def check_asset(case, out: Path) -> list[str]:
+    """Of an asset: complete, finite, in range, inside the bounds, and honest about repairs."""
+    missing = [name for name in FILES if not (out / name).is_file()]
+    if missing:
+        return [f"incomplete asset: {missing}"]
+    try:
+        report = strict_json((out / "report.json").read_text())
+    except ValueError as error:
+        return [f"bad report: {error}"]
+    failures = []
+    for name in TEXTURES:
+        texture = _exr(out / "textures" / f"{name}.exr")
+        if not np.isfinite(texture).all() or texture.min() < 0 or texture.max() > 1:
+            failures.append(f"bad texture: {name} {texture.min()}..{texture.max()}")
+    light = _exr(out / "environment.exr")
+    if not np.isfinite(light).all() or light.min() < 0:
+        failures.append(f"bad environment: {light.min()}..{light.max()}")
+    center, radius = np.array(report["capture"]["object_center"]), report["capture"]["object_radius"]
+    failures += check_mesh(out, center, radius, report)
+    for file in sorted((out / "checkpoints").glob("*.done.pt")):
+        bad = [name for name, value in _tensors(load_state(file)) if not np.isfinite(value).all()]
+        if bad:
+            failures.append(f"not finite on disk: {file.name} {bad[:3]}")
+    return failures + check_report(case, report)
+
+
+def check_mesh(out: Path, center: np.ndarray, radius: float, report: dict) -> list[str]:
+    """mesh.obj against the object's sphere, and asset.glb against mesh.obj."""
+    failures = []
+    vertices, normals = [], []
+    for line in (out / "mesh.obj").read_text().splitlines():
+        key, *rest = line.split(" ")
+        if key in ("v", "vn"):
+            (vertices if key == "v" else normals).append([float(x) for x in rest])
+    unit, normals = (np.array(vertices) - center) / radius, np.array(normals)
+    if not len(unit) or not np.isfinite(unit).all() or not np.isfinite(normals).all():
+        return ["bad mesh: empty or not finite"]
+    if np.abs(np.linalg.norm(normals, axis=1) - 1).max() > 1e-3:
+        failures.append("bad mesh: a normal is not of unit length")
+    given = "surface extraction" in report["skipped"]
+    if np.linalg.norm(unit, axis=1).max() > (2.0 if given else 1.001):
+        failures.append(f"bad mesh: reaches {np.linalg.norm(unit, axis=1).max():.4f} radii")
+    scene = trimesh.load(out / "asset.glb", process=False)
+    glb = np.concatenate([trimesh.transform_points(scene.geometry[name].vertices, matrix)
+                          for matrix, name in (scene.graph[node] for node in scene.graph.nodes_geometry)])
+    glb = (glb @ np.array([[1, 0, 0], [0, 0, -1], [0, 1, 0]]).T - center) / radius
+    if glb.shape != unit.shape or np.abs(glb - unit).max() > 1e-3:
+        off = np.abs(glb - unit).max() if glb.shape == unit.shape else "other vertices"
+        failures.append(f"asset.glb is not mesh.obj: {off}")
+    distinct = len(np.unique(np.round(unit, 6), axis=0))
+    known = (out / "checkpoints" / "surface.done.pt")
+    if known.is_file():
+        inner = load_state(known)["result"]["arrays"]["vertices"]
+        if inner.shape != unit.shape or np.abs(inner - unit).max() > 1e-4:
+            failures.append("coarse mesh.obj: vertices lost more than 1e-4 radii to their text "
+                            f"({np.abs(inner - unit).max() if inner.shape == unit.shape else 'other'})")
+    if distinct < 4:
+        failures.append(f"bad mesh: {distinct} places")
+    return failures
+
+
+def check_report(case, report: dict) -> list[str]:
+    """What had to be repaired is in the report's warnings."""
+    failures, said = [], " | ".join(report["warnings"])
+    wanted = REPAIRS.get(case.pixels) if case.suffix == ".exr" else {"one_black": "black"}.get(case.pixels)
+    if case.masks == "alpha" and case.pixels in ("negative", "huge"):
+        wanted = None  # may lie where alpha is 0
+    if wanted and wanted not in said:
+        failures.append(f"silent repair: {case.pixels} pixels are not in the warnings ({said})")
+    if case.duplicates in ("some", "pairs") and "same place" not in said:
+        failures.append(f"silent repair: duplicate cameras are not in the warnings ({said})")
+    skipped = (report["rooms"].get("fields_learning") or {}).get("steps_not_finite", 0)
+    if skipped and "not finite" not in said:
+        failures.append("silent repair: steps that were left out are not in the warnings")
+    return failures
+
+
+def same_assets(a: Path, b: Path) -> list[str]:
+    """Of two assets that must be equal bit for bit: what differs."""
+    names = [n for n in FILES if not n.endswith((".glb", "report.json", ".png"))]
+    different = [n for n in names if n != "environment.exr" and not n.startswith("textures/")
+                 and (a / n).read_bytes() != (b / n).read_bytes()]
+    different += [n for n in names if n.endswith(".exr") and not np.array_equal(_exr(a / n), _exr(b / n))]
+    for room in ("fields_learning", "surface", "material_learning"):
+        files = [f / "checkpoints" / f"{room}.done.pt" for f in (a, b)]
+        if all(f.is_file() for f in files):
+            one, other = (dict(_tensors(load_state(f)["result"])) for f in files)
+            different += [f"{room}{k}" for k in one if k not in other or not np.array_equal(one[k], other[k])]
+    return [f"resumed run differs: {different[:6]}"] if different else []
+
+
+def _exr(path: Path) -> np.ndarray:
+    (channel,) = OpenEXR.File(str(path)).channels().values()
+    return np.asarray(channel.pixels, np.float32)
+
+
+def _tensors(value, name: str = ""):
+    """(name, array) of every tensor and array in a nested state."""
+    if isinstance(value, dict):
+        for key, item in value.items():
+            yield from _tensors(item, f"{name}.{key}")
+    elif isinstance(value, list | tuple):
+        for i, item in enumerate(value):
+            yield from _tensors(item, f"{name}[{i}]")
+    elif isinstance(value, torch.Tensor | np.ndarray):
+        yield name, np.asarray(value)

@@ -1,0 +1,162 @@
+"""Whole small jobs on hostile captures (benchmarks/stress.py has the campaign), and the guards that they led to."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict, replace
+
+import numpy as np
+import pytest
+import torch
+
+pytest.importorskip("hypothesis")
+from hypothesis import HealthCheck, Phase, given, settings
+
+from benchmarks.stress import cases, digest, reconstruct, run_case, summarise
+from benchmarks.stress_checks import check_asset, same_assets
+from benchmarks.stress_scenes import Case, signed_distance, trace, write_capture
+from blender_nep.capture import PixelRays, load_capture
+from blender_nep.checkpoints import load_state
+from blender_nep.errors import LearningError
+from blender_nep.fields.optimiser import UniformAdam
+from blender_nep.fields.step_guard import PATIENCE, StepGuard, usable_gradients, usable_loss
+from blender_nep.fields_learning import FieldsLearning
+
+PLAIN = Case(told="yes", pixels="saturated", suffix=".png")
+
+
+@settings(max_examples=10, derandomize=True, database=None, deadline=None, phases=[Phase.explicit, Phase.generate],
+          suppress_health_check=list(HealthCheck))
+@given(case=cases())
+def test_a_hostile_case_ends_with_a_sound_asset_or_a_clear_refusal(tmp_path_factory, case):
+    row = run_case(case, tmp_path_factory.mktemp(digest(case)))
+    assert not row["failures"], json.dumps({k: v for k, v in asdict(case).items() if v != getattr(Case(), k)})
+
+
+@pytest.mark.parametrize("case", [
+    Case(bfloat16=True, told="yes"), Case(offset=1e6, told="yes"), Case(offset=1e6, scale=1e-4, told="no", metallic=0.0),
+    Case(duplicates="pairs", told="yes", pixels="negative"), Case(distance=100.0, told="yes", pixels="huge"),
+    Case(mesh="soup", told="yes", pixels="nan", views=3)], ids=lambda case: digest(case))
+def test_cases_that_failed_once_or_that_the_issue_names(tmp_path, case):
+    row = run_case(case, tmp_path)
+    assert row["code"] == 0 and not row["failures"]
+
+
+@pytest.fixture(scope="module")
+def plain_asset(tmp_path_factory):
+    """The asset of a plain case, and its surface in the unit frame."""
+    folder = tmp_path_factory.mktemp("plain")
+    write_capture(PLAIN, folder / "capture")
+    assert reconstruct(PLAIN, folder / "capture", folder / "asset")[0] == 0
+    return folder / "asset"
+
+
+def unit_surface(asset):
+    return load_state(asset / "checkpoints" / "surface.done.pt")["result"]["arrays"]["vertices"]
+
+
+def test_a_scene_scaled_by_a_power_of_two_gives_the_same_answer_bit_for_bit(plain_asset, tmp_path):
+    """Nothing in the library may depend on the capture's unit: the unit frame is exact then, and so is everything else."""
+    case = replace(PLAIN, scale=2.0**-13)
+    write_capture(case, tmp_path / "capture")
+    assert reconstruct(case, tmp_path / "capture", tmp_path / "asset")[0] == 0
+    np.testing.assert_array_equal(unit_surface(plain_asset), unit_surface(tmp_path / "asset"))
+    for room in ("fields_learning", "material_learning"):
+        one, other = (load_state(a / "checkpoints" / f"{room}.done.pt")["result"] for a in (plain_asset, tmp_path / "asset"))
+        if room == "material_learning":
+            assert all(np.array_equal(one["textures"][k], other["textures"][k]) for k in one["textures"])
+        else:
+            assert torch.equal(one["environment"]["raw"], other["environment"]["raw"])
+
+
+def test_a_scene_moved_a_million_units_gives_the_same_fields_within_float32(plain_asset, tmp_path):
+    case = replace(PLAIN, offset=1e6)
+    write_capture(case, tmp_path / "capture")
+    rays = []
+    for folder in (plain_asset.parent / "capture", tmp_path / "capture"):
+        rays.append(PixelRays.from_capture(load_capture(folder), 900, True))
+    learned = []
+    for these in rays:
+        learning = FieldsLearning(these, PLAIN.settings(tmp_path, tmp_path).preset, 0, torch.device("cpu"))
+        for _ in range(20):
+            learning.learn_step()
+        learned.append(learning)
+    one, other = (learning.object_field.coefficients().detach() for learning in learned)
+    # rays differ by 1e-7; after ten steps of both fields, each of at most 0.003, the SDF may not by more than a thousandth
+    assert (one - other).abs().max() < 1e-5
+
+
+def test_another_seed_gives_another_asset_of_the_same_thing(plain_asset, tmp_path):
+    case = replace(PLAIN, seed=2**32 + 5)
+    assert reconstruct(case, plain_asset.parent / "capture", tmp_path / "asset")[0] == 0
+    assert not check_asset(case, tmp_path / "asset")
+    assert same_assets(plain_asset, tmp_path / "asset"), "the seed decides nothing"
+    radii = [np.linalg.norm(unit_surface(a), axis=1).mean() for a in (plain_asset, tmp_path / "asset")]
+    assert abs(radii[0] - radii[1]) < 0.1
+
+
+def test_the_shapes_are_traced_where_they_are():
+    rng = np.random.default_rng(0)
+    for shape in ("sphere", "box", "plate", "ring", "holes"):
+        origins = rng.normal(size=(400, 3))
+        origins *= 3 / np.linalg.norm(origins, axis=1, keepdims=True)
+        directions = rng.uniform(-0.5, 0.5, (400, 3)) - origins
+        directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+        t, normal = trace(shape, origins, directions)
+        hit = np.isfinite(t)
+        assert hit.sum() > 20 and (np.einsum("ij,ij->i", normal[hit], directions[hit]) < 0.2).all()
+        along = np.linspace(1.5, 4.5, 3000)
+        nearest = np.stack([signed_distance(shape, origins + s * directions) for s in along]).min(0)
+        assert (nearest[hit] < 2e-3).all() and (nearest[~hit] > -2e-3).all()
+
+
+def test_a_summary_counts_what_failed():
+    rows = {"a": {"case": asdict(Case(scale=1e4)), "code": 0, "failures": ["bad mesh: x"], "message": "", "warnings": ["w"],
+                  "seconds": 1.0},
+            "b": {"case": asdict(Case()), "code": 4, "failures": [], "message": "3 of 4 cameras", "warnings": [],
+                  "seconds": 2.0}}
+    found = summarise(rows)
+    assert found["cases"] == 2 and found["failed"] == ["a"] and found["failures_by_kind"] == {"bad mesh": 1}
+    assert found["exit_codes"] == {"0": 1, "4": 1} and found["refusals"] == {"# of # cameras": 1}
+    assert found["met"] == {"scale=10000.0": 1}
+
+
+def test_the_guard_gives_up_after_many_failures_in_a_row_and_counts_all():
+    guard = StepGuard()
+    for k in range(3 * PATIENCE):
+        assert guard.judge(k % PATIENCE == 0) == (k % PATIENCE == 0)
+    assert guard.report() == {"steps_not_finite": 3 * (PATIENCE - 1)}
+    copy = StepGuard()
+    copy.load(guard.state())
+    assert not guard.judge(True) or copy.state() != guard.state()
+    with pytest.raises(LearningError, match="not finite"):
+        copy.judge(False)
+    assert [usable_loss(x) for x in (0.1, float("nan"), float("inf"), -1e9)] == [True, False, False, False]
+
+
+def test_a_gradient_that_is_not_finite_changes_nothing(plain_asset):
+    """A finite loss may have a gradient that is not; one such step would stay in Adam's moments for ever."""
+    rays = PixelRays.from_capture(load_capture(plain_asset.parent / "capture"), 900, True)
+    learning = FieldsLearning(rays, PLAIN.settings(plain_asset, plain_asset).preset, 0, torch.device("cpu"))
+    while learning.step < learning.background_steps + 2:
+        learning.learn_step()
+    parameter = learning.object_field.levels[0]
+    hook = parameter.register_hook(lambda gradient: gradient * float("nan"))
+    before = [p.detach().clone() for p in (*learning.object_field.parameters(), learning.environment.raw)]
+    learning.learn_step()
+    hook.remove()
+    after = [*learning.object_field.parameters(), learning.environment.raw]
+    assert learning.guard.left_out == 1 and all(torch.equal(a, b) for a, b in zip(before, after, strict=True))
+    learning.learn_step()
+    assert learning.guard.left_out == 1 and not torch.equal(before[0], parameter)
+    assert all(torch.isfinite(p).all() for p in after)
+
+
+def test_gradients_are_usable_only_when_all_are_finite():
+    one, other = torch.nn.Parameter(torch.ones(3)), torch.nn.Parameter(torch.ones(2))
+    optimisers = [UniformAdam([one], lr=1.0), torch.optim.Adam([other])]
+    assert usable_gradients(optimisers)
+    one.grad, other.grad = torch.full((3,), 3e38), torch.zeros(2)
+    assert usable_gradients(optimisers), "finite ones whose sum float32 cannot hold"
+    other.grad[1] = float("inf")
+    assert not usable_gradients(optimisers)
