@@ -323,7 +323,7 @@ class FieldsLearning:
         optimisers = (self.sdf_optimiser, self.head_optimiser, self.environment_optimiser)
         for optimiser in optimisers:
             optimiser.zero_grad()
-        if self._judge(float(loss.detach())):
+        if self._judge(float(loss.detach())) and loss.requires_grad:  # not so where no ray meets anything that is learned
             loss.backward()
             self.environment.regularise(self.generator)
             for optimiser in optimisers:

@@ -87,7 +87,8 @@ class EnvironmentPreset:
     refine_at: tuple[float, ...] = (0.15, 0.4)
     """Fractions of the training at which the next resolution starts."""
     model: str = "field"
-    """field, or infinite: a 2-D environment map at infinity, as NeRO and nvdiffrec assume (an ablation)."""
+    """field; infinite: a 2-D environment map at infinity, as NeRO and nvdiffrec assume (an ablation); none: the photos
+    are cut-outs and show no surroundings (`scene_analysis` decides)."""
     outer_radius: float = 32.0
     """Radius of the sky shell, in radii of the object's sphere."""
     density_gain: float = 16.0
@@ -212,6 +213,8 @@ class Preset:
     surface_seconds: float = 5.0
     material_seconds: float = 70.0
     """What the three long rooms take on two cores: first guess of the time left, corrected as the job runs."""
+    skip_needless: bool = True
+    """Leave out what the scene does not need (`scene_analysis`); False: do everything."""
     environment_height: int = 256
     """Rows of environment.exr."""
     fields: FieldsPreset = field(default_factory=FieldsPreset)

@@ -66,6 +66,8 @@ def learn_environment(rays: PixelRays, background: torch.Tensor, preset: Environ
     """F_e from the pixels `background` (indices) alone. Raises Stopped on request, after writing the checkpoint."""
     generator = torch.Generator(device).manual_seed(seed)
     environment = EnvironmentField(preset, geometric_mean(rays)).to(device)
+    if not environment.known:
+        return environment
     adam, step = optimiser(environment), 0
     state = checkpoint.load()
     if state is not None:
