@@ -52,7 +52,7 @@ def duration(seconds: float) -> str:
 # the engine speaks of its command line; the panel has other words for the same
 _IN_PANEL = {", with --engine-python or by the variable NEP_ENGINE_PYTHON": "",
              "--masks ignore": "Use Masks is off", "--overwrite": "Start Again",
-            "--resume": "Resume", "--out": "output folder", "--seed": "Seed",
+             "--resume": "Resume", "--out": "output folder", "--seed": "Seed",
              "by --metal yes or --metal no": "in Advanced > Material",
              "--device cpu": "the device CPU", "--preset preview": "the preset Preview", "--mesh": "Known Mesh",
              "`blender-nep info`": "the capture's description",

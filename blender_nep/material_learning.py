@@ -73,6 +73,8 @@ class _MaterialLearner:
         self.generator = torch.Generator().manual_seed(seed)
         self.steps, self.done, self.loss, self.start = 100, 0, float("nan"), time.monotonic()
         self.state: dict = {}
+        self.sure_of: Tensor | None = None
+        """[K] metallic of the palette's materials, where the photos have told it clearly"""
         tracer = RayTracer(surface.vertices, surface.faces)
         self.samples: PhotoSamples = select_samples(
             rays, tracer, surface.normals, count=preset.samples, least_cosine=preset.least_cosine,
@@ -112,12 +114,16 @@ class _MaterialLearner:
             self._assign()
             self._step(85 + 5 * k)
         self._clock("materials")
-        size = texture_size(self.surface, self.footprint, preset.most_texels)
+        wanted = texture_size(self.surface, self.footprint, preset.most_texels)
+        size = min(wanted, preset.uniform_texels) if len(self.palette) == 1 else wanted
         self._finish_report(single, size)
         self.palette = self.palette.with_blends()
         self._assign()
         textures = bake(self.surface, self._evidence(), self.palette, size)
         self._clock("textures")
+        if size < wanted:
+            self._skip("fine textures", "one material explains the photos",
+                       self.report["seconds"]["textures"] * ((wanted / size) ** 2 - 1))
         self._step(100)
         if not all(np.isfinite(x).all() for x in textures):
             raise LearningError("material learning diverged: its textures are not finite", "try another --seed")
@@ -155,6 +161,9 @@ class _MaterialLearner:
         it is known what they are."""
         p, opposite = self.preset, self.palette
         if len(p.metallic) == 1:
+            return None
+        if self.sure_of is not None and torch.equal(self.sure_of, self.palette.metallic):
+            self._skip("asking again whether it is metal", "the photos have told it clearly")
             return None
         cost, albedo = self._scan(self.label, len(self.palette))
         for i, metallic in enumerate(p.metallic):
@@ -286,7 +295,7 @@ class _MaterialLearner:
         self.report["light_not_in_photos"] = round(uncovered, 4)
         if not p.residual or uncovered < 0.005:
             why = "all light that matters was seen by the photos" if p.residual else "turned off by the preset"
-            self.report.setdefault("skipped", {})["residual"] = why
+            self._skip("residual", why)
             return
         if light.unseen is None:
             light.unseen = UnseenLight(p.unseen_rows, self.f_p.environment.typical_distance(), self.device)
@@ -294,7 +303,9 @@ class _MaterialLearner:
         light.unseen, self.palette, margins = learn_unseen_light(
             light, self.palette, self._opposites(), self.label, self.target, p, self.generator,
             lambda: self._step(self.done))
-        self.report["metal_or_not_margin"] = round(min(margins), 4) if margins else None
+        if margins:
+            self.report["metal_or_not_margin"] = round(min(margins), 4)
+            self.sure_of = self.palette.metallic if min(margins) >= p.sure_margin else None
         self.f_p.unseen = light.unseen
         light.add_unseen()
         self._residual()
@@ -323,11 +334,15 @@ class _MaterialLearner:
         self.report["cones_traced"] = self.light.rays
         hits = len(self.light.slot)
         self.report["self_reflection_rays"] = hits
-        skipped = self.report.setdefault("skipped", {})
         if hits == 0:
-            skipped["indirect light"] = "the object cannot see itself"
+            self._skip("indirect light", "the object cannot see itself")
         if len(palette) == 1:
-            skipped["material boundaries"] = "one material explains the photos"
+            self._skip("material boundaries", "one material explains the photos")
+
+    def _skip(self, what: str, why: str, seconds: float | None = None) -> None:
+        self.report.setdefault("skipped", {})[what] = why
+        if seconds is not None:
+            self.report.setdefault("seconds_saved", {})[what] = round(seconds, 2)
 
     def _step(self, step: int) -> None:
         self.done = step

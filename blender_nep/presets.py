@@ -180,6 +180,8 @@ class MaterialPreset:
     """Share of the residual by which a metal must be better than a dielectric (less than 0: may be worse): a prior for what
     photos cannot tell, 0 turns it off. Of rendered objects the wrong one was 18 to 48 % worse at the end, 1 to 6 % in a
     first round, before the light was found."""
+    sure_margin: float = 0.15
+    """Once every material was worse by this share the other way round, it is not tried again; inf: always."""
     least_roughness: float = 0.04
     clip: float = 0.25
     """Residuals (tone-mapped, 0..1) above it count no more: they are wrong geometry, not material."""
@@ -200,6 +202,8 @@ class MaterialPreset:
     """Of fitting the palette, assigning it and updating the indirect light."""
     most_texels: int = 1024
     """Largest side of a texture; the photos' own sampling density decides below it."""
+    uniform_texels: int = 128
+    """Largest side where one material explains the photos."""
 
 
 @dataclass(frozen=True)

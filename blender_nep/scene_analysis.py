@@ -68,15 +68,17 @@ class SceneAnalysis:
         if shown is not None and shown.any():
             radiance = radiance[shown]
         brightest = float(rays.radiance.max())
-        # 8 bits end at 1; a file of a larger range that was clipped has many pixels at one and the same top
-        top = SATURATED if brightest <= BRIGHTEST_CLIPPED else 0.999 * brightest
+        if brightest <= BRIGHTEST_CLIPPED:
+            clipped = int((radiance > SATURATED).sum())
+        else:  # a file of a larger range that was clipped has many pixels at one and the same top, not one
+            clipped = max(int((radiance >= 0.999 * brightest).sum()) - 1, 0)
         origins, _, angle = rays.rays(some[:: max(1, len(some) // 5000)])
         return cls(
             photos=rays.views,
             masks=rays.mask is not None,
             backdrop=rays.background,
             brightest=brightest,
-            clipped=float((radiance >= top).float().mean()),
+            clipped=clipped / max(len(radiance), 1),
             sphere_share=len(rays.sphere) / max(int(rays.valid.sum()), 1),
             object_share=None if shown is None else float(shown.float().mean()),
             pixels_across=2 / max(float((1.77 * angle * origins.norm(dim=-1)).median()), 1e-9),
