@@ -36,6 +36,8 @@ if TYPE_CHECKING:
 
 _SHADES = 2.5
 """Albedo that a dielectric may seem to have where F_e is too dark, until shades of one hue are merged."""
+_NO_LIGHT = 0.02
+"""Share of the light below which photos show none of it."""
 
 
 @dataclass
@@ -97,6 +99,8 @@ class _MaterialLearner:
         n = len(self.samples)
         self.label = torch.zeros(n, dtype=torch.int64, device=self.device)
         self.weight = 0.05 + self.light.coverage[:, : len(preset.ladder) // 2].mean(1)
+        if preset.residual and float(self.light.coverage.mean()) < _NO_LIGHT:
+            self._begin_with_grey_light()
         self.palette = self._fit(self.label, 1)
         self._reflect_itself()
         self.palette = self._fit(self.label, 1)
@@ -288,6 +292,17 @@ class _MaterialLearner:
                 self._step(int(10 * k / p.terminal_steps))
         self._clock("terminal")
 
+    def _begin_with_grey_light(self) -> None:
+        """The photos are cut-outs: in no light at all every material is as good as another."""
+        self._add_unseen_light(2 * float(self.target.mean(-1).median()))
+        self.light.add_unseen()
+
+    def _add_unseen_light(self, radiance: float) -> None:
+        self.light.unseen = UnseenLight(self.preset.unseen_rows, self.f_p.environment.typical_distance(), self.device)
+        self.light.unseen.radiance += radiance
+        self.f_p.unseen = self.light.unseen
+        self.report["unseen_light_radius"] = round(self.light.unseen.radius, 3)
+
     def _find_unseen_light(self) -> None:
         """Light that no photo shows, under the present materials; how far away it is, the first time."""
         p, light = self.preset, self.light
@@ -298,8 +313,7 @@ class _MaterialLearner:
             self._skip("residual", why)
             return
         if light.unseen is None:
-            light.unseen = UnseenLight(p.unseen_rows, self.f_p.environment.typical_distance(), self.device)
-            self.report["unseen_light_radius"] = round(light.unseen.radius, 3)
+            self._add_unseen_light(0.0)
         light.unseen, self.palette, margins = learn_unseen_light(
             light, self.palette, self._opposites(), self.label, self.target, p, self.generator,
             lambda: self._step(self.done))
