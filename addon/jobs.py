@@ -25,6 +25,7 @@ class Job:
         self.key = key(output)
         self.progress = Progress()
         self.warnings: list[str] = []
+        self.scene: list[str] = []  # what the photos show and what is left out because of it, in sentences
         self.stopping = False
         self.ended = engine is None
         self.watched = here  # whether it ran while this Blender looked on: then its result is imported by itself
@@ -40,6 +41,8 @@ class Job:
                 self.progress = Progress.of(event)
             elif event["event"] == "warning":
                 self.warnings.append(str(event.get("message", "")))
+            elif event["event"] == "scene":
+                self.scene = [str(line) for line in event.get("lines") or ()]
             elif event["event"] == "preview":
                 path = Path(str(event.get("path", "")))
                 self.previews[path.suffix] = path

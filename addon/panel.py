@@ -90,9 +90,21 @@ def _draw_running(layout, context, job) -> None:
     _draw_picture(layout, context, live_preview.picture_icons(job.key))
     for warning in job.warnings[-2:]:
         say(layout, context, in_panel_words(warning), "INFO")
+    _draw_scene(layout, context, job)
     row = layout.row(align=True)
     row.operator("nep.cancel", icon="CANCEL")
     row.operator("nep.open_log", text="", icon="TEXT")
+
+
+def _draw_scene(layout, context, job) -> None:
+    """What the photos show, and what the engine leaves out because of it."""
+    if not job.scene:
+        return
+    header, body = layout.panel("nep_scene", default_closed=True)
+    header.label(text="What the Scene Needs")
+    if body is not None:
+        for line in job.scene:
+            say(body, context, in_panel_words(line))
 
 
 def _draw_picture(layout, context, icons: list[int]) -> None:
@@ -112,6 +124,7 @@ def _draw_end(layout, context, job) -> None:
         say(layout, context, text, "CHECKMARK")
         for warning in job.warnings[-2:]:
             say(layout, context, in_panel_words(warning), "INFO")
+        _draw_scene(layout, context, job)
         return
     say(layout, context, in_panel_words(failed.message), "PAUSE" if job.was_stopped else "ERROR")
     say(layout, context, in_panel_words(failed.hint), "BLANK1")

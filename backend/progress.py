@@ -51,7 +51,8 @@ def duration(seconds: float) -> str:
 
 # the engine speaks of its command line; the panel has other words for the same
 _IN_PANEL = {", with --engine-python or by the variable NEP_ENGINE_PYTHON": "",
-             "--overwrite": "Start Again", "--resume": "Resume", "--out": "output folder", "--seed": "Seed",
+             "--masks ignore": "Use Masks is off", "--overwrite": "Start Again",
+             "--resume": "Resume", "--out": "output folder", "--seed": "Seed",
              "by --metal yes or --metal no": "in Advanced > Material",
              "--device cpu": "the device CPU", "--preset preview": "the preset Preview", "--mesh": "Known Mesh",
              "`blender-nep info`": "the capture's description",
@@ -74,4 +75,6 @@ def describe(event: dict) -> str:
         return "  ".join([f"{100 * progress.fraction:3.0f} %", *progress.lines()])
     if event["event"] == "warning":
         return f"warning: {event.get('message', '')}"
+    if event["event"] == "scene":
+        return " ".join(str(line) for line in event.get("lines") or ())
     return str(event.get("message") or event.get("path") or event.get("asset") or event["event"])

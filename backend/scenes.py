@@ -32,6 +32,7 @@ MATERIALS = {
     "steel": ("stripes", (Substance((0.62, 0.6, 0.58), 0.12, 1.0), Substance((0.62, 0.6, 0.58), 0.3, 1.0))),
     "patches": ("patches", (Substance((0.6, 0.05, 0.04), 0.15, 0.0), Substance((0.9, 0.85, 0.75), 0.25, 1.0))),
     "stripes": ("stripes", (Substance((0.04, 0.14, 0.5), 0.15, 0.0), Substance((0.93, 0.55, 0.4), 0.22, 1.0))),
+    "chalk": ("uniform", (Substance((0.55, 0.5, 0.4), 0.8, 0.0),)),
     "glaze": ("patches", (Substance((0.7, 0.6, 0.4), 0.12, 0.0), Substance((0.05, 0.25, 0.2), 0.12, 0.0))),
 }
 DEFAULT_MATERIAL = {"suzanne": "gold", "box": "patches"}

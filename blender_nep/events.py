@@ -203,6 +203,10 @@ class Events:
             self.emit("warning", message=message)
             self.say(f"warning: {message}")
 
+    def scene(self, lines: list[str]) -> None:
+        """What is known of the scene by now, and what is left out because of it: sentences, the new ones last."""
+        self.emit("scene", lines=lines)
+
     def done(self, asset: Path) -> None:
         """The asset is complete."""
         self.emit("done", asset=str(asset))

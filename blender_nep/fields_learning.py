@@ -337,7 +337,7 @@ class FieldsLearning:
         for optimiser in optimisers:
             optimiser.zero_grad()
         usable = usable_loss(float(loss.detach()))
-        if usable:
+        if usable and loss.requires_grad:  # not so where no ray meets anything that is learned
             with section("backward"):
                 loss.backward()
             self.environment.regularise(self.generator)

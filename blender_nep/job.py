@@ -33,6 +33,8 @@ from blender_nep.presets import Preset
 from blender_nep.profile import Profile, profiled, section
 from blender_nep.rooms import Rooms
 from blender_nep.run_folder import RunFolder, fingerprint, refuse_other_run
+from blender_nep.scene_analysis import SceneAnalysis, SurfaceAnalysis
+from blender_nep.scene_report import SceneReport
 
 ROOMS = ("capture", "fields_learning", "surface", "material_learning", "asset")
 _DOUBT = 0.03
@@ -163,6 +165,9 @@ class Job:
         self.device = choose_device(s.device)
         self._seed_and_threads()
         capture, rays = self._enter_capture()
+        photos = SceneAnalysis.of(rays)
+        plan = photos.plan(s.preset)
+        preset = plan.preset
         what = fingerprint(capture, s.preset, s.seed, s.use_masks, s.mesh, s.sphere)
         self.folder = RunFolder(s.out, self.stop, self.events.warning)
         if s.resume and (s.out / "report.json").is_file():
@@ -173,12 +178,15 @@ class Job:
             self.events.say(f"resuming the run in {s.out}")
         elif s.resume:
             self.events.say(f"{s.out} holds no checkpoint yet: starting from the beginning")
+        self.scene = SceneReport(self.events)
+        self.scene.left_out(rays, masks_ignored=not s.use_masks, mesh_given=s.mesh is not None)
+        self.scene.add("photos", photos, plan)
 
         given = None
         if s.mesh is not None:
             given = self._room(
                 "surface",
-                lambda *_: (self.rooms.load_surface(s.mesh, capture, s.preset.surface), {}),
+                lambda *_: (self.rooms.load_surface(s.mesh, capture, preset.surface), {}),
                 self.rooms.pack_surface,
                 self.rooms.unpack_surface,
             )
@@ -186,7 +194,7 @@ class Job:
             "fields_learning",
             lambda progress, checkpoint: self.rooms.learn_fields(
                 rays,
-                s.preset,
+                preset,
                 seed=s.seed,
                 device=self.device,
                 progress=progress,
@@ -195,21 +203,24 @@ class Job:
                 **self._watching(capture, rays),
             ),
             self.rooms.pack_fields,
-            lambda state: self.rooms.unpack_fields(state, s.preset, self.device),
+            lambda state: self.rooms.unpack_fields(state, preset, self.device),
         )
         surface, surface_report = given or self._room(
             "surface",
-            lambda *_: self.rooms.extract_surface(fields.object_field, s.preset.surface),
+            lambda *_: self.rooms.extract_surface(fields.object_field, preset.surface),
             self.rooms.pack_surface,
             self.rooms.unpack_surface,
         )
+        shape = SurfaceAnalysis.of(surface, rays, s.seed)
+        plan = shape.plan(preset)
+        self.scene.add("surface", shape, plan)
         materials = self._room(
             "material_learning",
             lambda progress, checkpoint: self.rooms.learn_materials(
                 surface,
                 fields.environment,
                 rays,
-                s.preset.material,
+                plan.preset.material,
                 seed=s.seed,
                 device=self.device,
                 progress=progress,
@@ -368,9 +379,8 @@ class Job:
         if materials.unseen is not None:
             more = materials.unseen.equirect(s.preset.environment_height).to(light.device)
             light = light + more * (1 - coverage)[..., None]
-        skipped = self._skipped(rays)
         for part in parts.values():
-            skipped |= part.get("skipped", {})
+            self.scene.skip(part.get("skipped", {}), part.get("seconds_saved", {}))
 
         def report() -> dict:
             self.seconds["asset"] = time.monotonic() - start
@@ -394,10 +404,11 @@ class Job:
                 "seconds_total": round(sum(self.seconds.values()), 2),
                 "peak_memory_mb": None if peak_memory() is None else round(peak_memory(), 1),
                 "resumed_rooms": self.resumed,
-                "skipped": skipped,
+                **self.scene.report(),
                 "losses": self.losses,
                 **({} if self.profile is None else {"profile": self.profile.report()}),
-                "rooms": {room: {k: v for k, v in part.items() if k != "skipped"} for room, part in parts.items()},
+                "rooms": {room: {k: v for k, v in part.items() if k not in ("skipped", "seconds_saved")}
+                          for room, part in parts.items()},
                 "warnings": self.events.warnings,
                 "fingerprint": what,
             }
@@ -410,16 +421,3 @@ class Job:
         self.timeline.leave()
         self.events.preview(s.out / "preview.png")
         self.events.done(s.out)
-
-    def _skipped(self, rays: PixelRays) -> dict[str, str]:
-        """What this job left out by itself: {what: why}."""
-        skipped = {}
-        if rays.mask is None:
-            skipped["mask term"] = "the capture has no masks" if self.settings.use_masks else "--masks ignore"
-        if not rays.background:
-            skipped["environment pixels"] = "the photos are cut-outs: no surroundings to learn from"
-        elif len(rays.outside) == 0:
-            skipped["pixels outside the sphere"] = "the sphere fills all photos"
-        if self.settings.mesh is not None:
-            skipped["surface extraction"] = "a mesh was given (--mesh)"
-        return skipped

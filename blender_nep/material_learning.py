@@ -47,6 +47,8 @@ if TYPE_CHECKING:
 
 _SHADES = 2.5
 """Albedo that a dielectric may seem to have where F_e is too dark, until shades of one hue are merged."""
+_NO_LIGHT = 0.02
+"""Share of the light below which photos show none of it."""
 
 
 @dataclass
@@ -84,6 +86,8 @@ class _MaterialLearner:
         self.generator = torch.Generator().manual_seed(seed)
         self.steps, self.done, self.loss, self.start = 100, 0, float("nan"), time.monotonic()
         self.state: dict = {}
+        self.sure_of: Tensor | None = None
+        """[K] metallic of the palette's materials, where the photos have told it clearly"""
         tracer = RayTracer(surface.vertices, surface.faces)
         self.samples: PhotoSamples = select_samples(
             rays, tracer, surface.normals, count=preset.samples, least_cosine=preset.least_cosine,
@@ -106,6 +110,8 @@ class _MaterialLearner:
         n = len(self.samples)
         self.label = torch.zeros(n, dtype=torch.int64, device=self.device)
         self.weight = 0.05 + self.light.coverage[:, : len(preset.ladder) // 2].mean(1)
+        if preset.residual and float(self.light.coverage.mean()) < _NO_LIGHT:
+            self._begin_with_grey_light()
         self.palette = self._fit(self.label, 1)
         self._reflect_itself()
         self.palette = self._fit(self.label, 1)
@@ -123,12 +129,16 @@ class _MaterialLearner:
             self._assign()
             self._step(85 + 5 * k)
         self._clock("materials")
-        size = texture_size(self.surface, self.footprint, preset.most_texels)
+        wanted = texture_size(self.surface, self.footprint, preset.most_texels)
+        size = min(wanted, preset.uniform_texels) if len(self.palette) == 1 else wanted
         self._finish_report(single, size)
         self.palette = self.palette.with_blends()
         self._assign()
         textures = bake(self.surface, self._evidence(), self.palette, size)
         self._clock("textures")
+        if size < wanted:
+            self._skip("fine textures", "one material explains the photos",
+                       self.report["seconds"]["textures"] * ((wanted / size) ** 2 - 1))
         self._step(100)
         if not all(np.isfinite(x).all() for x in textures):
             raise LearningError("material learning diverged: its textures are not finite", "try another --seed")
@@ -166,6 +176,9 @@ class _MaterialLearner:
         it is known what they are."""
         p, opposite = self.preset, self.palette
         if len(p.metallic) == 1:
+            return None
+        if self.sure_of is not None and torch.equal(self.sure_of, self.palette.metallic):
+            self._skip("asking again whether it is metal", "the photos have told it clearly")
             return None
         cost, albedo = self._scan(self.label, len(self.palette))
         for i, metallic in enumerate(p.metallic):
@@ -293,6 +306,17 @@ class _MaterialLearner:
                 self._step(int(10 * k / p.terminal_steps))
         self._clock("terminal")
 
+    def _begin_with_grey_light(self) -> None:
+        """The photos are cut-outs: in no light at all every material is as good as another."""
+        self._add_unseen_light(2 * float(self.target.mean(-1).median()))
+        self.light.add_unseen()
+
+    def _add_unseen_light(self, radiance: float) -> None:
+        self.light.unseen = UnseenLight(self.preset.unseen_rows, self.f_p.environment.typical_distance(), self.device)
+        self.light.unseen.radiance += radiance
+        self.f_p.unseen = self.light.unseen
+        self.report["unseen_light_radius"] = round(self.light.unseen.radius, 3)
+
     def _find_unseen_light(self) -> None:
         """Light that no photo shows, under the present materials; how far away it is, the first time."""
         p, light = self.preset, self.light
@@ -300,15 +324,16 @@ class _MaterialLearner:
         self.report["light_not_in_photos"] = round(uncovered, 4)
         if not p.residual or uncovered < 0.005:
             why = "all light that matters was seen by the photos" if p.residual else "turned off by the preset"
-            self.report.setdefault("skipped", {})["residual"] = why
+            self._skip("residual", why)
             return
         if light.unseen is None:
-            light.unseen = UnseenLight(p.unseen_rows, self.f_p.environment.typical_distance(), self.device)
-            self.report["unseen_light_radius"] = round(light.unseen.radius, 3)
+            self._add_unseen_light(0.0)
         light.unseen, self.palette, margins = learn_unseen_light(
             light, self.palette, self._opposites(), self.label, self.target, p, self.generator,
             lambda: self._step(self.done))
-        self.report["metal_or_not_margin"] = round(min(margins), 4) if margins else None
+        if margins:
+            self.report["metal_or_not_margin"] = round(min(margins), 4)
+            self.sure_of = self.palette.metallic if min(margins) >= p.sure_margin else None
         self.f_p.unseen = light.unseen
         light.add_unseen()
         self._residual()
@@ -372,11 +397,15 @@ class _MaterialLearner:
         self.report["cones_traced"] = self.light.rays
         hits = len(self.light.slot)
         self.report["self_reflection_rays"] = hits
-        skipped = self.report.setdefault("skipped", {})
         if hits == 0:
-            skipped["indirect light"] = "the object cannot see itself"
+            self._skip("indirect light", "the object cannot see itself")
         if len(palette) == 1:
-            skipped["material boundaries"] = "one material explains the photos"
+            self._skip("material boundaries", "one material explains the photos")
+
+    def _skip(self, what: str, why: str, seconds: float | None = None) -> None:
+        self.report.setdefault("skipped", {})[what] = why
+        if seconds is not None:
+            self.report.setdefault("seconds_saved", {})[what] = round(seconds, 2)
 
     def _step(self, step: int) -> None:
         self.done = step

@@ -16,6 +16,8 @@ from blender_nep.raytracing import RayTracer
 if TYPE_CHECKING:
     from blender_nep.capture.rays import PixelRays
 
+BRIGHTEST_CLIPPED, SATURATED = 1.001, 0.97
+"""Where no pixel is brighter than the first, files end at 1 and a channel above the second says only "at least"."""
 _CANDIDATES_PER_SAMPLE = 12
 _VOXEL = 0.05
 """Width of the voxels over which samples are spread, unit frame."""
@@ -77,8 +79,8 @@ def select_samples(rays: PixelRays, tracer: RayTracer, normals: np.ndarray, *, c
     leave_out("edge", on & _edges(tracer, o, d, t, angle, cosine, on))
     radiance = rays.radiance[index].float()
     brightest = float(rays.radiance.max())
-    if brightest <= 1.001:  # 8-bit photos: a channel at the top says only "at least"
-        leave_out("saturated", (radiance.amax(-1) > 0.97).cpu().numpy())
+    if brightest <= BRIGHTEST_CLIPPED:
+        leave_out("saturated", (radiance.amax(-1) > SATURATED).cpu().numpy())
     chosen = np.flatnonzero(on)
     if len(chosen) == 0:
         raise LearningError("no photo shows the surface well enough to learn its material",

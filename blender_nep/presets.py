@@ -87,7 +87,8 @@ class EnvironmentPreset:
     refine_at: tuple[float, ...] = (0.15, 0.4)
     """Fractions of the training at which the next resolution starts."""
     model: str = "field"
-    """field, or infinite: a 2-D environment map at infinity, as NeRO and nvdiffrec assume (an ablation)."""
+    """field; infinite: a 2-D environment map at infinity, as NeRO and nvdiffrec assume (an ablation); none: the photos
+    are cut-outs and show no surroundings (`scene_analysis` decides)."""
     outer_radius: float = 32.0
     """Radius of the sky shell, in radii of the object's sphere."""
     density_gain: float = 16.0
@@ -181,6 +182,8 @@ class MaterialPreset:
     """Share of the residual by which a metal must be better than a dielectric (less than 0: may be worse): a prior for what
     photos cannot tell, 0 turns it off. Of rendered objects the wrong one was 18 to 48 % worse at the end, 1 to 6 % in a
     first round, before the light was found."""
+    sure_margin: float = 0.15
+    """Once every material was worse by this share the other way round, it is not tried again; inf: always."""
     least_roughness: float = 0.04
     clip: float = 0.25
     """Residuals (tone-mapped, 0..1) above it count no more: they are wrong geometry, not material."""
@@ -201,6 +204,8 @@ class MaterialPreset:
     """Of fitting the palette, assigning it and updating the indirect light."""
     most_texels: int = 1024
     """Largest side of a texture; the photos' own sampling density decides below it."""
+    uniform_texels: int = 128
+    """Largest side where one material explains the photos."""
 
 
 @dataclass(frozen=True)
@@ -218,6 +223,8 @@ class Preset:
     surface_seconds: float = 5.0
     material_seconds: float = 70.0
     """What the three long rooms take on two cores: first guess of the time left, corrected as the job runs."""
+    skip_needless: bool = True
+    """Leave out what the scene does not need (`scene_analysis`); False: do everything."""
     environment_height: int = 256
     """Rows of environment.exr."""
     fields: FieldsPreset = field(default_factory=FieldsPreset)

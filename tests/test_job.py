@@ -57,8 +57,35 @@ def test_a_job_ends_with_an_asset_and_tells_how_far_it_is(start):
     assert report["preset"] == "preview" and report["seed"] == 0 and report["capture"]["views"] == 6
     assert set(report["seconds"]) == set(job.ROOMS) and report["peak_memory_mb"] > 10
     assert report["versions"]["torch"] == torch.__version__
-    assert report["skipped"] == {"nothing": "a test"}
+    convex = "the object is convex: it does not see itself"
+    assert report["skipped"] == {"nothing": "a test", "indirect light": convex}
     assert report["losses"]["fields_learning"] == pytest.approx(0.25)
+
+
+def test_what_the_scene_needs_is_told_before_it_is_done_and_stands_in_the_report(start):
+    class Asked(BallRooms):
+        def learn_materials(self, surface, environment, rays, preset, **keywords):
+            asked.append(preset.levels)
+            found = super().learn_materials(surface, environment, rays, preset, **keywords)
+            found.report |= {"skipped": {"fine textures": "a reason"}, "seconds_saved": {"fine textures": 3.14159}}
+            return found
+
+    asked: list[int] = []
+    _, events = start(Asked())
+    names = [e["event"] if e["event"] != "progress" else e["room"] for e in events]
+    told = [e["lines"] for e in events if e["event"] == "scene"]
+    assert names.index("scene") < names.index("fields_learning") and len(told) == 4
+    assert "Masks are there and are used." in told[0]
+    left_out = "Left out: indirect light, because the object is convex: it does not see itself."
+    assert left_out in told[1] and left_out not in told[0]
+    assert told[-1][-1] == "Left out: fine textures, because a reason (saves about 3 s)."
+    report = json.loads((start.out / "report.json").read_text())
+    assert report["scene"]["photos"]["masks"] and report["scene"]["surface"]["self_visibility"] == 0
+    assert report["scene"]["sentences"] == [*told[0][:4], "The object is convex: it does not see itself."]
+    assert report["skipped_seconds"] == {"fine textures": 3.14}
+    assert "seconds_saved" not in report["rooms"]["material_learning"]
+    start(Asked(), overwrite=True, preset=replace(preset("preview"), skip_needless=False))
+    assert asked == [0, preset("preview").material.levels]
 
 
 def test_masks_ignored_are_reported_as_skipped(start):

@@ -237,6 +237,25 @@ def test_a_handful_of_pixels_still_gives_one_material(ball):
     assert len(result.report["materials"]) == 1 and np.abs(result.albedo - (0.9, 0.6, 0.3)).max() < 0.15
 
 
+@pytest.mark.parametrize("left_out", [{"levels": 0}, {"irradiance_cones": 0, "metallic": (1.0,)},
+                                      {"sure_margin": 0.15, "uniform_texels": 16}])
+def test_what_a_convex_metal_ball_does_not_need_changes_nothing(ball, left_out):
+    photos = make_photos(constant((0.9, 0.6, 0.3), 0.2, 1.0), views=5, rays=64)
+    everything = replace(PRESET, samples=600, most_materials=1, unseen_rows=8, sure_margin=math.inf, uniform_texels=256)
+    whole, less = (learn(ball, photos, preset, environment=HalfSeen())
+                   for preset in (everything, replace(everything, **left_out)))
+    for name in ("albedo", "roughness", "metallic"):
+        a, b = (getattr(result, name) for result in (whole, less))
+        assert np.abs(a.mean((0, 1)) - b.mean((0, 1))).max() < 0.02 and np.ptp(b, (0, 1)).max() < 1e-6, name
+    assert less.report["skipped"].items() >= whole.report["skipped"].items()
+    if left_out.get("uniform_texels"):
+        assert less.albedo.shape == (16, 16, 3) and whole.albedo.shape == (256, 256, 3)
+        assert less.report["seconds_saved"]["fine textures"] > 0
+        assert "asking again whether it is metal" in less.report["skipped"]
+    elif "irradiance_cones" in left_out:
+        assert less.report["cones_traced"] < 0.7 * whole.report["cones_traced"]
+
+
 @pytest.mark.parametrize(("told", "metallic"), [((0.0,), 0.0), ((1.0,), 1.0)])
 def test_who_knows_whether_it_is_metal_decides(ball, told, metallic):
     photos = make_photos(constant((0.9, 0.6, 0.3), 0.3, 1.0 - metallic), views=5, rays=32)

@@ -36,8 +36,8 @@ class EnvironmentField(nn.Module):
 
     def __init__(self, preset: EnvironmentPreset, mean_radiance: float = 0.2):
         super().__init__()
-        if preset.model not in ("field", "infinite"):
-            raise ValueError(f"unknown environment model {preset.model!r}: field or infinite")
+        if preset.model not in ("field", "infinite", "none"):
+            raise ValueError(f"unknown environment model {preset.model!r}: field, infinite or none")
         self.preset = preset
         shells, rows = self.resolutions[0]
         raw = torch.empty(shells, rows, 2 * rows, 4)
@@ -53,8 +53,15 @@ class EnvironmentField(nn.Module):
         return self.preset.model == "infinite"
 
     @property
+    def known(self) -> bool:
+        """Whether the photos show surroundings; else (cut-outs) the field is black, clear, and nowhere covered."""
+        return self.preset.model != "none"
+
+    @property
     def resolutions(self) -> list[tuple[int, int]]:
         """(shells, rows) of the grid, coarse to fine."""
+        if not self.known:
+            return [(2, 2)]
         return [(2 if self.infinite else shells, rows) for shells, rows in self.preset.resolutions]
 
     @property
@@ -90,6 +97,8 @@ class EnvironmentField(nn.Module):
         Returns:
             radiance [n, 3] premultiplied linear, transmittance [n] (0 where t_far is inf).
         """
+        if not self.known:
+            return torch.zeros_like(origins), torch.isfinite(t_far).to(origins.dtype)
         jitter = None
         if generator is not None:
             jitter = torch.rand(len(origins), generator=generator, device=origins.device, dtype=origins.dtype)
@@ -122,6 +131,8 @@ class EnvironmentField(nn.Module):
         whole grid, which took as long as the rendering.
         """
         preset, raw = self.preset, self.raw
+        if not self.known:
+            return 0.0
         shells = raw.shape[0]
         run = max(2, round(shells * preset.regularised_fraction))
         first = int(torch.randint(0, shells - run + 1, (1,), generator=generator, device=raw.device))
@@ -141,7 +152,7 @@ class EnvironmentField(nn.Module):
 
         After True the optimiser has to be rebuilt: `raw` is a new parameter.
         """
-        due = sum(fraction >= start for start in self.preset.refine_at)
+        due = sum(fraction >= start for start in self.preset.refine_at) if self.known else 0
         if due <= self.level:
             return False
         self.raw = nn.Parameter(resample(self.raw.detach(), *self.resolutions[due]))
@@ -152,6 +163,8 @@ class EnvironmentField(nn.Module):
     def freeze(self, origins: torch.Tensor, directions: torch.Tensor) -> None:
         """Learning is over: measures `coverage` with camera rays [n, 3] (a node counts as seen, 1, once these see it with
         a weight of `coverage_evidence` rays) and makes the field ready for cones."""
+        if not self.known:
+            return
         evidence = np.zeros(self.raw.shape[:3], np.float32)
         if self.infinite:
             origins = torch.zeros_like(origins)
@@ -171,6 +184,8 @@ class EnvironmentField(nn.Module):
         origins, unit directions [n, 3]; half_angle [n] radians, 0 .. pi / 2; t_near [n]: where the environment begins,
         by default at the border.
         """
+        if not self.known:
+            return torch.zeros_like(origins), torch.zeros_like(origins[:, 0])
         if self._prefiltered is None:
             self._prefiltered = PrefilteredEnvironment(self.raw, self.coverage, self.preset.density_gain,
                                                        self.preset.outer_radius)

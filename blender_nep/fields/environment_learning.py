@@ -75,6 +75,8 @@ def learn_environment(rays: PixelRays, background: torch.Tensor, preset: Environ
     Stopped on request, after writing the checkpoint."""
     generator = torch.Generator(device).manual_seed(seed)
     environment = EnvironmentField(preset, geometric_mean(rays)).to(device)
+    if not environment.known:
+        return environment, {}
     adam, step, guard = optimiser(environment), 0, StepGuard()
     state = checkpoint.load()
     if state is not None:

@@ -90,7 +90,7 @@ def diffuse_cones(count: int, turn: Tensor) -> tuple[Tensor, Tensor]:
     is the irradiance over pi.
     """
     light, pdf = sample_cosine(torch.stack(spiral(count, turn), -1))
-    widest = torch.full_like(pdf, 2 * math.pi / count)
+    widest = torch.full_like(pdf, 2 * math.pi / max(count, 1))
     return light, half_angle_of(_WIDE_FILL * torch.minimum(1 / (count * pdf.clamp_min(1e-6)), widest))
 
 

@@ -156,7 +156,7 @@ class IncomingLight:
         weight = weight * (albedo / weight.sum(1).clamp_min(1e-6))[:, None].clamp_max(1e3)
         fresnel = torch.stack(moment_weights(torch.ones_like(cos_vh), cos_vh), -1)
         whole = weight.new_zeros(n, irradiance + weight.shape[1], 1 + rungs, 3)
-        whole[:, :irradiance, 0] = 1 / irradiance
+        whole[:, :irradiance, 0] = 1 / max(irradiance, 1)
         whole[:, irradiance:, 1:] = weight[..., None] * fresnel[:, :, None]
         return torch.cat([diffuse, direction], 1), torch.cat([diffuse_angle, cone_of_density(density)], 1), whole
 

@@ -183,7 +183,7 @@ class PlenopticFunction:
         each = torch.arange(n, device=self.device).repeat_interleave(self.specular + self.diffuse)
         light = self.incoming(points[each], directions.reshape(-1, 3), angle.reshape(-1), materials_at, level, generator)
         light = light.reshape(n, -1, 3)
-        spec, diff = light[:, : self.specular], light[:, self.specular :].mean(1)
+        spec, diff = light[:, : self.specular], light[:, self.specular :].sum(1) / max(self.diffuse, 1)
         moments = SpecularMoments(*((w[..., None] * spec).sum(1) for w in moment_weights(weight, cos_vh)))
         return reflected(material, moments, diff, v[:, 2])
 

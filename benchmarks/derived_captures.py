@@ -1,0 +1,87 @@
+"""Captures made from others, with other needs: cut-outs, photos that end at white, an object far away.
+
+Each keeps the cameras, the truth and the test views of the capture that it was made from.
+"""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import OpenEXR
+from PIL import Image
+
+from blender_nep.capture import load_capture
+from blender_nep.capture.images import linear_to_srgb
+
+_SMALLER = 4
+"""The photos of `distant` have as many times fewer pixels a side."""
+
+
+def cut_out(photo: np.ndarray, mask: np.ndarray, file: Path) -> None:
+    """Nothing but the object, before alpha 0."""
+    _write_exr(file, np.concatenate([photo * mask[..., None], mask[..., None]], -1))
+
+
+def clipped(photo: np.ndarray, mask: np.ndarray, file: Path) -> None:
+    """8 bits a channel, sRGB, exposed so that a fiftieth of the object's pixels are white."""
+    white = float(np.quantile(photo[mask > 0.5].max(-1), 0.98)) if (mask > 0.5).any() else 1.0
+    Image.fromarray(np.round(255 * linear_to_srgb(photo / white)).astype(np.uint8)).save(file)
+
+
+def distant(photo: np.ndarray, mask: np.ndarray, file: Path) -> None:
+    """As from farther away: few pixels on the object, the same view."""
+    _write_exr(file, _shrunk(photo))
+
+
+VARIANTS: dict[str, tuple[Callable, str]] = {
+    "cut-out": (cut_out, ".exr"), "clipped": (clipped, ".png"), "distant": (distant, ".exr")}
+
+
+def derive(source: Path, variant: str, out: Path) -> Path:
+    """The capture `out`, made from `source` where it is not there yet."""
+    write, suffix = VARIANTS[variant]
+    if (out / "transforms.json").is_file():
+        return out
+    capture = load_capture(source)
+    meta = json.loads((source / "transforms.json").read_text(encoding="utf-8"))
+    for name in ("gt_mesh.ply", "transforms_test.json", "gt", "test", "test_masks"):
+        if not (out / name).exists():
+            out.mkdir(parents=True, exist_ok=True)
+            (out / name).symlink_to((source / name).resolve())
+    (out / "images").mkdir(exist_ok=True)
+    shutil.rmtree(out / "masks", ignore_errors=True)
+    (out / "masks").mkdir()
+    for i, frame in enumerate(meta["frames"]):
+        photo, mask = capture.load_radiance(i), capture.load_mask(i)
+        frame["file_path"], frame["mask_path"] = f"images/{i:03d}{suffix}", f"masks/{i:03d}.png"
+        write(photo, mask, out / frame["file_path"])
+        if variant == "distant":
+            mask = _shrunk(mask[..., None])[..., 0]
+        Image.fromarray(np.round(255 * mask).astype(np.uint8)).save(out / frame["mask_path"])
+    if variant == "distant":
+        for place in (meta, *meta["frames"]):
+            for name in ("w", "h"):
+                if name in place:
+                    place[name] = int(place[name]) // _SMALLER
+            for name in ("fl_x", "fl_y", "cx", "cy"):
+                if name in place:
+                    place[name] = place[name] / _SMALLER
+    meta["color_space"] = "srgb" if suffix == ".png" else "linear"
+    (out / "transforms.json").write_text(json.dumps(meta, indent=1), encoding="utf-8")
+    return out
+
+
+def _shrunk(image: np.ndarray) -> np.ndarray:
+    """Means over squares of pixels of [H,W,C]."""
+    height, width = (side // _SMALLER * _SMALLER for side in image.shape[:2])
+    blocks = image[:height, :width].reshape(height // _SMALLER, _SMALLER, width // _SMALLER, _SMALLER, -1)
+    return blocks.mean((1, 3)).astype(np.float32)
+
+
+def _write_exr(file: Path, pixels: np.ndarray) -> None:
+    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
+    OpenEXR.File(header, {"RGBA"[: pixels.shape[-1]]: pixels.astype(np.float16)}).write(str(file))

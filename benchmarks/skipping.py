@@ -1,0 +1,177 @@
+"""What scene analysis leaves out, the time that it saves, and whether the error grows: whole jobs with and without it.
+
+    python -m benchmarks.skipping SCENE... [--preset preview] [--seeds 0 1 2] [--out out/benchmarks/skipping]
+
+A scene is the folder of a capture with ground truth, and after a colon what is made of it or told about it: `cut-out`,
+`clipped`, `distant` (see derived_captures), `masks` (else they are ignored; derived captures use them), `metal` (--metal
+yes). Every run writes one JSON file and is skipped when that exists; a run that fails is a row with its message. Stage 1
+is learned once where leaving out changes nothing in it. Seconds are CPU seconds. Ends with the table.
+"""
+
+from __future__ import annotations
+
+import argparse
+import hashlib
+import io
+import itertools
+import math
+import tempfile
+import time
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from benchmarks import geometry, materials
+from benchmarks.derived_captures import VARIANTS, derive
+from benchmarks.harness import markdown, resumed, use_threads
+from blender_nep.capture import load_capture
+from blender_nep.checkpoints import StopRequest, load_state, save_state
+from blender_nep.events import Events
+from blender_nep.job import Job, Settings
+from blender_nep.presets import PRESETS, Preset
+from blender_nep.rooms import Rooms
+
+
+@dataclass(frozen=True)
+class Scene:
+    """A capture, and what is told about it."""
+
+    folder: Path
+    name: str
+    masks: bool
+    metal: bool
+
+    @classmethod
+    def parse(cls, text: str, out: Path) -> Scene:
+        """`FOLDER[:word,word]`."""
+        path, _, words = text.partition(":")
+        folder, told = Path(path), [word for word in words.split(",") if word]
+        name = "-".join([folder.name, *told])
+        for variant in set(told) & set(VARIANTS):
+            folder = derive(folder, variant, out / "captures" / f"{folder.name}-{variant}")
+        unknown = set(told) - set(VARIANTS) - {"masks", "metal"}
+        if unknown:
+            raise SystemExit(f"unknown: {', '.join(unknown)}")
+        return cls(folder, name, bool(set(told) & ({"masks"} | set(VARIANTS))), "metal" in told)
+
+
+def without_skipping(preset: Preset) -> Preset:
+    """The preset that does everything, needed or not."""
+    m = preset.material
+    return replace(preset, skip_needless=False,
+                   material=replace(m, sure_margin=math.inf, uniform_texels=m.most_texels))
+
+
+class WatchedRooms(Rooms):
+    """The rooms of a job, with CPU seconds; the results are kept here instead of being written as an asset."""
+
+    def __init__(self, scene: Scene, kept: Path) -> None:
+        self.scene, self.kept = scene, kept
+        self.cpu: dict[str, float] = {}
+        self.report: dict = {}
+
+    def learn_fields(self, rays, preset, **keywords: Any):
+        """Stage 1; the same capture, seed and settings are learned once."""
+        same = repr((preset.fields, preset.environment, preset.max_pixels_per_photo, keywords["seed"], self.scene.masks))
+        file = self.kept / f"{self.scene.folder.name}-{hashlib.sha256(same.encode()).hexdigest()[:16]}.stage_1.pt"
+        if file.is_file():
+            state = load_state(file)
+            self.cpu["fields_learning"] = state["cpu_seconds"]
+            return self.unpack_fields(state["fields"], preset, keywords["device"])
+        start = time.process_time()
+        fields = super().learn_fields(rays, preset, **keywords)
+        self.cpu["fields_learning"] = time.process_time() - start
+        self.kept.mkdir(parents=True, exist_ok=True)
+        save_state(file, {"fields": self.pack_fields(fields), "cpu_seconds": self.cpu["fields_learning"]})
+        return fields
+
+    def extract_surface(self, *arguments: Any):
+        """The mesh."""
+        start = time.process_time()
+        self.surface, report = super().extract_surface(*arguments)
+        self.cpu["surface"] = time.process_time() - start
+        return self.surface, report
+
+    def learn_materials(self, *arguments: Any, **keywords: Any):
+        """Stage 2."""
+        start = time.process_time()
+        self.materials = super().learn_materials(*arguments, **keywords)
+        self.cpu["material_learning"] = time.process_time() - start
+        return self.materials
+
+    def write_asset(self, *arguments: Any) -> None:
+        """No asset: the report alone."""
+        self.report = arguments[-1]()
+
+
+def run(scene: Scene, preset: Preset, seed: int, threads: int, kept: Path, picture: Path) -> dict:
+    """One job and its scores."""
+    rooms = WatchedRooms(scene, kept)
+    with tempfile.TemporaryDirectory() as out:
+        settings = Settings(scene.folder, Path(out) / "asset", preset, device="cpu", seed=seed, use_masks=scene.masks,
+                            threads=threads)
+        Job(settings, Events(None, io.StringIO()), StopRequest(), rooms).run()
+    capture = load_capture(scene.folder)
+    test = load_capture(scene.folder, transforms="transforms_test.json")
+    test.object_center, test.object_radius = capture.object_center, capture.object_radius
+    return {"cpu": rooms.cpu, "seconds": sum(rooms.cpu.values()),
+            **geometry.score(rooms.surface, scene.folder, capture, test),
+            **materials.score(rooms.surface, rooms.materials, scene.folder, capture, test, picture),
+            "skipped": rooms.report["skipped"], "skipped_seconds": rooms.report["skipped_seconds"],
+            "scene": rooms.report["scene"], "report": rooms.report["rooms"]}
+
+
+ERRORS = {"cd_visible": "distance", "normal_deg": "normals", "mse_roughness": "roughness", "mse_metallic": "metallic",
+          "mse_albedo": "albedo"}
+
+
+def line(name: str, rows: dict[bool, list[dict]]) -> list[str]:
+    """One scene: what only the run with skipping left out; seconds and errors with / without, mean ± deviation of seeds."""
+    good = {skip: [row for row in found if "error" not in row] for skip, found in rows.items()}
+    if not all(good.values()):
+        return [name, next(row["error"] for found in rows.values() for row in found if "error" in row)]
+    left_out = {what for row in good[True] for what in row["skipped"]} - {w for row in good[False] for w in row["skipped"]}
+    cells = [name, ", ".join(sorted(left_out)) or "nothing"]
+    for key in ("seconds", *ERRORS):
+        cells.append(" / ".join(_spread([row[key] for row in good[skip]]) for skip in (True, False)))
+    return cells
+
+
+def _spread(values: list[float]) -> str:
+    mean = f"{np.mean(values):.3g}"
+    return mean if len(values) == 1 else f"{mean} ± {np.std(values, ddof=1):.1g}"
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    parser.add_argument("scenes", nargs="+")
+    parser.add_argument("--preset", default="preview", choices=list(PRESETS))
+    parser.add_argument("--seeds", nargs="+", type=int, default=[0])
+    parser.add_argument("--threads", type=int, default=1)
+    parser.add_argument("--out", type=Path, default=Path("out/benchmarks/skipping"))
+    arguments = parser.parse_args()
+    use_threads(arguments.threads)
+    table = []
+    for text in arguments.scenes:
+        scene = Scene.parse(text, arguments.out)
+        preset = PRESETS[arguments.preset]
+        if scene.metal:
+            preset = replace(preset, material=replace(preset.material, metallic=(1.0,)))
+        rows: dict[bool, list[dict]] = {True: [], False: []}
+        for seed, skip in itertools.product(arguments.seeds, (True, False)):
+            word = "with" if skip else "without"
+            name = f"{scene.name}-{arguments.preset}-{seed}-{word}"
+            row = {"scene_name": scene.name, "preset": arguments.preset, "seed": seed, "skip": skip}
+            work = partial(run, scene, preset if skip else without_skipping(preset), seed, arguments.threads,
+                           arguments.out / "stage_1", arguments.out / f"{name}.png")
+            rows[skip].append(resumed(arguments.out / f"{name}.json", row, work))
+            print(name, {k: rows[skip][-1].get(k) for k in ("error", "seconds", *ERRORS, "skipped")}, flush=True)
+        table.append(line(scene.name, rows))
+    print("\n" + markdown(["scene", "left out", "CPU s with / without", *ERRORS.values()], table))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,65 @@
+"""What a job says of its scene and of what it leaves out because of it, for the report, the console and the UI."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from blender_nep.events import Events
+from blender_nep.scene_analysis import Plan, SceneAnalysis, SurfaceAnalysis
+
+if TYPE_CHECKING:
+    from blender_nep.capture import PixelRays
+
+
+class SceneReport:
+    """Grows as the rooms are entered; every addition is told at once."""
+
+    def __init__(self, events: Events) -> None:
+        self._events = events
+        self.facts: dict[str, dict] = {}
+        self.sentences: list[str] = []
+        self.skipped: dict[str, str] = {}
+        """{what: why}"""
+        self.seconds_saved: dict[str, float] = {}
+        """{what: seconds}, only where this very run measured what a part of it takes"""
+
+    def add(self, name: str, found: SceneAnalysis | SurfaceAnalysis, plan: Plan) -> None:
+        """What a look at the photos or at the surface has found."""
+        self.facts[name] = found.facts()
+        self.sentences += found.sentences()
+        self.skipped |= plan.skipped
+        self._tell(found.sentences() + _lines(plan.skipped, {}))
+
+    def left_out(self, rays: PixelRays, *, masks_ignored: bool, mesh_given: bool) -> None:
+        """What there is nothing to do for, whatever the settings."""
+        if rays.mask is None:
+            self.skipped["mask term"] = "--masks ignore" if masks_ignored else "the capture has no masks"
+        if not rays.background:
+            self.skipped["environment pixels"] = "the photos are cut-outs: no surroundings to learn from"
+        elif len(rays.outside) == 0:
+            self.skipped["pixels outside the sphere"] = "the sphere fills all photos"
+        if mesh_given:
+            self.skipped["surface extraction"] = "a mesh was given (--mesh)"
+
+    def skip(self, skipped: dict[str, str], seconds: dict[str, float]) -> None:
+        """What a room has left out by itself."""
+        new = {what: why for what, why in skipped.items() if what not in self.skipped}
+        self.skipped |= skipped
+        self.seconds_saved |= {what: round(value, 2) for what, value in seconds.items()}
+        if new:
+            self._tell(_lines(new, seconds))
+
+    def report(self) -> dict:
+        """For report.json."""
+        return {"scene": {**self.facts, "sentences": self.sentences}, "skipped": self.skipped,
+                "skipped_seconds": self.seconds_saved}
+
+    def _tell(self, new: list[str]) -> None:
+        for line in new:
+            self._events.say(f"  {line}")
+        self._events.scene(self.sentences + _lines(self.skipped, self.seconds_saved))
+
+
+def _lines(skipped: dict[str, str], seconds: dict[str, float]) -> list[str]:
+    return [f"Left out: {what}, because {why}" + (f" (saves about {seconds[what]:.0f} s)." if seconds.get(what, 0) >= 0.5
+                                                   else ".") for what, why in skipped.items()]
