@@ -8,11 +8,9 @@ import pytest
 import trimesh
 
 pytest.importorskip("igl")
-from benchmarks import fields, materials
 from benchmarks.geometry import Body, score
-from benchmarks.harness import markdown, resumed, with_changes
+from benchmarks.plan import ABLATIONS, with_changes
 from blender_nep.capture import load_capture
-from blender_nep.errors import LearningError
 from blender_nep.presets import preset
 from blender_nep.surface import Surface
 
@@ -38,19 +36,8 @@ def test_distances_between_concentric_balls_are_the_difference_of_their_radii():
     assert distance == pytest.approx(0.1, abs=2e-3)
 
 
-@pytest.mark.parametrize("changes", [*fields.ABLATIONS.values(), *materials.ABLATIONS.values()])
+@pytest.mark.parametrize("changes", ABLATIONS.values())
 def test_an_ablation_changes_the_fields_it_names_and_no_others(changes):
     base, other = asdict(preset("balanced")), asdict(with_changes(preset("balanced"), changes))
     changed = {(part, key) for part in changes for key in base[part] if base[part][key] != other[part][key]}
     assert changed == {(part, key) for part, values in changes.items() for key in values}
-
-
-def test_a_failed_run_is_a_row_with_its_message_and_a_done_one_is_not_run_again(tmp_path):
-    def fail():
-        raise LearningError("no surface was found", "look again")
-
-    start = {"capture": "a", "preset": "balanced", "ablation": "full"}
-    row = resumed(tmp_path / "failed.json", start, fail)
-    assert "no surface was found" in markdown(["capture"], [fields.cells(row)])
-    assert resumed(tmp_path / "done.json", start, lambda: {"seconds": 1.0}) == start | {"seconds": 1.0}
-    assert resumed(tmp_path / "done.json", start, fail)["seconds"] == 1.0
