@@ -3,6 +3,7 @@
     python -m benchmarks run CAPTURE... --plan presets ablations views pixels true_mesh roughness (or all) [--relight]
     python -m benchmarks render shapes roughness
     python -m benchmarks run CAPTURE... --preset preview balanced --ablation full "no cones" --seed 0 1 2
+    python -m benchmarks report --write docs/benchmarks.md
 """
 
 from __future__ import annotations
@@ -48,8 +49,11 @@ def parser() -> argparse.ArgumentParser:
     render.add_argument("--views", type=int, default=60)
     render.add_argument("--size", type=int, default=400)
     render.add_argument("--samples", type=int, default=20)
-    for command in (run, render):
+    report = commands.add_parser("report", help="tables and plots of what was run (needs matplotlib)")
+    report.add_argument("--write", type=Path, default=Path("docs/benchmarks.md"), help="the document (%(default)s)")
+    for command in (run, render, report):
         command.add_argument("--out", type=Path, default=Path("out/benchmarks"))
+    for command in (run, render):
         command.add_argument("--threads", type=int, default=1, help="of a process (%(default)s)")
     return top
 
@@ -75,6 +79,12 @@ def main(arguments: list[str] | None = None) -> int:
     options = parser().parse_args(arguments)
     if options.command == "render":
         return render_captures(options)
+    if options.command == "report":
+        from benchmarks.report import write_report
+
+        for name in write_report(options.out, options.write):
+            print(f"{options.write} has no marker {name!r}", file=sys.stderr)
+        return 0
     wanted = {key: tuple(getattr(options, key)) for key in CHOICES if getattr(options, key) is not None}
     runs = expand(options.plan, options.captures, wanted)
     if options.list:
