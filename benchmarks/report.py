@@ -35,6 +35,7 @@ def head(rows: list[dict]) -> str:
 TABLES: dict[str, Callable[[Results], str]] = {
     "table 1": tables.table_1,
     "presets": tables.presets,
+    "costs": tables.costs,
     "ablations": tables.ablations,
     "ablations by capture": tables.ablations_by_capture,
     "ablations on true meshes": lambda results: tables.ablations(results, "true"),

@@ -9,6 +9,7 @@ A step that is in the row is not done again. One that failed is there with its m
 
 from __future__ import annotations
 
+import fcntl
 import os
 import platform
 import shutil
@@ -54,7 +55,7 @@ class Suite:
                     failed += bool(failure(row))
                     print(f"{done}/{len(runs)} {name}: {failure(row) or 'done'}", file=sys.stderr, flush=True)
             except KeyboardInterrupt:
-                self.children.stop()
+                self.children.stopped = True
                 pool.shutdown(cancel_futures=True)
                 raise
         return failed
@@ -65,7 +66,14 @@ class Suite:
         return self.run(run)
 
     def run(self, run: Run) -> dict:
-        """The steps of one run that its row does not hold yet."""
+        """The steps of one run that its row does not hold yet. A second runner waits for the first one's."""
+        for folder in ("logs", "pictures"):
+            (self.out / folder).mkdir(parents=True, exist_ok=True)
+        with open(self.out / "logs" / f"{run.name}.lock", "w") as lock:
+            fcntl.flock(lock, fcntl.LOCK_EX)
+            return self._run_steps(run)
+
+    def _run_steps(self, run: Run) -> dict:
         file, asset = self.out / "rows" / f"{run.name}.json", self.out / "assets" / run.name
         row = read_row(file) or {"run": run.as_row()}
         steps = ["learn", "score", *(["relight"] if self.relight else [])]
@@ -92,8 +100,6 @@ class Suite:
 
     def _step(self, step: str, run: Run, asset: Path) -> dict:
         folder = self.out / "logs"
-        for needed in (folder, self.out / "pictures"):
-            needed.mkdir(parents=True, exist_ok=True)
         order, result = (folder / f"{run.name}.{step}.{kind}" for kind in ("order.json", "result.json"))
         result.unlink(missing_ok=True)
         donor = run.same_stage_1

@@ -18,8 +18,8 @@ SCORES = {
 }
 """Figure -> heading and digits."""
 COSTS = {"seconds": ("seconds", 0), "cpu_seconds": ("CPU s", 0), "peak_mb": ("MB", 0)}
-ROOM_COSTS = {"seconds_fields_learning": ("fields", 0), "seconds_surface": ("surface", 1),
-              "seconds_material_learning": ("materials", 0), "seconds_asset": ("asset", 1)}
+ROOM_COSTS = {"cpu_seconds_fields_learning": ("fields, CPU s", 0), "cpu_seconds_surface": ("surface, CPU s", 1),
+              "cpu_seconds_material_learning": ("materials, CPU s", 0), "cpu_seconds_asset": ("asset, CPU s", 1)}
 NONE = "-"
 
 
@@ -87,10 +87,9 @@ def table_1(results: Results) -> str:
     return markdown(header, rows)
 
 
-def presets(results: Results) -> str:
-    """All scores and costs of every capture and preset."""
-    full, captures = results.whole(ablation="full"), main_captures(results)
-    columns, rows = SCORES | COSTS | ROOM_COSTS, []
+def presets(results: Results, columns: dict[str, tuple[str, int]] = SCORES) -> str:
+    """Every capture at every preset, and the means over captures."""
+    full, captures, rows = results.whole(ablation="full"), main_captures(results), []
     for preset in presets_of(full):
         chosen = full.where(preset=preset)
         rows += [[capture, preset, chosen.where(capture=capture).figure("seconds").runs,
@@ -99,6 +98,12 @@ def presets(results: Results) -> str:
         mean = cells(chosen, columns, captures)
         rows.append(["**mean**", preset, "", *(f"**{text}**" if text != NONE else text for text in mean)])
     return markdown(["capture", "preset", "seeds", *headings(columns)], rows)
+
+
+def costs(results: Results) -> str:
+    """What they took."""
+    return presets(results, {"seconds": ("seconds", 0), **ROOM_COSTS, "cpu_seconds": ("all, CPU s", 0), "peak_mb": ("MB", 0),
+                             "faces": ("faces", 0), "texels": ("texels", 0)})
 
 
 def ablations(results: Results, geometry: str = "own") -> str:
@@ -167,8 +172,9 @@ def sweeps(results: Results, key: str) -> list[tuple[str, list, Results]]:
 
 
 def shown_value(results: Results, key: str, value: int | None) -> str:
-    """A number, or what stands for all of them."""
-    return str(value) if value is not None else {"views": "all", "pixels": "preset's"}[key]
+    """A number; where None stands for all of them, theirs if they agree."""
+    own = results.figure(f"{key}_of_run")
+    return str(value) if value is not None else f"{own.mean:.0f}" if own and own.deviation == 0 else "all"
 
 
 def roughness(results: Results) -> str:
