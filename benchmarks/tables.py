@@ -38,6 +38,11 @@ def cells(results: Results, columns: dict[str, tuple[str, int]], captures: Seque
     return [cell(found[name], digits) for name, (_, digits) in columns.items()]
 
 
+def known(results: Results, columns: dict[str, tuple[str, int]]) -> dict[str, tuple[str, int]]:
+    """The columns that any run has."""
+    return {name: column for name, column in columns.items() if results.figure(name)}
+
+
 def headings(columns: dict[str, tuple[str, int]]) -> list[str]:
     """Of a table with these columns."""
     return [heading for heading, _ in columns.values()]
@@ -90,6 +95,7 @@ def table_1(results: Results) -> str:
 def presets(results: Results, columns: dict[str, tuple[str, int]] = SCORES) -> str:
     """Every capture at every preset, and the means over captures."""
     full, captures, rows = results.whole(ablation="full"), main_captures(results), []
+    columns = known(full, columns)
     for preset in presets_of(full):
         chosen = full.where(preset=preset)
         rows += [[capture, preset, chosen.where(capture=capture).figure("seconds").runs,
@@ -110,8 +116,9 @@ def ablations(results: Results, geometry: str = "own") -> str:
     """Means over the captures that have the ablation, beside the same captures without it."""
     columns = {k: v for k, v in (SCORES | COSTS).items() if geometry == "own" or not k.startswith(
         ("cd", "fscore", "normal", "mask", "background"))}
+    chosen = results.whole(geometry=geometry, ablation=ABLATIONS.__contains__)
+    columns = known(chosen, columns)
     header, rows = ["ablation", "captures", "runs", *headings(columns)], []
-    chosen = results.whole(geometry=geometry)
     for preset in presets_of(chosen.where(ablation=lambda name: name != "full")):
         at = chosen.where(preset=preset)
         for name in ABLATIONS:
@@ -143,8 +150,9 @@ def ablations_by_capture(results: Results) -> str:
 
 def swept(results: Results, key: str, heading: str) -> str:
     """Scores against the number of photos or the image size: each capture, and the mean of those that have them all."""
-    columns, rows = SCORES | COSTS, []
-    for preset, values, chosen in sweeps(results, key):
+    found, rows = sweeps(results, key), []
+    columns = {} if not found else known(found[0][2], SCORES | COSTS)
+    for preset, values, chosen in found:
         captures = [c for c in scored_captures(chosen)
                     if all(chosen.where(**{"capture": c, key: value}).runs for value in values)]
         for value in values:
@@ -179,8 +187,9 @@ def shown_value(results: Results, key: str, value: int | None) -> str:
 
 def roughness(results: Results) -> str:
     """Scores of the captures gold_R, which differ in nothing but roughness."""
-    columns, rows = SCORES | COSTS, []
-    for preset, captures, chosen in golds(results):
+    found, rows = golds(results), []
+    columns = {} if not found else known(found[0][2], SCORES | COSTS)
+    for preset, captures, chosen in found:
         rows += [[f"{c.removeprefix('gold_')}", preset, *cells(chosen.where(capture=c), columns)] for c in captures]
     return markdown(["true roughness", "preset", *headings(columns)], rows)
 

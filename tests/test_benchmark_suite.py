@@ -13,11 +13,13 @@ import pytest
 pytest.importorskip("fcntl", reason="the suite runs on POSIX systems")
 from benchmarks.harness import Children, read_row
 from benchmarks.plan import ABLATIONS, PLANS, Run, expand
+from benchmarks.step import STAGE_1, _take_stage_1
 from benchmarks.suite import Suite, failure
 from benchmarks.variants import spread, with_fewer_views
 from blender_nep.capture import load_capture
+from blender_nep.checkpoints import StopRequest, save_state
 from blender_nep.presets import preset
-from blender_nep.run_folder import fingerprint
+from blender_nep.run_folder import RunFolder, fingerprint
 
 CAPTURE = Path(__file__).parent.parent / "data" / "suzanne_small"
 
@@ -51,6 +53,18 @@ def test_only_runs_that_change_stage_2_alone_take_over_a_stage_1():
 
     assert same("no cones") == Run(Path("box"), ablation="full", seed=3)
     assert same("full") is None and same("environment at infinity") is None and same("no curvature") is None
+
+
+def test_a_stage_1_that_is_taken_over_is_what_the_job_finds_when_it_resumes(tmp_path):
+    run, done = Run(CAPTURE, "preview", "no cones", seed=3), {"seconds": 12.0, "result": {"steps": 7}}
+    assert not _take_stage_1(tmp_path / "other", tmp_path / "asset", CAPTURE, run, None)
+    (tmp_path / "other" / "checkpoints").mkdir(parents=True)
+    for room in STAGE_1:
+        save_state(tmp_path / "other" / "checkpoints" / f"{room}.done.pt", done)
+    assert _take_stage_1(tmp_path / "other", tmp_path / "asset", CAPTURE, run, None)
+    folder = RunFolder(tmp_path / "asset", StopRequest(), print)
+    assert folder.begin(fingerprint(load_capture(CAPTURE), run.changed_preset, 3, False, None), resume=True)
+    assert folder.load_result("fields_learning") == ({"steps": 7}, 12.0) and folder.load_result("material_learning") is None
 
 
 def test_a_changed_preset_has_the_image_size_and_the_ablation():

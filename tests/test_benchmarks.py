@@ -9,10 +9,13 @@ import trimesh
 
 pytest.importorskip("igl")
 from benchmarks.geometry import Body, score
+from benchmarks.materials import read_channels
 from benchmarks.plan import ABLATIONS, with_changes
+from benchmarks.scores import score_asset
+from blender_nep.asset import TexturedMesh, write_exr, write_obj
 from blender_nep.capture import load_capture
 from blender_nep.presets import preset
-from blender_nep.surface import Surface
+from blender_nep.surface import Surface, load_surface
 
 CAPTURE = Path(__file__).parent.parent / "data" / "suzanne_small"
 
@@ -41,3 +44,25 @@ def test_an_ablation_changes_the_fields_it_names_and_no_others(changes):
     base, other = asdict(preset("balanced")), asdict(with_changes(preset("balanced"), changes))
     changed = {(part, key) for part in changes for key in base[part] if base[part][key] != other[part][key]}
     assert changed == {(part, key) for part, values in changes.items() for key in values}
+
+
+def test_an_asset_that_is_the_truth_scores_perfectly_but_for_what_is_put_in(tmp_path):
+    gold = {name: read_channels(CAPTURE / "gt" / "000.exr")[channel] for name, channel in
+            (("albedo", "albedo"), ("roughness", "roughness.V"), ("metallic", "metallic.V"), ("mask", "mask.V"))}
+    inside = gold["mask"] > 0.99
+    asset, picture = tmp_path / "asset", tmp_path / "materials.png"
+    (asset / "textures").mkdir(parents=True)
+    for name, wrong in (("albedo", 0.0), ("roughness", 0.1), ("metallic", 0.0)):
+        value = gold[name][inside][0, :3] if name == "albedo" else gold[name][inside][0]
+        assert gold[name][inside].std(0).max() < 0.01  # one material
+        write_exr(asset / "textures" / f"{name}.exr", np.full((8, 8, *np.shape(value)), value, np.float32) + wrong)
+    capture = load_capture(CAPTURE)
+    surface = load_surface(CAPTURE / "gt_mesh.ply", capture, preset("preview").surface)
+    vertices = surface.vertices * capture.object_radius + capture.object_center
+    write_obj(asset / "mesh.obj", TexturedMesh(vertices, surface.faces, surface.normals, surface.uv, {}))
+    found = score_asset(CAPTURE, asset, preset("preview"), "cpu", picture)
+    assert found["cd_visible"] < 1e-5 and found["mask_iou"] > 0.999 and found["texture_rows"] == 8
+    assert found["mse_albedo"] < 1e-5 and found["mse_metallic"] < 1e-5
+    assert found["mse_roughness"] == pytest.approx(0.01, rel=0.01) and found["true_roughness_deviation"] < 1e-3
+    assert picture.is_file() and "background_psnr" not in found
+    assert score_asset(tmp_path, asset, preset("preview"), "cpu", picture) == {}
