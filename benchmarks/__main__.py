@@ -74,17 +74,30 @@ def render_captures(options: argparse.Namespace) -> int:
     return int(failed > 0)
 
 
+def report(out: Path, document: Path) -> int:
+    """Tables into the document, plots into the folder of its name."""
+    from benchmarks.plots import draw_all
+    from benchmarks.report import write_report
+    from benchmarks.rows import Results, load
+
+    rows = load(out)
+    if not rows:
+        print(f"{out} holds no rows: nothing was run", file=sys.stderr)
+        return 1
+    results = Results(rows)
+    for name in write_report(rows, results, document):
+        print(f"{document} has no marker {name!r}", file=sys.stderr)
+    draw_all(results, document.with_suffix(""))
+    return 0
+
+
 def main(arguments: list[str] | None = None) -> int:
     """Returns 1 where a run failed."""
     options = parser().parse_args(arguments)
     if options.command == "render":
         return render_captures(options)
     if options.command == "report":
-        from benchmarks.report import write_report
-
-        for name in write_report(options.out, options.write):
-            print(f"{options.write} has no marker {name!r}", file=sys.stderr)
-        return 0
+        return report(options.out, options.write)
     wanted = {key: tuple(getattr(options, key)) for key in CHOICES if getattr(options, key) is not None}
     runs = expand(options.plan, options.captures, wanted)
     if options.list:

@@ -91,10 +91,12 @@ def error_against_time(results: Results, file: Path) -> None:
 
 
 def error_against_sweep(results: Results, key: str, file: Path) -> None:
-    """Error against the number of photos, or against the pixels of one."""
+    """Error against the number of photos, or against the pixels of one; no file where nothing was swept."""
     label = {"views": "photos", "pixels": "pixels of a photo"}[key]
     found = sweeps(results, key)
-    figure, panels = _figure(Results([]) if not found else found[0][2], f"Error against {label}")
+    if not found:
+        return
+    figure, panels = _figure(found[0][2], f"Error against {label}")
     ticks = {}
     for place, (preset, values, chosen) in enumerate(found):
         size = {value: value or chosen.where(**{key: None}).figure(f"{key}_of_run").mean for value in values}
@@ -106,8 +108,10 @@ def error_against_sweep(results: Results, key: str, file: Path) -> None:
 
 
 def error_against_roughness(results: Results, file: Path) -> None:
-    """The captures gold_R."""
+    """The captures gold_R; no file where there are none."""
     found = golds(results)
+    if not found:
+        return
     figure, panels = _figure(found[0][2], "Error against the true roughness of a gold Suzanne")
     for name, panel in panels.items():
         for number, (preset, captures, chosen) in enumerate(found):
@@ -133,3 +137,19 @@ def time_against_size(results: Results, file: Path) -> None:
         panel.tick_params(labelsize=7, which="both")
         panel.grid(alpha=0.3)
     _legend_and_file(figure, axes, file)
+
+
+PLOTS: dict[str, Callable[[Results, Path], None]] = {
+    "time": error_against_time,
+    "views": lambda results, file: error_against_sweep(results, "views", file),
+    "pixels": lambda results, file: error_against_sweep(results, "pixels", file),
+    "roughness": error_against_roughness,
+    "size": time_against_size,
+}
+"""File name -> who draws it."""
+
+
+def draw_all(results: Results, folder: Path) -> None:
+    """All plots, as PNG."""
+    for name, draw in PLOTS.items():
+        draw(results, folder / f"{name}.png")

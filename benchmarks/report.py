@@ -9,8 +9,8 @@ import re
 from collections.abc import Callable
 from pathlib import Path
 
-from benchmarks import plots, tables
-from benchmarks.rows import Results, load
+from benchmarks import tables
+from benchmarks.rows import Results
 
 MARKED = r"(<!-- {0} -->\n).*?(<!-- end of {0} -->)"
 
@@ -44,22 +44,15 @@ TABLES: dict[str, Callable[[Results], str]] = {
     "roughness": tables.roughness,
 }
 """Marker -> Markdown."""
-PLOTS: dict[str, Callable[[Results, Path], None]] = {
-    "time": plots.error_against_time,
-    "views": lambda results, file: plots.error_against_sweep(results, "views", file),
-    "pixels": lambda results, file: plots.error_against_sweep(results, "pixels", file),
-    "roughness": plots.error_against_roughness,
-    "size": plots.time_against_size,
-}
-"""Picture in the folder named as the document -> who draws it."""
 
 
-def write_report(out: Path, document: Path) -> list[str]:
-    """Fill the document's markers and draw the pictures beside it; returns the markers that it does not have."""
-    rows = load(out)
-    results = Results(rows)
+def write_report(rows: list[dict], results: Results, document: Path) -> list[str]:
+    """Fill the document's markers; returns those that it does not have."""
     parts = {"head": head(rows), "failures": tables.failed(rows)}
-    parts |= {name: table(results) for name, table in TABLES.items()}
+    for name, table in TABLES.items():
+        parts[name] = table(results)
+        if len(parts[name].splitlines()) == 2:
+            parts[name] = "Not run."
     text, missing = document.read_text(encoding="utf-8"), []
     for name, part in parts.items():
         marked = re.compile(MARKED.format(re.escape(name)), re.DOTALL)
@@ -67,6 +60,4 @@ def write_report(out: Path, document: Path) -> list[str]:
             missing.append(name)
         text = marked.sub(lambda found, part=part: f"{found[1]}{part}\n{found[2]}", text)
     document.write_text(text, encoding="utf-8")
-    for name, draw in PLOTS.items():
-        draw(results, document.with_suffix("") / f"{name}.png")
     return missing

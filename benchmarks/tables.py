@@ -21,6 +21,8 @@ COSTS = {"seconds": ("seconds", 0), "cpu_seconds": ("CPU s", 0), "peak_mb": ("MB
 ROOM_COSTS = {"cpu_seconds_fields_learning": ("fields, CPU s", 0), "cpu_seconds_surface": ("surface, CPU s", 1),
               "cpu_seconds_material_learning": ("materials, CPU s", 0), "cpu_seconds_asset": ("asset, CPU s", 1)}
 NONE = "-"
+BASELINES = ("plain NeuS colour", "environment at infinity")
+"""Ablations that stand for other methods' assumptions: NeuS; NeRO and nvdiffrec."""
 
 
 def cell(figure: Figure | None, digits: int) -> str:
@@ -69,25 +71,22 @@ def table_1(results: Results) -> str:
     """In the form of the paper's Table 1: the paper's own figures, then ours."""
     full, captures = results.whole(ablation="full"), main_captures(results)
     presets = presets_of(full)
-    baselines = {name: results.whole(ablation=name, preset=presets[0])
-                 for name in ("plain NeuS colour", "environment at infinity")} if presets else {}
-    header = ["scene", "*NeuS*", "*NeRO*", "*NeP*", *(f"{name} ({presets[0]})" for name in baselines), *presets,
-              "*NeRO* r / m / a", "*NeP* r / m / a", *(f"{preset} r / m / a" for preset in presets)]
-    scenes = [scene for scene in paper.CHAMFER if scene != "Avg."]
-    ours = {scene: scene.lower() for scene in scenes}
-    lines = [(scene, [ours[scene]] if ours[scene] in captures else []) for scene in scenes]
-    lines += [(capture, [capture]) for capture in captures if capture not in ours.values()] + [("Avg.", captures)]
+    ours = {name: results.whole(ablation=name, preset=presets[0]) for name in BASELINES} if presets else {}
+    ours = {f"{name} ({presets[0]})": one for name, one in ours.items()} | {p: full.where(preset=p) for p in presets}
+    with_materials = {name: one for name, one in ours.items() if not name.startswith(BASELINES[0])}
+    header = ["scene", *(f"*{name}*" for name in paper.METHODS), *ours,
+              *(f"*{name}* r / m / a" for name in paper.METHODS[2:]), *(f"{name} r / m / a" for name in with_materials)]
+    lines = {scene: [capture for capture in captures if capture == scene.lower()] for scene in paper.CHAMFER}
+    lines |= {capture: [capture] for capture in captures if capture.capitalize() not in lines}
     rows = []
-    for scene, own in lines:
-        theirs = paper.CHAMFER.get(scene)
-        row = [scene, *(f"*{x:.5f}*" for x in theirs[1:])] if theirs else [scene, *[NONE] * 3]
-        chosen = [*baselines.values(), *(full.where(preset=preset) for preset in presets)]
-        row += [cells(one, {"cd_visible": SCORES["cd_visible"]}, own)[0] for one in chosen]
-        row += ["*" + " / ".join(f"{x:.3f}" for x in m) + "*" for m in paper.MATERIALS[scene]] if theirs else [NONE] * 2
-        for preset in presets:
-            parts = {f"mse_{name}": ("", 3) for name in ("roughness", "metallic", "albedo")}
-            found = [full.where(preset=preset).mean_of_captures(name, own) for name in parts]
-            row.append(NONE if None in found else " / ".join(f"{f.mean:.3f}" for f in found))
+    for scene, own in [*((k, v) for k, v in lines.items() if k != "Avg."), ("Avg.", captures)]:
+        chamfer, errors = paper.CHAMFER.get(scene), paper.MATERIALS.get(scene)
+        row = [scene, *([f"*{x:.5f}*" for x in chamfer] if chamfer else [NONE] * 4)]
+        row += [cells(one, {"cd_visible": SCORES["cd_visible"]}, own)[0] for one in ours.values()]
+        row += ["*" + " / ".join(f"{x:.3f}" for x in each) + "*" for each in errors] if errors else [NONE] * 2
+        for one in with_materials.values():
+            found = [one.mean_of_captures(f"mse_{name}", own) for name in ("roughness", "metallic", "albedo")]
+            row.append(NONE if None in found else " / ".join(f"{f.mean:.4f}" for f in found))
         rows.append(row)
     return markdown(header, rows)
 

@@ -1,5 +1,7 @@
 """Tables and plots from rows that were made up, whose means are known."""
 
+import re
+import shutil
 from pathlib import Path
 
 import pytest
@@ -8,8 +10,10 @@ pytest.importorskip("igl")
 from benchmarks import tables
 from benchmarks.harness import write_row
 from benchmarks.plan import Run
+from benchmarks.report import write_report
 from benchmarks.rows import Results, failures, load
 
+DOCUMENT = Path(__file__).parent.parent / "docs" / "benchmarks.md"
 PRESETS = {"preview": (0.004, 100.0), "balanced": (0.002, 300.0)}
 
 
@@ -107,20 +111,25 @@ def test_a_failed_run_is_told_and_in_no_mean(out):
     assert line_of(table, "**mean**", "quality")[3] == "-"  # suzanne alone is no mean of two
 
 
-def test_a_report_replaces_what_is_between_its_markers_alone(out, tmp_path, monkeypatch):
-    pytest.importorskip("matplotlib")
-    from benchmarks import report
-
-    document = tmp_path / "figures.md"
+def test_a_report_replaces_what_is_between_its_markers_alone(out, tmp_path):
+    document, rows = tmp_path / "figures.md", load(out)
     document.write_text("before\n<!-- presets -->\nold\n<!-- end of presets -->\nafter\n"
                         "<!-- head -->\n<!-- end of head -->\n")
-    missing = report.write_report(out, document)
+    missing = write_report(rows, Results(rows), document)
     text = document.read_text()
     assert text.startswith("before\n<!-- presets -->\n| capture") and "\nafter\n" in text and "old" not in text
     assert "failures" in missing and "presets" not in missing
     assert "1234abcd" in text and "2026-11-20 to 2026-11-21" in text and "torch 2.13.0" in text
-    pictures = [tmp_path / "figures" / f"{name}.png" for name in report.PLOTS]
-    assert all(1000 < picture.stat().st_size < 150_000 for picture in pictures)
-    monkeypatch.setattr(report, "PLOTS", {})
-    report.write_report(out, document)
+    write_report(rows, Results(rows), document)
     assert document.read_text() == text
+    assert write_report(rows, Results(rows), Path(shutil.copy(DOCUMENT, tmp_path))) == []
+
+
+def test_plots_are_small_pictures_and_none_is_made_of_nothing(out, tmp_path):
+    pytest.importorskip("matplotlib", reason="the extra `bench`")
+    from benchmarks.plots import PLOTS, draw_all
+
+    draw_all(Results(load(out)), tmp_path / "figures")
+    assert all(1000 < (tmp_path / "figures" / f"{name}.png").stat().st_size < 150_000 for name in PLOTS)
+    shown = set(re.findall(r"\(benchmarks/(\w+)\.png\)", DOCUMENT.read_text()))
+    assert shown == set(PLOTS)
