@@ -2,6 +2,7 @@
 # make test   lint and all tests
 # make lint   lint alone
 # make stress CASES=500 SEED=1   whole small jobs on hostile captures (docs/stress.md); goes on where it was stopped
+# make bench  the whole benchmark plan (days; CAPTURES=... PLAN=presets JOBS=2 for less), then docs/benchmarks.md
 # make test-blender   the extension in Blender 4.2, 4.5, 5.0 and 5.2 (bpy wheels, 4 GB; needs Python 3.13 too)
 #
 # Everything is installed into .venv, with the versions of constraints.txt; Python 3.11 is needed (bpy 5.0 has no other).
@@ -16,12 +17,16 @@ CAPTURE := data/suzanne_small
 OUT := out/demo
 CASES := 500
 SEED := 1
+BENCH := out/benchmarks
+CAPTURES :=
+PLAN := all
+JOBS := 1
 
 ifdef PIP_EXTRA_INDEX_URL
 export PIP_EXTRA_INDEX_URL
 endif
 
-.PHONY: demo test stress test-blender lint clean
+.PHONY: demo test stress test-blender lint bench clean
 
 demo: $(VENV)/installed
 	$(BIN)/python backend/run.py --capture $(CAPTURE) --out $(OUT) --preset preview --relight 3 --overwrite
@@ -36,6 +41,14 @@ stress: $(VENV)/installed-dev
 test-blender: $(VENV)/installed
 	$(BIN)/python tests/blender_matrix.py
 
+# Without CAPTURES those are taken that the suite renders itself.
+bench: $(VENV)/installed-bench
+	$(BIN)/python -m benchmarks render $(if $(CAPTURES),,shapes) roughness --out $(BENCH)
+	-$(BIN)/python -m benchmarks run $(if $(CAPTURES),$(CAPTURES),$(BENCH)/captures/suzanne $(BENCH)/captures/box) \
+		--plan $(PLAN) --relight --jobs $(JOBS) --out $(BENCH)
+	-$(BIN)/python -m benchmarks run $(BENCH)/captures/gold_* --plan roughness --relight --jobs $(JOBS) --out $(BENCH)
+	$(BIN)/python -m benchmarks report --out $(BENCH) --write docs/benchmarks.md
+
 lint: $(VENV)/installed-dev
 	$(BIN)/ruff check .
 
@@ -48,6 +61,10 @@ $(VENV)/installed: pyproject.toml constraints.txt
 
 $(VENV)/installed-dev: $(VENV)/installed
 	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[bpy,dev]'
+	touch $@
+
+$(VENV)/installed-bench: $(VENV)/installed-dev
+	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[bpy,dev,bench]'
 	touch $@
 
 clean:

@@ -1,46 +1,17 @@
-"""Stage 1 against ground truth: presets and ablations on rendered captures.
-
-    python -m benchmarks.fields CAPTURE... [--preset balanced] [--ablation NAME...] [--seed 0] [--out out/benchmarks]
-
-A capture is a folder with `transforms.json`, `transforms_test.json` and `gt_mesh.ply`; masks are ignored. Every run
-writes one JSON file and is skipped when that exists; a run that fails is a row with its message. Ends with a table.
-"""
+"""Scores of F_e: what it shows of the held-out backgrounds, and its cones against many narrow rays."""
 
 from __future__ import annotations
 
-import itertools
 import math
-import resource
-import sys
-import time
-from functools import partial
-from pathlib import Path
 
 import numpy as np
 import torch
 
-from benchmarks.geometry import Body, score, true_mesh
-from benchmarks.harness import learning_parser, markdown, resumed, use_threads, with_changes
-from blender_nep.capture import PixelRays, load_capture
-from blender_nep.checkpoints import NoCheckpoint
+from benchmarks.geometry import Body
+from blender_nep.capture import PixelRays
 from blender_nep.fields.environment_field import EnvironmentField
-from blender_nep.fields_learning import learn_fields
 from blender_nep.metrics import tone_map
-from blender_nep.presets import PRESETS, Preset
 from blender_nep.raytracing import RayTracer
-from blender_nep.surface import extract_surface
-
-ABLATIONS: dict[str, dict[str, dict]] = {
-    "full": {},
-    "w_s as printed": {"fields": {"dynamic_weight": "paper"}},
-    "w_s scaled": {"fields": {"dynamic_weight": "scaled"}},
-    "environment at infinity": {"environment": {"model": "infinite"}},
-    "no decomposition": {"fields": {"decomposition": False}},
-    "no curvature": {"fields": {"curvature": 0.0}},
-    "no visual hull": {"fields": {"background_steps": 0}},
-    "F_e not shy": {"fields": {"shyness": 1.0}},
-}
-"""Preset fields that differ from the preset's own."""
 
 
 def background_psnr(environment: EnvironmentField, test_rays: PixelRays, truth: Body) -> float:
@@ -81,52 +52,3 @@ def cone_error(environment: EnvironmentField, degrees: float, axes: int = 96, ra
         cone, _ = environment.query_cone(origin[None], axis[None], half_angle)
         errors.append(float((cone[0] - truth.mean(0)).abs().mean() / truth.mean()))
     return float(np.mean(errors))
-
-
-def run(folder: Path, preset: Preset, seed: int) -> dict:
-    """One run of stage 1 and the surface, and all its scores."""
-    capture, test = load_capture(folder), load_capture(folder, transforms="transforms_test.json")
-    test.object_center, test.object_radius = capture.object_center, capture.object_radius
-    device = torch.device("cuda" if torch.cuda.is_available() else "cpu")
-    rays = PixelRays.from_capture(capture, preset.max_pixels_per_photo, False, device)
-    torch.manual_seed(seed)
-    wall, cpu = time.perf_counter(), time.process_time()
-    fields = learn_fields(rays, preset, seed=seed, device=device, progress=lambda *_: None, checkpoint=NoCheckpoint())
-    out = {"seconds": time.perf_counter() - wall, "cpu_seconds": time.process_time() - cpu}
-    wall = time.perf_counter()
-    surface, report = extract_surface(fields.object_field, preset.surface)
-    out |= {"surface_seconds": time.perf_counter() - wall, "faces": len(surface.faces), "surface": report}
-    out |= score(surface, folder, capture, test)
-    test_rays = PixelRays.from_capture(test, preset.max_pixels_per_photo, False, device)
-    out["background_psnr"] = background_psnr(fields.environment, test_rays, true_mesh(folder, capture))
-    out |= {f"cone_error_{d}": cone_error(fields.environment, d) for d in (5, 15, 30, 60)}
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / (1 << 20 if sys.platform == "darwin" else 1 << 10)
-    return out | {"peak_mb": peak, "report": fields.report}
-
-
-COLUMNS = ("cd_visible", "cd_full", "fscore_005", "normal_deg", "mask_iou", "background_psnr", "seconds", "cpu_seconds",
-           "peak_mb")
-
-
-def cells(row: dict) -> list:
-    """One line of the table; a failed run shows its message."""
-    scores = [float(row[c]) if c in row else row.get("error", "") for c in COLUMNS]
-    return [row["capture"], row["preset"], row["ablation"], *scores]
-
-
-def main() -> None:
-    arguments = learning_parser(__doc__, ABLATIONS, "out/benchmarks/fields").parse_args()
-    use_threads(arguments.threads)
-    header, rows = ["capture", "preset", "ablation", *COLUMNS], []
-    for folder, name, ablation in itertools.product(arguments.captures, arguments.preset, arguments.ablation):
-        row = {"capture": folder.name, "preset": name, "ablation": ablation, "seed": arguments.seed,
-               "threads": arguments.threads}
-        file = arguments.out / f"{folder.name}-{name}-{ablation.replace(' ', '_')}-{arguments.seed}.json"
-        preset = with_changes(PRESETS[name], ABLATIONS[ablation])
-        rows.append(cells(resumed(file, row, partial(run, folder, preset, arguments.seed))))
-        print(markdown(header, rows[-1:]).splitlines()[-1], flush=True)
-    print("\n" + markdown(header, rows))
-
-
-if __name__ == "__main__":
-    main()

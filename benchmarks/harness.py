@@ -1,53 +1,60 @@
-"""What the benchmarks share: presets with fields changed, resumable runs, Markdown tables."""
+"""What the benchmarks share: steps in processes of their own, rows as JSON files, Markdown tables."""
 
 from __future__ import annotations
 
-import argparse
 import json
 import os
-from collections.abc import Callable, Iterable, Sequence
-from dataclasses import replace
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
-import numba
-import torch
-
-from blender_nep.errors import NepError
-from blender_nep.presets import PRESETS, Preset
+_POLL = 0.2
+"""Seconds between two looks at a running step."""
 
 
-def with_changes(preset: Preset, changes: dict[str, dict]) -> Preset:
-    """The preset with some fields of its parts changed: {"material": {"levels": 1}}."""
-    return replace(preset, **{part: replace(getattr(preset, part), **values) for part, values in changes.items()})
+@dataclass
+class Ended:
+    """How a process ended, and what it alone has used."""
+
+    code: int
+    """Exit code, or minus a signal's number."""
+    seconds: float
+    cpu_seconds: float
+    peak_mb: float
+    """Linux counts the memory of the process that started it, too: the runner stays small."""
+    timed_out: bool
 
 
-def learning_parser(description: str, ablations: Iterable[str], out: str) -> argparse.ArgumentParser:
-    """Arguments of a benchmark that learns: captures, presets, ablations, seed, threads, output folder."""
-    parser = argparse.ArgumentParser(description=description.split("\n")[0])
-    parser.add_argument("captures", nargs="+", type=Path)
-    parser.add_argument("--preset", nargs="+", default=["balanced"], choices=list(PRESETS))
-    parser.add_argument("--ablation", nargs="+", default=["full"], choices=list(ablations))
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--threads", type=int, default=os.cpu_count())
-    parser.add_argument("--out", type=Path, default=Path(out))
-    return parser
+class Children:
+    """The steps that are running. Once `stopped` is set all of them are killed."""
 
+    stopped = False
 
-def use_threads(count: int) -> None:
-    """For torch and Numba."""
-    torch.set_num_threads(count)
-    numba.set_num_threads(min(count, numba.config.NUMBA_NUM_THREADS))
-
-
-def resumed(file: Path, row: dict, run: Callable[[], dict]) -> dict:
-    """What `file` holds; where there is none, `row` with what run() gives or its message, written there."""
-    if not file.is_file():
-        try:
-            row = row | run()
-        except NepError as error:
-            row = row | {"error": str(error)}
-        write_row(file, row)
-    return json.loads(file.read_text(encoding="utf-8"))
+    def run(self, command: Sequence[str], log: Path, threads: int, limit: float) -> Ended:
+        """Run a command to its end, or kill it with its children after `limit` seconds. Output goes to `log`."""
+        named = {f"{library}_NUM_THREADS": str(threads) for library in ("OMP", "NUMBA", "OPENBLAS", "MKL")}
+        start = time.perf_counter()
+        with open(log, "ab") as output:
+            # its standard input closes when this process dies, however it does; a job stops at that
+            child = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=output, stderr=output, env=os.environ | named,
+                                     start_new_session=True)
+            timed_out = False
+            while True:
+                pid, status, usage = os.wait4(child.pid, os.WNOHANG)
+                if pid:
+                    break
+                if not timed_out and (self.stopped or time.perf_counter() - start > limit):
+                    timed_out = not self.stopped
+                    os.killpg(child.pid, signal.SIGKILL)
+                time.sleep(_POLL)
+        child.returncode = os.waitstatus_to_exitcode(status)
+        child.stdin.close()
+        peak = usage.ru_maxrss / (1 << 20 if sys.platform == "darwin" else 1 << 10)
+        return Ended(child.returncode, time.perf_counter() - start, usage.ru_utime + usage.ru_stime, peak, timed_out)
 
 
 def write_row(file: Path, row: dict) -> None:
@@ -56,6 +63,11 @@ def write_row(file: Path, row: dict) -> None:
     part = file.with_suffix(".part")
     part.write_text(json.dumps(row, indent=1), encoding="utf-8")
     part.replace(file)
+
+
+def read_row(file: Path) -> dict:
+    """What a file of `write_row` holds; {} where there is none."""
+    return json.loads(file.read_text(encoding="utf-8")) if file.is_file() else {}
 
 
 def markdown(header: Sequence[str], rows: Iterable[Sequence[object]]) -> str:

@@ -1,31 +1,27 @@
 """Relighting against ground truth: an asset and the true object in Cycles under HDRIs that no photo showed.
 
-    python -m benchmarks.relighting CAPTURE=ASSET... [--worlds 3] [--views 3] [--out out/benchmarks/relighting]
-
 A capture is a folder with `transforms_test.json`, `test_masks/` and `scene.blend`, whose object is named `target`; an asset
-is what `blender-nep reconstruct` wrote. Scores are PSNR (dB, tone-mapped by log(1 + 4x) / log 5, white = 1 after the
-exposure that suits the true rendering) over the pixels of the true object. Pictures: one row a view, truth beside ours for
-each light. Needs the `bpy` extra.
+is what `blender-nep reconstruct` wrote. Scores are PSNR (dB) and SSIM, tone-mapped by log(1 + 4x) / log 5, white = 1 after
+the exposure that suits the true rendering, over the pixels of the true object. Pictures: one row a view, truth beside ours
+for each light. Needs the `bpy` extra.
 """
 
 from __future__ import annotations
 
-import argparse
-import json
-import sys
 from pathlib import Path
 
 import bpy
 import numpy as np
 from PIL import Image
+from skimage.metrics import structural_similarity
 
 from backend.asset_import import import_asset
 from backend.capture_files import Frame, linear_to_srgb, read_frames, spread_frames
 from backend.comparison import exposure
 from backend.relight import RelitScene
 from backend.world import blender_hdris, build_world
-from benchmarks.harness import markdown, write_row
 
+WORLDS, VIEWS, PIXELS, SAMPLES = 3, 3, 256, 64
 OBJECT = "target"
 
 
@@ -50,61 +46,50 @@ def mask(folder: Path, frame: Frame, width: int, height: int) -> np.ndarray:
         return np.asarray(image.convert("L").resize((width, height), Image.Resampling.BOX)) > 250
 
 
-def compare(folder: Path, asset: Path, worlds: int, views: int, pixels: int, samples: int, picture: Path) -> dict:
-    """Renders both objects under every light; PSNR for each light and their mean."""
+def render(item, frames: list[Frame], lights: list, size: tuple[int, int], threads: int) -> np.ndarray:
+    """[view, light, H, W, 3] linear radiance of an object."""
+    with RelitScene(item, *size, SAMPLES) as relit:
+        relit.scene.render.threads_mode, relit.scene.render.threads = "FIXED", threads
+        return np.array([[relit.render(frame, light) for light in lights] for frame in frames], np.float32)
+
+
+def rendered_truth(folder: Path, frames: list[Frame], lights: list, size: tuple[int, int], threads: int, kept: Path
+                   ) -> np.ndarray:
+    """What `render` gives for the true object; kept in a file, for all assets of a capture."""
+    if not kept.is_file():
+        images = render(true_object(folder / "scene.blend"), frames, lights, size, threads)
+        kept.parent.mkdir(parents=True, exist_ok=True)
+        part = kept.with_suffix(f".{id(images)}.part.npz")
+        np.savez_compressed(part, images=images)
+        part.replace(kept)
+    return np.load(kept)["images"]
+
+
+def compare(folder: Path, asset: Path, picture: Path, kept_truth: Path, threads: int) -> dict:
+    """PSNR and SSIM under each light and their means; {} where the capture has no scene to render."""
+    if not (folder / "scene.blend").is_file():
+        return {}
     bpy.ops.wm.read_factory_settings(use_empty=True)
-    frames = spread_frames(read_frames(folder, "transforms_test.json"), views)
-    lights = [build_world(path, name=path.stem) for path in blender_hdris()[:worlds]]
-    items = [true_object(folder / "scene.blend"), import_asset(asset, bpy.context.scene.collection)]
-    width = pixels
-    height = round(pixels * frames[0].height / frames[0].width)
-    rendered = []
-    for item in items:
-        relit = RelitScene(item, width, height, samples)
-        rendered.append([[relit.render(frame, light) for light in lights] for frame in frames])
-        relit.close()
+    frames = spread_frames(read_frames(folder, "transforms_test.json"), VIEWS)
+    lights = [build_world(path, name=path.stem) for path in blender_hdris()[:WORLDS]]
+    size = (PIXELS, round(PIXELS * frames[0].height / frames[0].width))
+    truth = rendered_truth(folder, frames, lights, size, threads, kept_truth)
+    ours = render(import_asset(asset, bpy.context.scene.collection), frames, lights, size, threads)
     errors: dict[str, list] = {light.name: [] for light in lights}
+    alike: dict[str, list] = {light.name: [] for light in lights}
     rows = []
-    for frame, true, ours in zip(frames, *rendered, strict=True):
-        inside, row = mask(folder, frame, width, height), []
-        for light, a, b in zip(lights, true, ours, strict=True):
+    for frame, true, found in zip(frames, truth, ours, strict=True):
+        inside, row = mask(folder, frame, *size), []
+        for light, a, b in zip(lights, true, found, strict=True):
             gain = exposure(a[inside])
-            errors[light.name].append(((tone(gain * a) - tone(gain * b)) ** 2)[inside])
-            row += [linear_to_srgb(gain * a), linear_to_srgb(gain * b)]
+            a, b = tone(gain * a), tone(gain * b)
+            errors[light.name].append(((a - b) ** 2)[inside])
+            ssim = structural_similarity(a, b, channel_axis=2, data_range=1.0, full=True)[1]
+            alike[light.name].append(ssim[inside])
+            row += [linear_to_srgb(np.expm1(np.log(5) * x) / 4) for x in (a, b)]
         rows.append(np.concatenate(row, 1))
     Image.fromarray(np.round(255 * np.concatenate(rows)).astype(np.uint8)).save(picture)
     psnr = {name: float(-10 * np.log10(np.concatenate(e).mean())) for name, e in errors.items()}
-    return {"capture": folder.name, "asset": str(asset), "psnr": psnr, "mean": float(np.mean(list(psnr.values())))}
-
-
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
-    parser.add_argument("pairs", nargs="+", metavar="CAPTURE=ASSET")
-    parser.add_argument("--worlds", type=int, default=3)
-    parser.add_argument("--views", type=int, default=3)
-    parser.add_argument("--pixels", type=int, default=256)
-    parser.add_argument("--samples", type=int, default=64)
-    parser.add_argument("--out", type=Path, default=Path("out/benchmarks/relighting"))
-    arguments = parser.parse_args()
-    arguments.out.mkdir(parents=True, exist_ok=True)
-    rows = []
-    for pair in arguments.pairs:
-        folder, _, asset = pair.partition("=")
-        if not asset:
-            parser.error(f"{pair}: expected CAPTURE=ASSET")
-        folder, asset = Path(folder), Path(asset)
-        name = f"{folder.name}-{asset.name}"
-        try:
-            row = compare(folder, asset, arguments.worlds, arguments.views, arguments.pixels, arguments.samples,
-                          arguments.out / f"{name}.png")
-        except OSError as error:
-            row = {"capture": folder.name, "asset": str(asset), "error": str(error)}
-        write_row(arguments.out / f"{name}.json", row)
-        print(json.dumps(row), file=sys.stderr, flush=True)
-        lights = ", ".join(f"{light} {value:.1f}" for light, value in row.get("psnr", {}).items())
-        rows.append([folder.name, asset.name, lights, row.get("mean", row.get("error"))])
-    print(markdown(["capture", "asset", "PSNR by light, dB", "mean"], rows))
-
-
-if __name__ == "__main__":
-    main()
+    ssim = {name: float(np.concatenate(e).mean()) for name, e in alike.items()}
+    return {"psnr": psnr, "ssim": ssim, "psnr_mean": float(np.mean(list(psnr.values()))),
+            "ssim_mean": float(np.mean(list(ssim.values())))}

@@ -8,13 +8,14 @@ import pytest
 import trimesh
 
 pytest.importorskip("igl")
-from benchmarks import fields, materials
 from benchmarks.geometry import Body, score
-from benchmarks.harness import markdown, resumed, with_changes
+from benchmarks.materials import read_channels
+from benchmarks.plan import ABLATIONS, with_changes
+from benchmarks.scores import score_asset
+from blender_nep.asset import TexturedMesh, write_exr, write_obj
 from blender_nep.capture import load_capture
-from blender_nep.errors import LearningError
 from blender_nep.presets import preset
-from blender_nep.surface import Surface
+from blender_nep.surface import Surface, load_surface
 
 CAPTURE = Path(__file__).parent.parent / "data" / "suzanne_small"
 
@@ -38,19 +39,30 @@ def test_distances_between_concentric_balls_are_the_difference_of_their_radii():
     assert distance == pytest.approx(0.1, abs=2e-3)
 
 
-@pytest.mark.parametrize("changes", [*fields.ABLATIONS.values(), *materials.ABLATIONS.values()])
+@pytest.mark.parametrize("changes", ABLATIONS.values())
 def test_an_ablation_changes_the_fields_it_names_and_no_others(changes):
     base, other = asdict(preset("balanced")), asdict(with_changes(preset("balanced"), changes))
     changed = {(part, key) for part in changes for key in base[part] if base[part][key] != other[part][key]}
     assert changed == {(part, key) for part, values in changes.items() for key in values}
 
 
-def test_a_failed_run_is_a_row_with_its_message_and_a_done_one_is_not_run_again(tmp_path):
-    def fail():
-        raise LearningError("no surface was found", "look again")
-
-    start = {"capture": "a", "preset": "balanced", "ablation": "full"}
-    row = resumed(tmp_path / "failed.json", start, fail)
-    assert "no surface was found" in markdown(["capture"], [fields.cells(row)])
-    assert resumed(tmp_path / "done.json", start, lambda: {"seconds": 1.0}) == start | {"seconds": 1.0}
-    assert resumed(tmp_path / "done.json", start, fail)["seconds"] == 1.0
+def test_an_asset_that_is_the_truth_scores_perfectly_but_for_what_is_put_in(tmp_path):
+    gold = {name: read_channels(CAPTURE / "gt" / "000.exr")[channel] for name, channel in
+            (("albedo", "albedo"), ("roughness", "roughness.V"), ("metallic", "metallic.V"), ("mask", "mask.V"))}
+    inside = gold["mask"] > 0.99
+    asset, picture = tmp_path / "asset", tmp_path / "materials.png"
+    (asset / "textures").mkdir(parents=True)
+    for name, wrong in (("albedo", 0.0), ("roughness", 0.1), ("metallic", 0.0)):
+        value = gold[name][inside][0, :3] if name == "albedo" else gold[name][inside][0]
+        assert gold[name][inside].std(0).max() < 0.01  # one material
+        write_exr(asset / "textures" / f"{name}.exr", np.full((8, 8, *np.shape(value)), value, np.float32) + wrong)
+    capture = load_capture(CAPTURE)
+    surface = load_surface(CAPTURE / "gt_mesh.ply", capture, preset("preview").surface)
+    vertices = surface.vertices * capture.object_radius + capture.object_center
+    write_obj(asset / "mesh.obj", TexturedMesh(vertices, surface.faces, surface.normals, surface.uv, {}))
+    found = score_asset(CAPTURE, asset, preset("preview"), "cpu", picture)
+    assert found["cd_visible"] < 1e-5 and found["mask_iou"] > 0.999 and found["texture_rows"] == 8
+    assert found["mse_albedo"] < 1e-5 and found["mse_metallic"] < 1e-5
+    assert found["mse_roughness"] == pytest.approx(0.01, rel=0.01) and found["true_roughness_deviation"] < 1e-3
+    assert picture.is_file() and "background_psnr" not in found
+    assert score_asset(tmp_path, asset, preset("preview"), "cpu", picture) == {}

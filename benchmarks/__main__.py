@@ -1,0 +1,116 @@
+"""The benchmark suite.
+
+    python -m benchmarks run CAPTURE... --plan presets ablations views pixels true_mesh roughness (or all) [--relight]
+    python -m benchmarks render shapes roughness
+    python -m benchmarks run CAPTURE... --preset preview balanced --ablation full "no cones" --seed 0 1 2
+    python -m benchmarks report --write docs/benchmarks.md
+"""
+
+from __future__ import annotations
+
+import argparse
+import signal
+import sys
+from pathlib import Path
+
+from benchmarks.harness import Children
+from benchmarks.plan import ABLATIONS, CHOICES, PLANS, expand
+from benchmarks.render import SETS
+from benchmarks.suite import Suite
+from blender_nep.presets import PRESETS
+
+
+def _count(text: str) -> int | None:
+    """A number, or `all` for None."""
+    return None if text == "all" else int(text)
+
+
+def parser() -> argparse.ArgumentParser:
+    """The arguments."""
+    top = argparse.ArgumentParser(prog="python -m benchmarks", description="Benchmarks: whole jobs, scored and relit.")
+    commands = top.add_subparsers(dest="command", required=True)
+    run = commands.add_parser("run", help="learn, score and relight; what is done is not done again")
+    run.add_argument("captures", nargs="+", type=Path, metavar="CAPTURE", help="rendered captures with their ground truth")
+    run.add_argument("--plan", nargs="+", default=[], choices=[*PLANS, "all"])
+    run.add_argument("--preset", nargs="+", choices=list(PRESETS), help="these override the plan's")
+    run.add_argument("--ablation", nargs="+", choices=list(ABLATIONS))
+    run.add_argument("--geometry", nargs="+", choices=("own", "true"), help="true: materials on gt_mesh.ply")
+    run.add_argument("--views", nargs="+", type=_count, help="photos learned from, or `all`")
+    run.add_argument("--pixels", nargs="+", type=_count, help="most pixels of a photo, or `all`: the preset's")
+    run.add_argument("--seed", nargs="+", type=int)
+    run.add_argument("--jobs", type=int, default=1, help="at once (%(default)s)")
+    run.add_argument("--device", choices=("auto", "cpu", "cuda"), default="auto")
+    run.add_argument("--limit", type=float, default=7200, help="seconds after which a step is killed (%(default)s)")
+    run.add_argument("--relight", action="store_true", help="score in Cycles too (about 100 s a run; needs bpy)")
+    run.add_argument("--retry", action="store_true", help="do failed steps again")
+    run.add_argument("--list", action="store_true", help="say what would be run")
+    render = commands.add_parser("render", help="render captures in Cycles (needs bpy): what is there is kept")
+    render.add_argument("sets", nargs="+", choices=list(SETS))
+    render.add_argument("--views", type=int, default=60)
+    render.add_argument("--size", type=int, default=400)
+    render.add_argument("--samples", type=int, default=20)
+    report = commands.add_parser("report", help="tables and plots of what was run (needs matplotlib)")
+    report.add_argument("--write", type=Path, default=Path("docs/benchmarks.md"), help="the document (%(default)s)")
+    for command in (run, render, report):
+        command.add_argument("--out", type=Path, default=Path("out/benchmarks"))
+    for command in (run, render):
+        command.add_argument("--threads", type=int, default=1, help="of a process (%(default)s)")
+    return top
+
+
+def render_captures(options: argparse.Namespace) -> int:
+    """Into OUT/captures; returns 1 where one failed."""
+    failed, children = 0, Children()
+    for name in (name for chosen in options.sets for name in SETS[chosen]):
+        folder, log = options.out / "captures" / name, options.out / "captures" / f"{name}.log"
+        if (folder / "transforms.json").is_file():
+            continue
+        folder.mkdir(parents=True, exist_ok=True)
+        numbers = map(str, (options.views, options.size, options.samples, options.threads))
+        ended = children.run([sys.executable, "-m", "benchmarks.render", name, str(folder), *numbers], log,
+                             options.threads, 24 * 3600)
+        print(f"{folder}: {'failed, see its log' if ended.code else 'rendered'}", file=sys.stderr, flush=True)
+        failed += ended.code != 0
+    return int(failed > 0)
+
+
+def report(out: Path, document: Path) -> int:
+    """Tables into the document, plots into the folder of its name."""
+    from benchmarks.plots import draw_all
+    from benchmarks.report import write_report
+    from benchmarks.rows import Results, load
+
+    rows = load(out)
+    if not rows:
+        print(f"{out} holds no rows: nothing was run", file=sys.stderr)
+        return 1
+    results = Results(rows)
+    for name in write_report(rows, results, document):
+        print(f"{document} has no marker {name!r}", file=sys.stderr)
+    draw_all(results, document.with_suffix(""))
+    return 0
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Returns 1 where a run failed."""
+    options = parser().parse_args(arguments)
+    if options.command == "render":
+        return render_captures(options)
+    if options.command == "report":
+        return report(options.out, options.write)
+    wanted = {key: tuple(getattr(options, key)) for key in CHOICES if getattr(options, key) is not None}
+    runs = expand(options.plan, options.captures, wanted)
+    if options.list:
+        print(*(run.name for run in runs), sep="\n")
+        return 0
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    suite = Suite(options.out, options.threads, options.device, options.limit, options.relight, options.retry)
+    try:
+        return int(suite.run_all(runs, options.jobs) > 0)
+    except KeyboardInterrupt:
+        print("interrupted; the same command goes on", file=sys.stderr)
+        return 130
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,155 @@
+"""The plots of `docs/benchmarks/`. Needs the `bench` extra (matplotlib)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from pathlib import Path
+
+import matplotlib
+
+matplotlib.use("agg")
+import matplotlib.pyplot as plt
+
+from benchmarks.rows import Results
+from benchmarks.tables import golds, main_captures, presets_of, sweeps
+
+ERRORS = {
+    "cd_visible": "distance, object radii", "normal_deg": "error of normals, degrees",
+    "mse_roughness": "MSE of roughness", "mse_albedo": "MSE of albedo", "psnr_mean": "relit, dB",
+}
+MARKS = {"preview": "v", "balanced": "o", "quality": "^"}
+
+
+def _figure(results: Results, title: str) -> tuple[plt.Figure, dict[str, plt.Axes]]:
+    """One panel for each score that any run has."""
+    names = [name for name in ERRORS if results.figure(name)]
+    figure, panels = plt.subplots(1, len(names), figsize=(3.1 * len(names), 3.1), layout="constrained", squeeze=False)
+    figure.suptitle(title, fontsize=10)
+    panels = dict(zip(names, panels[0], strict=True))
+    for name, panel in panels.items():
+        panel.set_title(ERRORS[name], fontsize=8)
+        panel.tick_params(labelsize=7)
+        panel.grid(alpha=0.3)
+        panel.set_xlabel("", fontsize=8)
+    return figure, panels
+
+
+def _save(figure: plt.Figure, panels: dict[str, plt.Axes], label: str, file: Path) -> None:
+    for panel in panels.values():
+        panel.set_xlabel(label, fontsize=8)
+        if panel.get_title() != ERRORS["psnr_mean"]:
+            panel.set_ylim(bottom=0)
+    _legend_and_file(figure, panels.values(), file)
+
+
+def _legend_and_file(figure: plt.Figure, panels: Iterable[plt.Axes], file: Path) -> None:
+    handles = {text: line for panel in panels
+               for line, text in zip(*panel.get_legend_handles_labels(), strict=True)}
+    figure.legend(handles.values(), handles.keys(), loc="outside lower center", ncols=6, fontsize=7)
+    file.parent.mkdir(parents=True, exist_ok=True)
+    figure.savefig(file, dpi=90, metadata={"Software": None})
+    plt.close(figure)
+
+
+def _log_axis(panels: dict[str, plt.Axes], ticks: Sequence[float]) -> None:
+    """Logarithmic, with the runs' own values as ticks."""
+    for panel in panels.values():
+        panel.set_xscale("log")
+        panel.set_xticks(ticks, [f"{tick:.0f}" for tick in ticks], fontsize=7)
+        panel.set_xticks([], minor=True)
+
+
+def _curves(panels: dict[str, plt.Axes], captures: Sequence[str], points: Sequence[tuple[object, Results]], suffix: str = "",
+            x_of: Callable[[object, Results], float] | None = None, colour: int = 0) -> None:
+    """A thin curve for each capture, a thick one for the mean where all of them have the point."""
+    for name, panel in panels.items():
+        lines = []
+        for number, capture in enumerate(captures):
+            at = {value: chosen.where(capture=capture) for value, chosen in points}
+            line = {value: (x_of(value, one), f.mean, f.deviation) for value, one in at.items() if (f := one.figure(name))}
+            if line:
+                lines.append(line)
+                x, y, spread = zip(*line.values(), strict=True)
+                panel.errorbar(x, y, spread, color=f"C{number + colour}", lw=1, ms=3, marker=".", alpha=0.8,
+                               label=capture + suffix)
+        shared = [value for value, _ in points if all(value in line for line in lines)]
+        if len(lines) > 1 and shared:
+            x, y = ([sum(line[value][axis] for line in lines) / len(lines) for value in shared] for axis in (0, 1))
+            panel.plot(x, y, color="black", lw=2, label=f"mean{suffix}")
+            for value, *place in zip(shared, x, y, strict=True):
+                panel.plot(*place, MARKS.get(value, "."), color="black", ms=7)
+
+
+def error_against_time(results: Results, file: Path) -> None:
+    """Presets are points on one curve."""
+    full = results.whole(ablation="full")
+    points = [(preset, full.where(preset=preset)) for preset in presets_of(full)]
+    figure, panels = _figure(full, "Error against run time: preview (v), balanced (o), quality (^)")
+    _curves(panels, main_captures(results), points, x_of=lambda _, at: at.figure("cpu_seconds").mean)
+    _log_axis(panels, [at.figure("cpu_seconds").mean for _, at in points])
+    _save(figure, panels, "CPU seconds of the whole job (mean)", file)
+
+
+def error_against_sweep(results: Results, key: str, file: Path) -> None:
+    """Error against the number of photos, or against the pixels of one; no file where nothing was swept."""
+    label = {"views": "photos", "pixels": "pixels of a photo"}[key]
+    found = sweeps(results, key)
+    if not found:
+        return
+    figure, panels = _figure(found[0][2], f"Error against {label}")
+    ticks = {}
+    for place, (preset, values, chosen) in enumerate(found):
+        size = {value: value or chosen.where(**{key: None}).figure(f"{key}_of_run").mean for value in values}
+        ticks |= {round(x): None for x in size.values()}
+        _curves(panels, chosen.values("capture"), [(value, chosen.where(**{key: value})) for value in values],
+                f", {preset}" if len(found) > 1 else "", lambda value, _, size=size: size[value], 4 * place)
+    _log_axis(panels, sorted(ticks))
+    _save(figure, panels, label, file)
+
+
+def error_against_roughness(results: Results, file: Path) -> None:
+    """The captures gold_R; no file where there are none."""
+    found = golds(results)
+    if not found:
+        return
+    figure, panels = _figure(found[0][2], "Error against the true roughness of a gold Suzanne")
+    for name, panel in panels.items():
+        for number, (preset, captures, chosen) in enumerate(found):
+            line = [(float(c[5:]), f.mean) for c in captures if (f := chosen.where(capture=c).figure(name))]
+            if line:
+                panel.plot(*zip(*line, strict=True), color=f"C{number}", marker=MARKS[preset], ms=4, label=preset)
+    _save(figure, panels, "true roughness", file)
+
+
+def time_against_size(results: Results, file: Path) -> None:
+    """Seconds of the surface against faces, of the asset against texels."""
+    full = results.whole()
+    figure, axes = plt.subplots(1, 2, figsize=(7, 3.1), layout="constrained")
+    pairs = (("faces", "cpu_seconds_surface", "surface room, CPU seconds against faces"),
+             ("texels", "cpu_seconds_asset", "asset room, CPU seconds against texels of a texture"))
+    for panel, (size, seconds, title) in zip(axes, pairs, strict=True):
+        for number, preset in enumerate(presets_of(full)):
+            found = [(v[size], v[seconds]) for _, v in full.where(preset=preset).runs if size in v and seconds in v]
+            if found:
+                panel.plot(*zip(*found, strict=True), MARKS[preset], color=f"C{number}", ms=4, alpha=0.6, label=preset)
+        panel.set(xscale="log", yscale="log")
+        panel.set_title(title, fontsize=8)
+        panel.tick_params(labelsize=7, which="both")
+        panel.grid(alpha=0.3)
+    _legend_and_file(figure, axes, file)
+
+
+PLOTS: dict[str, Callable[[Results, Path], None]] = {
+    "time": error_against_time,
+    "views": lambda results, file: error_against_sweep(results, "views", file),
+    "pixels": lambda results, file: error_against_sweep(results, "pixels", file),
+    "roughness": error_against_roughness,
+    "size": time_against_size,
+}
+"""File name -> who draws it."""
+
+
+def draw_all(results: Results, folder: Path) -> None:
+    """All plots, as PNG."""
+    for name, draw in PLOTS.items():
+        draw(results, folder / f"{name}.png")

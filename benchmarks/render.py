@@ -1,0 +1,44 @@
+"""Captures that the suite renders itself, in Cycles: `python -m benchmarks.render NAME FOLDER VIEWS SIZE SAMPLES THREADS`.
+
+suzanne and box are Blender's own shapes in `backend/synthetic.py`'s room; gold_0.05 ... gold_0.8 are suzanne again, the
+same room, cameras and gold, of another roughness each. `scene.blend` is kept for relighting. Needs the `bpy` extra.
+"""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+ROUGHNESSES = (0.05, 0.1, 0.2, 0.35, 0.55, 0.8)
+SETS = {"shapes": ("suzanne", "box"), "roughness": tuple(f"gold_{roughness:g}" for roughness in ROUGHNESSES)}
+
+
+def render(name: str, folder: Path, views: int, size: int, samples: int, threads: int) -> int:
+    """Render a capture; transforms.json is written last. Returns an exit code."""
+    import bpy
+
+    from backend import scenes, synthetic
+    from benchmarks.relighting import OBJECT
+
+    scene, material = name, scenes.DEFAULT_MATERIAL.get(name)
+    if name.startswith("gold_"):
+        scene, material = "suzanne", name
+        pattern, (gold,) = scenes.MATERIALS["gold"]
+        scenes.MATERIALS[name] = pattern, (scenes.Substance(gold.colour, float(name[5:]), gold.metallic),)
+    build = scenes.build_scene
+
+    def build_and_keep(*arguments):
+        bpy.context.scene.render.threads_mode, bpy.context.scene.render.threads = "FIXED", threads
+        target, obstacles = build(*arguments)
+        target.name = OBJECT
+        folder.mkdir(parents=True, exist_ok=True)
+        bpy.ops.wm.save_as_mainfile(filepath=str(folder.resolve() / "scene.blend"))
+        return target, obstacles
+
+    scenes.build_scene = build_and_keep
+    return synthetic.main(["--scene", scene, "--material", material, "--out", str(folder), "--views", str(views),
+                           "--size", str(size), "--samples", str(samples)])
+
+
+if __name__ == "__main__":
+    sys.exit(render(sys.argv[1], Path(sys.argv[2]), *map(int, sys.argv[3:])))

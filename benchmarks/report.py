@@ -1,0 +1,63 @@
+"""`docs/benchmarks.md` from a suite's rows: what stands between a document's markers is replaced, the rest is left alone.
+
+    <!-- presets -->  ...  <!-- end of presets -->
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from pathlib import Path
+
+from benchmarks import tables
+from benchmarks.rows import Results
+
+MARKED = r"(<!-- {0} -->\n).*?(<!-- end of {0} -->)"
+
+
+def head(rows: list[dict]) -> str:
+    """Machine, versions and number of the runs, each as the rows have it."""
+    def each(part: str, key: str) -> str:
+        """The values in the order of their names."""
+        return ", ".join(sorted({str(row[part][key]) for row in rows if key in row.get(part, {})}))
+
+    days = sorted(row["machine"]["date"] for row in rows if "machine" in row)
+    versions = [row["learn"]["versions"] for row in rows if "versions" in row.get("learn", {})]
+    found = {name: sorted({v[name] for v in versions if name in v}) for v in versions[:1] for name in v}
+    return "\n".join([
+        f"- {len(rows)} runs, {' to '.join(dict.fromkeys([days[0], days[-1]])) if days else 'no date'}, of commits "
+        + each("machine", "commit"),
+        f"- {each('machine', 'system')}, {each('machine', 'processor')}, {each('machine', 'cores')} cores, "
+        f"{each('machine', 'memory_gb')} GB; device {each('learn', 'device')}, {each('learn', 'threads')} thread(s) a run",
+        "- " + ", ".join(f"{name} {' and '.join(values)}" for name, values in found.items())])
+
+
+TABLES: dict[str, Callable[[Results], str]] = {
+    "table 1": tables.table_1,
+    "presets": tables.presets,
+    "costs": tables.costs,
+    "ablations": tables.ablations,
+    "ablations by capture": tables.ablations_by_capture,
+    "ablations on true meshes": lambda results: tables.ablations(results, "true"),
+    "views": lambda results: tables.swept(results, "views", "photos"),
+    "pixels": lambda results: tables.swept(results, "pixels", "pixels of a photo"),
+    "roughness": tables.roughness,
+}
+"""Marker -> Markdown."""
+
+
+def write_report(rows: list[dict], results: Results, document: Path) -> list[str]:
+    """Fill the document's markers; returns those that it does not have."""
+    parts = {"head": head(rows), "failures": tables.failed(rows)}
+    for name, table in TABLES.items():
+        parts[name] = table(results)
+        if len(parts[name].splitlines()) == 2:
+            parts[name] = "Not run."
+    text, missing = document.read_text(encoding="utf-8"), []
+    for name, part in parts.items():
+        marked = re.compile(MARKED.format(re.escape(name)), re.DOTALL)
+        if not marked.search(text):
+            missing.append(name)
+        text = marked.sub(lambda found, part=part: f"{found[1]}{part}\n{found[2]}", text)
+    document.write_text(text, encoding="utf-8")
+    return missing

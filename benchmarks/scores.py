@@ -1,0 +1,47 @@
+"""All scores of one asset against a rendered capture's ground truth."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from benchmarks import fields, geometry, materials
+from benchmarks.harness import read_row
+from blender_nep.capture import PixelRays, load_capture
+from blender_nep.capture.capture import Capture
+from blender_nep.checkpoints import load_state
+from blender_nep.job import choose_device
+from blender_nep.presets import Preset
+from blender_nep.rooms import Rooms
+from blender_nep.surface import load_surface
+
+BACKGROUND_PIXELS = 40_000
+"""Of a held-out photo, whatever the job itself used: the scores of presets must be comparable."""
+
+
+def score_asset(folder: Path, asset: Path, preset: Preset, device: str, picture: Path) -> dict:
+    """Geometry, F_e where its checkpoint is kept, materials; {} for a capture without ground truth."""
+    if not (folder / "gt_mesh.ply").is_file():
+        return {}
+    capture, test = load_capture(folder), load_capture(folder, transforms="transforms_test.json")
+    test.object_center, test.object_radius = capture.object_center, capture.object_radius
+    surface, textures = load_surface(asset / "mesh.obj", capture, preset.surface), materials.read_textures(asset)
+    out = {"faces": len(surface.faces), "texture_rows": len(textures["albedo"])}
+    out |= geometry.score(surface, folder, capture, test)
+    out |= materials.score(surface, textures, folder, capture, test, picture)
+    learned = asset / "checkpoints" / "fields_learning.done.pt"
+    if learned.is_file():
+        out["background_psnr"] = _background_psnr(folder, asset, learned, capture, test, preset, choose_device(device))
+    return out
+
+
+def _background_psnr(folder: Path, asset: Path, learned: Path, capture: Capture, test: Capture, preset: Preset,
+                     device: torch.device) -> float:
+    environment = Rooms().unpack_fields(load_state(learned)["result"], preset, device).environment
+    sphere = read_row(asset / "report.json")["capture"]  # F_e lives around the sphere of its own job
+    for one in (capture, test):
+        one.object_center, one.object_radius = np.array(sphere["object_center"]), sphere["object_radius"]
+    rays = PixelRays.from_capture(test, BACKGROUND_PIXELS, False, device)
+    return fields.background_psnr(environment, rays, geometry.true_mesh(folder, capture))

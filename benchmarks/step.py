@@ -1,0 +1,141 @@
+"""One step of one run, in a process of its own: `python -m benchmarks.step ORDER RESULT`, both JSON files.
+
+learn: capture -> asset, with the preset that an ablation has changed. score: the asset against the truth. relight: the
+same in Cycles under lights that no photo showed. The order says which; the result is written last.
+"""
+
+from __future__ import annotations
+
+import shutil
+import sys
+import time
+from pathlib import Path
+
+from benchmarks.harness import read_row, write_row
+from benchmarks.plan import WITHOUT_F_E, Run
+from benchmarks.variants import with_fewer_views
+
+REPORTED = ("device", "threads", "versions", "seconds", "seconds_total", "resumed_rooms", "skipped", "losses", "warnings")
+STAGE_1 = ("fields_learning", "surface")
+
+
+class NoLight:
+    """Stands for F_e in stage 2: it has seen nothing, so that all light has to be found by reflections."""
+
+    def __init__(self, distance: float) -> None:
+        self.distance = distance
+
+    def query_cone(self, origins, directions, half_angle):
+        """Radiance [n, 3] and coverage [n], all 0."""
+        return origins * 0, origins[:, 0] * 0
+
+    def typical_distance(self) -> float:
+        """Where the light that no photo saw is put, object radii."""
+        return self.distance
+
+
+def learn(run: Run, asset: Path, order: dict) -> dict:
+    """The job. An error is {"error": message}."""
+    from blender_nep import job
+    from blender_nep.checkpoints import StopRequest
+    from blender_nep.events import Events
+    from blender_nep.rooms import Rooms
+
+    class Heard(Events):
+        """Keeps the error."""
+
+        failure = ""
+
+        def error(self, code: int, message: str, hint: str) -> None:
+            self.failure = message
+            super().error(code, message, hint)
+
+    class Timed(Rooms):
+        """CPU seconds of each room."""
+
+        def __init__(self) -> None:
+            self.cpu: dict[str, float] = {}
+
+        def _timed(self, room: str, work, *arguments, **keywords):
+            start = time.process_time()
+            try:
+                return work(*arguments, **keywords)
+            finally:
+                self.cpu[room] = time.process_time() - start
+
+        def learn_fields(self, *arguments, **keywords):
+            return self._timed("fields_learning", super().learn_fields, *arguments, **keywords)
+
+        def extract_surface(self, *arguments):
+            return self._timed("surface", super().extract_surface, *arguments)
+
+        def learn_materials(self, surface, environment, *arguments, **keywords):
+            if run.ablation == WITHOUT_F_E:
+                environment = NoLight(run.changed_preset.environment.outer_radius)
+            return self._timed("material_learning", super().learn_materials, surface, environment, *arguments, **keywords)
+
+        def write_asset(self, *arguments):
+            return self._timed("asset", super().write_asset, *arguments)
+
+    capture, settings_of = run.capture, order["settings"]
+    if run.views:
+        capture = with_fewer_views(capture, run.views, Path(order["variant"]))
+    shutil.rmtree(asset, ignore_errors=True)
+    mesh = run.capture / "gt_mesh.ply" if run.geometry == "true" else None
+    given = order.get("stage_1") and _take_stage_1(Path(order["stage_1"]), asset, capture, run, mesh)
+    settings = job.Settings(capture=capture, out=asset, preset=run.changed_preset, seed=run.seed, use_masks=False, mesh=mesh,
+                            resume=bool(given), **settings_of)
+    stop, events, rooms = StopRequest(), Heard(None, sys.stderr), Timed()
+    stop.watch()
+    if job.run(settings, events, stop, rooms):
+        return {"error": events.failure.replace(str(run.capture), run.capture.name)}
+    report = read_row(asset / "report.json")
+    found = {key: report[key] for key in REPORTED}
+    found["views"], found["pixels"] = report["capture"]["views"], report["capture"]["pixels"]
+    found["faces"] = report["rooms"]["surface"].get("faces")
+    found["materials"] = report["rooms"]["material_learning"].get("materials")
+    found["steps"] = report["rooms"]["fields_learning"].get("steps")
+    return found | {"room_cpu_seconds": rooms.cpu}
+
+
+def _take_stage_1(other: Path, asset: Path, capture: Path, run: Run, mesh: Path | None) -> bool:
+    """Put the finished stage 1 of another asset into this one's folder, as a job that was stopped there."""
+    from blender_nep.capture import load_capture
+    from blender_nep.run_folder import fingerprint
+
+    rooms = [other / "checkpoints" / f"{room}.done.pt" for room in STAGE_1]
+    if not all(room.is_file() for room in rooms):
+        return False
+    (asset / "checkpoints").mkdir(parents=True)
+    for room in rooms:
+        shutil.copy(room, asset / "checkpoints")
+    what = fingerprint(load_capture(capture, use_masks=False), run.changed_preset, run.seed, False, mesh)
+    write_row(asset / "checkpoints" / "run.json", what)
+    return True
+
+
+def score(run: Run, asset: Path, order: dict) -> dict:
+    """Geometry, F_e and materials against the truth; what belongs to the whole capture counts, however few photos were
+    learned from."""
+    from benchmarks.scores import score_asset
+
+    return score_asset(run.capture, asset, run.changed_preset, order["settings"]["device"], Path(order["picture"]))
+
+
+def relight(run: Run, asset: Path, order: dict) -> dict:
+    """In Cycles."""
+    from benchmarks.relighting import compare
+
+    return compare(run.capture, asset, Path(order["picture"]), Path(order["truth"]), order["settings"]["threads"])
+
+
+STEPS = {"learn": learn, "score": score, "relight": relight}
+
+
+def main() -> None:
+    order = read_row(Path(sys.argv[1]))
+    write_row(Path(sys.argv[2]), STEPS[order["step"]](Run.from_json(order["run"]), Path(order["asset"]), order))
+
+
+if __name__ == "__main__":
+    main()

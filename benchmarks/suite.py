@@ -1,0 +1,161 @@
+"""The runner: every run of a plan is learned, scored and relit, each step in a process of its own, into one JSON file.
+
+    OUT/rows/NAME.json     {"run": what, "machine": where, "learn": ..., "score": ..., "relight": ...}
+    OUT/assets/NAME/       the asset; a run without ablation keeps the checkpoints of its stage 1
+    OUT/pictures/, logs/   materials and relit objects beside the truth; what the steps printed
+
+A step that is in the row is not done again. One that failed is there with its message.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import os
+import platform
+import shutil
+import subprocess
+import sys
+from collections.abc import Sequence
+from concurrent.futures import Future, ThreadPoolExecutor, as_completed, wait
+from dataclasses import dataclass, field
+from datetime import datetime
+from pathlib import Path
+
+from benchmarks.harness import Children, read_row, write_row
+from benchmarks.plan import Run
+from benchmarks.step import STAGE_1
+
+
+@dataclass
+class Suite:
+    """Where the results go, and how they are made."""
+
+    out: Path
+    threads: int = 1
+    device: str = "auto"
+    limit: float = 7200.0
+    """Seconds after which a step is killed."""
+    relight: bool = False
+    retry: bool = False
+    """Do failed steps again."""
+    children: Children = field(default_factory=Children)
+
+    def run_all(self, runs: Sequence[Run], jobs: int) -> int:
+        """All runs, `jobs` at once, in their order; returns how many have failed."""
+        failed = 0
+        with ThreadPoolExecutor(jobs) as pool:
+            started: dict[str, Future] = {}
+            for run in runs:
+                # what a run takes over was handed to the pool before it, so that waiting for it ends
+                donor = run.same_stage_1
+                started[run.name] = pool.submit(self._run_after, run, started.get(donor.name) if donor else None)
+            try:
+                for done, future in enumerate(as_completed(started.values()), 1):
+                    row, name = future.result(), next(n for n, f in started.items() if f is future)
+                    failed += bool(failure(row))
+                    print(f"{done}/{len(runs)} {name}: {failure(row) or 'done'}", file=sys.stderr, flush=True)
+            except KeyboardInterrupt:
+                self.children.stopped = True
+                pool.shutdown(cancel_futures=True)
+                raise
+        return failed
+
+    def _run_after(self, run: Run, other: Future | None) -> dict:
+        if other is not None:
+            wait([other])
+        return self.run(run)
+
+    def run(self, run: Run) -> dict:
+        """The steps of one run that its row does not hold yet. A second runner waits for the first one's."""
+        for folder in ("logs", "pictures"):
+            (self.out / folder).mkdir(parents=True, exist_ok=True)
+        with open(self.out / "logs" / f"{run.name}.lock", "w") as lock:
+            fcntl.flock(lock, fcntl.LOCK_EX)
+            return self._run_steps(run)
+
+    def _run_steps(self, run: Run) -> dict:
+        file, asset = self.out / "rows" / f"{run.name}.json", self.out / "assets" / run.name
+        row = read_row(file) or {"run": run.as_row()}
+        steps = ["learn", "score", *(["relight"] if self.relight else [])]
+        for step in steps:
+            if step in row and not (self.retry and "error" in row[step]):
+                if "error" in row[step] and step == "learn":
+                    break
+                continue
+            if self.children.stopped:
+                break
+            result = self._step(step, run, asset)
+            if self.children.stopped:
+                break
+            if step == "learn":
+                row |= {"machine": machine(self.threads)}
+                row.pop("score", None), row.pop("relight", None)
+            row[step] = result
+            write_row(file, row)
+            if step == "learn" and "error" in result:
+                break
+            if step == "score":
+                _drop_checkpoints(asset, keep=STAGE_1 if run.ablation == "full" else ())
+        return row
+
+    def _step(self, step: str, run: Run, asset: Path) -> dict:
+        folder = self.out / "logs"
+        order, result = (folder / f"{run.name}.{step}.{kind}" for kind in ("order.json", "result.json"))
+        result.unlink(missing_ok=True)
+        donor = run.same_stage_1
+        write_row(order, {
+            "step": step, "run": run.as_json(), "asset": str(asset),
+            "settings": {"device": self.device, "threads": self.threads},
+            "variant": str(self.out / "captures" / f"{run.capture.name}_{run.views}_views"),
+            "stage_1": donor and str(self.out / "assets" / donor.name),
+            "truth": str(self.out / "truth" / f"{run.capture.name}.npz"),
+            "picture": str(self.out / "pictures" / f"{run.name}.{step}.png")})
+        log = folder / f"{run.name}.log"
+        ended = self.children.run([sys.executable, "-m", "benchmarks.step", str(order), str(result)], log, self.threads,
+                                  self.limit)
+        found = read_row(result)
+        if ended.timed_out:
+            found = {"error": f"killed after {self.limit:.0f} s"}
+        elif not found:
+            found = {"error": f"ended with code {ended.code}: {_last_line(log)}"}
+        if step == "learn":
+            found |= {"wall_seconds": ended.seconds, "cpu_seconds": ended.cpu_seconds, "peak_mb": ended.peak_mb}
+            if donor and found.get("resumed_rooms"):
+                found["stage_1_of"] = donor.name
+        for file in (order, result):
+            file.unlink(missing_ok=True)
+        return found
+
+
+def failure(row: dict) -> str:
+    """The message of the first step that failed, or ''."""
+    return next((f"{step}: {row[step]['error']}" for step in ("learn", "score", "relight")
+                 if "error" in row.get(step, {})), "")
+
+
+def _last_line(log: Path) -> str:
+    lines = [line.strip() for line in log.read_text(encoding="utf-8", errors="replace").splitlines()]
+    return next((line for line in reversed(lines) if line), "")[:200]
+
+
+def _drop_checkpoints(asset: Path, keep: Sequence[str]) -> None:
+    kept = {f"{room}.done.pt" for room in keep}
+    for file in (asset / "checkpoints").glob("*"):
+        if file.name not in kept:
+            file.unlink()
+    if not kept:
+        shutil.rmtree(asset / "checkpoints", ignore_errors=True)
+
+
+def machine(threads: int) -> dict:
+    """What ran it, without names."""
+    processor = platform.processor() or platform.machine()
+    if Path("/proc/cpuinfo").is_file():
+        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
+        processor = next((line.split(":", 1)[1].strip() for line in lines if line.startswith("model name")), processor)
+    memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") / 2**30
+    here = Path(__file__).parent
+    git = ["git", "-C", str(here), "describe", "--always", "--dirty", "--abbrev=8", "--exclude=*"]
+    commit = subprocess.run(git, capture_output=True, text=True, check=False).stdout.strip()
+    return {"system": platform.system(), "processor": processor, "cores": os.cpu_count(), "memory_gb": round(memory, 1),
+            "threads": threads, "commit": commit, "date": datetime.now().date().isoformat()}

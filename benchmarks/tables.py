@@ -1,0 +1,210 @@
+"""The Markdown tables of `docs/benchmarks.md`."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from benchmarks import paper
+from benchmarks.harness import markdown
+from benchmarks.plan import ABLATIONS
+from benchmarks.rows import Figure, Results, failures
+from blender_nep.presets import PRESETS
+
+SCORES = {
+    "cd_visible": ("cd visible", 4), "cd_full": ("cd full", 4), "fscore_005": ("F 0.005", 2),
+    "normal_deg": ("normals, °", 1), "mask_iou": ("IoU", 3), "background_psnr": ("F_e, dB", 1),
+    "mse_roughness": ("roughness", 4), "mse_metallic": ("metallic", 3), "mse_albedo": ("albedo", 4),
+    "psnr_mean": ("relit, dB", 1), "ssim_mean": ("SSIM", 3),
+}
+"""Figure -> heading and digits."""
+COSTS = {"seconds": ("seconds", 0), "cpu_seconds": ("CPU s", 0), "peak_mb": ("MB", 0)}
+ROOM_COSTS = {"cpu_seconds_fields_learning": ("fields, CPU s", 0), "cpu_seconds_surface": ("surface, CPU s", 1),
+              "cpu_seconds_material_learning": ("materials, CPU s", 0), "cpu_seconds_asset": ("asset, CPU s", 1)}
+NONE = "-"
+BASELINES = ("plain NeuS colour", "environment at infinity")
+"""Ablations that stand for other methods' assumptions: NeuS; NeRO and nvdiffrec."""
+
+
+def cell(figure: Figure | None, digits: int) -> str:
+    """0.0042, with ± where there is more than one run and it is not 0 when printed."""
+    if figure is None:
+        return NONE
+    text, spread = f"{figure.mean:.{digits}f}", f"{figure.deviation:.{digits}f}"
+    return text + (f" ± {spread}" if figure.runs > 1 and float(spread) else "")
+
+
+def cells(results: Results, columns: dict[str, tuple[str, int]], captures: Sequence[str] | None = None) -> list[str]:
+    """One line: means over all runs, or over captures first."""
+    found = {name: results.figure(name) if captures is None else results.mean_of_captures(name, captures)
+             for name in columns}
+    return [cell(found[name], digits) for name, (_, digits) in columns.items()]
+
+
+def known(results: Results, columns: dict[str, tuple[str, int]]) -> dict[str, tuple[str, int]]:
+    """The columns that any run has."""
+    return {name: column for name, column in columns.items() if results.figure(name)}
+
+
+def headings(columns: dict[str, tuple[str, int]]) -> list[str]:
+    """Of a table with these columns."""
+    return [heading for heading, _ in columns.values()]
+
+
+def scored_captures(results: Results) -> list[str]:
+    """Captures with a true mesh."""
+    return sorted(capture for capture in results.values("capture") if results.where(capture=capture).figure("cd_visible"))
+
+
+def main_captures(results: Results) -> list[str]:
+    """Those on which as many presets were tried as on any; the others are of a plan of their own."""
+    full = results.whole(ablation="full")
+    tried = {c: len({run["preset"] for run in full.where(capture=c).tried}) for c in scored_captures(full)}
+    return [c for c in tried if tried[c] == max(tried.values())]
+
+
+def presets_of(results: Results) -> list[str]:
+    """In the order of their time."""
+    return [preset for preset in PRESETS if preset in results.values("preset")]
+
+
+def table_1(results: Results) -> str:
+    """In the form of the paper's Table 1: the paper's own figures, then ours."""
+    full, captures = results.whole(ablation="full"), main_captures(results)
+    presets = presets_of(full)
+    ours = {name: results.whole(ablation=name, preset=presets[0]) for name in BASELINES} if presets else {}
+    ours = {f"{name} ({presets[0]})": one for name, one in ours.items()} | {p: full.where(preset=p) for p in presets}
+    with_materials = {name: one for name, one in ours.items() if not name.startswith(BASELINES[0])}
+    header = ["scene", *(f"*{name}*" for name in paper.METHODS), *ours,
+              *(f"*{name}* r / m / a" for name in paper.METHODS[2:]), *(f"{name} r / m / a" for name in with_materials)]
+    lines = {scene: [capture for capture in captures if capture == scene.lower()] for scene in paper.CHAMFER}
+    lines |= {capture: [capture] for capture in captures if capture.capitalize() not in lines}
+    rows = []
+    for scene, own in [*((k, v) for k, v in lines.items() if k != "Avg."), ("Avg.", captures)]:
+        chamfer, errors = paper.CHAMFER.get(scene), paper.MATERIALS.get(scene)
+        row = [scene, *([f"*{x:.5f}*" for x in chamfer] if chamfer else [NONE] * 4)]
+        row += [cells(one, {"cd_visible": SCORES["cd_visible"]}, own)[0] for one in ours.values()]
+        row += ["*" + " / ".join(f"{x:.3f}" for x in each) + "*" for each in errors] if errors else [NONE] * 2
+        for one in with_materials.values():
+            found = [one.mean_of_captures(f"mse_{name}", own) for name in ("roughness", "metallic", "albedo")]
+            row.append(NONE if None in found else " / ".join(f"{f.mean:.4f}" for f in found))
+        rows.append(row)
+    return markdown(header, rows)
+
+
+def presets(results: Results, columns: dict[str, tuple[str, int]] = SCORES) -> str:
+    """Every capture at every preset, and the means over captures."""
+    full, captures, rows = results.whole(ablation="full"), main_captures(results), []
+    columns = known(full, columns)
+    for preset in presets_of(full):
+        chosen = full.where(preset=preset)
+        rows += [[capture, preset, chosen.where(capture=capture).figure("seconds").runs,
+                  *cells(chosen.where(capture=capture), columns)]
+                 for capture in chosen.values("capture") if capture in captures or capture not in scored_captures(chosen)]
+        mean = cells(chosen, columns, captures)
+        rows.append(["**mean**", preset, "", *(f"**{text}**" if text != NONE else text for text in mean)])
+    return markdown(["capture", "preset", "seeds", *headings(columns)], rows)
+
+
+def costs(results: Results) -> str:
+    """What they took."""
+    return presets(results, {"seconds": ("seconds", 0), **ROOM_COSTS, "cpu_seconds": ("all, CPU s", 0), "peak_mb": ("MB", 0),
+                             "faces": ("faces", 0), "texels": ("texels", 0)})
+
+
+def ablations(results: Results, geometry: str = "own") -> str:
+    """Means over the captures that have the ablation, beside the same captures without it."""
+    columns = {k: v for k, v in (SCORES | COSTS).items() if geometry == "own" or not k.startswith(
+        ("cd", "fscore", "normal", "mask", "background"))}
+    chosen = results.whole(geometry=geometry, ablation=ABLATIONS.__contains__)
+    columns = known(chosen, columns)
+    header, rows = ["ablation", "captures", "runs", *headings(columns)], []
+    for preset in presets_of(chosen.where(ablation=lambda name: name != "full")):
+        at = chosen.where(preset=preset)
+        for name in ABLATIONS:
+            one = at.where(ablation=name)
+            captures = [c for c in main_captures(results) if c in one.values("capture")]
+            if captures:
+                runs = sum(run["capture"] in captures for run, _ in one.runs)
+                rows.append([name if name != "full" else f"**full** ({preset})", len(captures), runs,
+                             *cells(one, columns, captures)])
+    return markdown(header, rows)
+
+
+def ablations_by_capture(results: Results) -> str:
+    """Distance and normals, and the three errors of materials, for each capture."""
+    captures = main_captures(results)
+    header, rows = ["ablation", "preset", *(f"{c}: cd / normals / r / m / a" for c in captures)], []
+    shown = ("cd_visible", "normal_deg", "mse_roughness", "mse_metallic", "mse_albedo")
+    chosen = results.whole()
+    for preset in presets_of(chosen.where(ablation=lambda name: name != "full")):
+        for name in ABLATIONS:
+            one = chosen.where(preset=preset, ablation=name)
+            if one.runs:
+                parts = [[one.where(capture=c).figure(key) for key in shown] for c in captures]
+                rows.append([name, preset, *(" / ".join(
+                    NONE if f is None else f"{f.mean:.{SCORES[key][1]}f}" for key, f in zip(shown, part, strict=True))
+                    for part in parts)])
+    return markdown(header, rows)
+
+
+def swept(results: Results, key: str, heading: str) -> str:
+    """Scores against the number of photos or the image size: each capture, and the mean of those that have them all."""
+    found, rows = sweeps(results, key), []
+    columns = {} if not found else known(found[0][2], SCORES | COSTS)
+    for preset, values, chosen in found:
+        captures = [c for c in scored_captures(chosen)
+                    if all(chosen.where(**{"capture": c, key: value}).runs for value in values)]
+        for value in values:
+            at = chosen.where(**{key: value})
+            rows += [[c, preset, shown_value(at.where(capture=c), key, value), *cells(at.where(capture=c), columns)]
+                     for c in scored_captures(at)]
+        for value in values:
+            at = chosen.where(**{key: value})
+            rows.append(["**mean**", preset, shown_value(at, key, value), *cells(at, columns, captures)])
+    return markdown(["capture", "preset", heading, *headings(columns)], rows)
+
+
+def sweeps(results: Results, key: str) -> list[tuple[str, list, Results]]:
+    """(preset, values in rising order with None last, runs) for each preset with more than one value of `key`."""
+    other = {"views": "pixels", "pixels": "views"}[key]
+    found = []
+    for preset in presets_of(results):
+        chosen = results.where(**{"preset": preset, "ablation": "full", "geometry": "own", other: None})
+        captures = [c for c in chosen.values("capture") if len(chosen.where(capture=c).values(key)) > 1]
+        chosen = chosen.where(capture=lambda c, some=captures: c in some)
+        values = sorted(chosen.values(key), key=lambda value: (value is None, value))
+        if values:
+            found.append((preset, values, chosen))
+    return found
+
+
+def shown_value(results: Results, key: str, value: int | None) -> str:
+    """A number; where None stands for all of them, theirs if they agree."""
+    own = results.figure(f"{key}_of_run")
+    return str(value) if value is not None else f"{own.mean:.0f}" if own and own.deviation == 0 else "all"
+
+
+def roughness(results: Results) -> str:
+    """Scores of the captures gold_R, which differ in nothing but roughness."""
+    found, rows = golds(results), []
+    columns = {} if not found else known(found[0][2], SCORES | COSTS)
+    for preset, captures, chosen in found:
+        rows += [[f"{c.removeprefix('gold_')}", preset, *cells(chosen.where(capture=c), columns)] for c in captures]
+    return markdown(["true roughness", "preset", *headings(columns)], rows)
+
+
+def golds(results: Results) -> list[tuple[str, list[str], Results]]:
+    """(preset, captures gold_R in rising order, runs)."""
+    chosen = results.whole(ablation="full", capture=lambda name: name.startswith("gold_") and name[5:6].isdigit())
+    return [(preset, sorted(one.values("capture"), key=lambda name: float(name[5:])), one)
+            for preset in presets_of(chosen) for one in [chosen.where(preset=preset)]]
+
+
+def failed(rows: list[dict]) -> str:
+    """Runs that did not reach their end."""
+    found = [[run["capture"], run["preset"], run["ablation"], run["geometry"], run["views"] or "all", run["seed"], message]
+             for run, message in failures(rows)]
+    if not found:
+        return f"None of {len(rows)} runs failed."
+    return f"{len(found)} of {len(rows)} runs:\n\n" + markdown(
+        ["capture", "preset", "ablation", "geometry", "views", "seed", "message"], found)

@@ -1,0 +1,37 @@
+"""Captures with fewer photos: a folder with its own transforms.json, whose photos are links into the whole capture."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+
+
+def spread(positions: np.ndarray, count: int) -> list[int]:
+    """`count` of the camera positions [n, 3], the first one first, each next as far as can be from those before: fewer
+    are the beginning of more."""
+    chosen = [0]
+    nearest = np.linalg.norm(positions - positions[0], axis=1)
+    while len(chosen) < min(count, len(positions)):
+        chosen.append(int(nearest.argmax()))
+        nearest = np.minimum(nearest, np.linalg.norm(positions - positions[chosen[-1]], axis=1))
+    return chosen
+
+
+def with_fewer_views(capture: Path, count: int, folder: Path) -> Path:
+    """Write (once) and return the capture of `count` of the photos in `capture`."""
+    if (folder / "transforms.json").is_file():
+        return folder
+    meta = json.loads((capture / "transforms.json").read_text(encoding="utf-8"))
+    positions = np.array([frame["transform_matrix"] for frame in meta["frames"]])[:, :3, 3]
+    kept = sorted(spread(positions, count))
+    folder.mkdir(parents=True, exist_ok=True)
+    for entry in capture.iterdir():
+        link = folder / entry.name
+        if entry.name != "transforms.json" and not link.is_symlink():
+            link.symlink_to(entry.resolve())
+    part = folder / "transforms.json.part"
+    part.write_text(json.dumps(meta | {"frames": [meta["frames"][k] for k in kept]}, indent=1), encoding="utf-8")
+    part.replace(folder / "transforms.json")
+    return folder

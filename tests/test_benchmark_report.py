@@ -1,0 +1,135 @@
+"""Tables and plots from rows that were made up, whose means are known."""
+
+import re
+import shutil
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip("igl")
+from benchmarks import tables
+from benchmarks.harness import write_row
+from benchmarks.plan import Run
+from benchmarks.report import write_report
+from benchmarks.rows import Results, failures, load
+
+DOCUMENT = Path(__file__).parent.parent / "docs" / "benchmarks.md"
+PRESETS = {"preview": (0.004, 100.0), "balanced": (0.002, 300.0)}
+
+
+def made_up(out: Path, run: Run, error: float, seconds: float, **learned) -> None:
+    """A row as the suite writes it."""
+    rooms = {"capture": 1.0, "fields_learning": seconds / 2, "surface": 1.0, "material_learning": seconds / 2, "asset": 1.0}
+    row = {"run": run.as_row(),
+           "machine": {"system": "Linux", "processor": "a core", "cores": 2, "memory_gb": 8.0, "threads": 1,
+                       "commit": "1234abcd", "date": "2026-11-21"},
+           "learn": {"device": "cpu", "threads": 1, "versions": {"python": "3.11.7", "torch": "2.13.0"}, "seconds": rooms,
+                     "seconds_total": seconds, "cpu_seconds": seconds, "peak_mb": 1000.0, "views": run.views or 60,
+                     "pixels": (run.pixels or 40_000) * (run.views or 60),
+                     "room_cpu_seconds": {"fields_learning": seconds / 2, "surface": 1.0}} | learned,
+           "score": {"cd_visible": error, "cd_full": error, "normal_deg": 1000 * error, "mse_roughness": error,
+                     "mse_metallic": 0.0, "mse_albedo": error, "faces": 10_000, "texture_rows": 256},
+           "relight": {"psnr_mean": 20.0, "ssim_mean": 0.7}}
+    write_row(out / "rows" / f"{run.name}.json", row)
+
+
+@pytest.fixture
+def out(tmp_path) -> Path:
+    """Two captures at two presets with two seeds, one ablation of each stage, a sweep, and one failure."""
+    for number, name in enumerate(("suzanne", "box")):
+        for preset, (error, seconds) in PRESETS.items():
+            for seed in (0, 1):
+                made_up(tmp_path, Run(Path(name), preset, seed=seed), error + 0.001 * seed + 0.002 * number, seconds)
+        whole = Run(Path(name), "preview", "no cones")
+        made_up(tmp_path, whole, 0.006, 70.0, stage_1_of=Run(Path(name), "preview").name)
+        made_up(tmp_path, Run(Path(name), "preview", "plain NeuS colour"), 0.02, 90.0)
+        for views in (8, 16):
+            made_up(tmp_path, Run(Path(name), "balanced", views=views), 0.1 / views, 200.0)
+        made_up(tmp_path, Run(Path(name), "balanced", pixels=10_000), 0.004, 250.0)
+    for roughness in ("0.05", "0.2"):
+        made_up(tmp_path, Run(Path(f"gold_{roughness}"), "balanced"), 0.01, 300.0)
+    made_up(tmp_path, Run(Path("suzanne"), "quality"), 0.001, 900.0)
+    failed = Run(Path("box"), "quality")
+    write_row(tmp_path / "rows" / f"{failed.name}.json",
+              {"run": failed.as_row(), "machine": {"date": "2026-11-20"}, "learn": {"error": "killed after 7200 s"}})
+    return tmp_path
+
+
+def line_of(table: str, *cells: str) -> list[str]:
+    """The cells of the one line that begins with these."""
+    lines = [[cell.strip() for cell in line.strip("|").split("|")] for line in table.splitlines()]
+    (found,) = [line for line in lines if line[: len(cells)] == list(cells)]
+    return found
+
+
+def test_means_are_of_seeds_and_then_of_captures(out):
+    table = tables.presets(Results(load(out)))
+    assert line_of(table, "box", "preview")[2:4] == ["2", "0.0065 ± 0.0005"]
+    assert line_of(table, "suzanne", "balanced")[3] == "0.0025 ± 0.0005"
+    # the mean of 0.0045 and 0.0065; its deviation is 0.0005 / sqrt 2
+    assert line_of(table, "**mean**", "preview")[3] == "**0.0055 ± 0.0004**"
+    assert "gold_0.05" not in table
+
+
+def test_a_stage_1_that_was_taken_over_counts_in_the_cpu_seconds(out):
+    table = tables.ablations(Results(load(out)))
+    assert line_of(table, "no cones")[-2] == "121"  # 70 of its own, 50 of the fields, 1 of the surface
+    assert line_of(table, "plain NeuS colour")[1:4] == ["2", "2", "0.0200"]
+    assert line_of(table, "**full** (preview)")[2:4] == ["4", "0.0055 ± 0.0004"]
+
+
+def test_table_1_shows_the_papers_figures_beside_ours(out):
+    table = tables.table_1(Results(load(out)))
+    header = line_of(table, "scene")
+    suzanne = dict(zip(header, line_of(table, "Suzanne"), strict=True))
+    assert suzanne["*NeP*"] == "*0.00227*" and suzanne["balanced"] == "0.0025 ± 0.0005"
+    assert suzanne["plain NeuS colour (preview)"] == "0.0200" and suzanne["*NeP* r / m / a"] == "*0.001 / 0.022 / 0.029*"
+    bunny = dict(zip(header, line_of(table, "Bunny"), strict=True))
+    assert bunny["*NeRO*"] == "*0.00153*" and bunny["balanced"] == "-"
+    assert dict(zip(header, line_of(table, "Avg."), strict=True))["preview"] == "0.0055 ± 0.0004"
+
+
+def test_costs_are_those_of_the_rows(out):
+    costs = tables.costs(Results(load(out)))
+    line = dict(zip(line_of(costs, "capture"), line_of(costs, "box", "preview"), strict=True))
+    assert line["seconds"] == "100" and line["fields, CPU s"] == "50" and line["texels"] == "65536" and line["MB"] == "1000"
+
+
+def test_sweeps_end_with_all_photos_and_have_the_whole_runs_in_them(out):
+    table = tables.swept(Results(load(out)), "views", "photos")
+    assert [line_of(table, "**mean**", "balanced", views)[3] for views in ("8", "16")] == ["0.0125", "0.0063"]
+    assert line_of(table, "**mean**", "balanced", "60")[3] == "0.0035 ± 0.0004"
+    assert line_of(tables.roughness(Results(load(out))), "0.05", "balanced")[2] == "0.0100"
+
+
+def test_a_failed_run_is_told_and_in_no_mean(out):
+    rows = load(out)
+    assert [message for _, message in failures(rows)] == ["learn: killed after 7200 s"]
+    assert "killed after 7200 s" in tables.failed(rows)
+    table = tables.presets(Results(rows))
+    assert line_of(table, "suzanne", "quality")[3] == "0.0010" and "| box | quality" not in table
+    assert line_of(table, "**mean**", "quality")[3] == "-"  # suzanne alone is no mean of two
+
+
+def test_a_report_replaces_what_is_between_its_markers_alone(out, tmp_path):
+    document, rows = tmp_path / "figures.md", load(out)
+    document.write_text("before\n<!-- presets -->\nold\n<!-- end of presets -->\nafter\n"
+                        "<!-- head -->\n<!-- end of head -->\n")
+    missing = write_report(rows, Results(rows), document)
+    text = document.read_text()
+    assert text.startswith("before\n<!-- presets -->\n| capture") and "\nafter\n" in text and "old" not in text
+    assert "failures" in missing and "presets" not in missing
+    assert "1234abcd" in text and "2026-11-20 to 2026-11-21" in text and "torch 2.13.0" in text
+    write_report(rows, Results(rows), document)
+    assert document.read_text() == text
+    assert write_report(rows, Results(rows), Path(shutil.copy(DOCUMENT, tmp_path))) == []
+
+
+def test_plots_are_small_pictures_and_none_is_made_of_nothing(out, tmp_path):
+    pytest.importorskip("matplotlib", reason="the extra `bench`")
+    from benchmarks.plots import PLOTS, draw_all
+
+    draw_all(Results(load(out)), tmp_path / "figures")
+    assert all(1000 < (tmp_path / "figures" / f"{name}.png").stat().st_size < 150_000 for name in PLOTS)
+    shown = set(re.findall(r"\(benchmarks/(\w+)\.png\)", DOCUMENT.read_text()))
+    assert shown == set(PLOTS)
