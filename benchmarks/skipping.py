@@ -26,7 +26,8 @@ import numpy as np
 
 from benchmarks import geometry, materials
 from benchmarks.derived_captures import VARIANTS, derive
-from benchmarks.harness import markdown, resumed, use_threads
+from benchmarks.harness import markdown
+from benchmarks.in_process import resumed, use_threads
 from blender_nep.capture import load_capture
 from blender_nep.checkpoints import StopRequest, load_state, save_state
 from blender_nep.events import Events
