@@ -12,7 +12,7 @@ from pathlib import Path
 import numba
 import torch
 
-from blender_nep.errors import NepError
+from blender_nep.errors import NepError, Stopped
 from blender_nep.presets import PRESETS, Preset
 
 
@@ -40,10 +40,13 @@ def use_threads(count: int) -> None:
 
 
 def resumed(file: Path, row: dict, run: Callable[[], dict]) -> dict:
-    """What `file` holds; where there is none, `row` with what run() gives or its message, written there."""
+    """What `file` holds; where there is none, `row` with what run() gives or its message, written there. Who is stopped
+    leaves no row."""
     if not file.is_file():
         try:
             row = row | run()
+        except Stopped:
+            raise
         except NepError as error:
             row = row | {"error": str(error)}
         write_row(file, row)
