@@ -43,13 +43,13 @@ class PeerSettings:
     """Paths a pixel"""
     samples_grad: int = 8
     """Other paths a pixel for the gradient, so that it is not correlated with the error"""
-    material_rate: float = 0.02
-    environment_rate: float = 0.03
+    material_rate: float = 0.05
+    environment_rate: float = 0.1
     last_rate: float = 0.05
     """Both rates fall geometrically to this share of themselves"""
-    smoothness: float = 0.0
+    smoothness: float = 0.05
     """Weight of the textures' total variation"""
-    environment_smoothness: float = 0.0
+    environment_smoothness: float = 0.01
     """Weight of the total variation of the logarithm of the environment map"""
 
 

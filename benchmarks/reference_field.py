@@ -33,6 +33,8 @@ class ReferenceField(SurfaceColour):
 
     level_count = 1
     """There is nothing to refine."""
+    cell = 2 / LOOK_CELLS
+    """Width of the cells on which it is looked at, unit frame."""
 
     def __init__(self, initial_radius: float, decomposed: bool = True, width: int = WIDTH, layers: int = LAYERS) -> None:
         super().__init__(width, decomposed, COLOUR_LAYERS)
@@ -105,7 +107,7 @@ class ReferenceField(SurfaceColour):
 
     def near(self, origins: Tensor, directions: Tensor, band: float) -> Tensor:
         """Whether rays [n, 3] come nearer to the surface than `band` [n] bool, on a grid of the SDF."""
-        centres = (torch.arange(LOOK_CELLS + 2) - 0.5) / LOOK_CELLS * 2 - 1
+        centres = torch.arange(-1 - 0.5 * self.cell, 1 + self.cell, self.cell)
         return SplineShape(self._grid(centres)).near(origins, directions, band)
 
     def render(self, origins: Tensor, directions: Tensor, sharpness: float, samples: int,
