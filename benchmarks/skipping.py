@@ -120,7 +120,7 @@ def run(scene: Scene, preset: Preset, seed: int, threads: int, kept: Path, pictu
     test.object_center, test.object_radius = capture.object_center, capture.object_radius
     return {"cpu": rooms.cpu, "seconds": sum(rooms.cpu.values()),
             **geometry.score(rooms.surface, scene.folder, capture, test),
-            **materials.score(rooms.surface, rooms.materials, scene.folder, capture, test, picture),
+            **materials.score(rooms.surface, vars(rooms.materials), scene.folder, capture, test, picture),
             "skipped": rooms.report["skipped"], "skipped_seconds": rooms.report["skipped_seconds"],
             "scene": rooms.report["scene"], "report": rooms.report["rooms"]}
 

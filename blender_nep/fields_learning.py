@@ -19,12 +19,10 @@ from blender_nep.errors import LearningError, Stopped
 from blender_nep.fields import environment_learning
 from blender_nep.fields.environment_field import EnvironmentField
 from blender_nep.fields.object_field import Appearance, ObjectField
-from blender_nep.fields.optimiser import UniformAdam
 from blender_nep.fields.step_guard import StepGuard, usable_gradients, usable_loss
 from blender_nep.fields.visual_hull import background_silhouettes, carve, mask_silhouettes
-from blender_nep.fields.volume_rendering import BAND, render_surface, sphere_interval
+from blender_nep.fields.volume_rendering import BAND, sphere_interval
 from blender_nep.metrics import tone_map
-from blender_nep.ops import bspline
 from blender_nep.presets import Preset
 from blender_nep.profile import profiled, section
 from blender_nep.raytracing import RayTracer
@@ -102,12 +100,13 @@ def dynamic_weight(appearance: Appearance, kind: str, cap: float = 1.5, epsilon:
 class FieldsLearning:
     """The state of stage 1: fields, optimisers, step."""
 
-    def __init__(self, rays: PixelRays, preset: Preset, seed: int, device: torch.device) -> None:
+    def __init__(self, rays: PixelRays, preset: Preset, seed: int, device: torch.device,
+                 object_field: ObjectField | None = None) -> None:
         torch.manual_seed(seed)
         self.rays, self.preset, self.device = rays, preset.fields, device
         self.generator = torch.Generator(device).manual_seed(seed)
         self.environment = EnvironmentField(preset.environment, environment_learning.geometric_mean(rays)).to(device)
-        self.object_field = _object_field(preset, device)
+        self.object_field = object_field or _object_field(preset, device)
         preset = preset.fields
         self.step, self.loss = 0, float("nan")
         self.learned = 0
@@ -118,8 +117,8 @@ class FieldsLearning:
         known = len(rays.outside) >= preset.least_outside * rays.count
         self.background_steps = preset.background_steps if known else 0
         self.start_sharpness = preset.first_sharpness
-        heads = [*self.object_field.surface_head.parameters(), *self.object_field.light_head.parameters()]
-        self.head_optimiser = torch.optim.Adam(heads, lr=preset.head_rate, betas=(0.9, 0.99), fused=True)
+        self.head_optimiser = torch.optim.Adam(self.object_field.colour_parameters(), lr=preset.head_rate, betas=(0.9, 0.99),
+                                               fused=True)
         self._set_levels(preset.first_levels)
         self._refine_environment()
         self.object_pixels = rays.sphere
@@ -155,9 +154,9 @@ class FieldsLearning:
         return len(errors) > p.patience and min(errors[-p.patience:]) > (1 - p.least_gain) * min(errors[:-p.patience])
 
     def _set_levels(self, count: int) -> None:
-        while len(self.object_field.levels) < count:
+        while self.object_field.level_count < count:
             self.object_field.add_level()
-        self.sdf_optimiser = UniformAdam(self.object_field.levels, lr=self.preset.sdf_rate)
+        self.sdf_optimiser = self.object_field.shape_optimiser(self.preset.sdf_rate)
 
     def _refine_environment(self) -> None:
         if self.environment.refine(self.step / self.steps) or self.step == 0:
@@ -181,8 +180,8 @@ class FieldsLearning:
         near = torch.full_like(entry, p.near)
         infinity = torch.full_like(entry, torch.inf)
         n = len(entry)
-        coefficients = self.object_field.coefficients()
-        surface = render_surface(coefficients, origins[meets], directions[meets], self.sharpness, samples, generator)
+        shape = self.object_field.shape()
+        surface = shape.render(origins[meets], directions[meets], self.sharpness, samples, generator)
         normal = functional.normalize(surface.gradient, dim=-1, eps=1e-6)
         with section("appearance"):
             appearance = self.object_field.appearance(surface.point, normal, directions[meets[surface.ray]])
@@ -211,12 +210,11 @@ class FieldsLearning:
         opacities = torch.zeros(n, device=self.device).index_add(0, ray, opacity)
         w_s = dynamic_weight(appearance, p.dynamic_weight if p.decomposition else "none")
         weight = torch.ones(n, 1, device=self.device).index_add(0, ray, opacity.detach()[:, None] * (w_s - 1))
+        nothing = total.sum() * 0
+        eikonal = ((surface.sdf_gradient.norm(dim=-1) - 1) ** 2).mean() if len(ray) else nothing
         with section("curvature"):
-            hessian = bspline.sample(coefficients, surface.point.detach().clamp(-1, 1), hessian=True)[:, 4:]
-        bending = (hessian[:, :3] ** 2).sum(1) + 2 * (hessian[:, 3:] ** 2).sum(1)
-        return Rendering(total, opacities, weight,
-                         ((surface.sdf_gradient.norm(dim=-1) - 1) ** 2).mean() if len(ray) else total.sum() * 0,
-                         (bending + 1).sqrt().mean() if len(ray) else total.sum() * 0, haze)
+            curvature = (shape.bending(surface.point) + 1).sqrt().mean() if len(ray) and p.curvature > 0 else nothing
+        return Rendering(total, opacities, weight, eikonal, curvature, haze)
 
     def _set_environment_rate(self) -> None:
         for group in self.environment_optimiser.param_groups:
@@ -275,16 +273,14 @@ class FieldsLearning:
     @torch.no_grad()
     def _look_for_object(self, block: int = 4) -> None:
         """Sets `object_pixels`: the valid pixels in which the object is seen now, and some around them."""
-        rays, coefficients, found = self.rays, self.object_field.coefficients(), []
+        rays, shape, found = self.rays, self.object_field.shape(), []
         band = BAND / self.sharpness
         for view, (height, width) in enumerate(rays.size):
             row = torch.arange(0, height, block, device=self.device).add(block // 2).clamp(max=height - 1)
             column = torch.arange(0, width, block, device=self.device).add(block // 2).clamp(max=width - 1)
             index = (rays.offset[view] + row[:, None] * width + column).flatten()
             origins, directions, _ = rays.rays(index)
-            entry, leave = sphere_interval(origins, directions)
-            _, count = bspline.march(coefficients, origins, directions, entry, leave, band, 0.5 * band)
-            seen = (count > 0).float().reshape(1, 1, len(row), len(column))
+            seen = shape.near(origins, directions, band).float().reshape(1, 1, len(row), len(column))
             seen = functional.max_pool2d(seen, 3, 1, 1)
             seen = seen[0, 0].repeat_interleave(block, 0)[:height].repeat_interleave(block, 1)[:, :width] > 0
             valid = rays.valid[rays.offset[view]:rays.offset[view + 1]]
@@ -301,7 +297,7 @@ class FieldsLearning:
         p, rays = self.preset, self.rays
         if self.step == self.background_steps:
             self._find_hull()
-        if self.fraction >= p.fine_from and len(self.object_field.levels) < p.last_levels:
+        if self.fraction >= p.fine_from and self.object_field.level_count < p.last_levels:
             self._set_levels(p.last_levels)
         looks = sum(self.fraction >= fraction for fraction in p.look_at)
         if looks > self.looks:
@@ -358,8 +354,7 @@ class FieldsLearning:
         pick = torch.randint(len(self.rays.sphere), (pixels,), generator=self.generator, device=self.device)
         index = self.rays.sphere[pick]
         origins, directions, half_angle = self.rays.rays(index)
-        surface = render_surface(self.object_field.coefficients(), origins, directions, self.sharpness,
-                                 self.preset.samples, None)
+        surface = self.object_field.shape().render(origins, directions, self.sharpness, self.preset.samples, None)
         solid = surface.opacity > 0.9
         ray = surface.ray[solid]
         if len(ray) < 0.001 * pixels:
@@ -376,7 +371,7 @@ class FieldsLearning:
     def state(self) -> dict:
         """Everything that a resumed run needs."""
         return {"step": self.step, "loss": self.loss,
-                "levels": len(self.object_field.levels), "object": self.object_field.state_dict(),
+                "levels": self.object_field.level_count, "object": self.object_field.state_dict(),
                 "environment": self.environment.state_dict(), "sdf_optimiser": self.sdf_optimiser.state_dict(),
                 "head_optimiser": self.head_optimiser.state_dict(),
                 "environment_optimiser": self.environment_optimiser.state_dict(),
@@ -403,9 +398,9 @@ class FieldsLearning:
 
 
 def learn_fields(rays: PixelRays, preset: Preset, *, seed: int, device: torch.device, progress, checkpoint,
-                 surface: Surface | None = None, watch=None) -> Fields:
+                 surface: Surface | None = None, watch=None, object_field: ObjectField | None = None) -> Fields:
     """Learns F_o and F_e from the photos (Sec. 3.2). With `surface` (a known mesh in the unit frame) F_e alone, from the
-    pixels whose rays miss the mesh.
+    pixels whose rays miss the mesh. With `object_field` that one is learned, and not the preset's.
 
     progress(step, steps, loss) is called after every step, and watch(FieldsLearning), which may only look; checkpoint is
     asked whether to save or stop.
@@ -416,7 +411,7 @@ def learn_fields(rays: PixelRays, preset: Preset, *, seed: int, device: torch.de
         environment, report = environment_learning.learn_environment(
             rays, background, preset.environment, seed=seed, device=device, progress=progress, checkpoint=checkpoint)
         return Fields(None, environment, {"skipped": {"object field": "a mesh was given"}, **report})
-    learning = FieldsLearning(rays, preset, seed, device)
+    learning = FieldsLearning(rays, preset, seed, device, object_field)
     state = checkpoint.load()
     if state is not None:
         learning.load(state)

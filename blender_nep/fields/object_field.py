@@ -14,6 +14,8 @@ import torch
 from torch import nn
 
 from blender_nep.fields.encodings import encoding_size, integrated_directional_encoding, positional_encoding
+from blender_nep.fields.optimiser import UniformAdam
+from blender_nep.fields.volume_rendering import SurfaceSamples, render_surface, sphere_interval
 from blender_nep.ops import bspline
 
 FEATURES = 16
@@ -34,26 +36,87 @@ class Appearance:
         return self.albedo * self.light
 
 
-def _mlp(inputs: int, width: int, outputs: int) -> nn.Sequential:
-    return nn.Sequential(nn.Linear(inputs, width), nn.ReLU(), nn.Linear(width, width), nn.ReLU(),
-                         nn.Linear(width, outputs))
+def _mlp(inputs: int, width: int, outputs: int, hidden: int) -> nn.Sequential:
+    layers = [nn.Linear(inputs, width), nn.ReLU()]
+    for _ in range(hidden - 1):
+        layers += [nn.Linear(width, width), nn.ReLU()]
+    return nn.Sequential(*layers, nn.Linear(width, outputs))
 
 
-class ObjectField(nn.Module):
-    """F_o over the unit sphere. `cells` are those of the coarsest SDF level; every `add_level` halves the cell.
+class SurfaceColour(nn.Module):
+    """The colour of F_o's surface by two MLPs of `hidden` layers of `width`.
 
-    `decomposed`: colour by eq. 4; else by one radiance head, as in NeuS."""
+    `decomposed`: by eq. 4; else by one radiance head, as in NeuS."""
 
-    def __init__(self, cells: int, initial_radius: float, width: int = 64, decomposed: bool = True) -> None:
+    def __init__(self, width: int, decomposed: bool, hidden: int = 2) -> None:
         super().__init__()
-        centre = (torch.arange(cells + 2) - 0.5) / cells * 2 - 1
-        x, y, z = torch.meshgrid(centre, centre, centre, indexing="ij")
-        self.levels = nn.ParameterList([nn.Parameter((x * x + y * y + z * z).sqrt() - initial_radius)])
-        self.surface_head = _mlp(3 + 6 * ALBEDO_OCTAVES, width, 4 + FEATURES)
+        self.surface_head = _mlp(3 + 6 * ALBEDO_OCTAVES, width, 4 + FEATURES, hidden)
         self.decomposed = decomposed
         directional = encoding_size(4) if decomposed else 3 + 6 * VIEW_OCTAVES
         light_inputs = FEATURES + directional + 3 + 3 + 6 * LIGHT_OCTAVES
-        self.light_head = _mlp(light_inputs, width, 3)
+        self.light_head = _mlp(light_inputs, width, 3, hidden)
+
+    def appearance(self, points: torch.Tensor, normals: torch.Tensor, directions: torch.Tensor) -> Appearance:
+        """Colour of surface points [n, 3] with unit normals, seen along unit view directions [n, 3] (camera to point)."""
+        raw = self.surface_head(positional_encoding(points, ALBEDO_OCTAVES))
+        albedo, roughness, feature = raw[:, :3].sigmoid(), raw[:, 3:4].sigmoid(), raw[:, 4:]
+        if self.decomposed:
+            cosine = (directions * normals).sum(-1, keepdim=True)
+            directional = integrated_directional_encoding(directions - 2 * cosine * normals, roughness)
+        else:
+            albedo, directional = torch.ones_like(albedo), positional_encoding(directions, VIEW_OCTAVES)
+        light = self.light_head(torch.cat([feature, directional, normals, positional_encoding(points, LIGHT_OCTAVES)],
+                                          -1))
+        return Appearance(albedo, nn.functional.softplus(light), roughness)
+
+    def colour_parameters(self) -> list[nn.Parameter]:
+        """Of both MLPs."""
+        return [*self.surface_head.parameters(), *self.light_head.parameters()]
+
+
+@dataclass
+class SplineShape:
+    """The SDF as it stands now: what a step asks of it, from coefficients [N, N, N] that are summed once."""
+
+    coefficients: torch.Tensor
+
+    def render(self, origins: torch.Tensor, directions: torch.Tensor, sharpness: float, samples: int,
+               generator: torch.Generator | None) -> SurfaceSamples:
+        """The surface composited along rays [n, 3]; rays that meet none are left out."""
+        return render_surface(self.coefficients, origins, directions, sharpness, samples, generator)
+
+    def bending(self, points: torch.Tensor) -> torch.Tensor:
+        """Squared norm [n] of the SDF's Hessian at points [n, 3], which get no gradient."""
+        hessian = bspline.sample(self.coefficients, points.detach().clamp(-1, 1), hessian=True)[:, 4:]
+        return (hessian[:, :3] ** 2).sum(1) + 2 * (hessian[:, 3:] ** 2).sum(1)
+
+    def near(self, origins: torch.Tensor, directions: torch.Tensor, band: float) -> torch.Tensor:
+        """Whether rays [n, 3] come nearer to the surface than `band` [n] bool."""
+        entry, leave = sphere_interval(origins, directions)
+        return bspline.march(self.coefficients, origins, directions, entry, leave, band, 0.5 * band)[1] > 0
+
+
+class ObjectField(SurfaceColour):
+    """F_o over the unit sphere. `cells` are those of the coarsest SDF level; every `add_level` halves the cell."""
+
+    def __init__(self, cells: int, initial_radius: float, width: int = 64, decomposed: bool = True) -> None:
+        super().__init__(width, decomposed)
+        centre = (torch.arange(cells + 2) - 0.5) / cells * 2 - 1
+        x, y, z = torch.meshgrid(centre, centre, centre, indexing="ij")
+        self.levels = nn.ParameterList([nn.Parameter((x * x + y * y + z * z).sqrt() - initial_radius)])
+
+    @property
+    def level_count(self) -> int:
+        """Levels there are now."""
+        return len(self.levels)
+
+    def shape(self) -> SplineShape:
+        """The SDF as it stands now."""
+        return SplineShape(self.coefficients())
+
+    def shape_optimiser(self, rate: float) -> torch.optim.Optimizer:
+        """For the SDF's parameters that there are now."""
+        return UniformAdam(self.levels, lr=rate)
 
     def add_level(self) -> None:
         """Adds a level of half the cell size, zero everywhere: the field does not change."""
@@ -108,16 +171,3 @@ class ObjectField(nn.Module):
             points = torch.stack([x.expand_as(y), y, z], -1).reshape(-1, 3)
             planes.append(bspline.sample(coefficients, points)[:, 0].reshape(n, n).cpu().numpy())
         return np.stack(planes)
-
-    def appearance(self, points: torch.Tensor, normals: torch.Tensor, directions: torch.Tensor) -> Appearance:
-        """Colour of surface points [n, 3] with unit normals, seen along unit view directions [n, 3] (camera to point)."""
-        raw = self.surface_head(positional_encoding(points, ALBEDO_OCTAVES))
-        albedo, roughness, feature = raw[:, :3].sigmoid(), raw[:, 3:4].sigmoid(), raw[:, 4:]
-        if self.decomposed:
-            cosine = (directions * normals).sum(-1, keepdim=True)
-            directional = integrated_directional_encoding(directions - 2 * cosine * normals, roughness)
-        else:
-            albedo, directional = torch.ones_like(albedo), positional_encoding(directions, VIEW_OCTAVES)
-        light = self.light_head(torch.cat([feature, directional, normals, positional_encoding(points, LIGHT_OCTAVES)],
-                                          -1))
-        return Appearance(albedo, nn.functional.softplus(light), roughness)

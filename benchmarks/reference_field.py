@@ -1,0 +1,171 @@
+"""The object field as published: the SDF is an MLP (NeuS, Wang et al. 2021), its normals are autograd's.
+
+Eight layers of 256, softplus, six frequencies, weight normalisation, started as a sphere (Atzmon and Lipman 2020); samples
+all along the ray in the object's sphere, half of them placed where NeuS's weights were found high. Colour is ours, with
+larger MLPs. It takes the place of `ObjectField` in `learn_fields(..., object_field=...)`.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+
+from blender_nep.fields.encodings import positional_encoding
+from blender_nep.fields.object_field import SplineShape, SurfaceColour
+from blender_nep.fields.volume_rendering import SurfaceSamples, neus_weights, sphere_interval
+
+OCTAVES = 6
+LAYERS, WIDTH, SKIP = 8, 256, 4
+COLOUR_LAYERS = 4
+CHUNK = 1 << 16
+"""Points at once where nothing is learned."""
+LOOK_CELLS = 64
+"""Of the grid on which `near` looks for the surface."""
+ROUNDS = 4
+"""In which the samples of the second half are placed, each at twice the sharpness of the one before."""
+
+
+class ReferenceField(SurfaceColour):
+    """F_o over the unit sphere with an MLP for its SDF."""
+
+    level_count = 1
+    """There is nothing to refine."""
+    cell = 2 / LOOK_CELLS
+    """Width of the cells on which it is looked at, unit frame."""
+
+    def __init__(self, initial_radius: float, decomposed: bool = True, width: int = WIDTH, layers: int = LAYERS) -> None:
+        super().__init__(width, decomposed, COLOUR_LAYERS)
+        inputs = 3 + 6 * OCTAVES
+        sizes = [inputs, *[width] * layers]
+        self.layers = nn.ModuleList()
+        for k in range(layers):
+            outputs = sizes[k + 1] - (inputs if k + 1 == SKIP else 0)
+            layer = nn.Linear(sizes[k], outputs)
+            nn.init.zeros_(layer.bias)
+            nn.init.normal_(layer.weight, 0, math.sqrt(2 / outputs))
+            with torch.no_grad():  # a sphere has no frequencies: their weights start at 0
+                if k == 0:
+                    layer.weight[:, 3:] = 0
+                elif k == SKIP:
+                    layer.weight[:, -(inputs - 3):] = 0
+            self.layers.append(nn.utils.parametrizations.weight_norm(layer))
+        last = nn.Linear(width, 1)
+        nn.init.normal_(last.weight, math.sqrt(math.pi / width), 1e-4)
+        nn.init.constant_(last.bias, -initial_radius)
+        self.layers.append(nn.utils.parametrizations.weight_norm(last))
+        self.activation = nn.Softplus(beta=100)
+
+    def shape(self) -> ReferenceField:
+        """The SDF as it stands now: itself."""
+        return self
+
+    def shape_optimiser(self, rate: float) -> torch.optim.Optimizer:
+        """Adam for the SDF's MLP."""
+        return torch.optim.Adam(self.layers.parameters(), lr=rate)
+
+    def values(self, points: Tensor) -> Tensor:
+        """Signed distance [n] at points [n, 3], differentiable."""
+        encoded = positional_encoding(points, OCTAVES)
+        x = encoded
+        for k, layer in enumerate(self.layers[:-1]):
+            if k == SKIP:
+                x = torch.cat([x, encoded], -1) / math.sqrt(2)
+            x = self.activation(layer(x))
+        return self.layers[-1](x)[:, 0]
+
+    def values_and_gradients(self, points: Tensor) -> tuple[Tensor, Tensor]:
+        """Signed distance [n] and its gradient [n, 3], both differentiable where gradients are enabled."""
+        learning = torch.is_grad_enabled()
+        with torch.enable_grad():
+            points = points.detach().requires_grad_()
+            values = self.values(points)
+            gradients, = torch.autograd.grad(values.sum(), points, create_graph=learning)
+        return (values, gradients) if learning else (values.detach(), gradients)
+
+    @torch.no_grad()
+    def sdf(self, points: Tensor) -> Tensor:
+        """Signed distance, negative inside: [n, 3] -> [n]."""
+        return torch.cat([self.values(part) for part in points.split(CHUNK)])
+
+    @torch.no_grad()
+    def normal(self, points: Tensor) -> Tensor:
+        """Unit normals, outward: [n, 3] -> [n, 3]."""
+        gradients = torch.cat([self.values_and_gradients(part)[1] for part in points.split(CHUNK)])
+        return nn.functional.normalize(gradients, dim=-1)
+
+    def sdf_grid(self, n: int) -> np.ndarray:
+        """SDF on n^3 points spanning [-1, 1]^3, index order x, y, z; float32."""
+        return self._grid(torch.linspace(-1, 1, n)).cpu().numpy()
+
+    def _grid(self, axis: Tensor) -> Tensor:
+        axis = axis.to(self.layers[-1].bias)
+        points = torch.stack(torch.meshgrid(axis, axis, axis, indexing="ij"), -1).reshape(-1, 3)
+        return self.sdf(points).reshape(len(axis), len(axis), len(axis))
+
+    def near(self, origins: Tensor, directions: Tensor, band: float) -> Tensor:
+        """Whether rays [n, 3] come nearer to the surface than `band` [n] bool, on a grid of the SDF."""
+        centres = torch.arange(-1 - 0.5 * self.cell, 1 + self.cell, self.cell)
+        return SplineShape(self._grid(centres)).near(origins, directions, band)
+
+    def render(self, origins: Tensor, directions: Tensor, sharpness: float, samples: int,
+               generator: torch.Generator | None) -> SurfaceSamples:
+        """The surface composited along rays [n, 3] that meet the sphere, `samples` on each; every ray is in the result."""
+        if torch.is_grad_enabled():
+            return self._render(origins, directions, sharpness, samples, generator)
+        most = max(1, CHUNK // samples)
+        parts = [self._render(o, d, sharpness, samples, generator)
+                 for o, d in zip(origins.split(most), directions.split(most), strict=True)]
+        joined = {name: torch.cat([getattr(part, name) for part in parts])
+                  for name in ("opacity", "point", "gradient", "sdf_gradient", "depth")}
+        return SurfaceSamples(ray=torch.arange(len(origins), device=origins.device), **joined)
+
+    def _render(self, origins: Tensor, directions: Tensor, sharpness: float, samples: int,
+                generator: torch.Generator | None) -> SurfaceSamples:
+        t = self._place(origins, directions, samples, generator)
+        points = origins[:, None] + t[..., None] * directions[:, None]
+        values, gradients = self.values_and_gradients(points.reshape(-1, 3))
+        values, gradients = values.reshape(t.shape), gradients.reshape(*t.shape, 3)
+        weights = neus_weights(values, sharpness)
+        opacity = weights.sum(1)
+        share = 0.5 * nn.functional.pad(weights, (1, 0)) + 0.5 * nn.functional.pad(weights, (0, 1))
+        depth = (share * t).sum(1) / opacity.clamp(min=1e-6)
+        return SurfaceSamples(torch.arange(len(t), device=t.device), opacity, origins + depth[:, None] * directions,
+                              (share[..., None] * gradients).sum(1), gradients, depth)
+
+    @torch.no_grad()
+    def _place(self, origins: Tensor, directions: Tensor, samples: int, generator: torch.Generator | None) -> Tensor:
+        """Ordered distances [n, samples]: half of them even, half by the weights of those before."""
+        entry, leave = sphere_interval(origins, directions)
+        even = samples // 2
+
+        def uniform(count: int) -> Tensor:
+            """One random number in each of `count` strata [n, count]; their middles without a generator."""
+            shape = (len(origins), count)
+            jitter = (torch.full(shape, 0.5, device=origins.device) if generator is None
+                      else torch.rand(shape, generator=generator, device=origins.device))
+            return (torch.arange(count, device=origins.device) + jitter) / count
+
+        def at(t: Tensor) -> Tensor:
+            return self.sdf((origins[:, None] + t[..., None] * directions[:, None]).reshape(-1, 3)).reshape(t.shape)
+
+        t = entry[:, None] + (leave - entry)[:, None] * uniform(even)
+        values = at(t)
+        rest = samples - even
+        for k in range(ROUNDS):
+            count = rest // ROUNDS + (k < rest % ROUNDS)
+            if not count:
+                continue
+            weights = neus_weights(values, 64.0 * 2**k) + 1e-5
+            cumulative = nn.functional.pad((weights / weights.sum(1, keepdim=True)).cumsum(1), (1, 0))
+            u = uniform(count)
+            above = torch.searchsorted(cumulative, u, right=True).clamp(1, cumulative.shape[1] - 1)
+            low, high = cumulative.gather(1, above - 1), cumulative.gather(1, above)
+            part = (u - low) / (high - low).clamp(min=1e-8)
+            start, end = t.gather(1, above - 1), t.gather(1, above)
+            new = start + part.clamp(0, 1) * (end - start)
+            t, order = torch.cat([t, new], 1).sort(1)
+            values = torch.cat([values, at(new)], 1).gather(1, order)
+        return t

@@ -1,0 +1,151 @@
+"""The slow reference path: large MLPs and many rays, as published, to show what the fast path loses.
+
+    python -m benchmarks.reference_path CAPTURE... [--hours 8] [--steps N] [--threads 1] [--out out/benchmarks/reference]
+
+Stage 1 learns the SDF as an MLP (`benchmarks.reference_field`) with 64 + 64 samples a ray, started as a sphere; F_e, the
+losses and the rest are our own. Stage 2 sends 256 + 128 rays instead of cones, on the reference's own mesh. Scores are those
+of `benchmarks.fields` and `benchmarks.materials`; beside them stand the rows of these two for the preset `balanced`.
+
+Hours are CPU hours of stage 1: a few steps are timed, and as many are planned as fit (`--steps` plans them directly). The
+plan and a checkpoint every 25 seconds or less lie beside the results: the same command goes on where it was ended.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import time
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+
+import torch
+
+from benchmarks import geometry, materials
+from benchmarks.fields import background_psnr
+from benchmarks.harness import markdown, write_row
+from benchmarks.in_process import resumed, use_threads
+from benchmarks.plan import with_changes
+from benchmarks.reference_field import ReferenceField
+from blender_nep.capture import PixelRays, load_capture
+from blender_nep.checkpoints import Checkpoint, NoCheckpoint, StopRequest, load_state, save_state
+from blender_nep.errors import Stopped
+from blender_nep.fields_learning import FieldsLearning, learn_fields
+from blender_nep.material_learning import learn_materials
+from blender_nep.presets import Preset, preset
+from blender_nep.rooms import Rooms
+from blender_nep.surface import extract_surface
+
+REFERENCE = {
+    "fields": {"object_rays": 256, "sphere_rays": 256, "outside_rays": 512, "first_samples": 128, "samples": 128,
+               "sdf_rate": 5e-4, "head_rate": 5e-4, "eikonal": 0.1, "curvature": 0.0, "first_levels": 1, "last_levels": 1,
+               "least_contrast": float("inf"), "patience": 1_000_000},
+    "material": {"use_cones": False, "diffuse_cones": 256, "irradiance_cones": 256, "specular_cones": 128,
+                 "samples": 1500},
+}
+"""`balanced` with NeuS's rays, samples, rates and weights; from a sphere and not from the visual hull, all steps taken.
+Fewer photo samples in stage 2, since each costs as much as 45 do with cones."""
+TIMED_STEPS = 3
+"""Of both fields together, to learn how long one takes."""
+
+
+def step_seconds(rays: PixelRays, settings: Preset, seed: int) -> float:
+    """CPU seconds a step of both fields, on a learning of its own that is thrown away."""
+    settings = with_changes(settings, {"fields": {"background_steps": 0}})
+    learning = FieldsLearning(rays, settings, seed, rays.radiance.device, reference_field(settings))
+    learning.learn_step()
+    start = time.process_time()
+    for _ in range(TIMED_STEPS):
+        learning.learn_step()
+    return (time.process_time() - start) / TIMED_STEPS
+
+
+def reference_field(settings: Preset) -> ReferenceField:
+    """On the CPU; a learning moves it nowhere."""
+    return ReferenceField(settings.fields.initial_radius, settings.fields.decomposition)
+
+
+def planned(file: Path, rays: PixelRays, settings: Preset, hours: float, steps: int | None, seed: int) -> dict:
+    """{"steps", "step_seconds"}: what `file` holds, else made now and written there."""
+    if not file.is_file():
+        seconds = step_seconds(rays, settings, seed)
+        write_row(file, {"step_seconds": seconds, "steps": steps or max(1, round(3600 * hours / seconds))})
+    return json.loads(file.read_text(encoding="utf-8"))
+
+
+def run(folder: Path, hours: float, steps: int | None, seed: int, kept: Path, stop: StopRequest) -> dict:
+    """Stage 1, surface and stage 2 of one capture, and all scores. Raises Stopped, with its checkpoint written."""
+    capture, test = load_capture(folder), load_capture(folder, transforms="transforms_test.json")
+    test.object_center, test.object_radius = capture.object_center, capture.object_radius
+    device = torch.device("cpu")
+    settings = with_changes(replace(preset("balanced"), name="reference"), REFERENCE)
+    rays = PixelRays.from_capture(capture, settings.max_pixels_per_photo, False, device)
+    plan = planned(kept / "plan.json", rays, settings, hours, steps, seed)
+    settings = with_changes(settings, {"fields": {"steps": plan["steps"]}})
+    done = kept / "fields.done.pt"
+    if not done.is_file():
+        checkpoint = Checkpoint(kept, "fields", stop, print)
+
+        def progress(step: int, of: int, loss: float) -> None:
+            if step % 50 == 0:
+                print(f"{folder.name}: step {step} of {of}, loss {loss:.4f}, {checkpoint.seconds():.0f} s", flush=True)
+
+        torch.manual_seed(seed)
+        fields = learn_fields(rays, settings, seed=seed, device=device, progress=progress, checkpoint=checkpoint,
+                              object_field=reference_field(settings))
+        mesh = extract_surface(fields.object_field, settings.surface)
+        save_state(done, {"surface": Rooms().pack_surface(mesh), "environment": fields.environment.state_dict(),
+                          "report": fields.report, "seconds": checkpoint.seconds()})
+        checkpoint.remove()
+    state = load_state(done)
+    surface, _ = Rooms().unpack_surface(state["surface"])
+    environment = Rooms().unpack_fields({"object": None, "environment": state["environment"], "report": {}}, settings,
+                                        device).environment
+    out = plan | {"seconds": state["seconds"], "fields": state["report"]}
+    out |= geometry.score(surface, folder, capture, test)
+    test_rays = PixelRays.from_capture(test, settings.max_pixels_per_photo, False, device)
+    out["background_psnr"] = background_psnr(environment, test_rays, geometry.true_mesh(folder, capture))
+    start = time.process_time()
+    learned = learn_materials(surface, environment, rays, settings.material, seed=seed, device=device,
+                              progress=lambda *_, **__: None, checkpoint=NoCheckpoint())
+    out["material_cpu_seconds"] = time.process_time() - start
+    return out | materials.score(surface, vars(learned), folder, capture, test, kept / "materials.png")
+
+
+COLUMNS = ("steps", "step_seconds", "seconds", "cd_visible", "normal_deg", "mask_iou", "background_psnr",
+           "material_cpu_seconds", "mse_roughness", "mse_metallic", "mse_albedo")
+
+
+def cells(row: dict) -> list:
+    """One line of the table; a failed run shows its message."""
+    return [row["capture"], *(float(row[c]) if c in row else row.get("error", "") for c in COLUMNS)]
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    parser.add_argument("captures", nargs="+", type=Path)
+    parser.add_argument("--hours", type=float, default=8.0)
+    parser.add_argument("--steps", type=int)
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--threads", type=int, default=1)
+    parser.add_argument("--out", type=Path, default=Path("out/benchmarks/reference"))
+    arguments = parser.parse_args()
+    use_threads(arguments.threads)
+    header, rows = ["capture", *COLUMNS], []
+    with StopRequest().signals() as stop:
+        for folder in arguments.captures:
+            kept = arguments.out / f"{folder.name}-{arguments.seed}"
+            kept.mkdir(parents=True, exist_ok=True)
+            row = {"capture": folder.name, "seed": arguments.seed, "threads": arguments.threads}
+            try:
+                row = resumed(kept.with_suffix(".json"), row, partial(run, folder, arguments.hours, arguments.steps,
+                                                                      arguments.seed, kept, stop))
+            except Stopped as stopped:
+                parser.exit(7, f"{stopped}\n")
+            rows.append(cells(row))
+            print(markdown(header, rows[-1:]).splitlines()[-1], flush=True)
+    print("\n" + markdown(header, rows))
+
+
+if __name__ == "__main__":
+    main()
