@@ -46,9 +46,9 @@ def parser() -> argparse.ArgumentParser:
     run.add_argument("--list", action="store_true", help="say what would be run")
     render = commands.add_parser("render", help="render captures in Cycles (needs bpy): what is there is kept")
     render.add_argument("sets", nargs="+", choices=list(SETS))
-    render.add_argument("--views", type=int, default=60)
-    render.add_argument("--size", type=int, default=400)
-    render.add_argument("--samples", type=int, default=20)
+    render.add_argument("--views", type=int, default=40)
+    render.add_argument("--size", type=int, default=256)
+    render.add_argument("--samples", type=int, default=16)
     report = commands.add_parser("report", help="tables and plots of what was run (needs matplotlib)")
     report.add_argument("--write", type=Path, default=Path("docs/benchmarks.md"), help="the document (%(default)s)")
     for command in (run, render, report):

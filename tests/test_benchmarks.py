@@ -9,11 +9,13 @@ import trimesh
 
 pytest.importorskip("igl")
 from benchmarks.geometry import Body, score
+from benchmarks.harness import resumed, with_changes
 from benchmarks.materials import read_channels
-from benchmarks.plan import ABLATIONS, with_changes
+from benchmarks.plan import ABLATIONS
 from benchmarks.scores import score_asset
 from blender_nep.asset import TexturedMesh, write_exr, write_obj
 from blender_nep.capture import load_capture
+from blender_nep.errors import LearningError, Stopped
 from blender_nep.presets import preset
 from blender_nep.surface import Surface, load_surface
 
@@ -46,13 +48,29 @@ def test_an_ablation_changes_the_fields_it_names_and_no_others(changes):
     assert changed == {(part, key) for part, values in changes.items() for key in values}
 
 
+def test_a_failed_run_is_a_row_with_its_message_and_a_done_one_is_not_run_again(tmp_path):
+    def fail():
+        raise LearningError("no surface was found", "look again")
+
+    def stop():
+        raise Stopped("SIGTERM")
+
+    start = {"capture": "a"}
+    assert resumed(tmp_path / "failed.json", start, fail) == start | {"error": "no surface was found"}
+    assert resumed(tmp_path / "done.json", start, lambda: {"seconds": 1.0}) == start | {"seconds": 1.0}
+    assert resumed(tmp_path / "done.json", start, fail)["seconds"] == 1.0
+    with pytest.raises(Stopped):
+        resumed(tmp_path / "stopped.json", start, stop)
+    assert not (tmp_path / "stopped.json").exists()
+
+
 def test_an_asset_that_is_the_truth_scores_perfectly_but_for_what_is_put_in(tmp_path):
     gold = {name: read_channels(CAPTURE / "gt" / "000.exr")[channel] for name, channel in
-            (("albedo", "albedo"), ("roughness", "roughness.V"), ("metallic", "metallic.V"), ("mask", "mask.V"))}
-    inside = gold["mask"] > 0.99
+            (("albedo", "albedo"), ("roughness", "roughness.V"), ("metallic", "metallic.V"), ("confidence", "mask.V"))}
+    inside = gold["confidence"] > 0.99
     asset, picture = tmp_path / "asset", tmp_path / "materials.png"
     (asset / "textures").mkdir(parents=True)
-    for name, wrong in (("albedo", 0.0), ("roughness", 0.1), ("metallic", 0.0)):
+    for name, wrong in (("albedo", 0.0), ("roughness", 0.1), ("metallic", 0.0), ("confidence", 0.0)):
         value = gold[name][inside][0, :3] if name == "albedo" else gold[name][inside][0]
         assert gold[name][inside].std(0).max() < 0.01  # one material
         write_exr(asset / "textures" / f"{name}.exr", np.full((8, 8, *np.shape(value)), value, np.float32) + wrong)
