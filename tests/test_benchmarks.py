@@ -84,3 +84,22 @@ def test_an_asset_that_is_the_truth_scores_perfectly_but_for_what_is_put_in(tmp_
     assert found["mse_roughness"] == pytest.approx(0.01, rel=0.01) and found["true_roughness_deviation"] < 1e-3
     assert picture.is_file() and "background_psnr" not in found
     assert score_asset(tmp_path, asset, preset("preview"), "cpu", picture) == {}
+
+
+def test_relit_pictures_that_differ_by_a_tenth_agree_to_20_decibels_on_the_object_alone():
+    pytest.importorskip("bpy")
+    from benchmarks.relighting import agreement, exposed
+
+    rng = np.random.default_rng(0)
+    true = rng.random((2, 1, 32, 32, 3)).astype(np.float32) * 0.5
+    inside = np.zeros((2, 32, 32), bool)
+    inside[:, 8:24, 8:24] = True
+    beside = true + ~inside[:, None, :, :, None] * 0.3  # what does not belong to the object does not count
+    pairs, inner = [[(a[0], b[0])] for a, b in zip(true, beside, strict=True)], np.zeros_like(inside)
+    inner[:, 11:21, 11:21] = True  # the windows of SSIM are 7 pixels wide
+    assert agreement(pairs, inside)[0] == [pytest.approx(120)] and agreement(pairs, inner)[1] == [pytest.approx(1)]
+    psnr, ssim = agreement([[(a[0], a[0] + np.float32(0.1))] for a in true], inside)
+    assert psnr == [pytest.approx(20, abs=1e-3)] and 0.5 < ssim[0] < 1
+    bright, other = exposed(true[0, 0] * 50, true[0, 0] * 50, inside[0])
+    dark, _ = exposed(true[0, 0], true[0, 0], inside[0])
+    assert bright == pytest.approx(dark, abs=1e-5) and (bright == other).all()
