@@ -93,13 +93,20 @@ def report(out: Path, document: Path) -> int:
 
 def main(arguments: list[str] | None = None) -> int:
     """Returns 1 where a run failed."""
-    options = parser().parse_args(arguments)
+    top = parser()
+    options = top.parse_args(arguments)
     if options.command == "render":
         return render_captures(options)
     if options.command == "report":
         return report(options.out, options.write)
+    captures = [capture.resolve() for capture in options.captures]
+    for capture in captures:
+        if not (capture / "transforms.json").is_file():
+            top.error(f"{capture} is no capture: it has no transforms.json")
+    if len({capture.name for capture in captures}) < len(captures):
+        top.error("two captures have the same name, and rows are told apart by it")
     wanted = {key: tuple(getattr(options, key)) for key in CHOICES if getattr(options, key) is not None}
-    runs = expand(options.plan, options.captures, wanted)
+    runs = expand(options.plan, captures, wanted)
     if options.list:
         print(*(run.name for run in runs), sep="\n")
         return 0

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 pytest.importorskip("fcntl", reason="the suite runs on POSIX systems")
+from benchmarks.__main__ import main
 from benchmarks.harness import Children, read_row
 from benchmarks.plan import ABLATIONS, PLANS, Run, expand
 from benchmarks.step import STAGE_1, _take_stage_1
@@ -45,6 +46,19 @@ def test_a_plan_crosses_what_it_names_and_what_is_wanted_overrides_it():
     everything = {run.name for run in expand(["all"], two, {})}
     assert everything == {run.name for name in PLANS for run in expand([name], two, {})}
     assert len(expand([], two, {"ablation": tuple(ABLATIONS)})) == 2 * len(ABLATIONS)
+
+
+@pytest.mark.parametrize("captures", [[CAPTURE, CAPTURE / "images" / ".."], [CAPTURE.parent / "nothing"]])
+def test_captures_of_one_name_and_folders_that_are_none_are_refused(captures, tmp_path):
+    with pytest.raises(SystemExit):
+        main(["run", *map(str, captures), "--out", str(tmp_path)])
+    assert not list(tmp_path.iterdir())
+
+
+def test_the_list_of_a_plan_is_its_runs(capsys):
+    assert main(["run", str(CAPTURE), "--plan", "views", "--views", "8", "all", "--list"]) == 0
+    assert capsys.readouterr().out.split() == [f"{CAPTURE.name}-balanced-full-8_views-seed_0",
+                                               f"{CAPTURE.name}-balanced-full-seed_0"]
 
 
 def test_only_runs_that_change_stage_2_alone_take_over_a_stage_1():
