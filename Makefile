@@ -2,7 +2,7 @@
 # make test   lint and all tests
 # make lint   lint alone
 # make stress CASES=500 SEED=1   whole small jobs on hostile captures (docs/stress.md); goes on where it was stopped
-# make bench  the whole benchmark plan (days; CAPTURES=... PLAN=presets JOBS=2 for less), then docs/benchmarks.md
+# make bench  the whole benchmark plan, then docs/benchmarks.md (long: CAPTURES="a b" PLAN=presets JOBS=2 for less)
 # make test-blender   the extension in Blender 4.2, 4.5, 5.0 and 5.2 (bpy wheels, 4 GB; needs Python 3.13 too)
 #
 # Everything is installed into .venv, with the versions of constraints.txt; Python 3.11 is needed (bpy 5.0 has no other).

@@ -46,9 +46,9 @@ def parser() -> argparse.ArgumentParser:
     run.add_argument("--list", action="store_true", help="say what would be run")
     render = commands.add_parser("render", help="render captures in Cycles (needs bpy): what is there is kept")
     render.add_argument("sets", nargs="+", choices=list(SETS))
-    render.add_argument("--views", type=int, default=60)
-    render.add_argument("--size", type=int, default=400)
-    render.add_argument("--samples", type=int, default=20)
+    render.add_argument("--views", type=int, default=40)
+    render.add_argument("--size", type=int, default=256)
+    render.add_argument("--samples", type=int, default=16)
     report = commands.add_parser("report", help="tables and plots of what was run (needs matplotlib)")
     report.add_argument("--write", type=Path, default=Path("docs/benchmarks.md"), help="the document (%(default)s)")
     for command in (run, render, report):
@@ -93,13 +93,20 @@ def report(out: Path, document: Path) -> int:
 
 def main(arguments: list[str] | None = None) -> int:
     """Returns 1 where a run failed."""
-    options = parser().parse_args(arguments)
+    top = parser()
+    options = top.parse_args(arguments)
     if options.command == "render":
         return render_captures(options)
     if options.command == "report":
         return report(options.out, options.write)
+    captures = [capture.resolve() for capture in options.captures]
+    for capture in captures:
+        if not (capture / "transforms.json").is_file():
+            top.error(f"{capture} is no capture: it has no transforms.json")
+    if len({capture.name for capture in captures}) < len(captures):
+        top.error("two captures have the same name, and rows are told apart by it")
     wanted = {key: tuple(getattr(options, key)) for key in CHOICES if getattr(options, key) is not None}
-    runs = expand(options.plan, options.captures, wanted)
+    runs = expand(options.plan, captures, wanted)
     if options.list:
         print(*(run.name for run in runs), sep="\n")
         return 0

@@ -1,4 +1,7 @@
-"""What the benchmarks share: steps in processes of their own, rows as JSON files, Markdown tables."""
+"""What the benchmarks share: presets with fields changed, steps in processes of their own, resumable rows, Markdown tables.
+
+Light on purpose: the suite's runner, which is counted into the memory of what it starts, imports no more than this.
+"""
 
 from __future__ import annotations
 
@@ -8,12 +11,29 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
+
+from blender_nep.errors import NepError, Stopped
+from blender_nep.presets import Preset
 
 _POLL = 0.2
 """Seconds between two looks at a running step."""
+
+
+def with_changes(preset: Preset, changes: dict[str, dict]) -> Preset:
+    """The preset with some fields of its parts changed: {"material": {"levels": 1}}."""
+    return replace(preset, **{part: replace(getattr(preset, part), **values) for part, values in changes.items()})
+
+
+def use_threads(count: int) -> None:
+    """For torch and Numba."""
+    import numba
+    import torch
+
+    torch.set_num_threads(count)
+    numba.set_num_threads(min(count, numba.config.NUMBA_NUM_THREADS))
 
 
 @dataclass
@@ -55,6 +75,20 @@ class Children:
         child.stdin.close()
         peak = usage.ru_maxrss / (1 << 20 if sys.platform == "darwin" else 1 << 10)
         return Ended(child.returncode, time.perf_counter() - start, usage.ru_utime + usage.ru_stime, peak, timed_out)
+
+
+def resumed(file: Path, row: dict, run: Callable[[], dict]) -> dict:
+    """What `file` holds; where there is none, `row` with what run() gives or its message, written there. Who is stopped
+    leaves no row."""
+    if not file.is_file():
+        try:
+            row = row | run()
+        except Stopped:
+            raise
+        except NepError as error:
+            row = row | {"error": str(error)}
+        write_row(file, row)
+    return read_row(file)
 
 
 def write_row(file: Path, row: dict) -> None:

@@ -10,8 +10,10 @@ import trimesh
 from PIL import Image
 
 from benchmarks.geometry import Body, camera_rays, true_mesh
+from blender_nep.asset import TEXTURES
 from blender_nep.capture.capture import Capture
 from blender_nep.capture.images import linear_to_srgb
+from blender_nep.material_learning import Materials
 from blender_nep.surface import Surface
 from blender_nep.texels import look_up
 
@@ -23,15 +25,15 @@ def read_channels(path: Path) -> dict[str, np.ndarray]:
     return {name: np.asarray(channel.pixels, np.float32) for name, channel in OpenEXR.File(str(path)).channels().items()}
 
 
-def read_textures(asset: Path) -> dict[str, np.ndarray]:
-    """Albedo [H, W, 3], roughness and metallic [H, W] of an asset, linear."""
-    return {name: next(iter(read_channels(asset / "textures" / f"{name}.exr").values())) for name in CHANNELS}
+def read_materials(asset: Path) -> Materials:
+    """The textures of an asset."""
+    return Materials(**{name: next(iter(read_channels(asset / "textures" / f"{name}.exr").values())) for name in TEXTURES})
 
 
-def score(surface: Surface, textures: dict[str, np.ndarray], folder: Path, capture: Capture, test: Capture,
-          picture: Path, shown: int = 3) -> dict[str, float]:
-    """Mean squared errors of textures [H, W(, 3)] over the test views' pixels that show both surfaces; the first views are
-    drawn, truth beside ours. And the true roughness there, mean and deviation."""
+def score(surface: Surface, materials: Materials, folder: Path, capture: Capture, test: Capture, picture: Path,
+          shown: int = 3) -> dict[str, float]:
+    """Mean squared errors over the test views' pixels that show both surfaces; the first views are drawn, truth beside
+    ours. And the true roughness there, mean and deviation."""
     ours, truth = Body(surface.vertices, surface.faces), true_mesh(folder, capture)
     errors: dict[str, list] = {name: [] for name in CHANNELS}
     rows, roughness = [], []
@@ -49,7 +51,7 @@ def score(surface: Surface, textures: dict[str, np.ndarray], folder: Path, captu
         strip = []
         for name, channels in CHANNELS.items():
             true = gt[name if name == "albedo" else f"{name}.V"].reshape(len(origins), -1)[:, :channels]
-            found = look_up(textures[name], uv).reshape(len(uv), channels)
+            found = look_up(getattr(materials, name), uv).reshape(len(uv), channels)
             errors[name].append(((found - true[ray]) ** 2).mean(1))
             for values, at in ((true[ray], ray), (found, ray)):
                 image = np.zeros((len(origins), 3), np.float32)

@@ -22,8 +22,7 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from benchmarks.harness import markdown
-from benchmarks.in_process import resumed, use_threads
+from benchmarks.harness import markdown, resumed, use_threads
 from benchmarks.materials import score
 from blender_nep.capture import PixelRays, load_capture
 from blender_nep.capture.images import linear_to_srgb
@@ -50,7 +49,7 @@ def run(folder: Path, minutes: float, settings, seed: int, picture: Path) -> dic
     if not all(np.isfinite(x).all() for x in (learned.albedo, learned.roughness, learned.metallic, learned.environment)):
         raise LearningError("the peer diverged: a texture or the environment map is not finite", "lower its rates")
     materials = Materials(learned.albedo, learned.roughness, learned.metallic, np.ones_like(learned.metallic))
-    out |= score(surface, vars(materials), folder, capture, test, picture)
+    out |= score(surface, materials, folder, capture, test, picture)
     light = linear_to_srgb(learned.environment / (1 + learned.environment))
     Image.fromarray((255 * light.clip(0, 1)).astype(np.uint8)).save(picture.with_suffix(".light.png"))
     textures = [learned.albedo, *(np.repeat(x[..., None], 3, -1) for x in (learned.roughness, learned.metallic))]

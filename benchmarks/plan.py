@@ -7,6 +7,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 
+from benchmarks.harness import with_changes
 from blender_nep.presets import PRESETS, Preset
 
 WITHOUT_F_E = "no F_e in stage 2"
@@ -29,11 +30,6 @@ ABLATIONS: dict[str, dict[str, dict]] = {
 }
 """Preset fields that differ from the preset's own. w_s is off and N is 2 in all presets. WITHOUT_F_E is no preset's field:
 all light is a map at infinity, found by the object's reflections alone (the paper puts an MLP there)."""
-
-
-def with_changes(preset: Preset, changes: dict[str, dict]) -> Preset:
-    """The preset with some fields of its parts changed: {"material": {"levels": 1}}."""
-    return replace(preset, **{part: replace(getattr(preset, part), **values) for part, values in changes.items()})
 
 
 @dataclass(frozen=True)

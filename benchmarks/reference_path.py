@@ -23,9 +23,7 @@ import torch
 
 from benchmarks import geometry, materials
 from benchmarks.fields import background_psnr
-from benchmarks.harness import markdown, write_row
-from benchmarks.in_process import resumed, use_threads
-from benchmarks.plan import with_changes
+from benchmarks.harness import markdown, resumed, use_threads, with_changes, write_row
 from benchmarks.reference_field import ReferenceField
 from blender_nep.capture import PixelRays, load_capture
 from blender_nep.checkpoints import Checkpoint, NoCheckpoint, StopRequest, load_state, save_state
@@ -109,7 +107,7 @@ def run(folder: Path, hours: float, steps: int | None, seed: int, kept: Path, st
     learned = learn_materials(surface, environment, rays, settings.material, seed=seed, device=device,
                               progress=lambda *_, **__: None, checkpoint=NoCheckpoint())
     out["material_cpu_seconds"] = time.process_time() - start
-    return out | materials.score(surface, vars(learned), folder, capture, test, kept / "materials.png")
+    return out | materials.score(surface, learned, folder, capture, test, kept / "materials.png")
 
 
 COLUMNS = ("steps", "step_seconds", "seconds", "cd_visible", "normal_deg", "mask_iou", "background_psnr",

@@ -8,6 +8,7 @@ for each light. Needs the `bpy` extra.
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 import bpy
@@ -59,10 +60,28 @@ def rendered_truth(folder: Path, frames: list[Frame], lights: list, size: tuple[
     if not kept.is_file():
         images = render(true_object(folder / "scene.blend"), frames, lights, size, threads)
         kept.parent.mkdir(parents=True, exist_ok=True)
-        part = kept.with_suffix(f".{id(images)}.part.npz")
+        part = kept.with_suffix(f".{os.getpid()}.part.npz")
         np.savez_compressed(part, images=images)
         part.replace(kept)
     return np.load(kept)["images"]
+
+
+def exposed(true: np.ndarray, ours: np.ndarray, inside: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Both renderings [H, W, 3] tone-mapped, with the exposure that suits the true object (`inside` [H, W])."""
+    gain = exposure(true[inside])
+    return tone(gain * true), tone(gain * ours)
+
+
+def agreement(pairs: list[list[tuple[np.ndarray, np.ndarray]]], inside: np.ndarray) -> tuple[list[float], list[float]]:
+    """PSNR in dB and SSIM for each light, of tone-mapped pairs [view][light] over the pixels `inside` [view, H, W]."""
+    psnr, ssim = [], []
+    for of_light in zip(*pairs, strict=True):
+        error = [((a - b) ** 2)[on] for (a, b), on in zip(of_light, inside, strict=True)]
+        alike = [structural_similarity(a, b, channel_axis=2, data_range=1.0, full=True)[1][on]
+                 for (a, b), on in zip(of_light, inside, strict=True)]
+        psnr.append(float(-10 * np.log10(max(np.concatenate(error).mean(), 1e-12))))
+        ssim.append(float(np.concatenate(alike).mean()))
+    return psnr, ssim
 
 
 def compare(folder: Path, asset: Path, picture: Path, kept_truth: Path, threads: int) -> dict:
@@ -75,21 +94,11 @@ def compare(folder: Path, asset: Path, picture: Path, kept_truth: Path, threads:
     size = (PIXELS, round(PIXELS * frames[0].height / frames[0].width))
     truth = rendered_truth(folder, frames, lights, size, threads, kept_truth)
     ours = render(import_asset(asset, bpy.context.scene.collection), frames, lights, size, threads)
-    errors: dict[str, list] = {light.name: [] for light in lights}
-    alike: dict[str, list] = {light.name: [] for light in lights}
-    rows = []
-    for frame, true, found in zip(frames, truth, ours, strict=True):
-        inside, row = mask(folder, frame, *size), []
-        for light, a, b in zip(lights, true, found, strict=True):
-            gain = exposure(a[inside])
-            a, b = tone(gain * a), tone(gain * b)
-            errors[light.name].append(((a - b) ** 2)[inside])
-            ssim = structural_similarity(a, b, channel_axis=2, data_range=1.0, full=True)[1]
-            alike[light.name].append(ssim[inside])
-            row += [linear_to_srgb(np.expm1(np.log(5) * x) / 4) for x in (a, b)]
-        rows.append(np.concatenate(row, 1))
+    names, inside = [light.name for light in lights], np.array([mask(folder, frame, *size) for frame in frames])
+    pairs = [[exposed(a, b, on) for a, b in zip(true, found, strict=True)]
+             for true, found, on in zip(truth, ours, inside, strict=True)]
+    rows = [np.concatenate([linear_to_srgb(np.expm1(np.log(5) * x) / 4) for pair in row for x in pair], 1) for row in pairs]
     Image.fromarray(np.round(255 * np.concatenate(rows)).astype(np.uint8)).save(picture)
-    psnr = {name: float(-10 * np.log10(np.concatenate(e).mean())) for name, e in errors.items()}
-    ssim = {name: float(np.concatenate(e).mean()) for name, e in alike.items()}
-    return {"psnr": psnr, "ssim": ssim, "psnr_mean": float(np.mean(list(psnr.values()))),
-            "ssim_mean": float(np.mean(list(ssim.values())))}
+    psnr, ssim = agreement(pairs, inside)
+    return {"psnr": dict(zip(names, psnr, strict=True)), "ssim": dict(zip(names, ssim, strict=True)),
+            "psnr_mean": float(np.mean(psnr)), "ssim_mean": float(np.mean(ssim))}

@@ -27,19 +27,19 @@ def score_asset(folder: Path, asset: Path, preset: Preset, device: str, picture:
         return {}
     capture, test = load_capture(folder), load_capture(folder, transforms="transforms_test.json")
     test.object_center, test.object_radius = capture.object_center, capture.object_radius
-    surface, textures = load_surface(asset / "mesh.obj", capture, preset.surface), materials.read_textures(asset)
-    out = {"faces": len(surface.faces), "texture_rows": len(textures["albedo"])}
+    surface, learned = load_surface(asset / "mesh.obj", capture, preset.surface), materials.read_materials(asset)
+    out = {"faces": len(surface.faces), "texture_rows": len(learned.albedo)}
     out |= geometry.score(surface, folder, capture, test)
-    out |= materials.score(surface, textures, folder, capture, test, picture)
-    learned = asset / "checkpoints" / "fields_learning.done.pt"
-    if learned.is_file():
-        out["background_psnr"] = _background_psnr(folder, asset, learned, capture, test, preset, choose_device(device))
+    out |= materials.score(surface, learned, folder, capture, test, picture)
+    kept = asset / "checkpoints" / "fields_learning.done.pt"
+    if kept.is_file():
+        out["background_psnr"] = _background_psnr(folder, asset, kept, capture, test, preset, choose_device(device))
     return out
 
 
-def _background_psnr(folder: Path, asset: Path, learned: Path, capture: Capture, test: Capture, preset: Preset,
+def _background_psnr(folder: Path, asset: Path, kept: Path, capture: Capture, test: Capture, preset: Preset,
                      device: torch.device) -> float:
-    environment = Rooms().unpack_fields(load_state(learned)["result"], preset, device).environment
+    environment = Rooms().unpack_fields(load_state(kept)["result"], preset, device).environment
     sphere = read_row(asset / "report.json")["capture"]  # F_e lives around the sphere of its own job
     for one in (capture, test):
         one.object_center, one.object_radius = np.array(sphere["object_center"]), sphere["object_radius"]

@@ -26,8 +26,7 @@ import numpy as np
 
 from benchmarks import geometry, materials
 from benchmarks.derived_captures import VARIANTS, derive
-from benchmarks.harness import markdown
-from benchmarks.in_process import resumed, use_threads
+from benchmarks.harness import markdown, resumed, use_threads
 from blender_nep.capture import load_capture
 from blender_nep.checkpoints import StopRequest, load_state, save_state
 from blender_nep.events import Events
@@ -120,7 +119,7 @@ def run(scene: Scene, preset: Preset, seed: int, threads: int, kept: Path, pictu
     test.object_center, test.object_radius = capture.object_center, capture.object_radius
     return {"cpu": rooms.cpu, "seconds": sum(rooms.cpu.values()),
             **geometry.score(rooms.surface, scene.folder, capture, test),
-            **materials.score(rooms.surface, vars(rooms.materials), scene.folder, capture, test, picture),
+            **materials.score(rooms.surface, rooms.materials, scene.folder, capture, test, picture),
             "skipped": rooms.report["skipped"], "skipped_seconds": rooms.report["skipped_seconds"],
             "scene": rooms.report["scene"], "report": rooms.report["rooms"]}
 

@@ -13,7 +13,7 @@ from blender_nep.presets import PRESETS
 SCORES = {
     "cd_visible": ("cd visible", 4), "cd_full": ("cd full", 4), "fscore_005": ("F 0.005", 2),
     "normal_deg": ("normals, °", 1), "mask_iou": ("IoU", 3), "background_psnr": ("F_e, dB", 1),
-    "mse_roughness": ("roughness", 4), "mse_metallic": ("metallic", 3), "mse_albedo": ("albedo", 4),
+    "mse_roughness": ("roughness", 5), "mse_metallic": ("metallic", 4), "mse_albedo": ("albedo", 5),
     "psnr_mean": ("relit, dB", 1), "ssim_mean": ("SSIM", 3),
 }
 """Figure -> heading and digits."""

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
+import os
 from pathlib import Path
 
 import numpy as np
@@ -28,10 +30,10 @@ def with_fewer_views(capture: Path, count: int, folder: Path) -> Path:
     kept = sorted(spread(positions, count))
     folder.mkdir(parents=True, exist_ok=True)
     for entry in capture.iterdir():
-        link = folder / entry.name
-        if entry.name != "transforms.json" and not link.is_symlink():
-            link.symlink_to(entry.resolve())
-    part = folder / "transforms.json.part"
+        if entry.name != "transforms.json":
+            with contextlib.suppress(FileExistsError):  # another run writes the same
+                (folder / entry.name).symlink_to(entry.resolve())
+    part = folder / f"transforms.{os.getpid()}.part"
     part.write_text(json.dumps(meta | {"frames": [meta["frames"][k] for k in kept]}, indent=1), encoding="utf-8")
     part.replace(folder / "transforms.json")
     return folder

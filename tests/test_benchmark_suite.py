@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 pytest.importorskip("fcntl", reason="the suite runs on POSIX systems")
+from benchmarks.__main__ import main
 from benchmarks.harness import Children, read_row
 from benchmarks.plan import ABLATIONS, PLANS, Run, expand
 from benchmarks.step import STAGE_1, _take_stage_1
@@ -45,6 +46,19 @@ def test_a_plan_crosses_what_it_names_and_what_is_wanted_overrides_it():
     everything = {run.name for run in expand(["all"], two, {})}
     assert everything == {run.name for name in PLANS for run in expand([name], two, {})}
     assert len(expand([], two, {"ablation": tuple(ABLATIONS)})) == 2 * len(ABLATIONS)
+
+
+@pytest.mark.parametrize("captures", [[CAPTURE, CAPTURE / "images" / ".."], [CAPTURE.parent / "nothing"]])
+def test_captures_of_one_name_and_folders_that_are_none_are_refused(captures, tmp_path):
+    with pytest.raises(SystemExit):
+        main(["run", *map(str, captures), "--out", str(tmp_path)])
+    assert not list(tmp_path.iterdir())
+
+
+def test_the_list_of_a_plan_is_its_runs(capsys):
+    assert main(["run", str(CAPTURE), "--plan", "views", "--views", "8", "all", "--list"]) == 0
+    assert capsys.readouterr().out.split() == [f"{CAPTURE.name}-balanced-full-8_views-seed_0",
+                                               f"{CAPTURE.name}-balanced-full-seed_0"]
 
 
 def test_only_runs_that_change_stage_2_alone_take_over_a_stage_1():
@@ -111,9 +125,9 @@ def test_a_run_that_takes_over_a_stage_1_waits_for_it(tmp_path):
             return super()._step(step, run, asset)
 
     suite = Slow(tmp_path)
-    suite.run_all([Run(CAPTURE), Run(CAPTURE, ablation="no cones"), Run(CAPTURE, ablation="no curvature")], 3)
-    order = [name for step, name in suite.done if step == "learn"]
-    assert order == [Run(CAPTURE, ablation=name).name for name in ("no curvature", "full", "no cones")]
+    full, other = Run(CAPTURE), Run(CAPTURE, ablation="no cones")
+    suite.run_all([full, other], 2)
+    assert suite.done == [(step, run.name) for run in (full, other) for step in ("learn", "score")]
 
 
 def test_a_step_that_crashes_or_hangs_is_an_error(tmp_path):
@@ -141,7 +155,7 @@ def test_memory_and_cpu_seconds_are_those_of_the_step_alone(tmp_path):
                          cwd=CAPTURE.parent.parent)
     eater, _, worker, worker_seconds = map(float, run.stdout.split())
     assert 280 < eater < 400 and worker < 100
-    assert worker_seconds > 0.1
+    assert worker_seconds > 0.02
 
 
 def test_fewer_views_are_spread_and_are_the_beginning_of_more():

@@ -9,11 +9,13 @@ import trimesh
 
 pytest.importorskip("igl")
 from benchmarks.geometry import Body, score
+from benchmarks.harness import resumed, with_changes
 from benchmarks.materials import read_channels
-from benchmarks.plan import ABLATIONS, with_changes
+from benchmarks.plan import ABLATIONS
 from benchmarks.scores import score_asset
 from blender_nep.asset import TexturedMesh, write_exr, write_obj
 from blender_nep.capture import load_capture
+from blender_nep.errors import LearningError, Stopped
 from blender_nep.presets import preset
 from blender_nep.surface import Surface, load_surface
 
@@ -46,13 +48,29 @@ def test_an_ablation_changes_the_fields_it_names_and_no_others(changes):
     assert changed == {(part, key) for part, values in changes.items() for key in values}
 
 
+def test_a_failed_run_is_a_row_with_its_message_and_a_done_one_is_not_run_again(tmp_path):
+    def fail():
+        raise LearningError("no surface was found", "look again")
+
+    def stop():
+        raise Stopped("SIGTERM")
+
+    start = {"capture": "a"}
+    assert resumed(tmp_path / "failed.json", start, fail) == start | {"error": "no surface was found"}
+    assert resumed(tmp_path / "done.json", start, lambda: {"seconds": 1.0}) == start | {"seconds": 1.0}
+    assert resumed(tmp_path / "done.json", start, fail)["seconds"] == 1.0
+    with pytest.raises(Stopped):
+        resumed(tmp_path / "stopped.json", start, stop)
+    assert not (tmp_path / "stopped.json").exists()
+
+
 def test_an_asset_that_is_the_truth_scores_perfectly_but_for_what_is_put_in(tmp_path):
     gold = {name: read_channels(CAPTURE / "gt" / "000.exr")[channel] for name, channel in
-            (("albedo", "albedo"), ("roughness", "roughness.V"), ("metallic", "metallic.V"), ("mask", "mask.V"))}
-    inside = gold["mask"] > 0.99
+            (("albedo", "albedo"), ("roughness", "roughness.V"), ("metallic", "metallic.V"), ("confidence", "mask.V"))}
+    inside = gold["confidence"] > 0.99
     asset, picture = tmp_path / "asset", tmp_path / "materials.png"
     (asset / "textures").mkdir(parents=True)
-    for name, wrong in (("albedo", 0.0), ("roughness", 0.1), ("metallic", 0.0)):
+    for name, wrong in (("albedo", 0.0), ("roughness", 0.1), ("metallic", 0.0), ("confidence", 0.0)):
         value = gold[name][inside][0, :3] if name == "albedo" else gold[name][inside][0]
         assert gold[name][inside].std(0).max() < 0.01  # one material
         write_exr(asset / "textures" / f"{name}.exr", np.full((8, 8, *np.shape(value)), value, np.float32) + wrong)
@@ -66,3 +84,22 @@ def test_an_asset_that_is_the_truth_scores_perfectly_but_for_what_is_put_in(tmp_
     assert found["mse_roughness"] == pytest.approx(0.01, rel=0.01) and found["true_roughness_deviation"] < 1e-3
     assert picture.is_file() and "background_psnr" not in found
     assert score_asset(tmp_path, asset, preset("preview"), "cpu", picture) == {}
+
+
+def test_relit_pictures_that_differ_by_a_tenth_agree_to_20_decibels_on_the_object_alone():
+    pytest.importorskip("bpy")
+    from benchmarks.relighting import agreement, exposed
+
+    rng = np.random.default_rng(0)
+    true = rng.random((2, 1, 32, 32, 3)).astype(np.float32) * 0.5
+    inside = np.zeros((2, 32, 32), bool)
+    inside[:, 8:24, 8:24] = True
+    beside = true + ~inside[:, None, :, :, None] * 0.3  # what does not belong to the object does not count
+    pairs, inner = [[(a[0], b[0])] for a, b in zip(true, beside, strict=True)], np.zeros_like(inside)
+    inner[:, 11:21, 11:21] = True  # the windows of SSIM are 7 pixels wide
+    assert agreement(pairs, inside)[0] == [pytest.approx(120)] and agreement(pairs, inner)[1] == [pytest.approx(1)]
+    psnr, ssim = agreement([[(a[0], a[0] + np.float32(0.1))] for a in true], inside)
+    assert psnr == [pytest.approx(20, abs=1e-3)] and 0.5 < ssim[0] < 1
+    bright, other = exposed(true[0, 0] * 50, true[0, 0] * 50, inside[0])
+    dark, _ = exposed(true[0, 0], true[0, 0], inside[0])
+    assert bright == pytest.approx(dark, abs=1e-5) and (bright == other).all()
