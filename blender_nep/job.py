@@ -31,7 +31,7 @@ from blender_nep.job_folder import JobFolder
 from blender_nep.presets import Preset
 from blender_nep.rooms import Rooms
 from blender_nep.run_folder import RunFolder, fingerprint, refuse_other_run
-from blender_nep.scene_analysis import SceneAnalysis, SurfaceAnalysis
+from blender_nep.scene_analysis import SceneAnalysis, SurfaceAnalysis, seconds_of_cones
 from blender_nep.scene_report import SceneReport
 
 ROOMS = ("capture", "fields_learning", "surface", "material_learning", "asset")
@@ -214,6 +214,8 @@ class Job:
             self.rooms.pack_materials,
             self.rooms.unpack_materials,
         )
+        gathering = materials.report.get("seconds", {}).get("light", 0.0)
+        self.scene.skip({}, seconds_of_cones(s.preset.material, plan.preset.material, gathering))
         margin = materials.report.get("metal_or_not_margin")
         if margin is not None and margin < _DOUBT:
             self.events.warning("the photos hardly tell whether the object is metal: where the result is wrong, say so "
