@@ -190,6 +190,9 @@ class Job:
             self.rooms.pack_fields,
             lambda state: self.rooms.unpack_fields(state, preset, self.device),
         )
+        learned = fields.report
+        if "of_steps" in learned:
+            self.scene.stopped_early(learned["steps"], learned["of_steps"], self.seconds["fields_learning"])
         surface, surface_report = given or self._room(
             "surface",
             lambda *_: self.rooms.extract_surface(fields.object_field, preset.surface),
