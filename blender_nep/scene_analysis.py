@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from blender_nep.presets import MaterialPreset, Preset
     from blender_nep.surface import Surface
 
-HARDLY_SEES_ITSELF = 0.03
+HARDLY_SEES_ITSELF = 0.01
 """Self-visibility under which what the object reflects of itself is less than what its light is known to."""
 SECOND_BOUNCE = 0.15
 """Self-visibility from which on light is followed for a second bounce: less than its square comes that way."""
@@ -118,7 +118,7 @@ class SceneAnalysis:
             preset = replace(preset, environment=replace(preset.environment, model="none"))
             skipped["environment field"] = "the photos are cut-outs: no surroundings to learn"
         if preset.material.metallic == (1.0,):
-            preset = replace(preset, material=replace(preset.material, irradiance_cones=0))
+            preset = replace(preset, material=replace(preset.material, irradiance_cones=0, diffuse_cones=0))
             skipped["irradiance"] = "the object is metal, which has no diffuse light"
         return Plan(preset, skipped)
 
