@@ -1,8 +1,8 @@
 """The engine: `python -m blender_nep` in another process, with its own Python that has torch. No bpy in this file.
 
-It is followed by files, so that nothing is lost when Blender ends: its events (JSON lines: job, progress, preview, warning,
-done, error) and its log. They lie in a temporary folder until the engine has agreed to work in the output folder, from
-then on in `OUT/job/`, where `Engine.attach` finds a running or ended job again.
+It is followed by files, so that nothing is lost when Blender ends: its events (JSON lines: job, progress, preview, scene,
+warning, done, error) and its log. They lie in a temporary folder until the engine has agreed to work in the output folder,
+from then on in `OUT/job/`, where `Engine.attach` finds a running or ended job again.
 """
 import os
 import re

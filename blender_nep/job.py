@@ -33,7 +33,7 @@ from blender_nep.presets import Preset
 from blender_nep.profile import Profile, profiled, section
 from blender_nep.rooms import Rooms
 from blender_nep.run_folder import RunFolder, fingerprint, refuse_other_run
-from blender_nep.scene_analysis import SceneAnalysis, SurfaceAnalysis
+from blender_nep.scene_analysis import SceneAnalysis, SurfaceAnalysis, seconds_of_cones
 from blender_nep.scene_report import SceneReport
 
 ROOMS = ("capture", "fields_learning", "surface", "material_learning", "asset")
@@ -205,6 +205,9 @@ class Job:
             self.rooms.pack_fields,
             lambda state: self.rooms.unpack_fields(state, preset, self.device),
         )
+        learned = fields.report
+        if "of_steps" in learned:
+            self.scene.stopped_early(learned["steps"], learned["of_steps"], self.seconds["fields_learning"])
         surface, surface_report = given or self._room(
             "surface",
             lambda *_: self.rooms.extract_surface(fields.object_field, preset.surface),
@@ -232,6 +235,8 @@ class Job:
         left_out = fields.report.get("steps_not_finite")
         if left_out:
             self.events.warning(f"{left_out} steps of fields learning were left out: their loss or gradient was not finite")
+        gathering = materials.report.get("seconds", {}).get("light", 0.0)
+        self.scene.skip({}, seconds_of_cones(s.preset.material, plan.preset.material, gathering))
         margin = materials.report.get("metal_or_not_margin")
         if margin is not None and margin < _DOUBT:
             self.events.warning("the photos hardly tell whether the object is metal: where the result is wrong, say so "

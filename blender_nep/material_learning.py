@@ -49,6 +49,7 @@ _SHADES = 2.5
 """Albedo that a dielectric may seem to have where F_e is too dark, until shades of one hue are merged."""
 _NO_LIGHT = 0.02
 """Share of the light below which photos show none of it."""
+_ASKING = "asking again whether it is metal"
 
 
 @dataclass
@@ -88,6 +89,8 @@ class _MaterialLearner:
         self.state: dict = {}
         self.sure_of: Tensor | None = None
         """[K] metallic of the palette's materials, where the photos have told it clearly"""
+        self.asking = 0.0
+        """Seconds that it took to ask, the last time"""
         tracer = RayTracer(surface.vertices, surface.faces)
         self.samples: PhotoSamples = select_samples(
             rays, tracer, surface.normals, count=preset.samples, least_cosine=preset.least_cosine,
@@ -178,7 +181,8 @@ class _MaterialLearner:
         if len(p.metallic) == 1:
             return None
         if self.sure_of is not None and torch.equal(self.sure_of, self.palette.metallic):
-            self._skip("asking again whether it is metal", "the photos have told it clearly")
+            before = self.report.get("seconds_saved", {}).get(_ASKING, 0.0)
+            self._skip(_ASKING, "the photos have told it clearly", before + self.asking)
             return None
         cost, albedo = self._scan(self.label, len(self.palette))
         for i, metallic in enumerate(p.metallic):
@@ -328,12 +332,20 @@ class _MaterialLearner:
             return
         if light.unseen is None:
             self._add_unseen_light(0.0)
+        trials, start = [], time.monotonic()
+
+        def tried() -> None:
+            trials.append(time.monotonic())
+            self._step(self.done)
+
+        others = self._opposites()
+        scan = time.monotonic() - start
         light.unseen, self.palette, margins = learn_unseen_light(
-            light, self.palette, self._opposites(), self.label, self.target, p, self.generator,
-            lambda: self._step(self.done))
+            light, self.palette, others, self.label, self.target, p, self.generator, tried)
         if margins:
             self.report["metal_or_not_margin"] = round(min(margins), 4)
             self.sure_of = self.palette.metallic if min(margins) >= p.sure_margin else None
+            self.asking = scan + trials[len(margins)] - trials[0]
         self.f_p.unseen = light.unseen
         light.add_unseen()
         self._residual()

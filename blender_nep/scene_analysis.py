@@ -18,10 +18,10 @@ from blender_nep.raytracing import RayTracer
 
 if TYPE_CHECKING:
     from blender_nep.capture import PixelRays
-    from blender_nep.presets import Preset
+    from blender_nep.presets import MaterialPreset, Preset
     from blender_nep.surface import Surface
 
-HARDLY_SEES_ITSELF = 0.03
+HARDLY_SEES_ITSELF = 0.01
 """Self-visibility under which what the object reflects of itself is less than what its light is known to."""
 SECOND_BOUNCE = 0.15
 """Self-visibility from which on light is followed for a second bounce: less than its square comes that way."""
@@ -118,7 +118,7 @@ class SceneAnalysis:
             preset = replace(preset, environment=replace(preset.environment, model="none"))
             skipped["environment field"] = "the photos are cut-outs: no surroundings to learn"
         if preset.material.metallic == (1.0,):
-            preset = replace(preset, material=replace(preset.material, irradiance_cones=0))
+            preset = replace(preset, material=replace(preset.material, irradiance_cones=0, diffuse_cones=0))
             skipped["irradiance"] = "the object is metal, which has no diffuse light"
         return Plan(preset, skipped)
 
@@ -180,6 +180,14 @@ class SurfaceAnalysis:
                 p = replace(p, ladder=rungs, least_roughness=max(p.least_roughness, rungs[0]))
                 skipped["narrow cones"] = "the object is matte: nothing in it mirrors"
         return Plan(replace(preset, material=p), skipped)
+
+
+def seconds_of_cones(whole: MaterialPreset, less: MaterialPreset, seconds: float) -> dict[str, float]:
+    """Seconds that the cones left out of `whole` would have taken, where those of `less` took `seconds`."""
+    rungs = len(whole.ladder) - len(less.ladder)
+    left_out = {"irradiance": whole.irradiance_cones - less.irradiance_cones, "narrow cones": rungs * whole.specular_cones}
+    traced = less.irradiance_cones + len(less.ladder) * less.specular_cones
+    return {what: seconds * cones / traced for what, cones in left_out.items() if cones}
 
 
 def self_visibility(tracer: RayTracer, rng: np.random.Generator, points: int = 4000, directions: int = 8) -> float:

@@ -49,6 +49,12 @@ class SceneReport:
         if new:
             self._tell(_lines(new, seconds))
 
+    def stopped_early(self, steps: int, of_steps: int, seconds: float) -> None:
+        """Stage 1 has taken `steps` steps in `seconds`, of as many as the preset allows."""
+        if steps < of_steps:
+            self.skip({"further steps of both fields": "the error on held-out pixels did not fall any more"},
+                      {"further steps of both fields": seconds * (of_steps - steps) / steps})
+
     def report(self) -> dict:
         """For report.json."""
         return {"scene": {**self.facts, "sentences": self.sentences}, "skipped": self.skipped,

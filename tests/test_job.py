@@ -64,6 +64,11 @@ def test_a_job_ends_with_an_asset_and_tells_how_far_it_is(start):
 
 def test_what_the_scene_needs_is_told_before_it_is_done_and_stands_in_the_report(start):
     class Asked(BallRooms):
+        def learn_fields(self, *arguments, **keywords):
+            found = super().learn_fields(*arguments, **keywords)
+            found.report |= {"steps": 60, "of_steps": 90}
+            return found
+
         def learn_materials(self, surface, environment, rays, preset, **keywords):
             asked.append(preset.levels)
             found = super().learn_materials(surface, environment, rays, preset, **keywords)
@@ -74,15 +79,17 @@ def test_what_the_scene_needs_is_told_before_it_is_done_and_stands_in_the_report
     _, events = start(Asked())
     names = [e["event"] if e["event"] != "progress" else e["room"] for e in events]
     told = [e["lines"] for e in events if e["event"] == "scene"]
-    assert names.index("scene") < names.index("fields_learning") and len(told) == 4
+    assert names.index("scene") < names.index("fields_learning") and len(told) == 5, told
     assert "Masks are there and are used." in told[0]
     left_out = "Left out: indirect light, because the object is convex: it does not see itself."
-    assert left_out in told[1] and left_out not in told[0]
+    assert left_out in told[2] and left_out not in told[1]
+    assert any(line.startswith("Left out: further steps") for line in told[1])
     assert told[-1][-1] == "Left out: fine textures, because a reason (saves about 3 s)."
     report = json.loads((start.out / "report.json").read_text())
     assert report["scene"]["photos"]["masks"] and report["scene"]["surface"]["self_visibility"] == 0
     assert report["scene"]["sentences"] == [*told[0][:4], "The object is convex: it does not see itself."]
-    assert report["skipped_seconds"] == {"fine textures": 3.14}
+    assert report["skipped_seconds"] == {"fine textures": 3.14, "further steps of both fields": pytest.approx(
+        report["seconds"]["fields_learning"] / 2, abs=0.02)}
     assert "seconds_saved" not in report["rooms"]["material_learning"]
     start(Asked(), overwrite=True, preset=replace(preset("preview"), skip_needless=False))
     assert asked == [0, preset("preview").material.levels]

@@ -16,7 +16,7 @@ from blender_nep.fields.environment_field import EnvironmentField
 from blender_nep.fields_learning import FieldsLearning
 from blender_nep.presets import preset
 from blender_nep.raytracing import RayTracer
-from blender_nep.scene_analysis import Plan, SceneAnalysis, SurfaceAnalysis, self_visibility
+from blender_nep.scene_analysis import Plan, SceneAnalysis, SurfaceAnalysis, seconds_of_cones, self_visibility
 from blender_nep.surface import Surface
 
 CPU = torch.device("cpu")
@@ -171,3 +171,15 @@ def test_facts_are_plain_and_finite(make_capture):
     photos, rays = look(make_capture())
     facts = [photos.facts(), SurfaceAnalysis.of(ball_surface(), rays).facts()]
     assert json.loads(json.dumps(facts, allow_nan=False)) == facts
+
+
+def test_known_metal_gathers_no_irradiance_and_the_saving_is_in_proportion(make_capture):
+    p = preset("preview")
+    metal = replace(p, material=replace(p.material, metallic=(1.0,)))
+    photos, _ = look(make_capture())
+    plan = photos.plan(metal)
+    assert plan.preset.material.irradiance_cones == 0 and set(plan.skipped) == {"irradiance"}
+    assert not photos.plan(p).skipped
+    cones = len(p.material.ladder) * p.material.specular_cones
+    saved = seconds_of_cones(p.material, plan.preset.material, 10.0)
+    assert saved == {"irradiance": pytest.approx(10 * p.material.irradiance_cones / cones)}
