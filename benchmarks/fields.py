@@ -16,12 +16,12 @@ from blender_nep.raytracing import RayTracer
 
 def background_psnr(environment: EnvironmentField, test_rays: PixelRays, truth: Body) -> float:
     """Tone-mapped PSNR (dB) of F_e on the test views' pixels whose rays miss the true mesh."""
-    beside = [test_rays.outside]
     tracer = RayTracer(np.asarray(truth.mesh.vertices), np.asarray(truth.mesh.faces))
-    origins, directions, _ = test_rays.rays(test_rays.sphere)
-    beside.append(test_rays.sphere[~torch.from_numpy(tracer.occluded(origins.numpy(), directions.numpy()))])
+    sphere = test_rays.sphere.tensor()
+    origins, directions, _ = test_rays.rays(sphere)
+    beside = sphere[~torch.from_numpy(tracer.occluded(origins.numpy(), directions.numpy()))]
     errors = []
-    for index in torch.cat(beside).split(1 << 16):
+    for index in torch.cat([test_rays.outside.tensor(), beside]).split(1 << 16):
         origins, directions, half_angle = test_rays.rays(index)
         near = torch.full_like(half_angle, environment.preset.camera_near)
         with torch.no_grad():

@@ -159,8 +159,9 @@ def object_and_background(rays: PixelRays, surface: Surface) -> tuple[Tensor, Te
     """Indices of the valid pixels whose whole neighbourhood of five shows the mesh, and of those where none does."""
     tracer = RayTracer(surface.vertices, surface.faces)
     hit = torch.zeros(rays.count, dtype=torch.bool)
-    origins, directions, _ = rays.rays(rays.sphere)
-    hit[rays.sphere] = torch.from_numpy(tracer.occluded(origins.numpy(), directions.numpy()))
+    sphere = rays.sphere.tensor()
+    origins, directions, _ = rays.rays(sphere)
+    hit[sphere] = torch.from_numpy(tracer.occluded(origins.numpy(), directions.numpy()))
     inner, near = hit.clone(), hit.clone()
     for view, (height, width) in enumerate(rays.size):
         part = slice(rays.offset[view], rays.offset[view + 1])
