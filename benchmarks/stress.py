@@ -51,10 +51,10 @@ TROUBLES = {
     "pixels": ["nan", "negative", "inf", "huge", "saturated", "white", "black", "one_black", "one_nan", "most_nan", "noise",
                "flat"],
     "evidence": [True], "threads": [2], "bfloat16": [True],
-    "stop": ["fields_learning:5", "fields_learning:30", "material_learning:70", "material_learning:80", "surface:0"],
+    "stop": ["fields_learning:3", "fields_learning:17", "material_learning:70", "material_learning:80", "surface:0"],
 }
 """What goes wrong: a case has up to four of these."""
-_ROUGHNESS_STEPS = 8
+_ROUGHNESS_STEPS = 6
 """Roughnesses tried in each fit, instead of 28: they are most of the time that a job on a tiny capture takes."""
 
 

@@ -6,6 +6,7 @@ A failure is a line "kind: what was found"; the kind is what a campaign counts.
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 
 import numpy as np
@@ -44,7 +45,7 @@ def check_refusal(code: int, events: list[dict], human: str, out: Path) -> list[
         failures.append(f"undocumented exit code: {code}")
     if len(errors) != 1 or errors[0]["code"] != code or "\n" in errors[0]["message"] or not errors[0]["message"]:
         failures.append(f"unclear error: {errors}")
-    elif code != 1 and ("Traceback" in human or "nan" in errors[0]["message"].lower().split()):
+    elif code != 1 and ("Traceback" in human or "nan" in re.findall("[a-z]+", errors[0]["message"])):
         failures.append(f"unclear error: {errors[0]['message']}")
     if (out / "report.json").exists():
         failures.append("half an asset: report.json after an error")

@@ -89,7 +89,7 @@ def tiny_preset() -> Preset:
     preview = PRESETS["preview"]
     return replace(
         preview, name="tiny", environment_height=16, max_pixels_per_photo=900,
-        fields=replace(FieldsPreset(), background_steps=10, steps=40, object_rays=160, sphere_rays=96, outside_rays=96,
+        fields=replace(FieldsPreset(), background_steps=6, steps=24, object_rays=160, sphere_rays=96, outside_rays=96,
                        coarsest_cells=8, first_levels=2, last_levels=3, head_width=16, first_samples=16, samples=8,
                        check_every=0.1, least_evidence=0.0),
         environment=replace(EnvironmentPreset(), resolutions=((8, 12), (10, 16)), refine_at=(0.3,), coverage_rays=2000,

@@ -138,7 +138,8 @@ class UnseenLightProblem:
             levels = pyramid(radiance)
             image = levels.detach().cpu().numpy().astype(np.float32)
             sent = [torch.from_numpy(t.sent(image)).to(device).requires_grad_() for t in transports]
-            albedo = torch.sigmoid(logit)[self.label]
+            # not [self.label]: its gradient is summed by several threads in any order, and a job must be repeatable
+            albedo = torch.sigmoid(logit).index_select(0, self.label)
             predicted = self.offset + sent[0] + albedo * (self.slope + sent[1])
             photometric = (tone(predicted) - self.goal).abs().mean()
             optimiser.zero_grad()

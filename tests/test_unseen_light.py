@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -12,8 +13,8 @@ from blender_nep.material_palette import Palette
 from blender_nep.presets import MaterialPreset
 from blender_nep.raytracing import RayTracer
 from blender_nep.shading.incoming_light import IncomingLight
-from blender_nep.shading.plenoptic import PlenopticFunction, TerminalRadiance, reflected
-from blender_nep.shading.unseen_light import UnseenLight, UnseenTransport, level_sizes, pyramid
+from blender_nep.shading.plenoptic import PlenopticFunction, SpecularMoments, TerminalRadiance, reflected
+from blender_nep.shading.unseen_light import OpenCones, UnseenLight, UnseenTransport, level_sizes, pyramid
 from blender_nep.unseen_light_learning import UnseenLightProblem, learn_unseen_light
 
 
@@ -191,3 +192,28 @@ def test_reflections_reveal_a_lamp_that_no_photo_shows(ball, metallic):
     assert flux[1] == pytest.approx(flux[0], rel=0.2)
     assert float((fit.light.radiance * area)[~bright].sum()) < 0.3 * flux[0]
     torch.testing.assert_close(fit.albedo, palette.albedo, rtol=0.1, atol=0.02)
+
+
+def test_many_samples_on_many_threads_are_solved_the_same_each_time():
+    """From 32,768 numbers on, torch sums the gradient of x[index] with atomic additions of all threads, in any order."""
+    n, generator = 40_000, torch.Generator().manual_seed(0)
+
+    def random(*shape):
+        return torch.rand(*shape, generator=generator)
+
+    cones = OpenCones(torch.arange(8), directions(8, 0), torch.full((8,), 0.3), torch.ones(8), torch.ones(8, 3),
+                      torch.zeros(8, 2))
+    moments = SpecularMoments(random(n, 3), 0.1 * random(n, 3), 0.05 * random(n, 3))
+    light = SimpleNamespace(
+        points=SimpleNamespace(position=random(n, 3) - 0.5), cos_v=0.2 + 0.8 * random(n), known_diffuse=random(n, 3),
+        moments=lambda *_, **__: moments, open_lines=lambda *_: (cones, torch.zeros(8, 3), torch.ones(8, 3)))
+    palette = Palette(random(2, 3), torch.full((2,), 0.3), torch.tensor([0.0, 1.0]))
+    label, target = torch.arange(n) % 2, random(n, 3)
+    problem = UnseenLightProblem(light, palette, label, target, torch.arange(n), MaterialPreset())
+    threads = torch.get_num_threads()
+    try:
+        torch.set_num_threads(4)
+        found = [problem.solve(UnseenLight(8, 4.0, "cpu"), 4) for _ in range(6)]
+    finally:
+        torch.set_num_threads(threads)
+    assert all(torch.equal(found[0].albedo, other.albedo) and found[0].error == other.error for other in found)
