@@ -150,7 +150,9 @@ class FieldsLearning:
 
     @property
     def _settled(self) -> bool:
-        p, errors = self.preset, self.held_out
+        p = self.preset
+        # a finer grid is rough at first: errors from before it are no measure for those after it
+        errors = self.held_out[max(0, math.floor((p.fine_from - p.look_at[0]) / p.check_every + 1e-6) + 1):]
         return len(errors) > p.patience and min(errors[-p.patience:]) > (1 - p.least_gain) * min(errors[:-p.patience])
 
     def _set_levels(self, count: int) -> None:

@@ -140,6 +140,16 @@ def test_the_object_is_looked_for_in_the_pixels_that_show_it(rays):
     assert found[off_axis < radius].all() and not found[off_axis > radius + 0.45].any()
 
 
+@pytest.mark.parametrize(("after", "settled"), [((0.073, 0.071, 0.067, 0.066), False),
+                                                ((0.073, 0.06, 0.06, 0.06, 0.0599), True)])
+def test_learning_ends_early_only_where_the_error_stopped_falling_on_the_finest_grid(rays, after, settled):
+    learning = FieldsLearning(rays, small(), 0, CPU)
+    whole = learning.steps
+    learning.step = learning.background_steps
+    learning.held_out = [0.09, 0.085, 0.08, 0.075, 0.064, *after]  # the finer grid comes with the fifth check
+    assert (learning.steps < whole) == settled
+
+
 def test_a_sphere_without_an_object_is_refused(rays):
     with pytest.raises(LearningError, match="seems to contain nothing"):
         learn_fields(rays, small(steps=4, least_evidence=1e9), seed=0, device=CPU, progress=no_progress,
