@@ -26,7 +26,7 @@ import blender_nep
 from blender_nep.capture import Capture, PixelRays, load_capture
 from blender_nep.capture.pixel_store import PixelMemory
 from blender_nep.checkpoints import StopRequest, output_errors
-from blender_nep.errors import NepError, OutputError, UsageError
+from blender_nep.errors import NepError, OutputError, Stopped, UsageError
 from blender_nep.events import Events, Timeline
 from blender_nep.job_folder import JobFolder
 from blender_nep.presets import Preset
@@ -314,13 +314,20 @@ class Job:
         for warning in capture.warnings:
             self.events.warning(warning)
         memory = PixelMemory(s.preset.max_pixels, s.preset.pixels_in_memory, s.out)
-        rays = PixelRays.from_capture(capture, s.preset.max_pixels_per_photo, s.use_masks, self.device, memory=memory)
+        rays = PixelRays.from_capture(
+            capture, s.preset.max_pixels_per_photo, s.use_masks, self.device, memory=memory, progress=self._photo_read
+        )
         for warning in rays.warnings:
             self.events.warning(warning)
         self._progress("capture", 1, 1, None)
         self.timeline.leave()
         self.seconds["capture"] = time.monotonic() - start
         return capture, rays
+
+    def _photo_read(self, done: int, photos: int) -> None:
+        self._progress("capture", done, photos, None)
+        if self.stop.requested:
+            raise Stopped(f"stopped ({self.stop.reason}) while the photos were read", "Start it again with --resume.")
 
     def _progress(self, room: str, step: int, steps: int, loss: float | None, **extra: Any) -> None:
         fraction, eta = self.timeline.at(step / max(steps, 1))

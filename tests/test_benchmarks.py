@@ -8,6 +8,7 @@ import pytest
 import trimesh
 
 pytest.importorskip("igl")
+from benchmarks import scaling
 from benchmarks.geometry import Body, score
 from benchmarks.harness import resumed, with_changes
 from benchmarks.materials import read_channels
@@ -103,3 +104,23 @@ def test_relit_pictures_that_differ_by_a_tenth_agree_to_20_decibels_on_the_objec
     bright, other = exposed(true[0, 0] * 50, true[0, 0] * 50, inside[0])
     dark, _ = exposed(true[0, 0], true[0, 0], inside[0])
     assert bright == pytest.approx(dark, abs=1e-5) and (bright == other).all()
+
+
+def test_an_exponent_is_that_of_the_power_law_and_what_cannot_be_timed_has_none():
+    values = [5, 10, 20, 40]
+    assert scaling.exponent(values, [3e-2 * v**1.5 for v in values]) == pytest.approx(1.5)
+    assert np.isnan(scaling.exponent(values, [0.0, 1e-5, 1.0, 2.0]))
+    rows = [{"factor": "views", "value": v, "cpu_seconds": {"decode": 0.01 * v}, "peak_mb": 500.0} for v in (20, 5, 10)]
+    rows.append({"factor": "views", "value": 40, "error": "no memory"})
+    assert scaling.curves(rows) == [("views", "decode", [5, 10, 20], [0.05, 0.1, 0.2]),
+                                    ("views", "peak memory, MB", [5, 10, 20], [500.0] * 3)]
+    assert "| views | decode | 5, 10, 20 | 0.05, 0.1, 0.2 | 1.00 |" in scaling.table(rows)
+
+
+def test_every_size_that_is_varied_changes_what_is_measured_and_is_timed():
+    class Recorder:
+        def __getattr__(self, kind):
+            return lambda *arguments, **keywords: (kind, arguments, tuple(keywords.items()))
+
+    for values, work, stages in scaling.FACTORS.values():
+        assert len({work(Recorder(), value) for value in values}) == len(values) and stages

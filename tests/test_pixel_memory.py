@@ -2,19 +2,26 @@
 
 import errno
 import io
+import json
 import os
 import threading
+from dataclasses import replace
 
 import numpy as np
 import pytest
 import torch
+from conftest import BallRooms
 
+from blender_nep import job
 from blender_nep.capture import PixelRays, load_capture
 from blender_nep.capture import rays as rays_module
 from blender_nep.capture.images import open_image, read_image
 from blender_nep.capture.pixel_set import PixelSet
 from blender_nep.capture.pixel_store import FileStore, PixelMemory
+from blender_nep.checkpoints import StopRequest
 from blender_nep.errors import OutputError
+from blender_nep.events import Events
+from blender_nep.presets import preset
 
 
 @pytest.mark.parametrize("share", [0.0, 0.02, 0.5, 0.98, 1.0])
@@ -108,3 +115,40 @@ def test_photos_are_decoded_one_at_a_time_when_they_are_large(make_capture, monk
     monkeypatch.setattr(rays_module, "_load", counting)
     monkeypatch.setattr(rays_module, "_DECODED_PIXELS", 24 * 24 - 1)
     assert PixelRays.from_capture(capture, 100, False).views == 8 and most == 1
+
+
+def test_a_job_says_how_many_photos_are_read_and_stops_between_two(make_capture, tmp_path, monkeypatch):
+    capture, out, stop = make_capture(views=6).folder, tmp_path / "asset", StopRequest()
+    read, load = 0, rays_module._load
+
+    def loading(*arguments):
+        nonlocal read
+        read += 1
+        if read == 4:
+            stop.request("test")
+        return load(*arguments)
+
+    monkeypatch.setattr(rays_module, "_load", loading)
+    monkeypatch.setattr(rays_module, "_DECODED_PIXELS", 1)
+    protocol = io.StringIO()
+    settings = job.Settings(capture, out, preset("preview"))
+    assert job.run(settings, Events(protocol, None, clock=iter(range(1000)).__next__), stop) == 7
+    events = [json.loads(line) for line in protocol.getvalue().splitlines()]
+    assert "while the photos were read" in events[-1]["message"]
+    counted = [(e["step"], e["steps"]) for e in events if e["event"] == "progress"]
+    assert counted[0] == (0, 1) and 1 <= len(counted[1:]) < 6 and all(steps == 6 for _, steps in counted[1:])
+
+
+def test_a_job_with_pixels_in_a_file_leaves_an_asset_and_no_file(make_capture, tmp_path):
+    out = tmp_path / "asset"
+    settings = job.Settings(make_capture().folder, out, replace(preset("preview"), pixels_in_memory=10))
+    kinds = []
+
+    class Rooms(BallRooms):
+        def learn_fields(self, rays, *arguments, **keywords):
+            kinds.append(rays.radiance.dtype)
+            return super().learn_fields(rays, *arguments, **keywords)
+
+    assert job.run(settings, Events(None, None), StopRequest(), Rooms()) == 0
+    assert kinds == [torch.float16] and (out / "report.json").exists()
+    assert not [p for p in out.iterdir() if p.name.startswith(".")]

@@ -9,6 +9,7 @@ from conftest import BallRooms
 
 from blender_nep import job, profile
 from blender_nep.checkpoints import StopRequest
+from blender_nep.cli import main
 from blender_nep.events import Events
 from blender_nep.presets import preset
 from blender_nep.profile import Profile, profiled, section
@@ -101,6 +102,15 @@ def test_a_job_says_where_its_time_went(make_capture, tmp_path, asked):
             with pytest.raises(job.OutputError, match="disk is full"):
                 Profile().write(out / "profile.json")
         assert json.loads((out / "profile.json").read_text())["profiles"], "the old file stays whole"
+
+
+def test_the_command_line_asks_for_it(tmp_path, monkeypatch):
+    asked = []
+    monkeypatch.setattr(job, "run", lambda settings, *_: asked.append(settings.profile) or 0)
+    for extra in ([], ["--profile"]):
+        monkeypatch.setattr("blender_nep.events.open_protocol", lambda: None)
+        assert main(["reconstruct", str(tmp_path), "--out", str(tmp_path / "x"), *extra]) == 0
+    assert asked == [False, True]
 
 
 def _full_disk(*_):

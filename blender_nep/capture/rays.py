@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import os
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 
@@ -110,11 +110,13 @@ class PixelRays:
         device: torch.device | str = "cpu",
         *,
         memory: PixelMemory | None = None,
+        progress: Callable[[int, int], None] = lambda done, all_of_them: None,
     ) -> PixelRays:
         """Load all photos, box-filtered in linear space by the smallest integer factor that meets the pixel budget.
 
-        Raises CaptureError (unreadable, all NaN, all black), BoundsError (no ray meets the sphere; with masks: in most
-        views no pixel of the object does) and OutputError (no room in the folder of `memory`).
+        progress(photos read, photos) is called after each and may raise. Raises CaptureError (unreadable, all NaN, all
+        black), BoundsError (no ray meets the sphere; with masks: in most views no pixel of the object does) and
+        OutputError (no room in the folder of `memory`).
         """
         memory = memory or PixelMemory()
         cameras = [v.camera for v in capture.views]
@@ -127,6 +129,7 @@ class PixelRays:
         for photo in _loaded(capture, factors, use_masks):
             facts.append(photo.facts)
             stores.append(photo.radiance, photo.valid, photo.mask)
+            progress(len(facts), len(cameras))
         warnings = _judge(capture, facts)
         if most < max_pixels_per_photo:
             warnings.append(
