@@ -71,7 +71,7 @@ def planned(file: Path, rays: PixelRays, settings: Preset, hours: float, steps: 
     return json.loads(file.read_text(encoding="utf-8"))
 
 
-def run(folder: Path, hours: float, steps: int | None, seed: int, kept: Path, stop: StopRequest) -> dict:
+def run(folder: Path, hours: float, steps: int | None, seed: int, kept: Path) -> dict:
     """Stage 1, surface and stage 2 of one capture, and all scores. Raises Stopped, with its checkpoint written."""
     capture, test = load_capture(folder), load_capture(folder, transforms="transforms_test.json")
     test.object_center, test.object_radius = capture.object_center, capture.object_radius
@@ -82,6 +82,7 @@ def run(folder: Path, hours: float, steps: int | None, seed: int, kept: Path, st
     settings = with_changes(settings, {"fields": {"steps": plan["steps"]}})
     done = kept / "fields.done.pt"
     if not done.is_file():
+        stop = StopRequest()
         checkpoint = Checkpoint(kept, "fields", stop, print)
 
         def progress(step: int, of: int, loss: float) -> None:
@@ -89,8 +90,9 @@ def run(folder: Path, hours: float, steps: int | None, seed: int, kept: Path, st
                 print(f"{folder.name}: step {step} of {of}, loss {loss:.4f}, {checkpoint.seconds():.0f} s", flush=True)
 
         torch.manual_seed(seed)
-        fields = learn_fields(rays, settings, seed=seed, device=device, progress=progress, checkpoint=checkpoint,
-                              object_field=reference_field(settings))
+        with stop.signals():
+            fields = learn_fields(rays, settings, seed=seed, device=device, progress=progress, checkpoint=checkpoint,
+                                  object_field=reference_field(settings))
         mesh = extract_surface(fields.object_field, settings.surface)
         save_state(done, {"surface": Rooms().pack_surface(mesh), "environment": fields.environment.state_dict(),
                           "report": fields.report, "seconds": checkpoint.seconds()})
@@ -130,18 +132,17 @@ def main() -> None:
     arguments = parser.parse_args()
     use_threads(arguments.threads)
     header, rows = ["capture", *COLUMNS], []
-    with StopRequest().signals() as stop:
-        for folder in arguments.captures:
-            kept = arguments.out / f"{folder.name}-{arguments.seed}"
-            kept.mkdir(parents=True, exist_ok=True)
-            row = {"capture": folder.name, "seed": arguments.seed, "threads": arguments.threads}
-            try:
-                row = resumed(kept.with_suffix(".json"), row, partial(run, folder, arguments.hours, arguments.steps,
-                                                                      arguments.seed, kept, stop))
-            except Stopped as stopped:
-                parser.exit(7, f"{stopped}\n")
-            rows.append(cells(row))
-            print(markdown(header, rows[-1:]).splitlines()[-1], flush=True)
+    for folder in arguments.captures:
+        kept = arguments.out / f"{folder.name}-{arguments.seed}"
+        kept.mkdir(parents=True, exist_ok=True)
+        row = {"capture": folder.name, "seed": arguments.seed, "threads": arguments.threads}
+        try:
+            row = resumed(kept.with_suffix(".json"), row,
+                          partial(run, folder, arguments.hours, arguments.steps, arguments.seed, kept))
+        except Stopped as stopped:
+            parser.exit(7, f"{stopped}\n")
+        rows.append(cells(row))
+        print(markdown(header, rows[-1:]).splitlines()[-1], flush=True)
     print("\n" + markdown(header, rows))
 
 
