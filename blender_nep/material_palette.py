@@ -70,6 +70,11 @@ class Palette:
         pairs = (self.albedo, other.albedo), (self.roughness, other.roughness), (self.metallic, other.metallic)
         return Palette(*(torch.cat([own[:k], its[k:k + 1], own[k + 1:]]) for own, its in pairs))
 
+    def joined(self, other: Palette) -> Palette:
+        """Followed by another palette's materials."""
+        pairs = (self.albedo, other.albedo), (self.roughness, other.roughness), (self.metallic, other.metallic)
+        return Palette(*map(torch.cat, pairs))
+
     def pick(self, index: list[int]) -> Palette:
         i = torch.tensor(index, dtype=torch.int64, device=self.roughness.device)
         return Palette(self.albedo[i], self.roughness[i], self.metallic[i])

@@ -1,0 +1,175 @@
+"""Which materials an object has and which samples are made of which, under the light that is known so far.
+
+One material is fitted for all samples; candidates come from small regions of the surface and are chosen while they explain
+clearly more; then neighbours vote, shades of one hue become one, and what a blend of others explains is dropped.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING
+
+import numpy as np
+import torch
+from scipy.spatial import cKDTree
+from torch import Tensor
+
+from blender_nep.material_palette import Palette, best_of, choose, error, fit_groups, same_material, tone
+from blender_nep.material_textures import NEIGHBOURS, labels_at, neighbours, vote, weighted_mean
+from blender_nep.profile import profiled, section
+from blender_nep.shading.plenoptic import Material, SurfacePoints, reflected
+
+if TYPE_CHECKING:
+    from blender_nep.photo_samples import PhotoSamples
+    from blender_nep.presets import MaterialPreset
+    from blender_nep.shading.incoming_light import IncomingLight
+
+_SHADES = 2.5
+"""Albedo that a dielectric may seem to have where F_e is too dark, until shades of one hue are merged."""
+
+
+class PaletteSearch:
+    """The palette, and the material of every sample in it."""
+
+    def __init__(self, samples: PhotoSamples, light: IncomingLight, preset: MaterialPreset, device: torch.device) -> None:
+        self.samples, self.light, self.preset, self.device = samples, light, preset, device
+        self.target = samples.radiance
+        self.label = torch.zeros(len(samples), dtype=torch.int64, device=device)
+        """[n] into the palette"""
+        self.weight = 0.05 + light.coverage[:, : len(preset.ladder) // 2].mean(1)
+        """[n] how much a sample counts: until all light is known, by how much of its own is"""
+        self.palette: Palette
+        self.merged = 0
+        """Shades that the last merge has made one with others"""
+        self._tree = cKDTree(samples.position)
+        self._around = neighbours(self._tree, samples.position, 2 * NEIGHBOURS)
+
+    def fit_one(self) -> None:
+        """One material for all samples."""
+        self.palette = self._fit(self.label, 1)
+
+    def opposites(self) -> Palette:
+        """Each material of the palette as it would be if it were metal instead of a dielectric, or the reverse."""
+        p, opposite = self.preset, self.palette
+        cost, albedo = self._scan(self.label, len(self.palette))
+        for i, metallic in enumerate(p.metallic):
+            found = best_of(cost[i:i + 1], albedo[i:i + 1], p.least_roughness, (metallic,), 0.0)
+            for k in (self.palette.metallic != metallic).nonzero().squeeze(-1).tolist():
+                opposite = opposite.with_one(k, found)
+        return opposite
+
+    def grow(self, beat: Callable[[], None]) -> None:
+        """Candidates from small regions of the surface; greedy choice; then every sample takes its best."""
+        p = self.preset
+        if p.most_materials == 1:
+            return
+        voxel = np.floor(self.samples.position / p.region).astype(np.int64)
+        _, inverse, count = np.unique(voxel, axis=0, return_inverse=True, return_counts=True)
+        group, groups = torch.from_numpy(inverse.ravel()).to(self.device), len(count)
+        regional = self._fit(group, groups, _SHADES)
+        size = self._by_group(self.weight, group, groups)
+        large = np.flatnonzero(count >= max(20, np.median(count) / 2))
+        if len(large) > p.candidates:
+            large = large[np.argsort(-count[large])[: p.candidates]]
+        candidates = self.palette.joined(regional.pick(large.tolist()))
+        cost = torch.stack([self._by_group(self._error(candidates, k), group, groups) for k in range(len(candidates))])
+        chosen = choose(cost / size.clamp_min(1e-9), size, p.most_materials, p.gain)
+        beat()
+        self.palette = candidates.pick(chosen)
+        self.assign()
+        # A material that hardly any sample takes is an artefact of a badly lit corner.
+        for _ in range(2):
+            share = self.shares()
+            keep = (share >= p.least_share).nonzero().squeeze(-1).tolist() or [int(share.argmax())]
+            self.palette = self.palette.pick(keep)
+            self.assign()
+            self.palette = self._fit(self.label, len(self.palette), _SHADES)
+            self.assign()
+        self.merge_shades()
+        self.drop_superfluous()
+
+    def drop_superfluous(self) -> None:
+        """Without the materials that explain hardly more than the others and their blends, as soft boundaries do."""
+        for k in self.shares().argsort().tolist():
+            if len(self.palette) == 1:
+                return
+            others = self.palette.pick([j for j in range(len(self.palette)) if j != k])
+            with_it, without = (self._left_out(palette.with_blends()) for palette in (self.palette, others))
+            if without <= (1 + self.preset.gain) * with_it:
+                self.palette = others
+                self.assign()
+                self.drop_superfluous()
+                return
+
+    def merge_shades(self) -> None:
+        """Materials of one hue become one: a difference in brightness alone is more likely F_e's than the object's."""
+        into = same_material(self.palette, self.shares(), self.preset.merge_hue, self.preset.merge_roughness)
+        kept = sorted(set(into))
+        if len(kept) < len(self.palette):
+            self.merged = len(self.palette) - len(kept)
+            self.label = torch.tensor([kept.index(k) for k in into], device=self.device)[self.label]
+        self.palette = self._fit(self.label, len(kept))
+
+    def assign(self) -> None:
+        """Every sample takes the material that its neighbours vote for."""
+        if len(self.palette) == 1:
+            self.label.zero_()
+            return
+        costs = self.costs().cpu().numpy()
+        with section("votes"):
+            self.label = torch.from_numpy(vote(costs, *self._around)).to(self.device)
+
+    def shares(self) -> Tensor:
+        """Share of the samples [K] of each material."""
+        return torch.bincount(self.label, minlength=len(self.palette)) / len(self.label)
+
+    @profiled("residuals")
+    def costs(self, palette: Palette | None = None) -> Tensor:
+        """[n,K] weighted residuals; a blend must be better than a material alone by a margin."""
+        palette = self.palette if palette is None else palette
+        costs = torch.stack([self._error(palette, k) for k in range(len(palette))], 1)
+        return costs * torch.where(palette.blended, 1 + self.preset.blend_margin, 1.0)
+
+    @profiled("votes")
+    def smoothed(self, costs: np.ndarray, first: int = 0) -> np.ndarray:
+        """Means over each sample's neighbours from the `first` on (0: itself), near ones counting more."""
+        return weighted_mean(costs, *(values[:, first:] for values in self._around))
+
+    def residual(self) -> float:
+        """Mean tone-mapped error of all samples."""
+        return float(self.costs().gather(1, self.label[:, None]).sum() / self.weight.sum())
+
+    def materials_at(self, points: SurfacePoints) -> Material:
+        """Of the samples nearest to some points."""
+        return self.palette.at(labels_at(self._tree, self.label, points.position))
+
+    def shown(self) -> np.ndarray:
+        """What each sample would show of each material [n,K,3], tone-mapped."""
+        return torch.stack([self._shown(k) for k in range(len(self.palette))], 1).cpu().numpy()
+
+    def _shown(self, k: int) -> Tensor:
+        material = self.palette.at(torch.full((len(self.samples),), k, device=self.device))
+        return tone(reflected(material, self.light.moments(material.roughness), self.light.diffuse, self.light.cos_v))
+
+    def _scan(self, group: Tensor, groups: int, most_diffuse: float = 1.0) -> tuple[Tensor, Tensor]:
+        p = self.preset
+        return fit_groups(self.light, self.target, self.weight, group, groups, clip=p.clip,
+                          least_roughness=p.least_roughness, hypotheses=p.metallic, most_diffuse=most_diffuse)
+
+    def _fit(self, group: Tensor, groups: int, most_diffuse: float = 1.0) -> Palette:
+        p = self.preset
+        return best_of(*self._scan(group, groups, most_diffuse), p.least_roughness, p.metallic, p.metal_margin)
+
+    def _error(self, palette: Palette, k: int) -> Tensor:
+        one = torch.tensor([k], device=self.device)
+        return error(self.light, self.target, self.weight, palette.at(one), self.preset.clip)
+
+    def _left_out(self, palette: Palette) -> float:
+        """Mean residual of every sample under the material that its neighbours vote for without it: what a material gains
+        by fitting the noise does not count."""
+        costs = self.costs(palette).cpu().numpy()
+        label = self.smoothed(costs, first=1).argmin(1)
+        return float(costs[np.arange(len(label)), label].mean())
+
+    def _by_group(self, values: Tensor, group: Tensor, groups: int) -> Tensor:
+        return torch.zeros(groups, device=self.device).index_add_(0, group, values)
