@@ -12,7 +12,7 @@ from benchmarks.harness import read_row
 from blender_nep.capture import PixelRays, load_capture
 from blender_nep.capture.capture import Capture
 from blender_nep.checkpoints import load_state
-from blender_nep.job import choose_device
+from blender_nep.machine import choose_device
 from blender_nep.presets import Preset
 from blender_nep.rooms import Rooms
 from blender_nep.surface import load_surface

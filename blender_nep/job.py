@@ -5,12 +5,9 @@ Each room's result is written before the next begins, so that a killed run goes 
 
 from __future__ import annotations
 
-import importlib.metadata
 import json
 import os
-import platform
 import random
-import sys
 import time
 import traceback
 from collections.abc import Callable
@@ -22,13 +19,13 @@ import numba
 import numpy as np
 import torch
 
-import blender_nep
 from blender_nep.capture import Capture, PixelRays, load_capture
 from blender_nep.capture.pixel_store import PixelMemory
 from blender_nep.checkpoints import StopRequest, output_errors
 from blender_nep.errors import NepError, OutputError, Stopped, UsageError
 from blender_nep.events import Events, Timeline
 from blender_nep.job_folder import JobFolder
+from blender_nep.machine import choose_device, peak_memory, usable_cores, versions
 from blender_nep.presets import Preset
 from blender_nep.profile import Profile, profiled, section
 from blender_nep.rooms import Rooms
@@ -93,36 +90,6 @@ def _unexpected(error: Exception, where: str) -> tuple[str, str]:
         return "out of memory", f"Try --preset preview, or smaller photos. {where}"
     text = " ".join(str(error).split())
     return f"unexpected {type(error).__name__}: {text[:200]}", where
-
-
-def choose_device(name: str) -> torch.device:
-    """`auto`: cuda where torch has it. Raises UsageError when cuda is asked for and missing."""
-    if name == "auto":
-        name = "cuda" if torch.cuda.is_available() else "cpu"
-    if name == "cuda" and not torch.cuda.is_available():
-        raise UsageError("no CUDA device can be used", "Use --device cpu; everything runs on the CPU too.")
-    return torch.device(name)
-
-
-def usable_cores() -> int:
-    """CPU cores that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-
-
-def peak_memory() -> float | None:
-    """Largest resident memory of this process in MB; None where the system does not tell."""
-    if sys.platform == "win32":
-        return None
-    import resource
-
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / (1 << 20 if sys.platform == "darwin" else 1 << 10)
-
-
-def versions() -> dict[str, str]:
-    """What this run was made with."""
-    names = ("torch", "numpy", "numba", "trimesh", "xatlas", "embreex", "OpenEXR", "scikit-image")
-    found = {"blender_nep": blender_nep.__version__, "python": platform.python_version()}
-    return found | {name: importlib.metadata.version(name) for name in names}
 
 
 class Job:
