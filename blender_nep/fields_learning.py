@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import torch
 from torch.nn import functional
 
-from blender_nep.capture.pixel_set import PixelSet
+from blender_nep.capture.pixel_set import GrowingPixelSet, PixelSet
 from blender_nep.capture.rays import PixelRays
 from blender_nep.errors import LearningError, Stopped
 from blender_nep.fields import environment_learning
@@ -275,7 +275,7 @@ class FieldsLearning:
     @torch.no_grad()
     def _look_for_object(self, block: int = 4) -> None:
         """Sets `object_pixels`: the valid pixels in which the object is seen now, and some around them."""
-        rays, shape, found = self.rays, self.object_field.shape(), []
+        rays, shape, found = self.rays, self.object_field.shape(), GrowingPixelSet(self.device)
         band = BAND / self.sharpness
         for view, (height, width) in enumerate(rays.size):
             row = torch.arange(0, height, block, device=self.device).add(block // 2).clamp(max=height - 1)
@@ -286,8 +286,8 @@ class FieldsLearning:
             seen = functional.max_pool2d(seen, 3, 1, 1)
             seen = seen[0, 0].repeat_interleave(block, 0)[:height].repeat_interleave(block, 1)[:, :width] > 0
             valid = rays.valid[rays.offset[view]:rays.offset[view + 1]]
-            found.append(PixelSet.where(seen.flatten() & valid, rays.offset[view]))
-        found = PixelSet.joined(found)
+            found.add(PixelSet.where(seen.flatten() & valid, rays.offset[view]))
+        found = found.finished()
         self.object_pixels = found if len(found) else rays.sphere
 
     def learn_step(self) -> float:

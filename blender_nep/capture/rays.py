@@ -15,7 +15,7 @@ from torch import Tensor
 
 from blender_nep.capture.bounds import shortened
 from blender_nep.capture.capture import Capture
-from blender_nep.capture.pixel_set import PixelSet
+from blender_nep.capture.pixel_set import GrowingPixelSet, PixelSet
 from blender_nep.capture.pixel_store import PixelMemory
 from blender_nep.errors import BoundsError, CaptureError
 from blender_nep.profile import profiled
@@ -26,7 +26,7 @@ MAXIMUM_RADIANCE = 6e4
 _BLACK = 1e-6
 """A photo without a brighter value shows nothing."""
 _STRIP_PIXELS = 1 << 18
-"""Of a photo that are made linear at a time: they fit the processor's cache."""
+"""That are handled at a time: they fit the processor's cache."""
 _DECODED_PIXELS = 50_000_000
 """Of the photos that are decoded at the same time; a photo that is larger is decoded alone."""
 
@@ -178,24 +178,23 @@ class PixelRays:
     @profiled("rays that meet the sphere")
     def _split(self) -> None:
         """Which valid pixels' rays meet the unit sphere, and which do not."""
-        sphere, outside, seeing, showing = [], [], set(), set()
-        for start in range(0, self.count, 1 << 20):
-            index = torch.arange(start, min(start + (1 << 20), self.count), device=self._start.device)
+        device = self._start.device
+        sphere, outside, seeing, showing = GrowingPixelSet(device), GrowingPixelSet(device), set(), set()
+        for start in range(0, self.count, _STRIP_PIXELS):
+            index = torch.arange(start, min(start + _STRIP_PIXELS, self.count), device=device)
             origin, direction, _ = self.rays(index)
             along = -(origin * direction).sum(-1)
             hits = (along > 0) & ((origin + along[:, None] * direction).square().sum(-1) < 1)
             valid = self.valid[start : start + len(index)]
             met = valid & hits
-            sphere.append(PixelSet.where(met, start))
+            sphere.add(PixelSet.where(met, start))
             if self.background:
-                outside.append(PixelSet.where(valid & ~hits, start))
+                outside.add(PixelSet.where(valid & ~hits, start))
             if self.mask is not None:
                 shown = met & (self.mask[start : start + len(index)] > 127)
                 seeing.update(self.view_of(index[met]).unique().tolist())
                 showing.update(self.view_of(index[shown]).unique().tolist())
-        self.sphere = PixelSet.joined(sphere)
-        if outside:
-            self.outside = PixelSet.joined(outside)
+        self.sphere, self.outside = sphere.finished(), outside.finished()
         hint = "Set object_center and object_radius in transforms.json, so that the sphere holds the object."
         if len(self.sphere) == 0:
             raise BoundsError("no photo sees the object's sphere", hint)
