@@ -135,8 +135,8 @@ FACTORS: dict[str, tuple[tuple[int, ...], Callable, dict[str, float]]] = {
                       STEP | {"object field": STEPS, "backward": 2 * STEPS}),
     "SDF grid cells": ((32, 64, 128, 256), lambda b, n: b.learn(base(fields={"coarsest_cells": n // 4})),
                        STEP | {"object field": STEPS, "backward": 2 * STEPS, "optimisers": 2 * STEPS}),
-    "marching-cubes grid": ((64, 96, 144, 216), lambda b, n: b.surface(base(surface={"grid": n, "faces": 10**6})),
-                            {"SDF grid": 1, "marching cubes": 1, "keep the object": 1}),
+    "marching-cubes grid": ((64, 96, 144, 216), lambda b, n: b.surface(base(surface={"grid": n})),
+                            {"SDF grid": 1, "marching cubes": 1, "keep the object": 1, "decimation": 1}),
     "faces": ((2000, 4000, 8000, 16000), lambda b, n: b.materials(base(surface={"grid": 160, "faces": n})),
               {"select samples": 1, "gather light": 1, "textures": 1}),
     "faces of the atlas": ((2000, 4000, 8000, 16000), lambda b, n: b.surface(base(surface={"grid": 160, "faces": n})),
@@ -222,6 +222,9 @@ def plot(rows: list[dict], path: Path) -> None:
         for _, stage, values, costs in (c for c in found if c[0] == name):
             axes.loglog(values, costs, "o-", label=f"{stage}: {exponent(values, costs):.2f}")
         axes.set(title=name, ylabel="CPU s")
+        ticks = next(c[2] for c in found if c[0] == name)
+        axes.set_xticks(ticks, [str(v) for v in ticks])
+        axes.minorticks_off()
         axes.legend(fontsize=7)
         axes.grid(True, which="both", alpha=0.3)
     path.parent.mkdir(parents=True, exist_ok=True)

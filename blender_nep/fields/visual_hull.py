@@ -43,10 +43,12 @@ class VisualHull:
 
 def background_silhouettes(environment: EnvironmentField, rays: PixelRays, block: int = 4) -> list[torch.Tensor]:
     """Per view [H / block, W / block]: mean absolute tone-mapped difference between the photo and F_e alone."""
-    maps, near = [], environment.preset.camera_near
+    near = environment.preset.camera_near
+    # made first: between the large arrays of a loop they would keep the heap from reusing those
+    maps = [torch.empty(max(h // block, 1), max(w // block, 1), device=rays.radiance.device) for h, w in rays.size]
     for view, (height, width) in enumerate(rays.size):
         start, end = rays.offset[view], rays.offset[view + 1]
-        rows, columns = max(height // block, 1), max(width // block, 1)
+        rows, columns = maps[view].shape
         row = torch.arange(rows, device=rays.radiance.device) * height // rows + min(block // 2, height - 1)
         column = torch.arange(columns, device=rays.radiance.device) * width // columns + min(block // 2, width - 1)
         index = (start + row[:, None] * width + column).flatten()
@@ -56,7 +58,7 @@ def background_silhouettes(environment: EnvironmentField, rays: PixelRays, block
             radiance, _ = environment.render(origins, directions, t, torch.full_like(t, torch.inf), half_angle)
         photo = tone_map(rays.radiance[start:end].float()).reshape(height, width, 3).permute(2, 0, 1)
         photo = functional.adaptive_avg_pool2d(photo, (rows, columns)).permute(1, 2, 0)
-        maps.append((tone_map(radiance).reshape(rows, columns, 3) - photo).abs().mean(-1))
+        maps[view].copy_((tone_map(radiance).reshape(rows, columns, 3) - photo).abs().mean(-1))
     return maps
 
 
@@ -99,15 +101,16 @@ def carve(rays: PixelRays, silhouettes: list[torch.Tensor], cells: int) -> Visua
     return VisualHull(ndimage.gaussian_filter(distance, 1.0).astype(np.float32), float(volume), contrast)
 
 
-def _score(rays: PixelRays, silhouettes: list[torch.Tensor], points: torch.Tensor, chunk: int = 1 << 15) -> torch.Tensor:
-    """The LOWEST_SHARE quantile [n] of the silhouettes' values at points [n, 3], over the views that see them."""
+def _score(rays: PixelRays, silhouettes: list[torch.Tensor], points: torch.Tensor, values: int = 1 << 22) -> torch.Tensor:
+    """The LOWEST_SHARE quantile [n] of the silhouettes' values at points [n, 3], over the views that see them. About
+    `values` of them are held at a time."""
     scores = []
-    for part in points.split(chunk):
-        values = []
+    for part in points.split(max(1, min(1 << 15, values // len(silhouettes)))):
+        samples = []
         for view, silhouette in enumerate(silhouettes):
             place, ahead = rays.project(view, part)
             sample = functional.grid_sample(silhouette[None, None], place[None, :, None], align_corners=False)[0, 0, :, 0]
             seen = ahead & (place.abs() < 1).all(-1)
-            values.append(torch.where(seen, sample, torch.nan))
-        scores.append(torch.nanquantile(torch.stack(values), LOWEST_SHARE, dim=0))
+            samples.append(torch.where(seen, sample, torch.nan))
+        scores.append(torch.nanquantile(torch.stack(samples), LOWEST_SHARE, dim=0))
     return torch.cat(scores)
