@@ -2,7 +2,7 @@
 
 It is followed by files, so that nothing is lost when Blender ends: its events (JSON lines: job, progress, preview, scene,
 warning, done, error) and its log. They lie in a temporary folder until the engine has agreed to work in the output folder,
-from then on in `OUT/job/`, where `Engine.attach` finds a running or ended job again.
+and after that in `OUT/job/`, where `Engine.attach` finds a running or ended job again.
 """
 import os
 import re

@@ -56,7 +56,7 @@ def derive(source: Path, variant: str, out: Path) -> Path:
     shutil.rmtree(out / "masks", ignore_errors=True)
     (out / "masks").mkdir()
     for i, frame in enumerate(meta["frames"]):
-        photo, mask = capture.load_radiance(i), capture.load_mask(i)
+        photo, mask = capture.load_photo(i)[0], capture.load_mask(i)
         frame["file_path"], frame["mask_path"] = f"images/{i:03d}{suffix}", f"masks/{i:03d}.png"
         write(photo, mask, out / frame["file_path"])
         if variant == "distant":

@@ -132,7 +132,8 @@ class Job:
         self.device = choose_device(s.device)
         self._seed_and_threads()
         capture, rays = self._enter_capture()
-        photos = SceneAnalysis.of(rays)
+        with section("scene analysis"):
+            photos = SceneAnalysis.of(rays)
         plan = photos.plan(s.preset)
         preset = plan.preset
         what = fingerprint(capture, s.preset, s.seed, s.use_masks, s.mesh, s.sphere)
@@ -181,7 +182,8 @@ class Job:
             self.rooms.pack_surface,
             self.rooms.unpack_surface,
         )
-        shape = SurfaceAnalysis.of(surface, rays, s.seed)
+        with section("scene analysis"):
+            shape = SurfaceAnalysis.of(surface, rays, s.seed)
         plan = shape.plan(preset)
         self.scene.add("surface", shape, plan)
         materials = self._room(

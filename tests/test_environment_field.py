@@ -282,5 +282,5 @@ def test_an_infinite_environment_depends_on_the_direction_alone(sky):
 
 
 def test_an_unknown_environment_model_is_refused():
-    with pytest.raises(ValueError, match="field or infinite"):
+    with pytest.raises(ValueError, match="field, infinite or none"):
         EnvironmentField(dataclasses.replace(PRESET, model="cube"))
