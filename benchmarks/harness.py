@@ -23,8 +23,9 @@ _POLL = 0.2
 
 
 def with_changes(preset: Preset, changes: dict[str, dict]) -> Preset:
-    """The preset with some fields of its parts changed: {"material": {"levels": 1}}."""
-    return replace(preset, **{part: replace(getattr(preset, part), **values) for part, values in changes.items()})
+    """The preset with some fields of its parts changed, or of its own ("job"): {"material": {"levels": 1}}."""
+    parts = {part: replace(getattr(preset, part), **values) for part, values in changes.items() if part != "job"}
+    return replace(preset, **changes.get("job", {}), **parts)
 
 
 def use_threads(count: int) -> None:

@@ -24,11 +24,11 @@ ABLATIONS: dict[str, dict[str, dict]] = {
     "no cones": {"material": {"use_cones": False}},
     "no residual": {"material": {"residual": False}},
     "no indirect light": {"material": {"levels": 0}},
-    "N = 1": {"material": {"levels": 1}},
-    "N = 3": {"material": {"levels": 3}},
+    **{f"N = {n}": {"material": {"levels": n}, "job": {"skip_needless": False}} for n in (1, 2, 3)},
     "one material": {"material": {"most_materials": 1}},
 }
-"""Preset fields that differ from the preset's own. w_s is off and N is 2 in all presets. WITHOUT_F_E is no preset's field:
+"""Preset fields that differ from the preset's own. w_s is off and N is 2 in all presets, where the scene needs it: with
+skip_needless N = 2 and 3 would be 1 on most objects. WITHOUT_F_E is no preset's field:
 all light is a map at infinity, found by the object's reflections alone (the paper puts an MLP there)."""
 
 
@@ -65,7 +65,7 @@ class Run:
     @property
     def same_stage_1(self) -> Run | None:
         """The run without ablation, if only stage 2 differs: its fields and its surface serve here too."""
-        only_materials = set(ABLATIONS[self.ablation]) == {"material"}
+        only_materials = {"material"} <= set(ABLATIONS[self.ablation]) <= {"material", "job"}
         return replace(self, ablation="full") if only_materials else None
 
     def as_row(self) -> dict:
@@ -83,7 +83,7 @@ class Run:
 
 
 CHOICES = tuple(f.name for f in fields(Run) if f.name != "capture")
-_STAGE_2 = tuple(name for name, parts in ABLATIONS.items() if set(parts) <= {"material", "environment"})
+_STAGE_2 = tuple(name for name, parts in ABLATIONS.items() if set(parts) <= {"material", "environment", "job"})
 
 PLANS: dict[str, tuple[dict[str, Sequence], ...]] = {
     "presets": ({"preset": ("preview", "balanced", "quality"), "seed": (0, 1, 2)},),
