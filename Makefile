@@ -46,7 +46,7 @@ bench: $(VENV)/installed-bench
 	$(BIN)/python -m benchmarks render $(if $(CAPTURES),,shapes) roughness --out $(BENCH)
 	-$(BIN)/python -m benchmarks run $(if $(CAPTURES),$(CAPTURES),$(BENCH)/captures/suzanne $(BENCH)/captures/box) \
 		--plan $(PLAN) --relight --jobs $(JOBS) --out $(BENCH)
-	-$(BIN)/python -m benchmarks run $(BENCH)/captures/gold_* --plan roughness --relight --jobs $(JOBS) --out $(BENCH)
+	-$(BIN)/python -m benchmarks run $(BENCH)/captures/gold_*/ --plan roughness --relight --jobs $(JOBS) --out $(BENCH)
 	$(BIN)/python -m benchmarks report --out $(BENCH) --write docs/benchmarks.md
 
 lint: $(VENV)/installed-dev

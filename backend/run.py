@@ -78,7 +78,7 @@ def reconstruct(options: argparse.Namespace, stop: StopRequests) -> None:
     engine = Engine.start(python, reconstruct_arguments(
         options.capture, options.out, preset=options.preset, device=options.device, seed=options.seed,
         masks=options.masks, metal=options.metal, mesh=options.mesh, resume=options.resume, overwrite=options.overwrite))
-    said = -SAY_EVERY_S
+    said, scene = -SAY_EVERY_S, []
     try:
         ended = False
         while not ended:
@@ -91,6 +91,11 @@ def reconstruct(options: argparse.Namespace, stop: StopRequests) -> None:
                 if event["event"] in ("progress", "warning"):
                     said = time.monotonic()
                     say(describe(event))
+                elif event["event"] == "scene":  # each repeats what is known so far
+                    for line in event["lines"]:
+                        if line not in scene:
+                            say(line)
+                    scene = event["lines"]
             if not ended:
                 time.sleep(POLL_S)
         failed = engine.outcome()

@@ -3,7 +3,7 @@
     python -m benchmarks.peer_mitsuba CAPTURE... [--minutes 3 10] [--materials texture one] [--threads 1]
 
 Needs `pip install '.[peer]'` and an LLVM shared library, version 15 or newer (DRJIT_LIBLLVM_PATH names it). Captures,
-scores and pictures are those of `benchmarks.materials`, whose `--geometry true` is the row to put beside these. `texture`
+scores and pictures are those of `python -m benchmarks run --geometry true`, the row to put beside these. `texture`
 is a texture for each of albedo, roughness and metallic, `one` a single material, which is the peer's best case for an
 object of one. Minutes are of CPU, from the loaded photos and the unwrapped mesh on. Every run writes one JSON file and a
 picture and is skipped when that exists; a run that fails is a row with its message. Ends with a table.

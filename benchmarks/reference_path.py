@@ -4,7 +4,7 @@
 
 Stage 1 learns the SDF as an MLP (`benchmarks.reference_field`) with 64 + 64 samples a ray, started as a sphere; F_e, the
 losses and the rest are our own. Stage 2 sends 256 + 128 rays instead of cones, on the reference's own mesh. Scores are those
-of `benchmarks.fields` and `benchmarks.materials`; beside them stand the rows of these two for the preset `balanced`.
+of `python -m benchmarks run`.
 
 Hours are CPU hours of stage 1: a few steps are timed, and as many are planned as fit (`--steps` plans them directly). The
 plan and a checkpoint every 25 seconds or less lie beside the results: the same command goes on where it was ended.
@@ -25,6 +25,7 @@ from benchmarks import geometry, materials
 from benchmarks.fields import background_psnr
 from benchmarks.harness import markdown, resumed, use_threads, with_changes, write_row
 from benchmarks.reference_field import ReferenceField
+from benchmarks.scores import BACKGROUND_PIXELS
 from blender_nep.capture import PixelRays, load_capture
 from blender_nep.checkpoints import Checkpoint, NoCheckpoint, StopRequest, load_state, save_state
 from blender_nep.errors import Stopped
@@ -103,7 +104,7 @@ def run(folder: Path, hours: float, steps: int | None, seed: int, kept: Path) ->
                                         device).environment
     out = plan | {"seconds": state["seconds"], "fields": state["report"]}
     out |= geometry.score(surface, folder, capture, test)
-    test_rays = PixelRays.from_capture(test, settings.max_pixels_per_photo, False, device)
+    test_rays = PixelRays.from_capture(test, BACKGROUND_PIXELS, False, device)
     out["background_psnr"] = background_psnr(environment, test_rays, geometry.true_mesh(folder, capture))
     start = time.process_time()
     learned = learn_materials(surface, environment, rays, settings.material, seed=seed, device=device,
@@ -137,7 +138,7 @@ def main() -> None:
         kept.mkdir(parents=True, exist_ok=True)
         row = {"capture": folder.name, "seed": arguments.seed, "threads": arguments.threads}
         try:
-            row = resumed(kept.with_suffix(".json"), row,
+            row = resumed(kept.parent / f"{kept.name}.json", row,
                           partial(run, folder, arguments.hours, arguments.steps, arguments.seed, kept))
         except Stopped as stopped:
             parser.exit(7, f"{stopped}\n")

@@ -22,8 +22,6 @@ from blender_nep.presets import PRESETS, EnvironmentPreset, FieldsPreset, Materi
 
 FOCAL = 1.3
 """Focal length over the image's width, for cameras at 2.5 radii; those farther away zoom in, unless told not to."""
-SPREAD = 12
-"""Photos are taken from all directions, in a spiral around the object."""
 
 
 @dataclass(frozen=True)

@@ -205,7 +205,8 @@ class Job:
         if left_out:
             self.events.warning(f"{left_out} steps of fields learning were left out: their loss or gradient was not finite")
         gathering = materials.report.get("seconds", {}).get("light", 0.0)
-        self.scene.skip({}, seconds_of_cones(s.preset.material, plan.preset.material, gathering))
+        if gathering > 0.5:  # not so where it came from a checkpoint
+            self.scene.skip({}, seconds_of_cones(s.preset.material, plan.preset.material, gathering))
         margin = materials.report.get("metal_or_not_margin")
         if margin is not None and margin < _DOUBT:
             self.events.warning("the photos hardly tell whether the object is metal: where the result is wrong, say so "

@@ -46,7 +46,7 @@ class SceneReport:
         new = {what: why for what, why in skipped.items() if what not in self.skipped}
         self.skipped |= skipped
         self.seconds_saved |= {what: round(value, 2) for what, value in seconds.items()}
-        if new:
+        if new or seconds:
             self._tell(_lines(new, seconds))
 
     def stopped_early(self, steps: int, of_steps: int, seconds: float) -> None:

@@ -262,8 +262,8 @@ def _wait(future: Future) -> _Photo:
 def _load(capture: Capture, i: int, factor: int, use_masks: bool) -> _Photo:
     """A photo, made linear and filtered down strip by strip."""
     photo = capture.open_photo(i)
-    least = photo.least_alpha() if photo.has_alpha else 1.0
-    cut_out = least < 0.5
+    has_alpha = photo.has_alpha  # looks at every pixel
+    cut_out = has_alpha and photo.least_alpha() < 0.5
     coverage = capture.open_mask(i) if use_masks else None
     height, width = photo.size
     rows = factor * max(1, _STRIP_PIXELS // (factor * width))
@@ -292,7 +292,7 @@ def _load(capture: Capture, i: int, factor: int, use_masks: bool) -> _Photo:
             radiance = _box(radiance * finite[..., None], factor) / np.maximum(weight, 1e-6)
             valid = weight[..., 0] >= 0.5
             radiance[~valid] = 0
-        mask = coverage.rows(start, start + rows) if coverage is not None else alpha if photo.has_alpha else None
+        mask = coverage.rows(start, start + rows) if coverage is not None else alpha if has_alpha else None
         if not use_masks or mask is None:
             mask = None
         else:

@@ -7,6 +7,7 @@ from collections.abc import Callable
 
 import torch
 
+from blender_nep.capture.pixel_set import PixelSet
 from blender_nep.capture.rays import PixelRays
 from blender_nep.checkpoints import Checkpoint
 from blender_nep.errors import Stopped
@@ -68,7 +69,7 @@ def learn_step(environment: EnvironmentField, adam: torch.optim.Optimizer, rays:
     return loss
 
 
-def learn_environment(rays: PixelRays, background: torch.Tensor, preset: EnvironmentPreset, *, seed: int,
+def learn_environment(rays: PixelRays, background: PixelSet | torch.Tensor, preset: EnvironmentPreset, *, seed: int,
                       device: torch.device, progress: Callable, checkpoint: Checkpoint
                       ) -> tuple[EnvironmentField, dict]:
     """F_e from the pixels `background` (indices) alone, and a report. Raises LearningError when the loss diverges, and
