@@ -44,6 +44,8 @@ TABLES: dict[str, Callable[[Results], str]] = {
     "roughness": tables.roughness,
 }
 """Marker -> Markdown."""
+PICTURES = {"views": "Error against number of photos", "pixels": "Error against image size", "roughness": "Error against roughness"}
+"""Marker -> what its plot shows, where there is one."""
 
 
 def write_report(rows: list[dict], results: Results, document: Path) -> list[str]:
@@ -53,6 +55,8 @@ def write_report(rows: list[dict], results: Results, document: Path) -> list[str
         parts[name] = table(results)
         if len(parts[name].splitlines()) == 2:
             parts[name] = "Not run."
+        elif name in PICTURES:
+            parts[name] = f"![{PICTURES[name]}]({document.stem}/{name}.png)\n\n{parts[name]}"
     text, missing = document.read_text(encoding="utf-8"), []
     for name, part in parts.items():
         marked = re.compile(MARKED.format(re.escape(name)), re.DOTALL)

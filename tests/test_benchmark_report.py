@@ -129,7 +129,13 @@ def test_plots_are_small_pictures_and_none_is_made_of_nothing(out, tmp_path):
     pytest.importorskip("matplotlib", reason="the extra `bench`")
     from benchmarks.plots import PLOTS, draw_all
 
-    draw_all(Results(load(out)), tmp_path / "figures")
+    rows, document = load(out), Path(shutil.copy(DOCUMENT, tmp_path))
+    draw_all(Results(rows), tmp_path / "figures")
     assert all(1000 < (tmp_path / "figures" / f"{name}.png").stat().st_size < 150_000 for name in PLOTS)
-    shown = set(re.findall(r"\(benchmarks/(\w+)\.png\)", DOCUMENT.read_text()))
-    assert shown == set(PLOTS)
+    write_report(rows, Results(rows), document)
+    assert set(re.findall(r"\(benchmarks/(\w+)\.png\)", document.read_text())) == set(PLOTS)
+
+
+def test_the_document_shows_only_pictures_that_are_there():
+    for name in re.findall(r"\((benchmarks/\w+\.png)\)", DOCUMENT.read_text()):
+        assert (DOCUMENT.parent / name).is_file()
