@@ -44,7 +44,8 @@ TABLES: dict[str, Callable[[Results], str]] = {
     "roughness": tables.roughness,
 }
 """Marker -> Markdown."""
-PICTURES = {"views": "Error against number of photos", "pixels": "Error against image size", "roughness": "Error against roughness"}
+PICTURES = {"views": "Error against number of photos", "pixels": "Error against image size",
+            "roughness": "Error against roughness"}
 """Marker -> what its plot shows, where there is one."""
 
 
