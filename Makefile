@@ -42,7 +42,7 @@ test-blender: $(VENV)/installed
 	$(BIN)/python tests/blender_matrix.py
 
 # Without CAPTURES those are taken that the suite renders itself.
-bench: $(VENV)/installed-bench
+bench: $(VENV)/installed-dev
 	$(BIN)/python -m benchmarks render $(if $(CAPTURES),,shapes) roughness --out $(BENCH)
 	-$(BIN)/python -m benchmarks run $(if $(CAPTURES),$(CAPTURES),$(BENCH)/captures/suzanne $(BENCH)/captures/box) \
 		--plan $(PLAN) --relight --jobs $(JOBS) --out $(BENCH)
@@ -60,10 +60,6 @@ $(VENV)/installed: pyproject.toml constraints.txt
 	touch $@
 
 $(VENV)/installed-dev: $(VENV)/installed
-	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[bpy,dev]'
-	touch $@
-
-$(VENV)/installed-bench: $(VENV)/installed-dev
 	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[bpy,dev,bench]'
 	touch $@
 

@@ -75,7 +75,8 @@ class WatchedRooms(Rooms):
 
     def learn_fields(self, rays, preset, **keywords: Any):
         """Stage 1; the same capture, seed and settings are learned once."""
-        same = repr((preset.fields, preset.environment, preset.max_pixels_per_photo, keywords["seed"], self.scene.masks))
+        same = repr((str(self.scene.folder.resolve()), self.scene.masks, keywords["seed"], preset.fields, preset.environment,
+                     preset.max_pixels_per_photo))
         file = self.kept / f"{self.scene.folder.name}-{hashlib.sha256(same.encode()).hexdigest()[:16]}.stage_1.pt"
         if file.is_file():
             state = load_state(file)
@@ -154,9 +155,10 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=Path("out/benchmarks/skipping"))
     arguments = parser.parse_args()
     use_threads(arguments.threads)
-    table = []
-    for text in arguments.scenes:
-        scene = Scene.parse(text, arguments.out)
+    table, scenes = [], [Scene.parse(text, arguments.out) for text in arguments.scenes]
+    if len({scene.name for scene in scenes}) < len(scenes):
+        parser.error("two scenes have the same name, and rows are told apart by it")
+    for scene in scenes:
         preset = PRESETS[arguments.preset]
         if scene.metal:
             preset = replace(preset, material=replace(preset.material, metallic=(1.0,)))

@@ -99,18 +99,24 @@ def learn(run: Run, asset: Path, order: dict) -> dict:
 
 
 def _take_stage_1(other: Path, asset: Path, capture: Path, run: Run, mesh: Path | None) -> bool:
-    """Put the finished stage 1 of another asset into this one's folder, as a job that was stopped there."""
+    """Put the finished stage 1 of the run without ablation into this one's folder, as a job that was stopped there; not if
+    that was made of another capture or preset than it would be now."""
     from blender_nep.capture import load_capture
     from blender_nep.run_folder import fingerprint
 
     rooms = [other / "checkpoints" / f"{room}.done.pt" for room in STAGE_1]
-    if not all(room.is_file() for room in rooms):
+    loaded = load_capture(capture, use_masks=False)
+
+    def identity(of: Run) -> dict:
+        return fingerprint(loaded, of.changed_preset, of.seed, False, mesh)
+
+    made = read_row(other / "report.json").get("fingerprint")
+    if made != identity(run.same_stage_1) or not all(room.is_file() for room in rooms):
         return False
     (asset / "checkpoints").mkdir(parents=True)
     for room in rooms:
         shutil.copy(room, asset / "checkpoints")
-    what = fingerprint(load_capture(capture, use_masks=False), run.changed_preset, run.seed, False, mesh)
-    write_row(asset / "checkpoints" / "run.json", what)
+    write_row(asset / "checkpoints" / "run.json", identity(run))
     return True
 
 

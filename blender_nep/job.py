@@ -131,16 +131,22 @@ class Job:
             raise UsageError(f"there is no mesh {s.mesh}", "Check the path of --mesh.")
         self.device = choose_device(s.device)
         self._seed_and_threads()
-        capture, rays = self._enter_capture()
-        with section("scene analysis"):
-            photos = SceneAnalysis.of(rays)
-        plan = photos.plan(s.preset)
-        preset = plan.preset
+        self.timeline.enter("capture")
+        start = time.monotonic()
+        self._progress("capture", 0, 1, None)
+        capture = self._load_capture()
         what = fingerprint(capture, s.preset, s.seed, s.use_masks, s.mesh, s.sphere)
         self.folder = RunFolder(s.out, self.stop, self.events.warning)
         if s.resume and (s.out / "report.json").is_file():
             self._finish_complete(what)
             return
+        rays = self._read_photos(capture)
+        self.timeline.leave()
+        self.seconds["capture"] = time.monotonic() - start
+        with section("scene analysis"):
+            photos = SceneAnalysis.of(rays)
+        plan = photos.plan(s.preset)
+        preset = plan.preset
         self._make_output()
         if self.folder.begin(what, resume=s.resume):
             self.events.say(f"resuming the run in {s.out}")
@@ -275,14 +281,15 @@ class Job:
             self.events.open_log(out / "log.txt")
 
     @profiled("capture")
-    def _enter_capture(self) -> tuple[Capture, PixelRays]:
+    def _load_capture(self) -> Capture:
         s = self.settings
-        self.timeline.enter("capture")
-        start = time.monotonic()
-        self._progress("capture", 0, 1, None)
         capture = load_capture(s.capture, use_masks=s.use_masks, sphere=s.sphere)
         for warning in capture.warnings:
             self.events.warning(warning)
+        return capture
+
+    def _read_photos(self, capture: Capture) -> PixelRays:
+        s = self.settings
         memory = PixelMemory(s.preset.max_pixels, s.preset.pixels_in_memory, s.out)
         rays = PixelRays.from_capture(
             capture, s.preset.max_pixels_per_photo, s.use_masks, self.device, memory=memory, progress=self._photo_read
@@ -290,9 +297,7 @@ class Job:
         for warning in rays.warnings:
             self.events.warning(warning)
         self._progress("capture", 1, 1, None)
-        self.timeline.leave()
-        self.seconds["capture"] = time.monotonic() - start
-        return capture, rays
+        return rays
 
     def _photo_read(self, done: int, photos: int) -> None:
         self._progress("capture", done, photos, None)

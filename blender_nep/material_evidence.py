@@ -20,6 +20,9 @@ if TYPE_CHECKING:
     from blender_nep.photo_samples import PhotoSamples
     from blender_nep.raytracing import RayTracer
 
+_CANDIDATES = 3
+"""Pixels looked at for each voter: nearly all that show the surface vote, so there is little to choose."""
+
 
 def evidence_of_samples(search: PaletteSearch) -> Evidence:
     """Of those that the light was gathered for."""
@@ -43,7 +46,7 @@ def evidence_of_pixels(search: PaletteSearch, samples: Surfels, shown: np.ndarra
     sample shows of each material: shown [n,K,3], tone-mapped."""
     p, palette = search.preset, search.palette
     voters = select_samples(rays, tracer, normals, count=p.voters, least_cosine=p.least_cosine,
-                            generator=np.random.default_rng(seed))
+                            generator=np.random.default_rng(seed), candidates=_CANDIDATES)
     pixels = surfels(voters, tracer, normals)
     cost = pixel_costs(samples, shown, pixels, tone(voters.radiance).cpu().numpy(), p.clip)
     cost = cost * torch.where(palette.blended, 1 + p.blend_margin, 1.0).cpu().numpy()

@@ -50,13 +50,14 @@ class PhotoSamples:
 
 @profiled("select samples")
 def select_samples(rays: PixelRays, tracer: RayTracer, normals: np.ndarray, *, count: int, least_cosine: float,
-                   generator: np.random.Generator) -> PhotoSamples:
-    """At most `count` pixels spread over the surface and the views, with what carries no information left out.
+                   generator: np.random.Generator, candidates: int = _CANDIDATES_PER_SAMPLE) -> PhotoSamples:
+    """At most `count` pixels spread over the surface and the views, with what carries no information left out; for each,
+    `candidates` are looked at.
 
     Raises LearningError when no pixel shows the mesh.
     """
     sphere = rays.sphere
-    tried = min(len(sphere), count * _CANDIDATES_PER_SAMPLE)
+    tried = min(len(sphere), count * candidates)
     pick = np.sort(generator.choice(len(sphere), tried, replace=False))
     index = sphere[torch.from_numpy(pick).to(sphere.device)]
     o, d, angle = (x.cpu().numpy() for x in rays.rays(index))
@@ -78,8 +79,7 @@ def select_samples(rays: PixelRays, tracer: RayTracer, normals: np.ndarray, *, c
     leave_out("grazing", cosine < least_cosine)
     leave_out("edge", on & _edges(tracer, o, d, t, angle, cosine, on))
     radiance = rays.radiance[index].float()
-    brightest = float(rays.radiance.max())
-    if brightest <= BRIGHTEST_CLIPPED:
+    if rays.brightest <= BRIGHTEST_CLIPPED:
         leave_out("saturated", (radiance.amax(-1) > SATURATED).cpu().numpy())
     chosen = np.flatnonzero(on)
     if len(chosen) == 0:

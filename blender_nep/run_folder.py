@@ -14,7 +14,7 @@ from blender_nep.checkpoints import Checkpoint, StopRequest, load_state, output_
 from blender_nep.errors import UsageError
 from blender_nep.presets import Preset
 
-FORMAT = 1
+FORMAT = 2
 """Version of the files in `checkpoints/`; others are not read."""
 
 

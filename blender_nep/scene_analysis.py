@@ -70,7 +70,7 @@ class SceneAnalysis:
         radiance = rays.radiance[some].float().amax(-1)
         if shown is not None and shown.any():
             radiance = radiance[shown]
-        brightest = float(rays.radiance.max())
+        brightest = rays.brightest
         if brightest <= BRIGHTEST_CLIPPED:
             clipped = int((radiance > SATURATED).sum())
         else:  # a file of a larger range that was clipped has many pixels at one and the same top, not one

@@ -34,9 +34,7 @@ class SceneReport:
         """What there is nothing to do for, whatever the settings."""
         if rays.mask is None:
             self.skipped["mask term"] = "--masks ignore" if masks_ignored else "the capture has no masks"
-        if not rays.background:
-            self.skipped["environment pixels"] = "the photos are cut-outs: no surroundings to learn from"
-        elif len(rays.outside) == 0:
+        if rays.background and len(rays.outside) == 0:
             self.skipped["pixels outside the sphere"] = "the sphere fills all photos"
         if mesh_given:
             self.skipped["surface extraction"] = "a mesh was given (--mesh)"

@@ -12,7 +12,7 @@ import pytest
 
 pytest.importorskip("fcntl", reason="the suite runs on POSIX systems")
 from benchmarks.__main__ import main
-from benchmarks.harness import Children, read_row
+from benchmarks.harness import Children, read_row, write_row
 from benchmarks.plan import ABLATIONS, PLANS, Run, expand
 from benchmarks.step import STAGE_1, _take_stage_1
 from benchmarks.suite import Suite, failure
@@ -75,7 +75,10 @@ def test_a_stage_1_that_is_taken_over_is_what_the_job_finds_when_it_resumes(tmp_
     (tmp_path / "other" / "checkpoints").mkdir(parents=True)
     for room in STAGE_1:
         save_state(tmp_path / "other" / "checkpoints" / f"{room}.done.pt", done)
-    assert _take_stage_1(tmp_path / "other", tmp_path / "asset", CAPTURE, run, None)
+    for donor, taken in ((Run(CAPTURE, "preview", seed=4), False), (Run(CAPTURE, "preview", seed=3), True)):
+        made = fingerprint(load_capture(CAPTURE), donor.changed_preset, donor.seed, False, None)
+        write_row(tmp_path / "other" / "report.json", {"fingerprint": made})
+        assert _take_stage_1(tmp_path / "other", tmp_path / "asset", CAPTURE, run, None) == taken
     folder = RunFolder(tmp_path / "asset", StopRequest(), print)
     assert folder.begin(fingerprint(load_capture(CAPTURE), run.changed_preset, 3, False, None), resume=True)
     assert folder.load_result("fields_learning") == ({"steps": 7}, 12.0) and folder.load_result("material_learning") is None

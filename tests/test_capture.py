@@ -14,7 +14,7 @@ from PIL import Image
 
 from blender_nep.capture import Camera, PixelRays, load_capture
 from blender_nep.capture.bounds import sphere_from_cameras
-from blender_nep.capture.images import linear_to_srgb, read_image, srgb_to_linear
+from blender_nep.capture.images import linear_to_srgb, open_image, srgb_to_linear
 from blender_nep.capture.summary import describe, summarise
 from blender_nep.errors import CaptureError
 
@@ -55,7 +55,7 @@ def test_sphere_and_outside_split_the_valid_pixels(make_capture):
     rays = PixelRays.from_capture(capture, 10**6, use_masks=False)
     origin, direction, _ = rays.rays(torch.arange(rays.count))
     closest = torch.linalg.cross(origin, direction).norm(dim=-1)
-    np.testing.assert_array_equal(rays.sphere, torch.nonzero(closest < 1).squeeze(-1))
+    np.testing.assert_array_equal(rays.sphere.tensor(), torch.nonzero(closest < 1).squeeze(-1))
     assert len(rays.sphere) + len(rays.outside) == rays.count
 
 
@@ -100,7 +100,7 @@ def write_png16(path, pixels, filters):
 def test_png_of_16_bits_keeps_all_of_them(tmp_path, channels):
     pixels = np.random.default_rng(channels).integers(0, 65536, (11, 7, channels))
     write_png16(tmp_path / "a.png", pixels, filters=(0, 1, 2, 3, 4))
-    color, alpha = read_image(tmp_path / "a.png", "linear")
+    color, alpha = open_image(tmp_path / "a.png", "linear").rows()
     expected = pixels[..., :3] if channels >= 3 else np.repeat(pixels[..., :1], 3, -1)
     np.testing.assert_array_equal(np.round(color * 65535), expected)
     assert (alpha is None) == (channels in (1, 3))
@@ -114,7 +114,7 @@ def test_exr_channels_are_found_by_name(tmp_path, prefix):
     planes = {c: rng.uniform(0, 30, (5, 6)).astype(np.float32) for c in "RGB"}
     channels = {prefix + c: p for c, p in planes.items()} | {"AAA.Depth.V": np.ones((5, 6), np.float32)}
     write_exr(tmp_path / "a.exr", channels)
-    color, alpha = read_image(tmp_path / "a.exr", "linear")
+    color, alpha = open_image(tmp_path / "a.exr", "linear").rows()
     np.testing.assert_array_equal(color, np.stack(list(planes.values()), -1))
     assert alpha is None
 
@@ -123,7 +123,7 @@ def test_exr_alpha_is_associated(tmp_path):
     pixels = np.zeros((4, 4, 4), np.float32)
     pixels[1:3, 1:3] = (0.25, 0.125, 0.5, 0.5)
     write_exr(tmp_path / "a.exr", pixels)
-    color, alpha = read_image(tmp_path / "a.exr", "linear")
+    color, alpha = open_image(tmp_path / "a.exr", "linear").rows()
     np.testing.assert_allclose(color[1, 1], (0.5, 0.25, 1.0))
     assert alpha[1, 1] == 0.5 and alpha[0, 0] == 0 and color[0, 0, 0] == 0
 
@@ -229,7 +229,7 @@ def test_some_bad_pixels_are_left_out_with_a_warning(make_capture):
     first = rays.offset[1]
     bad = {first + 2 * 24 + 3, first + 5 * 24 + 6}
     assert set(torch.nonzero(~rays.valid).squeeze(-1).tolist()) == bad
-    assert not bad & set(torch.cat([rays.sphere, rays.outside]).tolist())
+    assert not bad & set(torch.cat([rays.sphere.tensor(), rays.outside.tensor()]).tolist())
     assert torch.isfinite(rays.radiance).all() and rays.radiance.min() == 0
     assert rays.radiance.max() == 6e4
     left_out, negative, blinding = rays.warnings

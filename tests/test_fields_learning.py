@@ -132,11 +132,11 @@ def test_the_object_is_looked_for_in_the_pixels_that_show_it(rays):
     learning = FieldsLearning(rays, small(first_sharpness=100.0), 0, CPU)
     learning._look_for_object()
     radius = learning.preset.initial_radius
-    origins, directions, _ = rays.rays(torch.cat([rays.sphere, rays.outside]))
+    origins, directions, _ = rays.rays(torch.cat([rays.sphere.tensor(), rays.outside.tensor()]))
     off_axis = torch.linalg.cross(origins, directions).norm(dim=-1)
     found = torch.zeros(rays.count, dtype=torch.bool)
-    found[learning.object_pixels] = True
-    found = found[torch.cat([rays.sphere, rays.outside])]
+    found[learning.object_pixels.tensor()] = True
+    found = found[torch.cat([rays.sphere.tensor(), rays.outside.tensor()])]
     assert found[off_axis < radius].all() and not found[off_axis > radius + 0.45].any()
 
 

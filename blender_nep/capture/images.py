@@ -124,14 +124,6 @@ def open_image(path: Path, color_space: str) -> Raster:
         raise _unreadable(path, error) from error
 
 
-def read_image(path: Path, color_space: str) -> tuple[np.ndarray, np.ndarray | None]:
-    """Radiance [H, W, 3] linear float32 (raw: an EXR may hold NaN, Inf, negatives) and alpha [H, W] in 0..1 or None.
-
-    Radiance is not multiplied by alpha: OpenEXR's associated alpha is divided out. Raises CaptureError.
-    """
-    return open_image(path, color_space).rows()
-
-
 @dataclass
 class MaskRaster:
     """A mask file: alpha where it has one that varies, else the first channel, undecoded."""

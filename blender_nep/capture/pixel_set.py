@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 
-import numpy as np
 import torch
 from torch import Tensor
 
 
 class PixelSet:
-    """A list of pixel indices that behaves like the int64 tensor [n] of them, kept as runs of consecutive ones.
+    """A list of pixel indices, kept as runs of consecutive ones.
 
-    `pixels[k]`, with k [m] int64 in 0..n-1, a slice or a mask [n] bool, gives int64 indices; torch and NumPy functions
-    take the whole as a tensor or array.
+    `pixels[k]`, with k [m] int64 in 0..n-1, a slice or a mask [n] bool, gives int64 indices, `tensor` all of them.
     """
 
     def __init__(self, first: Tensor, length: Tensor) -> None:
@@ -84,20 +82,6 @@ class PixelSet:
             place = place.nonzero()[:, 0]
         run = torch.searchsorted(self._before, place, right=True) - 1
         return self._first[run] + (place - self._before[run])
-
-    def __array__(self, dtype: object = None, copy: bool | None = None) -> np.ndarray:
-        return np.asarray(self.tensor().cpu().numpy(), dtype)
-
-    @classmethod
-    def __torch_function__(cls, function, types: Iterable[type], arguments=(), keywords=None):
-        """torch.cat([pixels, ...]), radiance[pixels]: with the tensor in its place."""
-
-        def expand(value):
-            if isinstance(value, list | tuple):
-                return type(value)(expand(v) for v in value)
-            return value.tensor() if isinstance(value, PixelSet) else value
-
-        return function(*expand(tuple(arguments)), **{k: expand(v) for k, v in (keywords or {}).items()})
 
 
 class GrowingPixelSet:

@@ -8,6 +8,7 @@ from collections import deque
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import torch
@@ -61,6 +62,11 @@ class PixelRays:
     def count(self) -> int:
         """Number of pixels N."""
         return self.offset[-1]
+
+    @cached_property
+    def brightest(self) -> float:
+        """Largest radiance: a look at all pixels, once."""
+        return float(self.radiance.max())
 
     @property
     def views(self) -> int:

@@ -43,7 +43,7 @@ def summarise(folder: Path) -> dict:
         "radiance": {
             "median": round(float(radiance.median()), 5),
             "99_9_percent": round(float(np.quantile(radiance.numpy(), 0.999)), 4),
-            "largest": round(float(rays.radiance.max()), 4),
+            "largest": round(rays.brightest, 4),
         },
         "warnings": capture.warnings + rays.warnings,
     }
