@@ -60,6 +60,7 @@ class SyntheticRays:
 
     def __post_init__(self):
         self.sphere = torch.arange(len(self.radiance))
+        self.brightest = float(self.radiance.max())
 
     def rays(self, index):
         return self.origin[index], self.direction[index], torch.full((len(index),), 0.004)
