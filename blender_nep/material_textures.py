@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 import torch
@@ -12,10 +12,12 @@ from scipy.spatial import cKDTree
 from blender_nep.material_palette import Palette
 from blender_nep.profile import profiled
 from blender_nep.surface import Surface
-from blender_nep.texels import dilate, rasterise
+from blender_nep.texels import nearest_known, rasterise
 
 NEIGHBOURS = 16
 """Samples that vote on the material of a point."""
+_BLOCK = 1 << 16
+"""Texels at once: bounds the memory (16 neighbours each), whatever the texture's size."""
 
 
 @dataclass
@@ -78,31 +80,63 @@ def bake(surface: Surface, evidence: Evidence, palette: Palette, size: int
     """
     face, barycentric = rasterise(surface.uv, surface.faces, size)
     known = face >= 0
-    points = np.einsum("nc,nck->nk", barycentric[known], surface.vertices[surface.faces[face[known]]])
-    tree = cKDTree(evidence.position)
-    distance, index = neighbours(tree, points, NEIGHBOURS)
-    label = vote(evidence.cost, distance, index)
-    weight = kernel(distance)
-    # Local albedos of the neighbours that carry the chosen material; the palette's own where none does.
-    own = weight * (evidence.cost.argmin(1)[index] == label[:, None])
-    total = own.sum(1, keepdims=True)
-    local = np.einsum("nk,nkc->nc", own, evidence.albedo[index]) / np.maximum(total, 1e-9)
-    albedo = np.where(total > 1e-3, local, palette.albedo.cpu().numpy()[label])
-
-    spacing = np.median(distance[:, -1])
-    photos = np.sort(evidence.photo[index], 1)
-    several = 1 + (np.diff(photos, axis=1) > 0).sum(1)
-    seen = (1 - np.exp(-several / 4)) * np.exp(-np.maximum(distance[:, 0] / spacing - 1, 0))
-    residual = (evidence.residual[index] * weight).sum(1) / weight.sum(1)
-    confidence = seen * np.exp(-residual / 0.1)
+    face, barycentric = face[known], barycentric[known]
+    tree, carried = cKDTree(evidence.position), evidence.cost.argmin(1)
+    blocks = []
+    for start in range(0, max(len(face), 1), _BLOCK):
+        part = slice(start, start + _BLOCK)
+        points = np.einsum("nc,nck->nk", barycentric[part], surface.vertices[surface.faces[face[part]]])
+        blocks.append(_TexelVotes.of(points, evidence, carried, tree))
+    votes = _TexelVotes.joined(blocks)
+    del blocks, barycentric
+    albedo = np.where(votes.support[:, None] > 1e-3, votes.local_albedo, palette.albedo.cpu().numpy()[votes.label])
+    spacing = np.median(votes.farthest)
+    seen = (1 - np.exp(-votes.photos / 4)) * np.exp(-np.maximum(votes.nearest / spacing - 1, 0))
+    confidence = seen * np.exp(-votes.residual / 0.1)
+    fill = nearest_known(known)
 
     def texture(values: np.ndarray) -> np.ndarray:
-        out = np.zeros((*face.shape, *values.shape[1:]), np.float32)
+        out = np.zeros((*known.shape, *values.shape[1:]), np.float32)
         out[known] = values
-        return dilate(out, known)
+        return out[fill]
 
-    return (texture(albedo.clip(0, 1)), texture(palette.roughness.cpu().numpy()[label]),
-            texture(palette.metallic.cpu().numpy()[label]), texture(confidence))
+    return (texture(albedo.clip(0, 1)), texture(palette.roughness.cpu().numpy()[votes.label]),
+            texture(palette.metallic.cpu().numpy()[votes.label]), texture(confidence))
+
+
+@dataclass
+class _TexelVotes:
+    """What the samples around texels say, all [n, ...]."""
+
+    label: np.ndarray
+    """of the material with the least cost"""
+    local_albedo: np.ndarray
+    """[n,3] mean over the neighbours that carry that material"""
+    support: np.ndarray
+    """their weight; 0 where none does"""
+    residual: np.ndarray
+    photos: np.ndarray
+    """how many the neighbours are from"""
+    nearest: np.ndarray
+    farthest: np.ndarray
+    """distances of the neighbours"""
+
+    @classmethod
+    def of(cls, points: np.ndarray, evidence: Evidence, carried: np.ndarray, tree: cKDTree) -> _TexelVotes:
+        """For points [n,3]; carried [m] is each sample's material."""
+        distance, index = neighbours(tree, points, NEIGHBOURS)
+        label, weight = vote(evidence.cost, distance, index), kernel(distance)
+        own = weight * (carried[index] == label[:, None])
+        support = own.sum(1)
+        albedo = np.einsum("nk,nkc->nc", own, evidence.albedo[index]) / np.maximum(support, 1e-9)[:, None]
+        photos = 1 + (np.diff(np.sort(evidence.photo[index], 1), axis=1) > 0).sum(1)
+        residual = (evidence.residual[index] * weight).sum(1) / weight.sum(1)
+        return cls(label, albedo.astype(np.float32), support, residual, photos, distance[:, 0], distance[:, -1])
+
+    @classmethod
+    def joined(cls, parts: list[_TexelVotes]) -> _TexelVotes:
+        """One after the other."""
+        return cls(*(np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(cls)))
 
 
 @profiled("labels")

@@ -67,12 +67,12 @@ def look_up(texture: np.ndarray, uv: np.ndarray) -> np.ndarray:
     return top * (1 - fy) + (at(row + 1, column) * (1 - fx) + at(row + 1, column + 1) * fx) * fy
 
 
-def dilate(texture: np.ndarray, known: np.ndarray) -> np.ndarray:
-    """Texture [H,W] or [H,W,C] with every texel outside `known` [H,W] bool taken from the nearest one inside it.
+def nearest_known(known: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Row and column, both [H,W], of the texel inside `known` [H,W] bool that is nearest to each texel; itself where inside.
 
-    Filtering and mip-mapping then find no foreign colour at a seam. Returned unchanged when nothing is known.
+    `texture[nearest_known(known)]` is dilated: filtering and mip-mapping then find no foreign colour at a seam. The identity
+    when nothing is known.
     """
-    if known.all() or not known.any():
-        return texture.copy()
-    row, column = ndimage.distance_transform_edt(~known, return_distances=False, return_indices=True)
-    return texture[row, column]
+    if not known.any():
+        return tuple(np.indices(known.shape, np.int32))
+    return tuple(ndimage.distance_transform_edt(~known, return_distances=False, return_indices=True))

@@ -10,6 +10,8 @@ import trimesh
 
 from blender_nep.errors import LearningError
 from blender_nep.material_learning import learn_materials
+from blender_nep.material_palette import Palette
+from blender_nep.material_textures import Evidence, bake
 from blender_nep.presets import MaterialPreset, SurfacePreset
 from blender_nep.shading import brdf
 from blender_nep.surface import Surface, unwrap
@@ -180,6 +182,17 @@ def test_paint_and_metal_are_told_apart_where_they_lie(ball):
     truth = np.where(metal[:, None], [0.85, 0.8, 0.7], [0.6, 0.06, 0.05])
     assert ((result.albedo[known][clear] - truth) ** 2).mean() < 0.004
     assert ((result.roughness[known][clear] - np.where(metal, 0.25, 0.15)) ** 2).mean() < 0.003
+
+
+def test_textures_do_not_depend_on_the_block(ball, monkeypatch):
+    random = np.random.default_rng(2)
+    position = ball.vertices[random.integers(len(ball.vertices), size=300)].astype(np.float32)
+    cost, albedo, residual = (random.random(shape).astype(np.float32) for shape in ((300, 2), (300, 3), 300))
+    evidence = Evidence(position, random.integers(9, size=300), cost, albedo, residual)
+    palette = Palette(torch.tensor([[0.9, 0.6, 0.3], [0.2, 0.3, 0.4]]), torch.tensor([0.2, 0.6]), torch.tensor([1.0, 0.0]))
+    whole = bake(ball, evidence, palette, 64)
+    monkeypatch.setattr("blender_nep.material_textures._BLOCK", 37)
+    assert all(np.array_equal(a, b) for a, b in zip(whole, bake(ball, evidence, palette, 64), strict=True))
 
 
 def test_same_seed_same_textures_also_when_resumed(ball):

@@ -10,7 +10,7 @@ import trimesh
 from blender_nep.errors import CaptureError, LearningError
 from blender_nep.presets import SurfacePreset
 from blender_nep.surface import extract_surface, load_surface
-from blender_nep.texels import dilate, rasterise
+from blender_nep.texels import nearest_known, rasterise
 
 PRESET = SurfacePreset(grid=72, faces=1500, atlas_texels=256)
 
@@ -117,13 +117,15 @@ def test_rasterised_texels_lie_at_their_own_uv():
     assert inside.sum() == len(i)
 
 
-def test_dilate_takes_the_nearest_known_texel():
+def test_dilation_takes_the_nearest_known_texel():
     known = np.zeros((9, 9), bool)
     known[4, 1] = known[4, 7] = True
     texture = np.full((9, 9, 3), np.nan)
     texture[4, 1], texture[4, 7] = 1, 2
-    filled = dilate(texture, known)
+    filled = texture[nearest_known(known)]
     assert (filled[:, :4] == 1).all() and (filled[:, 5:] == 2).all()
+    nothing = np.zeros((3, 4), bool)
+    assert np.array_equal(nearest_known(nothing), np.indices((3, 4)))
 
 
 def test_loaded_mesh_comes_to_the_unit_frame(tmp_path):
