@@ -51,6 +51,8 @@ class PeerSettings:
     """Weight of the textures' total variation"""
     environment_smoothness: float = 0.01
     """Weight of the total variation of the logarithm of the environment map"""
+    background: float = 1.0
+    """Weight of the photos' background, as many pixels a step as of the object: it holds the map where photos see it"""
 
 
 class _PhotoPixels(mi.Sensor):
@@ -172,15 +174,20 @@ def object_and_background(rays: PixelRays, surface: Surface) -> tuple[Tensor, Te
     return (inner & rays.valid).nonzero()[:, 0], (~near & rays.valid).nonzero()[:, 0]
 
 
+def texel_of(directions: Tensor, rows: int) -> Tensor:
+    """Index [n] into the flattened map of the texel that unit directions [n, 3] meet."""
+    x, y, z = directions.unbind(-1)
+    row = (torch.acos(y.clamp(-1, 1)) / math.pi * (rows - 1)).round().long()
+    column = (torch.atan2(x, -z) / (2 * math.pi) * 2 * rows).floor().long() % (2 * rows)
+    return row * 2 * rows + column
+
+
 def photographed_environment(rays: PixelRays, background: Tensor, rows: int) -> Tensor:
     """What the photos' background shows in each direction, as if it were infinitely far [rows, 2 rows, 3]; its geometric
     mean where no photo looks."""
     total, count = torch.zeros(rows * 2 * rows, 3), torch.zeros(rows * 2 * rows, 1)
     for index in background.split(1 << 18):
-        x, y, z = rays.rays(index)[1].unbind(-1)
-        row = (torch.acos(y.clamp(-1, 1)) / math.pi * (rows - 1)).round().long()
-        column = (torch.atan2(x, -z) / (2 * math.pi) * 2 * rows).floor().long() % (2 * rows)
-        texel = row * 2 * rows + column
+        texel = texel_of(rays.rays(index)[1], rows)
         total.index_add_(0, texel, rays.radiance[index].float())
         count.index_add_(0, texel, torch.ones(len(index), 1))
     mean = total / count.clamp(min=1)
@@ -205,8 +212,8 @@ def _variation(texture: Tensor) -> Tensor:
 
 
 def learn(surface: Surface, rays: PixelRays, settings: PeerSettings, minutes: float, seed: int) -> Learned:
-    """Adam on mini-batches of object pixels of all photos, for so many CPU minutes; the loss is the mean absolute
-    difference in tone-mapped space."""
+    """Adam on mini-batches of pixels of all photos, the object's and the background's, for so many CPU minutes; the loss is
+    the mean absolute difference in tone-mapped space."""
     start = time.process_time()
     torch.manual_seed(seed)
     inside, background = object_and_background(rays, surface)
@@ -226,6 +233,10 @@ def learn(surface: Surface, rays: PixelRays, settings: PeerSettings, minutes: fl
         radiance = tracer.render(*maps, light.exp(), rays.rays(index), settings.samples, seed=step)
         loss = (tone_map(radiance) - tone_map(rays.radiance[index].float())).abs().mean()
         losses.append(float(loss.detach()))
+        if settings.background > 0:
+            behind = background[torch.randint(len(background), (settings.pixels,))]
+            shown = light.exp().flatten(0, 1)[texel_of(rays.rays(behind)[1], settings.environment_rows)]
+            loss = loss + settings.background * (tone_map(shown) - tone_map(rays.radiance[behind].float())).abs().mean()
         stacked = torch.cat([maps[0], maps[1][..., None], maps[2][..., None]], -1)
         loss = loss + settings.smoothness * _variation(stacked) + settings.environment_smoothness * _variation(light)
         optimiser.zero_grad()

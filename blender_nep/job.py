@@ -288,6 +288,7 @@ class Job:
             self.events.warning(warning)
         return capture
 
+    @profiled("capture")
     def _read_photos(self, capture: Capture) -> PixelRays:
         s = self.settings
         memory = PixelMemory(s.preset.max_pixels, s.preset.pixels_in_memory, s.out)
