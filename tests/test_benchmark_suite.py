@@ -57,8 +57,8 @@ def test_captures_of_one_name_and_folders_that_are_none_are_refused(captures, tm
 
 def test_the_list_of_a_plan_is_its_runs(capsys):
     assert main(["run", str(CAPTURE), "--plan", "views", "--views", "8", "all", "--list"]) == 0
-    assert capsys.readouterr().out.split() == [f"{CAPTURE.name}-balanced-full-8_views-seed_0",
-                                               f"{CAPTURE.name}-balanced-full-seed_0"]
+    assert capsys.readouterr().out.split() == [f"{CAPTURE.name}-preview-full-8_views-seed_0",
+                                               f"{CAPTURE.name}-preview-full-seed_0"]
 
 
 def test_only_runs_that_change_stage_2_alone_take_over_a_stage_1():
