@@ -30,6 +30,8 @@ class NEP_PT_reconstruct(bpy.types.Panel):
         if job is not None:
             _draw_end(self.layout, context, job)
         _draw_buttons(self.layout, context.scene)
+        if job is not None:
+            _draw_scene(self.layout, context, job)
 
 
 def _draw_settings(layout, context) -> None:
@@ -90,18 +92,18 @@ def _draw_running(layout, context, job) -> None:
     _draw_picture(layout, context, live_preview.picture_icons(job.key))
     for warning in job.warnings[-2:]:
         say(layout, context, in_panel_words(warning), "INFO")
-    _draw_scene(layout, context, job)
     row = layout.row(align=True)
     row.operator("nep.cancel", icon="CANCEL")
     row.operator("nep.open_log", text="", icon="TEXT")
+    _draw_scene(layout, context, job)
 
 
 def _draw_scene(layout, context, job) -> None:
-    """What the photos show, and what the engine leaves out because of it."""
+    """What the photos show, and what the engine leaves out because of it. Below all buttons, since its length changes."""
     if not job.scene:
         return
     header, body = layout.panel("nep_scene", default_closed=True)
-    header.label(text="What the Scene Needs")
+    header.label(text="What the Photos Show")
     if body is not None:
         for line in job.scene:
             say(body, context, in_panel_words(line))
@@ -124,7 +126,6 @@ def _draw_end(layout, context, job) -> None:
         say(layout, context, text, "CHECKMARK")
         for warning in job.warnings[-2:]:
             say(layout, context, in_panel_words(warning), "INFO")
-        _draw_scene(layout, context, job)
         return
     say(layout, context, in_panel_words(failed.message), "PAUSE" if job.was_stopped else "ERROR")
     say(layout, context, in_panel_words(failed.hint), "BLANK1")

@@ -49,7 +49,9 @@ class NEP_OT_reconstruct(bpy.types.Operator):
     def invoke(self, context, event):
         output = self._output(context)
         if self.overwrite and output is not None and (is_asset(output) or has_checkpoint(output)):
-            return context.window_manager.invoke_confirm(self, event)
+            return context.window_manager.invoke_confirm(
+                self, event, title="Start Again", confirm_text="Start Again",
+                message="This replaces the result or the unfinished job in the output folder.")
         return {"FINISHED"} if self._start(context) else {"CANCELLED"}
 
     def execute(self, context):

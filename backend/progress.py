@@ -57,6 +57,7 @@ _IN_PANEL = {", with --engine-python or by the variable NEP_ENGINE_PYTHON": "",
              "--device cpu": "the device CPU", "--preset preview": "the preset Preview", "--mesh": "Known Mesh",
              "`blender-nep info`": "the capture's description",
              "stopped (standard input was closed)": "Stopped because Blender closed", "stopped (stop file)": "Stopped",
+             "stopped (stop command)": "Stopped",
              "Stopped during ": "Stopped while ", "fields learning": "learning shape and light",
              "material learning": "learning the materials"}
 

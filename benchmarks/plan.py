@@ -93,8 +93,8 @@ PLANS: dict[str, tuple[dict[str, Sequence], ...]] = {
     "pixels": ({"preset": ("preview",), "pixels": (2_500, 10_000, 40_000, None), "seed": (0,)},),
     "roughness": ({"preset": ("preview",), "seed": (0,)},),
 }
-"""Name -> what it crosses; what is not named stands at Run's default. `roughness` is for the captures of `render`. Sweeps and
-ablations at `preview`: a third of the time, and what they tell apart is there too."""
+"""Name -> what it crosses; what is not named stands at Run's default. `roughness` is for the captures of `render`. Sweeps
+and ablations at `preview`: a third of the time, and what they tell apart is there too."""
 
 
 def expand(names: Iterable[str], captures: Sequence[Path], wanted: dict[str, Sequence]) -> list[Run]:

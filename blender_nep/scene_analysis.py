@@ -100,13 +100,13 @@ class SceneAnalysis:
                  "No masks are used: the object is found by what does not look like its surroundings."]
         whose = "the object's pixels" if self.masks else "the pixels around the object"
         if self.clipped >= 0.001:
-            lines.append(f"{_percent(self.clipped)} of {whose} are clipped and say nothing of the material.")
+            lines.append(f"{_percent(self.clipped)} of {whose} are burnt out (clipped) and say nothing of the material.")
         elif self.brightest > BRIGHTEST_CLIPPED:
-            lines.append("The photos hold more than white (HDR) and nothing is clipped.")
+            lines.append("The photos hold highlights brighter than white (HDR), and none is burnt out.")
         else:
-            lines.append("The photos end at white, but hardly a pixel is clipped.")
-        size = f"The object's sphere is {self.pixels_across:.0f} pixels wide and fills {_percent(self.sphere_share)} of the"
-        filled = "" if self.object_share is None else f"; the object fills {_percent(self.object_share)} of it"
+            lines.append("The photos end at white, but hardly a pixel is burnt out.")
+        size = f"The object's sphere is {self.pixels_across:.0f} pixels wide and takes {_percent(self.sphere_share)} of the"
+        filled = "" if self.object_share is None else f"; {_percent(self.object_share)} of that is the object"
         return [*lines, f"{size} photos{filled}."]
 
     def plan(self, preset: Preset) -> Plan:
@@ -116,10 +116,10 @@ class SceneAnalysis:
             return Plan(preset, skipped)
         if not self.backdrop:
             preset = replace(preset, environment=replace(preset.environment, model="none"))
-            skipped["environment field"] = "the photos are cut-outs: no surroundings to learn"
+            skipped["environment field"] = "the photos are cut-outs"
         if preset.material.metallic == (1.0,):
             preset = replace(preset, material=replace(preset.material, irradiance_cones=0, diffuse_cones=0))
-            skipped["irradiance"] = "the object is metal, which has no diffuse light"
+            skipped["irradiance"] = "the object is metal"
         return Plan(preset, skipped)
 
 
@@ -147,16 +147,24 @@ class SurfaceAnalysis:
     def sentences(self) -> list[str]:
         """What an artist would want to know."""
         seen = self._visibility()
-        lines = [f"{seen[:1].upper()}{seen[1:]}."]
+        share = "" if self.convex else f" ({_percent(self.self_visibility)} of all directions)"
+        lines = [f"{seen[:1].upper()}{seen[1:]}{share}."]
         if self.view_dependence is not None:
-            lines.append(f"The same place differs by up to {_percent(self.view_dependence)} from photo to photo: "
-                         f"the object is {'matte' if self.matte else 'glossy'}.")
+            lines.append("Its brightness hardly changes from photo to photo: it is matte." if self.matte else
+                         "Its brightness changes much from photo to photo: it is glossy.")
         return lines
 
+    @property
+    def convex(self) -> bool:
+        """Whether hardly a ray from the surface meets it again."""
+        return self.self_visibility < 0.001
+
     def _visibility(self) -> str:
-        if self.self_visibility < 0.001:
-            return "the object is convex: it does not see itself"
-        return f"the object sees itself in {_percent(self.self_visibility)} of the directions"
+        if self.convex:
+            return "the object is convex: nothing of it reflects in itself"
+        if self.self_visibility < SECOND_BOUNCE:
+            return "little of the object reflects in itself"
+        return "the object reflects in itself"
 
     @property
     def matte(self) -> bool:

@@ -10,6 +10,22 @@ from blender_nep.scene_analysis import Plan, SceneAnalysis, SurfaceAnalysis
 if TYPE_CHECKING:
     from blender_nep.capture import PixelRays
 
+_IN_PLAIN_WORDS = {
+    "environment field": "the surroundings",
+    "mask term": "masks",
+    "surface extraction": "making a mesh",
+    "object field": "learning the shape",
+    "irradiance": "diffuse light",
+    "indirect light": "reflections of the object in itself",
+    "second bounces": "light that the object reflects twice",
+    "narrow cones": "sharp reflections",
+    "residual": "light that no photo shows",
+    "further steps of both fields": "the rest of learning shape and light",
+    "material boundaries": "boundaries between materials",
+    "votes of all pixels": "asking every pixel for its material",
+}
+"""What is left out, as told to an artist; the report has the method's own words."""
+
 
 class SceneReport:
     """Grows as the rooms are entered; every addition is told at once."""
@@ -33,7 +49,7 @@ class SceneReport:
     def left_out(self, rays: PixelRays, *, masks_ignored: bool, mesh_given: bool) -> None:
         """What there is nothing to do for, whatever the settings."""
         if rays.mask is None:
-            self.skipped["mask term"] = "--masks ignore" if masks_ignored else "the capture has no masks"
+            self.skipped["mask term"] = "masks are ignored (--masks ignore)" if masks_ignored else "the capture has no masks"
         if rays.background and len(rays.outside) == 0:
             self.skipped["pixels outside the sphere"] = "the sphere fills all photos"
         if mesh_given:
@@ -65,5 +81,13 @@ class SceneReport:
 
 
 def _lines(skipped: dict[str, str], seconds: dict[str, float]) -> list[str]:
-    return [f"Left out: {what}, because {why}" + (f" (saves about {seconds[what]:.0f} s)." if seconds.get(what, 0) >= 0.5
-                                                   else ".") for what, why in skipped.items()]
+    """A sentence for each reason."""
+    reasons: dict[str, list[str]] = {}
+    for what, why in skipped.items():
+        reasons.setdefault(why, []).append(what)
+    lines = []
+    for why, parts in reasons.items():
+        saved = sum(seconds.get(what, 0.0) for what in parts)
+        lines.append(f"Left out, because {why}: {', '.join(_IN_PLAIN_WORDS.get(what, what) for what in parts)}"
+                     + (f" (saves about {saved:.0f} s)." if saved >= 0.5 else "."))
+    return lines

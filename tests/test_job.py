@@ -57,7 +57,7 @@ def test_a_job_ends_with_an_asset_and_tells_how_far_it_is(start):
     assert report["preset"] == "preview" and report["seed"] == 0 and report["capture"]["views"] == 6
     assert set(report["seconds"]) == set(job.ROOMS) and report["peak_memory_mb"] > 10
     assert report["versions"]["torch"] == torch.__version__
-    convex = "the object is convex: it does not see itself"
+    convex = "the object is convex: nothing of it reflects in itself"
     assert report["skipped"] == {"nothing": "a test", "indirect light": convex}
     assert report["losses"]["fields_learning"] == pytest.approx(0.25)
 
@@ -72,7 +72,8 @@ def test_what_the_scene_needs_is_told_before_it_is_done_and_stands_in_the_report
         def learn_materials(self, surface, environment, rays, preset, **keywords):
             asked.append(preset.levels)
             found = super().learn_materials(surface, environment, rays, preset, **keywords)
-            found.report |= {"skipped": {"fine textures": "a reason"}, "seconds_saved": {"fine textures": 3.14159}}
+            found.report |= {"skipped": dict.fromkeys(("material boundaries", "fine textures"), "a reason"),
+                             "seconds_saved": {"fine textures": 3.14159}}
             return found
 
     asked: list[int] = []
@@ -81,13 +82,15 @@ def test_what_the_scene_needs_is_told_before_it_is_done_and_stands_in_the_report
     told = [e["lines"] for e in events if e["event"] == "scene"]
     assert names.index("scene") < names.index("fields_learning") and len(told) == 5, told
     assert "Masks are there and are used." in told[0]
-    left_out = "Left out: indirect light, because the object is convex: it does not see itself."
+    left_out = ("Left out, because the object is convex: nothing of it reflects in itself: "
+                "reflections of the object in itself.")
     assert left_out in told[2] and left_out not in told[1]
-    assert any(line.startswith("Left out: further steps") for line in told[1])
-    assert told[-1][-1] == "Left out: fine textures, because a reason (saves about 3 s)."
+    assert any(line.startswith("Left out, because the error") for line in told[1])
+    assert told[-1][-1] == (
+        "Left out, because a reason: boundaries between materials, fine textures (saves about 3 s).")
     report = json.loads((start.out / "report.json").read_text())
     assert report["scene"]["photos"]["masks"] and report["scene"]["surface"]["self_visibility"] == 0
-    assert report["scene"]["sentences"] == [*told[0][:4], "The object is convex: it does not see itself."]
+    assert report["scene"]["sentences"] == [*told[0][:4], "The object is convex: nothing of it reflects in itself."]
     assert report["skipped_seconds"] == {"fine textures": 3.14, "further steps of both fields": pytest.approx(
         report["seconds"]["fields_learning"] / 2, abs=0.02)}
     assert "seconds_saved" not in report["rooms"]["material_learning"]
@@ -98,7 +101,7 @@ def test_what_the_scene_needs_is_told_before_it_is_done_and_stands_in_the_report
 def test_masks_ignored_are_reported_as_skipped(start):
     start(BallRooms(), use_masks=False)
     report = json.loads((start.out / "report.json").read_text())
-    assert report["skipped"]["mask term"] == "--masks ignore"
+    assert report["skipped"]["mask term"] == "masks are ignored (--masks ignore)"
 
 
 @pytest.mark.parametrize("coverage", [1.0, 0.0])

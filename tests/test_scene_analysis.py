@@ -57,7 +57,7 @@ def test_the_clipped_share_is_that_of_the_object(make_capture, white):
         Image.fromarray(photo).save(file)
     found, _ = look(tiny)
     assert found.clipped == pytest.approx(white * 6 / shown)
-    assert ("are clipped" in " ".join(found.sentences())) == bool(white)
+    assert ("are burnt out" in " ".join(found.sentences())) == bool(white)
 
 
 @pytest.mark.parametrize(("top", "clipped"), [(7.0, False), (3.0, True)])
