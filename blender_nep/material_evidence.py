@@ -8,8 +8,8 @@ import numpy as np
 import torch
 from scipy.spatial import cKDTree
 
-from blender_nep.material_palette import tone
 from blender_nep.material_textures import NEIGHBOURS, Evidence, neighbours, weighted_mean
+from blender_nep.metrics import tone_map
 from blender_nep.photo_samples import select_samples
 from blender_nep.pixel_votes import Surfels, left_out_error, pixel_costs
 from blender_nep.profile import profiled
@@ -48,7 +48,7 @@ def evidence_of_pixels(search: PaletteSearch, samples: Surfels, shown: np.ndarra
     voters = select_samples(rays, tracer, normals, count=p.voters, least_cosine=p.least_cosine,
                             generator=np.random.default_rng(seed), candidates=_CANDIDATES)
     pixels = surfels(voters, tracer, normals)
-    cost = pixel_costs(samples, shown, pixels, tone(voters.radiance).cpu().numpy(), p.clip)
+    cost = pixel_costs(samples, shown, pixels, tone_map(voters.radiance).cpu().numpy(), p.clip)
     cost = cost * torch.where(palette.blended, 1 + p.blend_margin, 1.0).cpu().numpy()
     smoothed = weighted_mean(cost, *neighbours(cKDTree(pixels.position), pixels.position, 2 * NEIGHBOURS))
     label = smoothed.argmin(1)

@@ -1,9 +1,5 @@
-"""How few materials explain the photos, and which one lies where.
-
-Given roughness and the choice metal or dielectric, the radiance of a pixel is linear in its albedo: every hypothesis is
-solved in closed form, robustly, for any group of pixels. Materials are then chosen one after another, as long as a
-further one explains enough more; where each one lies is voted for by the pixels around a point.
-"""
+"""How few materials explain the photos: they are chosen one after another from what was fitted (`material_fits`), as long as
+a further one explains enough more."""
 
 from __future__ import annotations
 
@@ -12,22 +8,13 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from blender_nep.profile import profiled
+from blender_nep.material_fits import roughness_scan
+from blender_nep.metrics import tone_map
 from blender_nep.shading.incoming_light import IncomingLight
-from blender_nep.shading.plenoptic import Material, albedo_line, reflected
+from blender_nep.shading.plenoptic import Material, reflected
 
-_LOG5 = 1.6094379124341003
-_ROUGHNESS = 28
-"""Steps of the roughness scan, evenly in sqrt(roughness)."""
 _MIXTURES = (0.25, 0.5, 0.75)
 """Shares of the second material in a blend of two."""
-_ITERATIONS = 4
-"""Of the reweighted least squares."""
-
-
-def tone(radiance: Tensor) -> Tensor:
-    """The photometric space: log(1 + 4 x) / log 5."""
-    return torch.log1p(4 * radiance.clamp_min(0)) / _LOG5
 
 
 @dataclass
@@ -80,60 +67,13 @@ class Palette:
         return Palette(self.albedo[i], self.roughness[i], self.metallic[i])
 
 
-def roughness_scan(least: float, device: torch.device) -> Tensor:
-    """Roughnesses tried, finer where lobes are narrow."""
-    return torch.linspace(least**0.5, 1, _ROUGHNESS, device=device) ** 2
-
-
 def error(light: IncomingLight, target: Tensor, weight: Tensor, material: Material, clip: float) -> Tensor:
     """Robust residual [n] of every sample under a material (of n, or one broadcast): tone-mapped, clipped, weighted."""
     n = len(target)
     r = material.roughness.expand(n)
     whole = Material(material.albedo.expand(n, 3), r, material.metallic.expand(n))
     predicted = reflected(whole, light.moments(r), light.diffuse, light.cos_v)
-    return (tone(predicted) - tone(target)).abs().mean(-1).clamp_max(clip) * weight
-
-
-@profiled("fits")
-def fit_groups(light: IncomingLight, target: Tensor, weight: Tensor, group: Tensor, groups: int, *,
-               least_roughness: float, clip: float, hypotheses: tuple[float, ...] = (0.0, 1.0),
-               most_diffuse: float = 1.0) -> tuple[Tensor, Tensor]:
-    """Every hypothesis (metallic, roughness) for every group of samples.
-
-    target [n,3] linear, weight [n], group [n] int64 in 0..groups-1 (-1: none); most_diffuse: limit of
-    a dielectric's albedo (above 1 the hue survives where F_e is too dark).
-    Returns cost [M,R,groups] (mean clipped residual) and albedo [M,R,groups,3].
-    """
-    scan = roughness_scan(least_roughness, target.device)
-    member = (group >= 0).nonzero().squeeze(-1)
-    group, goal, weight = group[member], target[member], weight[member]
-    cos_v, diffuse, tone_goal = light.cos_v[member], light.diffuse[member], tone(goal)
-    total = _sum(weight[:, None], group, groups).clamp_min(1e-9)
-    cost = torch.zeros(len(hypotheses), len(scan), groups, device=target.device)
-    albedo = torch.zeros(len(hypotheses), len(scan), groups, 3, device=target.device)
-    for j, r in enumerate(scan):
-        moments = light.moments(r, member)
-        for i, metallic in enumerate(hypotheses):
-            a = torch.full((groups, 3), 0.5, device=target.device)
-            for k in range(_ITERATIONS + 1):
-                own = Material(a[group], r.expand(len(goal)), torch.full_like(cos_v, metallic))
-                offset, slope = albedo_line(own, moments, diffuse, cos_v)
-                predicted = offset + slope * a[group]
-                residual = tone(predicted) - tone_goal
-                if k == _ITERATIONS:
-                    break
-                # d tone / d radiance turns the tone-mapped residual into a linear one; 1 / |residual| makes it L1.
-                mean = 0.5 * (predicted.clamp_min(0) + goal) if k else goal
-                robust = weight[:, None] / (1 + 4 * mean) ** 2
-                if k:
-                    robust = robust * (residual.abs() < 2 * clip) / residual.abs().clamp_min(0.02)
-                top = _sum(robust * slope * (goal - offset), group, groups)
-                bottom = _sum(robust * slope * slope, group, groups)
-                a = (top / bottom.clamp_min(1e-12)).clamp(0, 1.0 if metallic > 0.5 else most_diffuse)
-            bounded = residual.abs().mean(-1).clamp_max(clip) * weight
-            cost[i, j] = _sum(bounded[:, None], group, groups)[:, 0] / total[:, 0]
-            albedo[i, j] = a
-    return cost, albedo
+    return (tone_map(predicted) - tone_map(target)).abs().mean(-1).clamp_max(clip) * weight
 
 
 def best_of(cost: Tensor, albedo: Tensor, least_roughness: float, hypotheses: tuple[float, ...],
@@ -198,7 +138,3 @@ def same_material(palette: Palette, share: Tensor, hue: float, roughness: float)
             if into[j] == j and share[j] <= share[k]:
                 into[j] = k
     return into
-
-
-def _sum(values: Tensor, group: Tensor, groups: int) -> Tensor:
-    return torch.zeros(groups, values.shape[1], device=values.device, dtype=values.dtype).index_add_(0, group, values)

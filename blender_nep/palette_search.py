@@ -14,8 +14,10 @@ import torch
 from scipy.spatial import cKDTree
 from torch import Tensor
 
-from blender_nep.material_palette import Palette, best_of, choose, error, fit_groups, same_material, tone
+from blender_nep.material_fits import fit_groups
+from blender_nep.material_palette import Palette, best_of, choose, error, same_material
 from blender_nep.material_textures import NEIGHBOURS, labels_at, neighbours, vote, weighted_mean
+from blender_nep.metrics import tone_map
 from blender_nep.profile import profiled, section
 from blender_nep.shading.plenoptic import Material, SurfacePoints, reflected
 
@@ -149,7 +151,7 @@ class PaletteSearch:
 
     def _shown(self, k: int) -> Tensor:
         material = self.palette.at(torch.full((len(self.samples),), k, device=self.device))
-        return tone(reflected(material, self.light.moments(material.roughness), self.light.diffuse, self.light.cos_v))
+        return tone_map(reflected(material, self.light.moments(material.roughness), self.light.diffuse, self.light.cos_v))
 
     def _scan(self, group: Tensor, groups: int, most_diffuse: float = 1.0) -> tuple[Tensor, Tensor]:
         p = self.preset

@@ -10,12 +10,14 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from blender_nep.material_palette import Palette, tone
+from blender_nep.material_palette import Palette
+from blender_nep.metrics import tone_map
 from blender_nep.presets import MaterialPreset
 from blender_nep.profile import profiled
 from blender_nep.shading.incoming_light import IncomingLight
 from blender_nep.shading.plenoptic import albedo_line, reflected
-from blender_nep.shading.unseen_light import UnseenLight, UnseenTransport, pyramid
+from blender_nep.shading.unseen_light import UnseenLight, pyramid
+from blender_nep.shading.unseen_transport import UnseenTransport
 
 _DARKEST, _BRIGHTEST = math.log(1e-3), math.log(1e3)
 """Of the map's log radiance."""
@@ -49,9 +51,10 @@ def learn_unseen_light(light: IncomingLight, palette: Palette, others: Palette |
     less: the prior decided).
     """
     rows = _telling_samples(light, palette, label, target, preset.unseen_samples, generator)
+    problem = UnseenLightProblem(light, light.unseen, label, target, rows, preset)
 
     def solve(tried: Palette, steps: int, start: UnseenLight) -> UnseenFit:
-        fit = UnseenLightProblem(light, tried, label, target, rows, preset).solve(start, steps)
+        fit = problem.solve(tried, start, steps)
         beat()
         return fit
 
@@ -84,7 +87,7 @@ def _telling_samples(light: IncomingLight, palette: Palette, label: Tensor, targ
     """Samples to learn from: those that the light does not explain yet, as highlights, come more often."""
     material = palette.at(label)
     predicted = reflected(material, light.moments(material.roughness), light.diffuse, light.cos_v)
-    left = (tone(predicted) - tone(target)).abs().mean(-1)
+    left = (tone_map(predicted) - tone_map(target)).abs().mean(-1)
     chance = (left + left.mean()).clamp_min(1e-6).cpu()
     return torch.multinomial(chance, min(count, len(left)), generator=generator).sort()[0].to(target.device)
 
@@ -100,33 +103,32 @@ class UnseenFit:
 
 
 class UnseenLightProblem:
-    """Some photo samples [m], their materials, and the light that reaches them; `solve` finds what is missing of it.
+    """Some photo samples [m] and the light that reaches them; `solve` finds what is missing of it.
 
-    rows [m]: which samples of `light`; label, target of all samples.
+    like: size and distance of the map; rows [m]: which samples of `light`; label, target of all samples.
     """
 
-    def __init__(self, light: IncomingLight, palette: Palette, label: Tensor, target: Tensor, rows: Tensor,
+    def __init__(self, light: IncomingLight, like: UnseenLight, label: Tensor, target: Tensor, rows: Tensor,
                  preset: MaterialPreset) -> None:
-        self.light, self.palette, self.rows, self.label, self.preset = light, palette, rows, label[rows], preset
-        self.goal = tone(target[rows])
-        material = palette.at(self.label)
-        moments = light.moments(material.roughness, rows, unseen=False)
-        self.offset, self.slope = albedo_line(material, moments, light.known_diffuse[rows], light.cos_v[rows])
-        self.cones, self.open_offset, self.open_slope = light.open_lines(material, rows)
+        self.light, self.like, self.rows, self.label, self.preset = light, like, rows, label[rows], preset
+        self.goal = tone_map(target[rows])
+        self.cones = light.open_cones(rows)
+        self.transport = UnseenTransport(like, self.cones, light.points.position[rows])
 
-    def solve(self, start: UnseenLight, steps: int) -> UnseenFit:
-        """The map and the albedos that explain the photos best, by Adam from `start`, brightened to a glimmer.
+    def solve(self, palette: Palette, start: UnseenLight, steps: int) -> UnseenFit:
+        """The map and the albedos that explain the photos best with a palette's roughness and metallic, by Adam from
+        `start`, brightened to a glimmer.
 
         Priors, all of the tone-mapped map: its total variation; its mean, so that a few lamps are found rather than a bright
         sky; its colour, because coloured light on a grey object looks like grey light on a coloured one.
         """
-        p, device = self.preset, self.goal.device
-        rows = len(start.radiance)
-        unseen = UnseenLight(rows, start.radius, device)
-        position = self.light.points.position[self.rows]
-        transports = [UnseenTransport(unseen, self.cones, position, line) for line in (self.open_offset, self.open_slope)]
+        p, device, light, rows = self.preset, self.goal.device, self.light, len(self.like.radiance)
+        material = palette.at(self.label)
+        moments = light.moments(material.roughness, self.rows, unseen=False)
+        offset, slope = albedo_line(material, moments, light.known_diffuse[self.rows], light.cos_v[self.rows])
+        response = torch.stack(light.open_lines(self.cones, self.rows, material), 1).float().cpu().numpy()
         raw = start.radiance.clamp_min(_GLIMMER).log().requires_grad_()
-        logit = torch.logit(self.palette.albedo.clamp(0.01, 0.99)).requires_grad_()
+        logit = torch.logit(palette.albedo.clamp(0.01, 0.99)).requires_grad_()
         optimiser = torch.optim.Adam([{"params": [raw], "lr": _RATE}, {"params": [logit], "lr": _ALBEDO_RATE}])
         area = torch.sin((torch.arange(rows, device=device) + 0.5) * math.pi / rows)[:, None, None]
         area = area / area.mean()
@@ -137,15 +139,15 @@ class UnseenLightProblem:
             radiance = raw.clamp(_DARKEST, _BRIGHTEST).exp()
             levels = pyramid(radiance)
             image = levels.detach().cpu().numpy().astype(np.float32)
-            sent = [torch.from_numpy(t.sent(image)).to(device).requires_grad_() for t in transports]
+            sent = torch.from_numpy(self.transport.sent(response, image)).to(device).requires_grad_()
             # not [self.label]: its gradient is summed by several threads in any order, and a job must be repeatable
             albedo = torch.sigmoid(logit).index_select(0, self.label)
-            predicted = self.offset + sent[0] + albedo * (self.slope + sent[1])
-            photometric = (tone(predicted) - self.goal).abs().mean()
+            predicted = offset + sent[:, 0] + albedo * (slope + sent[:, 1])
+            photometric = (tone_map(predicted) - self.goal).abs().mean()
             optimiser.zero_grad()
             photometric.backward()
-            gradient = sum(t.adjoint(s.grad.cpu().numpy()) for t, s in zip(transports, sent, strict=True))
-            brightness = tone(radiance)
+            gradient = self.transport.adjoint(response, sent.grad.cpu().numpy())
+            brightness = tone_map(radiance)
             down, across = brightness[:-1] - brightness[1:], brightness - brightness.roll(-1, 1)
             prior = p.unseen_smoothness * ((area[1:] * (down**2 + _SOFT**2).sqrt()).mean()
                                            + (area * (across**2 + _SOFT**2).sqrt()).mean())
@@ -155,5 +157,6 @@ class UnseenLightProblem:
             error = float(photometric.detach() + prior.detach())
             ((levels * torch.from_numpy(gradient).to(device)).sum() + prior).backward()
             optimiser.step()
+        unseen = UnseenLight(rows, self.like.radius, device)
         unseen.radiance = raw.detach().clamp(_DARKEST, _BRIGHTEST).exp()
         return UnseenFit(unseen, torch.sigmoid(logit).detach(), error)

@@ -14,7 +14,8 @@ from hypothesis import strategies as st
 
 from blender_nep.fields.environment_field import EnvironmentField
 from blender_nep.fields.volume_rendering import neus_weights, place_samples, render_surface, sphere_interval
-from blender_nep.material_palette import best_of, fit_groups
+from blender_nep.material_fits import fit_groups
+from blender_nep.material_palette import best_of
 from blender_nep.ops import bspline
 from blender_nep.ops.environment_rendering import render_environment
 from blender_nep.ops.environment_smoothness import total_variation
@@ -168,10 +169,13 @@ class Ladder:
     """The light of n samples on two rungs, as the fit of materials sees it."""
 
     def __init__(self, moments: torch.Tensor, diffuse: torch.Tensor, cos_v: torch.Tensor) -> None:
-        self.table, self.diffuse, self.cos_v = moments, diffuse, cos_v
+        self.specular, self.diffuse, self.cos_v = moments, diffuse, cos_v
+
+    def rung(self, roughness: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        return torch.zeros_like(roughness, dtype=torch.int64), roughness
 
     def moments(self, roughness: torch.Tensor, rows) -> SpecularMoments:
-        between = torch.lerp(self.table[rows, 0], self.table[rows, 1], roughness)
+        between = torch.lerp(self.specular[rows, 0], self.specular[rows, 1], roughness)
         return SpecularMoments(between[:, 0], between[:, 1], between[:, 2])
 
 
@@ -186,7 +190,8 @@ def test_the_fit_of_materials_survives_any_light_and_any_photo(seed, light, targ
     ladder = Ladder(moments, light * torch.rand(n, 3, generator=generator), torch.full((n,), cosine))
     photo = target * torch.rand(n, 3, generator=generator)
     group = torch.arange(n) % 4 - 1  # one in four in no group; group 3 stays empty
-    cost, albedo = fit_groups(ladder, photo, torch.rand(n, generator=generator), group, 4, least_roughness=0.02, clip=0.25)
+    weight = torch.rand(n, generator=generator)
+    cost, albedo = fit_groups(ladder, photo, weight, group, 4, least_roughness=0.02, clip=0.25)
     palette = best_of(cost, albedo, 0.02, (0.0, 1.0), -0.03)
     for values in (cost, albedo, palette.albedo, palette.roughness):
         assert torch.isfinite(values).all() and (values >= 0).all()

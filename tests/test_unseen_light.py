@@ -14,7 +14,8 @@ from blender_nep.presets import MaterialPreset
 from blender_nep.raytracing import RayTracer
 from blender_nep.shading.incoming_light import IncomingLight
 from blender_nep.shading.plenoptic import PlenopticFunction, SpecularMoments, TerminalRadiance, reflected
-from blender_nep.shading.unseen_light import OpenCones, UnseenLight, UnseenTransport, level_sizes, pyramid
+from blender_nep.shading.unseen_light import OpenCones, UnseenLight, level_sizes, pyramid
+from blender_nep.shading.unseen_transport import UnseenTransport
 from blender_nep.unseen_light_learning import UnseenLightProblem, learn_unseen_light
 
 
@@ -131,17 +132,20 @@ def test_the_transport_is_what_the_cones_receive_and_its_adjoint_fits(ball):
     material = palette.at(torch.zeros(4000, dtype=torch.int64))
     rows = torch.arange(0, 4000, 3)
     light = lamp(16)
-    cones, offset, slope = ball.open_lines(palette.at(torch.zeros(len(rows), dtype=torch.int64)), rows)
-    transport = UnseenTransport(light, cones, ball.points.position[rows], offset + slope * palette.albedo)
-    sent = transport.sent(pyramid(light.radiance).numpy())
+    cones = ball.open_cones(rows)
+    offset, slope = ball.open_lines(cones, rows, palette.at(torch.zeros(len(rows), dtype=torch.int64)))
+    transport, response = UnseenTransport(light, cones, ball.points.position[rows]), torch.stack([offset, slope], 1).numpy()
+    lines = transport.sent(response, pyramid(light.radiance).numpy())
+    sent = lines[:, 0] + lines[:, 1] * palette.albedo.numpy()
     before = reflected(material, ball.moments(material.roughness), ball.diffuse, ball.cos_v)
     ball.unseen = light
     ball.update(None, torch.Generator())
     after = reflected(material, ball.moments(material.roughness), ball.diffuse, ball.cos_v)
     np.testing.assert_allclose(sent, (after - before)[rows].numpy(), rtol=2e-3, atol=2e-4)
-    other = np.random.default_rng(1).normal(size=sent.shape).astype(np.float32)
+    other = np.random.default_rng(1).normal(size=lines.shape).astype(np.float32)
     levels = np.random.default_rng(2).normal(size=(len(pyramid(light.radiance)), 3)).astype(np.float32)
-    assert (transport.sent(levels) * other).sum() == pytest.approx((transport.adjoint(other) * levels).sum(), rel=1e-3)
+    assert (transport.sent(response, levels) * other).sum() == pytest.approx(
+        (transport.adjoint(response, other) * levels).sum(), rel=1e-3)
     ball.unseen = None
     ball.update(None, torch.Generator())
 
@@ -184,8 +188,8 @@ def test_reflections_reveal_a_lamp_that_no_photo_shows(ball, metallic):
     ball.unseen = None
     ball.update(None, torch.Generator())
     wrong = replace(palette, albedo=torch.full((1, 3), 0.5))
-    problem = UnseenLightProblem(ball, wrong, label, target, torch.arange(4000), MaterialPreset())
-    fit = problem.solve(UnseenLight(16, 4.0, "cpu"), 150)
+    start = UnseenLight(16, 4.0, "cpu")
+    fit = UnseenLightProblem(ball, start, label, target, torch.arange(4000), MaterialPreset()).solve(wrong, start, 150)
     area = torch.sin((torch.arange(16) + 0.5) * math.pi / 16)[:, None, None]
     bright = truth.radiance > 1
     flux = [float((light.radiance * area)[bright].sum()) for light in (truth, fit.light)]
@@ -206,14 +210,16 @@ def test_many_samples_on_many_threads_are_solved_the_same_each_time():
     moments = SpecularMoments(random(n, 3), 0.1 * random(n, 3), 0.05 * random(n, 3))
     light = SimpleNamespace(
         points=SimpleNamespace(position=random(n, 3) - 0.5), cos_v=0.2 + 0.8 * random(n), known_diffuse=random(n, 3),
-        moments=lambda *_, **__: moments, open_lines=lambda *_: (cones, torch.zeros(8, 3), torch.ones(8, 3)))
+        moments=lambda *_, **__: moments, open_cones=lambda _: cones,
+        open_lines=lambda *_: (torch.zeros(8, 3), torch.ones(8, 3)))
     palette = Palette(random(2, 3), torch.full((2,), 0.3), torch.tensor([0.0, 1.0]))
     label, target = torch.arange(n) % 2, random(n, 3)
-    problem = UnseenLightProblem(light, palette, label, target, torch.arange(n), MaterialPreset())
+    start = UnseenLight(8, 4.0, "cpu")
+    problem = UnseenLightProblem(light, start, label, target, torch.arange(n), MaterialPreset())
     threads = torch.get_num_threads()
     try:
         torch.set_num_threads(4)
-        found = [problem.solve(UnseenLight(8, 4.0, "cpu"), 4) for _ in range(6)]
+        found = [problem.solve(palette, start, 4) for _ in range(6)]
     finally:
         torch.set_num_threads(threads)
     assert all(torch.equal(found[0].albedo, other.albedo) and found[0].error == other.error for other in found)

@@ -190,19 +190,23 @@ class IncomingLight:
             share = cones.weight[:, 1:, None, None] * terms[:, None, :, None] * light[:, None, None, :]
             specular.index_add_(0, cones.row, share)
 
-    def open_lines(self, material: Material, rows: Tensor) -> tuple[OpenCones, Tensor, Tensor]:
-        """The open cones of some samples [m], renumbered 0..m-1, and what each sample, of the materials [m], sends to its
-        eye for a light of 1 in one of them: offset and slope [k,3] of `albedo_line`."""
+    def open_cones(self, rows: Tensor) -> OpenCones:
+        """Those of some samples [m], renumbered 0..m-1."""
         place = torch.full((len(self.points),), -1, device=rows.device)
         place[rows] = torch.arange(len(rows), device=rows.device)
         cones = self.open[(place[self.open.row] >= 0).nonzero().squeeze(-1)]
         cones.row = place[cones.row]
+        return cones
+
+    def open_lines(self, cones: OpenCones, rows: Tensor, material: Material) -> tuple[Tensor, Tensor]:
+        """What samples `rows` [m], of the materials [m], send to their eyes for a light of 1 in one of their open cones [k]:
+        offset and slope [k,3] of `albedo_line`."""
         each, row = torch.arange(len(cones), device=rows.device), cones.row
         own = Material(material.albedo[row], material.roughness[row], material.metallic[row])
         low, mix = self.rung(own.roughness)
         full = torch.lerp(cones.weight[each, 1 + low], cones.weight[each, 2 + low], mix)[:, None]
         moments = SpecularMoments(full, full * cones.fresnel[:, :1], full * cones.fresnel[:, 1:])
-        return cones, *albedo_line(own, moments, cones.weight[:, :1], self.cos_v[rows][row])
+        return albedo_line(own, moments, cones.weight[:, :1], self.cos_v[rows][row])
 
     def moments(self, roughness: Tensor, rows: Tensor | slice = slice(None), *, unseen: bool = True) -> SpecularMoments:
         """Moments of rows [m] at roughness [m] (or a scalar tensor), interpolated between the rungs; with the unseen light

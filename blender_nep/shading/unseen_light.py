@@ -6,7 +6,7 @@ F_e was not seen, a map of radiance is added to it: a true residual, weighted by
 
 The map is equirectangular (Blender's orientation, row 0 is +z) on a sphere of finite radius around the object's centre,
 so that near lamps keep their parallax. It is linear in its radiance: with the materials held, the photos are a sparse matrix
-times the map.
+times the map (`unseen_transport`).
 """
 
 from __future__ import annotations
@@ -15,9 +15,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import numpy as np
 import torch
-from scipy import sparse
 from torch import Tensor
 
 
@@ -130,29 +128,3 @@ class OpenCones:
     def joined(cls, parts: Sequence[OpenCones]) -> OpenCones:
         """One after the other."""
         return cls(*(torch.cat(values) for values in zip(*(vars(part).values() for part in parts), strict=True)))
-
-
-class UnseenTransport:
-    """What surface points send to their eyes for each texel of the map's pyramid: a sparse matrix a colour channel.
-
-    position [n, 3] of the points; response [k, 3]: what a point sends for a light of 1 in one of its cones.
-    """
-
-    def __init__(self, light: UnseenLight, cones: OpenCones, position: Tensor, response: Tensor) -> None:
-        index, weight = taps(len(light.radiance), light.radius, position[cones.row], cones.direction, cones.half_angle)
-        texels = sum(2 * size * size for size in level_sizes(len(light.radiance)))
-        ends = 4 * torch.bincount(cones.row, minlength=len(position)).cumsum(0)
-        starts = np.concatenate([[0], ends.cpu().numpy()]).astype(np.int32)
-        columns = index.reshape(-1).int().cpu().numpy()
-        self.matrices = []
-        for channel in range(3):
-            values = (weight * (cones.share * response[:, channel])[:, None]).reshape(-1).cpu().numpy()
-            self.matrices.append(sparse.csr_matrix((values, columns, starts), (len(position), texels)))
-
-    def sent(self, levels: np.ndarray) -> np.ndarray:
-        """Radiance [n, 3] for a pyramid [texels, 3]."""
-        return np.stack([matrix @ levels[:, c] for c, matrix in enumerate(self.matrices)], 1)
-
-    def adjoint(self, gradient: np.ndarray) -> np.ndarray:
-        """From a gradient by radiance [n, 3] to one by the pyramid [texels, 3]."""
-        return np.stack([matrix.T @ gradient[:, c] for c, matrix in enumerate(self.matrices)], 1)
