@@ -6,6 +6,7 @@ import signal
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import ball_engine
 import pytest
@@ -64,6 +65,49 @@ def start(bpy, addon, scene=None):
 
 def meshes(bpy) -> list[str]:
     return sorted(item.name for item in bpy.data.objects if item.type == "MESH")
+
+
+class Drawn:
+    """A layout that writes down texts and operators in their order."""
+
+    def __init__(self, log: list[str]) -> None:
+        self.log = log
+
+    def __getattr__(self, name: str):
+        def note(*arguments, **keywords):
+            self.log += [arguments[0]] if name == "operator" else []
+            self.log += [keywords["text"]] if "text" in keywords else []
+            return Drawn(self.log)
+        return note
+
+    def panel(self, *_arguments, **_keywords):
+        return Drawn(self.log), Drawn(self.log)
+
+
+def test_what_the_photos_show_stands_below_the_buttons_also_after_a_stop(folders):
+    in_blender(check_box_of_the_photos, folders, **SLOW)
+
+
+def check_box_of_the_photos(folder):
+    bpy, addon, _settings = set_up(folder)
+    real = bpy.context.preferences
+    preferences = SimpleNamespace(system=SimpleNamespace(ui_scale=1.0), ui_styles=real.ui_styles, addons=real.addons)
+
+    def drawn() -> list[str]:
+        log: list[str] = []
+        context = SimpleNamespace(scene=bpy.context.scene, region=None, preferences=preferences)  # of a screen
+        addon.panel.NEP_PT_reconstruct.draw(SimpleNamespace(layout=Drawn(log)), context)
+        return log
+
+    job = start(bpy, addon)
+    rounds(addon, lambda: job.scene)
+    running = drawn()
+    box = running.index("What the Photos Show")
+    assert running.index("nep.cancel") < box and "Masks are there and are used." in running[box:]
+    assert bpy.ops.nep.cancel() == {"FINISHED"}
+    rounds(addon, lambda: job.ended)
+    stopped = drawn()
+    assert job.was_stopped and stopped.index("Resume") < stopped.index("What the Photos Show")
 
 
 def test_a_job_runs_beside_blender_and_brings_its_object(folders):
