@@ -20,6 +20,7 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from blender_nep.capture.rays import PixelRays
+from blender_nep.errors import LearningError
 from blender_nep.metrics import tone_map
 from blender_nep.raytracing import RayTracer
 from blender_nep.surface import Surface
@@ -213,10 +214,14 @@ def _variation(texture: Tensor) -> Tensor:
 
 def learn(surface: Surface, rays: PixelRays, settings: PeerSettings, minutes: float, seed: int) -> Learned:
     """Adam on mini-batches of pixels of all photos, the object's and the background's, for so many CPU minutes; the loss is
-    the mean absolute difference in tone-mapped space."""
+    the mean absolute difference in tone-mapped space (the reported one is of the object alone).
+
+    Raises LearningError for cut-outs."""
     start = time.process_time()
     torch.manual_seed(seed)
     inside, background = object_and_background(rays, surface)
+    if not (rays.background and len(background)):
+        raise LearningError("the photos show no background, which the peer's light starts from", "give whole photos")
     textures = Textures(settings.levels)
     seen = photographed_environment(rays, background, settings.environment_rows)
     light = nn.Parameter(seen.clamp(min=1e-3).log())

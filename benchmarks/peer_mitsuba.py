@@ -6,12 +6,14 @@ Needs `pip install '.[peer]'` and an LLVM shared library, version 15 or newer (D
 scores and pictures are those of `python -m benchmarks run --geometry true`, the row to put beside these. `texture`
 is a texture for each of albedo, roughness and metallic, `one` a single material, which is the peer's best case for an
 object of one. Minutes are of CPU, from the loaded photos and the unwrapped mesh on. Every run writes one JSON file and a
-picture and is skipped when that exists; a run that fails is a row with its message. Ends with a table.
+picture and is skipped when that exists (names have the settings' hash); a run that fails is a row with its message. Ends
+with a table.
 """
 
 from __future__ import annotations
 
 import argparse
+import hashlib
 import itertools
 import sys
 import time
@@ -88,7 +90,8 @@ def main() -> None:
         row = {"capture": folder.name, "materials": kind, "minutes": minutes, "seed": arguments.seed,
                "threads": arguments.threads}
         settings = PeerSettings() if kind == "texture" else replace(PeerSettings(), levels=(1,))
-        file = arguments.out / f"{folder.name}-{kind}-{minutes:g}-{arguments.seed}.json"
+        tag = hashlib.sha256(repr(asdict(settings)).encode()).hexdigest()[:8]
+        file = arguments.out / f"{folder.name}-{kind}-{minutes:g}-{arguments.seed}-{tag}.json"
         rows.append(cells(resumed(file, row, partial(run, folder, minutes, settings, arguments.seed,
                                                      file.with_suffix(".png")))))
         print(markdown(header, rows[-1:]).splitlines()[-1], flush=True)

@@ -412,7 +412,7 @@ def learn_fields(rays: PixelRays, preset: Preset, *, seed: int, device: torch.de
         background = _pixels_beside(surface, rays)
         environment, report = environment_learning.learn_environment(
             rays, background, preset.environment, seed=seed, device=device, progress=progress, checkpoint=checkpoint)
-        return Fields(None, environment, {"skipped": {"object field": "a mesh was given"}, **report})
+        return Fields(None, environment, {"skipped": {"object field": "a mesh was given (--mesh)"}, **report})
     learning = FieldsLearning(rays, preset, seed, device, object_field)
     state = checkpoint.load()
     if state is not None:

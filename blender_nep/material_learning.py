@@ -266,7 +266,7 @@ class _MaterialLearner:
         hits = len(self.light.slot)
         self.report["self_reflection_rays"] = hits
         if hits == 0:
-            self._skip("indirect light", "the object cannot see itself")
+            self._skip("indirect light", "nothing of the object reflects in itself")
         if len(palette) == 1:
             self._skip("material boundaries", "one material explains the photos")
 

@@ -81,12 +81,12 @@ def bake(surface: Surface, evidence: Evidence, palette: Palette, size: int
     face, barycentric = rasterise(surface.uv, surface.faces, size)
     known = face >= 0
     face, barycentric = face[known], barycentric[known]
-    tree, carried = cKDTree(evidence.position), evidence.cost.argmin(1)
+    tree, sample_label = cKDTree(evidence.position), evidence.cost.argmin(1)
     blocks = []
     for start in range(0, max(len(face), 1), _BLOCK):
         part = slice(start, start + _BLOCK)
         points = np.einsum("nc,nck->nk", barycentric[part], surface.vertices[surface.faces[face[part]]])
-        blocks.append(_TexelVotes.of(points, evidence, carried, tree))
+        blocks.append(_TexelVotes.of(points, evidence, sample_label, tree))
     votes = _TexelVotes.joined(blocks)
     del blocks, barycentric
     albedo = np.where(votes.support[:, None] > 1e-3, votes.local_albedo, palette.albedo.cpu().numpy()[votes.label])
@@ -122,16 +122,17 @@ class _TexelVotes:
     """distances of the neighbours"""
 
     @classmethod
-    def of(cls, points: np.ndarray, evidence: Evidence, carried: np.ndarray, tree: cKDTree) -> _TexelVotes:
-        """For points [n,3]; carried [m] is each sample's material."""
+    def of(cls, points: np.ndarray, evidence: Evidence, sample_label: np.ndarray, tree: cKDTree) -> _TexelVotes:
+        """For points [n,3]; sample_label [m] is each sample's material."""
         distance, index = neighbours(tree, points, NEIGHBOURS)
         label, weight = vote(evidence.cost, distance, index), kernel(distance)
-        own = weight * (carried[index] == label[:, None])
+        own = weight * (sample_label[index] == label[:, None])
         support = own.sum(1)
         albedo = np.einsum("nk,nkc->nc", own, evidence.albedo[index]) / np.maximum(support, 1e-9)[:, None]
         photos = 1 + (np.diff(np.sort(evidence.photo[index], 1), axis=1) > 0).sum(1)
         residual = (evidence.residual[index] * weight).sum(1) / weight.sum(1)
-        return cls(label, albedo.astype(np.float32), support, residual, photos, distance[:, 0], distance[:, -1])
+        nearest, farthest = distance[:, 0].copy(), distance[:, -1].copy()  # not views, which would keep all distances
+        return cls(label, albedo.astype(np.float32), support, residual, photos, nearest, farthest)
 
     @classmethod
     def joined(cls, parts: list[_TexelVotes]) -> _TexelVotes:

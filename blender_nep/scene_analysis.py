@@ -28,6 +28,8 @@ SECOND_BOUNCE = 0.15
 MATTE = 0.08
 """View dependence under which the photos show no reflections. Measured: 0.035 for chalk, 0.32 for a glaze, 1.5 to 2.3 for
 metals."""
+GLOSSY = 0.25
+"""View dependence from which on the object is called glossy."""
 MATTE_FROM = 0.28
 """Roughness from which on a matte object's light is gathered."""
 _PIXELS = 300_000
@@ -102,7 +104,7 @@ class SceneAnalysis:
         if self.clipped >= 0.001:
             lines.append(f"{_percent(self.clipped)} of {whose} are burnt out (clipped) and say nothing of the material.")
         elif self.brightest > BRIGHTEST_CLIPPED:
-            lines.append("The photos hold highlights brighter than white (HDR), and none is burnt out.")
+            lines.append("The photos hold highlights brighter than white (HDR), and hardly any is burnt out.")
         else:
             lines.append("The photos end at white, but hardly a pixel is burnt out.")
         size = f"The object's sphere is {self.pixels_across:.0f} pixels wide and takes {_percent(self.sphere_share)} of the"
@@ -150,8 +152,10 @@ class SurfaceAnalysis:
         share = "" if self.convex else f" ({_percent(self.self_visibility)} of all directions)"
         lines = [f"{seen[:1].upper()}{seen[1:]}{share}."]
         if self.view_dependence is not None:
-            lines.append("Its brightness hardly changes from photo to photo: it is matte." if self.matte else
-                         "Its brightness changes much from photo to photo: it is glossy.")
+            change = ("changes much from photo to photo: it is glossy" if self.view_dependence >= GLOSSY else
+                      "hardly changes from photo to photo: it is matte" if self.matte else
+                      "changes a little from photo to photo: it is hardly glossy")
+            lines.append(f"Its brightness {change}.")
         return lines
 
     @property
@@ -161,7 +165,7 @@ class SurfaceAnalysis:
 
     def _visibility(self) -> str:
         if self.convex:
-            return "the object is convex: nothing of it reflects in itself"
+            return "the object is convex"
         if self.self_visibility < SECOND_BOUNCE:
             return "little of the object reflects in itself"
         return "the object reflects in itself"

@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 
 _IN_PLAIN_WORDS = {
     "environment field": "the surroundings",
-    "mask term": "masks",
+    "mask term": "comparing with masks",
     "surface extraction": "making a mesh",
     "object field": "learning the shape",
     "irradiance": "diffuse light",
@@ -56,9 +56,9 @@ class SceneReport:
             self.skipped["surface extraction"] = "a mesh was given (--mesh)"
 
     def skip(self, skipped: dict[str, str], seconds: dict[str, float]) -> None:
-        """What a room has left out by itself."""
+        """What a room has left out by itself; what was left out before keeps its reason."""
         new = {what: why for what, why in skipped.items() if what not in self.skipped}
-        self.skipped |= skipped
+        self.skipped |= new
         self.seconds_saved |= {what: round(value, 2) for what, value in seconds.items()}
         if new or seconds:
             self._tell(_lines(new, seconds))
@@ -88,6 +88,6 @@ def _lines(skipped: dict[str, str], seconds: dict[str, float]) -> list[str]:
     lines = []
     for why, parts in reasons.items():
         saved = sum(seconds.get(what, 0.0) for what in parts)
-        lines.append(f"Left out, because {why}: {', '.join(_IN_PLAIN_WORDS.get(what, what) for what in parts)}"
+        lines.append(f"Left out: {', '.join(_IN_PLAIN_WORDS.get(what, what) for what in parts)}, because {why}"
                      + (f" (saves about {saved:.0f} s)." if saved >= 0.5 else "."))
     return lines

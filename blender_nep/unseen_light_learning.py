@@ -51,7 +51,8 @@ def learn_unseen_light(light: IncomingLight, palette: Palette, others: Palette |
     less: the prior decided).
     """
     rows = _telling_samples(light, palette, label, target, preset.unseen_samples, generator)
-    problem = UnseenLightProblem(light, light.unseen, label, target, rows, preset)
+    unseen = light.unseen
+    problem = UnseenLightProblem(light, len(unseen.radiance), unseen.radius, label, target, rows, preset)
 
     def solve(tried: Palette, steps: int, start: UnseenLight) -> UnseenFit:
         fit = problem.solve(tried, start, steps)
@@ -105,15 +106,15 @@ class UnseenFit:
 class UnseenLightProblem:
     """Some photo samples [m] and the light that reaches them; `solve` finds what is missing of it.
 
-    like: size and distance of the map; rows [m]: which samples of `light`; label, target of all samples.
+    map_rows, radius: of the map; samples [m]: which of `light`; label, target of all samples.
     """
 
-    def __init__(self, light: IncomingLight, like: UnseenLight, label: Tensor, target: Tensor, rows: Tensor,
+    def __init__(self, light: IncomingLight, map_rows: int, radius: float, label: Tensor, target: Tensor, samples: Tensor,
                  preset: MaterialPreset) -> None:
-        self.light, self.like, self.rows, self.label, self.preset = light, like, rows, label[rows], preset
-        self.goal = tone_map(target[rows])
-        self.cones = light.open_cones(rows)
-        self.transport = UnseenTransport(like, self.cones, light.points.position[rows])
+        self.light, self.map_rows, self.radius, self.preset = light, map_rows, radius, preset
+        self.samples, self.label, self.goal = samples, label[samples], tone_map(target[samples])
+        self.cones = light.open_cones(samples)
+        self.transport = UnseenTransport(map_rows, radius, self.cones, light.points.position[samples])
 
     def solve(self, palette: Palette, start: UnseenLight, steps: int) -> UnseenFit:
         """The map and the albedos that explain the photos best with a palette's roughness and metallic, by Adam from
@@ -122,11 +123,11 @@ class UnseenLightProblem:
         Priors, all of the tone-mapped map: its total variation; its mean, so that a few lamps are found rather than a bright
         sky; its colour, because coloured light on a grey object looks like grey light on a coloured one.
         """
-        p, device, light, rows = self.preset, self.goal.device, self.light, len(self.like.radiance)
+        p, device, light, rows, samples = self.preset, self.goal.device, self.light, self.map_rows, self.samples
         material = palette.at(self.label)
-        moments = light.moments(material.roughness, self.rows, unseen=False)
-        offset, slope = albedo_line(material, moments, light.known_diffuse[self.rows], light.cos_v[self.rows])
-        response = torch.stack(light.open_lines(self.cones, self.rows, material), 1).float().cpu().numpy()
+        moments = light.moments(material.roughness, samples, unseen=False)
+        offset, slope = albedo_line(material, moments, light.known_diffuse[samples], light.cos_v[samples])
+        response = torch.stack(light.open_lines(self.cones, samples, material), 1).float().cpu().numpy()
         raw = start.radiance.clamp_min(_GLIMMER).log().requires_grad_()
         logit = torch.logit(palette.albedo.clamp(0.01, 0.99)).requires_grad_()
         optimiser = torch.optim.Adam([{"params": [raw], "lr": _RATE}, {"params": [logit], "lr": _ALBEDO_RATE}])
@@ -157,6 +158,6 @@ class UnseenLightProblem:
             error = float(photometric.detach() + prior.detach())
             ((levels * torch.from_numpy(gradient).to(device)).sum() + prior).backward()
             optimiser.step()
-        unseen = UnseenLight(rows, self.like.radius, device)
+        unseen = UnseenLight(rows, self.radius, device)
         unseen.radiance = raw.detach().clamp(_DARKEST, _BRIGHTEST).exp()
         return UnseenFit(unseen, torch.sigmoid(logit).detach(), error)

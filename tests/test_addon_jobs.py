@@ -131,7 +131,7 @@ def check_life_of_a_job(folder):
     rounds(addon, lambda: job.ended and not job.watched)
     assert job.failed is None and meshes(bpy) == ["out"] and not addon.jobs.result_waits(bpy.context.scene)
     assert addon.clock.tick() is None, "the timer rests"
-    assert "Masks are there and are used." in job.scene and job.scene[-1].startswith("Left out, because ")
+    assert "Masks are there and are used." in job.scene and job.scene[-1].startswith("Left out: ")
     assert "room fields_learning" in log(bpy)
     assert 0 < addon.panel.expected_seconds(addon.preferences.timings_file(), "preview")[0] < 90
     fails(bpy.ops.nep.reconstruct, "already holds an asset")

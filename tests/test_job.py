@@ -57,7 +57,7 @@ def test_a_job_ends_with_an_asset_and_tells_how_far_it_is(start):
     assert report["preset"] == "preview" and report["seed"] == 0 and report["capture"]["views"] == 6
     assert set(report["seconds"]) == set(job.ROOMS) and report["peak_memory_mb"] > 10
     assert report["versions"]["torch"] == torch.__version__
-    convex = "the object is convex: nothing of it reflects in itself"
+    convex = "the object is convex"
     assert report["skipped"] == {"nothing": "a test", "indirect light": convex}
     assert report["losses"]["fields_learning"] == pytest.approx(0.25)
 
@@ -82,15 +82,14 @@ def test_what_the_scene_needs_is_told_before_it_is_done_and_stands_in_the_report
     told = [e["lines"] for e in events if e["event"] == "scene"]
     assert names.index("scene") < names.index("fields_learning") and len(told) == 5, told
     assert "Masks are there and are used." in told[0]
-    left_out = ("Left out, because the object is convex: nothing of it reflects in itself: "
-                "reflections of the object in itself.")
+    left_out = "Left out: reflections of the object in itself, because the object is convex."
     assert left_out in told[2] and left_out not in told[1]
-    assert any(line.startswith("Left out, because the error") for line in told[1])
+    assert any(line.startswith("Left out: the rest of learning") for line in told[1])
     assert told[-1][-1] == (
-        "Left out, because a reason: boundaries between materials, fine textures (saves about 3 s).")
+        "Left out: boundaries between materials, fine textures, because a reason (saves about 3 s).")
     report = json.loads((start.out / "report.json").read_text())
     assert report["scene"]["photos"]["masks"] and report["scene"]["surface"]["self_visibility"] == 0
-    assert report["scene"]["sentences"] == [*told[0][:4], "The object is convex: nothing of it reflects in itself."]
+    assert report["scene"]["sentences"] == [*told[0][:4], "The object is convex."]
     assert report["skipped_seconds"] == {"fine textures": 3.14, "further steps of both fields": pytest.approx(
         report["seconds"]["fields_learning"] / 2, abs=0.02)}
     assert "seconds_saved" not in report["rooms"]["material_learning"]

@@ -4,6 +4,7 @@ import math
 from dataclasses import replace
 from types import SimpleNamespace
 
+import numba
 import numpy as np
 import pytest
 import torch
@@ -134,7 +135,8 @@ def test_the_transport_is_what_the_cones_receive_and_its_adjoint_fits(ball):
     light = lamp(16)
     cones = ball.open_cones(rows)
     offset, slope = ball.open_lines(cones, rows, palette.at(torch.zeros(len(rows), dtype=torch.int64)))
-    transport, response = UnseenTransport(light, cones, ball.points.position[rows]), torch.stack([offset, slope], 1).numpy()
+    transport = UnseenTransport(16, light.radius, cones, ball.points.position[rows])
+    response = torch.stack([offset, slope], 1).numpy()
     lines = transport.sent(response, pyramid(light.radiance).numpy())
     sent = lines[:, 0] + lines[:, 1] * palette.albedo.numpy()
     before = reflected(material, ball.moments(material.roughness), ball.diffuse, ball.cos_v)
@@ -148,6 +150,16 @@ def test_the_transport_is_what_the_cones_receive_and_its_adjoint_fits(ball):
         (transport.adjoint(response, other) * levels).sum(), rel=1e-3)
     ball.unseen = None
     ball.update(None, torch.Generator())
+    found, threads = [], numba.get_num_threads()
+    try:
+        for count in {1, threads}:
+            numba.set_num_threads(count)
+            found.append((transport.sent(response, levels), transport.adjoint(response, other)))
+    finally:
+        numba.set_num_threads(threads)
+    assert all(np.array_equal(a, b) for a, b in zip(found[0], found[-1], strict=True)), "whatever the number of threads"
+    with pytest.raises(ValueError, match="texels"):
+        transport.sent(response, levels[1:])
 
 
 def test_a_palette_with_one_material_of_another():
@@ -189,7 +201,7 @@ def test_reflections_reveal_a_lamp_that_no_photo_shows(ball, metallic):
     ball.update(None, torch.Generator())
     wrong = replace(palette, albedo=torch.full((1, 3), 0.5))
     start = UnseenLight(16, 4.0, "cpu")
-    fit = UnseenLightProblem(ball, start, label, target, torch.arange(4000), MaterialPreset()).solve(wrong, start, 150)
+    fit = UnseenLightProblem(ball, 16, 4.0, label, target, torch.arange(4000), MaterialPreset()).solve(wrong, start, 150)
     area = torch.sin((torch.arange(16) + 0.5) * math.pi / 16)[:, None, None]
     bright = truth.radiance > 1
     flux = [float((light.radiance * area)[bright].sum()) for light in (truth, fit.light)]
@@ -215,7 +227,7 @@ def test_many_samples_on_many_threads_are_solved_the_same_each_time():
     palette = Palette(random(2, 3), torch.full((2,), 0.3), torch.tensor([0.0, 1.0]))
     label, target = torch.arange(n) % 2, random(n, 3)
     start = UnseenLight(8, 4.0, "cpu")
-    problem = UnseenLightProblem(light, start, label, target, torch.arange(n), MaterialPreset())
+    problem = UnseenLightProblem(light, 8, 4.0, label, target, torch.arange(n), MaterialPreset())
     threads = torch.get_num_threads()
     try:
         torch.set_num_threads(4)

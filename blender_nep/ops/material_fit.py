@@ -1,7 +1,7 @@
 """Robust fits of albedos to photo samples on the CPU: a fused Numba kernel.
 
 A task is one roughness of one group of samples: its lines are interpolated once and stay in the cache while the albedo is
-iterated. Sums are in float64, one sample after the other: results do not depend on the number of threads.
+iterated. Sums are in float64; each task is one thread's: results do not depend on their number.
 """
 
 from __future__ import annotations
@@ -14,36 +14,37 @@ from numba import njit, prange
 _LOG5 = np.float32(math.log(5.0))
 
 
-@njit(cache=True, inline="always", fastmath=True)
-def _more(albedo, ratio, average):
-    """The metal's gain by light that is scattered more than once: `brdf.multiscatter_scale` of `brdf.metal_fss`."""
+@njit(cache=True, inline="always", fastmath=True, error_model="numpy")
+def _multiscatter_gain(albedo, ratio, average):
+    """Of a metal, by light that is scattered more than once: `brdf.multiscatter_scale` of `brdf.metal_fss`."""
     fss = albedo + (np.float32(1) - albedo) / np.float32(21)
     return np.float32(1) + fss * average / (np.float32(1) - fss * (np.float32(1) - average)) * ratio
 
 
-@njit(cache=True, inline="always", fastmath=True)
+@njit(cache=True, inline="always", fastmath=True, error_model="numpy")
 def _tone(light):
     """`metrics.tone_map`; log is three times as fast as log1p, and its error of 1e-7 near black is nothing to a photo."""
     return math.log(np.float32(1) + np.float32(4) * light) / _LOG5
 
 
-@njit(cache=True, parallel=True, fastmath=True)
-def fit_lines(starts, specular, diffuse, goal, tone_goal, weight, ratio, coat, base, low, mix, average, metallic, limit,
-              clip, iterations, cost, albedo):
+@njit(cache=True, parallel=True, fastmath=True, error_model="numpy")
+def fit_lines(starts, specular, diffuse, goal, tone_goal, weight, ratio, specular_scale, diffuse_scale, low, mix, average,
+              metallic, limit, clip, iterations, cost, albedo):
     """Fills cost [M,R,G] and albedo [M,R,G,3] for M values of `metallic`, R roughnesses, G groups.
 
     Samples n in the order of their groups, which begin at starts [G+1]: specular [n,rungs,3,3] the moments (full, edge,
-    dielectric) on the ladder, diffuse, goal, tone_goal [n,3], weight [n]; ratio [n,R]: (1 - E) / E of the lobe, coat and
-    base [n,R]: factors of the dielectric's two lobes. low, mix [R]: where a roughness lies on the ladder; average [R]: mean
-    of E. limit [M]: of the albedo. All float32 but starts and low.
+    dielectric) on the ladder, diffuse, goal, tone_goal [n,3], weight [n]; ratio [n,R]: (1 - E) / E of the lobe;
+    specular_scale, diffuse_scale [n,R]: of the dielectric's lobes. low, mix [R]: where a roughness lies on the ladder;
+    average [R]: mean of E. limit [M]: of the albedo. All float32 but starts and low.
     """
     groups, steps = cost.shape[2], cost.shape[1]
     for task in prange(groups * steps):
         g, j = task // steps, task % steps
         first = starts[g]
         count = starts[g + 1] - first
+        # radiance: gain * (edge + span * albedo) of a metal, specular_part + diffuse_part * albedo of a dielectric
         edge, span = np.empty((count, 3), np.float32), np.empty((count, 3), np.float32)
-        glaze, paint = np.empty((count, 3), np.float32), np.empty((count, 3), np.float32)
+        specular_part, diffuse_part = np.empty((count, 3), np.float32), np.empty((count, 3), np.float32)
         rung, share = low[j], mix[j]
         total = 0.0
         for s in range(count):
@@ -53,9 +54,9 @@ def fit_lines(starts, specular, diffuse, goal, tone_goal, weight, ratio, coat, b
                 full = specular[n, rung, 0, c] + share * (specular[n, rung + 1, 0, c] - specular[n, rung, 0, c])
                 edge[s, c] = specular[n, rung, 1, c] + share * (specular[n, rung + 1, 1, c] - specular[n, rung, 1, c])
                 span[s, c] = full - edge[s, c]
-                glaze[s, c] = coat[n, j] * (specular[n, rung, 2, c]
-                                            + share * (specular[n, rung + 1, 2, c] - specular[n, rung, 2, c]))
-                paint[s, c] = base[n, j] * diffuse[n, c]
+                coat = specular[n, rung, 2, c] + share * (specular[n, rung + 1, 2, c] - specular[n, rung, 2, c])
+                specular_part[s, c] = specular_scale[n, j] * coat
+                diffuse_part[s, c] = diffuse_scale[n, j] * diffuse[n, c]
         for i in range(len(metallic)):
             metal, rest = metallic[i], np.float32(1) - metallic[i]
             a = np.full(3, np.float32(0.5))
@@ -64,34 +65,34 @@ def fit_lines(starts, specular, diffuse, goal, tone_goal, weight, ratio, coat, b
                     top = bottom = 0.0
                     for s in range(count):
                         n = first + s
-                        more = metal * _more(a[c], ratio[n, j], average[j])
-                        offset = more * edge[s, c] + rest * glaze[s, c]
-                        slope = more * span[s, c] + rest * paint[s, c]
+                        gain = metal * _multiscatter_gain(a[c], ratio[n, j], average[j])
+                        offset = gain * edge[s, c] + rest * specular_part[s, c]
+                        slope = gain * span[s, c] + rest * diffuse_part[s, c]
                         light = max(offset + slope * a[c], np.float32(0))
                         robust = weight[n]
                         if k == 0:
                             mean = goal[n, c]
                         else:
                             mean = np.float32(0.5) * (light + goal[n, c])
-                            off = abs(_tone(light) - tone_goal[n, c])
-                            if off >= 2 * clip:
+                            residual = abs(_tone(light) - tone_goal[n, c])
+                            if residual >= 2 * clip:
                                 continue
-                            robust /= max(off, np.float32(0.02))
+                            robust /= max(residual, np.float32(0.02))
                         # d tone / d radiance turns the tone-mapped residual into a linear one; 1 / |residual| makes it L1
                         robust /= (np.float32(1) + np.float32(4) * mean) ** 2
                         top += robust * slope * (goal[n, c] - offset)
                         bottom += robust * slope * slope
                     a[c] = min(max(top / max(bottom, 1e-12), 0.0), limit[i])
-            residual = 0.0
+            left = 0.0
             for s in range(count):
                 n = first + s
-                off = np.float32(0)
+                residual = np.float32(0)
                 for c in range(3):
-                    more = metal * _more(a[c], ratio[n, j], average[j])
-                    light = max(more * (edge[s, c] + span[s, c] * a[c]) + rest * (glaze[s, c] + paint[s, c] * a[c]),
-                                np.float32(0))
-                    off += abs(_tone(light) - tone_goal[n, c])
-                residual += min(off / np.float32(3), clip) * weight[n]
-            cost[i, j, g] = residual / max(total, 1e-9)
+                    gain = metal * _multiscatter_gain(a[c], ratio[n, j], average[j])
+                    light = max(gain * (edge[s, c] + span[s, c] * a[c])
+                                + rest * (specular_part[s, c] + diffuse_part[s, c] * a[c]), np.float32(0))
+                    residual += abs(_tone(light) - tone_goal[n, c])
+                left += min(residual / np.float32(3), clip) * weight[n]
+            cost[i, j, g] = left / max(total, 1e-9)
             for c in range(3):
                 albedo[i, j, g, c] = a[c]
