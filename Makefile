@@ -19,6 +19,7 @@ CASES := 500
 SEED := 1
 BENCH := out/benchmarks
 CAPTURES :=
+SCENES := data/suzanne_small:masks $(addprefix $(BENCH)/captures/,suzanne:cut-out box box:clipped gold_0.8 gold_0.05:metal)
 PLAN := all
 JOBS := 1
 
@@ -48,6 +49,8 @@ bench: $(VENV)/installed-dev
 		--plan $(PLAN) --relight --jobs $(JOBS) --out $(BENCH)
 	-$(BIN)/python -m benchmarks run $(BENCH)/captures/gold_*/ --plan roughness --relight --jobs $(JOBS) --out $(BENCH)
 	$(BIN)/python -m benchmarks report --out $(BENCH) --write docs/benchmarks.md
+	$(if $(CAPTURES),,$(BIN)/python -m benchmarks.skipping $(SCENES) --seeds 0 1 2 --out $(BENCH)/skipping \
+		--write docs/benchmarks.md)
 
 lint: $(VENV)/installed-dev
 	$(BIN)/ruff check .

@@ -58,6 +58,11 @@ def write_report(rows: list[dict], results: Results, document: Path) -> list[str
             parts[name] = "Not run."
         elif name in PICTURES:
             parts[name] = f"![{PICTURES[name]}]({document.stem}/{name}.png)\n\n{parts[name]}"
+    return fill(document, parts)
+
+
+def fill(document: Path, parts: dict[str, str]) -> list[str]:
+    """Put {marker: Markdown} between the markers; returns those that the document does not have."""
     text, missing = document.read_text(encoding="utf-8"), []
     for name, part in parts.items():
         marked = re.compile(MARKED.format(re.escape(name)), re.DOTALL)

@@ -1,11 +1,13 @@
 """What scene analysis leaves out, the time that it saves, and whether the error grows: whole jobs with and without it.
 
     python -m benchmarks.skipping SCENE... [--preset preview] [--seeds 0 1 2] [--out out/benchmarks/skipping]
+                                  [--write docs/benchmarks.md]
 
 A scene is the folder of a capture with ground truth, and after a colon what is made of it or told about it: `cut-out`,
 `clipped`, `distant` (see derived_captures), `masks` (else they are ignored; derived captures use them), `metal` (--metal
 yes). Every run writes one JSON file and is skipped when that exists; a run that fails is a row with its message. Stage 1
-is learned once where leaving out changes nothing in it. Seconds are CPU seconds. Ends with the table.
+is learned once where leaving out changes nothing in it. Seconds are CPU seconds.
+Ends with the table, and puts it between a document's markers.
 """
 
 from __future__ import annotations
@@ -27,6 +29,7 @@ import numpy as np
 from benchmarks import geometry, materials
 from benchmarks.derived_captures import VARIANTS, derive
 from benchmarks.harness import markdown, resumed, use_threads
+from benchmarks.report import fill
 from blender_nep.capture import load_capture
 from blender_nep.checkpoints import StopRequest, load_state, save_state
 from blender_nep.events import Events
@@ -153,6 +156,7 @@ def main() -> None:
     parser.add_argument("--seeds", nargs="+", type=int, default=[0])
     parser.add_argument("--threads", type=int, default=1)
     parser.add_argument("--out", type=Path, default=Path("out/benchmarks/skipping"))
+    parser.add_argument("--write", type=Path, help="a document with the marker `skipping`")
     arguments = parser.parse_args()
     use_threads(arguments.threads)
     table, scenes = [], [Scene.parse(text, arguments.out) for text in arguments.scenes]
@@ -172,7 +176,10 @@ def main() -> None:
             rows[skip].append(resumed(arguments.out / f"{name}.json", row, work))
             print(name, {k: rows[skip][-1].get(k) for k in ("error", "seconds", *ERRORS, "skipped")}, flush=True)
         table.append(line(scene.name, rows))
-    print("\n" + markdown(["scene", "left out", "CPU s with / without", *ERRORS.values()], table))
+    text = markdown(["scene", "left out", "CPU s with / without", *ERRORS.values()], table)
+    print("\n" + text)
+    if arguments.write:
+        fill(arguments.write, {"skipping": text})
 
 
 if __name__ == "__main__":
