@@ -32,7 +32,7 @@ from hypothesis import strategies as st
 from benchmarks.harness import write_row
 from benchmarks.stress_checks import check_asset, check_refusal, same_assets, strict_json
 from benchmarks.stress_scenes import Case, write_capture
-from blender_nep import job, material_palette
+from blender_nep import job, material_fits
 from blender_nep.checkpoints import StopRequest
 from blender_nep.events import Events
 
@@ -98,7 +98,7 @@ def reconstruct(case: Case, capture: Path, out: Path, stop: StopRequest | None =
     """Exit code, events and text for people of the job of a case."""
     protocol, human, stop = io.StringIO(), io.StringIO(), stop or StopRequest()
     lowered = torch.autocast("cpu", torch.bfloat16) if case.bfloat16 else contextlib.nullcontext()
-    with lowered, mock.patch.object(material_palette, "_ROUGHNESS", _ROUGHNESS_STEPS):
+    with lowered, mock.patch.object(material_fits, "_ROUGHNESS", _ROUGHNESS_STEPS):
         code = job.run(case.settings(capture, out, **changes), _AllEvents(protocol, human, stop), stop)
     return code, [strict_json(line) for line in protocol.getvalue().splitlines()], human.getvalue()
 
