@@ -21,18 +21,17 @@ _SMALLER = 4
 """The photos of `distant` have as many times fewer pixels a side."""
 
 
-def cut_out(photo: np.ndarray, mask: np.ndarray, file: Path) -> None:
+def cut_out(photo: np.ndarray, mask: np.ndarray, _white: float, file: Path) -> None:
     """Nothing but the object, before alpha 0."""
     _write_exr(file, np.concatenate([photo * mask[..., None], mask[..., None]], -1))
 
 
-def clipped(photo: np.ndarray, mask: np.ndarray, file: Path) -> None:
-    """8 bits a channel, sRGB, exposed so that a fiftieth of the object's pixels are white."""
-    white = float(np.quantile(photo[mask > 0.5].max(-1), 0.98)) if (mask > 0.5).any() else 1.0
+def clipped(photo: np.ndarray, _mask: np.ndarray, white: float, file: Path) -> None:
+    """8 bits a channel, sRGB, all photos with one exposure."""
     Image.fromarray(np.round(255 * linear_to_srgb(photo / white)).astype(np.uint8)).save(file)
 
 
-def distant(photo: np.ndarray, mask: np.ndarray, file: Path) -> None:
+def distant(photo: np.ndarray, _mask: np.ndarray, _white: float, file: Path) -> None:
     """As from farther away: few pixels on the object, the same view."""
     _write_exr(file, _shrunk(photo))
 
@@ -55,10 +54,12 @@ def derive(source: Path, variant: str, out: Path) -> Path:
     (out / "images").mkdir(exist_ok=True)
     shutil.rmtree(out / "masks", ignore_errors=True)
     (out / "masks").mkdir()
-    for i, frame in enumerate(meta["frames"]):
-        photo, mask = capture.load_photo(i)[0], capture.load_mask(i)
+    photos = [(capture.load_photo(i)[0], capture.load_mask(i)) for i in range(len(meta["frames"]))]
+    shown = [photo[mask > 0.5].max(-1) for photo, mask in photos]
+    white = float(np.quantile(np.concatenate(shown), 0.98))  # a fiftieth of the object's pixels are white or brighter
+    for i, (frame, (photo, mask)) in enumerate(zip(meta["frames"], photos, strict=True)):
         frame["file_path"], frame["mask_path"] = f"images/{i:03d}{suffix}", f"masks/{i:03d}.png"
-        write(photo, mask, out / frame["file_path"])
+        write(photo, mask, white, out / frame["file_path"])
         if variant == "distant":
             mask = _shrunk(mask[..., None])[..., 0]
         Image.fromarray(np.round(255 * mask).astype(np.uint8)).save(out / frame["mask_path"])
