@@ -23,8 +23,9 @@ if TYPE_CHECKING:
 
 HARDLY_SEES_ITSELF = 0.01
 """Self-visibility under which what the object reflects of itself is less than what its light is known to."""
-SECOND_BOUNCE = 0.15
-"""Self-visibility from which on light is followed for a second bounce: less than its square comes that way."""
+SECOND_BOUNCE = 0.1
+"""Self-visibility from which on light is followed for a second bounce: less than its square comes that way. Measured: no
+difference up to 0.08; at 0.14 the roughness of a glaze came out lower without it in two of three seeds."""
 MATTE = 0.08
 """View dependence under which the photos show no reflections. Measured: 0.035 for chalk, 0.32 for a glaze, 1.5 to 2.3 for
 metals."""
