@@ -18,7 +18,7 @@ from blender_nep.fields.object_field import SplineShape, SurfaceColour
 from blender_nep.fields.volume_rendering import SurfaceSamples, neus_weights, sphere_interval
 
 OCTAVES = 6
-LAYERS, WIDTH, SKIP = 8, 256, 4
+LAYERS, WIDTH = 8, 256
 COLOUR_LAYERS = 4
 CHUNK = 1 << 16
 """Points at once where nothing is learned."""
@@ -38,18 +38,18 @@ class ReferenceField(SurfaceColour):
 
     def __init__(self, initial_radius: float, decomposed: bool = True, width: int = WIDTH, layers: int = LAYERS) -> None:
         super().__init__(width, decomposed, COLOUR_LAYERS)
-        inputs = 3 + 6 * OCTAVES
+        inputs, self.skip = 3 + 6 * OCTAVES, layers // 2  # half way the encoding enters again, as in NeuS
         sizes = [inputs, *[width] * layers]
         self.layers = nn.ModuleList()
         for k in range(layers):
-            outputs = sizes[k + 1] - (inputs if k + 1 == SKIP else 0)
+            outputs = sizes[k + 1] - (inputs if k + 1 == self.skip else 0)
             layer = nn.Linear(sizes[k], outputs)
             nn.init.zeros_(layer.bias)
             nn.init.normal_(layer.weight, 0, math.sqrt(2 / outputs))
             with torch.no_grad():  # a sphere has no frequencies: their weights start at 0
                 if k == 0:
                     layer.weight[:, 3:] = 0
-                elif k == SKIP:
+                elif k == self.skip:
                     layer.weight[:, -(inputs - 3):] = 0
             self.layers.append(nn.utils.parametrizations.weight_norm(layer))
         last = nn.Linear(width, 1)
@@ -71,7 +71,7 @@ class ReferenceField(SurfaceColour):
         encoded = positional_encoding(points, OCTAVES)
         x = encoded
         for k, layer in enumerate(self.layers[:-1]):
-            if k == SKIP:
+            if k == self.skip:
                 x = torch.cat([x, encoded], -1) / math.sqrt(2)
             x = self.activation(layer(x))
         return self.layers[-1](x)[:, 0]

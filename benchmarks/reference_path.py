@@ -1,10 +1,12 @@
 """The slow reference path: large MLPs and many rays, as published, to show what the fast path loses.
 
-    python -m benchmarks.reference_path CAPTURE... [--hours 8] [--steps N] [--threads 1] [--out out/benchmarks/reference]
+    python -m benchmarks.reference_path CAPTURE... [--size small] [--hours 8] [--steps N] [--threads 1]
+                                        [--out out/benchmarks/reference]
 
-Stage 1 learns the SDF as an MLP (`benchmarks.reference_field`) with 64 + 64 samples a ray, started as a sphere; F_e, the
-losses and the rest are our own. Stage 2 sends 256 + 128 rays instead of cones, on the reference's own mesh. Scores are those
-of `python -m benchmarks run`.
+Stage 1 learns the SDF as an MLP (`benchmarks.reference_field`), started as a sphere; F_e, the losses and the rest are our
+own. `--size published` is NeuS's, 8 layers of 256 and 512 rays of 64 + 64 samples, 300,000 steps of which take 50 days here;
+`small`, 4 layers of 128 and 256 rays of 32 + 32 samples, comes further in a night than it. Stage 2 sends 256 + 128 rays
+instead of cones, on the reference's own mesh. Scores are those of `python -m benchmarks run`.
 
 Hours are CPU hours of stage 1: a few steps are timed, and as many are planned as fit (`--steps` plans them directly). The
 plan and a checkpoint every 25 seconds or less lie beside the results: the same command goes on where it was ended.
@@ -35,23 +37,29 @@ from blender_nep.presets import Preset, preset
 from blender_nep.rooms import Rooms
 from blender_nep.surface import extract_surface
 
+SIZES = {
+    "published": {"width": 256, "layers": 8, "fields": {"object_rays": 256, "sphere_rays": 256, "outside_rays": 512,
+                                                        "first_samples": 128, "samples": 128}},
+    "small": {"width": 128, "layers": 4, "fields": {"object_rays": 128, "sphere_rays": 128, "outside_rays": 256,
+                                                    "first_samples": 64, "samples": 64}},
+}
+"""Of the MLP and of a step. Half of the rays that meet the sphere follow the object, as in ours."""
 REFERENCE = {
-    "fields": {"object_rays": 256, "sphere_rays": 256, "outside_rays": 512, "first_samples": 128, "samples": 128,
-               "sdf_rate": 5e-4, "head_rate": 5e-4, "eikonal": 0.1, "curvature": 0.0, "first_levels": 1, "last_levels": 1,
+    "fields": {"sdf_rate": 5e-4, "head_rate": 5e-4, "eikonal": 0.1, "curvature": 0.0, "first_levels": 1, "last_levels": 1,
                "least_contrast": float("inf"), "patience": 1_000_000},
     "material": {"use_cones": False, "diffuse_cones": 256, "irradiance_cones": 256, "specular_cones": 128,
                  "samples": 1500},
 }
-"""`balanced` with NeuS's rays, samples, rates and weights; from a sphere and not from the visual hull, all steps taken.
+"""`balanced` with NeuS's rates and weights; from a sphere and not from the visual hull, all steps taken.
 Fewer photo samples in stage 2, since each costs as much as 45 do with cones."""
 TIMED_STEPS = 3
 """Of both fields together, to learn how long one takes."""
 
 
-def step_seconds(rays: PixelRays, settings: Preset, seed: int) -> float:
+def step_seconds(rays: PixelRays, settings: Preset, size: str, seed: int) -> float:
     """CPU seconds a step of both fields, on a learning of its own that is thrown away."""
     settings = with_changes(settings, {"fields": {"background_steps": 0}})
-    learning = FieldsLearning(rays, settings, seed, rays.radiance.device, reference_field(settings))
+    learning = FieldsLearning(rays, settings, seed, rays.radiance.device, reference_field(settings, size))
     learning.learn_step()
     start = time.process_time()
     for _ in range(TIMED_STEPS):
@@ -59,27 +67,29 @@ def step_seconds(rays: PixelRays, settings: Preset, seed: int) -> float:
     return (time.process_time() - start) / TIMED_STEPS
 
 
-def reference_field(settings: Preset) -> ReferenceField:
+def reference_field(settings: Preset, size: str) -> ReferenceField:
     """On the CPU; a learning moves it nowhere."""
-    return ReferenceField(settings.fields.initial_radius, settings.fields.decomposition)
+    return ReferenceField(settings.fields.initial_radius, settings.fields.decomposition, SIZES[size]["width"],
+                          SIZES[size]["layers"])
 
 
-def planned(file: Path, rays: PixelRays, settings: Preset, hours: float, steps: int | None, seed: int) -> dict:
+def planned(file: Path, rays: PixelRays, settings: Preset, size: str, hours: float, steps: int | None, seed: int) -> dict:
     """{"steps", "step_seconds"}: what `file` holds, else made now and written there."""
     if not file.is_file():
-        seconds = step_seconds(rays, settings, seed)
+        seconds = step_seconds(rays, settings, size, seed)
         write_row(file, {"step_seconds": seconds, "steps": steps or max(1, round(3600 * hours / seconds))})
     return json.loads(file.read_text(encoding="utf-8"))
 
 
-def run(folder: Path, hours: float, steps: int | None, seed: int, kept: Path) -> dict:
+def run(folder: Path, size: str, hours: float, steps: int | None, seed: int, kept: Path) -> dict:
     """Stage 1, surface and stage 2 of one capture, and all scores. Raises Stopped, with its checkpoint written."""
     capture, test = load_capture(folder), load_capture(folder, transforms="transforms_test.json")
     test.object_center, test.object_radius = capture.object_center, capture.object_radius
     device = torch.device("cpu")
     settings = with_changes(replace(preset("balanced"), name="reference"), REFERENCE)
+    settings = with_changes(settings, {"fields": SIZES[size]["fields"]})
     rays = PixelRays.from_capture(capture, settings.max_pixels_per_photo, False, device)
-    plan = planned(kept / "plan.json", rays, settings, hours, steps, seed)
+    plan = planned(kept / "plan.json", rays, settings, size, hours, steps, seed)
     settings = with_changes(settings, {"fields": {"steps": plan["steps"]}})
     done = kept / "fields.done.pt"
     if not done.is_file():
@@ -93,7 +103,7 @@ def run(folder: Path, hours: float, steps: int | None, seed: int, kept: Path) ->
         torch.manual_seed(seed)
         with stop.signals():
             fields = learn_fields(rays, settings, seed=seed, device=device, progress=progress, checkpoint=checkpoint,
-                                  object_field=reference_field(settings))
+                                  object_field=reference_field(settings, size))
         mesh = extract_surface(fields.object_field, settings.surface)
         save_state(done, {"surface": Rooms().pack_surface(mesh), "environment": fields.environment.state_dict(),
                           "report": fields.report, "seconds": checkpoint.seconds()})
@@ -119,12 +129,13 @@ COLUMNS = ("steps", "step_seconds", "seconds", "cd_visible", "normal_deg", "mask
 
 def cells(row: dict) -> list:
     """One line of the table; a failed run shows its message."""
-    return [row["capture"], *(float(row[c]) if c in row else row.get("error", "") for c in COLUMNS)]
+    return [row["capture"], row["size"], *(float(row[c]) if c in row else row.get("error", "") for c in COLUMNS)]
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     parser.add_argument("captures", nargs="+", type=Path)
+    parser.add_argument("--size", default="published", choices=list(SIZES))
     parser.add_argument("--hours", type=float, default=8.0)
     parser.add_argument("--steps", type=int)
     parser.add_argument("--seed", type=int, default=0)
@@ -132,14 +143,14 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=Path("out/benchmarks/reference"))
     arguments = parser.parse_args()
     use_threads(arguments.threads)
-    header, rows = ["capture", *COLUMNS], []
+    header, rows = ["capture", "size", *COLUMNS], []
     for folder in arguments.captures:
-        kept = arguments.out / f"{folder.name}-{arguments.seed}"
+        kept = arguments.out / f"{folder.name}-{arguments.size}-{arguments.seed}"
         kept.mkdir(parents=True, exist_ok=True)
-        row = {"capture": folder.name, "seed": arguments.seed, "threads": arguments.threads}
+        row = {"capture": folder.name, "size": arguments.size, "seed": arguments.seed, "threads": arguments.threads}
         try:
             row = resumed(kept.parent / f"{kept.name}.json", row,
-                          partial(run, folder, arguments.hours, arguments.steps, arguments.seed, kept))
+                          partial(run, folder, arguments.size, arguments.hours, arguments.steps, arguments.seed, kept))
         except Stopped as stopped:
             parser.exit(7, f"{stopped}\n")
         rows.append(cells(row))
