@@ -2,7 +2,8 @@
 # make test   lint and all tests
 # make lint   lint alone
 # make stress CASES=500 SEED=1   whole small jobs on hostile captures (docs/stress.md); goes on where it was stopped
-# make bench  the whole benchmark plan, then docs/benchmarks.md (long: CAPTURES="a b" PLAN=presets JOBS=2 for less)
+# make bench  the whole benchmark plan, then docs/benchmarks.md (a day and more; less of it:
+#             CAPTURES="a b" PLAN=presets SEEDS=0 JOBS=2, RENDER="--views 24 --size 160 --samples 8")
 # make test-blender   the extension in Blender 4.2, 4.5, 5.0 and 5.2 (bpy wheels, 4 GB; needs Python 3.13 too)
 #
 # Everything is installed into .venv, with the versions of constraints.txt; Python 3.11 is needed (bpy 5.0 has no other).
@@ -19,8 +20,11 @@ CASES := 500
 SEED := 1
 BENCH := out/benchmarks
 CAPTURES :=
-SCENES := data/suzanne_small:masks $(addprefix $(BENCH)/captures/,suzanne:cut-out box box:clipped gold_0.8 gold_0.05:metal)
+SCENES := data/suzanne_small:masks $(if $(CAPTURES),$(CAPTURES) $(firstword $(CAPTURES)):cut-out $(lastword $(CAPTURES)):clipped,\
+	$(addprefix $(BENCH)/captures/,suzanne:cut-out box box:clipped gold_0.8 gold_0.05:metal))
 PLAN := all
+SEEDS :=
+RENDER :=
 JOBS := 1
 
 ifdef PIP_EXTRA_INDEX_URL
@@ -44,13 +48,12 @@ test-blender: $(VENV)/installed
 
 # Without CAPTURES those are taken that the suite renders itself.
 bench: $(VENV)/installed-dev
-	$(BIN)/python -m benchmarks render $(if $(CAPTURES),,shapes) roughness --out $(BENCH)
+	$(BIN)/python -m benchmarks render $(if $(CAPTURES),,shapes) roughness $(RENDER) --out $(BENCH)
 	-$(BIN)/python -m benchmarks run $(if $(CAPTURES),$(CAPTURES),$(BENCH)/captures/suzanne $(BENCH)/captures/box) \
-		--plan $(PLAN) --relight --jobs $(JOBS) --out $(BENCH)
+		--plan $(PLAN) $(if $(SEEDS),--seed $(SEEDS)) --relight --jobs $(JOBS) --out $(BENCH)
 	-$(BIN)/python -m benchmarks run $(BENCH)/captures/gold_*/ --plan roughness --relight --jobs $(JOBS) --out $(BENCH)
 	$(BIN)/python -m benchmarks report --out $(BENCH) --write docs/benchmarks.md
-	$(if $(CAPTURES),,$(BIN)/python -m benchmarks.skipping $(SCENES) --seeds 0 1 2 --out $(BENCH)/skipping \
-		--write docs/benchmarks.md)
+	$(BIN)/python -m benchmarks.skipping $(SCENES) --seeds $(or $(SEEDS),0 1 2) --out $(BENCH)/skipping --write docs/benchmarks.md
 
 lint: $(VENV)/installed-dev
 	$(BIN)/ruff check .

@@ -1,7 +1,8 @@
 """The cameras and photos of a capture, as far as Blender needs them (transforms.json, the instant-ngp form)."""
 import json
 import math
-from dataclasses import dataclass
+import os
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -25,6 +26,7 @@ class Frame:
     cy: float
     matrix: np.ndarray
     color_space: str
+    stops: float = 0.0  # how much brighter than their mean it was taken
 
     def photo(self) -> np.ndarray:
         """[H,W,3] linear radiance, over grey where the file has transparency. OSError where it cannot be read."""
@@ -55,6 +57,16 @@ def read_bounds(folder: Path) -> tuple[list[float], float] | None:
     if len(sphere) != 4 or not np.isfinite(sphere).all() or sphere[3] <= 0:
         raise ValueError(f"{folder}: object_center must be three numbers and object_radius a positive one")
     return sphere[:3].tolist(), float(sphere[3])
+
+
+def with_exposures(frames: list[Frame], capture: Path, asset: Path) -> list[Frame]:
+    """The frames of a capture with the exposures that the report of an asset made from it has found."""
+    try:
+        report = json.loads((Path(asset) / "report.json").read_text(encoding="utf-8"))
+        found = report["capture"].get("exposure_stops", {})
+        return [replace(frame, stops=float(found.get(os.path.relpath(frame.path, capture), 0.0))) for frame in frames]
+    except (OSError, ValueError, KeyError, TypeError, AttributeError):  # an asset without a report, or of other makers
+        return frames
 
 
 def spread_frames(frames: list[Frame], count: int) -> list[Frame]:

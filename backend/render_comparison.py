@@ -19,7 +19,7 @@ if __package__ in (None, ""):
 import bpy
 
 from backend.arguments import script_arguments
-from backend.capture_files import read_frames, spread_frames
+from backend.capture_files import read_frames, spread_frames, with_exposures
 from backend.comparison import compare, write_comparison
 from backend.result import import_result
 from backend.world import blender_hdris, build_world
@@ -68,7 +68,8 @@ def main(arguments: list[str]) -> int:
     options = parse(arguments)
     end_with_parent()
     try:
-        frames = spread_frames(read_frames(options.capture), max(options.photos, 1))
+        frames = with_exposures(read_frames(options.capture), options.capture, options.asset)
+        frames = spread_frames(frames, max(options.photos, 1))
         bpy.ops.wm.read_factory_settings(use_empty=True)
         item, recovered = import_result(options.asset, bpy.context.scene.collection)
         worlds = [build_world(path, name=path.stem) for path in light_files(options)]

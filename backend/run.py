@@ -119,12 +119,13 @@ def blender_work(options: argparse.Namespace, stop: StopRequests) -> None:
     import bpy
 
     from backend.asset_import import import_asset
-    from backend.capture_files import read_frames, spread_frames
+    from backend.capture_files import read_frames, spread_frames, with_exposures
     from backend.comparison import compare, write_comparison
     from backend.relight import add_camera
     from backend.world import blender_hdris, build_world
 
-    frames = spread_frames(read_frames(options.capture), options.photos)
+    frames = with_exposures(read_frames(options.capture), options.capture, options.out)
+    frames = spread_frames(frames, options.photos)
     bpy.ops.wm.read_factory_settings(use_empty=True)
     scene = bpy.context.scene
     scene.render.engine = "CYCLES"

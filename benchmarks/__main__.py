@@ -41,7 +41,8 @@ def parser() -> argparse.ArgumentParser:
     run.add_argument("--jobs", type=int, default=1, help="at once (%(default)s)")
     run.add_argument("--device", choices=("auto", "cpu", "cuda"), default="auto")
     run.add_argument("--limit", type=float, default=7200, help="seconds after which a step is killed (%(default)s)")
-    run.add_argument("--relight", action="store_true", help="score in Cycles too (about 100 s a run; needs bpy)")
+    run.add_argument("--relight", action="store_true",
+                     help="score in Cycles too what has no ablation and all photos (about 100 s a run; needs bpy)")
     run.add_argument("--retry", action="store_true", help="do failed steps again")
     run.add_argument("--list", action="store_true", help="say what would be run")
     render = commands.add_parser("render", help="render captures in Cycles (needs bpy): what is there is kept")

@@ -31,13 +31,19 @@ def clipped(photo: np.ndarray, _mask: np.ndarray, white: float, file: Path) -> N
     Image.fromarray(np.round(255 * linear_to_srgb(photo / white)).astype(np.uint8)).save(file)
 
 
+def auto_exposed(photo: np.ndarray, _mask: np.ndarray, _white: float, file: Path) -> None:
+    """8 bits a channel, sRGB, each photo exposed for itself: a fiftieth of its pixels are white."""
+    Image.fromarray(np.round(255 * linear_to_srgb(photo / np.quantile(photo.max(-1), 0.98))).astype(np.uint8)).save(file)
+
+
 def distant(photo: np.ndarray, _mask: np.ndarray, _white: float, file: Path) -> None:
     """As from farther away: few pixels on the object, the same view."""
     _write_exr(file, _shrunk(photo))
 
 
 VARIANTS: dict[str, tuple[Callable, str]] = {
-    "cut-out": (cut_out, ".exr"), "clipped": (clipped, ".png"), "distant": (distant, ".exr")}
+    "cut-out": (cut_out, ".exr"), "clipped": (clipped, ".png"), "auto-exposed": (auto_exposed, ".png"),
+    "distant": (distant, ".exr")}
 
 
 def derive(source: Path, variant: str, out: Path) -> Path:

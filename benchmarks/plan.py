@@ -11,6 +11,7 @@ from benchmarks.harness import with_changes
 from blender_nep.presets import PRESETS, Preset
 
 WITHOUT_F_E = "no F_e in stage 2"
+AS_TAKEN = "exposures as taken"
 ABLATIONS: dict[str, dict[str, dict]] = {
     "full": {},
     "w_s as printed": {"fields": {"dynamic_weight": "paper"}},
@@ -25,11 +26,13 @@ ABLATIONS: dict[str, dict[str, dict]] = {
     "no residual": {"material": {"residual": False}},
     "no indirect light": {"material": {"levels": 0}},
     **{f"N = {n}": {"material": {"levels": n}, "job": {"skip_needless": False}} for n in (1, 2, 3)},
+    AS_TAKEN: {"job": {"even_exposure": False}},
     "one material": {"material": {"most_materials": 1}},
 }
 """Preset fields that differ from the preset's own. w_s is off and N is 2 in all presets, where the scene needs it: with
-skip_needless N = 2 and 3 would be 1 on most objects. WITHOUT_F_E is no preset's field:
-all light is a map at infinity, found by the object's reflections alone (the paper puts an MLP there)."""
+skip_needless N = 2 and 3 would be 1 on most objects. WITHOUT_F_E is no preset's field: all light is a map at infinity, found
+by the object's reflections alone (the paper puts an MLP there). AS_TAKEN changes something where photos' exposures differ,
+and stands in no plan."""
 
 
 @dataclass(frozen=True)
@@ -55,6 +58,11 @@ class Run:
         parts += [f"{self.views}_views"] if self.views else []
         parts += [f"{self.pixels}_pixels"] if self.pixels else []
         return "-".join([*parts, f"seed_{self.seed}"]).replace(" ", "_").replace("=", "is")
+
+    @property
+    def is_plain(self) -> bool:
+        """A whole job as a user would run it: no ablation, all photos, its own mesh."""
+        return self == Run(self.capture, self.preset, seed=self.seed)
 
     @property
     def changed_preset(self) -> Preset:
@@ -87,7 +95,7 @@ _STAGE_2 = tuple(name for name, parts in ABLATIONS.items() if set(parts) <= {"ma
 
 PLANS: dict[str, tuple[dict[str, Sequence], ...]] = {
     "presets": ({"preset": ("preview", "balanced", "quality"), "seed": (0, 1, 2)},),
-    "ablations": ({"preset": ("preview",), "ablation": tuple(ABLATIONS), "seed": (0, 1, 2)},),
+    "ablations": ({"preset": ("preview",), "ablation": tuple(a for a in ABLATIONS if a != AS_TAKEN), "seed": (0, 1, 2)},),
     "true_mesh": ({"preset": ("preview",), "geometry": ("true",), "ablation": _STAGE_2, "seed": (0,)},),
     "views": ({"preset": ("preview",), "views": (8, 16, 32, None), "seed": (0,)},),
     "pixels": ({"preset": ("preview",), "pixels": (2_500, 10_000, None, 160_000), "seed": (0,)},),

@@ -36,6 +36,7 @@ class Suite:
     limit: float = 7200.0
     """Seconds after which a step is killed."""
     relight: bool = False
+    """Score in Cycles too what is a whole job as a user would run it."""
     retry: bool = False
     """Do failed steps again."""
     children: Children = field(default_factory=Children)
@@ -76,7 +77,7 @@ class Suite:
     def _run_steps(self, run: Run) -> dict:
         file, asset = self.out / "rows" / f"{run.name}.json", self.out / "assets" / run.name
         row = read_row(file) or {"run": run.as_row()}
-        steps = ["learn", "score", *(["relight"] if self.relight else [])]
+        steps = ["learn", "score", *(["relight"] if self.relight and run.is_plain else [])]
         for step in steps:
             if step in row and not (self.retry and "error" in row[step]):
                 if "error" in row[step] and step == "learn":

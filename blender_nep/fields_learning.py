@@ -239,7 +239,7 @@ class FieldsLearning:
         if not len(self.checked):
             return float("inf")
         out = self.render(*self.rays.rays(self.checked), None)
-        return float((tone_map(out.radiance) - tone_map(self.rays.radiance[self.checked].float())).abs().mean())
+        return float((tone_map(out.radiance) - tone_map(self.rays.photo(self.checked))).abs().mean())
 
     @profiled("steps of F_e alone")
     def _learn_background_step(self) -> float:
@@ -314,7 +314,7 @@ class FieldsLearning:
         index = torch.cat(pick)
         with section("rays and photo values"):
             origins, directions, half_angle = rays.rays(index)
-            target = tone_map(rays.radiance[index].float())
+            target = tone_map(rays.photo(index))
         out = self.render(origins, directions, half_angle, self.generator)
         photometric = (out.weight * (tone_map(out.radiance) - target).abs()).mean()
         # stiff while the light is still unknown, which would else be explained by dents; then free for detail
@@ -366,7 +366,7 @@ class FieldsLearning:
         near = torch.full((len(ray),), self.preset.near, device=self.device)
         behind, _ = self.environment.render(origins[ray], directions[ray], near, torch.full_like(near, torch.inf),
                                             half_angle[ray], None)
-        photo = tone_map(self.rays.radiance[index[ray]].float())
+        photo = tone_map(self.rays.photo(index[ray]))
         error = (tone_map(colour) - photo).abs().mean().clamp(min=1e-6)
         return float((tone_map(behind) - photo).abs().mean() / error)
 

@@ -20,6 +20,7 @@ import numpy as np
 import torch
 
 from blender_nep.capture import Capture, PixelRays, load_capture
+from blender_nep.capture.exposure import find_gains, stops
 from blender_nep.capture.pixel_store import PixelMemory
 from blender_nep.checkpoints import StopRequest, output_errors
 from blender_nep.errors import NepError, OutputError, Stopped, UsageError
@@ -141,6 +142,8 @@ class Job:
             self._finish_complete(what)
             return
         rays = self._read_photos(capture)
+        if s.preset.even_exposure:
+            rays = rays.with_gain(find_gains(rays))
         self.timeline.leave()
         self.seconds["capture"] = time.monotonic() - start
         with section("scene analysis"):
@@ -219,6 +222,14 @@ class Job:
                                 "by --metal yes or --metal no")
         parts = {"fields_learning": fields.report, "surface": surface_report, "material_learning": materials.report}
         self._write_asset(capture, rays, surface, materials, fields.environment, parts, what)
+
+    @staticmethod
+    def _exposures(capture: Capture, rays: PixelRays) -> dict[str, dict[str, float]]:
+        """How much brighter than their mean the photos were taken, for the report; nothing where all share one exposure."""
+        if rays.gain is None:
+            return {}
+        files = (os.path.relpath(view.image_path, capture.folder) for view in capture.views)
+        return {"exposure_stops": dict(zip(files, stops(rays.gain), strict=True))}
 
     def _finish_complete(self, what: dict[str, object]) -> None:
         """A resume of an asset that is complete: nothing to do, if it is what was asked for."""
@@ -387,6 +398,7 @@ class Job:
                     "object_radius": capture.object_radius,
                     "bounds_source": capture.bounds_source,
                     "masks": rays.mask is not None,
+                    **self._exposures(capture, rays),
                 },
                 "seconds": {room: round(self.seconds[room], 2) for room in ROOMS},
                 "seconds_total": round(sum(self.seconds.values()), 2),

@@ -94,7 +94,7 @@ def render_pair(learning: FieldsLearning, view: int) -> np.ndarray:
     grid = torch.arange(height * width, device=rays.valid.device).reshape(height, width)[::step, ::step]
     index = grid.flatten() + rays.offset[view]
     rendered = torch.cat([_render(learning, part) for part in index.split(CHUNK)])
-    photo = rays.radiance[index].float()
+    photo = rays.photo(index)
     pair = [part.cpu().numpy().reshape(*grid.shape, 3) for part in (photo, rendered)]
     return np.round(255 * linear_to_srgb(np.concatenate(pair, 1) * exposure(pair[0]))).astype(np.uint8)
 

@@ -78,9 +78,8 @@ def select_samples(rays: PixelRays, tracer: RayTracer, normals: np.ndarray, *, c
     cosine = np.minimum(np.abs(cosine), -np.einsum("ij,ij->i", smooth, d) * np.sign(cosine))
     leave_out("grazing", cosine < least_cosine)
     leave_out("edge", on & _edges(tracer, o, d, t, angle, cosine, on))
-    radiance = rays.radiance[index].float()
     if rays.brightest <= BRIGHTEST_CLIPPED:
-        leave_out("saturated", (radiance.amax(-1) > SATURATED).cpu().numpy())
+        leave_out("saturated", (rays.radiance[index].amax(-1) > SATURATED).cpu().numpy())
     chosen = np.flatnonzero(on)
     if len(chosen) == 0:
         raise LearningError("no photo shows the surface well enough to learn its material",
@@ -92,7 +91,7 @@ def select_samples(rays: PixelRays, tracer: RayTracer, normals: np.ndarray, *, c
     device = sphere.device
     at = torch.from_numpy(chosen).to(device)
     return PhotoSamples(face[chosen], barycentric[chosen], position.astype(np.float32),
-                        -torch.from_numpy(d[chosen]).to(device), rays.view_of(index[at]), radiance[at], skipped)
+                        -torch.from_numpy(d[chosen]).to(device), rays.view_of(index[at]), rays.photo(index[at]), skipped)
 
 
 def _edges(tracer: RayTracer, o: np.ndarray, d: np.ndarray, t: np.ndarray, angle: np.ndarray, cosine: np.ndarray,

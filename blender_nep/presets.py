@@ -223,6 +223,8 @@ class Preset:
     surface_seconds: float = 5.0
     material_seconds: float = 70.0
     """What the three long rooms take on two cores: first guess of the time left, corrected as the job runs."""
+    even_exposure: bool = True
+    """Find the exposure and white balance of each photo, where they differ, and even them out (`capture.exposure`)."""
     skip_needless: bool = True
     """Leave out what the scene does not need (`scene_analysis`); False: do everything."""
     environment_height: int = 256

@@ -25,7 +25,7 @@ def render_preview(rays: PixelRays, surface, textures: dict[str, np.ndarray], li
     tracer = RayTracer(surface.vertices, surface.faces)
     view = best_view(rays, tracer)
     index = torch.arange(rays.offset[view], rays.offset[view + 1], device=rays.valid.device)
-    photo = rays.radiance[index].float().cpu().numpy()
+    photo = rays.photo(index).cpu().numpy()
     origins, directions, _ = (t.cpu().numpy() for t in rays.rays(index))
     distance, face, barycentric = tracer.intersect(origins, directions)
     hit = np.flatnonzero(np.isfinite(distance))

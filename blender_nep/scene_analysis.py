@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import torch
 
+from blender_nep.capture.exposure import stops
 from blender_nep.photo_samples import BRIGHTEST_CLIPPED, SATURATED
 from blender_nep.raytracing import RayTracer
 
@@ -64,6 +65,8 @@ class SceneAnalysis:
     """Share of those that show the object; None without masks"""
     pixels_across: float
     """Pixels across the sphere, median of the views"""
+    exposure_stops: float
+    """Between the darkest and the brightest exposure of a photo; 0 where all share one"""
 
     @classmethod
     def of(cls, rays: PixelRays) -> SceneAnalysis:
@@ -88,6 +91,7 @@ class SceneAnalysis:
             sphere_share=len(rays.sphere) / max(int(rays.valid.sum()), 1),
             object_share=None if shown is None else float(shown.float().mean()),
             pixels_across=2 / max(float((1.77 * angle * origins.norm(dim=-1)).median()), 1e-9),
+            exposure_stops=0.0 if rays.gain is None else float(np.ptp(stops(rays.gain))),
         )
 
     def facts(self) -> dict:
@@ -108,6 +112,8 @@ class SceneAnalysis:
             lines.append("The photos hold highlights brighter than white (HDR), and hardly any is burnt out.")
         else:
             lines.append("The photos end at white, but hardly a pixel is burnt out.")
+        if self.exposure_stops > 0:
+            lines.append(f"The photos' exposures differ by up to {self.exposure_stops:.1f} stops; they are evened out.")
         size = f"The object's sphere is {self.pixels_across:.0f} pixels wide and takes {_percent(self.sphere_share)} of the"
         filled = "" if self.object_share is None else f"; {_percent(self.object_share)} of that is the object"
         return [*lines, f"{size} photos{filled}."]
@@ -234,7 +240,7 @@ def view_dependence(tracer: RayTracer, normals: np.ndarray, rays: PixelRays, rng
         to_eye /= np.maximum(np.linalg.norm(to_eye, axis=1, keepdims=True), 1e-9)
         seen = (inside & rays.valid[index]).cpu().numpy() & ((normal * to_eye).sum(1) > least_cosine)
         seen[seen] = ~tracer.occluded(tracer.leave(place[seen], face[seen], to_eye[seen]), to_eye[seen])
-        value = rays.radiance[index].float().mean(-1).cpu().numpy()
+        value = rays.photo(index).mean(-1).cpu().numpy()
         count[seen] += 1
         total[seen] += value[seen]
         square[seen] += value[seen].astype(np.float64) ** 2

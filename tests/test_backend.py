@@ -312,6 +312,31 @@ def check_image_files(folder):
     write_png(Path(folder) / "ours.png", np.arange(35, dtype=np.uint8).reshape(5, 7))
 
 
+def test_the_re_rendering_is_exposed_as_its_photo_was(tmp_path):
+    write_exr(tmp_path / "grey.exr", np.full((4, 8, 3), 0.25))
+    in_blender(check_exposure, tmp_path)
+
+
+def check_exposure(folder):
+    import bpy
+
+    from backend import comparison
+    from backend.capture_files import Frame
+    from backend.world import build_world
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    seen = []
+    comparison.draw_sheet, comparison.TILE_RANGE = lambda rows, *_: seen.append(rows[0]), (16, 16)
+    grey = np.full((16, 16, 3), 0.25)
+    Frame.photo = lambda frame: grey * 2.0**frame.stops
+    world = build_world(Path(folder) / "grey.exr", name="grey")
+    for stops in (0.0, 1.0, -2.0):
+        frame = Frame(Path("none"), 16, 16, 16.0, 16.0, 8.0, 8.0, np.eye(4), "srgb", stops)
+        comparison.compare(bpy.data.objects.new("nothing", None), [frame], world, [], samples=1)
+    for photo, rendered in seen:
+        np.testing.assert_allclose(photo.mean((0, 1)), rendered.mean((0, 1)), atol=0.01)  # single pixels are noisy
+    assert seen[1][0].mean() > seen[0][0].mean() > seen[2][0].mean()
+
+
 def test_resize_keeps_means_and_ramps():
     in_blender(check_resize)
 

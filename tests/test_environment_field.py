@@ -207,7 +207,8 @@ def pixel_rays(room: EnvironmentField, n: int, seed: int) -> SimpleNamespace:
     with torch.no_grad():
         radiance = room.render(origins, directions, torch.full((n,), 0.6), torch.full((n,), math.inf))[0]
     half_angle = torch.full((n,), 1e-3)
-    return SimpleNamespace(radiance=radiance, count=n, rays=lambda i: (origins[i], directions[i], half_angle[i]))
+    return SimpleNamespace(radiance=radiance, count=n, rays=lambda i: (origins[i], directions[i], half_angle[i]),
+                           photo=lambda i: radiance[i])
 
 
 def learn_room(seed: int):

@@ -17,6 +17,7 @@ import pytest
 import torch
 from conftest import CENTER, RADIUS, BallRooms
 
+from backend.capture_files import read_frames, with_exposures
 from blender_nep import checkpoints, job
 from blender_nep.checkpoints import Checkpoint, StopRequest, load_state, save_state
 from blender_nep.errors import LearningError, Stopped
@@ -95,6 +96,26 @@ def test_what_the_scene_needs_is_told_before_it_is_done_and_stands_in_the_report
     assert "seconds_saved" not in report["rooms"]["material_learning"]
     start(Asked(), overwrite=True, preset=replace(preset("preview"), skip_needless=False))
     assert asked == [0, preset("preview").material.levels]
+
+
+@pytest.mark.parametrize("even", [True, False])
+def test_photos_of_differing_exposure_are_evened_out_and_the_report_says_by_how_much(start, monkeypatch, even):
+    class Looked(BallRooms):
+        def learn_fields(self, rays, *arguments, **keywords):
+            seen.append(rays.gain)
+            return super().learn_fields(rays, *arguments, **keywords)
+
+    seen: list[torch.Tensor | None] = []
+    monkeypatch.setattr(job, "find_gains", lambda rays: torch.tensor([2.0, 0.5, 1, 1, 1, 1])[:, None].expand(6, 3))
+    start(Looked(), preset=replace(preset("preview"), even_exposure=even))
+    report = json.loads((start.out / "report.json").read_text())
+    said = "The photos' exposures differ by up to 2.0 stops; they are evened out." in report["scene"]["sentences"]
+    assert (seen[0] is not None) == said == ("exposure_stops" in report["capture"]) == even
+    if even:
+        assert report["capture"]["exposure_stops"]["images/000.exr"] == 1.0
+        frames = with_exposures(read_frames(start.folder), start.folder, start.out)
+        assert [frame.stops for frame in frames] == [1, -1, 0, 0, 0, 0]
+    assert all(frame.stops == 0 for frame in with_exposures(read_frames(start.folder), start.folder, start.folder))
 
 
 def test_masks_ignored_are_reported_as_skipped(start):

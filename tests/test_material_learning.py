@@ -57,7 +57,7 @@ class SyntheticRays:
     radiance: torch.Tensor
     origin: torch.Tensor
     direction: torch.Tensor
-    photo: torch.Tensor
+    view: torch.Tensor
     mask: None = None
 
     def __post_init__(self):
@@ -68,7 +68,10 @@ class SyntheticRays:
         return self.origin[index], self.direction[index], torch.full((len(index),), 0.004)
 
     def view_of(self, index):
-        return self.photo[index]
+        return self.view[index]
+
+    def photo(self, index):
+        return self.radiance[index]
 
 
 class MemoryCheckpoint:

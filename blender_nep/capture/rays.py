@@ -7,7 +7,7 @@ import os
 from collections import deque
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -57,6 +57,8 @@ class PixelRays:
     _intrinsics: Tensor
     _rotation: Tensor
     _origin: Tensor
+    gain: Tensor | None = None
+    """[views, 3]: how much brighter than the others each photo was taken; None: all have one exposure."""
 
     @property
     def count(self) -> int:
@@ -72,6 +74,15 @@ class PixelRays:
     def views(self) -> int:
         """Number of photos."""
         return len(self.size)
+
+    def photo(self, index: Tensor) -> Tensor:
+        """The radiance [n, 3] float32 that pixels index [n] int64 show, as if all photos had one exposure."""
+        radiance = self.radiance[index].float()
+        return radiance if self.gain is None else radiance / self.gain[self.view_of(index)]
+
+    def with_gain(self, gain: Tensor | None) -> PixelRays:
+        """The same photos, each taken with its own gain."""
+        return replace(self, gain=gain)
 
     def view_of(self, index: Tensor) -> Tensor:
         """The view [n] int64 of each pixel index [n]."""

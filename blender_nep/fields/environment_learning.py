@@ -54,7 +54,7 @@ def learn_step(environment: EnvironmentField, adam: torch.optim.Optimizer, rays:
         origins.repeat(2, 1), directions.repeat(2, 1), torch.cat([near, middle]),
         torch.cat([middle, torch.full_like(near, torch.inf)]), half_angle.repeat(2), generator)
     radiance, clear = radiance[:n] + transmittance[:n, None] * radiance[n:], transmittance[:n]
-    photometric = (tone_map(radiance) - tone_map(rays.radiance[index].float())).abs().mean()
+    photometric = (tone_map(radiance) - tone_map(rays.photo(index))).abs().mean()
     loss = float(photometric.detach())
     if not usable_loss(loss):
         return math.nan

@@ -56,8 +56,8 @@ def background_silhouettes(environment: EnvironmentField, rays: PixelRays, block
         t = torch.full_like(half_angle, near)
         with torch.no_grad():
             radiance, _ = environment.render(origins, directions, t, torch.full_like(t, torch.inf), half_angle)
-        photo = tone_map(rays.radiance[start:end].float()).reshape(height, width, 3).permute(2, 0, 1)
-        photo = functional.adaptive_avg_pool2d(photo, (rows, columns)).permute(1, 2, 0)
+        photo = rays.photo(torch.arange(start, end, device=rays.radiance.device)).reshape(height, width, 3)
+        photo = functional.adaptive_avg_pool2d(tone_map(photo).permute(2, 0, 1), (rows, columns)).permute(1, 2, 0)
         maps[view].copy_((tone_map(radiance).reshape(rows, columns, 3) - photo).abs().mean(-1))
     return maps
 
