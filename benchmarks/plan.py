@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
@@ -20,6 +21,7 @@ ABLATIONS: dict[str, dict[str, dict]] = {
     "environment at infinity": {"environment": {"model": "infinite"}},
     "no visual hull": {"fields": {"background_steps": 0}},
     "no curvature": {"fields": {"curvature": 0.0, "last_curvature": 0.0}},
+    "highlights in full": {"fields": {"white": math.inf}},
     "F_e not shy": {"fields": {"shyness": 1.0}},
     WITHOUT_F_E: {"material": {}},
     "no cones": {"material": {"use_cones": False}},

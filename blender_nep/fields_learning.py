@@ -22,7 +22,7 @@ from blender_nep.fields.object_field import Appearance, ObjectField
 from blender_nep.fields.step_guard import StepGuard, usable_gradients, usable_loss
 from blender_nep.fields.visual_hull import background_silhouettes, carve, mask_silhouettes
 from blender_nep.fields.volume_rendering import BAND, sphere_interval
-from blender_nep.metrics import tone_map
+from blender_nep.metrics import tone_map, tone_map_without_highlights
 from blender_nep.presets import Preset
 from blender_nep.profile import profiled, section
 from blender_nep.raytracing import RayTracer
@@ -105,7 +105,9 @@ class FieldsLearning:
         torch.manual_seed(seed)
         self.rays, self.preset, self.device = rays, preset.fields, device
         self.generator = torch.Generator(device).manual_seed(seed)
-        self.environment = EnvironmentField(preset.environment, environment_learning.geometric_mean(rays)).to(device)
+        mean = environment_learning.geometric_mean(rays)
+        self.white = preset.fields.white * mean
+        self.environment = EnvironmentField(preset.environment, mean).to(device)
         self.object_field = object_field or _object_field(preset, device)
         preset = preset.fields
         self.step, self.loss = 0, float("nan")
@@ -294,6 +296,12 @@ class FieldsLearning:
         """One optimisation step; returns the loss."""
         return self._learn_background_step() if self.step < self.background_steps else self._learn_joint_step()
 
+    def _tone_map(self, radiance: torch.Tensor, around: int) -> torch.Tensor:
+        """[n, 3] as the loss compares it; of the first `around` rays, which see the object's sphere, without highlights. By the
+        others F_e keeps its lamps."""
+        near, far = radiance[:around], radiance[around:]
+        return torch.cat([tone_map_without_highlights(near, self.white), tone_map(far)])
+
     @profiled("steps of both fields")
     def _learn_joint_step(self) -> float:
         p, rays = self.preset, self.rays
@@ -308,15 +316,15 @@ class FieldsLearning:
         if self.looks and self.fraction >= p.look_at[0] + p.check_every * len(self.held_out):
             self.held_out.append(self._check())
         self._refine_environment()
-        pick = [self._draw(pool, count) for pool, count in ((self.object_pixels, p.object_rays),
-                                                            (rays.sphere, p.sphere_rays),
-                                                            (rays.outside, p.outside_rays)) if len(pool)]
-        index = torch.cat(pick)
+        index = torch.cat([self._draw(self.object_pixels, p.object_rays), self._draw(rays.sphere, p.sphere_rays)])
+        around = len(index)
+        if len(rays.outside):
+            index = torch.cat([index, self._draw(rays.outside, p.outside_rays)])
         with section("rays and photo values"):
             origins, directions, half_angle = rays.rays(index)
-            target = tone_map(rays.photo(index))
+            target = self._tone_map(rays.photo(index), around)
         out = self.render(origins, directions, half_angle, self.generator)
-        photometric = (out.weight * (tone_map(out.radiance) - target).abs()).mean()
+        photometric = (out.weight * (self._tone_map(out.radiance, around) - target).abs()).mean()
         # stiff while the light is still unknown, which would else be explained by dents; then free for detail
         soften = (p.last_curvature / p.curvature if p.curvature > 0 else 1.0) ** max(0.0, 2 * self.fraction - 1)
         loss = photometric + p.eikonal * out.eikonal + p.curvature * soften * out.curvature

@@ -7,8 +7,15 @@ import math
 import torch
 
 _SCALE = math.log(5.0)
+HIGHLIGHT = 0.03
+"""What a highlight e times as bright as white adds, tone-mapped."""
 
 
 def tone_map(radiance: torch.Tensor) -> torch.Tensor:
     """log(1 + 4 x) / log 5 of linear radiance >= 0 [...]: 0 -> 0, 1 -> 1, and highlights neither clip nor rule."""
     return torch.log1p(4 * radiance.clamp(min=0)) / _SCALE
+
+
+def tone_map_without_highlights(radiance: torch.Tensor, white: float) -> torch.Tensor:
+    """`tone_map` up to `white`; above it hardly rises, and still tells brighter from darker: HIGHLIGHT log(x / white)."""
+    return tone_map(radiance.clamp(max=white)) + HIGHLIGHT * (radiance / white).clamp(min=1).log()

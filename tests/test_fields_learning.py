@@ -1,5 +1,6 @@
 """Stage 1 on the capture in the repository: what is learned, determinism, resume; the dynamic weight by its formula."""
 
+import math
 from dataclasses import replace
 from pathlib import Path
 
@@ -13,6 +14,7 @@ from blender_nep.checkpoints import NoCheckpoint
 from blender_nep.errors import LearningError
 from blender_nep.fields.object_field import Appearance, ObjectField
 from blender_nep.fields_learning import Fields, FieldsLearning, dynamic_weight, learn_fields
+from blender_nep.metrics import HIGHLIGHT, tone_map, tone_map_without_highlights
 from blender_nep.presets import preset
 from blender_nep.raytracing import RayTracer
 from blender_nep.surface import Surface
@@ -154,3 +156,23 @@ def test_a_sphere_without_an_object_is_refused(rays):
     with pytest.raises(LearningError, match="seems to contain nothing"):
         learn_fields(rays, small(steps=4, least_evidence=1e9), seed=0, device=CPU, progress=no_progress,
                      checkpoint=NoCheckpoint())
+
+
+@pytest.mark.parametrize("white", [0.4, 3.0])
+def test_highlights_count_little_but_never_nothing(white):
+    radiance = torch.cat([torch.linspace(0, white, 200), torch.logspace(0, 5, 200)[1:] * white]).double().requires_grad_()
+    mapped = tone_map_without_highlights(radiance, white)
+    assert torch.equal(mapped[:200], tone_map(radiance[:200])) and (mapped.diff() > 0).all()
+    slope, = torch.autograd.grad(mapped.sum(), radiance)
+    relative = slope * radiance  # what a highlight e times as bright adds
+    torch.testing.assert_close(relative[200:], torch.full_like(relative[200:], HIGHLIGHT))
+    assert float(relative[199]) > 5 * HIGHLIGHT
+    torch.testing.assert_close(tone_map_without_highlights(radiance, math.inf), tone_map(radiance))
+
+
+def test_the_surroundings_lamps_count_in_full(rays):
+    learning = FieldsLearning(rays, small(), 0, CPU)
+    lamp = torch.full((4, 3), 50 * learning.white)
+    compared = learning._tone_map(lamp, 2)
+    torch.testing.assert_close(compared[2:], tone_map(lamp[2:]))
+    assert (compared[:2] < 0.7 * compared[2:]).all()

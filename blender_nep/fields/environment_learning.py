@@ -20,7 +20,7 @@ from blender_nep.profile import section
 
 def geometric_mean(rays: PixelRays) -> float:
     """Geometric mean of the photos' radiance, from some 10,000 pixels: where F_e starts."""
-    some = rays.radiance[:: max(1, rays.count // 10_000)].float()
+    some = rays.photo(torch.arange(0, rays.count, max(1, rays.count // 10_000), device=rays.radiance.device))
     return float(some.clamp(min=1e-3).log().mean().exp())
 
 
