@@ -297,8 +297,8 @@ class FieldsLearning:
         return self._learn_background_step() if self.step < self.background_steps else self._learn_joint_step()
 
     def _tone_map(self, radiance: torch.Tensor, around: int) -> torch.Tensor:
-        """[n, 3] as the loss compares it; of the first `around` rays, which see the object's sphere, without highlights. By the
-        others F_e keeps its lamps."""
+        """[n, 3] as the loss compares it; of the first `around` rays, which see the object's sphere, without highlights. By
+        the others F_e keeps its lamps."""
         near, far = radiance[:around], radiance[around:]
         return torch.cat([tone_map_without_highlights(near, self.white), tone_map(far)])
 
