@@ -1,7 +1,6 @@
 """The cameras and photos of a capture, as far as Blender needs them (transforms.json, the instant-ngp form)."""
 import json
 import math
-import os
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -26,7 +25,7 @@ class Frame:
     cy: float
     matrix: np.ndarray
     color_space: str
-    stops: float = 0.0  # how much brighter than their mean it was taken
+    gain: tuple[float, float, float] = (1.0, 1.0, 1.0)  # how much brighter than the others it was taken, in each channel
 
     def photo(self) -> np.ndarray:
         """[H,W,3] linear radiance, over grey where the file has transparency. OSError where it cannot be read."""
@@ -59,14 +58,15 @@ def read_bounds(folder: Path) -> tuple[list[float], float] | None:
     return sphere[:3].tolist(), float(sphere[3])
 
 
-def with_exposures(frames: list[Frame], capture: Path, asset: Path) -> list[Frame]:
-    """The frames of a capture with the exposures that the report of an asset made from it has found."""
+def with_exposures(frames: list[Frame], asset: Path) -> list[Frame]:
+    """A capture's frames, all of them, with the exposures that the report of an asset made from it has found."""
     try:
         report = json.loads((Path(asset) / "report.json").read_text(encoding="utf-8"))
-        found = report["capture"].get("exposure_stops", {})
-        return [replace(frame, stops=float(found.get(os.path.relpath(frame.path, capture), 0.0))) for frame in frames]
-    except (OSError, ValueError, KeyError, TypeError, AttributeError):  # an asset without a report, or of other makers
+        gains = [tuple(float(g) for g in gain) for gain in report["capture"]["photo_gains"]]
+    except (OSError, ValueError, KeyError, TypeError):  # photos of one exposure, or an asset of other makers
         return frames
+    fit = len(gains) == len(frames) and all(len(gain) == 3 for gain in gains)  # else it was made from other photos
+    return [replace(frame, gain=gain) for frame, gain in zip(frames, gains, strict=True)] if fit else frames
 
 
 def spread_frames(frames: list[Frame], count: int) -> list[Frame]:

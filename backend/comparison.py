@@ -1,8 +1,8 @@
 """comparison.png: photo beside re-rendering under the recovered light, then the object under other lights.
 
 One row a photo, one column a light; below, if wanted, the object turned before one light. Tiles are shown through
-Blender's view transform Standard (sRGB), which changes no hue; photo and re-rendering share one exposure (the photo's own,
-where the photos' differ), every other light gets its own.
+Blender's view transform Standard (sRGB), which changes no hue; photo and re-rendering share one exposure and white
+balance (the photo's own, where the photos' differ), every other light gets its own.
 """
 from pathlib import Path
 
@@ -43,7 +43,7 @@ def compare(item, frames: list[Frame], recovered, worlds: list, *, samples: int 
         for frame in frames:
             photo = resize(frame.photo(), width, height)
             gain = 1.0 if frame.color_space == "srgb" else exposure(photo)
-            tiles = [photo * gain, rendered(relit, frame, recovered) * (gain * 2.0**frame.stops)]
+            tiles = [photo * gain, rendered(relit, frame, recovered) * (gain * np.array(frame.gain))]
             for world in worlds:
                 radiance = rendered(relit, frame, world)
                 tiles.append(radiance * exposure(radiance))

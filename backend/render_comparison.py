@@ -68,7 +68,7 @@ def main(arguments: list[str]) -> int:
     options = parse(arguments)
     end_with_parent()
     try:
-        frames = with_exposures(read_frames(options.capture), options.capture, options.asset)
+        frames = with_exposures(read_frames(options.capture), options.asset)
         frames = spread_frames(frames, max(options.photos, 1))
         bpy.ops.wm.read_factory_settings(use_empty=True)
         item, recovered = import_result(options.asset, bpy.context.scene.collection)

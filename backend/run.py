@@ -124,7 +124,7 @@ def blender_work(options: argparse.Namespace, stop: StopRequests) -> None:
     from backend.relight import add_camera
     from backend.world import blender_hdris, build_world
 
-    frames = with_exposures(read_frames(options.capture), options.capture, options.out)
+    frames = with_exposures(read_frames(options.capture), options.out)
     frames = spread_frames(frames, options.photos)
     bpy.ops.wm.read_factory_settings(use_empty=True)
     scene = bpy.context.scene

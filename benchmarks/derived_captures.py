@@ -33,7 +33,8 @@ def clipped(photo: np.ndarray, _mask: np.ndarray, white: float, file: Path) -> N
 
 def auto_exposed(photo: np.ndarray, _mask: np.ndarray, _white: float, file: Path) -> None:
     """8 bits a channel, sRGB, each photo exposed for itself: a fiftieth of its pixels are white."""
-    Image.fromarray(np.round(255 * linear_to_srgb(photo / np.quantile(photo.max(-1), 0.98))).astype(np.uint8)).save(file)
+    own_white = max(float(np.quantile(photo.max(-1), 0.98)), 1e-6)
+    Image.fromarray(np.round(255 * linear_to_srgb(photo / own_white)).astype(np.uint8)).save(file)
 
 
 def distant(photo: np.ndarray, _mask: np.ndarray, _white: float, file: Path) -> None:
@@ -61,6 +62,8 @@ def derive(source: Path, variant: str, out: Path) -> Path:
     shutil.rmtree(out / "masks", ignore_errors=True)
     (out / "masks").mkdir()
     photos = [(capture.load_photo(i)[0], capture.load_mask(i)) for i in range(len(meta["frames"]))]
+    if any(mask is None for _, mask in photos):
+        raise SystemExit(f"{source}: nothing can be derived from photos without masks of the object")
     shown = [photo[mask > 0.5].max(-1) for photo, mask in photos]
     white = float(np.quantile(np.concatenate(shown), 0.98))  # a fiftieth of the object's pixels are white or brighter
     for i, (frame, (photo, mask)) in enumerate(zip(meta["frames"], photos, strict=True)):

@@ -93,11 +93,12 @@ class Run:
 
 
 CHOICES = tuple(f.name for f in fields(Run) if f.name != "capture")
-_STAGE_2 = tuple(name for name, parts in ABLATIONS.items() if set(parts) <= {"material", "environment", "job"})
+_PLANNED = tuple(name for name in ABLATIONS if name != AS_TAKEN)
+_STAGE_2 = tuple(name for name in _PLANNED if set(ABLATIONS[name]) <= {"material", "environment", "job"})
 
 PLANS: dict[str, tuple[dict[str, Sequence], ...]] = {
     "presets": ({"preset": ("preview", "balanced", "quality"), "seed": (0, 1, 2)},),
-    "ablations": ({"preset": ("preview",), "ablation": tuple(a for a in ABLATIONS if a != AS_TAKEN), "seed": (0, 1, 2)},),
+    "ablations": ({"preset": ("preview",), "ablation": _PLANNED, "seed": (0, 1, 2)},),
     "true_mesh": ({"preset": ("preview",), "geometry": ("true",), "ablation": _STAGE_2, "seed": (0,)},),
     "views": ({"preset": ("preview",), "views": (8, 16, 32, None), "seed": (0,)},),
     "pixels": ({"preset": ("preview",), "pixels": (2_500, 10_000, None, 160_000), "seed": (0,)},),

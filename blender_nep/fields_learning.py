@@ -66,6 +66,17 @@ def _object_field(preset: Preset, device: torch.device) -> ObjectField:
     return ObjectField(p.coarsest_cells, p.initial_radius, p.head_width, p.decomposition).to(device)
 
 
+def _brightness(rays: PixelRays, pixels: int = 10_000) -> float:
+    """Geometric mean of the radiance around the object, with masks of the object's; black pixels show nothing."""
+    index = rays.sphere[:: max(1, len(rays.sphere) // pixels)]
+    if rays.mask is not None and (rays.mask[index] > 127).any():
+        index = index[rays.mask[index] > 127]
+    radiance = rays.photo(index)
+    brightness = radiance.mean(-1)
+    lit = brightness > 0.01 * brightness.quantile(0.9)
+    return float(radiance[lit].clamp(min=1e-6).log().mean().exp()) if lit.any() else 1.0
+
+
 @dataclass
 class Rendering:
     """Rays rendered through both fields: radiance [n, 3], object opacity [n], loss weight [n, 1] (the paper's w_l)."""
@@ -105,9 +116,8 @@ class FieldsLearning:
         torch.manual_seed(seed)
         self.rays, self.preset, self.device = rays, preset.fields, device
         self.generator = torch.Generator(device).manual_seed(seed)
-        mean = environment_learning.geometric_mean(rays)
-        self.white = preset.fields.white * mean
-        self.environment = EnvironmentField(preset.environment, mean).to(device)
+        self.environment = EnvironmentField(preset.environment, environment_learning.geometric_mean(rays)).to(device)
+        self.white = preset.fields.white * _brightness(rays)
         self.object_field = object_field or _object_field(preset, device)
         preset = preset.fields
         self.step, self.loss = 0, float("nan")
@@ -296,11 +306,12 @@ class FieldsLearning:
         """One optimisation step; returns the loss."""
         return self._learn_background_step() if self.step < self.background_steps else self._learn_joint_step()
 
-    def _tone_map(self, radiance: torch.Tensor, around: int) -> torch.Tensor:
-        """[n, 3] as the loss compares it; of the first `around` rays, which see the object's sphere, without highlights. By
-        the others F_e keeps its lamps."""
-        near, far = radiance[:around], radiance[around:]
-        return torch.cat([tone_map_without_highlights(near, self.white), tone_map(far)])
+    def _difference(self, out: Rendering, photo: torch.Tensor) -> torch.Tensor:
+        """Of renderings and photos [n, 3], tone-mapped; without highlights as far as the object hides what is behind it: F_e
+        keeps its lamps."""
+        full = (tone_map(out.radiance) - tone_map(photo)).abs()
+        dull = tone_map_without_highlights(out.radiance, self.white) - tone_map_without_highlights(photo, self.white)
+        return torch.lerp(full, dull.abs(), out.opacity.detach()[:, None].clamp(max=1))
 
     @profiled("steps of both fields")
     def _learn_joint_step(self) -> float:
@@ -316,15 +327,15 @@ class FieldsLearning:
         if self.looks and self.fraction >= p.look_at[0] + p.check_every * len(self.held_out):
             self.held_out.append(self._check())
         self._refine_environment()
-        index = torch.cat([self._draw(self.object_pixels, p.object_rays), self._draw(rays.sphere, p.sphere_rays)])
-        around = len(index)
-        if len(rays.outside):
-            index = torch.cat([index, self._draw(rays.outside, p.outside_rays)])
+        pick = [self._draw(pool, count) for pool, count in ((self.object_pixels, p.object_rays),
+                                                            (rays.sphere, p.sphere_rays),
+                                                            (rays.outside, p.outside_rays)) if len(pool)]
+        index = torch.cat(pick)
         with section("rays and photo values"):
             origins, directions, half_angle = rays.rays(index)
-            target = self._tone_map(rays.photo(index), around)
+            photo = rays.photo(index)
         out = self.render(origins, directions, half_angle, self.generator)
-        photometric = (out.weight * (self._tone_map(out.radiance, around) - target).abs()).mean()
+        photometric = (out.weight * self._difference(out, photo)).mean()
         # stiff while the light is still unknown, which would else be explained by dents; then free for detail
         soften = (p.last_curvature / p.curvature if p.curvature > 0 else 1.0) ** max(0.0, 2 * self.fraction - 1)
         loss = photometric + p.eikonal * out.eikonal + p.curvature * soften * out.curvature

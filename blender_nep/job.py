@@ -20,7 +20,7 @@ import numpy as np
 import torch
 
 from blender_nep.capture import Capture, PixelRays, load_capture
-from blender_nep.capture.exposure import find_gains, stops
+from blender_nep.capture.exposure import find_exposures
 from blender_nep.capture.pixel_store import PixelMemory
 from blender_nep.checkpoints import StopRequest, output_errors
 from blender_nep.errors import NepError, OutputError, Stopped, UsageError
@@ -142,12 +142,12 @@ class Job:
             self._finish_complete(what)
             return
         rays = self._read_photos(capture)
-        if s.preset.even_exposure:
-            rays = rays.with_gain(find_gains(rays))
+        with section("scene analysis"):
+            if s.preset.even_exposure:
+                rays = self._even_out(rays)
+            photos = SceneAnalysis.of(rays)
         self.timeline.leave()
         self.seconds["capture"] = time.monotonic() - start
-        with section("scene analysis"):
-            photos = SceneAnalysis.of(rays)
         plan = photos.plan(s.preset)
         preset = plan.preset
         self._make_output()
@@ -222,14 +222,6 @@ class Job:
                                 "by --metal yes or --metal no")
         parts = {"fields_learning": fields.report, "surface": surface_report, "material_learning": materials.report}
         self._write_asset(capture, rays, surface, materials, fields.environment, parts, what)
-
-    @staticmethod
-    def _exposures(capture: Capture, rays: PixelRays) -> dict[str, dict[str, float]]:
-        """How much brighter than their mean the photos were taken, for the report; nothing where all share one exposure."""
-        if rays.gain is None:
-            return {}
-        files = (os.path.relpath(view.image_path, capture.folder) for view in capture.views)
-        return {"exposure_stops": dict(zip(files, stops(rays.gain), strict=True))}
 
     def _finish_complete(self, what: dict[str, object]) -> None:
         """A resume of an asset that is complete: nothing to do, if it is what was asked for."""
@@ -310,6 +302,13 @@ class Job:
             self.events.warning(warning)
         self._progress("capture", 1, 1, None)
         return rays
+
+    def _even_out(self, rays: PixelRays) -> PixelRays:
+        """The photos as of one exposure, where theirs differ."""
+        found = find_exposures(rays)
+        if found.warning:
+            self.events.warning(found.warning)
+        return rays if found.gain is None else rays.with_gain(found.gain)
 
     def _photo_read(self, done: int, photos: int) -> None:
         self._progress("capture", done, photos, None)
@@ -398,7 +397,7 @@ class Job:
                     "object_radius": capture.object_radius,
                     "bounds_source": capture.bounds_source,
                     "masks": rays.mask is not None,
-                    **self._exposures(capture, rays),
+                    **({} if rays.gain is None else {"photo_gains": np.round(rays.gain.tolist(), 4).tolist()}),
                 },
                 "seconds": {room: round(self.seconds[room], 2) for room in ROOMS},
                 "seconds_total": round(sum(self.seconds.values()), 2),

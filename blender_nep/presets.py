@@ -70,8 +70,8 @@ class FieldsPreset:
     last_curvature: float = 1e-4
     mask: float = 0.5
     white: float = 3.0
-    """What is brighter than so many geometric means of the photos counts little where the object's sphere is seen:
-    highlights move with the camera, say little of the shape, and would rule the error. inf: they count in full."""
+    """What is brighter than so many geometric means of what the photos show around the object counts little where the object
+    is seen: highlights move with the camera, say little of the shape, and would rule the error. inf: they count in full."""
     dynamic_weight: str = "none"
     """none, paper (eq. 5 as printed) or scaled: see fields_learning.dynamic_weight."""
     decomposition: bool = True

@@ -34,6 +34,8 @@ GLOSSY = 0.25
 """View dependence from which on the object is called glossy."""
 MATTE_FROM = 0.28
 """Roughness from which on a matte object's light is gathered."""
+_SEEN = 0.05
+"""Difference of logarithms of the channels that an artist would call a cast of colour."""
 _PIXELS = 300_000
 """Pixels looked at, of all photos."""
 
@@ -67,6 +69,8 @@ class SceneAnalysis:
     """Pixels across the sphere, median of the views"""
     exposure_stops: float
     """Between the darkest and the brightest exposure of a photo; 0 where all share one"""
+    white_balance: float
+    """Standard deviation of the channels' gains, logarithms, from their mean; 0 where all photos share one white balance"""
 
     @classmethod
     def of(cls, rays: PixelRays) -> SceneAnalysis:
@@ -92,6 +96,7 @@ class SceneAnalysis:
             object_share=None if shown is None else float(shown.float().mean()),
             pixels_across=2 / max(float((1.77 * angle * origins.norm(dim=-1)).median()), 1e-9),
             exposure_stops=0.0 if rays.gain is None else float(np.ptp(stops(rays.gain))),
+            white_balance=0.0 if rays.gain is None else float(_colour(rays.gain).square().mean().sqrt()),
         )
 
     def facts(self) -> dict:
@@ -113,7 +118,8 @@ class SceneAnalysis:
         else:
             lines.append("The photos end at white, but hardly a pixel is burnt out.")
         if self.exposure_stops > 0:
-            lines.append(f"The photos' exposures differ by up to {self.exposure_stops:.1f} stops; they are evened out.")
+            and_colour = ", and so does their white balance" if self.white_balance > _SEEN else ""
+            lines.append(f"The photos' exposures differ by up to {self.exposure_stops:.1f} stops{and_colour}: evened out.")
         size = f"The object's sphere is {self.pixels_across:.0f} pixels wide and takes {_percent(self.sphere_share)} of the"
         filled = "" if self.object_share is None else f"; {_percent(self.object_share)} of that is the object"
         return [*lines, f"{size} photos{filled}."]
@@ -130,6 +136,11 @@ class SceneAnalysis:
             preset = replace(preset, material=replace(preset.material, irradiance_cones=0, diffuse_cones=0))
             skipped["irradiance"] = "the object is metal"
         return Plan(preset, skipped)
+
+
+def _colour(gain: torch.Tensor) -> torch.Tensor:
+    """What gains [views, 3] change besides the exposure, as logarithms."""
+    return gain.log() - gain.log().mean(1, keepdim=True)
 
 
 @dataclass(frozen=True)

@@ -327,10 +327,10 @@ def check_exposure(folder):
     seen = []
     comparison.draw_sheet, comparison.TILE_RANGE = lambda rows, *_: seen.append(rows[0]), (16, 16)
     grey = np.full((16, 16, 3), 0.25)
-    Frame.photo = lambda frame: grey * 2.0**frame.stops
+    Frame.photo = lambda frame: grey * np.array(frame.gain)
     world = build_world(Path(folder) / "grey.exr", name="grey")
-    for stops in (0.0, 1.0, -2.0):
-        frame = Frame(Path("none"), 16, 16, 16.0, 16.0, 8.0, 8.0, np.eye(4), "srgb", stops)
+    for gain in ((1.0, 1.0, 1.0), (2.0, 2.0, 1.5), (0.25, 0.3, 0.25)):
+        frame = Frame(Path("none"), 16, 16, 16.0, 16.0, 8.0, 8.0, np.eye(4), "srgb", gain)
         comparison.compare(bpy.data.objects.new("nothing", None), [frame], world, [], samples=1)
     for photo, rendered in seen:
         np.testing.assert_allclose(photo.mean((0, 1)), rendered.mean((0, 1)), atol=0.01)  # single pixels are noisy

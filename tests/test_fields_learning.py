@@ -13,7 +13,7 @@ from blender_nep.capture import PixelRays, load_capture
 from blender_nep.checkpoints import NoCheckpoint
 from blender_nep.errors import LearningError
 from blender_nep.fields.object_field import Appearance, ObjectField
-from blender_nep.fields_learning import Fields, FieldsLearning, dynamic_weight, learn_fields
+from blender_nep.fields_learning import Fields, FieldsLearning, Rendering, dynamic_weight, learn_fields
 from blender_nep.metrics import HIGHLIGHT, tone_map, tone_map_without_highlights
 from blender_nep.presets import preset
 from blender_nep.raytracing import RayTracer
@@ -171,9 +171,22 @@ def test_highlights_count_little_but_never_nothing(white):
     torch.testing.assert_close(tone_map_without_highlights(radiance, math.inf), tone_map(radiance))
 
 
-def test_the_surroundings_lamps_count_in_full(rays):
+def test_lamps_count_in_full_where_the_object_does_not_hide_them(rays):
     learning = FieldsLearning(rays, small(), 0, CPU)
-    lamp = torch.full((4, 3), 50 * learning.white)
-    compared = learning._tone_map(lamp, 2)
-    torch.testing.assert_close(compared[2:], tone_map(lamp[2:]))
-    assert (compared[:2] < 0.7 * compared[2:]).all()
+    lamp = torch.full((3, 3), 50 * learning.white)
+    nothing = torch.zeros(())
+    out = Rendering(lamp, torch.tensor([0.0, 0.5, 1.0]), torch.ones(3, 1), nothing, nothing, nothing)
+    compared = learning._difference(out, 0.5 * lamp)[:, 0]
+    full, dull = float((tone_map(lamp) - tone_map(0.5 * lamp))[0, 0]), HIGHLIGHT * math.log(2)
+    torch.testing.assert_close(compared, torch.tensor([full, (full + dull) / 2, dull]))
+
+
+@pytest.mark.parametrize("cut", [False, True])
+def test_white_hangs_on_what_is_shown_and_not_on_black_around_it(rays, masked_rays, cut):
+    black = replace(rays, radiance=rays.radiance * (masked_rays.mask > 127)[:, None], mask=masked_rays.mask if cut else None)
+    shown = masked_rays.radiance[(masked_rays.mask > 127) & masked_rays.valid]
+    found = FieldsLearning(black, small(), 0, CPU).white / preset("preview").fields.white
+    assert found == pytest.approx(float(shown.clamp(min=1e-6).log().mean().exp()), rel=0.15)
+    bright = replace(rays, radiance=1000 * rays.radiance)
+    assert FieldsLearning(bright, small(), 0, CPU).white == pytest.approx(
+        1000 * FieldsLearning(rays, small(), 0, CPU).white, rel=1e-3)

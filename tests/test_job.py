@@ -19,6 +19,7 @@ from conftest import CENTER, RADIUS, BallRooms
 
 from backend.capture_files import read_frames, with_exposures
 from blender_nep import checkpoints, job
+from blender_nep.capture.exposure import Exposures
 from blender_nep.checkpoints import Checkpoint, StopRequest, load_state, save_state
 from blender_nep.errors import LearningError, Stopped
 from blender_nep.events import Events, Timeline, time_text
@@ -106,16 +107,18 @@ def test_photos_of_differing_exposure_are_evened_out_and_the_report_says_by_how_
             return super().learn_fields(rays, *arguments, **keywords)
 
     seen: list[torch.Tensor | None] = []
-    monkeypatch.setattr(job, "find_gains", lambda rays: torch.tensor([2.0, 0.5, 1, 1, 1, 1])[:, None].expand(6, 3))
+    gain = torch.tensor([2.0, 0.5, 1, 1, 1, 1])[:, None].expand(6, 3)
+    monkeypatch.setattr(job, "find_exposures", lambda rays: Exposures(gain, "a doubt"))
     start(Looked(), preset=replace(preset("preview"), even_exposure=even))
     report = json.loads((start.out / "report.json").read_text())
-    said = "The photos' exposures differ by up to 2.0 stops; they are evened out." in report["scene"]["sentences"]
-    assert (seen[0] is not None) == said == ("exposure_stops" in report["capture"]) == even
+    said = "The photos' exposures differ by up to 2.0 stops: evened out." in report["scene"]["sentences"]
+    assert (seen[0] is not None) == said == ("photo_gains" in report["capture"]) == even
+    assert report["warnings"] == (["a doubt"] if even else [])
     if even:
-        assert report["capture"]["exposure_stops"]["images/000.exr"] == 1.0
-        frames = with_exposures(read_frames(start.folder), start.folder, start.out)
-        assert [frame.stops for frame in frames] == [1, -1, 0, 0, 0, 0]
-    assert all(frame.stops == 0 for frame in with_exposures(read_frames(start.folder), start.folder, start.folder))
+        frames = with_exposures(read_frames(start.folder), start.out)
+        assert [frame.gain for frame in frames] == [tuple(g) for g in gain.tolist()]
+        assert with_exposures(frames[:3], start.out) == frames[:3], "made from other photos"
+    assert all(frame.gain == (1, 1, 1) for frame in with_exposures(read_frames(start.folder), start.folder))
 
 
 def test_masks_ignored_are_reported_as_skipped(start):

@@ -82,7 +82,10 @@ class PixelRays:
 
     def with_gain(self, gain: Tensor | None) -> PixelRays:
         """The same photos, each taken with its own gain."""
-        return replace(self, gain=gain)
+        rays = replace(self, gain=gain)
+        if "brightest" in vars(self):  # a look at all pixels need not be repeated
+            rays.brightest = self.brightest
+        return rays
 
     def view_of(self, index: Tensor) -> Tensor:
         """The view [n] int64 of each pixel index [n]."""
