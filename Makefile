@@ -2,7 +2,7 @@
 # make test   lint and all tests
 # make lint   lint alone
 # make stress CASES=500 SEED=1   whole small jobs on hostile captures (docs/stress.md); goes on where it was stopped
-# make bench  the whole benchmark plan, then docs/benchmarks.md (a day and more; less of it:
+# make bench  the whole benchmark plan, then docs/benchmarks.md (many hours; less of it:
 #             CAPTURES="a b" PLAN=presets SEEDS=0 JOBS=2, RENDER="--views 24 --size 160 --samples 8")
 # make test-blender   the extension in Blender 4.2, 4.5, 5.0 and 5.2 (bpy wheels, 4 GB; needs Python 3.13 too)
 #

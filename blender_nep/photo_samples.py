@@ -9,6 +9,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from blender_nep.capture.rays import BRIGHTEST_CLIPPED, SATURATED
 from blender_nep.errors import LearningError
 from blender_nep.profile import profiled
 from blender_nep.raytracing import RayTracer
@@ -16,8 +17,6 @@ from blender_nep.raytracing import RayTracer
 if TYPE_CHECKING:
     from blender_nep.capture.rays import PixelRays
 
-BRIGHTEST_CLIPPED, SATURATED = 1.001, 0.97
-"""Where no pixel is brighter than the first, files end at 1 and a channel above the second says only "at least"."""
 _CANDIDATES_PER_SAMPLE = 12
 _VOXEL = 0.05
 """Width of the voxels over which samples are spread, unit frame."""

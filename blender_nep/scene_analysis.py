@@ -14,7 +14,7 @@ import numpy as np
 import torch
 
 from blender_nep.capture.exposure import stops
-from blender_nep.photo_samples import BRIGHTEST_CLIPPED, SATURATED
+from blender_nep.capture.rays import BRIGHTEST_CLIPPED, SATURATED
 from blender_nep.raytracing import RayTracer
 
 if TYPE_CHECKING:
@@ -34,7 +34,7 @@ GLOSSY = 0.25
 """View dependence from which on the object is called glossy."""
 MATTE_FROM = 0.28
 """Roughness from which on a matte object's light is gathered."""
-_SEEN = 0.05
+_CAST = 0.05
 """Difference of logarithms of the channels that an artist would call a cast of colour."""
 _PIXELS = 300_000
 """Pixels looked at, of all photos."""
@@ -117,9 +117,10 @@ class SceneAnalysis:
             lines.append("The photos hold highlights brighter than white (HDR), and hardly any is burnt out.")
         else:
             lines.append("The photos end at white, but hardly a pixel is burnt out.")
-        if self.exposure_stops > 0:
-            and_colour = ", and so does their white balance" if self.white_balance > _SEEN else ""
-            lines.append(f"The photos' exposures differ by up to {self.exposure_stops:.1f} stops{and_colour}: evened out.")
+        differ = [f"exposure (by up to {self.exposure_stops:.1f} stops)"] if self.exposure_stops >= 0.1 else []
+        differ += ["white balance"] if self.white_balance > _CAST else []
+        if differ:
+            lines.append(f"The photos differ in {' and '.join(differ)}, which is evened out.")
         size = f"The object's sphere is {self.pixels_across:.0f} pixels wide and takes {_percent(self.sphere_share)} of the"
         filled = "" if self.object_share is None else f"; {_percent(self.object_share)} of that is the object"
         return [*lines, f"{size} photos{filled}."]

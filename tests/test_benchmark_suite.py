@@ -5,6 +5,7 @@ import subprocess
 import sys
 import threading
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +14,7 @@ import pytest
 pytest.importorskip("fcntl", reason="the suite runs on POSIX systems")
 from benchmarks.__main__ import main
 from benchmarks.harness import Children, read_row, write_row
-from benchmarks.plan import ABLATIONS, PLANS, Run, expand
+from benchmarks.plan import ABLATIONS, AS_TAKEN, PLANS, Run, expand
 from benchmarks.step import STAGE_1, _take_stage_1
 from benchmarks.suite import Suite, failure
 from benchmarks.variants import spread, with_fewer_views
@@ -46,6 +47,17 @@ def test_a_plan_crosses_what_it_names_and_what_is_wanted_overrides_it():
     everything = {run.name for run in expand(["all"], two, {})}
     assert everything == {run.name for name in PLANS for run in expand([name], two, {})}
     assert len(expand([], two, {"ablation": tuple(ABLATIONS)})) == 2 * len(ABLATIONS)
+    assert not any(run.ablation == AS_TAKEN for run in expand(["all"], two, {})), "no plan has photos of differing exposure"
+
+
+def test_only_whole_jobs_as_a_user_would_run_them_are_relit(tmp_path):
+    plain = Run(CAPTURE, "preview")
+    changes = {"ablation": "no cones", "views": 8, "pixels": 99, "geometry": "true"}
+    others = [replace(plain, **{name: value}) for name, value in changes.items()]
+    suite = FakeSuite(tmp_path, relight=True)
+    suite.run_all([plain, replace(plain, preset="quality"), *others], 1)
+    relit = {name for step, name in suite.done if step == "relight"}
+    assert relit == {plain.name, replace(plain, preset="quality").name}
 
 
 @pytest.mark.parametrize("captures", [[CAPTURE, CAPTURE / "images" / ".."], [CAPTURE.parent / "nothing"]])

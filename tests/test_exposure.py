@@ -79,7 +79,7 @@ def test_white_balance_alone_is_found_too(in_a_ball):
     rays = taken_with(in_a_ball, true)
     found = find_exposures(rays).gain
     assert difference(found, true) < TENTH_OF_A_STOP
-    assert "white balance" in " ".join(SceneAnalysis.of(rays.with_gain(found)).sentences())
+    assert "The photos differ in white balance, which is evened out." in SceneAnalysis.of(rays.with_gain(true)).sentences()
 
 
 def test_what_is_white_in_a_file_says_nothing(in_a_ball, monkeypatch):
@@ -88,7 +88,7 @@ def test_what_is_white_in_a_file_says_nothing(in_a_ball, monkeypatch):
     clipped = replace(clipped, radiance=clipped.radiance.clamp(max=1))
     assert (clipped.radiance == 1).any(-1).float().mean() > 0.1
     without_white = difference(find_exposures(clipped).gain, true)
-    monkeypatch.setattr(exposure, "WHITE", 2.0)
+    monkeypatch.setattr(exposure, "SATURATED", 2.0)
     assert without_white < min(0.1, 0.8 * difference(find_exposures(clipped).gain, true))
 
 
@@ -137,8 +137,9 @@ def test_photos_are_read_as_of_one_exposure_and_the_scene_says_so(in_a_ball):
     assert torch.equal(in_a_ball.photo(index), in_a_ball.radiance[index])
     assert stops(true) == pytest.approx((true.log()[:, 0] / np.log(2)).tolist(), abs=0.006)
     spread = np.ptp(stops(true))
-    assert f"exposures differ by up to {spread:.1f} stops: evened out." in " ".join(SceneAnalysis.of(rays).sentences())
-    assert "exposures" not in " ".join(SceneAnalysis.of(in_a_ball).sentences())
+    said = f"The photos differ in exposure (by up to {spread:.1f} stops), which is evened out."
+    assert said in SceneAnalysis.of(rays).sentences()
+    assert "exposure" not in " ".join(SceneAnalysis.of(in_a_ball).sentences())
 
 
 def test_brightest_is_looked_for_once(in_a_ball):

@@ -111,7 +111,7 @@ def test_photos_of_differing_exposure_are_evened_out_and_the_report_says_by_how_
     monkeypatch.setattr(job, "find_exposures", lambda rays: Exposures(gain, "a doubt"))
     start(Looked(), preset=replace(preset("preview"), even_exposure=even))
     report = json.loads((start.out / "report.json").read_text())
-    said = "The photos' exposures differ by up to 2.0 stops: evened out." in report["scene"]["sentences"]
+    said = "The photos differ in exposure (by up to 2.0 stops), which is evened out." in report["scene"]["sentences"]
     assert (seen[0] is not None) == said == ("photo_gains" in report["capture"]) == even
     assert report["warnings"] == (["a doubt"] if even else [])
     if even:

@@ -16,7 +16,7 @@ import torch
 from scipy import sparse
 from torch.nn import functional
 
-from blender_nep.capture.rays import PixelRays
+from blender_nep.capture.rays import BRIGHTEST_CLIPPED, SATURATED, PixelRays
 
 SPHERES = (0.8, 1.2, 1.7, 2.4, 3.4, 5.0, 10.0, 1e4)
 """Radii in camera distances."""
@@ -47,11 +47,12 @@ MOST_ERROR = 0.03
 """Error of a photo's logarithms, by how two halves of the surroundings differ; the median over the photos. Measured: 0.005
 to 0.008; 0.09 where the object fills the photos."""
 DOUBTFUL, FEW = 0.15, 0.05
-"""Error of a photo, and share of the cells that others show, from which on and under which its gain is called a guess."""
+"""Error of a photo's logarithms above which its gain is called a guess; or it shares less than this part of the cells that
+photos (their median) share with others."""
 PATCH = 4
 """Cells across the patches that the halves consist of."""
-DARK, WHITE = 0.01, 0.97
-"""Pixels beyond are left out: the first in a photo's median brightness, the second where files end at 1."""
+DARK = 0.01
+"""Of a photo's median brightness; darker pixels are left out."""
 
 
 @dataclass(frozen=True)
@@ -98,7 +99,7 @@ def _cells(rays: PixelRays) -> tuple[np.ndarray, ...]:
     mean logarithm [views] of all that a photo shows, NaN where it shows nothing."""
     device = rays.radiance.device
     distance = float(rays.rays(torch.tensor(rays.offset[:-1], device=device))[0].norm(dim=-1).median())
-    ends = rays.brightest <= 1.001
+    ends = rays.brightest <= BRIGHTEST_CLIPPED
     blocks = min(BLOCKS, max(64, MOST_BLOCKS // rays.views))
     found, brightness = [], np.full(rays.views, np.nan)
     for view, (height, width) in enumerate(rays.size):
@@ -118,7 +119,7 @@ def _cells(rays: PixelRays) -> tuple[np.ndarray, ...]:
         brightness[view] = float(shown.log().mean())
         good = whole & (mean.amin(-1) > DARK * shown.median())
         if ends:
-            good &= (radiance <= WHITE).all(-1).all(-1)
+            good &= (radiance <= SATURATED).all(-1).all(-1)
         origins, directions, _ = rays.rays(corner + side // 2 * (width + 1))
         along = -(origins * directions).sum(-1)
         good &= (along <= 0) | ((origins + along[:, None] * directions).square().sum(-1) >= 1)  # beside the object's sphere

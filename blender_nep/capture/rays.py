@@ -24,6 +24,8 @@ from blender_nep.profile import profiled
 MAXIMUM_RADIANCE = 6e4
 """Brighter values are clipped: the largest half float is 65504."""
 
+BRIGHTEST_CLIPPED, SATURATED = 1.001, 0.97
+"""Where no pixel is brighter than the first, files end at 1 and a channel above the second says only "at least"."""
 _BLACK = 1e-6
 """A photo without a brighter value shows nothing."""
 _STRIP_PIXELS = 1 << 18
