@@ -51,7 +51,7 @@ bench: $(VENV)/installed-dev
 	$(BIN)/python -m benchmarks render $(if $(CAPTURES),,shapes) roughness $(RENDER) --out $(BENCH)
 	-$(BIN)/python -m benchmarks run $(if $(CAPTURES),$(CAPTURES),$(BENCH)/captures/suzanne $(BENCH)/captures/box) \
 		--plan $(PLAN) $(if $(SEEDS),--seed $(SEEDS)) --relight --jobs $(JOBS) --out $(BENCH)
-	-$(BIN)/python -m benchmarks run $(BENCH)/captures/gold_*/ --plan roughness --relight --jobs $(JOBS) --out $(BENCH)
+	-$(BIN)/python -m benchmarks run $(BENCH)/captures/gold_*/ --plan roughness --jobs $(JOBS) --out $(BENCH)
 	$(BIN)/python -m benchmarks report --out $(BENCH) --write docs/benchmarks.md
 	-$(BIN)/python -m benchmarks.skipping $(SCENES) --seeds $(or $(SEEDS),0 1 2) --out $(BENCH)/skipping --write docs/benchmarks.md
 

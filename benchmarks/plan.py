@@ -99,9 +99,9 @@ _STAGE_2 = tuple(name for name in _PLANNED if set(ABLATIONS[name]) <= {"material
 PLANS: dict[str, tuple[dict[str, Sequence], ...]] = {
     "presets": ({"preset": ("preview", "balanced", "quality"), "seed": (0, 1, 2)},),
     "ablations": ({"preset": ("preview",), "ablation": _PLANNED, "seed": (0, 1, 2)},),
-    "true_mesh": ({"preset": ("preview",), "geometry": ("true",), "ablation": _STAGE_2, "seed": (0,)},),
     "views": ({"preset": ("preview",), "views": (8, 16, 32, None), "seed": (0,)},),
     "pixels": ({"preset": ("preview",), "pixels": (2_500, 10_000, None, 160_000), "seed": (0,)},),
+    "true_mesh": ({"preset": ("preview",), "geometry": ("true",), "ablation": _STAGE_2, "seed": (0,)},),
     "roughness": ({"preset": ("preview",), "seed": (0,)},),
 }
 """Name -> what it crosses; what is not named stands at Run's default. `roughness` is for the captures of `render`. Sweeps
