@@ -11,6 +11,7 @@ import signal
 import subprocess
 import sys
 import time
+import traceback
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -79,8 +80,8 @@ class Children:
 
 
 def resumed(file: Path, row: dict, run: Callable[[], dict]) -> dict:
-    """What `file` holds; where there is none, `row` with what run() gives or its message, written there. Who is stopped
-    leaves no row."""
+    """What `file` holds; where there is none, `row` with what run() gives or its error's message, written there. Who is
+    stopped leaves no row."""
     if not file.is_file():
         try:
             row = row | run()
@@ -88,6 +89,9 @@ def resumed(file: Path, row: dict, run: Callable[[], dict]) -> dict:
             raise
         except NepError as error:
             row = row | {"error": str(error)}
+        except Exception as error:  # a campaign of hours must not end with one run, whatever that ran into
+            traceback.print_exc()
+            row = row | {"error": f"{type(error).__name__}: {error}"}
         write_row(file, row)
     return read_row(file)
 

@@ -19,7 +19,8 @@ ABLATIONS: dict[str, dict[str, dict]] = {
     "w_s scaled": {"fields": {"dynamic_weight": "scaled"}},
     "plain NeuS colour": {"fields": {"decomposition": False}},
     "environment at infinity": {"environment": {"model": "infinite"}},
-    "no visual hull": {"fields": {"background_steps": 0}},
+    "no visual hull": {"fields": {"least_contrast": math.inf}},
+    "F_e not first": {"fields": {"background_steps": 0}},
     "no curvature": {"fields": {"curvature": 0.0, "last_curvature": 0.0}},
     "highlights in full": {"fields": {"white": math.inf}},
     "F_e not shy": {"fields": {"shyness": 1.0}},
@@ -32,9 +33,9 @@ ABLATIONS: dict[str, dict[str, dict]] = {
     "one material": {"material": {"most_materials": 1}},
 }
 """Preset fields that differ from the preset's own. w_s is off and N is 2 in all presets, where the scene needs it: with
-skip_needless N = 2 and 3 would be 1 on most objects. WITHOUT_F_E is no preset's field: all light is a map at infinity, found
-by the object's reflections alone (the paper puts an MLP there). AS_TAKEN changes something where photos' exposures differ,
-and stands in no plan."""
+skip_needless N = 2 and 3 would be 1 on most objects. Without steps of F_e alone there is no hull either. WITHOUT_F_E is no
+preset's field: all light is a map at infinity, found by the object's reflections alone (the paper puts an MLP there).
+AS_TAKEN changes something where photos' exposures differ, and stands in no plan."""
 
 
 @dataclass(frozen=True)

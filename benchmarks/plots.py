@@ -11,11 +11,12 @@ matplotlib.use("agg")
 import matplotlib.pyplot as plt
 
 from benchmarks.rows import Results
-from benchmarks.tables import golds, main_captures, presets_of, sweeps
+from benchmarks.tables import golds, learned_from, main_captures, presets_of, sweeps
 
 ERRORS = {
     "cd_visible": "distance, object radii", "normal_deg": "error of normals, degrees",
-    "mse_roughness": "MSE of roughness", "mse_albedo": "MSE of albedo", "psnr_mean": "relit, dB",
+    "mse_roughness": "MSE of roughness", "mse_metallic": "MSE of metallic", "mse_albedo": "MSE of albedo",
+    "psnr_mean": "relit, dB",
 }
 MARKS = {"preview": "v", "balanced": "o", "quality": "^"}
 
@@ -83,9 +84,11 @@ def _curves(panels: dict[str, plt.Axes], captures: Sequence[str], points: Sequen
 def error_against_time(results: Results, file: Path) -> None:
     """Presets are points on one curve."""
     full = results.whole(ablation="full")
+    captures = main_captures(results)
+    full = full.where(capture=captures.__contains__)
     points = [(preset, full.where(preset=preset)) for preset in presets_of(full)]
     figure, panels = _figure(full, "Error against run time: preview (v), balanced (o), quality (^)")
-    _curves(panels, main_captures(results), points, x_of=lambda _, at: at.figure("cpu_seconds").mean)
+    _curves(panels, captures, points, x_of=lambda _, at: at.figure("cpu_seconds").mean)
     _log_axis(panels, [at.figure("cpu_seconds").mean for _, at in points])
     _save(figure, panels, "CPU seconds of the whole job (mean)", file)
 
@@ -99,7 +102,7 @@ def error_against_sweep(results: Results, key: str, file: Path) -> None:
     figure, panels = _figure(found[0][2], f"Error against {label}")
     ticks = {}
     for place, (preset, values, chosen) in enumerate(found):
-        size = {value: value or chosen.where(**{key: None}).figure(f"{key}_of_run").mean for value in values}
+        size = {value: learned_from(chosen, key, value) for value in values}
         ticks |= {round(x): None for x in size.values()}
         _curves(panels, chosen.values("capture"), [(value, chosen.where(**{key: value})) for value in values],
                 f", {preset}" if len(found) > 1 else "", lambda value, _, size=size: size[value], 4 * place)

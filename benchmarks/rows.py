@@ -87,7 +87,8 @@ class Results:
     def figure(self, name: str) -> Figure | None:
         """Over all runs; None where no run has it."""
         found = [values[name] for _, values in self.runs if name in values]
-        return Figure(float(np.mean(found)), float(np.std(found)), len(found)) if found else None
+        spread = float(np.std(found, ddof=1)) if len(found) > 1 else 0.0
+        return Figure(float(np.mean(found)), spread, len(found)) if found else None
 
     def mean_of_captures(self, name: str, captures: Iterable[str]) -> Figure | None:
         """Mean over captures of the mean over seeds; its deviation is the root mean square of the seeds' deviations over

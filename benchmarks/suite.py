@@ -95,7 +95,7 @@ class Suite:
             write_row(file, row)
             if step == "learn" and "error" in result:
                 break
-            if step == "score":
+            if step == "score" and "error" not in result:
                 _drop_checkpoints(asset, keep=STAGE_1 if run.ablation == "full" else ())
         return row
 

@@ -165,23 +165,28 @@ def swept(results: Results, key: str, heading: str) -> str:
 
 
 def sweeps(results: Results, key: str) -> list[tuple[str, list, Results]]:
-    """(preset, values in rising order with None last, runs) for each preset with more than one value of `key`."""
+    """(preset, values in the order of what was learned from, runs) for each preset with more than one value of `key`."""
     other = {"views": "pixels", "pixels": "views"}[key]
     found = []
     for preset in presets_of(results):
         chosen = results.where(**{"preset": preset, "ablation": "full", "geometry": "own", other: None})
         captures = [c for c in chosen.values("capture") if len(chosen.where(capture=c).values(key)) > 1]
         chosen = chosen.where(capture=lambda c, some=captures: c in some)
-        values = sorted(chosen.values(key), key=lambda value: (value is None, value))
+        values = sorted(chosen.values(key), key=lambda value, some=chosen: learned_from(some, key, value))
         if values:
             found.append((preset, values, chosen))
     return found
 
 
+def learned_from(results: Results, key: str, value: int | None) -> float:
+    """Photos, or pixels of a photo, that the runs with this bound on them have learned from; their mean."""
+    return results.where(**{key: value}).figure(f"{key}_of_run").mean
+
+
 def shown_value(results: Results, key: str, value: int | None) -> str:
-    """A number; where None stands for all of them, theirs if they agree."""
+    """What they learned from, if they agree; else the bound."""
     own = results.figure(f"{key}_of_run")
-    return str(value) if value is not None else f"{own.mean:.0f}" if own and own.deviation == 0 else "all"
+    return f"{own.mean:.0f}" if own and own.deviation == 0 else "all" if value is None else str(value)
 
 
 def roughness(results: Results) -> str:

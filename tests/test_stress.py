@@ -86,6 +86,20 @@ def test_a_scene_moved_a_million_units_gives_the_same_fields_within_float32(plai
     assert (one - other).abs().max() < 1e-5
 
 
+def test_one_thread_and_many_give_the_same_asset_within_rounding(plain_asset, tmp_path):
+    """Sums may be taken in another order, and nothing else."""
+    found = []
+    for threads in (1, 4):
+        out = tmp_path / str(threads)
+        assert reconstruct(replace(PLAIN, threads=threads), plain_asset.parent / "capture", out)[0] == 0
+        rooms = {name: load_state(out / "checkpoints" / f"{name}.done.pt")["result"] for name in
+                 ("fields_learning", "material_learning")}
+        found.append({"sdf": rooms["fields_learning"]["object"]["weights"]["levels.2"], "vertices": unit_surface(out)}
+                     | rooms["material_learning"]["textures"])
+    assert all(np.shape(one) == np.shape(other) for one, other in zip(*(f.values() for f in found), strict=True))
+    assert not [name for name, one in found[0].items() if np.abs(np.asarray(one) - np.asarray(found[1][name])).max() > 1e-3]
+
+
 def test_another_seed_gives_another_asset_of_the_same_thing(plain_asset, tmp_path):
     case = replace(PLAIN, seed=2**32 + 5)
     assert reconstruct(case, plain_asset.parent / "capture", tmp_path / "asset")[0] == 0
@@ -113,13 +127,13 @@ def test_the_shapes_are_traced_where_they_are():
 
 def test_a_summary_counts_what_failed():
     rows = {"a": {"case": asdict(Case(scale=1e4)), "code": 0, "failures": ["bad mesh: x"], "message": "", "warnings": ["w"],
-                  "seconds": 1.0},
+                  "seconds": 1.0, "resumed": True},
             "b": {"case": asdict(Case()), "code": 4, "failures": [], "message": "3 of 4 cameras", "warnings": [],
-                  "seconds": 2.0}}
+                  "seconds": 2.0, "resumed": False}}
     found = summarise(rows)
     assert found["cases"] == 2 and found["failed"] == ["a"] and found["failures_by_kind"] == {"bad mesh": 1}
     assert found["exit_codes"] == {"0": 1, "4": 1} and found["refusals"] == {"# of # cameras": 1}
-    assert found["met"] == {"scale=10000.0": 1}
+    assert found["met"] == {"scale=10000.0": 1} and found["resumed"] == 1
 
 
 def test_the_guard_gives_up_after_many_failures_in_a_row_and_counts_all():
