@@ -22,6 +22,7 @@ BENCH := out/benchmarks
 CAPTURES :=
 SCENES := data/suzanne_small:masks $(if $(CAPTURES),$(CAPTURES) $(firstword $(CAPTURES)):cut-out $(lastword $(CAPTURES)):clipped,\
 	$(addprefix $(BENCH)/captures/,suzanne:cut-out box box:clipped gold_0.8 gold_0.05:metal))
+SHOWN := $(if $(CAPTURES),$(CAPTURES),$(addprefix $(BENCH)/captures/,suzanne box))
 PLAN := all
 SEEDS :=
 RENDER :=
@@ -46,13 +47,15 @@ stress: $(VENV)/installed-dev
 test-blender: $(VENV)/installed
 	$(BIN)/python tests/blender_matrix.py
 
-# Without CAPTURES those are taken that the suite renders itself.
+# Without CAPTURES those are taken that the suite renders itself. The peer, Mitsuba, runs where it is installed (docs/peer.md).
 bench: $(VENV)/installed-dev
-	$(BIN)/python -m benchmarks render $(if $(CAPTURES),,shapes) roughness $(RENDER) --out $(BENCH)
-	-$(BIN)/python -m benchmarks run $(if $(CAPTURES),$(CAPTURES),$(BENCH)/captures/suzanne $(BENCH)/captures/box) \
-		--plan $(PLAN) $(if $(SEEDS),--seed $(SEEDS)) --relight --jobs $(JOBS) --out $(BENCH)
+	-$(BIN)/python -m benchmarks render $(if $(CAPTURES),,shapes) roughness $(RENDER) --out $(BENCH)
+	-$(BIN)/python -m benchmarks run $(SHOWN) --plan $(PLAN) $(if $(SEEDS),--seed $(SEEDS)) \
+		--relight --jobs $(JOBS) --out $(BENCH)
 	-$(BIN)/python -m benchmarks run $(BENCH)/captures/gold_*/ --plan roughness --jobs $(JOBS) --out $(BENCH)
 	$(BIN)/python -m benchmarks report --out $(BENCH) --write docs/benchmarks.md
+	-$(BIN)/python -m benchmarks.peer_mitsuba $(SHOWN) --minutes 3 --materials texture --out $(BENCH)/peer \
+		--beside $(BENCH) --write docs/peer.md
 	-$(BIN)/python -m benchmarks.skipping $(SCENES) --seeds $(or $(SEEDS),0 1 2) --out $(BENCH)/skipping --write docs/benchmarks.md
 
 lint: $(VENV)/installed-dev

@@ -1,13 +1,15 @@
 """A peer beside our stage 2: inverse path tracing with Mitsuba 3 on the true mesh, from the same photos.
 
     python -m benchmarks.peer_mitsuba CAPTURE... [--minutes 3 10] [--materials texture one] [--threads 1]
+                                      [--beside out/benchmarks] [--write docs/peer.md]
 
 Needs `pip install '.[peer]'` and an LLVM shared library, version 15 or newer (DRJIT_LIBLLVM_PATH names it). Captures,
-scores and pictures are those of `python -m benchmarks run --geometry true`, the row to put beside these. `texture`
+scores and pictures are those of `python -m benchmarks run --geometry true`, whose rows `--beside` puts into the table: of
+theirs F_e counts, too, as the peer learns its light within its minutes. `texture`
 is a texture for each of albedo, roughness and metallic, `one` a single material, which is the peer's best case for an
 object of one. Minutes are of CPU, from the loaded photos and the unwrapped mesh on. Every run writes one JSON file and a
 picture and is skipped when that exists (names have the settings' hash); a run that fails is a row with its message. Ends
-with a table.
+with the table, and puts it between a document's markers.
 """
 
 from __future__ import annotations
@@ -17,6 +19,7 @@ import hashlib
 import itertools
 import sys
 import time
+from collections.abc import Iterable
 from dataclasses import asdict, replace
 from functools import partial
 from pathlib import Path
@@ -26,6 +29,9 @@ from PIL import Image
 
 from benchmarks.harness import markdown, resumed, use_threads
 from benchmarks.materials import score
+from benchmarks.report import fill
+from benchmarks.rows import Results, load
+from benchmarks.tables import presets_of
 from blender_nep.capture import PixelRays, load_capture
 from blender_nep.capture.images import linear_to_srgb
 from blender_nep.errors import LearningError
@@ -33,7 +39,7 @@ from blender_nep.material_learning import Materials
 from blender_nep.presets import preset
 from blender_nep.surface import load_surface
 
-COLUMNS = ("mse_roughness", "mse_metallic", "mse_albedo", "seconds", "cpu_seconds")
+COLUMNS = {"mse_roughness": "roughness", "mse_metallic": "metallic", "mse_albedo": "albedo", "cpu_seconds": "CPU s"}
 
 
 def run(folder: Path, minutes: float, settings, seed: int, picture: Path) -> dict:
@@ -63,8 +69,20 @@ def run(folder: Path, minutes: float, settings, seed: int, picture: Path) -> dic
 
 def cells(row: dict) -> list:
     """One line of the table; a failed run shows its message."""
-    scores = [float(row[c]) if c in row else row.get("error", "") for c in COLUMNS]
-    return [row["capture"], row["materials"], row["minutes"], *scores, row.get("report", {}).get("steps", "")]
+    name = {"texture": "peer, textures", "one": "peer, one material"}[row["materials"]]
+    scores = [float(row[c]) for c in COLUMNS] if "error" not in row else [row["error"]]
+    return [row["capture"], f"{name}, {row['minutes']:g} min", *scores]
+
+
+def our_cells(suite: Path, captures: Iterable[str]) -> list[list]:
+    """Lines of our own runs on the true meshes, in the same columns."""
+    ours, lines = Results(load(suite)).where(geometry="true", ablation="full", seed=0), []
+    for capture in captures:
+        for preset_name in presets_of(ours.where(capture=capture)):
+            (_, found), = ours.where(capture=capture, preset=preset_name).runs
+            seconds = found["cpu_seconds_fields_learning"] + found["cpu_seconds_material_learning"]
+            lines.append([capture, f"ours, {preset_name}", *((found | {"cpu_seconds": seconds})[c] for c in COLUMNS)])
+    return lines
 
 
 def main() -> None:
@@ -75,6 +93,8 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--threads", type=int, default=1)
     parser.add_argument("--out", type=Path, default=Path("out/benchmarks/peer"))
+    parser.add_argument("--beside", type=Path, help="a suite's folder: its runs on the true meshes stand in the table")
+    parser.add_argument("--write", type=Path, help="a document with the marker `peer`")
     arguments = parser.parse_args()
     try:
         import drjit
@@ -85,7 +105,7 @@ def main() -> None:
                  f"where it is not found: {error}")
     use_threads(arguments.threads)
     drjit.set_thread_count(arguments.threads)
-    header, rows = ["capture", "materials", "minutes", *COLUMNS, "steps"], []
+    header, rows = ["capture", "method", *COLUMNS.values()], []
     for folder, kind, minutes in itertools.product(arguments.captures, arguments.materials, arguments.minutes):
         row = {"capture": folder.name, "materials": kind, "minutes": minutes, "seed": arguments.seed,
                "threads": arguments.threads}
@@ -95,7 +115,13 @@ def main() -> None:
         rows.append(cells(resumed(file, row, partial(run, folder, minutes, settings, arguments.seed,
                                                      file.with_suffix(".png")))))
         print(markdown(header, rows[-1:]).splitlines()[-1], flush=True)
-    print("\n" + markdown(header, rows))
+    if arguments.beside:
+        rows = sorted(our_cells(arguments.beside, [folder.name for folder in arguments.captures]) + rows,
+                      key=lambda line: line[0])
+    text = markdown(header, rows)
+    print("\n" + text)
+    if arguments.write:
+        fill(arguments.write, {"peer": text})
 
 
 if __name__ == "__main__":

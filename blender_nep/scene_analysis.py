@@ -68,7 +68,7 @@ class SceneAnalysis:
     pixels_across: float
     """Pixels across the sphere, median of the views"""
     exposure_stops: float
-    """Between the darkest and the brightest exposure of a photo; 0 where all share one"""
+    """Between the darkest and the brightest exposure of a photo; 0 where all share one, or where it cannot be told"""
     white_balance: float
     """Standard deviation of the channels' gains, logarithms, from their mean; 0 where all photos share one white balance"""
 

@@ -9,6 +9,7 @@ import pytest
 pytest.importorskip("igl")
 from benchmarks import tables
 from benchmarks.harness import write_row
+from benchmarks.peer_mitsuba import our_cells
 from benchmarks.plan import Run
 from benchmarks.report import write_report
 from benchmarks.rows import Results, failures, load
@@ -104,6 +105,14 @@ def test_sweeps_have_the_whole_runs_in_them_in_the_order_of_what_was_learned_fro
     assert list(dict.fromkeys(sizes)) == ["10000", "40000", "160000"]
     assert [values for _, values, _ in tables.sweeps(Results(load(out)), "pixels")] == [[10_000, None, 160_000]]
     assert line_of(tables.roughness(Results(load(out))), "0.05", "balanced")[2] == "0.0100"
+
+
+def test_our_rows_on_the_true_mesh_stand_beside_the_peers(tmp_path):
+    rooms = {"fields_learning": 40.0, "surface": 9.0, "material_learning": 20.0}
+    for seed in (0, 1):
+        made_up(tmp_path, Run(Path("box"), "preview", geometry="true", seed=seed), 0.003, 70.0, room_cpu_seconds=rooms)
+    made_up(tmp_path, Run(Path("box"), "preview"), 0.004, 100.0)
+    assert our_cells(tmp_path, ["bunny", "box"]) == [["box", "ours, preview", 0.003, 0.0, 0.003, 60.0]]
 
 
 def test_a_failed_run_is_told_and_in_no_mean(out):
