@@ -12,7 +12,7 @@ import numpy as np
 import trimesh
 from trimesh.ray.ray_pyembree import RayMeshIntersector
 
-from blender_nep.capture.capture import Capture
+from blender_nep.capture import Capture, load_capture
 from blender_nep.surface import Surface
 
 VOXEL = 0.01
@@ -47,6 +47,13 @@ def true_mesh(folder: Path, capture: Capture) -> Body:
     mesh = trimesh.load(folder / "gt_mesh.ply", process=False, force="mesh")
     mesh.apply_transform(np.asarray(capture.to_unit, np.float64))
     return Body(mesh.vertices, mesh.faces)
+
+
+def load_test_views(folder: Path, capture: Capture) -> Capture:
+    """The views of a capture that nothing is learned from, in the capture's own unit frame."""
+    test = load_capture(folder, transforms="transforms_test.json")
+    test.object_center, test.object_radius = capture.object_center, capture.object_radius
+    return test
 
 
 def camera_rays(capture: Capture, view: int, stride: int) -> tuple[np.ndarray, np.ndarray, tuple[int, int]]:

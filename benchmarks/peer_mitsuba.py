@@ -27,6 +27,7 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
+from benchmarks.geometry import load_test_views
 from benchmarks.harness import markdown, resumed, use_threads
 from benchmarks.materials import score
 from benchmarks.report import fill
@@ -47,8 +48,8 @@ def run(folder: Path, minutes: float, settings, seed: int, picture: Path) -> dic
     from benchmarks.inverse_path_tracing import learn
 
     balanced = preset("balanced")
-    capture, test = load_capture(folder), load_capture(folder, transforms="transforms_test.json")
-    test.object_center, test.object_radius = capture.object_center, capture.object_radius
+    capture = load_capture(folder)
+    test = load_test_views(folder, capture)
     rays = PixelRays.from_capture(capture, balanced.max_pixels_per_photo, False)
     surface = load_surface(folder / "gt_mesh.ply", capture, balanced.surface)
     wall, cpu = time.perf_counter(), time.process_time()

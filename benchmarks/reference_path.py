@@ -83,8 +83,8 @@ def planned(file: Path, rays: PixelRays, settings: Preset, size: str, hours: flo
 
 def run(folder: Path, size: str, hours: float, steps: int | None, seed: int, kept: Path) -> dict:
     """Stage 1, surface and stage 2 of one capture, and all scores. Raises Stopped, with its checkpoint written."""
-    capture, test = load_capture(folder), load_capture(folder, transforms="transforms_test.json")
-    test.object_center, test.object_radius = capture.object_center, capture.object_radius
+    capture = load_capture(folder)
+    test = geometry.load_test_views(folder, capture)
     device = torch.device("cpu")
     settings = with_changes(replace(preset("balanced"), name="reference"), REFERENCE)
     settings = with_changes(settings, {"fields": SIZES[size]["fields"]})

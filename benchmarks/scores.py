@@ -25,8 +25,8 @@ def score_asset(folder: Path, asset: Path, preset: Preset, device: str, picture:
     """Geometry, F_e where its checkpoint is kept, materials; {} for a capture without ground truth."""
     if not (folder / "gt_mesh.ply").is_file():
         return {}
-    capture, test = load_capture(folder), load_capture(folder, transforms="transforms_test.json")
-    test.object_center, test.object_radius = capture.object_center, capture.object_radius
+    capture = load_capture(folder)
+    test = geometry.load_test_views(folder, capture)
     surface, learned = load_surface(asset / "mesh.obj", capture, preset.surface), materials.read_materials(asset)
     out = {"faces": len(surface.faces), "texture_rows": len(learned.albedo)}
     out |= geometry.score(surface, folder, capture, test)

@@ -127,8 +127,7 @@ def run(scene: Scene, preset: Preset, seed: int, threads: int, kept: Path, pictu
                             threads=threads)
         Job(settings, Events(None, io.StringIO()), StopRequest(), rooms).run()
     seconds = time.process_time() - start + rooms.taken_over
-    test = load_capture(scene.folder, transforms="transforms_test.json")
-    test.object_center, test.object_radius = capture.object_center, capture.object_radius
+    test = geometry.load_test_views(scene.folder, capture)
     return {"cpu": rooms.cpu, "seconds": seconds,
             **geometry.score(rooms.surface, scene.folder, capture, test),
             **materials.score(rooms.surface, rooms.materials, scene.folder, capture, test, picture),

@@ -9,7 +9,7 @@ import trimesh
 
 pytest.importorskip("igl")
 from benchmarks import scaling
-from benchmarks.geometry import Body, score
+from benchmarks.geometry import Body, load_test_views, score
 from benchmarks.harness import resumed, with_changes
 from benchmarks.materials import read_channels
 from benchmarks.plan import ABLATIONS
@@ -24,8 +24,8 @@ CAPTURE = Path(__file__).parent.parent / "data" / "suzanne_small"
 
 
 def test_the_truth_scores_perfectly_and_a_moved_copy_by_its_shift():
-    capture, test = load_capture(CAPTURE), load_capture(CAPTURE, transforms="transforms_test.json")
-    test.object_center, test.object_radius = capture.object_center, capture.object_radius
+    capture = load_capture(CAPTURE)
+    test = load_test_views(CAPTURE, capture)
     mesh = trimesh.load(CAPTURE / "gt_mesh.ply", process=False, force="mesh")
     mesh.apply_transform(capture.to_unit)
     vertices, faces = np.asarray(mesh.vertices), np.asarray(mesh.faces)
