@@ -14,13 +14,13 @@ import pytest
 pytest.importorskip("fcntl", reason="the suite runs on POSIX systems")
 from benchmarks.__main__ import main
 from benchmarks.harness import Children, read_row, write_row
-from benchmarks.plan import ABLATIONS, AS_TAKEN, PLANS, Run, expand
-from benchmarks.step import STAGE_1, _take_stage_1
+from benchmarks.plan import ABLATIONS, AS_TAKEN, PLANS, WITHOUT_F_E, Run, expand
+from benchmarks.step import STAGE_1, _take_stage_1, learn
 from benchmarks.suite import Suite, failure
 from benchmarks.variants import spread, with_fewer_views
 from blender_nep.capture import load_capture
 from blender_nep.checkpoints import StopRequest, save_state
-from blender_nep.presets import preset
+from blender_nep.presets import PRESETS, preset
 from blender_nep.run_folder import RunFolder, fingerprint
 
 CAPTURE = Path(__file__).parent.parent / "data" / "suzanne_small"
@@ -189,3 +189,22 @@ def test_a_capture_with_fewer_views_is_a_capture_of_the_same_object(tmp_path):
     assert fingerprint(few, preset("preview"), 0, False, None)["capture"] != fingerprint(
         whole, preset("preview"), 0, False, None)["capture"]
     assert str(CAPTURE) not in json.dumps((tmp_path / "few" / "transforms.json").read_text())
+
+
+def test_a_run_without_f_e_in_stage_2_has_the_same_mesh_from_the_same_stage_1_and_other_light(tmp_path, monkeypatch):
+    pytest.importorskip("hypothesis")
+    from benchmarks.materials import read_materials
+    from benchmarks.stress_scenes import Case, tiny_preset, write_capture
+
+    monkeypatch.setitem(PRESETS, "preview", tiny_preset())
+    monkeypatch.setattr(StopRequest, "watch", lambda self: None)  # a test has no standard input to be told by
+    write_capture(Case(), tmp_path / "ball")
+    whole, other = tmp_path / "whole", tmp_path / "other"
+    order = {"settings": {"device": "cpu", "threads": 1}}
+    made = learn(Run(tmp_path / "ball", "preview"), whole, order)
+    assert not made["resumed_rooms"] and {"fields_learning", "surface"} < set(made["room_cpu_seconds"])
+    taken = learn(Run(tmp_path / "ball", "preview", WITHOUT_F_E), other, order | {"stage_1": str(whole)})
+    assert sorted(taken["resumed_rooms"]) == sorted(STAGE_1) and "fields_learning" not in taken["room_cpu_seconds"]
+    assert (whole / "mesh.obj").read_bytes() == (other / "mesh.obj").read_bytes()
+    one, two = (read_materials(asset) for asset in (whole, other))
+    assert np.abs(one.albedo - two.albedo).mean() > 1e-3, "F_e was there"
