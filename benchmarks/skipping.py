@@ -156,7 +156,7 @@ def line(name: str, rows: dict[bool, list[dict]]) -> list[str]:
 
 def _spread(values: list[float]) -> str:
     mean = f"{np.mean(values):.3g}"
-    return mean if len(values) == 1 else f"{mean} ± {np.std(values, ddof=1):.1g}"
+    return mean if len(values) == 1 else f"{mean} ± {float(f'{np.std(values, ddof=1):.1g}'):g}"
 
 
 def main() -> None:
