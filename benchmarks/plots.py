@@ -99,7 +99,8 @@ def error_against_sweep(results: Results, key: str, file: Path) -> None:
     found = sweeps(results, key)
     if not found:
         return
-    figure, panels = _figure(found[0][2], f"Error against {label}")
+    bounded = found[0][2].where(**{key: lambda value: value is not None})  # whole runs alone are relit: no curve
+    figure, panels = _figure(bounded, f"Error against {label}")
     ticks = {}
     for place, (preset, values, chosen) in enumerate(found):
         size = {value: learned_from(chosen, key, value) for value in values}
