@@ -8,7 +8,7 @@ import pytest
 
 pytest.importorskip("igl")
 from benchmarks import tables
-from benchmarks.harness import write_row
+from benchmarks.harness import read_row, write_row
 from benchmarks.peer_mitsuba import our_cells
 from benchmarks.plan import Run
 from benchmarks.report import write_report
@@ -112,6 +112,11 @@ def test_our_rows_on_the_true_mesh_stand_beside_the_peers(tmp_path):
     for seed in (0, 1):
         made_up(tmp_path, Run(Path("box"), "preview", geometry="true", seed=seed), 0.003, 70.0, room_cpu_seconds=rooms)
     made_up(tmp_path, Run(Path("box"), "preview"), 0.004, 100.0)
+    made_up(tmp_path, Run(Path("box"), "preview", geometry="true", views=8), 0.1, 70.0, room_cpu_seconds=rooms)
+    unscored = Run(Path("bunny"), "preview", geometry="true")
+    made_up(tmp_path, unscored, 0.003, 70.0, room_cpu_seconds=rooms)
+    file = tmp_path / "rows" / f"{unscored.name}.json"
+    write_row(file, read_row(file) | {"score": {"error": "killed after 7200 s"}})
     assert our_cells(tmp_path, ["bunny", "box"]) == [["box", "ours, preview", 0.003, 0.0, 0.003, 60.0]]
 
 

@@ -192,7 +192,6 @@ def test_a_capture_with_fewer_views_is_a_capture_of_the_same_object(tmp_path):
 
 
 def test_a_run_without_f_e_in_stage_2_has_the_same_mesh_from_the_same_stage_1_and_other_light(tmp_path, monkeypatch):
-    pytest.importorskip("hypothesis")
     from benchmarks.materials import read_materials
     from benchmarks.stress_scenes import Case, tiny_preset, write_capture
 
