@@ -11,8 +11,8 @@ LIMIT_S = 180.0  # the first import of torch from a cold disk takes its time
 SCRIPT = """
 import importlib, json, platform, sys
 found = {"python": platform.python_version(), "missing": []}
-for name in ("torch", "blender_nep", "blender_nep.job", "blender_nep.fields_learning", "blender_nep.material_learning",
-             "blender_nep.surface", "blender_nep.asset"):
+for name in ("torch", "blender_nep", "blender_nep.job.runner", "blender_nep.fields.training",
+             "blender_nep.materials.training", "blender_nep.surface.extraction", "blender_nep.asset.export"):
     try:
         module = importlib.import_module(name)
         found[name] = str(getattr(module, "__version__", ""))

@@ -1,6 +1,6 @@
 """The files of an output folder, as far as Blender reads them: the job in it, its checkpoints, the finished asset.
 
-`OUT/job/` belongs to the engine (blender_nep/job_folder.py lists what is in it). No bpy in this file.
+`OUT/job/` belongs to the engine (blender_nep/job/job_folder.py lists what is in it). No bpy in this file.
 """
 import json
 import os

@@ -8,8 +8,8 @@ import torch
 from benchmarks.geometry import Body
 from blender_nep.capture import PixelRays
 from blender_nep.fields.environment_field import EnvironmentField
-from blender_nep.metrics import tone_map
-from blender_nep.raytracing import RayTracer
+from blender_nep.geometry.ray_tracing import RayTracer
+from blender_nep.tone_mapping import tone_map
 
 
 def background_psnr(environment: EnvironmentField, test_rays: PixelRays, truth: Body) -> float:

@@ -19,11 +19,11 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from blender_nep.capture.rays import PixelRays
+from blender_nep.capture.pixel_rays import PixelRays
 from blender_nep.errors import LearningError
-from blender_nep.metrics import tone_map
-from blender_nep.raytracing import RayTracer
-from blender_nep.surface import Surface
+from blender_nep.geometry.ray_tracing import RayTracer
+from blender_nep.surface.extraction import Surface
+from blender_nep.tone_mapping import tone_map
 
 mi.set_variant("llvm_ad_rgb")
 

@@ -34,11 +34,11 @@ from benchmarks.report import fill
 from benchmarks.rows import Results, load
 from benchmarks.tables import presets_of
 from blender_nep.capture import PixelRays, load_capture
-from blender_nep.capture.images import linear_to_srgb
+from blender_nep.capture.photo_files import linear_to_srgb
 from blender_nep.errors import LearningError
-from blender_nep.material_learning import Materials
+from blender_nep.materials.training import Materials
 from blender_nep.presets import preset
-from blender_nep.surface import load_surface
+from blender_nep.surface.extraction import load_surface
 
 COLUMNS = {"mse_roughness": "roughness", "mse_metallic": "metallic", "mse_albedo": "albedo", "cpu_seconds": "CPU s"}
 

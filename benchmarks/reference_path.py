@@ -31,11 +31,11 @@ from benchmarks.scores import BACKGROUND_PIXELS
 from blender_nep.capture import PixelRays, load_capture
 from blender_nep.checkpoints import Checkpoint, NoCheckpoint, StopRequest, load_state, save_state
 from blender_nep.errors import Stopped
-from blender_nep.fields_learning import FieldsLearning, learn_fields
-from blender_nep.material_learning import learn_materials
+from blender_nep.fields.training import FieldsLearning, learn_fields
+from blender_nep.job.stages import Rooms
+from blender_nep.materials.training import learn_materials
 from blender_nep.presets import Preset, preset
-from blender_nep.rooms import Rooms
-from blender_nep.surface import extract_surface
+from blender_nep.surface.extraction import extract_surface
 
 SIZES = {
     "published": {"width": 256, "layers": 8, "fields": {"object_rays": 256, "sphere_rays": 256, "outside_rays": 512,

@@ -2,7 +2,7 @@
 
     python -m benchmarks.scaling [--factor NAME...] [--threads 1] [--out out/benchmarks/scaling]
 
-Stages are the sections of `blender_nep.profile`; kernels are warm before anything is timed. Every measurement writes one
+Stages are the sections of `blender_nep.profiling`; kernels are warm before anything is timed. Every measurement writes one
 JSON file and is skipped when that exists. Ends with a table of exponents, and a plot where matplotlib is installed (the
 extra `bench`). Peak memory is the process's own, reset before each measurement (Linux only).
 """
@@ -23,13 +23,13 @@ from blender_nep.capture import PixelRays, load_capture
 from blender_nep.checkpoints import NoCheckpoint
 from blender_nep.fields.environment_field import EnvironmentField
 from blender_nep.fields.object_field import ObjectField
-from blender_nep.fields_learning import FieldsLearning, learn_fields
-from blender_nep.material_learning import learn_materials
-from blender_nep.material_palette import Palette
-from blender_nep.material_textures import Evidence, bake
+from blender_nep.fields.training import FieldsLearning, learn_fields
+from blender_nep.materials.baking import Evidence, bake
+from blender_nep.materials.palette import Palette
+from blender_nep.materials.training import learn_materials
 from blender_nep.presets import PRESETS, Preset
-from blender_nep.profile import Profile
-from blender_nep.surface import Surface, extract_surface
+from blender_nep.profiling import Profile
+from blender_nep.surface.extraction import Surface, extract_surface
 
 PIXELS = 36_864
 """A photo, where it is not varied: the small capture's 192 x 192."""

@@ -12,10 +12,10 @@ from benchmarks.harness import read_row
 from blender_nep.capture import PixelRays, load_capture
 from blender_nep.capture.capture import Capture
 from blender_nep.checkpoints import load_state
-from blender_nep.machine import choose_device
+from blender_nep.job.device import choose_device
+from blender_nep.job.stages import Rooms
 from blender_nep.presets import Preset
-from blender_nep.rooms import Rooms
-from blender_nep.surface import load_surface
+from blender_nep.surface.extraction import load_surface
 
 BACKGROUND_PIXELS = 40_000
 """Of a held-out photo, whatever the job itself used: the scores of presets must be comparable."""

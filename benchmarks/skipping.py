@@ -34,11 +34,11 @@ from benchmarks.report import fill
 from benchmarks.suite import machine
 from blender_nep.capture import load_capture
 from blender_nep.checkpoints import StopRequest, load_state, save_state
-from blender_nep.events import Events
-from blender_nep.job import Job, Settings
+from blender_nep.job.events import Events
+from blender_nep.job.run_folder import fingerprint
+from blender_nep.job.runner import Job, Settings
+from blender_nep.job.stages import Rooms
 from blender_nep.presets import PRESETS, Preset
-from blender_nep.rooms import Rooms
-from blender_nep.run_folder import fingerprint
 
 
 @dataclass(frozen=True)

@@ -36,10 +36,10 @@ class NoLight:
 
 def learn(run: Run, asset: Path, order: dict) -> dict:
     """The job. An error is {"error": message}."""
-    from blender_nep import job
     from blender_nep.checkpoints import StopRequest
-    from blender_nep.events import Events
-    from blender_nep.rooms import Rooms
+    from blender_nep.job import runner as job
+    from blender_nep.job.events import Events
+    from blender_nep.job.stages import Rooms
 
     class Heard(Events):
         """Keeps the error."""
@@ -102,7 +102,7 @@ def _take_stage_1(other: Path, asset: Path, capture: Path, run: Run, mesh: Path 
     """Put the finished stage 1 of the run without ablation into this one's folder, as a job that was stopped there; not if
     that was made of another capture or preset than it would be now."""
     from blender_nep.capture import load_capture
-    from blender_nep.run_folder import fingerprint
+    from blender_nep.job.run_folder import fingerprint
 
     rooms = [other / "checkpoints" / f"{room}.done.pt" for room in STAGE_1]
     loaded = load_capture(capture, use_masks=False)

@@ -32,9 +32,10 @@ from hypothesis import strategies as st
 from benchmarks.harness import write_row
 from benchmarks.stress_checks import check_asset, check_refusal, same_assets, strict_json
 from benchmarks.stress_scenes import Case, write_capture
-from blender_nep import job, material_fits
 from blender_nep.checkpoints import StopRequest
-from blender_nep.events import Events
+from blender_nep.job import runner as job
+from blender_nep.job.events import Events
+from blender_nep.materials import fitting as material_fits
 
 SCENES = {
     "shape": ["sphere", "box", "plate", "ring", "holes"], "albedo": [0.6, 0.0, 1.0], "roughness": [0.3, 0.02, 1.0],

@@ -14,7 +14,7 @@ import OpenEXR
 import torch
 import trimesh
 
-from blender_nep.asset import TEXTURES
+from blender_nep.asset.export import TEXTURES
 from blender_nep.checkpoints import load_state
 
 FILES = ("mesh.obj", "mesh.mtl", "asset.glb", "environment.exr", "preview.png", "report.json",

@@ -16,8 +16,8 @@ import numpy as np
 import OpenEXR
 from PIL import Image
 
-from blender_nep.capture.images import linear_to_srgb
-from blender_nep.job import Settings
+from blender_nep.capture.photo_files import linear_to_srgb
+from blender_nep.job.runner import Settings
 from blender_nep.presets import PRESETS, EnvironmentPreset, FieldsPreset, MaterialPreset, Preset, SurfacePreset
 
 FOCAL = 1.3

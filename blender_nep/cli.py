@@ -162,14 +162,14 @@ def _chosen_preset(options: argparse.Namespace) -> Preset:
 
 
 def _reconstruct(options: argparse.Namespace) -> int:
-    from blender_nep.events import Events, open_protocol
+    from blender_nep.job.events import Events, open_protocol
 
     terminal = sys.stdout.isatty()
     protocol = open_protocol()
     events = Events(None if terminal else protocol, sys.stderr)
 
-    from blender_nep import job
     from blender_nep.checkpoints import StopRequest
+    from blender_nep.job import runner as job
 
     stop = StopRequest()
     if options.watch_stdin:

@@ -16,9 +16,9 @@ import trimesh
 from PIL import Image
 
 from blender_nep.errors import LearningError
-from blender_nep.material_learning import Materials
-from blender_nep.rooms import Rooms
-from blender_nep.surface import Surface
+from blender_nep.job.stages import Rooms
+from blender_nep.materials.training import Materials
+from blender_nep.surface.extraction import Surface
 
 CENTER, RADIUS = np.array([0.3, -0.2, 0.5]), 0.8
 

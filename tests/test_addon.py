@@ -14,9 +14,9 @@ import pytest
 from conftest import BallRooms
 from PIL import Image
 
-from blender_nep import job
 from blender_nep.checkpoints import StopRequest
-from blender_nep.events import Events
+from blender_nep.job import runner as job
+from blender_nep.job.events import Events
 from blender_nep.presets import preset
 
 sys.path.insert(0, str(extension.ROOT))

@@ -12,10 +12,10 @@ import trimesh
 from conftest import CENTER, RADIUS, GreyLight, ball_surface, ball_textures
 from PIL import Image
 
-from blender_nep import asset
+from blender_nep.asset import export as asset
+from blender_nep.asset.preview import Pyramid, shade
 from blender_nep.capture import PixelRays, load_capture
 from blender_nep.errors import OutputError
-from blender_nep.preview import Pyramid, shade
 
 
 class Textures:

@@ -10,10 +10,10 @@ import pytest
 from conftest import CENTER, BallRooms, write_exr
 from PIL import Image
 
-from blender_nep import job
 from blender_nep.capture import load_capture
 from blender_nep.checkpoints import StopRequest
-from blender_nep.events import Events
+from blender_nep.job import runner as job
+from blender_nep.job.events import Events
 from blender_nep.presets import preset
 
 

@@ -20,8 +20,8 @@ from benchmarks.suite import Suite, failure
 from benchmarks.variants import spread, with_fewer_views
 from blender_nep.capture import load_capture
 from blender_nep.checkpoints import StopRequest, save_state
+from blender_nep.job.run_folder import RunFolder, fingerprint
 from blender_nep.presets import PRESETS, preset
-from blender_nep.run_folder import RunFolder, fingerprint
 
 CAPTURE = Path(__file__).parent.parent / "data" / "suzanne_small"
 

@@ -14,11 +14,11 @@ from benchmarks.harness import resumed, with_changes
 from benchmarks.materials import read_channels
 from benchmarks.plan import ABLATIONS
 from benchmarks.scores import score_asset
-from blender_nep.asset import TexturedMesh, write_exr, write_obj
+from blender_nep.asset.export import TexturedMesh, write_exr, write_obj
 from blender_nep.capture import load_capture
 from blender_nep.errors import LearningError, Stopped
 from blender_nep.presets import preset
-from blender_nep.surface import Surface, load_surface
+from blender_nep.surface.extraction import Surface, load_surface
 
 CAPTURE = Path(__file__).parent.parent / "data" / "suzanne_small"
 

@@ -14,7 +14,7 @@ from PIL import Image
 
 from blender_nep.capture import Camera, PixelRays, load_capture
 from blender_nep.capture.bounds import sphere_from_cameras
-from blender_nep.capture.images import linear_to_srgb, open_image, srgb_to_linear
+from blender_nep.capture.photo_files import linear_to_srgb, open_image, srgb_to_linear
 from blender_nep.capture.summary import describe, summarise
 from blender_nep.errors import CaptureError
 

@@ -13,8 +13,8 @@ import torch
 import trimesh
 
 pytest.importorskip("bpy")
-from blender_nep.preview import Pyramid
-from blender_nep.raytracing import RayTracer
+from blender_nep.asset.preview import Pyramid
+from blender_nep.geometry.ray_tracing import RayTracer
 from blender_nep.shading.plenoptic import Material, PlenopticFunction, TerminalRadiance
 
 HERE = Path(__file__).parent

@@ -22,7 +22,7 @@ from backend.engine import Engine  # noqa: E402
 from backend.engine_command import NoEngineError, reconstruct_arguments  # noqa: E402
 from backend.job_files import EventFile, has_checkpoint, is_asset, is_running, read_job  # noqa: E402
 from backend.progress import Progress, describe, duration, in_panel_words  # noqa: E402
-from blender_nep.job_folder import Journal  # noqa: E402
+from blender_nep.job.job_folder import Journal  # noqa: E402
 
 LIMIT_S = 120
 SLOW = {"BALL_STEPS": "4000", "BALL_DELAY": "0.02"}

@@ -11,9 +11,9 @@ from blender_nep.checkpoints import NoCheckpoint
 from blender_nep.errors import LearningError
 from blender_nep.fields.environment_field import EnvironmentField
 from blender_nep.fields.environment_grid import resample
-from blender_nep.fields.environment_learning import learn_environment, learn_step, optimiser
-from blender_nep.metrics import tone_map
+from blender_nep.fields.environment_training import learn_environment, learn_step, optimiser
 from blender_nep.presets import EnvironmentPreset
+from blender_nep.tone_mapping import tone_map
 
 PRESET = EnvironmentPreset(resolutions=((24, 32), (28, 48)), refine_at=(0.5,), outer_radius=20.0)
 

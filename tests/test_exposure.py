@@ -7,17 +7,17 @@ import numpy as np
 import pytest
 import torch
 
+from blender_nep.asset.preview import render_preview
 from blender_nep.capture import PixelRays, exposure, load_capture
 from blender_nep.capture.exposure import SPHERES, Exposures, find_exposures, stops
 from blender_nep.checkpoints import NoCheckpoint
-from blender_nep.fields_learning import FieldsLearning, learn_fields
-from blender_nep.live_preview import render_pair
-from blender_nep.photo_samples import select_samples
+from blender_nep.fields.training import FieldsLearning, learn_fields
+from blender_nep.geometry.ray_tracing import RayTracer
+from blender_nep.job.live_preview import render_pair
+from blender_nep.job.scene_analysis import SceneAnalysis, view_dependence
+from blender_nep.materials.photo_samples import select_samples
 from blender_nep.presets import preset
-from blender_nep.preview import render_preview
-from blender_nep.raytracing import RayTracer
-from blender_nep.scene_analysis import SceneAnalysis, view_dependence
-from blender_nep.surface import load_surface
+from blender_nep.surface.extraction import load_surface
 
 SMALL = Path(__file__).parents[1] / "data" / "suzanne_small"
 TENTH_OF_A_STOP = 0.07

@@ -13,11 +13,11 @@ from blender_nep.capture import PixelRays, load_capture
 from blender_nep.checkpoints import NoCheckpoint
 from blender_nep.errors import LearningError
 from blender_nep.fields.object_field import Appearance, ObjectField
-from blender_nep.fields_learning import Fields, FieldsLearning, Rendering, dynamic_weight, learn_fields
-from blender_nep.metrics import HIGHLIGHT, tone_map, tone_map_without_highlights
+from blender_nep.fields.training import Fields, FieldsLearning, Rendering, dynamic_weight, learn_fields
+from blender_nep.geometry.ray_tracing import RayTracer
 from blender_nep.presets import preset
-from blender_nep.raytracing import RayTracer
-from blender_nep.surface import Surface
+from blender_nep.surface.extraction import Surface
+from blender_nep.tone_mapping import HIGHLIGHT, tone_map, tone_map_without_highlights
 
 CAPTURE = Path(__file__).parent.parent / "data" / "suzanne_small"
 CPU = torch.device("cpu")

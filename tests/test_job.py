@@ -18,11 +18,12 @@ import torch
 from conftest import CENTER, RADIUS, BallRooms
 
 from backend.capture_files import read_frames, with_exposures
-from blender_nep import checkpoints, job
+from blender_nep import checkpoints
 from blender_nep.capture.exposure import Exposures
 from blender_nep.checkpoints import Checkpoint, StopRequest, load_state, save_state
 from blender_nep.errors import LearningError, Stopped
-from blender_nep.events import Events, Timeline, time_text
+from blender_nep.job import runner as job
+from blender_nep.job.events import Events, Timeline, time_text
 from blender_nep.presets import preset
 from blender_nep.shading.unseen_light import UnseenLight
 
@@ -421,7 +422,7 @@ sys.path.insert(0, {tests!r})
 from conftest import BallRooms
 from blender_nep import job
 from blender_nep.checkpoints import Checkpoint, StopRequest
-from blender_nep.events import Events
+from blender_nep.job.events import Events
 from blender_nep.presets import preset
 from blender_nep.shading.unseen_light import UnseenLight
 Checkpoint.interval = 0.01

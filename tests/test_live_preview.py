@@ -10,12 +10,12 @@ import torch
 from PIL import Image
 from test_fields_learning import small
 
-from blender_nep import live_preview
 from blender_nep.capture import PixelRays, load_capture
 from blender_nep.checkpoints import NoCheckpoint
-from blender_nep.events import Events
-from blender_nep.fields_learning import learn_fields
-from blender_nep.live_preview import LivePreview
+from blender_nep.fields.training import learn_fields
+from blender_nep.job import live_preview
+from blender_nep.job.events import Events
+from blender_nep.job.live_preview import LivePreview
 
 CAPTURE = Path(__file__).parent.parent / "data" / "suzanne_small"
 CPU = torch.device("cpu")

@@ -5,10 +5,10 @@ import numpy as np
 import pytest
 import torch
 
-from blender_nep.material_fits import fit_groups, roughness_scan
-from blender_nep.metrics import tone_map
+from blender_nep.materials.fitting import fit_groups, roughness_scan
 from blender_nep.shading.incoming_light import IncomingLight
 from blender_nep.shading.plenoptic import Material, SpecularMoments, albedo_line, reflected
+from blender_nep.tone_mapping import tone_map
 
 CLIP, LEAST, MOST_DIFFUSE = 0.25, 0.05, 2.5
 

@@ -9,13 +9,13 @@ import torch
 import trimesh
 
 from blender_nep.errors import LearningError
-from blender_nep.material_learning import learn_materials
-from blender_nep.material_palette import Palette
-from blender_nep.material_textures import Evidence, bake
+from blender_nep.geometry.uv_raster import rasterise
+from blender_nep.materials.baking import Evidence, bake
+from blender_nep.materials.palette import Palette
+from blender_nep.materials.training import learn_materials
 from blender_nep.presets import MaterialPreset, SurfacePreset
 from blender_nep.shading import brdf
-from blender_nep.surface import Surface, unwrap
-from blender_nep.texels import rasterise
+from blender_nep.surface.extraction import Surface, unwrap
 
 PRESET = replace(MaterialPreset(), samples=1200, terminal_steps=60,
                  unseen_rows=16, unseen_steps=20, most_texels=256, region=0.4, candidates=10)
@@ -194,7 +194,7 @@ def test_textures_do_not_depend_on_the_block(ball, monkeypatch):
     evidence = Evidence(position, random.integers(9, size=300), cost, albedo, residual)
     palette = Palette(torch.tensor([[0.9, 0.6, 0.3], [0.2, 0.3, 0.4]]), torch.tensor([0.2, 0.6]), torch.tensor([1.0, 0.0]))
     whole = bake(ball, evidence, palette, 64)
-    monkeypatch.setattr("blender_nep.material_textures._BLOCK", 37)
+    monkeypatch.setattr("blender_nep.materials.baking._BLOCK", 37)
     assert all(np.array_equal(a, b) for a, b in zip(whole, bake(ball, evidence, palette, 64), strict=True))
 
 

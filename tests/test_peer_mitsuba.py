@@ -17,10 +17,10 @@ import trimesh
 from torch.nn import functional
 
 from blender_nep.capture import PixelRays, load_capture
+from blender_nep.geometry.ray_tracing import RayTracer
+from blender_nep.geometry.uv_raster import look_up
 from blender_nep.presets import preset
-from blender_nep.raytracing import RayTracer
-from blender_nep.surface import Surface, unwrap
-from blender_nep.texels import look_up
+from blender_nep.surface.extraction import Surface, unwrap
 
 pytest.importorskip("mitsuba")
 TRY = "import mitsuba as mi; mi.set_variant('llvm_ad_rgb'); mi.render(mi.load_dict(mi.cornell_box()), spp=1).numpy()"

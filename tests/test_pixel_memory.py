@@ -12,15 +12,15 @@ import pytest
 import torch
 from conftest import BallRooms
 
-from blender_nep import job
 from blender_nep.capture import PixelRays, load_capture
-from blender_nep.capture import rays as rays_module
-from blender_nep.capture.images import open_image
+from blender_nep.capture import pixel_rays as rays_module
+from blender_nep.capture.photo_files import open_image
 from blender_nep.capture.pixel_set import PixelSet
 from blender_nep.capture.pixel_store import FileStore, PixelMemory
 from blender_nep.checkpoints import StopRequest
 from blender_nep.errors import OutputError
-from blender_nep.events import Events
+from blender_nep.job import runner as job
+from blender_nep.job.events import Events
 from blender_nep.presets import preset
 
 

@@ -5,7 +5,7 @@ import pytest
 import torch
 import trimesh
 
-from blender_nep.raytracing import RayTracer
+from blender_nep.geometry.ray_tracing import RayTracer
 from blender_nep.shading.incoming_light import IncomingLight
 from blender_nep.shading.plenoptic import Material, PlenopticFunction, TerminalRadiance, reflected
 

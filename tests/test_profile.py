@@ -7,12 +7,13 @@ import os
 import pytest
 from conftest import BallRooms
 
-from blender_nep import job, profile
+from blender_nep import profiling as profile
 from blender_nep.checkpoints import StopRequest
 from blender_nep.cli import main
-from blender_nep.events import Events
+from blender_nep.job import runner as job
+from blender_nep.job.events import Events
 from blender_nep.presets import preset
-from blender_nep.profile import Profile, profiled, section
+from blender_nep.profiling import Profile, profiled, section
 
 
 class Clock:
@@ -109,7 +110,7 @@ def test_the_command_line_asks_for_it(tmp_path, monkeypatch):
     asked = []
     monkeypatch.setattr(job, "run", lambda settings, *_: asked.append(settings.profile) or 0)
     for extra in ([], ["--profile"]):
-        monkeypatch.setattr("blender_nep.events.open_protocol", lambda: None)
+        monkeypatch.setattr("blender_nep.job.events.open_protocol", lambda: None)
         assert main(["reconstruct", str(tmp_path), "--out", str(tmp_path / "x"), *extra]) == 0
     assert asked == [False, True]
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from blender_nep.raytracing import RayTracer
+from blender_nep.geometry.ray_tracing import RayTracer
 
 
 @pytest.fixture(scope="module", params=[1.0, 1e-3, 1e4])

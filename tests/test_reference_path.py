@@ -14,7 +14,7 @@ from benchmarks.reference_field import ReferenceField
 from benchmarks.reference_path import REFERENCE, SIZES
 from blender_nep.capture import PixelRays, load_capture
 from blender_nep.errors import Stopped
-from blender_nep.fields_learning import FieldsLearning
+from blender_nep.fields.training import FieldsLearning
 from blender_nep.presets import preset
 
 CAPTURE = Path(__file__).parent.parent / "data" / "suzanne_small"

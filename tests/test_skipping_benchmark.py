@@ -8,8 +8,8 @@ import torch
 pytest.importorskip("igl")
 from benchmarks.skipping import Scene, line, without_skipping
 from blender_nep.capture import PixelRays, load_capture
+from blender_nep.job.scene_analysis import SceneAnalysis
 from blender_nep.presets import preset
-from blender_nep.scene_analysis import SceneAnalysis
 
 CAPTURE = Path(__file__).parent.parent / "data" / "suzanne_small"
 

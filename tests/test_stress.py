@@ -20,7 +20,7 @@ from blender_nep.checkpoints import load_state
 from blender_nep.errors import LearningError
 from blender_nep.fields.optimiser import UniformAdam
 from blender_nep.fields.step_guard import PATIENCE, StepGuard, usable_gradients, usable_loss
-from blender_nep.fields_learning import HELD_OUT, FieldsLearning
+from blender_nep.fields.training import HELD_OUT, FieldsLearning
 
 PLAIN = Case(told="yes", pixels="saturated", suffix=".png")
 

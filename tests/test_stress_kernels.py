@@ -14,8 +14,8 @@ from hypothesis import strategies as st
 
 from blender_nep.fields.environment_field import EnvironmentField
 from blender_nep.fields.volume_rendering import neus_weights, place_samples, render_surface, sphere_interval
-from blender_nep.material_fits import fit_groups
-from blender_nep.material_palette import best_of
+from blender_nep.materials.fitting import fit_groups
+from blender_nep.materials.palette import best_of
 from blender_nep.ops import bspline
 from blender_nep.ops.environment_rendering import render_environment
 from blender_nep.ops.environment_smoothness import total_variation

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from blender_nep.presets import SurfacePreset
-from blender_nep.support import find_support
-from blender_nep.surface import _BORDER, extract_surface, zero_level
+from blender_nep.surface.extraction import _BORDER, extract_surface, zero_level
+from blender_nep.surface.support_plane import find_support
 
 N = 96
 AXIS = np.linspace(-1, 1, N)

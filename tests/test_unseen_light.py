@@ -10,14 +10,14 @@ import pytest
 import torch
 import trimesh
 
-from blender_nep.material_palette import Palette
+from blender_nep.geometry.ray_tracing import RayTracer
+from blender_nep.materials.palette import Palette
+from blender_nep.materials.unseen_light_training import UnseenLightProblem, learn_unseen_light
 from blender_nep.presets import MaterialPreset
-from blender_nep.raytracing import RayTracer
 from blender_nep.shading.incoming_light import IncomingLight
 from blender_nep.shading.plenoptic import PlenopticFunction, SpecularMoments, TerminalRadiance, reflected
 from blender_nep.shading.unseen_light import OpenCones, UnseenLight, level_sizes, pyramid
 from blender_nep.shading.unseen_transport import UnseenTransport
-from blender_nep.unseen_light_learning import UnseenLightProblem, learn_unseen_light
 
 
 def directions(n: int, seed: int) -> torch.Tensor:

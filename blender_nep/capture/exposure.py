@@ -16,7 +16,7 @@ import torch
 from scipy import sparse
 from torch.nn import functional
 
-from blender_nep.capture.rays import BRIGHTEST_CLIPPED, SATURATED, PixelRays
+from blender_nep.capture.pixel_rays import BRIGHTEST_CLIPPED, SATURATED, PixelRays
 
 SPHERES = (0.8, 1.2, 1.7, 2.4, 3.4, 5.0, 10.0, 1e4)
 """Radii in camera distances."""

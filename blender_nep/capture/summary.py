@@ -8,9 +8,9 @@ from pathlib import Path
 
 import numpy as np
 
+from blender_nep.capture.formats.transforms import load_capture
+from blender_nep.capture.pixel_rays import PixelRays
 from blender_nep.capture.pixel_store import PixelMemory
-from blender_nep.capture.rays import PixelRays
-from blender_nep.capture.transforms import load_capture
 
 
 def summarise(folder: Path) -> dict:

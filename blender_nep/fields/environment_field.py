@@ -23,7 +23,7 @@ from blender_nep.ops.environment_cones import accumulate_evidence
 from blender_nep.ops.environment_rendering import render_environment
 from blender_nep.ops.environment_smoothness import total_variation
 from blender_nep.presets import EnvironmentPreset
-from blender_nep.profile import profiled
+from blender_nep.profiling import profiled
 
 
 class EnvironmentField(nn.Module):

@@ -19,9 +19,9 @@ from scipy import ndimage
 from skimage.filters import threshold_otsu
 from torch.nn import functional
 
-from blender_nep.capture.rays import PixelRays
+from blender_nep.capture.pixel_rays import PixelRays
 from blender_nep.fields.environment_field import EnvironmentField
-from blender_nep.metrics import tone_map
+from blender_nep.tone_mapping import tone_map
 
 LOWEST_SHARE = 0.05
 """A point is as much object as this quantile of its silhouette values says: nearly all views must agree."""

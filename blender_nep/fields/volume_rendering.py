@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import torch
 
 from blender_nep.ops import bspline
-from blender_nep.profile import profiled, section
+from blender_nep.profiling import profiled, section
 
 BAND = 6.0
 """Samples are placed where |sharpness * sdf| < BAND: sigmoid(-6) = 0.0025 of opacity is left out."""

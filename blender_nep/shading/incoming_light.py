@@ -13,7 +13,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from blender_nep.profile import profiled
+from blender_nep.profiling import profiled
 from blender_nep.shading import brdf
 from blender_nep.shading.cones import cone_of_density, diffuse_cones, specular_cones
 from blender_nep.shading.plenoptic import (

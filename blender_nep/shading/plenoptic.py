@@ -15,7 +15,7 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from blender_nep.raytracing import RayTracer
+from blender_nep.geometry.ray_tracing import RayTracer
 from blender_nep.shading import brdf
 from blender_nep.shading.cones import diffuse_cones, specular_cones
 from blender_nep.shading.unseen_light import UnseenLight

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from blender_nep.events import Events
-from blender_nep.scene_analysis import Plan, SceneAnalysis, SurfaceAnalysis
+from blender_nep.job.events import Events
+from blender_nep.job.scene_analysis import Plan, SceneAnalysis, SurfaceAnalysis
 
 if TYPE_CHECKING:
     from blender_nep.capture import PixelRays

@@ -12,10 +12,10 @@ import torch
 
 if TYPE_CHECKING:
     from blender_nep.capture import Capture, PixelRays
-    from blender_nep.fields_learning import Fields
-    from blender_nep.material_learning import Materials
+    from blender_nep.fields.training import Fields
+    from blender_nep.materials.training import Materials
     from blender_nep.presets import Preset, SurfacePreset
-    from blender_nep.surface import Surface
+    from blender_nep.surface.extraction import Surface
 
 
 class Rooms:
@@ -23,7 +23,7 @@ class Rooms:
 
     def learn_fields(self, rays: PixelRays, preset: Preset, **keywords: Any) -> Fields:
         """Stage 1; with surface=... F_e alone."""
-        from blender_nep.fields_learning import learn_fields
+        from blender_nep.fields.training import learn_fields
 
         return learn_fields(rays, preset, **keywords)
 
@@ -33,19 +33,19 @@ class Rooms:
 
     def unpack_fields(self, state: dict, preset: Preset, device: torch.device) -> Fields:
         """The inverse of pack_fields."""
-        from blender_nep.fields_learning import Fields
+        from blender_nep.fields.training import Fields
 
         return Fields.from_state(state, preset, device)
 
     def load_surface(self, mesh: Path, capture: Capture, preset: SurfacePreset) -> Surface:
         """The mesh of --mesh."""
-        from blender_nep.surface import load_surface
+        from blender_nep.surface.extraction import load_surface
 
         return load_surface(mesh, capture, preset)
 
     def extract_surface(self, object_field: Any, preset: SurfacePreset) -> tuple[Surface, dict]:
         """The mesh of the object field."""
-        from blender_nep.surface import extract_surface
+        from blender_nep.surface.extraction import extract_surface
 
         return extract_surface(object_field, preset)
 
@@ -57,13 +57,13 @@ class Rooms:
 
     def unpack_surface(self, state: dict) -> tuple[Surface, dict]:
         """The inverse of pack_surface."""
-        from blender_nep.surface import Surface
+        from blender_nep.surface.extraction import Surface
 
         return Surface(**state["arrays"]), state["report"]
 
     def learn_materials(self, surface: Surface, environment: Any, rays: PixelRays, preset: Any, **keywords: Any) -> Any:
         """Stage 2."""
-        from blender_nep.material_learning import learn_materials
+        from blender_nep.materials.training import learn_materials
 
         return learn_materials(surface, environment, rays, preset, **keywords)
 
@@ -75,7 +75,7 @@ class Rooms:
 
     def unpack_materials(self, state: dict) -> Materials:
         """The inverse of pack_materials."""
-        from blender_nep.material_learning import Materials
+        from blender_nep.materials.training import Materials
         from blender_nep.shading.unseen_light import UnseenLight
 
         unseen = UnseenLight.from_state(state["unseen"]) if state["unseen"] is not None else None
@@ -83,6 +83,6 @@ class Rooms:
 
     def write_asset(self, *arguments: Any) -> None:
         """The asset folder."""
-        from blender_nep.asset import write_asset
+        from blender_nep.asset.export import write_asset
 
         write_asset(*arguments)

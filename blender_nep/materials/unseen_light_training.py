@@ -10,14 +10,14 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from blender_nep.material_palette import Palette
-from blender_nep.metrics import tone_map
+from blender_nep.materials.palette import Palette
 from blender_nep.presets import MaterialPreset
-from blender_nep.profile import profiled
+from blender_nep.profiling import profiled
 from blender_nep.shading.incoming_light import IncomingLight
 from blender_nep.shading.plenoptic import albedo_line, reflected
 from blender_nep.shading.unseen_light import UnseenLight, pyramid
 from blender_nep.shading.unseen_transport import UnseenTransport
+from blender_nep.tone_mapping import tone_map
 
 _DARKEST, _BRIGHTEST = math.log(1e-3), math.log(1e3)
 """Of the map's log radiance."""

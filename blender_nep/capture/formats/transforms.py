@@ -15,7 +15,7 @@ import numpy as np
 from blender_nep.capture.bounds import check_sphere, shortened, sphere_from_cameras, sphere_from_masks
 from blender_nep.capture.camera import Camera
 from blender_nep.capture.capture import Capture, View
-from blender_nep.capture.images import SUFFIXES, find_image, image_size
+from blender_nep.capture.photo_files import SUFFIXES, find_image, image_size
 from blender_nep.errors import CaptureError
 
 MINIMUM_VIEWS = 3

@@ -9,13 +9,13 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from blender_nep.capture.rays import BRIGHTEST_CLIPPED, SATURATED
+from blender_nep.capture.pixel_rays import BRIGHTEST_CLIPPED, SATURATED
 from blender_nep.errors import LearningError
-from blender_nep.profile import profiled
-from blender_nep.raytracing import RayTracer
+from blender_nep.geometry.ray_tracing import RayTracer
+from blender_nep.profiling import profiled
 
 if TYPE_CHECKING:
-    from blender_nep.capture.rays import PixelRays
+    from blender_nep.capture.pixel_rays import PixelRays
 
 _CANDIDATES_PER_SAMPLE = 12
 _VOXEL = 0.05

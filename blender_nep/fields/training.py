@@ -13,20 +13,20 @@ from dataclasses import dataclass
 import torch
 from torch.nn import functional
 
+from blender_nep.capture.pixel_rays import PixelRays
 from blender_nep.capture.pixel_set import GrowingPixelSet, PixelSet
-from blender_nep.capture.rays import PixelRays
 from blender_nep.errors import LearningError, Stopped
-from blender_nep.fields import environment_learning
+from blender_nep.fields import environment_training as environment_learning
 from blender_nep.fields.environment_field import EnvironmentField
 from blender_nep.fields.object_field import Appearance, ObjectField
 from blender_nep.fields.step_guard import StepGuard, usable_gradients, usable_loss
 from blender_nep.fields.visual_hull import background_silhouettes, carve, mask_silhouettes
 from blender_nep.fields.volume_rendering import BAND, sphere_interval
-from blender_nep.metrics import tone_map, tone_map_without_highlights
+from blender_nep.geometry.ray_tracing import RayTracer
 from blender_nep.presets import Preset
-from blender_nep.profile import profiled, section
-from blender_nep.raytracing import RayTracer
-from blender_nep.surface import Surface
+from blender_nep.profiling import profiled, section
+from blender_nep.surface.extraction import Surface
+from blender_nep.tone_mapping import tone_map, tone_map_without_highlights
 
 HELD_OUT = 101
 """Pixels whose index is a multiple of this are not learned from."""

@@ -13,7 +13,7 @@ import numpy as np
 from embreex import rtcore_scene
 from embreex.mesh_construction import TriangleMesh
 
-from blender_nep.profile import profiled
+from blender_nep.profiling import profiled
 
 _CHUNK = 1 << 16
 """Rays a task: large enough to hide the call, small enough to share among threads."""

@@ -7,15 +7,15 @@ from collections.abc import Callable
 
 import torch
 
+from blender_nep.capture.pixel_rays import PixelRays
 from blender_nep.capture.pixel_set import PixelSet
-from blender_nep.capture.rays import PixelRays
 from blender_nep.checkpoints import Checkpoint
 from blender_nep.errors import Stopped
 from blender_nep.fields.environment_field import EnvironmentField
 from blender_nep.fields.step_guard import StepGuard, usable_gradients, usable_loss
-from blender_nep.metrics import tone_map
 from blender_nep.presets import EnvironmentPreset
-from blender_nep.profile import section
+from blender_nep.profiling import section
+from blender_nep.tone_mapping import tone_map
 
 
 def geometric_mean(rays: PixelRays) -> float:

@@ -15,18 +15,18 @@ import numpy as np
 import torch
 from PIL import Image
 
-from blender_nep.capture.images import linear_to_srgb
+from blender_nep.asset.preview import best_view, exposure
+from blender_nep.capture.photo_files import linear_to_srgb
 from blender_nep.checkpoints import output_errors, write_atomically
 from blender_nep.errors import LearningError, NepError
-from blender_nep.job_folder import FOLDER, PREVIEW_MESH, PREVIEW_PICTURE
-from blender_nep.preview import best_view, exposure
-from blender_nep.raytracing import RayTracer
-from blender_nep.surface import zero_level
+from blender_nep.geometry.ray_tracing import RayTracer
+from blender_nep.job.job_folder import FOLDER, PREVIEW_MESH, PREVIEW_PICTURE
+from blender_nep.surface.extraction import zero_level
 
 if TYPE_CHECKING:
     from blender_nep.capture import PixelRays
-    from blender_nep.events import Events
-    from blender_nep.fields_learning import FieldsLearning
+    from blender_nep.fields.training import FieldsLearning
+    from blender_nep.job.events import Events
 
 GRID = 64
 WIDTH = 160

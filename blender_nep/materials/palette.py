@@ -8,10 +8,10 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from blender_nep.material_fits import roughness_scan
-from blender_nep.metrics import tone_map
+from blender_nep.materials.fitting import roughness_scan
 from blender_nep.shading.incoming_light import IncomingLight
 from blender_nep.shading.plenoptic import Material, reflected
+from blender_nep.tone_mapping import tone_map
 
 _MIXTURES = (0.25, 0.5, 0.75)
 """Shares of the second material in a blend of two."""

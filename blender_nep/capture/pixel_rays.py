@@ -19,7 +19,7 @@ from blender_nep.capture.capture import Capture
 from blender_nep.capture.pixel_set import GrowingPixelSet, PixelSet
 from blender_nep.capture.pixel_store import PixelMemory
 from blender_nep.errors import BoundsError, CaptureError
-from blender_nep.profile import profiled
+from blender_nep.profiling import profiled
 
 MAXIMUM_RADIANCE = 6e4
 """Brighter values are clipped: the largest half float is 65504."""

@@ -24,15 +24,15 @@ from blender_nep.capture.exposure import find_exposures
 from blender_nep.capture.pixel_store import PixelMemory
 from blender_nep.checkpoints import StopRequest, output_errors
 from blender_nep.errors import NepError, OutputError, Stopped, UsageError
-from blender_nep.events import Events, Timeline
-from blender_nep.job_folder import JobFolder
-from blender_nep.machine import choose_device, peak_memory, usable_cores, versions
+from blender_nep.job.device import choose_device, peak_memory, usable_cores, versions
+from blender_nep.job.events import Events, Timeline
+from blender_nep.job.job_folder import JobFolder
+from blender_nep.job.run_folder import RunFolder, fingerprint, refuse_other_run
+from blender_nep.job.scene_analysis import SceneAnalysis, SurfaceAnalysis, seconds_of_cones
+from blender_nep.job.scene_report import SceneReport
+from blender_nep.job.stages import Rooms
 from blender_nep.presets import Preset
-from blender_nep.profile import Profile, profiled, section
-from blender_nep.rooms import Rooms
-from blender_nep.run_folder import RunFolder, fingerprint, refuse_other_run
-from blender_nep.scene_analysis import SceneAnalysis, SurfaceAnalysis, seconds_of_cones
-from blender_nep.scene_report import SceneReport
+from blender_nep.profiling import Profile, profiled, section
 
 ROOMS = ("capture", "fields_learning", "surface", "material_learning", "asset")
 _DOUBT = 0.03
@@ -262,7 +262,7 @@ class Job:
     def _watching(self, capture: Capture, rays: PixelRays) -> dict[str, Any]:
         if not self.settings.preview or self.settings.mesh is not None:
             return {}
-        from blender_nep.live_preview import LivePreview
+        from blender_nep.job.live_preview import LivePreview
 
         return {"watch": LivePreview(self.settings.out, rays, capture.from_unit, self.events)}
 

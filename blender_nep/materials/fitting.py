@@ -12,10 +12,10 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from blender_nep.metrics import tone_map
 from blender_nep.ops.material_fit import fit_lines
-from blender_nep.profile import profiled
+from blender_nep.profiling import profiled
 from blender_nep.shading import brdf
+from blender_nep.tone_mapping import tone_map
 
 if TYPE_CHECKING:
     from blender_nep.shading.incoming_light import IncomingLight

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial import cKDTree
 
-from blender_nep.material_textures import neighbours, weighted_mean
+from blender_nep.materials.baking import neighbours, weighted_mean
 
 _NEAREST = 4
 _BEND = 0.2

@@ -17,21 +17,21 @@ import torch
 from torch import Tensor
 
 from blender_nep.errors import LearningError
-from blender_nep.material_evidence import error_of_neighbours, evidence_of_pixels, evidence_of_samples, surfels
-from blender_nep.material_palette import Palette
-from blender_nep.material_textures import Evidence, bake, texture_size
-from blender_nep.palette_search import PaletteSearch
-from blender_nep.photo_samples import PhotoSamples, select_samples
-from blender_nep.profile import profiled
-from blender_nep.raytracing import RayTracer
+from blender_nep.geometry.ray_tracing import RayTracer
+from blender_nep.materials.baking import Evidence, bake, texture_size
+from blender_nep.materials.label_evidence import error_of_neighbours, evidence_of_pixels, evidence_of_samples, surfels
+from blender_nep.materials.palette import Palette
+from blender_nep.materials.palette_search import PaletteSearch
+from blender_nep.materials.photo_samples import PhotoSamples, select_samples
+from blender_nep.materials.unseen_light_training import learn_unseen_light
+from blender_nep.profiling import profiled
 from blender_nep.shading.incoming_light import IncomingLight
 from blender_nep.shading.plenoptic import PlenopticFunction, TerminalRadiance
 from blender_nep.shading.unseen_light import UnseenLight
-from blender_nep.surface import Surface
-from blender_nep.unseen_light_learning import learn_unseen_light
+from blender_nep.surface.extraction import Surface
 
 if TYPE_CHECKING:
-    from blender_nep.capture.rays import PixelRays
+    from blender_nep.capture.pixel_rays import PixelRays
     from blender_nep.fields.environment_field import EnvironmentField
     from blender_nep.presets import MaterialPreset
 

@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 import torch
 
-from blender_nep.capture.images import linear_to_srgb
-from blender_nep.raytracing import RayTracer
-from blender_nep.texels import look_up
+from blender_nep.capture.photo_files import linear_to_srgb
+from blender_nep.geometry.ray_tracing import RayTracer
+from blender_nep.geometry.uv_raster import look_up
 
 if TYPE_CHECKING:
     from blender_nep.capture import PixelRays

@@ -19,12 +19,12 @@ import torch
 import trimesh
 from PIL import Image
 
+from blender_nep.asset.preview import render_preview
 from blender_nep.capture import Capture, PixelRays
-from blender_nep.capture.images import linear_to_srgb
+from blender_nep.capture.photo_files import linear_to_srgb
 from blender_nep.checkpoints import output_errors
-from blender_nep.events import plain
-from blender_nep.preview import render_preview
-from blender_nep.profile import section
+from blender_nep.job.events import plain
+from blender_nep.profiling import section
 
 TEXTURES = ("albedo", "roughness", "metallic", "confidence")
 

@@ -8,17 +8,17 @@ import numpy as np
 import torch
 from scipy.spatial import cKDTree
 
-from blender_nep.material_textures import NEIGHBOURS, Evidence, neighbours, weighted_mean
-from blender_nep.metrics import tone_map
-from blender_nep.photo_samples import select_samples
-from blender_nep.pixel_votes import Surfels, left_out_error, pixel_costs
-from blender_nep.profile import profiled
+from blender_nep.materials.baking import NEIGHBOURS, Evidence, neighbours, weighted_mean
+from blender_nep.materials.photo_samples import select_samples
+from blender_nep.materials.pixel_votes import Surfels, left_out_error, pixel_costs
+from blender_nep.profiling import profiled
+from blender_nep.tone_mapping import tone_map
 
 if TYPE_CHECKING:
-    from blender_nep.capture.rays import PixelRays
-    from blender_nep.palette_search import PaletteSearch
-    from blender_nep.photo_samples import PhotoSamples
-    from blender_nep.raytracing import RayTracer
+    from blender_nep.capture.pixel_rays import PixelRays
+    from blender_nep.geometry.ray_tracing import RayTracer
+    from blender_nep.materials.palette_search import PaletteSearch
+    from blender_nep.materials.photo_samples import PhotoSamples
 
 _CANDIDATES = 3
 """Pixels looked at for each voter: nearly all that show the surface vote, so there is little to choose."""

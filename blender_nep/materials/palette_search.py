@@ -14,15 +14,15 @@ import torch
 from scipy.spatial import cKDTree
 from torch import Tensor
 
-from blender_nep.material_fits import fit_groups
-from blender_nep.material_palette import Palette, best_of, choose, error, same_material
-from blender_nep.material_textures import NEIGHBOURS, labels_at, neighbours, vote, weighted_mean
-from blender_nep.metrics import tone_map
-from blender_nep.profile import profiled, section
+from blender_nep.materials.baking import NEIGHBOURS, labels_at, neighbours, vote, weighted_mean
+from blender_nep.materials.fitting import fit_groups
+from blender_nep.materials.palette import Palette, best_of, choose, error, same_material
+from blender_nep.profiling import profiled, section
 from blender_nep.shading.plenoptic import Material, SurfacePoints, reflected
+from blender_nep.tone_mapping import tone_map
 
 if TYPE_CHECKING:
-    from blender_nep.photo_samples import PhotoSamples
+    from blender_nep.materials.photo_samples import PhotoSamples
     from blender_nep.presets import MaterialPreset
     from blender_nep.shading.incoming_light import IncomingLight
 

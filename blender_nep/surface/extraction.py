@@ -14,8 +14,8 @@ import xatlas
 from skimage import measure
 
 from blender_nep.errors import CaptureError, LearningError
-from blender_nep.profile import profiled, section
-from blender_nep.support import MARGIN, Support, find_support
+from blender_nep.profiling import profiled, section
+from blender_nep.surface.support_plane import MARGIN, Support, find_support
 
 if TYPE_CHECKING:
     from blender_nep.capture.capture import Capture

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, TextIO
 from tqdm import tqdm
 
 if TYPE_CHECKING:
-    from blender_nep.job_folder import Journal
+    from blender_nep.job.job_folder import Journal
 
 
 def open_protocol() -> TextIO:

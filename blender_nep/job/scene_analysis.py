@@ -14,13 +14,13 @@ import numpy as np
 import torch
 
 from blender_nep.capture.exposure import stops
-from blender_nep.capture.rays import BRIGHTEST_CLIPPED, SATURATED
-from blender_nep.raytracing import RayTracer
+from blender_nep.capture.pixel_rays import BRIGHTEST_CLIPPED, SATURATED
+from blender_nep.geometry.ray_tracing import RayTracer
 
 if TYPE_CHECKING:
     from blender_nep.capture import PixelRays
     from blender_nep.presets import MaterialPreset, Preset
-    from blender_nep.surface import Surface
+    from blender_nep.surface.extraction import Surface
 
 HARDLY_SEES_ITSELF = 0.01
 """Self-visibility under which what the object reflects of itself is less than what its light is known to."""
