@@ -5,8 +5,8 @@ import bpy
 import numpy as np
 from mathutils import Matrix, Vector
 
-from ..backend.bounds_query import BoundsQuery
-from ..backend.capture_files import read_bounds
+from ..backend.engine.bounds_query import BoundsQuery
+from ..backend.scene_io.capture_files import read_bounds
 from . import clock
 from .preferences import engine_python
 from .settings import NOT_SAVED

@@ -3,9 +3,9 @@ from pathlib import Path
 
 import bpy
 
-from ..backend.capture_files import read_frames
-from ..backend.photo_cameras import camera_collections, load_cameras, remove_cameras
-from ..backend.scene_capture import MINIMUM_PHOTOS, photo_cameras, write_scene_capture
+from ..backend.scene_io.capture_files import read_frames
+from ..backend.scene_io.photo_cameras import camera_collections, load_cameras, remove_cameras
+from ..backend.scene_io.scene_capture import MINIMUM_PHOTOS, photo_cameras, write_scene_capture
 from . import settings
 
 

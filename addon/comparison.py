@@ -4,8 +4,8 @@ from pathlib import Path
 
 import bpy
 
-from ..backend.asset_import import check_asset
-from ..backend.comparison_process import ComparisonProcess
+from ..backend.rendering.comparison_process import ComparisonProcess
+from ..backend.scene_io.asset_import import check_asset
 from . import clock
 from .comparison_picture import show_image
 from .settings import LIGHTS, NOT_SAVED

@@ -5,11 +5,11 @@ from pathlib import Path
 
 import bpy
 
-from ..backend import engine_install
-from ..backend.engine_check import EngineCheck
-from ..backend.engine_command import EngineError, find_engine_python
-from ..backend.job_files import EventFile, last_lines
-from ..backend.started_process import StartedProcess
+from ..backend.engine import install as engine_install
+from ..backend.engine.check import EngineCheck
+from ..backend.engine.command import EngineError, find_engine_python
+from ..backend.engine.job_files import EventFile, last_lines
+from ..backend.engine.started_process import StartedProcess
 from . import clock, preferences
 
 EXTENSION = Path(__file__).resolve().parent.parent

@@ -1,7 +1,7 @@
 """The jobs that this Blender looks after, one for each output folder.
 
-A job lives in its files (backend/engine.py): those of an earlier session, or of another .blend file, are found again when
-a scene names their folder. No reference to Blender's data is kept: undo and File > New end its life at any moment.
+A job lives in its files (backend/engine/engine.py): those of an earlier session, or of another .blend file, are found
+again when a scene names their folder. No reference to Blender's data is kept: undo and File > New end its life at any moment.
 """
 import os
 from pathlib import Path
@@ -9,11 +9,11 @@ from pathlib import Path
 import bpy
 from bpy.app.handlers import persistent
 
-from ..backend import timings
-from ..backend.engine import STOPPED, Engine
-from ..backend.engine_command import EngineError
-from ..backend.job_files import is_asset, read_job
-from ..backend.progress import Progress
+from ..backend.engine import timings
+from ..backend.engine.command import EngineError
+from ..backend.engine.engine import STOPPED, Engine
+from ..backend.engine.job_files import is_asset, read_job
+from ..backend.engine.progress import Progress
 from . import clock, live_preview, preferences, settings
 
 

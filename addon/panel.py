@@ -1,10 +1,10 @@
 """The sidebar panel: what to reconstruct, how far it is, what came of it."""
 import bpy
 
-from ..backend.engine_command import NoEngineError, engine_is_at_hand
-from ..backend.job_files import has_checkpoint, is_asset
-from ..backend.progress import duration, in_panel_words
-from ..backend.timings import expected_seconds
+from ..backend.engine.command import NoEngineError, engine_is_at_hand
+from ..backend.engine.job_files import has_checkpoint, is_asset
+from ..backend.engine.progress import duration, in_panel_words
+from ..backend.engine.timings import expected_seconds
 from . import jobs, live_preview, preferences, settings
 from .messages import inner_width, say
 

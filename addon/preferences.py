@@ -4,7 +4,7 @@ from pathlib import Path
 
 import bpy
 
-from ..backend.engine_install import NAME, installed_python
+from ..backend.engine.install import NAME, installed_python
 
 ROOT_PACKAGE = __package__.rpartition(".")[0]
 BUILDS = (("cpu", "CPU", "For every computer; the smallest download (about 1 GB on the disk)"),

@@ -8,9 +8,9 @@ from pathlib import Path
 
 import bpy
 
-from ..backend.engine import Engine
-from ..backend.engine_command import EngineError, find_engine_python, reconstruct_arguments
-from ..backend.job_files import FOLDER, has_checkpoint, is_asset, is_running
+from ..backend.engine.command import EngineError, find_engine_python, reconstruct_arguments
+from ..backend.engine.engine import Engine
+from ..backend.engine.job_files import FOLDER, has_checkpoint, is_asset, is_running
 from . import bounds, clock, jobs, preferences, settings
 from .editors import open_editor
 

@@ -3,7 +3,7 @@ from pathlib import Path
 
 import bpy
 
-from ..backend.result import import_result
+from ..backend.scene_io.result import import_result
 from . import jobs
 from .settings import folder as folder_of
 

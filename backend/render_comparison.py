@@ -19,10 +19,10 @@ if __package__ in (None, ""):
 import bpy
 
 from backend.arguments import script_arguments
-from backend.capture_files import read_frames, spread_frames, with_exposures
-from backend.comparison import compare, write_comparison
-from backend.result import import_result
-from backend.world import blender_hdris, build_world
+from backend.rendering.comparison import compare, write_comparison
+from backend.scene_io.capture_files import read_frames, spread_frames, with_exposures
+from backend.scene_io.result import import_result
+from backend.scene_io.world import blender_hdris, build_world
 
 FAILED, CANCELLED = 8, 7
 

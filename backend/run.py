@@ -20,10 +20,10 @@ if __package__ in (None, ""):
     sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 from backend.arguments import script_arguments
-from backend.engine import STOPPED, Engine
-from backend.engine_command import EngineError, find_engine_python, reconstruct_arguments
-from backend.job_files import is_asset
-from backend.progress import describe
+from backend.engine.command import EngineError, find_engine_python, reconstruct_arguments
+from backend.engine.engine import STOPPED, Engine
+from backend.engine.job_files import is_asset
+from backend.engine.progress import describe
 
 BLENDER_FAILED = 8
 POLL_S = 0.1
@@ -118,11 +118,11 @@ def blender_work(options: argparse.Namespace, stop: StopRequests) -> None:
     """Import the asset, render comparison.png, save asset.blend. OSError, ValueError or RuntimeError where it fails."""
     import bpy
 
-    from backend.asset_import import import_asset
-    from backend.capture_files import read_frames, spread_frames, with_exposures
-    from backend.comparison import compare, write_comparison
-    from backend.relight import add_camera
-    from backend.world import blender_hdris, build_world
+    from backend.rendering.comparison import compare, write_comparison
+    from backend.rendering.relight import add_camera
+    from backend.scene_io.asset_import import import_asset
+    from backend.scene_io.capture_files import read_frames, spread_frames, with_exposures
+    from backend.scene_io.world import blender_hdris, build_world
 
     frames = with_exposures(read_frames(options.capture), options.out)
     frames = spread_frames(frames, options.photos)

@@ -20,11 +20,11 @@ import numpy as np
 if __package__ in (None, ""):
     sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
-from backend import scenes
 from backend.arguments import script_arguments
-from backend.ground_truth import ViewRenderer
-from backend.imagefiles import save_half_exr, write_exr, write_png
-from backend.viewpoints import FIELD_OF_VIEW, Surroundings, choose_viewpoints
+from backend.scene_io.image_files import save_half_exr, write_exr, write_png
+from backend.synthetic_capture import scenes
+from backend.synthetic_capture.ground_truth import ViewRenderer
+from backend.synthetic_capture.viewpoints import FIELD_OF_VIEW, Surroundings, choose_viewpoints
 
 
 def parse(arguments: list[str]) -> argparse.Namespace:

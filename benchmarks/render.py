@@ -17,7 +17,8 @@ def render(name: str, folder: Path, views: int, size: int, samples: int, threads
     """Render a capture; transforms.json is written last. Returns an exit code."""
     import bpy
 
-    from backend import scenes, synthetic
+    from backend import synthetic
+    from backend.synthetic_capture import scenes
     from benchmarks.relighting import OBJECT
 
     scene, material = name, scenes.DEFAULT_MATERIAL.get(name)

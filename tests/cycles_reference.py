@@ -15,8 +15,8 @@ import bpy
 import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
-from backend.imagefiles import read_exr
-from backend.world import build_world
+from backend.scene_io.image_files import read_exr
+from backend.scene_io.world import build_world
 
 SIZE, SAMPLES, WIDTH = 64, 256, 2.0
 

@@ -50,7 +50,7 @@ def check_intrinsics():
     from bpy_extras.object_utils import world_to_camera_view
     from mathutils import Vector
 
-    from backend.cameras import intrinsics
+    from backend.scene_io.cameras import intrinsics
     bpy.ops.wm.read_factory_settings(use_empty=True)
     scene, rng = bpy.context.scene, np.random.default_rng(0)
     data = bpy.data.cameras.new("camera")
@@ -76,7 +76,7 @@ def check_intrinsics():
 def test_image_size_of_a_header(tmp_path, name):
     from conftest import write_exr
 
-    from backend.imagesize import image_size
+    from backend.scene_io.image_size import image_size
     pixels = np.zeros((7, 13, 3))
     if name.endswith("exr"):
         write_exr(tmp_path / name, pixels)
@@ -90,7 +90,7 @@ def test_image_size_of_a_header(tmp_path, name):
 
 
 def test_text_is_no_image(tmp_path):
-    from backend.imagesize import image_size
+    from backend.scene_io.image_size import image_size
     (tmp_path / "a.png").write_bytes(struct.pack(">I", 1) + b"hello")
     with pytest.raises(OSError, match="no PNG"):
         image_size(tmp_path / "a.png")

@@ -202,7 +202,7 @@ def check_cancel_and_crash(folder):
     assert bpy.ops.nep.reconstruct(resume=True, wait=False) == {"FINISHED"}
     job = addon.jobs.of(bpy.context.scene)
     rounds(addon, sign.exists)
-    from nep_addon.backend.job_files import read_job
+    from nep_addon.backend.engine.job_files import read_job
     os.kill(read_job(folder / "out")["pid"], signal.SIGKILL)
     rounds(addon, lambda: job.ended)
     assert "killed" in job.failed.message and not job.was_stopped and not addon.jobs.advance_all()

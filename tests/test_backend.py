@@ -17,9 +17,9 @@ from PIL import Image
 ROOT = Path(__file__).resolve().parent.parent
 sys.path.insert(0, str(ROOT))
 
-from backend import engine  # noqa: E402
-from backend.engine import Engine  # noqa: E402
-from backend.engine_command import ENGINE_PYTHON_VARIABLE, find_engine_python  # noqa: E402
+from backend.engine import engine  # noqa: E402
+from backend.engine.command import ENGINE_PYTHON_VARIABLE, find_engine_python  # noqa: E402
+from backend.engine.engine import Engine  # noqa: E402
 
 BUNDLED = ROOT / "data" / "suzanne_small"
 LIMIT_S = 120
@@ -195,7 +195,7 @@ def test_import_of_an_asset(asset):
 def check_import(asset):
     import bpy
 
-    from backend.asset_import import import_asset
+    from backend.scene_io.asset_import import import_asset
     bpy.ops.wm.read_factory_settings(use_empty=True)
     item = import_asset(Path(asset), bpy.context.scene.collection, name="thing")
     world = np.array([item.matrix_world @ vertex.co for vertex in item.data.vertices])
@@ -242,9 +242,9 @@ def check_world(folder, directions):
     import bpy
     from mathutils import Vector
 
-    from backend.capture_files import Frame
-    from backend.relight import RelitScene
-    from backend.world import build_world
+    from backend.rendering.relight import RelitScene
+    from backend.scene_io.capture_files import Frame
+    from backend.scene_io.world import build_world
     bpy.ops.wm.read_factory_settings(use_empty=True)
     relit = RelitScene(bpy.data.objects.new("nothing", None), 32, 32, samples=4)
     for index, direction in enumerate(json.loads(directions)):
@@ -273,8 +273,8 @@ def check_camera():
     from bpy_extras.object_utils import world_to_camera_view
     from mathutils import Vector
 
-    from backend.capture_files import Frame
-    from backend.relight import add_camera
+    from backend.rendering.relight import add_camera
+    from backend.scene_io.capture_files import Frame
     bpy.ops.wm.read_factory_settings(use_empty=True)
     scene, rng = bpy.context.scene, np.random.default_rng(0)
     matrix = np.array(Vector((1, -2, 0.5)).to_track_quat("-Z", "Y").to_matrix().to_4x4())
@@ -301,7 +301,7 @@ def test_image_files_round_trip(tmp_path):
 
 
 def check_image_files(folder):
-    from backend.imagefiles import read_exr, write_exr, write_png
+    from backend.scene_io.image_files import read_exr, write_exr, write_png
     rng = np.random.default_rng(0)
     channels = {"albedo.R": rng.random((37, 21)).astype(np.float16), "mask.V": np.ones((37, 21), np.float16),
                 "Depth.V": np.linspace(0, 9, 37 * 21, dtype=np.float32).reshape(37, 21)}
@@ -320,9 +320,9 @@ def test_the_re_rendering_is_exposed_as_its_photo_was(tmp_path):
 def check_exposure(folder):
     import bpy
 
-    from backend import comparison
-    from backend.capture_files import Frame
-    from backend.world import build_world
+    from backend.rendering import comparison
+    from backend.scene_io.capture_files import Frame
+    from backend.scene_io.world import build_world
     bpy.ops.wm.read_factory_settings(use_empty=True)
     seen = []
     comparison.draw_sheet, comparison.TILE_RANGE = lambda rows, *_: seen.append(rows[0]), (16, 16)
@@ -342,7 +342,7 @@ def test_resize_keeps_means_and_ramps():
 
 
 def check_resize():
-    from backend.comparison import resize
+    from backend.rendering.comparison import resize
     image = np.random.default_rng(0).random((12, 18, 3))
     blocks = image.reshape(4, 3, 6, 3, 3).mean(axis=(1, 3))
     np.testing.assert_allclose(resize(image, 6, 4), blocks)

@@ -14,9 +14,9 @@ import pytest
 ROOT = Path(__file__).resolve().parent.parent
 sys.path.insert(0, str(ROOT))
 
-from backend import engine_install  # noqa: E402
-from backend.engine_check import EngineCheck  # noqa: E402
-from backend.engine_install import installed_python  # noqa: E402
+from backend.engine import install as engine_install  # noqa: E402
+from backend.engine.check import EngineCheck  # noqa: E402
+from backend.engine.install import installed_python  # noqa: E402
 
 LIMIT_S = 60
 

@@ -17,11 +17,11 @@ import pytest
 ROOT = Path(__file__).resolve().parent.parent
 sys.path.insert(0, str(ROOT))
 
-from backend import timings  # noqa: E402
-from backend.engine import Engine  # noqa: E402
-from backend.engine_command import NoEngineError, reconstruct_arguments  # noqa: E402
-from backend.job_files import EventFile, has_checkpoint, is_asset, is_running, read_job  # noqa: E402
-from backend.progress import Progress, describe, duration, in_panel_words  # noqa: E402
+from backend.engine import timings  # noqa: E402
+from backend.engine.command import NoEngineError, reconstruct_arguments  # noqa: E402
+from backend.engine.engine import Engine  # noqa: E402
+from backend.engine.job_files import EventFile, has_checkpoint, is_asset, is_running, read_job  # noqa: E402
+from backend.engine.progress import Progress, describe, duration, in_panel_words  # noqa: E402
 from blender_nep.job.job_folder import Journal  # noqa: E402
 
 LIMIT_S = 120
@@ -89,7 +89,7 @@ def test_a_job_is_followed_to_its_asset_and_told_again_afterwards(ball):
 STARTER = """
 import os, sys
 sys.path.insert(0, {root!r})
-from backend.engine import Engine
+from backend.engine.engine import Engine
 engine = Engine.start({python!r}, {arguments!r}, keep_going={keep_going})
 while not os.path.exists({sign!r}):
     engine.poll()

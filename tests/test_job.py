@@ -17,7 +17,7 @@ import pytest
 import torch
 from conftest import CENTER, RADIUS, BallRooms
 
-from backend.capture_files import read_frames, with_exposures
+from backend.scene_io.capture_files import read_frames, with_exposures
 from blender_nep import checkpoints
 from blender_nep.capture.exposure import Exposures
 from blender_nep.checkpoints import Checkpoint, StopRequest, load_state, save_state

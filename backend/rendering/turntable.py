@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 
-from .capture_files import Frame
+from ..scene_io.capture_files import Frame
 
 FIELD_OF_VIEW = math.radians(30)
 ELEVATION = math.radians(18)

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import bpy
 
-SCRIPT = Path(__file__).resolve().with_name("render_comparison.py")
+SCRIPT = Path(__file__).resolve().parent.parent / "render_comparison.py"
 KILL_AFTER_S = 5.0  # of not ending when its input is closed
 LOG_LINES = 5
 

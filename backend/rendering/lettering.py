@@ -6,7 +6,7 @@ from pathlib import Path
 import bpy
 import numpy as np
 
-from .imagefiles import read_exr, still_image
+from ..scene_io.image_files import read_exr, still_image
 
 SAMPLES = 8
 ADVANCE = 0.46  # mean width of a letter of Blender's font, in text sizes

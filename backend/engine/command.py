@@ -61,7 +61,7 @@ def find_engine_python(explicit: str | None = None, configured: str | None = Non
 
 
 def _checkout_python() -> Path:
-    return venv_python(Path(__file__).resolve().parent.parent / ".venv")
+    return venv_python(Path(__file__).resolve().parents[2] / ".venv")
 
 
 def _has_engine(python: str) -> bool:

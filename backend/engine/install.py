@@ -1,4 +1,4 @@
-"""Makes an environment with the engine: `engine_install.py --source EXTENSION --folder DIR --python BASE --build cpu`.
+"""Makes an environment with the engine: `install.py --source EXTENSION --folder DIR --python BASE --build cpu`.
 
 A program of its own, started by the add-on: it may wait for pip, and Blender need not. It tells JSON lines (progress,
 done, error) on its standard output; pip's own words go to standard error. When its standard input is closed it stops

@@ -6,8 +6,8 @@ from pathlib import Path
 import bpy
 import numpy as np
 
-from .cycles_settings import use_cycles
-from .imagefiles import read_exr, still_image
+from ..rendering.cycles_settings import use_cycles
+from ..scene_io.image_files import read_exr, still_image
 from .scenes import GROUND_TRUTH_COLOUR, GROUND_TRUTH_VALUES
 
 BOUNCES = 5

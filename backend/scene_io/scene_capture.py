@@ -4,8 +4,8 @@ import os
 from pathlib import Path
 
 from .cameras import intrinsics
-from .imagefiles import write_whole
-from .imagesize import image_size
+from .image_files import write_whole
+from .image_size import image_size
 from .photo_cameras import ASPECT_KEY, SIZE_KEY
 
 SOURCE = "Blender scene"  # marks a transforms.json that was written here and may be replaced

@@ -6,7 +6,7 @@ import subprocess
 import tempfile
 from pathlib import Path
 
-from .engine_command import engine_environment
+from .command import engine_environment
 
 
 class StartedProcess:

@@ -11,7 +11,7 @@ import signal
 import time
 from pathlib import Path
 
-from .engine_command import ENGINE_MODULE, EngineError, NoEngineError
+from .command import ENGINE_MODULE, EngineError, NoEngineError
 from .job_files import FOLDER, EventFile, is_running, last_lines, read_job
 from .started_process import StartedProcess
 

@@ -8,9 +8,9 @@ from pathlib import Path
 
 import numpy as np
 
-from .capture_files import Frame, linear_to_srgb
+from ..scene_io.capture_files import Frame, linear_to_srgb
+from ..scene_io.image_files import write_png
 from .contact_sheet import draw_sheet, strip_tile_size
-from .imagefiles import write_png
 from .relight import RelitScene
 from .turntable import turntable_frames
 

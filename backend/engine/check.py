@@ -3,7 +3,7 @@ import json
 import subprocess
 import time
 
-from .engine_command import engine_environment
+from .command import engine_environment
 
 LIMIT_S = 180.0  # the first import of torch from a cold disk takes its time
 

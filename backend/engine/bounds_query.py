@@ -4,7 +4,7 @@ import subprocess
 import threading
 from pathlib import Path
 
-from .engine_command import ENGINE_MODULE, EngineError, engine_environment, find_engine_python
+from .command import ENGINE_MODULE, EngineError, engine_environment, find_engine_python
 
 
 class BoundsQuery:

@@ -6,10 +6,10 @@ from pathlib import Path
 import bpy
 import numpy as np
 
-from .cameras import new_camera, pixel_aspect
-from .capture_files import Frame
+from ..scene_io.cameras import new_camera, pixel_aspect
+from ..scene_io.capture_files import Frame
+from ..scene_io.image_files import read_exr, still_image
 from .cycles_settings import has_denoiser, use_cycles
-from .imagefiles import read_exr, still_image
 
 SCENE_NAME = "NeP relit comparison"
 SAMPLES_FACTOR_WITHOUT_DENOISER = 4  # halves the noise that is then left in

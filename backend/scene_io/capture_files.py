@@ -6,8 +6,8 @@ from pathlib import Path
 
 import numpy as np
 
-from .imagefiles import load_pixels
-from .imagesize import image_size
+from .image_files import load_pixels
+from .image_size import image_size
 
 SRGB_FILES = {".png", ".jpg", ".jpeg"}
 GREY = 0.18  # behind photos that were cut out
