@@ -42,7 +42,7 @@ test: lint
 	$(BIN)/python -m pytest -q
 
 stress: $(VENV)/installed-dev
-	$(BIN)/python -m benchmarks.stress --cases $(CASES) --seed $(SEED) --out out/stress-$(SEED)
+	$(BIN)/python -m benchmarks.stress.campaign --cases $(CASES) --seed $(SEED) --out out/stress-$(SEED)
 
 test-blender: $(VENV)/installed
 	$(BIN)/python tests/blender_matrix.py
@@ -54,9 +54,9 @@ bench: $(VENV)/installed-dev
 		--relight --jobs $(JOBS) --out $(BENCH)
 	-$(BIN)/python -m benchmarks run $(BENCH)/captures/gold_*/ --plan roughness --jobs $(JOBS) --out $(BENCH)
 	$(BIN)/python -m benchmarks report --out $(BENCH) --write docs/benchmarks.md
-	-$(BIN)/python -m benchmarks.peer_mitsuba $(SHOWN) --minutes 3 --materials texture --out $(BENCH)/peer \
+	-$(BIN)/python -m benchmarks.baselines.peer_mitsuba $(SHOWN) --minutes 3 --materials texture --out $(BENCH)/peer \
 		--beside $(BENCH) --write docs/peer.md
-	-$(BIN)/python -m benchmarks.skipping $(SCENES) --seeds $(or $(SEEDS),0 1 2) --out $(BENCH)/skipping --write docs/benchmarks.md
+	-$(BIN)/python -m benchmarks.studies.skipping $(SCENES) --seeds $(or $(SEEDS),0 1 2) --out $(BENCH)/skipping --write docs/benchmarks.md
 
 lint: $(VENV)/installed-dev
 	$(BIN)/ruff check .

@@ -1,7 +1,8 @@
 """The jobs that this Blender looks after, one for each output folder.
 
 A job lives in its files (backend/engine/engine.py): those of an earlier session, or of another .blend file, are found
-again when a scene names their folder. No reference to Blender's data is kept: undo and File > New end its life at any moment.
+again when a scene names their folder. No reference to Blender's data is kept: undo and File > New end its life at any
+moment.
 """
 import os
 from pathlib import Path

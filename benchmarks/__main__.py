@@ -13,10 +13,10 @@ import signal
 import sys
 from pathlib import Path
 
-from benchmarks.harness import Children
-from benchmarks.plan import ABLATIONS, CHOICES, PLANS, expand
-from benchmarks.render import SETS
-from benchmarks.suite import Suite
+from benchmarks.suite.harness import Children
+from benchmarks.suite.plan import ABLATIONS, CHOICES, PLANS, expand
+from benchmarks.suite.render import SETS
+from benchmarks.suite.runner import Suite
 from blender_nep.presets import PRESETS
 
 
@@ -68,7 +68,7 @@ def render_captures(options: argparse.Namespace) -> int:
             continue
         folder.mkdir(parents=True, exist_ok=True)
         numbers = map(str, (options.views, options.size, options.samples, options.threads))
-        ended = children.run([sys.executable, "-m", "benchmarks.render", name, str(folder), *numbers], log,
+        ended = children.run([sys.executable, "-m", "benchmarks.suite.render", name, str(folder), *numbers], log,
                              options.threads, 24 * 3600)
         print(f"{folder}: {'failed, see its log' if ended.code else 'rendered'}", file=sys.stderr, flush=True)
         failed += ended.code != 0
@@ -77,9 +77,9 @@ def render_captures(options: argparse.Namespace) -> int:
 
 def report(out: Path, document: Path) -> int:
     """Tables into the document, plots into the folder of its name."""
-    from benchmarks.plots import draw_all
-    from benchmarks.report import write_report
-    from benchmarks.rows import Results, load
+    from benchmarks.reports.plots import draw_all
+    from benchmarks.reports.report import write_report
+    from benchmarks.reports.rows import Results, load
 
     rows = load(out)
     if not rows:

@@ -7,12 +7,12 @@ from pathlib import Path
 import pytest
 
 pytest.importorskip("igl")
-from benchmarks import tables
-from benchmarks.harness import read_row, write_row
-from benchmarks.peer_mitsuba import our_cells
-from benchmarks.plan import Run
-from benchmarks.report import write_report
-from benchmarks.rows import Results, failures, load
+from benchmarks.baselines.peer_mitsuba import our_cells
+from benchmarks.reports import tables
+from benchmarks.reports.report import write_report
+from benchmarks.reports.rows import Results, failures, load
+from benchmarks.suite.harness import read_row, write_row
+from benchmarks.suite.plan import Run
 
 DOCUMENT = Path(__file__).parent.parent / "docs" / "benchmarks.md"
 PRESETS = {"preview": (0.004, 100.0), "balanced": (0.002, 300.0)}
@@ -145,7 +145,7 @@ def test_a_report_replaces_what_is_between_its_markers_alone(out, tmp_path):
 
 def test_plots_are_small_pictures_and_none_is_made_of_nothing(out, tmp_path):
     pytest.importorskip("matplotlib", reason="the extra `bench`")
-    from benchmarks.plots import PLOTS, draw_all
+    from benchmarks.reports.plots import PLOTS, draw_all
 
     rows, document = load(out), Path(shutil.copy(DOCUMENT, tmp_path))
     draw_all(Results(rows), tmp_path / "figures")

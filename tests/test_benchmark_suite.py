@@ -13,11 +13,11 @@ import pytest
 
 pytest.importorskip("fcntl", reason="the suite runs on POSIX systems")
 from benchmarks.__main__ import main
-from benchmarks.harness import Children, read_row, write_row
-from benchmarks.plan import ABLATIONS, AS_TAKEN, PLANS, WITHOUT_F_E, Run, expand
-from benchmarks.step import STAGE_1, _take_stage_1, learn
-from benchmarks.suite import Suite, failure
-from benchmarks.variants import spread, with_fewer_views
+from benchmarks.suite.fewer_views import spread, with_fewer_views
+from benchmarks.suite.harness import Children, read_row, write_row
+from benchmarks.suite.plan import ABLATIONS, AS_TAKEN, PLANS, WITHOUT_F_E, Run, expand
+from benchmarks.suite.runner import Suite, failure
+from benchmarks.suite.step import STAGE_1, _take_stage_1, learn
 from blender_nep.capture import load_capture
 from blender_nep.checkpoints import StopRequest, save_state
 from blender_nep.job.run_folder import RunFolder, fingerprint
@@ -161,7 +161,7 @@ def test_a_step_that_crashes_or_hangs_is_an_error(tmp_path):
 
 def test_memory_and_cpu_seconds_are_those_of_the_step_alone(tmp_path):
     # from a process as small as the runner: Linux counts what stood in the memory of the process that starts another
-    code = ("import sys; from pathlib import Path; from benchmarks.harness import Children\n"
+    code = ("import sys; from pathlib import Path; from benchmarks.suite.harness import Children\n"
             "def used(code):\n"
             "    ended = Children().run([sys.executable, '-c', code], Path(sys.argv[1]), 1, 60)\n"
             "    return f'{ended.peak_mb} {ended.cpu_seconds}'\n"
@@ -192,8 +192,8 @@ def test_a_capture_with_fewer_views_is_a_capture_of_the_same_object(tmp_path):
 
 
 def test_a_run_without_f_e_in_stage_2_has_the_same_mesh_from_the_same_stage_1_and_other_light(tmp_path, monkeypatch):
-    from benchmarks.materials import read_materials
-    from benchmarks.stress_scenes import Case, tiny_preset, write_capture
+    from benchmarks.scoring.materials import read_materials
+    from benchmarks.stress.scenes import Case, tiny_preset, write_capture
 
     monkeypatch.setitem(PRESETS, "preview", tiny_preset())
     monkeypatch.setattr(StopRequest, "watch", lambda self: None)  # a test has no standard input to be told by

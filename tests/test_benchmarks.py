@@ -8,12 +8,12 @@ import pytest
 import trimesh
 
 pytest.importorskip("igl")
-from benchmarks import scaling
-from benchmarks.geometry import Body, load_test_views, score
-from benchmarks.harness import resumed, with_changes
-from benchmarks.materials import read_channels
-from benchmarks.plan import ABLATIONS
-from benchmarks.scores import score_asset
+from benchmarks.scoring.geometry import Body, load_test_views, score
+from benchmarks.scoring.materials import read_channels
+from benchmarks.scoring.scores import score_asset
+from benchmarks.studies import scaling
+from benchmarks.suite.harness import resumed, with_changes
+from benchmarks.suite.plan import ABLATIONS
 from blender_nep.asset.export import TexturedMesh, write_exr, write_obj
 from blender_nep.capture import load_capture
 from blender_nep.errors import LearningError, Stopped
@@ -93,7 +93,7 @@ def test_an_asset_that_is_the_truth_scores_perfectly_but_for_what_is_put_in(tmp_
 
 def test_relit_pictures_that_differ_by_a_tenth_agree_to_20_decibels_on_the_object_alone():
     pytest.importorskip("bpy")
-    from benchmarks.relighting import agreement, exposed
+    from benchmarks.scoring.relighting import agreement, exposed
 
     rng = np.random.default_rng(0)
     true = rng.random((2, 1, 32, 32, 3)).astype(np.float32) * 0.5

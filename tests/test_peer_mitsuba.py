@@ -29,7 +29,8 @@ if tried.returncode:
     complaint = tried.stderr.strip().splitlines()[-1:]
     pytest.skip(f"Mitsuba itself cannot render here: it needs libLLVM (DRJIT_LIBLLVM_PATH) {complaint}",
                 allow_module_level=True)
-peer = importlib.import_module("benchmarks.inverse_path_tracing")  # our own: what is wrong in it is no reason to skip
+# our own: what is wrong in it is no reason to skip
+peer = importlib.import_module("benchmarks.baselines.inverse_path_tracing")
 PeerSettings, PathTracer = peer.PeerSettings, peer.PathTracer
 
 CAPTURE = Path(__file__).parent.parent / "data" / "suzanne_small"

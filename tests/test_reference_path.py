@@ -9,9 +9,9 @@ import torch
 from torch.nn import functional
 
 pytest.importorskip("igl")
-from benchmarks.harness import resumed, with_changes
-from benchmarks.reference_field import ReferenceField
-from benchmarks.reference_path import REFERENCE, SIZES
+from benchmarks.baselines.reference_field import ReferenceField
+from benchmarks.baselines.reference_path import REFERENCE, SIZES
+from benchmarks.suite.harness import resumed, with_changes
 from blender_nep.capture import PixelRays, load_capture
 from blender_nep.errors import Stopped
 from blender_nep.fields.training import FieldsLearning

@@ -6,7 +6,7 @@ import pytest
 import torch
 
 pytest.importorskip("igl")
-from benchmarks.skipping import Scene, line, without_skipping
+from benchmarks.studies.skipping import Scene, line, without_skipping
 from blender_nep.capture import PixelRays, load_capture
 from blender_nep.job.scene_analysis import SceneAnalysis
 from blender_nep.presets import preset

@@ -1,4 +1,4 @@
-"""Whole small jobs on hostile captures (benchmarks/stress.py has the campaign), and the guards that they led to."""
+"""Whole small jobs on hostile captures (benchmarks/stress/campaign.py has the campaign), and the guards that they led to."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ import torch
 pytest.importorskip("hypothesis")
 from hypothesis import HealthCheck, Phase, given, settings
 
-from benchmarks.stress import cases, digest, reconstruct, run_case, summarise
-from benchmarks.stress_checks import check_asset, same_assets
-from benchmarks.stress_scenes import Case, signed_distance, trace, write_capture
+from benchmarks.stress.campaign import cases, digest, reconstruct, run_case, summarise
+from benchmarks.stress.checks import check_asset, same_assets
+from benchmarks.stress.scenes import Case, signed_distance, trace, write_capture
 from blender_nep.capture import PixelRays, load_capture
 from blender_nep.checkpoints import load_state
 from blender_nep.errors import LearningError

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from benchmarks import paper
-from benchmarks.harness import markdown
-from benchmarks.plan import ABLATIONS
-from benchmarks.rows import Figure, Results, failures
+from benchmarks.reports import paper
+from benchmarks.reports.rows import Figure, Results, failures
+from benchmarks.suite.harness import markdown
+from benchmarks.suite.plan import ABLATIONS
 from blender_nep.presets import PRESETS
 
 SCORES = {

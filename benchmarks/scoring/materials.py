@@ -9,7 +9,7 @@ import OpenEXR
 import trimesh
 from PIL import Image
 
-from benchmarks.geometry import Body, camera_rays, true_mesh
+from benchmarks.scoring.geometry import Body, camera_rays, true_mesh
 from blender_nep.asset.export import TEXTURES
 from blender_nep.capture.capture import Capture
 from blender_nep.capture.photo_files import linear_to_srgb

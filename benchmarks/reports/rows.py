@@ -8,8 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.harness import read_row
-from benchmarks.suite import failure
+from benchmarks.suite.harness import read_row
+from benchmarks.suite.runner import failure
 
 ROOMS = ("capture", "fields_learning", "surface", "material_learning", "asset")
 

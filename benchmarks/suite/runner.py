@@ -21,9 +21,9 @@ from dataclasses import dataclass, field
 from datetime import datetime
 from pathlib import Path
 
-from benchmarks.harness import Children, read_row, write_row
-from benchmarks.plan import Run
-from benchmarks.step import STAGE_1
+from benchmarks.suite.harness import Children, read_row, write_row
+from benchmarks.suite.plan import Run
+from benchmarks.suite.step import STAGE_1
 
 
 @dataclass
@@ -112,8 +112,9 @@ class Suite:
             "truth": str(self.out / "truth" / f"{run.capture.name}.npz"),
             "picture": str(self.out / "pictures" / f"{run.name}.{step}.png")})
         log = folder / f"{run.name}.log"
-        ended = self.children.run([sys.executable, "-m", "benchmarks.step", str(order), str(result)], log, self.threads,
-                                  self.limit)
+        ended = self.children.run(
+            [sys.executable, "-m", "benchmarks.suite.step", str(order), str(result)], log, self.threads, self.limit
+        )
         found = read_row(result)
         if ended.timed_out:
             found = {"error": f"killed after {self.limit:.0f} s"}

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import torch
 
-from benchmarks.geometry import Body
+from benchmarks.scoring.geometry import Body
 from blender_nep.capture import PixelRays
 from blender_nep.fields.environment_field import EnvironmentField
 from blender_nep.geometry.ray_tracing import RayTracer

@@ -1,10 +1,10 @@
 """Stress: whole small jobs on hostile captures, fuzzed with hypothesis; a campaign of them, resumable.
 
-    python -m benchmarks.stress --cases 500 --seed 1 --out out/stress
-    python -m benchmarks.stress --case '{"shape": "ring", "pixels": "nan"}'      # one of them again
+    python -m benchmarks.stress.campaign --cases 500 --seed 1 --out out/stress
+    python -m benchmarks.stress.campaign --case '{"shape": "ring", "pixels": "nan"}'      # one of them again
 
-Each case is a `Case` of stress_scenes.py with up to four hostile fields. A case passes when the job ends with an asset that
-keeps the promises of stress_checks.py, or with a documented refusal in one clear message. The campaign writes a row a case
+Each case is a `Case` of scenes.py with up to four hostile fields. A case passes when the job ends with an asset that
+keeps the promises of checks.py, or with a documented refusal in one clear message. The campaign writes a row a case
 (cases/*.json) and a summary (summary.json); rows that are there are not run again. Exit code 1: some case failed.
 """
 
@@ -29,9 +29,9 @@ from hypothesis import HealthCheck, Phase, given, settings
 from hypothesis import seed as hypothesis_seed
 from hypothesis import strategies as st
 
-from benchmarks.harness import write_row
-from benchmarks.stress_checks import check_asset, check_refusal, same_assets, strict_json
-from benchmarks.stress_scenes import Case, write_capture
+from benchmarks.stress.checks import check_asset, check_refusal, same_assets, strict_json
+from benchmarks.stress.scenes import Case, write_capture
+from benchmarks.suite.harness import write_row
 from blender_nep.checkpoints import StopRequest
 from blender_nep.job import runner as job
 from blender_nep.job.events import Events
@@ -193,7 +193,7 @@ def _kind_of(message: str) -> str:
 
 
 def main(arguments: list[str] | None = None) -> int:
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.stress", description=__doc__.split("\n")[0])
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.stress.campaign", description=__doc__.split("\n")[0])
     parser.add_argument("--cases", type=int, default=500)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--out", type=Path, default=Path("out/stress"))

@@ -10,8 +10,8 @@ import matplotlib
 matplotlib.use("agg")
 import matplotlib.pyplot as plt
 
-from benchmarks.rows import Results
-from benchmarks.tables import golds, learned_from, main_captures, presets_of, sweeps
+from benchmarks.reports.rows import Results
+from benchmarks.reports.tables import golds, learned_from, main_captures, presets_of, sweeps
 
 ERRORS = {
     "cd_visible": "distance, object radii", "normal_deg": "error of normals, degrees",

@@ -1,6 +1,6 @@
 """How cost grows: one size varied at a time, CPU seconds a stage and peak memory, exponents by log-log least squares.
 
-    python -m benchmarks.scaling [--factor NAME...] [--threads 1] [--out out/benchmarks/scaling]
+    python -m benchmarks.studies.scaling [--factor NAME...] [--threads 1] [--out out/benchmarks/scaling]
 
 Stages are the sections of `blender_nep.profiling`; kernels are warm before anything is timed. Every measurement writes one
 JSON file and is skipped when that exists. Ends with a table of exponents, and a plot where matplotlib is installed (the
@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from benchmarks.harness import markdown, resumed, use_threads, with_changes
+from benchmarks.suite.harness import markdown, resumed, use_threads, with_changes
 from blender_nep.capture import PixelRays, load_capture
 from blender_nep.checkpoints import NoCheckpoint
 from blender_nep.fields.environment_field import EnvironmentField

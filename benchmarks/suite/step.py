@@ -1,4 +1,4 @@
-"""One step of one run, in a process of its own: `python -m benchmarks.step ORDER RESULT`, both JSON files.
+"""One step of one run, in a process of its own: `python -m benchmarks.suite.step ORDER RESULT`, both JSON files.
 
 learn: capture -> asset, with the preset that an ablation has changed. score: the asset against the truth. relight: the
 same in Cycles under lights that no photo showed. The order says which; the result is written last.
@@ -11,9 +11,9 @@ import sys
 import time
 from pathlib import Path
 
-from benchmarks.harness import read_row, write_row
-from benchmarks.plan import WITHOUT_F_E, Run
-from benchmarks.variants import with_fewer_views
+from benchmarks.suite.fewer_views import with_fewer_views
+from benchmarks.suite.harness import read_row, write_row
+from benchmarks.suite.plan import WITHOUT_F_E, Run
 
 REPORTED = ("device", "threads", "versions", "seconds", "seconds_total", "resumed_rooms", "skipped", "losses", "warnings")
 STAGE_1 = ("fields_learning", "surface")
@@ -123,14 +123,14 @@ def _take_stage_1(other: Path, asset: Path, capture: Path, run: Run, mesh: Path 
 def score(run: Run, asset: Path, order: dict) -> dict:
     """Geometry, F_e and materials against the truth; what belongs to the whole capture counts, however few photos were
     learned from."""
-    from benchmarks.scores import score_asset
+    from benchmarks.scoring.scores import score_asset
 
     return score_asset(run.capture, asset, run.changed_preset, order["settings"]["device"], Path(order["picture"]))
 
 
 def relight(run: Run, asset: Path, order: dict) -> dict:
     """In Cycles."""
-    from benchmarks.relighting import compare
+    from benchmarks.scoring.relighting import compare
 
     return compare(run.capture, asset, Path(order["picture"]), Path(order["truth"]), order["settings"]["threads"])
 

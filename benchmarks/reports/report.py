@@ -9,8 +9,8 @@ import re
 from collections.abc import Callable
 from pathlib import Path
 
-from benchmarks import tables
-from benchmarks.rows import Results
+from benchmarks.reports import tables
+from benchmarks.reports.rows import Results
 
 MARKED = r"(<!-- {0} -->\n).*?(<!-- end of {0} -->)"
 

@@ -1,10 +1,10 @@
 """The slow reference path: large MLPs and many rays, as published, to show what the fast path loses.
 
-    python -m benchmarks.reference_path CAPTURE... [--size small] [--hours 8] [--steps N] [--threads 1]
+    python -m benchmarks.baselines.reference_path CAPTURE... [--size small] [--hours 8] [--steps N] [--threads 1]
                                         [--out out/benchmarks/reference]
 
-Stage 1 learns the SDF as an MLP (`benchmarks.reference_field`), started as a sphere; F_e, the losses and the rest are our
-own. `--size published` is NeuS's, 8 layers of 256 and 512 rays of 64 + 64 samples, 300,000 steps of which take 50 days here;
+Stage 1 learns the SDF as an MLP (`benchmarks.baselines.reference_field`), started as a sphere; F_e, the losses and the rest are
+our own. `--size published` is NeuS's, 8 layers of 256 and 512 rays of 64 + 64 samples, 300,000 steps of which take 50 days here;
 `small`, 4 layers of 128 and 256 rays of 32 + 32 samples, comes further in a night than it. Stage 2 sends 256 + 128 rays
 instead of cones, on the reference's own mesh. Scores are those of `python -m benchmarks run`.
 
@@ -23,11 +23,11 @@ from pathlib import Path
 
 import torch
 
-from benchmarks import geometry, materials
-from benchmarks.fields import background_psnr
-from benchmarks.harness import markdown, resumed, use_threads, with_changes, write_row
-from benchmarks.reference_field import ReferenceField
-from benchmarks.scores import BACKGROUND_PIXELS
+from benchmarks.baselines.reference_field import ReferenceField
+from benchmarks.scoring import geometry, materials
+from benchmarks.scoring.environment import background_psnr
+from benchmarks.scoring.scores import BACKGROUND_PIXELS
+from benchmarks.suite.harness import markdown, resumed, use_threads, with_changes, write_row
 from blender_nep.capture import PixelRays, load_capture
 from blender_nep.checkpoints import Checkpoint, NoCheckpoint, StopRequest, load_state, save_state
 from blender_nep.errors import Stopped

@@ -1,4 +1,6 @@
-"""Captures that the suite renders itself, in Cycles: `python -m benchmarks.render NAME FOLDER VIEWS SIZE SAMPLES THREADS`.
+"""Captures that the suite renders itself, in Cycles.
+
+    python -m benchmarks.suite.render NAME FOLDER VIEWS SIZE SAMPLES THREADS
 
 suzanne and box are Blender's own shapes in `backend/synthetic.py`'s room; gold_0.05 ... gold_0.8 are suzanne again, the
 same room, cameras and gold, of another roughness each. `scene.blend` is kept for relighting. Needs the `bpy` extra.
@@ -19,7 +21,7 @@ def render(name: str, folder: Path, views: int, size: int, samples: int, threads
 
     from backend import synthetic
     from backend.synthetic_capture import scenes
-    from benchmarks.relighting import OBJECT
+    from benchmarks.scoring.relighting import OBJECT
 
     scene, material = name, scenes.DEFAULT_MATERIAL.get(name)
     if name.startswith("gold_"):

@@ -1,6 +1,6 @@
 """What scene analysis leaves out, the time that it saves, and whether the error grows: whole jobs with and without it.
 
-    python -m benchmarks.skipping SCENE... [--preset preview] [--seeds 0 1 2] [--out out/benchmarks/skipping]
+    python -m benchmarks.studies.skipping SCENE... [--preset preview] [--seeds 0 1 2] [--out out/benchmarks/skipping]
                                   [--write docs/benchmarks.md]
 
 A scene is the folder of a capture with ground truth, and after a colon what is made of it or told about it: `cut-out`,
@@ -27,11 +27,11 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks import geometry, materials
-from benchmarks.derived_captures import VARIANTS, derive
-from benchmarks.harness import markdown, resumed, use_threads
-from benchmarks.report import fill
-from benchmarks.suite import machine
+from benchmarks.reports.report import fill
+from benchmarks.scoring import geometry, materials
+from benchmarks.suite.derived_captures import VARIANTS, derive
+from benchmarks.suite.harness import markdown, resumed, use_threads
+from benchmarks.suite.runner import machine
 from blender_nep.capture import load_capture
 from blender_nep.checkpoints import StopRequest, load_state, save_state
 from blender_nep.job.events import Events

@@ -8,7 +8,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 
-from benchmarks.harness import with_changes
+from benchmarks.suite.harness import with_changes
 from blender_nep.presets import PRESETS, Preset
 
 WITHOUT_F_E = "no F_e in stage 2"

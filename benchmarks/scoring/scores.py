@@ -7,8 +7,9 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from benchmarks import fields, geometry, materials
-from benchmarks.harness import read_row
+from benchmarks.scoring import environment as fields
+from benchmarks.scoring import geometry, materials
+from benchmarks.suite.harness import read_row
 from blender_nep.capture import PixelRays, load_capture
 from blender_nep.capture.capture import Capture
 from blender_nep.checkpoints import load_state

@@ -1,6 +1,6 @@
 """A peer beside our stage 2: inverse path tracing with Mitsuba 3 on the true mesh, from the same photos.
 
-    python -m benchmarks.peer_mitsuba CAPTURE... [--minutes 3 10] [--materials texture one] [--threads 1]
+    python -m benchmarks.baselines.peer_mitsuba CAPTURE... [--minutes 3 10] [--materials texture one] [--threads 1]
                                       [--beside out/benchmarks] [--write docs/peer.md]
 
 Needs `pip install '.[peer]'` and an LLVM shared library, version 15 or newer (DRJIT_LIBLLVM_PATH names it). Captures,
@@ -27,12 +27,12 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from benchmarks.geometry import load_test_views
-from benchmarks.harness import markdown, resumed, use_threads
-from benchmarks.materials import score
-from benchmarks.report import fill
-from benchmarks.rows import Results, load
-from benchmarks.tables import presets_of
+from benchmarks.reports.report import fill
+from benchmarks.reports.rows import Results, load
+from benchmarks.reports.tables import presets_of
+from benchmarks.scoring.geometry import load_test_views
+from benchmarks.scoring.materials import score
+from benchmarks.suite.harness import markdown, resumed, use_threads
 from blender_nep.capture import PixelRays, load_capture
 from blender_nep.capture.photo_files import linear_to_srgb
 from blender_nep.errors import LearningError
@@ -45,7 +45,7 @@ COLUMNS = {"mse_roughness": "roughness", "mse_metallic": "metallic", "mse_albedo
 
 def run(folder: Path, minutes: float, settings, seed: int, picture: Path) -> dict:
     """One run of the peer with `PeerSettings`, and its scores."""
-    from benchmarks.inverse_path_tracing import learn
+    from benchmarks.baselines.inverse_path_tracing import learn
 
     balanced = preset("balanced")
     capture = load_capture(folder)
@@ -102,7 +102,7 @@ def main() -> None:
     try:
         import drjit
 
-        from benchmarks.inverse_path_tracing import PeerSettings
+        from benchmarks.baselines.inverse_path_tracing import PeerSettings
     except ImportError as error:
         sys.exit(f"the peer needs Mitsuba 3 (pip install '.[peer]') and libLLVM 15 or newer, named by DRJIT_LIBLLVM_PATH "
                  f"where it is not found: {error}")
