@@ -45,7 +45,7 @@ stress: $(VENV)/installed-dev
 	$(BIN)/python -m benchmarks.stress.campaign --cases $(CASES) --seed $(SEED) --out out/stress-$(SEED)
 
 test-blender: $(VENV)/installed
-	$(BIN)/python tests/blender_matrix.py
+	$(BIN)/python tests/support/blender_matrix.py
 
 # Without CAPTURES those are taken that the suite renders itself. The peer, Mitsuba, runs where it is installed (docs/peer.md).
 bench: $(VENV)/installed-dev

@@ -3,8 +3,9 @@
     python -m benchmarks.baselines.reference_path CAPTURE... [--size small] [--hours 8] [--steps N] [--threads 1]
                                         [--out out/benchmarks/reference]
 
-Stage 1 learns the SDF as an MLP (`benchmarks.baselines.reference_field`), started as a sphere; F_e, the losses and the rest are
-our own. `--size published` is NeuS's, 8 layers of 256 and 512 rays of 64 + 64 samples, 300,000 steps of which take 50 days here;
+Stage 1 learns the SDF as an MLP (`benchmarks.baselines.reference_field`), started as a sphere; F_e, the losses and the
+rest are our own. `--size published` is NeuS's, 8 layers of 256 and 512 rays of 64 + 64 samples, 300,000 steps of which take
+50 days here;
 `small`, 4 layers of 128 and 256 rays of 32 + 32 samples, comes further in a night than it. Stage 2 sends 256 + 128 rays
 instead of cones, on the reference's own mesh. Scores are those of `python -m benchmarks run`.
 

@@ -1,0 +1,278 @@
+"""The add-on and its jobs, in Blender without a screen: its timer's rounds are made by hand. Each check is a process."""
+
+import os
+import shutil
+import signal
+import sys
+from pathlib import Path
+from types import SimpleNamespace
+
+import pytest
+
+from support import ball_engine
+from support.blender_checks import fails, rounds
+from support.own_process import run_file
+from support.paths import ROOT
+
+LIMIT_S = 60
+
+
+@pytest.fixture
+def folders(make_capture, tmp_path, monkeypatch):
+    """A folder with `capture`, an engine, and the add-on as an importable package."""
+    make_capture(masks=True)
+    (tmp_path / "package").mkdir()
+    (tmp_path / "package" / "nep_addon").symlink_to(ROOT)
+    monkeypatch.setenv("NEP_ENGINE_PYTHON", ball_engine.make(tmp_path))
+    monkeypatch.setenv("BLENDER_USER_RESOURCES", str(tmp_path))
+    return tmp_path
+
+
+def in_blender(function, folder: Path, *, code=0, **variables) -> str:
+    """Run a function of this file in a Blender of its own."""
+    done = run_file(__file__, function.__name__, folder, timeout=LIMIT_S, **variables)
+    assert done.returncode == code, done.stdout[-2000:] + done.stderr[-4000:]
+    assert "Traceback" not in done.stderr, done.stderr
+    return done.stdout
+
+
+SLOW = {"BALL_STEPS": "4000", "BALL_DELAY": "0.02"}
+BRISK = {"BALL_STEPS": "100", "BALL_DELAY": "0.03"}
+
+
+def set_up(folder: Path):
+    """A new file whose scene names the capture and an output folder; (bpy, the add-on's modules, settings)."""
+    import bpy
+    addon = register()
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    settings = bpy.context.scene.nep
+    settings.capture, settings.output, settings.preset = str(folder / "capture"), str(folder / "out"), "preview"
+    return bpy, addon, settings
+
+
+def register():
+    import nep_addon
+    nep_addon.register()
+    from nep_addon import addon
+    return addon
+
+
+def start(bpy, addon, scene=None):
+    """Press the button; returns the job."""
+    assert bpy.ops.nep.reconstruct(wait=False) == {"FINISHED"}
+    return addon.jobs.of(scene or bpy.context.scene)
+
+
+def meshes(bpy) -> list[str]:
+    return sorted(item.name for item in bpy.data.objects if item.type == "MESH")
+
+
+class Drawn:
+    """A layout that writes down texts and operators in their order."""
+
+    def __init__(self, log: list[str]) -> None:
+        self.log = log
+
+    def __getattr__(self, name: str):
+        def note(*arguments, **keywords):
+            self.log += [arguments[0]] if name == "operator" else []
+            self.log += [keywords["text"]] if "text" in keywords else []
+            return Drawn(self.log)
+        return note
+
+    def panel(self, *_arguments, **_keywords):
+        return Drawn(self.log), Drawn(self.log)
+
+
+def test_what_the_photos_show_stands_below_the_buttons_also_after_a_stop(folders):
+    in_blender(check_box_of_the_photos, folders, **SLOW)
+
+
+def check_box_of_the_photos(folder):
+    bpy, addon, _settings = set_up(folder)
+    real = bpy.context.preferences
+    preferences = SimpleNamespace(system=SimpleNamespace(ui_scale=1.0), ui_styles=real.ui_styles, addons=real.addons)
+
+    def drawn() -> list[str]:
+        log: list[str] = []
+        context = SimpleNamespace(scene=bpy.context.scene, region=None, preferences=preferences)  # of a screen
+        addon.panel.NEP_PT_reconstruct.draw(SimpleNamespace(layout=Drawn(log)), context)
+        return log
+
+    job = start(bpy, addon)
+    rounds(addon, lambda: job.scene)
+    running = drawn()
+    box = running.index("What the Photos Show")
+    assert running.index("nep.cancel") < box and "Masks are there and are used." in running[box:]
+    assert bpy.ops.nep.cancel() == {"FINISHED"}
+    rounds(addon, lambda: job.ended)
+    stopped = drawn()
+    assert job.was_stopped and stopped.index("Resume") < stopped.index("What the Photos Show")
+
+
+def test_a_job_runs_beside_blender_and_brings_its_object(folders):
+    in_blender(check_life_of_a_job, folders, **BRISK)
+
+
+def check_life_of_a_job(folder):
+    bpy, addon, _settings = set_up(folder)
+    job = start(bpy, addon)
+    assert not bpy.ops.nep.reconstruct.poll() and bpy.ops.nep.cancel.poll()
+    rounds(addon, lambda: "NeP preview" in bpy.data.objects)
+    preview = bpy.data.objects["NeP preview"]
+    assert len(preview.data.polygons) == 320 and preview.hide_render
+    assert len(addon.live_preview.picture_icons(job.key)) == 2, "photo and what was learned"
+    bpy.data.objects.remove(preview)  # as undo does
+    rounds(addon, lambda: job.progress.room == "Learning the materials")
+    bpy.ops.wm.read_factory_settings(use_empty=True)  # File > New, in the middle
+    assert addon.jobs.of(bpy.context.scene) is None
+    bpy.context.scene.nep.capture, bpy.context.scene.nep.output = str(folder / "capture"), str(folder / "out")
+    assert addon.jobs.of(bpy.context.scene) is job and not job.ended
+    rounds(addon, lambda: job.ended and not job.watched)
+    assert job.failed is None and meshes(bpy) == ["out"] and not addon.jobs.result_waits(bpy.context.scene)
+    assert addon.clock.tick() is None, "the timer rests"
+    assert "Masks are there and are used." in job.scene and job.scene[-1].startswith("Left out: ")
+    assert "room fields_learning" in log(bpy)
+    assert 0 < addon.panel.expected_seconds(addon.preferences.timings_file(), "preview")[0] < 90
+    fails(bpy.ops.nep.reconstruct, "already holds an asset")
+    assert bpy.ops.nep.reconstruct(overwrite=True) == {"FINISHED"} and len(meshes(bpy)) == 2
+
+
+def log(bpy) -> str:
+    assert bpy.ops.nep.open_log() == {"FINISHED"}
+    return bpy.data.texts["NeP log"].as_string()
+
+
+@pytest.mark.parametrize("closing", ["KEEP", "STOP"])
+def test_blender_closes_in_the_middle(folders, closing):
+    in_blender(check_close, folders, CLOSING=closing, **(BRISK if closing == "KEEP" else SLOW))
+    in_blender(check_kept if closing == "KEEP" else check_stopped, folders)
+
+
+def check_close(folder):
+    bpy, addon, settings = set_up(folder)
+    settings.closing = os.environ["CLOSING"]
+    job = start(bpy, addon)
+    bpy.ops.wm.save_as_mainfile(filepath=str(folder / "scene.blend"))
+    rounds(addon, (folder / "out" / "checkpoints" / "fields_learning.pt").exists)
+    assert not job.ended
+
+
+def check_kept(folder):
+    """The job is still at work, or has ended meanwhile; in both cases the object comes."""
+    import bpy
+    addon = register()
+    bpy.ops.wm.open_mainfile(filepath=str(folder / "scene.blend"))
+    scene = bpy.context.scene
+    job = addon.jobs.of(scene)
+    assert job is not None and job.progress.fraction > 0
+    rounds(addon, lambda: job.ended and not job.watched)
+    assert job.failed is None and meshes(bpy) == ["out"]
+    # the file was not saved with the object: the result waits again, and is not forced upon anybody
+    bpy.ops.wm.open_mainfile(filepath=str(folder / "scene.blend"))
+    addon.clock.tick()
+    assert meshes(bpy) == [] and addon.jobs.result_waits(bpy.context.scene)
+    assert bpy.ops.nep.import_result() == {"FINISHED"} and meshes(bpy) == ["out"]
+    assert not addon.jobs.result_waits(bpy.context.scene)
+
+
+def check_stopped(folder):
+    import bpy
+    addon = register()
+    bpy.ops.wm.open_mainfile(filepath=str(folder / "scene.blend"))
+    job = addon.jobs.of(bpy.context.scene)
+    rounds(addon, lambda: job.ended)
+    assert job.was_stopped and not addon.jobs.result_waits(bpy.context.scene)
+    assert bpy.ops.nep.reconstruct(resume=True) == {"FINISHED"} and meshes(bpy) == ["out"]
+
+
+def test_cancel_crash_and_resume(folders):
+    in_blender(check_cancel_and_crash, folders, **SLOW)
+
+
+def check_cancel_and_crash(folder):
+    bpy, addon, settings = set_up(folder)
+    sign = folder / "out" / "checkpoints" / "fields_learning.pt"
+    job = start(bpy, addon)
+    rounds(addon, sign.exists)
+    assert bpy.ops.nep.cancel() == {"FINISHED"} and not bpy.ops.nep.cancel.poll()
+    rounds(addon, lambda: job.ended)
+    assert job.was_stopped and meshes(bpy) == []
+    sign.unlink()
+    assert bpy.ops.nep.reconstruct(resume=True, wait=False) == {"FINISHED"}
+    job = addon.jobs.of(bpy.context.scene)
+    rounds(addon, sign.exists)
+    from nep_addon.backend.engine.job_files import read_job
+    os.kill(read_job(folder / "out")["pid"], signal.SIGKILL)
+    rounds(addon, lambda: job.ended)
+    assert "killed" in job.failed.message and not job.was_stopped and not addon.jobs.advance_all()
+    # no engine, no capture: said where the artist looks
+    os.environ["NEP_ENGINE_PYTHON"] = str(folder / "no-python")
+    fails(lambda: bpy.ops.nep.reconstruct(resume=True), "cannot be started")
+    assert "cannot be started" in addon.jobs.of(bpy.context.scene).failed.message
+    settings.output = "//beside"
+    fails(bpy.ops.nep.reconstruct, "Save the file first")
+
+
+def test_two_scenes_have_two_jobs(folders):
+    shutil.copytree(folders / "capture", folders / "second capture")
+    in_blender(check_two_jobs, folders, **BRISK)
+
+
+def check_two_jobs(folder):
+    bpy, addon, _settings = set_up(folder)
+    one = start(bpy, addon)
+    scene = bpy.data.scenes.new("second")
+    scene.nep.capture, scene.nep.output, scene.nep.preset = str(folder / "second capture"), str(folder / "two"), "preview"
+    with bpy.context.temp_override(scene=scene):
+        two = start(bpy, addon, scene)
+    assert one is not two and addon.jobs.of(bpy.context.scene) is one and addon.jobs.of(scene) is two
+    rounds(addon, lambda: all(job.ended for job in (one, two)) and not one.watched)
+    assert meshes(bpy) == ["out"], "what belongs to a scene that is not shown waits"
+    bpy.context.window.scene = scene
+    rounds(addon, lambda: not two.watched)
+    assert one.failed is None and two.failed is None
+    assert [item.name for item in scene.objects if item.type == "MESH"] == ["two"]
+    assert "out" not in scene.objects and "two" not in bpy.data.scenes[0].objects
+
+
+def test_a_picture_is_shown_in_two_halves(folders):
+    in_blender(check_halves, folders)
+
+
+def check_halves(folder):
+    from PIL import Image
+    addon = register()
+    pair = Image.new("RGB", (64, 32), (255, 0, 0))
+    pair.paste((0, 255, 0), (32, 0, 64, 32))
+    pair.save(folder / "pair.png")
+    preview = addon.live_preview
+    for _ in range(2):  # the second takes the place of the first
+        preview.load_picture("job", folder / "pair.png")
+    for side, colour in zip(preview.SIDES, ([1, 0, 0, 1], [0, 1, 0, 1]), strict=True):
+        half = preview._pictures["job" + side]
+        assert tuple(half.image_size) == (32, 32)
+        assert [round(value) for value in half.image_pixels_float[:4]] == colour
+    preview.forget_picture("job")
+    assert preview.picture_icons("job") == []
+
+
+def test_lines_of_the_panel_fit():
+    sys.path.insert(0, str(ROOT.parent))
+    in_blender(check_wrapping, ROOT)
+
+
+def check_wrapping(folder):
+    sys.path.insert(0, str(folder.parent))
+    import bpy  # noqa: F401
+    addon = __import__(f"{folder.name}.addon.messages", fromlist=["wrapped"])
+    text = "The engine's Python /a/very/long/path/that/is/longer/than/a/line lacks torch.\nInstall it."
+    lines = addon.wrapped(text, 20)
+    assert max(map(len, lines)) <= 20 and len(lines) > 3 and lines[-1] == "Install it." and "lacks torch." in " ".join(lines)
+    assert "".join(lines).replace(" ", "") == text.replace(" ", "").replace("\n", "")
+    assert addon.wrapped("", 20) == []
+
+
+if __name__ == "__main__":
+    sys.path.insert(0, str(Path(sys.argv[2]) / "package"))
+    globals()[sys.argv[1]](Path(sys.argv[2]))

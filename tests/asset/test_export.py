@@ -1,0 +1,171 @@
+"""The asset folder: every file read back by something else than what wrote it."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import OpenEXR
+import pytest
+import torch
+import trimesh
+from PIL import Image
+
+from blender_nep.asset import export as asset
+from blender_nep.asset.preview import Pyramid, shade
+from blender_nep.capture import PixelRays, load_capture
+from blender_nep.errors import OutputError
+from support.ball_stages import GreyLight, ball_surface, ball_textures
+from support.captures import CENTER, RADIUS
+
+
+class Textures:
+    """Stands for Materials."""
+
+    def __init__(self):
+        self.__dict__.update(ball_textures())
+
+
+@pytest.fixture
+def write(make_capture, tmp_path):
+    """write(light) writes the ball's asset, at `center` where that is given, and returns its folder."""
+    capture = load_capture(make_capture(masks=True).folder)
+    rays = PixelRays.from_capture(capture, 10**6, use_masks=True)
+    folder = tmp_path / "asset"
+    folder.mkdir()
+
+    def run(light=None, report=lambda: {"seed": 3}, center=CENTER):
+        capture.object_center = np.asarray(center)
+        asset.write_asset(folder, capture, rays, ball_surface(), Textures(), light or GreyLight().equirect(16), report)
+        return folder
+
+    return run
+
+
+def test_the_folder_holds_what_the_format_names(write):
+    folder = write()
+    found = {str(p.relative_to(folder)) for p in folder.rglob("*") if p.is_file()}
+    textures = {f"textures/{n}.{s}" for n in ("albedo", "roughness", "metallic", "confidence") for s in ("exr", "png")}
+    others = {"mesh.obj", "mesh.mtl", "asset.glb", "environment.exr", "preview.png", "report.json"}
+    assert found == textures | others
+    assert json.loads((folder / "report.json").read_text()) == {"seed": 3}
+
+
+def test_obj_is_the_surface_in_capture_coordinates(write):
+    path = write() / "mesh.obj"
+    mesh = trimesh.load(path, process=False, maintain_order=True, force="mesh")
+    surface = ball_surface()
+    np.testing.assert_allclose(mesh.vertices, surface.vertices * RADIUS + CENTER, atol=1e-6)
+    np.testing.assert_array_equal(mesh.faces, surface.faces)
+    np.testing.assert_allclose(mesh.visual.uv, surface.uv, atol=1e-6)
+    normals = [line.split()[1:] for line in path.read_text().splitlines() if line.startswith("vn ")]
+    np.testing.assert_allclose(np.array(normals, float), surface.normals, atol=1e-4)
+    assert mesh.volume > 0
+
+
+def test_textures_are_half_float_and_upright(write):
+    folder = write()
+    truth = ball_textures()
+    albedo = OpenEXR.File(str(folder / "textures/albedo.exr")).channels()["RGB"].pixels
+    assert albedo.dtype == np.float16
+    np.testing.assert_allclose(albedo, truth["albedo"], atol=5e-4)
+    rough = OpenEXR.File(str(folder / "textures/roughness.exr")).channels()
+    assert list(rough) == ["V"]
+    np.testing.assert_allclose(rough["V"].pixels, truth["roughness"], atol=5e-4)
+    linear = np.asarray(Image.open(folder / "textures/roughness.png")) / 255
+    np.testing.assert_allclose(linear, truth["roughness"], atol=0.5 / 255 + 1e-6)
+    encoded = np.asarray(Image.open(folder / "textures/albedo.png")) / 255
+    assert encoded[0, 0, 2] == pytest.approx(1.055 * 0.25 ** (1 / 2.4) - 0.055, abs=0.5 / 255)
+
+
+def test_glb_is_y_up_with_packed_textures(write):
+    scene = trimesh.load(write() / "asset.glb", process=False)
+    mesh = next(iter(scene.geometry.values()))
+    (node,) = scene.graph.nodes_geometry
+    surface = ball_surface()
+    world = surface.vertices * RADIUS + CENTER
+    placed = trimesh.transform_points(mesh.vertices, scene.graph[node][0])
+    np.testing.assert_allclose(placed, world[:, [0, 2, 1]] * [1, 1, -1], atol=1e-5)
+    np.testing.assert_allclose(mesh.vertex_normals, surface.normals[:, [0, 2, 1]] * [1, 1, -1], atol=1e-3)
+    assert mesh.volume > 0  # right-handed still
+    packed = np.asarray(mesh.visual.material.metallicRoughnessTexture)
+    truth = ball_textures()
+    np.testing.assert_allclose(packed[..., 1] / 255, truth["roughness"], atol=2 / 255)
+    np.testing.assert_allclose(packed[..., 2] / 255, truth["metallic"], atol=2 / 255)
+
+
+def test_far_from_the_origin_the_mesh_keeps_its_shape(write):
+    """A million radii away float32 and seven digits would leave steps of 0.06 radii."""
+    far = np.array([1e6, -5e5, 2.5e5])
+    folder = write(center=far)
+    surface = ball_surface()
+    lines = [line.split() for line in (folder / "mesh.obj").read_text().splitlines() if line.startswith("v ")]
+    vertices = np.array(lines)[:, 1:].astype(np.float64)
+    np.testing.assert_allclose((vertices - far) / RADIUS, surface.vertices, atol=2e-7)
+    scene = trimesh.load(folder / "asset.glb", process=False)
+    (node,) = scene.graph.nodes_geometry
+    placed = trimesh.transform_points(next(iter(scene.geometry.values())).vertices, scene.graph[node][0])
+    unit = (placed @ np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]]).T - far) / RADIUS
+    np.testing.assert_allclose(unit, surface.vertices, atol=2e-7)
+
+
+def test_a_failed_write_leaves_no_report(write):
+    folder = write()
+
+    def report():
+        raise OSError(28, "No space left on device")
+
+    with pytest.raises(OutputError, match="disk is full"):
+        write(report=report)
+    assert (folder / "report.json").exists()  # nothing was replaced yet: the old asset is whole
+    assert not (folder / ".partial").exists()
+
+
+def test_report_comes_last(write, monkeypatch):
+    folder = write()
+    moved = []
+    replace = asset.os.replace
+
+    def watch(source, target):
+        moved.append(str(target.name))
+        assert not (folder / "report.json").exists()
+        if len(moved) == 4:
+            raise PermissionError(13, "Permission denied")
+        replace(source, target)
+
+    monkeypatch.setattr(asset.os, "replace", watch)
+    with pytest.raises(OutputError):
+        write()
+    assert not (folder / "report.json").exists() and "report.json" not in moved
+
+
+def test_preview_shows_photo_and_asset(write):
+    picture = np.asarray(Image.open(write() / "preview.png"))
+    assert picture.shape == (24, 48, 3)
+    assert picture[12, 12].std() < 3 and (picture[:, 24:] > 0).any()
+
+
+def test_preview_light_of_one_colour_shades_in_closed_form():
+    """In uniform light L a white diffuse surface sends back L, a perfect mirror L too (Fresnel 1)."""
+    light = Pyramid.of(np.full((64, 128, 3), 2.0))
+    normal = np.array([[0, 0, 1.0], [0.6, 0, 0.8]])
+    np.testing.assert_allclose(light.irradiance(normal), 2 * np.pi, rtol=0.02)
+    np.testing.assert_allclose(light.lookup(normal, np.array([0.1, 0.8])), 2.0, rtol=1e-5)
+    mirror = {"albedo": np.ones((2, 3)), "roughness": np.full((2, 1), 0.02), "metallic": np.ones((2, 1))}
+    np.testing.assert_allclose(shade(normal, normal, mirror, light), 2.0, rtol=0.02)
+
+
+def test_preview_light_is_looked_up_as_in_blender():
+    """Blender's equirectangular: the middle column is +x, a quarter to the left +y, the first row the zenith."""
+    light = np.zeros((64, 128, 3), np.float32)
+    light[31:33, 63:65] = (1, 0, 0)
+    light[31:33, 31:33] = (0, 1, 0)
+    light[:2] = (0, 0, 1)
+    found = Pyramid.of(light).lookup(np.array([[1.0, 0, 0], [0, 1, 0], [0, 0, 1]]), np.zeros(3))
+    np.testing.assert_allclose(found, np.eye(3), atol=1e-5)
+
+
+def test_light_may_be_a_tensor_that_needs_grad(write):
+    light = torch.full((16, 32, 3), 0.25, requires_grad=True)
+    folder = write(light=(light, torch.ones(16, 32)))
+    np.testing.assert_array_equal(OpenEXR.File(str(folder / "environment.exr")).channels()["RGB"].pixels, 0.25)

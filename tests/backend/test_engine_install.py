@@ -1,0 +1,132 @@
+"""The engine's installation, with a Python that only plays venv and pip: what it makes, cleans up, and says."""
+
+import json
+import signal
+import stat
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from backend.engine import install as engine_install
+from backend.engine.check import EngineCheck
+from backend.engine.install import installed_python
+from support.paths import ROOT
+from support.played_python import played_python
+
+LIMIT_S = 60
+
+@pytest.fixture
+def base(tmp_path):
+    """A function that sets how the played Python behaves; base.python is its path."""
+
+    def behave(mode):
+        (tmp_path / "mode").write_text(mode)
+
+    behave.python, behave.folder = played_python(tmp_path), tmp_path / "into"
+    return behave
+
+
+def begin(base, *options) -> subprocess.Popen:
+    return subprocess.Popen([sys.executable, "-I", engine_install.__file__, "--source", ROOT, "--folder", base.folder,
+                             "--python", base.python, *options], stdin=subprocess.PIPE, stdout=subprocess.PIPE,
+                            stderr=subprocess.DEVNULL, text=True)
+
+
+def end(process) -> tuple[int, list[dict]]:
+    code = process.wait(LIMIT_S)  # its standard input stays open: else it would stop
+    return code, [json.loads(line) for line in process.stdout.read().splitlines()]
+
+
+def wait_for(path: Path) -> None:
+    deadline = time.monotonic() + LIMIT_S
+    while not path.exists():
+        assert time.monotonic() < deadline
+        time.sleep(0.02)
+
+
+def test_an_engine_is_made(base, tmp_path):
+    code, told = end(begin(base))
+    assert code == 0 and told[-1]["event"] == "done" and told[-1]["torch"] == "2.9.9"
+    assert installed_python(base.folder) == told[-1]["python"]
+    fractions = [event["fraction"] for event in told[:-1]]
+    assert fractions == sorted(fractions) and fractions[0] == 0 and fractions[-1] < 1
+    torch, rest = (tmp_path / "pip.txt").read_text().splitlines()
+    assert "--index-url https://download.pytorch.org/whl/cpu" in torch and "--index-url" not in rest
+    assert "--constraint" not in torch + rest, "the constraints are those of Python 3.11"
+    code, _ = end(begin(base, "--build", "cuda"))  # a second one in place of the first
+    assert code == 0 and "--index-url" not in (tmp_path / "pip.txt").read_text().splitlines()[2]
+
+
+@pytest.mark.parametrize(("mode", "message", "hint"), [
+    ("old 3 10", "is Python 3.10; the engine needs 3.11", "Base Python"),
+    ("no venv", "lacks the module venv", "python3.12-venv"),
+    ("no build", "no build of torch for this computer and Python 3.12", "3.13"),
+    ("full", "The disk is full", "Free some"),
+])
+def test_what_cannot_be_is_said_and_nothing_is_left(base, mode, message, hint):
+    base(mode)
+    code, told = end(begin(base))
+    assert code == 1 and message in told[-1]["message"] and hint in told[-1]["hint"]
+    assert not installed_python(base.folder) and not (base.folder / "nep-engine").exists()
+
+
+def test_a_python_that_is_none_is_said(base):
+    base.python = "/no/python"
+    code, told = end(begin(base))
+    assert code == 1 and "/no/python cannot be started" in told[-1]["message"]
+
+
+@pytest.mark.parametrize("how", ["stop", "closed"])
+def test_a_cancelled_installation_leaves_nothing(base, tmp_path, how):
+    """By the button, or because Blender is gone."""
+    base("slow")
+    process = begin(base)
+    wait_for(tmp_path / "slow")
+    if how == "stop":
+        process.stdin.write('{"cmd": "stop"}\n')
+        process.stdin.flush()
+    else:
+        process.stdin.close()
+    code, told = end(process)
+    assert code == 7 and "cancelled" in told[-1]["message"] and not (base.folder / "nep-engine").exists()
+
+
+def test_a_killed_installation_looks_like_none_and_is_made_anew(base, tmp_path):
+    base("slow")
+    process = begin(base)
+    wait_for(tmp_path / "slow")
+    process.send_signal(signal.SIGKILL)
+    process.communicate()
+    assert (base.folder / "nep-engine").exists() and not installed_python(base.folder)
+    base("well")
+    code, _ = end(begin(base))
+    assert code == 0 and installed_python(base.folder)
+
+
+def test_somebody_elses_folder_is_not_touched(base):
+    theirs = base.folder / "nep-engine" / "thesis.txt"
+    theirs.parent.mkdir(parents=True)
+    theirs.write_text("years of work")
+    code, told = end(begin(base))
+    assert code == 1 and "is no engine" in told[-1]["message"] and theirs.read_text() == "years of work"
+
+
+def answer(python: str) -> EngineCheck:
+    check, deadline = EngineCheck(python), time.monotonic() + LIMIT_S
+    while not check.poll():
+        assert time.monotonic() < deadline
+        time.sleep(0.02)
+    return check
+
+
+def test_a_check_says_what_is_there_and_what_is_missing(tmp_path):
+    bare = tmp_path / "bare-python"
+    bare.write_text(f'#!/bin/sh\nexec {sys.executable} -S "$@"\n')
+    bare.chmod(bare.stat().st_mode | stat.S_IXUSR)
+    lacking = answer(str(bare))
+    assert not lacking.works and lacking.lines[-1].startswith("Missing: blender_nep, torch.")
+    assert "cannot be started" in answer("/no/python").lines[0]
+    assert "is no Python" in answer("/bin/true").lines[0]

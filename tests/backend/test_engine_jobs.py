@@ -1,0 +1,244 @@
+"""A job lives in files: it outlives who started it, is found again and stopped, and its end is told in words."""
+
+import errno
+import json
+import os
+import shutil
+import signal
+import stat
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from backend.engine import timings
+from backend.engine.command import NoEngineError, reconstruct_arguments
+from backend.engine.engine import Engine
+from backend.engine.job_files import EventFile, has_checkpoint, is_asset, is_running, read_job
+from backend.engine.progress import Progress, describe, duration, in_panel_words
+from blender_nep.job.job_folder import Journal
+from support import ball_engine
+from support.paths import ROOT
+
+LIMIT_S = 120
+SLOW = {"BALL_STEPS": "4000", "BALL_DELAY": "0.02"}
+
+
+@pytest.fixture
+def ball(make_capture, tmp_path, monkeypatch):
+    """ball(**options) starts an engine; ball.out is the output folder."""
+
+    def start(slow=False, keep_going=False, **options):
+        for name, value in SLOW.items():
+            if slow:
+                monkeypatch.setenv(name, value)
+            else:
+                monkeypatch.delenv(name, raising=False)
+        arguments = reconstruct_arguments(start.capture, start.out, preset="preview", keep_going=keep_going, **options)
+        engine = Engine.start(start.python, arguments, keep_going=keep_going)
+        started.append(engine)
+        return engine
+
+    started = []
+    start.python, start.capture, start.out = ball_engine.make(tmp_path), make_capture(masks=True).folder, tmp_path / "asset"
+    yield start
+    for engine in started:
+        engine.close()
+        if read_job(start.out) and is_running(start.out):
+            os.kill(read_job(start.out)["pid"], signal.SIGKILL)
+
+
+def wait_for(condition):
+    deadline = time.monotonic() + LIMIT_S
+    while not condition():
+        assert time.monotonic() < deadline, "nothing came"
+        time.sleep(0.02)
+
+
+def follow(engine) -> list[dict]:
+    """All events up to the end."""
+    events = []
+    wait_for(lambda: events.extend((polled := engine.poll())[0]) or polled[1])
+    return events
+
+
+def at_work(out: Path):
+    """Waits until learning has written a checkpoint; returns the job's description."""
+    wait_for((out / "checkpoints" / "fields_learning.pt").exists)
+    return read_job(out)
+
+
+def test_a_job_is_followed_to_its_asset_and_told_again_afterwards(ball):
+    engine = ball()
+    told = follow(engine)
+    assert engine.outcome() is None and is_asset(ball.out) and not is_running(ball.out)
+    assert told[0]["event"] == "job" and told[-1]["event"] == "done"
+    assert {"progress", "preview"} <= {event["event"] for event in told}
+    job = read_job(ball.out)
+    assert job["preset"] == "preview" and job["capture"] == str(ball.capture) and "--job-files" in job["arguments"]
+    found = Engine.attach(ball.out)
+    events, ended = found.poll()
+    assert ended and found.outcome() is None and events == told[1:]
+    assert Engine.attach(ball.out / "elsewhere") is None
+
+
+STARTER = """
+import os, sys
+sys.path.insert(0, {root!r})
+from backend.engine.engine import Engine
+engine = Engine.start({python!r}, {arguments!r}, keep_going={keep_going})
+while not os.path.exists({sign!r}):
+    engine.poll()
+    assert engine._process.running(), open(engine.log).read()
+os.kill(os.getpid(), 9)
+"""
+
+
+@pytest.mark.parametrize("keep_going", [True, False])
+def test_the_death_of_the_starter(ball, keep_going):
+    """Keep going: the job lives on, is found, stopped by its file, resumed. Else it has written its checkpoint."""
+    arguments = reconstruct_arguments(ball.capture, ball.out, preset="preview", keep_going=keep_going)
+    sign = ball.out / "checkpoints" / "fields_learning.pt"
+    script = STARTER.format(root=str(ROOT), python=ball.python, arguments=arguments, keep_going=keep_going, sign=str(sign))
+    starter = subprocess.run([sys.executable, "-c", script], env=os.environ | SLOW, timeout=LIMIT_S, stderr=subprocess.PIPE)
+    assert starter.returncode == -9, starter.stderr
+    found = Engine.attach(ball.out)
+    if keep_going:
+        before = len(found.poll()[0])
+        wait_for(lambda: found.poll()[0])
+        assert before and is_running(ball.out), "it goes on"
+        found.request_stop()
+    follow(found)
+    assert found.outcome().code == 7 and not is_running(ball.out) and has_checkpoint(ball.out)
+    assert not is_asset(ball.out)
+    engine = ball(resume=True)
+    told = follow(engine)
+    assert engine.outcome() is None and is_asset(ball.out) and not has_checkpoint(ball.out)
+    assert told[0]["event"] == "job" and not [e for e in told if e["event"] == "error"], "nothing is left of the run before"
+    assert not (ball.out / "job" / "stop").exists()
+
+
+def test_a_killed_engine_is_seen_by_who_started_it_and_by_who_found_it(ball):
+    engine = ball(slow=True, keep_going=True)
+    wait_for(lambda: engine.poll() and (ball.out / "checkpoints" / "fields_learning.pt").exists())
+    os.kill(read_job(ball.out)["pid"], signal.SIGKILL)
+    follow(engine)
+    assert engine.outcome().code == 128 + 9 and "was killed" in engine.outcome().message
+    found = Engine.attach(ball.out)
+    follow(found)
+    assert "was killed" in found.outcome().message and "Resume" in found.outcome().hint
+    again = ball(resume=True)
+    follow(again)
+    assert again.outcome() is None
+
+
+def test_two_jobs_cannot_work_in_one_folder(ball):
+    first = ball(slow=True)
+    at_work(ball.out)
+    before = read_job(ball.out)
+    second = ball(resume=True)
+    follow(second)
+    assert second.outcome().code == 2 and "another run is at work" in second.outcome().message
+    assert read_job(ball.out) == before and not first.poll()[1]
+    first.request_stop()
+    follow(first)
+    assert first.outcome().code == 7
+
+
+def test_an_asset_that_may_not_be_replaced_is_left_as_it_is(ball):
+    follow(ball())
+    before = {path: path.stat().st_mtime_ns for path in ball.out.rglob("*")}
+    engine = ball()
+    follow(engine)
+    assert engine.outcome().code == 2 and "already holds an asset" in engine.outcome().message
+    assert {path: path.stat().st_mtime_ns for path in ball.out.rglob("*")} == before
+
+
+def test_a_capture_that_is_gone_is_said(ball):
+    shutil.rmtree(ball.capture)
+    engine = ball()
+    follow(engine)
+    assert engine.outcome().code == 3 and str(ball.capture) in engine.outcome().message
+    assert not is_asset(ball.out) and not has_checkpoint(ball.out)
+
+
+def test_an_output_folder_that_vanishes_is_said(ball):
+    engine = ball(slow=True)
+    wait_for(lambda: engine.poll() and (ball.out / "checkpoints" / "fields_learning.pt").exists())
+    while ball.out.exists():
+        shutil.rmtree(ball.out, ignore_errors=True)
+    follow(engine)
+    assert engine.outcome().code == 5 and str(ball.out) in engine.outcome().message
+
+
+def test_a_python_without_the_engine_is_said(tmp_path):
+    bare = tmp_path / "bare-python"
+    bare.write_text(f'#!/bin/sh\nexec {sys.executable} -S "$@"\n')
+    bare.chmod(bare.stat().st_mode | stat.S_IXUSR)
+    engine = Engine.start(str(bare), ["reconstruct", "x", "--out", str(tmp_path / "out")])
+    follow(engine)
+    failed = engine.outcome()
+    assert isinstance(failed, NoEngineError) and f"{bare} lacks blender_nep" in failed.message and "Install" in failed.hint
+    with pytest.raises(NoEngineError, match="cannot be started"):
+        Engine.start(str(tmp_path / "no-python"), [])
+
+
+def test_events_are_read_whole_and_foreign_lines_are_not(tmp_path):
+    file = EventFile(tmp_path / "events.jsonl")
+    assert file.read() == []
+    with open(tmp_path / "events.jsonl", "ab", buffering=0) as writer:
+        writer.write(b'a stray line\n[1]\n{"event": "warn')
+        assert file.read() == []
+        writer.write(b'ing", "message": "\xc3\xa4"}\n{"event": "done"}\n')
+        assert file.read() == [{"event": "warning", "message": "ä"}, {"event": "done"}]
+        assert file.read() == []
+
+
+def test_a_journal_outlives_a_full_disk(tmp_path, monkeypatch):
+    journal, room = Journal(tmp_path / "journal"), [5]
+    write = os.write
+
+    def narrow(descriptor, data):
+        if not room[0]:
+            raise OSError(errno.ENOSPC, "No space left on device")
+        taken = write(descriptor, data[: room[0]])
+        room[0] -= taken
+        return taken
+
+    monkeypatch.setattr(os, "write", narrow)
+    journal.write("first line\n")
+    journal.flush()
+    room[0] = 100
+    journal.write("second line\n")
+    journal.flush()
+    assert (tmp_path / "journal").read_text() == "first line\nsecond line\n"
+
+
+def test_expected_time_is_learned_from_assets(tmp_path):
+    file, asset = tmp_path / "timings.json", tmp_path / "asset"
+    asset.mkdir()
+    assert timings.expected_seconds(file, "balanced") == (270.0, False)
+    timings.remember(file, asset)  # without a report
+    for seconds in (100, 300, 200):
+        (asset / "report.json").write_text(json.dumps({"preset": "balanced", "seconds_total": seconds}))
+        timings.remember(file, asset)
+    assert timings.expected_seconds(file, "balanced") == (200.0, True)
+    assert timings.expected_seconds(file, "preview") == (90.0, False)
+    file.write_text("torn")
+    assert timings.expected_seconds(file, "balanced") == (270.0, False)
+    timings.remember(tmp_path / "new folder" / "timings.json", asset)
+    assert timings.expected_seconds(tmp_path / "new folder" / "timings.json", "balanced") == (200.0, True)
+
+
+def test_words_for_people():
+    event = {"event": "progress", "room": "fields_learning", "step": 2, "steps": 9, "fraction": 0.5, "eta_s": 75}
+    assert describe(event) == " 50 %  Learning shape and light  Step 2 of 9  about 1 min 20 s left"
+    assert Progress.of({"event": "progress", "fraction": None, "eta_s": None}).lines() == [""]
+    assert [duration(s) for s in (1, 44, 299, 300, 3600, 5400)] == [
+        "about 5 s", "about 45 s", "about 5 min", "about 5 min", "about 1 h", "about 1 h 30 min"]
+    assert in_panel_words("say so by --metal yes or --metal no") == "Say so in Advanced > Material"
+    assert in_panel_words("Free some space, then go on with --resume.") == "Free some space, then go on with Resume."
+    assert in_panel_words("stopped (standard input was closed); the checkpoint is written") == (
+        "Stopped because Blender closed; the checkpoint is written")

@@ -1,0 +1,128 @@
+"""The benchmark's own scores, on bodies whose scores are known; ablations change what their names say."""
+
+from dataclasses import asdict
+
+import numpy as np
+import pytest
+import trimesh
+
+pytest.importorskip("igl")
+from benchmarks.scoring.geometry import Body, load_test_views, score
+from benchmarks.scoring.materials import read_channels
+from benchmarks.scoring.scores import score_asset
+from benchmarks.studies import scaling
+from benchmarks.suite.harness import resumed, with_changes
+from benchmarks.suite.plan import ABLATIONS
+from blender_nep.asset.export import TexturedMesh, write_exr, write_obj
+from blender_nep.capture import load_capture
+from blender_nep.errors import LearningError, Stopped
+from blender_nep.presets import preset
+from blender_nep.surface.extraction import Surface, load_surface
+from support.paths import SUZANNE_SMALL
+
+
+def test_the_truth_scores_perfectly_and_a_moved_copy_by_its_shift():
+    capture = load_capture(SUZANNE_SMALL)
+    test = load_test_views(SUZANNE_SMALL, capture)
+    mesh = trimesh.load(SUZANNE_SMALL / "gt_mesh.ply", process=False, force="mesh")
+    mesh.apply_transform(capture.to_unit)
+    vertices, faces = np.asarray(mesh.vertices), np.asarray(mesh.faces)
+    same = score(Surface(vertices, faces, np.zeros_like(vertices)), SUZANNE_SMALL, capture, test)
+    assert same["cd_visible"] < 1e-6 and same["cd_full"] < 1e-6 and same["normal_deg"] < 1e-3
+    assert same["mask_iou"] == 1 and same["fscore_005"] == 1
+    moved = score(Surface(vertices + np.array([0, 0, 0.02]), faces, np.zeros_like(vertices)), SUZANNE_SMALL, capture, test)
+    assert 0.002 < moved["cd_visible"] < 0.02 and 0.8 < moved["mask_iou"] < 0.99
+
+
+def test_distances_between_concentric_balls_are_the_difference_of_their_radii():
+    small, large = (trimesh.creation.icosphere(subdivisions=4, radius=r) for r in (0.5, 0.6))
+    distance = Body(large.vertices, large.faces).distance(np.asarray(small.vertices))
+    assert distance == pytest.approx(0.1, abs=2e-3)
+
+
+@pytest.mark.parametrize("changes", ABLATIONS.values())
+def test_an_ablation_changes_the_fields_it_names_and_no_others(changes):
+    expected, found = asdict(preset("balanced")), asdict(with_changes(preset("balanced"), changes))
+    for part, values in changes.items():
+        at = expected if part == "job" else expected[part]
+        assert set(values) <= set(at)
+        at |= values
+    assert found == expected
+
+
+def test_a_failed_run_is_a_row_with_its_message_and_a_done_one_is_not_run_again(tmp_path):
+    def fail():
+        raise LearningError("no surface was found", "look again")
+
+    def stop():
+        raise Stopped("SIGTERM")
+
+    start = {"capture": "a"}
+    assert resumed(tmp_path / "failed.json", start, fail) == start | {"error": "no surface was found"}
+    assert resumed(tmp_path / "crashed.json", start, lambda: 1 / 0)["error"] == "ZeroDivisionError: division by zero"
+    assert resumed(tmp_path / "done.json", start, lambda: {"seconds": 1.0}) == start | {"seconds": 1.0}
+    assert resumed(tmp_path / "done.json", start, fail)["seconds"] == 1.0
+    with pytest.raises(Stopped):
+        resumed(tmp_path / "stopped.json", start, stop)
+    assert not (tmp_path / "stopped.json").exists()
+
+
+def test_an_asset_that_is_the_truth_scores_perfectly_but_for_what_is_put_in(tmp_path):
+    gold = {name: read_channels(SUZANNE_SMALL / "gt" / "000.exr")[channel] for name, channel in
+            (("albedo", "albedo"), ("roughness", "roughness.V"), ("metallic", "metallic.V"), ("confidence", "mask.V"))}
+    inside = gold["confidence"] > 0.99
+    asset, picture = tmp_path / "asset", tmp_path / "materials.png"
+    (asset / "textures").mkdir(parents=True)
+    for name, wrong in (("albedo", 0.0), ("roughness", 0.1), ("metallic", 0.0), ("confidence", 0.0)):
+        value = gold[name][inside][0, :3] if name == "albedo" else gold[name][inside][0]
+        assert gold[name][inside].std(0).max() < 0.01  # one material
+        write_exr(asset / "textures" / f"{name}.exr", np.full((8, 8, *np.shape(value)), value, np.float32) + wrong)
+    capture = load_capture(SUZANNE_SMALL)
+    surface = load_surface(SUZANNE_SMALL / "gt_mesh.ply", capture, preset("preview").surface)
+    vertices = surface.vertices * capture.object_radius + capture.object_center
+    write_obj(asset / "mesh.obj", TexturedMesh(vertices, surface.faces, surface.normals, surface.uv, {}))
+    found = score_asset(SUZANNE_SMALL, asset, preset("preview"), "cpu", picture)
+    assert found["cd_visible"] < 1e-5 and found["mask_iou"] > 0.999 and found["texture_rows"] == 8
+    assert found["mse_albedo"] < 1e-5 and found["mse_metallic"] < 1e-5
+    assert found["mse_roughness"] == pytest.approx(0.01, rel=0.01) and found["true_roughness_deviation"] < 1e-3
+    assert picture.is_file() and "background_psnr" not in found
+    assert score_asset(tmp_path, asset, preset("preview"), "cpu", picture) == {}
+
+
+def test_relit_pictures_that_differ_by_a_tenth_agree_to_20_decibels_on_the_object_alone():
+    pytest.importorskip("bpy")
+    from benchmarks.scoring.relighting import agreement, exposed
+
+    rng = np.random.default_rng(0)
+    true = rng.random((2, 1, 32, 32, 3)).astype(np.float32) * 0.5
+    inside = np.zeros((2, 32, 32), bool)
+    inside[:, 8:24, 8:24] = True
+    beside = true + ~inside[:, None, :, :, None] * 0.3  # what does not belong to the object does not count
+    pairs, inner = [[(a[0], b[0])] for a, b in zip(true, beside, strict=True)], np.zeros_like(inside)
+    inner[:, 11:21, 11:21] = True  # the windows of SSIM are 7 pixels wide
+    assert agreement(pairs, inside)[0] == [pytest.approx(120)] and agreement(pairs, inner)[1] == [pytest.approx(1)]
+    psnr, ssim = agreement([[(a[0], a[0] + np.float32(0.1))] for a in true], inside)
+    assert psnr == [pytest.approx(20, abs=1e-3)] and 0.5 < ssim[0] < 1
+    bright, other = exposed(true[0, 0] * 50, true[0, 0] * 50, inside[0])
+    dark, _ = exposed(true[0, 0], true[0, 0], inside[0])
+    assert bright == pytest.approx(dark, abs=1e-5) and (bright == other).all()
+
+
+def test_an_exponent_is_that_of_the_power_law_and_what_cannot_be_timed_has_none():
+    values = [5, 10, 20, 40]
+    assert scaling.exponent(values, [3e-2 * v**1.5 for v in values]) == pytest.approx(1.5)
+    assert np.isnan(scaling.exponent(values, [0.0, 1e-5, 1.0, 2.0]))
+    rows = [{"factor": "views", "value": v, "cpu_seconds": {"decode": 0.01 * v}, "peak_mb": 500.0} for v in (20, 5, 10)]
+    rows.append({"factor": "views", "value": 40, "error": "no memory"})
+    assert scaling.curves(rows) == [("views", "decode", [5, 10, 20], [0.05, 0.1, 0.2]),
+                                    ("views", "peak memory, MB", [5, 10, 20], [500.0] * 3)]
+    assert "| views | decode | 5, 10, 20 | 0.05, 0.1, 0.2 | 1.00 |" in scaling.table(rows)
+
+
+def test_every_size_that_is_varied_changes_what_is_measured_and_is_timed():
+    class Recorder:
+        def __getattr__(self, kind):
+            return lambda *arguments, **keywords: (kind, arguments, tuple(keywords.items()))
+
+    for values, work, stages in scaling.FACTORS.values():
+        assert len({work(Recorder(), value) for value in values}) == len(values) and stages

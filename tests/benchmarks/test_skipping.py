@@ -1,0 +1,48 @@
+"""The benchmark of what is left out: the captures it makes are what they say, its table shows only what differs."""
+
+
+import pytest
+import torch
+
+pytest.importorskip("igl")
+from benchmarks.studies.skipping import Scene, line, without_skipping
+from blender_nep.capture import PixelRays, load_capture
+from blender_nep.job.scene_analysis import SceneAnalysis
+from blender_nep.presets import preset
+from support.paths import SUZANNE_SMALL
+
+
+def look(scene: Scene) -> SceneAnalysis:
+    return SceneAnalysis.of(PixelRays.from_capture(load_capture(scene.folder), 40_000, scene.masks, torch.device("cpu")))
+
+
+def test_captures_are_made_with_the_needs_that_they_are_named_for(tmp_path):
+    plain = look(Scene.parse(f"{SUZANNE_SMALL}:masks", tmp_path))
+    cut, white, far = (look(Scene.parse(f"{SUZANNE_SMALL}:{word}", tmp_path)) for word in ("cut-out", "clipped", "distant"))
+    assert plain.backdrop and white.backdrop and far.backdrop and not cut.backdrop
+    assert plain.clipped < 0.001 and 0.01 < white.clipped < 0.05 and white.brightest <= 1
+    assert far.pixels_across == pytest.approx(plain.pixels_across / 4, rel=0.02)
+    for made in (cut, white, far):
+        assert made.object_share == pytest.approx(plain.object_share, rel=0.05)
+
+
+def test_a_scene_says_what_is_told_about_it(tmp_path):
+    told = Scene.parse(f"{SUZANNE_SMALL}:metal", tmp_path)
+    assert told == Scene(SUZANNE_SMALL, "suzanne_small-metal", masks=False, metal=True)
+    with pytest.raises(SystemExit, match="glas"):
+        Scene.parse(f"{SUZANNE_SMALL}:glas", tmp_path)
+
+
+def test_the_table_names_what_only_one_of_both_left_out():
+    scores = {"cd_visible": 0.5, "normal_deg": 1.0, "mse_roughness": 0.0, "mse_metallic": 0.0, "mse_albedo": 0.0}
+    rows = {True: [scores | {"seconds": s, "skipped": {"mask term": "", "indirect light": ""}} for s in (1.0, 3.0)],
+            False: [scores | {"seconds": 4.0, "skipped": {"mask term": ""}}]}
+    name, left_out, seconds, saved, *_ = line("ball", rows)
+    assert (name, left_out, seconds, saved) == ("ball", "indirect light", "2 ± 1 / 4", "50 %")
+    assert line("ball", rows | {False: [{"error": "no surface"}]}) == ["ball", "no surface"]
+
+
+def test_without_skipping_turns_all_of_it_off():
+    whole = without_skipping(preset("preview"))
+    assert not whole.skip_needless and whole.material.uniform_texels == whole.material.most_texels
+    assert whole.material.sure_margin == float("inf") and whole.fields == preset("preview").fields

@@ -1,0 +1,208 @@
+"""The suite's plans, its runner (with steps that learn nothing) and its captures with fewer photos."""
+
+import json
+import subprocess
+import sys
+import threading
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+pytest.importorskip("fcntl", reason="the suite runs on POSIX systems")
+from benchmarks.__main__ import main
+from benchmarks.suite.fewer_views import spread, with_fewer_views
+from benchmarks.suite.harness import Children, read_row, write_row
+from benchmarks.suite.plan import ABLATIONS, AS_TAKEN, PLANS, WITHOUT_F_E, Run, expand
+from benchmarks.suite.runner import Suite, failure
+from benchmarks.suite.step import STAGE_1, _take_stage_1, learn
+from blender_nep.capture import load_capture
+from blender_nep.checkpoints import StopRequest, save_state
+from blender_nep.job.run_folder import RunFolder, fingerprint
+from blender_nep.presets import PRESETS, preset
+from support.paths import SUZANNE_SMALL
+
+
+class FakeSuite(Suite):
+    """Its learning fails for seed 1; counts what was done."""
+
+    def __init__(self, *arguments, **keywords):
+        super().__init__(*arguments, **keywords)
+        self.done = []
+
+    def _step(self, step, run, asset):
+        self.done.append((step, run.name))
+        return {"error": "no surface was found"} if step == "learn" and run.seed == 1 else {"figure": 1.0}
+
+
+def test_a_plan_crosses_what_it_names_and_what_is_wanted_overrides_it():
+    two = [Path("a/box"), Path("b/bunny")]
+    runs = expand(["presets"], two, {})
+    assert len(runs) == 2 * 3 * 3 and len({run.name for run in runs}) == len(runs)
+    assert {run.ablation for run in runs} == {"full"} and [run.seed for run in runs[:6]] == [0] * 6
+    assert [run.preset for run in expand(["presets"], two[:1], {"preset": ("quality",), "seed": (5,)})] == ["quality"]
+    everything = {run.name for run in expand(["all"], two, {})}
+    assert everything == {run.name for name in PLANS for run in expand([name], two, {})}
+    assert len(expand([], two, {"ablation": tuple(ABLATIONS)})) == 2 * len(ABLATIONS)
+    assert not any(run.ablation == AS_TAKEN for run in expand(["all"], two, {})), "no plan has photos of differing exposure"
+
+
+def test_only_whole_jobs_as_a_user_would_run_them_are_relit(tmp_path):
+    plain = Run(SUZANNE_SMALL, "preview")
+    changes = {"ablation": "no cones", "views": 8, "pixels": 99, "geometry": "true"}
+    others = [replace(plain, **{name: value}) for name, value in changes.items()]
+    suite = FakeSuite(tmp_path, relight=True)
+    suite.run_all([plain, replace(plain, preset="quality"), *others], 1)
+    relit = {name for step, name in suite.done if step == "relight"}
+    assert relit == {plain.name, replace(plain, preset="quality").name}
+
+
+@pytest.mark.parametrize("captures", [[SUZANNE_SMALL, SUZANNE_SMALL / "images" / ".."], [SUZANNE_SMALL.parent / "nothing"]])
+def test_captures_of_one_name_and_folders_that_are_none_are_refused(captures, tmp_path):
+    with pytest.raises(SystemExit):
+        main(["run", *map(str, captures), "--out", str(tmp_path)])
+    assert not list(tmp_path.iterdir())
+
+
+def test_the_list_of_a_plan_is_its_runs(capsys):
+    assert main(["run", str(SUZANNE_SMALL), "--plan", "views", "--views", "8", "all", "--list"]) == 0
+    assert capsys.readouterr().out.split() == [f"{SUZANNE_SMALL.name}-preview-full-8_views-seed_0",
+                                               f"{SUZANNE_SMALL.name}-preview-full-seed_0"]
+
+
+def test_only_runs_that_change_stage_2_alone_take_over_a_stage_1():
+    def same(ablation):
+        return Run(Path("box"), ablation=ablation, seed=3).same_stage_1
+
+    assert same("no cones") == Run(Path("box"), ablation="full", seed=3)
+    assert same("full") is None and same("environment at infinity") is None and same("no curvature") is None
+
+
+def test_a_stage_1_that_is_taken_over_is_what_the_job_finds_when_it_resumes(tmp_path):
+    run, done = Run(SUZANNE_SMALL, "preview", "no cones", seed=3), {"seconds": 12.0, "result": {"steps": 7}}
+    assert not _take_stage_1(tmp_path / "other", tmp_path / "asset", SUZANNE_SMALL, run, None)
+    (tmp_path / "other" / "checkpoints").mkdir(parents=True)
+    for room in STAGE_1:
+        save_state(tmp_path / "other" / "checkpoints" / f"{room}.done.pt", done)
+    for donor, taken in ((Run(SUZANNE_SMALL, "preview", seed=4), False), (Run(SUZANNE_SMALL, "preview", seed=3), True)):
+        made = fingerprint(load_capture(SUZANNE_SMALL), donor.changed_preset, donor.seed, False, None)
+        write_row(tmp_path / "other" / "report.json", {"fingerprint": made})
+        assert _take_stage_1(tmp_path / "other", tmp_path / "asset", SUZANNE_SMALL, run, None) == taken
+    folder = RunFolder(tmp_path / "asset", StopRequest(), print)
+    assert folder.begin(fingerprint(load_capture(SUZANNE_SMALL), run.changed_preset, 3, False, None), resume=True)
+    assert folder.load_result("fields_learning") == ({"steps": 7}, 12.0) and folder.load_result("material_learning") is None
+
+
+def test_a_changed_preset_has_the_image_size_and_the_ablation():
+    changed = Run(Path("box"), "quality", "N = 1", pixels=1234).changed_preset
+    assert changed.max_pixels_per_photo == 1234 and changed.material.levels == 1
+    assert changed.fields == preset("quality").fields and not changed.skip_needless
+
+
+def test_what_is_done_is_not_done_again_and_a_failed_run_is_a_row(tmp_path):
+    runs = [Run(SUZANNE_SMALL, "preview", seed=seed) for seed in (0, 1)]
+    suite = FakeSuite(tmp_path)
+    assert suite.run_all(runs, 2) == 1
+    rows = {run.seed: read_row(tmp_path / "rows" / f"{run.name}.json") for run in runs}
+    assert failure(rows[1]) == "learn: no surface was found" and "score" not in rows[1] and not failure(rows[0])
+    assert rows[0]["run"]["capture"] == SUZANNE_SMALL.name and rows[0]["machine"]["threads"] == 1
+    again = FakeSuite(tmp_path, relight=True)
+    again.run_all(runs, 1)
+    assert again.done == [("relight", runs[0].name)]
+    retried = FakeSuite(tmp_path, retry=True)
+    retried.run_all(runs, 1)
+    assert retried.done == [("learn", runs[1].name)]
+
+
+def test_two_runners_do_not_do_the_same_run(tmp_path):
+    class Slow(FakeSuite):
+        def _step(self, step, run, asset):
+            time.sleep(0.3)
+            return super()._step(step, run, asset)
+
+    both = [Slow(tmp_path), Slow(tmp_path)]
+    threads = [threading.Thread(target=one.run, args=(Run(SUZANNE_SMALL),)) for one in both]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert sorted(len(one.done) for one in both) == [0, 2]
+
+
+def test_a_run_that_takes_over_a_stage_1_waits_for_it(tmp_path):
+    class Slow(FakeSuite):
+        def _step(self, step, run, asset):
+            if run.ablation == "full":
+                time.sleep(0.3)
+            return super()._step(step, run, asset)
+
+    suite = Slow(tmp_path)
+    full, other = Run(SUZANNE_SMALL), Run(SUZANNE_SMALL, ablation="no cones")
+    suite.run_all([full, other], 2)
+    assert suite.done == [(step, run.name) for run in (full, other) for step in ("learn", "score")]
+
+
+def test_a_step_that_crashes_or_hangs_is_an_error(tmp_path):
+    children, log = Children(), tmp_path / "log"
+    dead = children.run([sys.executable, "-c", "import os; os.abort()"], log, 1, 60)
+    assert dead.code == -6 and not dead.timed_out
+    hung = children.run([sys.executable, "-c", "import time; time.sleep(60)"], log, 1, 0.5)
+    assert hung.timed_out and hung.code == -9 and hung.cpu_seconds < 5
+    threading.Timer(0.5, lambda: setattr(children, "stopped", True)).start()
+    stopped = children.run([sys.executable, "-c", "import time; time.sleep(60)"], log, 1, 60)
+    assert stopped.code == -9 and not stopped.timed_out
+    children.stopped = False
+    missing = Suite(tmp_path).run(Run(tmp_path / "nothing", "preview"))
+    assert "there is no folder" in failure(missing) and str(tmp_path) not in failure(missing)
+
+
+def test_memory_and_cpu_seconds_are_those_of_the_step_alone(tmp_path):
+    # from a process as small as the runner: Linux counts what stood in the memory of the process that starts another
+    code = ("import sys; from pathlib import Path; from benchmarks.suite.harness import Children\n"
+            "def used(code):\n"
+            "    ended = Children().run([sys.executable, '-c', code], Path(sys.argv[1]), 1, 60)\n"
+            "    return f'{ended.peak_mb} {ended.cpu_seconds}'\n"
+            "print(used('bytearray(b\"1\") * 300_000_000'), used('sum(range(20_000_000))'))")
+    run = subprocess.run([sys.executable, "-c", code, tmp_path / "log"], capture_output=True, text=True, check=True,
+                         cwd=SUZANNE_SMALL.parent.parent)
+    eater, _, worker, worker_seconds = map(float, run.stdout.split())
+    assert 280 < eater < 400 and worker < 100
+    assert worker_seconds > 0.02
+
+
+def test_fewer_views_are_spread_and_are_the_beginning_of_more():
+    turn = np.linspace(0, 2 * np.pi, 64, endpoint=False)
+    circle = np.stack([np.cos(turn), np.sin(turn), 0 * turn], 1)
+    four = spread(circle, 4)
+    assert sorted(four) == [0, 16, 32, 48] and spread(circle, 8)[:4] == four
+    assert len(spread(circle, 100)) == 64
+
+
+def test_a_capture_with_fewer_views_is_a_capture_of_the_same_object(tmp_path):
+    whole, few = load_capture(SUZANNE_SMALL), load_capture(with_fewer_views(SUZANNE_SMALL, 8, tmp_path / "few"))
+    assert len(few.views) == 8 and few.object_radius == whole.object_radius
+    places = {tuple(view.camera.position): view.image_path.resolve() for view in whole.views}
+    assert all(places[tuple(view.camera.position)] == view.image_path.resolve() for view in few.views)
+    assert fingerprint(few, preset("preview"), 0, False, None)["capture"] != fingerprint(
+        whole, preset("preview"), 0, False, None)["capture"]
+    assert str(SUZANNE_SMALL) not in json.dumps((tmp_path / "few" / "transforms.json").read_text())
+
+
+def test_a_run_without_f_e_in_stage_2_has_the_same_mesh_from_the_same_stage_1_and_other_light(tmp_path, monkeypatch):
+    from benchmarks.scoring.materials import read_materials
+    from benchmarks.stress.scenes import Case, tiny_preset, write_capture
+
+    monkeypatch.setitem(PRESETS, "preview", tiny_preset())
+    monkeypatch.setattr(StopRequest, "watch", lambda self: None)  # a test has no standard input to be told by
+    write_capture(Case(), tmp_path / "ball")
+    whole, other = tmp_path / "whole", tmp_path / "other"
+    order = {"settings": {"device": "cpu", "threads": 1}}
+    made = learn(Run(tmp_path / "ball", "preview"), whole, order)
+    assert not made["resumed_rooms"] and {"fields_learning", "surface"} < set(made["room_cpu_seconds"])
+    taken = learn(Run(tmp_path / "ball", "preview", WITHOUT_F_E), other, order | {"stage_1": str(whole)})
+    assert sorted(taken["resumed_rooms"]) == sorted(STAGE_1) and "fields_learning" not in taken["room_cpu_seconds"]
+    assert (whole / "mesh.obj").read_bytes() == (other / "mesh.obj").read_bytes()
+    one, two = (read_materials(asset) for asset in (whole, other))
+    assert np.abs(one.albedo - two.albedo).mean() > 1e-3, "F_e was there"

@@ -1,0 +1,173 @@
+"""Gains of photos: known ones are found again in a room of known size and in rendered photos; else none are found."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from blender_nep.asset.preview import render_preview
+from blender_nep.capture import PixelRays, exposure, load_capture
+from blender_nep.capture.exposure import SPHERES, Exposures, find_exposures, stops
+from blender_nep.checkpoints import NoCheckpoint
+from blender_nep.fields.training import FieldsLearning, learn_fields
+from blender_nep.geometry.ray_tracing import RayTracer
+from blender_nep.job.live_preview import render_pair
+from blender_nep.job.scene_analysis import SceneAnalysis, view_dependence
+from blender_nep.materials.photo_samples import select_samples
+from blender_nep.presets import preset
+from blender_nep.surface.extraction import load_surface
+from support.paths import SUZANNE_SMALL
+
+TENTH_OF_A_STOP = 0.07
+"""ln 2 / 10"""
+
+
+def gains(views: int, deviation: float, seed: int, hue: float = 0.0) -> torch.Tensor:
+    """Random factors [views, 3] of geometric mean 1; deviations of the logarithms, together and of each channel."""
+    random = torch.Generator().manual_seed(seed)
+    log = deviation * torch.randn(views, 1, generator=random) + hue * torch.randn(views, 3, generator=random)
+    return (log - log.mean(0)).exp()
+
+
+def taken_with(rays: PixelRays, gain: torch.Tensor) -> PixelRays:
+    return replace(rays, radiance=rays.radiance * gain[rays.view_of(torch.arange(rays.count))])
+
+
+def difference(found: torch.Tensor, true: torch.Tensor) -> float:
+    return float((found.log() - true.log()).square().mean().sqrt())
+
+
+@pytest.fixture(params=[SPHERES[4], 4.1], ids=["on a sphere", "between two"])
+def in_a_ball(make_capture, request):
+    """Photos from within a coloured ball, of a radius in camera distances; each sees a sixth of it."""
+    rays = PixelRays.from_capture(load_capture(make_capture(views=40, size=64).folder), 40_000, False)
+    origin, direction, _ = rays.rays(torch.arange(rays.count))
+    distance = request.param * float(origin.norm(dim=-1).mean())
+    along = (origin * direction).sum(-1)
+    t = -along + (along**2 - origin.square().sum(-1) + distance**2).sqrt()
+    place = (origin + t[:, None] * direction) / distance
+    colour = 0.3 + 0.2 * torch.sin(5 * place + torch.tensor([0.0, 1.0, 2.0])) * torch.cos(4 * place.roll(1, -1))
+    return replace(rays, radiance=colour)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_known_exposures_and_white_balances_are_found_again(in_a_ball, seed):
+    true = gains(in_a_ball.views, 0.4, seed, hue=0.1)
+    found = find_exposures(taken_with(in_a_ball, true)).gain
+    assert difference(found, true) < TENTH_OF_A_STOP
+    torch.testing.assert_close(found.log().mean(0), torch.zeros(3), atol=1e-5, rtol=0)
+
+
+def test_photos_of_one_exposure_are_left_alone(in_a_ball):
+    assert find_exposures(in_a_ball) == Exposures(None)
+    rays = PixelRays.from_capture(load_capture(SUZANNE_SMALL), 40_000, False)
+    assert find_exposures(rays) == Exposures(None)
+
+
+@pytest.mark.parametrize("deviation", [0.25, 0.7])
+def test_exposures_of_rendered_photos_are_found_within_a_tenth_of_a_stop(deviation):
+    rays = PixelRays.from_capture(load_capture(SUZANNE_SMALL), 40_000, False)
+    true = gains(rays.views, deviation, 4)
+    assert difference(find_exposures(taken_with(rays, true)).gain, true) < TENTH_OF_A_STOP
+
+
+def test_white_balance_alone_is_found_too(in_a_ball):
+    true = gains(in_a_ball.views, 0, 8, hue=0.25)
+    true = (true.log() - true.log().mean(1, keepdim=True)).exp()
+    rays = taken_with(in_a_ball, true)
+    found = find_exposures(rays).gain
+    assert difference(found, true) < TENTH_OF_A_STOP
+    assert "The photos differ in white balance, which is evened out." in SceneAnalysis.of(rays.with_gain(true)).sentences()
+
+
+def test_what_is_white_in_a_file_says_nothing(in_a_ball, monkeypatch):
+    true = gains(in_a_ball.views, 0.4, 5)
+    clipped = taken_with(in_a_ball, 1.6 * true)
+    clipped = replace(clipped, radiance=clipped.radiance.clamp(max=1))
+    assert (clipped.radiance == 1).any(-1).float().mean() > 0.1
+    without_white = difference(find_exposures(clipped).gain, true)
+    monkeypatch.setattr(exposure, "SATURATED", 2.0)
+    assert without_white < min(0.1, 0.8 * difference(find_exposures(clipped).gain, true))
+
+
+def test_it_is_not_told_where_it_cannot_be(in_a_ball, make_capture):
+    alone = make_capture(views=8, masks=True, alpha=True, name="cut").folder
+    cut = PixelRays.from_capture(load_capture(alone), 40_000, True)
+    assert not cut.background and find_exposures(cut) == Exposures(None)
+    dark = replace(in_a_ball, radiance=torch.zeros_like(in_a_ball.radiance))
+    assert find_exposures(dark) == Exposures(None)
+    noise = torch.rand(in_a_ball.radiance.shape, generator=torch.Generator().manual_seed(0))
+    assert find_exposures(replace(in_a_ball, radiance=noise)).gain is None
+    # photos of which each shows something else, in cells that happen to be the same
+    random = torch.Generator().manual_seed(1)
+    other = in_a_ball.radiance.roll(997, 0) * torch.rand(in_a_ball.count, 1, generator=random).pow(3)
+    assert find_exposures(taken_with(replace(in_a_ball, radiance=other), gains(in_a_ball.views, 0.4, 2))).gain is None
+
+
+@pytest.mark.parametrize("shows", [0, 5])
+def test_a_photo_that_shares_little_or_nothing_is_guessed_by_its_brightness_and_named(in_a_ball, shows):
+    true = gains(in_a_ball.views, 0.4, 6)
+    rays = taken_with(in_a_ball, true)
+    start, end = rays.offset[3:5]
+    valid = rays.valid.clone()
+    valid[start:end] = False
+    valid[start:end].view(rays.size[3])[:shows, :shows] = True
+    found = find_exposures(replace(rays, valid=valid))
+    others = [v for v in range(rays.views) if v != 3]
+    log = found.gain.log() - true.log()
+    log = log - log[others].mean(0)
+    assert float(log[others].square().mean().sqrt()) < TENTH_OF_A_STOP
+    assert "of 1 photos is a guess" in found.warning and found.gain.isfinite().all()
+    if shows:
+        assert log[3].abs().max() < 0.7
+
+
+def test_few_photos_cannot_tell(make_capture):
+    rays = PixelRays.from_capture(load_capture(make_capture(views=6, name="few").folder), 40_000, False)
+    assert find_exposures(rays) == Exposures(None) == find_exposures(taken_with(rays, gains(6, 0.5, 0)))
+
+
+def test_photos_are_read_as_of_one_exposure_and_the_scene_says_so(in_a_ball):
+    true = gains(in_a_ball.views, 0.5, 7)
+    rays = taken_with(in_a_ball, true).with_gain(true)
+    index = torch.tensor([0, 5, rays.offset[9] + 3, rays.count - 1])
+    torch.testing.assert_close(rays.photo(index), in_a_ball.radiance[index], rtol=1e-5, atol=1e-6)
+    assert torch.equal(in_a_ball.photo(index), in_a_ball.radiance[index])
+    assert stops(true) == pytest.approx((true.log()[:, 0] / np.log(2)).tolist(), abs=0.006)
+    spread = np.ptp(stops(true))
+    said = f"The photos differ in exposure (by up to {spread:.1f} stops), which is evened out."
+    assert said in SceneAnalysis.of(rays).sentences()
+    assert "exposure" not in " ".join(SceneAnalysis.of(in_a_ball).sentences())
+
+
+def test_brightest_is_looked_for_once(in_a_ball):
+    assert in_a_ball.brightest == float(in_a_ball.radiance.max())
+    in_a_ball.radiance[0] = 9.0
+    assert in_a_ball.with_gain(None).brightest < 9
+
+
+def test_everything_reads_the_photos_as_of_one_exposure(tmp_path):
+    """Gains that are powers of two change no bit of what is learned or shown."""
+    rays = PixelRays.from_capture(load_capture(SUZANNE_SMALL), 2500, True)
+    true = 2.0 ** torch.randint(-2, 3, (rays.views, 1), generator=torch.Generator().manual_seed(3)).expand(-1, 3).float()
+    other = taken_with(rays, true).with_gain(true)
+    surface = load_surface(SUZANNE_SMALL / "gt_mesh.ply", load_capture(SUZANNE_SMALL), preset("preview").surface)
+    tracer = RayTracer(surface.vertices, surface.faces)
+    p = preset("preview")
+    p = replace(p, fields=replace(p.fields, background_steps=8, steps=24, object_rays=128, sphere_rays=128, outside_rays=128,
+                                  least_evidence=0))
+
+    def all_of(photos: PixelRays) -> list:
+        fields = learn_fields(photos, p, seed=0, device=torch.device("cpu"), progress=lambda *_: None,
+                              checkpoint=NoCheckpoint(), watch=lambda learning: watched.append(learning))
+        samples = select_samples(photos, tracer, surface.normals, count=300, least_cosine=0.2,
+                                 generator=np.random.default_rng(0))
+        textures = {"albedo": np.full((4, 4, 3), 0.5), "roughness": np.full((4, 4, 1), 0.3), "metallic": np.zeros((4, 4, 1))}
+        return [fields.report, fields.environment.raw.detach().numpy(), samples.radiance.numpy(),
+                render_preview(photos, surface, textures, np.ones((8, 16, 3))), render_pair(watched[-1], 2),
+                view_dependence(tracer, surface.normals, photos, np.random.default_rng(0))]
+
+    watched: list[FieldsLearning] = []
+    for one, same in zip(all_of(rays), all_of(other), strict=True):
+        np.testing.assert_equal(one, same)

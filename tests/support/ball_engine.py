@@ -1,0 +1,46 @@
+"""An engine that is real but for its rooms (ball_stages.BallRooms), as an executable that stands for the engine's Python.
+
+BALL_STEPS and BALL_DELAY (seconds a step) in the environment say how long it takes.
+"""
+
+import stat
+import sys
+from pathlib import Path
+
+from support.paths import ROOT, TESTS
+
+SCRIPT = """#!{python}
+import os, sys, time
+assert sys.argv[1:4] == ["-I", "-m", "blender_nep"], sys.argv
+assert not [name for name in os.environ if name.startswith(("PYTHON", "BLENDER_"))], dict(os.environ)
+sys.path[:0] = [{root!r}, {tests!r}]
+import numpy as np
+from support.ball_stages import BallRooms, ball_surface
+from PIL import Image
+from blender_nep import cli
+from blender_nep.job import runner as job
+from blender_nep.checkpoints import Checkpoint
+
+class Rooms(BallRooms):
+    def learn_fields(self, *arguments, watch=None, **keywords):
+        if watch is not None:
+            ball = ball_surface()
+            np.savez(watch.path / "preview.npz", vertices=ball.vertices.astype("f"), faces=ball.faces.astype("i"))
+            Image.new("RGB", (64, 32), (200, 100, 50)).save(watch.path / "preview.png")
+            for name in ("preview.npz", "preview.png"):
+                watch.events.preview(watch.path / name)
+        return super().learn_fields(*arguments, **keywords)
+
+delay = float(os.environ.get("BALL_DELAY", 0))
+Checkpoint.interval = 0.1
+job.Rooms = lambda: Rooms(int(os.environ.get("BALL_STEPS", 3)), lambda room, step: time.sleep(delay))
+sys.exit(cli.main(sys.argv[4:]))
+"""
+
+
+def make(folder: Path) -> str:
+    """Write the executable; returns its path."""
+    path = folder / "engine-python"
+    path.write_text(SCRIPT.format(python=sys.executable, root=str(ROOT), tests=str(TESTS)))
+    path.chmod(path.stat().st_mode | stat.S_IXUSR)
+    return str(path)

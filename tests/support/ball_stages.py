@@ -1,0 +1,87 @@
+"""Rooms that learn nothing, for the tests of the job around them: they know the answer, a grey ball."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import numpy as np
+import torch
+import trimesh
+
+from blender_nep.errors import LearningError
+from blender_nep.job.stages import Rooms
+from blender_nep.materials.training import Materials
+from blender_nep.surface.extraction import Surface
+from support.captures import RADIUS
+
+
+class BallRooms(Rooms):
+    """Rooms that know the answer, a grey ball, and count steps instead of learning."""
+
+    def __init__(self, steps: int = 5, on_step=None, fail: Exception | None = None) -> None:
+        self.steps, self.on_step, self.fail = steps, on_step, fail
+        self.entered: list[str] = []
+        self.started_at: dict[str, int] = {}
+
+    def _loop(self, room, progress, checkpoint) -> int:
+        self.entered.append(room)
+        state = checkpoint.load() or {"step": 0}
+        self.started_at[room] = state["step"]
+        for step in range(state["step"], self.steps):
+            if self.on_step is not None:
+                self.on_step(room, step)
+            if checkpoint.due():
+                checkpoint.save({"step": step, "array": np.arange(3), "tensor": torch.ones(2)})
+            progress(step + 1, self.steps, 1.0 / (step + 1))
+        return self.steps
+
+    def learn_fields(self, rays, preset, *, seed, device, progress, checkpoint, surface=None):
+        self._loop("fields_learning", progress, checkpoint)
+        if self.fail is not None:
+            raise self.fail
+        report = {"loss": 0.1, "skipped": {"nothing": "a test"}}
+        return SimpleNamespace(object_field="ball", environment=GreyLight(), report=report)
+
+    def pack_fields(self, fields):
+        return {"report": fields.report}
+
+    def unpack_fields(self, state, preset, device):
+        return SimpleNamespace(object_field="ball", environment=GreyLight(), report=state["report"])
+
+    def extract_surface(self, object_field, preset):
+        self.entered.append("surface")
+        if object_field != "ball":
+            raise LearningError("no surface")
+        return ball_surface(), {"faces": 80}
+
+    def load_surface(self, mesh, capture, preset):
+        return ball_surface()
+
+    def learn_materials(self, surface, environment, rays, preset, *, seed, device, progress, checkpoint):
+        self._loop("material_learning", progress, checkpoint)
+        return Materials(**ball_textures(), report={"texels": 64})
+
+
+class GreyLight:
+    """A uniform environment."""
+
+    coverage = 1.0
+
+    def equirect(self, height):
+        return torch.full((height, 2 * height, 3), 0.5), torch.full((height, 2 * height), self.coverage)
+
+
+def ball_surface() -> Surface:
+    """A ball of radius 0.5 / RADIUS in the unit frame, with UVs of a kind."""
+    mesh = trimesh.creation.icosphere(2, 0.5 / RADIUS)
+    unit = np.asarray(mesh.vertices) / (0.5 / RADIUS)
+    uv = 0.5 + 0.4 * unit[:, :2]
+    return Surface(np.asarray(mesh.vertices), np.asarray(mesh.faces, np.int64), unit, uv)
+
+
+def ball_textures() -> dict[str, np.ndarray]:
+    """Textures 16 x 16 that change from row to row and column to column."""
+    ramp = np.linspace(0, 1, 16, dtype=np.float32)
+    albedo = np.stack(np.broadcast_arrays(ramp[:, None], ramp[None, :], np.float32(0.25)), -1).astype(np.float32)
+    flat = np.ones((16, 16), np.float32)
+    return {"albedo": albedo, "roughness": flat * ramp[:, None], "metallic": flat * ramp, "confidence": flat}

@@ -1,0 +1,66 @@
+"""The extension in every Blender that it is for: `make test-blender`, or with the versions wanted:
+
+    python tests/support/blender_matrix.py [4.2 4.5 5.0 5.2]
+
+Each version is the bpy wheel in an environment of its own, .venv-blender/VERSION (1 GB each, made once). The engine is
+the Python that runs this file; it makes one asset of the bundled capture, once, and all versions use it.
+"""
+
+import os
+import shutil
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+import extension
+
+PYTHON_OF = {"4.2": "3.11", "4.5": "3.11", "5.0": "3.11", "5.2": "3.13"}  # the one Python that each wheel is built for
+ENVIRONMENTS = extension.ROOT / ".venv-blender"
+CAPTURE = extension.ROOT / "data" / "suzanne_small"
+ASSET = extension.ROOT / "out" / "blender_matrix"
+INSTALL_LIMIT_S, ENGINE_LIMIT_S, SESSION_LIMIT_S = 1800, 1800, 600
+
+
+def find_python(version: str) -> str:
+    """An interpreter of that version with its venv module: on the path, or one of pyenv's. SystemExit without."""
+    pyenv = Path(os.environ.get("PYENV_ROOT", Path.home() / ".pyenv"), "versions")
+    candidates = [f"python{version}", *map(str, sorted(pyenv.glob(f"{version}.*/bin/python{version}")))]
+    for candidate in candidates:
+        if shutil.which(candidate) and not subprocess.run([candidate, "-c", "import venv"], capture_output=True).returncode:
+            return candidate
+    sys.exit(f"Python {version} was not found: put python{version} on the PATH")
+
+
+def environment(version: str) -> str:
+    """The Python of the environment with that Blender; makes it where it is not there."""
+    python = ENVIRONMENTS / version / "bin" / "python"
+    if subprocess.run([python, "-c", "import bpy"], capture_output=True).returncode if python.exists() else True:
+        print(f"Blender {version}: installing", flush=True)
+        subprocess.run([find_python(PYTHON_OF[version]), "-m", "venv", "--clear", ENVIRONMENTS / version], check=True)
+        subprocess.run([python, "-m", "pip", "install", "--quiet", f"bpy=={version}.*"], check=True,
+                       timeout=INSTALL_LIMIT_S)
+    return str(python)
+
+
+def main(versions: list[str]) -> int:
+    subprocess.run([sys.executable, "-m", "blender_nep", "reconstruct", CAPTURE, "--out", ASSET, "--preset", "preview",
+                    "--resume"], check=True, timeout=ENGINE_LIMIT_S, cwd=extension.ROOT)
+    failed = []
+    for version in versions:
+        python = environment(version)
+        with tempfile.TemporaryDirectory() as folder:
+            archive = extension.build(Path(folder) / "blender_nep.zip")
+            try:
+                ended = extension.session(python, sys.executable, archive, CAPTURE, ASSET, Path(folder) / "session",
+                                          SESSION_LIMIT_S)
+                told, code = ended.stdout, ended.returncode
+            except subprocess.TimeoutExpired as error:
+                told, code = (error.stdout or b"").decode(errors="replace"), f"none after {SESSION_LIMIT_S} s"
+        print(f"Blender {version}: " + ("passed" if code == 0 else f"FAILED, exit code {code}\n{told[-4000:]}"), flush=True)
+        failed += [version] if code != 0 else []
+    return 1 if failed else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:] or list(PYTHON_OF)))

@@ -1,0 +1,41 @@
+"""Tiny captures made on the spot."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import OpenEXR
+
+CENTER, RADIUS = np.array([0.3, -0.2, 0.5]), 0.8
+
+
+def look_at(position: np.ndarray, target: np.ndarray) -> np.ndarray:
+    """A camera-to-world matrix [4, 4] at `position`, looking at `target`, z up."""
+    back = (position - target) / np.linalg.norm(position - target)
+    right = np.cross([0.0, 0.0, 1.0], back)
+    right /= np.linalg.norm(right)
+    matrix = np.eye(4)
+    matrix[:3, :4] = np.stack([right, np.cross(back, right), back, position], 1)
+    return matrix
+
+
+def write_exr(path: Path, pixels: np.ndarray) -> None:
+    """[H, W, 3 or 4] as half float, or a dict of channels."""
+    channels = pixels if isinstance(pixels, dict) else {"RGBA"[: pixels.shape[-1]]: pixels.astype(np.float16)}
+    OpenEXR.File({"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}, channels).write(str(path))
+
+
+@dataclass
+class TinyCapture:
+    """A folder with a capture of a grey ball of radius `ball` before a gradient, and its transforms as a dict."""
+
+    folder: Path
+    meta: dict
+
+    def save(self) -> Path:
+        """Write transforms.json and return the folder."""
+        (self.folder / "transforms.json").write_text(json.dumps(self.meta))
+        return self.folder

@@ -1,0 +1,44 @@
+"""An executable that only plays venv and pip, for the tests of the engine's installation."""
+
+import os
+import stat
+import sys
+from pathlib import Path
+
+PLAYED = """#!{python}
+import os, pathlib, shutil, sys, time
+mode = pathlib.Path({folder!r}, "mode").read_text()
+what = sys.argv[2:]
+if what[0] == "-c" and "version_info" in what[1]:
+    print("version", *mode.split()[1:] if mode.startswith("old") else (3, 12))
+    sys.exit("No module named 'ensurepip'" if mode == "no venv" else 0)
+if what[0] == "-c":
+    print("versions 2.9.9 0.1.0")
+elif what[:2] == ["-m", "venv"]:
+    place = pathlib.Path(what[2], *{place!r})
+    place.parent.mkdir(parents=True)
+    shutil.copy(__file__, place)
+elif what[:3] == ["-m", "pip", "install"]:
+    with open({folder!r} + "/pip.txt", "a") as told:
+        print(*what[3:], file=told)
+    print("Collecting something", flush=True)
+    if mode == "slow":
+        pathlib.Path({folder!r}, "slow").touch()
+        time.sleep(600)
+    if mode == "no build" and "torch" in what:
+        sys.exit("ERROR: No matching distribution found for torch")
+    if mode == "full":
+        sys.exit("ERROR: Could not install packages due to an OSError: [Errno 28] No space left on device")
+    sources = [item for item in what if "nep_source_" in item]
+    assert not sources or pathlib.Path(sources[0], "blender_nep", "cli.py").is_file()
+"""
+
+
+def played_python(folder: Path) -> str:
+    """Makes the played Python; the file `mode` beside it says how it behaves."""
+    place = ("Scripts", "python.exe") if os.name == "nt" else ("bin", "python")
+    path = folder / "base-python"
+    path.write_text(PLAYED.format(python=sys.executable, folder=str(folder), place=place))
+    path.chmod(path.stat().st_mode | stat.S_IXUSR)
+    (folder / "mode").write_text("well")
+    return str(path)
