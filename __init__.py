@@ -3,9 +3,11 @@
 
 def register():
     from . import addon
+
     addon.register()
 
 
 def unregister():
     from . import addon
+
     addon.unregister()

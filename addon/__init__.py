@@ -1,4 +1,5 @@
 """The sidebar (3D viewport, tab NeP): settings, the running job, and the panel that shows both."""
+
 import atexit
 
 import bpy
@@ -20,9 +21,19 @@ from . import (
     subpanels,
 )
 
-CLASSES = (preferences.NepPreferences, settings.NepSettings, *reconstruct.CLASSES, *engine_setup.CLASSES, *cameras.CLASSES,
-           *bounds.CLASSES, *result.CLASSES, *comparison.CLASSES, *comparison_picture.CLASSES,
-           panel.NEP_PT_reconstruct, *subpanels.CLASSES)
+CLASSES = (
+    preferences.NepPreferences,
+    settings.NepSettings,
+    *reconstruct.CLASSES,
+    *engine_setup.CLASSES,
+    *cameras.CLASSES,
+    *bounds.CLASSES,
+    *result.CLASSES,
+    *comparison.CLASSES,
+    *comparison_picture.CLASSES,
+    panel.NEP_PT_reconstruct,
+    *subpanels.CLASSES,
+)
 
 
 def register():

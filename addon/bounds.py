@@ -1,4 +1,5 @@
 """The object's bounds: a sphere in the viewport that the artist moves and scales, and that the job uses."""
+
 from pathlib import Path
 
 import bpy
@@ -109,8 +110,10 @@ def end_query() -> None:
 class NEP_OT_propose_bounds(bpy.types.Operator):
     bl_idname = "nep.propose_bounds"
     bl_label = "Propose Bounds"
-    bl_description = ("Put a sphere around the object: the capture's own, or an estimate from its cameras and masks. "
-                      "Then move and scale it until the whole object is inside, and no camera")
+    bl_description = (
+        "Put a sphere around the object: the capture's own, or an estimate from its cameras and masks. "
+        "Then move and scale it until the whole object is inside, and no camera"
+    )
     bl_options = {"REGISTER", "UNDO"}
 
     @classmethod

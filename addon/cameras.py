@@ -1,4 +1,5 @@
 """The capture's cameras in the scene, and a capture from the scene's cameras."""
+
 from pathlib import Path
 
 import bpy
@@ -12,15 +13,20 @@ from . import settings
 class NEP_OT_load_cameras(bpy.types.Operator):
     bl_idname = "nep.load_cameras"
     bl_label = "Load Cameras"
-    bl_description = ("Show the capture's cameras in the scene, each with its photo as background image. "
-                      "Replaces cameras that were loaded before")
+    bl_description = (
+        "Show the capture's cameras in the scene, each with its photo as background image. "
+        "Replaces cameras that were loaded before"
+    )
     bl_options = {"REGISTER", "UNDO"}
 
-    capture: bpy.props.StringProperty(name="Capture", description="Capture folder; empty: the scene's setting",
-                                      options={"SKIP_SAVE"})
+    capture: bpy.props.StringProperty(
+        name="Capture", description="Capture folder; empty: the scene's setting", options={"SKIP_SAVE"}
+    )
     match_render: bpy.props.BoolProperty(
-        name="Match Render Size", default=True,
-        description="Give the scene the photos' render size and pixel aspect, so that photo and 3D view line up")
+        name="Match Render Size",
+        default=True,
+        description="Give the scene the photos' render size and pixel aspect, so that photo and 3D view line up",
+    )
 
     @classmethod
     def poll(cls, context):
@@ -44,8 +50,9 @@ class NEP_OT_load_cameras(bpy.types.Operator):
         if missing:
             self.report({"WARNING"}, f"{len(missing)} of {len(cameras)} photos are missing, the first: {missing[0]}")
         elif self.match_render and len({(frame.width, frame.height) for frame in frames}) > 1:
-            self.report({"WARNING"}, f"{len(cameras)} cameras; their photos have several sizes, the render size is that "
-                                     "of the first")
+            self.report(
+                {"WARNING"}, f"{len(cameras)} cameras; their photos have several sizes, the render size is that of the first"
+            )
         else:
             self.report({"INFO"}, f"{len(cameras)} cameras")
         return {"FINISHED"}
@@ -72,18 +79,25 @@ class NEP_OT_clear_cameras(bpy.types.Operator):
 class NEP_OT_capture_from_scene(bpy.types.Operator):
     bl_idname = "nep.capture_from_scene"
     bl_label = "Capture from This Scene"
-    bl_description = ("Make a capture folder of the scene's cameras that have a photo as background image, and use it. "
-                      "The photos stay where they are")
+    bl_description = (
+        "Make a capture folder of the scene's cameras that have a photo as background image, and use it. "
+        "The photos stay where they are"
+    )
 
-    directory: bpy.props.StringProperty(name="Folder", description="Folder to write; empty: beside the saved .blend file",
-                                        subtype="DIR_PATH", options={"SKIP_SAVE"})
+    directory: bpy.props.StringProperty(
+        name="Folder",
+        description="Folder to write; empty: beside the saved .blend file",
+        subtype="DIR_PATH",
+        options={"SKIP_SAVE"},
+    )
 
     @classmethod
     def poll(cls, context):
         found = len(photo_cameras(context.scene))
         if found < MINIMUM_PHOTOS:
-            cls.poll_message_set(f"{found} cameras of the scene have a photo as background image; {MINIMUM_PHOTOS} or more "
-                                 "are needed")
+            cls.poll_message_set(
+                f"{found} cameras of the scene have a photo as background image; {MINIMUM_PHOTOS} or more are needed"
+            )
             return False
         return True
 

@@ -2,6 +2,7 @@
 
 Registered functions survive File > New; none of them may keep a reference to Blender's data between two calls.
 """
+
 import time
 from collections.abc import Callable
 

@@ -1,4 +1,5 @@
 """The relit comparison: rendered by a second Blender from the asset folder, shown as an image in this one."""
+
 import json
 from pathlib import Path
 
@@ -59,22 +60,37 @@ def _folder(path: str) -> Path:
 class NEP_OT_render_comparison(bpy.types.Operator):
     bl_idname = "nep.render_comparison"
     bl_label = "Render Relit Comparison"
-    bl_description = ("Render the photo beside the object under the recovered light and under other lights, in the "
-                      "background; your scene is not touched. The picture is comparison.png in the asset folder")
+    bl_description = (
+        "Render the photo beside the object under the recovered light and under other lights, in the "
+        "background; your scene is not touched. The picture is comparison.png in the asset folder"
+    )
 
-    asset: bpy.props.StringProperty(name="Asset", description="Asset folder; empty: the scene's result",
-                                    options={"SKIP_SAVE"})
-    capture: bpy.props.StringProperty(name="Capture", description="Folder with the photos; empty: the asset's",
-                                      options={"SKIP_SAVE"})
-    output: bpy.props.StringProperty(name="Output", description="PNG to write; empty: comparison.png in the asset folder",
-                                     options={"SKIP_SAVE"})
-    lights: bpy.props.EnumProperty(name="Lights", description="Of Blender's own; those of the scene where not given",
-                                   items=LIGHTS, options={"ENUM_FLAG", "SKIP_SAVE"})
-    light_file: bpy.props.StringProperty(name="Light File", description="Another .hdr or .exr; empty: the scene's setting",
-                                         options={"SKIP_SAVE"})
+    asset: bpy.props.StringProperty(
+        name="Asset", description="Asset folder; empty: the scene's result", options={"SKIP_SAVE"}
+    )
+    capture: bpy.props.StringProperty(
+        name="Capture", description="Folder with the photos; empty: the asset's", options={"SKIP_SAVE"}
+    )
+    output: bpy.props.StringProperty(
+        name="Output", description="PNG to write; empty: comparison.png in the asset folder", options={"SKIP_SAVE"}
+    )
+    lights: bpy.props.EnumProperty(
+        name="Lights",
+        description="Of Blender's own; those of the scene where not given",
+        items=LIGHTS,
+        options={"ENUM_FLAG", "SKIP_SAVE"},
+    )
+    light_file: bpy.props.StringProperty(
+        name="Light File", description="Another .hdr or .exr; empty: the scene's setting", options={"SKIP_SAVE"}
+    )
     photos: bpy.props.IntProperty(name="Photos", description="0: the scene's setting", min=0, options={"SKIP_SAVE"})
-    turntable: bpy.props.IntProperty(name="Turntable", description="Views around the object; -1: the scene's setting",
-                                     default=-1, min=-1, options={"SKIP_SAVE"})
+    turntable: bpy.props.IntProperty(
+        name="Turntable",
+        description="Views around the object; -1: the scene's setting",
+        default=-1,
+        min=-1,
+        options={"SKIP_SAVE"},
+    )
     samples: bpy.props.IntProperty(name="Samples", description="0: the scene's setting", min=0, options={"SKIP_SAVE"})
 
     @classmethod
@@ -119,10 +135,18 @@ class NEP_OT_render_comparison(bpy.types.Operator):
         capture = self.capture or capture_of(asset) or settings.capture
         if not capture:
             raise ValueError("Choose the capture folder: the comparison shows its photos")
-        arguments = ["--asset", str(asset), "--capture", str(_folder(capture)),
-                     "--photos", str(self.photos or settings.comparison_photos),
-                     "--samples", str(self.samples or settings.comparison_samples),
-                     "--turntable", str(settings.comparison_turntable if self.turntable < 0 else self.turntable)]
+        arguments = [
+            "--asset",
+            str(asset),
+            "--capture",
+            str(_folder(capture)),
+            "--photos",
+            str(self.photos or settings.comparison_photos),
+            "--samples",
+            str(self.samples or settings.comparison_samples),
+            "--turntable",
+            str(settings.comparison_turntable if self.turntable < 0 else self.turntable),
+        ]
         lights = self.lights if self.properties.is_property_set("lights") else settings.comparison_lights
         for name, *_ in LIGHTS:
             if name in lights:

@@ -1,4 +1,5 @@
 """The comparison as an image of the .blend file, and the editors that show it."""
+
 from pathlib import Path
 
 import bpy

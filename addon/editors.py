@@ -1,4 +1,5 @@
 """Editors beside the 3D view, for what a sidebar is too small for."""
+
 import bpy
 
 

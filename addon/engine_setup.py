@@ -1,4 +1,5 @@
 """Checking and installing the engine from the preferences. Both are other processes; Blender only looks at them."""
+
 import os
 import sys
 from pathlib import Path
@@ -135,8 +136,19 @@ class NEP_OT_install_engine(bpy.types.Operator):
         if folder is None:
             self.report({"ERROR"}, "Choose a folder to install into")
             return {"CANCELLED"}
-        command = [sys.executable, "-I", engine_install.__file__, "--source", str(EXTENSION), "--folder", str(folder),
-                   "--python", preferences.base_python(context), "--build", chosen.build if chosen else "cpu"]
+        command = [
+            sys.executable,
+            "-I",
+            engine_install.__file__,
+            "--source",
+            str(EXTENSION),
+            "--folder",
+            str(folder),
+            "--python",
+            preferences.base_python(context),
+            "--build",
+            chosen.build if chosen else "cpu",
+        ]
         try:
             installation, installing = Installation(command), True
         except OSError as error:
@@ -211,8 +223,10 @@ def _draw_check(column) -> None:
         column.label(text="Asking the Python; the first time this takes half a minute", icon="TIME")
     elif check is None:
         named = os.path.basename(preferences.engine_python(bpy.context))
-        column.label(text="Not checked yet" if named else "No engine yet: install it below, or choose a Python that has it",
-                     icon="QUESTION" if named else "ERROR")
+        column.label(
+            text="Not checked yet" if named else "No engine yet: install it below, or choose a Python that has it",
+            icon="QUESTION" if named else "ERROR",
+        )
     else:
         column.label(text=check.python, icon="CHECKMARK" if check.works else "ERROR")
         for line in check.lines:

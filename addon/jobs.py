@@ -4,6 +4,7 @@ A job lives in its files (backend/engine/engine.py): those of an earlier session
 again when a scene names their folder. No reference to Blender's data is kept: undo and File > New end its life at any
 moment.
 """
+
 import os
 from pathlib import Path
 

@@ -2,6 +2,7 @@
 
 The mesh is looked up by its mark each time: undo and File > New may have removed it.
 """
+
 import zipfile
 from pathlib import Path
 
@@ -72,7 +73,7 @@ def load_picture(job: str, file: Path) -> None:
         return
     pixels = np.empty(4 * width * height, np.float32)
     both.image_pixels_float.foreach_get(pixels)
-    for side, half in zip(SIDES, np.split(pixels.reshape(height, width, 4)[:, :width // 2 * 2], 2, axis=1), strict=True):
+    for side, half in zip(SIDES, np.split(pixels.reshape(height, width, 4)[:, : width // 2 * 2], 2, axis=1), strict=True):
         picture = _pictures.new(job + side)
         picture.image_size = half.shape[1], height
         picture.image_pixels_float.foreach_set(half.ravel())

@@ -1,4 +1,5 @@
 """Texts that are wider than a sidebar."""
+
 from collections.abc import Callable
 
 import blf

@@ -1,4 +1,5 @@
 """The sidebar panel: what to reconstruct, how far it is, what came of it."""
+
 import bpy
 
 from ..backend.engine.command import NoEngineError, engine_is_at_hand
@@ -121,8 +122,11 @@ def _draw_picture(layout, context, icons: list[int]) -> None:
 def _draw_end(layout, context, job) -> None:
     failed = job.failed
     if failed is None:
-        text = ("The result is ready. Import Result brings it into the scene." if jobs.result_waits(context.scene)
-                else "The object is in the scene.")
+        text = (
+            "The result is ready. Import Result brings it into the scene."
+            if jobs.result_waits(context.scene)
+            else "The object is in the scene."
+        )
         say(layout, context, text, "CHECKMARK")
         for warning in job.warnings[-2:]:
             say(layout, context, in_panel_words(warning), "INFO")

@@ -1,4 +1,5 @@
 """The add-on's preferences: whether the engine is there, which Python runs it, and where it is installed."""
+
 import sys
 from pathlib import Path
 
@@ -7,27 +8,40 @@ import bpy
 from ..backend.engine.install import NAME, installed_python
 
 ROOT_PACKAGE = __package__.rpartition(".")[0]
-BUILDS = (("cpu", "CPU", "For every computer; the smallest download (about 1 GB on the disk)"),
-          ("cuda", "CUDA", "For NVIDIA graphics cards, on Linux (several GB). On Windows install torch as pytorch.org says, "
-                           "and choose that Python as Engine Python"))
+BUILDS = (
+    ("cpu", "CPU", "For every computer; the smallest download (about 1 GB on the disk)"),
+    (
+        "cuda",
+        "CUDA",
+        "For NVIDIA graphics cards, on Linux (several GB). On Windows install torch as pytorch.org says, "
+        "and choose that Python as Engine Python",
+    ),
+)
 
 
 class NepPreferences(bpy.types.AddonPreferences):
     bl_idname = ROOT_PACKAGE
 
     engine_python: bpy.props.StringProperty(
-        name="Engine Python", subtype="FILE_PATH",
-        description="The Python that has blender-nep and torch. Empty: the installed engine. Never Blender's own")
+        name="Engine Python",
+        subtype="FILE_PATH",
+        description="The Python that has blender-nep and torch. Empty: the installed engine. Never Blender's own",
+    )
     engine_folder: bpy.props.StringProperty(
-        name="Install Into", subtype="DIR_PATH",
-        description=f"The engine is made in the folder {NAME} in there. Empty: the extension's own user folder")
+        name="Install Into",
+        subtype="DIR_PATH",
+        description=f"The engine is made in the folder {NAME} in there. Empty: the extension's own user folder",
+    )
     base_python: bpy.props.StringProperty(
-        name="Base Python", subtype="FILE_PATH",
-        description="The Python 3.11 or newer that makes the engine's environment. Empty: Blender's own")
+        name="Base Python",
+        subtype="FILE_PATH",
+        description="The Python 3.11 or newer that makes the engine's environment. Empty: Blender's own",
+    )
     build: bpy.props.EnumProperty(name="Build of Torch", description="What the engine can compute on", items=BUILDS)
 
     def draw(self, context):
         from . import engine_setup
+
         engine_setup.draw(self.layout, self)
 
 

@@ -3,6 +3,7 @@
 In the interface the job runs beside Blender and jobs.py looks after it; called from a script
 (`bpy.ops.nep.reconstruct(...)`) the operator returns when the object is there.
 """
+
 import time
 from pathlib import Path
 
@@ -24,8 +25,12 @@ class NEP_OT_reconstruct(bpy.types.Operator):
 
     capture: bpy.props.StringProperty(name="Capture", description="Capture folder; empty: the scene's setting")
     output: bpy.props.StringProperty(name="Output", description="Result folder; empty: the scene's setting")
-    preset: bpy.props.EnumProperty(name="Preset", description="How much time to spend", default="SCENE",
-                                   items=(("SCENE", "As in the scene", "The scene's setting"), *settings.PRESETS))
+    preset: bpy.props.EnumProperty(
+        name="Preset",
+        description="How much time to spend",
+        default="SCENE",
+        items=(("SCENE", "As in the scene", "The scene's setting"), *settings.PRESETS),
+    )
     resume: bpy.props.BoolProperty(name="Resume", description="Go on from the checkpoint in the output folder")
     overwrite: bpy.props.BoolProperty(name="Overwrite", description="Replace what is in the output folder")
     wait: bpy.props.BoolProperty(name="Wait", description="In a script: return when the object is there", default=True)
@@ -50,8 +55,12 @@ class NEP_OT_reconstruct(bpy.types.Operator):
         output = self._output(context)
         if self.overwrite and output is not None and (is_asset(output) or has_checkpoint(output)):
             return context.window_manager.invoke_confirm(
-                self, event, title="Start Again", confirm_text="Start Again",
-                message="This replaces the result or the unfinished job in the output folder.")
+                self,
+                event,
+                title="Start Again",
+                confirm_text="Start Again",
+                message="This replaces the result or the unfinished job in the output folder.",
+            )
         return {"FINISHED"} if self._start(context) else {"CANCELLED"}
 
     def execute(self, context):
@@ -81,8 +90,7 @@ class NEP_OT_reconstruct(bpy.types.Operator):
         capture, output = settings.folder(self.capture or chosen.capture), self._output(context)
         if capture is None or output is None:
             named = (self.capture or chosen.capture) and (self.output or chosen.output)
-            self.report({"ERROR"}, settings.NOT_SAVED if named
-                        else "Choose a capture folder and an output folder first")
+            self.report({"ERROR"}, settings.NOT_SAVED if named else "Choose a capture folder and an output folder first")
             return None
         if is_running(output):
             self.report({"ERROR"}, f"Another job is running in {output}; wait for it, or choose another output folder")
@@ -91,13 +99,26 @@ class NEP_OT_reconstruct(bpy.types.Operator):
         try:
             sphere = bounds.bounds_arguments(context.scene)
             python = find_engine_python(configured=preferences.engine_python(context))
-            engine = Engine.start(python, reconstruct_arguments(
-                str(capture), str(output), preset=chosen.preset if self.preset == "SCENE" else self.preset,
-                device=chosen.device, seed=chosen.seed, masks="use" if chosen.use_masks else "ignore", metal=chosen.metal,
-                mesh=bpy.path.abspath(chosen.mesh) if chosen.mesh else None, threads=chosen.threads or None,
-                resume=self.resume, overwrite=self.overwrite, preview=chosen.use_preview, keep_going=keep_going,
-                more=tuple(sphere)),
-                keep_going=keep_going)
+            engine = Engine.start(
+                python,
+                reconstruct_arguments(
+                    str(capture),
+                    str(output),
+                    preset=chosen.preset if self.preset == "SCENE" else self.preset,
+                    device=chosen.device,
+                    seed=chosen.seed,
+                    masks="use" if chosen.use_masks else "ignore",
+                    metal=chosen.metal,
+                    mesh=bpy.path.abspath(chosen.mesh) if chosen.mesh else None,
+                    threads=chosen.threads or None,
+                    resume=self.resume,
+                    overwrite=self.overwrite,
+                    preview=chosen.use_preview,
+                    keep_going=keep_going,
+                    more=tuple(sphere),
+                ),
+                keep_going=keep_going,
+            )
         except ValueError as error:  # of the bounds
             self.report({"ERROR"}, str(error))
             return None
@@ -121,8 +142,11 @@ class NEP_OT_cancel(bpy.types.Operator):
     def poll(cls, context):
         job = jobs.of(context.scene)
         if job is None or job.ended or job.stopping:
-            cls.poll_message_set("It is stopping already" if job and job.stopping and not job.ended
-                                 else "No job is running in the output folder")
+            cls.poll_message_set(
+                "It is stopping already"
+                if job and job.stopping and not job.ended
+                else "No job is running in the output folder"
+            )
             return False
         return True
 

@@ -1,4 +1,5 @@
 """The result in the artist's scene: importing an asset, and the recovered light as the scene's World."""
+
 from pathlib import Path
 
 import bpy
@@ -24,12 +25,18 @@ def place_result(scene, folder: Path):
 class NEP_OT_import_result(bpy.types.Operator):
     bl_idname = "nep.import_result"
     bl_label = "Import Result"
-    bl_description = ("Import a finished reconstruction: the object in place with its material, and the recovered light "
-                      "as a World. Importing it again makes another object")
+    bl_description = (
+        "Import a finished reconstruction: the object in place with its material, and the recovered light "
+        "as a World. Importing it again makes another object"
+    )
     bl_options = {"REGISTER", "UNDO"}
 
-    folder: bpy.props.StringProperty(name="Folder", description="Asset folder; empty: the scene's output folder",
-                                     subtype="DIR_PATH", options={"SKIP_SAVE"})
+    folder: bpy.props.StringProperty(
+        name="Folder",
+        description="Asset folder; empty: the scene's output folder",
+        subtype="DIR_PATH",
+        options={"SKIP_SAVE"},
+    )
 
     @classmethod
     def poll(cls, context):

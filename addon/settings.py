@@ -1,21 +1,32 @@
 """What the artist chooses; saved in the .blend file with the scene."""
+
 from pathlib import Path
 
 import bpy
 
-PRESETS = (("preview", "Preview", "A first look within minutes"),
-           ("balanced", "Balanced", "Good quality in reasonable time"),
-           ("quality", "Quality", "The best result; needs the most time"))
-DEVICES = (("auto", "Automatic", "The graphics card where the engine can use it, else the processor"),
-           ("cpu", "CPU", "The processor"),
-           ("cuda", "CUDA", "An NVIDIA graphics card; the engine needs a CUDA build of torch"))
-METAL = (("auto", "From the Photos", "Decided by what explains the photos better"),
-         ("yes", "Metal", "All of the object is metal"),
-         ("no", "Not Metal", "Paint, plastic, glaze, stone: no part of the object is metal"))
-CLOSINGS = (("STOP", "Stop and Keep the Checkpoint", "The job ends with Blender; Resume goes on from its checkpoint"),
-            ("KEEP", "Keep Going", "The job goes on; it is found again when this file is opened"))
-LIGHTS = tuple((name, name.title(), f"Blender's own HDRI '{name}'") for name in (
-    "studio", "forest", "sunset", "interior", "city", "courtyard", "sunrise", "night"))
+PRESETS = (
+    ("preview", "Preview", "A first look within minutes"),
+    ("balanced", "Balanced", "Good quality in reasonable time"),
+    ("quality", "Quality", "The best result; needs the most time"),
+)
+DEVICES = (
+    ("auto", "Automatic", "The graphics card where the engine can use it, else the processor"),
+    ("cpu", "CPU", "The processor"),
+    ("cuda", "CUDA", "An NVIDIA graphics card; the engine needs a CUDA build of torch"),
+)
+METAL = (
+    ("auto", "From the Photos", "Decided by what explains the photos better"),
+    ("yes", "Metal", "All of the object is metal"),
+    ("no", "Not Metal", "Paint, plastic, glaze, stone: no part of the object is metal"),
+)
+CLOSINGS = (
+    ("STOP", "Stop and Keep the Checkpoint", "The job ends with Blender; Resume goes on from its checkpoint"),
+    ("KEEP", "Keep Going", "The job goes on; it is found again when this file is opened"),
+)
+LIGHTS = tuple(
+    (name, name.title(), f"Blender's own HDRI '{name}'")
+    for name in ("studio", "forest", "sunset", "interior", "city", "courtyard", "sunrise", "night")
+)
 
 
 NOT_SAVED = "Save the file first: its folders are relative to it"
@@ -30,59 +41,95 @@ def folder(path: str) -> Path | None:
 
 def _output_changed(settings, context):
     from . import jobs
+
     jobs.look(settings.id_data)
 
 
 class NepSettings(bpy.types.PropertyGroup):
     capture: bpy.props.StringProperty(
-        name="Capture", description="Folder with transforms.json and the photos of one object", subtype="DIR_PATH")
+        name="Capture", description="Folder with transforms.json and the photos of one object", subtype="DIR_PATH"
+    )
     output: bpy.props.StringProperty(
-        name="Output", description="Folder for the result; a job in it is found again when this file is opened",
-        subtype="DIR_PATH", update=_output_changed)
-    preset: bpy.props.EnumProperty(
-        name="Preset", description="How much time to spend", items=PRESETS, default="balanced")
+        name="Output",
+        description="Folder for the result; a job in it is found again when this file is opened",
+        subtype="DIR_PATH",
+        update=_output_changed,
+    )
+    preset: bpy.props.EnumProperty(name="Preset", description="How much time to spend", items=PRESETS, default="balanced")
     use_masks: bpy.props.BoolProperty(
-        name="Use Masks", description="Use the capture's object masks where it has them", default=True)
+        name="Use Masks", description="Use the capture's object masks where it has them", default=True
+    )
     device: bpy.props.EnumProperty(name="Device", description="What to compute on", items=DEVICES, default="auto")
     metal: bpy.props.EnumProperty(
-        name="Material", description="Whether the object is metal, where you know it and the photos do not tell",
-        items=METAL, default="auto")
+        name="Material",
+        description="Whether the object is metal, where you know it and the photos do not tell",
+        items=METAL,
+        default="auto",
+    )
     closing: bpy.props.EnumProperty(
-        name="When Blender Closes", description="What happens to a running job", items=CLOSINGS, default="STOP")
+        name="When Blender Closes", description="What happens to a running job", items=CLOSINGS, default="STOP"
+    )
     use_preview: bpy.props.BoolProperty(
-        name="Live Preview", description="Show the mesh, and a photo beside its re-rendering, while they are learned",
-        default=True)
+        name="Live Preview",
+        description="Show the mesh, and a photo beside its re-rendering, while they are learned",
+        default=True,
+    )
     seed: bpy.props.IntProperty(
-        name="Seed", description="The same seed gives the same result; try another where a result is bad", min=0)
-    threads: bpy.props.IntProperty(
-        name="Threads", description="Processor threads to use; 0: all of them", min=0, max=1024)
+        name="Seed", description="The same seed gives the same result; try another where a result is bad", min=0
+    )
+    threads: bpy.props.IntProperty(name="Threads", description="Processor threads to use; 0: all of them", min=0, max=1024)
     mesh: bpy.props.StringProperty(
-        name="Known Mesh", subtype="FILE_PATH",
-        description="Mesh file of the object in the capture's coordinates: only its materials are learned")
+        name="Known Mesh",
+        subtype="FILE_PATH",
+        description="Mesh file of the object in the capture's coordinates: only its materials are learned",
+    )
     imported_job: bpy.props.StringProperty(
-        name="Imported Job", description="The job whose result is in this scene", options={"HIDDEN"})
+        name="Imported Job", description="The job whose result is in this scene", options={"HIDDEN"}
+    )
     bounds: bpy.props.PointerProperty(
-        name="Object Bounds", description="The sphere that holds the object", type=bpy.types.Object)
+        name="Object Bounds", description="The sphere that holds the object", type=bpy.types.Object
+    )
     images: bpy.props.EnumProperty(
-        name="Images", description="Where the textures of an imported result are", default="PACKED",
-        items=(("PACKED", "Packed", "Inside the .blend file"),
-               ("RELATIVE", "Relative", "In the asset folder, by a path relative to the saved .blend file")))
-    asset: bpy.props.StringProperty(
-        name="Asset", description="The result that was imported last", subtype="DIR_PATH")
+        name="Images",
+        description="Where the textures of an imported result are",
+        default="PACKED",
+        items=(
+            ("PACKED", "Packed", "Inside the .blend file"),
+            ("RELATIVE", "Relative", "In the asset folder, by a path relative to the saved .blend file"),
+        ),
+    )
+    asset: bpy.props.StringProperty(name="Asset", description="The result that was imported last", subtype="DIR_PATH")
     recovered_world: bpy.props.PointerProperty(
-        name="Recovered Light", description="The World that was recovered from the photos", type=bpy.types.World)
+        name="Recovered Light", description="The World that was recovered from the photos", type=bpy.types.World
+    )
     own_world: bpy.props.PointerProperty(
-        name="Own World", description="The World to return to from the recovered light", type=bpy.types.World)
+        name="Own World", description="The World to return to from the recovered light", type=bpy.types.World
+    )
     comparison_lights: bpy.props.EnumProperty(
-        name="Lights", description="Lights that come with Blender; any number of them", items=LIGHTS,
-        options={"ENUM_FLAG"}, default={"studio", "forest", "sunset"})
+        name="Lights",
+        description="Lights that come with Blender; any number of them",
+        items=LIGHTS,
+        options={"ENUM_FLAG"},
+        default={"studio", "forest", "sunset"},
+    )
     comparison_light_file: bpy.props.StringProperty(
-        name="Light File", description="Another light: an equirectangular .hdr or .exr file", subtype="FILE_PATH")
+        name="Light File", description="Another light: an equirectangular .hdr or .exr file", subtype="FILE_PATH"
+    )
     comparison_photos: bpy.props.IntProperty(
-        name="Photos", description="Photos to compare with, one row each", default=2, min=1, soft_max=6)
+        name="Photos", description="Photos to compare with, one row each", default=2, min=1, soft_max=6
+    )
     comparison_turntable: bpy.props.IntProperty(
-        name="Turntable Views", description="Views around the object in a strip below; 0 for none", default=0, min=0,
-        soft_max=12, max=36)
+        name="Turntable Views",
+        description="Views around the object in a strip below; 0 for none",
+        default=0,
+        min=0,
+        soft_max=12,
+        max=36,
+    )
     comparison_samples: bpy.props.IntProperty(
-        name="Samples", description="Cycles samples a pixel: more take longer and are cleaner", default=48, min=1,
-        soft_max=512)
+        name="Samples",
+        description="Cycles samples a pixel: more take longer and are cleaner",
+        default=48,
+        min=1,
+        soft_max=512,
+    )

@@ -1,4 +1,5 @@
 """The folded parts of the sidebar panel: cameras and bounds, result and light, relit comparison."""
+
 import bpy
 
 from . import bounds, comparison, comparison_picture, result
@@ -7,6 +8,7 @@ from .messages import say
 
 class SubPanel:
     """What the sub-panels share."""
+
     bl_space_type = "VIEW_3D"
     bl_region_type = "UI"
     bl_category = "NeP"

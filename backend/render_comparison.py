@@ -6,6 +6,7 @@
 Says JSON lines on standard output: {"event": "progress", "done": 1, "total": 4}, then {"event": "done", "path": ...} or
 {"event": "error", "message": ...}. A closed standard input ends it at once; the picture appears whole or not at all.
 """
+
 import argparse
 import json
 import os
@@ -47,10 +48,12 @@ def say(event: str, **values) -> None:
 
 def end_with_parent() -> None:
     """Leave as soon as standard input is closed: the Blender that wants the picture has gone or has cancelled."""
+
     def watch():
         while os.read(sys.stdin.fileno(), 4096):
             continue
         os._exit(CANCELLED)
+
     threading.Thread(target=watch, daemon=True).start()
 
 
@@ -59,8 +62,10 @@ def light_files(options: argparse.Namespace) -> list[Path]:
     shipped = {path.stem: path for path in blender_hdris()}
     missing = [name for name in options.light if name not in shipped]
     if missing:
-        raise ValueError(f"this Blender ships no light {', '.join(missing)}. Choose others"
-                         + (f": {', '.join(shipped)}" if shipped else ", or a file: it ships none"))
+        raise ValueError(
+            f"this Blender ships no light {', '.join(missing)}. Choose others"
+            + (f": {', '.join(shipped)}" if shipped else ", or a file: it ships none")
+        )
     return [shipped[name] for name in options.light] + ([options.light_file] if options.light_file else [])
 
 
@@ -73,8 +78,16 @@ def main(arguments: list[str]) -> int:
         bpy.ops.wm.read_factory_settings(use_empty=True)
         item, recovered = import_result(options.asset, bpy.context.scene.collection)
         worlds = [build_world(path, name=path.stem) for path in light_files(options)]
-        sheet, _ = compare(item, frames, recovered, worlds, samples=options.samples, seed=options.seed,
-                           turntable=options.turntable, progress=lambda done, total: say("progress", done=done, total=total))
+        sheet, _ = compare(
+            item,
+            frames,
+            recovered,
+            worlds,
+            samples=options.samples,
+            seed=options.seed,
+            turntable=options.turntable,
+            progress=lambda done, total: say("progress", done=done, total=total),
+        )
         path = options.out or options.asset / "comparison.png"
         write_comparison(path, sheet)
     except (OSError, ValueError, RuntimeError) as error:

@@ -8,6 +8,7 @@ the recovered light as World, renders comparison.png and saves asset.blend with 
 folder. SIGTERM or Ctrl-C stops the engine, which writes its checkpoint. The exit code is the engine's (0 done, 2 usage
 or no engine, 3 capture, 4 bounds, 5 output, 6 learning, 7 stopped), 8 where Blender's part failed.
 """
+
 import argparse
 import os
 import signal
@@ -75,9 +76,21 @@ class StopRequests:
 def reconstruct(options: argparse.Namespace, stop: StopRequests) -> None:
     """Run the engine to its end. EngineError says how it failed."""
     python = find_engine_python(options.engine_python, configured_python())
-    engine = Engine.start(python, reconstruct_arguments(
-        options.capture, options.out, preset=options.preset, device=options.device, seed=options.seed,
-        masks=options.masks, metal=options.metal, mesh=options.mesh, resume=options.resume, overwrite=options.overwrite))
+    engine = Engine.start(
+        python,
+        reconstruct_arguments(
+            options.capture,
+            options.out,
+            preset=options.preset,
+            device=options.device,
+            seed=options.seed,
+            masks=options.masks,
+            metal=options.metal,
+            mesh=options.mesh,
+            resume=options.resume,
+            overwrite=options.overwrite,
+        ),
+    )
     said, scene = -SAY_EVERY_S, []
     try:
         ended = False
@@ -108,6 +121,7 @@ def reconstruct(options: argparse.Namespace, stop: StopRequests) -> None:
 def configured_python() -> str:
     """The engine's Python in the add-on's preferences, where the add-on is enabled in this Blender."""
     import bpy
+
     for name, addon in bpy.context.preferences.addons.items():
         if name.rpartition(".")[2] == "blender_nep":
             return getattr(addon.preferences, "engine_python", "")
@@ -133,7 +147,7 @@ def blender_work(options: argparse.Namespace, stop: StopRequests) -> None:
     item = import_asset(options.out, scene.collection)
     recovered = build_world(options.out / "environment.exr", name="recovered light")
     scene.world = recovered
-    hdris = blender_hdris()[:options.relight]
+    hdris = blender_hdris()[: options.relight]
     if len(hdris) < options.relight:
         say(f"warning: this Blender ships {len(hdris)} HDRIs; {options.relight} were asked for")
     worlds = [build_world(path, name=path.stem) for path in hdris]
@@ -143,8 +157,7 @@ def blender_work(options: argparse.Namespace, stop: StopRequests) -> None:
         if stop.asked.is_set():
             raise EngineError(STOPPED, "Stopped while rendering the comparison; the asset is complete.")
 
-    sheet, _ = compare(item, frames, recovered, worlds, samples=options.samples, seed=options.seed or 0,
-                       progress=progress)
+    sheet, _ = compare(item, frames, recovered, worlds, samples=options.samples, seed=options.seed or 0, progress=progress)
     write_comparison(options.out / "comparison.png", sheet)
     for frame in frames:
         camera = add_camera(frame, scene, name=frame.path.stem)
@@ -156,6 +169,7 @@ def blender_work(options: argparse.Namespace, stop: StopRequests) -> None:
 def save_packed(path: Path) -> None:
     """Save the file with every image inside; it appears whole or not at all."""
     import bpy
+
     bpy.ops.file.pack_all()
     partial = path.with_name("partial_" + path.name)
     bpy.ops.wm.save_as_mainfile(filepath=str(partial.resolve()), copy=True, compress=True)

@@ -8,6 +8,7 @@ test_masks/), their ground truth gt/NNN.exr and the true mesh gt_mesh.ply. trans
 that has one is complete. The same arguments give the same capture in the same version of Blender (5.x draws other
 Voronoi cells for `patches` than 4.x).
 """
+
 import argparse
 import json
 import sys
@@ -73,8 +74,11 @@ def write_capture(options: argparse.Namespace, target, train: list, test: list) 
         images, masks = ("test", "test_masks") if group == "test" else ("images", "masks")
         renderer.scene.cycles.seed = options.seed + number  # noise must not look alike in two photos
         photo, truth = renderer.render(viewpoint.matrix)
-        frame = {"file_path": f"{images}/{index:03d}.exr", "mask_path": f"{masks}/{index:03d}.png",
-                 "transform_matrix": [list(row) for row in viewpoint.matrix]}
+        frame = {
+            "file_path": f"{images}/{index:03d}.exr",
+            "mask_path": f"{masks}/{index:03d}.png",
+            "transform_matrix": [list(row) for row in viewpoint.matrix],
+        }
         frames[group].append(frame)
         save_half_exr(out / frame["file_path"], photo, renderer.scene)
         write_png(out / frame["mask_path"], np.round(truth["mask.V"] * 255).astype(np.uint8))
@@ -82,18 +86,29 @@ def write_capture(options: argparse.Namespace, target, train: list, test: list) 
             write_exr(out / "gt" / f"{index:03d}.exr", {name: x.astype(np.float16) for name, x in truth.items()})
         left = (time.monotonic() - started) / (number + 1) * (total - number - 1)
         print(f"view {number + 1}/{total}, {left:.0f} s left", file=sys.stderr, flush=True)
-    shared = {"camera_model": "PINHOLE", "w": options.size, "h": options.size, "fl_x": renderer.focal_length,
-              "fl_y": renderer.focal_length, "cx": options.size / 2, "cy": options.size / 2, "color_space": "linear",
-              "object_center": [0.0, 0.0, 0.0], "object_radius": scenes.OBJECT_RADIUS}
+    shared = {
+        "camera_model": "PINHOLE",
+        "w": options.size,
+        "h": options.size,
+        "fl_x": renderer.focal_length,
+        "fl_y": renderer.focal_length,
+        "cx": options.size / 2,
+        "cy": options.size / 2,
+        "color_space": "linear",
+        "object_center": [0.0, 0.0, 0.0],
+        "object_radius": scenes.OBJECT_RADIUS,
+    }
     for group, name in (("test", "transforms_test.json"), ("train", "transforms.json")):
         (out / name).write_text(json.dumps(shared | {"frames": frames[group]}, indent=1) + "\n")
 
 
 def write_ply(path: Path, vertices: np.ndarray, faces: np.ndarray) -> None:
     """Binary PLY of a triangle mesh: vertices [V,3], faces [F,3]."""
-    header = (f"ply\nformat binary_little_endian 1.0\nelement vertex {len(vertices)}\nproperty float x\n"
-              f"property float y\nproperty float z\nelement face {len(faces)}\n"
-              "property list uchar int vertex_indices\nend_header\n")
+    header = (
+        f"ply\nformat binary_little_endian 1.0\nelement vertex {len(vertices)}\nproperty float x\n"
+        f"property float y\nproperty float z\nelement face {len(faces)}\n"
+        "property list uchar int vertex_indices\nend_header\n"
+    )
     rows = np.zeros(len(faces), np.dtype([("count", "u1"), ("corners", "<i4", 3)]))
     rows["count"], rows["corners"] = 3, faces
     path.write_bytes(header.encode() + vertices.astype("<f4").tobytes() + rows.tobytes())

@@ -1,9 +1,9 @@
 """The benchmark suite.
 
-    python -m benchmarks run CAPTURE... --plan presets ablations views pixels true_mesh roughness (or all) [--relight]
-    python -m benchmarks render shapes roughness
-    python -m benchmarks run CAPTURE... --preset preview balanced --ablation full "no cones" --seed 0 1 2
-    python -m benchmarks report --write docs/benchmarks.md
+python -m benchmarks run CAPTURE... --plan presets ablations views pixels true_mesh roughness (or all) [--relight]
+python -m benchmarks render shapes roughness
+python -m benchmarks run CAPTURE... --preset preview balanced --ablation full "no cones" --seed 0 1 2
+python -m benchmarks report --write docs/benchmarks.md
 """
 
 from __future__ import annotations
@@ -41,8 +41,11 @@ def parser() -> argparse.ArgumentParser:
     run.add_argument("--jobs", type=int, default=1, help="at once (%(default)s)")
     run.add_argument("--device", choices=("auto", "cpu", "cuda"), default="auto")
     run.add_argument("--limit", type=float, default=7200, help="seconds after which a step is killed (%(default)s)")
-    run.add_argument("--relight", action="store_true",
-                     help="score in Cycles too what has no ablation and all photos (about 100 s a run; needs bpy)")
+    run.add_argument(
+        "--relight",
+        action="store_true",
+        help="score in Cycles too what has no ablation and all photos (about 100 s a run; needs bpy)",
+    )
     run.add_argument("--retry", action="store_true", help="do failed steps again")
     run.add_argument("--list", action="store_true", help="say what would be run")
     render = commands.add_parser("render", help="render captures in Cycles (needs bpy): what is there is kept")
@@ -68,8 +71,9 @@ def render_captures(options: argparse.Namespace) -> int:
             continue
         folder.mkdir(parents=True, exist_ok=True)
         numbers = map(str, (options.views, options.size, options.samples, options.threads))
-        ended = children.run([sys.executable, "-m", "benchmarks.suite.render", name, str(folder), *numbers], log,
-                             options.threads, 24 * 3600)
+        ended = children.run(
+            [sys.executable, "-m", "benchmarks.suite.render", name, str(folder), *numbers], log, options.threads, 24 * 3600
+        )
         print(f"{folder}: {'failed, see its log' if ended.code else 'rendered'}", file=sys.stderr, flush=True)
         failed += ended.code != 0
     return int(failed > 0)

@@ -60,12 +60,8 @@ def parser() -> argparse.ArgumentParser:
         help="time against error (%(default)s)",
     )
     run.add_argument("--device", choices=("auto", "cpu", "cuda"), default="auto", help="(%(default)s)")
-    run.add_argument(
-        "--seed", type=_seed, default=0, metavar="N", help="the same seed gives the same asset (%(default)s)"
-    )
-    run.add_argument(
-        "--masks", choices=("use", "ignore"), default="use", help="masks help, none are needed (%(default)s)"
-    )
+    run.add_argument("--seed", type=_seed, default=0, metavar="N", help="the same seed gives the same asset (%(default)s)")
+    run.add_argument("--masks", choices=("use", "ignore"), default="use", help="masks help, none are needed (%(default)s)")
     run.add_argument("--mesh", type=Path, metavar="FILE", help="learn materials on this mesh (capture coordinates)")
     run.add_argument(
         "--object-center",
@@ -86,12 +82,14 @@ def parser() -> argparse.ArgumentParser:
     run.add_argument("--clean", action="store_true", help="remove the checkpoints when the asset is written")
     run.add_argument("--threads", type=_count, metavar="N", help="CPU threads (all cores)")
     run.add_argument(
-        "--job-files", action="store_true",
+        "--job-files",
+        action="store_true",
         help="keep ASSET/job, by which other programs follow this run, find it again and stop it",
     )
     run.add_argument("--preview", action="store_true", help="show in ASSET/job what has been learned so far")
     run.add_argument(
-        "--profile", action="store_true",
+        "--profile",
+        action="store_true",
         help="say where the time went: a table on stderr and in report.json, and ASSET/profile.json for speedscope.app",
     )
     run.add_argument(

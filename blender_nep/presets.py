@@ -240,21 +240,32 @@ class Preset:
 
 PRESETS = {
     "preview": Preset(
-        name="preview", max_pixels_per_photo=40_000, fields_seconds=45, surface_seconds=3, material_seconds=45,
+        name="preview",
+        max_pixels_per_photo=40_000,
+        fields_seconds=45,
+        surface_seconds=3,
+        material_seconds=45,
         environment_height=128,
         fields=FieldsPreset(background_steps=200, steps=700, object_rays=1280, sphere_rays=768, outside_rays=768),
         environment=EnvironmentPreset(resolutions=((20, 32), (28, 64)), refine_at=(0.25,), steps=600),
         surface=SurfacePreset(grid=144, faces=10_000, atlas_texels=512),
-        material=MaterialPreset(samples=12_000, voters=60_000, terminal_steps=150, unseen_samples=4000, unseen_steps=60,
-                                most_texels=512)),
+        material=MaterialPreset(
+            samples=12_000, voters=60_000, terminal_steps=150, unseen_samples=4000, unseen_steps=60, most_texels=512
+        ),
+    ),
     "balanced": Preset(),
     "quality": Preset(
-        name="quality", max_pixels_per_photo=650_000, fields_seconds=400, surface_seconds=20, material_seconds=200,
+        name="quality",
+        max_pixels_per_photo=650_000,
+        fields_seconds=400,
+        surface_seconds=20,
+        material_seconds=200,
         environment_height=512,
         fields=FieldsPreset(background_steps=400, steps=4500, object_rays=2048, last_sharpness=400),
         environment=EnvironmentPreset(steps=4000),
         surface=SurfacePreset(grid=288, faces=60_000, atlas_texels=2048),
-        material=MaterialPreset(samples=80_000, voters=600_000, unseen_samples=16_000, most_texels=2048)),
+        material=MaterialPreset(samples=80_000, voters=600_000, unseen_samples=16_000, most_texels=2048),
+    ),
 }
 
 

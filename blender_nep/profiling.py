@@ -63,8 +63,12 @@ class Part:
 class Profile:
     """Records while it is the `recording` one."""
 
-    def __init__(self, finish: Callable[[], None] | None = None, wall: Callable[[], float] = time.perf_counter,
-                 cpu: Callable[[], float] = time.process_time) -> None:
+    def __init__(
+        self,
+        finish: Callable[[], None] | None = None,
+        wall: Callable[[], float] = time.perf_counter,
+        cpu: Callable[[], float] = time.process_time,
+    ) -> None:
         """finish() waits for work that was only begun, as on a GPU."""
         self.whole = Part("job")
         self._open: list[tuple[Part, float, float]] = []
@@ -117,8 +121,14 @@ class Profile:
         found, path = [], []
         for depth, part in self.whole.rows():
             path[depth:] = [part.name]
-            found.append({"section": " / ".join(path), "calls": part.calls, "wall_s": round(part.wall, 3),
-                          "cpu_s": round(part.cpu, 3)})
+            found.append(
+                {
+                    "section": " / ".join(path),
+                    "calls": part.calls,
+                    "wall_s": round(part.wall, 3),
+                    "cpu_s": round(part.cpu, 3),
+                }
+            )
         return found
 
     def table(self) -> str:
@@ -143,7 +153,21 @@ class Profile:
             for clock, weights in own.items():
                 inner = sum(getattr(p, clock) for p in part.parts.values())
                 weights.append(max(0.0, getattr(part, clock) - inner))
-        profiles = [{"type": "sampled", "name": f"{clock} seconds", "unit": "seconds", "startValue": 0,
-                     "endValue": sum(weights), "samples": stacks, "weights": weights} for clock, weights in own.items()]
-        return {"$schema": "https://www.speedscope.app/file-format-schema.json", "name": "blender-nep reconstruct",
-                "shared": {"frames": [{"name": name} for name in names]}, "profiles": profiles}
+        profiles = [
+            {
+                "type": "sampled",
+                "name": f"{clock} seconds",
+                "unit": "seconds",
+                "startValue": 0,
+                "endValue": sum(weights),
+                "samples": stacks,
+                "weights": weights,
+            }
+            for clock, weights in own.items()
+        ]
+        return {
+            "$schema": "https://www.speedscope.app/file-format-schema.json",
+            "name": "blender-nep reconstruct",
+            "shared": {"frames": [{"name": name} for name in names]},
+            "profiles": profiles,
+        }

@@ -1,4 +1,5 @@
 """Asking the engine where the object is (`blender_nep info CAPTURE --json`) without making Blender wait. No bpy here."""
+
 import json
 import subprocess
 import threading
@@ -27,8 +28,15 @@ class BoundsQuery:
             with self._lock:
                 if self._closed:
                     return
-                self._process = subprocess.Popen(command, env=engine_environment(), stdin=subprocess.DEVNULL, text=True,
-                                                 stdout=subprocess.PIPE, stderr=subprocess.PIPE, encoding="utf-8")
+                self._process = subprocess.Popen(
+                    command,
+                    env=engine_environment(),
+                    stdin=subprocess.DEVNULL,
+                    text=True,
+                    stdout=subprocess.PIPE,
+                    stderr=subprocess.PIPE,
+                    encoding="utf-8",
+                )
             told, complaint = self._process.communicate()
             self._take(told, complaint)
         except (EngineError, OSError) as error:

@@ -1,4 +1,5 @@
 """Asks a Python, without waiting for it, what of the engine it has. No bpy in this file."""
+
 import json
 import subprocess
 import time
@@ -37,8 +38,13 @@ class EngineCheck:
         self._start = time.monotonic()
         try:
             # an answer of one line fits into the pipe: nobody has to read before the end
-            self._process = subprocess.Popen([python, "-I", "-c", SCRIPT], env=engine_environment(),
-                                             stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL)
+            self._process = subprocess.Popen(
+                [python, "-I", "-c", SCRIPT],
+                env=engine_environment(),
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.PIPE,
+                stderr=subprocess.DEVNULL,
+            )
         except OSError as error:
             self._process = None
             self.lines = [f"{python} cannot be started: {error.strerror or error}.", "Choose another Python."]
@@ -69,8 +75,13 @@ class EngineCheck:
             if name in found:
                 self.lines.append(f"{title} {found[name]}")
         if "torch" in found:
-            self.lines.append(f"CUDA on {found['gpu']}" if found["gpu"] else
-                              "CPU (a CUDA build, but no usable graphics card)" if found["cuda"] else "CPU")
+            self.lines.append(
+                f"CUDA on {found['gpu']}"
+                if found["gpu"]
+                else "CPU (a CUDA build, but no usable graphics card)"
+                if found["cuda"]
+                else "CPU"
+            )
         if missing:
             self.lines.append(f"Missing: {', '.join(missing)}. Install the engine, or choose another Python.")
         self.works = not missing

@@ -1,4 +1,5 @@
 """How the engine is started: which Python, in what environment, with what arguments. No bpy in this file."""
+
 import os
 import subprocess
 import sys
@@ -25,8 +26,12 @@ class NoEngineError(EngineError):
     """There is no engine, or not all of it."""
 
     def __init__(self, message: str):
-        super().__init__(NO_ENGINE, message, "Install the engine in the add-on's preferences, or name a Python that has it "
-                         f"there, with --engine-python or by the variable {ENGINE_PYTHON_VARIABLE}.")
+        super().__init__(
+            NO_ENGINE,
+            message,
+            "Install the engine in the add-on's preferences, or name a Python that has it "
+            f"there, with --engine-python or by the variable {ENGINE_PYTHON_VARIABLE}.",
+        )
 
 
 def engine_environment() -> dict[str, str]:
@@ -67,24 +72,50 @@ def _checkout_python() -> Path:
 def _has_engine(python: str) -> bool:
     script = f"import importlib.util as u; assert all(map(u.find_spec, ('{ENGINE_MODULE}', 'torch')))"
     try:
-        return subprocess.run([python, "-I", "-c", script], env=engine_environment(), stdin=subprocess.DEVNULL,
-                              capture_output=True, timeout=CHECK_LIMIT_S).returncode == 0
+        return (
+            subprocess.run(
+                [python, "-I", "-c", script],
+                env=engine_environment(),
+                stdin=subprocess.DEVNULL,
+                capture_output=True,
+                timeout=CHECK_LIMIT_S,
+            ).returncode
+            == 0
+        )
     except (OSError, subprocess.TimeoutExpired):
         return False
 
 
-def reconstruct_arguments(capture: str, out: str, *, preset: str | None = None, device: str = "auto",
-                          seed: int | None = None, masks: str | None = None, metal: str | None = None,
-                          mesh: str | None = None, threads: int | None = None, resume: bool = False,
-                          overwrite: bool = False, preview: bool = False, keep_going: bool = False,
-                          more: tuple[str, ...] = ()) -> list[str]:
+def reconstruct_arguments(
+    capture: str,
+    out: str,
+    *,
+    preset: str | None = None,
+    device: str = "auto",
+    seed: int | None = None,
+    masks: str | None = None,
+    metal: str | None = None,
+    mesh: str | None = None,
+    threads: int | None = None,
+    resume: bool = False,
+    overwrite: bool = False,
+    preview: bool = False,
+    keep_going: bool = False,
+    more: tuple[str, ...] = (),
+) -> list[str]:
     """The engine's command line for one reconstruction.
 
     keep_going: it outlives this program; else it stops, with its checkpoint, when its standard input is closed.
     """
     arguments = ["reconstruct", str(capture), "--out", str(out), "--device", device, "--job-files"]
-    for name, value in (("--preset", preset), ("--seed", seed), ("--masks", masks), ("--metal", metal), ("--mesh", mesh),
-                        ("--threads", threads)):
+    for name, value in (
+        ("--preset", preset),
+        ("--seed", seed),
+        ("--masks", masks),
+        ("--metal", metal),
+        ("--mesh", mesh),
+        ("--threads", threads),
+    ):
         if value is not None:
             arguments += [name, str(value)]
     flags = {"--watch-stdin": not keep_going, "--resume": resume, "--overwrite": overwrite, "--preview": preview}

@@ -4,6 +4,7 @@ It is followed by files, so that nothing is lost when Blender ends: its events (
 warning, done, error) and its log. They lie in a temporary folder until the engine has agreed to work in the output folder,
 and after that in `OUT/job/`, where `Engine.attach` finds a running or ended job again.
 """
+
 import os
 import re
 import shutil
@@ -94,8 +95,9 @@ class Engine:
             if event["event"] == "done":
                 self.asset = str(event.get("asset", ""))
             elif event["event"] == "error":
-                self.error = EngineError(int(event.get("code") or 1), str(event.get("message", "")),
-                                         str(event.get("hint", "")))
+                self.error = EngineError(
+                    int(event.get("code") or 1), str(event.get("message", "")), str(event.get("hint", ""))
+                )
         if not ended and self._stop_asked is not None:
             self._insist(time.monotonic() - self._stop_asked)
         return new, ended
@@ -141,8 +143,11 @@ class Engine:
         if not self._in_output:
             return None
         if not self.folder.is_dir():
-            return EngineError(NO_OUTPUT, f"The output folder {self.folder.parent} is gone.",
-                               "Bring it back and resume, or start again with another one.")
+            return EngineError(
+                NO_OUTPUT,
+                f"The output folder {self.folder.parent} is gone.",
+                "Bring it back and resume, or start again with another one.",
+            )
         if shutil.disk_usage(self.folder).free < FULL_DISK_BYTES:
             return EngineError(NO_OUTPUT, f"The disk of {self.folder.parent} is full.", "Free some space, then resume.")
         return None

@@ -5,6 +5,7 @@ done, error) on its standard output; pip's own words go to standard error. When 
 and removes what it has made. The environment is DIR/nep-engine; engine.json in it is written last: without it, nothing
 is installed. The next run begins anew where another was killed.
 """
+
 import argparse
 import json
 import os
@@ -90,8 +91,13 @@ class Steps:
         with tempfile.TemporaryDirectory(prefix="nep_step_") as folder:
             said = Path(folder, "said.txt")
             with open(said, "wb") as output:
-                self._process = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=output,
-                                                 stderr=subprocess.STDOUT, start_new_session=os.name != "nt")
+                self._process = subprocess.Popen(
+                    command,
+                    stdin=subprocess.DEVNULL,
+                    stdout=output,
+                    stderr=subprocess.STDOUT,
+                    start_new_session=os.name != "nt",
+                )
             begun, ended = "", False
             with open(said, encoding="utf-8", errors="replace") as reader:
                 while not ended:
@@ -116,8 +122,9 @@ def check_base(steps: Steps, python: str) -> tuple[int, int]:
     try:
         code, text = steps.run([python, "-I", "-c", script])
     except OSError as error:
-        raise InstallError(f"{python} cannot be started: {error.strerror or error}.",
-                           "Choose another Base Python.") from error
+        raise InstallError(
+            f"{python} cannot be started: {error.strerror or error}.", "Choose another Base Python."
+        ) from error
     words = next((line.split() for line in text.splitlines() if line.startswith("version ")), None)
     if words is None:
         raise InstallError(f"{python} is not a Python that works.", "Choose another Base Python.")
@@ -129,7 +136,8 @@ def check_base(steps: Steps, python: str) -> tuple[int, int]:
         raise InstallError(
             f"{name} ({python}) cannot make environments: it lacks the module venv or ensurepip.",
             "Debian and Ubuntu ship them apart: install the package python{}.{}-venv, or choose another Base Python, for "
-            "example one from python.org.".format(*version))
+            "example one from python.org.".format(*version),
+        )
     return version
 
 
@@ -152,8 +160,10 @@ def pip_step(steps: Steps, python: Path, arguments: list[str], what: str, begin:
     errors = [line for line in text.splitlines() if line.startswith("ERROR:")]
     missing = next((line for line in errors if "No matching distribution" in line), None)
     if missing:
-        raise InstallError(f"There is no build of {missing.rpartition(' ')[2]} for this computer and Python {version[0]}."
-                           f"{version[1]}.", "Choose a Base Python 3.11, 3.12 or 3.13, and look at the network connection.")
+        raise InstallError(
+            f"There is no build of {missing.rpartition(' ')[2]} for this computer and Python {version[0]}.{version[1]}.",
+            "Choose a Base Python 3.11, 3.12 or 3.13, and look at the network connection.",
+        )
     raise InstallError(f"pip failed: {errors[-1][7:] if errors else text[-300:]}", "The log has the details.")
 
 
@@ -162,8 +172,11 @@ def install(options: argparse.Namespace, steps: Steps) -> None:
     environment = options.folder / NAME
     tell("progress", fraction=0.0, message="Looking at the base Python")
     version = check_base(steps, options.python)
-    if environment.exists() and any(environment.iterdir()) and not any(
-            (environment / name).exists() for name in (DONE, UNFINISHED)):
+    if (
+        environment.exists()
+        and any(environment.iterdir())
+        and not any((environment / name).exists() for name in (DONE, UNFINISHED))
+    ):
         raise InstallError(f"{environment} is there already and is no engine.", "Delete it, or choose another folder.")
     remove(environment)
     environment.mkdir(parents=True)
@@ -171,8 +184,10 @@ def install(options: argparse.Namespace, steps: Steps) -> None:
     tell("progress", fraction=0.02, message="Making the environment")
     code, text = steps.run([options.python, "-I", "-m", "venv", str(environment)])
     if code != 0:
-        raise InstallError(f"{options.python} could not make an environment: {text[-300:]}",
-                           "Choose another Base Python, for example one from python.org.")
+        raise InstallError(
+            f"{options.python} could not make an environment: {text[-300:]}",
+            "Choose another Base Python, for example one from python.org.",
+        )
     python = venv_python(environment)
     pinned = ["--constraint", str(options.source / "constraints.txt")] if version == PINNED else []
     index = ["--index-url", CPU_INDEX] if options.build == "cpu" else []

@@ -2,6 +2,7 @@
 
 `OUT/job/` belongs to the engine (blender_nep/job/job_folder.py lists what is in it). No bpy in this file.
 """
+
 import json
 import os
 from pathlib import Path
@@ -38,10 +39,12 @@ def is_running(out: Path) -> bool:
     try:
         if os.name == "nt":
             import msvcrt
+
             msvcrt.locking(descriptor, msvcrt.LK_NBLCK, 1)
             msvcrt.locking(descriptor, msvcrt.LK_UNLCK, 1)
         else:
             import fcntl
+
             fcntl.flock(descriptor, fcntl.LOCK_SH | fcntl.LOCK_NB)
     except OSError:
         return True

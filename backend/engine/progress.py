@@ -1,4 +1,5 @@
 """How far a job is, in an artist's words."""
+
 from dataclasses import dataclass
 
 ROOMS = {
@@ -13,6 +14,7 @@ ROOMS = {
 @dataclass(frozen=True)
 class Progress:
     """`fraction` of the whole job 0..1, step and steps of its present part (0: none to count), seconds left or None."""
+
     fraction: float = 0.0
     room: str = "Starting the engine"
     step: int = 0
@@ -23,8 +25,13 @@ class Progress:
     def of(cls, event: dict) -> "Progress":
         """A `progress` event of the engine."""
         room, eta = str(event.get("room", "")), event.get("eta_s")
-        return cls(min(max(float(event.get("fraction") or 0), 0.0), 1.0), ROOMS.get(room, room.replace("_", " ")),
-                   int(event.get("step") or 0), int(event.get("steps") or 0), None if eta is None else float(eta))
+        return cls(
+            min(max(float(event.get("fraction") or 0), 0.0), 1.0),
+            ROOMS.get(room, room.replace("_", " ")),
+            int(event.get("step") or 0),
+            int(event.get("steps") or 0),
+            None if eta is None else float(eta),
+        )
 
     def lines(self) -> list[str]:
         """What is being done; the step; the time left."""
@@ -50,16 +57,25 @@ def duration(seconds: float) -> str:
 
 
 # the engine speaks of its command line; the panel has other words for the same
-_IN_PANEL = {", with --engine-python or by the variable NEP_ENGINE_PYTHON": "",
-             "--masks ignore": "Use Masks is off", "--overwrite": "Start Again",
-             "--resume": "Resume", "--out": "output folder", "--seed": "Seed",
-             "by --metal yes or --metal no": "in Advanced > Material",
-             "--device cpu": "the device CPU", "--preset preview": "the preset Preview", "--mesh": "Known Mesh",
-             "`blender-nep info`": "the capture's description",
-             "stopped (standard input was closed)": "Stopped because Blender closed", "stopped (stop file)": "Stopped",
-             "stopped (stop command)": "Stopped",
-             "Stopped during ": "Stopped while ", "fields learning": "learning shape and light",
-             "material learning": "learning the materials"}
+_IN_PANEL = {
+    ", with --engine-python or by the variable NEP_ENGINE_PYTHON": "",
+    "--masks ignore": "Use Masks is off",
+    "--overwrite": "Start Again",
+    "--resume": "Resume",
+    "--out": "output folder",
+    "--seed": "Seed",
+    "by --metal yes or --metal no": "in Advanced > Material",
+    "--device cpu": "the device CPU",
+    "--preset preview": "the preset Preview",
+    "--mesh": "Known Mesh",
+    "`blender-nep info`": "the capture's description",
+    "stopped (standard input was closed)": "Stopped because Blender closed",
+    "stopped (stop file)": "Stopped",
+    "stopped (stop command)": "Stopped",
+    "Stopped during ": "Stopped while ",
+    "fields learning": "learning shape and light",
+    "material learning": "learning the materials",
+}
 
 
 def in_panel_words(text: str) -> str:

@@ -1,4 +1,5 @@
 """A process that this program starts and follows by files, so that nothing ever waits for a pipe. No bpy in this file."""
+
 import json
 import os
 import shutil
@@ -22,9 +23,14 @@ class StartedProcess:
         with open(self.folder / "events.jsonl", "wb") as events, open(self.folder / "engine.log", "wb") as log:
             # its own session: Ctrl-C in a terminal reaches the parent alone, which then asks the process to stop
             self.process = subprocess.Popen(
-                command, env=engine_environment(), stdout=events, stderr=log,
-                stdin=subprocess.DEVNULL if keep_going else subprocess.PIPE, start_new_session=os.name != "nt",
-                creationflags=getattr(subprocess, "CREATE_NO_WINDOW", 0))
+                command,
+                env=engine_environment(),
+                stdout=events,
+                stderr=log,
+                stdin=subprocess.DEVNULL if keep_going else subprocess.PIPE,
+                start_new_session=os.name != "nt",
+                creationflags=getattr(subprocess, "CREATE_NO_WINDOW", 0),
+            )
 
     def running(self) -> bool:
         return self.process.poll() is None

@@ -1,4 +1,5 @@
 """How long a job takes on this machine: measured on the last jobs of each preset, before the first of them a guess."""
+
 import json
 import os
 import statistics

@@ -4,6 +4,7 @@ One row a photo, one column a light; below, if wanted, the object turned before 
 Blender's view transform Standard (sRGB), which changes no hue; photo and re-rendering share one exposure and white
 balance (the photo's own, where the photos' differ), every other light gets its own.
 """
+
 from pathlib import Path
 
 import numpy as np
@@ -19,8 +20,17 @@ EXPOSED = 0.65  # of white, where a tile's EXPOSED_PERCENTILE lies
 EXPOSED_PERCENTILE = 90
 
 
-def compare(item, frames: list[Frame], recovered, worlds: list, *, samples: int = 64, seed: int = 0,
-            turntable: int = 0, progress=None):
+def compare(
+    item,
+    frames: list[Frame],
+    recovered,
+    worlds: list,
+    *,
+    samples: int = 64,
+    seed: int = 0,
+    turntable: int = 0,
+    progress=None,
+):
     """Render the comparison of `item` under the World `recovered` and the others.
 
     Returns ([H,W,3] uint8 sheet, [gain of each row's photo]). `turntable` views around the object are shown under the
@@ -56,8 +66,11 @@ def compare(item, frames: list[Frame], recovered, worlds: list, *, samples: int 
             strip = [rendered(relit, frame, light) for frame in turntable_frames(item, frames, turntable, side)]
         gain = exposure(np.concatenate(strip))
         strip = [linear_to_srgb(tile * gain) for tile in strip]
-    titles = [f"photo {frames[0].path.name}" if len(frames) == 1 else "photo", "re-rendered, recovered light",
-              *(f"light: {world.name}" for world in worlds)]
+    titles = [
+        f"photo {frames[0].path.name}" if len(frames) == 1 else "photo",
+        "re-rendered, recovered light",
+        *(f"light: {world.name}" for world in worlds),
+    ]
     return draw_sheet(rows, titles, _subtitle(gains), strip, f"turntable, light: {light.name}"), gains
 
 

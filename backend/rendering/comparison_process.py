@@ -1,4 +1,5 @@
 """`render_comparison.py` in a second Blender: the one with the artist's work stays responsive and untouched."""
+
 import json
 import os
 import queue
@@ -32,8 +33,16 @@ class ComparisonProcess:
         self._scratch = tempfile.TemporaryDirectory(prefix="nep_comparison_", ignore_cleanup_errors=True)
         temporary = dict.fromkeys(("TMPDIR", "TEMP", "TMP"), self._scratch.name)  # renders in progress, gone with it
         self.process = subprocess.Popen(
-            [*_blender(), *arguments], env=os.environ | temporary, stdin=subprocess.PIPE, stdout=subprocess.PIPE,
-            stderr=subprocess.STDOUT, text=True, encoding="utf-8", errors="replace", start_new_session=os.name != "nt")
+            [*_blender(), *arguments],
+            env=os.environ | temporary,
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            text=True,
+            encoding="utf-8",
+            errors="replace",
+            start_new_session=os.name != "nt",
+        )
         self._reader = threading.Thread(target=self._read, daemon=True)
         self._reader.start()
 
@@ -59,8 +68,11 @@ class ComparisonProcess:
             self.process.kill()
         if ended and self.path is None and not self.error:
             code = self.process.returncode
-            self.error = "Cancelled" if self.cancelled else "\n".join(
-                [f"Blender ended with code {code} while rendering the comparison", *self._log])
+            self.error = (
+                "Cancelled"
+                if self.cancelled
+                else "\n".join([f"Blender ended with code {code} while rendering the comparison", *self._log])
+            )
         return ended
 
     def cancel(self) -> None:

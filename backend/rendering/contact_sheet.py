@@ -1,4 +1,5 @@
 """The sheet of a comparison: a grid of tiles under titles, and a strip below it."""
+
 import numpy as np
 
 from .lettering import draw_text, fitting
@@ -13,8 +14,9 @@ def strip_tile_size(columns: int, width: int, height: int, count: int) -> int:
     return max(1, min((columns * (width + GAP) - count * GAP) // count, height))
 
 
-def draw_sheet(rows: list[list[np.ndarray]], titles: list[str], subtitle: str,
-               strip: list[np.ndarray] = (), strip_title: str = "") -> np.ndarray:
+def draw_sheet(
+    rows: list[list[np.ndarray]], titles: list[str], subtitle: str, strip: list[np.ndarray] = (), strip_title: str = ""
+) -> np.ndarray:
     """[H,W,3] uint8 of tiles [h,w,3] (0..1, all of one size), a title a column, and square `strip` tiles below."""
     height, width = rows[0][0].shape[:2]
     columns, grid = len(titles), HEADER + len(rows) * (height + GAP)
@@ -29,12 +31,12 @@ def draw_sheet(rows: list[list[np.ndarray]], titles: list[str], subtitle: str,
     texts.append((GAP, 46.0, SMALL, fitting(subtitle, sheet.shape[1], SMALL)))
     _write(sheet[:HEADER], texts)
     if strip:
-        _write(sheet[grid:grid + STRIP_HEADER], [(GAP, 22.0, TITLE, fitting(strip_title, sheet.shape[1], TITLE))])
+        _write(sheet[grid : grid + STRIP_HEADER], [(GAP, 22.0, TITLE, fitting(strip_title, sheet.shape[1], TITLE))])
     return np.round(sheet * 255).astype(np.uint8)
 
 
 def _paste(sheet: np.ndarray, tile: np.ndarray, y: int, x: int) -> None:
-    sheet[y:y + tile.shape[0], x:x + tile.shape[1]] = tile
+    sheet[y : y + tile.shape[0], x : x + tile.shape[1]] = tile
 
 
 def _write(band: np.ndarray, texts: list[tuple[float, float, float, str]]) -> None:

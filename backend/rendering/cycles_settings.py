@@ -16,4 +16,5 @@ def use_cycles(scene, samples: int, seed: int = 0) -> None:
 def has_denoiser() -> bool:
     """Distribution builds may lack OpenImageDenoise; asking for it there raises (4.3) or is ignored (5.2)."""
     import _cycles
+
     return bool(_cycles.with_openimagedenoise)

@@ -1,4 +1,5 @@
 """Text as pixels: Blender's own font rendered by Cycles, because neither PIL nor a GPU context can be counted on."""
+
 import os
 import tempfile
 from pathlib import Path
@@ -48,7 +49,7 @@ def draw_text(width: int, height: int, texts: list[tuple[float, float, float, st
 def fitting(string: str, width: float, size: float) -> str:
     """The string, shortened where it would be wider than `width` pixels."""
     most = max(4, int(width / (ADVANCE * size)))
-    return string if len(string) <= most else string[:most - 2] + ".."
+    return string if len(string) <= most else string[: most - 2] + ".."
 
 
 def _alpha(scene) -> np.ndarray:

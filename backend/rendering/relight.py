@@ -1,4 +1,5 @@
 """Rendering an asset from a photo's camera under one World after the other, in a scene of its own."""
+
 import os
 import tempfile
 from pathlib import Path

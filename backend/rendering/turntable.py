@@ -1,4 +1,5 @@
 """Cameras on a circle around an object."""
+
 import math
 from pathlib import Path
 

@@ -1,4 +1,5 @@
 """An asset folder becomes a Blender object, in place, with one Principled material."""
+
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,6 +11,7 @@ import numpy as np
 @dataclass(frozen=True)
 class Texture:
     """`socket` of the Principled BSDF ('' for one that is only kept at hand) and what the 8-bit file encodes."""
+
     name: str
     socket: str
     is_colour: bool
@@ -17,9 +19,12 @@ class Texture:
 
 
 CONFIDENCE = "confidence"  # image node of the material and attribute of the mesh: 1 where the photos decided
-TEXTURES = (Texture("albedo", "Base Color", True, "albedo"), Texture("roughness", "Roughness", False, "roughness"),
-            Texture("metallic", "Metallic", False, "metallic"),
-            Texture(CONFIDENCE, "", False, "confidence (not connected)"))
+TEXTURES = (
+    Texture("albedo", "Base Color", True, "albedo"),
+    Texture("roughness", "Roughness", False, "roughness"),
+    Texture("metallic", "Metallic", False, "metallic"),
+    Texture(CONFIDENCE, "", False, "confidence (not connected)"),
+)
 
 
 def import_asset(folder: Path, collection, *, name: str = "", pack: bool = True):
@@ -51,8 +56,10 @@ def check_asset(folder: Path) -> None:
         raise OSError(f"{folder} holds no asset: it has no mesh.obj. Choose the folder that a reconstruction wrote")
     for texture in TEXTURES:
         if not any((folder / "textures" / (texture.name + suffix)).is_file() for suffix in (".png", ".exr")):
-            raise OSError(f"the asset {folder} is incomplete: textures/{texture.name}.png is missing. "
-                          "Reconstruct again, or put the file back")
+            raise OSError(
+                f"the asset {folder} is incomplete: textures/{texture.name}.png is missing. "
+                "Reconstruct again, or put the file back"
+            )
 
 
 @contextmanager

@@ -3,6 +3,7 @@
 A camera's frame is its photo: `lens` and `sensor` hold the focal length, `shift_x`/`shift_y` the principal point. The
 aspect of the pixels (fl_x / fl_y) is a setting of the scene in Blender, not of the camera.
 """
+
 from dataclasses import dataclass
 
 import bpy
@@ -18,6 +19,7 @@ CLIP_RANGE = (1e-3, 1e5)  # of the camera's distance to the world's origin, at l
 @dataclass(frozen=True)
 class Intrinsics:
     """Focal lengths and principal point in pixels; cx, cy from the top left."""
+
     fl_x: float
     fl_y: float
     cx: float
@@ -56,5 +58,9 @@ def intrinsics(data, width: int, height: int, aspect: tuple[float, float] = (1.0
         sensor = data.sensor_width if fit == "HORIZONTAL" else data.sensor_height
     # the fitted side in pixels of the image's rows and columns: the unit of the shift, and the sensor's extent
     unit_x, unit_y = (width, width * ratio) if fit == "HORIZONTAL" else (height / ratio, height)
-    return Intrinsics(data.lens / sensor * unit_x, data.lens / sensor * unit_y,
-                      width / 2 - data.shift_x * unit_x, height / 2 + data.shift_y * unit_y)
+    return Intrinsics(
+        data.lens / sensor * unit_x,
+        data.lens / sensor * unit_y,
+        width / 2 - data.shift_x * unit_x,
+        height / 2 + data.shift_y * unit_y,
+    )

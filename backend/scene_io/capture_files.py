@@ -1,4 +1,5 @@
 """The cameras and photos of a capture, as far as Blender needs them (transforms.json, the instant-ngp form)."""
+
 import json
 import math
 from dataclasses import dataclass, replace
@@ -16,6 +17,7 @@ GREY = 0.18  # behind photos that were cut out
 @dataclass(frozen=True)
 class Frame:
     """One photo: its file, pinhole camera (pixels; cx, cy from the top left) and camera-to-world matrix [4,4]."""
+
     path: Path
     width: int
     height: int
@@ -120,8 +122,17 @@ def _frame(folder: Path, meta: dict, entry: dict) -> Frame:
     angle = entry.get("camera_angle_x", meta.get("camera_angle_x"))
     fl_x = float(value("fl_x", None if angle is None else 0.5 * width / math.tan(0.5 * angle)))
     space = meta.get("color_space") or ("srgb" if path.suffix.lower() in SRGB_FILES else "linear")
-    return Frame(path, width, height, fl_x, float(value("fl_y", fl_x)), float(value("cx", width / 2)),
-                 float(value("cy", height / 2)), _matrix(value("transform_matrix"), path), space)
+    return Frame(
+        path,
+        width,
+        height,
+        fl_x,
+        float(value("fl_y", fl_x)),
+        float(value("cx", width / 2)),
+        float(value("cy", height / 2)),
+        _matrix(value("transform_matrix"), path),
+        space,
+    )
 
 
 def _matrix(rows, path: Path) -> np.ndarray:

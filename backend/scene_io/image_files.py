@@ -4,6 +4,7 @@
 Academy Software Foundation) because Blender shows Python no pixels of a multilayer file's passes. Every other file is
 read by Blender (`load_pixels`).
 """
+
 import os
 import struct
 import zlib
@@ -38,7 +39,7 @@ def read_exr(path: Path) -> dict[str, np.ndarray]:
         top -= y0
         rows = min(lines, height - top)
         raw_size = rows * width * sum(kind.itemsize for _, kind in channels)
-        block = data[offset + 8:offset + 8 + size]
+        block = data[offset + 8 : offset + 8 + size]
         if compression and size < raw_size:
             block = _undo_prediction(zlib.decompress(block))
         cursor = 0
@@ -54,17 +55,29 @@ def write_exr(path: Path, channels: dict[str, np.ndarray]) -> None:
     names = sorted(channels)
     height, width = channels[names[0]].shape
     kinds = {np.dtype(np.float16): 1, np.dtype(np.float32): 2}
-    listed = b"".join(name.encode() + b"\0" + struct.pack("<iB3xii", kinds[channels[name].dtype], 0, 1, 1)
-                      for name in names) + b"\0"
+    listed = (
+        b"".join(name.encode() + b"\0" + struct.pack("<iB3xii", kinds[channels[name].dtype], 0, 1, 1) for name in names)
+        + b"\0"
+    )
     box = struct.pack("<4i", 0, 0, width - 1, height - 1)
-    attributes = [("channels", "chlist", listed), ("compression", "compression", b"\3"), ("dataWindow", "box2i", box),
-                  ("displayWindow", "box2i", box), ("lineOrder", "lineOrder", b"\0"),
-                  ("pixelAspectRatio", "float", struct.pack("<f", 1)),
-                  ("screenWindowCenter", "v2f", struct.pack("<2f", 0, 0)),
-                  ("screenWindowWidth", "float", struct.pack("<f", 1))]
-    head = struct.pack("<ii", EXR_MAGIC, 2) + b"".join(
-        name.encode() + b"\0" + kind.encode() + b"\0" + struct.pack("<i", len(value)) + value
-        for name, kind, value in attributes) + b"\0"
+    attributes = [
+        ("channels", "chlist", listed),
+        ("compression", "compression", b"\3"),
+        ("dataWindow", "box2i", box),
+        ("displayWindow", "box2i", box),
+        ("lineOrder", "lineOrder", b"\0"),
+        ("pixelAspectRatio", "float", struct.pack("<f", 1)),
+        ("screenWindowCenter", "v2f", struct.pack("<2f", 0, 0)),
+        ("screenWindowWidth", "float", struct.pack("<f", 1)),
+    ]
+    head = (
+        struct.pack("<ii", EXR_MAGIC, 2)
+        + b"".join(
+            name.encode() + b"\0" + kind.encode() + b"\0" + struct.pack("<i", len(value)) + value
+            for name, kind, value in attributes
+        )
+        + b"\0"
+    )
     blocks = []
     for top in range(0, height, 16):
         raw = b"".join(channels[name][row].tobytes() for row in range(top, min(top + 16, height)) for name in names)
@@ -85,8 +98,9 @@ def write_png(path: Path, pixels: np.ndarray) -> None:
         return struct.pack(">I", len(body)) + kind + body + struct.pack(">I", zlib.crc32(kind + body))
 
     header = struct.pack(">IIBBBBB", width, height, 8, 2 if pixels.ndim == 3 else 0, 0, 0, 0)
-    write_whole(path, b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", header) + chunk(b"IDAT", zlib.compress(raw, 9))
-                 + chunk(b"IEND", b""))
+    write_whole(
+        path, b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", header) + chunk(b"IDAT", zlib.compress(raw, 9)) + chunk(b"IEND", b"")
+    )
 
 
 def load_pixels(path: Path) -> np.ndarray:
@@ -143,8 +157,8 @@ def _read_exr_header(data: bytes, position: int) -> tuple[dict[str, bytes], int]
     while data[position]:
         end = data.index(b"\0", position)
         name, position = data[position:end].decode(), data.index(b"\0", end + 1) + 1
-        size, = struct.unpack_from("<i", data, position)
-        header[name] = data[position + 4:position + 4 + size]
+        (size,) = struct.unpack_from("<i", data, position)
+        header[name] = data[position + 4 : position + 4 + size]
         position += 4 + size
     return header, position + 1
 
@@ -153,7 +167,7 @@ def _channel_list(value: bytes) -> list[tuple[str, np.dtype]]:
     channels, position = [], 0
     while value[position]:
         end = value.index(b"\0", position)
-        kind, = struct.unpack_from("<i", value, end + 1)
+        (kind,) = struct.unpack_from("<i", value, end + 1)
         channels.append((value[position:end].decode(), EXR_TYPES[kind]))
         position = end + 17
     return channels

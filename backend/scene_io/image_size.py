@@ -1,4 +1,5 @@
 """Width and height of an image file from its header, without Blender decoding the pixels. No bpy in this file."""
+
 import struct
 from pathlib import Path
 

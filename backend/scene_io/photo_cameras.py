@@ -1,4 +1,5 @@
 """A capture's cameras as Blender cameras, each with its photo behind it, in a collection of their own."""
+
 from pathlib import Path
 
 import bpy

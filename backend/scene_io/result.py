@@ -1,4 +1,5 @@
 """The result of a reconstruction in a Blender file: the object, and the light around it as a World."""
+
 from pathlib import Path
 
 from .asset_import import import_asset, nothing_half_made

@@ -1,4 +1,5 @@
 """A capture folder from the cameras of a Blender scene that have a photo as background image."""
+
 import json
 import os
 from pathlib import Path
@@ -21,8 +22,9 @@ class Unusable(ValueError):
 
 def photo_cameras(scene) -> list:
     """The scene's cameras with a background image, by name."""
-    return sorted((item for item in scene.objects if item.type == "CAMERA" and _photo(item) is not None),
-                  key=lambda item: item.name)
+    return sorted(
+        (item for item in scene.objects if item.type == "CAMERA" and _photo(item) is not None), key=lambda item: item.name
+    )
 
 
 def write_scene_capture(scene, folder: Path) -> int:
@@ -37,8 +39,10 @@ def write_scene_capture(scene, folder: Path) -> int:
         raise ValueError(f"{folder} already holds a capture that was not made from a scene. Choose another folder")
     cameras = photo_cameras(scene)
     if len(cameras) < MINIMUM_PHOTOS:
-        raise ValueError(f"{len(cameras)} cameras have a photo as background image; at least {MINIMUM_PHOTOS} from "
-                         "different places are needed. Add the photos in each camera's Background Images")
+        raise ValueError(
+            f"{len(cameras)} cameras have a photo as background image; at least {MINIMUM_PHOTOS} from "
+            "different places are needed. Add the photos in each camera's Background Images"
+        )
     frames, packed, problems = [], {}, []
     for camera in cameras:
         try:
@@ -49,8 +53,12 @@ def write_scene_capture(scene, folder: Path) -> int:
         more = f" (and {len(problems) - 3} more)" if len(problems) > 3 else ""
         raise ValueError("; ".join(problems[:3]) + more)
     spaces = {_photo(camera).colorspace_settings.name in LINEAR_SPACES for camera in cameras}
-    meta = {"camera_model": "PINHOLE", "source": SOURCE, "color_space": "linear" if spaces == {True} else "srgb",
-            "frames": frames}
+    meta = {
+        "camera_model": "PINHOLE",
+        "source": SOURCE,
+        "color_space": "linear" if spaces == {True} else "srgb",
+        "frames": frames,
+    }
     folder.mkdir(parents=True, exist_ok=True)
     for name, data in packed.items():
         (folder / name).parent.mkdir(exist_ok=True)
@@ -64,8 +72,11 @@ def _frame(scene, camera, folder: Path, packed: dict[str, bytes]) -> dict:
     if data.type != "PERSP":
         kind = {"PANO": "panoramic", "ORTHO": "orthographic"}.get(data.type, data.type.lower())
         raise Unusable(f"{camera.name} is a {kind} camera: only perspective ones can be used")
-    if (background.scale, background.rotation, tuple(background.offset)) != (1.0, 0.0, (0.0, 0.0)) or \
-            background.use_flip_x or background.use_flip_y:
+    if (
+        (background.scale, background.rotation, tuple(background.offset)) != (1.0, 0.0, (0.0, 0.0))
+        or background.use_flip_x
+        or background.use_flip_y
+    ):
         raise Unusable(f"{camera.name} has its photo moved, turned, scaled or flipped: reset its Background Image")
     if camera.matrix_world.determinant() <= 0:
         raise Unusable(f"{camera.name} is mirrored: make its scale positive")
@@ -78,14 +89,24 @@ def _frame(scene, camera, folder: Path, packed: dict[str, bytes]) -> dict:
         aspect = render.pixel_aspect_x, render.pixel_aspect_y
         frame_width, frame_height = render.resolution_x, render.resolution_y
     if abs(width * frame_height / (height * frame_width) - 1) > ASPECT_TOLERANCE:
-        raise Unusable(f"{camera.name}: its photo has {width} x {height} pixels, its frame {frame_width} x "
-                       f"{frame_height}. Set the render size to the photos'")
+        raise Unusable(
+            f"{camera.name}: its photo has {width} x {height} pixels, its frame {frame_width} x "
+            f"{frame_height}. Set the render size to the photos'"
+        )
     lens = intrinsics(data, width, height, aspect)
     location, rotation, _ = camera.matrix_world.decompose()
     matrix = rotation.to_matrix().to_4x4()
     matrix.translation = location
-    return {"file_path": name, "w": width, "h": height, "fl_x": lens.fl_x, "fl_y": lens.fl_y, "cx": lens.cx,
-            "cy": lens.cy, "transform_matrix": [list(row) for row in matrix]}
+    return {
+        "file_path": name,
+        "w": width,
+        "h": height,
+        "fl_x": lens.fl_x,
+        "fl_y": lens.fl_y,
+        "cx": lens.cx,
+        "cy": lens.cy,
+        "transform_matrix": [list(row) for row in matrix],
+    }
 
 
 def _photo_file(camera, folder: Path, packed: dict[str, bytes]) -> tuple[str, int, int]:

@@ -3,6 +3,7 @@
 Blender's orientation: a direction (x, y, z) lies at u = 0.5 - atan2(y, x) / 2 pi and v = 0.5 + atan2(z, |xy|) / pi;
 v = 1 is the image's top row. `environment.exr` of an asset is written that way, so no rotation is needed.
 """
+
 from pathlib import Path
 
 import bpy

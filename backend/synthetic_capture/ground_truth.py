@@ -1,4 +1,5 @@
 """Rendering one view of a synthetic scene in Cycles: the photo and, from the same samples, its ground truth."""
+
 import os
 import tempfile
 from pathlib import Path

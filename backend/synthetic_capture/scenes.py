@@ -4,6 +4,7 @@ After NeP's synthetic set (Wang et al., CVPR 2024): the surroundings are near, s
 in the object cannot be explained by an environment map at infinity; all light comes from inside the room.
 The object is normalised to the sphere of radius 1 at the origin, the border between object and environment.
 """
+
 import math
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,6 +22,7 @@ FILL = 0.97  # of OBJECT_RADIUS taken by the object, so that no vertex touches t
 @dataclass(frozen=True)
 class Substance:
     """What a patch of the object is made of: linear Base Color, Principled roughness and metallic."""
+
     colour: tuple[float, float, float]
     roughness: float
     metallic: float
@@ -94,8 +96,13 @@ def _object(source: str):
 
 
 def _mesh_file(path: Path):
-    operators = {".obj": bpy.ops.wm.obj_import, ".ply": bpy.ops.wm.ply_import, ".stl": bpy.ops.wm.stl_import,
-                 ".glb": bpy.ops.import_scene.gltf, ".gltf": bpy.ops.import_scene.gltf}
+    operators = {
+        ".obj": bpy.ops.wm.obj_import,
+        ".ply": bpy.ops.wm.ply_import,
+        ".stl": bpy.ops.wm.stl_import,
+        ".glb": bpy.ops.import_scene.gltf,
+        ".gltf": bpy.ops.import_scene.gltf,
+    }
     if path.suffix.lower() not in operators or not path.is_file():
         raise ValueError(f"{path}: neither 'suzanne' nor 'box' nor a mesh file ({', '.join(operators)})")
     before = set(bpy.data.objects)
@@ -146,10 +153,12 @@ def _object_material(pattern: str, substances: tuple[Substance, ...], rng: np.ra
     principled = next(node for node in nodes if node.type == "BSDF_PRINCIPLED")
     factor = None if pattern == "uniform" else _pattern(nodes, links, pattern, rng)
     first, second = substances[0], substances[-1]
-    sockets = {"albedo": _blend(nodes, links, factor, first.colour, second.colour),
-               "roughness": _blend(nodes, links, factor, (first.roughness,) * 3, (second.roughness,) * 3),
-               "metallic": _blend(nodes, links, factor, (first.metallic,) * 3, (second.metallic,) * 3),
-               "mask": _blend(nodes, links, None, (1, 1, 1), (1, 1, 1))}
+    sockets = {
+        "albedo": _blend(nodes, links, factor, first.colour, second.colour),
+        "roughness": _blend(nodes, links, factor, (first.roughness,) * 3, (second.roughness,) * 3),
+        "metallic": _blend(nodes, links, factor, (first.metallic,) * 3, (second.metallic,) * 3),
+        "mask": _blend(nodes, links, None, (1, 1, 1), (1, 1, 1)),
+    }
     for name, socket in (("albedo", "Base Color"), ("roughness", "Roughness"), ("metallic", "Metallic")):
         links.new(sockets[name], principled.inputs[socket])
     for name, output in sockets.items():
@@ -199,8 +208,10 @@ def _blend(nodes, links, factor, first, second):
 
 def _room(rng: np.random.Generator) -> list:
     middle, height, width = (FLOOR + CEILING) / 2, CEILING - FLOOR, 2 * HALF_WIDTH
-    boxes = [("floor", (0, 0, FLOOR - 0.05), (width, width, 0.1), 1.1),
-             ("ceiling", (0, 0, CEILING + 0.05), (width, width, 0.1), 0)]
+    boxes = [
+        ("floor", (0, 0, FLOOR - 0.05), (width, width, 0.1), 1.1),
+        ("ceiling", (0, 0, CEILING + 0.05), (width, width, 0.1), 0),
+    ]
     for number, (x, y) in enumerate(((1, 0), (-1, 0), (0, 1), (0, -1))):
         size = (0.1, width, height) if x else (width, 0.1, height)
         reach = HALF_WIDTH + 0.05
@@ -221,14 +232,17 @@ def _lights(rng: np.random.Generator) -> list:
     bar = _surface("window bars", rng, 0.6)
     lights = []
     for name, location, size, colour, strength in (
-            ("window", (-HALF_WIDTH + 0.02, 0.8, 1.5), (0.04, 3.0, 2.0), (0.9, 0.95, 1.0), 8.0),
-            ("ceiling lamp", (1.5, 1.0, CEILING - 0.03), (1.8, 1.2, 0.04), (1.0, 0.95, 0.85), 22.0),
-            ("lantern", (-3.0, -3.0, 2.6), (0.8, 0.8, 0.8), (0.6, 0.8, 1.0), 10.0)):
+        ("window", (-HALF_WIDTH + 0.02, 0.8, 1.5), (0.04, 3.0, 2.0), (0.9, 0.95, 1.0), 8.0),
+        ("ceiling lamp", (1.5, 1.0, CEILING - 0.03), (1.8, 1.2, 0.04), (1.0, 0.95, 0.85), 22.0),
+        ("lantern", (-3.0, -3.0, 2.6), (0.8, 0.8, 0.8), (0.6, 0.8, 1.0), 10.0),
+    ):
         item = _box(name, location, size)
         item.data.materials.append(_emission(name, colour, strength))
         lights.append(item)
-    for name, location, size in (("bar0", (-HALF_WIDTH + 0.07, 0.8, 1.5), (0.06, 0.1, 2.1)),
-                                 ("bar1", (-HALF_WIDTH + 0.07, 0.8, 1.5), (0.06, 3.1, 0.1))):
+    for name, location, size in (
+        ("bar0", (-HALF_WIDTH + 0.07, 0.8, 1.5), (0.06, 0.1, 2.1)),
+        ("bar1", (-HALF_WIDTH + 0.07, 0.8, 1.5), (0.06, 3.1, 0.1)),
+    ):
         item = _box(name, location, size)
         item.data.materials.append(bar)
         lights.append(item)

@@ -1,4 +1,5 @@
 """Where the camera may stand: around the object, outside every thing, with a clear view of the object."""
+
 import math
 from dataclasses import dataclass
 
@@ -20,6 +21,7 @@ TRIES = 400
 @dataclass(frozen=True)
 class Viewpoint:
     """`matrix` is camera-to-world (camera looks down -z, y up)."""
+
     matrix: Matrix
 
 
@@ -61,7 +63,7 @@ def fibonacci_sphere(count: int) -> np.ndarray:
     index = np.arange(count) + 0.5
     z = 1 - 2 * index / count
     angle = index * math.pi * (3 - math.sqrt(5))
-    ring = np.sqrt(1 - z ** 2)
+    ring = np.sqrt(1 - z**2)
     return np.stack([ring * np.cos(angle), ring * np.sin(angle), z], axis=1)
 
 

@@ -84,15 +84,24 @@ class PathTracer:
     def __init__(self, surface: Surface, settings: PeerSettings) -> None:
         self.settings = settings
         grey = {"type": "bitmap", "raw": True, "wrap_mode": "clamp"}
-        bsdf = mi.load_dict({
-            "type": "principled",
-            "base_color": grey | {"data": mi.TensorXf(np.full((2, 2, 3), 0.5, np.float32))},
-            "roughness": grey | {"data": mi.TensorXf(np.full((2, 2, 1), 0.5, np.float32))},
-            "metallic": grey | {"data": mi.TensorXf(np.full((2, 2, 1), 0.5, np.float32))}})
+        bsdf = mi.load_dict(
+            {
+                "type": "principled",
+                "base_color": grey | {"data": mi.TensorXf(np.full((2, 2, 3), 0.5, np.float32))},
+                "roughness": grey | {"data": mi.TensorXf(np.full((2, 2, 1), 0.5, np.float32))},
+                "metallic": grey | {"data": mi.TensorXf(np.full((2, 2, 1), 0.5, np.float32))},
+            }
+        )
         props = mi.Properties()
         props["bsdf"] = bsdf
-        mesh = mi.Mesh("object", len(surface.vertices), len(surface.faces), has_vertex_normals=True,
-                       has_vertex_texcoords=True, props=props)
+        mesh = mi.Mesh(
+            "object",
+            len(surface.vertices),
+            len(surface.faces),
+            has_vertex_normals=True,
+            has_vertex_texcoords=True,
+            props=props,
+        )
         values = mi.traverse(mesh)
         values["vertex_positions"] = surface.vertices.astype(np.float32).ravel()
         values["vertex_normals"] = surface.normals.astype(np.float32).ravel()
@@ -102,24 +111,50 @@ class PathTracer:
         values.update()
         rows = settings.environment_rows
         light = mi.Bitmap(np.ones((rows, 2 * rows, 3), np.float32))
-        self.scene = mi.load_dict({"type": "scene", "object": mesh, "light": {"type": "envmap", "bitmap": light},
-                                   "integrator": {"type": "prb", "max_depth": settings.depth}})
+        self.scene = mi.load_dict(
+            {
+                "type": "scene",
+                "object": mesh,
+                "light": {"type": "envmap", "bitmap": light},
+                "integrator": {"type": "prb", "max_depth": settings.depth},
+            }
+        )
         self.values = mi.traverse(self.scene)
-        part = {name: [k for k in self.values.keys() if k.endswith(f"{name}.data")]
-                for name in ("base_color", "roughness", "metallic", "light")}
+        part = {
+            name: [k for k in self.values.keys() if k.endswith(f"{name}.data")]
+            for name in ("base_color", "roughness", "metallic", "light")
+        }
         self.keys = [found[0] for found in part.values()]
         self.sensors: dict[int, mi.Sensor] = {}
 
     def _sensor(self, count: int) -> mi.Sensor:
         if count not in self.sensors:
-            self.sensors[count] = mi.load_dict({
-                "type": "photo_pixels", "sampler": {"type": "independent"},
-                "film": {"type": "hdrfilm", "width": count, "height": 1, "pixel_format": "rgb",
-                         "component_format": "float32", "rfilter": {"type": "box"}}})
+            self.sensors[count] = mi.load_dict(
+                {
+                    "type": "photo_pixels",
+                    "sampler": {"type": "independent"},
+                    "film": {
+                        "type": "hdrfilm",
+                        "width": count,
+                        "height": 1,
+                        "pixel_format": "rgb",
+                        "component_format": "float32",
+                        "rfilter": {"type": "box"},
+                    },
+                }
+            )
         return self.sensors[count]
 
-    def render(self, albedo: Tensor, roughness: Tensor, metallic: Tensor, environment: Tensor,
-               rays: tuple[Tensor, Tensor, Tensor], samples: int, seed: int) -> Tensor:
+    def render(
+        self,
+        albedo: Tensor,
+        roughness: Tensor,
+        metallic: Tensor,
+        environment: Tensor,
+        rays: tuple[Tensor, Tensor, Tensor],
+        samples: int,
+        seed: int,
+    ) -> Tensor:
         """Radiance [n, 3] of rays (origins [n, 3], unit directions [n, 3], half angles [n]).
 
         albedo [H, W, 3], roughness and metallic [H, W], environment [rows, 2 rows, 3].
@@ -137,8 +172,15 @@ class PathTracer:
             for key, texture in zip(self.keys, textures, strict=True):
                 self.values[key] = texture
             self.values.update()
-            return mi.render(self.scene, self.values, sensor=sensor, spp=samples, seed=seed,
-                             spp_grad=self.settings.samples_grad, seed_grad=seed + (1 << 30))
+            return mi.render(
+                self.scene,
+                self.values,
+                sensor=sensor,
+                spp=samples,
+                seed=seed,
+                spp_grad=self.settings.samples_grad,
+                seed_grad=seed + (1 << 30),
+            )
 
         return traced(albedo, roughness[..., None], metallic[..., None], wrapped)[0]
 
@@ -225,8 +267,13 @@ def learn(surface: Surface, rays: PixelRays, settings: PeerSettings, minutes: fl
     textures = Textures(settings.levels)
     seen = photographed_environment(rays, background, settings.environment_rows)
     light = nn.Parameter(seen.clamp(min=1e-3).log())
-    optimiser = torch.optim.Adam([{"params": textures.parameters(), "lr": settings.material_rate},
-                                  {"params": [light], "lr": settings.environment_rate}], betas=(0.9, 0.99))
+    optimiser = torch.optim.Adam(
+        [
+            {"params": textures.parameters(), "lr": settings.material_rate},
+            {"params": [light], "lr": settings.environment_rate},
+        ],
+        betas=(0.9, 0.99),
+    )
     rates = [group["lr"] for group in optimiser.param_groups]
     tracer = PathTracer(surface, settings)
     step, losses, fraction = 0, [], 0.0
@@ -251,6 +298,10 @@ def learn(surface: Surface, rays: PixelRays, settings: PeerSettings, minutes: fl
         fraction = (time.process_time() - start) / (60 * minutes)
     with torch.no_grad():
         maps = [x.numpy() for x in textures()]
-    report = {"steps": step, "object_pixels": len(inside), "first_loss": float(np.mean(losses[:10])),
-              "last_loss": float(np.mean(losses[-50:]))}
+    report = {
+        "steps": step,
+        "object_pixels": len(inside),
+        "first_loss": float(np.mean(losses[:10])),
+        "last_loss": float(np.mean(losses[-50:])),
+    }
     return Learned(*maps, light.detach().exp().numpy(), report)

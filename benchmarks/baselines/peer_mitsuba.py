@@ -64,7 +64,8 @@ def run(folder: Path, minutes: float, settings, seed: int, picture: Path) -> dic
     textures = [learned.albedo, *(np.repeat(x[..., None], 3, -1) for x in (learned.roughness, learned.metallic))]
     textures[0] = linear_to_srgb(textures[0])
     Image.fromarray((255 * np.concatenate(textures, 1).clip(0, 1)).astype(np.uint8)).save(
-        picture.with_suffix(".textures.png"))
+        picture.with_suffix(".textures.png")
+    )
     return out | {"settings": asdict(settings), "report": learned.report}
 
 
@@ -104,23 +105,32 @@ def main() -> None:
 
         from benchmarks.baselines.inverse_path_tracing import PeerSettings
     except ImportError as error:
-        sys.exit(f"the peer needs Mitsuba 3 (pip install '.[peer]') and libLLVM 15 or newer, named by DRJIT_LIBLLVM_PATH "
-                 f"where it is not found: {error}")
+        sys.exit(
+            f"the peer needs Mitsuba 3 (pip install '.[peer]') and libLLVM 15 or newer, named by DRJIT_LIBLLVM_PATH "
+            f"where it is not found: {error}"
+        )
     use_threads(arguments.threads)
     drjit.set_thread_count(arguments.threads)
     header, rows = ["capture", "method", *COLUMNS.values()], []
     for folder, kind, minutes in itertools.product(arguments.captures, arguments.materials, arguments.minutes):
-        row = {"capture": folder.name, "materials": kind, "minutes": minutes, "seed": arguments.seed,
-               "threads": arguments.threads}
+        row = {
+            "capture": folder.name,
+            "materials": kind,
+            "minutes": minutes,
+            "seed": arguments.seed,
+            "threads": arguments.threads,
+        }
         settings = PeerSettings() if kind == "texture" else replace(PeerSettings(), levels=(1,))
         tag = hashlib.sha256(repr(asdict(settings)).encode()).hexdigest()[:8]
         file = arguments.out / f"{folder.name}-{kind}-{minutes:g}-{arguments.seed}-{tag}.json"
-        rows.append(cells(resumed(file, row, partial(run, folder, minutes, settings, arguments.seed,
-                                                     file.with_suffix(".png")))))
+        rows.append(
+            cells(resumed(file, row, partial(run, folder, minutes, settings, arguments.seed, file.with_suffix(".png"))))
+        )
         print(markdown(header, rows[-1:]).splitlines()[-1], flush=True)
     if arguments.beside:
-        rows = sorted(our_cells(arguments.beside, [folder.name for folder in arguments.captures]) + rows,
-                      key=lambda line: line[0])
+        rows = sorted(
+            our_cells(arguments.beside, [folder.name for folder in arguments.captures]) + rows, key=lambda line: line[0]
+        )
     text = markdown(header, rows)
     print("\n" + text)
     if arguments.write:

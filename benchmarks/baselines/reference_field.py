@@ -50,7 +50,7 @@ class ReferenceField(SurfaceColour):
                 if k == 0:
                     layer.weight[:, 3:] = 0
                 elif k == self.skip:
-                    layer.weight[:, -(inputs - 3):] = 0
+                    layer.weight[:, -(inputs - 3) :] = 0
             self.layers.append(nn.utils.parametrizations.weight_norm(layer))
         last = nn.Linear(width, 1)
         nn.init.normal_(last.weight, math.sqrt(math.pi / width), 1e-4)
@@ -82,7 +82,7 @@ class ReferenceField(SurfaceColour):
         with torch.enable_grad():
             points = points.detach().requires_grad_()
             values = self.values(points)
-            gradients, = torch.autograd.grad(values.sum(), points, create_graph=learning)
+            (gradients,) = torch.autograd.grad(values.sum(), points, create_graph=learning)
         return (values, gradients) if learning else (values.detach(), gradients)
 
     @torch.no_grad()
@@ -110,20 +110,26 @@ class ReferenceField(SurfaceColour):
         centres = torch.arange(-1 - 0.5 * self.cell, 1 + self.cell, self.cell)
         return SplineShape(self._grid(centres)).near(origins, directions, band)
 
-    def render(self, origins: Tensor, directions: Tensor, sharpness: float, samples: int,
-               generator: torch.Generator | None) -> SurfaceSamples:
+    def render(
+        self, origins: Tensor, directions: Tensor, sharpness: float, samples: int, generator: torch.Generator | None
+    ) -> SurfaceSamples:
         """The surface composited along rays [n, 3] that meet the sphere, `samples` on each; every ray is in the result."""
         if torch.is_grad_enabled():
             return self._render(origins, directions, sharpness, samples, generator)
         most = max(1, CHUNK // samples)
-        parts = [self._render(o, d, sharpness, samples, generator)
-                 for o, d in zip(origins.split(most), directions.split(most), strict=True)]
-        joined = {name: torch.cat([getattr(part, name) for part in parts])
-                  for name in ("opacity", "point", "gradient", "sdf_gradient", "depth")}
+        parts = [
+            self._render(o, d, sharpness, samples, generator)
+            for o, d in zip(origins.split(most), directions.split(most), strict=True)
+        ]
+        joined = {
+            name: torch.cat([getattr(part, name) for part in parts])
+            for name in ("opacity", "point", "gradient", "sdf_gradient", "depth")
+        }
         return SurfaceSamples(ray=torch.arange(len(origins), device=origins.device), **joined)
 
-    def _render(self, origins: Tensor, directions: Tensor, sharpness: float, samples: int,
-                generator: torch.Generator | None) -> SurfaceSamples:
+    def _render(
+        self, origins: Tensor, directions: Tensor, sharpness: float, samples: int, generator: torch.Generator | None
+    ) -> SurfaceSamples:
         t = self._place(origins, directions, samples, generator)
         points = origins[:, None] + t[..., None] * directions[:, None]
         values, gradients = self.values_and_gradients(points.reshape(-1, 3))
@@ -132,8 +138,14 @@ class ReferenceField(SurfaceColour):
         opacity = weights.sum(1)
         share = 0.5 * nn.functional.pad(weights, (1, 0)) + 0.5 * nn.functional.pad(weights, (0, 1))
         depth = (share * t).sum(1) / opacity.clamp(min=1e-6)
-        return SurfaceSamples(torch.arange(len(t), device=t.device), opacity, origins + depth[:, None] * directions,
-                              (share[..., None] * gradients).sum(1), gradients, depth)
+        return SurfaceSamples(
+            torch.arange(len(t), device=t.device),
+            opacity,
+            origins + depth[:, None] * directions,
+            (share[..., None] * gradients).sum(1),
+            gradients,
+            depth,
+        )
 
     @torch.no_grad()
     def _place(self, origins: Tensor, directions: Tensor, samples: int, generator: torch.Generator | None) -> Tensor:
@@ -144,8 +156,11 @@ class ReferenceField(SurfaceColour):
         def uniform(count: int) -> Tensor:
             """One random number in each of `count` strata [n, count]; their middles without a generator."""
             shape = (len(origins), count)
-            jitter = (torch.full(shape, 0.5, device=origins.device) if generator is None
-                      else torch.rand(shape, generator=generator, device=origins.device))
+            jitter = (
+                torch.full(shape, 0.5, device=origins.device)
+                if generator is None
+                else torch.rand(shape, generator=generator, device=origins.device)
+            )
             return (torch.arange(count, device=origins.device) + jitter) / count
 
         def at(t: Tensor) -> Tensor:

@@ -39,17 +39,30 @@ from blender_nep.presets import Preset, preset
 from blender_nep.surface.extraction import extract_surface
 
 SIZES = {
-    "published": {"width": 256, "layers": 8, "fields": {"object_rays": 256, "sphere_rays": 256, "outside_rays": 512,
-                                                        "first_samples": 128, "samples": 128}},
-    "small": {"width": 128, "layers": 4, "fields": {"object_rays": 128, "sphere_rays": 128, "outside_rays": 256,
-                                                    "first_samples": 64, "samples": 64}},
+    "published": {
+        "width": 256,
+        "layers": 8,
+        "fields": {"object_rays": 256, "sphere_rays": 256, "outside_rays": 512, "first_samples": 128, "samples": 128},
+    },
+    "small": {
+        "width": 128,
+        "layers": 4,
+        "fields": {"object_rays": 128, "sphere_rays": 128, "outside_rays": 256, "first_samples": 64, "samples": 64},
+    },
 }
 """Of the MLP and of a step. Half of the rays that meet the sphere follow the object, as in ours."""
 REFERENCE = {
-    "fields": {"sdf_rate": 5e-4, "head_rate": 5e-4, "eikonal": 0.1, "curvature": 0.0, "first_levels": 1, "last_levels": 1,
-               "least_contrast": float("inf"), "patience": 1_000_000},
-    "material": {"use_cones": False, "diffuse_cones": 256, "irradiance_cones": 256, "specular_cones": 128,
-                 "samples": 1500},
+    "fields": {
+        "sdf_rate": 5e-4,
+        "head_rate": 5e-4,
+        "eikonal": 0.1,
+        "curvature": 0.0,
+        "first_levels": 1,
+        "last_levels": 1,
+        "least_contrast": float("inf"),
+        "patience": 1_000_000,
+    },
+    "material": {"use_cones": False, "diffuse_cones": 256, "irradiance_cones": 256, "specular_cones": 128, "samples": 1500},
 }
 """`balanced` with NeuS's rates and weights; from a sphere and not from the visual hull, all steps taken.
 Fewer photo samples in stage 2, since each costs as much as 45 do with cones."""
@@ -70,8 +83,9 @@ def step_seconds(rays: PixelRays, settings: Preset, size: str, seed: int) -> flo
 
 def reference_field(settings: Preset, size: str) -> ReferenceField:
     """On the CPU; a learning moves it nowhere."""
-    return ReferenceField(settings.fields.initial_radius, settings.fields.decomposition, SIZES[size]["width"],
-                          SIZES[size]["layers"])
+    return ReferenceField(
+        settings.fields.initial_radius, settings.fields.decomposition, SIZES[size]["width"], SIZES[size]["layers"]
+    )
 
 
 def planned(file: Path, rays: PixelRays, settings: Preset, size: str, hours: float, steps: int | None, seed: int) -> dict:
@@ -103,29 +117,65 @@ def run(folder: Path, size: str, hours: float, steps: int | None, seed: int, kep
 
         torch.manual_seed(seed)
         with stop.signals():
-            fields = learn_fields(rays, settings, seed=seed, device=device, progress=progress, checkpoint=checkpoint,
-                                  object_field=reference_field(settings, size))
+            fields = learn_fields(
+                rays,
+                settings,
+                seed=seed,
+                device=device,
+                progress=progress,
+                checkpoint=checkpoint,
+                object_field=reference_field(settings, size),
+            )
         mesh = extract_surface(fields.object_field, settings.surface)
-        save_state(done, {"surface": Rooms().pack_surface(mesh), "environment": fields.environment.state_dict(),
-                          "report": fields.report, "seconds": checkpoint.seconds()})
+        save_state(
+            done,
+            {
+                "surface": Rooms().pack_surface(mesh),
+                "environment": fields.environment.state_dict(),
+                "report": fields.report,
+                "seconds": checkpoint.seconds(),
+            },
+        )
         checkpoint.remove()
     state = load_state(done)
     surface, _ = Rooms().unpack_surface(state["surface"])
-    environment = Rooms().unpack_fields({"object": None, "environment": state["environment"], "report": {}}, settings,
-                                        device).environment
+    environment = (
+        Rooms()
+        .unpack_fields({"object": None, "environment": state["environment"], "report": {}}, settings, device)
+        .environment
+    )
     out = plan | {"seconds": state["seconds"], "fields": state["report"]}
     out |= geometry.score(surface, folder, capture, test)
     test_rays = PixelRays.from_capture(test, BACKGROUND_PIXELS, False, device)
     out["background_psnr"] = background_psnr(environment, test_rays, geometry.true_mesh(folder, capture))
     start = time.process_time()
-    learned = learn_materials(surface, environment, rays, settings.material, seed=seed, device=device,
-                              progress=lambda *_, **__: None, checkpoint=NoCheckpoint())
+    learned = learn_materials(
+        surface,
+        environment,
+        rays,
+        settings.material,
+        seed=seed,
+        device=device,
+        progress=lambda *_, **__: None,
+        checkpoint=NoCheckpoint(),
+    )
     out["material_cpu_seconds"] = time.process_time() - start
     return out | materials.score(surface, learned, folder, capture, test, kept / "materials.png")
 
 
-COLUMNS = ("steps", "step_seconds", "seconds", "cd_visible", "normal_deg", "mask_iou", "background_psnr",
-           "material_cpu_seconds", "mse_roughness", "mse_metallic", "mse_albedo")
+COLUMNS = (
+    "steps",
+    "step_seconds",
+    "seconds",
+    "cd_visible",
+    "normal_deg",
+    "mask_iou",
+    "background_psnr",
+    "material_cpu_seconds",
+    "mse_roughness",
+    "mse_metallic",
+    "mse_albedo",
+)
 
 
 def cells(row: dict) -> list:
@@ -150,8 +200,11 @@ def main() -> None:
         kept.mkdir(parents=True, exist_ok=True)
         row = {"capture": folder.name, "size": arguments.size, "seed": arguments.seed, "threads": arguments.threads}
         try:
-            row = resumed(kept.parent / f"{kept.name}.json", row,
-                          partial(run, folder, arguments.size, arguments.hours, arguments.steps, arguments.seed, kept))
+            row = resumed(
+                kept.parent / f"{kept.name}.json",
+                row,
+                partial(run, folder, arguments.size, arguments.hours, arguments.steps, arguments.seed, kept),
+            )
         except Stopped as stopped:
             parser.exit(7, f"{stopped}\n")
         rows.append(cells(row))

@@ -14,8 +14,11 @@ from benchmarks.reports.rows import Results
 from benchmarks.reports.tables import golds, learned_from, main_captures, presets_of, sweeps
 
 ERRORS = {
-    "cd_visible": "distance, object radii", "normal_deg": "error of normals, degrees",
-    "mse_roughness": "MSE of roughness", "mse_metallic": "MSE of metallic", "mse_albedo": "MSE of albedo",
+    "cd_visible": "distance, object radii",
+    "normal_deg": "error of normals, degrees",
+    "mse_roughness": "MSE of roughness",
+    "mse_metallic": "MSE of metallic",
+    "mse_albedo": "MSE of albedo",
     "psnr_mean": "relit, dB",
 }
 MARKS = {"preview": "v", "balanced": "o", "quality": "^"}
@@ -44,8 +47,7 @@ def _save(figure: plt.Figure, panels: dict[str, plt.Axes], label: str, file: Pat
 
 
 def _legend_and_file(figure: plt.Figure, panels: Iterable[plt.Axes], file: Path) -> None:
-    handles = {text: line for panel in panels
-               for line, text in zip(*panel.get_legend_handles_labels(), strict=True)}
+    handles = {text: line for panel in panels for line, text in zip(*panel.get_legend_handles_labels(), strict=True)}
     figure.legend(handles.values(), handles.keys(), loc="outside lower center", ncols=6, fontsize=7)
     file.parent.mkdir(parents=True, exist_ok=True)
     figure.savefig(file, dpi=90, metadata={"Software": None})
@@ -60,8 +62,14 @@ def _log_axis(panels: dict[str, plt.Axes], ticks: Sequence[float]) -> None:
         panel.set_xticks([], minor=True)
 
 
-def _curves(panels: dict[str, plt.Axes], captures: Sequence[str], points: Sequence[tuple[object, Results]], suffix: str = "",
-            x_of: Callable[[object, Results], float] | None = None, colour: int = 0) -> None:
+def _curves(
+    panels: dict[str, plt.Axes],
+    captures: Sequence[str],
+    points: Sequence[tuple[object, Results]],
+    suffix: str = "",
+    x_of: Callable[[object, Results], float] | None = None,
+    colour: int = 0,
+) -> None:
     """A thin curve for each capture, a thick one for the mean where all of them have the point."""
     for name, panel in panels.items():
         lines = []
@@ -71,8 +79,9 @@ def _curves(panels: dict[str, plt.Axes], captures: Sequence[str], points: Sequen
             if line:
                 lines.append(line)
                 x, y, spread = zip(*line.values(), strict=True)
-                panel.errorbar(x, y, spread, color=f"C{number + colour}", lw=1, ms=3, marker=".", alpha=0.8,
-                               label=capture + suffix)
+                panel.errorbar(
+                    x, y, spread, color=f"C{number + colour}", lw=1, ms=3, marker=".", alpha=0.8, label=capture + suffix
+                )
         shared = [value for value, _ in points if all(value in line for line in lines)]
         if len(lines) > 1 and shared:
             x, y = ([sum(line[value][axis] for line in lines) / len(lines) for value in shared] for axis in (0, 1))
@@ -105,8 +114,14 @@ def error_against_sweep(results: Results, key: str, file: Path) -> None:
     for place, (preset, values, chosen) in enumerate(found):
         size = {value: learned_from(chosen, key, value) for value in values}
         ticks |= {round(x): None for x in size.values()}
-        _curves(panels, chosen.values("capture"), [(value, chosen.where(**{key: value})) for value in values],
-                f", {preset}" if len(found) > 1 else "", lambda value, _, size=size: size[value], 4 * place)
+        _curves(
+            panels,
+            chosen.values("capture"),
+            [(value, chosen.where(**{key: value})) for value in values],
+            f", {preset}" if len(found) > 1 else "",
+            lambda value, _, size=size: size[value],
+            4 * place,
+        )
     _log_axis(panels, sorted(ticks))
     _save(figure, panels, label, file)
 
@@ -129,8 +144,10 @@ def time_against_size(results: Results, file: Path) -> None:
     """Seconds of the surface against faces, of the asset against texels."""
     full = results.whole()
     figure, axes = plt.subplots(1, 2, figsize=(7, 3.1), layout="constrained")
-    pairs = (("faces", "cpu_seconds_surface", "surface room, CPU seconds against faces"),
-             ("texels", "cpu_seconds_asset", "asset room, CPU seconds against texels of a texture"))
+    pairs = (
+        ("faces", "cpu_seconds_surface", "surface room, CPU seconds against faces"),
+        ("texels", "cpu_seconds_asset", "asset room, CPU seconds against texels of a texture"),
+    )
     for panel, (size, seconds, title) in zip(axes, pairs, strict=True):
         for number, preset in enumerate(presets_of(full)):
             found = [(v[size], v[seconds]) for _, v in full.where(preset=preset).runs if size in v and seconds in v]

@@ -1,6 +1,6 @@
 """`docs/benchmarks.md` from a suite's rows: what stands between a document's markers is replaced, the rest is left alone.
 
-    <!-- presets -->  ...  <!-- end of presets -->
+<!-- presets -->  ...  <!-- end of presets -->
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ MARKED = r"(<!-- {0} -->\n).*?(<!-- end of {0} -->)"
 
 def head(rows: list[dict]) -> str:
     """Machine, versions and number of the runs, each as the rows have it."""
+
     def each(part: str, key: str) -> str:
         """The values in the order of their names."""
         return ", ".join(sorted({str(row[part][key]) for row in rows if key in row.get(part, {})}))
@@ -24,12 +25,16 @@ def head(rows: list[dict]) -> str:
     days = sorted(row["machine"]["date"] for row in rows if "machine" in row)
     versions = [row["learn"]["versions"] for row in rows if "versions" in row.get("learn", {})]
     found = {name: sorted({v[name] for v in versions if name in v}) for v in versions[:1] for name in v}
-    return "\n".join([
-        f"- {len(rows)} runs, {' to '.join(dict.fromkeys([days[0], days[-1]])) if days else 'no date'}, of commits "
-        + each("machine", "commit"),
-        f"- {each('machine', 'system')}, {each('machine', 'processor')}, {each('machine', 'cores')} cores, "
-        f"{each('machine', 'memory_gb')} GB; device {each('learn', 'device')}, {each('learn', 'threads')} thread(s) a run",
-        "- " + ", ".join(f"{name} {' and '.join(values)}" for name, values in found.items())])
+    return "\n".join(
+        [
+            f"- {len(rows)} runs, {' to '.join(dict.fromkeys([days[0], days[-1]])) if days else 'no date'}, of commits "
+            + each("machine", "commit"),
+            f"- {each('machine', 'system')}, {each('machine', 'processor')}, {each('machine', 'cores')} cores, "
+            f"{each('machine', 'memory_gb')} GB; "
+            f"device {each('learn', 'device')}, {each('learn', 'threads')} thread(s) a run",
+            "- " + ", ".join(f"{name} {' and '.join(values)}" for name, values in found.items()),
+        ]
+    )
 
 
 TABLES: dict[str, Callable[[Results], str]] = {
@@ -44,8 +49,11 @@ TABLES: dict[str, Callable[[Results], str]] = {
     "roughness": tables.roughness,
 }
 """Marker -> Markdown."""
-PICTURES = {"views": "Error against number of photos", "pixels": "Error against image size",
-            "roughness": "Error against roughness"}
+PICTURES = {
+    "views": "Error against number of photos",
+    "pixels": "Error against image size",
+    "roughness": "Error against roughness",
+}
 """Marker -> what its plot shows, where there is one."""
 
 

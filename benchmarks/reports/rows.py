@@ -36,8 +36,12 @@ def name_of(row: dict) -> tuple:
 def figures(row: dict, full: dict[tuple, dict]) -> dict[str, float]:
     """Scores and costs of a row. `full`: rows by `name_of`; what a run took over from another counts as its own."""
     learned = row["learn"]
-    out = {key: value for step in ("score", "relight") for key, value in row.get(step, {}).items()
-           if isinstance(value, int | float)}
+    out = {
+        key: value
+        for step in ("score", "relight")
+        for key, value in row.get(step, {}).items()
+        if isinstance(value, int | float)
+    }
     out |= {f"seconds_{room}": learned["seconds"][room] for room in ROOMS}
     out |= {f"cpu_seconds_{room}": seconds for room, seconds in learned["room_cpu_seconds"].items()}
     out |= {"seconds": learned["seconds_total"], "cpu_seconds": learned["cpu_seconds"], "peak_mb": learned["peak_mb"]}
@@ -96,8 +100,11 @@ class Results:
         each = [self.where(capture=capture).figure(name) for capture in captures]
         if not each or None in each:
             return None
-        return Figure(float(np.mean([f.mean for f in each])),
-                      float(np.sqrt(np.sum([f.deviation**2 for f in each])) / len(each)), sum(f.runs for f in each))
+        return Figure(
+            float(np.mean([f.mean for f in each])),
+            float(np.sqrt(np.sum([f.deviation**2 for f in each])) / len(each)),
+            sum(f.runs for f in each),
+        )
 
 
 def failures(rows: Iterable[dict]) -> list[tuple[dict, str]]:

@@ -11,15 +11,26 @@ from benchmarks.suite.plan import ABLATIONS
 from blender_nep.presets import PRESETS
 
 SCORES = {
-    "cd_visible": ("cd visible", 4), "cd_full": ("cd full", 4), "fscore_005": ("F 0.005", 2),
-    "normal_deg": ("normals, °", 1), "mask_iou": ("IoU", 3), "background_psnr": ("F_e, dB", 1),
-    "mse_roughness": ("roughness", 5), "mse_metallic": ("metallic", 4), "mse_albedo": ("albedo", 5),
-    "psnr_mean": ("relit, dB", 1), "ssim_mean": ("SSIM", 3),
+    "cd_visible": ("cd visible", 4),
+    "cd_full": ("cd full", 4),
+    "fscore_005": ("F 0.005", 2),
+    "normal_deg": ("normals, °", 1),
+    "mask_iou": ("IoU", 3),
+    "background_psnr": ("F_e, dB", 1),
+    "mse_roughness": ("roughness", 5),
+    "mse_metallic": ("metallic", 4),
+    "mse_albedo": ("albedo", 5),
+    "psnr_mean": ("relit, dB", 1),
+    "ssim_mean": ("SSIM", 3),
 }
 """Figure -> heading and digits."""
 COSTS = {"seconds": ("seconds", 0), "cpu_seconds": ("CPU s", 0), "peak_mb": ("MB", 0)}
-ROOM_COSTS = {"cpu_seconds_fields_learning": ("fields, CPU s", 0), "cpu_seconds_surface": ("surface, CPU s", 1),
-              "cpu_seconds_material_learning": ("materials, CPU s", 0), "cpu_seconds_asset": ("asset, CPU s", 1)}
+ROOM_COSTS = {
+    "cpu_seconds_fields_learning": ("fields, CPU s", 0),
+    "cpu_seconds_surface": ("surface, CPU s", 1),
+    "cpu_seconds_material_learning": ("materials, CPU s", 0),
+    "cpu_seconds_asset": ("asset, CPU s", 1),
+}
 NONE = "-"
 BASELINES = ("plain NeuS colour", "environment at infinity")
 """Ablations that stand for other methods' assumptions: NeuS; NeRO and nvdiffrec."""
@@ -35,8 +46,9 @@ def cell(figure: Figure | None, digits: int) -> str:
 
 def cells(results: Results, columns: dict[str, tuple[str, int]], captures: Sequence[str] | None = None) -> list[str]:
     """One line: means over all runs, or over captures first."""
-    found = {name: results.figure(name) if captures is None else results.mean_of_captures(name, captures)
-             for name in columns}
+    found = {
+        name: results.figure(name) if captures is None else results.mean_of_captures(name, captures) for name in columns
+    }
     return [cell(found[name], digits) for name, (_, digits) in columns.items()]
 
 
@@ -74,8 +86,13 @@ def table_1(results: Results) -> str:
     ours = {name: results.whole(ablation=name, preset=presets[0]) for name in BASELINES} if presets else {}
     ours = {f"{name} ({presets[0]})": one for name, one in ours.items()} | {p: full.where(preset=p) for p in presets}
     with_materials = {name: one for name, one in ours.items() if not name.startswith(BASELINES[0])}
-    header = ["scene", *(f"*{name}*" for name in paper.METHODS), *ours,
-              *(f"*{name}* r / m / a" for name in paper.METHODS[2:]), *(f"{name} r / m / a" for name in with_materials)]
+    header = [
+        "scene",
+        *(f"*{name}*" for name in paper.METHODS),
+        *ours,
+        *(f"*{name}* r / m / a" for name in paper.METHODS[2:]),
+        *(f"{name} r / m / a" for name in with_materials),
+    ]
     lines = {scene: [capture for capture in captures if capture == scene.lower()] for scene in paper.CHAMFER}
     lines |= {capture: [capture] for capture in captures if capture.capitalize() not in lines}
     rows = []
@@ -97,9 +114,16 @@ def presets(results: Results, columns: dict[str, tuple[str, int]] = SCORES) -> s
     columns = known(full, columns)
     for preset in presets_of(full):
         chosen = full.where(preset=preset)
-        rows += [[capture, preset, chosen.where(capture=capture).figure("seconds").runs,
-                  *cells(chosen.where(capture=capture), columns)]
-                 for capture in chosen.values("capture") if capture in captures or capture not in scored_captures(chosen)]
+        rows += [
+            [
+                capture,
+                preset,
+                chosen.where(capture=capture).figure("seconds").runs,
+                *cells(chosen.where(capture=capture), columns),
+            ]
+            for capture in chosen.values("capture")
+            if capture in captures or capture not in scored_captures(chosen)
+        ]
         mean = cells(chosen, columns, captures)
         rows.append(["**mean**", preset, "", *(f"**{text}**" if text != NONE else text for text in mean)])
     return markdown(["capture", "preset", "seeds", *headings(columns)], rows)
@@ -107,14 +131,26 @@ def presets(results: Results, columns: dict[str, tuple[str, int]] = SCORES) -> s
 
 def costs(results: Results) -> str:
     """What they took."""
-    return presets(results, {"seconds": ("seconds", 0), **ROOM_COSTS, "cpu_seconds": ("all, CPU s", 0), "peak_mb": ("MB", 0),
-                             "faces": ("faces", 0), "texels": ("texels", 0)})
+    return presets(
+        results,
+        {
+            "seconds": ("seconds", 0),
+            **ROOM_COSTS,
+            "cpu_seconds": ("all, CPU s", 0),
+            "peak_mb": ("MB", 0),
+            "faces": ("faces", 0),
+            "texels": ("texels", 0),
+        },
+    )
 
 
 def ablations(results: Results, geometry: str = "own") -> str:
     """Means over the captures that have the ablation, beside the same captures without it."""
-    columns = {k: v for k, v in (SCORES | COSTS).items() if geometry == "own" or not k.startswith(
-        ("cd", "fscore", "normal", "mask", "background"))}
+    columns = {
+        k: v
+        for k, v in (SCORES | COSTS).items()
+        if geometry == "own" or not k.startswith(("cd", "fscore", "normal", "mask", "background"))
+    }
     chosen = results.whole(geometry=geometry, ablation=ABLATIONS.__contains__)
     columns = known(chosen, columns)
     header, rows = ["ablation", "captures", "runs", *headings(columns)], []
@@ -125,8 +161,9 @@ def ablations(results: Results, geometry: str = "own") -> str:
             captures = [c for c in main_captures(results) if c in one.values("capture")]
             if captures:
                 runs = sum(run["capture"] in captures for run, _ in one.runs)
-                rows.append([name if name != "full" else f"**full** ({preset})", len(captures), runs,
-                             *cells(one, columns, captures)])
+                rows.append(
+                    [name if name != "full" else f"**full** ({preset})", len(captures), runs, *cells(one, columns, captures)]
+                )
     return markdown(header, rows)
 
 
@@ -141,9 +178,19 @@ def ablations_by_capture(results: Results) -> str:
             one = chosen.where(preset=preset, ablation=name)
             if one.runs:
                 parts = [[one.where(capture=c).figure(key) for key in shown] for c in captures]
-                rows.append([name, preset, *(" / ".join(
-                    NONE if f is None else f"{f.mean:.{SCORES[key][1]}f}" for key, f in zip(shown, part, strict=True))
-                    for part in parts)])
+                rows.append(
+                    [
+                        name,
+                        preset,
+                        *(
+                            " / ".join(
+                                NONE if f is None else f"{f.mean:.{SCORES[key][1]}f}"
+                                for key, f in zip(shown, part, strict=True)
+                            )
+                            for part in parts
+                        ),
+                    ]
+                )
     return markdown(header, rows)
 
 
@@ -152,12 +199,15 @@ def swept(results: Results, key: str, heading: str) -> str:
     found, rows = sweeps(results, key), []
     columns = {} if not found else known(found[0][2], SCORES | COSTS)
     for preset, values, chosen in found:
-        captures = [c for c in scored_captures(chosen)
-                    if all(chosen.where(**{"capture": c, key: value}).runs for value in values)]
+        captures = [
+            c for c in scored_captures(chosen) if all(chosen.where(**{"capture": c, key: value}).runs for value in values)
+        ]
         for value in values:
             at = chosen.where(**{key: value})
-            rows += [[c, preset, shown_value(at.where(capture=c), key, value), *cells(at.where(capture=c), columns)]
-                     for c in scored_captures(at)]
+            rows += [
+                [c, preset, shown_value(at.where(capture=c), key, value), *cells(at.where(capture=c), columns)]
+                for c in scored_captures(at)
+            ]
         for value in values:
             at = chosen.where(**{key: value})
             rows.append(["**mean**", preset, shown_value(at, key, value), *cells(at, columns, captures)])
@@ -201,15 +251,21 @@ def roughness(results: Results) -> str:
 def golds(results: Results) -> list[tuple[str, list[str], Results]]:
     """(preset, captures gold_R in rising order, runs)."""
     chosen = results.whole(ablation="full", capture=lambda name: name.startswith("gold_") and name[5:6].isdigit())
-    return [(preset, sorted(one.values("capture"), key=lambda name: float(name[5:])), one)
-            for preset in presets_of(chosen) for one in [chosen.where(preset=preset)]]
+    return [
+        (preset, sorted(one.values("capture"), key=lambda name: float(name[5:])), one)
+        for preset in presets_of(chosen)
+        for one in [chosen.where(preset=preset)]
+    ]
 
 
 def failed(rows: list[dict]) -> str:
     """Runs that did not reach their end."""
-    found = [[run["capture"], run["preset"], run["ablation"], run["geometry"], run["views"] or "all", run["seed"], message]
-             for run, message in failures(rows)]
+    found = [
+        [run["capture"], run["preset"], run["ablation"], run["geometry"], run["views"] or "all", run["seed"], message]
+        for run, message in failures(rows)
+    ]
     if not found:
         return f"None of {len(rows)} runs failed."
     return f"{len(found)} of {len(rows)} runs:\n\n" + markdown(
-        ["capture", "preset", "ablation", "geometry", "views", "seed", "message"], found)
+        ["capture", "preset", "ablation", "geometry", "views", "seed", "message"], found
+    )

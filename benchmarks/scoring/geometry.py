@@ -75,8 +75,10 @@ def score(surface: Surface, folder: Path, capture: Capture, test: Capture, point
     to_ours = ours.distance(truth.visible(cameras, points, rng))
     to_truth = truth.distance(ours.visible(cameras, points, rng))
     recall, precision = (to_ours < 0.005).mean(), (to_truth < 0.005).mean()
-    full = [a.distance(trimesh.sample.sample_surface(b.mesh, points, seed=0)[0]).mean()
-            for a, b in ((ours, truth), (truth, ours))]
+    full = [
+        a.distance(trimesh.sample.sample_surface(b.mesh, points, seed=0)[0]).mean()
+        for a, b in ((ours, truth), (truth, ours))
+    ]
     angles, shared, either = [], 0, 0
     for view in range(len(test.views)):
         origins, directions, size = camera_rays(test, view, 1)

@@ -30,8 +30,9 @@ def read_materials(asset: Path) -> Materials:
     return Materials(**{name: next(iter(read_channels(asset / "textures" / f"{name}.exr").values())) for name in TEXTURES})
 
 
-def score(surface: Surface, materials: Materials, folder: Path, capture: Capture, test: Capture, picture: Path,
-          shown: int = 3) -> dict[str, float]:
+def score(
+    surface: Surface, materials: Materials, folder: Path, capture: Capture, test: Capture, picture: Path, shown: int = 3
+) -> dict[str, float]:
     """Mean squared errors over the test views' pixels that show both surfaces; the first views are drawn, truth beside
     ours. And the true roughness there, mean and deviation."""
     ours, truth = Body(surface.vertices, surface.faces), true_mesh(folder, capture)
@@ -64,4 +65,6 @@ def score(surface: Surface, materials: Materials, folder: Path, capture: Capture
     Image.fromarray((np.concatenate(rows).clip(0, 1) * 255).astype(np.uint8)).save(picture)
     known = np.concatenate(roughness)
     return {f"mse_{name}": float(np.concatenate(values).mean()) for name, values in errors.items()} | {
-        "true_roughness": float(known.mean()), "true_roughness_deviation": float(known.std())}
+        "true_roughness": float(known.mean()),
+        "true_roughness_deviation": float(known.std()),
+    }

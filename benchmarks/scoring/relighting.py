@@ -54,8 +54,9 @@ def render(item, frames: list[Frame], lights: list, size: tuple[int, int], threa
         return np.array([[relit.render(frame, light) for light in lights] for frame in frames], np.float32)
 
 
-def rendered_truth(folder: Path, frames: list[Frame], lights: list, size: tuple[int, int], threads: int, kept: Path
-                   ) -> np.ndarray:
+def rendered_truth(
+    folder: Path, frames: list[Frame], lights: list, size: tuple[int, int], threads: int, kept: Path
+) -> np.ndarray:
     """What `render` gives for the true object; kept in a file, for all assets of a capture."""
     if not kept.is_file():
         images = render(true_object(folder / "scene.blend"), frames, lights, size, threads)
@@ -77,8 +78,10 @@ def agreement(pairs: list[list[tuple[np.ndarray, np.ndarray]]], inside: np.ndarr
     psnr, ssim = [], []
     for of_light in zip(*pairs, strict=True):
         error = [((a - b) ** 2)[on] for (a, b), on in zip(of_light, inside, strict=True)]
-        alike = [structural_similarity(a, b, channel_axis=2, data_range=1.0, full=True)[1][on]
-                 for (a, b), on in zip(of_light, inside, strict=True)]
+        alike = [
+            structural_similarity(a, b, channel_axis=2, data_range=1.0, full=True)[1][on]
+            for (a, b), on in zip(of_light, inside, strict=True)
+        ]
         psnr.append(float(-10 * np.log10(max(np.concatenate(error).mean(), 1e-12))))
         ssim.append(float(np.concatenate(alike).mean()))
     return psnr, ssim
@@ -95,10 +98,16 @@ def compare(folder: Path, asset: Path, picture: Path, kept_truth: Path, threads:
     truth = rendered_truth(folder, frames, lights, size, threads, kept_truth)
     ours = render(import_asset(asset, bpy.context.scene.collection), frames, lights, size, threads)
     names, inside = [light.name for light in lights], np.array([mask(folder, frame, *size) for frame in frames])
-    pairs = [[exposed(a, b, on) for a, b in zip(true, found, strict=True)]
-             for true, found, on in zip(truth, ours, inside, strict=True)]
+    pairs = [
+        [exposed(a, b, on) for a, b in zip(true, found, strict=True)]
+        for true, found, on in zip(truth, ours, inside, strict=True)
+    ]
     rows = [np.concatenate([linear_to_srgb(np.expm1(np.log(5) * x) / 4) for pair in row for x in pair], 1) for row in pairs]
     Image.fromarray(np.round(255 * np.concatenate(rows)).astype(np.uint8)).save(picture)
     psnr, ssim = agreement(pairs, inside)
-    return {"psnr": dict(zip(names, psnr, strict=True)), "ssim": dict(zip(names, ssim, strict=True)),
-            "psnr_mean": float(np.mean(psnr)), "ssim_mean": float(np.mean(ssim))}
+    return {
+        "psnr": dict(zip(names, psnr, strict=True)),
+        "ssim": dict(zip(names, ssim, strict=True)),
+        "psnr_mean": float(np.mean(psnr)),
+        "ssim_mean": float(np.mean(ssim)),
+    }

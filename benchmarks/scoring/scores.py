@@ -38,8 +38,9 @@ def score_asset(folder: Path, asset: Path, preset: Preset, device: str, picture:
     return out
 
 
-def _background_psnr(folder: Path, asset: Path, kept: Path, capture: Capture, test: Capture, preset: Preset,
-                     device: torch.device) -> float:
+def _background_psnr(
+    folder: Path, asset: Path, kept: Path, capture: Capture, test: Capture, preset: Preset, device: torch.device
+) -> float:
     environment = Rooms().unpack_fields(load_state(kept)["result"], preset, device).environment
     sphere = read_row(asset / "report.json")["capture"]  # F_e lives around the sphere of its own job
     for one in (capture, test):

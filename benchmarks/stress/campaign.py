@@ -38,20 +38,53 @@ from blender_nep.job.events import Events
 from blender_nep.materials import fitting as material_fits
 
 SCENES = {
-    "shape": ["sphere", "box", "plate", "ring", "holes"], "albedo": [0.6, 0.0, 1.0], "roughness": [0.3, 0.02, 1.0],
-    "metallic": [1.0, 0.0], "light": ["lamps", "blinding", "uniform"], "views": [8, 10, 14], "size": [24, 32, 48],
-    "suffix": [".exr", ".png"], "masks": ["none", "files", "alpha"], "bounds": ["given", "estimated"],
-    "told": ["auto", "yes", "no"], "materials": [1, 4], "seed": [0, 1, 2**32 + 5],
+    "shape": ["sphere", "box", "plate", "ring", "holes"],
+    "albedo": [0.6, 0.0, 1.0],
+    "roughness": [0.3, 0.02, 1.0],
+    "metallic": [1.0, 0.0],
+    "light": ["lamps", "blinding", "uniform"],
+    "views": [8, 10, 14],
+    "size": [24, 32, 48],
+    "suffix": [".exr", ".png"],
+    "masks": ["none", "files", "alpha"],
+    "bounds": ["given", "estimated"],
+    "told": ["auto", "yes", "no"],
+    "materials": [1, 4],
+    "seed": [0, 1, 2**32 + 5],
 }
 """Scenes that a user may well have: every case has one of each."""
 TROUBLES = {
-    "shape": ["nothing"], "light": ["dark"], "views": [3, 4], "size": [9, 16], "masks": ["wrong"],
-    "bounds": ["large", "small", "elsewhere", "zero"], "scale": [1e-4, 1e4, 1e-2, 37.0], "offset": [1e6, -1e4],
-    "distance": [100.0, 30.0, 1.05, 0.5], "zoom": [False], "duplicates": ["some", "pairs", "all"],
-    "roll": [1.5707963, 3.1, 0.4], "shift": [0.3, 0.8], "mesh": ["true", "soup", "inside_out"],
-    "pixels": ["nan", "negative", "inf", "huge", "saturated", "white", "black", "one_black", "one_nan", "most_nan", "noise",
-               "flat"],
-    "evidence": [True], "threads": [2], "bfloat16": [True],
+    "shape": ["nothing"],
+    "light": ["dark"],
+    "views": [3, 4],
+    "size": [9, 16],
+    "masks": ["wrong"],
+    "bounds": ["large", "small", "elsewhere", "zero"],
+    "scale": [1e-4, 1e4, 1e-2, 37.0],
+    "offset": [1e6, -1e4],
+    "distance": [100.0, 30.0, 1.05, 0.5],
+    "zoom": [False],
+    "duplicates": ["some", "pairs", "all"],
+    "roll": [1.5707963, 3.1, 0.4],
+    "shift": [0.3, 0.8],
+    "mesh": ["true", "soup", "inside_out"],
+    "pixels": [
+        "nan",
+        "negative",
+        "inf",
+        "huge",
+        "saturated",
+        "white",
+        "black",
+        "one_black",
+        "one_nan",
+        "most_nan",
+        "noise",
+        "flat",
+    ],
+    "evidence": [True],
+    "threads": [2],
+    "bfloat16": [True],
     "stop": ["fields_learning:3", "fields_learning:17", "material_learning:70", "material_learning:80", "surface:0"],
 }
 """What goes wrong: a case has up to four of these."""
@@ -94,8 +127,9 @@ class _AllEvents(Events):
             self._watch("progress", room=room, step=step)
 
 
-def reconstruct(case: Case, capture: Path, out: Path, stop: StopRequest | None = None, **changes
-                ) -> tuple[int, list[dict], str]:
+def reconstruct(
+    case: Case, capture: Path, out: Path, stop: StopRequest | None = None, **changes
+) -> tuple[int, list[dict], str]:
     """Exit code, events and text for people of the job of a case."""
     protocol, human, stop = io.StringIO(), io.StringIO(), stop or StopRequest()
     lowered = torch.autocast("cpu", torch.bfloat16) if case.bfloat16 else contextlib.nullcontext()
@@ -117,15 +151,24 @@ def run_case(case: Case, folder: Path) -> dict:
         if code == 0 and case.stop != "none":
             found, was_resumed = _resume(case, capture, folder)
             failures += found
-    failures += sorted({f"numerical warning: {Path(w.filename).name}:{w.lineno} {w.message}" for w in told
-                        if issubclass(w.category, RuntimeWarning)})
+    failures += sorted(
+        {
+            f"numerical warning: {Path(w.filename).name}:{w.lineno} {w.message}"
+            for w in told
+            if issubclass(w.category, RuntimeWarning)
+        }
+    )
     if code == 1:
         log = out / "log.txt"
         failures.append("traceback: " + (log.read_text() if log.is_file() else human)[-1500:])
-    return {"code": code, "failures": failures, "resumed": was_resumed,
-            "message": next((e["message"] for e in events if e["event"] == "error"), ""),
-            "warnings": [e["message"] for e in events if e["event"] == "warning"],
-            "seconds": round(time.monotonic() - start, 2)}
+    return {
+        "code": code,
+        "failures": failures,
+        "resumed": was_resumed,
+        "message": next((e["message"] for e in events if e["event"] == "error"), ""),
+        "warnings": [e["message"] for e in events if e["event"] == "warning"],
+        "seconds": round(time.monotonic() - start, 2),
+    }
 
 
 def _resume(case: Case, capture: Path, folder: Path) -> tuple[list[str], bool]:
@@ -152,8 +195,13 @@ def campaign(count: int, seed: int, out: Path) -> dict:
     rows: dict[str, dict] = {}
 
     @hypothesis_seed(seed)
-    @settings(max_examples=4 * count, database=None, deadline=None, phases=[Phase.generate],
-              suppress_health_check=list(HealthCheck))
+    @settings(
+        max_examples=4 * count,
+        database=None,
+        deadline=None,
+        phases=[Phase.generate],
+        suppress_health_check=list(HealthCheck),
+    )
     @given(cases())
     def each(case: Case) -> None:
         name = digest(case)
@@ -177,14 +225,23 @@ def summarise(rows: dict[str, dict]) -> dict:
     """Counts of a campaign: exit codes, failures by kind, and how often each trouble was met."""
     kinds = Counter(f.split(":")[0] for row in rows.values() for f in row["failures"])
     plain = Case()
-    met = Counter(f"{f.name}={row['case'][f.name]}" for row in rows.values() for f in fields(Case)
-                  if row["case"][f.name] != getattr(plain, f.name))
-    return {"cases": len(rows), "failed": [name for name, row in rows.items() if row["failures"]],
-            "failures_by_kind": dict(kinds), "exit_codes": dict(Counter(str(row["code"]) for row in rows.values())),
-            "refusals": dict(Counter(_kind_of(row["message"]) for row in rows.values() if row["code"])),
-            "assets_with_warnings": sum(row["code"] == 0 and bool(row["warnings"]) for row in rows.values()),
-            "resumed": sum(row["resumed"] for row in rows.values()),
-            "seconds": round(sum(row["seconds"] for row in rows.values()), 1), "met": dict(met.most_common())}
+    met = Counter(
+        f"{f.name}={row['case'][f.name]}"
+        for row in rows.values()
+        for f in fields(Case)
+        if row["case"][f.name] != getattr(plain, f.name)
+    )
+    return {
+        "cases": len(rows),
+        "failed": [name for name, row in rows.items() if row["failures"]],
+        "failures_by_kind": dict(kinds),
+        "exit_codes": dict(Counter(str(row["code"]) for row in rows.values())),
+        "refusals": dict(Counter(_kind_of(row["message"]) for row in rows.values() if row["code"])),
+        "assets_with_warnings": sum(row["code"] == 0 and bool(row["warnings"]) for row in rows.values()),
+        "resumed": sum(row["resumed"] for row in rows.values()),
+        "seconds": round(sum(row["seconds"] for row in rows.values()), 1),
+        "met": dict(met.most_common()),
+    }
 
 
 def _kind_of(message: str) -> str:

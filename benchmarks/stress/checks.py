@@ -17,10 +17,21 @@ import trimesh
 from blender_nep.asset.export import TEXTURES
 from blender_nep.checkpoints import load_state
 
-FILES = ("mesh.obj", "mesh.mtl", "asset.glb", "environment.exr", "preview.png", "report.json",
-         *(f"textures/{name}{suffix}" for name in TEXTURES for suffix in (".exr", ".png")))
+FILES = (
+    "mesh.obj",
+    "mesh.mtl",
+    "asset.glb",
+    "environment.exr",
+    "preview.png",
+    "report.json",
+    *(f"textures/{name}{suffix}" for name in TEXTURES for suffix in (".exr", ".png")),
+)
 REPAIRS = {
-    "nan": "NaN or Inf", "inf": "NaN or Inf", "most_nan": "NaN or Inf", "negative": "negative", "huge": "brighter than",
+    "nan": "NaN or Inf",
+    "inf": "NaN or Inf",
+    "most_nan": "NaN or Inf",
+    "negative": "negative",
+    "huge": "brighter than",
     "one_black": "black",
 }
 """What the report's warnings must speak of, for each defect of the pixels (of OpenEXR photos)."""
@@ -95,19 +106,25 @@ def check_mesh(out: Path, center: np.ndarray, radius: float, report: dict) -> li
     if np.linalg.norm(unit, axis=1).max() > (2.0 if given else 1.001):
         failures.append(f"bad mesh: reaches {np.linalg.norm(unit, axis=1).max():.4f} radii")
     scene = trimesh.load(out / "asset.glb", process=False)
-    glb = np.concatenate([trimesh.transform_points(scene.geometry[name].vertices, matrix)
-                          for matrix, name in (scene.graph[node] for node in scene.graph.nodes_geometry)])
+    glb = np.concatenate(
+        [
+            trimesh.transform_points(scene.geometry[name].vertices, matrix)
+            for matrix, name in (scene.graph[node] for node in scene.graph.nodes_geometry)
+        ]
+    )
     glb = (glb @ np.array([[1, 0, 0], [0, 0, -1], [0, 1, 0]]).T - center) / radius
     if glb.shape != unit.shape or np.abs(glb - unit).max() > 1e-3:
         off = np.abs(glb - unit).max() if glb.shape == unit.shape else "other vertices"
         failures.append(f"asset.glb is not mesh.obj: {off}")
     distinct = len(np.unique(np.round(unit, 6), axis=0))
-    known = (out / "checkpoints" / "surface.done.pt")
+    known = out / "checkpoints" / "surface.done.pt"
     if known.is_file():
         inner = load_state(known)["result"]["arrays"]["vertices"]
         if inner.shape != unit.shape or np.abs(inner - unit).max() > 1e-4:
-            failures.append("coarse mesh.obj: vertices lost more than 1e-4 radii to their text "
-                            f"({np.abs(inner - unit).max() if inner.shape == unit.shape else 'other'})")
+            failures.append(
+                "coarse mesh.obj: vertices lost more than 1e-4 radii to their text "
+                f"({np.abs(inner - unit).max() if inner.shape == unit.shape else 'other'})"
+            )
     if distinct < 4:
         failures.append(f"bad mesh: {distinct} places")
     return failures
@@ -132,8 +149,11 @@ def check_report(case, report: dict) -> list[str]:
 def same_assets(a: Path, b: Path) -> list[str]:
     """Of two assets that must be equal bit for bit: what differs."""
     names = [n for n in FILES if not n.endswith((".glb", "report.json", ".png"))]
-    different = [n for n in names if n != "environment.exr" and not n.startswith("textures/")
-                 and (a / n).read_bytes() != (b / n).read_bytes()]
+    different = [
+        n
+        for n in names
+        if n != "environment.exr" and not n.startswith("textures/") and (a / n).read_bytes() != (b / n).read_bytes()
+    ]
     different += [n for n in names if n.endswith(".exr") and not np.array_equal(_exr(a / n), _exr(b / n))]
     for room in ("fields_learning", "surface", "material_learning"):
         files = [f / "checkpoints" / f"{room}.done.pt" for f in (a, b)]

@@ -86,16 +86,50 @@ def tiny_preset() -> Preset:
     """Every room with few steps on coarse grids: a whole job in about a second. It learns little and runs all the code."""
     preview = PRESETS["preview"]
     return replace(
-        preview, name="tiny", environment_height=16, max_pixels_per_photo=900,
-        fields=replace(FieldsPreset(), background_steps=6, steps=24, object_rays=160, sphere_rays=96, outside_rays=96,
-                       coarsest_cells=8, first_levels=2, last_levels=3, head_width=16, first_samples=16, samples=8,
-                       check_every=0.1, least_evidence=0.0),
-        environment=replace(EnvironmentPreset(), resolutions=((8, 12), (10, 16)), refine_at=(0.3,), coverage_rays=2000,
-                            rays_per_step=256, steps=30),
+        preview,
+        name="tiny",
+        environment_height=16,
+        max_pixels_per_photo=900,
+        fields=replace(
+            FieldsPreset(),
+            background_steps=6,
+            steps=24,
+            object_rays=160,
+            sphere_rays=96,
+            outside_rays=96,
+            coarsest_cells=8,
+            first_levels=2,
+            last_levels=3,
+            head_width=16,
+            first_samples=16,
+            samples=8,
+            check_every=0.1,
+            least_evidence=0.0,
+        ),
+        environment=replace(
+            EnvironmentPreset(),
+            resolutions=((8, 12), (10, 16)),
+            refine_at=(0.3,),
+            coverage_rays=2000,
+            rays_per_step=256,
+            steps=30,
+        ),
         surface=replace(SurfacePreset(), grid=40, faces=500, atlas_texels=128, padding_texels=2),
-        material=replace(MaterialPreset(), samples=250, ladder=(0.04, 0.15, 0.4, 1.0), irradiance_cones=8, terminal_steps=8,
-                         unseen_rows=8, unseen_samples=150, unseen_steps=6, candidates=6, region=0.4, rounds=1,
-                         most_texels=64))
+        material=replace(
+            MaterialPreset(),
+            samples=250,
+            ladder=(0.04, 0.15, 0.4, 1.0),
+            irradiance_cones=8,
+            terminal_steps=8,
+            unseen_rows=8,
+            unseen_samples=150,
+            unseen_steps=6,
+            candidates=6,
+            region=0.4,
+            rounds=1,
+            most_texels=64,
+        ),
+    )
 
 
 def signed_distance(shape: str, p: np.ndarray) -> np.ndarray:
@@ -161,8 +195,9 @@ def poses(case: Case) -> list[np.ndarray]:
     matrices = []
     for i in range(case.views):
         turn, rise = 2.39996 * i, math.asin(0.85 * math.sin(1.7 * i))
-        position = case.distance * np.array([math.cos(turn) * math.cos(rise), math.sin(turn) * math.cos(rise),
-                                             math.sin(rise)])
+        position = case.distance * np.array(
+            [math.cos(turn) * math.cos(rise), math.sin(turn) * math.cos(rise), math.sin(rise)]
+        )
         back = position / np.linalg.norm(position)
         right = np.cross([0.0, 0.0, 1.0], back)
         right /= np.linalg.norm(right)
@@ -216,8 +251,13 @@ def write_capture(case: Case, folder: Path) -> None:
     # the object stands at a place of which the scale is a part, and the offset moves everything
     center = case.scale * np.array([0.3, -0.2, 0.5]) + case.offset * np.array([1.0, -0.5, 0.25])
     meta = {"w": n, "h": n, "fl_x": focal, "fl_y": focal, "cx": cx, "cy": cy, "frames": []}
-    bounds = {"given": (center, 1.0), "large": (center, 3.0), "small": (center, 0.2), "zero": (center, 0.0),
-              "elsewhere": (center + 1.5 * case.scale, 0.3)}.get(case.bounds)
+    bounds = {
+        "given": (center, 1.0),
+        "large": (center, 3.0),
+        "small": (center, 0.2),
+        "zero": (center, 0.0),
+        "elsewhere": (center + 1.5 * case.scale, 0.3),
+    }.get(case.bounds)
     if bounds is not None:
         meta |= {"object_center": bounds[0].tolist(), "object_radius": bounds[1] * case.scale}
     y, x = np.mgrid[:n, :n] + 0.5
@@ -255,8 +295,11 @@ def _write_photo(path: Path, photo: np.ndarray) -> None:
         OpenEXR.File(header, channels).write(str(path))
         return
     photo = np.nan_to_num(photo, posinf=1.0)
-    encoded = linear_to_srgb(photo[..., :3]) if photo.shape[-1] == 3 else np.concatenate(
-        [linear_to_srgb(photo[..., :3]), photo[..., 3:]], -1)
+    encoded = (
+        linear_to_srgb(photo[..., :3])
+        if photo.shape[-1] == 3
+        else np.concatenate([linear_to_srgb(photo[..., :3]), photo[..., 3:]], -1)
+    )
     Image.fromarray(np.round(255 * encoded).astype(np.uint8)).save(path)
 
 

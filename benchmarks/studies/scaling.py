@@ -107,8 +107,16 @@ class Bench:
         profile = Profile()
         rays = self.rays()
         with profile.recording():
-            learn_materials(surface, environment, rays, preset.material, seed=0, device=CPU,
-                            progress=lambda *_, **__: None, checkpoint=NoCheckpoint())
+            learn_materials(
+                surface,
+                environment,
+                rays,
+                preset.material,
+                seed=0,
+                device=CPU,
+                progress=lambda *_, **__: None,
+                checkpoint=NoCheckpoint(),
+            )
         return profile
 
 
@@ -129,23 +137,47 @@ PASS = {"visual hull": 1, "look for the object": 1}
 FACTORS: dict[str, tuple[tuple[int, ...], Callable, dict[str, float]]] = {
     "views": ((5, 10, 20, 40), lambda b, n: b.learn(base(), views=n), READ | STEP | PASS),
     "pixels a photo": ((2304, 9216, 36864), lambda b, n: b.learn(base(), pixels=n), READ | STEP | PASS),
-    "rays a step": ((704, 1408, 2816, 5632), lambda b, n: b.learn(base(fields={
-        "object_rays": n // 2, "sphere_rays": n // 4, "outside_rays": n // 4})), STEP),
-    "samples a ray": ((8, 16, 32, 64), lambda b, n: b.learn(base(fields={"samples": n, "first_samples": n})),
-                      STEP | {"object field": STEPS, "backward": 2 * STEPS}),
-    "SDF grid cells": ((32, 64, 128, 256), lambda b, n: b.learn(base(fields={"coarsest_cells": n // 4})),
-                       STEP | {"object field": STEPS, "backward": 2 * STEPS, "optimisers": 2 * STEPS}),
-    "marching-cubes grid": ((64, 96, 144, 216), lambda b, n: b.surface(base(surface={"grid": n})),
-                            {"SDF grid": 1, "marching cubes": 1, "keep the object": 1, "decimation": 1}),
-    "faces": ((2000, 4000, 8000, 16000), lambda b, n: b.materials(base(surface={"grid": 160, "faces": n})),
-              {"select samples": 1, "gather light": 1, "textures": 1}),
-    "faces of the atlas": ((2000, 4000, 8000, 16000), lambda b, n: b.surface(base(surface={"grid": 160, "faces": n})),
-                           {"decimation": 1, "UV atlas": 1}),
-    "material samples": ((1500, 3000, 6000, 12000), lambda b, n: b.materials(base(material={"samples": n})),
-                         {"select samples": 1, "gather light": 1, "fits": 1, "self reflection": 1, "votes": 1}),
+    "rays a step": (
+        (704, 1408, 2816, 5632),
+        lambda b, n: b.learn(base(fields={"object_rays": n // 2, "sphere_rays": n // 4, "outside_rays": n // 4})),
+        STEP,
+    ),
+    "samples a ray": (
+        (8, 16, 32, 64),
+        lambda b, n: b.learn(base(fields={"samples": n, "first_samples": n})),
+        STEP | {"object field": STEPS, "backward": 2 * STEPS},
+    ),
+    "SDF grid cells": (
+        (32, 64, 128, 256),
+        lambda b, n: b.learn(base(fields={"coarsest_cells": n // 4})),
+        STEP | {"object field": STEPS, "backward": 2 * STEPS, "optimisers": 2 * STEPS},
+    ),
+    "marching-cubes grid": (
+        (64, 96, 144, 216),
+        lambda b, n: b.surface(base(surface={"grid": n})),
+        {"SDF grid": 1, "marching cubes": 1, "keep the object": 1, "decimation": 1},
+    ),
+    "faces": (
+        (2000, 4000, 8000, 16000),
+        lambda b, n: b.materials(base(surface={"grid": 160, "faces": n})),
+        {"select samples": 1, "gather light": 1, "textures": 1},
+    ),
+    "faces of the atlas": (
+        (2000, 4000, 8000, 16000),
+        lambda b, n: b.surface(base(surface={"grid": 160, "faces": n})),
+        {"decimation": 1, "UV atlas": 1},
+    ),
+    "material samples": (
+        (1500, 3000, 6000, 12000),
+        lambda b, n: b.materials(base(material={"samples": n})),
+        {"select samples": 1, "gather light": 1, "fits": 1, "self reflection": 1, "votes": 1},
+    ),
     "texels a side": ((256, 512, 1024, 2048), lambda b, n: b.textures(n), {"textures": 1}),
-    "bounces (levels)": ((1, 2, 3), lambda b, n: b.materials(base(material={"levels": n})),
-                         {"gather light": 1, "self reflection": 1}),
+    "bounces (levels)": (
+        (1, 2, 3),
+        lambda b, n: b.materials(base(material={"levels": n})),
+        {"gather light": 1, "self reflection": 1},
+    ),
 }
 """Name: values, what is done, and the stages that are reported with what their seconds are divided by."""
 
@@ -202,8 +234,15 @@ def table(rows: list[dict]) -> str:
     lines = []
     for name, stage, values, costs in curves(rows):
         power = exponent(values, costs)
-        lines.append([name, stage, ", ".join(map(str, values)), ", ".join(f"{c:.3g}" for c in costs),
-                      "" if np.isnan(power) else f"{power:.2f}"])
+        lines.append(
+            [
+                name,
+                stage,
+                ", ".join(map(str, values)),
+                ", ".join(f"{c:.3g}" for c in costs),
+                "" if np.isnan(power) else f"{power:.2f}",
+            ]
+        )
     return markdown(["varied", "stage", "values", "CPU s (or MB)", "exponent"], lines)
 
 

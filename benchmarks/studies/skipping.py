@@ -67,8 +67,7 @@ class Scene:
 def without_skipping(preset: Preset) -> Preset:
     """The preset that does everything, needed or not."""
     m = preset.material
-    return replace(preset, skip_needless=False,
-                   material=replace(m, sure_margin=math.inf, uniform_texels=m.most_texels))
+    return replace(preset, skip_needless=False, material=replace(m, sure_margin=math.inf, uniform_texels=m.most_texels))
 
 
 class WatchedRooms(Rooms):
@@ -83,8 +82,17 @@ class WatchedRooms(Rooms):
 
     def learn_fields(self, rays, preset, **keywords: Any):
         """Stage 1; the same capture, seed and settings are learned once, by the same code."""
-        same = repr((self.made_by, self.scene.masks, keywords["seed"], preset.fields, preset.environment,
-                     preset.max_pixels_per_photo, preset.even_exposure))
+        same = repr(
+            (
+                self.made_by,
+                self.scene.masks,
+                keywords["seed"],
+                preset.fields,
+                preset.environment,
+                preset.max_pixels_per_photo,
+                preset.even_exposure,
+            )
+        )
         file = self.kept / f"{self.scene.folder.name}-{hashlib.sha256(same.encode()).hexdigest()[:16]}.stage_1.pt"
         if file.is_file():
             state = load_state(file)
@@ -123,20 +131,31 @@ def run(scene: Scene, preset: Preset, seed: int, threads: int, kept: Path, pictu
     rooms = WatchedRooms(scene, kept, f"{photos} {machine(threads)['commit']}")
     start = time.process_time()
     with tempfile.TemporaryDirectory() as out:
-        settings = Settings(scene.folder, Path(out) / "asset", preset, device="cpu", seed=seed, use_masks=scene.masks,
-                            threads=threads)
+        settings = Settings(
+            scene.folder, Path(out) / "asset", preset, device="cpu", seed=seed, use_masks=scene.masks, threads=threads
+        )
         Job(settings, Events(None, io.StringIO()), StopRequest(), rooms).run()
     seconds = time.process_time() - start + rooms.taken_over
     test = geometry.load_test_views(scene.folder, capture)
-    return {"cpu": rooms.cpu, "seconds": seconds,
-            **geometry.score(rooms.surface, scene.folder, capture, test),
-            **materials.score(rooms.surface, rooms.materials, scene.folder, capture, test, picture),
-            "skipped": rooms.report["skipped"], "skipped_seconds": rooms.report["skipped_seconds"],
-            "scene": rooms.report["scene"], "report": rooms.report["rooms"]}
+    return {
+        "cpu": rooms.cpu,
+        "seconds": seconds,
+        **geometry.score(rooms.surface, scene.folder, capture, test),
+        **materials.score(rooms.surface, rooms.materials, scene.folder, capture, test, picture),
+        "skipped": rooms.report["skipped"],
+        "skipped_seconds": rooms.report["skipped_seconds"],
+        "scene": rooms.report["scene"],
+        "report": rooms.report["rooms"],
+    }
 
 
-ERRORS = {"cd_visible": "distance", "normal_deg": "normals", "mse_roughness": "roughness", "mse_metallic": "metallic",
-          "mse_albedo": "albedo"}
+ERRORS = {
+    "cd_visible": "distance",
+    "normal_deg": "normals",
+    "mse_roughness": "roughness",
+    "mse_metallic": "metallic",
+    "mse_albedo": "albedo",
+}
 
 
 def line(name: str, rows: dict[bool, list[dict]]) -> list[str]:
@@ -181,8 +200,15 @@ def main() -> None:
             word = "with" if skip else "without"
             name = f"{scene.name}-{arguments.preset}-{seed}-{word}"
             row = {"scene_name": scene.name, "preset": arguments.preset, "seed": seed, "skip": skip}
-            work = partial(run, scene, preset if skip else without_skipping(preset), seed, arguments.threads,
-                           arguments.out / "stage_1", arguments.out / f"{name}.png")
+            work = partial(
+                run,
+                scene,
+                preset if skip else without_skipping(preset),
+                seed,
+                arguments.threads,
+                arguments.out / "stage_1",
+                arguments.out / f"{name}.png",
+            )
             rows[skip].append(resumed(arguments.out / f"{name}.json", row, work))
             print(name, {k: rows[skip][-1].get(k) for k in ("error", "seconds", *ERRORS, "skipped")}, flush=True)
         table.append(line(scene.name, rows))

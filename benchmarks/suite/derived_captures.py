@@ -43,8 +43,11 @@ def distant(photo: np.ndarray, _mask: np.ndarray, _white: float, file: Path) -> 
 
 
 VARIANTS: dict[str, tuple[Callable, str]] = {
-    "cut-out": (cut_out, ".exr"), "clipped": (clipped, ".png"), "auto-exposed": (auto_exposed, ".png"),
-    "distant": (distant, ".exr")}
+    "cut-out": (cut_out, ".exr"),
+    "clipped": (clipped, ".png"),
+    "auto-exposed": (auto_exposed, ".png"),
+    "distant": (distant, ".exr"),
+}
 
 
 def derive(source: Path, variant: str, out: Path) -> Path:

@@ -62,8 +62,9 @@ class Children:
         start = time.perf_counter()
         with open(log, "ab") as output:
             # its standard input closes when this process dies, however it does; a job stops at that
-            child = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=output, stderr=output, env=os.environ | named,
-                                     start_new_session=True)
+            child = subprocess.Popen(
+                command, stdin=subprocess.PIPE, stdout=output, stderr=output, env=os.environ | named, start_new_session=True
+            )
             timed_out = False
             while True:
                 pid, status, usage = os.wait4(child.pid, os.WNOHANG)

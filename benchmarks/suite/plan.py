@@ -102,8 +102,10 @@ PLANS: dict[str, tuple[dict[str, Sequence], ...]] = {
     "ablations": ({"preset": ("preview",), "ablation": _PLANNED, "seed": (0, 1, 2)},),
     "views": ({"preset": ("preview",), "views": (8, 16, 32, None), "seed": (0,)},),
     "pixels": ({"preset": ("preview",), "pixels": (2_500, 10_000, None, 160_000), "seed": (0,)},),
-    "true_mesh": ({"preset": ("preview",), "geometry": ("true",), "ablation": _STAGE_2, "seed": (0,)},
-                  {"preset": ("balanced",), "geometry": ("true",), "seed": (0,)}),
+    "true_mesh": (
+        {"preset": ("preview",), "geometry": ("true",), "ablation": _STAGE_2, "seed": (0,)},
+        {"preset": ("balanced",), "geometry": ("true",), "seed": (0,)},
+    ),
     "roughness": ({"preset": ("preview",), "seed": (0,)},),
 }
 """Name -> what it crosses; what is not named stands at Run's default. `roughness` is for the captures of `render`. Sweeps

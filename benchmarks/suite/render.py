@@ -39,8 +39,22 @@ def render(name: str, folder: Path, views: int, size: int, samples: int, threads
         return target, obstacles
 
     scenes.build_scene = build_and_keep
-    return synthetic.main(["--scene", scene, "--material", material, "--out", str(folder), "--views", str(views),
-                           "--size", str(size), "--samples", str(samples)])
+    return synthetic.main(
+        [
+            "--scene",
+            scene,
+            "--material",
+            material,
+            "--out",
+            str(folder),
+            "--views",
+            str(views),
+            "--size",
+            str(size),
+            "--samples",
+            str(samples),
+        ]
+    )
 
 
 if __name__ == "__main__":

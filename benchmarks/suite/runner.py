@@ -104,13 +104,19 @@ class Suite:
         order, result = (folder / f"{run.name}.{step}.{kind}" for kind in ("order.json", "result.json"))
         result.unlink(missing_ok=True)
         donor = run.same_stage_1
-        write_row(order, {
-            "step": step, "run": run.as_json(), "asset": str(asset),
-            "settings": {"device": self.device, "threads": self.threads},
-            "variant": str(self.out / "captures" / f"{run.capture.name}_{run.views}_views"),
-            "stage_1": donor and str(self.out / "assets" / donor.name),
-            "truth": str(self.out / "truth" / f"{run.capture.name}.npz"),
-            "picture": str(self.out / "pictures" / f"{run.name}.{step}.png")})
+        write_row(
+            order,
+            {
+                "step": step,
+                "run": run.as_json(),
+                "asset": str(asset),
+                "settings": {"device": self.device, "threads": self.threads},
+                "variant": str(self.out / "captures" / f"{run.capture.name}_{run.views}_views"),
+                "stage_1": donor and str(self.out / "assets" / donor.name),
+                "truth": str(self.out / "truth" / f"{run.capture.name}.npz"),
+                "picture": str(self.out / "pictures" / f"{run.name}.{step}.png"),
+            },
+        )
         log = folder / f"{run.name}.log"
         ended = self.children.run(
             [sys.executable, "-m", "benchmarks.suite.step", str(order), str(result)], log, self.threads, self.limit
@@ -131,8 +137,9 @@ class Suite:
 
 def failure(row: dict) -> str:
     """The message of the first step that failed, or ''."""
-    return next((f"{step}: {row[step]['error']}" for step in ("learn", "score", "relight")
-                 if "error" in row.get(step, {})), "")
+    return next(
+        (f"{step}: {row[step]['error']}" for step in ("learn", "score", "relight") if "error" in row.get(step, {})), ""
+    )
 
 
 def _last_line(log: Path) -> str:
@@ -159,5 +166,12 @@ def machine(threads: int) -> dict:
     here = Path(__file__).parent
     git = ["git", "-C", str(here), "describe", "--always", "--dirty", "--abbrev=8", "--exclude=*"]
     commit = subprocess.run(git, capture_output=True, text=True, check=False).stdout.strip()
-    return {"system": platform.system(), "processor": processor, "cores": os.cpu_count(), "memory_gb": round(memory, 1),
-            "threads": threads, "commit": commit, "date": datetime.now().date().isoformat()}
+    return {
+        "system": platform.system(),
+        "processor": processor,
+        "cores": os.cpu_count(),
+        "memory_gb": round(memory, 1),
+        "threads": threads,
+        "commit": commit,
+        "date": datetime.now().date().isoformat(),
+    }

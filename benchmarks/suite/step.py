@@ -83,8 +83,16 @@ def learn(run: Run, asset: Path, order: dict) -> dict:
     shutil.rmtree(asset, ignore_errors=True)
     mesh = run.capture / "gt_mesh.ply" if run.geometry == "true" else None
     given = order.get("stage_1") and _take_stage_1(Path(order["stage_1"]), asset, capture, run, mesh)
-    settings = job.Settings(capture=capture, out=asset, preset=run.changed_preset, seed=run.seed, use_masks=False, mesh=mesh,
-                            resume=bool(given), **settings_of)
+    settings = job.Settings(
+        capture=capture,
+        out=asset,
+        preset=run.changed_preset,
+        seed=run.seed,
+        use_masks=False,
+        mesh=mesh,
+        resume=bool(given),
+        **settings_of,
+    )
     stop, events, rooms = StopRequest(), Heard(None, sys.stderr), Timed()
     stop.watch()
     if job.run(settings, events, stop, rooms):

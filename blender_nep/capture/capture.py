@@ -87,7 +87,6 @@ class Capture:
     def _check_size(view: View, path: Path, size: tuple[int, int]) -> None:
         if size != (view.camera.height, view.camera.width):
             raise CaptureError(
-                f"{path.name} is {size[1]} x {size[0]} pixels, but its photo is "
-                f"{view.camera.width} x {view.camera.height}",
+                f"{path.name} is {size[1]} x {size[0]} pixels, but its photo is {view.camera.width} x {view.camera.height}",
                 "A photo and its mask need the same size.",
             )

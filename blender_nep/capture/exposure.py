@@ -81,8 +81,11 @@ def find_exposures(rays: PixelRays) -> Exposures:
     one, other = (_solve(view[p], cell[p], value[p], count[p], brightness)[0] for p in (half == 0, half == 1))
     error = np.sqrt(((one - other) ** 2).mean(1)) / 2
     if np.median(error) > MOST_ERROR:
-        return Exposures(None, "the photos may differ in exposure, but show too little of the same surroundings to tell: if "
-                               "the camera was on automatic, take or develop them with one exposure")
+        return Exposures(
+            None,
+            "the photos may differ in exposure, but show too little of the same surroundings to tell: if "
+            "the camera was on automatic, take or develop them with one exposure",
+        )
     gain = torch.from_numpy(np.exp(log).astype(np.float32)).to(rays.radiance.device)
     doubtful = int(((error > DOUBTFUL) | (shared < FEW * np.median(shared))).sum())
     warning = f"the exposure of {doubtful} photos is a guess: they show hardly any of the surroundings that others show"
@@ -107,8 +110,10 @@ def _cells(rays: PixelRays) -> tuple[np.ndarray, ...]:
         rows, columns = height // side, width // side
         if rows == 0 or columns == 0:
             continue
-        corner = rays.offset[view] + side * (torch.arange(rows, device=device)[:, None] * width
-                                             + torch.arange(columns, device=device)).flatten()
+        corner = (
+            rays.offset[view]
+            + side * (torch.arange(rows, device=device)[:, None] * width + torch.arange(columns, device=device)).flatten()
+        )
         inside = torch.arange(0, side, -(-side // BLOCK_SIDE), device=device)
         index = corner[:, None] + (inside[:, None] * width + inside).flatten()
         radiance, whole = rays.radiance[index].float(), rays.valid[index].all(1)
@@ -149,8 +154,9 @@ def _on_spheres(origins: torch.Tensor, directions: torch.Tensor, distance: float
     return np.concatenate(cells), np.concatenate(whose)
 
 
-def _solve(view: np.ndarray, cell: np.ndarray, value: np.ndarray, count: np.ndarray, brightness: np.ndarray
-           ) -> tuple[np.ndarray, float]:
+def _solve(
+    view: np.ndarray, cell: np.ndarray, value: np.ndarray, count: np.ndarray, brightness: np.ndarray
+) -> tuple[np.ndarray, float]:
     """Least absolute differences of value - gain(view) - mean(cell), each entry weighted by how well its cell agrees.
     Returns the logarithms [views, 3] of the gains and which share of the differences they leave.
 

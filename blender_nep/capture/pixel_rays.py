@@ -322,8 +322,14 @@ def _load(capture: Capture, i: int, factor: int, use_masks: bool) -> _Photo:
         strips.append((radiance.reshape(-1, 3), valid.ravel(), mask))
     radiance, valid = (np.concatenate([s[k] for s in strips]) for k in (0, 1))
     mask = None if strips[0][2] is None else np.concatenate([s[2] for s in strips])
-    facts = _Facts(repaired, bool(repaired["bad"]) and not valid.any(), brightest, cut_out, mask is not None,
-                   mask is not None and bool((mask > 127).any()))
+    facts = _Facts(
+        repaired,
+        bool(repaired["bad"]) and not valid.any(),
+        brightest,
+        cut_out,
+        mask is not None,
+        mask is not None and bool((mask > 127).any()),
+    )
     if brightest <= _BLACK:
         valid[:] = False
     return _Photo(radiance, valid, mask, facts)
@@ -351,12 +357,17 @@ def _judge(capture: Capture, photos: list[_Facts]) -> list[str]:
                 f"{name} holds no finite pixel (all NaN or Inf)",
                 "Render or export it again, or take its frame out of transforms.json.",
             )
-    for kind, what in (("bad", "NaN or Inf and are left out"), ("negative", "negative and are taken as 0"),
-                       ("blinding", f"brighter than {MAXIMUM_RADIANCE:.0f} and are taken as that")):
+    for kind, what in (
+        ("bad", "NaN or Inf and are left out"),
+        ("negative", "negative and are taken as 0"),
+        ("blinding", f"brighter than {MAXIMUM_RADIANCE:.0f} and are taken as that"),
+    ):
         found = [(n, p.repaired[kind]) for n, p in zip(names, photos, strict=True) if p.repaired[kind]]
         if found:
-            warnings.append(f"{sum(count for _, count in found)} pixels in {len(found)} photos are {what}: "
-                            + shortened([n for n, _ in found]))
+            warnings.append(
+                f"{sum(count for _, count in found)} pixels in {len(found)} photos are {what}: "
+                + shortened([n for n, _ in found])
+            )
     black = [n for n, p in zip(names, photos, strict=True) if p.brightest <= _BLACK]
     if len(black) == len(photos):
         raise CaptureError("all photos are black", "Check the exposure, and that the files hold colour in R, G, B.")

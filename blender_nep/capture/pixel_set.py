@@ -24,8 +24,9 @@ class PixelSet:
     @classmethod
     def where(cls, flags: Tensor, offset: int = 0) -> PixelSet:
         """offset + the places [m] at which flags [m] bool are true."""
-        edge = torch.diff(flags.to(torch.int8), prepend=flags.new_zeros(1, dtype=torch.int8),
-                          append=flags.new_zeros(1, dtype=torch.int8))
+        edge = torch.diff(
+            flags.to(torch.int8), prepend=flags.new_zeros(1, dtype=torch.int8), append=flags.new_zeros(1, dtype=torch.int8)
+        )
         first = (edge == 1).nonzero()[:, 0]
         return cls(first + offset, (edge == -1).nonzero()[:, 0] - first)
 
@@ -70,7 +71,7 @@ class PixelSet:
 
     def split(self, size: int) -> Iterator[Tensor]:
         """The indices, `size` at a time."""
-        return (self[start:start + size] for start in range(0, self._count, size))
+        return (self[start : start + size] for start in range(0, self._count, size))
 
     def __len__(self) -> int:
         return self._count
@@ -97,11 +98,11 @@ class GrowingPixelSet:
         end = self._used + runs.shape[1]
         if end > self._runs.shape[1]:
             larger = self._runs.new_empty(2, 2 * end)
-            larger[:, :self._used] = self._runs[:, :self._used]
+            larger[:, : self._used] = self._runs[:, : self._used]
             self._runs = larger
-        self._runs[:, self._used:end] = runs
+        self._runs[:, self._used : end] = runs
         self._used = end
 
     def finished(self) -> PixelSet:
         """All of them."""
-        return PixelSet.from_state(self._runs[:, :self._used].clone())
+        return PixelSet.from_state(self._runs[:, : self._used].clone())

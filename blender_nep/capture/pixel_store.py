@@ -28,7 +28,7 @@ class MemoryStore:
     def append(self, rows: np.ndarray) -> None:
         """rows [n, *shape], converted."""
         end = self._filled + len(rows)
-        self._rows[self._filled:end] = torch.from_numpy(rows)
+        self._rows[self._filled : end] = torch.from_numpy(rows)
         self._filled = end
 
     def finished(self) -> Tensor:
@@ -51,7 +51,7 @@ class FileStore:
         left = memoryview(np.ascontiguousarray(rows, self._dtype).reshape(-1).view(np.uint8))
         with output_errors(self._folder):
             while left:  # written, not mapped: a full disk would end the process by a signal
-                left = left[self._file.write(left):]
+                left = left[self._file.write(left) :]
 
     def finished(self) -> Tensor:
         """[count, *shape], once all is appended."""

@@ -80,12 +80,10 @@ def describe(found: dict) -> str:
         f"  colour         {found['color_space']}; median {found['radiance']['median']}, 99.9 % below "
         f"{found['radiance']['99_9_percent']}, largest {found['radiance']['largest']}",
         f"  field of view  {found['field_of_view_deg'][0]} to {found['field_of_view_deg'][1]} degrees",
-        f"  object         centre {found['object_center']}, "
-        f"radius {found['object_radius']} (from {found['bounds_source']})",
+        f"  object         centre {found['object_center']}, radius {found['object_radius']} (from {found['bounds_source']})",
         f"  cameras        {found['camera_distance_radii'][0]} to {found['camera_distance_radii'][1]} radii away, "
         f"{found['directions_covered']:.0%} of directions within 30 degrees of a camera",
-        f"  pixels         {found['sphere_pixels']:.0%} look at the object's sphere, "
-        f"{found['invalid_pixels']} unusable",
+        f"  pixels         {found['sphere_pixels']:.0%} look at the object's sphere, {found['invalid_pixels']} unusable",
         "  masks          "
         + (f"the object covers {found['mask_coverage']:.0%} of the pixels" if found["masks"] else "none")
         + (" (cut-outs)" if found["cut_outs"] else ""),

@@ -31,8 +31,15 @@ def _legendre_table(levels: int) -> tuple[list[tuple[int, int]], torch.Tensor]:
         for k in range(degree - m + 1):
             half = 0.5 * (degree + k + m - 1.0)
             binomial = math.prod(half - j for j in range(degree)) / math.factorial(degree)
-            table[row, k] = (norm * (-1) ** m * 2**degree * math.factorial(degree) / math.factorial(k)
-                             / math.factorial(degree - k - m) * binomial)
+            table[row, k] = (
+                norm
+                * (-1) ** m
+                * 2**degree
+                * math.factorial(degree)
+                / math.factorial(k)
+                / math.factorial(degree - k - m)
+                * binomial
+            )
     return pairs, table
 
 

@@ -169,16 +169,29 @@ class EnvironmentField(nn.Module):
         if self.infinite:
             origins = torch.zeros_like(origins)
         near = np.full(len(origins), self.preset.camera_near, np.float32)
-        accumulate_evidence(self.raw.detach().cpu().numpy(), origins.cpu().numpy(), directions.cpu().numpy(), near,
-                            math.log(self.preset.outer_radius), self.preset.density_gain, self.relative_step, evidence)
+        accumulate_evidence(
+            self.raw.detach().cpu().numpy(),
+            origins.cpu().numpy(),
+            directions.cpu().numpy(),
+            near,
+            math.log(self.preset.outer_radius),
+            self.preset.density_gain,
+            self.relative_step,
+            evidence,
+        )
         seen = (torch.from_numpy(evidence) / self.preset.coverage_evidence).clamp(max=1)
         self.coverage = seen.to(self.raw.device)
         self._prefiltered = None
 
     @profiled("F_e cones")
     @torch.no_grad()
-    def query_cone(self, origins: torch.Tensor, directions: torch.Tensor, half_angle: torch.Tensor | float,
-                   t_near: torch.Tensor | None = None) -> tuple[torch.Tensor, torch.Tensor]:
+    def query_cone(
+        self,
+        origins: torch.Tensor,
+        directions: torch.Tensor,
+        half_angle: torch.Tensor | float,
+        t_near: torch.Tensor | None = None,
+    ) -> tuple[torch.Tensor, torch.Tensor]:
         """Mean radiance [n, 3] in cones from points in the unit sphere, and how far photos saw it [n] in 0..1.
 
         origins, unit directions [n, 3]; half_angle [n] radians, 0 .. pi / 2; t_near [n]: where the environment begins,
@@ -187,8 +200,9 @@ class EnvironmentField(nn.Module):
         if not self.known:
             return torch.zeros_like(origins), torch.zeros_like(origins[:, 0])
         if self._prefiltered is None:
-            self._prefiltered = PrefilteredEnvironment(self.raw, self.coverage, self.preset.density_gain,
-                                                       self.preset.outer_radius)
+            self._prefiltered = PrefilteredEnvironment(
+                self.raw, self.coverage, self.preset.density_gain, self.preset.outer_radius
+            )
         if self.infinite:
             origins, t_near = torch.zeros_like(origins), torch.full_like(origins[:, 0], self.preset.outer_radius)
         if t_near is None:
@@ -208,8 +222,10 @@ class EnvironmentField(nn.Module):
         d = d[coverage > 0.5]
         if self.infinite or not len(d):
             return self.preset.outer_radius
-        near, distance = torch.ones(len(d), device=d.device), torch.full((len(d),), self.preset.outer_radius,
-                                                                         device=d.device)
+        near, distance = (
+            torch.ones(len(d), device=d.device),
+            torch.full((len(d),), self.preset.outer_radius, device=d.device),
+        )
         for radius in torch.logspace(0, math.log10(self.preset.outer_radius), 64).flip(0).tolist():
             _, passed = self.render(torch.zeros_like(d), d, near, torch.full_like(near, radius))
             distance[passed < 0.5] = radius
@@ -230,9 +246,7 @@ class EnvironmentField(nn.Module):
 
     def parameter_groups(self) -> list[dict]:
         """For torch.optim.Adam."""
-        return [
-            {"params": [self.raw], "lr": self.preset.learning_rate, "betas": (0.9, 0.99), "eps": self.preset.adam_eps}
-        ]
+        return [{"params": [self.raw], "lr": self.preset.learning_rate, "betas": (0.9, 0.99), "eps": self.preset.adam_eps}]
 
     def _load_from_state_dict(self, state_dict, prefix, *arguments):
         stored = state_dict.get(prefix + "raw")

@@ -80,9 +80,11 @@ class PrefilteredEnvironment:
             self.levels.append(from_weights(stored))
             self.radii.append(radius)
 
-    def query(self, origins: torch.Tensor, directions: torch.Tensor, half_angle: torch.Tensor,
-              near: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+    def query(
+        self, origins: torch.Tensor, directions: torch.Tensor, half_angle: torch.Tensor, near: torch.Tensor
+    ) -> tuple[torch.Tensor, torch.Tensor]:
         """Mean radiance [n, 3] and coverage [n] in cones."""
-        out = composite_cones(self.levels, self.radii, self.shell_radii, self.occupied, origins, directions, near,
-                              half_angle)
+        out = composite_cones(
+            self.levels, self.radii, self.shell_radii, self.occupied, origins, directions, near, half_angle
+        )
         return out[:, :3], out[:, 3].clamp(0, 1)

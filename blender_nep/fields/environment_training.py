@@ -37,22 +37,31 @@ def optimiser(environment: EnvironmentField) -> torch.optim.Optimizer:
 def freeze(environment: EnvironmentField, rays: PixelRays, background: torch.Tensor, seed: int) -> None:
     """Ends the learning of F_e: measures its coverage by a random part of the background pixels (indices)."""
     generator = torch.Generator(background.device).manual_seed(seed)
-    pick = torch.randint(len(background), (environment.preset.coverage_rays,), generator=generator,
-                         device=background.device)
+    pick = torch.randint(len(background), (environment.preset.coverage_rays,), generator=generator, device=background.device)
     origins, directions, _ = rays.rays(background[pick])
     environment.freeze(origins, directions)
 
 
-def learn_step(environment: EnvironmentField, adam: torch.optim.Optimizer, rays: PixelRays, index: torch.Tensor,
-               generator: torch.Generator) -> float:
+def learn_step(
+    environment: EnvironmentField,
+    adam: torch.optim.Optimizer,
+    rays: PixelRays,
+    index: torch.Tensor,
+    generator: torch.Generator,
+) -> float:
     """One step of F_e alone on the pixels `index`; returns the photometric loss, NaN where it or its gradient is not
     finite: such a step changes nothing."""
     origins, directions, half_angle = rays.rays(index)
     n, near = len(index), torch.full_like(half_angle, environment.preset.camera_near)
     middle = torch.maximum(near, -(origins * directions).sum(-1))
     radiance, transmittance = environment.render(
-        origins.repeat(2, 1), directions.repeat(2, 1), torch.cat([near, middle]),
-        torch.cat([middle, torch.full_like(near, torch.inf)]), half_angle.repeat(2), generator)
+        origins.repeat(2, 1),
+        directions.repeat(2, 1),
+        torch.cat([near, middle]),
+        torch.cat([middle, torch.full_like(near, torch.inf)]),
+        half_angle.repeat(2),
+        generator,
+    )
     radiance, clear = radiance[:n] + transmittance[:n, None] * radiance[n:], transmittance[:n]
     photometric = (tone_map(radiance) - tone_map(rays.photo(index))).abs().mean()
     loss = float(photometric.detach())
@@ -69,9 +78,16 @@ def learn_step(environment: EnvironmentField, adam: torch.optim.Optimizer, rays:
     return loss
 
 
-def learn_environment(rays: PixelRays, background: PixelSet | torch.Tensor, preset: EnvironmentPreset, *, seed: int,
-                      device: torch.device, progress: Callable, checkpoint: Checkpoint
-                      ) -> tuple[EnvironmentField, dict]:
+def learn_environment(
+    rays: PixelRays,
+    background: PixelSet | torch.Tensor,
+    preset: EnvironmentPreset,
+    *,
+    seed: int,
+    device: torch.device,
+    progress: Callable,
+    checkpoint: Checkpoint,
+) -> tuple[EnvironmentField, dict]:
     """F_e from the pixels `background` (indices) alone, and a report. Raises LearningError when the loss diverges, and
     Stopped on request, after writing the checkpoint."""
     generator = torch.Generator(device).manual_seed(seed)
@@ -98,8 +114,15 @@ def learn_environment(rays: PixelRays, background: PixelSet | torch.Tensor, pres
         step += 1
         progress(step, preset.steps, loss)
         if checkpoint.stopping or checkpoint.due():
-            checkpoint.save({"step": step, "environment": environment.state_dict(), "optimiser": adam.state_dict(),
-                             "generator": generator.get_state(), "guard": guard.state()})
+            checkpoint.save(
+                {
+                    "step": step,
+                    "environment": environment.state_dict(),
+                    "optimiser": adam.state_dict(),
+                    "generator": generator.get_state(),
+                    "guard": guard.state(),
+                }
+            )
             if checkpoint.stopping:
                 raise Stopped("Stopped during fields learning; the checkpoint is written.", "Go on with --resume.")
     freeze(environment, rays, background, seed)

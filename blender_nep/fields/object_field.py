@@ -65,8 +65,7 @@ class SurfaceColour(nn.Module):
             directional = integrated_directional_encoding(directions - 2 * cosine * normals, roughness)
         else:
             albedo, directional = torch.ones_like(albedo), positional_encoding(directions, VIEW_OCTAVES)
-        light = self.light_head(torch.cat([feature, directional, normals, positional_encoding(points, LIGHT_OCTAVES)],
-                                          -1))
+        light = self.light_head(torch.cat([feature, directional, normals, positional_encoding(points, LIGHT_OCTAVES)], -1))
         return Appearance(albedo, nn.functional.softplus(light), roughness)
 
     def colour_parameters(self) -> list[nn.Parameter]:
@@ -80,8 +79,14 @@ class SplineShape:
 
     coefficients: torch.Tensor
 
-    def render(self, origins: torch.Tensor, directions: torch.Tensor, sharpness: float, samples: int,
-               generator: torch.Generator | None) -> SurfaceSamples:
+    def render(
+        self,
+        origins: torch.Tensor,
+        directions: torch.Tensor,
+        sharpness: float,
+        samples: int,
+        generator: torch.Generator | None,
+    ) -> SurfaceSamples:
         """The surface composited along rays [n, 3]; rays that meet none are left out."""
         return render_surface(self.coefficients, origins, directions, sharpness, samples, generator)
 

@@ -25,8 +25,10 @@ class StepGuard:
         self.in_a_row = 0 if usable else self.in_a_row + 1
         self.left_out += not usable
         if self.in_a_row >= PATIENCE:
-            raise LearningError("The photometric loss or its gradient is not finite.",
-                                "Check the photos for extreme values and the object sphere with `blender-nep info`.")
+            raise LearningError(
+                "The photometric loss or its gradient is not finite.",
+                "Check the photos for extreme values and the object sphere with `blender-nep info`.",
+            )
         return usable
 
     def report(self) -> dict:

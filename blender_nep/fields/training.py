@@ -111,8 +111,9 @@ def dynamic_weight(appearance: Appearance, kind: str, cap: float = 1.5, epsilon:
 class FieldsLearning:
     """The state of stage 1: fields, optimisers, step."""
 
-    def __init__(self, rays: PixelRays, preset: Preset, seed: int, device: torch.device,
-                 object_field: ObjectField | None = None) -> None:
+    def __init__(
+        self, rays: PixelRays, preset: Preset, seed: int, device: torch.device, object_field: ObjectField | None = None
+    ) -> None:
         torch.manual_seed(seed)
         self.rays, self.preset, self.device = rays, preset.fields, device
         self.generator = torch.Generator(device).manual_seed(seed)
@@ -129,8 +130,9 @@ class FieldsLearning:
         known = len(rays.outside) >= preset.least_outside * rays.count
         self.background_steps = preset.background_steps if known else 0
         self.start_sharpness = preset.first_sharpness
-        self.head_optimiser = torch.optim.Adam(self.object_field.colour_parameters(), lr=preset.head_rate, betas=(0.9, 0.99),
-                                               fused=True)
+        self.head_optimiser = torch.optim.Adam(
+            self.object_field.colour_parameters(), lr=preset.head_rate, betas=(0.9, 0.99), fused=True
+        )
         self._set_levels(preset.first_levels)
         self._refine_environment()
         self.object_pixels = rays.sphere
@@ -164,8 +166,8 @@ class FieldsLearning:
     def _settled(self) -> bool:
         p = self.preset
         # a finer grid is rough at first: errors from before it are no measure for those after it
-        errors = self.held_out[max(0, math.floor((p.fine_from - p.look_at[0]) / p.check_every + 1e-6) + 1):]
-        return len(errors) > p.patience and min(errors[-p.patience:]) > (1 - p.least_gain) * min(errors[:-p.patience])
+        errors = self.held_out[max(0, math.floor((p.fine_from - p.look_at[0]) / p.check_every + 1e-6) + 1) :]
+        return len(errors) > p.patience and min(errors[-p.patience :]) > (1 - p.least_gain) * min(errors[: -p.patience])
 
     def _set_levels(self, count: int) -> None:
         while self.object_field.level_count < count:
@@ -184,8 +186,9 @@ class FieldsLearning:
         return self.start_sharpness * (p.last_sharpness / self.start_sharpness) ** rise
 
     @profiled("render")
-    def render(self, origins: torch.Tensor, directions: torch.Tensor, half_angle: torch.Tensor,
-               generator: torch.Generator | None) -> Rendering:
+    def render(
+        self, origins: torch.Tensor, directions: torch.Tensor, half_angle: torch.Tensor, generator: torch.Generator | None
+    ) -> Rendering:
         """Radiance of rays through both fields. All rays [n, 3] may or may not meet the sphere."""
         p = self.preset
         samples = p.first_samples if self.fraction < p.coarse_until else p.samples
@@ -207,8 +210,9 @@ class FieldsLearning:
         part = torch.cat([torch.arange(n, device=self.device), back_ray])
         start = torch.cat([near, leave[back_ray]])
         end = torch.cat([torch.where(leave > entry, entry, infinity), infinity[back_ray]])
-        radiance, transmittance = self.environment.render(origins[part], directions[part], start, end,
-                                                          half_angle[part], generator)
+        radiance, transmittance = self.environment.render(
+            origins[part], directions[part], start, end, half_angle[part], generator
+        )
         haze = (1 - transmittance[:n][meets]).mean() if len(meets) else radiance.sum() * 0
         if self.fraction < p.shy_until:
             # what other pixels know of the surroundings counts more than what the object would have them be
@@ -260,8 +264,9 @@ class FieldsLearning:
         self._refine_environment()
         index = self._draw(self.rays.outside, p.object_rays + p.sphere_rays + p.outside_rays)
         self._set_environment_rate()
-        self.loss = environment_learning.learn_step(self.environment, self.environment_optimiser, self.rays, index,
-                                                    self.generator)
+        self.loss = environment_learning.learn_step(
+            self.environment, self.environment_optimiser, self.rays, index, self.generator
+        )
         self.guard.judge(usable_loss(self.loss))
         self.step += 1
         return self.loss
@@ -297,7 +302,7 @@ class FieldsLearning:
             seen = shape.near(origins, directions, band).float().reshape(1, 1, len(row), len(column))
             seen = functional.max_pool2d(seen, 3, 1, 1)
             seen = seen[0, 0].repeat_interleave(block, 0)[:height].repeat_interleave(block, 1)[:, :width] > 0
-            valid = rays.valid[rays.offset[view]:rays.offset[view + 1]]
+            valid = rays.valid[rays.offset[view] : rays.offset[view + 1]]
             found.add(PixelSet.where(seen.flatten() & valid, rays.offset[view]))
         found = found.finished()
         self.object_pixels = found if len(found) else rays.sphere
@@ -327,9 +332,15 @@ class FieldsLearning:
         if self.looks and self.fraction >= p.look_at[0] + p.check_every * len(self.held_out):
             self.held_out.append(self._check())
         self._refine_environment()
-        pick = [self._draw(pool, count) for pool, count in ((self.object_pixels, p.object_rays),
-                                                            (rays.sphere, p.sphere_rays),
-                                                            (rays.outside, p.outside_rays)) if len(pool)]
+        pick = [
+            self._draw(pool, count)
+            for pool, count in (
+                (self.object_pixels, p.object_rays),
+                (rays.sphere, p.sphere_rays),
+                (rays.outside, p.outside_rays),
+            )
+            if len(pool)
+        ]
         index = torch.cat(pick)
         with section("rays and photo values"):
             origins, directions, half_angle = rays.rays(index)
@@ -383,22 +394,34 @@ class FieldsLearning:
         normal = functional.normalize(surface.gradient[solid], dim=-1, eps=1e-6)
         colour = self.object_field.appearance(surface.point[solid], normal, directions[ray]).colour
         near = torch.full((len(ray),), self.preset.near, device=self.device)
-        behind, _ = self.environment.render(origins[ray], directions[ray], near, torch.full_like(near, torch.inf),
-                                            half_angle[ray], None)
+        behind, _ = self.environment.render(
+            origins[ray], directions[ray], near, torch.full_like(near, torch.inf), half_angle[ray], None
+        )
         photo = tone_map(self.rays.photo(index[ray]))
         error = (tone_map(colour) - photo).abs().mean().clamp(min=1e-6)
         return float((tone_map(behind) - photo).abs().mean() / error)
 
     def state(self) -> dict:
         """Everything that a resumed run needs."""
-        return {"step": self.step, "loss": self.loss,
-                "levels": self.object_field.level_count, "object": self.object_field.state_dict(),
-                "environment": self.environment.state_dict(), "sdf_optimiser": self.sdf_optimiser.state_dict(),
-                "head_optimiser": self.head_optimiser.state_dict(),
-                "environment_optimiser": self.environment_optimiser.state_dict(),
-                "generator": self.generator.get_state(), "looks": self.looks, "object_pixels": self.object_pixels.state(),
-                "start_sharpness": self.start_sharpness, "report": self.report, "learned": self.learned,
-                "held_out": self.held_out, "checked": self.checked, "guard": self.guard.state()}
+        return {
+            "step": self.step,
+            "loss": self.loss,
+            "levels": self.object_field.level_count,
+            "object": self.object_field.state_dict(),
+            "environment": self.environment.state_dict(),
+            "sdf_optimiser": self.sdf_optimiser.state_dict(),
+            "head_optimiser": self.head_optimiser.state_dict(),
+            "environment_optimiser": self.environment_optimiser.state_dict(),
+            "generator": self.generator.get_state(),
+            "looks": self.looks,
+            "object_pixels": self.object_pixels.state(),
+            "start_sharpness": self.start_sharpness,
+            "report": self.report,
+            "learned": self.learned,
+            "held_out": self.held_out,
+            "checked": self.checked,
+            "guard": self.guard.state(),
+        }
 
     def load(self, state: dict) -> None:
         """Go on from `state`."""
@@ -418,8 +441,18 @@ class FieldsLearning:
         self.guard.load(state["guard"])
 
 
-def learn_fields(rays: PixelRays, preset: Preset, *, seed: int, device: torch.device, progress, checkpoint,
-                 surface: Surface | None = None, watch=None, object_field: ObjectField | None = None) -> Fields:
+def learn_fields(
+    rays: PixelRays,
+    preset: Preset,
+    *,
+    seed: int,
+    device: torch.device,
+    progress,
+    checkpoint,
+    surface: Surface | None = None,
+    watch=None,
+    object_field: ObjectField | None = None,
+) -> Fields:
     """Learns F_o and F_e from the photos (Sec. 3.2). With `surface` (a known mesh in the unit frame) F_e alone, from the
     pixels whose rays miss the mesh. With `object_field` that one is learned, and not the preset's.
 
@@ -430,7 +463,8 @@ def learn_fields(rays: PixelRays, preset: Preset, *, seed: int, device: torch.de
     if surface is not None:
         background = _pixels_beside(surface, rays)
         environment, report = environment_learning.learn_environment(
-            rays, background, preset.environment, seed=seed, device=device, progress=progress, checkpoint=checkpoint)
+            rays, background, preset.environment, seed=seed, device=device, progress=progress, checkpoint=checkpoint
+        )
         return Fields(None, environment, {"skipped": {"object field": "a mesh was given (--mesh)"}, **report})
     learning = FieldsLearning(rays, preset, seed, device, object_field)
     state = checkpoint.load()
@@ -450,11 +484,18 @@ def learn_fields(rays: PixelRays, preset: Preset, *, seed: int, device: torch.de
         raise LearningError(
             f"The object's sphere seems to contain nothing: the surroundings explain its pixels almost as well as an object"
             f" does (ratio {evidence:.2f}, needed {preset.fields.least_evidence}).",
-            "Set object_center and object_radius in transforms.json so that the sphere holds the object closely.")
+            "Set object_center and object_radius in transforms.json so that the sphere holds the object closely.",
+        )
     environment_learning.freeze(learning.environment, rays, rays.outside if len(rays.outside) else rays.sphere, seed)
-    report = {"steps": learning.step, "of_steps": learning.background_steps + preset.fields.steps,
-              "held_out_error": [round(e, 4) for e in learning.held_out], "loss": learning.loss,
-              "evidence": round(evidence, 3), **learning.guard.report(), **learning.report}
+    report = {
+        "steps": learning.step,
+        "of_steps": learning.background_steps + preset.fields.steps,
+        "held_out_error": [round(e, 4) for e in learning.held_out],
+        "loss": learning.loss,
+        "evidence": round(evidence, 3),
+        **learning.guard.report(),
+        **learning.report,
+    }
     return Fields(learning.object_field, learning.environment, report)
 
 

@@ -66,7 +66,7 @@ def mask_silhouettes(rays: PixelRays, block: int = 4) -> list[torch.Tensor]:
     """Per view [H / block, W / block]: mean of the object mask."""
     maps = []
     for view, (height, width) in enumerate(rays.size):
-        mask = rays.mask[rays.offset[view]:rays.offset[view + 1]].float().reshape(1, height, width) / 255
+        mask = rays.mask[rays.offset[view] : rays.offset[view + 1]].float().reshape(1, height, width) / 255
         maps.append(functional.adaptive_avg_pool2d(mask, (max(height // block, 1), max(width // block, 1)))[0])
     return maps
 

@@ -67,8 +67,14 @@ def place_samples(spans: torch.Tensor, count: torch.Tensor, samples: int, jitter
 
 
 @profiled("object field")
-def render_surface(coefficients: torch.Tensor, origins: torch.Tensor, directions: torch.Tensor, sharpness: float,
-                   samples: int, generator: torch.Generator | None) -> SurfaceSamples:
+def render_surface(
+    coefficients: torch.Tensor,
+    origins: torch.Tensor,
+    directions: torch.Tensor,
+    sharpness: float,
+    samples: int,
+    generator: torch.Generator | None,
+) -> SurfaceSamples:
     """Composites the SDF's surface along rays [n, 3]. Rays that meet no surface are left out of the result.
 
     Samples stand only where the surface can be: in the band found by marching the current SDF.
@@ -78,8 +84,11 @@ def render_surface(coefficients: torch.Tensor, origins: torch.Tensor, directions
     with section("march"):
         spans, count = bspline.march(coefficients, origins, directions, entry, leave, BAND / sharpness, step)
     ray = count.nonzero()[:, 0]
-    jitter = torch.full((len(ray),), 0.5, device=origins.device) if generator is None else torch.rand(
-        len(ray), generator=generator, device=origins.device)
+    jitter = (
+        torch.full((len(ray),), 0.5, device=origins.device)
+        if generator is None
+        else torch.rand(len(ray), generator=generator, device=origins.device)
+    )
     t = place_samples(spans[ray], count[ray], samples, jitter)
     points = origins[ray, None] + t[..., None] * directions[ray, None]
     field = bspline.sample(coefficients, points.clamp(-1, 1).reshape(-1, 3)).reshape(len(ray), samples + 1, 4)

@@ -42,8 +42,14 @@ class LivePreview:
     share = 0.03
     """Of the time, at most, that previews may take."""
 
-    def __init__(self, asset: Path, rays: PixelRays, from_unit: np.ndarray, events: Events,
-                 clock: Callable[[], float] = time.monotonic) -> None:
+    def __init__(
+        self,
+        asset: Path,
+        rays: PixelRays,
+        from_unit: np.ndarray,
+        events: Events,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
         self.path, self.rays, self.from_unit, self.events, self._clock = asset / FOLDER, rays, from_unit, events, clock
         self._due = clock() + self.interval
         self._view: int | None = None
@@ -74,8 +80,10 @@ class LivePreview:
         vertices = vertices @ self.from_unit[:3, :3].T + self.from_unit[:3, 3]
         arrays = {"vertices": vertices.astype(np.float32), "faces": faces.astype(np.int32)}
         picture = Image.fromarray(render_pair(learning, self._view))
-        for name, write in ((PREVIEW_MESH, lambda file: np.savez(file, **arrays)),
-                            (PREVIEW_PICTURE, lambda file: picture.save(file, format="PNG"))):
+        for name, write in (
+            (PREVIEW_MESH, lambda file: np.savez(file, **arrays)),
+            (PREVIEW_PICTURE, lambda file: picture.save(file, format="PNG")),
+        ):
             write_atomically(self.path / name, lambda path, write=write: _open_and(write, path))
             self.events.preview(self.path / name)
 

@@ -218,8 +218,10 @@ class Job:
             self.scene.skip({}, seconds_of_cones(s.preset.material, plan.preset.material, gathering))
         margin = materials.report.get("metal_or_not_margin")
         if margin is not None and margin < _DOUBT:
-            self.events.warning("the photos hardly tell whether the object is metal: where the result is wrong, say so "
-                                "by --metal yes or --metal no")
+            self.events.warning(
+                "the photos hardly tell whether the object is metal: where the result is wrong, say so "
+                "by --metal yes or --metal no"
+            )
         parts = {"fields_learning": fields.report, "surface": surface_report, "material_learning": materials.report}
         self._write_asset(capture, rays, surface, materials, fields.environment, parts, what)
 
@@ -406,8 +408,10 @@ class Job:
                 **self.scene.report(),
                 "losses": self.losses,
                 **({} if self.profile is None else {"profile": self.profile.report()}),
-                "rooms": {room: {k: v for k, v in part.items() if k not in ("skipped", "seconds_saved")}
-                          for room, part in parts.items()},
+                "rooms": {
+                    room: {k: v for k, v in part.items() if k not in ("skipped", "seconds_saved")}
+                    for room, part in parts.items()
+                },
                 "warnings": self.events.warnings,
                 "fingerprint": what,
             }

@@ -108,8 +108,12 @@ class SceneAnalysis:
         seen = f"The photos ({self.photos}) show the object among its surroundings, which are learned as its light."
         if not self.backdrop:
             seen = f"The photos ({self.photos}) are cut-outs: the light is learned from the object's reflections alone."
-        lines = [seen, "Masks are there and are used." if self.masks else
-                 "No masks are used: the object is found by what does not look like its surroundings."]
+        lines = [
+            seen,
+            "Masks are there and are used."
+            if self.masks
+            else "No masks are used: the object is found by what does not look like its surroundings.",
+        ]
         whose = "the object's pixels" if self.masks else "the pixels around the object"
         if self.clipped >= 0.001:
             lines.append(f"{_percent(self.clipped)} of {whose} are burnt out (clipped) and say nothing of the material.")
@@ -171,9 +175,13 @@ class SurfaceAnalysis:
         share = "" if self.convex else f" ({_percent(self.self_visibility)} of all directions)"
         lines = [f"{seen[:1].upper()}{seen[1:]}{share}."]
         if self.view_dependence is not None:
-            change = ("changes much from photo to photo: it is glossy" if self.view_dependence >= GLOSSY else
-                      "hardly changes from photo to photo: it is matte" if self.matte else
-                      "changes a little from photo to photo: it is hardly glossy")
+            change = (
+                "changes much from photo to photo: it is glossy"
+                if self.view_dependence >= GLOSSY
+                else "hardly changes from photo to photo: it is matte"
+                if self.matte
+                else "changes a little from photo to photo: it is hardly glossy"
+            )
             lines.append(f"Its brightness {change}.")
         return lines
 
@@ -234,8 +242,15 @@ def self_visibility(tracer: RayTracer, rng: np.random.Generator, points: int = 4
     return float(tracer.occluded(start, d).mean())
 
 
-def view_dependence(tracer: RayTracer, normals: np.ndarray, rays: PixelRays, rng: np.random.Generator, points: int = 1500,
-                    least_views: int = 4, least_cosine: float = 0.4) -> float | None:
+def view_dependence(
+    tracer: RayTracer,
+    normals: np.ndarray,
+    rays: PixelRays,
+    rng: np.random.Generator,
+    points: int = 1500,
+    least_views: int = 4,
+    least_cosine: float = 0.4,
+) -> float | None:
     """How much the brightness of surface points varies over the photos that see them (`SurfaceAnalysis`), or None."""
     face, barycentric = _spread(tracer, points, rng)
     place = tracer.interpolate(tracer.vertices, face, barycentric).astype(np.float32)

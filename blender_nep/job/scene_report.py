@@ -66,13 +66,18 @@ class SceneReport:
     def stopped_early(self, steps: int, of_steps: int, seconds: float) -> None:
         """Stage 1 has taken `steps` steps in `seconds`, of as many as the preset allows."""
         if steps < of_steps:
-            self.skip({"further steps of both fields": "the error on held-out pixels did not fall any more"},
-                      {"further steps of both fields": seconds * (of_steps - steps) / steps})
+            self.skip(
+                {"further steps of both fields": "the error on held-out pixels did not fall any more"},
+                {"further steps of both fields": seconds * (of_steps - steps) / steps},
+            )
 
     def report(self) -> dict:
         """For report.json."""
-        return {"scene": {**self.facts, "sentences": self.sentences}, "skipped": self.skipped,
-                "skipped_seconds": self.seconds_saved}
+        return {
+            "scene": {**self.facts, "sentences": self.sentences},
+            "skipped": self.skipped,
+            "skipped_seconds": self.seconds_saved,
+        }
 
     def _tell(self, new: list[str]) -> None:
         for line in new:
@@ -88,6 +93,8 @@ def _lines(skipped: dict[str, str], seconds: dict[str, float]) -> list[str]:
     lines = []
     for why, parts in reasons.items():
         saved = sum(seconds.get(what, 0.0) for what in parts)
-        lines.append(f"Left out: {', '.join(_IN_PLAIN_WORDS.get(what, what) for what in parts)}, because {why}"
-                     + (f" (saves about {saved:.0f} s)." if saved >= 0.5 else "."))
+        lines.append(
+            f"Left out: {', '.join(_IN_PLAIN_WORDS.get(what, what) for what in parts)}, because {why}"
+            + (f" (saves about {saved:.0f} s)." if saved >= 0.5 else ".")
+        )
     return lines

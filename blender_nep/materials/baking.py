@@ -71,8 +71,9 @@ def texture_size(surface: Surface, footprint: float, most: int) -> int:
 
 
 @profiled("textures")
-def bake(surface: Surface, evidence: Evidence, palette: Palette, size: int
-         ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+def bake(
+    surface: Surface, evidence: Evidence, palette: Palette, size: int
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Albedo [S,S,3], roughness, metallic, confidence [S,S] float32, seams dilated.
 
     A texel takes the material that the samples around it vote for; one that no photo saw takes that of the nearest.
@@ -100,8 +101,12 @@ def bake(surface: Surface, evidence: Evidence, palette: Palette, size: int
         out[known] = values
         return out[fill]
 
-    return (texture(albedo.clip(0, 1)), texture(palette.roughness.cpu().numpy()[votes.label]),
-            texture(palette.metallic.cpu().numpy()[votes.label]), texture(confidence))
+    return (
+        texture(albedo.clip(0, 1)),
+        texture(palette.roughness.cpu().numpy()[votes.label]),
+        texture(palette.metallic.cpu().numpy()[votes.label]),
+        texture(confidence),
+    )
 
 
 @dataclass

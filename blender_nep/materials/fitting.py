@@ -32,9 +32,18 @@ def roughness_scan(least: float, device: torch.device) -> Tensor:
 
 
 @profiled("fits")
-def fit_groups(light: IncomingLight, target: Tensor, weight: Tensor, group: Tensor, groups: int, *,
-               least_roughness: float, clip: float, hypotheses: tuple[float, ...] = (0.0, 1.0),
-               most_diffuse: float = 1.0) -> tuple[Tensor, Tensor]:
+def fit_groups(
+    light: IncomingLight,
+    target: Tensor,
+    weight: Tensor,
+    group: Tensor,
+    groups: int,
+    *,
+    least_roughness: float,
+    clip: float,
+    hypotheses: tuple[float, ...] = (0.0, 1.0),
+    most_diffuse: float = 1.0,
+) -> tuple[Tensor, Tensor]:
     """Every hypothesis (metallic, roughness) for every group of samples.
 
     target [n,3] linear, weight [n], group [n] int64 in 0..groups-1 (-1: none); most_diffuse: limit of
@@ -47,14 +56,29 @@ def fit_groups(light: IncomingLight, target: Tensor, weight: Tensor, group: Tens
     ends = torch.bincount(group[member], minlength=groups).cumsum(0)
     cos_v, r = light.cos_v[member][:, None], scan[None]
     single = brdf.specular_albedo(cos_v, r)
-    samples = (light.specular[member], light.diffuse[member], target[member], tone_map(target[member]), weight[member],
-               (1 - single) / single, brdf.multiscatter_scale(brdf.DIELECTRIC_FSS, cos_v, r),
-               1 - brdf.dielectric_albedo(cos_v, r))
+    samples = (
+        light.specular[member],
+        light.diffuse[member],
+        target[member],
+        tone_map(target[member]),
+        weight[member],
+        (1 - single) / single,
+        brdf.multiscatter_scale(brdf.DIELECTRIC_FSS, cos_v, r),
+        1 - brdf.dielectric_albedo(cos_v, r),
+    )
     low, mix = light.rung(scan)
     limits = [1.0 if metallic > 0.5 else most_diffuse for metallic in hypotheses]
     cost = np.zeros((len(hypotheses), len(scan), groups), np.float32)
     albedo = np.zeros((*cost.shape, 3), np.float32)
-    fit_lines(np.concatenate([[0], ends.cpu().numpy()]), *(x.float().cpu().contiguous().numpy() for x in samples),
-              *(x.cpu().numpy() for x in (low, mix, brdf.average_specular_albedo(scan))),
-              np.array(hypotheses, np.float32), np.array(limits, np.float32), clip, _ITERATIONS, cost, albedo)
+    fit_lines(
+        np.concatenate([[0], ends.cpu().numpy()]),
+        *(x.float().cpu().contiguous().numpy() for x in samples),
+        *(x.cpu().numpy() for x in (low, mix, brdf.average_specular_albedo(scan))),
+        np.array(hypotheses, np.float32),
+        np.array(limits, np.float32),
+        clip,
+        _ITERATIONS,
+        cost,
+        albedo,
+    )
     return torch.from_numpy(cost).to(target.device), torch.from_numpy(albedo).to(target.device)

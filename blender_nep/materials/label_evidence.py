@@ -29,8 +29,13 @@ def evidence_of_samples(search: PaletteSearch) -> Evidence:
     cost = search.costs().cpu().numpy()
     label = search.label.cpu().numpy()
     own = cost[np.arange(len(label)), label] / search.weight.cpu().numpy()
-    return Evidence(search.samples.position, search.samples.photo.cpu().numpy(), search.smoothed(cost),
-                    search.palette.albedo.cpu().numpy()[label], own)
+    return Evidence(
+        search.samples.position,
+        search.samples.photo.cpu().numpy(),
+        search.smoothed(cost),
+        search.palette.albedo.cpu().numpy()[label],
+        own,
+    )
 
 
 def error_of_neighbours(search: PaletteSearch, samples: Surfels, shown: np.ndarray) -> float:
@@ -40,23 +45,39 @@ def error_of_neighbours(search: PaletteSearch, samples: Surfels, shown: np.ndarr
 
 
 @profiled("votes of all pixels")
-def evidence_of_pixels(search: PaletteSearch, samples: Surfels, shown: np.ndarray, rays: PixelRays, tracer: RayTracer,
-                       normals: np.ndarray, seed: int) -> Evidence:
+def evidence_of_pixels(
+    search: PaletteSearch,
+    samples: Surfels,
+    shown: np.ndarray,
+    rays: PixelRays,
+    tracer: RayTracer,
+    normals: np.ndarray,
+    seed: int,
+) -> Evidence:
     """Of `preset.voters` pixels, by the light of the samples beside them: boundaries are as sharp as the photos. What each
     sample shows of each material: shown [n,K,3], tone-mapped."""
     p, palette = search.preset, search.palette
-    voters = select_samples(rays, tracer, normals, count=p.voters, least_cosine=p.least_cosine,
-                            generator=np.random.default_rng(seed), candidates=_CANDIDATES)
+    voters = select_samples(
+        rays,
+        tracer,
+        normals,
+        count=p.voters,
+        least_cosine=p.least_cosine,
+        generator=np.random.default_rng(seed),
+        candidates=_CANDIDATES,
+    )
     pixels = surfels(voters, tracer, normals)
     cost = pixel_costs(samples, shown, pixels, tone_map(voters.radiance).cpu().numpy(), p.clip)
     cost = cost * torch.where(palette.blended, 1 + p.blend_margin, 1.0).cpu().numpy()
     smoothed = weighted_mean(cost, *neighbours(cKDTree(pixels.position), pixels.position, 2 * NEIGHBOURS))
     label = smoothed.argmin(1)
-    return Evidence(pixels.position, pixels.photo, smoothed, palette.albedo.cpu().numpy()[label],
-                    cost[np.arange(len(cost)), label])
+    return Evidence(
+        pixels.position, pixels.photo, smoothed, palette.albedo.cpu().numpy()[label], cost[np.arange(len(cost)), label]
+    )
 
 
 def surfels(samples: PhotoSamples, tracer: RayTracer, normals: np.ndarray) -> Surfels:
     """Where samples see the surface, with the vertices' normals [V,3] between them."""
-    return Surfels(samples.position, tracer.smooth_normals(normals, samples.face, samples.barycentric),
-                   samples.photo.cpu().numpy())
+    return Surfels(
+        samples.position, tracer.smooth_normals(normals, samples.face, samples.barycentric), samples.photo.cpu().numpy()
+    )

@@ -55,7 +55,7 @@ class Palette:
     def with_one(self, k: int, other: Palette) -> Palette:
         """With the k-th material of another palette in the place of its own."""
         pairs = (self.albedo, other.albedo), (self.roughness, other.roughness), (self.metallic, other.metallic)
-        return Palette(*(torch.cat([own[:k], its[k:k + 1], own[k + 1:]]) for own, its in pairs))
+        return Palette(*(torch.cat([own[:k], its[k : k + 1], own[k + 1 :]]) for own, its in pairs))
 
     def joined(self, other: Palette) -> Palette:
         """Followed by another palette's materials."""
@@ -76,8 +76,9 @@ def error(light: IncomingLight, target: Tensor, weight: Tensor, material: Materi
     return (tone_map(predicted) - tone_map(target)).abs().mean(-1).clamp_max(clip) * weight
 
 
-def best_of(cost: Tensor, albedo: Tensor, least_roughness: float, hypotheses: tuple[float, ...],
-            metal_margin: float) -> Palette:
+def best_of(
+    cost: Tensor, albedo: Tensor, least_roughness: float, hypotheses: tuple[float, ...], metal_margin: float
+) -> Palette:
     """The best hypothesis of each group; roughness to a fraction of a step by a parabola through the minimum.
 
     metal_margin: a metal must be better by this share of the residual, the prior that most things are not.

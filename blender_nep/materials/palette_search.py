@@ -55,7 +55,7 @@ class PaletteSearch:
         p, opposite = self.preset, self.palette
         cost, albedo = self._scan(self.label, len(self.palette))
         for i, metallic in enumerate(p.metallic):
-            found = best_of(cost[i:i + 1], albedo[i:i + 1], p.least_roughness, (metallic,), 0.0)
+            found = best_of(cost[i : i + 1], albedo[i : i + 1], p.least_roughness, (metallic,), 0.0)
             for k in (self.palette.metallic != metallic).nonzero().squeeze(-1).tolist():
                 opposite = opposite.with_one(k, found)
         return opposite
@@ -155,8 +155,17 @@ class PaletteSearch:
 
     def _scan(self, group: Tensor, groups: int, most_diffuse: float = 1.0) -> tuple[Tensor, Tensor]:
         p = self.preset
-        return fit_groups(self.light, self.target, self.weight, group, groups, clip=p.clip,
-                          least_roughness=p.least_roughness, hypotheses=p.metallic, most_diffuse=most_diffuse)
+        return fit_groups(
+            self.light,
+            self.target,
+            self.weight,
+            group,
+            groups,
+            clip=p.clip,
+            least_roughness=p.least_roughness,
+            hypotheses=p.metallic,
+            most_diffuse=most_diffuse,
+        )
 
     def _fit(self, group: Tensor, groups: int, most_diffuse: float = 1.0) -> Palette:
         p = self.preset

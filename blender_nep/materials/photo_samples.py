@@ -48,8 +48,16 @@ class PhotoSamples:
 
 
 @profiled("select samples")
-def select_samples(rays: PixelRays, tracer: RayTracer, normals: np.ndarray, *, count: int, least_cosine: float,
-                   generator: np.random.Generator, candidates: int = _CANDIDATES_PER_SAMPLE) -> PhotoSamples:
+def select_samples(
+    rays: PixelRays,
+    tracer: RayTracer,
+    normals: np.ndarray,
+    *,
+    count: int,
+    least_cosine: float,
+    generator: np.random.Generator,
+    candidates: int = _CANDIDATES_PER_SAMPLE,
+) -> PhotoSamples:
     """At most `count` pixels spread over the surface and the views, with what carries no information left out; for each,
     `candidates` are looked at.
 
@@ -81,20 +89,30 @@ def select_samples(rays: PixelRays, tracer: RayTracer, normals: np.ndarray, *, c
         leave_out("saturated", (rays.radiance[index].amax(-1) > SATURATED).cpu().numpy())
     chosen = np.flatnonzero(on)
     if len(chosen) == 0:
-        raise LearningError("no photo shows the surface well enough to learn its material",
-                            "the surface may be wrong: look at mesh.obj, and check the object's bounding sphere")
+        raise LearningError(
+            "no photo shows the surface well enough to learn its material",
+            "the surface may be wrong: look at mesh.obj, and check the object's bounding sphere",
+        )
     position = o[chosen] + d[chosen] * t[chosen, None]
     if len(chosen) > count:
         keep = _spread(position, count, generator)
         chosen, position = chosen[keep], position[keep]
     device = sphere.device
     at = torch.from_numpy(chosen).to(device)
-    return PhotoSamples(face[chosen], barycentric[chosen], position.astype(np.float32),
-                        -torch.from_numpy(d[chosen]).to(device), rays.view_of(index[at]), rays.photo(index[at]), skipped)
+    return PhotoSamples(
+        face[chosen],
+        barycentric[chosen],
+        position.astype(np.float32),
+        -torch.from_numpy(d[chosen]).to(device),
+        rays.view_of(index[at]),
+        rays.photo(index[at]),
+        skipped,
+    )
 
 
-def _edges(tracer: RayTracer, o: np.ndarray, d: np.ndarray, t: np.ndarray, angle: np.ndarray, cosine: np.ndarray,
-           on: np.ndarray) -> np.ndarray:
+def _edges(
+    tracer: RayTracer, o: np.ndarray, d: np.ndarray, t: np.ndarray, angle: np.ndarray, cosine: np.ndarray, on: np.ndarray
+) -> np.ndarray:
     """Whether the surface around a pixel [n] bool is cut off: a neighbouring ray misses, or is far off its plane."""
     rows = np.flatnonzero(on)
     out = np.zeros(len(o), bool)

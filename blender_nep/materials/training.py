@@ -58,8 +58,17 @@ class Materials:
     report: dict = field(default_factory=dict)
 
 
-def learn_materials(surface: Surface, environment: EnvironmentField, rays: PixelRays, preset: MaterialPreset, *,
-                    seed: int, device: torch.device | str, progress: Callable, checkpoint) -> Materials:
+def learn_materials(
+    surface: Surface,
+    environment: EnvironmentField,
+    rays: PixelRays,
+    preset: MaterialPreset,
+    *,
+    seed: int,
+    device: torch.device | str,
+    progress: Callable,
+    checkpoint,
+) -> Materials:
     """Textures of the surface. Raises LearningError when no photo shows it; Stopped on request.
 
     A resumed run goes on from the gathered light where that was saved, and ends with the same textures.
@@ -82,14 +91,27 @@ class _MaterialLearner:
         """Seconds that it took to ask, the last time"""
         tracer = RayTracer(surface.vertices, surface.faces)
         self.samples: PhotoSamples = select_samples(
-            rays, tracer, surface.normals, count=preset.samples, least_cosine=preset.least_cosine,
-            generator=np.random.default_rng(seed))
+            rays,
+            tracer,
+            surface.normals,
+            count=preset.samples,
+            least_cosine=preset.least_cosine,
+            generator=np.random.default_rng(seed),
+        )
         self.footprint = self._footprint(rays)
         self.report: dict = {"samples": len(self.samples), "left_out": self.samples.skipped, "seconds": {}}
         self._clock("select")
         self.f_p = PlenopticFunction(
-            tracer, surface.normals, environment, TerminalRadiance().to(device), levels=preset.levels,
-            diffuse=preset.diffuse_cones, specular=preset.specular_cones, use_cones=preset.use_cones, device=device)
+            tracer,
+            surface.normals,
+            environment,
+            TerminalRadiance().to(device),
+            levels=preset.levels,
+            diffuse=preset.diffuse_cones,
+            specular=preset.specular_cones,
+            use_cones=preset.use_cones,
+            device=device,
+        )
         self.points = self.f_p.points(self.samples.face, self.samples.barycentric, self.samples.view)
 
     def run(self) -> Materials:
@@ -124,8 +146,11 @@ class _MaterialLearner:
         textures = bake(self.surface, self._evidence(), search.palette, size)
         self._clock("textures")
         if size < wanted:
-            self._skip("fine textures", "one material explains the photos",
-                       self.report["seconds"]["textures"] * ((wanted / size) ** 2 - 1))
+            self._skip(
+                "fine textures",
+                "one material explains the photos",
+                self.report["seconds"]["textures"] * ((wanted / size) ** 2 - 1),
+            )
         self._step(100)
         if not all(np.isfinite(x).all() for x in textures):
             raise LearningError("material learning diverged: its textures are not finite", "try another --seed")
@@ -141,11 +166,19 @@ class _MaterialLearner:
         else:
             if self.preset.levels > 0:
                 self._learn_terminal()
-            self.light = IncomingLight.gathered(self.f_p, self.points, self.preset.ladder,
-                                                self.preset.irradiance_cones, self.generator,
-                                                lambda share: self._step(10 + int(60 * share)))
-        self.state = {"terminal": self.f_p.terminal.state_dict(), "light": self.light.state(),
-                      "generator": self.generator.get_state()}
+            self.light = IncomingLight.gathered(
+                self.f_p,
+                self.points,
+                self.preset.ladder,
+                self.preset.irradiance_cones,
+                self.generator,
+                lambda share: self._step(10 + int(60 * share)),
+            )
+        self.state = {
+            "terminal": self.f_p.terminal.state_dict(),
+            "light": self.light.state(),
+            "generator": self.generator.get_state(),
+        }
         self._step(70)
         self._clock("light")
 
@@ -221,7 +254,8 @@ class _MaterialLearner:
         others = self._opposites()
         scan = time.monotonic() - start
         light.unseen, search.palette, margins = learn_unseen_light(
-            light, search.palette, others, search.label, search.target, p, self.generator, tried)
+            light, search.palette, others, search.label, search.target, p, self.generator, tried
+        )
         if margins:
             self.report["metal_or_not_margin"] = round(min(margins), 4)
             self.sure_of = search.palette.metallic if min(margins) >= p.sure_margin else None
@@ -257,9 +291,14 @@ class _MaterialLearner:
         if self.search.merged:
             self.report["merged_shades"] = self.search.merged
         self.report["materials"] = [
-            {"share": round(float(s), 4), "albedo": [round(x, 4) for x in a.tolist()], "roughness": round(float(r), 4),
-             "metallic": float(m)}
-            for s, a, r, m in zip(share, palette.albedo, palette.roughness, palette.metallic, strict=True)]
+            {
+                "share": round(float(s), 4),
+                "albedo": [round(x, 4) for x in a.tolist()],
+                "roughness": round(float(r), 4),
+                "metallic": float(m),
+            }
+            for s, a, r, m in zip(share, palette.albedo, palette.roughness, palette.metallic, strict=True)
+        ]
         self.report["residual_one_material"], self.report["residual"] = round(single, 5), round(self._residual(), 5)
         self.report["texture_texels"] = size
         self.report["cones_traced"] = self.light.rays
@@ -286,4 +325,3 @@ class _MaterialLearner:
         now = time.monotonic()
         self.report["seconds"][name] = round(now - self.start, 2)
         self.start = now
-

@@ -36,9 +36,16 @@ _MOST_TRIALS = 6
 
 
 @profiled("unseen light")
-def learn_unseen_light(light: IncomingLight, palette: Palette, others: Palette | None, label: Tensor, target: Tensor,
-                       preset: MaterialPreset, generator: torch.Generator, beat: Callable[[], None]
-                       ) -> tuple[UnseenLight, Palette, list[float]]:
+def learn_unseen_light(
+    light: IncomingLight,
+    palette: Palette,
+    others: Palette | None,
+    label: Tensor,
+    target: Tensor,
+    preset: MaterialPreset,
+    generator: torch.Generator,
+    beat: Callable[[], None],
+) -> tuple[UnseenLight, Palette, list[float]]:
     """The unseen light, going on from `light.unseen`, and the palette that suits it.
 
     What a material is and what light it reflects cannot be found one after the other: a gold thing in white light looks
@@ -83,8 +90,9 @@ def learn_unseen_light(light: IncomingLight, palette: Palette, others: Palette |
     return best.light, Palette(best.albedo, palette.roughness, palette.metallic), margins
 
 
-def _telling_samples(light: IncomingLight, palette: Palette, label: Tensor, target: Tensor, count: int,
-                     generator: torch.Generator) -> Tensor:
+def _telling_samples(
+    light: IncomingLight, palette: Palette, label: Tensor, target: Tensor, count: int, generator: torch.Generator
+) -> Tensor:
     """Samples to learn from: those that the light does not explain yet, as highlights, come more often."""
     material = palette.at(label)
     predicted = reflected(material, light.moments(material.roughness), light.diffuse, light.cos_v)
@@ -109,8 +117,16 @@ class UnseenLightProblem:
     map_rows, radius: of the map; samples [m]: which of `light`; label, target of all samples.
     """
 
-    def __init__(self, light: IncomingLight, map_rows: int, radius: float, label: Tensor, target: Tensor, samples: Tensor,
-                 preset: MaterialPreset) -> None:
+    def __init__(
+        self,
+        light: IncomingLight,
+        map_rows: int,
+        radius: float,
+        label: Tensor,
+        target: Tensor,
+        samples: Tensor,
+        preset: MaterialPreset,
+    ) -> None:
         self.light, self.map_rows, self.radius, self.preset = light, map_rows, radius, preset
         self.samples, self.label, self.goal = samples, label[samples], tone_map(target[samples])
         self.cones = light.open_cones(samples)
@@ -150,8 +166,9 @@ class UnseenLightProblem:
             gradient = self.transport.adjoint(response, sent.grad.cpu().numpy())
             brightness = tone_map(radiance)
             down, across = brightness[:-1] - brightness[1:], brightness - brightness.roll(-1, 1)
-            prior = p.unseen_smoothness * ((area[1:] * (down**2 + _SOFT**2).sqrt()).mean()
-                                           + (area * (across**2 + _SOFT**2).sqrt()).mean())
+            prior = p.unseen_smoothness * (
+                (area[1:] * (down**2 + _SOFT**2).sqrt()).mean() + (area * (across**2 + _SOFT**2).sqrt()).mean()
+            )
             prior = prior + p.unseen_prior * (area * brightness).mean()
             coloured = (area * (radiance - radiance.mean(-1, keepdim=True)).abs()).mean()
             prior = prior + p.unseen_colour * coloured / (area * radiance).mean()

@@ -115,8 +115,9 @@ def _backward(points, grad, coef_grad, threads):
                     a1 = grad[k, 3] * ww
                     a2 = a1 * 0
                     if hessian:
-                        a0 += (grad[k, 4] * e[0, a] * w[1, c] + grad[k, 5] * w[0, a] * e[1, c]
-                               + grad[k, 7] * d[0, a] * d[1, c])
+                        a0 += (
+                            grad[k, 4] * e[0, a] * w[1, c] + grad[k, 5] * w[0, a] * e[1, c] + grad[k, 7] * d[0, a] * d[1, c]
+                        )
                         a1 += grad[k, 8] * dw + grad[k, 9] * wd
                         a2 = grad[k, 6] * ww
                     for q in range(3):
@@ -127,8 +128,7 @@ class _Sample(torch.autograd.Function):
     @staticmethod
     def forward(ctx, coef, points, channels):
         out = torch.empty(points.shape[0], channels, dtype=coef.dtype)
-        _forward(coef.detach().numpy(), points.detach().numpy(), out.numpy(),
-                 numba.get_num_threads())
+        _forward(coef.detach().numpy(), points.detach().numpy(), out.numpy(), numba.get_num_threads())
         ctx.save_for_backward(points)
         ctx.shape = coef.shape
         return out
@@ -137,8 +137,7 @@ class _Sample(torch.autograd.Function):
     def backward(ctx, grad):
         (points,) = ctx.saved_tensors
         coef_grad = torch.zeros(ctx.shape, dtype=grad.dtype)
-        _backward(points.detach().numpy(), grad.contiguous().numpy(), coef_grad.numpy(),
-                  numba.get_num_threads())
+        _backward(points.detach().numpy(), grad.contiguous().numpy(), coef_grad.numpy(), numba.get_num_threads())
         return coef_grad, None, None
 
 
@@ -162,8 +161,14 @@ def sample_torch(coef: torch.Tensor, points: torch.Tensor, hessian: bool = False
 
     rows = [contract(w, w, w), contract(d, w, w), contract(w, d, w), contract(w, w, d)]
     if hessian:
-        rows += [contract(e, w, w), contract(w, e, w), contract(w, w, e),
-                 contract(d, d, w), contract(d, w, d), contract(w, d, d)]
+        rows += [
+            contract(e, w, w),
+            contract(w, e, w),
+            contract(w, w, e),
+            contract(d, d, w),
+            contract(d, w, d),
+            contract(w, d, d),
+        ]
     return torch.stack(rows, -1)
 
 
@@ -192,8 +197,9 @@ def _refine(coef, fine):
                 for b in range(2):
                     wb = 0.25 + 0.5 * b
                     for k in range(n2 + 1):
-                        row[k] = ((1 - wa) * ((1 - wb) * coef[i, j, k] + wb * coef[i, j + 1, k])
-                                  + wa * ((1 - wb) * coef[i + 1, j, k] + wb * coef[i + 1, j + 1, k]))
+                        row[k] = (1 - wa) * ((1 - wb) * coef[i, j, k] + wb * coef[i, j + 1, k]) + wa * (
+                            (1 - wb) * coef[i + 1, j, k] + wb * coef[i + 1, j + 1, k]
+                        )
                     out = fine[2 * i + a, 2 * j + b]
                     for k in range(n2):
                         out[2 * k] = 0.75 * row[k] + 0.25 * row[k + 1]
@@ -221,8 +227,9 @@ def _refine_adjoint(grad, coef_grad):
                     for k in range(grad.shape[2]):
                         row[k + 2] += w * source[k]
             for k in range(coef_grad.shape[2]):
-                coef_grad[i, j, k] = (weight[0] * (row[2 * k] + row[2 * k + 3])
-                                      + weight[1] * (row[2 * k + 1] + row[2 * k + 2]))
+                coef_grad[i, j, k] = weight[0] * (row[2 * k] + row[2 * k + 3]) + weight[1] * (
+                    row[2 * k + 1] + row[2 * k + 2]
+                )
 
 
 class _Refine(torch.autograd.Function):
@@ -281,8 +288,15 @@ def _march(coef, origins, directions, t_near, t_far, band, step, spans, count, t
         for k in range(b * n // blocks, (b + 1) * n // blocks):
             t, spans_here, inside, start = t_near[k], 0, False, t_near[k]
             while t < t_far[k]:
-                v = _value(coef, origins[k, 0] + t * directions[k, 0], origins[k, 1] + t * directions[k, 1],
-                           origins[k, 2] + t * directions[k, 2], w, d, e)
+                v = _value(
+                    coef,
+                    origins[k, 0] + t * directions[k, 0],
+                    origins[k, 1] + t * directions[k, 1],
+                    origins[k, 2] + t * directions[k, 2],
+                    w,
+                    d,
+                    e,
+                )
                 near = v < band and v > -band
                 if near and not inside:
                     start = max(t - step, t_near[k])
@@ -319,8 +333,18 @@ def march(coef, origins, directions, t_near, t_far, band: float, step: float, mo
     if coef.device.type == "cpu":
         spans = np.zeros((origins.shape[0], most, 2), np.float32)
         count = np.zeros(origins.shape[0], np.int32)
-        _march(coef.numpy(), origins.numpy(), directions.numpy(), t_near.numpy(), t_far.numpy(), np.float32(band),
-               np.float32(step), spans, count, numba.get_num_threads())
+        _march(
+            coef.numpy(),
+            origins.numpy(),
+            directions.numpy(),
+            t_near.numpy(),
+            t_far.numpy(),
+            np.float32(band),
+            np.float32(step),
+            spans,
+            count,
+            numba.get_num_threads(),
+        )
         return torch.from_numpy(spans), torch.from_numpy(count)
     return _march_torch(coef, origins, directions, t_near, t_far, band, step, most)
 

@@ -34,8 +34,8 @@ def send(starts, texel, weight, response, levels, out):
 
 @njit(cache=True, parallel=True, fastmath=True)
 def collect(starts, bounds, texel, weight, response, gradient, parts):
-    """Adds to parts [P,texels,3] the adjoint of `send` for gradient [n,L,3]; part p is of points bounds[p] to bounds[p + 1].
-    """
+    """Adds to parts [P,texels,3] the adjoint of `send` for gradient [n,L,3]; part p is of points bounds[p] to
+    bounds[p + 1]."""
     lines = response.shape[1]
     for part in prange(len(parts)):
         total = parts[part]

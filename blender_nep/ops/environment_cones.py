@@ -27,8 +27,9 @@ def _add_level(grid, k, turn, fall, share, out):
     w2 = share * fj * (1.0 - fc)
     w3 = share * fj * fc
     for h in range(5):
-        out[h] += (w0 * grid[top, tl, k, h] + w1 * grid[top, tr, k, h]
-                   + w2 * grid[bottom, bl, k, h] + w3 * grid[bottom, br, k, h])
+        out[h] += (
+            w0 * grid[top, tl, k, h] + w1 * grid[top, tr, k, h] + w2 * grid[bottom, bl, k, h] + w3 * grid[bottom, br, k, h]
+        )
 
 
 @njit(cache=True, parallel=True, fastmath=True, error_model="numpy")
@@ -104,8 +105,14 @@ def accumulate_evidence(raw, origins, directions, near, log_outer, density_gain,
 
 
 def composite_cones(
-    levels: list[np.ndarray], radii: list[float], shell_radii: torch.Tensor, occupied: torch.Tensor,
-    origins: torch.Tensor, directions: torch.Tensor, near: torch.Tensor, half_angle: torch.Tensor,
+    levels: list[np.ndarray],
+    radii: list[float],
+    shell_radii: torch.Tensor,
+    occupied: torch.Tensor,
+    origins: torch.Tensor,
+    directions: torch.Tensor,
+    near: torch.Tensor,
+    half_angle: torch.Tensor,
 ) -> torch.Tensor:
     """Mean radiance and coverage [n, 4] in cones from inside the innermost shell.
 
@@ -121,8 +128,12 @@ def composite_cones(
     out = np.empty((len(origins), 4), np.float32)
     near = (near - 1e-4).clamp(min=0)
     _composite(
-        numba.typed.List(levels), np.asarray(radii, np.float64), shell_radii.double().numpy(), occupied.numpy(),
+        numba.typed.List(levels),
+        np.asarray(radii, np.float64),
+        shell_radii.double().numpy(),
+        occupied.numpy(),
         *(a.detach().cpu().contiguous().float().numpy() for a in (origins, directions, near, half_angle)),
-        out, 16 * numba.get_num_threads(),
+        out,
+        16 * numba.get_num_threads(),
     )
     return torch.from_numpy(out).to(origins.device)

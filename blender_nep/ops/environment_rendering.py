@@ -24,9 +24,24 @@ class _RenderNumba(torch.autograd.Function):
         cells = torch.empty((m, 3), dtype=torch.int32)
         fractions, local = raw.new_empty((m, 3)), raw.new_empty((m, 7))
         kernels.march(
-            grid, origins.numpy(), directions.numpy(), *(part.numpy() for part in segments), offsets.numpy(),
-            jitter.numpy(), infinite.numpy(), log_radius, density_gain, gradient_near, transmittance_limit, depth_limit,
-            keep, radiance.numpy(), transmittance.numpy(), live.numpy(), cells.numpy(), fractions.numpy(),
+            grid,
+            origins.numpy(),
+            directions.numpy(),
+            *(part.numpy() for part in segments),
+            offsets.numpy(),
+            jitter.numpy(),
+            infinite.numpy(),
+            log_radius,
+            density_gain,
+            gradient_near,
+            transmittance_limit,
+            depth_limit,
+            keep,
+            radiance.numpy(),
+            transmittance.numpy(),
+            live.numpy(),
+            cells.numpy(),
+            fractions.numpy(),
             local.numpy(),
         )
         ctx.shape = grid.shape
@@ -39,22 +54,38 @@ class _RenderNumba(torch.autograd.Function):
         g_samples = local.new_empty((len(local), 4))
         used = torch.zeros(len(local), dtype=torch.uint8)
         kernels.sample_gradients(
-            offsets.numpy(), live.numpy(), local.numpy(), radiance.numpy(), transmittance.numpy(),
-            g_radiance.contiguous().numpy(), g_transmittance.contiguous().numpy(), g_samples.numpy(), used.numpy(),
+            offsets.numpy(),
+            live.numpy(),
+            local.numpy(),
+            radiance.numpy(),
+            transmittance.numpy(),
+            g_radiance.contiguous().numpy(),
+            g_transmittance.contiguous().numpy(),
+            g_samples.numpy(),
+            used.numpy(),
         )
         order, start = kernels.order_by_row(used.numpy(), cells.numpy(), ctx.shape[1])
         g_raw = local.new_zeros(ctx.shape)
         for parity in (0, 1):
-            kernels.scatter_rows(
-                order, start, cells.numpy(), fractions.numpy(), g_samples.numpy(), g_raw.numpy(), parity
-            )
+            kernels.scatter_rows(order, start, cells.numpy(), fractions.numpy(), g_samples.numpy(), g_raw.numpy(), parity)
         return g_raw, None, None, None, None, None, None, None
 
 
 def render_environment(
-    raw: torch.Tensor, origins: torch.Tensor, directions: torch.Tensor, t_near: torch.Tensor, t_far: torch.Tensor,
-    *, outer_radius: float, relative_step: float, density_gain: float, jitter: torch.Tensor | None = None,
-    gradient_near: float = 0.0, transmittance_limit: float = 1e-4, depth_limit: float = 1e-5, body: str = "auto",
+    raw: torch.Tensor,
+    origins: torch.Tensor,
+    directions: torch.Tensor,
+    t_near: torch.Tensor,
+    t_far: torch.Tensor,
+    *,
+    outer_radius: float,
+    relative_step: float,
+    density_gain: float,
+    jitter: torch.Tensor | None = None,
+    gradient_near: float = 0.0,
+    transmittance_limit: float = 1e-4,
+    depth_limit: float = 1e-5,
+    body: str = "auto",
 ) -> tuple[torch.Tensor, torch.Tensor]:
     """Radiance and transmittance of ray segments through a spherical grid; differentiable in the grid.
 

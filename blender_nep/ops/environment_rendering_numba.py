@@ -63,8 +63,28 @@ def cell_columns(j, c, rows, columns):
 
 @njit(cache=True, parallel=True, fastmath=True, error_model="numpy")
 def march(
-    raw, origins, directions, t_closest, b, s_near, s_length, offsets, jitter, infinite, log_radius, density_gain,
-    gradient_near, transmittance_limit, depth_limit, keep, radiance, transmittance, live, cells, fractions, local,
+    raw,
+    origins,
+    directions,
+    t_closest,
+    b,
+    s_near,
+    s_length,
+    offsets,
+    jitter,
+    infinite,
+    log_radius,
+    density_gain,
+    gradient_near,
+    transmittance_limit,
+    depth_limit,
+    keep,
+    radiance,
+    transmittance,
+    live,
+    cells,
+    fractions,
+    local,
 ):
     """Composite every ray front to back.
 
@@ -117,11 +137,15 @@ def march(
             alpha = 1.0
             if not closing:
                 value = g0 * (
-                    w0 * raw[k, top, tl, 0] + w1 * raw[k, top, tr, 0]
-                    + w2 * raw[k, bottom, bl, 0] + w3 * raw[k, bottom, br, 0]
+                    w0 * raw[k, top, tl, 0]
+                    + w1 * raw[k, top, tr, 0]
+                    + w2 * raw[k, bottom, bl, 0]
+                    + w3 * raw[k, bottom, br, 0]
                 ) + fk * (
-                    w0 * raw[k + 1, top, tl, 0] + w1 * raw[k + 1, top, tr, 0]
-                    + w2 * raw[k + 1, bottom, bl, 0] + w3 * raw[k + 1, bottom, br, 0]
+                    w0 * raw[k + 1, top, tl, 0]
+                    + w1 * raw[k + 1, top, tr, 0]
+                    + w2 * raw[k + 1, bottom, bl, 0]
+                    + w3 * raw[k + 1, bottom, br, 0]
                 )
                 q = math.exp(-abs(value))
                 density = density_gain * (max(value, 0.0) + math.log1p(q))
@@ -134,11 +158,15 @@ def march(
             m = first + count
             for channel in range(3):
                 value = g0 * (
-                    w0 * raw[k, top, tl, channel + 1] + w1 * raw[k, top, tr, channel + 1]
-                    + w2 * raw[k, bottom, bl, channel + 1] + w3 * raw[k, bottom, br, channel + 1]
+                    w0 * raw[k, top, tl, channel + 1]
+                    + w1 * raw[k, top, tr, channel + 1]
+                    + w2 * raw[k, bottom, bl, channel + 1]
+                    + w3 * raw[k, bottom, br, channel + 1]
                 ) + fk * (
-                    w0 * raw[k + 1, top, tl, channel + 1] + w1 * raw[k + 1, top, tr, channel + 1]
-                    + w2 * raw[k + 1, bottom, bl, channel + 1] + w3 * raw[k + 1, bottom, br, channel + 1]
+                    w0 * raw[k + 1, top, tl, channel + 1]
+                    + w1 * raw[k + 1, top, tr, channel + 1]
+                    + w2 * raw[k + 1, bottom, bl, channel + 1]
+                    + w3 * raw[k + 1, bottom, br, channel + 1]
                 )
                 colour = math.exp(min(max(value, -COLOUR_LIMIT), COLOUR_LIMIT))
                 if channel == 0:

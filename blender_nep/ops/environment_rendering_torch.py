@@ -44,9 +44,19 @@ def interpolate(raw: torch.Tensor, points: torch.Tensor, log_radius: float) -> t
 
 
 def render(
-    raw: torch.Tensor, origins: torch.Tensor, directions: torch.Tensor, t_closest: torch.Tensor, b: torch.Tensor,
-    s_near: torch.Tensor, s_length: torch.Tensor, offsets: torch.Tensor, jitter: torch.Tensor, infinite: torch.Tensor,
-    log_radius: float, density_gain: float, gradient_near: float,
+    raw: torch.Tensor,
+    origins: torch.Tensor,
+    directions: torch.Tensor,
+    t_closest: torch.Tensor,
+    b: torch.Tensor,
+    s_near: torch.Tensor,
+    s_length: torch.Tensor,
+    offsets: torch.Tensor,
+    jitter: torch.Tensor,
+    infinite: torch.Tensor,
+    log_radius: float,
+    density_gain: float,
+    gradient_near: float,
 ) -> tuple[torch.Tensor, torch.Tensor]:
     """Same arguments and result as the Numba kernels (see `environment_rendering_numba.march`), by autograd.
 

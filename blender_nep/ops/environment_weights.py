@@ -34,11 +34,19 @@ def _weights_from_centre(raw, coverage, density_gain, spacing, out):
             passed = 1.0
             for k in range(shells):
                 for h in range(4):
-                    node[h] = (w0 * raw[k, top, tl, h] + w1 * raw[k, top, tr, h]
-                               + w2 * raw[k, bottom, bl, h] + w3 * raw[k, bottom, br, h])
+                    node[h] = (
+                        w0 * raw[k, top, tl, h]
+                        + w1 * raw[k, top, tr, h]
+                        + w2 * raw[k, bottom, bl, h]
+                        + w3 * raw[k, bottom, br, h]
+                    )
                     out[k, row, column, h] = 0.0
-                node[4] = (w0 * coverage[k, top, tl] + w1 * coverage[k, top, tr]
-                           + w2 * coverage[k, bottom, bl] + w3 * coverage[k, bottom, br])
+                node[4] = (
+                    w0 * coverage[k, top, tl]
+                    + w1 * coverage[k, top, tr]
+                    + w2 * coverage[k, bottom, bl]
+                    + w3 * coverage[k, bottom, br]
+                )
                 out[k, row, column, 4] = 0.0
                 for step in range(RADIAL_STEPS if k > 0 else 0):
                     f = (step + 0.5) / RADIAL_STEPS

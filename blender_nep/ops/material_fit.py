@@ -28,8 +28,26 @@ def _tone(light):
 
 
 @njit(cache=True, parallel=True, fastmath=True, error_model="numpy")
-def fit_lines(starts, specular, diffuse, goal, tone_goal, weight, ratio, specular_scale, diffuse_scale, low, mix, average,
-              metallic, limit, clip, iterations, cost, albedo):
+def fit_lines(
+    starts,
+    specular,
+    diffuse,
+    goal,
+    tone_goal,
+    weight,
+    ratio,
+    specular_scale,
+    diffuse_scale,
+    low,
+    mix,
+    average,
+    metallic,
+    limit,
+    clip,
+    iterations,
+    cost,
+    albedo,
+):
     """Fills cost [M,R,G] and albedo [M,R,G,3] for M values of `metallic`, R roughnesses, G groups.
 
     Samples n in the order of their groups, which begin at starts [G+1]: specular [n,rungs,3,3] the moments (full, edge,
@@ -89,8 +107,10 @@ def fit_lines(starts, specular, diffuse, goal, tone_goal, weight, ratio, specula
                 residual = np.float32(0)
                 for c in range(3):
                     gain = metal * _multiscatter_gain(a[c], ratio[n, j], average[j])
-                    light = max(gain * (edge[s, c] + span[s, c] * a[c])
-                                + rest * (specular_part[s, c] + diffuse_part[s, c] * a[c]), np.float32(0))
+                    light = max(
+                        gain * (edge[s, c] + span[s, c] * a[c]) + rest * (specular_part[s, c] + diffuse_part[s, c] * a[c]),
+                        np.float32(0),
+                    )
                     residual += abs(_tone(light) - tone_goal[n, c])
                 left += min(residual / np.float32(3), clip) * weight[n]
             cost[i, j, g] = left / max(total, 1e-9)

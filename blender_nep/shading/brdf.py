@@ -95,8 +95,9 @@ def metal_fss(albedo: torch.Tensor) -> torch.Tensor:
     return albedo + (1 - albedo) / 21
 
 
-def evaluate(v: torch.Tensor, light: torch.Tensor, albedo: torch.Tensor, roughness: torch.Tensor,
-             metallic: torch.Tensor) -> torch.Tensor:
+def evaluate(
+    v: torch.Tensor, light: torch.Tensor, albedo: torch.Tensor, roughness: torch.Tensor, metallic: torch.Tensor
+) -> torch.Tensor:
     """f_r(v, l) [..., 3] in 1/sr, for local unit directions v, l [..., 3], albedo [..., 3], the rest [...]."""
     h = torch.nn.functional.normalize(v + light, dim=-1)
     cos_v, cos_l, cos_h, cos_vh = v[..., 2], light[..., 2], h[..., 2], (v * h).sum(-1)

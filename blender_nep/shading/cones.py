@@ -60,8 +60,7 @@ def spiral(count: int, turn: Tensor) -> tuple[Tensor, Tensor]:
     return (turn[..., :1] + k / count) % 1.0, (turn[..., 1:] + k * _GOLDEN) % 1.0
 
 
-def specular_cones(v: Tensor, roughness: Tensor, count: int, turn: Tensor
-                   ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+def specular_cones(v: Tensor, roughness: Tensor, count: int, turn: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
     """The GGX lobe split among `count` cones.
 
     v [..., 3] local, v.z > 0; roughness [...]; turn [..., 2] in [0,1). Axes are visible normals, so that lobe * l.n / pdf is

@@ -48,8 +48,15 @@ class IncomingLight:
 
     @classmethod
     @profiled("gather light")
-    def gathered(cls, plenoptic: PlenopticFunction, points: SurfacePoints, ladder: tuple[float, ...],
-                 irradiance: int, generator: torch.Generator, progress: Callable[[float], None]) -> IncomingLight:
+    def gathered(
+        cls,
+        plenoptic: PlenopticFunction,
+        points: SurfacePoints,
+        ladder: tuple[float, ...],
+        irradiance: int,
+        generator: torch.Generator,
+        progress: Callable[[float], None],
+    ) -> IncomingLight:
         """Traces every cone once, `irradiance` of them for the diffuse lobe; progress(share done) is called after each
         chunk."""
         light = cls(plenoptic, points, ladder)
@@ -68,37 +75,48 @@ class IncomingLight:
         slots, weights, hits, unseen = zip(*found, strict=True)
         light.open = OpenCones.joined(unseen)
         light.slot, light.slot_weight = torch.cat(slots), torch.cat(weights)
-        light.hits = SurfacePoints(torch.cat([h.position for h in hits]), np.concatenate([h.face for h in hits]),
-                                   torch.cat([h.normal for h in hits]), torch.cat([h.view for h in hits]))
+        light.hits = SurfacePoints(
+            torch.cat([h.position for h in hits]),
+            np.concatenate([h.face for h in hits]),
+            torch.cat([h.normal for h in hits]),
+            torch.cat([h.view for h in hits]),
+        )
         light.specular = light.known_specular = light.direct_specular
         light.diffuse = light.known_diffuse = light.direct_diffuse
         return light
 
     def state(self) -> dict:
         """What was traced, for a checkpoint."""
-        hits = {"position": self.hits.position, "face": torch.from_numpy(self.hits.face.astype(np.int64)),
-                "normal": self.hits.normal, "view": self.hits.view}
+        hits = {
+            "position": self.hits.position,
+            "face": torch.from_numpy(self.hits.face.astype(np.int64)),
+            "normal": self.hits.normal,
+            "view": self.hits.view,
+        }
         own = {name: getattr(self, name) for name in self._STATE}
         return {"rays": self.rays, "hits": hits, "open": vars(self.open), **own}
 
     @classmethod
-    def restored(cls, plenoptic: PlenopticFunction, points: SurfacePoints, ladder: tuple[float, ...], state: dict
-                 ) -> IncomingLight:
+    def restored(
+        cls, plenoptic: PlenopticFunction, points: SurfacePoints, ladder: tuple[float, ...], state: dict
+    ) -> IncomingLight:
         """The inverse of `state`, for the same points and ladder."""
         light = cls(plenoptic, points, ladder)
         device = points.position.device
         for name in cls._STATE:
             setattr(light, name, state[name].to(device))
         light.rays, hits = state["rays"], state["hits"]
-        light.hits = SurfacePoints(hits["position"].to(device), hits["face"].cpu().numpy(), hits["normal"].to(device),
-                                   hits["view"].to(device))
+        light.hits = SurfacePoints(
+            hits["position"].to(device), hits["face"].cpu().numpy(), hits["normal"].to(device), hits["view"].to(device)
+        )
         light.open = OpenCones(**{name: value.to(device) for name, value in state["open"].items()})
         light.specular = light.known_specular = light.direct_specular
         light.diffuse = light.known_diffuse = light.direct_diffuse
         return light
 
-    def _gather(self, rows: Tensor, irradiance: int, generator: torch.Generator
-                ) -> tuple[Tensor, Tensor, SurfacePoints, OpenCones]:
+    def _gather(
+        self, rows: Tensor, irradiance: int, generator: torch.Generator
+    ) -> tuple[Tensor, Tensor, SurfacePoints, OpenCones]:
         """Traces the cones of some rows; returns those that met the mesh: row, weights [k,1+R,3], where; and those
         that left it where photos did not look."""
         points, f_p = self.points[rows], self.plenoptic
@@ -125,8 +143,14 @@ class IncomingLight:
         full = weight[far, 1:, _FULL]
         rung = full.argmax(1)
         terms = weight[far, 1 + rung][:, [_EDGE, _DIELECTRIC]] / full.gather(1, rung[:, None]).clamp_min(1e-12)
-        unseen = OpenCones(rows[0] + each[far], direction[far], angle.reshape(-1)[live][far], 1 - arrival.coverage[far],
-                           weight[far, :, _FULL], terms)
+        unseen = OpenCones(
+            rows[0] + each[far],
+            direction[far],
+            angle.reshape(-1)[live][far],
+            1 - arrival.coverage[far],
+            weight[far, :, _FULL],
+            terms,
+        )
         return rows[0] + each[arrival.row], weight[arrival.row], arrival.hits, unseen
 
     def _cones(self, v: Tensor, irradiance: int, generator: torch.Generator) -> tuple[Tensor, Tensor, Tensor]:

@@ -82,8 +82,9 @@ class TerminalRadiance(nn.Module):
     def __init__(self, width: int = 48):
         super().__init__()
         inputs = 3 + 6 * self.octaves + 3 + 3
-        self.net = nn.Sequential(nn.Linear(inputs, width), nn.ReLU(), nn.Linear(width, width), nn.ReLU(),
-                                 nn.Linear(width, 3))
+        self.net = nn.Sequential(
+            nn.Linear(inputs, width), nn.ReLU(), nn.Linear(width, width), nn.ReLU(), nn.Linear(width, 3)
+        )
 
     def forward(self, points: SurfacePoints) -> Tensor:
         """Radiance [n,3] >= 0."""
@@ -105,8 +106,19 @@ class PlenopticFunction:
     0: hits stay black, the ablation without indirect light).
     """
 
-    def __init__(self, tracer: RayTracer, normals: np.ndarray, environment: Environment, terminal: TerminalRadiance,
-                 *, levels: int, diffuse: int, specular: int, use_cones: bool, device: torch.device | str):
+    def __init__(
+        self,
+        tracer: RayTracer,
+        normals: np.ndarray,
+        environment: Environment,
+        terminal: TerminalRadiance,
+        *,
+        levels: int,
+        diffuse: int,
+        specular: int,
+        use_cones: bool,
+        device: torch.device | str,
+    ):
         self.tracer, self.normals, self.environment, self.terminal = tracer, normals, environment, terminal
         self.levels, self.diffuse, self.specular, self.use_cones = levels, diffuse, specular, use_cones
         self.device = torch.device(device)
@@ -136,28 +148,45 @@ class PlenopticFunction:
         if not self.use_cones:
             half_angle = torch.full_like(half_angle, 2e-3)
         for index in free.split(_CHUNK):
-            radiance[index], coverage[index] = self.environment.query_cone(start.position[index], directions[index],
-                                                                         half_angle[index])
+            radiance[index], coverage[index] = self.environment.query_cone(
+                start.position[index], directions[index], half_angle[index]
+            )
         row = torch.from_numpy(np.flatnonzero(hit)).to(self.device)
         hits = self.points(face[hit], barycentric[hit], -directions[row])
         return Arrival(radiance.clamp_min(0), coverage.clamp(0, 1), row, hits)
 
     @torch.no_grad()
-    def outgoing(self, points: SurfacePoints, materials_at: Callable[[SurfacePoints], Material], level: int,
-                 generator: torch.Generator) -> Tensor:
+    def outgoing(
+        self,
+        points: SurfacePoints,
+        materials_at: Callable[[SurfacePoints], Material],
+        level: int,
+        generator: torch.Generator,
+    ) -> Tensor:
         """Radiance [n,3] that points send to their eye: the rendering equation at `level`, recursively (eq. 9)."""
         if self.levels == 0:
             return torch.zeros_like(points.position)
         if level > self.levels:
-            return torch.cat([self.terminal(points[i]) for i in torch.arange(len(points)).split(_CHUNK)]
-                             or [torch.zeros_like(points.position)])
+            return torch.cat(
+                [self.terminal(points[i]) for i in torch.arange(len(points)).split(_CHUNK)]
+                or [torch.zeros_like(points.position)]
+            )
         step = _CHUNK // (self.diffuse + self.specular)
-        parts = [self._outgoing(points[i], materials_at, level, generator)
-                 for i in torch.arange(len(points), device=self.device).split(step)]
+        parts = [
+            self._outgoing(points[i], materials_at, level, generator)
+            for i in torch.arange(len(points), device=self.device).split(step)
+        ]
         return torch.cat(parts) if parts else torch.zeros_like(points.position)
 
-    def incoming(self, start: SurfacePoints, directions: Tensor, half_angle: Tensor,
-                 materials_at: Callable[[SurfacePoints], Material], level: int, generator: torch.Generator) -> Tensor:
+    def incoming(
+        self,
+        start: SurfacePoints,
+        directions: Tensor,
+        half_angle: Tensor,
+        materials_at: Callable[[SurfacePoints], Material],
+        level: int,
+        generator: torch.Generator,
+    ) -> Tensor:
         """f_p [n,3] at start along directions; level is that of the surface the light falls on (1: seen by the eye)."""
         arrival = self.trace(start, directions, half_angle)
         radiance = arrival.radiance
@@ -169,8 +198,13 @@ class PlenopticFunction:
             radiance[arrival.row] = self.outgoing(arrival.hits, materials_at, level + 1, generator)
         return radiance
 
-    def _outgoing(self, points: SurfacePoints, materials_at: Callable[[SurfacePoints], Material], level: int,
-                  generator: torch.Generator) -> Tensor:
+    def _outgoing(
+        self,
+        points: SurfacePoints,
+        materials_at: Callable[[SurfacePoints], Material],
+        level: int,
+        generator: torch.Generator,
+    ) -> Tensor:
         n = len(points)
         material = materials_at(points)
         frame = brdf.frame(points.normal)

@@ -46,10 +46,11 @@ class UnseenLight:
         """The map as seen from the centre, [height, 2 height, 3]."""
         fine = torch.nn.functional.pad(self.radiance.permute(2, 0, 1)[None], (1, 1, 0, 0), mode="circular")
         rows = len(self.radiance)
-        fine = torch.nn.functional.interpolate(fine, (height, round((2 * rows + 2) * height / rows)), mode="bilinear",
-                                               align_corners=False)
+        fine = torch.nn.functional.interpolate(
+            fine, (height, round((2 * rows + 2) * height / rows)), mode="bilinear", align_corners=False
+        )
         border = (fine.shape[3] - 2 * height) // 2
-        return fine[0, :, :, border:border + 2 * height].permute(1, 2, 0)
+        return fine[0, :, :, border : border + 2 * height].permute(1, 2, 0)
 
 
 def level_sizes(rows: int) -> list[int]:
@@ -96,8 +97,9 @@ def taps(rows: int, radius: float, origins: Tensor, directions: Tensor, half_ang
     row, column = row.long(), column.long()
     top, bottom = row.clamp_max(height - 1), (row + 1).clamp_max(height - 1)
     left, right = column % width, (column + 1) % width
-    index = first[:, None] + torch.stack([top * width + left, top * width + right, bottom * width + left,
-                                          bottom * width + right], 1)
+    index = first[:, None] + torch.stack(
+        [top * width + left, top * width + right, bottom * width + left, bottom * width + right], 1
+    )
     return index, torch.stack([(1 - fy) * (1 - fx), (1 - fy) * fx, fy * (1 - fx), fy * fx], 1)
 
 

@@ -84,8 +84,10 @@ def load_surface(mesh_path: Path, capture: Capture, preset: SurfacePreset) -> Su
     transform = np.asarray(capture.to_unit, np.float64)
     vertices = np.asarray(mesh.vertices, np.float64) @ transform[:3, :3].T + transform[:3, 3]
     if np.linalg.norm(vertices, axis=1).min() > 1:
-        raise CaptureError(f"the mesh {path.name} lies outside the object's bounding sphere",
-                           "the mesh must be in the capture's own coordinates, Z up as captured")
+        raise CaptureError(
+            f"the mesh {path.name} lies outside the object's bounding sphere",
+            "the mesh must be in the capture's own coordinates, Z up as captured",
+        )
     faces = np.asarray(mesh.faces, np.int64)
     uv = getattr(mesh.visual, "uv", None)
     if uv is not None and len(uv) == len(vertices) and np.ptp(uv, axis=0).min() > 0 and uv.min() >= 0 and uv.max() <= 1:
@@ -150,8 +152,10 @@ def zero_level(sdf: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     squared = axis * axis
     radius = np.sqrt(squared[:, None, None] + squared[None, :, None] + squared[None, None, :])
     cropped = np.maximum(sdf, radius - _BORDER)
-    hint = "check object_center and object_radius in transforms.json (the sphere must just contain the object), " \
-           "or use masks, or a longer preset"
+    hint = (
+        "check object_center and object_radius in transforms.json (the sphere must just contain the object), "
+        "or use masks, or a longer preset"
+    )
     if cropped.min() >= 0:
         raise LearningError("no surface was found: the object field is empty inside the sphere", hint)
     if sdf[radius < _BORDER].max() <= 0:

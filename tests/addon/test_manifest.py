@@ -19,8 +19,17 @@ LIMIT_S = 120
 NEEDED = {"schema_version", "id", "name", "tagline", "version", "type", "maintainer", "license", "blender_version_min"}
 ADDON_TAGS = {"3D View", "Bake", "Import-Export", "Material", "Render"}  # those of Blender's list that could apply here
 PERMISSIONS = {"files", "network", "clipboard", "camera", "microphone"}
-PACKED = ("blender_manifest.toml", "__init__.py", "addon", "backend", "blender_nep", "pyproject.toml", "README.md",
-          "LICENSE", "constraints.txt")
+PACKED = (
+    "blender_manifest.toml",
+    "__init__.py",
+    "addon",
+    "backend",
+    "blender_nep",
+    "pyproject.toml",
+    "README.md",
+    "LICENSE",
+    "constraints.txt",
+)
 
 FAKE_ENGINE = """#!{python}
 import json, os, pathlib, shutil, sys
@@ -62,8 +71,11 @@ def test_version_is_the_librarys():
 
 
 def test_nothing_of_blender_is_imported_by_the_root_module():
-    done = subprocess.run([sys.executable, "-c", "import runpy, sys; runpy.run_path('__init__.py'); "
-                           "sys.exit('bpy' in sys.modules)"], cwd=ROOT, timeout=LIMIT_S)
+    done = subprocess.run(
+        [sys.executable, "-c", "import runpy, sys; runpy.run_path('__init__.py'); sys.exit('bpy' in sys.modules)"],
+        cwd=ROOT,
+        timeout=LIMIT_S,
+    )
     assert done.returncode == 0
 
 
@@ -87,8 +99,11 @@ def test_extension_installs_reconstructs_and_goes(tmp_path):
     played_python(tmp_path)
     user = tmp_path / "user"
     user.mkdir()
-    variables = {"BLENDER_USER_RESOURCES": str(user), "FAKE_IMAGE": str(tmp_path / "image.exr"),
-                 "NEP_ENGINE_PYTHON": str(fake)}
+    variables = {
+        "BLENDER_USER_RESOURCES": str(user),
+        "FAKE_IMAGE": str(tmp_path / "image.exr"),
+        "NEP_ENGINE_PYTHON": str(fake),
+    }
     done = run_file(__file__, archive, tmp_path, timeout=LIMIT_S, **variables)
     assert done.returncode == 0, done.stdout[-2000:] + done.stderr[-4000:]
 
@@ -96,6 +111,7 @@ def test_extension_installs_reconstructs_and_goes(tmp_path):
 def use_extension(archive: str, folder: str) -> None:
     """In a process of its own, with preferences of its own."""
     import bpy
+
     bpy.ops.extensions.package_install_files(filepath=archive, repo="user_default", enable_on_install=True)
     name = "bl_ext.user_default.blender_nep"
     assert name in bpy.context.preferences.addons, "installed, but not enabled"

@@ -43,6 +43,7 @@ BRISK = {"BALL_STEPS": "100", "BALL_DELAY": "0.03"}
 def set_up(folder: Path):
     """A new file whose scene names the capture and an output folder; (bpy, the add-on's modules, settings)."""
     import bpy
+
     addon = register()
     bpy.ops.wm.read_factory_settings(use_empty=True)
     settings = bpy.context.scene.nep
@@ -52,8 +53,10 @@ def set_up(folder: Path):
 
 def register():
     import nep_addon
+
     nep_addon.register()
     from nep_addon import addon
+
     return addon
 
 
@@ -78,6 +81,7 @@ class Drawn:
             self.log += [arguments[0]] if name == "operator" else []
             self.log += [keywords["text"]] if "text" in keywords else []
             return Drawn(self.log)
+
         return note
 
     def panel(self, *_arguments, **_keywords):
@@ -161,6 +165,7 @@ def check_close(folder):
 def check_kept(folder):
     """The job is still at work, or has ended meanwhile; in both cases the object comes."""
     import bpy
+
     addon = register()
     bpy.ops.wm.open_mainfile(filepath=str(folder / "scene.blend"))
     scene = bpy.context.scene
@@ -178,6 +183,7 @@ def check_kept(folder):
 
 def check_stopped(folder):
     import bpy
+
     addon = register()
     bpy.ops.wm.open_mainfile(filepath=str(folder / "scene.blend"))
     job = addon.jobs.of(bpy.context.scene)
@@ -203,6 +209,7 @@ def check_cancel_and_crash(folder):
     job = addon.jobs.of(bpy.context.scene)
     rounds(addon, sign.exists)
     from nep_addon.backend.engine.job_files import read_job
+
     os.kill(read_job(folder / "out")["pid"], signal.SIGKILL)
     rounds(addon, lambda: job.ended)
     assert "killed" in job.failed.message and not job.was_stopped and not addon.jobs.advance_all()
@@ -242,6 +249,7 @@ def test_a_picture_is_shown_in_two_halves(folders):
 
 def check_halves(folder):
     from PIL import Image
+
     addon = register()
     pair = Image.new("RGB", (64, 32), (255, 0, 0))
     pair.paste((0, 255, 0), (32, 0, 64, 32))
@@ -265,6 +273,7 @@ def test_lines_of_the_panel_fit():
 def check_wrapping(folder):
     sys.path.insert(0, str(folder.parent))
     import bpy  # noqa: F401
+
     addon = __import__(f"{folder.name}.addon.messages", fromlist=["wrapped"])
     text = "The engine's Python /a/very/long/path/that/is/longer/than/a/line lacks torch.\nInstall it."
     lines = addon.wrapped(text, 20)

@@ -49,6 +49,7 @@ def check_intrinsics():
     from mathutils import Vector
 
     from backend.scene_io.cameras import intrinsics
+
     bpy.ops.wm.read_factory_settings(use_empty=True)
     scene, rng = bpy.context.scene, np.random.default_rng(0)
     data = bpy.data.cameras.new("camera")
@@ -74,6 +75,7 @@ def check_intrinsics():
 def test_image_size_of_a_header(tmp_path, name):
     from backend.scene_io.image_size import image_size
     from support.captures import write_exr
+
     pixels = np.zeros((7, 13, 3))
     if name.endswith("exr"):
         write_exr(tmp_path / name, pixels)
@@ -88,6 +90,7 @@ def test_image_size_of_a_header(tmp_path, name):
 
 def test_text_is_no_image(tmp_path):
     from backend.scene_io.image_size import image_size
+
     (tmp_path / "a.png").write_bytes(struct.pack(">I", 1) + b"hello")
     with pytest.raises(OSError, match="no PNG"):
         image_size(tmp_path / "a.png")
@@ -95,11 +98,22 @@ def test_text_is_no_image(tmp_path):
 
 def test_the_zip_holds_what_the_extension_needs_and_no_more(tmp_path):
     import zipfile
+
     names = set(zipfile.ZipFile(extension.build(tmp_path / "a.zip")).namelist())
-    assert {"blender_manifest.toml", "__init__.py", "addon/__init__.py", "backend/render_comparison.py",
-            "backend/run.py"} <= names
-    assert not [name for name in names if Path(name).parts[0] in ("tests", "data", "docs", "out", "benchmarks")
-                or "__pycache__" in name or name.startswith(".")]
+    assert {
+        "blender_manifest.toml",
+        "__init__.py",
+        "addon/__init__.py",
+        "backend/render_comparison.py",
+        "backend/run.py",
+    } <= names
+    assert not [
+        name
+        for name in names
+        if Path(name).parts[0] in ("tests", "data", "docs", "out", "benchmarks")
+        or "__pycache__" in name
+        or name.startswith(".")
+    ]
 
 
 if __name__ == "__main__":

@@ -80,8 +80,19 @@ def asset(tmp_path) -> Path:
     """A hand-written asset: a tetrahedron, textures of one colour each, a grey light."""
     folder = tmp_path / "asset"
     (folder / "textures").mkdir(parents=True)
-    lines = ["mtllib mesh.mtl", *(f"v {x} {y} {z}" for x, y, z in VERTICES), "vt 0 0", "vt 1 0", "vt 0 1", "vt 1 1",
-             "usemtl m", "f 1/1 2/2 3/3", "f 1/1 4/4 2/2", "f 2/2 4/4 3/3", "f 1/1 3/3 4/4"]
+    lines = [
+        "mtllib mesh.mtl",
+        *(f"v {x} {y} {z}" for x, y, z in VERTICES),
+        "vt 0 0",
+        "vt 1 0",
+        "vt 0 1",
+        "vt 1 1",
+        "usemtl m",
+        "f 1/1 2/2 3/3",
+        "f 1/1 4/4 2/2",
+        "f 2/2 4/4 3/3",
+        "f 1/1 3/3 4/4",
+    ]
     (folder / "mesh.obj").write_text("\n".join(lines) + "\n")
     (folder / "mesh.mtl").write_text("newmtl m\nmap_Kd textures/albedo.png\n")
     for name, colour in (("albedo", (200, 120, 40)), ("roughness", 60), ("metallic", 255), ("confidence", 128)):
@@ -107,9 +118,24 @@ def start_run(fake_python: str, mode: str, out: Path, *options: str, asset: Path
     variables = os.environ | {"FAKE_ENGINE": mode, "PYTHONPATH": "/nowhere", "BLENDER_USER_RESOURCES": str(out.parent)}
     if asset:
         variables["FAKE_ASSET"] = str(asset)
-    return subprocess.Popen([sys.executable, ROOT / "backend" / "run.py", "--capture", BUNDLED, "--out", out,
-                             "--engine-python", fake_python, *options], env=variables, text=True,
-                            stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+    return subprocess.Popen(
+        [
+            sys.executable,
+            ROOT / "backend" / "run.py",
+            "--capture",
+            BUNDLED,
+            "--out",
+            out,
+            "--engine-python",
+            fake_python,
+            *options,
+        ],
+        env=variables,
+        text=True,
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+    )
 
 
 def until(path: Path, process: subprocess.Popen) -> None:
@@ -194,6 +220,7 @@ def check_import(asset):
     import bpy
 
     from backend.scene_io.asset_import import import_asset
+
     bpy.ops.wm.read_factory_settings(use_empty=True)
     item = import_asset(Path(asset), bpy.context.scene.collection, name="thing")
     world = np.array([item.matrix_world @ vertex.co for vertex in item.data.vertices])
@@ -202,9 +229,12 @@ def check_import(asset):
     assert len(bpy.data.materials) == 1 and len(item.data.materials) == 1 and item.name == "thing"
     nodes = item.data.materials[0].node_tree.nodes
     principled = next(node for node in nodes if node.type == "BSDF_PRINCIPLED")
-    for socket, name, space in (("Base Color", "albedo", "sRGB"), ("Roughness", "roughness", "Non-Color"),
-                                ("Metallic", "metallic", "Non-Color")):
-        link, = principled.inputs[socket].links
+    for socket, name, space in (
+        ("Base Color", "albedo", "sRGB"),
+        ("Roughness", "roughness", "Non-Color"),
+        ("Metallic", "metallic", "Non-Color"),
+    ):
+        (link,) = principled.inputs[socket].links
         assert link.from_node.name == name and link.from_node.image.colorspace_settings.name == space
     assert nodes["confidence"].image.colorspace_settings.name == "Non-Color"
     assert len(bpy.data.images) == 4 and all(image.packed_file for image in bpy.data.images)
@@ -231,7 +261,7 @@ def test_world_shines_from_where_the_environment_says(tmp_path):
         v = 0.5 + np.arctan2(z, np.hypot(x, y)) / np.pi
         light = np.full((height, 2 * height, 3), 0.01)
         row, column = int((1 - v) * height), int(u * 2 * height) % (2 * height)
-        light[max(row - 1, 0):row + 2, [(column + k) % (2 * height) for k in (-1, 0, 1)]] = 10
+        light[max(row - 1, 0) : row + 2, [(column + k) % (2 * height) for k in (-1, 0, 1)]] = 10
         write_exr(tmp_path / f"{index}.exr", light)
     in_blender(check_world, tmp_path, json.dumps(directions.tolist()))
 
@@ -243,6 +273,7 @@ def check_world(folder, directions):
     from backend.rendering.relight import RelitScene
     from backend.scene_io.capture_files import Frame
     from backend.scene_io.world import build_world
+
     bpy.ops.wm.read_factory_settings(use_empty=True)
     relit = RelitScene(bpy.data.objects.new("nothing", None), 32, 32, samples=4)
     for index, direction in enumerate(json.loads(directions)):
@@ -273,6 +304,7 @@ def check_camera():
 
     from backend.rendering.relight import add_camera
     from backend.scene_io.capture_files import Frame
+
     bpy.ops.wm.read_factory_settings(use_empty=True)
     scene, rng = bpy.context.scene, np.random.default_rng(0)
     matrix = np.array(Vector((1, -2, 0.5)).to_track_quat("-Z", "Y").to_matrix().to_4x4())
@@ -300,9 +332,13 @@ def test_image_files_round_trip(tmp_path):
 
 def check_image_files(folder):
     from backend.scene_io.image_files import read_exr, write_exr, write_png
+
     rng = np.random.default_rng(0)
-    channels = {"albedo.R": rng.random((37, 21)).astype(np.float16), "mask.V": np.ones((37, 21), np.float16),
-                "Depth.V": np.linspace(0, 9, 37 * 21, dtype=np.float32).reshape(37, 21)}
+    channels = {
+        "albedo.R": rng.random((37, 21)).astype(np.float16),
+        "mask.V": np.ones((37, 21), np.float16),
+        "Depth.V": np.linspace(0, 9, 37 * 21, dtype=np.float32).reshape(37, 21),
+    }
     np.savez(Path(folder) / "expected.npz", **channels)
     write_exr(Path(folder) / "ours.exr", channels)
     back = read_exr(Path(folder) / "ours.exr")
@@ -321,6 +357,7 @@ def check_exposure(folder):
     from backend.rendering import comparison
     from backend.scene_io.capture_files import Frame
     from backend.scene_io.world import build_world
+
     bpy.ops.wm.read_factory_settings(use_empty=True)
     seen = []
     comparison.draw_sheet, comparison.TILE_RANGE = lambda rows, *_: seen.append(rows[0]), (16, 16)
@@ -341,6 +378,7 @@ def test_resize_keeps_means_and_ramps():
 
 def check_resize():
     from backend.rendering.comparison import resize
+
     image = np.random.default_rng(0).random((12, 18, 3))
     blocks = image.reshape(4, 3, 6, 3, 3).mean(axis=(1, 3))
     np.testing.assert_allclose(resize(image, 6, 4), blocks)
@@ -359,7 +397,7 @@ def test_capture_to_relit_asset(fake_python, asset, tmp_path):
     assert "Learning shape and light" in told and "done:" in told
     sheet = np.asarray(Image.open(out / "comparison.png"), np.float32)
     assert sheet.shape[1] > 3 * 320 and sheet.shape[0] > 320
-    tiles = [sheet[-200:-20, 6 + k * 326:6 + k * 326 + 320] for k in range(3)]
+    tiles = [sheet[-200:-20, 6 + k * 326 : 6 + k * 326 + 320] for k in range(3)]
     assert all(tile.std() > 5 for tile in tiles)
     assert sheet[:58].max() > 200, "titles are drawn"
     in_blender(check_saved_file, out / "asset.blend")
@@ -375,8 +413,9 @@ def test_capture_to_relit_asset(fake_python, asset, tmp_path):
 
 def check_saved_file(path):
     import bpy
+
     bpy.ops.wm.open_mainfile(filepath=path)
-    scene, = bpy.data.scenes
+    (scene,) = bpy.data.scenes
     assert scene.world.name == "recovered light" and scene.camera and scene.view_settings.view_transform == "Standard"
     assert len(bpy.data.worlds) == 2 and [item for item in scene.objects if item.type == "MESH"]
     used = [image for image in bpy.data.images if image.source == "FILE"]

@@ -18,6 +18,7 @@ from support.played_python import played_python
 
 LIMIT_S = 60
 
+
 @pytest.fixture
 def base(tmp_path):
     """A function that sets how the played Python behaves; base.python is its path."""
@@ -30,9 +31,24 @@ def base(tmp_path):
 
 
 def begin(base, *options) -> subprocess.Popen:
-    return subprocess.Popen([sys.executable, "-I", engine_install.__file__, "--source", ROOT, "--folder", base.folder,
-                             "--python", base.python, *options], stdin=subprocess.PIPE, stdout=subprocess.PIPE,
-                            stderr=subprocess.DEVNULL, text=True)
+    return subprocess.Popen(
+        [
+            sys.executable,
+            "-I",
+            engine_install.__file__,
+            "--source",
+            ROOT,
+            "--folder",
+            base.folder,
+            "--python",
+            base.python,
+            *options,
+        ],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.DEVNULL,
+        text=True,
+    )
 
 
 def end(process) -> tuple[int, list[dict]]:
@@ -60,12 +76,15 @@ def test_an_engine_is_made(base, tmp_path):
     assert code == 0 and "--index-url" not in (tmp_path / "pip.txt").read_text().splitlines()[2]
 
 
-@pytest.mark.parametrize(("mode", "message", "hint"), [
-    ("old 3 10", "is Python 3.10; the engine needs 3.11", "Base Python"),
-    ("no venv", "lacks the module venv", "python3.12-venv"),
-    ("no build", "no build of torch for this computer and Python 3.12", "3.13"),
-    ("full", "The disk is full", "Free some"),
-])
+@pytest.mark.parametrize(
+    ("mode", "message", "hint"),
+    [
+        ("old 3 10", "is Python 3.10; the engine needs 3.11", "Base Python"),
+        ("no venv", "lacks the module venv", "python3.12-venv"),
+        ("no build", "no build of torch for this computer and Python 3.12", "3.13"),
+        ("full", "The disk is full", "Free some"),
+    ],
+)
 def test_what_cannot_be_is_said_and_nothing_is_left(base, mode, message, hint):
     base(mode)
     code, told = end(begin(base))

@@ -88,8 +88,19 @@ def test_depth_is_that_of_the_mesh(capture):
 
 def test_ground_truth_channels(capture):
     truth = channels(capture / "gt" / "000.exr")
-    assert set(truth) == {"albedo.R", "albedo.G", "albedo.B", "albedo.A", "roughness.V", "metallic.V", "Normal.X",
-                          "Normal.Y", "Normal.Z", "Depth.V", "mask.V"}
+    assert set(truth) == {
+        "albedo.R",
+        "albedo.G",
+        "albedo.B",
+        "albedo.A",
+        "roughness.V",
+        "metallic.V",
+        "Normal.X",
+        "Normal.Y",
+        "Normal.Z",
+        "Depth.V",
+        "mask.V",
+    }
     assert all(np.isfinite(values).all() for values in truth.values())
     mask = truth["mask.V"]
     png = np.asarray(Image.open(capture / "test_masks" / "000.png"), np.float32) / 255
@@ -129,8 +140,19 @@ def test_mesh_file_as_scene_and_a_wrong_one(tmp_path):
     mesh = trimesh.creation.icosphere(subdivisions=2, radius=7.0)
     mesh.apply_translation([100, 0, -3])
     mesh.export(tmp_path / "ball.ply")
-    done = render(tmp_path / "out", "--scene", str(tmp_path / "ball.ply"), "--views", "1", "--test-views", "0",
-                  "--size", "8", "--samples", "1")
+    done = render(
+        tmp_path / "out",
+        "--scene",
+        str(tmp_path / "ball.ply"),
+        "--views",
+        "1",
+        "--test-views",
+        "0",
+        "--size",
+        "8",
+        "--samples",
+        "1",
+    )
     assert done.returncode == 0, done.stderr
     ball = trimesh.load(tmp_path / "out" / "gt_mesh.ply", process=False)
     np.testing.assert_allclose(np.linalg.norm(ball.vertices, axis=1), 0.97, atol=1e-3)

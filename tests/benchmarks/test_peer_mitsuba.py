@@ -27,8 +27,9 @@ TRY = "import mitsuba as mi; mi.set_variant('llvm_ad_rgb'); mi.render(mi.load_di
 tried = subprocess.run([sys.executable, "-c", TRY], capture_output=True, text=True)
 if tried.returncode:
     complaint = tried.stderr.strip().splitlines()[-1:]
-    pytest.skip(f"Mitsuba itself cannot render here: it needs libLLVM (DRJIT_LIBLLVM_PATH) {complaint}",
-                allow_module_level=True)
+    pytest.skip(
+        f"Mitsuba itself cannot render here: it needs libLLVM (DRJIT_LIBLLVM_PATH) {complaint}", allow_module_level=True
+    )
 # our own: what is wrong in it is no reason to skip
 peer = importlib.import_module("benchmarks.baselines.inverse_path_tracing")
 PeerSettings, PathTracer = peer.PeerSettings, peer.PathTracer
@@ -71,8 +72,9 @@ def test_what_the_photos_show_of_the_world_is_what_the_map_lights_with(ball):
     settings = PeerSettings(levels=(1,), environment_rows=rows, samples=4)
     directions = functional.normalize(torch.randn(300, 3, generator=torch.Generator().manual_seed(0)), dim=-1)
     grey = torch.full((2, 2), 0.5)
-    found = PathTracer(ball, settings).render(grey[..., None].expand(2, 2, 3), grey, grey, light,
-                                              (2 * directions, directions, torch.full((300,), 1e-4)), 4, 0)
+    found = PathTracer(ball, settings).render(
+        grey[..., None].expand(2, 2, 3), grey, grey, light, (2 * directions, directions, torch.full((300,), 1e-4)), 4, 0
+    )
     # every pixel put into the texel around it, here by the nearest of all texels' own directions
     theta = torch.arange(rows) / (rows - 1) * torch.pi
     phi = (torch.arange(2 * rows) + 0.5) / (2 * rows) * 2 * torch.pi
@@ -102,7 +104,7 @@ def test_gradients_are_the_differences_of_the_rendering(ball):
         return tracer.render(maps[..., :3], maps[..., 3], maps[..., 4], light, rays, 256, 1).mean()
 
     at = torch.tensor([0.6, 0.4, 0.3, 0.5, 0.4], requires_grad=True)
-    gradient, = torch.autograd.grad(mean(at), at)
+    (gradient,) = torch.autograd.grad(mean(at), at)
     for k in (0, 2, 4):
         step = torch.zeros(5).index_fill(0, torch.tensor([k]), 0.1)
         difference = (mean(at.detach() + step) - mean(at.detach() - step)) / 0.2

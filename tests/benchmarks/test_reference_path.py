@@ -91,8 +91,16 @@ def test_it_takes_the_place_of_the_object_field_and_a_resumed_learning_goes_on_t
     monkeypatch.setattr(ReferenceField, "cell", 2 / 16)
     rays = PixelRays.from_capture(load_capture(SUZANNE_SMALL), 2500, False)
     settings = with_changes(preset("preview"), {"fields": REFERENCE["fields"]})
-    short = {"background_steps": 2, "steps": 40, "object_rays": 64, "sphere_rays": 64, "outside_rays": 64,
-             "first_samples": 16, "samples": 16, "look_at": (0.2,)}
+    short = {
+        "background_steps": 2,
+        "steps": 40,
+        "object_rays": 64,
+        "sphere_rays": 64,
+        "outside_rays": 64,
+        "first_samples": 16,
+        "samples": 16,
+        "look_at": (0.2,),
+    }
     settings = with_changes(settings, {"fields": short})
 
     def learning(seed: int) -> FieldsLearning:

@@ -21,16 +21,42 @@ PRESETS = {"preview": (0.004, 100.0), "balanced": (0.002, 300.0)}
 def made_up(out: Path, run: Run, error: float, seconds: float, **learned) -> None:
     """A row as the suite writes it."""
     rooms = {"capture": 1.0, "fields_learning": seconds / 2, "surface": 1.0, "material_learning": seconds / 2, "asset": 1.0}
-    row = {"run": run.as_row(),
-           "machine": {"system": "Linux", "processor": "a core", "cores": 2, "memory_gb": 8.0, "threads": 1,
-                       "commit": "1234abcd", "date": "2026-11-21"},
-           "learn": {"device": "cpu", "threads": 1, "versions": {"python": "3.11.7", "torch": "2.13.0"}, "seconds": rooms,
-                     "seconds_total": seconds, "cpu_seconds": seconds, "peak_mb": 1000.0, "views": run.views or 60,
-                     "pixels": (run.pixels or 40_000) * (run.views or 60),
-                     "room_cpu_seconds": {"fields_learning": seconds / 2, "surface": 1.0}} | learned,
-           "score": {"cd_visible": error, "cd_full": error, "normal_deg": 1000 * error, "mse_roughness": error,
-                     "mse_metallic": 0.0, "mse_albedo": error, "faces": 10_000, "texture_rows": 256},
-           "relight": {"psnr_mean": 20.0, "ssim_mean": 0.7}}
+    row = {
+        "run": run.as_row(),
+        "machine": {
+            "system": "Linux",
+            "processor": "a core",
+            "cores": 2,
+            "memory_gb": 8.0,
+            "threads": 1,
+            "commit": "1234abcd",
+            "date": "2026-11-21",
+        },
+        "learn": {
+            "device": "cpu",
+            "threads": 1,
+            "versions": {"python": "3.11.7", "torch": "2.13.0"},
+            "seconds": rooms,
+            "seconds_total": seconds,
+            "cpu_seconds": seconds,
+            "peak_mb": 1000.0,
+            "views": run.views or 60,
+            "pixels": (run.pixels or 40_000) * (run.views or 60),
+            "room_cpu_seconds": {"fields_learning": seconds / 2, "surface": 1.0},
+        }
+        | learned,
+        "score": {
+            "cd_visible": error,
+            "cd_full": error,
+            "normal_deg": 1000 * error,
+            "mse_roughness": error,
+            "mse_metallic": 0.0,
+            "mse_albedo": error,
+            "faces": 10_000,
+            "texture_rows": 256,
+        },
+        "relight": {"psnr_mean": 20.0, "ssim_mean": 0.7},
+    }
     write_row(out / "rows" / f"{run.name}.json", row)
 
 
@@ -52,8 +78,10 @@ def out(tmp_path) -> Path:
         made_up(tmp_path, Run(Path(f"gold_{roughness}"), "balanced"), 0.01, 300.0)
     made_up(tmp_path, Run(Path("suzanne"), "quality"), 0.001, 900.0)
     failed = Run(Path("box"), "quality")
-    write_row(tmp_path / "rows" / f"{failed.name}.json",
-              {"run": failed.as_row(), "machine": {"date": "2026-11-20"}, "learn": {"error": "killed after 7200 s"}})
+    write_row(
+        tmp_path / "rows" / f"{failed.name}.json",
+        {"run": failed.as_row(), "machine": {"date": "2026-11-20"}, "learn": {"error": "killed after 7200 s"}},
+    )
     return tmp_path
 
 
@@ -131,8 +159,9 @@ def test_a_failed_run_is_told_and_in_no_mean(out):
 
 def test_a_report_replaces_what_is_between_its_markers_alone(out, tmp_path):
     document, rows = tmp_path / "figures.md", load(out)
-    document.write_text("before\n<!-- presets -->\nold\n<!-- end of presets -->\nafter\n"
-                        "<!-- head -->\n<!-- end of head -->\n")
+    document.write_text(
+        "before\n<!-- presets -->\nold\n<!-- end of presets -->\nafter\n<!-- head -->\n<!-- end of head -->\n"
+    )
     missing = write_report(rows, Results(rows), document)
     text = document.read_text()
     assert text.startswith("before\n<!-- presets -->\n| capture") and "\nafter\n" in text and "old" not in text

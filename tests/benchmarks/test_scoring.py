@@ -68,8 +68,15 @@ def test_a_failed_run_is_a_row_with_its_message_and_a_done_one_is_not_run_again(
 
 
 def test_an_asset_that_is_the_truth_scores_perfectly_but_for_what_is_put_in(tmp_path):
-    gold = {name: read_channels(SUZANNE_SMALL / "gt" / "000.exr")[channel] for name, channel in
-            (("albedo", "albedo"), ("roughness", "roughness.V"), ("metallic", "metallic.V"), ("confidence", "mask.V"))}
+    gold = {
+        name: read_channels(SUZANNE_SMALL / "gt" / "000.exr")[channel]
+        for name, channel in (
+            ("albedo", "albedo"),
+            ("roughness", "roughness.V"),
+            ("metallic", "metallic.V"),
+            ("confidence", "mask.V"),
+        )
+    }
     inside = gold["confidence"] > 0.99
     asset, picture = tmp_path / "asset", tmp_path / "materials.png"
     (asset / "textures").mkdir(parents=True)
@@ -114,8 +121,10 @@ def test_an_exponent_is_that_of_the_power_law_and_what_cannot_be_timed_has_none(
     assert np.isnan(scaling.exponent(values, [0.0, 1e-5, 1.0, 2.0]))
     rows = [{"factor": "views", "value": v, "cpu_seconds": {"decode": 0.01 * v}, "peak_mb": 500.0} for v in (20, 5, 10)]
     rows.append({"factor": "views", "value": 40, "error": "no memory"})
-    assert scaling.curves(rows) == [("views", "decode", [5, 10, 20], [0.05, 0.1, 0.2]),
-                                    ("views", "peak memory, MB", [5, 10, 20], [500.0] * 3)]
+    assert scaling.curves(rows) == [
+        ("views", "decode", [5, 10, 20], [0.05, 0.1, 0.2]),
+        ("views", "peak memory, MB", [5, 10, 20], [500.0] * 3),
+    ]
     assert "| views | decode | 5, 10, 20 | 0.05, 0.1, 0.2 | 1.00 |" in scaling.table(rows)
 
 

@@ -1,6 +1,5 @@
 """The benchmark of what is left out: the captures it makes are what they say, its table shows only what differs."""
 
-
 import pytest
 import torch
 
@@ -35,8 +34,10 @@ def test_a_scene_says_what_is_told_about_it(tmp_path):
 
 def test_the_table_names_what_only_one_of_both_left_out():
     scores = {"cd_visible": 0.5, "normal_deg": 1.0, "mse_roughness": 0.0, "mse_metallic": 0.0, "mse_albedo": 0.0}
-    rows = {True: [scores | {"seconds": s, "skipped": {"mask term": "", "indirect light": ""}} for s in (1.0, 3.0)],
-            False: [scores | {"seconds": 4.0, "skipped": {"mask term": ""}}]}
+    rows = {
+        True: [scores | {"seconds": s, "skipped": {"mask term": "", "indirect light": ""}} for s in (1.0, 3.0)],
+        False: [scores | {"seconds": 4.0, "skipped": {"mask term": ""}}],
+    }
     name, left_out, seconds, saved, *_ = line("ball", rows)
     assert (name, left_out, seconds, saved) == ("ball", "indirect light", "2 ± 1 / 4", "50 %")
     assert line("ball", rows | {False: [{"error": "no surface"}]}) == ["ball", "no surface"]

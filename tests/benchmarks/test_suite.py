@@ -68,8 +68,10 @@ def test_captures_of_one_name_and_folders_that_are_none_are_refused(captures, tm
 
 def test_the_list_of_a_plan_is_its_runs(capsys):
     assert main(["run", str(SUZANNE_SMALL), "--plan", "views", "--views", "8", "all", "--list"]) == 0
-    assert capsys.readouterr().out.split() == [f"{SUZANNE_SMALL.name}-preview-full-8_views-seed_0",
-                                               f"{SUZANNE_SMALL.name}-preview-full-seed_0"]
+    assert capsys.readouterr().out.split() == [
+        f"{SUZANNE_SMALL.name}-preview-full-8_views-seed_0",
+        f"{SUZANNE_SMALL.name}-preview-full-seed_0",
+    ]
 
 
 def test_only_runs_that_change_stage_2_alone_take_over_a_stage_1():
@@ -160,13 +162,20 @@ def test_a_step_that_crashes_or_hangs_is_an_error(tmp_path):
 
 def test_memory_and_cpu_seconds_are_those_of_the_step_alone(tmp_path):
     # from a process as small as the runner: Linux counts what stood in the memory of the process that starts another
-    code = ("import sys; from pathlib import Path; from benchmarks.suite.harness import Children\n"
-            "def used(code):\n"
-            "    ended = Children().run([sys.executable, '-c', code], Path(sys.argv[1]), 1, 60)\n"
-            "    return f'{ended.peak_mb} {ended.cpu_seconds}'\n"
-            "print(used('bytearray(b\"1\") * 300_000_000'), used('sum(range(20_000_000))'))")
-    run = subprocess.run([sys.executable, "-c", code, tmp_path / "log"], capture_output=True, text=True, check=True,
-                         cwd=SUZANNE_SMALL.parent.parent)
+    code = (
+        "import sys; from pathlib import Path; from benchmarks.suite.harness import Children\n"
+        "def used(code):\n"
+        "    ended = Children().run([sys.executable, '-c', code], Path(sys.argv[1]), 1, 60)\n"
+        "    return f'{ended.peak_mb} {ended.cpu_seconds}'\n"
+        "print(used('bytearray(b\"1\") * 300_000_000'), used('sum(range(20_000_000))'))"
+    )
+    run = subprocess.run(
+        [sys.executable, "-c", code, tmp_path / "log"],
+        capture_output=True,
+        text=True,
+        check=True,
+        cwd=SUZANNE_SMALL.parent.parent,
+    )
     eater, _, worker, worker_seconds = map(float, run.stdout.split())
     assert 280 < eater < 400 and worker < 100
     assert worker_seconds > 0.02
@@ -185,8 +194,10 @@ def test_a_capture_with_fewer_views_is_a_capture_of_the_same_object(tmp_path):
     assert len(few.views) == 8 and few.object_radius == whole.object_radius
     places = {tuple(view.camera.position): view.image_path.resolve() for view in whole.views}
     assert all(places[tuple(view.camera.position)] == view.image_path.resolve() for view in few.views)
-    assert fingerprint(few, preset("preview"), 0, False, None)["capture"] != fingerprint(
-        whole, preset("preview"), 0, False, None)["capture"]
+    assert (
+        fingerprint(few, preset("preview"), 0, False, None)["capture"]
+        != fingerprint(whole, preset("preview"), 0, False, None)["capture"]
+    )
     assert str(SUZANNE_SMALL) not in json.dumps((tmp_path / "few" / "transforms.json").read_text())
 
 

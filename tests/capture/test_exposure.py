@@ -155,18 +155,35 @@ def test_everything_reads_the_photos_as_of_one_exposure(tmp_path):
     surface = load_surface(SUZANNE_SMALL / "gt_mesh.ply", load_capture(SUZANNE_SMALL), preset("preview").surface)
     tracer = RayTracer(surface.vertices, surface.faces)
     p = preset("preview")
-    p = replace(p, fields=replace(p.fields, background_steps=8, steps=24, object_rays=128, sphere_rays=128, outside_rays=128,
-                                  least_evidence=0))
+    p = replace(
+        p,
+        fields=replace(
+            p.fields, background_steps=8, steps=24, object_rays=128, sphere_rays=128, outside_rays=128, least_evidence=0
+        ),
+    )
 
     def all_of(photos: PixelRays) -> list:
-        fields = learn_fields(photos, p, seed=0, device=torch.device("cpu"), progress=lambda *_: None,
-                              checkpoint=NoCheckpoint(), watch=lambda learning: watched.append(learning))
-        samples = select_samples(photos, tracer, surface.normals, count=300, least_cosine=0.2,
-                                 generator=np.random.default_rng(0))
+        fields = learn_fields(
+            photos,
+            p,
+            seed=0,
+            device=torch.device("cpu"),
+            progress=lambda *_: None,
+            checkpoint=NoCheckpoint(),
+            watch=lambda learning: watched.append(learning),
+        )
+        samples = select_samples(
+            photos, tracer, surface.normals, count=300, least_cosine=0.2, generator=np.random.default_rng(0)
+        )
         textures = {"albedo": np.full((4, 4, 3), 0.5), "roughness": np.full((4, 4, 1), 0.3), "metallic": np.zeros((4, 4, 1))}
-        return [fields.report, fields.environment.raw.detach().numpy(), samples.radiance.numpy(),
-                render_preview(photos, surface, textures, np.ones((8, 16, 3))), render_pair(watched[-1], 2),
-                view_dependence(tracer, surface.normals, photos, np.random.default_rng(0))]
+        return [
+            fields.report,
+            fields.environment.raw.detach().numpy(),
+            samples.radiance.numpy(),
+            render_preview(photos, surface, textures, np.ones((8, 16, 3))),
+            render_pair(watched[-1], 2),
+            view_dependence(tracer, surface.normals, photos, np.random.default_rng(0)),
+        ]
 
     watched: list[FieldsLearning] = []
     for one, same in zip(all_of(rays), all_of(other), strict=True):

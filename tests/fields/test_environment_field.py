@@ -87,8 +87,9 @@ def test_constant_environment_gives_the_constant(degrees):
     origins, directions = 0.7 * random_directions(50, 4), random_directions(50, 5)
     radiance, _ = field.query_cone(origins, directions, math.radians(degrees))
     torch.testing.assert_close(radiance, torch.full_like(radiance, 3.0), rtol=1e-3, atol=0)
-    radiance, transmittance = field.render(origins, directions, from_border(origins, directions),
-                                           torch.full((50,), math.inf))
+    radiance, transmittance = field.render(
+        origins, directions, from_border(origins, directions), torch.full((50,), math.inf)
+    )
     torch.testing.assert_close(radiance, torch.full_like(radiance, 3.0), rtol=2e-3, atol=0)
     assert (transmittance <= 1e-3).all()
 
@@ -207,17 +208,24 @@ def pixel_rays(room: EnvironmentField, n: int, seed: int) -> SimpleNamespace:
     with torch.no_grad():
         radiance = room.render(origins, directions, torch.full((n,), 0.6), torch.full((n,), math.inf))[0]
     half_angle = torch.full((n,), 1e-3)
-    return SimpleNamespace(radiance=radiance, count=n, rays=lambda i: (origins[i], directions[i], half_angle[i]),
-                           photo=lambda i: radiance[i])
+    return SimpleNamespace(
+        radiance=radiance, count=n, rays=lambda i: (origins[i], directions[i], half_angle[i]), photo=lambda i: radiance[i]
+    )
 
 
 def learn_room(seed: int):
     preset = dataclasses.replace(PRESET, steps=120, rays_per_step=1024, coverage_rays=5000, learning_rate=0.1)
     rays = pixel_rays(box_field(), 20_000, 20)
     seen = []
-    field, _ = learn_environment(rays, torch.arange(20_000), preset, seed=seed, device=torch.device("cpu"),
-                                 progress=lambda step, steps, loss: seen.append((step, steps, loss)),
-                                 checkpoint=NoCheckpoint())
+    field, _ = learn_environment(
+        rays,
+        torch.arange(20_000),
+        preset,
+        seed=seed,
+        device=torch.device("cpu"),
+        progress=lambda step, steps, loss: seen.append((step, steps, loss)),
+        checkpoint=NoCheckpoint(),
+    )
     return field, seen
 
 
@@ -225,8 +233,15 @@ def test_environment_learning_that_never_gives_a_finite_loss_is_given_up():
     rays = pixel_rays(box_field(), 500, 20)
     rays.radiance[:] = math.nan
     with pytest.raises(LearningError, match="not finite"):
-        learn_environment(rays, torch.arange(500), dataclasses.replace(PRESET, steps=60, rays_per_step=64), seed=0,
-                          device=torch.device("cpu"), progress=lambda *_: None, checkpoint=NoCheckpoint())
+        learn_environment(
+            rays,
+            torch.arange(500),
+            dataclasses.replace(PRESET, steps=60, rays_per_step=64),
+            seed=0,
+            device=torch.device("cpu"),
+            progress=lambda *_: None,
+            checkpoint=NoCheckpoint(),
+        )
 
 
 def test_a_step_whose_loss_is_not_finite_changes_nothing():

@@ -62,8 +62,9 @@ def test_a_short_learning_with_masks_comes_nearer_to_the_truth(masked_rays):
     copy = Fields.from_state(learned.state(), chosen, CPU)
     torch.testing.assert_close(copy.object_field.sdf(points), learned.object_field.sdf(points))
     direction = torch.nn.functional.normalize(points, dim=-1)
-    torch.testing.assert_close(copy.environment.query_cone(points * 0, direction, 0.2),
-                               learned.environment.query_cone(points * 0, direction, 0.2))
+    torch.testing.assert_close(
+        copy.environment.query_cone(points * 0, direction, 0.2), learned.environment.query_cone(points * 0, direction, 0.2)
+    )
 
 
 @pytest.mark.parametrize("stop", [4, 16], ids=["while F_e is learned alone", "with both fields"])
@@ -89,8 +90,7 @@ def test_with_a_mesh_the_environment_learns_from_the_pixels_beside_it(rays):
     surface = Surface(np.asarray(ball.vertices), np.asarray(ball.faces), np.asarray(ball.vertex_normals))
     chosen = brief_preset()
     chosen = replace(chosen, environment=replace(chosen.environment, steps=5, rays_per_step=256, coverage_rays=1000))
-    fields = learn_fields(rays, chosen, seed=0, device=CPU, progress=no_progress, checkpoint=NoCheckpoint(),
-                          surface=surface)
+    fields = learn_fields(rays, chosen, seed=0, device=CPU, progress=no_progress, checkpoint=NoCheckpoint(), surface=surface)
     assert fields.object_field is None and "object field" in fields.report["skipped"]
     origins, directions, _ = rays.rays(rays.sphere[:5000])
     hit = RayTracer(surface.vertices, surface.faces).occluded(origins.numpy(), directions.numpy())
@@ -108,8 +108,16 @@ def test_a_loss_that_is_not_finite_is_given_up_with_a_message(rays):
             learning.learn_step()
 
 
-@pytest.mark.parametrize("ablation", [{"decomposition": False}, {"dynamic_weight": "paper"}, {"dynamic_weight": "scaled"},
-                                      {"curvature": 0.0}, {"background_steps": 0}])
+@pytest.mark.parametrize(
+    "ablation",
+    [
+        {"decomposition": False},
+        {"dynamic_weight": "paper"},
+        {"dynamic_weight": "scaled"},
+        {"curvature": 0.0},
+        {"background_steps": 0},
+    ],
+)
 def test_ablations_of_the_object_field_learn(rays, ablation):
     learning = FieldsLearning(rays, brief_preset(**{"background_steps": 2, **ablation}), 0, CPU)
     losses = [learning.learn_step() for _ in range(20)]
@@ -136,8 +144,9 @@ def test_the_object_is_looked_for_in_the_pixels_that_show_it(rays):
     assert found[off_axis < radius].all() and not found[off_axis > radius + 0.45].any()
 
 
-@pytest.mark.parametrize(("after", "settled"), [((0.073, 0.071, 0.067, 0.066), False),
-                                                ((0.073, 0.06, 0.06, 0.06, 0.0599), True)])
+@pytest.mark.parametrize(
+    ("after", "settled"), [((0.073, 0.071, 0.067, 0.066), False), ((0.073, 0.06, 0.06, 0.06, 0.0599), True)]
+)
 def test_learning_ends_early_only_where_the_error_stopped_falling_on_the_finest_grid(rays, after, settled):
     learning = FieldsLearning(rays, brief_preset(), 0, CPU)
     whole = learning.steps
@@ -148,8 +157,14 @@ def test_learning_ends_early_only_where_the_error_stopped_falling_on_the_finest_
 
 def test_a_sphere_without_an_object_is_refused(rays):
     with pytest.raises(LearningError, match="seems to contain nothing"):
-        learn_fields(rays, brief_preset(steps=4, least_evidence=1e9), seed=0, device=CPU, progress=no_progress,
-                     checkpoint=NoCheckpoint())
+        learn_fields(
+            rays,
+            brief_preset(steps=4, least_evidence=1e9),
+            seed=0,
+            device=CPU,
+            progress=no_progress,
+            checkpoint=NoCheckpoint(),
+        )
 
 
 @pytest.mark.parametrize("white", [0.4, 3.0])
@@ -158,7 +173,7 @@ def test_highlights_count_little_but_never_nothing(white):
     mapped = tone_map_without_highlights(radiance, white)
     torch.testing.assert_close(mapped[:200], tone_map(radiance[:200]))
     assert (mapped.diff() > 0).all()
-    slope, = torch.autograd.grad(mapped.sum(), radiance)
+    (slope,) = torch.autograd.grad(mapped.sum(), radiance)
     relative = slope * radiance.detach()  # what a highlight e times as bright adds
     torch.testing.assert_close(relative[200:], torch.full_like(relative[200:], HIGHLIGHT))
     assert float(relative[198]) > 5 * HIGHLIGHT
@@ -183,4 +198,5 @@ def test_white_hangs_on_what_is_shown_and_not_on_black_around_it(rays, masked_ra
     assert found == pytest.approx(float(shown.clamp(min=1e-6).log().mean().exp()), rel=0.15)
     bright = replace(rays, radiance=1000 * rays.radiance)
     assert FieldsLearning(bright, brief_preset(), 0, CPU).white == pytest.approx(
-        1000 * FieldsLearning(rays, brief_preset(), 0, CPU).white, rel=1e-3)
+        1000 * FieldsLearning(rays, brief_preset(), 0, CPU).white, rel=1e-3
+    )

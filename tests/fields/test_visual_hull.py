@@ -1,6 +1,5 @@
 """The visual hull: exact silhouettes of known bodies are carved back into them; F_e's residuals show the object."""
 
-
 import numpy as np
 import pytest
 import torch
@@ -70,8 +69,9 @@ def test_the_masks_hull_holds_the_object(rays):
     points = trimesh.sample.sample_surface(truth, 3000, seed=0)[0]
     points = torch.from_numpy((points - capture.object_center) / capture.object_radius).float()
     hull = carve(rays, mask_silhouettes(rays), 64)
-    value = functional.grid_sample(torch.from_numpy(hull.sdf)[None, None], points.flip(-1)[None, None, None],
-                                   align_corners=False).flatten()
+    value = functional.grid_sample(
+        torch.from_numpy(hull.sdf)[None, None], points.flip(-1)[None, None, None], align_corners=False
+    ).flatten()
     assert (value < 2 * 2 / 64).float().mean() > 0.9, "a visual hull leaves nothing of the object out"
 
 

@@ -25,18 +25,32 @@ from blender_nep.fields.training import HELD_OUT, FieldsLearning
 PLAIN = Case(told="yes", pixels="saturated", suffix=".png")
 
 
-@settings(max_examples=10, derandomize=True, database=None, deadline=None, phases=[Phase.explicit, Phase.generate],
-          suppress_health_check=list(HealthCheck))
+@settings(
+    max_examples=10,
+    derandomize=True,
+    database=None,
+    deadline=None,
+    phases=[Phase.explicit, Phase.generate],
+    suppress_health_check=list(HealthCheck),
+)
 @given(case=cases())
 def test_a_hostile_case_ends_with_a_sound_asset_or_a_clear_refusal(tmp_path_factory, case):
     row = run_case(case, tmp_path_factory.mktemp(digest(case)))
     assert not row["failures"], json.dumps({k: v for k, v in asdict(case).items() if v != getattr(Case(), k)})
 
 
-@pytest.mark.parametrize("case", [
-    Case(bfloat16=True, told="yes"), Case(offset=1e6, told="yes"), Case(offset=1e6, scale=1e-4, told="no", metallic=0.0),
-    Case(duplicates="pairs", told="yes", pixels="negative"), Case(distance=100.0, told="yes", pixels="huge"),
-    Case(mesh="soup", told="yes", pixels="nan", views=3)], ids=lambda case: digest(case))
+@pytest.mark.parametrize(
+    "case",
+    [
+        Case(bfloat16=True, told="yes"),
+        Case(offset=1e6, told="yes"),
+        Case(offset=1e6, scale=1e-4, told="no", metallic=0.0),
+        Case(duplicates="pairs", told="yes", pixels="negative"),
+        Case(distance=100.0, told="yes", pixels="huge"),
+        Case(mesh="soup", told="yes", pixels="nan", views=3),
+    ],
+    ids=lambda case: digest(case),
+)
 def test_cases_that_failed_once_or_that_the_issue_names(tmp_path, case):
     row = run_case(case, tmp_path)
     assert row["code"] == 0 and not row["failures"]
@@ -92,10 +106,14 @@ def test_one_thread_and_many_give_the_same_asset_within_rounding(plain_asset, tm
     for threads in (1, 4):
         out = tmp_path / str(threads)
         assert reconstruct(replace(PLAIN, threads=threads), plain_asset.parent / "capture", out)[0] == 0
-        rooms = {name: load_state(out / "checkpoints" / f"{name}.done.pt")["result"] for name in
-                 ("fields_learning", "material_learning")}
-        found.append({"sdf": rooms["fields_learning"]["object"]["weights"]["levels.2"], "vertices": unit_surface(out)}
-                     | rooms["material_learning"]["textures"])
+        rooms = {
+            name: load_state(out / "checkpoints" / f"{name}.done.pt")["result"]
+            for name in ("fields_learning", "material_learning")
+        }
+        found.append(
+            {"sdf": rooms["fields_learning"]["object"]["weights"]["levels.2"], "vertices": unit_surface(out)}
+            | rooms["material_learning"]["textures"]
+        )
     assert all(np.shape(one) == np.shape(other) for one, other in zip(*(f.values() for f in found), strict=True))
     assert not [name for name, one in found[0].items() if np.abs(np.asarray(one) - np.asarray(found[1][name])).max() > 1e-3]
 
@@ -126,10 +144,26 @@ def test_the_shapes_are_traced_where_they_are():
 
 
 def test_a_summary_counts_what_failed():
-    rows = {"a": {"case": asdict(Case(scale=1e4)), "code": 0, "failures": ["bad mesh: x"], "message": "", "warnings": ["w"],
-                  "seconds": 1.0, "resumed": True},
-            "b": {"case": asdict(Case()), "code": 4, "failures": [], "message": "3 of 4 cameras", "warnings": [],
-                  "seconds": 2.0, "resumed": False}}
+    rows = {
+        "a": {
+            "case": asdict(Case(scale=1e4)),
+            "code": 0,
+            "failures": ["bad mesh: x"],
+            "message": "",
+            "warnings": ["w"],
+            "seconds": 1.0,
+            "resumed": True,
+        },
+        "b": {
+            "case": asdict(Case()),
+            "code": 4,
+            "failures": [],
+            "message": "3 of 4 cameras",
+            "warnings": [],
+            "seconds": 2.0,
+            "resumed": False,
+        },
+    }
     found = summarise(rows)
     assert found["cases"] == 2 and found["failed"] == ["a"] and found["failures_by_kind"] == {"bad mesh": 1}
     assert found["exit_codes"] == {"0": 1, "4": 1} and found["refusals"] == {"# of # cameras": 1}

@@ -44,8 +44,10 @@ def test_learning_is_the_same_with_and_without(rays, capture, tmp_path, monkeypa
     watch = LivePreview(tmp_path, rays, capture.from_unit, Events(protocol))
     watch.interval, watch._due, watch.share = 0.0, 0.0, float("inf")  # after every step
     preset = brief_preset(steps=12, least_evidence=0.0)
-    fields = [learn_fields(rays, preset, seed=3, device=CPU, progress=lambda *_: None, checkpoint=NoCheckpoint(), **keywords)
-              for keywords in ({}, {"watch": watch})]
+    fields = [
+        learn_fields(rays, preset, seed=3, device=CPU, progress=lambda *_: None, checkpoint=NoCheckpoint(), **keywords)
+        for keywords in ({}, {"watch": watch})
+    ]
     without, with_preview = (flat(each.state()) for each in fields)
     assert without.keys() == with_preview.keys()
     for name, value in without.items():

@@ -74,8 +74,12 @@ def test_the_flame_graph_holds_every_second_once(recorded, tmp_path):
     names = [frame["name"] for frame in found["shared"]["frames"]]
     for graph, whole, expected in zip(found["profiles"], (17, 21), ([4, 2, 6, 5], [4, 1, 12, 4]), strict=True):
         assert graph["weights"] == expected and graph["endValue"] == whole == sum(graph["weights"])
-        assert [[names[k] for k in stack] for stack in graph["samples"]] == [["job"], ["job", "a"], ["job", "a", "b"],
-                                                                             ["job", "c"]]
+        assert [[names[k] for k in stack] for stack in graph["samples"]] == [
+            ["job"],
+            ["job", "a"],
+            ["job", "a", "b"],
+            ["job", "c"],
+        ]
     assert os.listdir(tmp_path) == ["profile.json"]
 
 

@@ -77,8 +77,10 @@ def test_what_the_scene_needs_is_told_before_it_is_done_and_stands_in_the_report
         def learn_materials(self, surface, environment, rays, preset, **keywords):
             asked.append(preset.levels)
             found = super().learn_materials(surface, environment, rays, preset, **keywords)
-            found.report |= {"skipped": dict.fromkeys(("material boundaries", "fine textures"), "a reason"),
-                             "seconds_saved": {"fine textures": 3.14159}}
+            found.report |= {
+                "skipped": dict.fromkeys(("material boundaries", "fine textures"), "a reason"),
+                "seconds_saved": {"fine textures": 3.14159},
+            }
             return found
 
     asked: list[int] = []
@@ -90,13 +92,14 @@ def test_what_the_scene_needs_is_told_before_it_is_done_and_stands_in_the_report
     left_out = "Left out: reflections of the object in itself, because the object is convex."
     assert left_out in told[2] and left_out not in told[1]
     assert any(line.startswith("Left out: the rest of learning") for line in told[1])
-    assert told[-1][-1] == (
-        "Left out: boundaries between materials, fine textures, because a reason (saves about 3 s).")
+    assert told[-1][-1] == ("Left out: boundaries between materials, fine textures, because a reason (saves about 3 s).")
     report = json.loads((start.out / "report.json").read_text())
     assert report["scene"]["photos"]["masks"] and report["scene"]["surface"]["self_visibility"] == 0
     assert report["scene"]["sentences"] == [*told[0][:4], "The object is convex."]
-    assert report["skipped_seconds"] == {"fine textures": 3.14, "further steps of both fields": pytest.approx(
-        report["seconds"]["fields_learning"] / 2, abs=0.02)}
+    assert report["skipped_seconds"] == {
+        "fine textures": 3.14,
+        "further steps of both fields": pytest.approx(report["seconds"]["fields_learning"] / 2, abs=0.02),
+    }
     assert "seconds_saved" not in report["rooms"]["material_learning"]
     start(Asked(), overwrite=True, preset=replace(preset("preview"), skip_needless=False))
     assert asked == [0, preset("preview").material.levels]
@@ -436,9 +439,7 @@ job.run(settings, Events(), StopRequest(), BallRooms(steps=150, on_step=lambda r
 @pytest.mark.parametrize("file", ["fields_learning.previous.pt", "surface.done.pt", "material_learning.pt"])
 def test_a_killed_process_is_resumed(start, file):
     """kill -9 as soon as a file appears; the run then goes on from it and gives an asset."""
-    script = SLOW_JOB.format(
-        tests=str(TESTS), capture=str(start.folder), out=str(start.out)
-    )
+    script = SLOW_JOB.format(tests=str(TESTS), capture=str(start.folder), out=str(start.out))
     process = subprocess.Popen([sys.executable, "-c", script], stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)
     wait_until = start.out / "checkpoints" / file
     while not wait_until.exists() and process.poll() is None:

@@ -65,8 +65,9 @@ def test_the_kernel_fits_what_torch_fits():
     light = Lit(900)
     target, weight, group = photos(light)
     hypotheses = (0.0, 0.3, 1.0)
-    cost, albedo = fit_groups(light, target, weight, group, 4, least_roughness=LEAST, clip=CLIP, hypotheses=hypotheses,
-                              most_diffuse=MOST_DIFFUSE)
+    cost, albedo = fit_groups(
+        light, target, weight, group, 4, least_roughness=LEAST, clip=CLIP, hypotheses=hypotheses, most_diffuse=MOST_DIFFUSE
+    )
     for g in (0, 1, 3):
         rows = (group == g).nonzero().squeeze(-1)
         part = Lit(900)

@@ -17,8 +17,16 @@ from blender_nep.presets import MaterialPreset, SurfacePreset
 from blender_nep.shading import brdf
 from blender_nep.surface.extraction import Surface, unwrap
 
-PRESET = replace(MaterialPreset(), samples=1200, terminal_steps=60,
-                 unseen_rows=16, unseen_steps=20, most_texels=256, region=0.4, candidates=10)
+PRESET = replace(
+    MaterialPreset(),
+    samples=1200,
+    terminal_steps=60,
+    unseen_rows=16,
+    unseen_steps=20,
+    most_texels=256,
+    region=0.4,
+    candidates=10,
+)
 RADIUS = 0.7
 
 
@@ -142,9 +150,16 @@ def ball():
 
 def learn(ball, photos, preset=PRESET, checkpoint=None, environment=None):
     steps = []
-    result = learn_materials(ball, environment or AnalyticEnvironment(), photos, preset, seed=0, device="cpu",
-                             progress=lambda step, steps_, loss, **_: steps.append(step),
-                             checkpoint=checkpoint or MemoryCheckpoint())
+    result = learn_materials(
+        ball,
+        environment or AnalyticEnvironment(),
+        photos,
+        preset,
+        seed=0,
+        device="cpu",
+        progress=lambda step, steps_, loss, **_: steps.append(step),
+        checkpoint=checkpoint or MemoryCheckpoint(),
+    )
     assert steps == sorted(steps) and steps[-1] == 100
     return result
 
@@ -157,9 +172,15 @@ def constant(albedo, roughness, metallic):
     return materials
 
 
-@pytest.mark.parametrize(("albedo", "roughness", "metallic", "tolerance"), [
-    ((0.9, 0.6, 0.3), 0.18, 1.0, 0.03), ((0.5, 0.1, 0.1), 0.15, 0.0, 0.03), ((0.7, 0.7, 0.7), 0.5, 1.0, 0.03),
-    ((0.2, 0.4, 0.7), 0.6, 0.0, 0.1)])  # a rough coat is 4 % of the light and shows little of its width
+@pytest.mark.parametrize(
+    ("albedo", "roughness", "metallic", "tolerance"),
+    [
+        ((0.9, 0.6, 0.3), 0.18, 1.0, 0.03),
+        ((0.5, 0.1, 0.1), 0.15, 0.0, 0.03),
+        ((0.7, 0.7, 0.7), 0.5, 1.0, 0.03),
+        ((0.2, 0.4, 0.7), 0.6, 0.0, 0.1),
+    ],
+)  # a rough coat is 4 % of the light and shows little of its width
 def test_one_material_is_recovered(ball, albedo, roughness, metallic, tolerance):
     result = learn(ball, make_photos(constant(albedo, roughness, metallic)))
     assert np.abs(result.albedo - albedo).max() < 0.04
@@ -211,8 +232,9 @@ def test_same_seed_same_textures_also_when_resumed(ball):
 def test_light_that_no_photo_shows_is_found_in_the_reflections(ball, albedo, metallic):
     photos = make_photos(constant(albedo, 0.2, metallic))
     preset = replace(PRESET, most_materials=1, unseen_steps=60)
-    found, ignored = (learn(ball, photos, replace(preset, residual=residual), environment=HalfSeen())
-                      for residual in (True, False))
+    found, ignored = (
+        learn(ball, photos, replace(preset, residual=residual), environment=HalfSeen()) for residual in (True, False)
+    )
     error, error_ignored = (np.abs(result.albedo - albedo).max() for result in (found, ignored))
     assert error < 0.1 and error < 0.5 * error_ignored
     assert found.metallic.mean() == metallic and np.abs(found.roughness - 0.2).max() < 0.06
@@ -254,13 +276,15 @@ def test_a_handful_of_pixels_still_gives_one_material(ball):
     assert len(result.report["materials"]) == 1 and np.abs(result.albedo - (0.9, 0.6, 0.3)).max() < 0.15
 
 
-@pytest.mark.parametrize("left_out", [{"levels": 0}, {"irradiance_cones": 0, "metallic": (1.0,)},
-                                      {"sure_margin": 0.15, "uniform_texels": 16}])
+@pytest.mark.parametrize(
+    "left_out", [{"levels": 0}, {"irradiance_cones": 0, "metallic": (1.0,)}, {"sure_margin": 0.15, "uniform_texels": 16}]
+)
 def test_what_a_convex_metal_ball_does_not_need_changes_nothing(ball, left_out):
     photos = make_photos(constant((0.9, 0.6, 0.3), 0.2, 1.0), views=5, rays=64)
     everything = replace(PRESET, samples=600, most_materials=1, unseen_rows=8, sure_margin=math.inf, uniform_texels=256)
-    whole, less = (learn(ball, photos, preset, environment=HalfSeen())
-                   for preset in (everything, replace(everything, **left_out)))
+    whole, less = (
+        learn(ball, photos, preset, environment=HalfSeen()) for preset in (everything, replace(everything, **left_out))
+    )
     for name in ("albedo", "roughness", "metallic"):
         a, b = (getattr(result, name) for result in (whole, less))
         assert np.abs(a.mean((0, 1)) - b.mean((0, 1))).max() < 0.02 and np.ptp(b, (0, 1)).max() < 1e-6, name

@@ -46,23 +46,26 @@ def test_derivatives_against_finite_differences(spline):
     for axis in range(3):
         shift = torch.zeros(3, dtype=torch.float64)
         shift[axis] = 1e-6
-        difference = (bspline.sample(coefficients, points + shift)[:, 0]
-                      - bspline.sample(coefficients, points - shift)[:, 0]) / 2e-6
+        difference = (
+            bspline.sample(coefficients, points + shift)[:, 0] - bspline.sample(coefficients, points - shift)[:, 0]
+        ) / 2e-6
         torch.testing.assert_close(out[:, 1 + axis], difference, atol=1e-6, rtol=1e-5)
 
 
 @pytest.mark.parametrize("hessian", [False, True])
 def test_compiled_and_torch_bodies_agree(spline, hessian):
     coefficients, points = spline
-    torch.testing.assert_close(bspline.sample(coefficients, points, hessian),
-                               bspline.sample_torch(coefficients, points, hessian))
+    torch.testing.assert_close(
+        bspline.sample(coefficients, points, hessian), bspline.sample_torch(coefficients, points, hessian)
+    )
 
 
 @pytest.mark.parametrize("hessian", [False, True])
 def test_gradcheck(spline, hessian):
     coefficients, points = spline
-    assert torch.autograd.gradcheck(lambda c: bspline.sample(c, points[:12], hessian),
-                                    coefficients.requires_grad_(), atol=1e-6)
+    assert torch.autograd.gradcheck(
+        lambda c: bspline.sample(c, points[:12], hessian), coefficients.requires_grad_(), atol=1e-6
+    )
 
 
 def test_refinement_is_exact(spline):

@@ -40,8 +40,9 @@ def random_grid(shells: int, rows: int, seed: int) -> torch.Tensor:
 
 
 def render(raw, rays, body="numba", step=0.1, **more):
-    return render_environment(raw, *rays, outer_radius=OUTER, relative_step=step, density_gain=2.0, body=body,
-                              **(EXACT | more))
+    return render_environment(
+        raw, *rays, outer_radius=OUTER, relative_step=step, density_gain=2.0, body=body, **(EXACT | more)
+    )
 
 
 @pytest.mark.parametrize("gradient_near", [0.0, 1.5])
@@ -99,8 +100,9 @@ def test_uniform_medium_has_its_closed_form(body):
     length = torch.asinh((far + along) / b) - torch.asinh((near + along) / b)
     expected = torch.exp(-2.0 * math.log1p(math.exp(0.3)) * length)
     torch.testing.assert_close(transmittance, expected, rtol=1e-9, atol=1e-12)
-    torch.testing.assert_close(radiance, (1 - expected)[:, None] * torch.tensor([0.1, -1.0, 2.0]).double().exp(),
-                               rtol=1e-7, atol=1e-9)
+    torch.testing.assert_close(
+        radiance, (1 - expected)[:, None] * torch.tensor([0.1, -1.0, 2.0]).double().exp(), rtol=1e-7, atol=1e-9
+    )
 
 
 def test_radial_medium_against_quadrature():
@@ -119,7 +121,8 @@ def test_radial_medium_against_quadrature():
         density = 2.0 * np.log1p(np.exp(1.5 * np.log(distance) - 2.0)) / distance
         before = np.exp(-np.cumsum(density * dt) + 0.5 * density * dt)
         assert float(radiance[i, 0]) == pytest.approx(
-            np.sum(before * density * dt * np.exp(0.4 * np.log(distance) - 1.0)), rel=1e-3)
+            np.sum(before * density * dt * np.exp(0.4 * np.log(distance) - 1.0)), rel=1e-3
+        )
         assert float(transmittance[i]) == pytest.approx(np.exp(-np.sum(density * dt)), rel=1e-3)
 
 
@@ -193,8 +196,10 @@ def test_weights_and_opacities_are_each_others_inverse():
     generator = torch.Generator().manual_seed(0)
     opacity = torch.rand(8, 3, 4, 1, generator=generator) * 0.7
     opacity[-1] = 1
-    nodes = torch.cat([torch.rand(8, 3, 4, 3, generator=generator), torch.ones(8, 3, 4, 1),
-                       torch.rand(8, 3, 4, 1, generator=generator)], -1)
+    nodes = torch.cat(
+        [torch.rand(8, 3, 4, 3, generator=generator), torch.ones(8, 3, 4, 1), torch.rand(8, 3, 4, 1, generator=generator)],
+        -1,
+    )
     clear = torch.cumprod(1 - opacity, 0)
     weights = opacity * torch.cat([torch.ones_like(clear[:1]), clear[:-1]])
     back = torch.from_numpy(from_weights(weights * nodes)).permute(2, 0, 1, 3)

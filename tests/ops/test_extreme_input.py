@@ -41,8 +41,13 @@ def rays_from(distance: float, n: int, seed: int, dtype=torch.float32) -> tuple[
 
 
 @FUZZ
-@given(seed=SEEDS, density=st.sampled_from([-100.0, -4.0, 0.0, 30.0, 1e4]), colour=st.sampled_from([-50.0, 0.0, 9.0, 80.0]),
-       spread=st.sampled_from([0.0, 1.0, 30.0]), distance=st.sampled_from([0.05, 0.6, 1.0, 2.5, 31.9, 100.0, 1e4]))
+@given(
+    seed=SEEDS,
+    density=st.sampled_from([-100.0, -4.0, 0.0, 30.0, 1e4]),
+    colour=st.sampled_from([-50.0, 0.0, 9.0, 80.0]),
+    spread=st.sampled_from([0.0, 1.0, 30.0]),
+    distance=st.sampled_from([0.05, 0.6, 1.0, 2.5, 31.9, 100.0, 1e4]),
+)
 def test_extreme_environments_render_finitely_and_alike(seed, density, colour, spread, distance):
     generator = torch.Generator().manual_seed(seed)
     noise = spread * torch.randn(4, 6, 12, 4, generator=generator, dtype=torch.float64)
@@ -53,9 +58,20 @@ def test_extreme_environments_render_finitely_and_alike(seed, density, colour, s
     results = []
     for body in ("numba", "torch"):
         raw = start.clone().requires_grad_()
-        radiance, passed = render_environment(raw, origins, directions, near, far, outer_radius=32.0, relative_step=0.3,
-                                              density_gain=16.0, gradient_near=2.0, transmittance_limit=0.0,
-                                              depth_limit=0.0, body=body)
+        radiance, passed = render_environment(
+            raw,
+            origins,
+            directions,
+            near,
+            far,
+            outer_radius=32.0,
+            relative_step=0.3,
+            density_gain=16.0,
+            gradient_near=2.0,
+            transmittance_limit=0.0,
+            depth_limit=0.0,
+            body=body,
+        )
         (radiance.sum() + passed.sum()).backward()
         results.append((radiance.detach(), passed.detach(), raw.grad))
     for ours, reference in zip(*results, strict=True):
@@ -66,8 +82,13 @@ def test_extreme_environments_render_finitely_and_alike(seed, density, colour, s
 
 
 @FUZZ
-@given(seed=SEEDS, density=st.sampled_from([-100.0, -4.0, 30.0, 1e4]), colour=st.sampled_from([-50.0, 0.0, 80.0]),
-       spread=st.sampled_from([0.0, 30.0]), angle=st.sampled_from([0.0, 1e-9, 0.01, 1.0, math.pi / 2]))
+@given(
+    seed=SEEDS,
+    density=st.sampled_from([-100.0, -4.0, 30.0, 1e4]),
+    colour=st.sampled_from([-50.0, 0.0, 80.0]),
+    spread=st.sampled_from([0.0, 30.0]),
+    angle=st.sampled_from([0.0, 1e-9, 0.01, 1.0, math.pi / 2]),
+)
 def test_cones_through_extreme_environments_are_finite(seed, density, colour, spread, angle):
     field = EnvironmentField(EnvironmentPreset(resolutions=((4, 12), (4, 12)), refine_at=(2.0,)))
     generator = torch.Generator().manual_seed(seed)
@@ -100,8 +121,13 @@ def test_splines_of_any_size_agree_with_torch(seed, size, at):
 
 
 @FUZZ
-@given(seed=SEEDS, sharpness=st.sampled_from([1e-3, 12.0, 400.0, 1e8]), size=st.sampled_from([0.0, 1e-6, 1.0, 1e6]),
-       shift=st.sampled_from([-1e3, 0.0, 0.3, 1e3]), distance=st.sampled_from([0.5, 1.0, 2.5, 100.0, 1e4]))
+@given(
+    seed=SEEDS,
+    sharpness=st.sampled_from([1e-3, 12.0, 400.0, 1e8]),
+    size=st.sampled_from([0.0, 1e-6, 1.0, 1e6]),
+    shift=st.sampled_from([-1e3, 0.0, 0.3, 1e3]),
+    distance=st.sampled_from([0.5, 1.0, 2.5, 100.0, 1e4]),
+)
 def test_surfaces_of_extreme_fields_composite_finitely(seed, sharpness, size, shift, distance):
     generator = torch.Generator().manual_seed(seed)
     coefficients = (shift + size * torch.randn(10, 10, 10, generator=generator)).requires_grad_()
@@ -146,14 +172,22 @@ def test_samples_stand_in_order_also_in_spans_without_length():
 
 
 @FUZZ
-@given(seed=SEEDS, roughness=st.sampled_from([0.0, 0.02, 0.3, 1.0]), metallic=st.sampled_from([0.0, 1.0]),
-       albedo=st.sampled_from([0.0, 0.5, 1.0]), cosine=st.sampled_from([1e-7, 1e-3, 0.5, 1.0]))
+@given(
+    seed=SEEDS,
+    roughness=st.sampled_from([0.0, 0.02, 0.3, 1.0]),
+    metallic=st.sampled_from([0.0, 1.0]),
+    albedo=st.sampled_from([0.0, 0.5, 1.0]),
+    cosine=st.sampled_from([1e-7, 1e-3, 0.5, 1.0]),
+)
 def test_the_brdf_is_finite_and_reflects_no_more_than_it_gets(seed, roughness, metallic, albedo, cosine):
     generator = torch.Generator().manual_seed(seed)
     n = 64
     v = torch.tensor([math.sqrt(1 - cosine**2), 0.0, cosine]).expand(n, 3)
-    a, r, m = torch.full((n, 3), albedo).requires_grad_(), torch.full((n,), roughness).requires_grad_(), torch.full((n,),
-                                                                                                                metallic)
+    a, r, m = (
+        torch.full((n, 3), albedo).requires_grad_(),
+        torch.full((n,), roughness).requires_grad_(),
+        torch.full((n,), metallic),
+    )
     light, _ = brdf.sample_cosine(torch.rand(n, 2, generator=generator))
     value = brdf.evaluate(v, light, a, r, m)
     value.sum().backward()
@@ -180,8 +214,12 @@ class Ladder:
 
 
 @settings(FUZZ, max_examples=12)
-@given(seed=SEEDS, light=st.sampled_from([0.0, 1e-12, 1.0, 6e4]), target=st.sampled_from([0.0, 1.0, 6e4]),
-       cosine=st.sampled_from([1e-6, 0.02, 1.0]))
+@given(
+    seed=SEEDS,
+    light=st.sampled_from([0.0, 1e-12, 1.0, 6e4]),
+    target=st.sampled_from([0.0, 1.0, 6e4]),
+    cosine=st.sampled_from([1e-6, 0.02, 1.0]),
+)
 def test_the_fit_of_materials_survives_any_light_and_any_photo(seed, light, target, cosine):
     generator = torch.Generator().manual_seed(seed)
     n = 12
@@ -210,8 +248,13 @@ def test_kernels_take_low_precision_and_compute_in_float32(dtype):
     more = {"outer_radius": 32.0, "relative_step": 0.3, "density_gain": 2.0}
 
     def all_of(c, p, r, o, d, n, f):
-        return [bspline.sample(c, p), bspline.refine(c), render_environment(r, o, d, n, f, **more)[0],
-                total_variation(r, (1.0,) * 4, 0.1), *bspline.march(c, o, d, n, n + 4, 0.3, 0.1)[:1]]
+        return [
+            bspline.sample(c, p),
+            bspline.refine(c),
+            render_environment(r, o, d, n, f, **more)[0],
+            total_variation(r, (1.0,) * 4, 0.1),
+            *bspline.march(c, o, d, n, n + 4, 0.3, 0.1)[:1],
+        ]
 
     given_low = (coefficients, points, raw, origins, directions, near, far)
     for low, full in zip(all_of(*given_low), all_of(*(x.detach().float() for x in given_low)), strict=True):

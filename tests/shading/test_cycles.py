@@ -32,11 +32,20 @@ def sky(height: int = 128) -> np.ndarray:
     """Soft lamps on a gradient [height, 2 height, 3], Blender's orientation."""
     polar = (np.arange(height) + 0.5) * math.pi / height
     around = (0.5 - (np.arange(2 * height) + 0.5) / (2 * height)) * 2 * math.pi
-    d = np.stack([np.outer(np.sin(polar), np.cos(around)), np.outer(np.sin(polar), np.sin(around)),
-                  np.outer(np.cos(polar), np.ones_like(around))], -1)
+    d = np.stack(
+        [
+            np.outer(np.sin(polar), np.cos(around)),
+            np.outer(np.sin(polar), np.sin(around)),
+            np.outer(np.cos(polar), np.ones_like(around)),
+        ],
+        -1,
+    )
     out = 0.4 + 0.2 * d
-    for axis, colour, sharpness in (((0.6, 0.3, 0.74), (6, 5, 4), 30), ((0.2, -0.9, 0.39), (1, 2, 4), 12),
-                                    ((0.9, 0.1, -0.42), (2, 1, 1), 60)):
+    for axis, colour, sharpness in (
+        ((0.6, 0.3, 0.74), (6, 5, 4), 30),
+        ((0.2, -0.9, 0.39), (1, 2, 4), 12),
+        ((0.9, 0.1, -0.42), (2, 1, 1), 60),
+    ):
         axis = np.array(axis) / np.linalg.norm(axis)
         out = out + np.exp(sharpness * (d @ axis - 1))[..., None] * np.array(colour)
     return out.astype(np.float32)
@@ -71,23 +80,32 @@ def reference(request, tmp_path_factory):
     np.savez(folder / "mesh.npz", vertices=mesh.vertices, faces=mesh.faces, bounces=bounces)
     light = sky()
     OpenEXR.File({"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}, {"RGB": light}).write(
-        str(folder / "light.exr"))
+        str(folder / "light.exr")
+    )
     script = TESTS / "support" / "cycles_reference.py"
     files = [folder / name for name in ("mesh.npz", "light.exr", "out.npz")]
     subprocess.run([sys.executable, script, *files, json.dumps(MATERIALS)], check=True, timeout=300, capture_output=True)
     return mesh, light, np.load(folder / "out.npz")["images"], bounces
 
 
-@pytest.mark.parametrize("index", range(len(MATERIALS)),
-                         ids=[f"r {m['roughness']} m {m['metallic']}" for m in MATERIALS])
+@pytest.mark.parametrize("index", range(len(MATERIALS)), ids=[f"r {m['roughness']} m {m['metallic']}" for m in MATERIALS])
 def test_our_shading_is_that_of_cycles(reference, index):
     """Mean relative error over the pixels that see the body away from its edge: under 3 %."""
     mesh, light, images, bounces = reference
     image = images[index]
     tracer = RayTracer(np.asarray(mesh.vertices), np.asarray(mesh.faces))
     rays = 96 if bounces else 256
-    f_p = PlenopticFunction(tracer, np.asarray(mesh.vertex_normals), Sky(light), TerminalRadiance(), levels=1 + bounces,
-                            diffuse=rays, specular=rays, use_cones=False, device="cpu")
+    f_p = PlenopticFunction(
+        tracer,
+        np.asarray(mesh.vertex_normals),
+        Sky(light),
+        TerminalRadiance(),
+        levels=1 + bounces,
+        diffuse=rays,
+        specular=rays,
+        use_cones=False,
+        device="cpu",
+    )
     at = ((np.arange(SIZE) + 0.5) / SIZE - 0.5) * WIDTH
     y, z = np.meshgrid(at, -at)
     origins = np.stack([np.full_like(y, 5), y, z], -1).reshape(-1, 3).astype(np.float32)
@@ -104,8 +122,11 @@ def test_our_shading_is_that_of_cycles(reference, index):
 
     def material(points):
         n = len(points)
-        return Material(torch.tensor(values["albedo"]).expand(n, 3), torch.full((n,), values["roughness"]),
-                        torch.full((n,), values["metallic"]))
+        return Material(
+            torch.tensor(values["albedo"]).expand(n, 3),
+            torch.full((n,), values["roughness"]),
+            torch.full((n,), values["metallic"]),
+        )
 
     # what a second bounce meets is black in Cycles: with N interactions nothing is asked of the terminal MLP
     f_p.terminal.forward = lambda points: torch.zeros(len(points), 3)

@@ -34,16 +34,24 @@ def white(metallic):
 @pytest.fixture(scope="module")
 def two_balls():
     """Two spheres side by side: they see each other."""
-    left, right = (trimesh.creation.icosphere(subdivisions=4, radius=0.45).apply_translation([x, 0, 0])
-                   for x in (-0.5, 0.5))
+    left, right = (trimesh.creation.icosphere(subdivisions=4, radius=0.45).apply_translation([x, 0, 0]) for x in (-0.5, 0.5))
     mesh = trimesh.util.concatenate([left, right])
     return np.asarray(mesh.vertices), np.asarray(mesh.faces), np.asarray(mesh.vertex_normals)
 
 
 def scene(two_balls, levels, coverage=1.0, diffuse=8):
     vertices, faces, normals = two_balls
-    f_p = PlenopticFunction(RayTracer(vertices, faces), normals, UniformLight(coverage), UniformTerminal(),
-                            levels=levels, diffuse=diffuse, specular=4, use_cones=True, device="cpu")
+    f_p = PlenopticFunction(
+        RayTracer(vertices, faces),
+        normals,
+        UniformLight(coverage),
+        UniformTerminal(),
+        levels=levels,
+        diffuse=diffuse,
+        specular=4,
+        use_cones=True,
+        device="cpu",
+    )
     rng = np.random.default_rng(0)
     face = rng.integers(0, len(faces), 600)
     barycentric = rng.dirichlet([1, 1, 1], 600).astype(np.float32)
@@ -74,7 +82,8 @@ def test_prefiltered_light_is_exact_in_a_furnace(two_balls):
     light.update(white(1.0), torch.Generator().manual_seed(5))
     for roughness in (0.1, 0.2, 0.6, 1.0):
         r = torch.full((len(points),), roughness)
-        out = reflected(Material(torch.ones(len(points), 3), r, torch.ones(len(points))), light.moments(r), light.diffuse,
-                        light.cos_v)
+        out = reflected(
+            Material(torch.ones(len(points), 3), r, torch.ones(len(points))), light.moments(r), light.diffuse, light.cos_v
+        )
         assert out.median().item() == pytest.approx(1, abs=0.01)
     assert torch.allclose(light.diffuse, torch.ones_like(light.diffuse), atol=1e-3)

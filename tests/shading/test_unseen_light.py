@@ -64,8 +64,11 @@ def test_a_cone_returns_the_mean_over_its_directions(half_angle):
     first = torch.nn.functional.normalize(torch.linalg.cross(axis, directions(200, 3)), dim=-1)
     second = torch.linalg.cross(axis, first)
     flat = (1 - cosine**2).sqrt()
-    inside = (cosine[:, None, None] * axis + (flat * turn.cos())[:, None, None] * first
-              + (flat * turn.sin())[:, None, None] * second)
+    inside = (
+        cosine[:, None, None] * axis
+        + (flat * turn.cos())[:, None, None] * first
+        + (flat * turn.sin())[:, None, None] * second
+    )
     truth = smooth(inside).mean(0)
     assert ((found - truth).abs() / truth).mean() < 0.03
 
@@ -108,8 +111,17 @@ def ball():
     mesh = trimesh.creation.icosphere(subdivisions=4, radius=0.7)
     vertices, faces = np.asarray(mesh.vertices), np.asarray(mesh.faces)
     normals = vertices / 0.7
-    f_p = PlenopticFunction(RayTracer(vertices, faces), normals, DarkCeiling(), TerminalRadiance(), levels=1, diffuse=8,
-                            specular=4, use_cones=True, device="cpu")
+    f_p = PlenopticFunction(
+        RayTracer(vertices, faces),
+        normals,
+        DarkCeiling(),
+        TerminalRadiance(),
+        levels=1,
+        diffuse=8,
+        specular=4,
+        use_cones=True,
+        device="cpu",
+    )
     rng = np.random.default_rng(0)
     face = rng.integers(0, len(faces), 4000)
     barycentric = rng.dirichlet([1, 1, 1], 4000).astype(np.float32)
@@ -147,7 +159,8 @@ def test_the_transport_is_what_the_cones_receive_and_its_adjoint_fits(ball):
     other = np.random.default_rng(1).normal(size=lines.shape).astype(np.float32)
     levels = np.random.default_rng(2).normal(size=(len(pyramid(light.radiance)), 3)).astype(np.float32)
     assert (transport.sent(response, levels) * other).sum() == pytest.approx(
-        (transport.adjoint(response, other) * levels).sum(), rel=1e-3)
+        (transport.adjoint(response, other) * levels).sum(), rel=1e-3
+    )
     ball.unseen = None
     ball.update(None, torch.Generator())
     found, threads = [], numba.get_num_threads()
@@ -217,13 +230,18 @@ def test_many_samples_on_many_threads_are_solved_the_same_each_time():
     def random(*shape):
         return torch.rand(*shape, generator=generator)
 
-    cones = OpenCones(torch.arange(8), directions(8, 0), torch.full((8,), 0.3), torch.ones(8), torch.ones(8, 3),
-                      torch.zeros(8, 2))
+    cones = OpenCones(
+        torch.arange(8), directions(8, 0), torch.full((8,), 0.3), torch.ones(8), torch.ones(8, 3), torch.zeros(8, 2)
+    )
     moments = SpecularMoments(random(n, 3), 0.1 * random(n, 3), 0.05 * random(n, 3))
     light = SimpleNamespace(
-        points=SimpleNamespace(position=random(n, 3) - 0.5), cos_v=0.2 + 0.8 * random(n), known_diffuse=random(n, 3),
-        moments=lambda *_, **__: moments, open_cones=lambda _: cones,
-        open_lines=lambda *_: (torch.zeros(8, 3), torch.ones(8, 3)))
+        points=SimpleNamespace(position=random(n, 3) - 0.5),
+        cos_v=0.2 + 0.8 * random(n),
+        known_diffuse=random(n, 3),
+        moments=lambda *_, **__: moments,
+        open_cones=lambda _: cones,
+        open_lines=lambda *_: (torch.zeros(8, 3), torch.ones(8, 3)),
+    )
     palette = Palette(random(2, 3), torch.full((2,), 0.3), torch.tensor([0.0, 1.0]))
     label, target = torch.arange(n) % 2, random(n, 3)
     start = UnseenLight(8, 4.0, "cpu")

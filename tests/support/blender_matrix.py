@@ -38,22 +38,26 @@ def environment(version: str) -> str:
     if subprocess.run([python, "-c", "import bpy"], capture_output=True).returncode if python.exists() else True:
         print(f"Blender {version}: installing", flush=True)
         subprocess.run([find_python(PYTHON_OF[version]), "-m", "venv", "--clear", ENVIRONMENTS / version], check=True)
-        subprocess.run([python, "-m", "pip", "install", "--quiet", f"bpy=={version}.*"], check=True,
-                       timeout=INSTALL_LIMIT_S)
+        subprocess.run([python, "-m", "pip", "install", "--quiet", f"bpy=={version}.*"], check=True, timeout=INSTALL_LIMIT_S)
     return str(python)
 
 
 def main(versions: list[str]) -> int:
-    subprocess.run([sys.executable, "-m", "blender_nep", "reconstruct", CAPTURE, "--out", ASSET, "--preset", "preview",
-                    "--resume"], check=True, timeout=ENGINE_LIMIT_S, cwd=extension.ROOT)
+    subprocess.run(
+        [sys.executable, "-m", "blender_nep", "reconstruct", CAPTURE, "--out", ASSET, "--preset", "preview", "--resume"],
+        check=True,
+        timeout=ENGINE_LIMIT_S,
+        cwd=extension.ROOT,
+    )
     failed = []
     for version in versions:
         python = environment(version)
         with tempfile.TemporaryDirectory() as folder:
             archive = extension.build(Path(folder) / "blender_nep.zip")
             try:
-                ended = extension.session(python, sys.executable, archive, CAPTURE, ASSET, Path(folder) / "session",
-                                          SESSION_LIMIT_S)
+                ended = extension.session(
+                    python, sys.executable, archive, CAPTURE, ASSET, Path(folder) / "session", SESSION_LIMIT_S
+                )
                 told, code = ended.stdout, ended.returncode
             except subprocess.TimeoutExpired as error:
                 told, code = (error.stdout or b"").decode(errors="replace"), f"none after {SESSION_LIMIT_S} s"

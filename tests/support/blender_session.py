@@ -40,8 +40,15 @@ def check_install(archive: str) -> None:
         assert getattr(bpy.ops.nep, name).get_rna_type().description not in ("", "(undocumented operator)"), name
     known = set(bpy.types.UILayout.bl_rna.functions["prop"].parameters.keys())
     assert {"placeholder", "icon", "text"} <= known and "progress" in bpy.types.UILayout.bl_rna.functions
-    for name in ("clear_cameras", "capture_from_scene", "propose_bounds", "clear_bounds", "use_recovered_light",
-                 "cancel_comparison", "show_comparison"):
+    for name in (
+        "clear_cameras",
+        "capture_from_scene",
+        "propose_bounds",
+        "clear_bounds",
+        "use_recovered_light",
+        "cancel_comparison",
+        "show_comparison",
+    ):
         assert not getattr(bpy.ops.nep, name).poll(), name
 
 
@@ -54,7 +61,7 @@ def check_cameras(capture: Path) -> None:
     assert bpy.ops.nep.load_cameras() == {"FINISHED"}
     meta = json.loads((capture / "transforms.json").read_text())
     scene, rng = bpy.context.scene, np.random.default_rng(0)
-    collection, = (c for c in scene.collection.children if c.name.startswith("NeP cameras"))
+    (collection,) = (c for c in scene.collection.children if c.name.startswith("NeP cameras"))
     cameras = sorted(collection.objects, key=lambda item: item.name)
     assert collection.name == f"NeP cameras: {capture.name}"
     assert len(cameras) == len(meta["frames"]) == len(bpy.data.cameras) == len(bpy.data.images)
@@ -98,6 +105,7 @@ def check_capture_from_scene(capture: Path, folder: Path) -> None:
 
 def check_bounds(capture: Path, from_scene: Path) -> None:
     """The capture's own sphere; the engine's estimate where it has none; what an artist does to it reaches the engine."""
+
     def told() -> list[float]:
         given = addon("bounds").bounds_arguments(bpy.context.scene)
         assert (given[0], given[4]) == ("--object-center", "--object-radius") and len(given) == 6
@@ -153,9 +161,12 @@ def check_object(item, asset: Path) -> None:
         cosine = (given * shown).sum(1) / np.linalg.norm(given, axis=1)
         assert np.percentile(cosine, 1) > 0.9999, "the mesh is shaded with its own normals"
     principled = next(node for node in mesh.materials[0].node_tree.nodes if node.type == "BSDF_PRINCIPLED")
-    for socket, name, space in (("Base Color", "albedo", "sRGB"), ("Roughness", "roughness", "Non-Color"),
-                                ("Metallic", "metallic", "Non-Color")):
-        link, = principled.inputs[socket].links
+    for socket, name, space in (
+        ("Base Color", "albedo", "sRGB"),
+        ("Roughness", "roughness", "Non-Color"),
+        ("Metallic", "metallic", "Non-Color"),
+    ):
+        (link,) = principled.inputs[socket].links
         assert link.from_node.name == name and link.from_node.image.colorspace_settings.name == space
         assert link.from_node.image.packed_file
     confidence = mesh.materials[0].node_tree.nodes["confidence"]
@@ -175,17 +186,21 @@ def check_import(asset: Path, folder: Path) -> None:
     assert image.filepath.startswith("//") and not image.packed_file
     damaged = folder / "damaged"
     shutil.copytree(asset, damaged)
-    counts = [len(kind) for kind in (bpy.data.objects, bpy.data.meshes, bpy.data.materials, bpy.data.images,
-                                     bpy.data.worlds)]
-    for spoil, message in ((lambda: (damaged / "environment.exr").write_bytes(b"torn"), "environment.exr"),
-                           (lambda: (damaged / "textures" / "metallic.png").write_bytes(b"torn"), "metallic.png"),
-                           (lambda: [path.unlink() for path in (damaged / "textures").glob("metallic.*")], "incomplete"),
-                           (lambda: (damaged / "mesh.obj").unlink(), "no mesh.obj"),
-                           (lambda: shutil.rmtree(damaged), "there is no folder")):
+    counts = [
+        len(kind) for kind in (bpy.data.objects, bpy.data.meshes, bpy.data.materials, bpy.data.images, bpy.data.worlds)
+    ]
+    for spoil, message in (
+        (lambda: (damaged / "environment.exr").write_bytes(b"torn"), "environment.exr"),
+        (lambda: (damaged / "textures" / "metallic.png").write_bytes(b"torn"), "metallic.png"),
+        (lambda: [path.unlink() for path in (damaged / "textures").glob("metallic.*")], "incomplete"),
+        (lambda: (damaged / "mesh.obj").unlink(), "no mesh.obj"),
+        (lambda: shutil.rmtree(damaged), "there is no folder"),
+    ):
         spoil()
         fails(lambda: bpy.ops.nep.import_result(folder=str(damaged)), message)
-        assert counts == [len(kind) for kind in (bpy.data.objects, bpy.data.meshes, bpy.data.materials, bpy.data.images,
-                                                 bpy.data.worlds)]
+        assert counts == [
+            len(kind) for kind in (bpy.data.objects, bpy.data.meshes, bpy.data.materials, bpy.data.images, bpy.data.worlds)
+        ]
 
 
 def check_light() -> None:
@@ -205,8 +220,14 @@ def check_comparison(asset: Path, folder: Path) -> None:
     fails(lambda: bpy.ops.nep.render_comparison(capture=str(folder)), "transforms.json")
     picture = folder / "sheet.png"
     assert bpy.ops.nep.render_comparison(
-        asset=str(asset), output=str(picture), lights={"studio"}, light_file=str(asset / "environment.exr"), photos=1,
-        turntable=4, samples=2) == {"FINISHED"}
+        asset=str(asset),
+        output=str(picture),
+        lights={"studio"},
+        light_file=str(asset / "environment.exr"),
+        photos=1,
+        turntable=4,
+        samples=2,
+    ) == {"FINISHED"}
     image = bpy.data.images["NeP comparison"]
     width, height = image.size
     assert width == 6 + 4 * 326 and 58 + 326 + 34 + 200 < height  # 4 columns, one row, a strip of 4
@@ -214,12 +235,13 @@ def check_comparison(asset: Path, folder: Path) -> None:
     image.pixels.foreach_get(pixels)
     tiles = pixels.reshape(height, width, 4)[::-1, :, :3]
     for row, column in [(58, 6 + 326 * n) for n in range(4)] + [(58 + 326 + 34, 6 + 326 * n) for n in range(4)]:
-        assert tiles[row:row + 300, column:column + 300].std() > 0.02, (row, column)
-    assert tiles[58 + 326:58 + 326 + 34].max() > 0.8, "the strip has a title"
+        assert tiles[row : row + 300, column : column + 300].std() > 0.02, (row, column)
+    assert tiles[58 + 326 : 58 + 326 + 34].max() > 0.8, "the strip has a title"
     assert (scenes, objects) == (len(bpy.data.scenes), len(bpy.data.objects)) and addon("comparison").task is None
 
     addon("comparison").task = task = addon("comparison").ComparisonTask(
-        ["--asset", str(asset), "--capture", nep().capture, "--out", str(folder / "never.png"), "--samples", "100000"])
+        ["--asset", str(asset), "--capture", nep().capture, "--out", str(folder / "never.png"), "--samples", "100000"]
+    )
     assert not bpy.ops.nep.render_comparison.poll() and bpy.ops.nep.cancel_comparison() == {"FINISHED"}
     addon("clock").look_after(task, wait=True)
     assert bpy.ops.nep.show_comparison.poll()

@@ -36,6 +36,16 @@ def session(python: str, engine: str, archive: Path, capture: Path, asset: Path,
     (folder / "user").mkdir(parents=True)
     (folder / "work").mkdir()
     variables = os.environ | {"BLENDER_USER_RESOURCES": str(folder / "user"), "NEP_ENGINE_PYTHON": engine}
-    return subprocess.run([python, str(Path(__file__).with_name("blender_session.py")), *map(str, (archive, capture, asset)),
-                           str(folder / "work")], env=variables, stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
-                          text=True, timeout=limit)
+    return subprocess.run(
+        [
+            python,
+            str(Path(__file__).with_name("blender_session.py")),
+            *map(str, (archive, capture, asset)),
+            str(folder / "work"),
+        ],
+        env=variables,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+        timeout=limit,
+    )

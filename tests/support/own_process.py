@@ -10,5 +10,10 @@ from support.paths import ROOT, TESTS
 def run_file(file: str, *arguments: object, timeout: float, **variables: str) -> subprocess.CompletedProcess:
     """Run a test file as a script, with `variables` in its environment."""
     path = os.pathsep.join(map(str, (ROOT, TESTS)))
-    return subprocess.run([sys.executable, file, *map(str, arguments)], capture_output=True, text=True, timeout=timeout,
-                          env=os.environ | {"PYTHONPATH": path} | variables)
+    return subprocess.run(
+        [sys.executable, file, *map(str, arguments)],
+        capture_output=True,
+        text=True,
+        timeout=timeout,
+        env=os.environ | {"PYTHONPATH": path} | variables,
+    )

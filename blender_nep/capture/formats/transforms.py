@@ -41,9 +41,7 @@ def load_capture(
     warnings: list[str] = []
     frames = meta.get("frames")
     if not isinstance(frames, list) or not frames:
-        raise CaptureError(
-            f"{transforms} lists no frames", "It needs a list 'frames' with file_path and transform_matrix."
-        )
+        raise CaptureError(f"{transforms} lists no frames", "It needs a list 'frames' with file_path and transform_matrix.")
     if len(frames) < MINIMUM_VIEWS:
         raise CaptureError(
             f"{len(frames)} photo{'s'[: len(frames) - 1]}: at least {MINIMUM_VIEWS} from different places are needed",
@@ -127,16 +125,12 @@ def _view(folder: Path, meta: dict, frame: dict, n: int, rescaled: list[str]) ->
             f"photo {name} is missing", f"Put it back into {folder}, or take its frame out of transforms.json."
         )
     if image.suffix.lower() not in SUFFIXES:
-        raise CaptureError(
-            f"{name}: only {', '.join(s[1:] for s in SUFFIXES)} photos can be read", "Convert the photos."
-        )
+        raise CaptureError(f"{name}: only {', '.join(s[1:] for s in SUFFIXES)} photos can be read", "Convert the photos.")
     mask = None
     if frame.get("mask_path"):
         mask = find_image(folder, str(frame["mask_path"]))
         if mask is None:
-            raise CaptureError(
-                f"mask {frame['mask_path']} is missing", "Put it back, or take mask_path out of its frame."
-            )
+            raise CaptureError(f"mask {frame['mask_path']} is missing", "Put it back, or take mask_path out of its frame.")
     return View(Path(name).stem, image, mask, _camera(meta, frame, name, image_size(image), rescaled))
 
 
@@ -182,9 +176,7 @@ def _matrix(frame: dict, name: str) -> np.ndarray:
             "Camera-to-world needs a pure rotation and a position.",
         )
     if np.linalg.det(u @ v) < 0:
-        raise CaptureError(
-            f"{name}: transform_matrix mirrors", "Cameras are right-handed, look down -z, x right, y up."
-        )
+        raise CaptureError(f"{name}: transform_matrix mirrors", "Cameras are right-handed, look down -z, x right, y up.")
     matrix[:3, :3] = u @ v
     return matrix
 
@@ -199,13 +191,17 @@ def _check_places(views: list[View], warnings: list[str]) -> None:
     turns = np.stack([v.camera.camera_to_world[:3, :3].ravel() for v in views])
     cell = np.round(1e6 * np.concatenate([(places - places[0]) / spread, turns], 1)).astype(np.int64)
     if len(np.unique(cell[:, :3], axis=0)) < MINIMUM_VIEWS:
-        raise CaptureError("the photos were taken from only 2 different places",
-                           f"At least {MINIMUM_VIEWS} places are needed; 20 and more all around the object work well.")
+        raise CaptureError(
+            "the photos were taken from only 2 different places",
+            f"At least {MINIMUM_VIEWS} places are needed; 20 and more all around the object work well.",
+        )
     _, first = np.unique(cell, axis=0, return_index=True)
     again = [views[i].name for i in sorted(set(range(len(views))) - set(first.tolist()))]
     if again:
-        warnings.append(f"{len(again)} photos were taken from the same place in the same direction as others and add "
-                        f"nothing to the shape: {shortened(again)}")
+        warnings.append(
+            f"{len(again)} photos were taken from the same place in the same direction as others and add "
+            f"nothing to the shape: {shortened(again)}"
+        )
 
 
 def _color_space(meta: dict, views: list[View], warnings: list[str]) -> str:
@@ -237,16 +233,12 @@ def _set_bounds(capture: Capture, meta: dict, use_masks: bool) -> None:
     capture.object_center, capture.object_radius = sphere_from_cameras(cameras)
     capture.bounds_source = "cameras"
     masks = (
-        [_coarse(capture.load_mask(i)) for i in range(len(cameras))]
-        if use_masks and _may_have_masks(capture)
-        else [None]
+        [_coarse(capture.load_mask(i)) for i in range(len(cameras))] if use_masks and _may_have_masks(capture) else [None]
     )
     if all(m is not None for m in masks):
         sphere = sphere_from_masks(cameras, masks, capture.object_center, capture.object_radius)
         if sphere is None:
-            capture.warnings.append(
-                "the masks agree on no common volume: the object's sphere is estimated from the cameras"
-            )
+            capture.warnings.append("the masks agree on no common volume: the object's sphere is estimated from the cameras")
             return
         nearest = min(np.linalg.norm(c.position - sphere[0]) for c in cameras)
         capture.object_center, capture.object_radius = sphere[0], min(sphere[1], 0.9 * nearest)
