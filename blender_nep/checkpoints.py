@@ -1,7 +1,7 @@
 """Checkpoints of a job, and the wish to stop it.
 
-Everything lies in the asset's `checkpoints/`: `run.json` (what is being run), `ROOM.pt` (a room that is under way, with
-the state before it as `ROOM.previous.pt`) and `ROOM.done.pt` (a room's result). Files are written under a temporary
+Everything lies in the asset's `checkpoints/`: `run.json` (what is being run), `STAGE.pt` (a stage that is under way, with
+the state before it as `STAGE.previous.pt`) and `STAGE.done.pt` (a stage's result). Files are written under a temporary
 name, flushed to the disk and renamed, so that a kill at any moment leaves the old one or the new one.
 """
 
@@ -161,7 +161,7 @@ def _unpack(value: Any) -> Any:
 
 
 class Checkpoint:
-    """The state of one room that is under way: due every `interval` seconds, the last two are kept."""
+    """The state of one stage that is under way: due every `interval` seconds, the last two are kept."""
 
     interval = 15.0
     """Seconds between two saves; a save that takes long stretches it, up to 25."""
@@ -169,20 +169,20 @@ class Checkpoint:
     def __init__(
         self,
         folder: Path,
-        room: str,
+        stage: str,
         stop: StopRequest,
         warn: Callable[[str], None],
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        self.path = folder / f"{room}.pt"
-        self.previous = folder / f"{room}.previous.pt"
+        self.path = folder / f"{stage}.pt"
+        self.previous = folder / f"{stage}.previous.pt"
         self._stop, self._warn, self._clock = stop, warn, clock
         self._started = self._saved = clock()
         self._wait = self.interval
         self.seconds_before = 0.0
-        """Seconds that earlier, killed runs spent in this room up to the loaded state."""
+        """Seconds that earlier, killed runs spent in this stage up to the loaded state."""
         self.loaded = False
-        """Whether `load` gave a state: the room is resumed in its middle."""
+        """Whether `load` gave a state: the stage is resumed in its middle."""
         self._saved_for_stop = False
 
     @property
@@ -207,7 +207,7 @@ class Checkpoint:
         self._saved_for_stop |= stopping
 
     def load(self) -> dict | None:
-        """The newest readable state, or None when the room starts from its beginning."""
+        """The newest readable state, or None when the stage starts from its beginning."""
         for path in (self.path, self.previous):
             if not path.exists():
                 continue
@@ -221,16 +221,16 @@ class Checkpoint:
         return None
 
     def raise_if_stopped(self, *, saves: bool) -> None:
-        """Raise Stopped once a stop was asked for and, in a room that `saves`, its state is on the disk."""
+        """Raise Stopped once a stop was asked for and, in a stage that `saves`, its state is on the disk."""
         if self.stopping and (self._saved_for_stop or not saves):
             raise Stopped(f"stopped ({self._stop.reason}); the checkpoint is written", "Go on with --resume.")
 
     def seconds(self) -> float:
-        """Seconds spent in this room, earlier runs included."""
+        """Seconds spent in this stage, earlier runs included."""
         return self.seconds_before + self._clock() - self._started
 
     def remove(self) -> None:
-        """Drop the room's states: its result is on the disk."""
+        """Drop the stage's states: its result is on the disk."""
         for path in (self.path, self.previous):
             path.unlink(missing_ok=True)
 

@@ -20,14 +20,14 @@ class FieldsPreset:
     """Share of the pixels that must miss the sphere for F_e to be learned first."""
     least_contrast: float = 2.0
     """A hull's silhouette values inside over outside; under it the SDF starts from a sphere."""
-    shyness: float = 0.1
-    """Scale of F_e's gradients from pixels that see the object's sphere, until `shy_until`."""
-    shy_until: float = 0.5
+    environment_gradient_scale: float = 0.1
+    """Scale of F_e's gradients from pixels that see the object's sphere, until `environment_gradient_scale_until`."""
+    environment_gradient_scale_until: float = 0.5
     object_rays: int = 1536
     """Rays a step through pixels in which the object is seen; before the first look, in which its sphere is."""
-    look_at: tuple[float, ...] = (0.25, 0.5, 0.75)
+    object_pixels_at: tuple[float, ...] = (0.25, 0.5, 0.75)
     """When to look in which pixels the object is seen."""
-    check_every: float = 0.05
+    validate_every: float = 0.05
     """How often the error on held-out pixels is measured, from the first look on."""
     patience: int = 3
     least_gain: float = 0.005
@@ -69,14 +69,14 @@ class FieldsPreset:
     it then falls to `last_curvature`."""
     last_curvature: float = 1e-4
     mask: float = 0.5
-    white: float = 3.0
+    highlight_threshold: float = 3.0
     """What is brighter than so many geometric means of what the photos show around the object counts little where the object
     is seen: highlights move with the camera, say little of the shape, and would rule the error. inf: they count in full."""
     dynamic_weight: str = "none"
     """none, paper (eq. 5 as printed) or scaled: see fields_learning.dynamic_weight."""
     decomposition: bool = True
     """False: one radiance head of position, normal and view direction, as in plain NeuS (an ablation)."""
-    least_evidence: float = 1.4
+    least_explanation_ratio: float = 1.4
     """How much better the object must explain its pixels than F_e alone; 0 turns the check off. Measured: 0.6 and
     1.1 for spheres of air, 1.9 to 8.6 for objects."""
 
@@ -109,16 +109,16 @@ class EnvironmentPreset:
     learning_rate: float = 0.05
     adam_eps: float = 1e-8
     density_variation: float = 1e-3
-    colour_variation: float = 1e-3
+    color_variation: float = 1e-3
     variation_softness: float = 0.05
     """Raw differences below this cost quadratically, above linearly."""
     density_penalty: float = 1e-3
-    front_opacity: float = 0.05
+    foreground_opacity: float = 0.05
     """Cost of opacity between a camera and the place where its ray is nearest to the object, in tone-mapped error. Without
-    it a haze grows there, different for each photo, and lamps grow too bright to shine through it."""
+    it fog grows there, different for each photo, and lamps grow too bright to shine through it."""
     regularised_fraction: float = 0.25
     """Part of the shells that each step regularises."""
-    coverage_evidence: float = 0.3
+    coverage_weight: float = 0.3
     """Rays' worth of weight from which on a node counts as seen, of `coverage_rays` camera rays."""
     coverage_rays: int = 200_000
     rays_per_step: int = 4096
@@ -149,14 +149,14 @@ class MaterialPreset:
     """Photo pixels that the materials are learned from."""
     least_cosine: float = 0.25
     """Pixels seen at a smaller cosine are grazing and left out."""
-    ladder: tuple[float, ...] = (0.04, 0.07, 0.1, 0.13, 0.17, 0.22, 0.28, 0.36, 0.46, 0.6, 0.78, 1.0)
+    roughness_levels: tuple[float, ...] = (0.04, 0.07, 0.1, 0.13, 0.17, 0.22, 0.28, 0.36, 0.46, 0.6, 0.78, 1.0)
     """Roughnesses at which the specular light is prefiltered."""
     diffuse_cones: int = 8
     specular_cones: int = 4
     """Cones a lobe (paper, section 3.3), where what a ray hits is shaded."""
     irradiance_cones: int = 32
     """Cones of the diffuse lobe of what the photos show; these are traced once. The specular lobe has specular_cones for
-    each roughness of the ladder."""
+    each roughness level."""
     use_cones: bool = True
     """False: as many infinitely thin rays (the paper's ablation without cones)."""
     levels: int = 2
@@ -175,9 +175,9 @@ class MaterialPreset:
     """Cost of its total variation, tone-mapped from texel to texel, in tone-mapped error."""
     unseen_prior: float = 1e-2
     """Cost of its mean, tone-mapped, in tone-mapped error: light made up must explain more than it costs."""
-    unseen_colour: float = 0.01
-    """Cost of the share of its flux that is not grey: coloured light on a grey thing looks like the reverse."""
-    voters: int = 240_000
+    unseen_color: float = 0.01
+    """Cost of the share of its flux that is not grey: colored light on a grey thing looks like the reverse."""
+    label_pixels: int = 240_000
     """Pixels that say where which material lies, by the light of the samples beside them."""
     metallic: tuple[float, ...] = (0.0, 1.0)
     """Hypotheses compared by their residual."""
@@ -225,7 +225,7 @@ class Preset:
     fields_seconds: float = 95.0
     surface_seconds: float = 5.0
     material_seconds: float = 70.0
-    """What the three long rooms take on two cores: first guess of the time left, corrected as the job runs."""
+    """What the three long stages take on two cores: first guess of the time left, corrected as the job runs."""
     even_exposure: bool = True
     """Find the exposure and white balance of each photo, where they differ, and even them out (`capture.exposure`)."""
     skip_needless: bool = True
@@ -250,7 +250,7 @@ PRESETS = {
         environment=EnvironmentPreset(resolutions=((20, 32), (28, 64)), refine_at=(0.25,), steps=600),
         surface=SurfacePreset(grid=144, faces=10_000, atlas_texels=512),
         material=MaterialPreset(
-            samples=12_000, voters=60_000, terminal_steps=150, unseen_samples=4000, unseen_steps=60, most_texels=512
+            samples=12_000, label_pixels=60_000, terminal_steps=150, unseen_samples=4000, unseen_steps=60, most_texels=512
         ),
     ),
     "balanced": Preset(),
@@ -264,7 +264,7 @@ PRESETS = {
         fields=FieldsPreset(background_steps=400, steps=4500, object_rays=2048, last_sharpness=400),
         environment=EnvironmentPreset(steps=4000),
         surface=SurfacePreset(grid=288, faces=60_000, atlas_texels=2048),
-        material=MaterialPreset(samples=80_000, voters=600_000, unseen_samples=16_000, most_texels=2048),
+        material=MaterialPreset(samples=80_000, label_pixels=600_000, unseen_samples=16_000, most_texels=2048),
     ),
 }
 

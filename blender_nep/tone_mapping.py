@@ -16,6 +16,7 @@ def tone_map(radiance: torch.Tensor) -> torch.Tensor:
     return torch.log1p(4 * radiance.clamp(min=0)) / _SCALE
 
 
-def tone_map_without_highlights(radiance: torch.Tensor, white: float) -> torch.Tensor:
-    """`tone_map` up to `white`; above it hardly rises, and still tells brighter from darker: HIGHLIGHT log(x / white)."""
-    return tone_map(radiance.clamp(max=white)) + HIGHLIGHT * (radiance / white).clamp(min=1).log()
+def tone_map_without_highlights(radiance: torch.Tensor, threshold: float) -> torch.Tensor:
+    """`tone_map` up to `threshold`. Above it the value rises by HIGHLIGHT log(x / threshold): hardly, and still enough
+    to tell brighter from darker."""
+    return tone_map(radiance.clamp(max=threshold)) + HIGHLIGHT * (radiance / threshold).clamp(min=1).log()

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 
-ROOMS = {
+STAGES = {
     "capture": "Reading the photos",
     "fields_learning": "Learning shape and light",
     "surface": "Making the mesh",
@@ -16,7 +16,7 @@ class Progress:
     """`fraction` of the whole job 0..1, step and steps of its present part (0: none to count), seconds left or None."""
 
     fraction: float = 0.0
-    room: str = "Starting the engine"
+    stage: str = "Starting the engine"
     step: int = 0
     steps: int = 0
     eta_s: float | None = None
@@ -24,10 +24,10 @@ class Progress:
     @classmethod
     def of(cls, event: dict) -> "Progress":
         """A `progress` event of the engine."""
-        room, eta = str(event.get("room", "")), event.get("eta_s")
+        stage, eta = str(event.get("stage", "")), event.get("eta_s")
         return cls(
             min(max(float(event.get("fraction") or 0), 0.0), 1.0),
-            ROOMS.get(room, room.replace("_", " ")),
+            STAGES.get(stage, stage.replace("_", " ")),
             int(event.get("step") or 0),
             int(event.get("steps") or 0),
             None if eta is None else float(eta),
@@ -35,7 +35,7 @@ class Progress:
 
     def lines(self) -> list[str]:
         """What is being done; the step; the time left."""
-        found = [self.room]
+        found = [self.stage]
         if self.steps > 1:
             found.append(f"Step {self.step} of {self.steps}")
         if self.eta_s is not None:

@@ -14,7 +14,7 @@ class Texture:
 
     name: str
     socket: str
-    is_colour: bool
+    is_color: bool
     label: str
 
 
@@ -92,7 +92,7 @@ def build_material(name: str, textures: Path, *, pack: bool = True):
     return material
 
 
-def load_image(path: Path, *, colour_space: str, pack: bool):
+def load_image(path: Path, *, color_space: str, pack: bool):
     """An image data-block; packed, or else with a path relative to the saved file where there is one."""
     try:
         image = bpy.data.images.load(str(path), check_existing=False)
@@ -101,7 +101,7 @@ def load_image(path: Path, *, colour_space: str, pack: bool):
     if not image.size[0]:  # Blender reads the pixels only when asked, and says nothing of a torn file
         bpy.data.images.remove(image)
         raise OSError(f"Blender cannot read the image {path}")
-    image.colorspace_settings.name = colour_space
+    image.colorspace_settings.name = color_space
     if pack:
         image.pack()
     elif bpy.data.is_saved:
@@ -112,11 +112,11 @@ def load_image(path: Path, *, colour_space: str, pack: bool):
 def _texture_image(folder: Path, texture: Texture, pack: bool):
     """The 8-bit file where it exists (what other programs read, and a quarter of the size), else the EXR."""
     path = folder / f"{texture.name}.png"
-    space = "sRGB" if texture.is_colour else "Non-Color"
+    space = "sRGB" if texture.is_color else "Non-Color"
     if not path.is_file():
         path = folder / f"{texture.name}.exr"
-        space = "Linear Rec.709" if texture.is_colour else "Non-Color"
-    return load_image(path, colour_space=space, pack=pack)
+        space = "Linear Rec.709" if texture.is_color else "Non-Color"
+    return load_image(path, color_space=space, pack=pack)
 
 
 def _shade_smooth(mesh) -> None:

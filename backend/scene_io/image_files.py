@@ -1,4 +1,4 @@
-"""Image files as numpy arrays whose row 0 is the top row, without Blender's colour management in between.
+"""Image files as numpy arrays whose row 0 is the top row, without Blender's color management in between.
 
 `read_exr`/`write_exr` know the plain scan-line form of OpenEXR (uncompressed or ZIP; "OpenEXR File Layout" of the
 Academy Software Foundation) because Blender shows Python no pixels of a multilayer file's passes. Every other file is

@@ -10,13 +10,13 @@ import bpy
 
 from .asset_import import load_image
 
-COLOUR_SPACE = "Linear Rec.709"
+COLOR_SPACE = "Linear Rec.709"
 HDRI_ORDER = ("studio", "forest", "sunset", "interior", "city", "courtyard", "sunrise", "night")  # most unlike first
 
 
 def build_world(path: Path, *, name: str, pack: bool = True):
     """A World that shines with the equirectangular image at `path`, strength 1. OSError where it cannot be read."""
-    image = load_image(path, colour_space=COLOUR_SPACE, pack=pack)
+    image = load_image(path, color_space=COLOR_SPACE, pack=pack)
     world = bpy.data.worlds.new(name)
     if not world.use_nodes:
         world.use_nodes = True

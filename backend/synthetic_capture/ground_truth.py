@@ -9,7 +9,7 @@ import numpy as np
 
 from ..rendering.cycles_settings import use_cycles
 from ..scene_io.image_files import read_exr, still_image
-from .scenes import GROUND_TRUTH_COLOUR, GROUND_TRUTH_VALUES
+from .scenes import GROUND_TRUTH_COLOR, GROUND_TRUTH_VALUES
 
 BOUNCES = 5
 INDIRECT_CLAMP = 20.0  # radiance; keeps fireflies out of few samples, above what highlights reflect
@@ -34,10 +34,10 @@ class ViewRenderer:
         scene.cycles.caustics_reflective = scene.cycles.caustics_refractive = False
         layer = self.layer = scene.view_layers[0]
         layer.use_pass_z = layer.use_pass_normal = True
-        for name in (GROUND_TRUTH_COLOUR, *GROUND_TRUTH_VALUES):
+        for name in (GROUND_TRUTH_COLOR, *GROUND_TRUTH_VALUES):
             aov = layer.aovs.add()
             aov.name = name
-            aov.type = "COLOR" if name == GROUND_TRUTH_COLOUR else "VALUE"
+            aov.type = "COLOR" if name == GROUND_TRUTH_COLOR else "VALUE"
 
     @property
     def focal_length(self) -> float:

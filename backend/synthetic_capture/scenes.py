@@ -23,7 +23,7 @@ FILL = 0.97  # of OBJECT_RADIUS taken by the object, so that no vertex touches t
 class Substance:
     """What a patch of the object is made of: linear Base Color, Principled roughness and metallic."""
 
-    colour: tuple[float, float, float]
+    color: tuple[float, float, float]
     roughness: float
     metallic: float
 
@@ -38,7 +38,7 @@ MATERIALS = {
     "glaze": ("patches", (Substance((0.7, 0.6, 0.4), 0.12, 0.0), Substance((0.05, 0.25, 0.2), 0.12, 0.0))),
 }
 DEFAULT_MATERIAL = {"suzanne": "gold", "box": "patches"}
-GROUND_TRUTH_COLOUR = "albedo"
+GROUND_TRUTH_COLOR = "albedo"
 GROUND_TRUTH_VALUES = ("roughness", "metallic", "mask")
 
 
@@ -154,7 +154,7 @@ def _object_material(pattern: str, substances: tuple[Substance, ...], rng: np.ra
     factor = None if pattern == "uniform" else _pattern(nodes, links, pattern, rng)
     first, second = substances[0], substances[-1]
     sockets = {
-        "albedo": _blend(nodes, links, factor, first.colour, second.colour),
+        "albedo": _blend(nodes, links, factor, first.color, second.color),
         "roughness": _blend(nodes, links, factor, (first.roughness,) * 3, (second.roughness,) * 3),
         "metallic": _blend(nodes, links, factor, (first.metallic,) * 3, (second.metallic,) * 3),
         "mask": _blend(nodes, links, None, (1, 1, 1), (1, 1, 1)),
@@ -164,7 +164,7 @@ def _object_material(pattern: str, substances: tuple[Substance, ...], rng: np.ra
     for name, output in sockets.items():
         aov = nodes.new("ShaderNodeOutputAOV")
         aov.aov_name = name
-        links.new(output, aov.inputs["Color" if name == GROUND_TRUTH_COLOUR else "Value"])
+        links.new(output, aov.inputs["Color" if name == GROUND_TRUTH_COLOR else "Value"])
     return material
 
 
@@ -198,8 +198,8 @@ def _pattern(nodes, links, pattern: str, rng: np.random.Generator):
 def _blend(nodes, links, factor, first, second):
     mix = nodes.new("ShaderNodeMix")
     mix.data_type = "RGBA"
-    colours = [socket for socket in mix.inputs if socket.type == "RGBA"]
-    colours[0].default_value, colours[1].default_value = (*first, 1), (*second, 1)
+    colors = [socket for socket in mix.inputs if socket.type == "RGBA"]
+    colors[0].default_value, colors[1].default_value = (*first, 1), (*second, 1)
     mix.inputs[0].default_value = 0
     if factor is not None:
         links.new(factor, mix.inputs[0])
@@ -231,13 +231,13 @@ def _room(rng: np.random.Generator) -> list:
 def _lights(rng: np.random.Generator) -> list:
     bar = _surface("window bars", rng, 0.6)
     lights = []
-    for name, location, size, colour, strength in (
+    for name, location, size, color, strength in (
         ("window", (-HALF_WIDTH + 0.02, 0.8, 1.5), (0.04, 3.0, 2.0), (0.9, 0.95, 1.0), 8.0),
         ("ceiling lamp", (1.5, 1.0, CEILING - 0.03), (1.8, 1.2, 0.04), (1.0, 0.95, 0.85), 22.0),
         ("lantern", (-3.0, -3.0, 2.6), (0.8, 0.8, 0.8), (0.6, 0.8, 1.0), 10.0),
     ):
         item = _box(name, location, size)
-        item.data.materials.append(_emission(name, colour, strength))
+        item.data.materials.append(_emission(name, color, strength))
         lights.append(item)
     for name, location, size in (
         ("bar0", (-HALF_WIDTH + 0.07, 0.8, 1.5), (0.06, 0.1, 2.1)),
@@ -298,18 +298,18 @@ def _box(name: str, location, size):
 
 
 def _surface(name: str, rng: np.random.Generator, roughness: float, checker: float = 0, pale: bool = False):
-    """A dielectric of random colour, or of two in a checker with `checker` cells per unit of world length."""
+    """A dielectric of random color, or of two in a checker with `checker` cells per unit of world length."""
     material = bpy.data.materials.new(name)
     material.use_nodes = True
     nodes, links = material.node_tree.nodes, material.node_tree.links
     principled = next(node for node in nodes if node.type == "BSDF_PRINCIPLED")
     principled.inputs["Roughness"].default_value = roughness
-    colours = [(0.8, 0.8, 0.78, 1)] if pale else [(*rng.uniform(0.05, 0.8, 3), 1) for _ in range(2)]
-    principled.inputs["Base Color"].default_value = colours[0]
+    colors = [(0.8, 0.8, 0.78, 1)] if pale else [(*rng.uniform(0.05, 0.8, 3), 1) for _ in range(2)]
+    principled.inputs["Base Color"].default_value = colors[0]
     if checker:
         texture = nodes.new("ShaderNodeTexChecker")
         texture.inputs["Scale"].default_value = checker
-        texture.inputs["Color1"].default_value, texture.inputs["Color2"].default_value = colours
+        texture.inputs["Color1"].default_value, texture.inputs["Color2"].default_value = colors
         position = nodes.new("ShaderNodeNewGeometry").outputs["Position"]
         shift = nodes.new("ShaderNodeVectorMath")  # keeps cell borders off the flat faces, where they would flicker
         shift.inputs[1].default_value = (0.0171, 0.0171, 0.0171)
@@ -319,11 +319,11 @@ def _surface(name: str, rng: np.random.Generator, roughness: float, checker: flo
     return material
 
 
-def _emission(name: str, colour, strength: float):
+def _emission(name: str, color, strength: float):
     material = bpy.data.materials.new(name)
     material.use_nodes = True
     principled = next(node for node in material.node_tree.nodes if node.type == "BSDF_PRINCIPLED")
-    principled.inputs["Base Color"].default_value = (*colour, 1)
-    principled.inputs["Emission Color"].default_value = (*colour, 1)
+    principled.inputs["Base Color"].default_value = (*color, 1)
+    principled.inputs["Emission Color"].default_value = (*color, 1)
     principled.inputs["Emission Strength"].default_value = strength
     return material

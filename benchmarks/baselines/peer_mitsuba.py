@@ -83,9 +83,9 @@ def our_cells(suite: Path, captures: Iterable[str]) -> list[list]:
         for preset_name in presets_of(ours.where(capture=capture)):
             at = ours.where(capture=capture, preset=preset_name)
             scores = [at.figure(name) for name in COLUMNS if name != "cpu_seconds"]
-            rooms = [at.figure(f"cpu_seconds_{room}") for room in ("fields_learning", "material_learning")]
-            if None not in scores + rooms:
-                lines.append([capture, f"ours, {preset_name}", *(f.mean for f in scores), sum(f.mean for f in rooms)])
+            stages = [at.figure(f"cpu_seconds_{stage}") for stage in ("fields_learning", "material_learning")]
+            if None not in scores + stages:
+                lines.append([capture, f"ours, {preset_name}", *(f.mean for f in scores), sum(f.mean for f in stages)])
     return lines
 
 

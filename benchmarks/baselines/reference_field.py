@@ -1,7 +1,7 @@
 """The object field as published: the SDF is an MLP (NeuS, Wang et al. 2021), its normals are autograd's.
 
 Eight layers of 256, softplus, six frequencies, weight normalisation, started as a sphere (Atzmon and Lipman 2020); samples
-all along the ray in the object's sphere, half of them placed where NeuS's weights were found high. Colour is ours, with
+all along the ray in the object's sphere, half of them placed where NeuS's weights were found high. Color is ours, with
 larger MLPs. It takes the place of `ObjectField` in `learn_fields(..., object_field=...)`.
 """
 
@@ -14,12 +14,12 @@ import torch
 from torch import Tensor, nn
 
 from blender_nep.fields.encodings import positional_encoding
-from blender_nep.fields.object_field import SplineShape, SurfaceColour
+from blender_nep.fields.object_field import SplineShape, SurfaceColor
 from blender_nep.fields.volume_rendering import SurfaceSamples, neus_weights, sphere_interval
 
 OCTAVES = 6
 LAYERS, WIDTH = 8, 256
-COLOUR_LAYERS = 4
+COLOR_LAYERS = 4
 CHUNK = 1 << 16
 """Points at once where nothing is learned."""
 LOOK_CELLS = 64
@@ -28,7 +28,7 @@ ROUNDS = 4
 """In which the samples of the second half are placed, each at twice the sharpness of the one before."""
 
 
-class ReferenceField(SurfaceColour):
+class ReferenceField(SurfaceColor):
     """F_o over the unit sphere with an MLP for its SDF."""
 
     level_count = 1
@@ -37,7 +37,7 @@ class ReferenceField(SurfaceColour):
     """Width of the cells on which it is looked at, unit frame."""
 
     def __init__(self, initial_radius: float, decomposed: bool = True, width: int = WIDTH, layers: int = LAYERS) -> None:
-        super().__init__(width, decomposed, COLOUR_LAYERS)
+        super().__init__(width, decomposed, COLOR_LAYERS)
         inputs, self.skip = 3 + 6 * OCTAVES, layers // 2  # half way the encoding enters again, as in NeuS
         sizes = [inputs, *[width] * layers]
         self.layers = nn.ModuleList()

@@ -33,7 +33,7 @@ from blender_nep.capture import PixelRays, load_capture
 from blender_nep.checkpoints import Checkpoint, NoCheckpoint, StopRequest, load_state, save_state
 from blender_nep.errors import Stopped
 from blender_nep.fields.training import FieldsLearning, learn_fields
-from blender_nep.job.stages import Rooms
+from blender_nep.job.stages import Stages
 from blender_nep.materials.training import learn_materials
 from blender_nep.presets import Preset, preset
 from blender_nep.surface.extraction import extract_surface
@@ -130,7 +130,7 @@ def run(folder: Path, size: str, hours: float, steps: int | None, seed: int, kep
         save_state(
             done,
             {
-                "surface": Rooms().pack_surface(mesh),
+                "surface": Stages().pack_surface(mesh),
                 "environment": fields.environment.state_dict(),
                 "report": fields.report,
                 "seconds": checkpoint.seconds(),
@@ -138,9 +138,9 @@ def run(folder: Path, size: str, hours: float, steps: int | None, seed: int, kep
         )
         checkpoint.remove()
     state = load_state(done)
-    surface, _ = Rooms().unpack_surface(state["surface"])
+    surface, _ = Stages().unpack_surface(state["surface"])
     environment = (
-        Rooms()
+        Stages()
         .unpack_fields({"object": None, "environment": state["environment"], "report": {}}, settings, device)
         .environment
     )

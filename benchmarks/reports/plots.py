@@ -68,7 +68,7 @@ def _curves(
     points: Sequence[tuple[object, Results]],
     suffix: str = "",
     x_of: Callable[[object, Results], float] | None = None,
-    colour: int = 0,
+    color: int = 0,
 ) -> None:
     """A thin curve for each capture, a thick one for the mean where all of them have the point."""
     for name, panel in panels.items():
@@ -80,7 +80,7 @@ def _curves(
                 lines.append(line)
                 x, y, spread = zip(*line.values(), strict=True)
                 panel.errorbar(
-                    x, y, spread, color=f"C{number + colour}", lw=1, ms=3, marker=".", alpha=0.8, label=capture + suffix
+                    x, y, spread, color=f"C{number + color}", lw=1, ms=3, marker=".", alpha=0.8, label=capture + suffix
                 )
         shared = [value for value, _ in points if all(value in line for line in lines)]
         if len(lines) > 1 and shared:
@@ -145,8 +145,8 @@ def time_against_size(results: Results, file: Path) -> None:
     full = results.whole()
     figure, axes = plt.subplots(1, 2, figsize=(7, 3.1), layout="constrained")
     pairs = (
-        ("faces", "cpu_seconds_surface", "surface room, CPU seconds against faces"),
-        ("texels", "cpu_seconds_asset", "asset room, CPU seconds against texels of a texture"),
+        ("faces", "cpu_seconds_surface", "surface stage, CPU seconds against faces"),
+        ("texels", "cpu_seconds_asset", "asset stage, CPU seconds against texels of a texture"),
     )
     for panel, (size, seconds, title) in zip(axes, pairs, strict=True):
         for number, preset in enumerate(presets_of(full)):

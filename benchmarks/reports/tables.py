@@ -25,14 +25,14 @@ SCORES = {
 }
 """Figure -> heading and digits."""
 COSTS = {"seconds": ("seconds", 0), "cpu_seconds": ("CPU s", 0), "peak_mb": ("MB", 0)}
-ROOM_COSTS = {
+STAGE_COSTS = {
     "cpu_seconds_fields_learning": ("fields, CPU s", 0),
     "cpu_seconds_surface": ("surface, CPU s", 1),
     "cpu_seconds_material_learning": ("materials, CPU s", 0),
     "cpu_seconds_asset": ("asset, CPU s", 1),
 }
 NONE = "-"
-BASELINES = ("plain NeuS colour", "environment at infinity")
+BASELINES = ("plain NeuS color", "environment at infinity")
 """Ablations that stand for other methods' assumptions: NeuS; NeRO and nvdiffrec."""
 
 
@@ -135,7 +135,7 @@ def costs(results: Results) -> str:
         results,
         {
             "seconds": ("seconds", 0),
-            **ROOM_COSTS,
+            **STAGE_COSTS,
             "cpu_seconds": ("all, CPU s", 0),
             "peak_mb": ("MB", 0),
             "faces": ("faces", 0),

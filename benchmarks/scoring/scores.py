@@ -14,7 +14,7 @@ from blender_nep.capture import PixelRays, load_capture
 from blender_nep.capture.capture import Capture
 from blender_nep.checkpoints import load_state
 from blender_nep.job.device import choose_device
-from blender_nep.job.stages import Rooms
+from blender_nep.job.stages import Stages
 from blender_nep.presets import Preset
 from blender_nep.surface.extraction import load_surface
 
@@ -41,7 +41,7 @@ def score_asset(folder: Path, asset: Path, preset: Preset, device: str, picture:
 def _background_psnr(
     folder: Path, asset: Path, kept: Path, capture: Capture, test: Capture, preset: Preset, device: torch.device
 ) -> float:
-    environment = Rooms().unpack_fields(load_state(kept)["result"], preset, device).environment
+    environment = Stages().unpack_fields(load_state(kept)["result"], preset, device).environment
     sphere = read_row(asset / "report.json")["capture"]  # F_e lives around the sphere of its own job
     for one in (capture, test):
         one.object_center, one.object_radius = np.array(sphere["object_center"]), sphere["object_radius"]

@@ -82,7 +82,7 @@ TROUBLES = {
         "noise",
         "flat",
     ],
-    "evidence": [True],
+    "explanation": [True],
     "threads": [2],
     "bfloat16": [True],
     "stop": ["fields_learning:3", "fields_learning:17", "material_learning:70", "material_learning:80", "surface:0"],
@@ -102,15 +102,15 @@ def cases(draw: st.DrawFn, most: int = 4) -> Case:
 
 
 class _StopAt(StopRequest):
-    """A wish to end that comes true at "room:step"."""
+    """A wish to end that comes true at "stage:step"."""
 
     def __init__(self, where: str) -> None:
         super().__init__()
-        self.room, step = where.split(":")
+        self.stage, step = where.split(":")
         self.step = int(step)
 
     def see(self, event: str, **content) -> None:
-        if event == "progress" and content["room"] == self.room and content["step"] >= self.step:
+        if event == "progress" and content["stage"] == self.stage and content["step"] >= self.step:
             self.request("stress")
 
 
@@ -121,10 +121,10 @@ class _AllEvents(Events):
         super().__init__(protocol, human)
         self._watch = getattr(stop, "see", None)
 
-    def progress(self, room, step, steps, fraction, eta, loss, **extra) -> None:
-        super().progress(room, step, steps, fraction, eta, loss, **extra)
+    def progress(self, stage, step, steps, fraction, eta, loss, **extra) -> None:
+        super().progress(stage, step, steps, fraction, eta, loss, **extra)
         if self._watch is not None:
-            self._watch("progress", room=room, step=step)
+            self._watch("progress", stage=stage, step=step)
 
 
 def reconstruct(
@@ -173,7 +173,7 @@ def run_case(case: Case, folder: Path) -> dict:
 
 def _resume(case: Case, capture: Path, folder: Path) -> tuple[list[str], bool]:
     """The same job stopped in its middle and resumed from the disk must give the same asset, bit for bit. Failures, and
-    whether it was stopped: a room may end, or be left out, before the step at which it should be."""
+    whether it was stopped: a stage may end, or be left out, before the step at which it should be."""
     out = folder / "stopped"
     code, events, human = reconstruct(case, capture, out, _StopAt(case.stop))
     if code != 7:

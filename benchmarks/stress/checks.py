@@ -140,7 +140,7 @@ def check_report(case, report: dict) -> list[str]:
         failures.append(f"silent repair: {case.pixels} pixels are not in the warnings ({said})")
     if case.duplicates in ("some", "pairs") and "same place" not in said:
         failures.append(f"silent repair: duplicate cameras are not in the warnings ({said})")
-    skipped = (report["rooms"].get("fields_learning") or {}).get("steps_not_finite", 0)
+    skipped = (report["stages"].get("fields_learning") or {}).get("steps_not_finite", 0)
     if skipped and "not finite" not in said:
         failures.append("silent repair: steps that were left out are not in the warnings")
     return failures
@@ -155,11 +155,11 @@ def same_assets(a: Path, b: Path) -> list[str]:
         if n != "environment.exr" and not n.startswith("textures/") and (a / n).read_bytes() != (b / n).read_bytes()
     ]
     different += [n for n in names if n.endswith(".exr") and not np.array_equal(_exr(a / n), _exr(b / n))]
-    for room in ("fields_learning", "surface", "material_learning"):
-        files = [f / "checkpoints" / f"{room}.done.pt" for f in (a, b)]
+    for stage in ("fields_learning", "surface", "material_learning"):
+        files = [f / "checkpoints" / f"{stage}.done.pt" for f in (a, b)]
         if all(f.is_file() for f in files):
             one, other = (dict(_tensors(load_state(f)["result"])) for f in files)
-            different += [f"{room}{k}" for k in one if k not in other or not np.array_equal(one[k], other[k])]
+            different += [f"{stage}{k}" for k in one if k not in other or not np.array_equal(one[k], other[k])]
     return [f"resumed run differs: {different[:6]}"] if different else []
 
 

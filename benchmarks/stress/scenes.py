@@ -61,14 +61,14 @@ class Case:
     """metal, or not: auto, yes, no"""
     materials: int = 1
     """The most that the palette may hold."""
-    evidence: bool = False
+    explanation: bool = False
     """Whether the job may refuse a sphere that seems empty."""
     threads: int = 1
     bfloat16: bool = False
     """Under torch's autocast to bfloat16."""
     seed: int = 0
     stop: str = "none"
-    """room:step at which the job is stopped, and resumed from disk"""
+    """stage:step at which the job is stopped, and resumed from disk"""
 
     def settings(self, capture: Path, out: Path, **changes) -> Settings:
         """The job on `capture` into `out`."""
@@ -76,14 +76,16 @@ class Case:
         metallic = {"auto": (0.0, 1.0), "yes": (1.0,), "no": (0.0,)}[self.told]
         material = replace(preset.material, metallic=metallic, most_materials=self.materials)
         preset = replace(preset, material=material)
-        if self.evidence:
-            preset = replace(preset, fields=replace(preset.fields, least_evidence=FieldsPreset().least_evidence))
+        if self.explanation:
+            preset = replace(
+                preset, fields=replace(preset.fields, least_explanation_ratio=FieldsPreset().least_explanation_ratio)
+            )
         mesh = None if self.mesh == "none" else capture / "mesh.obj"
         return Settings(capture, out, preset, device="cpu", seed=self.seed, mesh=mesh, threads=self.threads, **changes)
 
 
 def tiny_preset() -> Preset:
-    """Every room with few steps on coarse grids: a whole job in about a second. It learns little and runs all the code."""
+    """Every stage with few steps on coarse grids: a whole job in about a second. It learns little and runs all the code."""
     preview = PRESETS["preview"]
     return replace(
         preview,
@@ -103,8 +105,8 @@ def tiny_preset() -> Preset:
             head_width=16,
             first_samples=16,
             samples=8,
-            check_every=0.1,
-            least_evidence=0.0,
+            validate_every=0.1,
+            least_explanation_ratio=0.0,
         ),
         environment=replace(
             EnvironmentPreset(),
@@ -118,7 +120,7 @@ def tiny_preset() -> Preset:
         material=replace(
             MaterialPreset(),
             samples=250,
-            ladder=(0.04, 0.15, 0.4, 1.0),
+            roughness_levels=(0.04, 0.15, 0.4, 1.0),
             irradiance_cones=8,
             terminal_steps=8,
             unseen_rows=8,
@@ -171,12 +173,12 @@ def light_from(kind: str, directions: np.ndarray, blur: float) -> np.ndarray:
     rng = np.random.default_rng(5)
     axes = rng.normal(size=(6, 3))
     axes /= np.linalg.norm(axes, axis=1, keepdims=True)
-    colour, sharpness = rng.uniform(0.4, 3.0, (6, 3)), np.array([4, 8, 12, 20, 40, 80.0])
+    color, sharpness = rng.uniform(0.4, 3.0, (6, 3)), np.array([4, 8, 12, 20, 40, 80.0])
     if kind == "blinding":
-        colour[5] *= 1e4
+        color[5] *= 1e4
     variance = 1 / sharpness + blur**2 / 4
     lobes = 1 / sharpness / variance * np.exp((directions @ axes.T - 1) / variance)
-    radiance = 0.15 + 0.1 * directions[:, 2:] + lobes @ colour
+    radiance = 0.15 + 0.1 * directions[:, 2:] + lobes @ color
     return 1e-4 * radiance if kind == "dark" else radiance
 
 

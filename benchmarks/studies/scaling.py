@@ -24,7 +24,7 @@ from blender_nep.checkpoints import NoCheckpoint
 from blender_nep.fields.environment_field import EnvironmentField
 from blender_nep.fields.object_field import ObjectField
 from blender_nep.fields.training import FieldsLearning, learn_fields
-from blender_nep.materials.baking import Evidence, bake
+from blender_nep.materials.baking import LabelledPoints, bake
 from blender_nep.materials.palette import Palette
 from blender_nep.materials.training import learn_materials
 from blender_nep.presets import PRESETS, Preset
@@ -54,7 +54,7 @@ class Bench:
     @cache  # noqa: B019  one bench a process
     def learned(self) -> tuple[ObjectField, EnvironmentField, Surface]:
         """A short run of stage 1: shapes and sizes are those of a full one."""
-        preset = base(fields={"background_steps": 60, "steps": 120, "least_evidence": 0.0})
+        preset = base(fields={"background_steps": 60, "steps": 120, "least_explanation_ratio": 0.0})
         fields = learn_fields(self.rays(), preset, seed=0, device=CPU, progress=lambda *_: None, checkpoint=NoCheckpoint())
         return fields.object_field, fields.environment, extract_surface(fields.object_field, preset.surface)[0]
 
@@ -70,7 +70,7 @@ class Bench:
             for _ in range(STEPS):
                 learning.learn_step()
             learning._find_hull()
-            learning._look_for_object()
+            learning._update_object_pixels()
         learning.background_steps = 0  # the hull is there; what follows are steps of both fields
         for _ in range(STEPS):
             learning.learn_step()
@@ -93,7 +93,7 @@ class Bench:
         random = np.random.default_rng(0)
         position = surface.vertices[random.integers(len(surface.vertices), size=3000)].astype(np.float32)
         grey, even = np.full((3000, 3), 0.5, np.float32), np.full(3000, 0.1, np.float32)
-        evidence = Evidence(position, random.integers(40, size=3000), even[:, None], grey, even)
+        evidence = LabelledPoints(position, random.integers(40, size=3000), even[:, None], grey, even)
         palette = Palette(torch.full((1, 3), 0.5), torch.full((1,), 0.3), torch.ones(1))
         profile = Profile()
         with profile.recording():
@@ -131,7 +131,7 @@ def base(**changes: dict) -> Preset:
 
 STEP = {"steps of F_e alone": STEPS, "steps of both fields": STEPS}
 READ = {"decode photos": 1, "rays that meet the sphere": 1}
-PASS = {"visual hull": 1, "look for the object": 1}
+PASS = {"visual hull": 1, "object pixels": 1}
 """Stages that are reported, and what their seconds are divided by."""
 
 FACTORS: dict[str, tuple[tuple[int, ...], Callable, dict[str, float]]] = {

@@ -37,7 +37,7 @@ from blender_nep.checkpoints import StopRequest, load_state, save_state
 from blender_nep.job.events import Events
 from blender_nep.job.run_folder import fingerprint
 from blender_nep.job.runner import Job, Settings
-from blender_nep.job.stages import Rooms
+from blender_nep.job.stages import Stages
 from blender_nep.presets import PRESETS, Preset
 
 
@@ -70,8 +70,8 @@ def without_skipping(preset: Preset) -> Preset:
     return replace(preset, skip_needless=False, material=replace(m, sure_margin=math.inf, uniform_texels=m.most_texels))
 
 
-class WatchedRooms(Rooms):
-    """The rooms of a job, with CPU seconds; the results are kept here instead of being written as an asset."""
+class WatchedStages(Stages):
+    """The stages of a job, with CPU seconds; the results are kept here instead of being written as an asset."""
 
     def __init__(self, scene: Scene, kept: Path, made_by: str) -> None:
         self.scene, self.kept, self.made_by = scene, kept, made_by
@@ -128,24 +128,24 @@ def run(scene: Scene, preset: Preset, seed: int, threads: int, kept: Path, pictu
     """One job and its scores."""
     capture = load_capture(scene.folder, use_masks=scene.masks)
     photos = fingerprint(capture, preset, seed, scene.masks, None)["capture"]
-    rooms = WatchedRooms(scene, kept, f"{photos} {machine(threads)['commit']}")
+    stages = WatchedStages(scene, kept, f"{photos} {machine(threads)['commit']}")
     start = time.process_time()
     with tempfile.TemporaryDirectory() as out:
         settings = Settings(
             scene.folder, Path(out) / "asset", preset, device="cpu", seed=seed, use_masks=scene.masks, threads=threads
         )
-        Job(settings, Events(None, io.StringIO()), StopRequest(), rooms).run()
-    seconds = time.process_time() - start + rooms.taken_over
+        Job(settings, Events(None, io.StringIO()), StopRequest(), stages).run()
+    seconds = time.process_time() - start + stages.taken_over
     test = geometry.load_test_views(scene.folder, capture)
     return {
-        "cpu": rooms.cpu,
+        "cpu": stages.cpu,
         "seconds": seconds,
-        **geometry.score(rooms.surface, scene.folder, capture, test),
-        **materials.score(rooms.surface, rooms.materials, scene.folder, capture, test, picture),
-        "skipped": rooms.report["skipped"],
-        "skipped_seconds": rooms.report["skipped_seconds"],
-        "scene": rooms.report["scene"],
-        "report": rooms.report["rooms"],
+        **geometry.score(stages.surface, scene.folder, capture, test),
+        **materials.score(stages.surface, stages.materials, scene.folder, capture, test, picture),
+        "skipped": stages.report["skipped"],
+        "skipped_seconds": stages.report["skipped_seconds"],
+        "scene": stages.report["scene"],
+        "report": stages.report["stages"],
     }
 
 

@@ -27,7 +27,7 @@ def render(name: str, folder: Path, views: int, size: int, samples: int, threads
     if name.startswith("gold_"):
         scene, material = "suzanne", name
         pattern, (gold,) = scenes.MATERIALS["gold"]
-        scenes.MATERIALS[name] = pattern, (scenes.Substance(gold.colour, float(name[5:]), gold.metallic),)
+        scenes.MATERIALS[name] = pattern, (scenes.Substance(gold.color, float(name[5:]), gold.metallic),)
     build = scenes.build_scene
 
     def build_and_keep(*arguments):

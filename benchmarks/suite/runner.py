@@ -128,7 +128,7 @@ class Suite:
             found = {"error": f"ended with code {ended.code}: {_last_line(log)}"}
         if step == "learn":
             found |= {"wall_seconds": ended.seconds, "cpu_seconds": ended.cpu_seconds, "peak_mb": ended.peak_mb}
-            if donor and found.get("resumed_rooms"):
+            if donor and found.get("resumed_stages"):
                 found["stage_1_of"] = donor.name
         for file in (order, result):
             file.unlink(missing_ok=True)
@@ -148,7 +148,7 @@ def _last_line(log: Path) -> str:
 
 
 def _drop_checkpoints(asset: Path, keep: Sequence[str]) -> None:
-    kept = {f"{room}.done.pt" for room in keep}
+    kept = {f"{stage}.done.pt" for stage in keep}
     for file in (asset / "checkpoints").glob("*"):
         if file.name not in kept:
             file.unlink()

@@ -15,7 +15,7 @@ from benchmarks.suite.fewer_views import with_fewer_views
 from benchmarks.suite.harness import read_row, write_row
 from benchmarks.suite.plan import WITHOUT_F_E, Run
 
-REPORTED = ("device", "threads", "versions", "seconds", "seconds_total", "resumed_rooms", "skipped", "losses", "warnings")
+REPORTED = ("device", "threads", "versions", "seconds", "seconds_total", "resumed_stages", "skipped", "losses", "warnings")
 STAGE_1 = ("fields_learning", "surface")
 
 
@@ -39,7 +39,7 @@ def learn(run: Run, asset: Path, order: dict) -> dict:
     from blender_nep.checkpoints import StopRequest
     from blender_nep.job import runner as job
     from blender_nep.job.events import Events
-    from blender_nep.job.stages import Rooms
+    from blender_nep.job.stages import Stages
 
     class Heard(Events):
         """Keeps the error."""
@@ -50,18 +50,18 @@ def learn(run: Run, asset: Path, order: dict) -> dict:
             self.failure = message
             super().error(code, message, hint)
 
-    class Timed(Rooms):
-        """CPU seconds of each room."""
+    class Timed(Stages):
+        """CPU seconds of each stage."""
 
         def __init__(self) -> None:
             self.cpu: dict[str, float] = {}
 
-        def _timed(self, room: str, work, *arguments, **keywords):
+        def _timed(self, stage: str, work, *arguments, **keywords):
             start = time.process_time()
             try:
                 return work(*arguments, **keywords)
             finally:
-                self.cpu[room] = time.process_time() - start
+                self.cpu[stage] = time.process_time() - start
 
         def learn_fields(self, *arguments, **keywords):
             return self._timed("fields_learning", super().learn_fields, *arguments, **keywords)
@@ -93,17 +93,17 @@ def learn(run: Run, asset: Path, order: dict) -> dict:
         resume=bool(given),
         **settings_of,
     )
-    stop, events, rooms = StopRequest(), Heard(None, sys.stderr), Timed()
+    stop, events, stages = StopRequest(), Heard(None, sys.stderr), Timed()
     stop.watch()
-    if job.run(settings, events, stop, rooms):
+    if job.run(settings, events, stop, stages):
         return {"error": events.failure.replace(str(run.capture), run.capture.name)}
     report = read_row(asset / "report.json")
     found = {key: report[key] for key in REPORTED}
     found["views"], found["pixels"] = report["capture"]["views"], report["capture"]["pixels"]
-    found["faces"] = report["rooms"]["surface"].get("faces")
-    found["materials"] = report["rooms"]["material_learning"].get("materials")
-    found["steps"] = report["rooms"]["fields_learning"].get("steps")
-    return found | {"room_cpu_seconds": rooms.cpu}
+    found["faces"] = report["stages"]["surface"].get("faces")
+    found["materials"] = report["stages"]["material_learning"].get("materials")
+    found["steps"] = report["stages"]["fields_learning"].get("steps")
+    return found | {"stage_cpu_seconds": stages.cpu}
 
 
 def _take_stage_1(other: Path, asset: Path, capture: Path, run: Run, mesh: Path | None) -> bool:
@@ -112,18 +112,18 @@ def _take_stage_1(other: Path, asset: Path, capture: Path, run: Run, mesh: Path 
     from blender_nep.capture import load_capture
     from blender_nep.job.run_folder import fingerprint
 
-    rooms = [other / "checkpoints" / f"{room}.done.pt" for room in STAGE_1]
+    stages = [other / "checkpoints" / f"{stage}.done.pt" for stage in STAGE_1]
     loaded = load_capture(capture, use_masks=False)
 
     def identity(of: Run) -> dict:
         return fingerprint(loaded, of.changed_preset, of.seed, False, mesh)
 
     made = read_row(other / "report.json").get("fingerprint")
-    if made != identity(run.same_stage_1) or not all(room.is_file() for room in rooms):
+    if made != identity(run.same_stage_1) or not all(stage.is_file() for stage in stages):
         return False
     (asset / "checkpoints").mkdir(parents=True)
-    for room in rooms:
-        shutil.copy(room, asset / "checkpoints")
+    for stage in stages:
+        shutil.copy(stage, asset / "checkpoints")
     write_row(asset / "checkpoints" / "run.json", identity(run))
     return True
 

@@ -144,7 +144,7 @@ def _digits(vertices: np.ndarray) -> int:
 
 
 def write_glb(path: Path, mesh: TexturedMesh) -> None:
-    """glTF 2.0 binary: Y up, base colour sRGB-encoded, roughness in G and metallic in B of one linear texture.
+    """glTF 2.0 binary: Y up, base color sRGB-encoded, roughness in G and metallic in B of one linear texture.
 
     Vertices are relative to the mesh's middle, which is the node's translation: glTF stores vertices in single precision,
     too coarse far from the origin.

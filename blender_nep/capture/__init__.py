@@ -1,4 +1,4 @@
-"""The first room: photos, cameras, masks, the object's bounding sphere."""
+"""The first stage: photos, cameras, masks, the object's bounding sphere."""
 
 from blender_nep.capture.camera import Camera
 from blender_nep.capture.capture import Capture, View

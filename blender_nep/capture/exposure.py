@@ -3,7 +3,7 @@
 Many photos show the same surroundings, and what one of them shows brighter than the others do is its gain. The surroundings
 are taken for spheres around the object, one of which is about as far as what a pixel shows: on each of them the photos are
 laid into cells, and where cells agree between photos, they are compared. (F_e cannot tell: given differing photos it learns
-haze before the cameras that makes them so.)
+fog before the cameras that makes them so.)
 """
 
 from __future__ import annotations

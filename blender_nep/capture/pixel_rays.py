@@ -370,7 +370,7 @@ def _judge(capture: Capture, photos: list[_Facts]) -> list[str]:
             )
     black = [n for n, p in zip(names, photos, strict=True) if p.brightest <= _BLACK]
     if len(black) == len(photos):
-        raise CaptureError("all photos are black", "Check the exposure, and that the files hold colour in R, G, B.")
+        raise CaptureError("all photos are black", "Check the exposure, and that the files hold color in R, G, B.")
     if black:
         warnings.append(f"{len(black)} photos are black and are left out: {shortened(black)}")
     return warnings

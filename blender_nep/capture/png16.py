@@ -35,7 +35,7 @@ def _unfilter(rows: np.ndarray, kinds: np.ndarray, step: int) -> None:
 
 
 def header(path: Path) -> tuple[int, int, int, int, int]:
-    """(width, height, bits a channel, colour type, interlaced) of a PNG file. Raises ValueError for another file."""
+    """(width, height, bits a channel, color type, interlaced) of a PNG file. Raises ValueError for another file."""
     with open(path, "rb") as file:
         start = file.read(29)
     if start[:8] != b"\x89PNG\r\n\x1a\n" or len(start) < 29 or start[12:16] != b"IHDR":

@@ -77,7 +77,7 @@ def describe(found: dict) -> str:
     """The same for people."""
     lines = [
         f"{found['folder']}: {found['photos']} photos ({_counts(found['formats'])}), {_counts(found['sizes'])} pixels",
-        f"  colour         {found['color_space']}; median {found['radiance']['median']}, 99.9 % below "
+        f"  color         {found['color_space']}; median {found['radiance']['median']}, 99.9 % below "
         f"{found['radiance']['99_9_percent']}, largest {found['radiance']['largest']}",
         f"  field of view  {found['field_of_view_deg'][0]} to {found['field_of_view_deg'][1]} degrees",
         f"  object         centre {found['object_center']}, radius {found['object_radius']} (from {found['bounds_source']})",

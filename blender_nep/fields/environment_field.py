@@ -19,7 +19,7 @@ from torch import nn
 
 from blender_nep.fields.environment_grid import resample
 from blender_nep.fields.environment_prefilter import PrefilteredEnvironment
-from blender_nep.ops.environment_cones import accumulate_evidence
+from blender_nep.ops.environment_cones import accumulate_coverage
 from blender_nep.ops.environment_rendering import render_environment
 from blender_nep.ops.environment_smoothness import total_variation
 from blender_nep.presets import EnvironmentPreset
@@ -137,7 +137,7 @@ class EnvironmentField(nn.Module):
         run = max(2, round(shells * preset.regularised_fraction))
         first = int(torch.randint(0, shells - run + 1, (1,), generator=generator, device=raw.device))
         slab = raw.detach()[first : first + run].requires_grad_()
-        weight = (preset.density_variation, *[preset.colour_variation] * 3)
+        weight = (preset.density_variation, *[preset.color_variation] * 3)
         with torch.enable_grad():
             value = total_variation(slab, weight, preset.variation_softness)
             value = value + preset.density_penalty * torch.nn.functional.softplus(slab[..., 0]).mean()
@@ -162,14 +162,14 @@ class EnvironmentField(nn.Module):
     @torch.no_grad()
     def freeze(self, origins: torch.Tensor, directions: torch.Tensor) -> None:
         """Learning is over: measures `coverage` with camera rays [n, 3] (a node counts as seen, 1, once these see it with
-        a weight of `coverage_evidence` rays) and makes the field ready for cones."""
+        a weight of `coverage_weight` rays) and makes the field ready for cones."""
         if not self.known:
             return
-        evidence = np.zeros(self.raw.shape[:3], np.float32)
+        weight_seen = np.zeros(self.raw.shape[:3], np.float32)
         if self.infinite:
             origins = torch.zeros_like(origins)
         near = np.full(len(origins), self.preset.camera_near, np.float32)
-        accumulate_evidence(
+        accumulate_coverage(
             self.raw.detach().cpu().numpy(),
             origins.cpu().numpy(),
             directions.cpu().numpy(),
@@ -177,9 +177,9 @@ class EnvironmentField(nn.Module):
             math.log(self.preset.outer_radius),
             self.preset.density_gain,
             self.relative_step,
-            evidence,
+            weight_seen,
         )
-        seen = (torch.from_numpy(evidence) / self.preset.coverage_evidence).clamp(max=1)
+        seen = (torch.from_numpy(weight_seen) / self.preset.coverage_weight).clamp(max=1)
         self.coverage = seen.to(self.raw.device)
         self._prefiltered = None
 

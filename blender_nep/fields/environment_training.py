@@ -12,7 +12,7 @@ from blender_nep.capture.pixel_set import PixelSet
 from blender_nep.checkpoints import Checkpoint
 from blender_nep.errors import Stopped
 from blender_nep.fields.environment_field import EnvironmentField
-from blender_nep.fields.step_guard import StepGuard, usable_gradients, usable_loss
+from blender_nep.fields.non_finite_monitor import NonFiniteMonitor, usable_gradients, usable_loss
 from blender_nep.presets import EnvironmentPreset
 from blender_nep.profiling import section
 from blender_nep.tone_mapping import tone_map
@@ -69,7 +69,7 @@ def learn_step(
         return math.nan
     adam.zero_grad()
     with section("backward"):
-        (photometric + environment.preset.front_opacity * (1 - clear).mean()).backward()
+        (photometric + environment.preset.foreground_opacity * (1 - clear).mean()).backward()
     environment.regularise(generator)
     if not usable_gradients([adam]):
         return math.nan
@@ -94,7 +94,7 @@ def learn_environment(
     environment = EnvironmentField(preset, geometric_mean(rays)).to(device)
     if not environment.known:
         return environment, {}
-    adam, step, guard = optimiser(environment), 0, StepGuard()
+    adam, step, monitor = optimiser(environment), 0, NonFiniteMonitor()
     state = checkpoint.load()
     if state is not None:
         step = state["step"]
@@ -102,7 +102,7 @@ def learn_environment(
         adam = optimiser(environment)
         adam.load_state_dict(state["optimiser"])
         generator.set_state(state["generator"])
-        guard.load(state["guard"])
+        monitor.load(state["monitor"])
     while step < preset.steps:
         if environment.refine(step / preset.steps):
             adam = optimiser(environment)
@@ -110,7 +110,7 @@ def learn_environment(
             group["lr"] = learning_rate(preset, step / preset.steps)
         pick = torch.randint(len(background), (preset.rays_per_step,), generator=generator, device=device)
         loss = learn_step(environment, adam, rays, background[pick], generator)
-        guard.judge(usable_loss(loss))
+        monitor.record(usable_loss(loss))
         step += 1
         progress(step, preset.steps, loss)
         if checkpoint.stopping or checkpoint.due():
@@ -120,10 +120,10 @@ def learn_environment(
                     "environment": environment.state_dict(),
                     "optimiser": adam.state_dict(),
                     "generator": generator.get_state(),
-                    "guard": guard.state(),
+                    "monitor": monitor.state(),
                 }
             )
             if checkpoint.stopping:
                 raise Stopped("Stopped during fields learning; the checkpoint is written.", "Go on with --resume.")
     freeze(environment, rays, background, seed)
-    return environment, guard.report()
+    return environment, monitor.report()

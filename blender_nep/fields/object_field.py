@@ -1,8 +1,8 @@
-"""The object field F_o: an SDF in the unit sphere, and the decomposed colour c_o = c_a * c_l of its surface (eq. 4).
+"""The object field F_o: an SDF in the unit sphere, and the decomposed color c_o = c_a * c_l of its surface (eq. 4).
 
 The SDF is a sum of quadratic B-spline volumes from coarse to fine. The sum is as expressive as the finest grid alone,
 but a step on a coarse level moves the surface as a whole: that preconditioning is what keeps a grid smooth when it
-learns from reflections. Colour is evaluated once a ray, on the composited surface point and normal.
+learns from reflections. Color is evaluated once a ray, on the composited surface point and normal.
 """
 
 from __future__ import annotations
@@ -24,14 +24,14 @@ ALBEDO_OCTAVES, LIGHT_OCTAVES, VIEW_OCTAVES = 5, 1, 4
 
 @dataclass
 class Appearance:
-    """Decomposed colour of surface points: albedo c_a [n, 3] in 0..1, light c_l [n, 3] >= 0, roughness r [n, 1]."""
+    """Decomposed color of surface points: albedo c_a [n, 3] in 0..1, light c_l [n, 3] >= 0, roughness r [n, 1]."""
 
     albedo: torch.Tensor
     light: torch.Tensor
     roughness: torch.Tensor
 
     @property
-    def colour(self) -> torch.Tensor:
+    def color(self) -> torch.Tensor:
         """c_o = c_a * c_l (eq. 4), linear radiance."""
         return self.albedo * self.light
 
@@ -43,8 +43,8 @@ def _mlp(inputs: int, width: int, outputs: int, hidden: int) -> nn.Sequential:
     return nn.Sequential(*layers, nn.Linear(width, outputs))
 
 
-class SurfaceColour(nn.Module):
-    """The colour of F_o's surface by two MLPs of `hidden` layers of `width`.
+class SurfaceColor(nn.Module):
+    """The color of F_o's surface by two MLPs of `hidden` layers of `width`.
 
     `decomposed`: by eq. 4; else by one radiance head, as in NeuS."""
 
@@ -57,7 +57,7 @@ class SurfaceColour(nn.Module):
         self.light_head = _mlp(light_inputs, width, 3, hidden)
 
     def appearance(self, points: torch.Tensor, normals: torch.Tensor, directions: torch.Tensor) -> Appearance:
-        """Colour of surface points [n, 3] with unit normals, seen along unit view directions [n, 3] (camera to point)."""
+        """Color of surface points [n, 3] with unit normals, seen along unit view directions [n, 3] (camera to point)."""
         raw = self.surface_head(positional_encoding(points, ALBEDO_OCTAVES))
         albedo, roughness, feature = raw[:, :3].sigmoid(), raw[:, 3:4].sigmoid(), raw[:, 4:]
         if self.decomposed:
@@ -68,7 +68,7 @@ class SurfaceColour(nn.Module):
         light = self.light_head(torch.cat([feature, directional, normals, positional_encoding(points, LIGHT_OCTAVES)], -1))
         return Appearance(albedo, nn.functional.softplus(light), roughness)
 
-    def colour_parameters(self) -> list[nn.Parameter]:
+    def color_parameters(self) -> list[nn.Parameter]:
         """Of both MLPs."""
         return [*self.surface_head.parameters(), *self.light_head.parameters()]
 
@@ -101,7 +101,7 @@ class SplineShape:
         return bspline.march(self.coefficients, origins, directions, entry, leave, band, 0.5 * band)[1] > 0
 
 
-class ObjectField(SurfaceColour):
+class ObjectField(SurfaceColor):
     """F_o over the unit sphere. `cells` are those of the coarsest SDF level; every `add_level` halves the cell."""
 
     def __init__(self, cells: int, initial_radius: float, width: int = 64, decomposed: bool = True) -> None:

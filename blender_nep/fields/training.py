@@ -16,10 +16,10 @@ from torch.nn import functional
 from blender_nep.capture.pixel_rays import PixelRays
 from blender_nep.capture.pixel_set import GrowingPixelSet, PixelSet
 from blender_nep.errors import LearningError, Stopped
-from blender_nep.fields import environment_training as environment_learning
+from blender_nep.fields import environment_training
 from blender_nep.fields.environment_field import EnvironmentField
+from blender_nep.fields.non_finite_monitor import NonFiniteMonitor, usable_gradients, usable_loss
 from blender_nep.fields.object_field import Appearance, ObjectField
-from blender_nep.fields.step_guard import StepGuard, usable_gradients, usable_loss
 from blender_nep.fields.visual_hull import background_silhouettes, carve, mask_silhouettes
 from blender_nep.fields.volume_rendering import BAND, sphere_interval
 from blender_nep.geometry.ray_tracing import RayTracer
@@ -86,24 +86,24 @@ class Rendering:
     weight: torch.Tensor
     eikonal: torch.Tensor
     curvature: torch.Tensor
-    haze: torch.Tensor
+    foreground_opacity: torch.Tensor
     """mean opacity of F_e between the cameras and the object's sphere"""
 
 
 def dynamic_weight(appearance: Appearance, kind: str, cap: float = 1.5, epsilon: float = 1e-3) -> torch.Tensor:
-    """The paper's w_s (eq. 5) [n, 1]: small where the colour differs much from the albedo, as in reflections. Detached:
+    """The paper's w_s (eq. 5) [n, 1]: small where the color differs much from the albedo, as in reflections. Detached:
     else growing |c_o - c_a| would lower the loss.
 
     `paper`: as printed. `scaled`: the difference in tone-mapped space, relative to the batch's own spread, because as
     printed the weight leaves its cap only where |c_o - c_a| > 0.816. `none`: 1.
     """
-    colour, albedo = appearance.colour.detach(), appearance.albedo.detach()
+    color, albedo = appearance.color.detach(), appearance.albedo.detach()
     if kind == "none":
-        return torch.ones_like(colour[:, :1])
+        return torch.ones_like(color[:, :1])
     if kind == "paper":
-        square = ((colour - albedo) ** 2).mean(-1, keepdim=True)
+        square = ((color - albedo) ** 2).mean(-1, keepdim=True)
     else:
-        square = ((tone_map(colour) - tone_map(albedo)) ** 2).mean(-1, keepdim=True)
+        square = ((tone_map(color) - tone_map(albedo)) ** 2).mean(-1, keepdim=True)
         square = square / square.mean().clamp(min=1e-6)
     return (1 / (square + epsilon)).clamp(max=cap)
 
@@ -117,33 +117,33 @@ class FieldsLearning:
         torch.manual_seed(seed)
         self.rays, self.preset, self.device = rays, preset.fields, device
         self.generator = torch.Generator(device).manual_seed(seed)
-        self.environment = EnvironmentField(preset.environment, environment_learning.geometric_mean(rays)).to(device)
-        self.white = preset.fields.white * _brightness(rays)
+        self.environment = EnvironmentField(preset.environment, environment_training.geometric_mean(rays)).to(device)
+        self.highlight_threshold = preset.fields.highlight_threshold * _brightness(rays)
         self.object_field = object_field or _object_field(preset, device)
         preset = preset.fields
         self.step, self.loss = 0, float("nan")
         self.learned = 0
-        self.held_out: list[float] = []
-        self.checked: torch.Tensor | None = None
-        self.guard, self.report = StepGuard(), {}
+        self.validation_errors: list[float] = []
+        self.validation_pixels: torch.Tensor | None = None
+        self.monitor, self.report = NonFiniteMonitor(), {}
         # without surroundings there is nothing to learn first; the hull then comes from the masks or not at all
         known = len(rays.outside) >= preset.least_outside * rays.count
         self.background_steps = preset.background_steps if known else 0
         self.start_sharpness = preset.first_sharpness
         self.head_optimiser = torch.optim.Adam(
-            self.object_field.colour_parameters(), lr=preset.head_rate, betas=(0.9, 0.99), fused=True
+            self.object_field.color_parameters(), lr=preset.head_rate, betas=(0.9, 0.99), fused=True
         )
         self._set_levels(preset.first_levels)
         self._refine_environment()
         self.object_pixels = rays.sphere
-        self.looks = 0
+        self.object_pixels_updates = 0
 
     @property
     def steps(self) -> int:
         """Of F_e alone and of both fields together, as far as can be told."""
         if self.step < self.background_steps:
             return self.background_steps + self.preset.steps
-        return self.step + math.ceil((self.preset.steps - self.learned) / self._pace)
+        return self.step + math.ceil((self.preset.steps - self.learned) / self._step_multiplier)
 
     @property
     def fraction(self) -> float:
@@ -151,22 +151,24 @@ class FieldsLearning:
         return self.learned / self.preset.steps
 
     @property
-    def _pace(self) -> int:
+    def _step_multiplier(self) -> int:
         """Steps that one step stands for: more while the error on held-out pixels does not fall, so that what is left,
         the sharpening and the calming down, is soon over."""
-        return 4 if self._settled else 1
+        return 4 if self._plateaued else 1
 
     @property
-    def _slowing(self) -> float:
+    def _learning_rate_decay(self) -> float:
         """Factor of F_o's step sizes: 1, then down to `last_rate`, geometrically."""
         p = self.preset
         return p.last_rate ** max(0.0, (self.fraction - p.slow_from) / (1 - p.slow_from))
 
     @property
-    def _settled(self) -> bool:
+    def _plateaued(self) -> bool:
         p = self.preset
         # a finer grid is rough at first: errors from before it are no measure for those after it
-        errors = self.held_out[max(0, math.floor((p.fine_from - p.look_at[0]) / p.check_every + 1e-6) + 1) :]
+        errors = self.validation_errors[
+            max(0, math.floor((p.fine_from - p.object_pixels_at[0]) / p.validate_every + 1e-6) + 1) :
+        ]
         return len(errors) > p.patience and min(errors[-p.patience :]) > (1 - p.least_gain) * min(errors[: -p.patience])
 
     def _set_levels(self, count: int) -> None:
@@ -176,7 +178,7 @@ class FieldsLearning:
 
     def _refine_environment(self) -> None:
         if self.environment.refine(self.step / self.steps) or self.step == 0:
-            self.environment_optimiser = environment_learning.optimiser(self.environment)
+            self.environment_optimiser = environment_training.optimiser(self.environment)
 
     @property
     def sharpness(self) -> float:
@@ -213,15 +215,15 @@ class FieldsLearning:
         radiance, transmittance = self.environment.render(
             origins[part], directions[part], start, end, half_angle[part], generator
         )
-        haze = (1 - transmittance[:n][meets]).mean() if len(meets) else radiance.sum() * 0
-        if self.fraction < p.shy_until:
+        foreground_opacity = (1 - transmittance[:n][meets]).mean() if len(meets) else radiance.sum() * 0
+        if self.fraction < p.environment_gradient_scale_until:
             # what other pixels know of the surroundings counts more than what the object would have them be
-            share = torch.ones(n, device=self.device).index_fill(0, meets, p.shyness)[part]
+            share = torch.ones(n, device=self.device).index_fill(0, meets, p.environment_gradient_scale)[part]
             radiance = torch.lerp(radiance.detach(), radiance, share[:, None])
             transmittance = torch.lerp(transmittance.detach(), transmittance, share)
         front, back = radiance[:n], radiance[n:]
         inside = torch.zeros(len(meets), 3, device=self.device)
-        inside = inside.index_add(0, surface.ray, opacity[:, None] * appearance.colour)
+        inside = inside.index_add(0, surface.ray, opacity[:, None] * appearance.color)
         inside = inside.index_add(0, behind, clear[behind, None] * back)
         total = front.index_add(0, meets, transmittance[:n][meets, None] * inside)
         ray = meets[surface.ray]
@@ -232,11 +234,11 @@ class FieldsLearning:
         eikonal = ((surface.sdf_gradient.norm(dim=-1) - 1) ** 2).mean() if len(ray) else nothing
         with section("curvature"):
             curvature = (shape.bending(surface.point) + 1).sqrt().mean() if len(ray) and p.curvature > 0 else nothing
-        return Rendering(total, opacities, weight, eikonal, curvature, haze)
+        return Rendering(total, opacities, weight, eikonal, curvature, foreground_opacity)
 
     def _set_environment_rate(self) -> None:
         for group in self.environment_optimiser.param_groups:
-            group["lr"] = environment_learning.learning_rate(self.environment.preset, self.step / self.steps)
+            group["lr"] = environment_training.learning_rate(self.environment.preset, self.step / self.steps)
 
     @profiled("draw pixels")
     def _draw(self, pool: PixelSet, count: int) -> torch.Tensor:
@@ -247,15 +249,15 @@ class FieldsLearning:
 
     @profiled("held-out error")
     @torch.no_grad()
-    def _check(self, pixels: int = 4096) -> float:
+    def _validation_error(self, pixels: int = 4096) -> float:
         """Photometric error on held-out pixels in which the object was seen at the first look."""
-        if self.checked is None:
+        if self.validation_pixels is None:
             index = torch.cat([part[part % HELD_OUT == 0] for part in self.object_pixels.split(1 << 20)])
-            self.checked = index[:: max(1, len(index) // pixels)]
-        if not len(self.checked):
+            self.validation_pixels = index[:: max(1, len(index) // pixels)]
+        if not len(self.validation_pixels):
             return float("inf")
-        out = self.render(*self.rays.rays(self.checked), None)
-        return float((tone_map(out.radiance) - tone_map(self.rays.photo(self.checked))).abs().mean())
+        out = self.render(*self.rays.rays(self.validation_pixels), None)
+        return float((tone_map(out.radiance) - tone_map(self.rays.photo(self.validation_pixels))).abs().mean())
 
     @profiled("steps of F_e alone")
     def _learn_background_step(self) -> float:
@@ -264,10 +266,10 @@ class FieldsLearning:
         self._refine_environment()
         index = self._draw(self.rays.outside, p.object_rays + p.sphere_rays + p.outside_rays)
         self._set_environment_rate()
-        self.loss = environment_learning.learn_step(
+        self.loss = environment_training.learn_step(
             self.environment, self.environment_optimiser, self.rays, index, self.generator
         )
-        self.guard.judge(usable_loss(self.loss))
+        self.monitor.record(usable_loss(self.loss))
         self.step += 1
         return self.loss
 
@@ -288,9 +290,9 @@ class FieldsLearning:
         self.object_field.start_from(torch.from_numpy(hull.sdf).to(self.device))
         self.start_sharpness = p.hull_sharpness
 
-    @profiled("look for the object")
+    @profiled("object pixels")
     @torch.no_grad()
-    def _look_for_object(self, block: int = 4) -> None:
+    def _update_object_pixels(self, block: int = 4) -> None:
         """Sets `object_pixels`: the valid pixels in which the object is seen now, and some around them."""
         rays, shape, found = self.rays, self.object_field.shape(), GrowingPixelSet(self.device)
         band = BAND / self.sharpness
@@ -315,7 +317,9 @@ class FieldsLearning:
         """Of renderings and photos [n, 3], tone-mapped; without highlights as far as the object hides what is behind it: F_e
         keeps its lamps."""
         full = (tone_map(out.radiance) - tone_map(photo)).abs()
-        dull = tone_map_without_highlights(out.radiance, self.white) - tone_map_without_highlights(photo, self.white)
+        dull = tone_map_without_highlights(out.radiance, self.highlight_threshold) - tone_map_without_highlights(
+            photo, self.highlight_threshold
+        )
         return torch.lerp(full, dull.abs(), out.opacity.detach()[:, None].clamp(max=1))
 
     @profiled("steps of both fields")
@@ -325,12 +329,14 @@ class FieldsLearning:
             self._find_hull()
         if self.fraction >= p.fine_from and self.object_field.level_count < p.last_levels:
             self._set_levels(p.last_levels)
-        looks = sum(self.fraction >= fraction for fraction in p.look_at)
-        if looks > self.looks:
-            self.looks = looks
-            self._look_for_object()
-        if self.looks and self.fraction >= p.look_at[0] + p.check_every * len(self.held_out):
-            self.held_out.append(self._check())
+        object_pixels_updates = sum(self.fraction >= fraction for fraction in p.object_pixels_at)
+        if object_pixels_updates > self.object_pixels_updates:
+            self.object_pixels_updates = object_pixels_updates
+            self._update_object_pixels()
+        if self.object_pixels_updates and self.fraction >= p.object_pixels_at[0] + p.validate_every * len(
+            self.validation_errors
+        ):
+            self.validation_errors.append(self._validation_error())
         self._refine_environment()
         pick = [
             self._draw(pool, count)
@@ -350,11 +356,11 @@ class FieldsLearning:
         # stiff while the light is still unknown, which would else be explained by dents; then free for detail
         soften = (p.last_curvature / p.curvature if p.curvature > 0 else 1.0) ** max(0.0, 2 * self.fraction - 1)
         loss = photometric + p.eikonal * out.eikonal + p.curvature * soften * out.curvature
-        loss = loss + self.environment.preset.front_opacity * out.haze
+        loss = loss + self.environment.preset.foreground_opacity * out.foreground_opacity
         if rays.mask is not None and p.mask > 0:
             mask = rays.mask[index].float() / 255
             loss = loss + p.mask * functional.binary_cross_entropy(out.opacity.clamp(1e-4, 1 - 1e-4), mask)
-        warm = min(1.0, (self.step - self.background_steps + 1) / 50) * self._slowing
+        warm = min(1.0, (self.step - self.background_steps + 1) / 50) * self._learning_rate_decay
         # a sharper surface answers to smaller steps
         for group in self.sdf_optimiser.param_groups:
             group["lr"] = p.sdf_rate * warm * (p.first_sharpness / self.sharpness) ** 0.5
@@ -370,17 +376,17 @@ class FieldsLearning:
                 loss.backward()
             self.environment.regularise(self.generator)
             usable = usable_gradients(optimisers)
-        if self.guard.judge(usable):
+        if self.monitor.record(usable):
             with section("optimisers"):
                 for optimiser in optimisers:
                     optimiser.step()
         self.step += 1
-        self.learned = min(self.learned + self._pace, p.steps)
+        self.learned = min(self.learned + self._step_multiplier, p.steps)
         self.loss = float(photometric.detach())
         return self.loss
 
     @torch.no_grad()
-    def evidence(self, pixels: int = 16384) -> float:
+    def explanation_ratio(self, pixels: int = 16384) -> float:
         """How much better the object explains the pixels that it covers than F_e alone would, if it were not there: the
         ratio of their mean tone-mapped errors. Near 1: the sphere is empty. 0 where no pixel is covered."""
         pick = torch.randint(len(self.rays.sphere), (pixels,), generator=self.generator, device=self.device)
@@ -392,13 +398,13 @@ class FieldsLearning:
         if len(ray) < 0.001 * pixels:
             return 0.0
         normal = functional.normalize(surface.gradient[solid], dim=-1, eps=1e-6)
-        colour = self.object_field.appearance(surface.point[solid], normal, directions[ray]).colour
+        color = self.object_field.appearance(surface.point[solid], normal, directions[ray]).color
         near = torch.full((len(ray),), self.preset.near, device=self.device)
         behind, _ = self.environment.render(
             origins[ray], directions[ray], near, torch.full_like(near, torch.inf), half_angle[ray], None
         )
         photo = tone_map(self.rays.photo(index[ray]))
-        error = (tone_map(colour) - photo).abs().mean().clamp(min=1e-6)
+        error = (tone_map(color) - photo).abs().mean().clamp(min=1e-6)
         return float((tone_map(behind) - photo).abs().mean() / error)
 
     def state(self) -> dict:
@@ -413,14 +419,14 @@ class FieldsLearning:
             "head_optimiser": self.head_optimiser.state_dict(),
             "environment_optimiser": self.environment_optimiser.state_dict(),
             "generator": self.generator.get_state(),
-            "looks": self.looks,
+            "object_pixels_updates": self.object_pixels_updates,
             "object_pixels": self.object_pixels.state(),
             "start_sharpness": self.start_sharpness,
             "report": self.report,
             "learned": self.learned,
-            "held_out": self.held_out,
-            "checked": self.checked,
-            "guard": self.guard.state(),
+            "validation_errors": self.validation_errors,
+            "validation_pixels": self.validation_pixels,
+            "monitor": self.monitor.state(),
         }
 
     def load(self, state: dict) -> None:
@@ -429,16 +435,20 @@ class FieldsLearning:
         self._set_levels(state["levels"])
         self.object_field.load_state_dict(state["object"])
         self.environment.load_state_dict(state["environment"])
-        self.environment_optimiser = environment_learning.optimiser(self.environment)
+        self.environment_optimiser = environment_training.optimiser(self.environment)
         self.sdf_optimiser.load_state_dict(state["sdf_optimiser"])
         self.head_optimiser.load_state_dict(state["head_optimiser"])
         self.environment_optimiser.load_state_dict(state["environment_optimiser"])
         self.generator.set_state(state["generator"])
-        self.looks = state["looks"]
+        self.object_pixels_updates = state["object_pixels_updates"]
         self.object_pixels = PixelSet.from_state(state["object_pixels"]).to(self.device)
         self.start_sharpness, self.report = state["start_sharpness"], state["report"]
-        self.learned, self.held_out, self.checked = state["learned"], state["held_out"], state["checked"]
-        self.guard.load(state["guard"])
+        self.learned, self.validation_errors, self.validation_pixels = (
+            state["learned"],
+            state["validation_errors"],
+            state["validation_pixels"],
+        )
+        self.monitor.load(state["monitor"])
 
 
 def learn_fields(
@@ -462,7 +472,7 @@ def learn_fields(
     """
     if surface is not None:
         background = _pixels_beside(surface, rays)
-        environment, report = environment_learning.learn_environment(
+        environment, report = environment_training.learn_environment(
             rays, background, preset.environment, seed=seed, device=device, progress=progress, checkpoint=checkpoint
         )
         return Fields(None, environment, {"skipped": {"object field": "a mesh was given (--mesh)"}, **report})
@@ -479,21 +489,21 @@ def learn_fields(
             checkpoint.save(learning.state())
             if checkpoint.stopping:
                 raise Stopped("Stopped during fields learning; the checkpoint is written.", "Go on with --resume.")
-    evidence = learning.evidence()
-    if evidence < preset.fields.least_evidence:
+    explanation_ratio = learning.explanation_ratio()
+    if explanation_ratio < preset.fields.least_explanation_ratio:
         raise LearningError(
             f"The object's sphere seems to contain nothing: the surroundings explain its pixels almost as well as an object"
-            f" does (ratio {evidence:.2f}, needed {preset.fields.least_evidence}).",
+            f" does (ratio {explanation_ratio:.2f}, needed {preset.fields.least_explanation_ratio}).",
             "Set object_center and object_radius in transforms.json so that the sphere holds the object closely.",
         )
-    environment_learning.freeze(learning.environment, rays, rays.outside if len(rays.outside) else rays.sphere, seed)
+    environment_training.freeze(learning.environment, rays, rays.outside if len(rays.outside) else rays.sphere, seed)
     report = {
         "steps": learning.step,
         "of_steps": learning.background_steps + preset.fields.steps,
-        "held_out_error": [round(e, 4) for e in learning.held_out],
+        "held_out_error": [round(e, 4) for e in learning.validation_errors],
         "loss": learning.loss,
-        "evidence": round(evidence, 3),
-        **learning.guard.report(),
+        "explanation_ratio": round(explanation_ratio, 3),
+        **learning.monitor.report(),
         **learning.report,
     }
     return Fields(learning.object_field, learning.environment, report)

@@ -70,7 +70,7 @@ def look_up(texture: np.ndarray, uv: np.ndarray) -> np.ndarray:
 def nearest_known(known: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Row and column, both [H,W], of the texel inside `known` [H,W] bool that is nearest to each texel; itself where inside.
 
-    `texture[nearest_known(known)]` is dilated: filtering and mip-mapping then find no foreign colour at a seam. The identity
+    `texture[nearest_known(known)]` is dilated: filtering and mip-mapping then find no foreign color at a seam. The identity
     when nothing is known.
     """
     if not known.any():

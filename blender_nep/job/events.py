@@ -42,48 +42,48 @@ def time_text(seconds: float) -> str:
 class Timeline:
     """How far the whole job is, and how long it still takes.
 
-    Each room brings a first guess of its seconds. The time left in a room follows its own pace once that shows; the
-    rooms to come are scaled by how wrong the guesses were so far.
+    Each stage brings a first guess of its seconds. The time left in a stage follows its own pace once that shows; the
+    stages to come are scaled by how wrong the guesses were so far.
     """
 
     def __init__(self, expected: dict[str, float], clock: Callable[[], float] = time.monotonic) -> None:
-        self.expected = {room: max(seconds, 0.1) for room, seconds in expected.items()}
+        self.expected = {stage: max(seconds, 0.1) for stage, seconds in expected.items()}
         self._clock = clock
         self._spent = 0.0
         self._guessed = 0.0
-        self._room = ""
-        self._room_start = 0.0
+        self._stage = ""
+        self._stage_start = 0.0
         self._first = 0.0
         self._done: set[str] = set()
 
-    def enter(self, room: str) -> None:
-        """A room begins."""
-        self._room, self._room_start, self._first = room, self._clock(), 0.0
+    def enter(self, stage: str) -> None:
+        """A stage begins."""
+        self._stage, self._stage_start, self._first = stage, self._clock(), 0.0
 
     def begin_at(self, fraction: float) -> None:
-        """The room is resumed in its middle: what was done before takes no time now."""
+        """The stage is resumed in its middle: what was done before takes no time now."""
         self._first = fraction
 
     def leave(self, *, skipped: bool = False) -> None:
-        """The room ended; `skipped`: it took no time because its result was there."""
-        self._done.add(self._room)
+        """The stage ended; `skipped`: it took no time because its result was there."""
+        self._done.add(self._stage)
         if not skipped:
-            self._spent += self._clock() - self._room_start
-            self._guessed += self.expected[self._room] * (1 - self._first)
+            self._spent += self._clock() - self._stage_start
+            self._guessed += self.expected[self._stage] * (1 - self._first)
 
     def at(self, fraction: float) -> tuple[float, float]:
-        """(fraction of the whole job, seconds left) when the current room is `fraction` done (0..1)."""
-        elapsed, guess = self._clock() - self._room_start, self.expected[self._room]
+        """(fraction of the whole job, seconds left) when the current stage is `fraction` done (0..1)."""
+        elapsed, guess = self._clock() - self._stage_start, self.expected[self._stage]
         advanced = fraction - self._first
         shows = advanced > 0.02 or (advanced > 0 and elapsed > 15)
         if shows:
             pace = (self._spent + elapsed) / (self._guessed + guess * advanced)
         else:
             pace = self._spent / self._guessed if self._guessed > 1 else 1.0
-        room_left = elapsed / advanced * (1 - fraction) if shows else guess * pace * (1 - fraction)
-        later = sum(s for r, s in self.expected.items() if r not in self._done and r != self._room)
+        stage_left = elapsed / advanced * (1 - fraction) if shows else guess * pace * (1 - fraction)
+        later = sum(s for r, s in self.expected.items() if r not in self._done and r != self._stage)
         done = sum(s for r, s in self.expected.items() if r in self._done) + guess * fraction
-        return min(done / sum(self.expected.values()), 1.0), room_left + later * min(max(pace, 0.1), 20.0)
+        return min(done / sum(self.expected.values()), 1.0), stage_left + later * min(max(pace, 0.1), 20.0)
 
 
 class Events:
@@ -157,16 +157,16 @@ class Events:
             self._protocol = None
 
     def progress(
-        self, room: str, step: int, steps: int, fraction: float, eta: float, loss: float | None, **extra: Any
+        self, stage: str, step: int, steps: int, fraction: float, eta: float, loss: float | None, **extra: Any
     ) -> None:
-        """How far the job is: at most four events a second, but always the first and last step of a room.
+        """How far the job is: at most four events a second, but always the first and last step of a stage.
         `note` (extra) stands for the step where there is something better to say."""
-        now, edge = self._clock(), step in (0, steps) or self._last_step is None or self._last_step[0] != room
-        if (edge and self._last_step != (room, step)) or now - self._last_event >= 0.25:
-            self._last_event, self._last_step = now, (room, step)
+        now, edge = self._clock(), step in (0, steps) or self._last_step is None or self._last_step[0] != stage
+        if (edge and self._last_step != (stage, step)) or now - self._last_event >= 0.25:
+            self._last_event, self._last_step = now, (stage, step)
             self.emit(
                 "progress",
-                room=room,
+                stage=stage,
                 step=step,
                 steps=steps,
                 fraction=round(fraction, 4),
@@ -174,9 +174,9 @@ class Events:
                 loss=loss,
                 **extra,
             )
-            self._show(room, extra.get("note", f"{step}/{steps}"), fraction, eta, loss)
+            self._show(stage, extra.get("note", f"{step}/{steps}"), fraction, eta, loss)
 
-    def _show(self, room: str, place: str, fraction: float, eta: float, loss: float | None) -> None:
+    def _show(self, stage: str, place: str, fraction: float, eta: float, loss: float | None) -> None:
         figure = "" if loss is None else f", loss {loss:.4f}"
         if self._human is not None and self._human.isatty():
             if self._bar is None:
@@ -184,10 +184,10 @@ class Events:
                 self._bar = tqdm(total=1.0, file=self._human, bar_format=form, dynamic_ncols=True)
             self._bar.n = fraction
             self._bar.unit = f"{place}{figure}, {time_text(eta)} left"
-            self._bar.set_description_str(room.replace("_", " "))
+            self._bar.set_description_str(stage.replace("_", " "))
         if self._clock() - self._last_line >= 10:
             self._last_line = self._clock()
-            text = f"{fraction:4.0%}  {room.replace('_', ' ')} {place}{figure}, {time_text(eta)} left"
+            text = f"{fraction:4.0%}  {stage.replace('_', ' ')} {place}{figure}, {time_text(eta)} left"
             self.log(text)
             if self._human is not None and self._bar is None:
                 self._print(text)

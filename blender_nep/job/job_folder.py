@@ -29,7 +29,7 @@ _FILES = ("job.json", "events.jsonl", "engine.log", "stop", PREVIEW_MESH, PREVIE
 
 
 class Journal:
-    """A file that lines are appended to and that outlives a full disk: what found no room is written later, in order."""
+    """A file that lines are appended to and that outlives a full disk: what found no space is written later, in order."""
 
     def __init__(self, path: Path) -> None:
         flags = os.O_WRONLY | os.O_CREAT | os.O_APPEND | getattr(os, "O_BINARY", 0)

@@ -1,4 +1,4 @@
-"""The `checkpoints/` folder of one run: what is being run, and the result of each room that is done."""
+"""The `checkpoints/` folder of one run: what is being run, and the result of each stage that is done."""
 
 from __future__ import annotations
 
@@ -14,8 +14,11 @@ from blender_nep.checkpoints import Checkpoint, StopRequest, load_state, output_
 from blender_nep.errors import UsageError
 from blender_nep.presets import Preset
 
-FORMAT = 2
-"""Version of the files in `checkpoints/`; others are not read."""
+FORMAT = 3
+"""Version of the files in `checkpoints/` and of `report.json`; a run of another version is refused.
+
+3: stages (before: rooms), and the names of the preset's fields.
+"""
 
 
 def fingerprint(
@@ -52,6 +55,11 @@ def _digest(data: bytes) -> str:
 
 def refuse_other_run(asset: Path, before: dict[str, object], what: dict[str, object]) -> None:
     """Raise UsageError when the run in `asset` is not the one that is asked for."""
+    if before.get("format") != what.get("format"):
+        raise UsageError(
+            f"cannot resume: the run in {asset} is of another version of blender_nep",
+            "Finish it with that version, or start again with --overwrite.",
+        )
     different = [name for name in {**what, **before} if before.get(name) != what.get(name)]
     if different:
         raise UsageError(
@@ -61,7 +69,7 @@ def refuse_other_run(asset: Path, before: dict[str, object], what: dict[str, obj
 
 
 class RunFolder:
-    """Results of finished rooms and checkpoints of the one under way, in `asset`/checkpoints."""
+    """Results of finished stages and checkpoints of the one under way, in `asset`/checkpoints."""
 
     def __init__(self, asset: Path, stop: StopRequest, warn: Callable[[str], None]) -> None:
         self.asset = asset
@@ -97,24 +105,24 @@ class RunFolder:
             self._warn("checkpoints/run.json is damaged: the run starts from its beginning")
             return {}
 
-    def checkpoint(self, room: str) -> Checkpoint:
-        """The checkpoint of a room that begins now."""
-        return Checkpoint(self.path, room, self._stop, self._warn)
+    def checkpoint(self, stage: str) -> Checkpoint:
+        """The checkpoint of a stage that begins now."""
+        return Checkpoint(self.path, stage, self._stop, self._warn)
 
-    def save_result(self, room: str, result: dict, seconds: float) -> None:
-        """Write a room's result. Raises OutputError."""
-        save_state(self.path / f"{room}.done.pt", {"seconds": seconds, "result": result})
+    def save_result(self, stage: str, result: dict, seconds: float) -> None:
+        """Write a stage's result. Raises OutputError."""
+        save_state(self.path / f"{stage}.done.pt", {"seconds": seconds, "result": result})
 
-    def load_result(self, room: str) -> tuple[dict, float] | None:
-        """A finished room's (result, seconds), or None."""
-        path = self.path / f"{room}.done.pt"
+    def load_result(self, stage: str) -> tuple[dict, float] | None:
+        """A finished stage's (result, seconds), or None."""
+        path = self.path / f"{stage}.done.pt"
         if not path.is_file():
             return None
         try:
             saved = load_state(path)
             return saved["result"], float(saved["seconds"])
         except (ValueError, KeyError, TypeError) as error:
-            self._warn(f"{path.name} cannot be used: {error}; its room is done again")
+            self._warn(f"{path.name} cannot be used: {error}; its stage is done again")
             return None
 
     def remove(self) -> None:

@@ -1,6 +1,6 @@
-"""The five rooms in order: capture, fields learning, surface, material learning, asset.
+"""The five stages in order: capture, fields learning, surface, material learning, asset.
 
-Each room's result is written before the next begins, so that a killed run goes on from there.
+Each stage's result is written before the next begins, so that a killed run goes on from there.
 """
 
 from __future__ import annotations
@@ -30,11 +30,11 @@ from blender_nep.job.job_folder import JobFolder
 from blender_nep.job.run_folder import RunFolder, fingerprint, refuse_other_run
 from blender_nep.job.scene_analysis import SceneAnalysis, SurfaceAnalysis, seconds_of_cones
 from blender_nep.job.scene_report import SceneReport
-from blender_nep.job.stages import Rooms
+from blender_nep.job.stages import Stages
 from blender_nep.presets import Preset
 from blender_nep.profiling import Profile, profiled, section
 
-ROOMS = ("capture", "fields_learning", "surface", "material_learning", "asset")
+STAGES = ("capture", "fields_learning", "surface", "material_learning", "asset")
 _DOUBT = 0.03
 """Share of the error by which metal and not metal must differ; under it the photos do not tell."""
 
@@ -61,12 +61,12 @@ class Settings:
     profile: bool = False
 
 
-def run(settings: Settings, events: Events, stop: StopRequest, rooms: Rooms | None = None) -> int:
+def run(settings: Settings, events: Events, stop: StopRequest, stages: Stages | None = None) -> int:
     """Run a job to its end; returns the exit code. An error is one `error` event, its traceback goes to the log."""
     try:
         # An SDF in bfloat16 has steps of 1/256 object radii: where a caller has lowered the precision, a job does not.
         with torch.autocast("cpu", enabled=False), torch.autocast("cuda", enabled=False):
-            Job(settings, events, stop, rooms or Rooms()).run()
+            Job(settings, events, stop, stages or Stages()).run()
         return 0
     except NepError as error:
         events.log("".join(traceback.format_exception(error)))
@@ -96,8 +96,8 @@ def _unexpected(error: Exception, where: str) -> tuple[str, str]:
 class Job:
     """One run, from the capture to the asset."""
 
-    def __init__(self, settings: Settings, events: Events, stop: StopRequest, rooms: Rooms) -> None:
-        self.settings, self.events, self.stop, self.rooms = settings, events, stop, rooms
+    def __init__(self, settings: Settings, events: Events, stop: StopRequest, stages: Stages) -> None:
+        self.settings, self.events, self.stop, self.stages = settings, events, stop, stages
         preset = settings.preset
         self.timeline = Timeline(
             {
@@ -114,7 +114,7 @@ class Job:
         self.profile: Profile | None = None
 
     def run(self) -> None:
-        """All rooms. Raises NepError and its kinds."""
+        """All stages. Raises NepError and its kinds."""
         if not self.settings.profile:
             return self._run()
         self.profile = Profile(torch.cuda.synchronize if choose_device(self.settings.device).type == "cuda" else None)
@@ -161,15 +161,15 @@ class Job:
 
         given = None
         if s.mesh is not None:
-            given = self._room(
+            given = self._stage(
                 "surface",
-                lambda *_: (self.rooms.load_surface(s.mesh, capture, preset.surface), {}),
-                self.rooms.pack_surface,
-                self.rooms.unpack_surface,
+                lambda *_: (self.stages.load_surface(s.mesh, capture, preset.surface), {}),
+                self.stages.pack_surface,
+                self.stages.unpack_surface,
             )
-        fields = self._room(
+        fields = self._stage(
             "fields_learning",
-            lambda progress, checkpoint: self.rooms.learn_fields(
+            lambda progress, checkpoint: self.stages.learn_fields(
                 rays,
                 preset,
                 seed=s.seed,
@@ -179,25 +179,25 @@ class Job:
                 surface=given and given[0],
                 **self._watching(capture, rays),
             ),
-            self.rooms.pack_fields,
-            lambda state: self.rooms.unpack_fields(state, preset, self.device),
+            self.stages.pack_fields,
+            lambda state: self.stages.unpack_fields(state, preset, self.device),
         )
         learned = fields.report
         if "of_steps" in learned:
             self.scene.stopped_early(learned["steps"], learned["of_steps"], self.seconds["fields_learning"])
-        surface, surface_report = given or self._room(
+        surface, surface_report = given or self._stage(
             "surface",
-            lambda *_: self.rooms.extract_surface(fields.object_field, preset.surface),
-            self.rooms.pack_surface,
-            self.rooms.unpack_surface,
+            lambda *_: self.stages.extract_surface(fields.object_field, preset.surface),
+            self.stages.pack_surface,
+            self.stages.unpack_surface,
         )
         with section("scene analysis"):
             shape = SurfaceAnalysis.of(surface, rays, s.seed)
         plan = shape.plan(preset)
         self.scene.add("surface", shape, plan)
-        materials = self._room(
+        materials = self._stage(
             "material_learning",
-            lambda progress, checkpoint: self.rooms.learn_materials(
+            lambda progress, checkpoint: self.stages.learn_materials(
                 surface,
                 fields.environment,
                 rays,
@@ -207,8 +207,8 @@ class Job:
                 progress=progress,
                 checkpoint=checkpoint,
             ),
-            self.rooms.pack_materials,
-            self.rooms.unpack_materials,
+            self.stages.pack_materials,
+            self.stages.unpack_materials,
         )
         left_out = fields.report.get("steps_not_finite")
         if left_out:
@@ -317,25 +317,25 @@ class Job:
         if self.stop.requested:
             raise Stopped(f"stopped ({self.stop.reason}) while the photos were read", "Start it again with --resume.")
 
-    def _progress(self, room: str, step: int, steps: int, loss: float | None, **extra: Any) -> None:
+    def _progress(self, stage: str, step: int, steps: int, loss: float | None, **extra: Any) -> None:
         fraction, eta = self.timeline.at(step / max(steps, 1))
         preview = extra.pop("preview", None)
-        self.events.progress(room, step, steps, fraction, eta, loss, **extra)
+        self.events.progress(stage, step, steps, fraction, eta, loss, **extra)
         if preview is not None:
             self.events.preview(Path(preview))
 
-    def _room(self, room: str, work: Callable, pack: Callable[[Any], dict], unpack: Callable[[dict], Any]) -> Any:
-        """Enter a room: take its result from the disk, or work and write it. Raises Stopped between rooms, too."""
-        self.timeline.enter(room)
-        saved = self.folder.load_result(room)
+    def _stage(self, stage: str, work: Callable, pack: Callable[[Any], dict], unpack: Callable[[dict], Any]) -> Any:
+        """Enter a stage: take its result from the disk, or work and write it. Raises Stopped between stages, too."""
+        self.timeline.enter(stage)
+        saved = self.folder.load_result(stage)
         if saved is not None:
-            self.seconds[room] = saved[1]
-            self.resumed.append(room)
+            self.seconds[stage] = saved[1]
+            self.resumed.append(stage)
             self.timeline.leave(skipped=True)
-            self.events.log(f"room {room}: taken from the disk")
+            self.events.log(f"stage {stage}: taken from the disk")
             return unpack(saved[0])
-        self.events.log(f"room {room}")
-        checkpoint = self.folder.checkpoint(room)
+        self.events.log(f"stage {stage}")
+        checkpoint = self.folder.checkpoint(stage)
         checkpoint.raise_if_stopped(saves=False)
 
         begun = False
@@ -346,18 +346,18 @@ class Job:
                 self.timeline.begin_at(max(step - 1, 0) / max(steps, 1))
             begun = True
             if loss is not None:
-                self.losses[room] = float(loss)
-            self._progress(room, step, steps, None if loss is None else float(loss), **extra)
+                self.losses[stage] = float(loss)
+            self._progress(stage, step, steps, None if loss is None else float(loss), **extra)
             checkpoint.raise_if_stopped(saves=True)
 
-        # a room's kernels are compiled at its first step, on each machine once; later runs take them from the cache
-        self._progress(room, 0, 1, None, note="warming up")
-        with section(room):
+        # a stage's kernels are compiled at its first step, on each machine once; later runs take them from the cache
+        self._progress(stage, 0, 1, None, note="warming up")
+        with section(stage):
             result = work(progress, checkpoint)
-        self.seconds[room] = checkpoint.seconds()
-        self.folder.save_result(room, pack(result), self.seconds[room])
+        self.seconds[stage] = checkpoint.seconds()
+        self.folder.save_result(stage, pack(result), self.seconds[stage])
         checkpoint.remove()
-        self._progress(room, 1, 1, self.losses.get(room))
+        self._progress(stage, 1, 1, self.losses.get(stage))
         self.timeline.leave()
         return result
 
@@ -401,23 +401,23 @@ class Job:
                     "masks": rays.mask is not None,
                     **({} if rays.gain is None else {"photo_gains": np.round(rays.gain.tolist(), 4).tolist()}),
                 },
-                "seconds": {room: round(self.seconds[room], 2) for room in ROOMS},
+                "seconds": {stage: round(self.seconds[stage], 2) for stage in STAGES},
                 "seconds_total": round(sum(self.seconds.values()), 2),
                 "peak_memory_mb": None if peak_memory() is None else round(peak_memory(), 1),
-                "resumed_rooms": self.resumed,
+                "resumed_stages": self.resumed,
                 **self.scene.report(),
                 "losses": self.losses,
                 **({} if self.profile is None else {"profile": self.profile.report()}),
-                "rooms": {
-                    room: {k: v for k, v in part.items() if k not in ("skipped", "seconds_saved")}
-                    for room, part in parts.items()
+                "stages": {
+                    stage: {k: v for k, v in part.items() if k not in ("skipped", "seconds_saved")}
+                    for stage, part in parts.items()
                 },
                 "warnings": self.events.warnings,
                 "fingerprint": what,
             }
 
         with section("asset"):
-            self.rooms.write_asset(s.out, capture, rays, surface, materials, (light, coverage), report)
+            self.stages.write_asset(s.out, capture, rays, surface, materials, (light, coverage), report)
         if s.clean:
             self.folder.remove()
         self._progress("asset", 1, 1, None)

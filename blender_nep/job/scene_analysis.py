@@ -35,7 +35,7 @@ GLOSSY = 0.25
 MATTE_FROM = 0.28
 """Roughness from which on a matte object's light is gathered."""
 _CAST = 0.05
-"""Difference of logarithms of the channels that an artist would call a cast of colour."""
+"""Difference of logarithms of the channels that an artist would call a cast of color."""
 _PIXELS = 300_000
 """Pixels looked at, of all photos."""
 
@@ -96,7 +96,7 @@ class SceneAnalysis:
             object_share=None if shown is None else float(shown.float().mean()),
             pixels_across=2 / max(float((1.77 * angle * origins.norm(dim=-1)).median()), 1e-9),
             exposure_stops=0.0 if rays.gain is None else float(np.ptp(stops(rays.gain))),
-            white_balance=0.0 if rays.gain is None else float(_colour(rays.gain).square().mean().sqrt()),
+            white_balance=0.0 if rays.gain is None else float(_color(rays.gain).square().mean().sqrt()),
         )
 
     def facts(self) -> dict:
@@ -143,7 +143,7 @@ class SceneAnalysis:
         return Plan(preset, skipped)
 
 
-def _colour(gain: torch.Tensor) -> torch.Tensor:
+def _color(gain: torch.Tensor) -> torch.Tensor:
     """What gains [views, 3] change besides the exposure, as logarithms."""
     return gain.log() - gain.log().mean(1, keepdim=True)
 
@@ -214,18 +214,21 @@ class SurfaceAnalysis:
             p = replace(p, levels=1)
             skipped["second bounces"] = self._visibility()
         if self.matte:
-            rungs = tuple(r for r in p.ladder if r >= MATTE_FROM)
-            if 2 <= len(rungs) < len(p.ladder):
-                p = replace(p, ladder=rungs, least_roughness=max(p.least_roughness, rungs[0]))
+            kept = tuple(r for r in p.roughness_levels if r >= MATTE_FROM)
+            if 2 <= len(kept) < len(p.roughness_levels):
+                p = replace(p, roughness_levels=kept, least_roughness=max(p.least_roughness, kept[0]))
                 skipped["narrow cones"] = "the object is matte: nothing in it mirrors"
         return Plan(replace(preset, material=p), skipped)
 
 
 def seconds_of_cones(whole: MaterialPreset, less: MaterialPreset, seconds: float) -> dict[str, float]:
     """Seconds that the cones left out of `whole` would have taken, where those of `less` took `seconds`."""
-    rungs = len(whole.ladder) - len(less.ladder)
-    left_out = {"irradiance": whole.irradiance_cones - less.irradiance_cones, "narrow cones": rungs * whole.specular_cones}
-    traced = less.irradiance_cones + len(less.ladder) * less.specular_cones
+    dropped_levels = len(whole.roughness_levels) - len(less.roughness_levels)
+    left_out = {
+        "irradiance": whole.irradiance_cones - less.irradiance_cones,
+        "narrow cones": dropped_levels * whole.specular_cones,
+    }
+    traced = less.irradiance_cones + len(less.roughness_levels) * less.specular_cones
     return {what: seconds * cones / traced for what, cones in left_out.items() if cones}
 
 

@@ -28,7 +28,7 @@ _IN_PLAIN_WORDS = {
 
 
 class SceneReport:
-    """Grows as the rooms are entered; every addition is told at once."""
+    """Grows as the stages are entered; every addition is told at once."""
 
     def __init__(self, events: Events) -> None:
         self._events = events
@@ -56,7 +56,7 @@ class SceneReport:
             self.skipped["surface extraction"] = "a mesh was given (--mesh)"
 
     def skip(self, skipped: dict[str, str], seconds: dict[str, float]) -> None:
-        """What a room has left out by itself; what was left out before keeps its reason."""
+        """What a stage has left out by itself; what was left out before keeps its reason."""
         new = {what: why for what, why in skipped.items() if what not in self.skipped}
         self.skipped |= new
         self.seconds_saved |= {what: round(value, 2) for what, value in seconds.items()}

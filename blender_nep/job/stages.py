@@ -1,6 +1,6 @@
-"""The long rooms of a job behind one name each, and their results as plain dicts for the disk.
+"""The long stages of a job behind one name each, and their results as plain dicts for the disk.
 
-Imported when a room is entered: `blender-nep info` and the first error messages do not wait for them.
+Imported when a stage is entered: `blender-nep info` and the first error messages do not wait for them.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from blender_nep.surface.extraction import Surface
 
 
-class Rooms:
+class Stages:
     """What a job calls; a test may put its own in place."""
 
     def learn_fields(self, rays: PixelRays, preset: Preset, **keywords: Any) -> Fields:

@@ -21,8 +21,9 @@ _BLOCK = 1 << 16
 
 
 @dataclass
-class Evidence:
-    """What the samples say, all [n, ...]: where, from which photo, how well each palette material fits."""
+class LabelledPoints:
+    """Points of the surface whose materials are known, all [n, ...]: where, from which photo, how well each palette
+    material fits."""
 
     position: np.ndarray
     photo: np.ndarray
@@ -72,7 +73,7 @@ def texture_size(surface: Surface, footprint: float, most: int) -> int:
 
 @profiled("textures")
 def bake(
-    surface: Surface, evidence: Evidence, palette: Palette, size: int
+    surface: Surface, labelled: LabelledPoints, palette: Palette, size: int
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Albedo [S,S,3], roughness, metallic, confidence [S,S] float32, seams dilated.
 
@@ -82,12 +83,12 @@ def bake(
     face, barycentric = rasterise(surface.uv, surface.faces, size)
     known = face >= 0
     face, barycentric = face[known], barycentric[known]
-    tree, sample_label = cKDTree(evidence.position), evidence.cost.argmin(1)
+    tree, sample_label = cKDTree(labelled.position), labelled.cost.argmin(1)
     blocks = []
     for start in range(0, max(len(face), 1), _BLOCK):
         part = slice(start, start + _BLOCK)
         points = np.einsum("nc,nck->nk", barycentric[part], surface.vertices[surface.faces[face[part]]])
-        blocks.append(_TexelVotes.of(points, evidence, sample_label, tree))
+        blocks.append(_TexelVotes.of(points, labelled, sample_label, tree))
     votes = _TexelVotes.joined(blocks)
     del blocks, barycentric
     albedo = np.where(votes.support[:, None] > 1e-3, votes.local_albedo, palette.albedo.cpu().numpy()[votes.label])
@@ -127,15 +128,15 @@ class _TexelVotes:
     """distances of the neighbours"""
 
     @classmethod
-    def of(cls, points: np.ndarray, evidence: Evidence, sample_label: np.ndarray, tree: cKDTree) -> _TexelVotes:
+    def of(cls, points: np.ndarray, labelled: LabelledPoints, sample_label: np.ndarray, tree: cKDTree) -> _TexelVotes:
         """For points [n,3]; sample_label [m] is each sample's material."""
         distance, index = neighbours(tree, points, NEIGHBOURS)
-        label, weight = vote(evidence.cost, distance, index), kernel(distance)
+        label, weight = vote(labelled.cost, distance, index), kernel(distance)
         own = weight * (sample_label[index] == label[:, None])
         support = own.sum(1)
-        albedo = np.einsum("nk,nkc->nc", own, evidence.albedo[index]) / np.maximum(support, 1e-9)[:, None]
-        photos = 1 + (np.diff(np.sort(evidence.photo[index], 1), axis=1) > 0).sum(1)
-        residual = (evidence.residual[index] * weight).sum(1) / weight.sum(1)
+        albedo = np.einsum("nk,nkc->nc", own, labelled.albedo[index]) / np.maximum(support, 1e-9)[:, None]
+        photos = 1 + (np.diff(np.sort(labelled.photo[index], 1), axis=1) > 0).sum(1)
+        residual = (labelled.residual[index] * weight).sum(1) / weight.sum(1)
         nearest, farthest = distance[:, 0].copy(), distance[:, -1].copy()  # not views, which would keep all distances
         return cls(label, albedo.astype(np.float32), support, residual, photos, nearest, farthest)
 

@@ -66,7 +66,7 @@ def fit_groups(
         brdf.multiscatter_scale(brdf.DIELECTRIC_FSS, cos_v, r),
         1 - brdf.dielectric_albedo(cos_v, r),
     )
-    low, mix = light.rung(scan)
+    low, mix = light.roughness_interval(scan)
     limits = [1.0 if metallic > 0.5 else most_diffuse for metallic in hypotheses]
     cost = np.zeros((len(hypotheses), len(scan), groups), np.float32)
     albedo = np.zeros((*cost.shape, 3), np.float32)

@@ -38,7 +38,7 @@ class PaletteSearch:
         self.target = samples.radiance
         self.label = torch.zeros(len(samples), dtype=torch.int64, device=device)
         """[n] into the palette"""
-        self.weight = 0.05 + light.coverage[:, : len(preset.ladder) // 2].mean(1)
+        self.weight = 0.05 + light.coverage[:, : len(preset.roughness_levels) // 2].mean(1)
         """[n] how much a sample counts: until all light is known, by how much of its own is"""
         self.palette: Palette
         self.merged = 0
@@ -50,7 +50,7 @@ class PaletteSearch:
         """One material for all samples."""
         self.palette = self._fit(self.label, 1)
 
-    def opposites(self) -> Palette:
+    def metallic_swapped(self) -> Palette:
         """Each material of the palette as it would be if it were metal instead of a dielectric, or the reverse."""
         p, opposite = self.preset, self.palette
         cost, albedo = self._scan(self.label, len(self.palette))

@@ -18,8 +18,8 @@ from torch import Tensor
 
 from blender_nep.errors import LearningError
 from blender_nep.geometry.ray_tracing import RayTracer
-from blender_nep.materials.baking import Evidence, bake, texture_size
-from blender_nep.materials.label_evidence import error_of_neighbours, evidence_of_pixels, evidence_of_samples, surfels
+from blender_nep.materials.baking import LabelledPoints, bake, texture_size
+from blender_nep.materials.labelled_points import error_of_neighbours, labelled_pixels, labelled_samples, surfels
 from blender_nep.materials.palette import Palette
 from blender_nep.materials.palette_search import PaletteSearch
 from blender_nep.materials.photo_samples import PhotoSamples, select_samples
@@ -161,7 +161,7 @@ class _MaterialLearner:
         saved = self.checkpoint.load() or {}
         if "light" in saved:
             self.f_p.terminal.load_state_dict(saved["terminal"])
-            self.light = IncomingLight.restored(self.f_p, self.points, self.preset.ladder, saved["light"])
+            self.light = IncomingLight.restored(self.f_p, self.points, self.preset.roughness_levels, saved["light"])
             self.generator.set_state(saved["generator"])
         else:
             if self.preset.levels > 0:
@@ -169,7 +169,7 @@ class _MaterialLearner:
             self.light = IncomingLight.gathered(
                 self.f_p,
                 self.points,
-                self.preset.ladder,
+                self.preset.roughness_levels,
                 self.preset.irradiance_cones,
                 self.generator,
                 lambda share: self._step(10 + int(60 * share)),
@@ -185,7 +185,7 @@ class _MaterialLearner:
     def _grow_palette(self) -> None:
         self.search.grow(lambda: self._step(75))
 
-    def _opposites(self) -> Palette | None:
+    def _metallic_swapped(self) -> Palette | None:
         """The palette's materials the other way round (metal or not); None where it is known what they are."""
         if len(self.preset.metallic) == 1:
             return None
@@ -193,7 +193,7 @@ class _MaterialLearner:
             before = self.report.get("seconds_saved", {}).get(_ASKING, 0.0)
             self._skip(_ASKING, "the photos have told it clearly", before + self.asking)
             return None
-        return self.search.opposites()
+        return self.search.metallic_swapped()
 
     def _residual(self) -> float:
         self.loss = self.search.residual()
@@ -251,7 +251,7 @@ class _MaterialLearner:
             trials.append(time.monotonic())
             self._step(self.done)
 
-        others = self._opposites()
+        others = self._metallic_swapped()
         scan = time.monotonic() - start
         light.unseen, search.palette, margins = learn_unseen_light(
             light, search.palette, others, search.label, search.target, p, self.generator, tried
@@ -265,10 +265,10 @@ class _MaterialLearner:
         self._residual()
         search.weight = torch.ones_like(search.weight)
 
-    def _evidence(self) -> Evidence:
+    def _evidence(self) -> LabelledPoints:
         """Of all pixels, if the light of the samples tells that of the others."""
         search, tracer, normals = self.search, self.f_p.tracer, self.surface.normals
-        of_samples = evidence_of_samples(search)
+        of_samples = labelled_samples(search)
         if len(search.palette) == 1:
             self._skip("votes of all pixels", "one material explains the photos")
             return of_samples
@@ -276,7 +276,7 @@ class _MaterialLearner:
         error = error_of_neighbours(search, samples, shown)
         self.report["neighbours_error"] = round(error, 4)
         if error <= np.median(of_samples.residual):
-            return evidence_of_pixels(search, samples, shown, self.rays, tracer, normals, self.seed)
+            return labelled_pixels(search, samples, shown, self.rays, tracer, normals, self.seed)
         self._skip("votes of all pixels", "light changes too fast between the samples of a photo")
         return of_samples
 
@@ -302,7 +302,7 @@ class _MaterialLearner:
         self.report["residual_one_material"], self.report["residual"] = round(single, 5), round(self._residual(), 5)
         self.report["texture_texels"] = size
         self.report["cones_traced"] = self.light.rays
-        hits = len(self.light.slot)
+        hits = len(self.light.hit_index)
         self.report["self_reflection_rays"] = hits
         if hits == 0:
             self._skip("indirect light", "nothing of the object reflects in itself")

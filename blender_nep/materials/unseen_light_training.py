@@ -14,7 +14,7 @@ from blender_nep.materials.palette import Palette
 from blender_nep.presets import MaterialPreset
 from blender_nep.profiling import profiled
 from blender_nep.shading.incoming_light import IncomingLight
-from blender_nep.shading.plenoptic import albedo_line, reflected
+from blender_nep.shading.plenoptic import affine_in_albedo, reflected
 from blender_nep.shading.unseen_light import UnseenLight, pyramid
 from blender_nep.shading.unseen_transport import UnseenTransport
 from blender_nep.tone_mapping import tone_map
@@ -137,12 +137,12 @@ class UnseenLightProblem:
         `start`, brightened to a glimmer.
 
         Priors, all of the tone-mapped map: its total variation; its mean, so that a few lamps are found rather than a bright
-        sky; its colour, because coloured light on a grey object looks like grey light on a coloured one.
+        sky; its color, because colored light on a grey object looks like grey light on a colored one.
         """
         p, device, light, rows, samples = self.preset, self.goal.device, self.light, self.map_rows, self.samples
         material = palette.at(self.label)
         moments = light.moments(material.roughness, samples, unseen=False)
-        offset, slope = albedo_line(material, moments, light.known_diffuse[samples], light.cos_v[samples])
+        offset, slope = affine_in_albedo(material, moments, light.known_diffuse[samples], light.cos_v[samples])
         response = torch.stack(light.open_lines(self.cones, samples, material), 1).float().cpu().numpy()
         raw = start.radiance.clamp_min(_GLIMMER).log().requires_grad_()
         logit = torch.logit(palette.albedo.clamp(0.01, 0.99)).requires_grad_()
@@ -170,8 +170,8 @@ class UnseenLightProblem:
                 (area[1:] * (down**2 + _SOFT**2).sqrt()).mean() + (area * (across**2 + _SOFT**2).sqrt()).mean()
             )
             prior = prior + p.unseen_prior * (area * brightness).mean()
-            coloured = (area * (radiance - radiance.mean(-1, keepdim=True)).abs()).mean()
-            prior = prior + p.unseen_colour * coloured / (area * radiance).mean()
+            colored = (area * (radiance - radiance.mean(-1, keepdim=True)).abs()).mean()
+            prior = prior + p.unseen_color * colored / (area * radiance).mean()
             error = float(photometric.detach() + prior.detach())
             ((levels * torch.from_numpy(gradient).to(device)).sum() + prior).backward()
             optimiser.step()

@@ -1,7 +1,7 @@
 """Products of a sparse matrix that is never written down, and of its adjoint, on the CPU: fused Numba kernels.
 
 Every cone of a surface point has four taps in a map; what it brings is spread over the lines of an affine function, with a
-response for each line and colour. Points are independent, and the adjoint is summed in parts that do not depend on the
+response for each line and color. Points are independent, and the adjoint is summed in parts that do not depend on the
 number of threads: neither do results.
 """
 

@@ -78,8 +78,8 @@ def _composite(levels_of, radii, shell_radii, occupied, origins, directions, nea
 
 
 @njit(cache=True)
-def accumulate_evidence(raw, origins, directions, near, log_outer, density_gain, step, evidence):
-    """Adds to evidence [K, H, W] the weight with which each camera ray sees each node (nearest). One thread."""
+def accumulate_coverage(raw, origins, directions, near, log_outer, density_gain, step, seen):
+    """Adds to seen [K, H, W] the weight with which each camera ray sees each node (nearest). One thread."""
     shells, rows, columns = raw.shape[0], raw.shape[1], raw.shape[2]
     for i in range(origins.shape[0]):
         passed, t = 1.0, near[i]
@@ -97,7 +97,7 @@ def accumulate_evidence(raw, origins, directions, near, log_outer, density_gain,
             value = raw[k, row, column, 0]
             density = density_gain * (max(value, 0.0) + math.log1p(math.exp(-abs(value))))
             alpha = 1.0 if closing else 1.0 - math.exp(-density * step)
-            evidence[k, row, column] += passed * alpha
+            seen[k, row, column] += passed * alpha
             passed *= 1.0 - alpha
             if closing:
                 break

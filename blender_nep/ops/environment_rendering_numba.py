@@ -13,8 +13,8 @@ import math
 import numpy as np
 from numba import njit, prange
 
-COLOUR_LIMIT = 9.0
-"""Raw colours are logarithms of radiance; beyond e^9 = 8100 they are clamped."""
+COLOR_LIMIT = 9.0
+"""Raw colors are logarithms of radiance; beyond e^9 = 8100 they are clamped."""
 
 
 @njit(cache=True, inline="always", fastmath=True, error_model="numpy")
@@ -99,7 +99,7 @@ def march(
         transmittance_limit: stop below; depth_limit: optical depths below are skipped.
         keep: write the sample records for the backward pass.
         radiance [n, 3], transmittance [n], live [n] int64 samples kept, cells [m, 3] int32 (k, row + 1, column),
-        fractions [m, 3], local [m, 7]: d optical depth / d raw, opacity, transmittance before, colour, scale of the
+        fractions [m, 3], local [m, 7]: d optical depth / d raw, opacity, transmittance before, color, scale of the
         gradient: outputs.
     """
     shells, rows, columns = raw.shape[0], raw.shape[1], raw.shape[2]
@@ -168,15 +168,15 @@ def march(
                     + w2 * raw[k + 1, bottom, bl, channel + 1]
                     + w3 * raw[k + 1, bottom, br, channel + 1]
                 )
-                colour = math.exp(min(max(value, -COLOUR_LIMIT), COLOUR_LIMIT))
+                color = math.exp(min(max(value, -COLOR_LIMIT), COLOR_LIMIT))
                 if channel == 0:
-                    red += weight * colour
+                    red += weight * color
                 elif channel == 1:
-                    green += weight * colour
+                    green += weight * color
                 else:
-                    blue += weight * colour
+                    blue += weight * color
                 if keep:
-                    local[m, 3 + channel] = colour
+                    local[m, 3 + channel] = color
             if keep:
                 cells[m, 0] = k
                 cells[m, 1] = j

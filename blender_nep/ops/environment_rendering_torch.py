@@ -6,7 +6,7 @@ import math
 
 import torch
 
-from blender_nep.ops.environment_rendering_numba import COLOUR_LIMIT
+from blender_nep.ops.environment_rendering_numba import COLOR_LIMIT
 
 
 def interpolate(raw: torch.Tensor, points: torch.Tensor, log_radius: float) -> torch.Tensor:
@@ -75,20 +75,20 @@ def render(
     depth = density_gain * torch.nn.functional.softplus(values[..., 0]) * step[:, None].to(raw.dtype) * inside
     before = torch.exp(-(depth.cumsum(1) - depth))
     weight = -torch.expm1(-depth) * before
-    colour = _colour(values)
-    radiance = (weight[..., None] * colour).sum(1)
+    color = _color(values)
+    radiance = (weight[..., None] * color).sum(1)
     transmittance = torch.exp(-depth.sum(1))
     t_exit = t_closest + b * torch.sinh(s_near + s_length)
     sky = _values(raw, origins, directions, t_exit[:, None], gradient_near, log_radius)[:, 0]
-    radiance = radiance + (infinite * transmittance)[:, None] * _colour(sky)
+    radiance = radiance + (infinite * transmittance)[:, None] * _color(sky)
     return radiance, torch.where(infinite, torch.zeros_like(transmittance), transmittance)
 
 
-def _colour(values):
+def _color(values):
     """Radiance of raw values [..., 4]. Beyond the limit the gradient is that at the limit, as in the Numba body: with
-    none, a colour that has overshot would stay there."""
+    none, a color that has overshot would stay there."""
     raw = values[..., 1:]
-    return (raw + (raw.clamp(-COLOUR_LIMIT, COLOUR_LIMIT) - raw).detach()).exp()
+    return (raw + (raw.clamp(-COLOR_LIMIT, COLOR_LIMIT) - raw).detach()).exp()
 
 
 def _values(raw, origins, directions, t, gradient_near, log_radius):

@@ -8,7 +8,7 @@ import numpy as np
 import torch
 from numba import njit, prange
 
-from blender_nep.ops.environment_rendering_numba import COLOUR_LIMIT, angular_cell, cell_columns
+from blender_nep.ops.environment_rendering_numba import COLOR_LIMIT, angular_cell, cell_columns
 
 RADIAL_STEPS = 4
 """Steps in which the weights of one shell spacing are integrated."""
@@ -60,7 +60,7 @@ def _weights_from_centre(raw, coverage, density_gain, spacing, out):
                     # each step's weight is shared between the shells on its two sides
                     for h in range(1, 4):
                         value = before[h] + f * (node[h] - before[h])
-                        value = weight * math.exp(min(max(value, -COLOUR_LIMIT), COLOUR_LIMIT))
+                        value = weight * math.exp(min(max(value, -COLOR_LIMIT), COLOR_LIMIT))
                         out[k - 1, row, column, h - 1] += (1.0 - f) * value
                         out[k, row, column, h - 1] += f * value
                     value = weight * (before[4] + f * (node[4] - before[4]))
@@ -71,7 +71,7 @@ def _weights_from_centre(raw, coverage, density_gain, spacing, out):
                 for h in range(5):
                     before[h] = node[h]
             for h in range(1, 4):
-                out[-1, row, column, h - 1] += passed * math.exp(min(max(node[h], -COLOUR_LIMIT), COLOUR_LIMIT))
+                out[-1, row, column, h - 1] += passed * math.exp(min(max(node[h], -COLOR_LIMIT), COLOR_LIMIT))
             out[-1, row, column, 3] += passed
             out[-1, row, column, 4] += passed * node[4]
 
@@ -122,7 +122,7 @@ def from_weights(weighted: torch.Tensor) -> np.ndarray:
     """Opacities that composite to given weights, laid out for `composite_cones`.
 
     [K, H, W, 5] (w radiance, w, w coverage) -> [H, W, K, 5], the same premultiplied by opacity instead of w: a cone's
-    axis meets neighbours in memory. Where nothing is left to see, a shell is opaque and goes on with the colour before
+    axis meets neighbours in memory. Where nothing is left to see, a shell is opaque and goes on with the color before
     it; so is the last.
     """
     shells, rows, columns, channels = weighted.shape

@@ -50,10 +50,10 @@ def fit_lines(
 ):
     """Fills cost [M,R,G] and albedo [M,R,G,3] for M values of `metallic`, R roughnesses, G groups.
 
-    Samples n in the order of their groups, which begin at starts [G+1]: specular [n,rungs,3,3] the moments (full, edge,
-    dielectric) on the ladder, diffuse, goal, tone_goal [n,3], weight [n]; ratio [n,R]: (1 - E) / E of the lobe;
-    specular_scale, diffuse_scale [n,R]: of the dielectric's lobes. low, mix [R]: where a roughness lies on the ladder;
-    average [R]: mean of E. limit [M]: of the albedo. All float32 but starts and low.
+    Samples n in the order of their groups, which begin at starts [G+1]: specular [n,L,3,3] the moments (full, edge,
+    dielectric) at L roughness levels, diffuse, goal, tone_goal [n,3], weight [n]; ratio [n,R]: (1 - E) / E of the lobe;
+    specular_scale, diffuse_scale [n,R]: of the dielectric's lobes. low, mix [R]: the level below a roughness and how
+    far it is to the next; average [R]: mean of E. limit [M]: of the albedo. All float32 but starts and low.
     """
     groups, steps = cost.shape[2], cost.shape[1]
     for task in prange(groups * steps):
@@ -63,16 +63,16 @@ def fit_lines(
         # radiance: gain * (edge + span * albedo) of a metal, specular_part + diffuse_part * albedo of a dielectric
         edge, span = np.empty((count, 3), np.float32), np.empty((count, 3), np.float32)
         specular_part, diffuse_part = np.empty((count, 3), np.float32), np.empty((count, 3), np.float32)
-        rung, share = low[j], mix[j]
+        level, share = low[j], mix[j]
         total = 0.0
         for s in range(count):
             n = first + s
             total += weight[n]
             for c in range(3):
-                full = specular[n, rung, 0, c] + share * (specular[n, rung + 1, 0, c] - specular[n, rung, 0, c])
-                edge[s, c] = specular[n, rung, 1, c] + share * (specular[n, rung + 1, 1, c] - specular[n, rung, 1, c])
+                full = specular[n, level, 0, c] + share * (specular[n, level + 1, 0, c] - specular[n, level, 0, c])
+                edge[s, c] = specular[n, level, 1, c] + share * (specular[n, level + 1, 1, c] - specular[n, level, 1, c])
                 span[s, c] = full - edge[s, c]
-                coat = specular[n, rung, 2, c] + share * (specular[n, rung + 1, 2, c] - specular[n, rung, 2, c])
+                coat = specular[n, level, 2, c] + share * (specular[n, level + 1, 2, c] - specular[n, level, 2, c])
                 specular_part[s, c] = specular_scale[n, j] * coat
                 diffuse_part[s, c] = diffuse_scale[n, j] * diffuse[n, c]
         for i in range(len(metallic)):

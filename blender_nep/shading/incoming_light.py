@@ -1,7 +1,7 @@
-"""Prefiltered incoming light of surface points, for a ladder of roughnesses, computed once.
+"""Prefiltered incoming light of surface points, at several roughness levels, computed once.
 
-The mesh and F_e stand still while materials are learned. So the light through the GGX lobe of each ladder roughness, and
-the diffuse irradiance, are gathered once by cones; the optimisation interpolates between the rungs. Only rays that meet
+The mesh and F_e stand still while materials are learned. So the light through the GGX lobe of each roughness level, and
+the diffuse irradiance, are gathered once by cones; the optimisation interpolates between the levels. Only rays that meet
 the object again depend on the materials: they are kept in a list and evaluated now and then.
 """
 
@@ -21,7 +21,7 @@ from blender_nep.shading.plenoptic import (
     PlenopticFunction,
     SpecularMoments,
     SurfacePoints,
-    albedo_line,
+    affine_in_albedo,
     moment_weights,
 )
 from blender_nep.shading.unseen_light import OpenCones, UnseenLight
@@ -35,14 +35,14 @@ _LEAST_SHARE = 0.02
 
 
 class IncomingLight:
-    """Light moments of n surface points on a ladder of R roughnesses, plus the diffuse irradiance."""
+    """Light moments of n surface points at R roughness levels, plus the diffuse irradiance."""
 
-    _STATE = ("direct_specular", "direct_diffuse", "coverage", "slot", "slot_weight")
+    _STATE = ("direct_specular", "direct_diffuse", "coverage", "hit_index", "hit_weight")
 
-    def __init__(self, plenoptic: PlenopticFunction, points: SurfacePoints, ladder: tuple[float, ...]):
+    def __init__(self, plenoptic: PlenopticFunction, points: SurfacePoints, roughness_levels: tuple[float, ...]):
         """Without light yet: see `gathered` and `restored`. points: the n surface points."""
         self.plenoptic, self.points = plenoptic, points
-        self.ladder = torch.tensor(ladder, device=points.position.device)
+        self.roughness_levels = torch.tensor(roughness_levels, device=points.position.device)
         self.cos_v = (points.normal * points.view).sum(-1)
         self.unseen: UnseenLight | None = None
 
@@ -52,29 +52,29 @@ class IncomingLight:
         cls,
         plenoptic: PlenopticFunction,
         points: SurfacePoints,
-        ladder: tuple[float, ...],
+        roughness_levels: tuple[float, ...],
         irradiance: int,
         generator: torch.Generator,
         progress: Callable[[float], None],
     ) -> IncomingLight:
         """Traces every cone once, `irradiance` of them for the diffuse lobe; progress(share done) is called after each
         chunk."""
-        light = cls(plenoptic, points, ladder)
-        device, n, rungs = points.position.device, len(points), len(ladder)
-        light.direct_specular = torch.zeros(n, rungs, 3, 3, device=device)
+        light = cls(plenoptic, points, roughness_levels)
+        device, n, levels = points.position.device, len(points), len(roughness_levels)
+        light.direct_specular = torch.zeros(n, levels, 3, 3, device=device)
         """[n,R,moment,channel] from F_e"""
         light.direct_diffuse = torch.zeros(n, 3, device=device)
-        light.coverage = torch.ones(n, rungs, device=device)
+        light.coverage = torch.ones(n, levels, device=device)
         """[n,R] share of the specular light that photos saw"""
         light.rays = 0
         found = []
-        cones = irradiance + rungs * plenoptic.specular
+        cones = irradiance + levels * plenoptic.specular
         for rows in torch.arange(n, device=device).split(max(1, _CHUNK // cones)):
             found.append(light._gather(rows, irradiance, generator))
             progress((int(rows[-1]) + 1) / n)
-        slots, weights, hits, unseen = zip(*found, strict=True)
+        hit_indices, weights, hits, unseen = zip(*found, strict=True)
         light.open = OpenCones.joined(unseen)
-        light.slot, light.slot_weight = torch.cat(slots), torch.cat(weights)
+        light.hit_index, light.hit_weight = torch.cat(hit_indices), torch.cat(weights)
         light.hits = SurfacePoints(
             torch.cat([h.position for h in hits]),
             np.concatenate([h.face for h in hits]),
@@ -98,10 +98,10 @@ class IncomingLight:
 
     @classmethod
     def restored(
-        cls, plenoptic: PlenopticFunction, points: SurfacePoints, ladder: tuple[float, ...], state: dict
+        cls, plenoptic: PlenopticFunction, points: SurfacePoints, roughness_levels: tuple[float, ...], state: dict
     ) -> IncomingLight:
-        """The inverse of `state`, for the same points and ladder."""
-        light = cls(plenoptic, points, ladder)
+        """The inverse of `state`, for the same points and roughness levels."""
+        light = cls(plenoptic, points, roughness_levels)
         device = points.position.device
         for name in cls._STATE:
             setattr(light, name, state[name].to(device))
@@ -129,57 +129,59 @@ class IncomingLight:
         each = live // direction.shape[1]
         direction = torch.einsum("nij,nj->ni", frame[each], direction.reshape(-1, 3)[live])
         weight = weight.flatten(0, 1)[live]
-        arrival = f_p.trace(points[each], direction, angle.reshape(-1)[live])
+        traced = f_p.trace(points[each], direction, angle.reshape(-1)[live])
         self.rays += len(live)
 
         def gather(values: Tensor) -> Tensor:
             return torch.zeros(n, *values.shape[1:], device=device).index_add_(0, each, values)
 
-        total = gather(weight[..., None] * arrival.radiance[:, None, None, :])
+        total = gather(weight[..., None] * traced.radiance[:, None, None, :])
         self.direct_diffuse[rows], self.direct_specular[rows] = total[:, 0, 0], total[:, 1:]
-        seen = gather(weight[:, 1:, 0] * arrival.coverage[:, None])
+        seen = gather(weight[:, 1:, 0] * traced.coverage[:, None])
         self.coverage[rows] = seen / gather(weight[:, 1:, 0]).clamp_min(1e-9)
-        far = (arrival.coverage < 1 - _LEAST_SHARE).nonzero().squeeze(-1)
+        far = (traced.coverage < 1 - _LEAST_SHARE).nonzero().squeeze(-1)
         full = weight[far, 1:, _FULL]
-        rung = full.argmax(1)
-        terms = weight[far, 1 + rung][:, [_EDGE, _DIELECTRIC]] / full.gather(1, rung[:, None]).clamp_min(1e-12)
+        level = full.argmax(1)
+        terms = weight[far, 1 + level][:, [_EDGE, _DIELECTRIC]] / full.gather(1, level[:, None]).clamp_min(1e-12)
         unseen = OpenCones(
             rows[0] + each[far],
             direction[far],
             angle.reshape(-1)[live][far],
-            1 - arrival.coverage[far],
+            1 - traced.coverage[far],
             weight[far, :, _FULL],
             terms,
         )
-        return rows[0] + each[arrival.row], weight[arrival.row], arrival.hits, unseen
+        return rows[0] + each[traced.row], weight[traced.row], traced.hits, unseen
 
     def _cones(self, v: Tensor, irradiance: int, generator: torch.Generator) -> tuple[Tensor, Tensor, Tensor]:
-        """Cones for local views v [n,3]: `irradiance` of them for the diffuse lobe; the samples of all rungs serve all
+        """Cones for local views v [n,3]: `irradiance` of them for the diffuse lobe; the samples of all levels serve all
         of them, by the balance heuristic (Veach 1995).
 
         Returns local directions [n,C,3], half-angles [n,C] and weights [n,C,1+R,3]: the diffuse lobe (its weight thrice)
-        and the three moments of each rung. A lobe's weights are scaled to its exact albedo, so that a white furnace is
+        and the three moments of each level. A lobe's weights are scaled to its exact albedo, so that a white furnace is
         exact; a cone is as wide as its share of all samples around it.
         """
-        n, rungs, each = len(v), len(self.ladder), self.plenoptic.specular
-        turn = torch.rand(n, rungs + 1, 2, generator=generator).to(v.device)
+        n, levels, each = len(v), len(self.roughness_levels), self.plenoptic.specular
+        turn = torch.rand(n, levels + 1, 2, generator=generator).to(v.device)
         diffuse, diffuse_angle = diffuse_cones(irradiance, turn[:, 0])
-        direction = specular_cones(v[:, None].expand(n, rungs, 3), self.ladder.expand(n, rungs), each, turn[:, 1:])[0]
+        direction = specular_cones(
+            v[:, None].expand(n, levels, 3), self.roughness_levels.expand(n, levels), each, turn[:, 1:]
+        )[0]
         direction = direction.reshape(n, -1, 3)
         cos_v, cos_l = v[:, None, 2], direction[..., 2]
         h = torch.nn.functional.normalize(v[:, None] + direction, dim=-1)
         cos_h, cos_vh = h[..., 2].clamp(0, 1), (v[:, None] * h).sum(-1)
         density, lobes = torch.zeros_like(cos_l), []
-        for roughness in self.ladder:
+        for roughness in self.roughness_levels:
             alpha = brdf.alpha_of(roughness)
             density = density + each * brdf.vndf_pdf(cos_v, cos_h, alpha)
             lobes.append(brdf.specular(cos_v.expand_as(cos_l), cos_l, cos_h, alpha) * cos_l.clamp_min(0))
         density = density.clamp_min(1e-9)
         weight = torch.stack(lobes, -1) / density[..., None] * (cos_l > 0)[..., None]
-        albedo = brdf.specular_albedo(cos_v, self.ladder)
+        albedo = brdf.specular_albedo(cos_v, self.roughness_levels)
         weight = weight * (albedo / weight.sum(1).clamp_min(1e-6))[:, None].clamp_max(1e3)
         fresnel = torch.stack(moment_weights(torch.ones_like(cos_vh), cos_vh), -1)
-        whole = weight.new_zeros(n, irradiance + weight.shape[1], 1 + rungs, 3)
+        whole = weight.new_zeros(n, irradiance + weight.shape[1], 1 + levels, 3)
         whole[:, :irradiance, 0] = 1 / max(irradiance, 1)
         whole[:, irradiance:, 1:] = weight[..., None] * fresnel[:, :, None]
         return torch.cat([diffuse, direction], 1), torch.cat([diffuse_angle, cone_of_density(density)], 1), whole
@@ -188,12 +190,12 @@ class IncomingLight:
     def update(self, materials_at: Callable[[SurfacePoints], Material], generator: torch.Generator) -> None:
         """The moments under the current materials: what the object sends to itself, and the unseen light."""
         specular, diffuse = self.direct_specular.clone(), self.direct_diffuse.clone()
-        if len(self.slot) and self.plenoptic.levels > 0:
+        if len(self.hit_index) and self.plenoptic.levels > 0:
             light = self.plenoptic.outgoing(self.hits, materials_at, 2, generator)
             for part in torch.arange(len(light), device=light.device).split(1 << 15):
-                share = self.slot_weight[part, ..., None] * light[part, None, None, :]
-                diffuse.index_add_(0, self.slot[part], share[:, 0, 0])
-                specular.index_add_(0, self.slot[part], share[:, 1:])
+                share = self.hit_weight[part, ..., None] * light[part, None, None, :]
+                diffuse.index_add_(0, self.hit_index[part], share[:, 0, 0])
+                specular.index_add_(0, self.hit_index[part], share[:, 1:])
         self.known_specular, self.known_diffuse = specular, diffuse
         """what F_e and the object itself send"""
         self.add_unseen()
@@ -224,18 +226,18 @@ class IncomingLight:
 
     def open_lines(self, cones: OpenCones, rows: Tensor, material: Material) -> tuple[Tensor, Tensor]:
         """What samples `rows` [m], of the materials [m], send to their eyes for a light of 1 in one of their open cones [k]:
-        offset and slope [k,3] of `albedo_line`."""
+        offset and slope [k,3] of `affine_in_albedo`."""
         each, row = torch.arange(len(cones), device=rows.device), cones.row
         own = Material(material.albedo[row], material.roughness[row], material.metallic[row])
-        low, mix = self.rung(own.roughness)
+        low, mix = self.roughness_interval(own.roughness)
         full = torch.lerp(cones.weight[each, 1 + low], cones.weight[each, 2 + low], mix)[:, None]
         moments = SpecularMoments(full, full * cones.fresnel[:, :1], full * cones.fresnel[:, 1:])
-        return albedo_line(own, moments, cones.weight[:, :1], self.cos_v[rows][row])
+        return affine_in_albedo(own, moments, cones.weight[:, :1], self.cos_v[rows][row])
 
     def moments(self, roughness: Tensor, rows: Tensor | slice = slice(None), *, unseen: bool = True) -> SpecularMoments:
-        """Moments of rows [m] at roughness [m] (or a scalar tensor), interpolated between the rungs; with the unseen light
+        """Moments of rows [m] at roughness [m] (or a scalar tensor), interpolated between the levels; with the unseen light
         or without."""
-        low, mix = self.rung(roughness)
+        low, mix = self.roughness_interval(roughness)
         table = (self.specular if unseen else self.known_specular)[rows]
         if low.ndim == 0:
             between = torch.lerp(table[:, low], table[:, low + 1], mix)
@@ -244,8 +246,8 @@ class IncomingLight:
             between = torch.lerp(table[each, low], table[each, low + 1], mix[:, None, None])
         return SpecularMoments(between[:, _FULL], between[:, _EDGE], between[:, _DIELECTRIC])
 
-    def rung(self, roughness: Tensor) -> tuple[Tensor, Tensor]:
-        """The rung below a roughness and how far it is to the next, 0..1."""
-        low = (torch.searchsorted(self.ladder, roughness.contiguous(), right=True) - 1).clamp(0, len(self.ladder) - 2)
-        span = self.ladder[low + 1] - self.ladder[low]
-        return low, ((roughness - self.ladder[low]) / span).clamp(0, 1)
+    def roughness_interval(self, roughness: Tensor) -> tuple[Tensor, Tensor]:
+        """The roughness level below a roughness and how far it is to the next level, 0..1."""
+        levels = self.roughness_levels
+        low = (torch.searchsorted(levels, roughness.contiguous(), right=True) - 1).clamp(0, len(levels) - 2)
+        return low, ((roughness - levels[low]) / (levels[low + 1] - levels[low])).clamp(0, 1)

@@ -61,7 +61,7 @@ class SurfacePoints:
 
 
 @dataclass
-class Arrival:
+class TraceResult:
     """What rays from surface points met: F_e's light where they leave, the next surface point where they do not."""
 
     radiance: Tensor
@@ -136,7 +136,7 @@ class PlenopticFunction:
         return SurfacePoints(torch.from_numpy(position).to(self.device), face, facing(normal * side, view), view)
 
     @torch.no_grad()
-    def trace(self, start: SurfacePoints, directions: Tensor, half_angle: Tensor) -> Arrival:
+    def trace(self, start: SurfacePoints, directions: Tensor, half_angle: Tensor) -> TraceResult:
         """Rays from start [n] along unit directions [n,3]: leave to F_e by cones of half_angle [n] or meet the mesh."""
         d = directions.cpu().numpy()
         origins = self.tracer.leave(start.position.cpu().numpy(), start.face, d)
@@ -153,7 +153,7 @@ class PlenopticFunction:
             )
         row = torch.from_numpy(np.flatnonzero(hit)).to(self.device)
         hits = self.points(face[hit], barycentric[hit], -directions[row])
-        return Arrival(radiance.clamp_min(0), coverage.clamp(0, 1), row, hits)
+        return TraceResult(radiance.clamp_min(0), coverage.clamp(0, 1), row, hits)
 
     @torch.no_grad()
     def outgoing(
@@ -188,14 +188,14 @@ class PlenopticFunction:
         generator: torch.Generator,
     ) -> Tensor:
         """f_p [n,3] at start along directions; level is that of the surface the light falls on (1: seen by the eye)."""
-        arrival = self.trace(start, directions, half_angle)
-        radiance = arrival.radiance
+        traced = self.trace(start, directions, half_angle)
+        radiance = traced.radiance
         if self.unseen is not None:
-            far = (arrival.coverage < 1).nonzero().squeeze(-1)
+            far = (traced.coverage < 1).nonzero().squeeze(-1)
             more = self.unseen(start.position[far], directions[far], half_angle[far])
-            radiance[far] += more * (1 - arrival.coverage[far])[:, None]
-        if len(arrival.row):
-            radiance[arrival.row] = self.outgoing(arrival.hits, materials_at, level + 1, generator)
+            radiance[far] += more * (1 - traced.coverage[far])[:, None]
+        if len(traced.row):
+            radiance[traced.row] = self.outgoing(traced.hits, materials_at, level + 1, generator)
         return radiance
 
     def _outgoing(
@@ -241,11 +241,11 @@ def moment_weights(weight: Tensor, cos_vh: Tensor) -> tuple[Tensor, Tensor, Tens
 
 def reflected(material: Material, specular: SpecularMoments, diffuse: Tensor, cos_v: Tensor) -> Tensor:
     """Radiance [n,3] towards the eye from the lobes' prefiltered light; diffuse [n,3] is irradiance over pi."""
-    offset, slope = albedo_line(material, specular, diffuse, cos_v)
+    offset, slope = affine_in_albedo(material, specular, diffuse, cos_v)
     return offset + slope * material.albedo
 
 
-def albedo_line(material: Material, specular: SpecularMoments, diffuse: Tensor, cos_v: Tensor) -> tuple[Tensor, Tensor]:
+def affine_in_albedo(material: Material, specular: SpecularMoments, diffuse: Tensor, cos_v: Tensor) -> tuple[Tensor, Tensor]:
     """The reflected radiance as offset + slope * albedo, [n,3] each: what the albedo is solved from.
 
     Exact but for the light that a metal scatters more than once, which is taken at the material's present albedo.

@@ -116,7 +116,7 @@ class OpenCones:
     share: Tensor
     """[k] missing coverage, 0..1"""
     weight: Tensor
-    """[k, 1 + R]: in the diffuse lobe, and in the specular lobe of each rung"""
+    """[k, 1 + R]: in the diffuse lobe, and in the specular lobe of each roughness level"""
     fresnel: Tensor
     """[k, 2]: (1 - v.h)^5 and the dielectric's Fresnel reflectance"""
 

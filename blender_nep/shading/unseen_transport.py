@@ -1,7 +1,7 @@
 """What surface points send to their eyes for each texel of the map of unseen light, and the adjoint.
 
 Linear in the map: every cone has four taps in its pyramid and, for each line of an affine function of the albedo, a response
-in three colours. The taps stay while materials change.
+in three colors. The taps stay while materials change.
 """
 
 from __future__ import annotations

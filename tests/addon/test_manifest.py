@@ -36,7 +36,7 @@ import json, os, pathlib, shutil, sys
 if sys.argv[2] == "-c":
     sys.exit(0)
 out = pathlib.Path(sys.argv[sys.argv.index("--out") + 1])
-print(json.dumps({"event": "progress", "room": "surface", "step": 1, "steps": 1, "fraction": 1.0}), flush=True)
+print(json.dumps({"event": "progress", "stage": "surface", "step": 1, "steps": 1, "fraction": 1.0}), flush=True)
 if "missing" in sys.argv[5]:
     print(json.dumps({"event": "error", "code": 3, "message": "there is no capture", "hint": "Look."}), flush=True)
     sys.exit(3)

@@ -127,7 +127,7 @@ def check_life_of_a_job(folder):
     assert len(preview.data.polygons) == 320 and preview.hide_render
     assert len(addon.live_preview.picture_icons(job.key)) == 2, "photo and what was learned"
     bpy.data.objects.remove(preview)  # as undo does
-    rounds(addon, lambda: job.progress.room == "Learning the materials")
+    rounds(addon, lambda: job.progress.stage == "Learning the materials")
     bpy.ops.wm.read_factory_settings(use_empty=True)  # File > New, in the middle
     assert addon.jobs.of(bpy.context.scene) is None
     bpy.context.scene.nep.capture, bpy.context.scene.nep.output = str(folder / "capture"), str(folder / "out")
@@ -136,7 +136,7 @@ def check_life_of_a_job(folder):
     assert job.failed is None and meshes(bpy) == ["out"] and not addon.jobs.result_waits(bpy.context.scene)
     assert addon.clock.tick() is None, "the timer rests"
     assert "Masks are there and are used." in job.scene and job.scene[-1].startswith("Left out: ")
-    assert "room fields_learning" in log(bpy)
+    assert "stage fields_learning" in log(bpy)
     assert 0 < addon.panel.expected_seconds(addon.preferences.timings_file(), "preview")[0] < 90
     fails(bpy.ops.nep.reconstruct, "already holds an asset")
     assert bpy.ops.nep.reconstruct(overwrite=True) == {"FINISHED"} and len(meshes(bpy)) == 2
@@ -257,10 +257,10 @@ def check_halves(folder):
     preview = addon.live_preview
     for _ in range(2):  # the second takes the place of the first
         preview.load_picture("job", folder / "pair.png")
-    for side, colour in zip(preview.SIDES, ([1, 0, 0, 1], [0, 1, 0, 1]), strict=True):
+    for side, color in zip(preview.SIDES, ([1, 0, 0, 1], [0, 1, 0, 1]), strict=True):
         half = preview._pictures["job" + side]
         assert tuple(half.image_size) == (32, 32)
-        assert [round(value) for value in half.image_pixels_float[:4]] == colour
+        assert [round(value) for value in half.image_pixels_float[:4]] == color
     preview.forget_picture("job")
     assert preview.picture_icons("job") == []
 

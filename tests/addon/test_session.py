@@ -16,17 +16,17 @@ from blender_nep.job import runner as job
 from blender_nep.job.events import Events
 from blender_nep.presets import preset
 from support import extension
-from support.ball_stages import BallRooms
+from support.ball_stages import BallStages
 from support.own_process import run_file
 
 LIMIT_S = 300
 
 
 def test_an_artists_session(make_capture, tmp_path):
-    """See blender_session.py. Asset and engine are real but for what was learned, which BallRooms knows."""
+    """See blender_session.py. Asset and engine are real but for what was learned, which BallStages knows."""
     capture, asset = make_capture(masks=True).folder, tmp_path / "ball"
     settings = job.Settings(capture, asset, preset("preview"))
-    assert job.run(settings, Events(None, io.StringIO()), StopRequest(), BallRooms()) == 0
+    assert job.run(settings, Events(None, io.StringIO()), StopRequest(), BallStages()) == 0
     archive = extension.build(tmp_path / "blender_nep.zip")
     ended = extension.session(sys.executable, sys.executable, archive, capture, asset, tmp_path / "session", LIMIT_S)
     assert ended.returncode == 0, ended.stdout[-5000:]

@@ -145,7 +145,7 @@ def test_preview_shows_photo_and_asset(write):
     assert picture[12, 12].std() < 3 and (picture[:, 24:] > 0).any()
 
 
-def test_preview_light_of_one_colour_shades_in_closed_form():
+def test_preview_light_of_one_color_shades_in_closed_form():
     """In uniform light L a white diffuse surface sends back L, a perfect mirror L too (Fresnel 1)."""
     light = Pyramid.of(np.full((64, 128, 3), 2.0))
     normal = np.array([[0, 0, 1.0], [0.6, 0, 0.8]])

@@ -41,7 +41,7 @@ def wait_for_stop():
 out.mkdir(parents=True, exist_ok=True)
 (out / "arguments.json").write_text(json.dumps(sys.argv[4:]))
 print("a stray line that is no JSON")
-say(event="progress", room="fields_learning", step=1, steps=2, fraction=0.5, eta_s=3, loss=0.1)
+say(event="progress", stage="fields_learning", step=1, steps=2, fraction=0.5, eta_s=3, loss=0.1)
 mode = os.environ["FAKE_ENGINE"]
 if mode == "asset":
     shutil.copytree(os.environ["FAKE_ASSET"], out, dirs_exist_ok=True)
@@ -77,7 +77,7 @@ def write_exr(path: Path, pixels: np.ndarray) -> None:
 
 @pytest.fixture
 def asset(tmp_path) -> Path:
-    """A hand-written asset: a tetrahedron, textures of one colour each, a grey light."""
+    """A hand-written asset: a tetrahedron, textures of one color each, a grey light."""
     folder = tmp_path / "asset"
     (folder / "textures").mkdir(parents=True)
     lines = [
@@ -95,8 +95,8 @@ def asset(tmp_path) -> Path:
     ]
     (folder / "mesh.obj").write_text("\n".join(lines) + "\n")
     (folder / "mesh.mtl").write_text("newmtl m\nmap_Kd textures/albedo.png\n")
-    for name, colour in (("albedo", (200, 120, 40)), ("roughness", 60), ("metallic", 255), ("confidence", 128)):
-        pixels = np.broadcast_to(np.array(colour, np.uint8), (8, 8, 3) if name == "albedo" else (8, 8))
+    for name, color in (("albedo", (200, 120, 40)), ("roughness", 60), ("metallic", 255), ("confidence", 128)):
+        pixels = np.broadcast_to(np.array(color, np.uint8), (8, 8, 3) if name == "albedo" else (8, 8))
         Image.fromarray(np.ascontiguousarray(pixels)).save(folder / "textures" / f"{name}.png")
         write_exr(folder / "textures" / f"{name}.exr", np.full((8, 8, 3), 0.5))
     write_exr(folder / "environment.exr", np.full((16, 32, 3), 0.5))

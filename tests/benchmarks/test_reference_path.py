@@ -99,7 +99,7 @@ def test_it_takes_the_place_of_the_object_field_and_a_resumed_learning_goes_on_t
         "outside_rays": 64,
         "first_samples": 16,
         "samples": 16,
-        "look_at": (0.2,),
+        "object_pixels_at": (0.2,),
     }
     settings = with_changes(settings, {"fields": short})
 
@@ -115,7 +115,7 @@ def test_it_takes_the_place_of_the_object_field_and_a_resumed_learning_goes_on_t
     other.load(deepcopy(first.state()))
     assert [first.learn_step() for _ in range(3)] == [other.learn_step() for _ in range(3)]
     assert np.abs(first.object_field.sdf_grid(8) - before).max() > 1e-3
-    assert np.isfinite(first.evidence(256))
+    assert np.isfinite(first.explanation_ratio(256))
 
 
 def test_a_stopped_run_leaves_no_row(tmp_path):

@@ -20,7 +20,7 @@ PRESETS = {"preview": (0.004, 100.0), "balanced": (0.002, 300.0)}
 
 def made_up(out: Path, run: Run, error: float, seconds: float, **learned) -> None:
     """A row as the suite writes it."""
-    rooms = {"capture": 1.0, "fields_learning": seconds / 2, "surface": 1.0, "material_learning": seconds / 2, "asset": 1.0}
+    stages = {"capture": 1.0, "fields_learning": seconds / 2, "surface": 1.0, "material_learning": seconds / 2, "asset": 1.0}
     row = {
         "run": run.as_row(),
         "machine": {
@@ -36,13 +36,13 @@ def made_up(out: Path, run: Run, error: float, seconds: float, **learned) -> Non
             "device": "cpu",
             "threads": 1,
             "versions": {"python": "3.11.7", "torch": "2.13.0"},
-            "seconds": rooms,
+            "seconds": stages,
             "seconds_total": seconds,
             "cpu_seconds": seconds,
             "peak_mb": 1000.0,
             "views": run.views or 60,
             "pixels": (run.pixels or 40_000) * (run.views or 60),
-            "room_cpu_seconds": {"fields_learning": seconds / 2, "surface": 1.0},
+            "stage_cpu_seconds": {"fields_learning": seconds / 2, "surface": 1.0},
         }
         | learned,
         "score": {
@@ -69,7 +69,7 @@ def out(tmp_path) -> Path:
                 made_up(tmp_path, Run(Path(name), preset, seed=seed), error + 0.001 * seed + 0.002 * number, seconds)
         whole = Run(Path(name), "preview", "no cones")
         made_up(tmp_path, whole, 0.006, 70.0, stage_1_of=Run(Path(name), "preview").name)
-        made_up(tmp_path, Run(Path(name), "preview", "plain NeuS colour"), 0.02, 90.0)
+        made_up(tmp_path, Run(Path(name), "preview", "plain NeuS color"), 0.02, 90.0)
         for views in (8, 16):
             made_up(tmp_path, Run(Path(name), "balanced", views=views), 0.1 / views, 200.0)
         for pixels in (10_000, 160_000):  # fewer and more than the 40,000 of the whole runs
@@ -104,7 +104,7 @@ def test_means_are_of_seeds_and_then_of_captures(out):
 def test_a_stage_1_that_was_taken_over_counts_in_the_cpu_seconds(out):
     table = tables.ablations(Results(load(out)))
     assert line_of(table, "no cones")[-2] == "121"  # 70 of its own, 50 of the fields, 1 of the surface
-    assert line_of(table, "plain NeuS colour")[1:4] == ["2", "2", "0.0200"]
+    assert line_of(table, "plain NeuS color")[1:4] == ["2", "2", "0.0200"]
     assert line_of(table, "**full** (preview)")[2:4] == ["4", "0.0055 ± 0.0005"]
 
 
@@ -113,7 +113,7 @@ def test_table_1_shows_the_papers_figures_beside_ours(out):
     header = line_of(table, "scene")
     suzanne = dict(zip(header, line_of(table, "Suzanne"), strict=True))
     assert suzanne["*NeP*"] == "*0.00227*" and suzanne["balanced"] == "0.0025 ± 0.0007"
-    assert suzanne["plain NeuS colour (preview)"] == "0.0200" and suzanne["*NeP* r / m / a"] == "*0.001 / 0.022 / 0.029*"
+    assert suzanne["plain NeuS color (preview)"] == "0.0200" and suzanne["*NeP* r / m / a"] == "*0.001 / 0.022 / 0.029*"
     bunny = dict(zip(header, line_of(table, "Bunny"), strict=True))
     assert bunny["*NeRO*"] == "*0.00153*" and bunny["balanced"] == "-"
     assert dict(zip(header, line_of(table, "Avg."), strict=True))["preview"] == "0.0055 ± 0.0005"
@@ -136,13 +136,13 @@ def test_sweeps_have_the_whole_runs_in_them_in_the_order_of_what_was_learned_fro
 
 
 def test_our_rows_on_the_true_mesh_stand_beside_the_peers(tmp_path):
-    rooms = {"fields_learning": 40.0, "surface": 9.0, "material_learning": 20.0}
+    stages = {"fields_learning": 40.0, "surface": 9.0, "material_learning": 20.0}
     for seed in (0, 1):
-        made_up(tmp_path, Run(Path("box"), "preview", geometry="true", seed=seed), 0.003, 70.0, room_cpu_seconds=rooms)
+        made_up(tmp_path, Run(Path("box"), "preview", geometry="true", seed=seed), 0.003, 70.0, stage_cpu_seconds=stages)
     made_up(tmp_path, Run(Path("box"), "preview"), 0.004, 100.0)
-    made_up(tmp_path, Run(Path("box"), "preview", geometry="true", views=8), 0.1, 70.0, room_cpu_seconds=rooms)
+    made_up(tmp_path, Run(Path("box"), "preview", geometry="true", views=8), 0.1, 70.0, stage_cpu_seconds=stages)
     unscored = Run(Path("bunny"), "preview", geometry="true")
-    made_up(tmp_path, unscored, 0.003, 70.0, room_cpu_seconds=rooms)
+    made_up(tmp_path, unscored, 0.003, 70.0, stage_cpu_seconds=stages)
     file = tmp_path / "rows" / f"{unscored.name}.json"
     write_row(file, read_row(file) | {"score": {"error": "killed after 7200 s"}})
     assert our_cells(tmp_path, ["bunny", "box"]) == [["box", "ours, preview", 0.003, 0.0, 0.003, 60.0]]

@@ -86,8 +86,8 @@ def test_a_stage_1_that_is_taken_over_is_what_the_job_finds_when_it_resumes(tmp_
     run, done = Run(SUZANNE_SMALL, "preview", "no cones", seed=3), {"seconds": 12.0, "result": {"steps": 7}}
     assert not _take_stage_1(tmp_path / "other", tmp_path / "asset", SUZANNE_SMALL, run, None)
     (tmp_path / "other" / "checkpoints").mkdir(parents=True)
-    for room in STAGE_1:
-        save_state(tmp_path / "other" / "checkpoints" / f"{room}.done.pt", done)
+    for stage in STAGE_1:
+        save_state(tmp_path / "other" / "checkpoints" / f"{stage}.done.pt", done)
     for donor, taken in ((Run(SUZANNE_SMALL, "preview", seed=4), False), (Run(SUZANNE_SMALL, "preview", seed=3), True)):
         made = fingerprint(load_capture(SUZANNE_SMALL), donor.changed_preset, donor.seed, False, None)
         write_row(tmp_path / "other" / "report.json", {"fingerprint": made})
@@ -211,9 +211,9 @@ def test_a_run_without_f_e_in_stage_2_has_the_same_mesh_from_the_same_stage_1_an
     whole, other = tmp_path / "whole", tmp_path / "other"
     order = {"settings": {"device": "cpu", "threads": 1}}
     made = learn(Run(tmp_path / "ball", "preview"), whole, order)
-    assert not made["resumed_rooms"] and {"fields_learning", "surface"} < set(made["room_cpu_seconds"])
+    assert not made["resumed_stages"] and {"fields_learning", "surface"} < set(made["stage_cpu_seconds"])
     taken = learn(Run(tmp_path / "ball", "preview", WITHOUT_F_E), other, order | {"stage_1": str(whole)})
-    assert sorted(taken["resumed_rooms"]) == sorted(STAGE_1) and "fields_learning" not in taken["room_cpu_seconds"]
+    assert sorted(taken["resumed_stages"]) == sorted(STAGE_1) and "fields_learning" not in taken["stage_cpu_seconds"]
     assert (whole / "mesh.obj").read_bytes() == (other / "mesh.obj").read_bytes()
     one, two = (read_materials(asset) for asset in (whole, other))
     assert np.abs(one.albedo - two.albedo).mean() > 1e-3, "F_e was there"

@@ -40,15 +40,15 @@ def difference(found: torch.Tensor, true: torch.Tensor) -> float:
 
 @pytest.fixture(params=[SPHERES[4], 4.1], ids=["on a sphere", "between two"])
 def in_a_ball(make_capture, request):
-    """Photos from within a coloured ball, of a radius in camera distances; each sees a sixth of it."""
+    """Photos from within a colored ball, of a radius in camera distances; each sees a sixth of it."""
     rays = PixelRays.from_capture(load_capture(make_capture(views=40, size=64).folder), 40_000, False)
     origin, direction, _ = rays.rays(torch.arange(rays.count))
     distance = request.param * float(origin.norm(dim=-1).mean())
     along = (origin * direction).sum(-1)
     t = -along + (along**2 - origin.square().sum(-1) + distance**2).sqrt()
     place = (origin + t[:, None] * direction) / distance
-    colour = 0.3 + 0.2 * torch.sin(5 * place + torch.tensor([0.0, 1.0, 2.0])) * torch.cos(4 * place.roll(1, -1))
-    return replace(rays, radiance=colour)
+    color = 0.3 + 0.2 * torch.sin(5 * place + torch.tensor([0.0, 1.0, 2.0])) * torch.cos(4 * place.roll(1, -1))
+    return replace(rays, radiance=color)
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -158,7 +158,13 @@ def test_everything_reads_the_photos_as_of_one_exposure(tmp_path):
     p = replace(
         p,
         fields=replace(
-            p.fields, background_steps=8, steps=24, object_rays=128, sphere_rays=128, outside_rays=128, least_evidence=0
+            p.fields,
+            background_steps=8,
+            steps=24,
+            object_rays=128,
+            sphere_rays=128,
+            outside_rays=128,
+            least_explanation_ratio=0,
         ),
     )
 

@@ -21,7 +21,7 @@ from blender_nep.errors import OutputError
 from blender_nep.job import runner as job
 from blender_nep.job.events import Events
 from blender_nep.presets import preset
-from support.ball_stages import BallRooms
+from support.ball_stages import BallStages
 
 
 @pytest.mark.parametrize("share", [0.0, 0.02, 0.5, 0.98, 1.0])
@@ -142,11 +142,11 @@ def test_a_job_with_pixels_in_a_file_leaves_an_asset_and_no_file(make_capture, t
     settings = job.Settings(make_capture().folder, out, replace(preset("preview"), pixels_in_memory=10))
     kinds = []
 
-    class Rooms(BallRooms):
+    class Stages(BallStages):
         def learn_fields(self, rays, *arguments, **keywords):
             kinds.append(rays.radiance.dtype)
             return super().learn_fields(rays, *arguments, **keywords)
 
-    assert job.run(settings, Events(None, None), StopRequest(), Rooms()) == 0
+    assert job.run(settings, Events(None, None), StopRequest(), Stages()) == 0
     assert kinds == [torch.float16] and (out / "report.json").exists()
     assert not [p for p in out.iterdir() if p.name.startswith(".")]

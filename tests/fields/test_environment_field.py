@@ -19,7 +19,7 @@ PRESET = EnvironmentPreset(resolutions=((24, 32), (28, 48)), refine_at=(0.5,), o
 
 
 def box_field(size: float = 6.0) -> EnvironmentField:
-    """The inside of a cube |x|, |y|, |z| <= size as a field: smooth coloured walls with a bright window."""
+    """The inside of a cube |x|, |y|, |z| <= size as a field: smooth colored walls with a bright window."""
     field = EnvironmentField(PRESET)
     shells, rows = field.raw.shape[:2]
     radius = torch.linspace(0, math.log(PRESET.outer_radius), shells).exp()[:, None, None, None]
@@ -29,12 +29,12 @@ def box_field(size: float = 6.0) -> EnvironmentField:
     direction = torch.stack([theta.sin() * phi.cos(), theta.sin() * phi.sin(), theta.cos()], -1)
     wall = size / direction.abs().amax(-1)
     at = direction * wall[..., None]
-    colour = 0.5 + 0.4 * torch.sin(at * torch.tensor([0.7, 0.5, 0.9]))
-    colour = colour + 8.0 * ((at[..., :1] > 0.99 * size) & (at[..., 1:].abs().amax(-1, keepdim=True) < 2.5))
+    color = 0.5 + 0.4 * torch.sin(at * torch.tensor([0.7, 0.5, 0.9]))
+    color = color + 8.0 * ((at[..., :1] > 0.99 * size) & (at[..., 1:].abs().amax(-1, keepdim=True) < 2.5))
     with torch.no_grad():
         inside = (wall[None, ..., None] / radius).log() / math.log(PRESET.outer_radius) * (shells - 1)
         field.raw[..., :1] = (-10 * inside).clamp(-12, 4)
-        field.raw[..., 1:] = colour.log()
+        field.raw[..., 1:] = color.log()
     return field
 
 

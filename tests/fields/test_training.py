@@ -46,7 +46,7 @@ def test_dynamic_weight_is_equation_5_and_passes_no_gradient():
     torch.testing.assert_close(weight[:, 0], torch.tensor([1.5, 1 / (2.9**2 + 1e-3)]))
     assert (dynamic_weight(appearance, "none") == 1).all()
     scaled = dynamic_weight(appearance, "scaled")
-    assert scaled[0] > scaled[1], "where the colour is the albedo, the pixel counts more"
+    assert scaled[0] > scaled[1], "where the color is the albedo, the pixel counts more"
 
 
 def test_a_short_learning_with_masks_comes_nearer_to_the_truth(masked_rays):
@@ -54,7 +54,7 @@ def test_a_short_learning_with_masks_comes_nearer_to_the_truth(masked_rays):
     capture = load_capture(SUZANNE_SMALL)
     points = (trimesh.sample.sample_surface(truth, 2000, seed=0)[0] - capture.object_center) / capture.object_radius
     points = torch.from_numpy(points).float()
-    chosen = brief_preset(steps=150, object_rays=512, sphere_rays=512, outside_rays=512, least_evidence=0.0)
+    chosen = brief_preset(steps=150, object_rays=512, sphere_rays=512, outside_rays=512, least_explanation_ratio=0.0)
     before = FieldsLearning(masked_rays, chosen, 0, CPU).object_field.sdf(points).abs().mean()
     learned = learn_fields(masked_rays, chosen, seed=0, device=CPU, progress=no_progress, checkpoint=NoCheckpoint())
     after = learned.object_field.sdf(points).abs().mean()
@@ -124,17 +124,17 @@ def test_ablations_of_the_object_field_learn(rays, ablation):
     assert np.isfinite(losses).all() and np.mean(losses[-4:]) < np.mean(losses[2:6])
 
 
-def test_without_decomposition_the_colour_is_one_radiance_of_the_view_direction():
+def test_without_decomposition_the_color_is_one_radiance_of_the_view_direction():
     field = ObjectField(8, 0.6, decomposed=False)
     points = torch.tensor([[0.6, 0, 0]]).expand(2, 3)
     normal = torch.tensor([[1.0, 0, 0]]).expand(2, 3)
     seen = field.appearance(points, normal, torch.tensor([[-1.0, 0, 0], [-0.6, 0.8, 0]]))
-    assert (seen.albedo == 1).all() and not torch.equal(seen.colour[0], seen.colour[1])
+    assert (seen.albedo == 1).all() and not torch.equal(seen.color[0], seen.color[1])
 
 
 def test_the_object_is_looked_for_in_the_pixels_that_show_it(rays):
     learning = FieldsLearning(rays, brief_preset(first_sharpness=100.0), 0, CPU)
-    learning._look_for_object()
+    learning._update_object_pixels()
     radius = learning.preset.initial_radius
     origins, directions, _ = rays.rays(torch.cat([rays.sphere.tensor(), rays.outside.tensor()]))
     off_axis = torch.linalg.cross(origins, directions).norm(dim=-1)
@@ -151,7 +151,7 @@ def test_learning_ends_early_only_where_the_error_stopped_falling_on_the_finest_
     learning = FieldsLearning(rays, brief_preset(), 0, CPU)
     whole = learning.steps
     learning.step = learning.background_steps
-    learning.held_out = [0.09, 0.085, 0.08, 0.075, 0.064, *after]  # the finer grid comes with the fifth check
+    learning.validation_errors = [0.09, 0.085, 0.08, 0.075, 0.064, *after]  # the finer grid comes with the fifth check
     assert (learning.steps < whole) == settled
 
 
@@ -159,7 +159,7 @@ def test_a_sphere_without_an_object_is_refused(rays):
     with pytest.raises(LearningError, match="seems to contain nothing"):
         learn_fields(
             rays,
-            brief_preset(steps=4, least_evidence=1e9),
+            brief_preset(steps=4, least_explanation_ratio=1e9),
             seed=0,
             device=CPU,
             progress=no_progress,
@@ -182,7 +182,7 @@ def test_highlights_count_little_but_never_nothing(white):
 
 def test_lamps_count_in_full_where_the_object_does_not_hide_them(rays):
     learning = FieldsLearning(rays, brief_preset(), 0, CPU)
-    lamp = torch.full((3, 3), 50 * learning.white)
+    lamp = torch.full((3, 3), 50 * learning.highlight_threshold)
     nothing = torch.zeros(())
     out = Rendering(lamp, torch.tensor([0.0, 0.5, 1.0]), torch.ones(3, 1), nothing, nothing, nothing)
     compared = learning._difference(out, 0.5 * lamp)[:, 0]
@@ -194,9 +194,9 @@ def test_lamps_count_in_full_where_the_object_does_not_hide_them(rays):
 def test_white_hangs_on_what_is_shown_and_not_on_black_around_it(rays, masked_rays, cut):
     black = replace(rays, radiance=rays.radiance * (masked_rays.mask > 127)[:, None], mask=masked_rays.mask if cut else None)
     shown = masked_rays.radiance[(masked_rays.mask > 127) & masked_rays.valid]
-    found = FieldsLearning(black, brief_preset(), 0, CPU).white / preset("preview").fields.white
+    found = FieldsLearning(black, brief_preset(), 0, CPU).highlight_threshold / preset("preview").fields.highlight_threshold
     assert found == pytest.approx(float(shown.clamp(min=1e-6).log().mean().exp()), rel=0.15)
     bright = replace(rays, radiance=1000 * rays.radiance)
-    assert FieldsLearning(bright, brief_preset(), 0, CPU).white == pytest.approx(
-        1000 * FieldsLearning(rays, brief_preset(), 0, CPU).white, rel=1e-3
+    assert FieldsLearning(bright, brief_preset(), 0, CPU).highlight_threshold == pytest.approx(
+        1000 * FieldsLearning(rays, brief_preset(), 0, CPU).highlight_threshold, rel=1e-3
     )

@@ -14,7 +14,7 @@ from blender_nep.checkpoints import StopRequest
 from blender_nep.job import runner as job
 from blender_nep.job.events import Events
 from blender_nep.presets import preset
-from support.ball_stages import BallRooms
+from support.ball_stages import BallStages
 from support.captures import CENTER, write_exr
 
 
@@ -189,10 +189,10 @@ CASES = [
 
 
 def reconstruct(folder, out, **keywords):
-    """Exit code, events and text for people of a job with rooms that would succeed."""
+    """Exit code, events and text for people of a job with stages that would succeed."""
     protocol, human = io.StringIO(), io.StringIO()
     settings = job.Settings(folder, out, preset("preview"), **keywords)
-    code = job.run(settings, Events(protocol, human), StopRequest(), BallRooms())
+    code = job.run(settings, Events(protocol, human), StopRequest(), BallStages())
     return code, [json.loads(line) for line in protocol.getvalue().splitlines()], human.getvalue()
 
 

@@ -18,8 +18,8 @@ from benchmarks.stress.scenes import Case, signed_distance, trace, write_capture
 from blender_nep.capture import PixelRays, load_capture
 from blender_nep.checkpoints import load_state
 from blender_nep.errors import LearningError
+from blender_nep.fields.non_finite_monitor import PATIENCE, NonFiniteMonitor, usable_gradients, usable_loss
 from blender_nep.fields.optimiser import UniformAdam
-from blender_nep.fields.step_guard import PATIENCE, StepGuard, usable_gradients, usable_loss
 from blender_nep.fields.training import HELD_OUT, FieldsLearning
 
 PLAIN = Case(told="yes", pixels="saturated", suffix=".png")
@@ -75,9 +75,11 @@ def test_a_scene_scaled_by_a_power_of_two_gives_the_same_answer_bit_for_bit(plai
     write_capture(case, tmp_path / "capture")
     assert reconstruct(case, tmp_path / "capture", tmp_path / "asset")[0] == 0
     np.testing.assert_array_equal(unit_surface(plain_asset), unit_surface(tmp_path / "asset"))
-    for room in ("fields_learning", "material_learning"):
-        one, other = (load_state(a / "checkpoints" / f"{room}.done.pt")["result"] for a in (plain_asset, tmp_path / "asset"))
-        if room == "material_learning":
+    for stage in ("fields_learning", "material_learning"):
+        one, other = (
+            load_state(a / "checkpoints" / f"{stage}.done.pt")["result"] for a in (plain_asset, tmp_path / "asset")
+        )
+        if stage == "material_learning":
             assert all(np.array_equal(one["textures"][k], other["textures"][k]) for k in one["textures"])
         else:
             assert torch.equal(one["environment"]["raw"], other["environment"]["raw"])
@@ -106,13 +108,13 @@ def test_one_thread_and_many_give_the_same_asset_within_rounding(plain_asset, tm
     for threads in (1, 4):
         out = tmp_path / str(threads)
         assert reconstruct(replace(PLAIN, threads=threads), plain_asset.parent / "capture", out)[0] == 0
-        rooms = {
+        stages = {
             name: load_state(out / "checkpoints" / f"{name}.done.pt")["result"]
             for name in ("fields_learning", "material_learning")
         }
         found.append(
-            {"sdf": rooms["fields_learning"]["object"]["weights"]["levels.2"], "vertices": unit_surface(out)}
-            | rooms["material_learning"]["textures"]
+            {"sdf": stages["fields_learning"]["object"]["weights"]["levels.2"], "vertices": unit_surface(out)}
+            | stages["material_learning"]["textures"]
         )
     assert all(np.shape(one) == np.shape(other) for one, other in zip(*(f.values() for f in found), strict=True))
     assert not [name for name, one in found[0].items() if np.abs(np.asarray(one) - np.asarray(found[1][name])).max() > 1e-3]
@@ -170,16 +172,16 @@ def test_a_summary_counts_what_failed():
     assert found["met"] == {"scale=10000.0": 1} and found["resumed"] == 1
 
 
-def test_the_guard_gives_up_after_many_failures_in_a_row_and_counts_all():
-    guard = StepGuard()
+def test_the_monitor_gives_up_after_many_failures_in_a_row_and_counts_all():
+    monitor = NonFiniteMonitor()
     for k in range(3 * PATIENCE):
-        assert guard.judge(k % PATIENCE == 0) == (k % PATIENCE == 0)
-    assert guard.report() == {"steps_not_finite": 3 * (PATIENCE - 1)}
-    copy = StepGuard()
-    copy.load(guard.state())
-    assert not guard.judge(True) or copy.state() != guard.state()
+        assert monitor.record(k % PATIENCE == 0) == (k % PATIENCE == 0)
+    assert monitor.report() == {"steps_not_finite": 3 * (PATIENCE - 1)}
+    copy = NonFiniteMonitor()
+    copy.load(monitor.state())
+    assert not monitor.record(True) or copy.state() != monitor.state()
     with pytest.raises(LearningError, match="not finite"):
-        copy.judge(False)
+        copy.record(False)
     assert [usable_loss(x) for x in (0.1, float("nan"), float("inf"), -1e9)] == [True, False, False, False]
 
 
@@ -195,9 +197,9 @@ def test_a_gradient_that_is_not_finite_changes_nothing(plain_asset):
     learning.learn_step()
     hook.remove()
     after = [*learning.object_field.parameters(), learning.environment.raw]
-    assert learning.guard.left_out == 1 and all(torch.equal(a, b) for a, b in zip(before, after, strict=True))
+    assert learning.monitor.left_out == 1 and all(torch.equal(a, b) for a, b in zip(before, after, strict=True))
     learning.learn_step()
-    assert learning.guard.left_out == 1 and not torch.equal(before[0], parameter)
+    assert learning.monitor.left_out == 1 and not torch.equal(before[0], parameter)
     assert all(torch.isfinite(p).all() for p in after)
 
 

@@ -43,7 +43,7 @@ def test_learning_is_the_same_with_and_without(rays, capture, tmp_path, monkeypa
     protocol = io.StringIO()
     watch = LivePreview(tmp_path, rays, capture.from_unit, Events(protocol))
     watch.interval, watch._due, watch.share = 0.0, 0.0, float("inf")  # after every step
-    preset = brief_preset(steps=12, least_evidence=0.0)
+    preset = brief_preset(steps=12, least_explanation_ratio=0.0)
     fields = [
         learn_fields(rays, preset, seed=3, device=CPU, progress=lambda *_: None, checkpoint=NoCheckpoint(), **keywords)
         for keywords in ({}, {"watch": watch})
@@ -89,7 +89,7 @@ def test_a_preview_that_fails_is_one_warning(rays, capture, tmp_path):
     events = Events()
     watch = LivePreview(tmp_path, rays, capture.from_unit, events)
     watch._due = 0.0
-    preset = brief_preset(steps=4, background_steps=0, least_evidence=0.0)
+    preset = brief_preset(steps=4, background_steps=0, least_explanation_ratio=0.0)
     fields = learn_fields(rays, preset, seed=3, device=CPU, progress=lambda *_: None, checkpoint=NoCheckpoint(), watch=watch)
     assert fields.object_field is not None
     assert len(events.warnings) == 1 and "no live preview" in events.warnings[0]

@@ -13,7 +13,7 @@ from blender_nep.job import runner as job
 from blender_nep.job.events import Events
 from blender_nep.presets import preset
 from blender_nep.profiling import Profile, profiled, section
-from support.ball_stages import BallRooms
+from support.ball_stages import BallStages
 
 
 class Clock:
@@ -92,16 +92,16 @@ def test_nothing_is_recorded_when_nobody_asks():
 def test_a_job_says_where_its_time_went(make_capture, tmp_path, asked):
     out, human = tmp_path / "asset", io.StringIO()
     settings = job.Settings(make_capture().folder, out, preset("preview"), profile=asked)
-    assert job.run(settings, Events(None, human), StopRequest(), BallRooms()) == 0
+    assert job.run(settings, Events(None, human), StopRequest(), BallStages()) == 0
     report = json.loads((out / "report.json").read_text())
     assert (out / "profile.json").exists() == ("profile" in report) == ("CPU %" in human.getvalue()) == asked
     assert profile._current is None
     if asked:
         rows = {row["section"]: row["wall_s"] for row in report["profile"]}
-        rooms = [name for name in rows if name.count(" / ") == 1]
-        first, *others = job.ROOMS
-        assert rooms == [f"job / {name}" for name in (first, "scene analysis", *others)]
-        assert 0 < sum(rows[room] for room in rooms) <= rows["job"] + 0.01
+        stages = [name for name in rows if name.count(" / ") == 1]
+        first, *others = job.STAGES
+        assert stages == [f"job / {name}" for name in (first, "scene analysis", *others)]
+        assert 0 < sum(rows[stage] for stage in stages) <= rows["job"] + 0.01
         assert rows["job / capture / decode photos"] <= rows["job / capture"]
         with pytest.MonkeyPatch.context() as patch:
             patch.setattr("blender_nep.checkpoints.os.replace", _full_disk)

@@ -1,4 +1,4 @@
-"""The job: rooms in order, events, checkpoints, stopping and resuming. The rooms here know the answer (ball_stages)."""
+"""The job: stages in order, events, checkpoints, stopping and resuming. The stages here know the answer (ball_stages)."""
 
 from __future__ import annotations
 
@@ -25,20 +25,20 @@ from blender_nep.job import runner as job
 from blender_nep.job.events import Events, Timeline, time_text
 from blender_nep.presets import preset
 from blender_nep.shading.unseen_light import UnseenLight
-from support.ball_stages import BallRooms
+from support.ball_stages import BallStages
 from support.captures import CENTER, RADIUS
 from support.paths import TESTS
 
 
 @pytest.fixture
 def start(make_capture, tmp_path):
-    """start(rooms, stop=..., **settings) runs a job; returns exit code and events. start.out is the asset."""
+    """start(stages, stop=..., **settings) runs a job; returns exit code and events. start.out is the asset."""
     folder = make_capture(masks=True).folder
 
-    def run(rooms, stop=None, **keywords):
+    def run(stages, stop=None, **keywords):
         protocol = io.StringIO()
         settings = job.Settings(**({"capture": folder, "out": run.out, "preset": preset("preview")} | keywords))
-        code = job.run(settings, Events(protocol, io.StringIO()), stop or StopRequest(), rooms)
+        code = job.run(settings, Events(protocol, io.StringIO()), stop or StopRequest(), stages)
         return code, [json.loads(line) for line in protocol.getvalue().splitlines()]
 
     run.out = tmp_path / "asset"
@@ -47,20 +47,20 @@ def start(make_capture, tmp_path):
 
 
 def test_a_job_ends_with_an_asset_and_tells_how_far_it_is(start):
-    rooms = BallRooms(steps=4)
-    code, events = start(rooms)
-    assert code == 0 and rooms.entered == ["fields_learning", "surface", "material_learning"]
+    stages = BallStages(steps=4)
+    code, events = start(stages)
+    assert code == 0 and stages.entered == ["fields_learning", "surface", "material_learning"]
     assert events[-1] == {"event": "done", "asset": str(start.out)}
     progress = [e for e in events if e["event"] == "progress"]
-    assert [e for n, e in enumerate(progress) if n == 0 or e["room"] != progress[n - 1]["room"]] != []
-    assert list(dict.fromkeys(e["room"] for e in progress)) == list(job.ROOMS)
+    assert [e for n, e in enumerate(progress) if n == 0 or e["stage"] != progress[n - 1]["stage"]] != []
+    assert list(dict.fromkeys(e["stage"] for e in progress)) == list(job.STAGES)
     fractions = [e["fraction"] for e in progress]
     assert fractions == sorted(fractions) and fractions[0] == 0 and fractions[-1] == 1
     assert all(e["eta_s"] >= 0 for e in progress) and progress[-1]["eta_s"] < 1
     assert {"step", "steps", "fraction", "eta_s", "loss"} <= set(progress[0])
     report = json.loads((start.out / "report.json").read_text())
     assert report["preset"] == "preview" and report["seed"] == 0 and report["capture"]["views"] == 6
-    assert set(report["seconds"]) == set(job.ROOMS) and report["peak_memory_mb"] > 10
+    assert set(report["seconds"]) == set(job.STAGES) and report["peak_memory_mb"] > 10
     assert report["versions"]["torch"] == torch.__version__
     convex = "the object is convex"
     assert report["skipped"] == {"nothing": "a test", "indirect light": convex}
@@ -68,7 +68,7 @@ def test_a_job_ends_with_an_asset_and_tells_how_far_it_is(start):
 
 
 def test_what_the_scene_needs_is_told_before_it_is_done_and_stands_in_the_report(start):
-    class Asked(BallRooms):
+    class Asked(BallStages):
         def learn_fields(self, *arguments, **keywords):
             found = super().learn_fields(*arguments, **keywords)
             found.report |= {"steps": 60, "of_steps": 90}
@@ -85,7 +85,7 @@ def test_what_the_scene_needs_is_told_before_it_is_done_and_stands_in_the_report
 
     asked: list[int] = []
     _, events = start(Asked())
-    names = [e["event"] if e["event"] != "progress" else e["room"] for e in events]
+    names = [e["event"] if e["event"] != "progress" else e["stage"] for e in events]
     told = [e["lines"] for e in events if e["event"] == "scene"]
     assert names.index("scene") < names.index("fields_learning") and len(told) == 5, told
     assert "Masks are there and are used." in told[0]
@@ -100,14 +100,14 @@ def test_what_the_scene_needs_is_told_before_it_is_done_and_stands_in_the_report
         "fine textures": 3.14,
         "further steps of both fields": pytest.approx(report["seconds"]["fields_learning"] / 2, abs=0.02),
     }
-    assert "seconds_saved" not in report["rooms"]["material_learning"]
+    assert "seconds_saved" not in report["stages"]["material_learning"]
     start(Asked(), overwrite=True, preset=replace(preset("preview"), skip_needless=False))
     assert asked == [0, preset("preview").material.levels]
 
 
 @pytest.mark.parametrize("even", [True, False])
 def test_photos_of_differing_exposure_are_evened_out_and_the_report_says_by_how_much(start, monkeypatch, even):
-    class Looked(BallRooms):
+    class Looked(BallStages):
         def learn_fields(self, rays, *arguments, **keywords):
             seen.append(rays.gain)
             return super().learn_fields(rays, *arguments, **keywords)
@@ -128,14 +128,14 @@ def test_photos_of_differing_exposure_are_evened_out_and_the_report_says_by_how_
 
 
 def test_masks_ignored_are_reported_as_skipped(start):
-    start(BallRooms(), use_masks=False)
+    start(BallStages(), use_masks=False)
     report = json.loads((start.out / "report.json").read_text())
     assert report["skipped"]["mask term"] == "masks are ignored (--masks ignore)"
 
 
 @pytest.mark.parametrize("coverage", [1.0, 0.0])
 def test_the_light_that_no_photo_shows_is_in_the_environment_map(start, coverage):
-    class Lit(BallRooms):
+    class Lit(BallStages):
         def learn_fields(self, *arguments, **keywords):
             fields = super().learn_fields(*arguments, **keywords)
             fields.environment.coverage = coverage
@@ -153,51 +153,51 @@ def test_the_light_that_no_photo_shows_is_in_the_environment_map(start, coverage
 
 
 def test_clean_removes_checkpoints(start):
-    assert start(BallRooms(), clean=True)[0] == 0
+    assert start(BallStages(), clean=True)[0] == 0
     assert not (start.out / "checkpoints").exists() and (start.out / "report.json").exists()
 
 
 def test_an_asset_is_not_overwritten_by_accident(start):
-    assert start(BallRooms())[0] == 0
+    assert start(BallStages())[0] == 0
     before = (start.out / "report.json").stat().st_mtime_ns
-    code, events = start(BallRooms())
+    code, events = start(BallStages())
     assert code == 2 and "already holds an asset" in events[-1]["message"] and "--overwrite" in events[-1]["hint"]
     assert (start.out / "report.json").stat().st_mtime_ns == before
-    assert start(BallRooms(), overwrite=True)[0] == 0
+    assert start(BallStages(), overwrite=True)[0] == 0
     assert (start.out / "report.json").stat().st_mtime_ns > before
 
 
-@pytest.mark.parametrize("room", ["fields_learning", "material_learning"])
-def test_a_stop_writes_a_checkpoint_and_resume_goes_on_there(start, room):
+@pytest.mark.parametrize("stage", ["fields_learning", "material_learning"])
+def test_a_stop_writes_a_checkpoint_and_resume_goes_on_there(start, stage):
     stop = StopRequest()
-    rooms = BallRooms(steps=6, on_step=lambda r, step: stop.request("test") if (r, step) == (room, 3) else None)
-    code, events = start(rooms, stop)
+    stages = BallStages(steps=6, on_step=lambda r, step: stop.request("test") if (r, step) == (stage, 3) else None)
+    code, events = start(stages, stop)
     assert code == 7 and events[-1]["code"] == 7 and "--resume" in events[-1]["hint"]
     assert not (start.out / "report.json").exists()
-    assert start(BallRooms())[0] == 2  # neither resumed nor overwritten: refused
-    rooms = BallRooms(steps=6)
-    code, events = start(rooms, resume=True)
-    assert code == 0 and rooms.started_at[room] == 3
-    assert ("fields_learning" in rooms.entered) == (room == "fields_learning")
+    assert start(BallStages())[0] == 2  # neither resumed nor overwritten: refused
+    stages = BallStages(steps=6)
+    code, events = start(stages, resume=True)
+    assert code == 0 and stages.started_at[stage] == 3
+    assert ("fields_learning" in stages.entered) == (stage == "fields_learning")
     report = json.loads((start.out / "report.json").read_text())
-    assert report["resumed_rooms"] == ([] if room == "fields_learning" else ["fields_learning", "surface"])
+    assert report["resumed_stages"] == ([] if stage == "fields_learning" else ["fields_learning", "surface"])
 
 
 def test_sigterm_is_a_stop(start):
-    def on_step(room, step):
+    def on_step(stage, step):
         if step == 2:
             os.kill(os.getpid(), signal.SIGTERM)
 
     stop = StopRequest()
     with stop.signals():
-        code, events = start(BallRooms(on_step=on_step), stop)
+        code, events = start(BallStages(on_step=on_step), stop)
     assert code == 7 and "SIGTERM" in events[-1]["message"]
-    assert start(BallRooms(), resume=True)[0] == 0
+    assert start(BallStages(), resume=True)[0] == 0
 
 
 def test_resume_refuses_other_settings(start):
     stop = StopRequest()
-    start(BallRooms(on_step=lambda r, s: stop.request("test")), stop)
+    start(BallStages(on_step=lambda r, s: stop.request("test")), stop)
     for other, name in (
         ({"seed": 1}, "seed"),
         ({"preset": preset("quality")}, "preset"),
@@ -205,41 +205,41 @@ def test_resume_refuses_other_settings(start):
         ({"use_masks": False}, "masks"),
         ({"sphere": (CENTER, RADIUS)}, "object bounds"),
     ):
-        code, events = start(BallRooms(), resume=True, **other)
+        code, events = start(BallStages(), resume=True, **other)
         assert code == 2 and name in events[-1]["message"]
     (start.folder / "transforms.json").write_text((start.folder / "transforms.json").read_text() + "\n")
-    code, events = start(BallRooms(), resume=True)
+    code, events = start(BallStages(), resume=True)
     assert code == 2 and "capture" in events[-1]["message"]
 
 
 def test_a_given_sphere_counts_and_a_resume_needs_it(start):
     stop = StopRequest()
     sphere = ((CENTER[0] + 0.1, CENTER[1], CENTER[2]), 0.7)
-    start(BallRooms(on_step=lambda r, s: stop.request("test")), stop, sphere=sphere)
+    start(BallStages(on_step=lambda r, s: stop.request("test")), stop, sphere=sphere)
     for other in (None, (sphere[0], 0.71)):
-        code, events = start(BallRooms(), resume=True, sphere=other)
+        code, events = start(BallStages(), resume=True, sphere=other)
         assert code == 2 and "object bounds" in events[-1]["message"]
-    assert start(BallRooms(), resume=True, sphere=sphere)[0] == 0
+    assert start(BallStages(), resume=True, sphere=sphere)[0] == 0
     report = json.loads((start.out / "report.json").read_text())["capture"]
     assert report["object_center"] == pytest.approx(sphere[0]) and report["object_radius"] == 0.7
     assert report["bounds_source"] == "options" and report["folder"] == str(start.folder)
-    code, events = start(BallRooms(), overwrite=True, sphere=(CENTER, 2.6))
+    code, events = start(BallStages(), overwrite=True, sphere=(CENTER, 2.6))
     assert code == 4 and "stand inside" in events[-1]["message"]
 
 
 def test_resume_of_nothing_starts_and_of_a_complete_asset_ends(start):
-    rooms = BallRooms()
-    assert start(rooms, resume=True)[0] == 0 and rooms.entered
-    rooms = BallRooms()
-    code, events = start(rooms, resume=True)
-    assert code == 0 and rooms.entered == [] and events[-1]["event"] == "done"
-    code, events = start(rooms, resume=True, seed=5)
+    stages = BallStages()
+    assert start(stages, resume=True)[0] == 0 and stages.entered
+    stages = BallStages()
+    code, events = start(stages, resume=True)
+    assert code == 0 and stages.entered == [] and events[-1]["event"] == "done"
+    code, events = start(stages, resume=True, seed=5)
     assert code == 2 and "seed" in events[-1]["message"]
 
 
 @pytest.mark.parametrize(("margin", "told"), [(0.01, True), (-0.02, True), (0.2, False), (None, False)])
 def test_doubt_about_metal_is_told(start, margin, told):
-    class Doubtful(BallRooms):
+    class Doubtful(BallStages):
         def learn_materials(self, *arguments, **keywords):
             found = super().learn_materials(*arguments, **keywords)
             found.report["metal_or_not_margin"] = margin
@@ -249,29 +249,29 @@ def test_doubt_about_metal_is_told(start, margin, told):
     assert code == 0 and any("--metal" in e["message"] for e in events if e["event"] == "warning") == told
 
 
-def test_a_torn_result_does_its_room_again(start):
+def test_a_torn_result_does_its_stage_again(start):
     stop = StopRequest()
-    start(BallRooms(on_step=lambda r, s: stop.request("test") if r == "material_learning" else None), stop)
+    start(BallStages(on_step=lambda r, s: stop.request("test") if r == "material_learning" else None), stop)
     done = start.out / "checkpoints" / "fields_learning.done.pt"
     done.write_bytes(done.read_bytes()[:100])
-    rooms = BallRooms()
-    code, events = start(rooms, resume=True)
-    assert code == 0 and rooms.entered[0] == "fields_learning"
+    stages = BallStages()
+    code, events = start(stages, resume=True)
+    assert code == 0 and stages.entered[0] == "fields_learning"
     assert any("damaged" in e["message"] for e in events if e["event"] == "warning")
 
 
 def test_errors_have_one_message_and_their_traceback_in_the_log(start):
-    code, events = start(BallRooms(fail=LearningError("no surface was found", "Use masks.")))
+    code, events = start(BallStages(fail=LearningError("no surface was found", "Use masks.")))
     assert code == 6 and events[-1] == {
         "event": "error",
         "code": 6,
         "message": "no surface was found",
         "hint": "Use masks.",
     }
-    code, events = start(BallRooms(fail=ZeroDivisionError("division by zero")), overwrite=True)
+    code, events = start(BallStages(fail=ZeroDivisionError("division by zero")), overwrite=True)
     assert code == 1 and events[-1]["message"] == "unexpected ZeroDivisionError: division by zero"
     assert "Traceback" in (start.out / "log.txt").read_text() and "Traceback" not in json.dumps(events)
-    code, events = start(BallRooms(fail=MemoryError()), overwrite=True)
+    code, events = start(BallStages(fail=MemoryError()), overwrite=True)
     assert code == 1 and events[-1]["message"] == "out of memory"
     assert not (start.out / "report.json").exists()
 
@@ -281,7 +281,7 @@ def test_a_full_disk_is_said(start, monkeypatch):
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr(checkpoints.torch, "save", full)
-    code, events = start(BallRooms())
+    code, events = start(BallStages())
     assert code == 5 and "disk is full" in events[-1]["message"]
     assert not (start.out / "report.json").exists()
 
@@ -328,21 +328,21 @@ def test_a_checkpoint_file_runs_no_code(tmp_path):
 
 def test_a_torn_checkpoint_falls_back_to_the_one_before(tmp_path):
     warnings = []
-    first = Checkpoint(tmp_path, "room", StopRequest(), warnings.append)
+    first = Checkpoint(tmp_path, "stage", StopRequest(), warnings.append)
     first.save({"step": 1})
     first.save({"step": 2})
-    assert Checkpoint(tmp_path, "room", StopRequest(), warnings.append).load() == {"step": 2}
+    assert Checkpoint(tmp_path, "stage", StopRequest(), warnings.append).load() == {"step": 2}
     first.path.write_bytes(first.path.read_bytes()[:200])
-    assert Checkpoint(tmp_path, "room", StopRequest(), warnings.append).load() == {"step": 1}
+    assert Checkpoint(tmp_path, "stage", StopRequest(), warnings.append).load() == {"step": 1}
     assert len(warnings) == 1 and "damaged" in warnings[0]
     first.previous.write_bytes(b"")
-    assert Checkpoint(tmp_path, "room", StopRequest(), warnings.append).load() is None
+    assert Checkpoint(tmp_path, "stage", StopRequest(), warnings.append).load() is None
 
 
 def test_a_checkpoint_is_due_every_fifteen_seconds_and_counts_time(tmp_path):
     now = [0.0]
     stop = StopRequest()
-    checkpoint = Checkpoint(tmp_path, "room", stop, print, clock=lambda: now[0])
+    checkpoint = Checkpoint(tmp_path, "stage", stop, print, clock=lambda: now[0])
     now[0] = 14.9
     assert not checkpoint.due()
     now[0] = 15.0
@@ -355,7 +355,7 @@ def test_a_checkpoint_is_due_every_fifteen_seconds_and_counts_time(tmp_path):
     checkpoint.save({})
     with pytest.raises(Stopped):
         checkpoint.raise_if_stopped(saves=True)
-    again = Checkpoint(tmp_path, "room", StopRequest(), print, clock=lambda: now[0])
+    again = Checkpoint(tmp_path, "stage", StopRequest(), print, clock=lambda: now[0])
     again.load()
     now[0] += 2
     assert again.seconds() == pytest.approx(17)
@@ -390,7 +390,7 @@ def test_time_left_follows_the_measured_pace():
     assert line.at(0.0)[1] == pytest.approx(150)
 
 
-def test_time_left_of_a_resumed_room_counts_only_its_own_steps():
+def test_time_left_of_a_resumed_stage_counts_only_its_own_steps():
     now = [0.0]
     line = Timeline({"a": 100.0}, clock=lambda: now[0])
     line.enter("a")
@@ -424,7 +424,7 @@ SLOW_JOB = """
 import sys, time
 from pathlib import Path
 sys.path.insert(0, {tests!r})
-from support.ball_stages import BallRooms
+from support.ball_stages import BallStages
 from blender_nep.job import runner as job
 from blender_nep.checkpoints import Checkpoint, StopRequest
 from blender_nep.job.events import Events
@@ -432,7 +432,7 @@ from blender_nep.presets import preset
 from blender_nep.shading.unseen_light import UnseenLight
 Checkpoint.interval = 0.01
 settings = job.Settings(Path({capture!r}), Path({out!r}), preset("preview"))
-job.run(settings, Events(), StopRequest(), BallRooms(steps=150, on_step=lambda room, step: time.sleep(0.005)))
+job.run(settings, Events(), StopRequest(), BallStages(steps=150, on_step=lambda stage, step: time.sleep(0.005)))
 """
 
 
@@ -447,10 +447,10 @@ def test_a_killed_process_is_resumed(start, file):
     process.kill()
     process.communicate()
     assert wait_until.exists() and not (start.out / "report.json").exists()
-    rooms = BallRooms(steps=150)
-    code, _ = start(rooms, resume=True)
+    stages = BallStages(steps=150)
+    code, _ = start(stages, resume=True)
     assert code == 0 and (start.out / "report.json").exists()
     expected = {"fields_learning.previous.pt": "fields_learning"}.get(file, "material_learning")
-    assert rooms.entered[0] == expected
+    assert stages.entered[0] == expected
     if "done" not in file:
-        assert rooms.started_at[expected] > 0
+        assert stages.started_at[expected] > 0

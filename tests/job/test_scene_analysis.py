@@ -181,6 +181,6 @@ def test_known_metal_gathers_no_irradiance_and_the_saving_is_in_proportion(make_
     plan = photos.plan(metal)
     assert plan.preset.material.irradiance_cones == 0 and set(plan.skipped) == {"irradiance"}
     assert not photos.plan(p).skipped
-    cones = len(p.material.ladder) * p.material.specular_cones
+    cones = len(p.material.roughness_levels) * p.material.specular_cones
     saved = seconds_of_cones(p.material, plan.preset.material, 10.0)
     assert saved == {"irradiance": pytest.approx(10 * p.material.irradiance_cones / cones)}

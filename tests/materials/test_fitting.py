@@ -7,20 +7,20 @@ import torch
 
 from blender_nep.materials.fitting import fit_groups, roughness_scan
 from blender_nep.shading.incoming_light import IncomingLight
-from blender_nep.shading.plenoptic import Material, SpecularMoments, albedo_line, reflected
+from blender_nep.shading.plenoptic import Material, SpecularMoments, affine_in_albedo, reflected
 from blender_nep.tone_mapping import tone_map
 
 CLIP, LEAST, MOST_DIFFUSE = 0.25, 0.05, 2.5
 
 
 class Lit:
-    """The light of n samples on a ladder of roughnesses: random, but smooth along the ladder."""
+    """The light of n samples at several roughness levels: random, but smooth from level to level."""
 
-    rung, moments = IncomingLight.rung, IncomingLight.moments
+    roughness_interval, moments = IncomingLight.roughness_interval, IncomingLight.moments
 
     def __init__(self, n: int) -> None:
         generator = torch.Generator().manual_seed(3)
-        self.ladder = torch.tensor([0.05, 0.15, 0.3, 0.6, 1.0])
+        self.roughness_levels = torch.tensor([0.05, 0.15, 0.3, 0.6, 1.0])
         ends = 0.5 + torch.rand(n, 2, 3, generator=generator)
         full = torch.lerp(ends[:, :1], ends[:, 1:], torch.linspace(1, 0, 5)[None, :, None])
         self.specular = torch.stack([full, 0.15 * full, 0.06 * full], 2)
@@ -35,7 +35,7 @@ def by_torch(light: Lit, target: torch.Tensor, weight: torch.Tensor, metallic: f
     moments = SpecularMoments(*(x.double() for x in vars(light.moments(r)).values()))
     for k in range(5):
         own = Material(a.expand(n, 3), r.double(), torch.full((n,), metallic, dtype=torch.float64))
-        offset, slope = albedo_line(own, moments, light.diffuse.double(), light.cos_v.double())
+        offset, slope = affine_in_albedo(own, moments, light.diffuse.double(), light.cos_v.double())
         predicted = offset + slope * a
         residual = tone_map(predicted) - tone_map(target.double())
         if k == 4:
@@ -49,7 +49,7 @@ def by_torch(light: Lit, target: torch.Tensor, weight: torch.Tensor, metallic: f
 
 
 def photos(light: Lit) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-    """Target, weight and group: of four groups 1 is too bright for any metal, 2 is empty, 3 has one colour black; a sixth of
+    """Target, weight and group: of four groups 1 is too bright for any metal, 2 is empty, 3 has one color black; a sixth of
     the samples is in none."""
     n, generator = len(light.cos_v), torch.Generator().manual_seed(8)
     group = torch.randint(-1, 5, (n,), generator=generator)

@@ -10,7 +10,7 @@ import trimesh
 
 from blender_nep.errors import LearningError
 from blender_nep.geometry.uv_raster import rasterise
-from blender_nep.materials.baking import Evidence, bake
+from blender_nep.materials.baking import LabelledPoints, bake
 from blender_nep.materials.palette import Palette
 from blender_nep.materials.training import learn_materials
 from blender_nep.presets import MaterialPreset, SurfacePreset
@@ -36,14 +36,14 @@ class AnalyticEnvironment:
     def __init__(self):
         generator = torch.Generator().manual_seed(7)
         self.axis = torch.nn.functional.normalize(torch.randn(14, 3, generator=generator), dim=-1)
-        self.colour = torch.rand(14, 3, generator=generator) * 4 + 0.2
+        self.color = torch.rand(14, 3, generator=generator) * 4 + 0.2
         self.sharpness = torch.linspace(8, 120, 14)
 
     def query_cone(self, origins, directions, half_angle):
         variance = 1 / self.sharpness + half_angle[:, None] ** 2 / 4
         gain = (1 / self.sharpness) / variance
         lobes = gain * torch.exp((directions @ self.axis.T - 1) / variance)
-        return 0.15 + lobes @ self.colour, torch.ones(len(directions))
+        return 0.15 + lobes @ self.color, torch.ones(len(directions))
 
 
 class HalfSeen(AnalyticEnvironment):
@@ -212,7 +212,7 @@ def test_textures_do_not_depend_on_the_block(ball, monkeypatch):
     random = np.random.default_rng(2)
     position = ball.vertices[random.integers(len(ball.vertices), size=300)].astype(np.float32)
     cost, albedo, residual = (random.random(shape).astype(np.float32) for shape in ((300, 2), (300, 3), 300))
-    evidence = Evidence(position, random.integers(9, size=300), cost, albedo, residual)
+    evidence = LabelledPoints(position, random.integers(9, size=300), cost, albedo, residual)
     palette = Palette(torch.tensor([[0.9, 0.6, 0.3], [0.2, 0.3, 0.4]]), torch.tensor([0.2, 0.6]), torch.tensor([1.0, 0.0]))
     whole = bake(ball, evidence, palette, 64)
     monkeypatch.setattr("blender_nep.materials.baking._BLOCK", 37)
@@ -250,7 +250,7 @@ def test_extreme_materials_under_a_blinding_lamp_stay_finite_and_sensible(ball, 
     class Blinding(HalfSeen):
         def __init__(self):
             super().__init__()
-            self.colour[3] *= 1e4
+            self.color[3] *= 1e4
 
     photos = make_photos(constant((albedo,) * 3, roughness, metallic), views=4, rays=32, environment=Blinding())
     result = learn(ball, photos, environment=Blinding())

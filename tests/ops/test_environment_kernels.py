@@ -206,7 +206,7 @@ def test_weights_and_opacities_are_each_others_inverse():
     torch.testing.assert_close(back, opacity * nodes, rtol=2e-3, atol=1e-4)
 
 
-def test_nothing_left_to_see_is_opaque_and_keeps_its_colour():
+def test_nothing_left_to_see_is_opaque_and_keeps_its_color():
     weighted = torch.zeros(4, 1, 1, 5)
     weighted[1] = torch.tensor([2.0, 3.0, 4.0, 1.0, 0.5])
     out = torch.from_numpy(from_weights(weighted))[0, 0]

@@ -44,14 +44,14 @@ def rays_from(distance: float, n: int, seed: int, dtype=torch.float32) -> tuple[
 @given(
     seed=SEEDS,
     density=st.sampled_from([-100.0, -4.0, 0.0, 30.0, 1e4]),
-    colour=st.sampled_from([-50.0, 0.0, 9.0, 80.0]),
+    color=st.sampled_from([-50.0, 0.0, 9.0, 80.0]),
     spread=st.sampled_from([0.0, 1.0, 30.0]),
     distance=st.sampled_from([0.05, 0.6, 1.0, 2.5, 31.9, 100.0, 1e4]),
 )
-def test_extreme_environments_render_finitely_and_alike(seed, density, colour, spread, distance):
+def test_extreme_environments_render_finitely_and_alike(seed, density, color, spread, distance):
     generator = torch.Generator().manual_seed(seed)
     noise = spread * torch.randn(4, 6, 12, 4, generator=generator, dtype=torch.float64)
-    start = noise + torch.tensor([density, colour, colour, colour], dtype=torch.float64)
+    start = noise + torch.tensor([density, color, color, color], dtype=torch.float64)
     origins, directions = rays_from(distance, 24, seed, torch.float64)
     near = torch.full((24,), 0.6, dtype=torch.float64)
     far = torch.where(torch.arange(24) % 3 == 0, torch.inf, near + torch.arange(24) - 4.0)
@@ -85,16 +85,16 @@ def test_extreme_environments_render_finitely_and_alike(seed, density, colour, s
 @given(
     seed=SEEDS,
     density=st.sampled_from([-100.0, -4.0, 30.0, 1e4]),
-    colour=st.sampled_from([-50.0, 0.0, 80.0]),
+    color=st.sampled_from([-50.0, 0.0, 80.0]),
     spread=st.sampled_from([0.0, 30.0]),
     angle=st.sampled_from([0.0, 1e-9, 0.01, 1.0, math.pi / 2]),
 )
-def test_cones_through_extreme_environments_are_finite(seed, density, colour, spread, angle):
+def test_cones_through_extreme_environments_are_finite(seed, density, color, spread, angle):
     field = EnvironmentField(EnvironmentPreset(resolutions=((4, 12), (4, 12)), refine_at=(2.0,)))
     generator = torch.Generator().manual_seed(seed)
     with torch.no_grad():
         field.raw += spread * torch.randn(field.raw.shape, generator=generator)
-        field.raw += torch.tensor([density, colour, colour, colour]) - field.raw[0, 0, 0].clone()
+        field.raw += torch.tensor([density, color, color, color]) - field.raw[0, 0, 0].clone()
     field.freeze(*rays_from(3.0, 50, seed))
     origins, directions = rays_from(0.999, 40, seed + 1)
     radiance, coverage = field.query_cone(origins, directions, angle)
@@ -199,13 +199,13 @@ def test_the_brdf_is_finite_and_reflects_no_more_than_it_gets(seed, roughness, m
     assert (weight >= 0).all() and weight.sum(-1).max() <= 1 + 1e-4 and angle.max() <= math.pi / 2
 
 
-class Ladder:
-    """The light of n samples on two rungs, as the fit of materials sees it."""
+class RoughnessLevels:
+    """The light of n samples at two roughness levels, as the fit of materials sees it."""
 
     def __init__(self, moments: torch.Tensor, diffuse: torch.Tensor, cos_v: torch.Tensor) -> None:
         self.specular, self.diffuse, self.cos_v = moments, diffuse, cos_v
 
-    def rung(self, roughness: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+    def roughness_interval(self, roughness: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
         return torch.zeros_like(roughness, dtype=torch.int64), roughness
 
     def moments(self, roughness: torch.Tensor, rows) -> SpecularMoments:
@@ -225,11 +225,11 @@ def test_the_fit_of_materials_survives_any_light_and_any_photo(seed, light, targ
     n = 12
     full = light * torch.rand(n, 2, 1, 3, generator=generator)
     moments = torch.cat([full, 0.3 * full, 0.05 * full], 2)
-    ladder = Ladder(moments, light * torch.rand(n, 3, generator=generator), torch.full((n,), cosine))
+    roughness_levels = RoughnessLevels(moments, light * torch.rand(n, 3, generator=generator), torch.full((n,), cosine))
     photo = target * torch.rand(n, 3, generator=generator)
     group = torch.arange(n) % 4 - 1  # one in four in no group; group 3 stays empty
     weight = torch.rand(n, generator=generator)
-    cost, albedo = fit_groups(ladder, photo, weight, group, 4, least_roughness=0.02, clip=0.25)
+    cost, albedo = fit_groups(roughness_levels, photo, weight, group, 4, least_roughness=0.02, clip=0.25)
     palette = best_of(cost, albedo, 0.02, (0.0, 1.0), -0.03)
     for values in (cost, albedo, palette.albedo, palette.roughness):
         assert torch.isfinite(values).all() and (values >= 0).all()

@@ -41,13 +41,13 @@ def sky(height: int = 128) -> np.ndarray:
         -1,
     )
     out = 0.4 + 0.2 * d
-    for axis, colour, sharpness in (
+    for axis, color, sharpness in (
         ((0.6, 0.3, 0.74), (6, 5, 4), 30),
         ((0.2, -0.9, 0.39), (1, 2, 4), 12),
         ((0.9, 0.1, -0.42), (2, 1, 1), 60),
     ):
         axis = np.array(axis) / np.linalg.norm(axis)
-        out = out + np.exp(sharpness * (d @ axis - 1))[..., None] * np.array(colour)
+        out = out + np.exp(sharpness * (d @ axis - 1))[..., None] * np.array(color)
     return out.astype(np.float32)
 
 

@@ -72,7 +72,7 @@ def test_without_indirect_light_what_the_object_sees_of_itself_is_black(two_ball
     f_p, points = scene(two_balls, 0)
     light = IncomingLight.gathered(f_p, points, (0.1, 0.5, 1.0), 32, torch.Generator().manual_seed(3), lambda _: None)
     light.update(white(1.0), torch.Generator())
-    assert len(light.slot) > 0
+    assert len(light.hit_index) > 0
     assert 0.5 < light.diffuse.mean().item() < 0.99
 
 

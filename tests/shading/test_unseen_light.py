@@ -128,8 +128,8 @@ def ball():
     normal = torch.from_numpy(f_p.tracer.face_normals[face])
     view = torch.nn.functional.normalize(normal + 0.5 * directions(4000, 5), dim=-1)
     points = f_p.points(face, barycentric, view)
-    ladder = (0.1, 0.2, 0.4, 1.0)
-    light = IncomingLight.gathered(f_p, points, ladder, 32, torch.Generator().manual_seed(6), lambda _: None)
+    roughness_levels = (0.1, 0.2, 0.4, 1.0)
+    light = IncomingLight.gathered(f_p, points, roughness_levels, 32, torch.Generator().manual_seed(6), lambda _: None)
     light.update(None, torch.Generator())
     return light
 

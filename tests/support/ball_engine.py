@@ -1,4 +1,4 @@
-"""An engine that is real but for its rooms (ball_stages.BallRooms), as an executable that stands for the engine's Python.
+"""An engine that is real but for its stages (ball_stages.BallStages), as an executable that stands for the engine's Python.
 
 BALL_STEPS and BALL_DELAY (seconds a step) in the environment say how long it takes.
 """
@@ -15,13 +15,13 @@ assert sys.argv[1:4] == ["-I", "-m", "blender_nep"], sys.argv
 assert not [name for name in os.environ if name.startswith(("PYTHON", "BLENDER_"))], dict(os.environ)
 sys.path[:0] = [{root!r}, {tests!r}]
 import numpy as np
-from support.ball_stages import BallRooms, ball_surface
+from support.ball_stages import BallStages, ball_surface
 from PIL import Image
 from blender_nep import cli
 from blender_nep.job import runner as job
 from blender_nep.checkpoints import Checkpoint
 
-class Rooms(BallRooms):
+class Stages(BallStages):
     def learn_fields(self, *arguments, watch=None, **keywords):
         if watch is not None:
             ball = ball_surface()
@@ -33,7 +33,7 @@ class Rooms(BallRooms):
 
 delay = float(os.environ.get("BALL_DELAY", 0))
 Checkpoint.interval = 0.1
-job.Rooms = lambda: Rooms(int(os.environ.get("BALL_STEPS", 3)), lambda room, step: time.sleep(delay))
+job.Stages = lambda: Stages(int(os.environ.get("BALL_STEPS", 3)), lambda stage, step: time.sleep(delay))
 sys.exit(cli.main(sys.argv[4:]))
 """
 

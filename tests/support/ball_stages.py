@@ -1,4 +1,4 @@
-"""Rooms that learn nothing, for the tests of the job around them: they know the answer, a grey ball."""
+"""Stages that learn nothing, for the tests of the job around them: they know the answer, a grey ball."""
 
 from __future__ import annotations
 
@@ -9,27 +9,27 @@ import torch
 import trimesh
 
 from blender_nep.errors import LearningError
-from blender_nep.job.stages import Rooms
+from blender_nep.job.stages import Stages
 from blender_nep.materials.training import Materials
 from blender_nep.surface.extraction import Surface
 from support.captures import RADIUS
 
 
-class BallRooms(Rooms):
-    """Rooms that know the answer, a grey ball, and count steps instead of learning."""
+class BallStages(Stages):
+    """Stages that know the answer, a grey ball, and count steps instead of learning."""
 
     def __init__(self, steps: int = 5, on_step=None, fail: Exception | None = None) -> None:
         self.steps, self.on_step, self.fail = steps, on_step, fail
         self.entered: list[str] = []
         self.started_at: dict[str, int] = {}
 
-    def _loop(self, room, progress, checkpoint) -> int:
-        self.entered.append(room)
+    def _loop(self, stage, progress, checkpoint) -> int:
+        self.entered.append(stage)
         state = checkpoint.load() or {"step": 0}
-        self.started_at[room] = state["step"]
+        self.started_at[stage] = state["step"]
         for step in range(state["step"], self.steps):
             if self.on_step is not None:
-                self.on_step(room, step)
+                self.on_step(stage, step)
             if checkpoint.due():
                 checkpoint.save({"step": step, "array": np.arange(3), "tensor": torch.ones(2)})
             progress(step + 1, self.steps, 1.0 / (step + 1))

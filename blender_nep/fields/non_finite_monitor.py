@@ -14,14 +14,17 @@ LARGEST_LOSS = 1e6
 """A tone-mapped loss beyond it is as good as infinite."""
 
 
-class StepGuard:
-    """Judges every step. A step that fails must change nothing: Adam's moments would keep a NaN for ever."""
+class NonFiniteMonitor:
+    """Records of every step whether its loss and gradient were finite.
+
+    A step that is not finite must change nothing: Adam's moments would keep a NaN for ever.
+    """
 
     def __init__(self) -> None:
         self.in_a_row, self.left_out = 0, 0
 
-    def judge(self, usable: bool) -> bool:
-        """`usable`, counted. Raises LearningError when too many steps in a row were not."""
+    def record(self, usable: bool) -> bool:
+        """Counts a step that was not `usable`; returns `usable`. Raises LearningError after PATIENCE such steps in a row."""
         self.in_a_row = 0 if usable else self.in_a_row + 1
         self.left_out += not usable
         if self.in_a_row >= PATIENCE:

@@ -8,7 +8,7 @@ import numpy as np
 import torch
 from scipy.spatial import cKDTree
 
-from blender_nep.materials.baking import NEIGHBOURS, Evidence, neighbours, weighted_mean
+from blender_nep.materials.baking import NEIGHBOURS, LabelledPoints, neighbours, weighted_mean
 from blender_nep.materials.photo_samples import select_samples
 from blender_nep.materials.pixel_votes import Surfels, left_out_error, pixel_costs
 from blender_nep.profiling import profiled
@@ -24,12 +24,12 @@ _CANDIDATES = 3
 """Pixels looked at for each voter: nearly all that show the surface vote, so there is little to choose."""
 
 
-def evidence_of_samples(search: PaletteSearch) -> Evidence:
+def labelled_samples(search: PaletteSearch) -> LabelledPoints:
     """Of those that the light was gathered for."""
     cost = search.costs().cpu().numpy()
     label = search.label.cpu().numpy()
     own = cost[np.arange(len(label)), label] / search.weight.cpu().numpy()
-    return Evidence(
+    return LabelledPoints(
         search.samples.position,
         search.samples.photo.cpu().numpy(),
         search.smoothed(cost),
@@ -45,7 +45,7 @@ def error_of_neighbours(search: PaletteSearch, samples: Surfels, shown: np.ndarr
 
 
 @profiled("votes of all pixels")
-def evidence_of_pixels(
+def labelled_pixels(
     search: PaletteSearch,
     samples: Surfels,
     shown: np.ndarray,
@@ -53,25 +53,26 @@ def evidence_of_pixels(
     tracer: RayTracer,
     normals: np.ndarray,
     seed: int,
-) -> Evidence:
-    """Of `preset.voters` pixels, by the light of the samples beside them: boundaries are as sharp as the photos. What each
-    sample shows of each material: shown [n,K,3], tone-mapped."""
+) -> LabelledPoints:
+    """Of `preset.label_pixels` pixels, by the light of the samples beside them: boundaries are as sharp as the photos.
+
+    shown [n,K,3]: what each sample shows of each material, tone-mapped."""
     p, palette = search.preset, search.palette
-    voters = select_samples(
+    label_pixels = select_samples(
         rays,
         tracer,
         normals,
-        count=p.voters,
+        count=p.label_pixels,
         least_cosine=p.least_cosine,
         generator=np.random.default_rng(seed),
         candidates=_CANDIDATES,
     )
-    pixels = surfels(voters, tracer, normals)
-    cost = pixel_costs(samples, shown, pixels, tone_map(voters.radiance).cpu().numpy(), p.clip)
+    pixels = surfels(label_pixels, tracer, normals)
+    cost = pixel_costs(samples, shown, pixels, tone_map(label_pixels.radiance).cpu().numpy(), p.clip)
     cost = cost * torch.where(palette.blended, 1 + p.blend_margin, 1.0).cpu().numpy()
     smoothed = weighted_mean(cost, *neighbours(cKDTree(pixels.position), pixels.position, 2 * NEIGHBOURS))
     label = smoothed.argmin(1)
-    return Evidence(
+    return LabelledPoints(
         pixels.position, pixels.photo, smoothed, palette.albedo.cpu().numpy()[label], cost[np.arange(len(cost)), label]
     )
 
