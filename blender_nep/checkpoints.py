@@ -1,127 +1,27 @@
-"""Checkpoints of a job, and the wish to stop it.
+"""Checkpoints of a job.
 
 Everything lies in the asset's `checkpoints/`: `run.json` (what is being run), `STAGE.pt` (a stage that is under way, with
 the state before it as `STAGE.previous.pt`) and `STAGE.done.pt` (a stage's result). Files are written under a temporary
-name, flushed to the disk and renamed, so that a kill at any moment leaves the old one or the new one.
+name, flushed to the disk and renamed (`blender_nep.files`), so that a kill at any moment leaves the old one or the new one.
 """
 
 from __future__ import annotations
 
-import errno
-import json
 import os
 import pickle
-import signal
-import threading
 import time
 from collections.abc import Callable
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
 
-from blender_nep.errors import OutputError, Stopped
+from blender_nep.errors import Stopped
+from blender_nep.files import output_errors, write_atomically
+from blender_nep.stop_request import StopRequest
 
 _NUMPY = "__numpy__"
-
-
-class StopRequest:
-    """Whether somebody wants the job to end: SIGTERM, SIGINT, {"cmd": "stop"} or the end of standard input."""
-
-    def __init__(self) -> None:
-        self._event = threading.Event()
-        self.reason = ""
-
-    @property
-    def requested(self) -> bool:
-        """True from the first wish on."""
-        return self._event.is_set()
-
-    def request(self, reason: str) -> None:
-        """Ask the job to write its checkpoint and end."""
-        self.reason = self.reason or reason
-        self._event.set()
-
-    @contextmanager
-    def signals(self):
-        """Within this context SIGTERM and the first SIGINT (Ctrl-C) are wishes; a second Ctrl-C interrupts at once."""
-
-        def handle(number: int, _frame: object) -> None:
-            if self.requested and number == signal.SIGINT:
-                signal.default_int_handler(number, None)
-            self.request(signal.Signals(number).name)
-
-        before = {n: signal.signal(n, handle) for n in (signal.SIGTERM, signal.SIGINT)}
-        try:
-            yield self
-        finally:
-            for number, handler in before.items():
-                signal.signal(number, handler)
-
-    def watch(self, descriptor: int = 0) -> None:
-        """Listen for {"cmd": "stop"} lines on a file descriptor (standard input); its end means the parent died."""
-        threading.Thread(target=self._listen, args=(descriptor,), daemon=True).start()
-
-    def watch_file(self, path: Path) -> None:
-        """Look for a file whose appearance means stop."""
-        threading.Thread(target=self._look_for, args=(path,), daemon=True).start()
-
-    def _look_for(self, path: Path) -> None:
-        while not self._event.wait(0.3):
-            if path.exists():
-                self.request("stop file")
-
-    def _listen(self, descriptor: int) -> None:
-        # os.read, not sys.stdin: a thread that waits in a buffered reader makes the interpreter abort at its exit
-        rest = b""
-        while received := os.read(descriptor, 4096):
-            *lines, rest = (rest + received).split(b"\n")
-            for line in lines:
-                try:
-                    command = json.loads(line)
-                except ValueError:
-                    continue
-                if isinstance(command, dict) and command.get("cmd") == "stop":
-                    self.request("stop command")
-        self.request("standard input was closed")
-
-
-def write_atomically(path: Path, write: Callable[[Path], None]) -> None:
-    """Call write(temporary path), flush it to the disk and rename it to `path`. Raises OutputError."""
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
-    with output_errors(path):
-        try:
-            write(temporary)
-            with open(temporary, "rb+") as file:
-                os.fsync(file.fileno())
-            os.replace(temporary, path)
-        finally:
-            temporary.unlink(missing_ok=True)
-
-
-@contextmanager
-def output_errors(path: Path):
-    """Turn the operating system's refusals to write into OutputError."""
-    try:
-        yield
-    except OSError as error:
-        raise output_error(path, error) from error
-    except RuntimeError as error:  # torch's own writer reports a full disk so
-        if "PytorchStreamWriter" in str(error) or "unexpected pos" in str(error):
-            raise output_error(path, OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))) from error
-        raise
-
-
-def output_error(path: Path, error: OSError) -> OutputError:
-    """The OutputError for an OSError met while writing `path`."""
-    reason = error.strerror or str(error)
-    if error.errno in (errno.ENOSPC, errno.EDQUOT):
-        return OutputError(f"the disk is full: {path} cannot be written", "Free some space, then go on with --resume.")
-    if error.errno in (errno.EACCES, errno.EPERM, errno.EROFS):
-        return OutputError(f"{path} may not be written ({reason})", "Choose another --out, or change its permissions.")
-    return OutputError(f"{path} cannot be written ({reason})", "Choose another --out.")
 
 
 def save_state(path: Path, state: dict) -> None:

@@ -166,8 +166,8 @@ def _reconstruct(options: argparse.Namespace) -> int:
     protocol = open_protocol()
     events = Events(None if terminal else protocol, sys.stderr)
 
-    from blender_nep.checkpoints import StopRequest
     from blender_nep.job import runner as job
+    from blender_nep.stop_request import StopRequest
 
     stop = StopRequest()
     if options.watch_stdin:

@@ -17,7 +17,7 @@ from dataclasses import dataclass, field
 from functools import wraps
 from pathlib import Path
 
-from blender_nep.checkpoints import write_atomically
+from blender_nep.files import write_atomically
 
 _NOTHING = nullcontext()
 _current: Profile | None = None

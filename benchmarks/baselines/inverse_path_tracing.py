@@ -21,8 +21,8 @@ from torch.nn import functional
 
 from blender_nep.capture.pixel_rays import PixelRays
 from blender_nep.errors import LearningError
+from blender_nep.geometry.mesh import Surface
 from blender_nep.geometry.ray_tracing import RayTracer
-from blender_nep.surface.extraction import Surface
 from blender_nep.tone_mapping import tone_map
 
 mi.set_variant("llvm_ad_rgb")

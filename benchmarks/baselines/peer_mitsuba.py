@@ -38,7 +38,7 @@ from blender_nep.capture.photo_files import linear_to_srgb
 from blender_nep.errors import LearningError
 from blender_nep.materials.training import Materials
 from blender_nep.presets import preset
-from blender_nep.surface.extraction import load_surface
+from blender_nep.surface.mesh_file import load_surface
 
 COLUMNS = {"mse_roughness": "roughness", "mse_metallic": "metallic", "mse_albedo": "albedo", "cpu_seconds": "CPU s"}
 

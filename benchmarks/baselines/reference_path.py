@@ -30,12 +30,13 @@ from benchmarks.scoring.environment import background_psnr
 from benchmarks.scoring.scores import BACKGROUND_PIXELS
 from benchmarks.suite.harness import markdown, resumed, use_threads, with_changes, write_row
 from blender_nep.capture import PixelRays, load_capture
-from blender_nep.checkpoints import Checkpoint, NoCheckpoint, StopRequest, load_state, save_state
+from blender_nep.checkpoints import Checkpoint, NoCheckpoint, load_state, save_state
 from blender_nep.errors import Stopped
 from blender_nep.fields.training import FieldsLearning, learn_fields
 from blender_nep.job.stages import Stages
 from blender_nep.materials.training import learn_materials
 from blender_nep.presets import Preset, preset
+from blender_nep.stop_request import StopRequest
 from blender_nep.surface.extraction import extract_surface
 
 SIZES = {

@@ -13,7 +13,7 @@ import trimesh
 from trimesh.ray.ray_pyembree import RayMeshIntersector
 
 from blender_nep.capture import Capture, load_capture
-from blender_nep.surface.extraction import Surface
+from blender_nep.geometry.mesh import Surface
 
 VOXEL = 0.01
 """One point a voxel of this width, so that places seen often do not dominate."""

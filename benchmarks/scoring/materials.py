@@ -13,9 +13,9 @@ from benchmarks.scoring.geometry import Body, camera_rays, true_mesh
 from blender_nep.asset.export import TEXTURES
 from blender_nep.capture.capture import Capture
 from blender_nep.capture.photo_files import linear_to_srgb
+from blender_nep.geometry.mesh import Surface
 from blender_nep.geometry.uv_raster import look_up
 from blender_nep.materials.training import Materials
-from blender_nep.surface.extraction import Surface
 
 CHANNELS = {"albedo": 3, "roughness": 1, "metallic": 1}
 

@@ -16,7 +16,7 @@ from blender_nep.checkpoints import load_state
 from blender_nep.job.device import choose_device
 from blender_nep.job.stages import Stages
 from blender_nep.presets import Preset
-from blender_nep.surface.extraction import load_surface
+from blender_nep.surface.mesh_file import load_surface
 
 BACKGROUND_PIXELS = 40_000
 """Of a held-out photo, whatever the job itself used: the scores of presets must be comparable."""

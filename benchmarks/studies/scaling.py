@@ -24,12 +24,13 @@ from blender_nep.checkpoints import NoCheckpoint
 from blender_nep.fields.environment_field import EnvironmentField
 from blender_nep.fields.object_field import ObjectField
 from blender_nep.fields.training import FieldsLearning, learn_fields
+from blender_nep.geometry.mesh import Surface
 from blender_nep.materials.baking import LabelledPoints, bake
 from blender_nep.materials.palette import Palette
 from blender_nep.materials.training import learn_materials
 from blender_nep.presets import PRESETS, Preset
 from blender_nep.profiling import Profile
-from blender_nep.surface.extraction import Surface, extract_surface
+from blender_nep.surface.extraction import extract_surface
 
 PIXELS = 36_864
 """A photo, where it is not varied: the small capture's 192 x 192."""

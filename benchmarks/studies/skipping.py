@@ -33,12 +33,13 @@ from benchmarks.suite.derived_captures import VARIANTS, derive
 from benchmarks.suite.harness import markdown, resumed, use_threads
 from benchmarks.suite.runner import machine
 from blender_nep.capture import load_capture
-from blender_nep.checkpoints import StopRequest, load_state, save_state
+from blender_nep.checkpoints import load_state, save_state
 from blender_nep.job.events import Events
 from blender_nep.job.run_folder import fingerprint
 from blender_nep.job.runner import Job, Settings
 from blender_nep.job.stages import Stages
 from blender_nep.presets import PRESETS, Preset
+from blender_nep.stop_request import StopRequest
 
 
 @dataclass(frozen=True)

@@ -36,10 +36,10 @@ class NoLight:
 
 def learn(run: Run, asset: Path, order: dict) -> dict:
     """The job. An error is {"error": message}."""
-    from blender_nep.checkpoints import StopRequest
     from blender_nep.job import runner as job
     from blender_nep.job.events import Events
     from blender_nep.job.stages import Stages
+    from blender_nep.stop_request import StopRequest
 
     class Heard(Events):
         """Keeps the error."""

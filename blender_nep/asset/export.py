@@ -22,8 +22,7 @@ from PIL import Image
 from blender_nep.asset.preview import render_preview
 from blender_nep.capture import Capture, PixelRays
 from blender_nep.capture.photo_files import linear_to_srgb
-from blender_nep.checkpoints import output_errors
-from blender_nep.job.events import plain
+from blender_nep.files import jsonable, output_errors
 from blender_nep.profiling import section
 
 TEXTURES = ("albedo", "roughness", "metallic", "confidence")
@@ -76,7 +75,7 @@ def write_asset(
             write_glb(partial / "asset.glb", mesh)
             write_exr(partial / "environment.exr", radiance)
             Image.fromarray(picture).save(partial / "preview.png")
-            (partial / "report.json").write_text(json.dumps(plain(report()), indent=1), encoding="utf-8")
+            (partial / "report.json").write_text(json.dumps(jsonable(report()), indent=1), encoding="utf-8")
             _move(partial, folder)
         finally:
             shutil.rmtree(partial, ignore_errors=True)

@@ -15,7 +15,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from blender_nep.checkpoints import output_errors
+from blender_nep.files import output_errors
 
 
 class MemoryStore:

@@ -22,10 +22,10 @@ from blender_nep.fields.non_finite_monitor import NonFiniteMonitor, usable_gradi
 from blender_nep.fields.object_field import Appearance, ObjectField
 from blender_nep.fields.visual_hull import background_silhouettes, carve, mask_silhouettes
 from blender_nep.fields.volume_rendering import BAND, sphere_interval
+from blender_nep.geometry.mesh import Surface
 from blender_nep.geometry.ray_tracing import RayTracer
 from blender_nep.presets import Preset
 from blender_nep.profiling import profiled, section
-from blender_nep.surface.extraction import Surface
 from blender_nep.tone_mapping import tone_map, tone_map_without_highlights
 
 HELD_OUT = 101

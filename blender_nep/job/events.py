@@ -14,6 +14,8 @@ from typing import TYPE_CHECKING, Any, TextIO
 
 from tqdm import tqdm
 
+from blender_nep.files import jsonable
+
 if TYPE_CHECKING:
     from blender_nep.job.job_folder import Journal
 
@@ -151,7 +153,7 @@ class Events:
         if self._protocol is None:
             return
         try:
-            self._protocol.write(json.dumps({"event": event, **plain(content)}) + "\n")
+            self._protocol.write(json.dumps({"event": event, **jsonable(content)}) + "\n")
             self._protocol.flush()
         except (BrokenPipeError, ValueError):
             self._protocol = None
@@ -226,16 +228,3 @@ class Events:
             with contextlib.suppress(OSError):
                 self._log.close()
             self._log = None
-
-
-def plain(value: Any) -> Any:
-    """As JSON has it: containers of strings, numbers and null (for NaN and Inf, which JSON does not know)."""
-    if isinstance(value, dict):
-        return {str(k): plain(v) for k, v in value.items()}
-    if isinstance(value, list | tuple | set):
-        return [plain(v) for v in value]
-    if hasattr(value, "tolist"):  # numpy and torch
-        return plain(value.tolist())
-    if isinstance(value, Path):
-        return str(value)
-    return None if isinstance(value, float) and not math.isfinite(value) else value

@@ -20,8 +20,8 @@ import sys
 import time
 from pathlib import Path
 
-from blender_nep.checkpoints import output_error, output_errors, write_atomically
 from blender_nep.errors import UsageError
+from blender_nep.files import output_error, output_errors, write_atomically
 
 FOLDER = "job"
 PREVIEW_MESH, PREVIEW_PICTURE = "preview.npz", "preview.png"

@@ -17,8 +17,8 @@ from PIL import Image
 
 from blender_nep.asset.preview import best_view, exposure
 from blender_nep.capture.photo_files import linear_to_srgb
-from blender_nep.checkpoints import output_errors, write_atomically
 from blender_nep.errors import LearningError, NepError
+from blender_nep.files import output_errors, write_atomically
 from blender_nep.geometry.ray_tracing import RayTracer
 from blender_nep.job.job_folder import FOLDER, PREVIEW_MESH, PREVIEW_PICTURE
 from blender_nep.surface.extraction import zero_level

@@ -10,9 +10,11 @@ from collections.abc import Callable
 from pathlib import Path
 
 from blender_nep.capture import Capture
-from blender_nep.checkpoints import Checkpoint, StopRequest, load_state, output_errors, save_state, write_atomically
+from blender_nep.checkpoints import Checkpoint, load_state, save_state
 from blender_nep.errors import UsageError
+from blender_nep.files import output_errors, write_atomically
 from blender_nep.presets import Preset
+from blender_nep.stop_request import StopRequest
 
 FORMAT = 3
 """Version of the files in `checkpoints/` and of `report.json`; a run of another version is refused.

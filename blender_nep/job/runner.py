@@ -22,8 +22,8 @@ import torch
 from blender_nep.capture import Capture, PixelRays, load_capture
 from blender_nep.capture.exposure import find_exposures
 from blender_nep.capture.pixel_store import PixelMemory
-from blender_nep.checkpoints import StopRequest, output_errors
 from blender_nep.errors import NepError, OutputError, Stopped, UsageError
+from blender_nep.files import output_errors
 from blender_nep.job.device import choose_device, peak_memory, usable_cores, versions
 from blender_nep.job.events import Events, Timeline
 from blender_nep.job.job_folder import JobFolder
@@ -33,6 +33,7 @@ from blender_nep.job.scene_report import SceneReport
 from blender_nep.job.stages import Stages
 from blender_nep.presets import Preset
 from blender_nep.profiling import Profile, profiled, section
+from blender_nep.stop_request import StopRequest
 
 STAGES = ("capture", "fields_learning", "surface", "material_learning", "asset")
 _DOUBT = 0.03

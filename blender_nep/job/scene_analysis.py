@@ -19,8 +19,8 @@ from blender_nep.geometry.ray_tracing import RayTracer
 
 if TYPE_CHECKING:
     from blender_nep.capture import PixelRays
+    from blender_nep.geometry.mesh import Surface
     from blender_nep.presets import MaterialPreset, Preset
-    from blender_nep.surface.extraction import Surface
 
 HARDLY_SEES_ITSELF = 0.01
 """Self-visibility under which what the object reflects of itself is less than what its light is known to."""

@@ -13,9 +13,9 @@ import torch
 if TYPE_CHECKING:
     from blender_nep.capture import Capture, PixelRays
     from blender_nep.fields.training import Fields
+    from blender_nep.geometry.mesh import Surface
     from blender_nep.materials.training import Materials
     from blender_nep.presets import Preset, SurfacePreset
-    from blender_nep.surface.extraction import Surface
 
 
 class Stages:
@@ -39,7 +39,7 @@ class Stages:
 
     def load_surface(self, mesh: Path, capture: Capture, preset: SurfacePreset) -> Surface:
         """The mesh of --mesh."""
-        from blender_nep.surface.extraction import load_surface
+        from blender_nep.surface.mesh_file import load_surface
 
         return load_surface(mesh, capture, preset)
 
@@ -57,7 +57,7 @@ class Stages:
 
     def unpack_surface(self, state: dict) -> tuple[Surface, dict]:
         """The inverse of pack_surface."""
-        from blender_nep.surface.extraction import Surface
+        from blender_nep.geometry.mesh import Surface
 
         return Surface(**state["arrays"]), state["report"]
 

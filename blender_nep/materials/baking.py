@@ -9,10 +9,10 @@ import numpy as np
 import torch
 from scipy.spatial import cKDTree
 
+from blender_nep.geometry.mesh import Surface
 from blender_nep.geometry.uv_raster import nearest_known, rasterise
 from blender_nep.materials.palette import Palette
 from blender_nep.profiling import profiled
-from blender_nep.surface.extraction import Surface
 
 NEIGHBOURS = 16
 """Samples that vote on the material of a point."""

@@ -17,6 +17,7 @@ import torch
 from torch import Tensor
 
 from blender_nep.errors import LearningError
+from blender_nep.geometry.mesh import Surface
 from blender_nep.geometry.ray_tracing import RayTracer
 from blender_nep.materials.baking import LabelledPoints, bake, texture_size
 from blender_nep.materials.labelled_points import error_of_neighbours, labelled_pixels, labelled_samples, surfels
@@ -28,7 +29,6 @@ from blender_nep.profiling import profiled
 from blender_nep.shading.incoming_light import IncomingLight
 from blender_nep.shading.plenoptic import PlenopticFunction, TerminalRadiance
 from blender_nep.shading.unseen_light import UnseenLight
-from blender_nep.surface.extraction import Surface
 
 if TYPE_CHECKING:
     from blender_nep.capture.pixel_rays import PixelRays

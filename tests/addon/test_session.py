@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from blender_nep.checkpoints import StopRequest
 from blender_nep.job import runner as job
 from blender_nep.job.events import Events
 from blender_nep.presets import preset
+from blender_nep.stop_request import StopRequest
 from support import extension
 from support.ball_stages import BallStages
 from support.own_process import run_file

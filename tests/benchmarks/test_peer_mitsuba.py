@@ -16,10 +16,11 @@ import trimesh
 from torch.nn import functional
 
 from blender_nep.capture import PixelRays, load_capture
+from blender_nep.geometry.mesh import Surface
 from blender_nep.geometry.ray_tracing import RayTracer
 from blender_nep.geometry.uv_raster import look_up
 from blender_nep.presets import preset
-from blender_nep.surface.extraction import Surface, unwrap
+from blender_nep.surface.unwrap import unwrap
 from support.paths import SUZANNE_SMALL
 
 pytest.importorskip("mitsuba")

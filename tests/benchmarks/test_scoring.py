@@ -16,8 +16,9 @@ from benchmarks.suite.plan import ABLATIONS
 from blender_nep.asset.export import TexturedMesh, write_exr, write_obj
 from blender_nep.capture import load_capture
 from blender_nep.errors import LearningError, Stopped
+from blender_nep.geometry.mesh import Surface
 from blender_nep.presets import preset
-from blender_nep.surface.extraction import Surface, load_surface
+from blender_nep.surface.mesh_file import load_surface
 from support.paths import SUZANNE_SMALL
 
 

@@ -19,9 +19,10 @@ from benchmarks.suite.plan import ABLATIONS, AS_TAKEN, PLANS, WITHOUT_F_E, Run, 
 from benchmarks.suite.runner import Suite, failure
 from benchmarks.suite.step import STAGE_1, _take_stage_1, learn
 from blender_nep.capture import load_capture
-from blender_nep.checkpoints import StopRequest, save_state
+from blender_nep.checkpoints import save_state
 from blender_nep.job.run_folder import RunFolder, fingerprint
 from blender_nep.presets import PRESETS, preset
+from blender_nep.stop_request import StopRequest
 from support.paths import SUZANNE_SMALL
 
 

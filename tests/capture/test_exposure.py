@@ -16,7 +16,7 @@ from blender_nep.job.live_preview import render_pair
 from blender_nep.job.scene_analysis import SceneAnalysis, view_dependence
 from blender_nep.materials.photo_samples import select_samples
 from blender_nep.presets import preset
-from blender_nep.surface.extraction import load_surface
+from blender_nep.surface.mesh_file import load_surface
 from support.paths import SUZANNE_SMALL
 
 TENTH_OF_A_STOP = 0.07

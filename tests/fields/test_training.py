@@ -13,9 +13,9 @@ from blender_nep.checkpoints import NoCheckpoint
 from blender_nep.errors import LearningError
 from blender_nep.fields.object_field import Appearance, ObjectField
 from blender_nep.fields.training import Fields, FieldsLearning, Rendering, dynamic_weight, learn_fields
+from blender_nep.geometry.mesh import Surface
 from blender_nep.geometry.ray_tracing import RayTracer
 from blender_nep.presets import preset
-from blender_nep.surface.extraction import Surface
 from blender_nep.tone_mapping import HIGHLIGHT, tone_map, tone_map_without_highlights
 from support.brief_preset import brief_preset
 from support.paths import SUZANNE_SMALL

@@ -19,12 +19,13 @@ import torch
 from backend.scene_io.capture_files import read_frames, with_exposures
 from blender_nep import checkpoints
 from blender_nep.capture.exposure import Exposures
-from blender_nep.checkpoints import Checkpoint, StopRequest, load_state, save_state
+from blender_nep.checkpoints import Checkpoint, load_state, save_state
 from blender_nep.errors import LearningError, Stopped
 from blender_nep.job import runner as job
 from blender_nep.job.events import Events, Timeline, time_text
 from blender_nep.presets import preset
 from blender_nep.shading.unseen_light import UnseenLight
+from blender_nep.stop_request import StopRequest
 from support.ball_stages import BallStages
 from support.captures import CENTER, RADIUS
 from support.paths import TESTS
@@ -426,7 +427,8 @@ from pathlib import Path
 sys.path.insert(0, {tests!r})
 from support.ball_stages import BallStages
 from blender_nep.job import runner as job
-from blender_nep.checkpoints import Checkpoint, StopRequest
+from blender_nep.checkpoints import Checkpoint
+from blender_nep.stop_request import StopRequest
 from blender_nep.job.events import Events
 from blender_nep.presets import preset
 from blender_nep.shading.unseen_light import UnseenLight

@@ -13,10 +13,10 @@ from PIL import Image
 from blender_nep.capture import PixelRays, load_capture
 from blender_nep.fields.environment_field import EnvironmentField
 from blender_nep.fields.training import FieldsLearning
+from blender_nep.geometry.mesh import Surface
 from blender_nep.geometry.ray_tracing import RayTracer
 from blender_nep.job.scene_analysis import Plan, SceneAnalysis, SurfaceAnalysis, seconds_of_cones, self_visibility
 from blender_nep.presets import preset
-from blender_nep.surface.extraction import Surface
 from support.ball_stages import ball_surface
 from support.captures import CENTER, RADIUS, write_exr
 

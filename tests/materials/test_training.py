@@ -9,13 +9,14 @@ import torch
 import trimesh
 
 from blender_nep.errors import LearningError
+from blender_nep.geometry.mesh import Surface
 from blender_nep.geometry.uv_raster import rasterise
 from blender_nep.materials.baking import LabelledPoints, bake
 from blender_nep.materials.palette import Palette
 from blender_nep.materials.training import learn_materials
 from blender_nep.presets import MaterialPreset, SurfacePreset
 from blender_nep.shading import brdf
-from blender_nep.surface.extraction import Surface, unwrap
+from blender_nep.surface.unwrap import unwrap
 
 PRESET = replace(
     MaterialPreset(),

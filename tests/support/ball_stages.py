@@ -9,9 +9,9 @@ import torch
 import trimesh
 
 from blender_nep.errors import LearningError
+from blender_nep.geometry.mesh import Surface
 from blender_nep.job.stages import Stages
 from blender_nep.materials.training import Materials
-from blender_nep.surface.extraction import Surface
 from support.captures import RADIUS
 
 

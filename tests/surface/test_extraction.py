@@ -10,7 +10,8 @@ import trimesh
 from blender_nep.errors import CaptureError, LearningError
 from blender_nep.geometry.uv_raster import nearest_known, rasterise
 from blender_nep.presets import SurfacePreset
-from blender_nep.surface.extraction import extract_surface, load_surface
+from blender_nep.surface.extraction import extract_surface
+from blender_nep.surface.mesh_file import load_surface
 
 PRESET = SurfacePreset(grid=72, faces=1500, atlas_texels=256)
 

@@ -1,0 +1,65 @@
+"""Writing files so that a kill, a full disk or a missing permission leaves the old file or the new one, never half of it.
+
+Every refusal of the operating system becomes an OutputError with a hint.
+"""
+
+from __future__ import annotations
+
+import errno
+import math
+import os
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from blender_nep.errors import OutputError
+
+
+def write_atomically(path: Path, write: Callable[[Path], None]) -> None:
+    """Call write(temporary path), flush it to the disk and rename it to `path`. Raises OutputError."""
+    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+    with output_errors(path):
+        try:
+            write(temporary)
+            with open(temporary, "rb+") as file:
+                os.fsync(file.fileno())
+            os.replace(temporary, path)
+        finally:
+            temporary.unlink(missing_ok=True)
+
+
+@contextmanager
+def output_errors(path: Path) -> Iterator[None]:
+    """Turn the operating system's refusals to write into OutputError."""
+    try:
+        yield
+    except OSError as error:
+        raise output_error(path, error) from error
+    except RuntimeError as error:  # torch's own writer reports a full disk so
+        if "PytorchStreamWriter" in str(error) or "unexpected pos" in str(error):
+            raise output_error(path, OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))) from error
+        raise
+
+
+def output_error(path: Path, error: OSError) -> OutputError:
+    """The OutputError for an OSError met while writing `path`."""
+    reason = error.strerror or str(error)
+    if error.errno in (errno.ENOSPC, errno.EDQUOT):
+        return OutputError(f"the disk is full: {path} cannot be written", "Free some space, then go on with --resume.")
+    if error.errno in (errno.EACCES, errno.EPERM, errno.EROFS):
+        return OutputError(f"{path} may not be written ({reason})", "Choose another --out, or change its permissions.")
+    return OutputError(f"{path} cannot be written ({reason})", "Choose another --out.")
+
+
+def jsonable(value: Any) -> Any:
+    """As JSON has it: containers of strings, numbers and null (for NaN and Inf, which JSON does not know)."""
+    if isinstance(value, dict):
+        return {str(k): jsonable(v) for k, v in value.items()}
+    if isinstance(value, list | tuple | set):
+        return [jsonable(v) for v in value]
+    if hasattr(value, "tolist"):  # numpy and torch
+        return jsonable(value.tolist())
+    if isinstance(value, Path):
+        return str(value)
+    return None if isinstance(value, float) and not math.isfinite(value) else value

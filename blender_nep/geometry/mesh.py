@@ -1,0 +1,49 @@
+"""The surface as a triangle mesh."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import trimesh
+
+
+@dataclass
+class Surface:
+    """A triangle mesh in the unit frame; vertices are split at the seams of the UV map."""
+
+    vertices: np.ndarray
+    """[V,3] float64"""
+    faces: np.ndarray
+    """[F,3] int64, counter-clockwise seen from outside"""
+    normals: np.ndarray
+    """[V,3] float64, smooth, unit length, outward"""
+    uv: np.ndarray | None = None
+    """[V,2] in 0..1, v upwards; None before unwrapping"""
+
+
+def weld(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Coincident vertices become one; degenerate and duplicate faces go."""
+    mesh = trimesh.Trimesh(vertices, faces, process=False)
+    mesh.merge_vertices(merge_tex=True, merge_norm=True)
+    mesh.update_faces(mesh.nondegenerate_faces(height=1e-9) & mesh.unique_faces())
+    mesh.remove_unreferenced_vertices()
+    return np.asarray(mesh.vertices, np.float64), np.asarray(mesh.faces, np.int64)
+
+
+def area_normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    """Area-weighted vertex normals, shared by vertices at the same place (so that UV seams do not show)."""
+    _, place = np.unique(np.round(vertices / max(np.abs(vertices).max(), 1e-20) * 1e7), axis=0, return_inverse=True)
+    place = place.ravel()
+    corner = vertices[faces]
+    face_normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
+    total = np.zeros((place.max() + 1, 3))
+    for k in range(3):
+        np.add.at(total, place[faces[:, k]], face_normal)
+    return normalized(total)[place]
+
+
+def normalized(vectors: np.ndarray) -> np.ndarray:
+    """`vectors` [...,3] at unit length; a zero vector becomes (0, 0, 1)."""
+    length = np.linalg.norm(vectors, axis=-1, keepdims=True)
+    return np.where(length > 1e-30, vectors / np.maximum(length, 1e-30), np.array([0.0, 0.0, 1.0]))

@@ -1,0 +1,47 @@
+"""A mesh file that takes the place of the learned shape (`--mesh`)."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+import trimesh
+
+from blender_nep.errors import CaptureError
+from blender_nep.geometry.mesh import Surface, area_normals, weld
+from blender_nep.surface.unwrap import unwrap
+
+if TYPE_CHECKING:
+    from blender_nep.capture.capture import Capture
+    from blender_nep.presets import SurfacePreset
+
+
+def load_surface(mesh_path: Path, capture: Capture, preset: SurfacePreset) -> Surface:
+    """A mesh file in the capture's coordinates, brought to the unit frame; unwrapped where it has no UVs.
+
+    Raises CaptureError when it cannot be read, holds no triangle, or lies outside the object's sphere.
+    """
+    path = Path(mesh_path)
+    if not path.is_file():
+        raise CaptureError(f"there is no mesh file {path}", "check the path given to --mesh")
+    try:
+        mesh = trimesh.load(path, process=False, force="mesh", maintain_order=True)
+    except (ValueError, TypeError, KeyError, IndexError, OSError, NotImplementedError) as error:
+        hint = "give an OBJ, PLY, STL or glTF file"
+        raise CaptureError(f"the mesh {path.name} cannot be read: {error}", hint) from error
+    if len(mesh.faces) == 0 or not np.isfinite(mesh.vertices).all():
+        raise CaptureError(f"the mesh {path.name} holds no usable triangle", "give a triangle mesh of the object")
+    transform = np.asarray(capture.to_unit, np.float64)
+    vertices = np.asarray(mesh.vertices, np.float64) @ transform[:3, :3].T + transform[:3, 3]
+    if np.linalg.norm(vertices, axis=1).min() > 1:
+        raise CaptureError(
+            f"the mesh {path.name} lies outside the object's bounding sphere",
+            "the mesh must be in the capture's own coordinates, Z up as captured",
+        )
+    faces = np.asarray(mesh.faces, np.int64)
+    uv = getattr(mesh.visual, "uv", None)
+    if uv is not None and len(uv) == len(vertices) and np.ptp(uv, axis=0).min() > 0 and uv.min() >= 0 and uv.max() <= 1:
+        return Surface(vertices, faces, area_normals(vertices, faces), np.asarray(uv, np.float64))
+    vertices, faces = weld(vertices, faces)
+    return unwrap(Surface(vertices, faces, area_normals(vertices, faces)), preset)
