@@ -2,12 +2,33 @@
 
 from __future__ import annotations
 
-import blender_nep  # noqa: F401  # isort: skip  # before torch: it sets how OpenMP threads wait
-import numpy as np
-import pytest
-from PIL import Image
+import os
 
-from support.captures import CENTER, RADIUS, TinyCapture, look_at, write_exr
+
+def _one_core_a_worker() -> None:
+    """Give each of pytest-xdist's workers a core of its own.
+
+    Jobs and kernels take all cores that they may use; two workers would else wait for each other's threads. Numba still
+    gets four threads, so that a test which asks for four has them.
+    """
+    os.environ.setdefault("NUMBA_NUM_THREADS", "4")
+    worker = os.environ.get("PYTEST_XDIST_WORKER")
+    if worker and hasattr(os, "sched_setaffinity"):
+        cores = sorted(os.sched_getaffinity(0))
+        os.sched_setaffinity(0, {cores[int(worker.removeprefix("gw")) % len(cores)]})
+
+
+_one_core_a_worker()  # before torch and numba, which count the cores when they are imported
+
+import blender_nep  # noqa: E402, F401  # isort: skip  # before torch: it sets how OpenMP threads wait
+import numba  # noqa: E402
+import numpy as np  # noqa: E402
+import pytest  # noqa: E402
+from PIL import Image  # noqa: E402
+
+numba.set_num_threads(min(len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else 1, 4))
+
+from support.captures import CENTER, RADIUS, TinyCapture, look_at, write_exr  # noqa: E402
 
 
 @pytest.fixture

@@ -13,8 +13,9 @@ from benchmarks.reports.report import write_report
 from benchmarks.reports.rows import Results, failures, load
 from benchmarks.suite.harness import read_row, write_row
 from benchmarks.suite.plan import Run
+from support.paths import ROOT
 
-DOCUMENT = Path(__file__).parent.parent / "docs" / "benchmarks.md"
+DOCUMENT = ROOT / "docs" / "benchmarks.md"
 PRESETS = {"preview": (0.004, 100.0), "balanced": (0.002, 300.0)}
 
 
