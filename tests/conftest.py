@@ -71,3 +71,14 @@ def make_capture(tmp_path):
         return tiny
 
     return make
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Tests that share a module's fixture run in one worker, which makes the fixture once (pytest-xdist's loadgroup)."""
+    for item in items:
+        shared = [name for name, found in item._fixtureinfo.name2fixturedefs.items() if found[-1].scope == "module"]
+        if shared:
+            values = getattr(getattr(item, "callspec", None), "params", {})
+            chosen = "-".join(str(values[name]) for name in shared if name in values)
+            item.add_marker(pytest.mark.xdist_group(f"{item.path.stem}-{chosen}"))
