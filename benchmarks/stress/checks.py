@@ -16,6 +16,7 @@ import trimesh
 
 from blender_nep.asset.export import TEXTURES
 from blender_nep.checkpoints import load_state
+from blender_nep.job.stage_names import StageName
 
 FILES = (
     "mesh.obj",
@@ -140,7 +141,7 @@ def check_report(case, report: dict) -> list[str]:
         failures.append(f"silent repair: {case.pixels} pixels are not in the warnings ({said})")
     if case.duplicates in ("some", "pairs") and "same place" not in said:
         failures.append(f"silent repair: duplicate cameras are not in the warnings ({said})")
-    skipped = (report["stages"].get("fields_learning") or {}).get("steps_not_finite", 0)
+    skipped = (report["stages"].get(StageName.FIELDS_LEARNING) or {}).get("steps_not_finite", 0)
     if skipped and "not finite" not in said:
         failures.append("silent repair: steps that were left out are not in the warnings")
     return failures
@@ -155,7 +156,7 @@ def same_assets(a: Path, b: Path) -> list[str]:
         if n != "environment.exr" and not n.startswith("textures/") and (a / n).read_bytes() != (b / n).read_bytes()
     ]
     different += [n for n in names if n.endswith(".exr") and not np.array_equal(_exr(a / n), _exr(b / n))]
-    for stage in ("fields_learning", "surface", "material_learning"):
+    for stage in (StageName.FIELDS_LEARNING, StageName.SURFACE, StageName.MATERIAL_LEARNING):
         files = [f / "checkpoints" / f"{stage}.done.pt" for f in (a, b)]
         if all(f.is_file() for f in files):
             one, other = (dict(_tensors(load_state(f)["result"])) for f in files)

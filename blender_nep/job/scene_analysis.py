@@ -204,7 +204,8 @@ class SurfaceAnalysis:
 
     def plan(self, preset: Preset) -> Plan:
         """What stage 2 needs."""
-        p, skipped = preset.material, {}
+        p = preset.material
+        skipped: dict[str, str] = {}
         if not preset.skip_needless:
             return Plan(preset, skipped)
         if p.levels > 0 and self.self_visibility < HARDLY_SEES_ITSELF:

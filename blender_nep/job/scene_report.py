@@ -63,13 +63,11 @@ class SceneReport:
         if new or seconds:
             self._tell(_lines(new, seconds))
 
-    def stopped_early(self, steps: int, of_steps: int, seconds: float) -> None:
-        """Stage 1 has taken `steps` steps in `seconds`, of as many as the preset allows."""
-        if steps < of_steps:
-            self.skip(
-                {"further steps of both fields": "the error on held-out pixels did not fall any more"},
-                {"further steps of both fields": seconds * (of_steps - steps) / steps},
-            )
+    def stopped_early(self, steps_saved: float, seconds: float) -> None:
+        """Stage 1 took so many seconds; all steps that the preset allows would be this share more."""
+        if steps_saved > 0:
+            what = "further steps of both fields"
+            self.skip({what: "the error on held-out pixels did not fall any more"}, {what: seconds * steps_saved})
 
     def report(self) -> dict:
         """For report.json."""

@@ -143,9 +143,9 @@ def test_a_job_with_pixels_in_a_file_leaves_an_asset_and_no_file(make_capture, t
     kinds = []
 
     class Stages(BallStages):
-        def learn_fields(self, rays, *arguments, **keywords):
-            kinds.append(rays.radiance.dtype)
-            return super().learn_fields(rays, *arguments, **keywords)
+        def learn_fields(self, given, *how):
+            kinds.append(given.rays.radiance.dtype)
+            return super().learn_fields(given, *how)
 
     assert job.run(settings, Events(None, None), StopRequest(), Stages()) == 0
     assert kinds == [torch.float16] and (out / "report.json").exists()

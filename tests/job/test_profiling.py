@@ -8,8 +8,10 @@ import pytest
 
 from blender_nep import profiling as profile
 from blender_nep.cli import main
+from blender_nep.errors import OutputError
 from blender_nep.job import runner as job
 from blender_nep.job.events import Events
+from blender_nep.job.stage_names import StageName
 from blender_nep.presets import preset
 from blender_nep.profiling import Profile, profiled, section
 from blender_nep.stop_request import StopRequest
@@ -99,13 +101,13 @@ def test_a_job_says_where_its_time_went(make_capture, tmp_path, asked):
     if asked:
         rows = {row["section"]: row["wall_s"] for row in report["profile"]}
         stages = [name for name in rows if name.count(" / ") == 1]
-        first, *others = job.STAGES
+        first, *others = StageName
         assert stages == [f"job / {name}" for name in (first, "scene analysis", *others)]
         assert 0 < sum(rows[stage] for stage in stages) <= rows["job"] + 0.01
         assert rows["job / capture / decode photos"] <= rows["job / capture"]
         with pytest.MonkeyPatch.context() as patch:
             patch.setattr("blender_nep.files.os.replace", _full_disk)
-            with pytest.raises(job.OutputError, match="disk is full"):
+            with pytest.raises(OutputError, match="disk is full"):
                 Profile().write(out / "profile.json")
         assert json.loads((out / "profile.json").read_text())["profiles"], "the old file stays whole"
 

@@ -21,8 +21,11 @@ from blender_nep import checkpoints
 from blender_nep.capture.exposure import Exposures
 from blender_nep.checkpoints import Checkpoint, load_state, save_state
 from blender_nep.errors import LearningError, Stopped
+from blender_nep.job import preparation
 from blender_nep.job import runner as job
-from blender_nep.job.events import Events, Timeline, time_text
+from blender_nep.job.events import Events
+from blender_nep.job.stage_names import StageName
+from blender_nep.job.timeline import Timeline, time_text
 from blender_nep.presets import preset
 from blender_nep.shading.unseen_light import UnseenLight
 from blender_nep.stop_request import StopRequest
@@ -54,14 +57,14 @@ def test_a_job_ends_with_an_asset_and_tells_how_far_it_is(start):
     assert events[-1] == {"event": "done", "asset": str(start.out)}
     progress = [e for e in events if e["event"] == "progress"]
     assert [e for n, e in enumerate(progress) if n == 0 or e["stage"] != progress[n - 1]["stage"]] != []
-    assert list(dict.fromkeys(e["stage"] for e in progress)) == list(job.STAGES)
+    assert list(dict.fromkeys(e["stage"] for e in progress)) == list(StageName)
     fractions = [e["fraction"] for e in progress]
     assert fractions == sorted(fractions) and fractions[0] == 0 and fractions[-1] == 1
     assert all(e["eta_s"] >= 0 for e in progress) and progress[-1]["eta_s"] < 1
     assert {"step", "steps", "fraction", "eta_s", "loss"} <= set(progress[0])
     report = json.loads((start.out / "report.json").read_text())
     assert report["preset"] == "preview" and report["seed"] == 0 and report["capture"]["views"] == 6
-    assert set(report["seconds"]) == set(job.STAGES) and report["peak_memory_mb"] > 10
+    assert set(report["seconds"]) == set(StageName) and report["peak_memory_mb"] > 10
     assert report["versions"]["torch"] == torch.__version__
     convex = "the object is convex"
     assert report["skipped"] == {"nothing": "a test", "indirect light": convex}
@@ -75,9 +78,9 @@ def test_what_the_scene_needs_is_told_before_it_is_done_and_stands_in_the_report
             found.report |= {"steps": 60, "of_steps": 90}
             return found
 
-        def learn_materials(self, surface, environment, rays, preset, **keywords):
-            asked.append(preset.levels)
-            found = super().learn_materials(surface, environment, rays, preset, **keywords)
+        def learn_materials(self, given, *how):
+            asked.append(given.preset.levels)
+            found = super().learn_materials(given, *how)
             found.report |= {
                 "skipped": dict.fromkeys(("material boundaries", "fine textures"), "a reason"),
                 "seconds_saved": {"fine textures": 3.14159},
@@ -109,13 +112,13 @@ def test_what_the_scene_needs_is_told_before_it_is_done_and_stands_in_the_report
 @pytest.mark.parametrize("even", [True, False])
 def test_photos_of_differing_exposure_are_evened_out_and_the_report_says_by_how_much(start, monkeypatch, even):
     class Looked(BallStages):
-        def learn_fields(self, rays, *arguments, **keywords):
-            seen.append(rays.gain)
-            return super().learn_fields(rays, *arguments, **keywords)
+        def learn_fields(self, given, *how):
+            seen.append(given.rays.gain)
+            return super().learn_fields(given, *how)
 
     seen: list[torch.Tensor | None] = []
     gain = torch.tensor([2.0, 0.5, 1, 1, 1, 1])[:, None].expand(6, 3)
-    monkeypatch.setattr(job, "find_exposures", lambda rays: Exposures(gain, "a doubt"))
+    monkeypatch.setattr(preparation, "find_exposures", lambda rays: Exposures(gain, "a doubt"))
     start(Looked(), preset=replace(preset("preview"), even_exposure=even))
     report = json.loads((start.out / "report.json").read_text())
     said = "The photos differ in exposure (by up to 2.0 stops), which is evened out." in report["scene"]["sentences"]
