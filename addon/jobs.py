@@ -16,6 +16,7 @@ from ..backend.engine.command import EngineError
 from ..backend.engine.engine import STOPPED, Engine
 from ..backend.engine.job_files import is_asset, read_job
 from ..backend.engine.progress import Progress
+from ..backend.engine.words import Said
 from . import clock, live_preview, preferences, settings
 
 
@@ -26,8 +27,8 @@ class Job:
         self.output, self.engine, self.failed = output, engine, failed
         self.key = key(output)
         self.progress = Progress()
-        self.warnings: list[str] = []
-        self.scene: list[str] = []  # what the photos show and what is left out because of it, in sentences
+        self.warnings: list[Said] = []
+        self.scene: list[Said] = []  # what the photos show and what is left out because of it, in sentences
         self.stopping = False
         self.ended = engine is None
         self.watched = here  # whether it ran while this Blender looked on: then its result is imported by itself
@@ -42,9 +43,9 @@ class Job:
             if event["event"] == "progress":
                 self.progress = Progress.of(event)
             elif event["event"] == "warning":
-                self.warnings.append(str(event.get("message", "")))
+                self.warnings.append(Said.of(event))
             elif event["event"] == "scene":
-                self.scene = [str(line) for line in event.get("lines") or ()]
+                self.scene = [Said.of(line) for line in event.get("lines") or ()]
             elif event["event"] == "preview":
                 path = Path(str(event.get("path", "")))
                 self.previews[path.suffix] = path

@@ -1,10 +1,11 @@
 """The sidebar panel: what to reconstruct, how far it is, what came of it."""
 
 import bpy
+from bpy.app.translations import pgettext_iface
 
 from ..backend.engine.command import NoEngineError, engine_is_at_hand
 from ..backend.engine.job_files import has_checkpoint, is_asset
-from ..backend.engine.progress import duration, in_panel_words
+from ..backend.engine.progress import duration
 from ..backend.engine.timings import expected_seconds
 from . import jobs, live_preview, preferences, settings
 from .messages import inner_width, say
@@ -41,7 +42,7 @@ def _draw_settings(layout, context) -> None:
     layout.prop(chosen, "output", placeholder="Folder for the result")
     layout.prop(chosen, "preset")
     seconds, measured = expected_seconds(preferences.timings_file(), chosen.preset)
-    text = duration(seconds)
+    text = duration(seconds, pgettext_iface)
     row = layout.row()
     row.alignment = "RIGHT"
     row.label(text=f"{text} on this machine" if measured else f"{text} for 60 small photos", icon="TIME")
@@ -88,11 +89,11 @@ def _draw_running(layout, context, job) -> None:
     progress = job.progress
     layout.progress(factor=progress.fraction, text=f"{100 * progress.fraction:.0f} %")
     column = layout.column(align=True)
-    for line in ["Stopping: writing the checkpoint"] if job.stopping else progress.lines():
+    for line in ["Stopping: writing the checkpoint"] if job.stopping else progress.lines(pgettext_iface):
         column.label(text=line)
     _draw_picture(layout, context, live_preview.picture_icons(job.key))
     for warning in job.warnings[-2:]:
-        say(layout, context, in_panel_words(warning), "INFO")
+        say(layout, context, warning.words(pgettext_iface), "INFO")
     row = layout.row(align=True)
     row.operator("nep.cancel", icon="CANCEL")
     row.operator("nep.open_log", text="", icon="TEXT")
@@ -107,7 +108,7 @@ def _draw_scene(layout, context, job) -> None:
     header.label(text="What the Photos Show")
     if body is not None:
         for line in job.scene:
-            say(body, context, in_panel_words(line))
+            say(body, context, line.words(pgettext_iface))
 
 
 def _draw_picture(layout, context, icons: list[int]) -> None:
@@ -129,10 +130,11 @@ def _draw_end(layout, context, job) -> None:
         )
         say(layout, context, text, "CHECKMARK")
         for warning in job.warnings[-2:]:
-            say(layout, context, in_panel_words(warning), "INFO")
+            say(layout, context, warning.words(pgettext_iface), "INFO")
         return
-    say(layout, context, in_panel_words(failed.message), "PAUSE" if job.was_stopped else "ERROR")
-    say(layout, context, in_panel_words(failed.hint), "BLANK1")
+    message, hint = failed.words(pgettext_iface)
+    say(layout, context, message, "PAUSE" if job.was_stopped else "ERROR")
+    say(layout, context, hint, "BLANK1")
     if isinstance(failed, NoEngineError):
         layout.operator("nep.open_preferences", icon="PREFERENCES")
     elif not job.was_stopped:

@@ -16,7 +16,7 @@ from typing import Any
 from blender_nep.errors import OutputError
 
 
-def write_atomically(path: Path, write: Callable[[Path], None]) -> None:
+def write_atomically(path: Path, write: Callable[[Path], object]) -> None:
     """Call write(temporary path), flush it to the disk and rename it to `path`. Raises OutputError."""
     temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
     with output_errors(path):
@@ -46,10 +46,12 @@ def output_error(path: Path, error: OSError) -> OutputError:
     """The OutputError for an OSError met while writing `path`."""
     reason = error.strerror or str(error)
     if error.errno in (errno.ENOSPC, errno.EDQUOT):
-        return OutputError(f"the disk is full: {path} cannot be written", "Free some space, then go on with --resume.")
+        hint = "Free some space, then go on with --resume."
+        return OutputError(f"the disk is full: {path} cannot be written", hint, "output.disk_full", path=path)
     if error.errno in (errno.EACCES, errno.EPERM, errno.EROFS):
-        return OutputError(f"{path} may not be written ({reason})", "Choose another --out, or change its permissions.")
-    return OutputError(f"{path} cannot be written ({reason})", "Choose another --out.")
+        hint = "Choose another --out, or change its permissions."
+        return OutputError(f"{path} may not be written ({reason})", hint, "output.not_permitted", path=path, reason=reason)
+    return OutputError(f"{path} cannot be written ({reason})", "Choose another --out.", path=path, reason=reason)
 
 
 def jsonable(value: Any) -> Any:

@@ -56,6 +56,7 @@ class Timed:
 
 def learn(run: Run, asset: Path, order: dict) -> dict:
     """The job. An error is {"error": message}."""
+    from blender_nep.errors import NepError
     from blender_nep.job import runner as job
     from blender_nep.job.events import Events
     from blender_nep.job.stages import MaterialsInput, MaterialsStage, Stages
@@ -66,9 +67,9 @@ def learn(run: Run, asset: Path, order: dict) -> dict:
 
         failure = ""
 
-        def error(self, code: int, message: str, hint: str) -> None:
-            self.failure = message
-            super().error(code, message, hint)
+        def error(self, error: NepError) -> None:
+            self.failure = error.message
+            super().error(error)
 
     class WithoutEnvironment(MaterialsStage):
         """Stage 2 with the ablation's light."""

@@ -14,8 +14,10 @@ from typing import TYPE_CHECKING, Any, TextIO
 
 from tqdm import tqdm
 
+from blender_nep.errors import NepError
 from blender_nep.files import jsonable
 from blender_nep.job.timeline import time_text
+from blender_nep.messages import Message
 
 if TYPE_CHECKING:
     from blender_nep.job.job_folder import Journal
@@ -48,7 +50,7 @@ class Events:
         self._last_event = self._last_line = -math.inf
         self._last_step: tuple[str, int] | None = None
         self._pending: list[str] = []
-        self.warnings: list[str] = []
+        self.warnings: list[Message] = []
 
     def open_log(self, path: Path) -> None:
         """Append everything to a log file from now on, and what was said before."""
@@ -104,10 +106,18 @@ class Events:
             self._protocol = None
 
     def progress(
-        self, stage: str, step: int, steps: int, fraction: float, eta: float, loss: float | None, **extra: Any
+        self,
+        stage: str,
+        step: int,
+        steps: int,
+        fraction: float,
+        eta: float,
+        loss: float | None,
+        note: Message | None = None,
+        **extra: Any,
     ) -> None:
         """How far the job is: at most four events a second, but always the first and last step of a stage.
-        `note` (extra) stands for the step where there is something better to say."""
+        `note` stands for the step where there is something better to say."""
         now, edge = self._clock(), step in (0, steps) or self._last_step is None or self._last_step[0] != stage
         if (edge and self._last_step != (stage, step)) or now - self._last_event >= 0.25:
             self._last_event, self._last_step = now, (stage, step)
@@ -119,9 +129,10 @@ class Events:
                 fraction=round(fraction, 4),
                 eta_s=round(eta, 1),
                 loss=loss,
+                **({} if note is None else {"note": note.told()}),
                 **extra,
             )
-            self._show(stage, extra.get("note", f"{step}/{steps}"), fraction, eta, loss)
+            self._show(stage, f"{step}/{steps}" if note is None else str(note), fraction, eta, loss)
 
     def _show(self, stage: str, place: str, fraction: float, eta: float, loss: float | None) -> None:
         figure = "" if loss is None else f", loss {loss:.4f}"
@@ -143,26 +154,26 @@ class Events:
         """A picture or mesh worth looking at is on the disk."""
         self.emit("preview", path=str(path))
 
-    def warning(self, message: str) -> None:
+    def warning(self, message: Message) -> None:
         """Something that the user should know; each is said once."""
         if message not in self.warnings:
             self.warnings.append(message)
-            self.emit("warning", message=message)
+            self.emit("warning", **message.told())
             self.say(f"warning: {message}")
 
-    def scene(self, lines: list[str]) -> None:
+    def scene(self, lines: list[Message]) -> None:
         """What is known of the scene by now, and what is left out because of it: sentences, the new ones last."""
-        self.emit("scene", lines=lines)
+        self.emit("scene", lines=[line.told() for line in lines])
 
     def done(self, asset: Path) -> None:
         """The asset is complete."""
         self.emit("done", asset=str(asset))
         self.say(f"done: {asset}")
 
-    def error(self, code: int, message: str, hint: str) -> None:
+    def error(self, error: NepError) -> None:
         """The job failed."""
-        self.emit("error", code=code, message=message, hint=hint)
-        self.say(f"error: {message}" + (f"\n       {hint}" if hint else ""))
+        self.emit("error", **error.told())
+        self.say(f"error: {error.message}" + (f"\n       {error.hint}" if error.hint else ""))
 
     def close(self) -> None:
         """End the bar and the log."""

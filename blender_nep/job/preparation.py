@@ -46,20 +46,23 @@ def refuse_to_overwrite(settings: Settings) -> None:
     OutputError when it is no folder."""
     out = settings.out
     if out.exists() and not out.is_dir():
-        raise OutputError(f"{out} is a file, not a folder", "Choose another --out.")
+        raise OutputError(f"{out} is a file, not a folder", "Choose another --out.", "output.is_a_file", path=out)
     if settings.resume or settings.overwrite or not out.exists():
         return
     with output_errors(out):
         if (out / "report.json").exists() or (out / "mesh.obj").exists():
-            raise UsageError(f"{out} already holds an asset", "Choose another --out, or give --overwrite.")
+            hint = "Choose another --out, or give --overwrite."
+            raise UsageError(f"{out} already holds an asset", hint, "usage.asset_exists", folder=out)
         if (out / "checkpoints").exists():
-            raise UsageError(f"{out} holds a run that did not end", "Go on with --resume, or start again with --overwrite.")
+            hint = "Go on with --resume, or start again with --overwrite."
+            raise UsageError(f"{out} holds a run that did not end", hint, "usage.run_exists", folder=out)
 
 
 def refuse_missing_mesh(settings: Settings) -> None:
     """Raises UsageError when --mesh names no file."""
     if settings.mesh is not None and not settings.mesh.is_file():
-        raise UsageError(f"there is no mesh {settings.mesh}", "Check the path of --mesh.")
+        mesh = settings.mesh
+        raise UsageError(f"there is no mesh {mesh}", "Check the path of --mesh.", "usage.no_mesh", path=mesh)
 
 
 def set_seed_and_threads(settings: Settings) -> None:
@@ -109,7 +112,9 @@ class Preparation:
         try:
             before = json.loads((s.out / "report.json").read_text(encoding="utf-8")).get("fingerprint", {})
         except (OSError, ValueError, AttributeError) as error:
-            raise UsageError(f"{s.out / 'report.json'} is damaged", "Start again with --overwrite.") from error
+            report = s.out / "report.json"
+            hint = "Start again with --overwrite."
+            raise UsageError(f"{report} is damaged", hint, "usage.report_damaged", path=report) from error
         refuse_other_run(s.out, before, what)
         if s.clean and self._folder.path.exists():
             self._folder.remove()
@@ -139,7 +144,8 @@ class Preparation:
     def _photo_read(self, done: int, photos: int) -> None:
         self._tracker.tell(StageName.CAPTURE, done, photos)
         if self._stop.requested:
-            raise Stopped(f"stopped ({self._stop.reason}) while the photos were read", "Start it again with --resume.")
+            message = f"stopped ({self._stop.reason}) while the photos were read"
+            raise Stopped(message, "Start it again with --resume.", "stopped.reading_photos", reason=self._stop.reason)
 
     def _even_out(self, rays: PixelRays) -> PixelRays:
         """The photos as of one exposure, where theirs differ."""

@@ -15,6 +15,7 @@ from blender_nep.job.settings import Settings
 from blender_nep.job.stage_names import StageName
 from blender_nep.job.stage_reports import StageReport
 from blender_nep.job.tracker import Tracker
+from blender_nep.messages import Message
 from blender_nep.profiling import Profile
 
 
@@ -27,7 +28,7 @@ class JobReport:
     stages: dict[StageName, StageReport]
     scene: SceneReport
     tracker: Tracker
-    warnings: list[str]
+    warnings: list[Message]
     profile: Profile | None
 
     def content(self) -> dict:
@@ -48,7 +49,7 @@ class JobReport:
             "losses": {str(stage): loss for stage, loss in tracker.losses.items()},
             **({} if self.profile is None else {"profile": self.profile.report()}),
             "stages": {str(stage): part.facts for stage, part in self.stages.items()},
-            "warnings": self.warnings,
+            "warnings": [warning.told() for warning in self.warnings],
             "fingerprint": self.prepared.fingerprint,
         }
 

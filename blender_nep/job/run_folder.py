@@ -13,6 +13,7 @@ from blender_nep.capture import Capture
 from blender_nep.checkpoints import Checkpoint, load_state, save_state
 from blender_nep.errors import UsageError
 from blender_nep.files import output_errors, write_atomically
+from blender_nep.messages import Message
 from blender_nep.presets import Preset
 from blender_nep.stop_request import StopRequest
 
@@ -61,19 +62,24 @@ def refuse_other_run(asset: Path, before: dict[str, object], what: dict[str, obj
         raise UsageError(
             f"cannot resume: the run in {asset} is of another version of blender_nep",
             "Finish it with that version, or start again with --overwrite.",
+            "usage.other_version",
+            folder=asset,
         )
     different = [name for name in {**what, **before} if before.get(name) != what.get(name)]
     if different:
         raise UsageError(
             f"cannot resume: the run in {asset} had another {', '.join(different)}",
             "Use the same capture and options as then, or start again with --overwrite.",
+            "usage.other_run",
+            folder=asset,
+            different=different,
         )
 
 
 class RunFolder:
     """Results of finished stages and checkpoints of the one under way, in `asset`/checkpoints."""
 
-    def __init__(self, asset: Path, stop: StopRequest, warn: Callable[[str], None]) -> None:
+    def __init__(self, asset: Path, stop: StopRequest, warn: Callable[[Message], None]) -> None:
         self.asset = asset
         self.path = asset / "checkpoints"
         self._stop, self._warn = stop, warn
@@ -104,7 +110,7 @@ class RunFolder:
             run = json.loads(self._run_file.read_text(encoding="utf-8"))
             return run if isinstance(run, dict) else {}
         except ValueError:
-            self._warn("checkpoints/run.json is damaged: the run starts from its beginning")
+            self._warn(Message("job.run_file_damaged"))
             return {}
 
     def checkpoint(self, stage: str) -> Checkpoint:
@@ -124,7 +130,7 @@ class RunFolder:
             saved = load_state(path)
             return saved["result"], float(saved["seconds"])
         except (ValueError, KeyError, TypeError) as error:
-            self._warn(f"{path.name} cannot be used: {error}; its stage is done again")
+            self._warn(Message("job.result_damaged", {"file": path.name, "reason": str(error)}))
             return None
 
     def remove(self) -> None:

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import torch
 
 from blender_nep.checkpoints import Checkpoint
-from blender_nep.errors import NepError
+from blender_nep.errors import NepError, Stopped
 from blender_nep.job.device import choose_device
 from blender_nep.job.events import Events
 from blender_nep.job.job_folder import JobFolder
@@ -43,6 +43,7 @@ from blender_nep.job.stages import (
     SurfaceResult,
 )
 from blender_nep.job.tracker import Tracker
+from blender_nep.messages import Message
 from blender_nep.profiling import Profile, section
 from blender_nep.stop_request import StopRequest
 
@@ -66,27 +67,31 @@ def run(settings: Settings, events: Events, stop: StopRequest, stages: Stages | 
         return 0
     except NepError as error:
         events.log("".join(traceback.format_exception(error)))
-        events.error(error.code, error.message, error.hint)
+        events.error(error)
         return error.code
     except KeyboardInterrupt:
-        events.error(7, "interrupted", "Work since the last checkpoint is lost; --resume goes on from there.")
-        return 7
+        hint = "Work since the last checkpoint is lost; --resume goes on from there."
+        interrupted = Stopped("interrupted", hint, "stopped.interrupted")
+        events.error(interrupted)
+        return interrupted.code
     except Exception as error:  # the last resort: a bug, or no memory; the log has it all
         events.log("".join(traceback.format_exception(error)))
         where = f"The details are in {settings.out / 'log.txt'}."
         if not events.has_log:
             where = "".join(traceback.format_exception(error))
-        events.error(1, *_unexpected(error, where))
-        return 1
+        unexpected = _unexpected(error, where)
+        events.error(unexpected)
+        return unexpected.code
     finally:
         events.close()
 
 
-def _unexpected(error: Exception, where: str) -> tuple[str, str]:
+def _unexpected(error: Exception, where: str) -> NepError:
+    """where: how to find the traceback."""
     if isinstance(error, MemoryError | torch.OutOfMemoryError) or "allocate memory" in str(error):
-        return "out of memory", f"Try --preset preview, or smaller photos. {where}"
+        return NepError("out of memory", f"Try --preset preview, or smaller photos. {where}", "unexpected.no_memory")
     text = " ".join(str(error).split())
-    return f"unexpected {type(error).__name__}: {text[:200]}", where
+    return NepError(f"unexpected {type(error).__name__}: {text[:200]}", where)
 
 
 @dataclass(frozen=True)
@@ -197,7 +202,7 @@ class Job:
         self._scene.stopped_early(report.steps_saved, self._tracker.seconds[StageName.FIELDS_LEARNING])
         left_out = report.steps_not_finite
         if left_out:
-            self._events.warning(f"{left_out} steps of fields learning were left out: their loss or gradient was not finite")
+            self._events.warning(Message("job.steps_left_out", {"count": left_out}))
 
     def _tell_of_materials(self, report: MaterialsReport, plan: Plan) -> None:
         if report.light_seconds > 0.5:  # not so where it came from a checkpoint
@@ -205,10 +210,7 @@ class Job:
             self._scene.skip({}, seconds_of_cones(whole, less, report.light_seconds))
         margin = report.metal_or_not_margin
         if margin is not None and margin < _DOUBT:
-            self._events.warning(
-                "the photos hardly tell whether the object is metal: where the result is wrong, say so "
-                "by --metal yes or --metal no"
-            )
+            self._events.warning(Message("job.metal_unclear"))
 
     def _enter(self, stage: Stage[Given, Result], given: Given, folder: RunFolder) -> Result:
         """Enter a stage: take its result from the disk, or work and write it. Raises Stopped between stages, too."""
@@ -223,7 +225,7 @@ class Job:
         checkpoint = folder.checkpoint(name)
         checkpoint.raise_if_stopped(saves=False)
         # a stage's kernels are compiled at its first step, on each machine once; later runs take them from the cache
-        self._tracker.tell(name, 0, 1, note="warming up")
+        self._tracker.tell(name, 0, 1, note=Message("progress.warming_up"))
         with section(name):
             result = stage.run(given, self._progress(name, checkpoint), checkpoint)
         seconds = checkpoint.seconds()

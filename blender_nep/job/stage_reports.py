@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any, Self
 
+from blender_nep.messages import Message
+
 
 @dataclass(frozen=True)
 class StageReport:
@@ -12,7 +14,7 @@ class StageReport:
 
     facts: dict[str, Any]
     """What stands in report.json, below `stages`"""
-    skipped: dict[str, str]
+    skipped: dict[str, Message]
     """{what was left out: why}"""
     seconds_saved: dict[str, float]
     """{what was left out: seconds}"""
@@ -20,8 +22,11 @@ class StageReport:
     @classmethod
     def of(cls, report: dict[str, Any]) -> Self:
         """From the dict of a stage."""
-        rest = {"facts": {k: v for k, v in report.items() if k not in ("skipped", "seconds_saved")}}
-        return cls(**rest, skipped=report.get("skipped", {}), seconds_saved=report.get("seconds_saved", {}))
+        return cls(
+            facts={k: v for k, v in report.items() if k not in ("skipped", "seconds_saved")},
+            skipped={part: Message.from_state(why) for part, why in report.get("skipped", {}).items()},
+            seconds_saved=report.get("seconds_saved", {}),
+        )
 
 
 @dataclass(frozen=True)

@@ -120,6 +120,8 @@ def test_a_job_runs_beside_blender_and_brings_its_object(folders):
 
 def check_life_of_a_job(folder):
     bpy, addon, _settings = set_up(folder)
+    from nep_addon.backend.engine.words import Said
+
     job = start(bpy, addon)
     assert not bpy.ops.nep.reconstruct.poll() and bpy.ops.nep.cancel.poll()
     rounds(addon, lambda: "NeP preview" in bpy.data.objects)
@@ -135,7 +137,8 @@ def check_life_of_a_job(folder):
     rounds(addon, lambda: job.ended and not job.watched)
     assert job.failed is None and meshes(bpy) == ["out"] and not addon.jobs.result_waits(bpy.context.scene)
     assert addon.clock.tick() is None, "the timer rests"
-    assert "Masks are there and are used." in job.scene and job.scene[-1].startswith("Left out: ")
+    assert Said("scene.masks_used", {}, "Masks are there and are used.") in job.scene
+    assert job.scene[-1].code == "scene.left_out" and "Left out: " in job.scene[-1].words()
     assert "stage fields_learning" in log(bpy)
     assert 0 < addon.panel.expected_seconds(addon.preferences.timings_file(), "preview")[0] < 90
     fails(bpy.ops.nep.reconstruct, "already holds an asset")

@@ -92,4 +92,4 @@ def test_a_preview_that_fails_is_one_warning(rays, capture, tmp_path):
     preset = brief_preset(steps=4, background_steps=0, least_explanation_ratio=0.0)
     fields = learn_fields(rays, preset, seed=3, device=CPU, progress=lambda *_: None, checkpoint=NoCheckpoint(), watch=watch)
     assert fields.object_field is not None
-    assert len(events.warnings) == 1 and "no live preview" in events.warnings[0]
+    assert len(events.warnings) == 1 and events.warnings[0].code == "job.preview_ended"

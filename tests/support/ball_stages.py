@@ -12,7 +12,11 @@ from blender_nep.errors import LearningError
 from blender_nep.geometry.mesh import Surface
 from blender_nep.job.stages import FieldsStage, MaterialsStage, Stages, SurfaceResult, SurfaceStage
 from blender_nep.materials.training import Materials
+from blender_nep.messages import Message, Part
 from support.captures import RADIUS
+
+WHY = Message("reason.one_material")
+"""Why stage 1 says that it leaves something out."""
 
 
 class BallFields(FieldsStage):
@@ -81,7 +85,7 @@ class BallStages(Stages):
         self._loop("fields_learning", progress, checkpoint)
         if self.fail is not None:
             raise self.fail
-        report = {"loss": 0.1, "skipped": {"nothing": "a test"}}
+        report = {"loss": 0.1, "skipped": {str(Part.VOTES): WHY.state()}}
         return SimpleNamespace(object_field="ball", environment=GreyLight(), report=report)
 
     def learn_materials(self, given, progress, checkpoint):
