@@ -135,6 +135,10 @@ ERRORS = {
         "The job in {folder} was made by another version of the engine and cannot be resumed",
         "Finish it with that version, or Start Again.",
     ),
+    "usage.unknown_run": (
+        "The checkpoints in {folder} may be of another job and cannot be resumed",
+        "Start Again, or choose another output folder.",
+    ),
     "usage.other_run": (
         "The job in {folder} was begun with other settings and cannot be resumed: {different}",
         "Use the same capture and settings as then, or Start Again.",

@@ -94,24 +94,27 @@ class Preparation:
         if s.resume and (s.out / "report.json").is_file():
             self._finish_complete(what)
             return None
+        resumed = s.resume and self._folder.can_be_resumed(what)
         rays = self._read_photos(capture)
         with section("scene analysis"):
             if s.preset.even_exposure:
                 rays = self._even_out(rays)
             photos = SceneAnalysis.of(rays)
         self._make_output()
-        if self._folder.begin(what, resume=s.resume):
+        if resumed:
             self._events.say(f"resuming the run in {s.out}")
-        elif s.resume:
-            self._events.say(f"{s.out} holds no checkpoint yet: starting from the beginning")
+        else:
+            self._folder.begin(what)
+            if s.resume:
+                self._events.say(f"{s.out} holds no checkpoint yet: starting from the beginning")
         return Prepared(capture, rays, photos, photos.plan(s.preset), self._device, what, self._folder)
 
     def _finish_complete(self, what: dict[str, object]) -> None:
         """A resume of an asset that is complete: nothing to do, if it is what was asked for."""
         s = self._settings
         try:
-            before = json.loads((s.out / "report.json").read_text(encoding="utf-8")).get("fingerprint", {})
-        except (OSError, ValueError, AttributeError) as error:
+            before = dict(json.loads((s.out / "report.json").read_text(encoding="utf-8")).get("fingerprint", {}))
+        except (OSError, TypeError, ValueError, AttributeError) as error:
             report = s.out / "report.json"
             hint = "Start again with --overwrite."
             raise UsageError(f"{report} is damaged", hint, "usage.report_damaged", path=report) from error

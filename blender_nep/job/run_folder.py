@@ -88,22 +88,31 @@ class RunFolder:
     def _run_file(self) -> Path:
         return self.path / "run.json"
 
-    def begin(self, what: dict[str, object], *, resume: bool) -> bool:
-        """Make the folder, or take up the run in it. Returns whether a run is continued.
+    def can_be_resumed(self, what: dict[str, object]) -> bool:
+        """Whether the folder holds the run that is asked for; False where it holds none, or a run.json that is damaged.
 
-        Raises UsageError when the run in the folder is another one, OutputError when the folder cannot be made.
+        Raises UsageError when it holds another run, or checkpoints of which nobody knows the run. Changes nothing.
         """
-        if resume and self._run_file.is_file():
-            before = self._read_run()
-            refuse_other_run(self.asset, before or what, what)
-            if before:
-                return True
+        if not self._run_file.is_file():
+            if any(self.path.glob("*.pt")):
+                raise UsageError(
+                    f"cannot resume: {self.path} has no run.json, so that its checkpoints may be of another run",
+                    "Start again with --overwrite, or choose another --out.",
+                    "usage.unknown_run",
+                    folder=self.path,
+                )
+            return False
+        before = self._read_run()
+        refuse_other_run(self.asset, before or what, what)
+        return bool(before)
+
+    def begin(self, what: dict[str, object]) -> None:
+        """Make the folder of a new run; what was in it goes. Raises OutputError."""
         with output_errors(self.path):
             if self.path.exists():
                 shutil.rmtree(self.path)
             self.path.mkdir(parents=True)
         write_atomically(self._run_file, lambda file: file.write_text(json.dumps(what, indent=1), encoding="utf-8"))
-        return False
 
     def _read_run(self) -> dict[str, object]:
         try:

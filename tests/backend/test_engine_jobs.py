@@ -233,7 +233,7 @@ def test_expected_time_is_learned_from_assets(tmp_path):
 
 
 def test_words_for_people():
-    event = {"event": "progress", "room": "fields_learning", "step": 2, "steps": 9, "fraction": 0.5, "eta_s": 75}
+    event = {"event": "progress", "stage": "fields_learning", "step": 2, "steps": 9, "fraction": 0.5, "eta_s": 75}
     assert describe(event) == " 50 %  Learning shape and light  Step 2 of 9  about 1 min 20 s left"
     assert Progress.of({"event": "progress", "fraction": None, "eta_s": None}).lines() == [""]
     assert [duration(s) for s in (1, 44, 299, 300, 3600, 5400)] == [

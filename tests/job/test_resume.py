@@ -9,6 +9,7 @@ import subprocess
 import sys
 import time
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 
@@ -62,6 +63,75 @@ def test_resume_refuses_other_settings(start):
     (start.folder / "transforms.json").write_text((start.folder / "transforms.json").read_text() + "\n")
     code, events = start(BallStages(), resume=True)
     assert code == 2 and "capture" in events[-1]["message"]
+
+
+def contents(folder: Path) -> dict[str, tuple[int, bytes]]:
+    """{path: (time of the last change, bytes)} of all files."""
+    files = (path for path in folder.rglob("*") if path.is_file())
+    return {str(path.relative_to(folder)): (path.stat().st_mtime_ns, path.read_bytes()) for path in files}
+
+
+def change(path: Path, what) -> None:
+    """Rewrite a JSON file as what(content) says."""
+    path.write_text(json.dumps(what(json.loads(path.read_text()))))
+
+
+def of_format(number: int):
+    """Rewrites what identifies a run as that of another version."""
+    return lambda run: run | {"format": number}
+
+
+@pytest.mark.parametrize("number", [2, 4, None])
+def test_a_run_of_another_version_is_refused_and_left_alone(start, number):
+    start(BallStages(on_step=lambda r, s: stop.request("test")), stop := StopRequest())
+    change(start.out / "checkpoints" / "run.json", of_format(number))
+    before = contents(start.out)
+    code, events = start(stages := BallStages(), resume=True)
+    assert code == 2 and not stages.entered and contents(start.out) == before
+    assert "is of another version" in events[-1]["message"] and "--overwrite" in events[-1]["hint"]
+    assert events[-1]["name"] == "usage.other_version" and events[-1]["values"] == {"folder": str(start.out)}
+    assert start(BallStages(), overwrite=True)[0] == 0
+
+
+@pytest.mark.parametrize(
+    ("older", "name"),
+    [
+        (lambda report: report | {"fingerprint": report["fingerprint"] | {"format": 2}}, "usage.other_version"),
+        (lambda report: {k: v for k, v in report.items() if k != "fingerprint"}, "usage.other_version"),
+        (lambda report: report | {"fingerprint": 7}, "usage.report_damaged"),
+        (lambda report: [], "usage.report_damaged"),
+    ],
+    ids=["format 2", "without format", "no fingerprint", "no report"],
+)
+def test_an_asset_of_another_version_is_refused_and_left_alone(start, older, name):
+    assert start(BallStages())[0] == 0
+    change(start.out / "report.json", older)
+    before = contents(start.out)
+    code, events = start(stages := BallStages(), resume=True)
+    assert code == 2 and not stages.entered and contents(start.out) == before
+    assert events[-1]["name"] == name and "--overwrite" in events[-1]["hint"]
+    assert start(BallStages(), overwrite=True)[0] == 0
+
+
+def test_checkpoints_of_an_unknown_run_are_refused_and_left_alone(start):
+    start(BallStages(on_step=lambda r, s: stop.request("test")), stop := StopRequest())
+    (start.out / "checkpoints" / "run.json").unlink()
+    before = contents(start.out)
+    assert "checkpoints/fields_learning.pt" in before
+    code, events = start(stages := BallStages(), resume=True)
+    assert code == 2 and not stages.entered and contents(start.out) == before
+    assert events[-1]["name"] == "usage.unknown_run" and "run.json" in events[-1]["message"]
+    for path in (start.out / "checkpoints").glob("*.pt"):
+        path.unlink()
+    assert start(BallStages(), resume=True)[0] == 0, "a run that was killed before its first checkpoint"
+
+
+def test_a_damaged_description_of_the_run_is_told_and_the_run_starts_again(start):
+    start(BallStages(on_step=lambda r, s: stop.request("test")), stop := StopRequest())
+    (start.out / "checkpoints" / "run.json").write_text('{"format": 3')
+    code, events = start(stages := BallStages(), resume=True)
+    assert code == 0 and stages.started_at["fields_learning"] == 0
+    assert [e["code"] for e in events if e["event"] == "warning"] == ["job.run_file_damaged"]
 
 
 def test_a_given_sphere_counts_and_a_resume_needs_it(start):
