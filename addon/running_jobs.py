@@ -14,6 +14,7 @@ from ..backend.engine import timings
 from ..backend.engine.command import EngineError
 from ..backend.engine.engine import STOPPED, Engine
 from ..backend.engine.progress import Progress
+from ..backend.engine.words import Said
 from . import clock, engine_paths, live_preview
 from .folders import folder_key, resolve_folder
 
@@ -26,8 +27,8 @@ class Job:
         self.output, self.engine, self.failed = output, engine, failed
         self.key = folder_key(output)
         self.progress = Progress()
-        self.warnings: list[str] = []
-        self.scene_analysis: list[str] = []  # sentences: what the photos show, and what the engine leaves out for it
+        self.warnings: list[Said] = []
+        self.scene_analysis: list[Said] = []  # sentences: what the photos show, and what the engine leaves out for it
         self.stopping = False
         self.ended = engine is None
         self.import_when_ended = True  # False once the result is imported, or where the artist is to decide about it
@@ -42,9 +43,9 @@ class Job:
             if event["event"] == "progress":
                 self.progress = Progress.of(event)
             elif event["event"] == "warning":
-                self.warnings.append(str(event.get("message", "")))
+                self.warnings.append(Said.of(event))
             elif event["event"] == "scene":
-                self.scene_analysis = [str(line) for line in event.get("lines") or ()]
+                self.scene_analysis = [Said.of(line) for line in event.get("lines") or ()]
             elif event["event"] == "preview":
                 path = Path(str(event.get("path", "")))
                 self.previews[path.suffix] = path

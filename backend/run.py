@@ -25,6 +25,7 @@ from backend.engine.command import EngineError, find_engine_python, reconstruct_
 from backend.engine.engine import STOPPED, Engine
 from backend.engine.job_files import is_asset
 from backend.engine.progress import describe
+from backend.engine.words import Said
 
 BLENDER_FAILED = 8
 POLL_S = 0.1
@@ -105,10 +106,11 @@ def reconstruct(options: argparse.Namespace, stop: StopRequests) -> None:
                     said = time.monotonic()
                     say(describe(event))
                 elif event["event"] == "scene":  # each repeats what is known so far
-                    for line in event["lines"]:
+                    lines = [Said.of(line).message for line in event["lines"]]
+                    for line in lines:
                         if line not in scene:
                             say(line)
-                    scene = event["lines"]
+                    scene = lines
             if not ended:
                 time.sleep(POLL_S)
         failed = engine.outcome()

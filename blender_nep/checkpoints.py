@@ -19,7 +19,8 @@ import torch
 
 from blender_nep.errors import Stopped
 from blender_nep.files import output_errors, write_atomically
-from blender_nep.stop_request import StopRequest
+from blender_nep.messages import Message
+from blender_nep.stop_request import INPUT_CLOSED, StopRequest
 
 _NUMPY = "__numpy__"
 
@@ -71,7 +72,7 @@ class Checkpoint:
         folder: Path,
         stage: str,
         stop: StopRequest,
-        warn: Callable[[str], None],
+        warn: Callable[[Message], None],
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self.path = folder / f"{stage}.pt"
@@ -117,13 +118,15 @@ class Checkpoint:
                 self.loaded = True
                 return state
             except (ValueError, KeyError, TypeError) as error:
-                self._warn(f"checkpoint {path.name} cannot be used: {error}")
+                self._warn(Message("job.checkpoint_damaged", {"file": path.name, "reason": str(error)}))
         return None
 
     def raise_if_stopped(self, *, saves: bool) -> None:
         """Raise Stopped once a stop was asked for and, in a stage that `saves`, its state is on the disk."""
         if self.stopping and (self._saved_for_stop or not saves):
-            raise Stopped(f"stopped ({self._stop.reason}); the checkpoint is written", "Go on with --resume.")
+            reason = self._stop.reason
+            name = "stopped.input_closed" if reason == INPUT_CLOSED else ""
+            raise Stopped(f"stopped ({reason}); the checkpoint is written", "Go on with --resume.", name, reason=reason)
 
     def seconds(self) -> float:
         """Seconds spent in this stage, earlier runs included."""

@@ -138,12 +138,13 @@ def main(arguments: list[str] | None = None) -> int:
 def _info(options: argparse.Namespace) -> int:
     from blender_nep.capture.summary import describe, summarise
     from blender_nep.errors import NepError
+    from blender_nep.files import jsonable
 
     try:
         found = summarise(options.capture)
     except NepError as error:
         if options.json:
-            print(json.dumps({"error": {"code": error.code, "message": error.message, "hint": error.hint}}, indent=1))
+            print(json.dumps({"error": jsonable(error.told())}, indent=1))
         print(f"error: {error.message}" + (f"\n       {error.hint}" if error.hint else ""), file=sys.stderr)
         return error.code
     print(json.dumps(found, indent=1) if options.json else describe(found))

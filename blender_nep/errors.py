@@ -16,49 +16,68 @@ Exit codes of the command line and of the `error` event:
 
 from __future__ import annotations
 
+from typing import Any
+
 
 class NepError(Exception):
-    """An expected failure: `message` says what is wrong (one line), `hint` what to do about it."""
+    """An expected failure: `message` says what is wrong (one line), `hint` what to do about it.
+
+    `code` is the exit code. `name` (such as `output.disk_full`) and `values` are for programs that have words of their own
+    for this failure, as Blender's panel has (`backend/engine/words.py`).
+    """
 
     code = 1
+    name = "unexpected"
 
-    def __init__(self, message: str, hint: str = "") -> None:
+    def __init__(self, message: str, hint: str = "", name: str = "", **values: Any) -> None:
         super().__init__(message)
         self.message = message
         self.hint = hint
+        self.name = name or type(self).name
+        self.values = values
+
+    def told(self) -> dict[str, Any]:
+        """As the `error` event and `blender-nep info --json` have it."""
+        return {"code": self.code, "name": self.name, "values": self.values, "message": self.message, "hint": self.hint}
 
 
 class UsageError(NepError):
     """Wrong arguments."""
 
     code = 2
+    name = "usage"
 
 
 class CaptureError(NepError):
     """The capture cannot be read, or is not usable."""
 
     code = 3
+    name = "capture"
 
 
 class BoundsError(NepError):
     """The bounding sphere of the object cannot be right."""
 
     code = 4
+    name = "bounds"
 
 
 class OutputError(NepError):
     """The asset cannot be written."""
 
     code = 5
+    name = "output"
 
 
 class LearningError(NepError):
     """Learning failed."""
 
     code = 6
+    name = "learning"
 
 
 class Stopped(NepError):
     """Stopped on request, after the checkpoint was written."""
 
     code = 7
+    name = "stopped"

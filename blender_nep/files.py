@@ -51,10 +51,12 @@ def output_error(path: Path, error: OSError) -> OutputError:
     """The OutputError for an OSError met while writing `path`."""
     reason = error.strerror or str(error)
     if error.errno in (errno.ENOSPC, errno.EDQUOT):
-        return OutputError(f"the disk is full: {path} cannot be written", "Free some space, then go on with --resume.")
+        hint = "Free some space, then go on with --resume."
+        return OutputError(f"the disk is full: {path} cannot be written", hint, "output.disk_full", path=path)
     if error.errno in (errno.EACCES, errno.EPERM, errno.EROFS):
-        return OutputError(f"{path} may not be written ({reason})", "Choose another --out, or change its permissions.")
-    return OutputError(f"{path} cannot be written ({reason})", "Choose another --out.")
+        hint = "Choose another --out, or change its permissions."
+        return OutputError(f"{path} may not be written ({reason})", hint, "output.not_permitted", path=path, reason=reason)
+    return OutputError(f"{path} cannot be written ({reason})", "Choose another --out.", path=path, reason=reason)
 
 
 def jsonable(value: Any) -> Any:

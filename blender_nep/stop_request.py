@@ -10,6 +10,9 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+INPUT_CLOSED = "standard input was closed"
+"""The reason for a stop where the program that has started the job ended."""
+
 
 class StopRequest:
     """Whether somebody wants the job to end: SIGTERM, SIGINT, {"cmd": "stop"} or the end of standard input."""
@@ -69,4 +72,4 @@ class StopRequest:
                     continue
                 if isinstance(command, dict) and command.get("cmd") == "stop":
                     self.request("stop command")
-        self.request("standard input was closed")
+        self.request(INPUT_CLOSED)

@@ -1,10 +1,11 @@
 """The sidebar's main panel: the settings of a job, the progress of a running job, and how the last job ended."""
 
 import bpy
+from bpy.app.translations import pgettext_iface
 
 from ...backend.engine.command import NoEngineError, engine_is_at_hand
 from ...backend.engine.job_files import has_checkpoint, is_asset
-from ...backend.engine.progress import duration, in_panel_words
+from ...backend.engine.progress import duration
 from ...backend.engine.timings import expected_seconds
 from .. import live_preview
 from ..engine_paths import engine_python, timings_file
@@ -45,7 +46,7 @@ def _draw_settings(layout: bpy.types.UILayout, scene: bpy.types.Scene) -> None:
     layout.prop(settings, "output", placeholder="Folder for the result")
     layout.prop(settings, "preset")
     seconds, measured = expected_seconds(timings_file(), settings.preset)
-    text = duration(seconds)
+    text = duration(seconds, pgettext_iface)
     row = layout.row()
     row.alignment = "RIGHT"
     row.label(text=f"{text} on this machine" if measured else f"{text} for 60 small photos", icon="TIME")
@@ -92,11 +93,11 @@ def _draw_running(layout: bpy.types.UILayout, context: bpy.types.Context, job: J
     progress = job.progress
     layout.progress(factor=progress.fraction, text=f"{100 * progress.fraction:.0f} %")
     column = layout.column(align=True)
-    for line in ["Stopping: writing the checkpoint"] if job.stopping else progress.lines():
+    for line in ["Stopping: writing the checkpoint"] if job.stopping else progress.lines(pgettext_iface):
         column.label(text=line)
     _draw_picture(layout, context, job)
     for warning in job.warnings[-2:]:
-        draw_wrapped(layout, context, in_panel_words(warning), "INFO")
+        draw_wrapped(layout, context, warning.words(pgettext_iface), "INFO")
     row = layout.row(align=True)
     row.operator("nep.cancel", icon="CANCEL")
     row.operator("nep.open_log", text="", icon="TEXT")
@@ -114,7 +115,7 @@ def _draw_scene_analysis(layout: bpy.types.UILayout, context: bpy.types.Context,
     header.label(text="What the Photos Show")
     if body is not None:
         for line in job.scene_analysis:
-            draw_wrapped(body, context, in_panel_words(line))
+            draw_wrapped(body, context, line.words(pgettext_iface))
 
 
 def _draw_picture(layout: bpy.types.UILayout, context: bpy.types.Context, job: Job) -> None:
@@ -137,10 +138,11 @@ def _draw_end(layout: bpy.types.UILayout, context: bpy.types.Context, job: Job) 
         )
         draw_wrapped(layout, context, text, "CHECKMARK")
         for warning in job.warnings[-2:]:
-            draw_wrapped(layout, context, in_panel_words(warning), "INFO")
+            draw_wrapped(layout, context, warning.words(pgettext_iface), "INFO")
         return
-    draw_wrapped(layout, context, in_panel_words(failed.message), "PAUSE" if job.was_stopped else "ERROR")
-    draw_wrapped(layout, context, in_panel_words(failed.hint), "BLANK1")
+    message, hint = failed.words(pgettext_iface)
+    draw_wrapped(layout, context, message, "PAUSE" if job.was_stopped else "ERROR")
+    draw_wrapped(layout, context, hint, "BLANK1")
     if isinstance(failed, NoEngineError):
         layout.operator("nep.open_preferences", icon="PREFERENCES")
     elif not job.was_stopped:

@@ -4,6 +4,9 @@ import os
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
+
+from .words import Translate, error_words
 
 ENGINE_PYTHON_VARIABLE = "NEP_ENGINE_PYTHON"
 ENGINE_MODULE = "blender_nep"
@@ -14,12 +17,20 @@ CHECK_LIMIT_S = 60.0
 class EngineError(Exception):
     """The engine failed or cannot be started.
 
-    `code` is the exit code; `hint` says what to do, or is empty; `log`, for whoever cannot open it: its last lines.
+    `code` is the exit code; `hint` says what to do, or is empty; `log`, for whoever cannot open it: its last lines. `name`
+    and `values` are for the panel's own words (words.py).
     """
 
-    def __init__(self, code: int, message: str, hint: str = "", log: str = ""):
+    def __init__(
+        self, code: int, message: str, hint: str = "", log: str = "", name: str = "", values: dict[str, Any] | None = None
+    ):
         super().__init__("\n".join(text for text in (message, hint, log) if text))
         self.code, self.message, self.hint = code, message, hint
+        self.name, self.values = name, values or {}
+
+    def words(self, translate: Translate = str) -> tuple[str, str]:
+        """(message, hint) for the panel."""
+        return error_words(self.name, self.values, self.message, self.hint, translate)
 
 
 class NoEngineError(EngineError):
@@ -31,6 +42,7 @@ class NoEngineError(EngineError):
             message,
             "Install the engine in the add-on's preferences, or name a Python that has it "
             f"there, with --engine-python or by the variable {ENGINE_PYTHON_VARIABLE}.",
+            name="engine.missing",
         )
 
 

@@ -96,7 +96,11 @@ class Engine:
                 self.asset = str(event.get("asset", ""))
             elif event["event"] == "error":
                 self.error = EngineError(
-                    int(event.get("code") or 1), str(event.get("message", "")), str(event.get("hint", ""))
+                    int(event.get("code") or 1),
+                    str(event.get("message", "")),
+                    str(event.get("hint", "")),
+                    name=str(event.get("name", "")),
+                    values=event.get("values"),
                 )
         if not ended and self._stop_asked is not None:
             self._insist(time.monotonic() - self._stop_asked)

@@ -2,6 +2,9 @@
 
 from dataclasses import dataclass
 
+from .words import Said, Translate
+
+# the names are those of blender_nep/job/stage_names.py, which Blender's Python does not have
 STAGES = {
     "capture": "Reading the photos",
     "fields_learning": "Learning shape and light",
@@ -20,6 +23,7 @@ class Progress:
     step: int = 0
     steps: int = 0
     eta_s: float | None = None
+    note: Said | None = None
 
     @classmethod
     def of(cls, event: dict) -> "Progress":
@@ -31,58 +35,43 @@ class Progress:
             int(event.get("step") or 0),
             int(event.get("steps") or 0),
             None if eta is None else float(eta),
+            Said.of(event["note"]) if event.get("note") else None,
         )
 
-    def lines(self) -> list[str]:
-        """What is being done; the step; the time left."""
-        found = [self.stage]
-        if self.steps > 1:
-            found.append(f"Step {self.step} of {self.steps}")
+    def lines(self, translate: Translate = str) -> list[str]:
+        """What is being done; the step, or a note that says more; the time left."""
+        found = [translate(self.stage)]
+        if self.note is not None:
+            found.append(self.note.words(translate))
+        elif self.steps > 1:
+            found.append(translate(STEP).format(step=self.step, steps=self.steps))
         if self.eta_s is not None:
-            found.append(f"{duration(self.eta_s)} left")
+            found.append(translate(LEFT).format(time=duration(self.eta_s, translate)))
         return found
 
 
-def duration(seconds: float) -> str:
+STEP, LEFT = "Step {step} of {steps}", "{time} left"
+SECONDS, MINUTES, MINUTES_AND_SECONDS = "about {seconds} s", "about {minutes} min", "about {minutes} min {seconds} s"
+HOURS, HOURS_AND_MINUTES = "about {hours} h", "about {hours} h {minutes} min"
+
+
+def texts() -> list[str]:
+    """Every text of this file: what a translator translates."""
+    start = Progress().stage
+    return [start, *STAGES.values(), STEP, LEFT, SECONDS, MINUTES, MINUTES_AND_SECONDS, HOURS, HOURS_AND_MINUTES]
+
+
+def duration(seconds: float, translate: Translate = str) -> str:
     """75 -> 'about 1 min 20 s'; steps that grow with the length, as an estimate deserves."""
     if seconds < 60:
-        return f"about {max(5, 5 * round(seconds / 5))} s"
+        return translate(SECONDS).format(seconds=max(5, 5 * round(seconds / 5)))
     if seconds < 300:
         minutes, rest = divmod(10 * round(seconds / 10), 60)
-        return f"about {minutes} min" + (f" {rest} s" if rest else "")
+        return translate(MINUTES_AND_SECONDS if rest else MINUTES).format(minutes=minutes, seconds=rest)
     if seconds < 3570:
-        return f"about {round(seconds / 60)} min"
+        return translate(MINUTES).format(minutes=round(seconds / 60))
     hours, minutes = divmod(5 * round(seconds / 300), 60)
-    return f"about {hours} h" + (f" {minutes} min" if minutes else "")
-
-
-# the engine speaks of its command line; the panel has other words for the same
-_IN_PANEL = {
-    ", with --engine-python or by the variable NEP_ENGINE_PYTHON": "",
-    "--masks ignore": "Use Masks is off",
-    "--overwrite": "Start Again",
-    "--resume": "Resume",
-    "--out": "output folder",
-    "--seed": "Seed",
-    "by --metal yes or --metal no": "in Advanced > Material",
-    "--device cpu": "the device CPU",
-    "--preset preview": "the preset Preview",
-    "--mesh": "Known Mesh",
-    "`blender-nep info`": "the capture's description",
-    "stopped (standard input was closed)": "Stopped because Blender closed",
-    "stopped (stop file)": "Stopped",
-    "stopped (stop command)": "Stopped",
-    "Stopped during ": "Stopped while ",
-    "fields learning": "learning shape and light",
-    "material learning": "learning the materials",
-}
-
-
-def in_panel_words(text: str) -> str:
-    """A message of the engine for whoever has no command line."""
-    for option, words in _IN_PANEL.items():
-        text = text.replace(option, words)
-    return text[:1].upper() + text[1:]
+    return translate(HOURS_AND_MINUTES if minutes else HOURS).format(hours=hours, minutes=minutes)
 
 
 def describe(event: dict) -> str:
@@ -93,5 +82,5 @@ def describe(event: dict) -> str:
     if event["event"] == "warning":
         return f"warning: {event.get('message', '')}"
     if event["event"] == "scene":
-        return " ".join(str(line) for line in event.get("lines") or ())
+        return " ".join(Said.of(line).message for line in event.get("lines") or ())
     return str(event.get("message") or event.get("path") or event.get("asset") or event["event"])

@@ -32,8 +32,9 @@ from benchmarks.suite.harness import markdown, resumed, use_threads, with_change
 from blender_nep.capture import PixelRays, load_capture
 from blender_nep.checkpoints import Checkpoint, NoCheckpoint, load_state, save_state
 from blender_nep.errors import Stopped
-from blender_nep.fields.training import FieldsLearning, learn_fields
-from blender_nep.job.stages import Stages
+from blender_nep.fields.training import Fields, FieldsLearning, learn_fields
+from blender_nep.geometry.mesh import Surface
+from blender_nep.job.stages import SurfaceResult, SurfaceStage
 from blender_nep.materials.training import learn_materials
 from blender_nep.presets import Preset, preset
 from blender_nep.stop_request import StopRequest
@@ -127,11 +128,11 @@ def run(folder: Path, size: str, hours: float, steps: int | None, seed: int, kep
                 checkpoint=checkpoint,
                 object_field=reference_field(settings, size),
             )
-        mesh = extract_surface(fields.object_field, settings.surface)
+        mesh = SurfaceResult(*extract_surface(fields.object_field, settings.surface))
         save_state(
             done,
             {
-                "surface": Stages().pack_surface(mesh),
+                "surface": SurfaceStage().pack(mesh),
                 "environment": fields.environment.state_dict(),
                 "report": fields.report,
                 "seconds": checkpoint.seconds(),
@@ -139,12 +140,9 @@ def run(folder: Path, size: str, hours: float, steps: int | None, seed: int, kep
         )
         checkpoint.remove()
     state = load_state(done)
-    surface, _ = Stages().unpack_surface(state["surface"])
-    environment = (
-        Stages()
-        .unpack_fields({"object": None, "environment": state["environment"], "report": {}}, settings, device)
-        .environment
-    )
+    surface = Surface(**state["surface"]["arrays"])
+    learned = {"object": None, "environment": state["environment"], "report": {}}
+    environment = Fields.from_state(learned, settings, device).environment
     out = plan | {"seconds": state["seconds"], "fields": state["report"]}
     out |= geometry.score(surface, folder, capture, test)
     test_rays = PixelRays.from_capture(test, BACKGROUND_PIXELS, False, device)

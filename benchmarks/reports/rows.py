@@ -10,8 +10,8 @@ import numpy as np
 
 from benchmarks.suite.harness import read_row
 from benchmarks.suite.runner import failure
-
-STAGES = ("capture", "fields_learning", "surface", "material_learning", "asset")
+from benchmarks.suite.step import STAGE_1
+from blender_nep.job.stage_names import StageName
 
 
 @dataclass
@@ -42,7 +42,7 @@ def figures(row: dict, full: dict[tuple, dict]) -> dict[str, float]:
         for key, value in row.get(step, {}).items()
         if isinstance(value, int | float)
     }
-    out |= {f"seconds_{stage}": learned["seconds"][stage] for stage in STAGES}
+    out |= {f"seconds_{stage}": learned["seconds"][stage] for stage in StageName}
     out |= {f"cpu_seconds_{stage}": seconds for stage, seconds in learned["stage_cpu_seconds"].items()}
     out |= {"seconds": learned["seconds_total"], "cpu_seconds": learned["cpu_seconds"], "peak_mb": learned["peak_mb"]}
     out |= {"views_of_run": learned["views"], "pixels_of_run": learned["pixels"] / learned["views"]}
@@ -53,7 +53,7 @@ def figures(row: dict, full: dict[tuple, dict]) -> dict[str, float]:
         if other is None:
             del out["cpu_seconds"]
         else:
-            out["cpu_seconds"] += sum(other["learn"]["stage_cpu_seconds"].get(r, 0) for r in ("fields_learning", "surface"))
+            out["cpu_seconds"] += sum(other["learn"]["stage_cpu_seconds"].get(r, 0) for r in STAGE_1)
             out["peak_mb"] = max(out["peak_mb"], other["learn"]["peak_mb"])
     return {key: float(value) for key, value in out.items()}
 

@@ -13,8 +13,9 @@ from benchmarks.suite.harness import read_row
 from blender_nep.capture import PixelRays, load_capture
 from blender_nep.capture.capture import Capture
 from blender_nep.checkpoints import load_state
+from blender_nep.fields.training import Fields
 from blender_nep.job.device import choose_device
-from blender_nep.job.stages import Stages
+from blender_nep.job.stage_names import StageName
 from blender_nep.presets import Preset
 from blender_nep.surface.mesh_file import load_surface
 
@@ -32,7 +33,7 @@ def score_asset(folder: Path, asset: Path, preset: Preset, device: str, picture:
     out = {"faces": len(surface.faces), "texture_rows": len(learned.albedo)}
     out |= geometry.score(surface, folder, capture, test)
     out |= materials.score(surface, learned, folder, capture, test, picture)
-    kept = asset / "checkpoints" / "fields_learning.done.pt"
+    kept = asset / "checkpoints" / f"{StageName.FIELDS_LEARNING}.done.pt"
     if kept.is_file():
         out["background_psnr"] = _background_psnr(folder, asset, kept, capture, test, preset, choose_device(device))
     return out
@@ -41,7 +42,7 @@ def score_asset(folder: Path, asset: Path, preset: Preset, device: str, picture:
 def _background_psnr(
     folder: Path, asset: Path, kept: Path, capture: Capture, test: Capture, preset: Preset, device: torch.device
 ) -> float:
-    environment = Stages().unpack_fields(load_state(kept)["result"], preset, device).environment
+    environment = Fields.from_state(load_state(kept)["result"], preset, device).environment
     sphere = read_row(asset / "report.json")["capture"]  # F_e lives around the sphere of its own job
     for one in (capture, test):
         one.object_center, one.object_radius = np.array(sphere["object_center"]), sphere["object_radius"]

@@ -16,6 +16,7 @@ import trimesh
 
 from blender_nep.asset.export import TEXTURES
 from blender_nep.checkpoints import load_state
+from blender_nep.job.stage_names import StageName
 
 FILES = (
     "mesh.obj",
@@ -27,14 +28,14 @@ FILES = (
     *(f"textures/{name}{suffix}" for name in TEXTURES for suffix in (".exr", ".png")),
 )
 REPAIRS = {
-    "nan": "NaN or Inf",
-    "inf": "NaN or Inf",
-    "most_nan": "NaN or Inf",
-    "negative": "negative",
-    "huge": "brighter than",
-    "one_black": "black",
+    "nan": "capture.pixels_not_finite",
+    "inf": "capture.pixels_not_finite",
+    "most_nan": "capture.pixels_not_finite",
+    "negative": "capture.pixels_negative",
+    "huge": "capture.pixels_too_bright",
+    "one_black": "capture.photos_black",
 }
-"""What the report's warnings must speak of, for each defect of the pixels (of OpenEXR photos)."""
+"""The warning that must be in the report, for each defect of the pixels (of OpenEXR photos)."""
 
 
 def strict_json(text: str) -> dict:
@@ -132,16 +133,16 @@ def check_mesh(out: Path, center: np.ndarray, radius: float, report: dict) -> li
 
 def check_report(case, report: dict) -> list[str]:
     """What had to be repaired is in the report's warnings."""
-    failures, said = [], " | ".join(report["warnings"])
-    wanted = REPAIRS.get(case.pixels) if case.suffix == ".exr" else {"one_black": "black"}.get(case.pixels)
+    failures, said = [], [warning["code"] for warning in report["warnings"]]
+    wanted = REPAIRS.get(case.pixels) if case.suffix == ".exr" else {"one_black": "capture.photos_black"}.get(case.pixels)
     if case.masks == "alpha" and case.pixels in ("negative", "huge"):
         wanted = None  # may lie where alpha is 0
     if wanted and wanted not in said:
         failures.append(f"silent repair: {case.pixels} pixels are not in the warnings ({said})")
-    if case.duplicates in ("some", "pairs") and "same place" not in said:
+    if case.duplicates in ("some", "pairs") and "capture.same_place" not in said:
         failures.append(f"silent repair: duplicate cameras are not in the warnings ({said})")
-    skipped = (report["stages"].get("fields_learning") or {}).get("steps_not_finite", 0)
-    if skipped and "not finite" not in said:
+    skipped = (report["stages"].get(StageName.FIELDS_LEARNING) or {}).get("steps_not_finite", 0)
+    if skipped and "job.steps_left_out" not in said:
         failures.append("silent repair: steps that were left out are not in the warnings")
     return failures
 
@@ -155,7 +156,7 @@ def same_assets(a: Path, b: Path) -> list[str]:
         if n != "environment.exr" and not n.startswith("textures/") and (a / n).read_bytes() != (b / n).read_bytes()
     ]
     different += [n for n in names if n.endswith(".exr") and not np.array_equal(_exr(a / n), _exr(b / n))]
-    for stage in ("fields_learning", "surface", "material_learning"):
+    for stage in (StageName.FIELDS_LEARNING, StageName.SURFACE, StageName.MATERIAL_LEARNING):
         files = [f / "checkpoints" / f"{stage}.done.pt" for f in (a, b)]
         if all(f.is_file() for f in files):
             one, other = (dict(_tensors(load_state(f)["result"])) for f in files)

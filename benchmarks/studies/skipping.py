@@ -23,7 +23,6 @@ import time
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -32,12 +31,23 @@ from benchmarks.scoring import geometry, materials
 from benchmarks.suite.derived_captures import VARIANTS, derive
 from benchmarks.suite.harness import markdown, resumed, use_threads
 from benchmarks.suite.runner import machine
+from benchmarks.suite.step import Timed
 from blender_nep.capture import load_capture
-from blender_nep.checkpoints import load_state, save_state
+from blender_nep.checkpoints import Checkpoint, load_state, save_state
+from blender_nep.fields.training import Fields
 from blender_nep.job.events import Events
 from blender_nep.job.run_folder import fingerprint
 from blender_nep.job.runner import Job, Settings
-from blender_nep.job.stages import Stages
+from blender_nep.job.stages import (
+    AssetInput,
+    AssetStage,
+    FieldsInput,
+    FieldsStage,
+    MaterialsStage,
+    Progress,
+    Stages,
+    SurfaceStage,
+)
 from blender_nep.presets import PRESETS, Preset
 from blender_nep.stop_request import StopRequest
 
@@ -71,23 +81,21 @@ def without_skipping(preset: Preset) -> Preset:
     return replace(preset, skip_needless=False, material=replace(m, sure_margin=math.inf, uniform_texels=m.most_texels))
 
 
-class WatchedStages(Stages):
-    """The stages of a job, with CPU seconds; the results are kept here instead of being written as an asset."""
+class FieldsOnce(FieldsStage):
+    """Stage 1; the same capture, seed and settings are learned once, by the same code."""
 
     def __init__(self, scene: Scene, kept: Path, made_by: str) -> None:
         self.scene, self.kept, self.made_by = scene, kept, made_by
-        self.cpu: dict[str, float] = {}
-        self.taken_over = 0.0
+        self.taken_over: float | None = None
         """CPU seconds of the stage 1 that was learned before."""
-        self.report: dict = {}
 
-    def learn_fields(self, rays, preset, **keywords: Any):
-        """Stage 1; the same capture, seed and settings are learned once, by the same code."""
+    def run(self, given: FieldsInput, progress: Progress, checkpoint: Checkpoint) -> Fields:
+        preset = given.preset
         same = repr(
             (
                 self.made_by,
                 self.scene.masks,
-                keywords["seed"],
+                given.seed,
                 preset.fields,
                 preset.environment,
                 preset.max_pixels_per_photo,
@@ -97,56 +105,52 @@ class WatchedStages(Stages):
         file = self.kept / f"{self.scene.folder.name}-{hashlib.sha256(same.encode()).hexdigest()[:16]}.stage_1.pt"
         if file.is_file():
             state = load_state(file)
-            self.cpu["fields_learning"] = self.taken_over = state["cpu_seconds"]
-            return self.unpack_fields(state["fields"], preset, keywords["device"])
+            self.taken_over = state["cpu_seconds"]
+            return self.unpack(state["fields"], given)
         start = time.process_time()
-        fields = super().learn_fields(rays, preset, **keywords)
-        self.cpu["fields_learning"] = time.process_time() - start
+        fields = super().run(given, progress, checkpoint)
         self.kept.mkdir(parents=True, exist_ok=True)
-        save_state(file, {"fields": self.pack_fields(fields), "cpu_seconds": self.cpu["fields_learning"]})
+        save_state(file, {"fields": self.pack(fields), "cpu_seconds": time.process_time() - start})
         return fields
 
-    def extract_surface(self, *arguments: Any):
-        """The mesh."""
-        start = time.process_time()
-        self.surface, report = super().extract_surface(*arguments)
-        self.cpu["surface"] = time.process_time() - start
-        return self.surface, report
 
-    def learn_materials(self, *arguments: Any, **keywords: Any):
-        """Stage 2."""
-        start = time.process_time()
-        self.materials = super().learn_materials(*arguments, **keywords)
-        self.cpu["material_learning"] = time.process_time() - start
-        return self.materials
+class KeptAsset(AssetStage):
+    """No asset is written: what would be written is kept here."""
 
-    def write_asset(self, *arguments: Any) -> None:
-        """No asset: the report alone."""
-        self.report = arguments[-1]()
+    def __init__(self) -> None:
+        self.given: AssetInput | None = None
+        self.report: dict = {}
+
+    def run(self, given: AssetInput) -> None:
+        self.given, self.report = given, given.report()
 
 
 def run(scene: Scene, preset: Preset, seed: int, threads: int, kept: Path, picture: Path) -> dict:
     """One job and its scores."""
     capture = load_capture(scene.folder, use_masks=scene.masks)
     photos = fingerprint(capture, preset, seed, scene.masks, None)["capture"]
-    stages = WatchedStages(scene, kept, f"{photos} {machine(threads)['commit']}")
+    stage_1, asset, cpu = FieldsOnce(scene, kept, f"{photos} {machine(threads)['commit']}"), KeptAsset(), {}
+    stages = Stages(Timed(stage_1, cpu), Timed(SurfaceStage(), cpu), Timed(MaterialsStage(), cpu), asset)
     start = time.process_time()
     with tempfile.TemporaryDirectory() as out:
         settings = Settings(
             scene.folder, Path(out) / "asset", preset, device="cpu", seed=seed, use_masks=scene.masks, threads=threads
         )
         Job(settings, Events(None, io.StringIO()), StopRequest(), stages).run()
-    seconds = time.process_time() - start + stages.taken_over
+    seconds = time.process_time() - start
+    if stage_1.taken_over is not None:
+        seconds += stage_1.taken_over
+        cpu[str(stage_1.name)] = stage_1.taken_over
     test = geometry.load_test_views(scene.folder, capture)
     return {
-        "cpu": stages.cpu,
+        "cpu": cpu,
         "seconds": seconds,
-        **geometry.score(stages.surface, scene.folder, capture, test),
-        **materials.score(stages.surface, stages.materials, scene.folder, capture, test, picture),
-        "skipped": stages.report["skipped"],
-        "skipped_seconds": stages.report["skipped_seconds"],
-        "scene": stages.report["scene"],
-        "report": stages.report["stages"],
+        **geometry.score(asset.given.surface, scene.folder, capture, test),
+        **materials.score(asset.given.surface, asset.given.materials, scene.folder, capture, test, picture),
+        "skipped": asset.report["skipped"],
+        "skipped_seconds": asset.report["skipped_seconds"],
+        "scene": asset.report["scene"],
+        "report": asset.report["stages"],
     }
 
 

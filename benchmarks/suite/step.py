@@ -9,14 +9,16 @@ from __future__ import annotations
 import shutil
 import sys
 import time
+from dataclasses import fields, replace
 from pathlib import Path
 
 from benchmarks.suite.fewer_views import with_fewer_views
 from benchmarks.suite.harness import read_row, write_row
 from benchmarks.suite.plan import WITHOUT_F_E, Run
+from blender_nep.job.stage_names import StageName
 
 REPORTED = ("device", "threads", "versions", "seconds", "seconds_total", "resumed_stages", "skipped", "losses", "warnings")
-STAGE_1 = ("fields_learning", "surface")
+STAGE_1 = (StageName.FIELDS_LEARNING, StageName.SURFACE)
 
 
 class NoLight:
@@ -34,11 +36,30 @@ class NoLight:
         return self.distance
 
 
+class Timed:
+    """A stage of a job whose CPU seconds are written down."""
+
+    def __init__(self, stage, cpu: dict[str, float]) -> None:
+        self._stage, self._cpu = stage, cpu
+
+    def __getattr__(self, name: str):
+        return getattr(self._stage, name)
+
+    def run(self, *arguments):
+        """The stage's own work."""
+        start = time.process_time()
+        try:
+            return self._stage.run(*arguments)
+        finally:
+            self._cpu[str(self._stage.name)] = time.process_time() - start
+
+
 def learn(run: Run, asset: Path, order: dict) -> dict:
     """The job. An error is {"error": message}."""
+    from blender_nep.errors import NepError
     from blender_nep.job import runner as job
     from blender_nep.job.events import Events
-    from blender_nep.job.stages import Stages
+    from blender_nep.job.stages import MaterialsInput, MaterialsStage, Stages
     from blender_nep.stop_request import StopRequest
 
     class Heard(Events):
@@ -46,37 +67,22 @@ def learn(run: Run, asset: Path, order: dict) -> dict:
 
         failure = ""
 
-        def error(self, code: int, message: str, hint: str) -> None:
-            self.failure = message
-            super().error(code, message, hint)
+        def error(self, error: NepError) -> None:
+            self.failure = error.message
+            super().error(error)
 
-    class Timed(Stages):
-        """CPU seconds of each stage."""
+    class WithoutEnvironment(MaterialsStage):
+        """Stage 2 with the ablation's light."""
 
-        def __init__(self) -> None:
-            self.cpu: dict[str, float] = {}
+        def run(self, given: MaterialsInput, *how):
+            return super().run(replace(given, environment=NoLight(run.changed_preset.environment.outer_radius)), *how)
 
-        def _timed(self, stage: str, work, *arguments, **keywords):
-            start = time.process_time()
-            try:
-                return work(*arguments, **keywords)
-            finally:
-                self.cpu[stage] = time.process_time() - start
-
-        def learn_fields(self, *arguments, **keywords):
-            return self._timed("fields_learning", super().learn_fields, *arguments, **keywords)
-
-        def extract_surface(self, *arguments):
-            return self._timed("surface", super().extract_surface, *arguments)
-
-        def learn_materials(self, surface, environment, *arguments, **keywords):
-            if run.ablation == WITHOUT_F_E:
-                environment = NoLight(run.changed_preset.environment.outer_radius)
-            return self._timed("material_learning", super().learn_materials, surface, environment, *arguments, **keywords)
-
-        def write_asset(self, *arguments):
-            return self._timed("asset", super().write_asset, *arguments)
-
+    cpu: dict[str, float] = {}
+    stages = Stages()
+    if run.ablation == WITHOUT_F_E:
+        stages.materials = WithoutEnvironment()
+    for part in fields(stages):
+        setattr(stages, part.name, Timed(getattr(stages, part.name), cpu))
     capture, settings_of = run.capture, order["settings"]
     if run.views:
         capture = with_fewer_views(capture, run.views, Path(order["variant"]))
@@ -93,17 +99,17 @@ def learn(run: Run, asset: Path, order: dict) -> dict:
         resume=bool(given),
         **settings_of,
     )
-    stop, events, stages = StopRequest(), Heard(None, sys.stderr), Timed()
+    stop, events = StopRequest(), Heard(None, sys.stderr)
     stop.watch()
     if job.run(settings, events, stop, stages):
         return {"error": events.failure.replace(str(run.capture), run.capture.name)}
     report = read_row(asset / "report.json")
     found = {key: report[key] for key in REPORTED}
     found["views"], found["pixels"] = report["capture"]["views"], report["capture"]["pixels"]
-    found["faces"] = report["stages"]["surface"].get("faces")
-    found["materials"] = report["stages"]["material_learning"].get("materials")
-    found["steps"] = report["stages"]["fields_learning"].get("steps")
-    return found | {"stage_cpu_seconds": stages.cpu}
+    found["faces"] = report["stages"][StageName.SURFACE].get("faces")
+    found["materials"] = report["stages"][StageName.MATERIAL_LEARNING].get("materials")
+    found["steps"] = report["stages"][StageName.FIELDS_LEARNING].get("steps")
+    return found | {"stage_cpu_seconds": cpu}
 
 
 def _take_stage_1(other: Path, asset: Path, capture: Path, run: Run, mesh: Path | None) -> bool:

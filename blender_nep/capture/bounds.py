@@ -6,6 +6,7 @@ import numpy as np
 
 from blender_nep.capture.camera import Camera
 from blender_nep.errors import BoundsError
+from blender_nep.messages import Message
 
 _HINT = (
     "Move and scale the sphere so that it holds the object and no camera "
@@ -76,7 +77,7 @@ def _carve(cameras: list[Camera], masks: list[np.ndarray], points: np.ndarray) -
     return (framed >= 0.5 * len(cameras)) & (covered >= 0.95 * framed)
 
 
-def check_sphere(names: list[str], cameras: list[Camera], center: np.ndarray, radius: float) -> list[str]:
+def check_sphere(names: list[str], cameras: list[Camera], center: np.ndarray, radius: float) -> list[Message]:
     """Warnings about the sphere. Raises BoundsError when a camera stands inside it or no photo sees it."""
     distance = np.array([np.linalg.norm(c.position - center) for c in cameras])
     inside = np.flatnonzero(distance <= radius)
@@ -89,18 +90,15 @@ def check_sphere(names: list[str], cameras: list[Camera], center: np.ndarray, ra
     seen = np.array([sees_sphere(c, center, radius) for c in cameras])
     if not seen.any():
         raise BoundsError(f"no photo sees the object's sphere (centre {_text(center)}, radius {radius:.4g})", _HINT)
-    warnings = []
+    warnings: list[Message] = []
     if not seen.all():
         blind = [names[i] for i in np.flatnonzero(~seen)]
-        warnings.append(f"{len(blind)} of {len(cameras)} photos do not see the object's sphere: {shortened(blind)}")
+        warnings.append(Message("capture.sphere_not_seen", {"count": len(blind), "photos": len(cameras), "names": blind}))
     if np.median(distance) > 10 * radius:
-        warnings.append(
-            f"the cameras are {np.median(distance) / radius:.0f} object radii away: the object covers few pixels "
-            "(is object_radius too small?)"
-        )
+        warnings.append(Message("capture.cameras_far", {"radii": float(np.median(distance) / radius)}))
     cut = np.array([c.side_distances(center).min() < 0.5 * radius for c in cameras])
     if cut[seen].mean() > 0.5:
-        warnings.append("most photos see less than half of the object's sphere (is object_radius too large?)")
+        warnings.append(Message("capture.sphere_cut"))
     return warnings
 
 
@@ -109,11 +107,6 @@ def sees_sphere(camera: Camera, center: np.ndarray, radius: float) -> bool:
     sides = camera.side_distances(center)
     depth = (camera.position - center) @ camera.camera_to_world[:3, 2]
     return bool(sides.min() > -radius and depth > -radius)
-
-
-def shortened(names: list[str], most: int = 5) -> str:
-    """The first few names, and how many more there are."""
-    return ", ".join(names[:most]) + (f" and {len(names) - most} more" if len(names) > most else "")
 
 
 def _text(point: np.ndarray) -> str:

@@ -10,6 +10,7 @@ import numpy as np
 from blender_nep.capture.camera import Camera
 from blender_nep.capture.photo_files import MaskRaster, Raster, open_image
 from blender_nep.errors import CaptureError
+from blender_nep.messages import Message
 
 
 @dataclass(frozen=True)
@@ -34,7 +35,7 @@ class Capture:
     object_radius: float
     bounds_source: str
     """Where the sphere comes from: 'options', 'transforms.json', 'masks' or 'cameras'."""
-    warnings: list[str] = field(default_factory=list)
+    warnings: list[Message] = field(default_factory=list)
 
     @property
     def to_unit(self) -> np.ndarray:

@@ -17,6 +17,7 @@ from scipy import sparse
 from torch.nn import functional
 
 from blender_nep.capture.pixel_rays import BRIGHTEST_CLIPPED, SATURATED, PixelRays
+from blender_nep.messages import Message
 
 SPHERES = (0.8, 1.2, 1.7, 2.4, 3.4, 5.0, 10.0, 1e4)
 """Radii in camera distances."""
@@ -62,7 +63,7 @@ class Exposures:
     gain: torch.Tensor | None
     """[views, 3] of geometric mean 1 in every channel: how much brighter than the others each photo was taken. None: all
     have one exposure, or it cannot be told."""
-    warning: str = ""
+    warning: Message | None = None
 
 
 def find_exposures(rays: PixelRays) -> Exposures:
@@ -81,15 +82,10 @@ def find_exposures(rays: PixelRays) -> Exposures:
     one, other = (_solve(view[p], cell[p], value[p], count[p], brightness)[0] for p in (half == 0, half == 1))
     error = np.sqrt(((one - other) ** 2).mean(1)) / 2
     if np.median(error) > MOST_ERROR:
-        return Exposures(
-            None,
-            "the photos may differ in exposure, but show too little of the same surroundings to tell: if "
-            "the camera was on automatic, take or develop them with one exposure",
-        )
+        return Exposures(None, Message("capture.exposure_unclear"))
     gain = torch.from_numpy(np.exp(log).astype(np.float32)).to(rays.radiance.device)
     doubtful = int(((error > DOUBTFUL) | (shared < FEW * np.median(shared))).sum())
-    warning = f"the exposure of {doubtful} photos is a guess: they show hardly any of the surroundings that others show"
-    return Exposures(gain, warning if doubtful else "")
+    return Exposures(gain, Message("capture.exposure_guessed", {"count": doubtful}) if doubtful else None)
 
 
 def stops(gain: torch.Tensor) -> list[float]:

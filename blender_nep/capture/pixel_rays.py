@@ -14,11 +14,11 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from blender_nep.capture.bounds import shortened
 from blender_nep.capture.capture import Capture
 from blender_nep.capture.pixel_set import GrowingPixelSet, PixelSet
 from blender_nep.capture.pixel_store import PixelMemory
 from blender_nep.errors import BoundsError, CaptureError
+from blender_nep.messages import Message
 from blender_nep.profiling import profiled
 
 MAXIMUM_RADIANCE = 6e4
@@ -49,7 +49,7 @@ class PixelRays:
     """(H, W) of each view, after downscaling."""
     background: bool
     """False for cut-outs (alpha): where the mask is 0 the radiance is 0 and the surroundings are not known."""
-    warnings: list[str]
+    warnings: list[Message]
     sphere: PixelSet
     """[M]: indices of valid pixels whose ray meets the unit sphere."""
     outside: PixelSet
@@ -154,17 +154,15 @@ class PixelRays:
             progress(len(facts), len(cameras))
         warnings = _judge(capture, facts)
         if most < max_pixels_per_photo:
-            warnings.append(
-                f"{len(cameras)} photos are so many that each is filtered down to {most} pixels: "
-                f"{memory.most} are kept of all together"
-            )
+            reduced = {"photos": len(cameras), "pixels": most, "limit": memory.most}
+            warnings.append(Message("capture.photos_reduced", reduced))
         cut_out = any(p.cut_out for p in facts)
         masked = use_masks and all(p.has_mask for p in facts)
         if use_masks and not masked and any(p.has_mask for p in facts):
             missing = [v.name for v, p in zip(capture.views, facts, strict=True) if not p.has_mask]
-            warnings.append(f"masks are not used: {len(missing)} photos have none ({shortened(missing)})")
+            warnings.append(Message("capture.masks_missing", {"count": len(missing), "names": missing}))
         if cut_out and not masked:
-            warnings.append("the photos are cut-outs (alpha) and their surroundings are black; results need the masks")
+            warnings.append(Message("capture.cut_outs_need_masks"))
         if masked and not any(p.covered for p in facts):
             raise CaptureError(
                 "the masks are empty: no pixel belongs to the object",
@@ -347,30 +345,33 @@ def _box(pixels: np.ndarray, factor: int) -> np.ndarray:
     return total / factor**2
 
 
-def _judge(capture: Capture, photos: list[_Facts]) -> list[str]:
+def _judge(capture: Capture, photos: list[_Facts]) -> list[Message]:
     """Warnings about the pixels. Raises CaptureError for a photo of NaN, or when every photo is black."""
     names = [v.image_path.name for v in capture.views]
-    warnings = []
+    warnings: list[Message] = []
     for name, photo in zip(names, photos, strict=True):
         if photo.empty:
             raise CaptureError(
                 f"{name} holds no finite pixel (all NaN or Inf)",
                 "Render or export it again, or take its frame out of transforms.json.",
             )
-    for kind, what in (
-        ("bad", "NaN or Inf and are left out"),
-        ("negative", "negative and are taken as 0"),
-        ("blinding", f"brighter than {MAXIMUM_RADIANCE:.0f} and are taken as that"),
-    ):
+    for kind in ("bad", "negative", "blinding"):
         found = [(n, p.repaired[kind]) for n, p in zip(names, photos, strict=True) if p.repaired[kind]]
         if found:
-            warnings.append(
-                f"{sum(count for _, count in found)} pixels in {len(found)} photos are {what}: "
-                + shortened([n for n, _ in found])
-            )
+            warnings.append(_repair(kind, sum(count for _, count in found), [n for n, _ in found]))
     black = [n for n, p in zip(names, photos, strict=True) if p.brightest <= _BLACK]
     if len(black) == len(photos):
         raise CaptureError("all photos are black", "Check the exposure, and that the files hold color in R, G, B.")
     if black:
-        warnings.append(f"{len(black)} photos are black and are left out: {shortened(black)}")
+        warnings.append(Message("capture.photos_black", {"count": len(black), "names": black}))
     return warnings
+
+
+def _repair(kind: str, pixels: int, names: list[str]) -> Message:
+    """The warning for one kind of `_Facts.repaired`: so many pixels in the photos of these names."""
+    if kind == "bad":
+        return Message("capture.pixels_not_finite", {"pixels": pixels, "photos": len(names), "names": names})
+    if kind == "negative":
+        return Message("capture.pixels_negative", {"pixels": pixels, "photos": len(names), "names": names})
+    limit = MAXIMUM_RADIANCE
+    return Message("capture.pixels_too_bright", {"pixels": pixels, "photos": len(names), "names": names, "limit": limit})

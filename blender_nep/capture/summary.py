@@ -11,6 +11,7 @@ import numpy as np
 from blender_nep.capture.formats.transforms import load_capture
 from blender_nep.capture.pixel_rays import PixelRays
 from blender_nep.capture.pixel_store import PixelMemory
+from blender_nep.messages import Message
 
 
 def summarise(folder: Path) -> dict:
@@ -45,9 +46,9 @@ def summarise(folder: Path) -> dict:
             "99_9_percent": round(float(np.quantile(radiance.numpy(), 0.999)), 4),
             "largest": round(rays.brightest, 4),
         },
-        "warnings": capture.warnings + rays.warnings,
+        "warnings": [warning.told() for warning in capture.warnings + rays.warnings],
     }
-    found["warnings"] += _doubts(found)
+    found["warnings"] += [doubt.told() for doubt in _doubts(found)]
     return found
 
 
@@ -60,16 +61,16 @@ def _directions_covered(position: np.ndarray) -> float:
     return float(((probe @ axis.T).max(1) > math.cos(math.radians(30))).mean())
 
 
-def _doubts(found: dict) -> list[str]:
-    doubts = []
+def _doubts(found: dict) -> list[Message]:
+    doubts: list[Message] = []
     if found["photos"] < 12:
-        doubts.append(f"only {found['photos']} photos: 20 and more give a better shape")
+        doubts.append(Message("capture.few_photos", {"photos": found["photos"]}))
     if found["directions_covered"] < 0.25:
-        doubts.append("the cameras cover few directions: what no photo shows will be guessed")
+        doubts.append(Message("capture.few_directions"))
     if found["color_space"] == "srgb":
-        doubts.append("8-bit photos clip highlights: mirror-like parts will come out darker than they are")
+        doubts.append(Message("capture.highlights_clipped"))
     if found["cut_outs"]:
-        doubts.append("cut-outs show no surroundings: light can be learned from reflections alone")
+        doubts.append(Message("capture.cut_outs"))
     return doubts
 
 
@@ -88,7 +89,7 @@ def describe(found: dict) -> str:
         + (f"the object covers {found['mask_coverage']:.0%} of the pixels" if found["masks"] else "none")
         + (" (cut-outs)" if found["cut_outs"] else ""),
     ]
-    return "\n".join(lines + ([f"  warning: {w}" for w in found["warnings"]] or ["  nothing looks wrong"]))
+    return "\n".join(lines + ([f"  warning: {w['message']}" for w in found["warnings"]] or ["  nothing looks wrong"]))
 
 
 def _counts(counts: dict[str, int]) -> str:

@@ -31,6 +31,7 @@ class NonFiniteMonitor:
             raise LearningError(
                 "The photometric loss or its gradient is not finite.",
                 "Check the photos for extreme values and the object sphere with `blender-nep info`.",
+                "learning.not_finite",
             )
         return usable
 

@@ -24,6 +24,7 @@ from blender_nep.fields.visual_hull import background_silhouettes, carve, mask_s
 from blender_nep.fields.volume_rendering import BAND, sphere_interval
 from blender_nep.geometry.mesh import Surface
 from blender_nep.geometry.ray_tracing import RayTracer
+from blender_nep.messages import Message, Part
 from blender_nep.presets import Preset
 from blender_nep.profiling import profiled, section
 from blender_nep.tone_mapping import tone_map, tone_map_without_highlights
@@ -475,7 +476,9 @@ def learn_fields(
         environment, report = environment_training.learn_environment(
             rays, background, preset.environment, seed=seed, device=device, progress=progress, checkpoint=checkpoint
         )
-        return Fields(None, environment, {"skipped": {"object field": "a mesh was given (--mesh)"}, **report})
+        return Fields(
+            None, environment, {"skipped": {str(Part.OBJECT_FIELD): Message("reason.mesh_given").state()}, **report}
+        )
     learning = FieldsLearning(rays, preset, seed, device, object_field)
     state = checkpoint.load()
     if state is not None:

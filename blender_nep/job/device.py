@@ -18,7 +18,7 @@ def choose_device(name: str) -> torch.device:
     if name == "auto":
         name = "cuda" if torch.cuda.is_available() else "cpu"
     if name == "cuda" and not torch.cuda.is_available():
-        raise UsageError("no CUDA device can be used", "Use --device cpu; everything runs on the CPU too.")
+        raise UsageError("no CUDA device can be used", "Use --device cpu; everything runs on the CPU too.", "usage.no_cuda")
     return torch.device(name)
 
 

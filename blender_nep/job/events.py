@@ -14,7 +14,10 @@ from typing import TYPE_CHECKING, Any, TextIO
 
 from tqdm import tqdm
 
+from blender_nep.errors import NepError
 from blender_nep.files import jsonable
+from blender_nep.job.timeline import time_text
+from blender_nep.messages import Message
 
 if TYPE_CHECKING:
     from blender_nep.job.job_folder import Journal
@@ -32,62 +35,6 @@ def open_protocol() -> TextIO:
     return stream
 
 
-def time_text(seconds: float) -> str:
-    """75 -> '1:15'; '?' when not finite."""
-    if not math.isfinite(seconds):
-        return "?"
-    whole = max(0, round(seconds))
-    hours, minutes = divmod(whole // 60, 60)
-    return f"{hours}:{minutes:02d}:{whole % 60:02d}" if hours else f"{minutes}:{whole % 60:02d}"
-
-
-class Timeline:
-    """How far the whole job is, and how long it still takes.
-
-    Each stage brings a first guess of its seconds. The time left in a stage follows its own pace once that shows; the
-    stages to come are scaled by how wrong the guesses were so far.
-    """
-
-    def __init__(self, expected: dict[str, float], clock: Callable[[], float] = time.monotonic) -> None:
-        self.expected = {stage: max(seconds, 0.1) for stage, seconds in expected.items()}
-        self._clock = clock
-        self._spent = 0.0
-        self._guessed = 0.0
-        self._stage = ""
-        self._stage_start = 0.0
-        self._first = 0.0
-        self._done: set[str] = set()
-
-    def enter(self, stage: str) -> None:
-        """A stage begins."""
-        self._stage, self._stage_start, self._first = stage, self._clock(), 0.0
-
-    def begin_at(self, fraction: float) -> None:
-        """The stage is resumed in its middle: what was done before takes no time now."""
-        self._first = fraction
-
-    def leave(self, *, skipped: bool = False) -> None:
-        """The stage ended; `skipped`: it took no time because its result was there."""
-        self._done.add(self._stage)
-        if not skipped:
-            self._spent += self._clock() - self._stage_start
-            self._guessed += self.expected[self._stage] * (1 - self._first)
-
-    def at(self, fraction: float) -> tuple[float, float]:
-        """(fraction of the whole job, seconds left) when the current stage is `fraction` done (0..1)."""
-        elapsed, guess = self._clock() - self._stage_start, self.expected[self._stage]
-        advanced = fraction - self._first
-        shows = advanced > 0.02 or (advanced > 0 and elapsed > 15)
-        if shows:
-            pace = (self._spent + elapsed) / (self._guessed + guess * advanced)
-        else:
-            pace = self._spent / self._guessed if self._guessed > 1 else 1.0
-        stage_left = elapsed / advanced * (1 - fraction) if shows else guess * pace * (1 - fraction)
-        later = sum(s for r, s in self.expected.items() if r not in self._done and r != self._stage)
-        done = sum(s for r, s in self.expected.items() if r in self._done) + guess * fraction
-        return min(done / sum(self.expected.values()), 1.0), stage_left + later * min(max(pace, 0.1), 20.0)
-
-
 class Events:
     """Sends the events of one job to programs (`protocol`), people (`human`) and the log (`log`)."""
 
@@ -103,7 +50,7 @@ class Events:
         self._last_event = self._last_line = -math.inf
         self._last_step: tuple[str, int] | None = None
         self._pending: list[str] = []
-        self.warnings: list[str] = []
+        self.warnings: list[Message] = []
 
     def open_log(self, path: Path) -> None:
         """Append everything to a log file from now on, and what was said before."""
@@ -159,10 +106,18 @@ class Events:
             self._protocol = None
 
     def progress(
-        self, stage: str, step: int, steps: int, fraction: float, eta: float, loss: float | None, **extra: Any
+        self,
+        stage: str,
+        step: int,
+        steps: int,
+        fraction: float,
+        eta: float,
+        loss: float | None,
+        note: Message | None = None,
+        **extra: Any,
     ) -> None:
         """How far the job is: at most four events a second, but always the first and last step of a stage.
-        `note` (extra) stands for the step where there is something better to say."""
+        `note` stands for the step where there is something better to say."""
         now, edge = self._clock(), step in (0, steps) or self._last_step is None or self._last_step[0] != stage
         if (edge and self._last_step != (stage, step)) or now - self._last_event >= 0.25:
             self._last_event, self._last_step = now, (stage, step)
@@ -174,9 +129,10 @@ class Events:
                 fraction=round(fraction, 4),
                 eta_s=round(eta, 1),
                 loss=loss,
+                **({} if note is None else {"note": note.told()}),
                 **extra,
             )
-            self._show(stage, extra.get("note", f"{step}/{steps}"), fraction, eta, loss)
+            self._show(stage, f"{step}/{steps}" if note is None else str(note), fraction, eta, loss)
 
     def _show(self, stage: str, place: str, fraction: float, eta: float, loss: float | None) -> None:
         figure = "" if loss is None else f", loss {loss:.4f}"
@@ -198,26 +154,26 @@ class Events:
         """A picture or mesh worth looking at is on the disk."""
         self.emit("preview", path=str(path))
 
-    def warning(self, message: str) -> None:
+    def warning(self, message: Message) -> None:
         """Something that the user should know; each is said once."""
         if message not in self.warnings:
             self.warnings.append(message)
-            self.emit("warning", message=message)
+            self.emit("warning", **message.told())
             self.say(f"warning: {message}")
 
-    def scene(self, lines: list[str]) -> None:
+    def scene(self, lines: list[Message]) -> None:
         """What is known of the scene by now, and what is left out because of it: sentences, the new ones last."""
-        self.emit("scene", lines=lines)
+        self.emit("scene", lines=[line.told() for line in lines])
 
     def done(self, asset: Path) -> None:
         """The asset is complete."""
         self.emit("done", asset=str(asset))
         self.say(f"done: {asset}")
 
-    def error(self, code: int, message: str, hint: str) -> None:
+    def error(self, error: NepError) -> None:
         """The job failed."""
-        self.emit("error", code=code, message=message, hint=hint)
-        self.say(f"error: {message}" + (f"\n       {hint}" if hint else ""))
+        self.emit("error", **error.told())
+        self.say(f"error: {error.message}" + (f"\n       {error.hint}" if error.hint else ""))
 
     def close(self) -> None:
         """End the bar and the log."""

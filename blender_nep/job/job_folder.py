@@ -106,4 +106,5 @@ def _lock(path: Path, asset: Path) -> int:
                 raise output_error(path, error) from error
             time.sleep(0.01 * (attempt > 0))
     os.close(descriptor)
-    raise UsageError(f"another run is at work in {asset}", "Stop it or wait for its end, or choose another --out.")
+    hint = "Stop it or wait for its end, or choose another --out."
+    raise UsageError(f"another run is at work in {asset}", hint, "usage.folder_in_use", folder=asset)

@@ -21,6 +21,7 @@ from blender_nep.errors import LearningError, NepError
 from blender_nep.files import output_errors, write_atomically
 from blender_nep.geometry.ray_tracing import RayTracer
 from blender_nep.job.job_folder import FOLDER, PREVIEW_MESH, PREVIEW_PICTURE
+from blender_nep.messages import Message
 from blender_nep.surface.extraction import zero_level
 
 if TYPE_CHECKING:
@@ -62,7 +63,7 @@ class LivePreview:
         try:
             self._write(learning)
         except (NepError, OSError, RuntimeError, ValueError) as error:
-            self.events.warning(f"there is no live preview any more: {error}")
+            self.events.warning(Message("job.preview_ended", {"reason": str(error)}))
             self._due = math.inf
             return
         end = self._clock()

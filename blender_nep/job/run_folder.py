@@ -13,6 +13,7 @@ from blender_nep.capture import Capture
 from blender_nep.checkpoints import Checkpoint, load_state, save_state
 from blender_nep.errors import UsageError
 from blender_nep.files import output_errors, write_atomically
+from blender_nep.messages import Message
 from blender_nep.presets import Preset
 from blender_nep.stop_request import StopRequest
 
@@ -61,19 +62,24 @@ def refuse_other_run(asset: Path, before: dict[str, object], what: dict[str, obj
         raise UsageError(
             f"cannot resume: the run in {asset} is of another version of blender_nep",
             "Finish it with that version, or start again with --overwrite.",
+            "usage.other_version",
+            folder=asset,
         )
     different = [name for name in {**what, **before} if before.get(name) != what.get(name)]
     if different:
         raise UsageError(
             f"cannot resume: the run in {asset} had another {', '.join(different)}",
             "Use the same capture and options as then, or start again with --overwrite.",
+            "usage.other_run",
+            folder=asset,
+            different=different,
         )
 
 
 class RunFolder:
     """Results of finished stages and checkpoints of the one under way, in `asset`/checkpoints."""
 
-    def __init__(self, asset: Path, stop: StopRequest, warn: Callable[[str], None]) -> None:
+    def __init__(self, asset: Path, stop: StopRequest, warn: Callable[[Message], None]) -> None:
         self.asset = asset
         self.path = asset / "checkpoints"
         self._stop, self._warn = stop, warn
@@ -82,29 +88,38 @@ class RunFolder:
     def _run_file(self) -> Path:
         return self.path / "run.json"
 
-    def begin(self, what: dict[str, object], *, resume: bool) -> bool:
-        """Make the folder, or take up the run in it. Returns whether a run is continued.
+    def can_be_resumed(self, what: dict[str, object]) -> bool:
+        """Whether the folder holds the run that is asked for; False where it holds none, or a run.json that is damaged.
 
-        Raises UsageError when the run in the folder is another one, OutputError when the folder cannot be made.
+        Raises UsageError when it holds another run, or checkpoints of which nobody knows the run. Changes nothing.
         """
-        if resume and self._run_file.is_file():
-            before = self._read_run()
-            refuse_other_run(self.asset, before or what, what)
-            if before:
-                return True
+        if not self._run_file.is_file():
+            if any(self.path.glob("*.pt")):
+                raise UsageError(
+                    f"cannot resume: {self.path} has no run.json, so that its checkpoints may be of another run",
+                    "Start again with --overwrite, or choose another --out.",
+                    "usage.unknown_run",
+                    folder=self.path,
+                )
+            return False
+        before = self._read_run()
+        refuse_other_run(self.asset, before or what, what)
+        return bool(before)
+
+    def begin(self, what: dict[str, object]) -> None:
+        """Make the folder of a new run; what was in it goes. Raises OutputError."""
         with output_errors(self.path):
             if self.path.exists():
                 shutil.rmtree(self.path)
             self.path.mkdir(parents=True)
         write_atomically(self._run_file, lambda file: file.write_text(json.dumps(what, indent=1), encoding="utf-8"))
-        return False
 
     def _read_run(self) -> dict[str, object]:
         try:
             run = json.loads(self._run_file.read_text(encoding="utf-8"))
             return run if isinstance(run, dict) else {}
         except ValueError:
-            self._warn("checkpoints/run.json is damaged: the run starts from its beginning")
+            self._warn(Message("job.run_file_damaged"))
             return {}
 
     def checkpoint(self, stage: str) -> Checkpoint:
@@ -124,7 +139,7 @@ class RunFolder:
             saved = load_state(path)
             return saved["result"], float(saved["seconds"])
         except (ValueError, KeyError, TypeError) as error:
-            self._warn(f"{path.name} cannot be used: {error}; its stage is done again")
+            self._warn(Message("job.result_damaged", {"file": path.name, "reason": str(error)}))
             return None
 
     def remove(self) -> None:

@@ -16,6 +16,7 @@ import torch
 from blender_nep.capture.exposure import stops
 from blender_nep.capture.pixel_rays import BRIGHTEST_CLIPPED, SATURATED
 from blender_nep.geometry.ray_tracing import RayTracer
+from blender_nep.messages import Message, Part
 
 if TYPE_CHECKING:
     from blender_nep.capture import PixelRays
@@ -45,7 +46,7 @@ class Plan:
     """The preset for this scene, and {what is left out: why}."""
 
     preset: Preset
-    skipped: dict[str, str]
+    skipped: dict[str, Message]
 
 
 @dataclass(frozen=True)
@@ -103,43 +104,50 @@ class SceneAnalysis:
         """As plain values, for the report."""
         return _rounded(asdict(self))
 
-    def sentences(self) -> list[str]:
+    def sentences(self) -> list[Message]:
         """What an artist would want to know."""
-        seen = f"The photos ({self.photos}) show the object among its surroundings, which are learned as its light."
-        if not self.backdrop:
-            seen = f"The photos ({self.photos}) are cut-outs: the light is learned from the object's reflections alone."
-        lines = [
-            seen,
-            "Masks are there and are used."
-            if self.masks
-            else "No masks are used: the object is found by what does not look like its surroundings.",
-        ]
-        whose = "the object's pixels" if self.masks else "the pixels around the object"
-        if self.clipped >= 0.001:
-            lines.append(f"{_percent(self.clipped)} of {whose} are burnt out (clipped) and say nothing of the material.")
-        elif self.brightest > BRIGHTEST_CLIPPED:
-            lines.append("The photos hold highlights brighter than white (HDR), and hardly any is burnt out.")
+        if self.backdrop:
+            lines = [Message("scene.surroundings", {"photos": self.photos})]
         else:
-            lines.append("The photos end at white, but hardly a pixel is burnt out.")
-        differ = [f"exposure (by up to {self.exposure_stops:.1f} stops)"] if self.exposure_stops >= 0.1 else []
-        differ += ["white balance"] if self.white_balance > _CAST else []
-        if differ:
-            lines.append(f"The photos differ in {' and '.join(differ)}, which is evened out.")
-        size = f"The object's sphere is {self.pixels_across:.0f} pixels wide and takes {_percent(self.sphere_share)} of the"
-        filled = "" if self.object_share is None else f"; {_percent(self.object_share)} of that is the object"
-        return [*lines, f"{size} photos{filled}."]
+            lines = [Message("scene.cut_outs", {"photos": self.photos})]
+        lines.append(Message("scene.masks_used") if self.masks else Message("scene.masks_not_used"))
+        lines.append(self._range())
+        exposure, white_balance = self.exposure_stops >= 0.1, self.white_balance > _CAST
+        if exposure and white_balance:
+            lines.append(Message("scene.exposure_and_white_balance_differ", {"stops": self.exposure_stops}))
+        elif exposure:
+            lines.append(Message("scene.exposure_differs", {"stops": self.exposure_stops}))
+        elif white_balance:
+            lines.append(Message("scene.white_balance_differs"))
+        return [*lines, self._size()]
+
+    def _range(self) -> Message:
+        """Whether highlights are clipped."""
+        if self.clipped >= 0.001 and self.masks:
+            return Message("scene.object_clipped", {"percent": _percent(self.clipped)})
+        if self.clipped >= 0.001:
+            return Message("scene.sphere_clipped", {"percent": _percent(self.clipped)})
+        return Message("scene.high_range") if self.brightest > BRIGHTEST_CLIPPED else Message("scene.hardly_clipped")
+
+    def _size(self) -> Message:
+        """How much of the photos the sphere, and the object in it, takes."""
+        pixels, percent = self.pixels_across, _percent(self.sphere_share)
+        if self.object_share is None:
+            return Message("scene.sphere_size", {"pixels": pixels, "percent": percent})
+        object_percent = _percent(self.object_share)
+        return Message("scene.object_size", {"pixels": pixels, "percent": percent, "object_percent": object_percent})
 
     def plan(self, preset: Preset) -> Plan:
         """Stage 1 and what holds for both stages."""
-        skipped: dict[str, str] = {}
+        skipped: dict[str, Message] = {}
         if not preset.skip_needless:
             return Plan(preset, skipped)
         if not self.backdrop:
             preset = replace(preset, environment=replace(preset.environment, model="none"))
-            skipped["environment field"] = "the photos are cut-outs"
+            skipped[Part.ENVIRONMENT_FIELD] = Message("reason.cut_outs")
         if preset.material.metallic == (1.0,):
             preset = replace(preset, material=replace(preset.material, irradiance_cones=0, diffuse_cones=0))
-            skipped["irradiance"] = "the object is metal"
+            skipped[Part.IRRADIANCE] = Message("reason.metal")
         return Plan(preset, skipped)
 
 
@@ -169,33 +177,26 @@ class SurfaceAnalysis:
         """As plain values, for the report."""
         return _rounded(asdict(self))
 
-    def sentences(self) -> list[str]:
+    def sentences(self) -> list[Message]:
         """What an artist would want to know."""
-        seen = self._visibility()
-        share = "" if self.convex else f" ({_percent(self.self_visibility)} of all directions)"
-        lines = [f"{seen[:1].upper()}{seen[1:]}{share}."]
-        if self.view_dependence is not None:
-            change = (
-                "changes much from photo to photo: it is glossy"
-                if self.view_dependence >= GLOSSY
-                else "hardly changes from photo to photo: it is matte"
-                if self.matte
-                else "changes a little from photo to photo: it is hardly glossy"
-            )
-            lines.append(f"Its brightness {change}.")
+        percent = _percent(self.self_visibility)
+        if self.convex:
+            lines = [Message("scene.convex")]
+        elif self.self_visibility < SECOND_BOUNCE:
+            lines = [Message("scene.reflects_little_in_itself", {"percent": percent})]
+        else:
+            lines = [Message("scene.reflects_in_itself", {"percent": percent})]
+        if self.matte:
+            lines.append(Message("scene.matte"))
+        elif self.view_dependence is not None:
+            glossy = self.view_dependence >= GLOSSY
+            lines.append(Message("scene.glossy") if glossy else Message("scene.hardly_glossy"))
         return lines
 
     @property
     def convex(self) -> bool:
         """Whether hardly a ray from the surface meets it again."""
         return self.self_visibility < 0.001
-
-    def _visibility(self) -> str:
-        if self.convex:
-            return "the object is convex"
-        if self.self_visibility < SECOND_BOUNCE:
-            return "little of the object reflects in itself"
-        return "the object reflects in itself"
 
     @property
     def matte(self) -> bool:
@@ -204,20 +205,22 @@ class SurfaceAnalysis:
 
     def plan(self, preset: Preset) -> Plan:
         """What stage 2 needs."""
-        p, skipped = preset.material, {}
+        p = preset.material
+        skipped: dict[str, Message] = {}
         if not preset.skip_needless:
             return Plan(preset, skipped)
+        why = Message("reason.convex") if self.convex else Message("reason.reflects_little_in_itself")
         if p.levels > 0 and self.self_visibility < HARDLY_SEES_ITSELF:
             p = replace(p, levels=0)
-            skipped["indirect light"] = self._visibility()
+            skipped[Part.INDIRECT_LIGHT] = why
         elif p.levels > 1 and self.self_visibility < SECOND_BOUNCE:
             p = replace(p, levels=1)
-            skipped["second bounces"] = self._visibility()
+            skipped[Part.SECOND_BOUNCES] = why
         if self.matte:
             kept = tuple(r for r in p.roughness_levels if r >= MATTE_FROM)
             if 2 <= len(kept) < len(p.roughness_levels):
                 p = replace(p, roughness_levels=kept, least_roughness=max(p.least_roughness, kept[0]))
-                skipped["narrow cones"] = "the object is matte: nothing in it mirrors"
+                skipped[Part.NARROW_CONES] = Message("reason.matte")
         return Plan(replace(preset, material=p), skipped)
 
 
@@ -225,8 +228,8 @@ def seconds_of_cones(whole: MaterialPreset, less: MaterialPreset, seconds: float
     """Seconds that the cones left out of `whole` would have taken, where those of `less` took `seconds`."""
     dropped_levels = len(whole.roughness_levels) - len(less.roughness_levels)
     left_out = {
-        "irradiance": whole.irradiance_cones - less.irradiance_cones,
-        "narrow cones": dropped_levels * whole.specular_cones,
+        str(Part.IRRADIANCE): whole.irradiance_cones - less.irradiance_cones,
+        str(Part.NARROW_CONES): dropped_levels * whole.specular_cones,
     }
     traced = less.irradiance_cones + len(less.roughness_levels) * less.specular_cones
     return {what: seconds * cones / traced for what, cones in left_out.items() if cones}
@@ -292,8 +295,9 @@ def _spread(tracer: RayTracer, count: int, rng: np.random.Generator) -> tuple[np
     return face, np.stack([1 - u, u * (1 - v), u * v], 1)
 
 
-def _percent(share: float) -> str:
-    return f"{100 * share:.1f} %" if share < 0.1 else f"{100 * share:.0f} %"
+def _percent(share: float) -> float:
+    """Rounded to a whole number, or below 10 % to a tenth."""
+    return round(100 * share, 1 if share < 0.1 else 0)
 
 
 def _rounded(facts: dict) -> dict:

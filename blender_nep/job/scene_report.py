@@ -2,29 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
 from blender_nep.job.events import Events
 from blender_nep.job.scene_analysis import Plan, SceneAnalysis, SurfaceAnalysis
+from blender_nep.messages import Message, Part
 
 if TYPE_CHECKING:
     from blender_nep.capture import PixelRays
-
-_IN_PLAIN_WORDS = {
-    "environment field": "the surroundings",
-    "mask term": "comparing with masks",
-    "surface extraction": "making a mesh",
-    "object field": "learning the shape",
-    "irradiance": "diffuse light",
-    "indirect light": "reflections of the object in itself",
-    "second bounces": "light that the object reflects twice",
-    "narrow cones": "sharp reflections",
-    "residual": "light that no photo shows",
-    "further steps of both fields": "the rest of learning shape and light",
-    "material boundaries": "boundaries between materials",
-    "votes of all pixels": "asking every pixel for its material",
-}
-"""What is left out, as told to an artist; the report has the method's own words."""
 
 
 class SceneReport:
@@ -33,8 +19,8 @@ class SceneReport:
     def __init__(self, events: Events) -> None:
         self._events = events
         self.facts: dict[str, dict] = {}
-        self.sentences: list[str] = []
-        self.skipped: dict[str, str] = {}
+        self.sentences: list[Message] = []
+        self.skipped: dict[str, Message] = {}
         """{what: why}"""
         self.seconds_saved: dict[str, float] = {}
         """{what: seconds}, only where this very run measured what a part of it takes"""
@@ -49,13 +35,14 @@ class SceneReport:
     def left_out(self, rays: PixelRays, *, masks_ignored: bool, mesh_given: bool) -> None:
         """What there is nothing to do for, whatever the settings."""
         if rays.mask is None:
-            self.skipped["mask term"] = "masks are ignored (--masks ignore)" if masks_ignored else "the capture has no masks"
+            why = Message("reason.masks_ignored") if masks_ignored else Message("reason.no_masks")
+            self.skipped[Part.MASK_TERM] = why
         if rays.background and len(rays.outside) == 0:
-            self.skipped["pixels outside the sphere"] = "the sphere fills all photos"
+            self.skipped[Part.PIXELS_OUTSIDE] = Message("reason.sphere_fills_photos")
         if mesh_given:
-            self.skipped["surface extraction"] = "a mesh was given (--mesh)"
+            self.skipped[Part.SURFACE_EXTRACTION] = Message("reason.mesh_given")
 
-    def skip(self, skipped: dict[str, str], seconds: dict[str, float]) -> None:
+    def skip(self, skipped: Mapping[str, Message], seconds: Mapping[str, float]) -> None:
         """What a stage has left out by itself; what was left out before keeps its reason."""
         new = {what: why for what, why in skipped.items() if what not in self.skipped}
         self.skipped |= new
@@ -63,38 +50,40 @@ class SceneReport:
         if new or seconds:
             self._tell(_lines(new, seconds))
 
-    def stopped_early(self, steps: int, of_steps: int, seconds: float) -> None:
-        """Stage 1 has taken `steps` steps in `seconds`, of as many as the preset allows."""
-        if steps < of_steps:
-            self.skip(
-                {"further steps of both fields": "the error on held-out pixels did not fall any more"},
-                {"further steps of both fields": seconds * (of_steps - steps) / steps},
-            )
+    def stopped_early(self, steps_saved: float, seconds: float) -> None:
+        """Stage 1 took so many seconds; all steps that the preset allows would be this share more."""
+        if steps_saved > 0:
+            part = Part.FURTHER_STEPS
+            self.skip({part: Message("reason.plateaued")}, {part: seconds * steps_saved})
 
     def report(self) -> dict:
         """For report.json."""
         return {
-            "scene": {**self.facts, "sentences": self.sentences},
-            "skipped": self.skipped,
+            "scene": {**self.facts, "sentences": [line.told() for line in self.sentences]},
+            "skipped": {part: why.told() for part, why in self.skipped.items()},
             "skipped_seconds": self.seconds_saved,
         }
 
-    def _tell(self, new: list[str]) -> None:
+    def _tell(self, new: list[Message]) -> None:
         for line in new:
             self._events.say(f"  {line}")
         self._events.scene(self.sentences + _lines(self.skipped, self.seconds_saved))
 
 
-def _lines(skipped: dict[str, str], seconds: dict[str, float]) -> list[str]:
+def _lines(skipped: Mapping[str, Message], seconds: Mapping[str, float]) -> list[Message]:
     """A sentence for each reason."""
-    reasons: dict[str, list[str]] = {}
-    for what, why in skipped.items():
-        reasons.setdefault(why, []).append(what)
+    reasons: list[tuple[Message, list[str]]] = []
+    for part, why in skipped.items():
+        parts = next((parts for reason, parts in reasons if reason == why), None)
+        if parts is None:
+            reasons.append((why, [str(part)]))
+        else:
+            parts.append(str(part))
     lines = []
-    for why, parts in reasons.items():
-        saved = sum(seconds.get(what, 0.0) for what in parts)
-        lines.append(
-            f"Left out: {', '.join(_IN_PLAIN_WORDS.get(what, what) for what in parts)}, because {why}"
-            + (f" (saves about {saved:.0f} s)." if saved >= 0.5 else ".")
-        )
+    for why, parts in reasons:
+        saved = sum(seconds.get(part, 0.0) for part in parts)
+        if saved >= 0.5:
+            lines.append(Message("scene.left_out_saving", {"parts": parts, "reason": why, "seconds": saved}))
+        else:
+            lines.append(Message("scene.left_out", {"parts": parts, "reason": why}))
     return lines

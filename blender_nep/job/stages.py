@@ -1,88 +1,241 @@
-"""The long stages of a job behind one name each, and their results as plain dicts for the disk.
+"""The stages of a job as objects, each with a name, its expected seconds, and `run`; what a stage needs is passed to it.
 
-Imported when a stage is entered: `blender-nep info` and the first error messages do not wait for them.
+The results of the three long stages are kept on the disk: `pack` makes a plain dict of a result, and `unpack` is its
+inverse. The libraries of a stage are imported when the stage is entered: `blender-nep info` and the first error messages do
+not wait for them.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Protocol, TypeVar
 
 import torch
 
+from blender_nep.job.stage_names import StageName
+
 if TYPE_CHECKING:
     from blender_nep.capture import Capture, PixelRays
-    from blender_nep.fields.training import Fields
+    from blender_nep.checkpoints import Checkpoint
+    from blender_nep.fields.environment_field import EnvironmentField
+    from blender_nep.fields.object_field import ObjectField
+    from blender_nep.fields.training import Fields, FieldsLearning
     from blender_nep.geometry.mesh import Surface
     from blender_nep.materials.training import Materials
-    from blender_nep.presets import Preset, SurfacePreset
+    from blender_nep.presets import MaterialPreset, Preset, SurfacePreset
+
+Given = TypeVar("Given", contravariant=True)
+Result = TypeVar("Result")
+
+CAPTURE_SECONDS, ASSET_SECONDS = 5.0, 10.0
+"""First guesses of the short stages; those of the long ones are in the preset."""
 
 
-class Stages:
-    """What a job calls; a test may put its own in place."""
+class Progress(Protocol):
+    """How a stage tells of its steps. Raises Stopped when a stop was asked for and the checkpoint is written."""
 
-    def learn_fields(self, rays: PixelRays, preset: Preset, **keywords: Any) -> Fields:
-        """Stage 1; with surface=... F_e alone."""
+    def __call__(self, step: int, steps: int, loss: float | None = None, **extra: Any) -> None: ...
+
+
+class Stage(Protocol[Given, Result]):
+    """A stage whose result is kept on the disk."""
+
+    name: StageName
+
+    def expected_seconds(self, preset: Preset) -> float:
+        """A first guess."""
+        ...
+
+    def run(self, given: Given, progress: Progress, checkpoint: Checkpoint) -> Result:
+        """Do the work, or go on from the checkpoint. Raises NepError and its kinds."""
+        ...
+
+    def pack(self, result: Result) -> dict:
+        """The result as a dict of tensors, arrays, numbers and strings."""
+        ...
+
+    def unpack(self, state: dict, given: Given) -> Result:
+        """The inverse of `pack`."""
+        ...
+
+
+@dataclass(frozen=True)
+class FieldsInput:
+    """What stage 1 needs."""
+
+    rays: PixelRays
+    preset: Preset
+    seed: int
+    device: torch.device
+    surface: Surface | None = None
+    """A given mesh: then F_e is learned alone."""
+    watch: Callable[[FieldsLearning], None] | None = None
+    """Is called after every step and may only look."""
+
+
+class FieldsStage:
+    """Stage 1: F_o and F_e."""
+
+    name = StageName.FIELDS_LEARNING
+
+    def expected_seconds(self, preset: Preset) -> float:
+        return preset.fields_seconds
+
+    def run(self, given: FieldsInput, progress: Progress, checkpoint: Checkpoint) -> Fields:
         from blender_nep.fields.training import learn_fields
 
-        return learn_fields(rays, preset, **keywords)
+        return learn_fields(
+            given.rays,
+            given.preset,
+            seed=given.seed,
+            device=given.device,
+            progress=progress,
+            checkpoint=checkpoint,
+            surface=given.surface,
+            watch=given.watch,
+        )
 
-    def pack_fields(self, fields: Fields) -> dict:
-        """Fields as a dict of tensors and numbers."""
-        return fields.state()
+    def pack(self, result: Fields) -> dict:
+        return result.state()
 
-    def unpack_fields(self, state: dict, preset: Preset, device: torch.device) -> Fields:
-        """The inverse of pack_fields."""
+    def unpack(self, state: dict, given: FieldsInput) -> Fields:
         from blender_nep.fields.training import Fields
 
-        return Fields.from_state(state, preset, device)
+        return Fields.from_state(state, given.preset, given.device)
 
-    def load_surface(self, mesh: Path, capture: Capture, preset: SurfacePreset) -> Surface:
-        """The mesh of --mesh."""
-        from blender_nep.surface.mesh_file import load_surface
 
-        return load_surface(mesh, capture, preset)
+@dataclass(frozen=True)
+class SurfaceInput:
+    """What the surface stage needs: the file of a given mesh, or else the object field."""
 
-    def extract_surface(self, object_field: Any, preset: SurfacePreset) -> tuple[Surface, dict]:
-        """The mesh of the object field."""
+    capture: Capture
+    preset: SurfacePreset
+    mesh: Path | None = None
+    object_field: ObjectField | None = None
+
+
+@dataclass(frozen=True)
+class SurfaceResult:
+    """The mesh, and a report on how it was made."""
+
+    surface: Surface
+    report: dict = field(default_factory=dict)
+
+
+class SurfaceStage:
+    """The mesh: extracted from the object field, or the one that was given (--mesh)."""
+
+    name = StageName.SURFACE
+
+    def expected_seconds(self, preset: Preset) -> float:
+        return preset.surface_seconds
+
+    def run(self, given: SurfaceInput, progress: Progress, checkpoint: Checkpoint) -> SurfaceResult:
+        if given.mesh is not None:
+            from blender_nep.surface.mesh_file import load_surface
+
+            return SurfaceResult(load_surface(given.mesh, given.capture, given.preset))
         from blender_nep.surface.extraction import extract_surface
 
-        return extract_surface(object_field, preset)
+        assert given.object_field is not None, "a stage 1 without a given mesh learns the object field"
+        return SurfaceResult(*extract_surface(given.object_field, given.preset))
 
-    def pack_surface(self, result: tuple[Surface, dict]) -> dict:
-        """A surface and its report as a dict."""
-        surface, report = result
-        arrays = {k: getattr(surface, k) for k in ("vertices", "faces", "normals", "uv")}
-        return {"arrays": arrays, "report": report}
+    def pack(self, result: SurfaceResult) -> dict:
+        arrays = {k: getattr(result.surface, k) for k in ("vertices", "faces", "normals", "uv")}
+        return {"arrays": arrays, "report": result.report}
 
-    def unpack_surface(self, state: dict) -> tuple[Surface, dict]:
-        """The inverse of pack_surface."""
+    def unpack(self, state: dict, given: SurfaceInput) -> SurfaceResult:
         from blender_nep.geometry.mesh import Surface
 
-        return Surface(**state["arrays"]), state["report"]
+        return SurfaceResult(Surface(**state["arrays"]), state["report"])
 
-    def learn_materials(self, surface: Surface, environment: Any, rays: PixelRays, preset: Any, **keywords: Any) -> Any:
-        """Stage 2."""
+
+@dataclass(frozen=True)
+class MaterialsInput:
+    """What stage 2 needs."""
+
+    surface: Surface
+    environment: EnvironmentField
+    rays: PixelRays
+    preset: MaterialPreset
+    seed: int
+    device: torch.device
+
+
+class MaterialsStage:
+    """Stage 2: textures."""
+
+    name = StageName.MATERIAL_LEARNING
+
+    def expected_seconds(self, preset: Preset) -> float:
+        return preset.material_seconds
+
+    def run(self, given: MaterialsInput, progress: Progress, checkpoint: Checkpoint) -> Materials:
         from blender_nep.materials.training import learn_materials
 
-        return learn_materials(surface, environment, rays, preset, **keywords)
+        return learn_materials(
+            given.surface,
+            given.environment,
+            given.rays,
+            given.preset,
+            seed=given.seed,
+            device=given.device,
+            progress=progress,
+            checkpoint=checkpoint,
+        )
 
-    def pack_materials(self, materials: Materials) -> dict:
-        """Textures and report as a dict."""
-        textures = {k: getattr(materials, k) for k in ("albedo", "roughness", "metallic", "confidence")}
-        unseen = materials.unseen.state() if materials.unseen is not None else None
-        return {"textures": textures, "unseen": unseen, "report": materials.report}
+    def pack(self, result: Materials) -> dict:
+        textures = {k: getattr(result, k) for k in ("albedo", "roughness", "metallic", "confidence")}
+        unseen = result.unseen.state() if result.unseen is not None else None
+        return {"textures": textures, "unseen": unseen, "report": result.report}
 
-    def unpack_materials(self, state: dict) -> Materials:
-        """The inverse of pack_materials."""
+    def unpack(self, state: dict, given: MaterialsInput) -> Materials:
         from blender_nep.materials.training import Materials
         from blender_nep.shading.unseen_light import UnseenLight
 
         unseen = UnseenLight.from_state(state["unseen"]) if state["unseen"] is not None else None
         return Materials(**state["textures"], unseen=unseen, report=state["report"])
 
-    def write_asset(self, *arguments: Any) -> None:
-        """The asset folder."""
+
+@dataclass(frozen=True)
+class AssetInput:
+    """What is written as the asset."""
+
+    folder: Path
+    capture: Capture
+    rays: PixelRays
+    surface: Surface
+    materials: Materials
+    light: tuple[torch.Tensor, torch.Tensor]
+    """Radiance [H, 2H, 3] and coverage [H, 2H] of the environment map"""
+    report: Callable[[], dict]
+    """Is called last, when everything else is on the disk."""
+
+
+class AssetStage:
+    """The asset folder. Its result is the asset itself, so that there is nothing to pack."""
+
+    name = StageName.ASSET
+
+    def run(self, given: AssetInput) -> None:
+        """Write all files. Raises OutputError."""
         from blender_nep.asset.export import write_asset
 
-        write_asset(*arguments)
+        write_asset(given.folder, given.capture, given.rays, given.surface, given.materials, given.light, given.report)
+
+
+@dataclass
+class Stages:
+    """What a job runs after it has read the photos; a test or a benchmark may put its own in place."""
+
+    fields: Stage[FieldsInput, Fields] = field(default_factory=FieldsStage)
+    surface: Stage[SurfaceInput, SurfaceResult] = field(default_factory=SurfaceStage)
+    materials: Stage[MaterialsInput, Materials] = field(default_factory=MaterialsStage)
+    asset: AssetStage = field(default_factory=AssetStage)
+
+    def expected_seconds(self, preset: Preset) -> dict[StageName, float]:
+        """A first guess for every stage of a job."""
+        long = {stage.name: stage.expected_seconds(preset) for stage in (self.fields, self.surface, self.materials)}
+        return {StageName.CAPTURE: CAPTURE_SECONDS, **long, StageName.ASSET: ASSET_SECONDS}

@@ -25,6 +25,7 @@ from blender_nep.materials.palette import Palette
 from blender_nep.materials.palette_search import PaletteSearch
 from blender_nep.materials.photo_samples import PhotoSamples, select_samples
 from blender_nep.materials.unseen_light_training import learn_unseen_light
+from blender_nep.messages import Message, Part
 from blender_nep.profiling import profiled
 from blender_nep.shading.incoming_light import IncomingLight
 from blender_nep.shading.plenoptic import PlenopticFunction, TerminalRadiance
@@ -38,7 +39,6 @@ if TYPE_CHECKING:
 
 _NO_LIGHT = 0.02
 """Share of the light below which photos show none of it."""
-_ASKING = "asking again whether it is metal"
 
 
 @dataclass
@@ -147,13 +147,14 @@ class _MaterialLearner:
         self._clock("textures")
         if size < wanted:
             self._skip(
-                "fine textures",
-                "one material explains the photos",
+                Part.FINE_TEXTURES,
+                Message("reason.one_material"),
                 self.report["seconds"]["textures"] * ((wanted / size) ** 2 - 1),
             )
         self._step(100)
         if not all(np.isfinite(x).all() for x in textures):
-            raise LearningError("material learning diverged: its textures are not finite", "try another --seed")
+            message = "material learning diverged: its textures are not finite"
+            raise LearningError(message, "try another --seed", "learning.diverged")
         return Materials(*textures, self.light.unseen, self.report)
 
     def _gather_light(self) -> None:
@@ -190,8 +191,8 @@ class _MaterialLearner:
         if len(self.preset.metallic) == 1:
             return None
         if self.sure_of is not None and torch.equal(self.sure_of, self.search.palette.metallic):
-            before = self.report.get("seconds_saved", {}).get(_ASKING, 0.0)
-            self._skip(_ASKING, "the photos have told it clearly", before + self.asking)
+            before = self.report.get("seconds_saved", {}).get(Part.METAL_AGAIN, 0.0)
+            self._skip(Part.METAL_AGAIN, Message("reason.metal_known"), before + self.asking)
             return None
         return self.search.metallic_swapped()
 
@@ -240,8 +241,7 @@ class _MaterialLearner:
         uncovered = float(1 - light.coverage.mean())
         self.report["light_not_in_photos"] = round(uncovered, 4)
         if not p.residual or uncovered < 0.005:
-            why = "all light that matters was seen by the photos" if p.residual else "turned off by the preset"
-            self._skip("residual", why)
+            self._skip(Part.RESIDUAL, Message("reason.light_seen") if p.residual else Message("reason.preset"))
             return
         if light.unseen is None:
             self._add_unseen_light(0.0)
@@ -270,14 +270,14 @@ class _MaterialLearner:
         search, tracer, normals = self.search, self.f_p.tracer, self.surface.normals
         of_samples = labelled_samples(search)
         if len(search.palette) == 1:
-            self._skip("votes of all pixels", "one material explains the photos")
+            self._skip(Part.VOTES, Message("reason.one_material"))
             return of_samples
         samples, shown = surfels(self.samples, tracer, normals), search.shown()
         error = error_of_neighbours(search, samples, shown)
         self.report["neighbours_error"] = round(error, 4)
         if error <= np.median(of_samples.residual):
             return labelled_pixels(search, samples, shown, self.rays, tracer, normals, self.seed)
-        self._skip("votes of all pixels", "light changes too fast between the samples of a photo")
+        self._skip(Part.VOTES, Message("reason.light_changes_fast"))
         return of_samples
 
     def _footprint(self, rays: PixelRays) -> float:
@@ -305,14 +305,14 @@ class _MaterialLearner:
         hits = len(self.light.hit_index)
         self.report["self_reflection_rays"] = hits
         if hits == 0:
-            self._skip("indirect light", "nothing of the object reflects in itself")
+            self._skip(Part.INDIRECT_LIGHT, Message("reason.no_self_reflection"))
         if len(palette) == 1:
-            self._skip("material boundaries", "one material explains the photos")
+            self._skip(Part.MATERIAL_BOUNDARIES, Message("reason.one_material"))
 
-    def _skip(self, what: str, why: str, seconds: float | None = None) -> None:
-        self.report.setdefault("skipped", {})[what] = why
+    def _skip(self, what: Part, why: Message, seconds: float | None = None) -> None:
+        self.report.setdefault("skipped", {})[str(what)] = why.state()
         if seconds is not None:
-            self.report.setdefault("seconds_saved", {})[what] = round(seconds, 2)
+            self.report.setdefault("seconds_saved", {})[str(what)] = round(seconds, 2)
 
     def _step(self, step: int) -> None:
         self.done = step

@@ -83,7 +83,8 @@ def zero_level(sdf: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Marching cubes over [-1,1]^3 of an SDF [n,n,n] intersected with the unit sphere (which caps what it cuts)."""
     n = sdf.shape[0]
     if not np.isfinite(sdf).all():
-        raise LearningError("the object field diverged: its SDF is not finite", "try another --seed or a milder preset")
+        hint = "try another --seed or a milder preset"
+        raise LearningError("the object field diverged: its SDF is not finite", hint, "learning.diverged")
     axis = np.linspace(-1, 1, n, dtype=np.float32)
     squared = axis * axis
     radius = np.sqrt(squared[:, None, None] + squared[None, :, None] + squared[None, None, :])
@@ -93,9 +94,9 @@ def zero_level(sdf: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         "or use masks, or a longer preset"
     )
     if cropped.min() >= 0:
-        raise LearningError("no surface was found: the object field is empty inside the sphere", hint)
+        raise LearningError("no surface was found: the object field is empty inside the sphere", hint, "learning.no_surface")
     if sdf[radius < _BORDER].max() <= 0:
-        raise LearningError("no surface was found: the object field fills the whole sphere", hint)
+        raise LearningError("no surface was found: the object field fills the whole sphere", hint, "learning.no_surface")
     vertices, faces, _, _ = measure.marching_cubes(cropped, 0.0)
     return vertices.astype(np.float64) * (2 / (n - 1)) - 1, faces.astype(np.int64)
 

@@ -117,6 +117,8 @@ def test_a_job_runs_beside_blender_and_brings_its_object(folders):
 def check_life_of_a_job(folder):
     bpy, addon, _settings = set_up(folder)
 
+    from nep_addon.backend.engine.words import Said
+
     def texts_with(words: str) -> list[str]:
         return [text for text in drawn(bpy, addon) if words in text]
 
@@ -136,7 +138,8 @@ def check_life_of_a_job(folder):
     rounds(addon, lambda: job.ended and not job.import_when_ended)
     assert job.failed is None and meshes(bpy) == ["out"] and not addon.imported_result.has_new_result(bpy.context.scene)
     assert addon.clock.tick() is None, "the timer rests"
-    assert "Masks are there and are used." in job.scene_analysis and job.scene_analysis[-1].startswith("Left out: ")
+    assert Said("scene.masks_used", {}, "Masks are there and are used.") in job.scene_analysis
+    assert job.scene_analysis[-1].code == "scene.left_out" and "Left out: " in job.scene_analysis[-1].words()
     assert "stage fields_learning" in log(bpy)
     bpy.context.scene.nep.preset = "preview"
     assert texts_with("on this machine") and not texts_with("for 60 small photos"), "measured"

@@ -17,7 +17,7 @@ from backend.engine import timings
 from backend.engine.command import NoEngineError, reconstruct_arguments
 from backend.engine.engine import Engine
 from backend.engine.job_files import EventFile, has_checkpoint, is_asset, is_running, read_job
-from backend.engine.progress import Progress, describe, duration, in_panel_words
+from backend.engine.progress import Progress, describe, duration
 from blender_nep.job.job_folder import Journal
 from support import ball_engine
 from support.paths import ROOT
@@ -233,7 +233,7 @@ def test_expected_time_is_learned_from_assets(tmp_path):
 
 
 def test_words_for_people():
-    event = {"event": "progress", "room": "fields_learning", "step": 2, "steps": 9, "fraction": 0.5, "eta_s": 75}
+    event = {"event": "progress", "stage": "fields_learning", "step": 2, "steps": 9, "fraction": 0.5, "eta_s": 75}
     assert describe(event) == " 50 %  Learning shape and light  Step 2 of 9  about 1 min 20 s left"
     assert Progress.of({"event": "progress", "fraction": None, "eta_s": None}).lines() == [""]
     assert [duration(s) for s in (1, 44, 299, 300, 3600, 5400)] == [
@@ -244,8 +244,5 @@ def test_words_for_people():
         "about 1 h",
         "about 1 h 30 min",
     ]
-    assert in_panel_words("say so by --metal yes or --metal no") == "Say so in Advanced > Material"
-    assert in_panel_words("Free some space, then go on with --resume.") == "Free some space, then go on with Resume."
-    assert in_panel_words("stopped (standard input was closed); the checkpoint is written") == (
-        "Stopped because Blender closed; the checkpoint is written"
-    )
+    noted = {"event": "progress", "stage": "surface", "steps": 1, "note": {"code": "progress.warming_up", "values": {}}}
+    assert Progress.of(noted).lines() == ["Making the mesh", "Warming up"]

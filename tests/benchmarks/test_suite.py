@@ -94,7 +94,7 @@ def test_a_stage_1_that_is_taken_over_is_what_the_job_finds_when_it_resumes(tmp_
         write_row(tmp_path / "other" / "report.json", {"fingerprint": made})
         assert _take_stage_1(tmp_path / "other", tmp_path / "asset", SUZANNE_SMALL, run, None) == taken
     folder = RunFolder(tmp_path / "asset", StopRequest(), print)
-    assert folder.begin(fingerprint(load_capture(SUZANNE_SMALL), run.changed_preset, 3, False, None), resume=True)
+    assert folder.can_be_resumed(fingerprint(load_capture(SUZANNE_SMALL), run.changed_preset, 3, False, None))
     assert folder.load_result("fields_learning") == ({"steps": 7}, 12.0) and folder.load_result("material_learning") is None
 
 

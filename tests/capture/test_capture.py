@@ -16,6 +16,7 @@ from blender_nep.capture.bounds import sphere_from_cameras
 from blender_nep.capture.photo_files import linear_to_srgb, open_image, srgb_to_linear
 from blender_nep.capture.summary import describe, summarise
 from blender_nep.errors import CaptureError
+from blender_nep.messages import Message
 from support.captures import CENTER, RADIUS, look_at, write_exr
 
 
@@ -150,7 +151,7 @@ def test_intrinsics_of_a_frame_win_and_rescale_with_the_photo(make_capture):
     capture = load_capture(tiny.save())
     camera = capture.views[1].camera
     assert (camera.width, camera.fl_x, camera.fl_y, camera.cx, camera.cy) == (24, 30.0, 31.0, 12.5, 11.5)
-    assert len(capture.warnings) == 1 and "rescaled" in capture.warnings[0]
+    assert [warning.code for warning in capture.warnings] == ["capture.photos_rescaled"]
 
 
 def test_sphere_from_cameras_finds_where_they_look():
@@ -210,7 +211,7 @@ def test_photos_from_the_same_place_are_told_and_two_places_are_refused(make_cap
     frames = tiny.meta["frames"]
     frames[4]["transform_matrix"] = frames[1]["transform_matrix"]
     tiny.save()
-    assert any("1 photos were taken from the same place" in w and "004" in w for w in load_capture(tiny.folder).warnings)
+    assert load_capture(tiny.folder).warnings == [Message("capture.same_place", {"count": 1, "names": ["004"]})]
     for i, frame in enumerate(frames):
         frame["transform_matrix"] = frames[i % 2]["transform_matrix"]
     with pytest.raises(CaptureError, match="only 2 different places"):
@@ -233,15 +234,17 @@ def test_some_bad_pixels_are_left_out_with_a_warning(make_capture):
     assert torch.isfinite(rays.radiance).all() and rays.radiance.min() == 0
     assert rays.radiance.max() == 6e4
     left_out, negative, blinding = rays.warnings
-    assert "2 pixels in 1 photos are NaN or Inf and are left out: 001.exr" in left_out
-    assert "1 pixels in 1 photos are negative" in negative and "1 pixels in 1 photos are brighter" in blinding
+    assert str(left_out) == "2 pixels in 1 photo are NaN or Inf and are left out: 001.exr"
+    assert str(negative) == "1 pixel in 1 photo is negative and is taken as 0: 001.exr"
+    assert str(blinding) == "1 pixel in 1 photo is brighter than 60000 and is taken as that: 001.exr"
 
 
 def test_a_black_photo_is_left_out(make_capture):
     tiny = make_capture(views=4)
     write_exr(tiny.folder / "images/002.exr", np.zeros((24, 24, 3), np.float32))
     rays = PixelRays.from_capture(load_capture(tiny.folder), 10**6, use_masks=False)
-    assert not rays.valid[rays.offset[2] : rays.offset[3]].any() and "002.exr" in rays.warnings[0]
+    assert not rays.valid[rays.offset[2] : rays.offset[3]].any()
+    assert rays.warnings == [Message("capture.photos_black", {"count": 1, "names": ["002.exr"]})]
 
 
 def test_unit_frame_and_back(make_capture):

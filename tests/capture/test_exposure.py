@@ -15,6 +15,7 @@ from blender_nep.geometry.ray_tracing import RayTracer
 from blender_nep.job.live_preview import render_pair
 from blender_nep.job.scene_analysis import SceneAnalysis, view_dependence
 from blender_nep.materials.photo_samples import select_samples
+from blender_nep.messages import Message
 from blender_nep.presets import preset
 from blender_nep.surface.mesh_file import load_surface
 from support.paths import SUZANNE_SMALL
@@ -78,7 +79,7 @@ def test_white_balance_alone_is_found_too(in_a_ball):
     rays = taken_with(in_a_ball, true)
     found = find_exposures(rays).gain
     assert difference(found, true) < TENTH_OF_A_STOP
-    assert "The photos differ in white balance, which is evened out." in SceneAnalysis.of(rays.with_gain(true)).sentences()
+    assert Message("scene.white_balance_differs") in SceneAnalysis.of(rays.with_gain(true)).sentences()
 
 
 def test_what_is_white_in_a_file_says_nothing(in_a_ball, monkeypatch):
@@ -118,7 +119,7 @@ def test_a_photo_that_shares_little_or_nothing_is_guessed_by_its_brightness_and_
     log = found.gain.log() - true.log()
     log = log - log[others].mean(0)
     assert float(log[others].square().mean().sqrt()) < TENTH_OF_A_STOP
-    assert "of 1 photos is a guess" in found.warning and found.gain.isfinite().all()
+    assert found.warning == Message("capture.exposure_guessed", {"count": 1}) and found.gain.isfinite().all()
     if shows:
         assert log[3].abs().max() < 0.7
 
@@ -136,9 +137,8 @@ def test_photos_are_read_as_of_one_exposure_and_the_scene_says_so(in_a_ball):
     assert torch.equal(in_a_ball.photo(index), in_a_ball.radiance[index])
     assert stops(true) == pytest.approx((true.log()[:, 0] / np.log(2)).tolist(), abs=0.006)
     spread = np.ptp(stops(true))
-    said = f"The photos differ in exposure (by up to {spread:.1f} stops), which is evened out."
-    assert said in SceneAnalysis.of(rays).sentences()
-    assert "exposure" not in " ".join(SceneAnalysis.of(in_a_ball).sentences())
+    assert Message("scene.exposure_differs", {"stops": spread}) in SceneAnalysis.of(rays).sentences()
+    assert "exposure" not in " ".join(line.code for line in SceneAnalysis.of(in_a_ball).sentences())
 
 
 def test_brightest_is_looked_for_once(in_a_ball):

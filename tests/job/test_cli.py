@@ -63,7 +63,8 @@ def test_info_of_a_bad_capture(make_capture, capsys):
     (tiny.folder / "images/000.exr").unlink()
     assert main(["info", str(tiny.folder), "--json"]) == 3
     out, err = capsys.readouterr()
-    assert json.loads(out)["error"]["code"] == 3 and "000.exr is missing" in err
+    told = json.loads(out)["error"]
+    assert told["code"] == 3 and told["name"] == "capture" and "000.exr is missing" in err
 
 
 def test_events_alone_are_on_stdout(tmp_path):

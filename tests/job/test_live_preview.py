@@ -3,6 +3,7 @@
 import io
 import json
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -11,6 +12,7 @@ from PIL import Image
 
 from blender_nep.capture import PixelRays, load_capture
 from blender_nep.checkpoints import NoCheckpoint
+from blender_nep.errors import LearningError
 from blender_nep.fields.training import learn_fields
 from blender_nep.job import live_preview
 from blender_nep.job.events import Events
@@ -31,6 +33,12 @@ def rays(capture):
     return PixelRays.from_capture(capture, 10_000, True, CPU)
 
 
+class EveryStep(LivePreview):
+    """A preview after every step."""
+
+    interval, share = 0.0, float("inf")
+
+
 def flat(value) -> dict:
     """A nested state as {path: tensor or number}."""
     if isinstance(value, dict):
@@ -41,8 +49,7 @@ def flat(value) -> dict:
 def test_learning_is_the_same_with_and_without(rays, capture, tmp_path, monkeypatch):
     monkeypatch.setattr(live_preview, "GRID", 24)
     protocol = io.StringIO()
-    watch = LivePreview(tmp_path, rays, capture.from_unit, Events(protocol))
-    watch.interval, watch._due, watch.share = 0.0, 0.0, float("inf")  # after every step
+    watch = EveryStep(tmp_path, rays, capture.from_unit, Events(protocol))
     preset = brief_preset(steps=12, least_explanation_ratio=0.0)
     fields = [
         learn_fields(rays, preset, seed=3, device=CPU, progress=lambda *_: None, checkpoint=NoCheckpoint(), **keywords)
@@ -71,12 +78,13 @@ def test_previews_keep_to_their_share_of_the_time(rays, capture, tmp_path, monke
     now, written = [0.0], []
     watch = LivePreview(tmp_path, rays, capture.from_unit, Events(), clock=lambda: now[0])
 
-    def write(_learning):
+    def slowly_find_nothing(_sdf):
         written.append(now[0])
         now[0] += 1.5
+        raise LearningError("no surface yet")
 
-    monkeypatch.setattr(watch, "_write", write)
-    learning = type("Learning", (), {"learned": 0})()
+    monkeypatch.setattr(live_preview, "zero_level", slowly_find_nothing)
+    learning = SimpleNamespace(learned=0, object_field=SimpleNamespace(sdf_grid=lambda _samples: None))
     for _ in range(300):
         watch(learning)
         learning.learned = 1
@@ -87,9 +95,8 @@ def test_previews_keep_to_their_share_of_the_time(rays, capture, tmp_path, monke
 def test_a_preview_that_fails_is_one_warning(rays, capture, tmp_path):
     (tmp_path / "job").write_text("a file where the folder should be")
     events = Events()
-    watch = LivePreview(tmp_path, rays, capture.from_unit, events)
-    watch._due = 0.0
+    watch = EveryStep(tmp_path, rays, capture.from_unit, events)
     preset = brief_preset(steps=4, background_steps=0, least_explanation_ratio=0.0)
     fields = learn_fields(rays, preset, seed=3, device=CPU, progress=lambda *_: None, checkpoint=NoCheckpoint(), watch=watch)
     assert fields.object_field is not None
-    assert len(events.warnings) == 1 and "no live preview" in events.warnings[0]
+    assert len(events.warnings) == 1 and events.warnings[0].code == "job.preview_ended"

@@ -6,10 +6,11 @@ import os
 
 import pytest
 
-from blender_nep import profiling as profile
 from blender_nep.cli import main
+from blender_nep.errors import OutputError
 from blender_nep.job import runner as job
 from blender_nep.job.events import Events
+from blender_nep.job.stage_names import StageName
 from blender_nep.presets import preset
 from blender_nep.profiling import Profile, profiled, section
 from blender_nep.stop_request import StopRequest
@@ -83,9 +84,13 @@ def test_the_flame_graph_holds_every_second_once(recorded, tmp_path):
     assert os.listdir(tmp_path) == ["profile.json"]
 
 
+def nothing_is_recorded() -> bool:
+    """Then there is one context that does nothing, whatever the name of the section."""
+    return section("a") is section("b")
+
+
 def test_nothing_is_recorded_when_nobody_asks():
-    assert profile._current is None
-    assert section("a") is section("b"), "one context that does nothing, whatever the name"
+    assert nothing_is_recorded()
 
 
 @pytest.mark.parametrize("asked", [False, True])
@@ -95,17 +100,17 @@ def test_a_job_says_where_its_time_went(make_capture, tmp_path, asked):
     assert job.run(settings, Events(None, human), StopRequest(), BallStages()) == 0
     report = json.loads((out / "report.json").read_text())
     assert (out / "profile.json").exists() == ("profile" in report) == ("CPU %" in human.getvalue()) == asked
-    assert profile._current is None
+    assert nothing_is_recorded()
     if asked:
         rows = {row["section"]: row["wall_s"] for row in report["profile"]}
         stages = [name for name in rows if name.count(" / ") == 1]
-        first, *others = job.STAGES
+        first, *others = StageName
         assert stages == [f"job / {name}" for name in (first, "scene analysis", *others)]
         assert 0 < sum(rows[stage] for stage in stages) <= rows["job"] + 0.01
         assert rows["job / capture / decode photos"] <= rows["job / capture"]
         with pytest.MonkeyPatch.context() as patch:
             patch.setattr("blender_nep.files.os.replace", _full_disk)
-            with pytest.raises(job.OutputError, match="disk is full"):
+            with pytest.raises(OutputError, match="disk is full"):
                 Profile().write(out / "profile.json")
         assert json.loads((out / "profile.json").read_text())["profiles"], "the old file stays whole"
 

@@ -28,6 +28,10 @@ def look(tiny, use_masks=True) -> tuple[SceneAnalysis, PixelRays]:
     return SceneAnalysis.of(rays), rays
 
 
+def codes(found: SceneAnalysis | SurfaceAnalysis) -> list[str]:
+    return [line.code for line in found.sentences()]
+
+
 def test_how_much_of_the_photos_the_sphere_and_the_object_fill(make_capture):
     found, _ = look(make_capture(masks=True, size=96))
     # the outlines of balls in the middle of a photo: discs of f tan(asin(r / distance)) pixels
@@ -36,13 +40,13 @@ def test_how_much_of_the_photos_the_sphere_and_the_object_fill(make_capture):
     assert found.object_share == pytest.approx((ball / sphere) ** 2, rel=0.03)
     assert found.pixels_across == pytest.approx(2 * focal * RADIUS / 2.5, rel=0.08)
     assert found.photos == 6 and found.masks and found.backdrop
-    lines = " ".join(found.sentences())
+    lines = " ".join(map(str, found.sentences()))
     assert "52 %" in lines and "Masks are there" in lines and "surroundings" in lines
 
 
 def test_masks_that_are_ignored_are_not_seen(make_capture):
     found, _ = look(make_capture(masks=True), use_masks=False)
-    assert not found.masks and found.object_share is None and "No masks" in found.sentences()[1]
+    assert not found.masks and found.object_share is None and found.sentences()[1].code == "scene.masks_not_used"
 
 
 @pytest.mark.parametrize("white", [0, 20])
@@ -58,7 +62,7 @@ def test_the_clipped_share_is_that_of_the_object(make_capture, white):
         Image.fromarray(photo).save(file)
     found, _ = look(tiny)
     assert found.clipped == pytest.approx(white * 6 / shown)
-    assert ("are burnt out" in " ".join(found.sentences())) == bool(white)
+    assert ("scene.object_clipped" in codes(found)) == bool(white)
 
 
 @pytest.mark.parametrize(("top", "clipped"), [(7.0, False), (3.0, True)])
@@ -70,14 +74,14 @@ def test_a_high_range_that_was_cut_off_is_seen(make_capture, top, clipped):
         write_exr(tiny.folder / frame["file_path"], photo)
     found, _ = look(tiny)
     assert found.brightest == pytest.approx(min(top, 6.75), rel=0.01)
-    assert (found.clipped > 0.05) == clipped and ("HDR" in " ".join(found.sentences())) != clipped
+    assert (found.clipped > 0.05) == clipped and ("scene.high_range" in codes(found)) != clipped
 
 
 def test_cut_outs_learn_no_environment(make_capture):
     found, rays = look(make_capture(alpha=True, size=48))
     plan = found.plan(preset("preview"))
     assert not found.backdrop and plan.preset.environment.model == "none" and "environment field" in plan.skipped
-    assert "cut-outs" in found.sentences()[0]
+    assert codes(found)[0] == "scene.cut_outs"
     learning = FieldsLearning(rays, plan.preset, 0, CPU)
     before = learning.environment.raw.detach().clone()
     first = learning.object_field.state_dict()["surface_head.0.weight"].clone()
@@ -120,7 +124,7 @@ def test_a_convex_body_needs_no_indirect_light_and_a_ring_does(make_capture):
     ball, ring = ball_surface(), trimesh.creation.torus(0.6, 0.25)
     ring = Surface(np.asarray(ring.vertices), np.asarray(ring.faces), np.asarray(ring.vertex_normals))
     convex, hollow = (SurfaceAnalysis.of(surface, rays) for surface in (ball, ring))
-    assert convex.self_visibility == 0 and "convex" in convex.sentences()[0]
+    assert convex.self_visibility == 0 and codes(convex)[0] == "scene.convex"
     plan = convex.plan(preset("preview"))
     assert plan.preset.material.levels == 0 and "indirect light" in plan.skipped
     assert hollow.self_visibility > 0.05
@@ -158,7 +162,7 @@ def test_chalk_and_mirror_are_told_apart(make_capture, matte):
     vertices = np.asarray(ball.vertices)
     found = SurfaceAnalysis.of(Surface(vertices, np.asarray(ball.faces), vertices * RADIUS / 0.5), rays)
     assert (found.view_dependence < 0.05) if matte else (found.view_dependence > 0.2)
-    assert ("matte" if matte else "glossy") in found.sentences()[1]
+    assert codes(found)[1] == ("scene.matte" if matte else "scene.glossy")
 
 
 def test_nothing_is_left_out_where_that_is_turned_off(make_capture):

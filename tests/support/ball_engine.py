@@ -22,14 +22,15 @@ from blender_nep.job import runner as job
 from blender_nep.checkpoints import Checkpoint
 
 class Stages(BallStages):
-    def learn_fields(self, *arguments, watch=None, **keywords):
+    def learn_fields(self, given, *how):
+        watch = given.watch
         if watch is not None:
             ball = ball_surface()
             np.savez(watch.path / "preview.npz", vertices=ball.vertices.astype("f"), faces=ball.faces.astype("i"))
             Image.new("RGB", (64, 32), (200, 100, 50)).save(watch.path / "preview.png")
             for name in ("preview.npz", "preview.png"):
                 watch.events.preview(watch.path / name)
-        return super().learn_fields(*arguments, **keywords)
+        return super().learn_fields(given, *how)
 
 delay = float(os.environ.get("BALL_DELAY", 0))
 Checkpoint.interval = 0.1

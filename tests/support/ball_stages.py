@@ -10,15 +10,61 @@ import trimesh
 
 from blender_nep.errors import LearningError
 from blender_nep.geometry.mesh import Surface
-from blender_nep.job.stages import Stages
+from blender_nep.job.stages import FieldsStage, MaterialsStage, Stages, SurfaceResult, SurfaceStage
 from blender_nep.materials.training import Materials
+from blender_nep.messages import Message, Part
 from support.captures import RADIUS
+
+WHY = Message("reason.one_material")
+"""Why stage 1 says that it leaves something out."""
+
+
+class BallFields(FieldsStage):
+    """Stage 1; a test may replace `learn_fields` of the stages."""
+
+    def __init__(self, ball: BallStages) -> None:
+        self.ball = ball
+
+    def run(self, given, progress, checkpoint):
+        return self.ball.learn_fields(given, progress, checkpoint)
+
+    def pack(self, result):
+        return {"report": result.report}
+
+    def unpack(self, state, given):
+        return SimpleNamespace(object_field="ball", environment=GreyLight(), report=state["report"])
+
+
+class BallSurface(SurfaceStage):
+    """The ball as a mesh."""
+
+    def __init__(self, ball: BallStages) -> None:
+        self.ball = ball
+
+    def run(self, given, progress, checkpoint):
+        if given.mesh is not None:
+            return SurfaceResult(ball_surface())
+        self.ball.entered.append("surface")
+        if given.object_field != "ball":
+            raise LearningError("no surface")
+        return SurfaceResult(ball_surface(), {"faces": 80})
+
+
+class BallMaterials(MaterialsStage):
+    """Stage 2; a test may replace `learn_materials` of the stages."""
+
+    def __init__(self, ball: BallStages) -> None:
+        self.ball = ball
+
+    def run(self, given, progress, checkpoint):
+        return self.ball.learn_materials(given, progress, checkpoint)
 
 
 class BallStages(Stages):
     """Stages that know the answer, a grey ball, and count steps instead of learning."""
 
     def __init__(self, steps: int = 5, on_step=None, fail: Exception | None = None) -> None:
+        super().__init__(BallFields(self), BallSurface(self), BallMaterials(self))
         self.steps, self.on_step, self.fail = steps, on_step, fail
         self.entered: list[str] = []
         self.started_at: dict[str, int] = {}
@@ -35,29 +81,14 @@ class BallStages(Stages):
             progress(step + 1, self.steps, 1.0 / (step + 1))
         return self.steps
 
-    def learn_fields(self, rays, preset, *, seed, device, progress, checkpoint, surface=None):
+    def learn_fields(self, given, progress, checkpoint):
         self._loop("fields_learning", progress, checkpoint)
         if self.fail is not None:
             raise self.fail
-        report = {"loss": 0.1, "skipped": {"nothing": "a test"}}
+        report = {"loss": 0.1, "skipped": {str(Part.VOTES): WHY.state()}}
         return SimpleNamespace(object_field="ball", environment=GreyLight(), report=report)
 
-    def pack_fields(self, fields):
-        return {"report": fields.report}
-
-    def unpack_fields(self, state, preset, device):
-        return SimpleNamespace(object_field="ball", environment=GreyLight(), report=state["report"])
-
-    def extract_surface(self, object_field, preset):
-        self.entered.append("surface")
-        if object_field != "ball":
-            raise LearningError("no surface")
-        return ball_surface(), {"faces": 80}
-
-    def load_surface(self, mesh, capture, preset):
-        return ball_surface()
-
-    def learn_materials(self, surface, environment, rays, preset, *, seed, device, progress, checkpoint):
+    def learn_materials(self, given, progress, checkpoint):
         self._loop("material_learning", progress, checkpoint)
         return Materials(**ball_textures(), report={"texels": 64})
 

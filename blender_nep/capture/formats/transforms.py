@@ -12,11 +12,12 @@ from pathlib import Path
 
 import numpy as np
 
-from blender_nep.capture.bounds import check_sphere, shortened, sphere_from_cameras, sphere_from_masks
+from blender_nep.capture.bounds import check_sphere, sphere_from_cameras, sphere_from_masks
 from blender_nep.capture.camera import Camera
 from blender_nep.capture.capture import Capture, View
 from blender_nep.capture.photo_files import SUFFIXES, find_image, image_size
 from blender_nep.errors import CaptureError
+from blender_nep.messages import Message
 
 MINIMUM_VIEWS = 3
 """With fewer photos, neither the shape nor the surroundings are determined: two views cannot even contradict."""
@@ -38,7 +39,7 @@ def load_capture(
     """
     folder = Path(folder)
     meta = _read_json(folder, transforms)
-    warnings: list[str] = []
+    warnings: list[Message] = []
     frames = meta.get("frames")
     if not isinstance(frames, list) or not frames:
         raise CaptureError(f"{transforms} lists no frames", "It needs a list 'frames' with file_path and transform_matrix.")
@@ -51,10 +52,7 @@ def load_capture(
     rescaled: list[str] = []
     views = [_view(folder, meta, frame, n, rescaled) for n, frame in enumerate(frames)]
     if rescaled:
-        warnings.append(
-            f"{len(rescaled)} photos differ in size from the declared w x h (same aspect; intrinsics rescaled): "
-            + shortened(rescaled)
-        )
+        warnings.append(Message("capture.photos_rescaled", {"count": len(rescaled), "names": rescaled}))
     _check_places(views, warnings)
     color_space = _color_space(meta, views, warnings)
     capture = Capture(folder, views, color_space, np.zeros(3), 1.0, "", warnings)
@@ -86,7 +84,7 @@ def _read_json(folder: Path, name: str) -> dict:
     return meta
 
 
-def _check_lens(meta: dict, frames: list[dict], warnings: list[str]) -> None:
+def _check_lens(meta: dict, frames: list[dict], warnings: list[Message]) -> None:
     models = {
         str(m).upper()
         for m in [meta.get("camera_model")] + [_dict(f, n).get("camera_model") for n, f in enumerate(frames)]
@@ -97,7 +95,7 @@ def _check_lens(meta: dict, frames: list[dict], warnings: list[str]) -> None:
         raise CaptureError(f"camera model {unknown[0]} is not supported", "Undistort the photos to PINHOLE first.")
     terms = [s.get(k, 0) for s in [meta, *frames] for k in ("k1", "k2", "k3", "k4", "p1", "p2")]
     if any(abs(t) > 1e-4 for t in terms if isinstance(t, int | float)):
-        warnings.append("lens distortion (k1, k2, p1, p2) is ignored: undistort the photos for a sharper result")
+        warnings.append(Message("capture.lens_ignored"))
 
 
 def _dict(frame: object, n: int) -> dict:
@@ -181,7 +179,7 @@ def _matrix(frame: dict, name: str) -> np.ndarray:
     return matrix
 
 
-def _check_places(views: list[View], warnings: list[str]) -> None:
+def _check_places(views: list[View], warnings: list[Message]) -> None:
     """Raises CaptureError when the photos were taken from fewer than MINIMUM_VIEWS places; warns of repeated ones."""
     places = np.stack([v.camera.position for v in views])
     spread = np.linalg.norm(places - places[0], axis=1).max()
@@ -198,19 +196,16 @@ def _check_places(views: list[View], warnings: list[str]) -> None:
     _, first = np.unique(cell, axis=0, return_index=True)
     again = [views[i].name for i in sorted(set(range(len(views))) - set(first.tolist()))]
     if again:
-        warnings.append(
-            f"{len(again)} photos were taken from the same place in the same direction as others and add "
-            f"nothing to the shape: {shortened(again)}"
-        )
+        warnings.append(Message("capture.same_place", {"count": len(again), "names": again}))
 
 
-def _color_space(meta: dict, views: list[View], warnings: list[str]) -> str:
+def _color_space(meta: dict, views: list[View], warnings: list[Message]) -> str:
     exr = [v.image_path.suffix.lower() == ".exr" for v in views]
     declared = meta.get("color_space", "linear" if all(exr) else "srgb")
     if declared not in ("linear", "srgb"):
         raise CaptureError(f"color_space {declared!r} is not known", "Use 'linear' or 'srgb'.")
     if declared == "srgb" and any(exr):
-        warnings.append("OpenEXR photos are taken as linear, although color_space says srgb")
+        warnings.append(Message("capture.exr_is_linear"))
         return "linear" if all(exr) else "srgb"
     return declared
 
@@ -229,7 +224,7 @@ def _set_bounds(capture: Capture, meta: dict, use_masks: bool) -> None:
         capture.bounds_source = "transforms.json"
         return
     if (center is None) != (radius is None):
-        capture.warnings.append("object_center and object_radius work only together: the one that is given is ignored")
+        capture.warnings.append(Message("capture.half_a_sphere"))
     capture.object_center, capture.object_radius = sphere_from_cameras(cameras)
     capture.bounds_source = "cameras"
     masks = (
@@ -238,7 +233,7 @@ def _set_bounds(capture: Capture, meta: dict, use_masks: bool) -> None:
     if all(m is not None for m in masks):
         sphere = sphere_from_masks(cameras, masks, capture.object_center, capture.object_radius)
         if sphere is None:
-            capture.warnings.append("the masks agree on no common volume: the object's sphere is estimated from the cameras")
+            capture.warnings.append(Message("capture.masks_disagree"))
             return
         nearest = min(np.linalg.norm(c.position - sphere[0]) for c in cameras)
         capture.object_center, capture.object_radius = sphere[0], min(sphere[1], 0.9 * nearest)

@@ -1,0 +1,251 @@
+"""What the engine tells, in the words of Blender's panel: for an artist, who has no command line. No bpy in this file.
+
+The engine sends codes with values (blender_nep/messages.py), names of errors (blender_nep/errors.py), and its own English
+for a terminal. The tables here are the panel's English. A code or a name without words here, which an older or a newer
+engine may send, is shown in the engine's own English.
+
+`translate` turns one text of these tables into another language. The add-on passes Blender's `pgettext_iface` when it
+draws; whatever is inserted in place of `{...}` is inserted afterwards. docs/translating.md says how to add a language.
+"""
+
+import string
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
+
+Translate = Callable[[str], str]
+
+PARTS = {
+    "environment field": "the surroundings",
+    "mask term": "comparing with masks",
+    "pixels outside the sphere": "pixels beside the object's sphere",
+    "surface extraction": "making a mesh",
+    "object field": "learning the shape",
+    "irradiance": "diffuse light",
+    "indirect light": "reflections of the object in itself",
+    "second bounces": "light that the object reflects twice",
+    "narrow cones": "sharp reflections",
+    "residual": "light that no photo shows",
+    "further steps of both fields": "the rest of learning shape and light",
+    "material boundaries": "boundaries between materials",
+    "votes of all pixels": "asking every pixel for its material",
+    "fine textures": "fine textures",
+    "asking again whether it is metal": "asking again whether the object is metal",
+}
+"""What the engine may leave out."""
+
+MESSAGES = {
+    # warnings about a capture
+    "capture.photos_rescaled": "{count} {count:photo differs|photos differ} in size from what the capture says, and "
+    "{count:is|are} used all the same: {names}",
+    "capture.lens_ignored": "Lens distortion is ignored: undistort the photos for a sharper result",
+    "capture.same_place": "{count} {count:photo was|photos were} taken from the same place in the same direction as others "
+    "and {count:adds|add} nothing to the shape: {names}",
+    "capture.exr_is_linear": "OpenEXR photos are taken as linear, although the capture says sRGB",
+    "capture.half_a_sphere": "The capture names only a centre or only a radius of the object's sphere: it is ignored",
+    "capture.masks_disagree": "The masks agree on no common volume: the object's sphere is estimated from the cameras",
+    "capture.sphere_not_seen": "{count} of {photos} photos {count:does|do} not see the object's sphere: {names}",
+    "capture.cameras_far": "The cameras are {radii:.0f} object radii away: the object covers few pixels. Are the bounds too "
+    "small?",
+    "capture.sphere_cut": "Most photos see less than half of the object's sphere. Are the bounds too large?",
+    "capture.exposure_unclear": "The photos may differ in exposure, but show too little of the same surroundings to tell: "
+    "if the camera was on automatic, take or develop them with one exposure",
+    "capture.exposure_guessed": "The exposure of {count} {count:photo|photos} is a guess: {count:it shows|they show} hardly "
+    "any of the surroundings that others show",
+    "capture.pixels_not_finite": "{pixels} {pixels:pixel|pixels} in {photos} {photos:photo|photos} {pixels:holds|hold} no "
+    "valid number and {pixels:is|are} left out: {names}",
+    "capture.pixels_negative": "{pixels} {pixels:pixel|pixels} in {photos} {photos:photo|photos} {pixels:is|are} negative "
+    "and {pixels:is|are} taken as black: {names}",
+    "capture.pixels_too_bright": "{pixels} {pixels:pixel|pixels} in {photos} {photos:photo|photos} {pixels:is|are} brighter "
+    "than {limit:.0f} and {pixels:is|are} taken as that: {names}",
+    "capture.photos_black": "{count} {count:photo is|photos are} black and {count:is|are} left out: {names}",
+    "capture.photos_reduced": "{photos} photos are so many that each is scaled down to {pixels} pixels",
+    "capture.masks_missing": "Masks are not used: {count} {count:photo has|photos have} none ({names})",
+    "capture.cut_outs_need_masks": "The photos are cut-outs and their surroundings are black: results need the masks",
+    "capture.few_photos": "Only {photos} photos: 20 and more give a better shape",
+    "capture.few_directions": "The cameras cover few directions: what no photo shows will be guessed",
+    "capture.highlights_clipped": "8-bit photos clip highlights: mirror-like parts will come out darker than they are",
+    "capture.cut_outs": "Cut-outs show no surroundings: light can be learned from reflections alone",
+    # warnings of a job
+    "job.preview_ended": "There is no live preview any more: {reason}",
+    "job.run_file_damaged": "The checkpoint is damaged: the job starts from its beginning",
+    "job.result_damaged": "A finished part of the job is damaged, and is done again: {file}",
+    "job.checkpoint_damaged": "A checkpoint is damaged and cannot be used: {file}",
+    "job.steps_left_out": "{count} {count:step|steps} of learning shape and light {count:was|were} left out: the numbers "
+    "were not finite",
+    "job.metal_unclear": "The photos hardly tell whether the object is metal: where the result is wrong, say so in "
+    "Advanced > Material",
+    # notes on progress
+    "progress.warming_up": "Warming up",
+    # sentences about the scene
+    "scene.surroundings": "The photos ({photos}) show the object among its surroundings, which are learned as its light.",
+    "scene.cut_outs": "The photos ({photos}) are cut-outs: the light is learned from the object's reflections alone.",
+    "scene.masks_used": "Masks are there and are used.",
+    "scene.masks_not_used": "No masks are used: the object is found by what does not look like its surroundings.",
+    "scene.object_clipped": "{percent:g} % of the object's pixels are burnt out and say nothing of the material.",
+    "scene.sphere_clipped": "{percent:g} % of the pixels around the object are burnt out and say nothing of the material.",
+    "scene.high_range": "The photos hold highlights brighter than white (HDR), and hardly any is burnt out.",
+    "scene.hardly_clipped": "The photos end at white, but hardly a pixel is burnt out.",
+    "scene.exposure_differs": "The photos differ in exposure (by up to {stops:.1f} stops), which is evened out.",
+    "scene.white_balance_differs": "The photos differ in white balance, which is evened out.",
+    "scene.exposure_and_white_balance_differ": "The photos differ in exposure (by up to {stops:.1f} stops) and white "
+    "balance, which is evened out.",
+    "scene.sphere_size": "The object's sphere is {pixels:.0f} pixels wide and takes {percent:g} % of the photos.",
+    "scene.object_size": "The object's sphere is {pixels:.0f} pixels wide and takes {percent:g} % of the photos; "
+    "{object_percent:g} % of that is the object.",
+    "scene.convex": "The object is convex.",
+    "scene.reflects_little_in_itself": "Little of the object reflects in itself ({percent:g} % of all directions).",
+    "scene.reflects_in_itself": "The object reflects in itself ({percent:g} % of all directions).",
+    "scene.glossy": "Its brightness changes much from photo to photo: it is glossy.",
+    "scene.hardly_glossy": "Its brightness changes a little from photo to photo: it is hardly glossy.",
+    "scene.matte": "Its brightness hardly changes from photo to photo: it is matte.",
+    "scene.left_out": "Left out: {parts:parts}, because {reason}.",
+    "scene.left_out_saving": "Left out: {parts:parts}, because {reason} (saves about {seconds:.0f} s).",
+    # reasons for leaving something out, as a part of the two sentences above
+    "reason.cut_outs": "the photos are cut-outs",
+    "reason.metal": "the object is metal",
+    "reason.convex": "the object is convex",
+    "reason.reflects_little_in_itself": "little of the object reflects in itself",
+    "reason.matte": "the object is matte: nothing in it mirrors",
+    "reason.masks_ignored": "Use Masks is off",
+    "reason.no_masks": "the capture has no masks",
+    "reason.sphere_fills_photos": "the object's sphere fills all photos",
+    "reason.mesh_given": "Known Mesh names a mesh",
+    "reason.plateaued": "the error on pixels that are not learned from did not fall any more",
+    "reason.one_material": "one material explains the photos",
+    "reason.metal_known": "the photos have told it clearly",
+    "reason.light_seen": "all light that matters was seen by the photos",
+    "reason.preset": "the preset turns it off",
+    "reason.light_changes_fast": "light changes too fast between the samples of a photo",
+    "reason.no_self_reflection": "nothing of the object reflects in itself",
+}
+
+ERRORS = {
+    "engine.missing": ("", "Install the engine in the add-on's preferences, or name a Python that has it there."),
+    "usage.no_cuda": ("No CUDA device can be used", "Choose the device CPU; everything runs on the CPU too."),
+    "usage.asset_exists": ("{folder} already holds a result", "Choose another output folder, or Start Again."),
+    "usage.run_exists": ("{folder} holds a job that did not end", "Resume it, or Start Again."),
+    "usage.folder_in_use": (
+        "Another job is at work in {folder}",
+        "Stop it or wait for its end, or choose another output folder.",
+    ),
+    "usage.no_mesh": ("There is no mesh {path}", "Check Advanced > Known Mesh."),
+    "usage.report_damaged": ("{path} is damaged", "Start Again."),
+    "usage.other_version": (
+        "The job in {folder} was made by another version of the engine and cannot be resumed",
+        "Finish it with that version, or Start Again.",
+    ),
+    "usage.unknown_run": (
+        "The checkpoints in {folder} may be of another job and cannot be resumed",
+        "Start Again, or choose another output folder.",
+    ),
+    "usage.other_run": (
+        "The job in {folder} was begun with other settings and cannot be resumed: {different}",
+        "Use the same capture and settings as then, or Start Again.",
+    ),
+    "bounds": ("", "Press Propose Bounds. Then move and scale the sphere: the whole object inside, no camera inside."),
+    "output.is_a_file": ("{path} is a file, not a folder", "Choose another output folder."),
+    "output.disk_full": ("The disk is full: {path} cannot be written", "Free some space, then Resume."),
+    "output.not_permitted": (
+        "{path} may not be written ({reason})",
+        "Choose another output folder, or change its permissions.",
+    ),
+    "output": ("", "Choose another output folder."),
+    "learning.diverged": ("", "Try another Seed, or another preset."),
+    "learning.not_finite": ("", "Check the photos for extreme values, and the bounds of the object."),
+    "learning.no_surface": (
+        "",
+        "Check the bounds: the sphere must just hold the object. Masks, or a longer preset, may help too.",
+    ),
+    "stopped": ("Stopped. The checkpoint is written", "Resume goes on from there."),
+    "stopped.input_closed": ("Stopped because Blender closed. The checkpoint is written", "Resume goes on from there."),
+    "stopped.reading_photos": ("Stopped while the photos were read", "Resume starts again."),
+    "stopped.interrupted": ("Interrupted", "Work since the last checkpoint is lost. Resume goes on from there."),
+    "unexpected.no_memory": ("The memory is full", "Choose the preset Preview, or smaller photos."),
+}
+"""Name of an error: the panel's (message, hint). An empty text: the engine's own."""
+
+AND_MORE = "{names} and {count} more"
+"""The end of a list of names that is too long."""
+MOST_NAMES = 5
+
+
+def texts() -> list[str]:
+    """Every text of these tables, once: what a translator translates."""
+    errors = (text for pair in ERRORS.values() for text in pair)
+    return list(dict.fromkeys(text for text in (*MESSAGES.values(), *PARTS.values(), *errors, AND_MORE) if text))
+
+
+@dataclass(frozen=True)
+class Said:
+    """Something that the engine has said: a warning, a sentence about the scene, a note on progress."""
+
+    code: str = ""
+    values: dict[str, Any] = field(default_factory=dict)
+    message: str = ""
+    """The engine's own words"""
+
+    @classmethod
+    def of(cls, told: object) -> "Said":
+        """An event or a part of one; an older engine's sentence is a plain string."""
+        if not isinstance(told, dict):
+            return cls(message=str(told))
+        values = told.get("values")
+        return cls(str(told.get("code", "")), values if isinstance(values, dict) else {}, str(told.get("message", "")))
+
+    def words(self, translate: Translate = str) -> str:
+        """For the panel."""
+        found = self.own_words(translate)
+        return found if found is not None else _capitalised(translate(self.message))
+
+    def own_words(self, translate: Translate) -> str | None:
+        """The panel's own words; None where it has none."""
+        return _filled(MESSAGES.get(self.code, ""), self.values, translate)
+
+
+def error_words(name: str, values: dict[str, Any], message: str, hint: str, translate: Translate = str) -> tuple[str, str]:
+    """The panel's message and hint for an error of this name; message and hint are the engine's own."""
+    own = ERRORS.get(name, ("", ""))
+    filled = (_filled(text, values, translate) for text in own)
+    first, second = (
+        _capitalised(translate(said)) if text is None else text for text, said in zip(filled, (message, hint), strict=True)
+    )
+    return first, second
+
+
+def _capitalised(text: str) -> str:
+    return text[:1].upper() + text[1:]
+
+
+def _filled(template: str, values: dict[str, Any], translate: Translate) -> str | None:
+    """A text of the tables with its values; None where there is no text, or where its values are not all there."""
+    if not template:
+        return None
+    try:
+        return _Formatter(translate).vformat(translate(template), (), values)
+    except (LookupError, TypeError, ValueError):
+        return None
+
+
+class _Formatter(string.Formatter):
+    """As the formatter of blender_nep/messages.py, which Blender's Python does not have: `{count:photo|photos}` is the
+    first form for 1 and the second for other numbers; `{parts:parts}` is a list of parts; a list of names is shortened; a
+    message among the values is put into words."""
+
+    def __init__(self, translate: Translate):
+        self._translate = translate
+
+    def format_field(self, value: Any, format_spec: str) -> str:
+        if "|" in format_spec:
+            return format_spec.split("|")[value != 1]
+        if format_spec == "parts":
+            return ", ".join(self._translate(PARTS.get(part, part)) for part in value)
+        if isinstance(value, dict):
+            said = Said.of(value)
+            found = said.own_words(self._translate)
+            return self._translate(said.message) if found is None else found
+        if isinstance(value, list):
+            names = ", ".join(map(str, value[:MOST_NAMES]))
+            more = len(value) - MOST_NAMES
+            return names if more <= 0 else self._translate(AND_MORE).format(names=names, count=more)
+        return super().format_field(value, format_spec)

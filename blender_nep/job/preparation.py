@@ -1,0 +1,167 @@
+"""The first stage of a job: checks, the capture, the photos, and what they show; then the output folder is made."""
+
+from __future__ import annotations
+
+import json
+import random
+from dataclasses import dataclass
+
+import numba
+import numpy as np
+import torch
+
+from blender_nep.capture import Capture, PixelRays, load_capture
+from blender_nep.capture.exposure import find_exposures
+from blender_nep.capture.pixel_store import PixelMemory
+from blender_nep.errors import OutputError, Stopped, UsageError
+from blender_nep.files import output_errors
+from blender_nep.job.device import usable_cores
+from blender_nep.job.events import Events
+from blender_nep.job.run_folder import RunFolder, fingerprint, refuse_other_run
+from blender_nep.job.scene_analysis import Plan, SceneAnalysis
+from blender_nep.job.settings import Settings
+from blender_nep.job.stage_names import StageName
+from blender_nep.job.tracker import Tracker
+from blender_nep.profiling import profiled, section
+from blender_nep.stop_request import StopRequest
+
+
+@dataclass(frozen=True)
+class Prepared:
+    """All that the stages after the first one work with."""
+
+    capture: Capture
+    rays: PixelRays
+    photos: SceneAnalysis
+    plan: Plan
+    """The preset for this scene"""
+    device: torch.device
+    fingerprint: dict[str, object]
+    """What decides the result of the run (`run_folder.fingerprint`)"""
+    folder: RunFolder
+
+
+def refuse_to_overwrite(settings: Settings) -> None:
+    """Raises UsageError when the output folder holds an asset or a run, and neither --resume nor --overwrite is given;
+    OutputError when it is no folder."""
+    out = settings.out
+    if out.exists() and not out.is_dir():
+        raise OutputError(f"{out} is a file, not a folder", "Choose another --out.", "output.is_a_file", path=out)
+    if settings.resume or settings.overwrite or not out.exists():
+        return
+    with output_errors(out):
+        if (out / "report.json").exists() or (out / "mesh.obj").exists():
+            hint = "Choose another --out, or give --overwrite."
+            raise UsageError(f"{out} already holds an asset", hint, "usage.asset_exists", folder=out)
+        if (out / "checkpoints").exists():
+            hint = "Go on with --resume, or start again with --overwrite."
+            raise UsageError(f"{out} holds a run that did not end", hint, "usage.run_exists", folder=out)
+
+
+def refuse_missing_mesh(settings: Settings) -> None:
+    """Raises UsageError when --mesh names no file."""
+    if settings.mesh is not None and not settings.mesh.is_file():
+        mesh = settings.mesh
+        raise UsageError(f"there is no mesh {mesh}", "Check the path of --mesh.", "usage.no_mesh", path=mesh)
+
+
+def set_seed_and_threads(settings: Settings) -> None:
+    """The seed of every random generator that a library may use, and the number of threads."""
+    threads = settings.threads or usable_cores()
+    torch.set_num_threads(threads)
+    numba.set_num_threads(min(threads, numba.config.NUMBA_NUM_THREADS))
+    random.seed(settings.seed)
+    np.random.seed(settings.seed % 2**32)
+    torch.manual_seed(settings.seed)
+
+
+class Preparation:
+    """The work of the first stage."""
+
+    def __init__(
+        self, settings: Settings, device: torch.device, tracker: Tracker, events: Events, stop: StopRequest
+    ) -> None:
+        self._settings, self._device = settings, device
+        self._tracker, self._events, self._stop = tracker, events, stop
+        self._folder = RunFolder(settings.out, stop, events.warning)
+
+    def run(self) -> Prepared | None:
+        """None where the asset is complete already, and is the one that was asked for. Raises CaptureError, BoundsError,
+        UsageError, OutputError and Stopped."""
+        s = self._settings
+        capture = self._load_capture()
+        what = fingerprint(capture, s.preset, s.seed, s.use_masks, s.mesh, s.sphere)
+        if s.resume and (s.out / "report.json").is_file():
+            self._finish_complete(what)
+            return None
+        resumed = s.resume and self._folder.can_be_resumed(what)
+        rays = self._read_photos(capture)
+        with section("scene analysis"):
+            if s.preset.even_exposure:
+                rays = self._even_out(rays)
+            photos = SceneAnalysis.of(rays)
+        self._make_output()
+        if resumed:
+            self._events.say(f"resuming the run in {s.out}")
+        else:
+            self._folder.begin(what)
+            if s.resume:
+                self._events.say(f"{s.out} holds no checkpoint yet: starting from the beginning")
+        return Prepared(capture, rays, photos, photos.plan(s.preset), self._device, what, self._folder)
+
+    def _finish_complete(self, what: dict[str, object]) -> None:
+        """A resume of an asset that is complete: nothing to do, if it is what was asked for."""
+        s = self._settings
+        try:
+            before = dict(json.loads((s.out / "report.json").read_text(encoding="utf-8")).get("fingerprint", {}))
+        except (OSError, TypeError, ValueError, AttributeError) as error:
+            report = s.out / "report.json"
+            hint = "Start again with --overwrite."
+            raise UsageError(f"{report} is damaged", hint, "usage.report_damaged", path=report) from error
+        refuse_other_run(s.out, before, what)
+        if s.clean and self._folder.path.exists():
+            self._folder.remove()
+        self._events.say("the asset is complete: there is nothing to resume")
+        self._events.done(s.out)
+
+    @profiled("capture")
+    def _load_capture(self) -> Capture:
+        s = self._settings
+        capture = load_capture(s.capture, use_masks=s.use_masks, sphere=s.sphere)
+        for warning in capture.warnings:
+            self._events.warning(warning)
+        return capture
+
+    @profiled("capture")
+    def _read_photos(self, capture: Capture) -> PixelRays:
+        s = self._settings
+        memory = PixelMemory(s.preset.max_pixels, s.preset.pixels_in_memory, s.out)
+        rays = PixelRays.from_capture(
+            capture, s.preset.max_pixels_per_photo, s.use_masks, self._device, memory=memory, progress=self._photo_read
+        )
+        for warning in rays.warnings:
+            self._events.warning(warning)
+        self._tracker.tell(StageName.CAPTURE, 1, 1)
+        return rays
+
+    def _photo_read(self, done: int, photos: int) -> None:
+        self._tracker.tell(StageName.CAPTURE, done, photos)
+        if self._stop.requested:
+            message = f"stopped ({self._stop.reason}) while the photos were read"
+            raise Stopped(message, "Start it again with --resume.", "stopped.reading_photos", reason=self._stop.reason)
+
+    def _even_out(self, rays: PixelRays) -> PixelRays:
+        """The photos as of one exposure, where theirs differ."""
+        found = find_exposures(rays)
+        if found.warning:
+            self._events.warning(found.warning)
+        return rays if found.gain is None else rays.with_gain(found.gain)
+
+    def _make_output(self) -> None:
+        out = self._settings.out
+        with output_errors(out):
+            out.mkdir(parents=True, exist_ok=True)
+            if self._settings.overwrite and not self._settings.resume:
+                (out / "report.json").unlink(missing_ok=True)  # from here on the folder is no valid asset
+                (out / "profile.json").unlink(missing_ok=True)
+            self._events.open_log(out / "log.txt")

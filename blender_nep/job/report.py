@@ -1,0 +1,68 @@
+"""What a job has done, for report.json."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+
+from blender_nep.job.device import peak_memory, versions
+from blender_nep.job.preparation import Prepared
+from blender_nep.job.scene_report import SceneReport
+from blender_nep.job.settings import Settings
+from blender_nep.job.stage_names import StageName
+from blender_nep.job.stage_reports import StageReport
+from blender_nep.job.tracker import Tracker
+from blender_nep.messages import Message
+from blender_nep.profiling import Profile
+
+
+@dataclass(frozen=True)
+class JobReport:
+    """Where the facts of a report come from."""
+
+    settings: Settings
+    prepared: Prepared
+    stages: dict[StageName, StageReport]
+    scene: SceneReport
+    tracker: Tracker
+    warnings: list[Message]
+    profile: Profile | None
+
+    def content(self) -> dict:
+        """report.json as plain values, at this moment."""
+        s, tracker, memory = self.settings, self.tracker, peak_memory()
+        return {
+            "preset": s.preset.name,
+            "seed": s.seed,
+            "device": str(self.prepared.device),
+            "threads": torch.get_num_threads(),
+            "versions": versions(),
+            "capture": self._capture(),
+            "seconds": {str(stage): round(tracker.seconds[stage], 2) for stage in StageName},
+            "seconds_total": round(sum(tracker.seconds.values()), 2),
+            "peak_memory_mb": None if memory is None else round(memory, 1),
+            "resumed_stages": [str(stage) for stage in tracker.resumed],
+            **self.scene.report(),
+            "losses": {str(stage): loss for stage, loss in tracker.losses.items()},
+            **({} if self.profile is None else {"profile": self.profile.report()}),
+            "stages": {str(stage): part.facts for stage, part in self.stages.items()},
+            "warnings": [warning.told() for warning in self.warnings],
+            "fingerprint": self.prepared.fingerprint,
+        }
+
+    def _capture(self) -> dict:
+        capture, rays = self.prepared.capture, self.prepared.rays
+        return {
+            "folder": os.path.abspath(capture.folder),
+            "views": len(capture.views),
+            "pixels": rays.count,
+            "color_space": capture.color_space,
+            "object_center": capture.object_center.tolist(),
+            "object_radius": capture.object_radius,
+            "bounds_source": capture.bounds_source,
+            "masks": rays.mask is not None,
+            **({} if rays.gain is None else {"photo_gains": np.round(rays.gain.tolist(), 4).tolist()}),
+        }

@@ -1,0 +1,30 @@
+"""What the user asked for."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from blender_nep.presets import Preset
+
+
+@dataclass(frozen=True)
+class Settings:
+    """The arguments of one job."""
+
+    capture: Path
+    out: Path
+    preset: Preset
+    device: str = "auto"
+    seed: int = 0
+    use_masks: bool = True
+    mesh: Path | None = None
+    sphere: tuple[tuple[float, float, float], float] | None = None
+    """Centre and radius of the object's sphere, capture coordinates; None: the capture's own, or estimated."""
+    resume: bool = False
+    overwrite: bool = False
+    clean: bool = False
+    threads: int | None = None
+    job_files: bool = False
+    preview: bool = False
+    profile: bool = False

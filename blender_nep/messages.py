@@ -1,0 +1,196 @@
+"""What the library tells its user, apart from errors: codes with values, and the words for them in a terminal.
+
+Warnings, sentences about the scene, reasons for leaving something out, and notes on progress are a `Message` each: a code
+and values. Programs read the code and the values; `WORDS` has the English for people who read a terminal. Blender's panel
+has words of its own (`backend/engine/words.py`), because an artist has no command line. Errors (`errors.py`) bring their
+words along.
+"""
+
+from __future__ import annotations
+
+import string
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from enum import StrEnum
+from typing import Any
+
+
+class Part(StrEnum):
+    """What a job may leave out, as report.json names it."""
+
+    ENVIRONMENT_FIELD = "environment field"
+    MASK_TERM = "mask term"
+    PIXELS_OUTSIDE = "pixels outside the sphere"
+    SURFACE_EXTRACTION = "surface extraction"
+    OBJECT_FIELD = "object field"
+    IRRADIANCE = "irradiance"
+    INDIRECT_LIGHT = "indirect light"
+    SECOND_BOUNCES = "second bounces"
+    NARROW_CONES = "narrow cones"
+    RESIDUAL = "residual"
+    FURTHER_STEPS = "further steps of both fields"
+    MATERIAL_BOUNDARIES = "material boundaries"
+    VOTES = "votes of all pixels"
+    FINE_TEXTURES = "fine textures"
+    METAL_AGAIN = "asking again whether it is metal"
+
+
+@dataclass(frozen=True)
+class Message:
+    """A code, which has an entry in `WORDS`, and the values that its words name."""
+
+    code: str
+    values: Mapping[str, Any] = field(default_factory=dict)
+    """Numbers, strings, lists of names, and other messages"""
+
+    def __str__(self) -> str:
+        """The words for a terminal. The code itself where a run of another version has left a code without words."""
+        return _FORMATTER.vformat(WORDS[self.code], (), self.values) if self.code in WORDS else self.code
+
+    def state(self) -> dict[str, Any]:
+        """As plain values, for the disk."""
+        return {"code": self.code, "values": {k: _plain(v, Message.state) for k, v in self.values.items()}}
+
+    @classmethod
+    def from_state(cls, state: Mapping[str, Any]) -> Message:
+        """The inverse of `state`, for messages whose values are no messages."""
+        return cls(state["code"], state["values"])
+
+    def told(self) -> dict[str, Any]:
+        """As an event and a report have it: `code`, `values`, and the words as `message`."""
+        values = {k: _plain(v, Message.told) for k, v in self.values.items()}
+        return {"code": self.code, "values": values, "message": str(self)}
+
+
+def _plain(value: Any, of_message: Any) -> Any:
+    return of_message(value) if isinstance(value, Message) else value
+
+
+def shortened(names: Sequence[str], most: int = 5) -> str:
+    """The first few names, and how many more there are."""
+    return ", ".join(names[:most]) + (f" and {len(names) - most} more" if len(names) > most else "")
+
+
+class _Formatter(string.Formatter):
+    """str.format with two specifications more: `{count:photo|photos}` is the first form for 1 and the second for other
+    numbers, without the number; `{parts:parts}` is a list of parts in plain words. A list of names is shortened."""
+
+    def format_field(self, value: Any, spec: str) -> str:
+        if "|" in spec:
+            return spec.split("|")[value != 1]
+        if spec == "parts":
+            return ", ".join(PARTS.get(part, part) for part in value)
+        if isinstance(value, list | tuple):
+            return shortened(value)
+        return super().format_field(value, spec)
+
+
+_FORMATTER = _Formatter()
+
+PARTS: dict[str, str] = {
+    Part.ENVIRONMENT_FIELD: "the surroundings",
+    Part.MASK_TERM: "comparing with masks",
+    Part.PIXELS_OUTSIDE: "pixels beside the object's sphere",
+    Part.SURFACE_EXTRACTION: "making a mesh",
+    Part.OBJECT_FIELD: "learning the shape",
+    Part.IRRADIANCE: "diffuse light",
+    Part.INDIRECT_LIGHT: "reflections of the object in itself",
+    Part.SECOND_BOUNCES: "light that the object reflects twice",
+    Part.NARROW_CONES: "sharp reflections",
+    Part.RESIDUAL: "light that no photo shows",
+    Part.FURTHER_STEPS: "the rest of learning shape and light",
+    Part.MATERIAL_BOUNDARIES: "boundaries between materials",
+    Part.VOTES: "asking every pixel for its material",
+    Part.FINE_TEXTURES: "fine textures",
+    Part.METAL_AGAIN: "asking again whether the object is metal",
+}
+"""What is left out, as told to an artist."""
+
+WORDS: dict[str, str] = {
+    # warnings about a capture
+    "capture.photos_rescaled": "{count} {count:photo differs|photos differ} in size from the declared w x h (same aspect; "
+    "intrinsics rescaled): {names}",
+    "capture.lens_ignored": "lens distortion (k1, k2, p1, p2) is ignored: undistort the photos for a sharper result",
+    "capture.same_place": "{count} {count:photo was|photos were} taken from the same place in the same direction as others "
+    "and {count:adds|add} nothing to the shape: {names}",
+    "capture.exr_is_linear": "OpenEXR photos are taken as linear, although color_space says srgb",
+    "capture.half_a_sphere": "object_center and object_radius work only together: the one that is given is ignored",
+    "capture.masks_disagree": "the masks agree on no common volume: the object's sphere is estimated from the cameras",
+    "capture.sphere_not_seen": "{count} of {photos} photos {count:does|do} not see the object's sphere: {names}",
+    "capture.cameras_far": "the cameras are {radii:.0f} object radii away: the object covers few pixels (is object_radius "
+    "too small?)",
+    "capture.sphere_cut": "most photos see less than half of the object's sphere (is object_radius too large?)",
+    "capture.exposure_unclear": "the photos may differ in exposure, but show too little of the same surroundings to tell: "
+    "if the camera was on automatic, take or develop them with one exposure",
+    "capture.exposure_guessed": "the exposure of {count} {count:photo|photos} is a guess: {count:it shows|they show} hardly "
+    "any of the surroundings that others show",
+    "capture.pixels_not_finite": "{pixels} {pixels:pixel|pixels} in {photos} {photos:photo|photos} {pixels:is|are} NaN or "
+    "Inf and {pixels:is|are} left out: {names}",
+    "capture.pixels_negative": "{pixels} {pixels:pixel|pixels} in {photos} {photos:photo|photos} {pixels:is|are} negative "
+    "and {pixels:is|are} taken as 0: {names}",
+    "capture.pixels_too_bright": "{pixels} {pixels:pixel|pixels} in {photos} {photos:photo|photos} {pixels:is|are} brighter "
+    "than {limit:.0f} and {pixels:is|are} taken as that: {names}",
+    "capture.photos_black": "{count} {count:photo is|photos are} black and {count:is|are} left out: {names}",
+    "capture.photos_reduced": "{photos} photos are so many that each is filtered down to {pixels} pixels: {limit} are kept "
+    "of all together",
+    "capture.masks_missing": "masks are not used: {count} {count:photo has|photos have} none ({names})",
+    "capture.cut_outs_need_masks": "the photos are cut-outs (alpha) and their surroundings are black; results need the "
+    "masks",
+    "capture.few_photos": "only {photos} photos: 20 and more give a better shape",
+    "capture.few_directions": "the cameras cover few directions: what no photo shows will be guessed",
+    "capture.highlights_clipped": "8-bit photos clip highlights: mirror-like parts will come out darker than they are",
+    "capture.cut_outs": "cut-outs show no surroundings: light can be learned from reflections alone",
+    # warnings of a job
+    "job.preview_ended": "there is no live preview any more: {reason}",
+    "job.run_file_damaged": "checkpoints/run.json is damaged: the run starts from its beginning",
+    "job.result_damaged": "{file} cannot be used: {reason}; its stage is done again",
+    "job.checkpoint_damaged": "checkpoint {file} cannot be used: {reason}",
+    "job.steps_left_out": "{count} {count:step|steps} of fields learning {count:was|were} left out: the loss or the "
+    "gradient was not finite",
+    "job.metal_unclear": "the photos hardly tell whether the object is metal: where the result is wrong, say so by --metal "
+    "yes or --metal no",
+    # notes on progress
+    "progress.warming_up": "warming up",
+    # sentences about the scene
+    "scene.surroundings": "The photos ({photos}) show the object among its surroundings, which are learned as its light.",
+    "scene.cut_outs": "The photos ({photos}) are cut-outs: the light is learned from the object's reflections alone.",
+    "scene.masks_used": "Masks are there and are used.",
+    "scene.masks_not_used": "No masks are used: the object is found by what does not look like its surroundings.",
+    "scene.object_clipped": "{percent:g} % of the object's pixels are burnt out (clipped) and say nothing of the material.",
+    "scene.sphere_clipped": "{percent:g} % of the pixels around the object are burnt out (clipped) and say nothing of the "
+    "material.",
+    "scene.high_range": "The photos hold highlights brighter than white (HDR), and hardly any is burnt out.",
+    "scene.hardly_clipped": "The photos end at white, but hardly a pixel is burnt out.",
+    "scene.exposure_differs": "The photos differ in exposure (by up to {stops:.1f} stops), which is evened out.",
+    "scene.white_balance_differs": "The photos differ in white balance, which is evened out.",
+    "scene.exposure_and_white_balance_differ": "The photos differ in exposure (by up to {stops:.1f} stops) and white "
+    "balance, which is evened out.",
+    "scene.sphere_size": "The object's sphere is {pixels:.0f} pixels wide and takes {percent:g} % of the photos.",
+    "scene.object_size": "The object's sphere is {pixels:.0f} pixels wide and takes {percent:g} % of the photos; "
+    "{object_percent:g} % of that is the object.",
+    "scene.convex": "The object is convex.",
+    "scene.reflects_little_in_itself": "Little of the object reflects in itself ({percent:g} % of all directions).",
+    "scene.reflects_in_itself": "The object reflects in itself ({percent:g} % of all directions).",
+    "scene.glossy": "Its brightness changes much from photo to photo: it is glossy.",
+    "scene.hardly_glossy": "Its brightness changes a little from photo to photo: it is hardly glossy.",
+    "scene.matte": "Its brightness hardly changes from photo to photo: it is matte.",
+    "scene.left_out": "Left out: {parts:parts}, because {reason}.",
+    "scene.left_out_saving": "Left out: {parts:parts}, because {reason} (saves about {seconds:.0f} s).",
+    # reasons for leaving something out
+    "reason.cut_outs": "the photos are cut-outs",
+    "reason.metal": "the object is metal",
+    "reason.convex": "the object is convex",
+    "reason.reflects_little_in_itself": "little of the object reflects in itself",
+    "reason.matte": "the object is matte: nothing in it mirrors",
+    "reason.masks_ignored": "masks are ignored (--masks ignore)",
+    "reason.no_masks": "the capture has no masks",
+    "reason.sphere_fills_photos": "the sphere fills all photos",
+    "reason.mesh_given": "a mesh was given (--mesh)",
+    "reason.plateaued": "the error on held-out pixels did not fall any more",
+    "reason.one_material": "one material explains the photos",
+    "reason.metal_known": "the photos have told it clearly",
+    "reason.light_seen": "all light that matters was seen by the photos",
+    "reason.preset": "turned off by the preset",
+    "reason.light_changes_fast": "light changes too fast between the samples of a photo",
+    "reason.no_self_reflection": "nothing of the object reflects in itself",
+}

@@ -1,0 +1,76 @@
+"""States on the disk: they come back as they were, run no code, and outlive a kill in the middle of a save."""
+
+from __future__ import annotations
+
+import os
+
+import numpy as np
+import pytest
+import torch
+
+from blender_nep.checkpoints import Checkpoint, load_state, save_state
+from blender_nep.errors import Stopped
+from blender_nep.stop_request import StopRequest
+
+
+def test_states_survive_the_disk(tmp_path):
+    state = {
+        "array": np.arange(6, dtype=np.float16).reshape(2, 3),
+        "tensor": torch.ones(2, dtype=torch.int64),
+        "nested": [1, (2.5, "x", None), {"generator": torch.Generator().manual_seed(4).get_state()}],
+        3: np.float32(0.5),
+    }
+    save_state(tmp_path / "a.pt", state)
+    back = load_state(tmp_path / "a.pt")
+    np.testing.assert_array_equal(back["array"], state["array"])
+    assert back["array"].dtype == np.float16 and torch.equal(back["tensor"], state["tensor"])
+    assert back["nested"][:2] == [1, (2.5, "x", None)] and back[3] == 0.5
+    assert torch.equal(back["nested"][2]["generator"], state["nested"][2]["generator"])
+    assert [p.name for p in tmp_path.iterdir()] == ["a.pt"]
+
+
+def test_a_checkpoint_file_runs_no_code(tmp_path):
+    class Evil:
+        def __reduce__(self):
+            return os.mkdir, (str(tmp_path / "owned"),)
+
+    torch.save(Evil(), tmp_path / "a.pt")
+    with pytest.raises(ValueError, match="damaged"):
+        load_state(tmp_path / "a.pt")
+    assert not (tmp_path / "owned").exists()
+
+
+def test_a_torn_checkpoint_falls_back_to_the_one_before(tmp_path):
+    warnings = []
+    first = Checkpoint(tmp_path, "stage", StopRequest(), warnings.append)
+    first.save({"step": 1})
+    first.save({"step": 2})
+    assert Checkpoint(tmp_path, "stage", StopRequest(), warnings.append).load() == {"step": 2}
+    first.path.write_bytes(first.path.read_bytes()[:200])
+    assert Checkpoint(tmp_path, "stage", StopRequest(), warnings.append).load() == {"step": 1}
+    assert len(warnings) == 1 and warnings[0].code == "job.checkpoint_damaged"
+    assert warnings[0].values["file"] == "stage.pt" and "damaged" in warnings[0].values["reason"]
+    first.previous.write_bytes(b"")
+    assert Checkpoint(tmp_path, "stage", StopRequest(), warnings.append).load() is None
+
+
+def test_a_checkpoint_is_due_every_fifteen_seconds_and_counts_time(tmp_path):
+    now = [0.0]
+    stop = StopRequest()
+    checkpoint = Checkpoint(tmp_path, "stage", stop, print, clock=lambda: now[0])
+    now[0] = 14.9
+    assert not checkpoint.due()
+    now[0] = 15.0
+    assert checkpoint.due()
+    checkpoint.save({})
+    assert not checkpoint.due()
+    stop.request("test")
+    assert checkpoint.due() and checkpoint.stopping
+    checkpoint.raise_if_stopped(saves=True)  # not saved yet: goes on
+    checkpoint.save({})
+    with pytest.raises(Stopped):
+        checkpoint.raise_if_stopped(saves=True)
+    again = Checkpoint(tmp_path, "stage", StopRequest(), print, clock=lambda: now[0])
+    again.load()
+    now[0] += 2
+    assert again.seconds() == pytest.approx(17)

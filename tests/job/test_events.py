@@ -1,0 +1,67 @@
+"""What a job tells: JSON for programs, lines for people, the log; and how it hears of a wish to stop."""
+
+from __future__ import annotations
+
+import io
+import json
+import os
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from blender_nep.errors import OutputError
+from blender_nep.job.events import Events
+from blender_nep.messages import Message
+from blender_nep.stop_request import StopRequest
+
+
+@pytest.mark.skipif(not os.path.exists("/dev/full"), reason="the system has no file that is always full")
+def test_a_log_that_cannot_be_written_does_not_hide_the_error():
+    human = io.StringIO()
+    events = Events(None, human)
+    events.open_log(Path("/dev/full"))
+    events.error(OutputError("the disk is full", "Free some space."))
+    events.close()
+    assert human.getvalue() == "error: the disk is full\n       Free some space.\n"
+
+
+def test_events_are_json_whatever_they_hold():
+    protocol, human = io.StringIO(), io.StringIO()
+    events = Events(protocol, human)
+    events.progress("r", 1, 10, 0.1, float("inf"), float("nan"), Message("progress.warming_up"), extra=np.float32(2))
+    for _ in range(2):
+        events.warning(Message("capture.few_photos", {"photos": np.int64(3)}))
+    lines = [json.loads(line) for line in protocol.getvalue().splitlines()]
+    assert lines[0]["eta_s"] is None and lines[0]["loss"] is None and lines[0]["extra"] == 2
+    assert [line["event"] for line in lines] == ["progress", "warning"]
+    assert lines[0]["note"] == {"code": "progress.warming_up", "values": {}, "message": "warming up"}
+    words = "only 3 photos: 20 and more give a better shape"
+    assert lines[1] == {"event": "warning", "code": "capture.few_photos", "values": {"photos": 3}, "message": words}
+    assert human.getvalue().count(words) == 1 and "r warming up" in human.getvalue()
+
+
+def test_a_reader_that_went_away_does_not_end_the_job():
+    read, write = os.pipe()
+    os.close(read)
+    human = io.StringIO()
+    events = Events(os.fdopen(write, "w", buffering=1), human)
+    for photos in (3, 4):
+        events.warning(Message("capture.few_photos", {"photos": photos}))
+    assert len(human.getvalue().splitlines()) == 2
+
+
+def test_standard_input_stops_by_command_and_by_its_end():
+    for message, reason in ((b'nonsense\n{"cmd": "stop"}\n', "stop command"), (b"", "closed")):
+        read, write = os.pipe()
+        stop = StopRequest()
+        stop.watch(read)
+        os.write(write, message or b"\n")
+        if not message:
+            os.close(write)
+        for _ in range(1000):
+            if stop.requested:
+                break
+            time.sleep(0.01)
+        assert stop.requested and reason in stop.reason
