@@ -22,8 +22,9 @@ if __package__ in (None, ""):
     sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 from backend.arguments import script_arguments
-from backend.scene_io.image_files import save_half_exr, write_exr, write_png
+from backend.scene_io.image_files import write_half_exr, write_png
 from backend.synthetic_capture import scenes
+from backend.synthetic_capture.exr_channels import write_channels
 from backend.synthetic_capture.ground_truth import ViewRenderer
 from backend.synthetic_capture.viewpoints import FIELD_OF_VIEW, Surroundings, choose_viewpoints
 
@@ -80,10 +81,10 @@ def write_capture(options: argparse.Namespace, target, train: list, test: list) 
             "transform_matrix": [list(row) for row in viewpoint.matrix],
         }
         frames[group].append(frame)
-        save_half_exr(out / frame["file_path"], photo, renderer.scene)
+        write_half_exr(out / frame["file_path"], photo)
         write_png(out / frame["mask_path"], np.round(truth["mask.V"] * 255).astype(np.uint8))
         if group == "test":
-            write_exr(out / "gt" / f"{index:03d}.exr", {name: x.astype(np.float16) for name, x in truth.items()})
+            write_channels(out / "gt" / f"{index:03d}.exr", {name: x.astype(np.float16) for name, x in truth.items()})
         left = (time.monotonic() - started) / (number + 1) * (total - number - 1)
         print(f"view {number + 1}/{total}, {left:.0f} s left", file=sys.stderr, flush=True)
     shared = {

@@ -7,7 +7,7 @@ from pathlib import Path
 import bpy
 import numpy as np
 
-from ..scene_io.image_files import read_exr, still_image
+from ..scene_io.image_files import load_pixels, set_media_type
 
 SAMPLES = 8
 ADVANCE = 0.46  # mean width of a letter of Blender's font, in text sizes
@@ -54,11 +54,11 @@ def fitting(string: str, width: float, size: float) -> str:
 
 def _alpha(scene) -> np.ndarray:
     settings = scene.render.image_settings
-    still_image(settings)
+    set_media_type(settings)
     settings.file_format, settings.color_mode, settings.color_depth = "OPEN_EXR", "RGBA", "16"
     settings.exr_codec = "ZIP"
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "text.exr"
         scene.render.filepath = os.fspath(path)
         bpy.ops.render.render(write_still=True, scene=scene.name)
-        return np.clip(read_exr(path)["A"], 0, 1)
+        return np.clip(load_pixels(path)[..., 3], 0, 1)

@@ -9,7 +9,7 @@ import numpy as np
 
 from ..scene_io.cameras import new_camera, pixel_aspect
 from ..scene_io.capture_files import Frame
-from ..scene_io.image_files import read_exr, still_image
+from ..scene_io.image_files import load_pixels, set_media_type
 from .cycles_settings import has_denoiser, use_cycles
 
 SCENE_NAME = "NeP relit comparison"
@@ -34,19 +34,19 @@ class RelitScene:
         try:
             self.scene.camera, self.scene.world = camera, world
             settings = self.scene.render.image_settings
-            still_image(settings)
+            set_media_type(settings)
             settings.file_format, settings.color_mode, settings.color_depth = "OPEN_EXR", "RGB", "32"
             settings.exr_codec = "ZIP"
             with tempfile.TemporaryDirectory() as folder:
                 path = Path(folder) / "render.exr"
                 self.scene.render.filepath = os.fspath(path)
                 bpy.ops.render.render(write_still=True, scene=self.scene.name)
-                channels = read_exr(path)
+                pixels = load_pixels(path)
         finally:
             data = camera.data
             bpy.data.objects.remove(camera)
             bpy.data.cameras.remove(data)
-        return np.stack([channels[name] for name in "RGB"], axis=-1)
+        return np.ascontiguousarray(pixels[..., :3])
 
     def __enter__(self):
         return self

@@ -8,7 +8,8 @@ import bpy
 import numpy as np
 
 from ..rendering.cycles_settings import use_cycles
-from ..scene_io.image_files import read_exr, still_image
+from ..scene_io.image_files import set_media_type
+from .exr_channels import read_channels
 from .scenes import GROUND_TRUTH_COLOR, GROUND_TRUTH_VALUES
 
 BOUNCES = 5
@@ -51,7 +52,7 @@ class ViewRenderer:
         """
         self.camera.matrix_world = matrix
         settings = self.scene.render.image_settings
-        still_image(settings, multilayer=True)
+        set_media_type(settings, multilayer=True)
         settings.file_format, settings.color_depth, settings.exr_codec = "OPEN_EXR_MULTILAYER", "32", "ZIP"
         if hasattr(settings, "use_exr_interleave"):
             settings.use_exr_interleave = True  # one part, as before Blender 5.0
@@ -59,7 +60,7 @@ class ViewRenderer:
             path = Path(folder) / "view.exr"
             self.scene.render.filepath = os.fspath(path)
             bpy.ops.render.render(write_still=True, scene=self.scene.name)
-            passes = read_exr(path)
+            passes = read_channels(path)
         layer = self.layer.name
         photo = np.stack([passes[f"{layer}.Combined.{c}"] for c in "RGB"], axis=-1)
         mask = np.clip(_value(passes, f"{layer}.mask"), 0, 1)
