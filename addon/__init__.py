@@ -1,70 +1,74 @@
-"""The sidebar (3D viewport, tab NeP): settings, the running job, and the panel that shows both."""
+"""The Blender add-on: the sidebar (3D viewport, tab NeP), its buttons, and the jobs that run beside Blender.
+
+The modules form layers. A module imports only modules of the layers below its own:
+
+    __init__                                                                registers and unregisters everything
+    preferences, panels/                                                    what Blender draws
+    operators/                                                              what a button or a script calls
+    running_jobs                                                            the jobs that this Blender follows
+    bounds_estimate, comparison_render, engine_setup, imported_result       other work under way, and results
+    object_bounds, comparison_image, live_preview                           objects and images in the .blend file
+    engine_paths, clock, editors, wrapped_text                              what Blender and the preferences offer
+    folders, properties                                                     the settings, `scene.nep`
+
+`properties` only declares: `register` tells it to call `running_jobs.attach_job` after an output folder has changed.
+Panels and `running_jobs` call operators by their names in Blender (`nep.import_result`), not by an import.
+What needs no sidebar is in backend/, below all of these layers: the engine's process, captures, assets, renders.
+"""
 
 import atexit
 
 import bpy
 
 from . import (
-    bounds,
-    cameras,
+    bounds_estimate,
     clock,
-    comparison,
-    comparison_picture,
+    comparison_render,
     engine_setup,
-    jobs,
     live_preview,
-    panel,
+    operators,
+    panels,
     preferences,
-    reconstruct,
-    result,
-    settings,
-    subpanels,
+    properties,
+    running_jobs,
 )
 
-CLASSES = (
-    preferences.NepPreferences,
-    settings.NepSettings,
-    *reconstruct.CLASSES,
-    *engine_setup.CLASSES,
-    *cameras.CLASSES,
-    *bounds.CLASSES,
-    *result.CLASSES,
-    *comparison.CLASSES,
-    *comparison_picture.CLASSES,
-    panel.NEP_PT_reconstruct,
-    *subpanels.CLASSES,
-)
+CLASSES = (preferences.NepPreferences, properties.NepSettings, *operators.CLASSES, *panels.CLASSES)
 
 
-def register():
+def register() -> None:
+    """Make the add-on known to Blender, and find the jobs of a file that is open already."""
     for cls in CLASSES:
         bpy.utils.register_class(cls)
-    bpy.types.Scene.nep = bpy.props.PointerProperty(type=settings.NepSettings)
-    bpy.app.handlers.load_post.append(jobs.on_load)
-    clock.watch(_look_once)  # a file may be open already; its scenes are out of reach while the add-on registers
-    atexit.register(_let_go)
+    bpy.types.Scene.nep = bpy.props.PointerProperty(type=properties.NepSettings)
+    properties.output_changed_callbacks.append(running_jobs.attach_job)
+    bpy.app.handlers.load_post.append(running_jobs.on_file_loaded)
+    clock.call_until_false(_attach_jobs_once)  # later: in `register` bpy.data has no scenes
+    atexit.register(_close_all)
 
 
-def unregister():
-    atexit.unregister(_let_go)
-    _let_go()
+def unregister() -> None:
+    """Undo `register`. Jobs that were started to keep going go on."""
+    atexit.unregister(_close_all)
+    _close_all()
+    properties.output_changed_callbacks.remove(running_jobs.attach_job)
     del bpy.types.Scene.nep
     for cls in reversed(CLASSES):
         bpy.utils.unregister_class(cls)
 
 
-def _look_once() -> bool:
-    jobs.look_everywhere()
+def _attach_jobs_once() -> bool:
+    running_jobs.attach_jobs_of_all_scenes()
     return False
 
 
-def _let_go() -> None:
-    """A timer or handler that is left when Blender ends makes it hang or crash."""
+def _close_all() -> None:
+    """Stop the timer, the handler and all work under way. A timer or handler that is left makes Blender hang at its end."""
     clock.stop()
-    if jobs.on_load in bpy.app.handlers.load_post:
-        bpy.app.handlers.load_post.remove(jobs.on_load)
-    jobs.let_go()
-    engine_setup.let_go()
-    bounds.end_query()
-    comparison.end_render()
-    live_preview.close()
+    if running_jobs.on_file_loaded in bpy.app.handlers.load_post:
+        bpy.app.handlers.load_post.remove(running_jobs.on_file_loaded)
+    running_jobs.close_all()
+    engine_setup.close_all()
+    bounds_estimate.close_all()
+    comparison_render.close_all()
+    live_preview.remove_all_pictures()

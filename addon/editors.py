@@ -1,11 +1,13 @@
-"""Editors beside the 3D view, for what a sidebar is too small for."""
+"""Editors beside the 3D viewport. They show what is too large for the sidebar."""
 
 import bpy
 
 
-def open_editor(context, kind: str):
-    """The active space of an editor of that kind ("TEXT_EDITOR", "IMAGE_EDITOR"): of one that is open, else in a window
-    of its own."""
+def open_editor(context: bpy.types.Context, kind: str) -> bpy.types.Space:
+    """The active space of an editor of this kind ("TEXT_EDITOR" or "IMAGE_EDITOR").
+
+    An editor that is open is taken; without one, a new window with such an editor is opened.
+    """
     areas = [area for window in context.window_manager.windows for area in window.screen.areas]
     area = next((area for area in areas if area.type == kind), None)
     if area is None:

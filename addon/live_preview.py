@@ -1,6 +1,6 @@
 """What a running job has learned so far: a mesh in the viewport, and a picture in the panel.
 
-The mesh is looked up by its mark each time: undo and File > New may have removed it.
+Undo and File > New may remove the mesh at any moment. So it is found each time by its custom property JOB_PROPERTY.
 """
 
 import zipfile
@@ -11,30 +11,30 @@ import bpy.utils.previews
 import numpy as np
 
 NAME = "NeP preview"
-MARK = "nep_preview_of"
-SIDES = ("/photo", "/learned")  # of a picture
+JOB_PROPERTY = "nep_preview_of"  # the key of the job whose preview the object is
+HALVES = ("/photo", "/learned")  # added to the key of the job: the names of a picture's left and right half
 
-_pictures = None
+_pictures: bpy.utils.previews.ImagePreviewCollection | None = None
 
 
-def show_mesh(scene, job: str, file: Path) -> None:
-    """Put the mesh of a preview file into `scene`, in place of the one before. A file that is gone is let be."""
+def show_mesh(scene: bpy.types.Scene, job_key: str, file: Path) -> None:
+    """Show the mesh of a preview file in `scene`, in place of the job's last one. An unreadable file changes nothing."""
     try:
         with np.load(file) as arrays:
             vertices, faces = arrays["vertices"], arrays["faces"]
     except (OSError, ValueError, KeyError, zipfile.BadZipFile):
-        return  # the job was started again, or its folder is gone: the job itself tells of it
-    item = _find(scene, job)
+        return  # the job was started again, or its folder is gone: the job itself reports that
+    item = _preview_object(scene, job_key)
     if item is None:
         item = bpy.data.objects.new(NAME, bpy.data.meshes.new(NAME))
-        item[MARK] = job
+        item[JOB_PROPERTY] = job_key
         item.hide_select = item.hide_render = True
         scene.collection.objects.link(item)
-    _fill(item.data, vertices, faces)
+    _replace_geometry(item.data, vertices, faces)
 
 
-def _fill(mesh, vertices: np.ndarray, faces: np.ndarray) -> None:
-    """New geometry, vertices [n,3] and triangles [m,3]; several times as fast as from_pydata, which makes Python wait."""
+def _replace_geometry(mesh: bpy.types.Mesh, vertices: np.ndarray, faces: np.ndarray) -> None:
+    """Give the mesh new vertices [n,3] and triangles [m,3]. This is several times as fast as from_pydata."""
     mesh.clear_geometry()
     mesh.vertices.add(len(vertices))
     mesh.vertices.foreach_set("co", np.ascontiguousarray(vertices, np.float32).ravel())
@@ -46,55 +46,56 @@ def _fill(mesh, vertices: np.ndarray, faces: np.ndarray) -> None:
     mesh.shade_smooth()
 
 
-def remove_meshes(job: str) -> None:
-    """The job has ended: its preview goes."""
+def remove_meshes(job_key: str) -> None:
+    """Remove the job's preview mesh from all scenes."""
     for scene in bpy.data.scenes:
-        item = _find(scene, job)
+        item = _preview_object(scene, job_key)
         if item is not None:
-            bpy.data.meshes.remove(item.data)  # and with it the object
+            bpy.data.meshes.remove(item.data)  # this removes the object too
 
 
-def _find(scene, job: str):
-    return next((item for item in scene.objects if item.get(MARK) == job and item.type == "MESH"), None)
+def _preview_object(scene: bpy.types.Scene, job_key: str) -> bpy.types.Object | None:
+    return next((item for item in scene.objects if item.get(JOB_PROPERTY) == job_key and item.type == "MESH"), None)
 
 
-def load_picture(job: str, file: Path) -> None:
-    """Keep a picture at hand for the panel: on its left half the photo, on its right half what was learned.
+def load_picture(job_key: str, file: Path) -> None:
+    """Load the job's picture for the panel: its left half is a photo, its right half what was learned of it.
 
-    Blender shows pictures in squares: two halves are seen larger than the whole.
+    Blender shows a picture as a square. Two halves are then larger than the whole.
     """
     global _pictures
     if _pictures is None:
         _pictures = bpy.utils.previews.new()
-    forget_picture(job)
-    both = _pictures.load(job, str(file), "IMAGE", force_reload=True)
+    remove_picture(job_key)
+    both = _pictures.load(job_key, str(file), "IMAGE", force_reload=True)
     width, height = both.image_size
     if not width:
         return
     pixels = np.empty(4 * width * height, np.float32)
     both.image_pixels_float.foreach_get(pixels)
-    for side, half in zip(SIDES, np.split(pixels.reshape(height, width, 4)[:, : width // 2 * 2], 2, axis=1), strict=True):
-        picture = _pictures.new(job + side)
+    halves = np.split(pixels.reshape(height, width, 4)[:, : width // 2 * 2], 2, axis=1)
+    for name, half in zip(HALVES, halves, strict=True):
+        picture = _pictures.new(job_key + name)
         picture.image_size = half.shape[1], height
         picture.image_pixels_float.foreach_set(half.ravel())
 
 
-def picture_icons(job: str) -> list[int]:
-    """The icons of a job's photo and of what was learned of it, for `template_icon`; none where there is no picture."""
-    if _pictures is None or job + SIDES[-1] not in _pictures:
+def picture_halves(job_key: str) -> list[bpy.types.ImagePreview]:
+    """The job's photo, and what was learned of it; an empty list where no picture is loaded."""
+    if _pictures is None or job_key + HALVES[-1] not in _pictures:
         return []
-    return [_pictures[job + side].icon_id for side in SIDES]
+    return [_pictures[job_key + name] for name in HALVES]
 
 
-def forget_picture(job: str) -> None:
-    """The job has ended, or there is a newer one."""
+def remove_picture(job_key: str) -> None:
+    """Remove the job's picture, if there is one."""
     if _pictures is not None:
-        for name in ("", *SIDES):
-            _pictures.pop(job + name, None)
+        for name in ("", *HALVES):
+            _pictures.pop(job_key + name, None)
 
 
-def close() -> None:
-    """Give all pictures back."""
+def remove_all_pictures() -> None:
+    """Blender or the add-on ends: give all pictures back to Blender."""
     global _pictures
     if _pictures is not None:
         bpy.utils.previews.remove(_pictures)

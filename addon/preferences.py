@@ -1,13 +1,14 @@
-"""The add-on's preferences: whether the engine is there, which Python runs it, and where it is installed."""
+"""The add-on's preferences, and how Blender draws them: which Python runs the engine, and the engine's installation."""
 
+import os
 import sys
-from pathlib import Path
 
 import bpy
 
-from ..backend.engine.install import NAME, installed_python
+from ..backend.engine.install import NAME
+from . import engine_setup
+from .engine_paths import EXTENSION_PACKAGE, engine_python
 
-ROOT_PACKAGE = __package__.rpartition(".")[0]
 BUILDS = (
     ("cpu", "CPU", "For every computer; the smallest download (about 1 GB on the disk)"),
     (
@@ -20,7 +21,7 @@ BUILDS = (
 
 
 class NepPreferences(bpy.types.AddonPreferences):
-    bl_idname = ROOT_PACKAGE
+    bl_idname = EXTENSION_PACKAGE
 
     engine_python: bpy.props.StringProperty(
         name="Engine Python",
@@ -30,7 +31,7 @@ class NepPreferences(bpy.types.AddonPreferences):
     engine_folder: bpy.props.StringProperty(
         name="Install Into",
         subtype="DIR_PATH",
-        description=f"The engine is made in the folder {NAME} in there. Empty: the extension's own user folder",
+        description=f"The engine is installed into its subfolder {NAME}. Empty: the extension's own user folder",
     )
     base_python: bpy.props.StringProperty(
         name="Base Python",
@@ -39,49 +40,58 @@ class NepPreferences(bpy.types.AddonPreferences):
     )
     build: bpy.props.EnumProperty(name="Build of Torch", description="What the engine can compute on", items=BUILDS)
 
-    def draw(self, context):
-        from . import engine_setup
-
-        engine_setup.draw(self.layout, self)
-
-
-def of(context) -> NepPreferences | None:
-    """The add-on's preferences; None where it runs without being in Blender's list."""
-    addon = context.preferences.addons.get(ROOT_PACKAGE)
-    return addon.preferences if addon else None
+    def draw(self, context: bpy.types.Context) -> None:
+        _draw_engine(self.layout.box(), context, self)
+        _draw_installation(self.layout.box(), self)
 
 
-def user_folder() -> Path | None:
-    """Where files of the extension live; None where it is not installed as one."""
-    try:
-        return Path(bpy.utils.extension_path_user(ROOT_PACKAGE))
-    except ValueError:
-        return None
+def _draw_engine(box: bpy.types.UILayout, context: bpy.types.Context, preferences: NepPreferences) -> None:
+    """Which Python runs the engine, and what the last check of it has found."""
+    row = box.row()
+    row.label(text="Engine", icon="SYSTEM")
+    row.operator("nep.check_engine", icon="VIEWZOOM")
+    _draw_check(box.column(align=True), context)
+    box.prop(preferences, "engine_python", placeholder="The installed engine")
 
 
-def timings_file() -> Path:
-    """What the last jobs took."""
-    return (user_folder() or Path(bpy.utils.user_resource("CONFIG"))) / "nep_timings.json"
+def _draw_check(column: bpy.types.UILayout, context: bpy.types.Context) -> None:
+    check = engine_setup.check
+    if engine_setup.checking:
+        column.label(text="Asking the Python; the first time this takes half a minute", icon="TIME")
+    elif check is None:
+        named = os.path.basename(engine_python(context))
+        column.label(
+            text="Not checked yet" if named else "No engine yet: install it below, or choose a Python that has it",
+            icon="QUESTION" if named else "ERROR",
+        )
+    else:
+        column.label(text=check.python, icon="CHECKMARK" if check.works else "ERROR")
+        for line in check.lines:
+            column.label(text=line, icon="BLANK1")
 
 
-def engine_folder(context) -> Path | None:
-    """Where the engine is installed, or would be."""
-    chosen = of(context)
-    if chosen is not None and chosen.engine_folder:
-        return Path(bpy.path.abspath(chosen.engine_folder))
-    return user_folder()
-
-
-def base_python(context) -> str:
-    """The Python that makes the engine's environment."""
-    chosen = of(context)
-    return bpy.path.abspath(chosen.base_python) if chosen is not None and chosen.base_python else sys.executable
-
-
-def engine_python(context) -> str:
-    """The Python that the artist has named, else that of the installed engine, else an empty string."""
-    chosen = of(context)
-    if chosen is not None and chosen.engine_python:
-        return bpy.path.abspath(chosen.engine_python)
-    folder = engine_folder(context)
-    return installed_python(folder) if folder is not None else ""
+def _draw_installation(box: bpy.types.UILayout, preferences: NepPreferences) -> None:
+    """The choices for an installation, its progress, and its failure."""
+    installing, installation = engine_setup.installing, engine_setup.installation
+    box.label(text="Installation", icon="IMPORT")
+    column = box.column()
+    column.enabled = not installing
+    column.prop(preferences, "engine_folder", placeholder="The extension's own folder")
+    column.prop(preferences, "base_python", placeholder="Blender's own Python")
+    column.prop(preferences, "build")
+    version = "{}.{}".format(*sys.version_info)
+    if not preferences.base_python and sys.version_info >= (3, 14):
+        column.label(text=f"Blender's Python is {version}: where parts of the engine have no build for it yet,", icon="INFO")
+        column.label(text="choose a Python 3.11, 3.12 or 3.13 as Base Python.", icon="BLANK1")
+    if installing:
+        box.progress(factor=installation.fraction, text=f"{100 * installation.fraction:.0f} %")
+        box.label(text=installation.message)
+        box.operator("nep.cancel_install", icon="CANCEL")
+        return
+    if not bpy.app.online_access:
+        box.label(text=engine_setup.ALLOW_ONLINE_ACCESS, icon="INFO")
+    box.operator("nep.install_engine", icon="IMPORT")
+    if installation is not None and installation.error is not None:
+        for text, icon in zip(installation.error, ("ERROR", "BLANK1"), strict=True):
+            if text:
+                box.label(text=text, icon=icon)

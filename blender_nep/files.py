@@ -16,7 +16,7 @@ from typing import Any
 from blender_nep.errors import OutputError
 
 
-def write_atomically(path: Path, write: Callable[[Path], None]) -> None:
+def write_atomically(path: Path, write: Callable[[Path], object]) -> None:
     """Call write(temporary path), flush it to the disk and rename it to `path`. Raises OutputError."""
     temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
     with output_errors(path):
@@ -27,6 +27,11 @@ def write_atomically(path: Path, write: Callable[[Path], None]) -> None:
             os.replace(temporary, path)
         finally:
             temporary.unlink(missing_ok=True)
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write a text file (UTF-8) by `write_atomically`. Raises OutputError."""
+    write_atomically(path, lambda temporary: temporary.write_bytes(text.encode()))
 
 
 @contextmanager

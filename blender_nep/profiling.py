@@ -17,7 +17,7 @@ from dataclasses import dataclass, field
 from functools import wraps
 from pathlib import Path
 
-from blender_nep.files import write_atomically
+from blender_nep.files import write_text
 
 _NOTHING = nullcontext()
 _current: Profile | None = None
@@ -118,7 +118,8 @@ class Profile:
     def report(self) -> list[dict]:
         """A row for each section so far, those within it after it; `section` is its path."""
         self._up_to_now()
-        found, path = [], []
+        found: list[dict] = []
+        path: list[str] = []
         for depth, part in self.whole.rows():
             path[depth:] = [part.name]
             found.append(
@@ -142,11 +143,13 @@ class Profile:
     def write(self, path: Path) -> None:
         """As a flame graph for speedscope: one of wall and one of CPU seconds. Raises OutputError."""
         text = json.dumps(self._speedscope())
-        write_atomically(path, lambda file: file.write_text(text, encoding="utf-8"))
+        write_text(path, text)
 
     def _speedscope(self) -> dict:
         names: dict[str, int] = {}
-        stacks, own, path = [], {"wall": [], "cpu": []}, []
+        stacks: list[list[int]] = []
+        own: dict[str, list[float]] = {"wall": [], "cpu": []}
+        path: list[int] = []
         for depth, part in self.whole.rows():
             path[depth:] = [names.setdefault(part.name, len(names))]
             stacks.append(list(path))

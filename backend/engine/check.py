@@ -36,6 +36,7 @@ class EngineCheck:
         self.versions: dict[str, str] = {}
         self.lines: list[str] = []
         self._start = time.monotonic()
+        self._process: subprocess.Popen[bytes] | None = None
         try:
             # an answer of one line fits into the pipe: nobody has to read before the end
             self._process = subprocess.Popen(
@@ -46,7 +47,6 @@ class EngineCheck:
                 stderr=subprocess.DEVNULL,
             )
         except OSError as error:
-            self._process = None
             self.lines = [f"{python} cannot be started: {error.strerror or error}.", "Choose another Python."]
 
     def poll(self) -> bool:
@@ -59,8 +59,8 @@ class EngineCheck:
             self.close()
             self.lines = [f"{self.python} did not answer within {LIMIT_S:.0f} s."]
             return True
-        output, code = self._process.stdout.read(), self._process.returncode
-        self._process.stdout.close()
+        code = self._process.returncode
+        output, _ = self._process.communicate()
         self._process = None
         try:
             self._understand(json.loads(output.splitlines()[-1]))
@@ -91,6 +91,5 @@ class EngineCheck:
         """Do not wait for the answer any more."""
         if self._process is not None:
             self._process.kill()
-            self._process.wait()
-            self._process.stdout.close()
+            self._process.communicate()
             self._process = None

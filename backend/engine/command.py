@@ -59,9 +59,9 @@ def find_engine_python(explicit: str | None = None, configured: str | None = Non
     for python in (explicit, os.environ.get(ENGINE_PYTHON_VARIABLE), configured):
         if python:
             return python
-    for python in (_checkout_python(), sys.executable):
-        if python and Path(python).exists() and _has_engine(str(python)):
-            return str(python)
+    for found in (str(_checkout_python()), sys.executable):
+        if found and Path(found).exists() and _has_engine(found):
+            return found
     raise NoEngineError("No Python with the engine (blender-nep and torch) was found.")
 
 

@@ -5,6 +5,7 @@
 
 import json
 import os
+import sys
 from pathlib import Path
 
 FOLDER = "job"
@@ -37,7 +38,7 @@ def is_running(out: Path) -> bool:
     except OSError:
         return False
     try:
-        if os.name == "nt":
+        if sys.platform == "win32":
             import msvcrt
 
             msvcrt.locking(descriptor, msvcrt.LK_NBLCK, 1)

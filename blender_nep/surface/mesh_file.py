@@ -30,7 +30,8 @@ def load_surface(mesh_path: Path, capture: Capture, preset: SurfacePreset) -> Su
     except (ValueError, TypeError, KeyError, IndexError, OSError, NotImplementedError) as error:
         hint = "give an OBJ, PLY, STL or glTF file"
         raise CaptureError(f"the mesh {path.name} cannot be read: {error}", hint) from error
-    if len(mesh.faces) == 0 or not np.isfinite(mesh.vertices).all():
+    # a file of points alone is no mesh, whatever was asked for
+    if not isinstance(mesh, trimesh.Trimesh) or len(mesh.faces) == 0 or not np.isfinite(mesh.vertices).all():
         raise CaptureError(f"the mesh {path.name} holds no usable triangle", "give a triangle mesh of the object")
     transform = np.asarray(capture.to_unit, np.float64)
     vertices = np.asarray(mesh.vertices, np.float64) @ transform[:3, :3].T + transform[:3, 3]

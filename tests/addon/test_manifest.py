@@ -1,5 +1,6 @@
 """The extension: its manifest keeps Blender's rules, and it installs, works and goes away again."""
 
+import os
 import re
 import stat
 import subprocess
@@ -7,10 +8,11 @@ import sys
 import tomllib
 import zipfile
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 
-from support.blender_checks import fails, rounds
+from support.blender_checks import Drawn, fails, rounds
 from support.own_process import run_file
 from support.paths import ROOT
 from support.played_python import played_python
@@ -81,7 +83,7 @@ def test_nothing_of_blender_is_imported_by_the_root_module():
 
 def test_backend_and_addon_import_no_engine():
     allowed = {*sys.stdlib_module_names, "bpy", "blf", "bmesh", "mathutils", "numpy", "backend", "_cycles"}
-    for path in [*(ROOT / "backend").glob("*.py"), *(ROOT / "addon").glob("*.py"), ROOT / "__init__.py"]:
+    for path in [*(ROOT / "backend").rglob("*.py"), *(ROOT / "addon").rglob("*.py"), ROOT / "__init__.py"]:
         for module in re.findall(r"^\s*(?:from|import)\s+([A-Za-z_]\w*)", path.read_text(), re.MULTILINE):
             assert module in allowed, path
 
@@ -138,29 +140,45 @@ def use_extension(archive: str, folder: str) -> None:
 
 def set_engine_up(bpy, addon, folder: Path) -> None:
     """Press Install Engine and Check in the preferences, with a Python that plays venv and pip."""
-    setup, chosen = addon.engine_setup, addon.preferences.of(bpy.context)
-    default = addon.preferences.engine_folder(bpy.context)
+    paths, install = addon.engine_paths, bpy.ops.nep.install_engine
+    chosen = paths.addon_preferences(bpy.context)
+
+    def drawn() -> list[str]:
+        """What the preferences show."""
+        layout = Drawn()
+        shown = SimpleNamespace(layout=layout, base_python=chosen.base_python)
+        addon.preferences.NepPreferences.draw(shown, bpy.context)
+        return layout.log
+
+    default = paths.engine_folder(bpy.context)
     assert default.name == "blender_nep" and default.is_relative_to(folder / "user"), "the extension's own folder"
-    assert not addon.preferences.engine_python(bpy.context)
+    assert not paths.engine_python(bpy.context)
+    assert "No engine yet: install it below, or choose a Python that has it" in drawn()
     chosen.base_python, chosen.engine_folder = str(folder / "base-python"), str(folder / "engines")
     bpy.context.preferences.system.use_online_access = False
-    assert not bpy.ops.nep.install_engine.poll()
+    assert not install.poll()
     bpy.context.preferences.system.use_online_access = True
     (folder / "mode").write_text("slow")
-    assert bpy.ops.nep.install_engine() == {"FINISHED"} and not bpy.ops.nep.install_engine.poll()
+    assert install() == {"FINISHED"} and not install.poll() and "nep.cancel_install" in drawn()
     rounds(addon, lambda: (folder / "slow").exists())
-    assert bpy.ops.nep.cancel_install() == {"FINISHED"}
-    rounds(addon, lambda: not setup.installing)
-    assert "cancelled" in setup.installation.error[0] and not addon.preferences.engine_python(bpy.context)
+    assert bpy.ops.nep.cancel_install() == {"FINISHED"} and not bpy.ops.nep.cancel_install.poll()
+    rounds(addon, install.poll)
+    assert "The installation was cancelled." in drawn() and not paths.engine_python(bpy.context)
     (folder / "mode").write_text("well")
-    assert bpy.ops.nep.install_engine() == {"FINISHED"}
-    rounds(addon, lambda: not setup.installing)
-    assert addon.preferences.engine_python(bpy.context) == setup.installation.python
+    assert install() == {"FINISHED"}
+    rounds(addon, install.poll)
+    installed = paths.engine_python(bpy.context)
+    assert Path(installed).is_relative_to(folder / "engines" / "nep-engine")
     assert (folder / "engines" / "nep-engine" / "engine.json").is_file()
-    rounds(addon, lambda: not setup.checking)
-    assert setup.check.python == setup.installation.python, "what was installed is checked"
+    rounds(addon, bpy.ops.nep.check_engine.poll)
+    assert installed in drawn(), "what was installed is checked"
     chosen.engine_python = "/no/python"
-    assert addon.preferences.engine_python(bpy.context) == "/no/python"
+    assert paths.engine_python(bpy.context) == "/no/python"
+    engine = os.environ.pop("NEP_ENGINE_PYTHON")  # it would go before the preferences
+    assert bpy.ops.nep.check_engine() == {"FINISHED"}
+    os.environ["NEP_ENGINE_PYTHON"] = engine
+    rounds(addon, bpy.ops.nep.check_engine.poll)
+    assert any(text.startswith("/no/python cannot be started") for text in drawn())
 
 
 if __name__ == "__main__":

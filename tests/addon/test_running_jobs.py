@@ -7,10 +7,11 @@ import sys
 from pathlib import Path
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
 from support import ball_engine
-from support.blender_checks import fails, rounds
+from support.blender_checks import Drawn, fails, rounds
 from support.own_process import run_file
 from support.paths import ROOT
 
@@ -18,14 +19,20 @@ LIMIT_S = 60
 
 
 @pytest.fixture
-def folders(make_capture, tmp_path, monkeypatch):
-    """A folder with `capture`, an engine, and the add-on as an importable package."""
-    make_capture(masks=True)
+def package(tmp_path, monkeypatch):
+    """A folder with the extension as the importable package `nep_addon`; Blender's user files go there too."""
     (tmp_path / "package").mkdir()
     (tmp_path / "package" / "nep_addon").symlink_to(ROOT)
-    monkeypatch.setenv("NEP_ENGINE_PYTHON", ball_engine.make(tmp_path))
     monkeypatch.setenv("BLENDER_USER_RESOURCES", str(tmp_path))
     return tmp_path
+
+
+@pytest.fixture
+def folders(package, make_capture, monkeypatch):
+    """A folder with `capture`, an engine, and the package."""
+    make_capture(masks=True)
+    monkeypatch.setenv("NEP_ENGINE_PYTHON", ball_engine.make(package))
+    return package
 
 
 def in_blender(function, folder: Path, *, code=0, **variables) -> str:
@@ -33,9 +40,15 @@ def in_blender(function, folder: Path, *, code=0, **variables) -> str:
     done = run_file(__file__, function.__name__, folder, timeout=LIMIT_S, **variables)
     assert done.returncode == code, done.stdout[-2000:] + done.stderr[-4000:]
     assert "Traceback" not in done.stderr, done.stderr
-    return done.stdout
+    return done.stdout + done.stderr
 
 
+# scripts and key maps of artists name them: none may be renamed
+OPERATORS = {"reconstruct", "cancel", "open_log", "import_result", "use_recovered_light"} | {
+    *("load_cameras", "clear_cameras", "capture_from_scene", "propose_bounds", "clear_bounds"),
+    *("render_comparison", "cancel_comparison", "show_comparison"),
+    *("check_engine", "install_engine", "cancel_install", "open_preferences"),
+}
 SLOW = {"BALL_STEPS": "4000", "BALL_DELAY": "0.02"}
 BRISK = {"BALL_STEPS": "100", "BALL_DELAY": "0.03"}
 
@@ -63,29 +76,21 @@ def register():
 def start(bpy, addon, scene=None):
     """Press the button; returns the job."""
     assert bpy.ops.nep.reconstruct(wait=False) == {"FINISHED"}
-    return addon.jobs.of(scene or bpy.context.scene)
+    return addon.running_jobs.job_of(scene or bpy.context.scene)
 
 
 def meshes(bpy) -> list[str]:
     return sorted(item.name for item in bpy.data.objects if item.type == "MESH")
 
 
-class Drawn:
-    """A layout that writes down texts and operators in their order."""
-
-    def __init__(self, log: list[str]) -> None:
-        self.log = log
-
-    def __getattr__(self, name: str):
-        def note(*arguments, **keywords):
-            self.log += [arguments[0]] if name == "operator" else []
-            self.log += [keywords["text"]] if "text" in keywords else []
-            return Drawn(self.log)
-
-        return note
-
-    def panel(self, *_arguments, **_keywords):
-        return Drawn(self.log), Drawn(self.log)
+def drawn(bpy, addon) -> list[str]:
+    """The texts and operators of the main panel, in their order."""
+    real = bpy.context.preferences
+    preferences = SimpleNamespace(system=SimpleNamespace(ui_scale=1.0), ui_styles=real.ui_styles, addons=real.addons)
+    context = SimpleNamespace(scene=bpy.context.scene, region=None, preferences=preferences)  # as a screen has it
+    layout = Drawn()
+    addon.panels.reconstruct.NEP_PT_reconstruct.draw(SimpleNamespace(layout=layout), context)
+    return layout.log
 
 
 def test_what_the_photos_show_stands_below_the_buttons_also_after_a_stop(folders):
@@ -94,23 +99,14 @@ def test_what_the_photos_show_stands_below_the_buttons_also_after_a_stop(folders
 
 def check_box_of_the_photos(folder):
     bpy, addon, _settings = set_up(folder)
-    real = bpy.context.preferences
-    preferences = SimpleNamespace(system=SimpleNamespace(ui_scale=1.0), ui_styles=real.ui_styles, addons=real.addons)
-
-    def drawn() -> list[str]:
-        log: list[str] = []
-        context = SimpleNamespace(scene=bpy.context.scene, region=None, preferences=preferences)  # of a screen
-        addon.panel.NEP_PT_reconstruct.draw(SimpleNamespace(layout=Drawn(log)), context)
-        return log
-
     job = start(bpy, addon)
-    rounds(addon, lambda: job.scene)
-    running = drawn()
+    rounds(addon, lambda: job.scene_analysis)
+    running = drawn(bpy, addon)
     box = running.index("What the Photos Show")
     assert running.index("nep.cancel") < box and "Masks are there and are used." in running[box:]
     assert bpy.ops.nep.cancel() == {"FINISHED"}
     rounds(addon, lambda: job.ended)
-    stopped = drawn()
+    stopped = drawn(bpy, addon)
     assert job.was_stopped and stopped.index("Resume") < stopped.index("What the Photos Show")
 
 
@@ -120,24 +116,30 @@ def test_a_job_runs_beside_blender_and_brings_its_object(folders):
 
 def check_life_of_a_job(folder):
     bpy, addon, _settings = set_up(folder)
+
+    def texts_with(words: str) -> list[str]:
+        return [text for text in drawn(bpy, addon) if words in text]
+
+    assert texts_with("for 60 small photos") and not texts_with("on this machine"), "a guess"
     job = start(bpy, addon)
     assert not bpy.ops.nep.reconstruct.poll() and bpy.ops.nep.cancel.poll()
     rounds(addon, lambda: "NeP preview" in bpy.data.objects)
     preview = bpy.data.objects["NeP preview"]
     assert len(preview.data.polygons) == 320 and preview.hide_render
-    assert len(addon.live_preview.picture_icons(job.key)) == 2, "photo and what was learned"
+    assert len(addon.live_preview.picture_halves(job.key)) == 2, "photo and what was learned"
     bpy.data.objects.remove(preview)  # as undo does
     rounds(addon, lambda: job.progress.stage == "Learning the materials")
     bpy.ops.wm.read_factory_settings(use_empty=True)  # File > New, in the middle
-    assert addon.jobs.of(bpy.context.scene) is None
+    assert addon.running_jobs.job_of(bpy.context.scene) is None
     bpy.context.scene.nep.capture, bpy.context.scene.nep.output = str(folder / "capture"), str(folder / "out")
-    assert addon.jobs.of(bpy.context.scene) is job and not job.ended
-    rounds(addon, lambda: job.ended and not job.watched)
-    assert job.failed is None and meshes(bpy) == ["out"] and not addon.jobs.result_waits(bpy.context.scene)
+    assert addon.running_jobs.job_of(bpy.context.scene) is job and not job.ended
+    rounds(addon, lambda: job.ended and not job.import_when_ended)
+    assert job.failed is None and meshes(bpy) == ["out"] and not addon.imported_result.has_new_result(bpy.context.scene)
     assert addon.clock.tick() is None, "the timer rests"
-    assert "Masks are there and are used." in job.scene and job.scene[-1].startswith("Left out: ")
+    assert "Masks are there and are used." in job.scene_analysis and job.scene_analysis[-1].startswith("Left out: ")
     assert "stage fields_learning" in log(bpy)
-    assert 0 < addon.panel.expected_seconds(addon.preferences.timings_file(), "preview")[0] < 90
+    bpy.context.scene.nep.preset = "preview"
+    assert texts_with("on this machine") and not texts_with("for 60 small photos"), "measured"
     fails(bpy.ops.nep.reconstruct, "already holds an asset")
     assert bpy.ops.nep.reconstruct(overwrite=True) == {"FINISHED"} and len(meshes(bpy)) == 2
 
@@ -169,16 +171,24 @@ def check_kept(folder):
     addon = register()
     bpy.ops.wm.open_mainfile(filepath=str(folder / "scene.blend"))
     scene = bpy.context.scene
-    job = addon.jobs.of(scene)
+    job = addon.running_jobs.job_of(scene)
     assert job is not None and job.progress.fraction > 0
-    rounds(addon, lambda: job.ended and not job.watched)
+    rounds(addon, lambda: job.ended and not job.import_when_ended)
     assert job.failed is None and meshes(bpy) == ["out"]
     # the file was not saved with the object: the result waits again, and is not forced upon anybody
     bpy.ops.wm.open_mainfile(filepath=str(folder / "scene.blend"))
     addon.clock.tick()
-    assert meshes(bpy) == [] and addon.jobs.result_waits(bpy.context.scene)
+    assert meshes(bpy) == [] and addon.imported_result.has_new_result(bpy.context.scene)
     assert bpy.ops.nep.import_result() == {"FINISHED"} and meshes(bpy) == ["out"]
-    assert not addon.jobs.result_waits(bpy.context.scene)
+    assert not addon.imported_result.has_new_result(bpy.context.scene)
+    # a new file that names the folder finds the ended job, and its result waits for the artist
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    assert addon.running_jobs.job_of(bpy.context.scene) is None
+    bpy.context.scene.nep.output = str(folder / "out")
+    again = addon.running_jobs.job_of(bpy.context.scene)
+    assert again is not None and again.ended and again.failed is None
+    addon.clock.tick()
+    assert meshes(bpy) == [] and addon.imported_result.has_new_result(bpy.context.scene)
 
 
 def check_stopped(folder):
@@ -186,9 +196,9 @@ def check_stopped(folder):
 
     addon = register()
     bpy.ops.wm.open_mainfile(filepath=str(folder / "scene.blend"))
-    job = addon.jobs.of(bpy.context.scene)
+    job = addon.running_jobs.job_of(bpy.context.scene)
     rounds(addon, lambda: job.ended)
-    assert job.was_stopped and not addon.jobs.result_waits(bpy.context.scene)
+    assert job.was_stopped and not addon.imported_result.has_new_result(bpy.context.scene)
     assert bpy.ops.nep.reconstruct(resume=True) == {"FINISHED"} and meshes(bpy) == ["out"]
 
 
@@ -206,17 +216,17 @@ def check_cancel_and_crash(folder):
     assert job.was_stopped and meshes(bpy) == []
     sign.unlink()
     assert bpy.ops.nep.reconstruct(resume=True, wait=False) == {"FINISHED"}
-    job = addon.jobs.of(bpy.context.scene)
+    job = addon.running_jobs.job_of(bpy.context.scene)
     rounds(addon, sign.exists)
     from nep_addon.backend.engine.job_files import read_job
 
     os.kill(read_job(folder / "out")["pid"], signal.SIGKILL)
     rounds(addon, lambda: job.ended)
-    assert "killed" in job.failed.message and not job.was_stopped and not addon.jobs.advance_all()
+    assert "killed" in job.failed.message and not job.was_stopped and addon.clock.tick() is None
     # no engine, no capture: said where the artist looks
     os.environ["NEP_ENGINE_PYTHON"] = str(folder / "no-python")
     fails(lambda: bpy.ops.nep.reconstruct(resume=True), "cannot be started")
-    assert "cannot be started" in addon.jobs.of(bpy.context.scene).failed.message
+    assert "cannot be started" in addon.running_jobs.job_of(bpy.context.scene).failed.message
     settings.output = "//beside"
     fails(bpy.ops.nep.reconstruct, "Save the file first")
 
@@ -233,11 +243,11 @@ def check_two_jobs(folder):
     scene.nep.capture, scene.nep.output, scene.nep.preset = str(folder / "second capture"), str(folder / "two"), "preview"
     with bpy.context.temp_override(scene=scene):
         two = start(bpy, addon, scene)
-    assert one is not two and addon.jobs.of(bpy.context.scene) is one and addon.jobs.of(scene) is two
-    rounds(addon, lambda: all(job.ended for job in (one, two)) and not one.watched)
+    assert one is not two and addon.running_jobs.job_of(bpy.context.scene) is one and addon.running_jobs.job_of(scene) is two
+    rounds(addon, lambda: all(job.ended for job in (one, two)) and not one.import_when_ended)
     assert meshes(bpy) == ["out"], "what belongs to a scene that is not shown waits"
     bpy.context.window.scene = scene
-    rounds(addon, lambda: not two.watched)
+    rounds(addon, lambda: not two.import_when_ended)
     assert one.failed is None and two.failed is None
     assert [item.name for item in scene.objects if item.type == "MESH"] == ["two"]
     assert "out" not in scene.objects and "two" not in bpy.data.scenes[0].objects
@@ -257,29 +267,52 @@ def check_halves(folder):
     preview = addon.live_preview
     for _ in range(2):  # the second takes the place of the first
         preview.load_picture("job", folder / "pair.png")
-    for side, color in zip(preview.SIDES, ([1, 0, 0, 1], [0, 1, 0, 1]), strict=True):
-        half = preview._pictures["job" + side]
+    assert preview.picture_halves("another job") == []
+    photo, learned = preview.picture_halves("job")
+    for half, color in ((photo, [1, 0, 0, 1]), (learned, [0, 1, 0, 1])):
         assert tuple(half.image_size) == (32, 32)
-        assert [round(value) for value in half.image_pixels_float[:4]] == color
-    preview.forget_picture("job")
-    assert preview.picture_icons("job") == []
+        pixels = np.array(half.image_pixels_float).reshape(-1, 4)
+        np.testing.assert_allclose(pixels, np.tile(color, (32 * 32, 1)), atol=0.01)
+    preview.remove_picture("job")
+    assert preview.picture_halves("job") == []
 
 
-def test_lines_of_the_panel_fit():
-    sys.path.insert(0, str(ROOT.parent))
-    in_blender(check_wrapping, ROOT)
+def test_lines_of_the_panel_fit(package):
+    in_blender(check_wrapping, package)
 
 
 def check_wrapping(folder):
-    sys.path.insert(0, str(folder.parent))
-    import bpy  # noqa: F401
+    from nep_addon.addon.wrapped_text import wrap
 
-    addon = __import__(f"{folder.name}.addon.messages", fromlist=["wrapped"])
     text = "The engine's Python /a/very/long/path/that/is/longer/than/a/line lacks torch.\nInstall it."
-    lines = addon.wrapped(text, 20)
+    lines = wrap(text, 20)
     assert max(map(len, lines)) <= 20 and len(lines) > 3 and lines[-1] == "Install it." and "lacks torch." in " ".join(lines)
     assert "".join(lines).replace(" ", "") == text.replace(" ", "").replace("\n", "")
-    assert addon.wrapped("", 20) == []
+    assert wrap("", 20) == []
+
+
+def test_registering_twice_leaves_nothing_behind_and_warns_of_nothing(package):
+    assert in_blender(check_registration, package).strip() == ""
+
+
+def check_registration(folder):
+    import bpy
+
+    def handlers() -> list[str]:
+        return [function.__module__ for function in bpy.app.handlers.load_post if "nep_addon" in function.__module__]
+
+    def operators() -> set[str]:
+        return {name for name in dir(bpy.ops.nep) if not name.startswith("_")}
+
+    import nep_addon
+
+    for _ in range(2):
+        nep_addon.register()
+        assert operators() == OPERATORS and hasattr(bpy.types, "NEP_PT_reconstruct") and len(handlers()) == 1
+        bpy.context.scene.nep.output = str(folder / "out")
+        nep_addon.unregister()
+        assert not operators() and not handlers()
+        assert not hasattr(bpy.types.Scene, "nep") and not hasattr(bpy.types, "NEP_PT_reconstruct")
 
 
 if __name__ == "__main__":

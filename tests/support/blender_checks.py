@@ -22,3 +22,21 @@ def rounds(addon, until) -> None:
         assert time.monotonic() < deadline, "nothing came"
         addon.clock.tick()
         time.sleep(0.02)
+
+
+class Drawn:
+    """A layout for a panel's `draw` that draws nothing. `log` holds the texts and operators in their order."""
+
+    def __init__(self, log: list[str] | None = None) -> None:
+        self.log: list[str] = [] if log is None else log
+
+    def __getattr__(self, name: str):
+        def note(*arguments, **keywords):
+            self.log += [arguments[0]] if name == "operator" else []
+            self.log += [keywords["text"]] if "text" in keywords else []
+            return Drawn(self.log)
+
+        return note
+
+    def panel(self, *_arguments, **_keywords):
+        return Drawn(self.log), Drawn(self.log)

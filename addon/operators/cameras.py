@@ -1,13 +1,13 @@
-"""The capture's cameras in the scene, and a capture from the scene's cameras."""
+"""The operators of the cameras: load the capture's, remove them, make a capture of the scene's cameras."""
 
 from pathlib import Path
 
 import bpy
 
-from ..backend.scene_io.capture_files import read_frames
-from ..backend.scene_io.photo_cameras import camera_collections, load_cameras, remove_cameras
-from ..backend.scene_io.scene_capture import MINIMUM_PHOTOS, photo_cameras, write_scene_capture
-from . import settings
+from ...backend.scene_io.capture_files import read_frames
+from ...backend.scene_io.photo_cameras import camera_collections, load_cameras, remove_cameras
+from ...backend.scene_io.scene_capture import MINIMUM_PHOTOS, photo_cameras, write_scene_capture
+from ..folders import SAVE_FILE_FIRST, resolve_folder
 
 
 class NEP_OT_load_cameras(bpy.types.Operator):
@@ -29,17 +29,17 @@ class NEP_OT_load_cameras(bpy.types.Operator):
     )
 
     @classmethod
-    def poll(cls, context):
+    def poll(cls, context: bpy.types.Context) -> bool:
         if context.mode != "OBJECT":
             cls.poll_message_set("Leave Edit Mode first")
             return False
         return True
 
-    def execute(self, context):
+    def execute(self, context: bpy.types.Context) -> set[str]:
         capture = self.capture or context.scene.nep.capture
-        folder = settings.folder(capture)
+        folder = resolve_folder(capture)
         if folder is None:
-            self.report({"ERROR"}, settings.NOT_SAVED if capture else "Choose a capture folder first")
+            self.report({"ERROR"}, SAVE_FILE_FIRST if capture else "Choose a capture folder first")
             return {"CANCELLED"}
         try:
             frames = read_frames(folder)
@@ -65,13 +65,13 @@ class NEP_OT_clear_cameras(bpy.types.Operator):
     bl_options = {"REGISTER", "UNDO"}
 
     @classmethod
-    def poll(cls, context):
+    def poll(cls, context: bpy.types.Context) -> bool:
         if context.mode != "OBJECT" or not camera_collections(context.scene):
             cls.poll_message_set("Leave Edit Mode first" if context.mode != "OBJECT" else "No cameras are loaded")
             return False
         return True
 
-    def execute(self, context):
+    def execute(self, context: bpy.types.Context) -> set[str]:
         self.report({"INFO"}, f"{remove_cameras(context.scene)} cameras removed")
         return {"FINISHED"}
 
@@ -92,7 +92,7 @@ class NEP_OT_capture_from_scene(bpy.types.Operator):
     )
 
     @classmethod
-    def poll(cls, context):
+    def poll(cls, context: bpy.types.Context) -> bool:
         found = len(photo_cameras(context.scene))
         if found < MINIMUM_PHOTOS:
             cls.poll_message_set(
@@ -101,13 +101,13 @@ class NEP_OT_capture_from_scene(bpy.types.Operator):
             return False
         return True
 
-    def invoke(self, context, event):
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         if self.directory or bpy.data.is_saved:
             return self.execute(context)
         context.window_manager.fileselect_add(self)
         return {"RUNNING_MODAL"}
 
-    def execute(self, context):
+    def execute(self, context: bpy.types.Context) -> set[str]:
         if not self.directory and not bpy.data.is_saved:
             self.report({"ERROR"}, "Save the .blend file first, or choose a folder")
             return {"CANCELLED"}

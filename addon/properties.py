@@ -1,6 +1,10 @@
-"""What the artist chooses; saved in the .blend file with the scene."""
+"""What the artist chooses: one group of properties, `scene.nep`, which each scene saves in the .blend file.
 
-from pathlib import Path
+This module only declares. A module above it that wants to know of a changed output folder puts a function into
+`output_changed_callbacks`.
+"""
+
+from collections.abc import Callable
 
 import bpy
 
@@ -28,21 +32,13 @@ LIGHTS = tuple(
     for name in ("studio", "forest", "sunset", "interior", "city", "courtyard", "sunrise", "night")
 )
 
-
-NOT_SAVED = "Save the file first: its folders are relative to it"
-
-
-def folder(path: str) -> Path | None:
-    """The folder that a setting names; None for no folder, and for one relative to a file that is not saved yet."""
-    if not path or (path.startswith("//") and not bpy.data.is_saved):
-        return None
-    return Path(bpy.path.abspath(path))
+output_changed_callbacks: list[Callable[[bpy.types.Scene], None]] = []
+"""Functions that are called with the scene after its output folder has changed."""
 
 
-def _output_changed(settings, context):
-    from . import jobs
-
-    jobs.look(settings.id_data)
+def _call_output_changed(settings: "NepSettings", context: bpy.types.Context) -> None:
+    for callback in output_changed_callbacks:
+        callback(settings.id_data)
 
 
 class NepSettings(bpy.types.PropertyGroup):
@@ -53,7 +49,7 @@ class NepSettings(bpy.types.PropertyGroup):
         name="Output",
         description="Folder for the result; a job in it is found again when this file is opened",
         subtype="DIR_PATH",
-        update=_output_changed,
+        update=_call_output_changed,
     )
     preset: bpy.props.EnumProperty(name="Preset", description="How much time to spend", items=PRESETS, default="balanced")
     use_masks: bpy.props.BoolProperty(

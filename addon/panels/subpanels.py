@@ -2,12 +2,15 @@
 
 import bpy
 
-from . import bounds, comparison, comparison_picture, result
-from .messages import say
+from .. import bounds_estimate, comparison_render
+from ..comparison_image import comparison_image
+from ..imported_result import is_recovered_light_used
+from ..object_bounds import bounds_object, bounds_warning
+from ..wrapped_text import draw_wrapped
 
 
 class SubPanel:
-    """What the sub-panels share."""
+    """Where the sub-panels are: inside NEP_PT_reconstruct."""
 
     bl_space_type = "VIEW_3D"
     bl_region_type = "UI"
@@ -20,7 +23,7 @@ class NEP_PT_cameras_and_bounds(SubPanel, bpy.types.Panel):
     bl_idname = "NEP_PT_cameras_and_bounds"
     bl_order = 1
 
-    def draw(self, context):
+    def draw(self, context: bpy.types.Context) -> None:
         column = self.layout.column(align=True)
         row = column.row(align=True)
         row.operator("nep.load_cameras", icon="CAMERA_DATA")
@@ -30,14 +33,14 @@ class NEP_PT_cameras_and_bounds(SubPanel, bpy.types.Panel):
         row = column.row(align=True)
         row.operator("nep.propose_bounds", icon="MESH_UVSPHERE")
         row.operator("nep.clear_bounds", text="", icon="X")
-        if bounds.query is not None:
+        if bounds_estimate.current is not None:
             column.label(text="Looking for the object...", icon="TIME")
-        elif bounds.bounds_object(context.scene) is None:
+        elif bounds_object(context.scene) is None:
             column.label(text="Bounds: found automatically")
         else:
-            say(column, context, "Move and scale the sphere: the whole object inside, no camera inside")
-            say(column, context, bounds.bounds_remark(context.scene), "ERROR")
-        say(column, context, bounds.last_message, "ERROR")
+            draw_wrapped(column, context, "Move and scale the sphere: the whole object inside, no camera inside")
+            draw_wrapped(column, context, bounds_warning(context.scene), "ERROR")
+        draw_wrapped(column, context, bounds_estimate.last_error, "ERROR")
 
 
 class NEP_PT_result_and_light(SubPanel, bpy.types.Panel):
@@ -46,13 +49,13 @@ class NEP_PT_result_and_light(SubPanel, bpy.types.Panel):
     bl_options = {"DEFAULT_CLOSED"}
     bl_order = 2
 
-    def draw(self, context):
+    def draw(self, context: bpy.types.Context) -> None:
         layout, settings = self.layout, context.scene.nep
         row = layout.row(align=True)
         row.label(text="Images")
         row.prop(settings, "images", expand=True)
         column = layout.column(align=True)
-        column.operator("nep.use_recovered_light", icon="WORLD", depress=result.light_is_used(context.scene))
+        column.operator("nep.use_recovered_light", icon="WORLD", depress=is_recovered_light_used(context.scene))
         if settings.recovered_world is not None:
             column.prop(settings, "recovered_world", text="")
 
@@ -63,27 +66,27 @@ class NEP_PT_relit_comparison(SubPanel, bpy.types.Panel):
     bl_options = {"DEFAULT_CLOSED"}
     bl_order = 3
 
-    def draw(self, context):
-        layout, settings, task = self.layout, context.scene.nep, comparison.task
+    def draw(self, context: bpy.types.Context) -> None:
+        layout, settings, render = self.layout, context.scene.nep, comparison_render.current
         column = layout.column()
-        column.enabled = task is None
+        column.enabled = render is None
         column.label(text="Show the object under:")
         column.grid_flow(row_major=True, columns=2, align=True).prop(settings, "comparison_lights")
         column.prop(settings, "comparison_light_file", text="", placeholder="Another light (.hdr, .exr)")
         numbers = column.column(align=True)
         for name in ("comparison_photos", "comparison_turntable", "comparison_samples"):
             numbers.prop(settings, name)
-        if task is None:
+        if render is None:
             layout.operator("nep.render_comparison", icon="RENDER_STILL")
         else:
-            process = task.process
+            process = render.process
             text = "Stopping" if process.cancelled else f"Picture {process.done} of {process.total}"
             if not process.total:
                 text = "Starting a second Blender"
             layout.progress(factor=process.done / max(process.total, 1), text=text)
             layout.operator("nep.cancel_comparison", icon="CANCEL")
-        say(layout, context, comparison.last_message)
-        if comparison_picture.picture() is not None:
+        draw_wrapped(layout, context, comparison_render.last_message)
+        if comparison_image() is not None:
             layout.operator("nep.show_comparison", icon="IMAGE_DATA")
 
 

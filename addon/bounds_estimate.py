@@ -1,0 +1,70 @@
+"""The engine's estimate of the object's bounds, while it is under way and when it has come."""
+
+from pathlib import Path
+
+import bpy
+
+from ..backend.engine.bounds_query import BoundsQuery
+from . import clock
+from .folders import resolve_folder
+from .object_bounds import place_bounds
+
+
+class BoundsEstimate:
+    """An estimate that is under way; `clock.follow` follows it. When it comes, it is placed in its scene."""
+
+    def __init__(self, scene: bpy.types.Scene, capture: Path, engine_python: str) -> None:
+        self._scene_name, self._capture = scene.name, capture
+        self._query = BoundsQuery(capture, engine_python)
+
+    def poll(self) -> bool:
+        """Whether the engine has answered."""
+        return self._query.poll()
+
+    def displayed_state(self) -> None:
+        """The sidebar shows only that the estimate is under way, and nothing that changes."""
+
+    def finish(self) -> None:
+        """Place the bounds. Nothing is placed where the scene is gone, or has another capture by now."""
+        global current, last_error
+        current, last_error = None, self._query.error
+        scene = bpy.data.scenes.get(self._scene_name)
+        if self._query.sphere is None or scene is None or resolve_folder(scene.nep.capture) != self._capture:
+            return
+        place_bounds(scene, self._capture, *self._query.sphere)
+        if not bpy.app.background:
+            bpy.ops.ed.undo_push(message="Propose Bounds")
+
+    def close(self) -> None:
+        """Do not wait for the engine any more."""
+        self._query.close()
+
+
+current: BoundsEstimate | None = None  # the estimate under way
+last_error = ""  # why the last estimate failed; empty where it did not
+
+
+def forget_last_error() -> None:
+    """A new proposal begins: the panel no longer shows why the last one failed."""
+    global last_error
+    last_error = ""
+
+
+def start_estimate(scene: bpy.types.Scene, capture: Path, engine_python: str, *, wait: bool) -> None:
+    """Ask the engine for the bounds of the capture's object, and place them in the scene when they come.
+
+    With `wait` this function returns after that; else it returns at once.
+    """
+    global current
+    forget_last_error()
+    current = BoundsEstimate(scene, capture, engine_python)
+    clock.follow(current, wait=wait)
+
+
+def close_all() -> None:
+    """Blender or the add-on ends: forget the estimate under way."""
+    global current
+    if current is not None:
+        current.close()
+    current = None
+    forget_last_error()

@@ -1,0 +1,72 @@
+"""The render of the relit comparison. A second Blender renders it from the asset folder; this Blender shows it."""
+
+import bpy
+
+from ..backend.rendering.comparison_process import ComparisonProcess
+from . import clock
+from .comparison_image import load_comparison
+
+
+class ComparisonRender:
+    """A render that is under way; `clock.follow` follows it. Its picture is loaded when it has ended."""
+
+    def __init__(self, arguments: list[str]) -> None:
+        """OSError where the second Blender cannot be started."""
+        self.process = ComparisonProcess(arguments)
+        self._file = bpy.data.filepath
+
+    def poll(self) -> bool:
+        """Whether the render has ended."""
+        return self.process.poll()
+
+    def displayed_state(self) -> tuple[int, int, bool]:
+        """What the sidebar shows of the render."""
+        return self.process.done, self.process.total, self.process.cancelled
+
+    def finish(self) -> None:
+        """Load the picture into the file that was open when the render began. Another file stays as it is."""
+        global current, last_message
+        current = None
+        self.process.close()
+        if self.process.path is None:
+            last_message = self.process.error
+            return
+        last_message = f"Written: {self.process.path}"
+        if bpy.data.filepath == self._file:
+            load_comparison(self.process.path)
+
+    def close(self) -> None:
+        """End the second Blender now."""
+        self.process.close()
+
+
+current: ComparisonRender | None = None  # the render under way
+last_message = ""  # how the last render ended
+
+
+def show_message(message: str) -> None:
+    """Make the panel show this message, in place of how the last render ended."""
+    global last_message
+    last_message = message
+
+
+def start_render(arguments: list[str], *, wait: bool) -> ComparisonRender:
+    """Render a comparison with these arguments of backend/render_comparison.py.
+
+    With `wait` this function returns after the render's end; else it returns at once.
+    OSError where the second Blender cannot be started.
+    """
+    global current
+    render = current = ComparisonRender(arguments)
+    show_message("")
+    clock.follow(render, wait=wait)
+    return render
+
+
+def close_all() -> None:
+    """Blender or the add-on ends: end the render under way."""
+    global current
+    if current is not None:
+        current.close()
+    current = None
+    show_message("")

@@ -1,0 +1,52 @@
+"""The result of a job in the artist's scene: the object, and the recovered light as the scene's World."""
+
+from pathlib import Path
+
+import bpy
+
+from ..backend.engine.job_files import is_asset, read_job
+from ..backend.scene_io.result import import_result
+from .folders import folder_key, resolve_folder
+
+
+def place_result(scene: bpy.types.Scene, folder: Path) -> bpy.types.Object:
+    """Import the asset in `folder` into the scene and select its object; returns the object.
+
+    The light becomes `scene.nep.recovered_world`; the scene's own World stays in use.
+    OSError where a file of the asset is missing or cannot be read.
+    """
+    settings = scene.nep
+    item, world = import_result(folder, scene.collection, pack=settings.images == "PACKED")
+    settings.recovered_world, settings.asset = world, str(folder)
+    settings.imported_job = _last_job_identifier(folder)
+    layer = scene.view_layers[0]
+    for other in layer.objects.selected:
+        other.select_set(False, view_layer=layer)
+    item.select_set(True, view_layer=layer)
+    layer.objects.active = item
+    return item
+
+
+def has_new_result(scene: bpy.types.Scene) -> bool:
+    """Whether the scene's output folder holds an asset that was not imported into the scene yet."""
+    output = resolve_folder(scene.nep.output)
+    return output is not None and is_asset(output) and _last_job_identifier(output) != scene.nep.imported_job
+
+
+def _last_job_identifier(output: Path) -> str:
+    """Differs between two jobs in the same folder. An asset without a job's files is identified by its folder."""
+    return str((read_job(output) or {}).get("id") or folder_key(output))
+
+
+def is_recovered_light_used(scene: bpy.types.Scene) -> bool:
+    """Whether the recovered light is the scene's World."""
+    return scene.nep.recovered_world is not None and scene.world == scene.nep.recovered_world
+
+
+def switch_light(scene: bpy.types.Scene) -> None:
+    """Change between the recovered light and the artist's own World."""
+    settings = scene.nep
+    if is_recovered_light_used(scene):
+        scene.world, settings.own_world = settings.own_world, None
+    else:
+        settings.own_world, scene.world = scene.world, settings.recovered_world

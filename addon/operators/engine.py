@@ -1,0 +1,88 @@
+"""The operators of the preferences: check the engine, install it, cancel the installation, open the preferences."""
+
+import bpy
+
+from ...backend.engine.command import EngineError, find_engine_python
+from .. import engine_paths, engine_setup
+
+
+class NEP_OT_check_engine(bpy.types.Operator):
+    bl_idname = "nep.check_engine"
+    bl_label = "Check"
+    bl_description = "Say which Python runs the engine, and what it has or lacks"
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        if engine_setup.checking:
+            cls.poll_message_set("The Python is being asked")
+        return not engine_setup.checking
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        try:
+            engine_setup.start_check(find_engine_python(configured=engine_paths.engine_python(context)))
+        except EngineError as error:
+            self.report({"WARNING"}, str(error))
+            engine_setup.forget_check()
+            return {"CANCELLED"}
+        return {"FINISHED"}
+
+
+class NEP_OT_install_engine(bpy.types.Operator):
+    bl_idname = "nep.install_engine"
+    bl_label = "Install Engine"
+    bl_description = "Download what the engine needs (torch and others) into an environment of its own"
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        if engine_setup.installing:
+            cls.poll_message_set("It is being installed")
+            return False
+        if not bpy.app.online_access:
+            cls.poll_message_set(engine_setup.ALLOW_ONLINE_ACCESS)
+            return False
+        return True
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        folder = engine_paths.engine_folder(context)
+        if folder is None:
+            self.report({"ERROR"}, "Choose a folder to install into")
+            return {"CANCELLED"}
+        try:
+            engine_setup.start_installation(folder, engine_paths.base_python(context), engine_paths.torch_build(context))
+        except OSError as error:
+            self.report({"ERROR"}, f"The installation cannot be started: {error}")
+            return {"CANCELLED"}
+        return {"FINISHED"}
+
+
+class NEP_OT_cancel_install(bpy.types.Operator):
+    bl_idname = "nep.cancel_install"
+    bl_label = "Cancel"
+    bl_description = "Stop the installation and remove what it has made"
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        if not engine_setup.installing:
+            cls.poll_message_set("Nothing is being installed")
+            return False
+        if engine_setup.installation.cancelling:
+            cls.poll_message_set("It is being cancelled")
+            return False
+        return True
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        engine_setup.installation.cancel()
+        return {"FINISHED"}
+
+
+class NEP_OT_open_preferences(bpy.types.Operator):
+    bl_idname = "nep.open_preferences"
+    bl_label = "Engine Preferences"
+    bl_description = "Open the preferences where the engine is installed or chosen"
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        bpy.ops.preferences.addon_show(module=engine_paths.EXTENSION_PACKAGE)
+        return {"FINISHED"}
+
+
+CLASSES = (NEP_OT_check_engine, NEP_OT_install_engine, NEP_OT_cancel_install, NEP_OT_open_preferences)

@@ -1,0 +1,147 @@
+"""The sidebar's main panel: the settings of a job, the progress of a running job, and how the last job ended."""
+
+import bpy
+
+from ...backend.engine.command import NoEngineError, engine_is_at_hand
+from ...backend.engine.job_files import has_checkpoint, is_asset
+from ...backend.engine.progress import duration, in_panel_words
+from ...backend.engine.timings import expected_seconds
+from .. import live_preview
+from ..engine_paths import engine_python, timings_file
+from ..folders import resolve_folder
+from ..imported_result import has_new_result
+from ..running_jobs import Job, job_of
+from ..wrapped_text import draw_wrapped, panel_width
+
+ROW_HEIGHT = 20  # in pixels at an interface scale of 1; template_icon counts in rows
+
+
+class NEP_PT_reconstruct(bpy.types.Panel):
+    bl_label = "Reconstruct Glossy Object"
+    bl_idname = "NEP_PT_reconstruct"
+    bl_space_type = "VIEW_3D"
+    bl_region_type = "UI"
+    bl_category = "NeP"
+
+    def draw(self, context: bpy.types.Context) -> None:
+        self.layout.use_property_split = True
+        self.layout.use_property_decorate = False
+        job = job_of(context.scene)
+        if job is not None and not job.ended:
+            _draw_running(self.layout, context, job)
+            return
+        _draw_settings(self.layout, context.scene)
+        _draw_engine(self.layout, context)
+        if job is not None:
+            _draw_end(self.layout, context, job)
+        _draw_buttons(self.layout, context.scene)
+        if job is not None:
+            _draw_scene_analysis(self.layout, context, job)
+
+
+def _draw_settings(layout: bpy.types.UILayout, scene: bpy.types.Scene) -> None:
+    settings = scene.nep
+    layout.prop(settings, "capture", placeholder="Folder with the photos")
+    layout.prop(settings, "output", placeholder="Folder for the result")
+    layout.prop(settings, "preset")
+    seconds, measured = expected_seconds(timings_file(), settings.preset)
+    text = duration(seconds)
+    row = layout.row()
+    row.alignment = "RIGHT"
+    row.label(text=f"{text} on this machine" if measured else f"{text} for 60 small photos", icon="TIME")
+    layout.prop(settings, "use_masks")
+    layout.prop(settings, "device")
+    header, body = layout.panel("nep_advanced", default_closed=True)
+    header.label(text="Advanced")
+    if body is not None:
+        column = body.column(align=True)
+        column.label(text="When Blender closes:")
+        column.prop(settings, "closing", text="")
+        for name in ("metal", "use_preview", "seed", "threads", "mesh"):
+            body.prop(settings, name)
+
+
+def _draw_engine(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
+    """Where no engine is installed: a hint, and the button to the preferences."""
+    if engine_is_at_hand(engine_python(context)):
+        return
+    draw_wrapped(layout, context, "The engine is not set up yet: it is installed once, from the preferences.", "INFO")
+    layout.operator("nep.open_preferences", icon="PREFERENCES")
+
+
+def _draw_buttons(layout: bpy.types.UILayout, scene: bpy.types.Scene) -> None:
+    output = resolve_folder(scene.nep.output)
+    finished, unfinished = output is not None and is_asset(output), output is not None and has_checkpoint(output)
+    column = layout.column()
+    column.scale_y = 1.4
+    if finished and has_new_result(scene):
+        column.operator("nep.import_result", icon="IMPORT").folder = str(output)
+    if unfinished:
+        column.operator("nep.reconstruct", text="Resume", icon="PLAY").resume = True
+    if not (finished or unfinished):
+        column.operator("nep.reconstruct", icon="PLAY")
+        return
+    row = layout.row(align=True)
+    if finished and not has_new_result(scene):
+        row.operator("nep.import_result", text="Import Again", icon="IMPORT").folder = str(output)
+    row.operator("nep.reconstruct", text="Start Again", icon="FILE_REFRESH").overwrite = True
+
+
+def _draw_running(layout: bpy.types.UILayout, context: bpy.types.Context, job: Job) -> None:
+    layout.label(text=job.output.name, icon="FILE_FOLDER")
+    progress = job.progress
+    layout.progress(factor=progress.fraction, text=f"{100 * progress.fraction:.0f} %")
+    column = layout.column(align=True)
+    for line in ["Stopping: writing the checkpoint"] if job.stopping else progress.lines():
+        column.label(text=line)
+    _draw_picture(layout, context, job)
+    for warning in job.warnings[-2:]:
+        draw_wrapped(layout, context, in_panel_words(warning), "INFO")
+    row = layout.row(align=True)
+    row.operator("nep.cancel", icon="CANCEL")
+    row.operator("nep.open_log", text="", icon="TEXT")
+    _draw_scene_analysis(layout, context, job)
+
+
+def _draw_scene_analysis(layout: bpy.types.UILayout, context: bpy.types.Context, job: Job) -> None:
+    """What the photos show, and what the engine leaves out because of it.
+
+    This box stands below all buttons: its length changes, and a button must not move under the mouse.
+    """
+    if not job.scene_analysis:
+        return
+    header, body = layout.panel("nep_scene", default_closed=True)
+    header.label(text="What the Photos Show")
+    if body is not None:
+        for line in job.scene_analysis:
+            draw_wrapped(body, context, in_panel_words(line))
+
+
+def _draw_picture(layout: bpy.types.UILayout, context: bpy.types.Context, job: Job) -> None:
+    """The photo beside what was learned of it, as wide as the sidebar allows."""
+    row = layout.row()
+    halves = live_preview.picture_halves(job.key)
+    for picture, title in zip(halves, ("Photo", "Learned so far"), strict=False):
+        column = row.column(align=True)
+        column.template_icon(picture.icon_id, scale=max(3, panel_width(context) / len(halves) / ROW_HEIGHT))
+        column.label(text=title)
+
+
+def _draw_end(layout: bpy.types.UILayout, context: bpy.types.Context, job: Job) -> None:
+    failed = job.failed
+    if failed is None:
+        text = (
+            "The result is ready. Import Result brings it into the scene."
+            if has_new_result(context.scene)
+            else "The object is in the scene."
+        )
+        draw_wrapped(layout, context, text, "CHECKMARK")
+        for warning in job.warnings[-2:]:
+            draw_wrapped(layout, context, in_panel_words(warning), "INFO")
+        return
+    draw_wrapped(layout, context, in_panel_words(failed.message), "PAUSE" if job.was_stopped else "ERROR")
+    draw_wrapped(layout, context, in_panel_words(failed.hint), "BLANK1")
+    if isinstance(failed, NoEngineError):
+        layout.operator("nep.open_preferences", icon="PREFERENCES")
+    elif not job.was_stopped:
+        layout.operator("nep.open_log", icon="TEXT")

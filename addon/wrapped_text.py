@@ -1,0 +1,52 @@
+"""Texts in the sidebar that are wider than the sidebar: they are broken into lines."""
+
+from collections.abc import Callable
+
+import blf
+import bpy
+
+MARGINS = 64  # of a panel in a sidebar, with the sidebar's tabs; in pixels at an interface scale of 1
+ICON = 20  # width of an icon, in the same pixels
+UNKNOWN_WIDTH = 280  # of a sidebar, where the context has no region
+SHORTEST_LINE = "m" * 12  # a line is never narrower than this text
+
+
+def panel_width(context: bpy.types.Context) -> float:
+    """The width for the content of a panel in the context's region, in pixels at an interface scale of 1."""
+    width = context.region.width if context.region else UNKNOWN_WIDTH
+    return width / context.preferences.system.ui_scale - MARGINS
+
+
+def draw_wrapped(layout: bpy.types.UILayout, context: bpy.types.Context, text: str, icon: str = "NONE") -> None:
+    """Draw a text in as many lines as the sidebar's width needs, with the icon before the first line.
+
+    An empty text draws nothing.
+    """
+    blf.size(0, context.preferences.ui_styles[0].widget.points)
+    column = layout.column(align=True)
+    column.scale_y = 0.8
+    limit = panel_width(context) - (ICON if icon != "NONE" else 0)
+    for index, line in enumerate(wrap(text, limit, lambda words: blf.dimensions(0, words)[0])):
+        column.label(text=line, icon=icon if index == 0 else "BLANK1" if icon != "NONE" else "NONE")
+
+
+def wrap(text: str, limit: float, width: Callable[[str], float] = len) -> list[str]:
+    """Break a text between its words into lines whose `width` is at most `limit`.
+
+    A word that is wider than a line, as paths are, is cut.
+    """
+    limit, lines = max(limit, width(SHORTEST_LINE)), []
+    for paragraph in text.splitlines():
+        line = ""
+        for word in paragraph.split():
+            if line and width(f"{line} {word}") > limit:
+                lines.append(line)
+                line = ""
+            while width(word) > limit:
+                cut = next(count for count in range(len(word), 0, -1) if width(word[:count]) <= limit)
+                lines.append(word[:cut])
+                word = word[cut:]
+            line = f"{line} {word}".strip()
+        if line:
+            lines.append(line)
+    return lines
