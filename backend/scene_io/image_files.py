@@ -54,13 +54,13 @@ def write_half_exr(path: Path, rgb: np.ndarray) -> None:
         settings.file_format, settings.color_mode, settings.color_depth = "OPEN_EXR", "RGB", "16"
         settings.exr_codec = "DWAA"
         image.save_render(str(partial), scene=scene)
-    except RuntimeError as error:
+        os.replace(partial, path)
+    except (RuntimeError, OSError) as error:
         partial.unlink(missing_ok=True)
         raise OSError(f"{path} cannot be written: {error}") from error
     finally:
         bpy.data.images.remove(image)
         bpy.data.scenes.remove(scene)
-    os.replace(partial, path)
 
 
 def write_png(path: Path, pixels: np.ndarray) -> None:
