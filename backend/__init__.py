@@ -1,8 +1,8 @@
-"""Headless Blender work: synthetic captures, import of an asset, its World, relit comparisons.
+"""Headless Blender: import of an asset and its light, relit comparisons, synthetic captures; and how the engine is run.
 
-Shared by the scripts `run.py` and `synthetic.py` and by the add-on. Imports bpy, numpy and the standard library only:
-Blender's own Python has no torch, so the engine is another process (`engine.py`).
+The scripts `run.py`, `render_comparison.py` and `synthetic.py` use it, and so does the add-on. It imports bpy, numpy and the
+standard library only. Blender's own Python has no torch, so the engine runs in another process (`engine/`).
 
-Conventions: Blender's world axes are the capture's axes (Z up); cameras look down -z, x right, y up; images are numpy
-arrays whose row 0 is the top row; radiance is linear Rec.709.
+Conventions: Blender's world axes are the capture's axes (Z up). Cameras look down -z, with x to the right and y up. Images
+are numpy arrays whose row 0 is the top row. Radiance is linear Rec.709.
 """

@@ -4,7 +4,7 @@ import sys
 
 
 def script_arguments() -> list[str]:
-    """What stands after `--` where there is one; after the script's name otherwise."""
+    """The arguments after `--` if there is a `--`; otherwise those after the script's name."""
     if "--" in sys.argv:
         return sys.argv[sys.argv.index("--") + 1 :]
     return sys.argv[1:]

@@ -3,8 +3,9 @@
     blender -b --factory-startup --python-exit-code 1 -P backend/render_comparison.py -- --asset DIR --capture DIR ...
     python backend/render_comparison.py --asset DIR --capture DIR ...          (with the bpy wheel)
 
-Says JSON lines on standard output: {"event": "progress", "done": 1, "total": 4}, then {"event": "done", "path": ...} or
-{"event": "error", "message": ...}. A closed standard input ends it at once; the picture appears whole or not at all.
+It prints JSON lines on standard output: {"event": "progress", "done": 1, "total": 4}, then {"event": "done", "path": ...}
+or {"event": "error", "message": ...}. When its standard input is closed, it ends at once. The picture appears whole or not
+at all. The exit code is 0 (done), 7 (standard input was closed), 8 (the picture could not be made) or 2 (wrong arguments).
 """
 
 import argparse
@@ -20,12 +21,11 @@ if __package__ in (None, ""):
 import bpy
 
 from backend.arguments import script_arguments
+from backend.engine.exit_codes import BLENDER_FAILED, STOPPED
 from backend.rendering.comparison import compare, write_comparison
 from backend.scene_io.capture_files import read_frames, spread_frames, with_exposures
 from backend.scene_io.result import import_result
 from backend.scene_io.world import blender_hdris, build_world
-
-FAILED, CANCELLED = 8, 7
 
 
 def parse(arguments: list[str]) -> argparse.Namespace:
@@ -42,23 +42,23 @@ def parse(arguments: list[str]) -> argparse.Namespace:
     return parser.parse_args(arguments)
 
 
-def say(event: str, **values) -> None:
+def say(event: str, **values: object) -> None:
     print(json.dumps({"event": event, **values}), flush=True)
 
 
 def end_with_parent() -> None:
-    """Leave as soon as standard input is closed: the Blender that wants the picture has gone or has cancelled."""
+    """End as soon as standard input is closed: the Blender that wants the picture has cancelled, or has ended."""
 
-    def watch():
+    def watch() -> None:
         while os.read(sys.stdin.fileno(), 4096):
             continue
-        os._exit(CANCELLED)
+        os._exit(STOPPED)
 
     threading.Thread(target=watch, daemon=True).start()
 
 
 def light_files(options: argparse.Namespace) -> list[Path]:
-    """The chosen HDRIs. ValueError where one is not there."""
+    """The HDRIs that the options choose. ValueError where this Blender does not ship one of them."""
     shipped = {path.stem: path for path in blender_hdris()}
     missing = [name for name in options.light if name not in shipped]
     if missing:
@@ -92,7 +92,7 @@ def main(arguments: list[str]) -> int:
         write_comparison(path, sheet)
     except (OSError, ValueError, RuntimeError) as error:
         say("error", message=str(error))
-        return FAILED
+        return BLENDER_FAILED
     say("done", path=str(path))
     return 0
 

@@ -5,8 +5,8 @@
 
 The engine (`python -m blender_nep`, in a Python that has torch) makes the asset folder; then Blender imports it, sets
 the recovered light as World, renders comparison.png and saves asset.blend with everything packed, both in the asset
-folder. SIGTERM or Ctrl-C stops the engine, which writes its checkpoint. The exit code is the engine's (0 done, 2 usage
-or no engine, 3 capture, 4 bounds, 5 output, 6 learning, 7 stopped), 8 where Blender's part failed.
+folder. SIGTERM or Ctrl-C stops the engine, which writes its checkpoint. The exit code is the engine's (0 done, 2 wrong
+arguments or no engine, 3 capture, 4 bounds, 5 output, 6 learning, 7 stopped), or 8 where Blender's part failed.
 """
 
 import argparse
@@ -22,12 +22,13 @@ if __package__ in (None, ""):
 
 from backend.arguments import script_arguments
 from backend.engine.command import EngineError, find_engine_python, reconstruct_arguments
-from backend.engine.engine import STOPPED, Engine
+from backend.engine.engine import Engine
+from backend.engine.exit_codes import BLENDER_FAILED, STOPPED
 from backend.engine.job_files import is_asset
 from backend.engine.progress import describe
+from backend.engine.timings import EXPECTED_SECONDS
 from backend.engine.words import Said
 
-BLENDER_FAILED = 8
 POLL_S = 0.1
 SAY_EVERY_S = 2.0
 
@@ -36,7 +37,7 @@ def parse(arguments: list[str]) -> argparse.Namespace:
     parser = argparse.ArgumentParser(prog="run.py", description=__doc__.split("\n\n")[0])
     parser.add_argument("--capture", type=Path, required=True, help="folder with transforms.json and photos")
     parser.add_argument("--out", type=Path, required=True, help="asset folder to write")
-    parser.add_argument("--preset", choices=("preview", "balanced", "quality"))
+    parser.add_argument("--preset", choices=tuple(EXPECTED_SECONDS))
     parser.add_argument("--relight", type=int, default=3, metavar="N", help="HDRIs to show the object under")
     parser.add_argument("--photos", type=int, default=2, metavar="N", help="photos to compare with")
     parser.add_argument("--samples", type=int, default=48, help="Cycles samples a pixel of the comparison")
@@ -57,7 +58,7 @@ def say(text: str) -> None:
 
 
 class StopRequests:
-    """SIGTERM, SIGINT and, when asked, a closed standard input set `asked`."""
+    """`asked` is set by SIGTERM, by SIGINT and, if `watch_stdin`, by the end of standard input."""
 
     def __init__(self, watch_stdin: bool):
         self.asked = threading.Event()
@@ -65,7 +66,7 @@ class StopRequests:
         if watch_stdin:
             threading.Thread(target=self._watch, daemon=True).start()
 
-    def _on_signal(self, number, frame) -> None:
+    def _on_signal(self, number: int, frame: object) -> None:
         self.asked.set()
 
     def _watch(self) -> None:
@@ -75,7 +76,7 @@ class StopRequests:
 
 
 def reconstruct(options: argparse.Namespace, stop: StopRequests) -> None:
-    """Run the engine to its end. EngineError says how it failed."""
+    """Run the engine to its end. EngineError where it fails or is stopped."""
     python = find_engine_python(options.engine_python, configured_python())
     engine = Engine.start(
         python,
@@ -92,7 +93,7 @@ def reconstruct(options: argparse.Namespace, stop: StopRequests) -> None:
             overwrite=options.overwrite,
         ),
     )
-    said, scene = -SAY_EVERY_S, []
+    last_said, scene = -SAY_EVERY_S, []
     try:
         ended = False
         while not ended:
@@ -100,12 +101,12 @@ def reconstruct(options: argparse.Namespace, stop: StopRequests) -> None:
                 engine.request_stop()
             events, ended = engine.poll()
             for event in events:
-                if event["event"] == "progress" and time.monotonic() - said < SAY_EVERY_S:
+                if event["event"] == "progress" and time.monotonic() - last_said < SAY_EVERY_S:
                     continue
                 if event["event"] in ("progress", "warning"):
-                    said = time.monotonic()
+                    last_said = time.monotonic()
                     say(describe(event))
-                elif event["event"] == "scene":  # each repeats what is known so far
+                elif event["event"] == "scene":  # each event repeats the lines of those before
                     lines = [Said.of(line).message for line in event["lines"]]
                     for line in lines:
                         if line not in scene:
@@ -169,7 +170,7 @@ def blender_work(options: argparse.Namespace, stop: StopRequests) -> None:
 
 
 def save_packed(path: Path) -> None:
-    """Save the file with every image inside; it appears whole or not at all."""
+    """Save the .blend with every image inside. The file appears whole or not at all."""
     import bpy
 
     bpy.ops.file.pack_all()
@@ -199,7 +200,7 @@ def main(arguments: list[str]) -> int:
 
 if __name__ == "__main__":
     code = main(script_arguments())
-    if threading.active_count() > 1:  # one still waits for input: the wheel of Blender 4.5 may then never end by itself
+    if threading.active_count() > 1:  # a thread still waits for input: the wheel of Blender 4.5 may then never end by itself
         sys.stdout.flush()
         os._exit(code)
     sys.exit(code)

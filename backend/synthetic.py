@@ -5,8 +5,8 @@
 
 DIR becomes a capture (transforms.json, images/NNN.exr, masks/NNN.png) with test views (transforms_test.json, test/,
 test_masks/), their ground truth gt/NNN.exr and the true mesh gt_mesh.ply. transforms.json is written last, so a folder
-that has one is complete. The same arguments give the same capture in the same version of Blender (5.x draws other
-Voronoi cells for `patches` than 4.x).
+that has one is complete. The same arguments give the same capture in the same version of Blender, but for the last digits
+of the photos (Cycles adds in no fixed order). Blender 5 draws other Voronoi cells for `patches` than Blender 4.
 """
 
 import argparse
@@ -22,10 +22,11 @@ if __package__ in (None, ""):
     sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 from backend.arguments import script_arguments
-from backend.scene_io.image_files import save_half_exr, write_exr, write_png
+from backend.scene_io.image_files import write_half_exr, write_png
 from backend.synthetic_capture import scenes
+from backend.synthetic_capture.exr_channels import write_channels
 from backend.synthetic_capture.ground_truth import ViewRenderer
-from backend.synthetic_capture.viewpoints import FIELD_OF_VIEW, Surroundings, choose_viewpoints
+from backend.synthetic_capture.viewpoints import FIELD_OF_VIEW, Surroundings, Viewpoint, choose_viewpoints
 
 
 def parse(arguments: list[str]) -> argparse.Namespace:
@@ -58,7 +59,9 @@ def main(arguments: list[str]) -> int:
     return 0
 
 
-def write_capture(options: argparse.Namespace, target, train: list, test: list) -> None:
+def write_capture(
+    options: argparse.Namespace, target: bpy.types.Object, train: list[Viewpoint], test: list[Viewpoint]
+) -> None:
     """Render every viewpoint and write the folder. OSError where it cannot be written."""
     out = options.out
     for name in ("images", "masks", "test", "test_masks", "gt"):
@@ -80,10 +83,10 @@ def write_capture(options: argparse.Namespace, target, train: list, test: list) 
             "transform_matrix": [list(row) for row in viewpoint.matrix],
         }
         frames[group].append(frame)
-        save_half_exr(out / frame["file_path"], photo, renderer.scene)
+        write_half_exr(out / frame["file_path"], photo)
         write_png(out / frame["mask_path"], np.round(truth["mask.V"] * 255).astype(np.uint8))
         if group == "test":
-            write_exr(out / "gt" / f"{index:03d}.exr", {name: x.astype(np.float16) for name, x in truth.items()})
+            write_channels(out / "gt" / f"{index:03d}.exr", {name: x.astype(np.float16) for name, x in truth.items()})
         left = (time.monotonic() - started) / (number + 1) * (total - number - 1)
         print(f"view {number + 1}/{total}, {left:.0f} s left", file=sys.stderr, flush=True)
     shared = {

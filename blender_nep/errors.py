@@ -12,6 +12,8 @@ Exit codes of the command line and of the `error` event:
 | 5    | OutputError   | the asset cannot be written                                                        |
 | 6    | LearningError | learning failed: no surface was found, or the optimisation diverged                |
 | 7    | Stopped       | stopped on request; the checkpoint is written, `--resume` goes on                  |
+
+Blender's Python does not import this package: backend/engine/exit_codes.py repeats the codes that Blender's side needs.
 """
 
 from __future__ import annotations

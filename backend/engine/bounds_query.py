@@ -1,4 +1,4 @@
-"""Asking the engine where the object is (`blender_nep info CAPTURE --json`) without making Blender wait. No bpy here."""
+"""Asks the engine where the object is (`blender_nep info CAPTURE --json`) while Blender goes on. No bpy in this file."""
 
 import json
 import subprocess
@@ -9,9 +9,10 @@ from .command import ENGINE_MODULE, EngineError, engine_environment, find_engine
 
 
 class BoundsQuery:
-    """A thread that looks for the engine's Python and asks it; `poll` says when `sphere` or `error` is there."""
+    """A question that a thread asks. When `poll` is true, either `sphere` (center, radius) or `error` is set."""
 
     def __init__(self, capture: Path, configured_python: str):
+        """`configured_python`: the engine's Python of the add-on's preferences, or an empty string."""
         self.sphere: tuple[list[float], float] | None = None
         self.error = ""
         self._capture, self._configured = capture, configured_python
@@ -37,28 +38,27 @@ class BoundsQuery:
                     stderr=subprocess.PIPE,
                     encoding="utf-8",
                 )
-            told, complaint = self._process.communicate()
-            self._take(told, complaint)
+            self._read_answer(*self._process.communicate())
         except (EngineError, OSError) as error:
             self.error = str(error)
 
-    def _take(self, told: str, complaint: str) -> None:
+    def _read_answer(self, output: str, log: str) -> None:
         try:
-            found = json.loads(told)
+            found = json.loads(output)
             if "error" in found:
                 self.error = f"{found['error']['message']}\n{found['error']['hint']}".strip()
             else:
                 self.sphere = found["object_center"], found["object_radius"]
         except (ValueError, KeyError):
-            last = complaint.strip().splitlines()[-1:]
+            last = log.strip().splitlines()[-1:]
             self.error = "\n".join(["The engine could not look at the capture.", *last])
 
     def poll(self) -> bool:
-        """True when it has ended."""
+        """Whether the answer is there."""
         return not self._thread.is_alive()
 
     def close(self) -> None:
-        """Let go of it; an engine that still reads photos is ended."""
+        """Give up the question. An engine that is still reading photos is killed."""
         with self._lock:
             self._closed = True
             if self._process and self._process.poll() is None:

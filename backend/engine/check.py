@@ -1,4 +1,4 @@
-"""Asks a Python, without waiting for it, what of the engine it has. No bpy in this file."""
+"""Asks a Python which parts of the engine it has, while Blender goes on. No bpy in this file."""
 
 import json
 import subprocess
@@ -6,9 +6,9 @@ import time
 
 from .command import engine_environment
 
-LIMIT_S = 180.0  # the first import of torch from a cold disk takes its time
+LIMIT_S = 180.0  # the first import of torch from a cold disk is slow
 
-# everything that the engine needs is imported by the modules named here
+# the modules named here import everything that the engine needs
 SCRIPT = """
 import importlib, json, platform, sys
 found = {"python": platform.python_version(), "missing": []}
@@ -28,7 +28,11 @@ print(json.dumps(found))
 
 
 class EngineCheck:
-    """A question that is under way. `lines` is the answer in words, and `works` what it comes to, once `poll` is true."""
+    """A question to one Python. The answer is there when `poll` is true.
+
+    `works`: whether this Python can run the engine. `lines`: the answer in words. `versions`: of python, blender_nep and
+    torch, as far as they were found.
+    """
 
     def __init__(self, python: str):
         self.python = python
@@ -38,7 +42,7 @@ class EngineCheck:
         self._start = time.monotonic()
         self._process: subprocess.Popen[bytes] | None = None
         try:
-            # an answer of one line fits into the pipe: nobody has to read before the end
+            # the answer is one line, which fits into the pipe: it can be read after the process has ended
             self._process = subprocess.Popen(
                 [python, "-I", "-c", SCRIPT],
                 env=engine_environment(),
@@ -63,12 +67,12 @@ class EngineCheck:
         output, _ = self._process.communicate()
         self._process = None
         try:
-            self._understand(json.loads(output.splitlines()[-1]))
+            self._read_answer(json.loads(output.splitlines()[-1]))
         except (IndexError, ValueError, KeyError, TypeError):
             self.lines = [f"{self.python} is no Python that can run the engine (it ended with code {code})."]
         return True
 
-    def _understand(self, found: dict) -> None:
+    def _read_answer(self, found: dict) -> None:
         missing = sorted({name.partition(".")[0] for name in found["missing"]})
         self.lines = [f"Python {found['python']}"]
         for name, title in (("blender_nep", "blender-nep"), ("torch", "torch")):
@@ -88,7 +92,7 @@ class EngineCheck:
         self.versions = {name: found[name] for name in ("python", "blender_nep", "torch") if name in found}
 
     def close(self) -> None:
-        """Do not wait for the answer any more."""
+        """Give up the question."""
         if self._process is not None:
             self._process.kill()
             self._process.communicate()

@@ -6,19 +6,20 @@ import sys
 from pathlib import Path
 from typing import Any
 
+from .exit_codes import NO_ENGINE
+from .install import venv_python
 from .words import Translate, error_words
 
 ENGINE_PYTHON_VARIABLE = "NEP_ENGINE_PYTHON"
 ENGINE_MODULE = "blender_nep"
-NO_ENGINE = 2
 CHECK_LIMIT_S = 60.0
 
 
 class EngineError(Exception):
     """The engine failed or cannot be started.
 
-    `code` is the exit code; `hint` says what to do, or is empty; `log`, for whoever cannot open it: its last lines. `name`
-    and `values` are for the panel's own words (words.py).
+    `code` is the exit code. `hint` says what to do, or is empty. `log` is the end of the engine's log, or empty. `name` and
+    `values` are for the panel's own words (words.py).
     """
 
     def __init__(
@@ -34,7 +35,7 @@ class EngineError(Exception):
 
 
 class NoEngineError(EngineError):
-    """There is no engine, or not all of it."""
+    """There is no engine, or a part of it is missing."""
 
     def __init__(self, message: str):
         super().__init__(
@@ -47,26 +48,21 @@ class NoEngineError(EngineError):
 
 
 def engine_environment() -> dict[str, str]:
-    """The environment without Blender's and its Python's variables, which would lead the engine's Python astray."""
+    """The environment without Blender's and Python's variables, which would change what the engine's Python imports."""
     return {name: value for name, value in os.environ.items() if not name.startswith(("PYTHON", "BLENDER_"))}
 
 
-def venv_python(folder: Path) -> Path:
-    """The Python of a virtual environment."""
-    return Path(folder) / Path(*(("Scripts", "python.exe") if os.name == "nt" else ("bin", "python")))
-
-
 def engine_is_at_hand(configured: str) -> bool:
-    """Whether an engine is named or lies in this checkout, as far as one sees without asking a Python."""
+    """Whether a Python for the engine is named, or lies in this checkout. Whether it has the engine is not checked."""
     return bool(os.environ.get(ENGINE_PYTHON_VARIABLE) or configured or _checkout_python().exists())
 
 
 def find_engine_python(explicit: str | None = None, configured: str | None = None) -> str:
     """The Python that runs the engine.
 
-    In this order: `explicit` (an argument), the variable NEP_ENGINE_PYTHON, `configured` (the add-on's preferences);
-    one that is named is taken as it is: whether it has the engine is seen, and said, when it is started. Otherwise the
-    `.venv` of this checkout or the running Python, whichever has it. NoEngineError where there is none.
+    In this order: `explicit` (an argument), the variable NEP_ENGINE_PYTHON, `configured` (the add-on's preferences). A
+    Python that is named there is not checked: a missing engine is reported when it is started. Otherwise it is the first
+    of `.venv` of this checkout and the running Python that has the engine. NoEngineError where there is none.
     """
     for python in (explicit, os.environ.get(ENGINE_PYTHON_VARIABLE), configured):
         if python:
@@ -99,8 +95,8 @@ def _has_engine(python: str) -> bool:
 
 
 def reconstruct_arguments(
-    capture: str,
-    out: str,
+    capture: Path | str,
+    out: Path | str,
     *,
     preset: str | None = None,
     device: str = "auto",
@@ -117,7 +113,8 @@ def reconstruct_arguments(
 ) -> list[str]:
     """The engine's command line for one reconstruction.
 
-    keep_going: it outlives this program; else it stops, with its checkpoint, when its standard input is closed.
+    keep_going: the engine outlives this program. Otherwise it writes its checkpoint and ends when its standard input is
+    closed. more: further arguments, as they are.
     """
     arguments = ["reconstruct", str(capture), "--out", str(out), "--device", device, "--job-files"]
     for name, value in (

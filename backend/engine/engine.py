@@ -1,8 +1,8 @@
 """The engine: `python -m blender_nep` in another process, with its own Python that has torch. No bpy in this file.
 
-It is followed by files, so that nothing is lost when Blender ends: its events (JSON lines: job, progress, preview, scene,
-warning, done, error) and its log. They lie in a temporary folder until the engine has agreed to work in the output folder,
-and after that in `OUT/job/`, where `Engine.attach` finds a running or ended job again.
+Blender follows the engine by two files, so that nothing is lost when Blender ends: its events (JSON lines: job, progress,
+preview, scene, warning, done, error) and its log. They lie in a temporary folder until the engine has accepted the output
+folder, and after that in `OUT/job/`. There `Engine.attach` finds a running or ended job again.
 """
 
 import os
@@ -13,20 +13,19 @@ import time
 from pathlib import Path
 
 from .command import ENGINE_MODULE, EngineError, NoEngineError
+from .exit_codes import OUTPUT_FAILED, STOPPED
 from .job_files import FOLDER, EventFile, is_running, last_lines, read_job
 from .started_process import StartedProcess
 
-STOPPED = 7  # exit code: stopped on request, checkpoint written
-NO_OUTPUT = 5
-STOP_GRACE_S = 45.0  # to write a checkpoint after "stop", before the operating system is asked
-TERMINATE_GRACE_S = 10.0
+STOP_GRACE_S = 45.0  # after the request to stop, for the checkpoint; then the process is terminated
+TERMINATE_GRACE_S = 10.0  # after that; then the process is killed
 FULL_DISK_BYTES = 1 << 20
 
 
 class FoundProcess:
-    """An engine that another program, or an earlier Blender, has started in `out`."""
+    """An engine that another program, or an earlier session of Blender, has started in `out`."""
 
-    code = None  # nobody tells
+    code = None  # only the program that started a process learns its exit code
     command = ("of an earlier session",)
 
     def __init__(self, out: Path, pid: int):
@@ -39,14 +38,14 @@ class FoundProcess:
         return False
 
     def send(self, kill: bool) -> None:
-        if self.running():  # else the number may be another process's by now
+        if self.running():  # otherwise another process may have got the number by now
             try:
                 os.kill(self.pid, getattr(signal, "SIGKILL", signal.SIGTERM) if kill else signal.SIGTERM)
             except OSError:
-                return  # it ended in this moment
+                return  # it has just ended
 
     def close(self) -> None:
-        """Nothing is held."""
+        """There is nothing to release."""
 
 
 class Engine:
@@ -63,7 +62,7 @@ class Engine:
 
     @classmethod
     def start(cls, python: str, arguments: list[str], *, keep_going: bool = False) -> "Engine":
-        """Start the engine; with keep_going it outlives this program. EngineError where it cannot be started."""
+        """Start the engine. With keep_going it outlives this program. NoEngineError where it cannot be started."""
         try:
             process = StartedProcess([python, "-I", "-m", ENGINE_MODULE, *arguments], keep_going)
         except OSError as error:
@@ -72,13 +71,13 @@ class Engine:
 
     @classmethod
     def attach(cls, out: Path) -> "Engine | None":
-        """The running or ended job of an output folder, told from its beginning; None where there was none."""
+        """The running or ended job of an output folder; `poll` gives its events from the first. None without a job."""
         job = read_job(out)
         return None if job is None else cls(FoundProcess(Path(out), job["pid"]), Path(out) / FOLDER, in_output=True)
 
     @property
     def log(self) -> Path:
-        """What the engine and its libraries print."""
+        """The file with what the engine and its libraries print."""
         return self.folder / "engine.log"
 
     def poll(self) -> tuple[list[dict], bool]:
@@ -103,11 +102,11 @@ class Engine:
                     values=event.get("values"),
                 )
         if not ended and self._stop_asked is not None:
-            self._insist(time.monotonic() - self._stop_asked)
+            self._enforce_stop(time.monotonic() - self._stop_asked)
         return new, ended
 
     def request_stop(self) -> None:
-        """Ask for a checkpoint and the end; `poll` insists (terminate, then kill) when the engine does not answer."""
+        """Ask the engine to write its checkpoint and to end. If it does not, `poll` terminates it, then kills it."""
         if self._stop_asked is not None:
             return
         self._stop_asked = time.monotonic()
@@ -117,11 +116,11 @@ class Engine:
                 (self.folder / "stop").touch()
                 asked = True
             except OSError:
-                pass  # a full disk or no folder any more: then by a signal
+                pass  # the disk is full, or the folder is gone: a signal is left
         if not asked:
             self._terminate()
 
-    def _insist(self, waited: float) -> None:
+    def _enforce_stop(self, waited: float) -> None:
         if waited > STOP_GRACE_S + TERMINATE_GRACE_S:
             self._process.send(kill=True)
         elif waited > STOP_GRACE_S:
@@ -133,7 +132,7 @@ class Engine:
             self._process.send(kill=False)
 
     def outcome(self) -> EngineError | None:
-        """After the end: None where an asset was made, else what happened."""
+        """After the end: None where an asset was made, otherwise what went wrong."""
         if self.asset is not None:
             return None
         if self.error is not None:
@@ -141,34 +140,34 @@ class Engine:
         code, tail = self._process.code, last_lines(self.log, 5)
         if code == STOPPED or (self._stop_asked is not None and code == -signal.SIGTERM):
             return EngineError(STOPPED, "Stopped.", "Resume goes on from the last checkpoint, if there is one.")
-        return self._trouble_with_output() or _trouble_with_python(self._process.command[0], tail) or _death(code, tail)
+        return self._output_error() or _missing_module_error(self._process.command[0], tail) or _unexplained_end(code, tail)
 
-    def _trouble_with_output(self) -> EngineError | None:
+    def _output_error(self) -> EngineError | None:
         if not self._in_output:
             return None
         if not self.folder.is_dir():
             return EngineError(
-                NO_OUTPUT,
+                OUTPUT_FAILED,
                 f"The output folder {self.folder.parent} is gone.",
                 "Bring it back and resume, or start again with another one.",
             )
         if shutil.disk_usage(self.folder).free < FULL_DISK_BYTES:
-            return EngineError(NO_OUTPUT, f"The disk of {self.folder.parent} is full.", "Free some space, then resume.")
+            return EngineError(OUTPUT_FAILED, f"The disk of {self.folder.parent} is full.", "Free some space, then resume.")
         return None
 
     def close(self) -> None:
-        """Let go: an engine that was not started to keep going sees it, writes its checkpoint and leaves."""
+        """Stop following. An engine that was started without keep_going then writes its checkpoint and ends."""
         self._process.close()
 
 
-def _trouble_with_python(python: str, tail: str) -> EngineError | None:
+def _missing_module_error(python: str, tail: str) -> EngineError | None:
     missing = re.search(r"No module named '?([\w.]+)", tail)
     if missing is None:
         return None
     return NoEngineError(f"The engine's Python {python} lacks {missing[1].partition('.')[0]}.")
 
 
-def _death(code: int | None, log: str) -> EngineError:
+def _unexplained_end(code: int | None, log: str) -> EngineError:
     hint = "Resume goes on from its last checkpoint, if there is one."
     if code is None:
         return EngineError(1, "The engine ended and said no reason: it was killed, or the computer restarted.", hint, log)

@@ -1,9 +1,9 @@
 """Makes an environment with the engine: `install.py --source EXTENSION --folder DIR --python BASE --build cpu`.
 
-A program of its own, started by the add-on: it may wait for pip, and Blender need not. It tells JSON lines (progress,
-done, error) on its standard output; pip's own words go to standard error. When its standard input is closed it stops
-and removes what it has made. The environment is DIR/nep-engine; engine.json in it is written last: without it, nothing
-is installed. The next run begins anew where another was killed.
+The add-on starts this file as a program of its own, so that Blender does not wait for pip; therefore it imports nothing of
+this package. It prints JSON lines (progress, done, error) on standard output; what pip prints goes to standard error. When
+its standard input is closed, it stops and removes what it has made. The environment is DIR/nep-engine. engine.json in it is
+written last: an environment without it counts as not installed, and the next run replaces it.
 """
 
 import argparse
@@ -16,6 +16,7 @@ import sys
 import tempfile
 import threading
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 NAME = "nep-engine"
@@ -25,7 +26,7 @@ OLDEST = (3, 11)
 PINNED = (3, 11)  # the Python that constraints.txt was written for
 SOURCES = ("pyproject.toml", "README.md", "LICENSE", "constraints.txt", "blender_nep")
 PIP = ("-I", "-m", "pip", "install", "--no-input", "--progress-bar", "off", "--disable-pip-version-check")
-CANCELLED = 7
+CANCELLED = 7  # exit code
 
 
 class InstallError(Exception):
@@ -37,7 +38,7 @@ class InstallError(Exception):
 
 
 class Cancelled(Exception):
-    """Nobody wants the engine any more."""
+    """The installation was cancelled, or the program that started it has ended."""
 
 
 def tell(event: str, **content) -> None:
@@ -45,18 +46,19 @@ def tell(event: str, **content) -> None:
 
 
 def venv_python(folder: Path) -> Path:
+    """The Python of a virtual environment."""
     return folder / Path(*(("Scripts", "python.exe") if os.name == "nt" else ("bin", "python")))
 
 
 def installed_python(folder: Path) -> str:
-    """The Python of a complete engine in `folder`, or an empty string."""
+    """The Python of a complete engine in `folder`; an empty string where there is none."""
     environment = Path(folder) / NAME
     python = venv_python(environment)
     return str(python) if (environment / DONE).is_file() and python.exists() else ""
 
 
-class Steps:
-    """Runs one program after the other; a closed standard input ends the one that runs, and all."""
+class ProgramRunner:
+    """Runs one program after the other. When standard input is closed, it ends the running one and starts no further."""
 
     def __init__(self):
         self.cancelled = threading.Event()
@@ -80,17 +82,17 @@ class Steps:
             else:
                 os.killpg(process.pid, signal.SIGKILL)  # pip and what it has started
         except OSError:
-            return  # it has ended by itself
+            return  # it has already ended
 
-    def run(self, command: list[str], on_line=lambda line: None) -> tuple[int, str]:
+    def run(self, command: list[str], on_line: Callable[[str], None] = lambda line: None) -> tuple[int, str]:
         """(exit code, the last lines that it printed). Raises Cancelled; OSError where it cannot be started."""
         if self.cancelled.is_set():
             raise Cancelled
         lines: list[str] = []
-        # a file, not a pipe: what survives a kill cannot keep us waiting for its end
+        # a file, not a pipe: a child of the program that survives it would keep the pipe open, and us waiting
         with tempfile.TemporaryDirectory(prefix="nep_step_") as folder:
-            said = Path(folder, "said.txt")
-            with open(said, "wb") as output:
+            output_file = Path(folder, "output.txt")
+            with open(output_file, "wb") as output:
                 self._process = subprocess.Popen(
                     command,
                     stdin=subprocess.DEVNULL,
@@ -98,12 +100,12 @@ class Steps:
                     stderr=subprocess.STDOUT,
                     start_new_session=os.name != "nt",
                 )
-            begun, ended = "", False
-            with open(said, encoding="utf-8", errors="replace") as reader:
+            unfinished, ended = "", False
+            with open(output_file, encoding="utf-8", errors="replace") as reader:
                 while not ended:
                     ended = self._process.poll() is not None
-                    *new, begun = (begun + reader.read()).split("\n")
-                    for line in [*new, begun] if ended else new:
+                    *new, unfinished = (unfinished + reader.read()).split("\n")
+                    for line in [*new, unfinished] if ended else new:
                         lines = [*lines[-40:], line]
                         print(line, file=sys.stderr, flush=True)
                         on_line(line)
@@ -116,11 +118,11 @@ class Steps:
         return self._process.returncode, "\n".join(lines).strip()
 
 
-def check_base(steps: Steps, python: str) -> tuple[int, int]:
-    """The version of a Python that can make an environment. Raises InstallError."""
+def check_base(programs: ProgramRunner, python: str) -> tuple[int, int]:
+    """The version of `python`. Raises InstallError where it cannot make an environment for the engine."""
     script = "import sys; print('version', *sys.version_info[:2]); import venv, ensurepip"
     try:
-        code, text = steps.run([python, "-I", "-c", script])
+        code, text = programs.run([python, "-I", "-c", script])
     except OSError as error:
         raise InstallError(
             f"{python} cannot be started: {error.strerror or error}.", "Choose another Base Python."
@@ -141,9 +143,19 @@ def check_base(steps: Steps, python: str) -> tuple[int, int]:
     return version
 
 
-def pip_step(steps: Steps, python: Path, arguments: list[str], what: str, begin: float, end: float, version) -> None:
-    """pip install ...; its lines move the progress from `begin` towards `end`. Raises InstallError."""
-    fraction = begin
+def pip_install(
+    programs: ProgramRunner,
+    python: Path,
+    arguments: list[str],
+    what: str,
+    span: tuple[float, float],
+    version: tuple[int, int],
+) -> None:
+    """Run `pip install ARGUMENTS` with the Python of this version. Raises InstallError.
+
+    Each line that pip prints moves the progress on within `span`. `what` says what is being done.
+    """
+    fraction, end = span
 
     def on_line(line: str) -> None:
         nonlocal fraction
@@ -151,8 +163,8 @@ def pip_step(steps: Steps, python: Path, arguments: list[str], what: str, begin:
             fraction += 0.06 * (end - fraction)
             tell("progress", fraction=round(fraction, 3), message=line.strip()[:100])
 
-    tell("progress", fraction=begin, message=what)
-    code, text = steps.run([str(python), *PIP, *arguments], on_line)
+    tell("progress", fraction=fraction, message=what)
+    code, text = programs.run([str(python), *PIP, *arguments], on_line)
     if code == 0:
         return
     if "No space left" in text:
@@ -167,11 +179,11 @@ def pip_step(steps: Steps, python: Path, arguments: list[str], what: str, begin:
     raise InstallError(f"pip failed: {errors[-1][7:] if errors else text[-300:]}", "The log has the details.")
 
 
-def install(options: argparse.Namespace, steps: Steps) -> None:
-    """All of it. Raises InstallError, Cancelled and OSError."""
+def install(options: argparse.Namespace, programs: ProgramRunner) -> None:
+    """Make the environment and install the engine into it. Raises InstallError, Cancelled and OSError."""
     environment = options.folder / NAME
     tell("progress", fraction=0.0, message="Looking at the base Python")
-    version = check_base(steps, options.python)
+    version = check_base(programs, options.python)
     if (
         environment.exists()
         and any(environment.iterdir())
@@ -182,7 +194,7 @@ def install(options: argparse.Namespace, steps: Steps) -> None:
     environment.mkdir(parents=True)
     (environment / UNFINISHED).touch()
     tell("progress", fraction=0.02, message="Making the environment")
-    code, text = steps.run([options.python, "-I", "-m", "venv", str(environment)])
+    code, text = programs.run([options.python, "-I", "-m", "venv", str(environment)])
     if code != 0:
         raise InstallError(
             f"{options.python} could not make an environment: {text[-300:]}",
@@ -191,19 +203,20 @@ def install(options: argparse.Namespace, steps: Steps) -> None:
     python = venv_python(environment)
     pinned = ["--constraint", str(options.source / "constraints.txt")] if version == PINNED else []
     index = ["--index-url", CPU_INDEX] if options.build == "cpu" else []
-    # alone: torch's own index has other versions of what it needs, which then comes from where everything else does
-    pip_step(steps, python, ["torch", "--no-deps", *index, *pinned], "Fetching torch", 0.05, 0.5, version)
-    with tempfile.TemporaryDirectory(prefix="nep_source_") as copy:  # pip builds beside the sources: not in the extension
+    # without its dependencies: torch's own index has other versions of them; pip's usual index provides them below
+    pip_install(programs, python, ["torch", "--no-deps", *index, *pinned], "Fetching torch", (0.05, 0.5), version)
+    # a copy: pip writes beside the sources, and must not write into the extension
+    with tempfile.TemporaryDirectory(prefix="nep_source_") as copy:
         for name in SOURCES:
             place = options.source / name
             if place.is_dir():
                 shutil.copytree(place, Path(copy, name), ignore=shutil.ignore_patterns("__pycache__"))
             else:
                 shutil.copy(place, Path(copy, name))
-        pip_step(steps, python, [copy, *pinned], "Fetching what else the engine needs", 0.5, 0.95, version)
+        pip_install(programs, python, [copy, *pinned], "Fetching what else the engine needs", (0.5, 0.95), version)
     tell("progress", fraction=0.95, message="Trying the engine")
     script = "import torch, blender_nep; print('versions', torch.__version__, blender_nep.__version__)"
-    code, text = steps.run([str(python), "-I", "-c", script])
+    code, text = programs.run([str(python), "-I", "-c", script])
     if code != 0:
         raise InstallError(f"The engine was installed and does not start: {text[-300:]}", "The log has the details.")
     torch, library = text.split("versions ")[-1].split()[:2]
@@ -216,7 +229,10 @@ def install(options: argparse.Namespace, steps: Steps) -> None:
 
 
 def remove(environment: Path) -> None:
-    """What a run that did not end has left, or an older engine; its mark goes first, so that a kill leaves no half one."""
+    """Remove an older engine, or what an unfinished run has left.
+
+    The file that marks an environment as complete goes first: killed at any time, this leaves none that looks complete.
+    """
     if environment.exists():
         (environment / UNFINISHED).touch()
         (environment / DONE).unlink(missing_ok=True)
@@ -231,9 +247,9 @@ def main() -> int:
     parser.add_argument("--build", choices=("cpu", "cuda"), default="cpu")
     options = parser.parse_args()
     options.folder, options.source = options.folder.absolute(), options.source.absolute()
-    steps = Steps()
+    programs = ProgramRunner()
     try:
-        install(options, steps)
+        install(options, programs)
         return 0
     except Cancelled:
         code, message, hint = CANCELLED, "The installation was cancelled.", ""

@@ -12,13 +12,13 @@ FOLDER = "job"
 
 
 def is_asset(out: Path) -> bool:
-    """Whether a finished asset lies in the folder: its report is written last."""
+    """Whether a finished asset lies in the folder. Its report is written last."""
     needed = ("mesh.obj", "textures/albedo.exr", "textures/roughness.exr", "textures/metallic.exr", "report.json")
     return all((Path(out) / name).is_file() for name in needed)
 
 
 def has_checkpoint(out: Path) -> bool:
-    """Whether a run that did not end can be resumed."""
+    """Whether the folder holds an unfinished run that can be resumed."""
     return (Path(out) / "checkpoints" / "run.json").is_file() and not (Path(out) / "report.json").is_file()
 
 
@@ -32,7 +32,7 @@ def read_job(out: Path) -> dict | None:
 
 
 def is_running(out: Path) -> bool:
-    """Whether an engine is at work in the folder: it holds a lock that the operating system takes from the dead."""
+    """Whether an engine is at work in the folder. It holds a lock, which the operating system releases when it ends."""
     try:
         descriptor = os.open(Path(out) / FOLDER / "lock", os.O_RDWR)
     except OSError:
@@ -50,17 +50,17 @@ def is_running(out: Path) -> bool:
     except OSError:
         return True
     finally:
-        os.close(descriptor)  # gives the lock back
+        os.close(descriptor)  # releases the lock
     return False
 
 
 class EventFile:
-    """Reads the JSON lines that another process appends to a file, as they come. Lines that are no event are left out."""
+    """Reads the events that another process appends to a file as JSON lines. Other lines are left out."""
 
     def __init__(self, path: Path):
         self.path = path
         self._position = 0
-        self._begun = b""  # a line whose end is not written yet
+        self._begun = b""  # of a line whose end is not written yet
 
     def read(self) -> list[dict]:
         """The events that have come since the last call; none where the file cannot be read."""

@@ -1,4 +1,4 @@
-"""A process that this program starts and follows by files, so that nothing ever waits for a pipe. No bpy in this file."""
+"""A process that this program starts and follows by files: neither ever waits for a pipe. No bpy in this file."""
 
 import json
 import os
@@ -13,15 +13,15 @@ from .command import engine_environment
 class StartedProcess:
     """`command`, with its standard output in `folder`/events.jsonl and its standard error in `folder`/engine.log.
 
-    It hears of our end, wanted or not, by the end of its standard input; with `keep_going` it has none and lives on.
-    OSError where it cannot be started.
+    When this program ends, or crashes, the process's standard input is closed; that tells it to end too. With `keep_going`
+    it has no standard input and goes on. OSError where it cannot be started.
     """
 
     def __init__(self, command: list[str], keep_going: bool = False):
         self.command = command
         self.folder = Path(tempfile.mkdtemp(prefix="nep_"))
         with open(self.folder / "events.jsonl", "wb") as events, open(self.folder / "engine.log", "wb") as log:
-            # its own session: Ctrl-C in a terminal reaches the parent alone, which then asks the process to stop
+            # its own session: Ctrl-C in a terminal reaches this program alone, which then asks the process to stop
             self.process = subprocess.Popen(
                 command,
                 env=engine_environment(),
@@ -41,7 +41,7 @@ class StartedProcess:
         return self.process.returncode
 
     def ask_to_stop(self) -> bool:
-        """By standard input; False where it does not listen."""
+        """Ask by its standard input. False where it has none, or has closed it."""
         if self.process.stdin is None:
             return False
         try:
@@ -52,17 +52,17 @@ class StartedProcess:
         return True
 
     def send(self, kill: bool) -> None:
-        """The operating system's way to end it."""
+        """End it by the operating system: `kill` at once, otherwise so that it can still react."""
         if kill:
             self.process.kill()
         else:
             self.process.terminate()
 
     def close(self) -> None:
-        """Let go of it, and of its first files."""
+        """Close its standard input and remove the temporary folder."""
         if self.process.stdin is not None:
             try:
                 self.process.stdin.close()
             except OSError:
-                pass  # it is gone, and so is who would have read what was left to write
-        shutil.rmtree(self.folder, ignore_errors=True)  # Windows keeps what is still open
+                pass  # the process has ended: nobody reads the rest
+        shutil.rmtree(self.folder, ignore_errors=True)  # on Windows files that are still open stay

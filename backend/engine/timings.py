@@ -1,31 +1,39 @@
-"""How long a job takes on this machine: measured on the last jobs of each preset, before the first of them a guess."""
+"""How long a job takes: the median of the last jobs on this computer, or a first guess where no job has ended yet."""
 
 import json
 import os
 import statistics
 from pathlib import Path
 
-GUESS_S = {"preview": 90.0, "balanced": 270.0, "quality": 720.0}  # 60 photos of 400 x 400 on two CPU cores
-REMEMBERED = 5
+EXPECTED_SECONDS = {"preview": 93.0, "balanced": 170.0, "quality": 620.0}
+"""Of a whole job with each preset: 60 photos of 400 x 400 on two cores.
+
+This is a second copy, because Blender's Python does not import the library: each is the sum of `fields_seconds`,
+`surface_seconds` and `material_seconds` in blender_nep/presets.py. A test compares the two.
+"""
+JOBS_REMEMBERED = 5  # of each preset
 
 
 def expected_seconds(file: Path, preset: str) -> tuple[float, bool]:
-    """(seconds, whether they were measured here) of a whole job with this preset."""
+    """(seconds, whether they were measured on this computer) of a whole job. `file` is where `remember` writes."""
     measured = _read(file).get(preset)
-    return (statistics.median(measured), True) if measured else (GUESS_S[preset], False)
+    return (statistics.median(measured), True) if measured else (EXPECTED_SECONDS[preset], False)
 
 
 def remember(file: Path, asset: Path) -> None:
-    """Add the time that a finished asset tells of. An asset without one, or a file that cannot be written, is let be."""
+    """Add to `file` the seconds that the report of a finished asset names.
+
+    Nothing happens where there is no such report, or where `file` cannot be written.
+    """
     try:
         report = json.loads((Path(asset) / "report.json").read_text(encoding="utf-8"))
         preset, seconds = report["preset"], float(report["seconds_total"])
     except (OSError, ValueError, KeyError, TypeError):
         return
-    if preset not in GUESS_S or not seconds > 0:
+    if preset not in EXPECTED_SECONDS or not seconds > 0:
         return
     known = _read(file)
-    known[preset] = [*known.get(preset, []), seconds][-REMEMBERED:]
+    known[preset] = [*known.get(preset, []), seconds][-JOBS_REMEMBERED:]
     partial = Path(file).with_suffix(".partial")
     try:
         partial.parent.mkdir(parents=True, exist_ok=True)
@@ -38,6 +46,6 @@ def remember(file: Path, asset: Path) -> None:
 def _read(file: Path) -> dict[str, list[float]]:
     try:
         found = json.loads(Path(file).read_text(encoding="utf-8"))
-        return {preset: [float(seconds) for seconds in found[preset]] for preset in GUESS_S if preset in found}
+        return {preset: [float(seconds) for seconds in found[preset]] for preset in EXPECTED_SECONDS if preset in found}
     except (OSError, ValueError, TypeError):
         return {}

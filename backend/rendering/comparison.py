@@ -1,46 +1,49 @@
-"""comparison.png: photo beside re-rendering under the recovered light, then the object under other lights.
+"""comparison.png: a photo, the same view rendered under the recovered light, then the object under other lights.
 
-One row a photo, one column a light; below, if wanted, the object turned before one light. Tiles are shown through
-Blender's view transform Standard (sRGB), which changes no hue; photo and re-rendering share one exposure and white
-balance (the photo's own, where the photos' differ), every other light gets its own.
+There is a row for each photo and a column for each light. Below, if wanted, a turntable shows the object under one light.
+Tiles are encoded as by Blender's view transform Standard (sRGB), which changes no hue. Photo and re-rendering share one
+exposure and white balance (the photo's own where those of the photos differ); every other light has its own exposure.
 """
 
+from collections.abc import Callable
 from pathlib import Path
 
+import bpy
 import numpy as np
 
-from ..scene_io.capture_files import Frame, linear_to_srgb
+from ..scene_io.capture_files import Frame
 from ..scene_io.image_files import write_png
+from ..scene_io.srgb import linear_to_srgb
 from .contact_sheet import draw_sheet, strip_tile_size
 from .relight import RelitScene
 from .turntable import turntable_frames
 
-TILE_RANGE = (320, 448)  # pixels, longer side of a tile
-EXPOSED = 0.65  # of white, where a tile's EXPOSED_PERCENTILE lies
+TILE_RANGE = (320, 448)  # least and most pixels of a tile's longer side
+EXPOSED = 0.65  # of white: where a tile's EXPOSED_PERCENTILE of luminance is put
 EXPOSED_PERCENTILE = 90
 
 
 def compare(
-    item,
+    item: bpy.types.Object,
     frames: list[Frame],
-    recovered,
-    worlds: list,
+    recovered: bpy.types.World,
+    worlds: list[bpy.types.World],
     *,
     samples: int = 64,
     seed: int = 0,
     turntable: int = 0,
-    progress=None,
-):
-    """Render the comparison of `item` under the World `recovered` and the others.
+    progress: Callable[[int, int], None] | None = None,
+) -> tuple[np.ndarray, list[float]]:
+    """Render `item` from the photos' cameras under the World `recovered` and under `worlds`.
 
-    Returns ([H,W,3] uint8 sheet, [gain of each row's photo]). `turntable` views around the object are shown under the
-    first of `worlds` (the recovered light where there is none). progress(done, total) is called after every render.
-    OSError where a photo cannot be read.
+    Returns the sheet [H,W,3] uint8 and the factor by which each row's photo was made brighter. `turntable`: the number of
+    views around the object, under the first of `worlds` (the recovered light where there is none). `samples`: of Cycles, a
+    pixel. progress(done, total) is called after every render. OSError where a photo cannot be read.
     """
     width, height = _tile_size(frames[0])
     columns, done, total = 2 + len(worlds), 0, len(frames) * (1 + len(worlds)) + turntable
 
-    def rendered(relit: RelitScene, frame: Frame, world) -> np.ndarray:
+    def rendered(relit: RelitScene, frame: Frame, world: bpy.types.World) -> np.ndarray:
         nonlocal done
         radiance = relit.render(frame, world)
         done += 1
@@ -59,7 +62,8 @@ def compare(
                 tiles.append(radiance * exposure(radiance))
             rows.append([linear_to_srgb(tile) for tile in tiles])
             gains.append(gain)
-    strip, light = [], (worlds or [recovered])[0]
+    strip: list[np.ndarray] = []
+    light = (worlds or [recovered])[0]
     if turntable:
         side = strip_tile_size(columns, width, height, turntable)
         with RelitScene(item, side, side, samples, seed) as relit:
@@ -75,19 +79,19 @@ def compare(
 
 
 def write_comparison(path: Path, sheet: np.ndarray) -> None:
-    """PNG, whole or not at all."""
+    """Write the sheet as PNG. The file appears whole or not at all."""
     write_png(path, sheet)
 
 
 def exposure(radiance: np.ndarray) -> float:
-    """The factor that brings the image's bright parts (90th percentile of luminance) just under white."""
+    """The factor that brings the image's bright parts (EXPOSED_PERCENTILE of luminance) to EXPOSED, just under white."""
     luminance = radiance @ np.array([0.2126, 0.7152, 0.0722])
     bright = float(np.percentile(luminance, EXPOSED_PERCENTILE))
     return float(np.clip(EXPOSED / max(bright, 1e-6), 1 / 64, 64))
 
 
 def resize(image: np.ndarray, width: int, height: int) -> np.ndarray:
-    """[h,w,3] to [height,width,3]: area means where it shrinks, bilinear where it grows."""
+    """[h,w,3] to [height,width,3]: area means along an axis that shrinks, linear interpolation along one that grows."""
     for axis, size in ((0, height), (1, width)):
         image = np.moveaxis(_resize_rows(np.moveaxis(image, axis, 0), size), 0, axis)
     return image
@@ -95,7 +99,7 @@ def resize(image: np.ndarray, width: int, height: int) -> np.ndarray:
 
 def _resize_rows(image: np.ndarray, size: int) -> np.ndarray:
     count = len(image)
-    if size < count:  # exact area means, from the running sum
+    if size < count:  # exact area means, from running sums
         total = np.concatenate([np.zeros_like(image[:1], np.float64), np.cumsum(image, axis=0, dtype=np.float64)])
         edges = np.arange(size + 1) * count / size
         low = np.minimum(edges.astype(int), count - 1)

@@ -1,4 +1,4 @@
-"""`render_comparison.py` in a second Blender: the one with the artist's work stays responsive and untouched."""
+"""Runs `render_comparison.py` in a second Blender, so that the artist's Blender stays responsive and its scene untouched."""
 
 import json
 import os
@@ -14,12 +14,12 @@ from pathlib import Path
 import bpy
 
 SCRIPT = Path(__file__).resolve().parent.parent / "render_comparison.py"
-KILL_AFTER_S = 5.0  # of not ending when its input is closed
-LOG_LINES = 5
+KILL_AFTER_S = 5.0  # after its standard input was closed
+LOG_LINES = 5  # of the end of the log, for the message of a failure
 
 
 class ComparisonProcess:
-    """The running render. `poll` from the main thread; afterwards `path` is the picture, or `error` says why not."""
+    """A running render. When `poll` (main thread only) is true, `path` is the picture, or `error` says why there is none."""
 
     def __init__(self, arguments: list[str]):
         """OSError where the process cannot be started."""
@@ -31,7 +31,8 @@ class ComparisonProcess:
         self._events: queue.SimpleQueue[dict] = queue.SimpleQueue()
         self._log: deque[str] = deque(maxlen=LOG_LINES)
         self._scratch = tempfile.TemporaryDirectory(prefix="nep_comparison_", ignore_cleanup_errors=True)
-        temporary = dict.fromkeys(("TMPDIR", "TEMP", "TMP"), self._scratch.name)  # renders in progress, gone with it
+        # what it leaves unfinished lies there, and is removed by `close`
+        temporary = dict.fromkeys(("TMPDIR", "TEMP", "TMP"), self._scratch.name)
         self.process = subprocess.Popen(
             [*_blender(), *arguments],
             env=os.environ | temporary,
@@ -54,7 +55,7 @@ class ComparisonProcess:
                 self._log.append(line.strip())
 
     def poll(self) -> bool:
-        """Take in what it said; True when it has ended."""
+        """Read what the process has printed. True when it has ended."""
         ended = self.process.poll() is not None and not self._reader.is_alive()
         while not self._events.empty():
             event = self._events.get()
@@ -76,13 +77,13 @@ class ComparisonProcess:
         return ended
 
     def cancel(self) -> None:
-        """Ask for the end; `poll` says when it has come."""
+        """Ask the process to end; `poll` says when it has."""
         if not self.cancelled:
             self.cancelled, self._cancelled_at = True, time.monotonic()
             self.process.stdin.close()
 
     def close(self) -> None:
-        """Let go of it, running or not."""
+        """End the process if it runs, and remove its temporary files."""
         if self.process.poll() is None:
             self.process.kill()
             self.process.wait()
@@ -93,7 +94,7 @@ class ComparisonProcess:
 
 
 def _blender() -> list[str]:
-    """The command that runs SCRIPT in this Blender; with the wheel, which has no program, in this Python."""
+    """The command that runs SCRIPT: in this Blender, or with the bpy wheel, which has no program, in this Python."""
     if bpy.app.binary_path:
         return [bpy.app.binary_path, "-b", "--factory-startup", "--python-exit-code", "1", "-P", str(SCRIPT), "--"]
     return [sys.executable, str(SCRIPT)]

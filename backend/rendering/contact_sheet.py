@@ -1,37 +1,42 @@
-"""The sheet of a comparison: a grid of tiles under titles, and a strip below it."""
+"""Lays out the sheet of a comparison: a grid of tiles under titles, and a strip of tiles below."""
+
+from collections.abc import Sequence
 
 import numpy as np
 
-from .lettering import draw_text, fitting
+from .lettering import draw_text, shortened
 
 HEADER, STRIP_HEADER, GAP = 58, 34, 6  # pixels
-PAPER, INK = 24 / 255, 232 / 255
+BACKGROUND, TEXT = 24 / 255, 232 / 255  # grey, sRGB-encoded
 TITLE, SMALL = 17.0, 13.0  # text sizes, pixels
 
 
 def strip_tile_size(columns: int, width: int, height: int, count: int) -> int:
-    """Side of the `count` square tiles that fill a row below `columns` tiles of width x height, not above its height."""
+    """Side of `count` square tiles that fill a row as wide as `columns` tiles of width x height; at most `height`."""
     return max(1, min((columns * (width + GAP) - count * GAP) // count, height))
 
 
 def draw_sheet(
-    rows: list[list[np.ndarray]], titles: list[str], subtitle: str, strip: list[np.ndarray] = (), strip_title: str = ""
+    rows: list[list[np.ndarray]], titles: list[str], subtitle: str, strip: Sequence[np.ndarray] = (), strip_title: str = ""
 ) -> np.ndarray:
-    """[H,W,3] uint8 of tiles [h,w,3] (0..1, all of one size), a title a column, and square `strip` tiles below."""
+    """The sheet [H,W,3] uint8 of tiles [h,w,3] (sRGB-encoded 0..1, all of one size), with a title for each column.
+
+    `strip` holds square tiles that are shown in a row below, under `strip_title`.
+    """
     height, width = rows[0][0].shape[:2]
     columns, grid = len(titles), HEADER + len(rows) * (height + GAP)
     below = STRIP_HEADER + len(strip[0]) + GAP if strip else 0
-    sheet = np.full((grid + below, GAP + columns * (width + GAP), 3), PAPER)
+    sheet = np.full((grid + below, GAP + columns * (width + GAP), 3), BACKGROUND)
     for i, row in enumerate(rows):
         for j, tile in enumerate(row):
             _paste(sheet, tile, HEADER + i * (height + GAP), GAP + j * (width + GAP))
     for j, tile in enumerate(strip):
         _paste(sheet, tile, grid + STRIP_HEADER, GAP + j * (tile.shape[1] + GAP))
-    texts = [(GAP + j * (width + GAP), 22.0, TITLE, fitting(title, width, TITLE)) for j, title in enumerate(titles)]
-    texts.append((GAP, 46.0, SMALL, fitting(subtitle, sheet.shape[1], SMALL)))
+    texts = [(GAP + j * (width + GAP), 22.0, TITLE, shortened(title, width, TITLE)) for j, title in enumerate(titles)]
+    texts.append((GAP, 46.0, SMALL, shortened(subtitle, sheet.shape[1], SMALL)))
     _write(sheet[:HEADER], texts)
     if strip:
-        _write(sheet[grid : grid + STRIP_HEADER], [(GAP, 22.0, TITLE, fitting(strip_title, sheet.shape[1], TITLE))])
+        _write(sheet[grid : grid + STRIP_HEADER], [(GAP, 22.0, TITLE, shortened(strip_title, sheet.shape[1], TITLE))])
     return np.round(sheet * 255).astype(np.uint8)
 
 
@@ -40,5 +45,5 @@ def _paste(sheet: np.ndarray, tile: np.ndarray, y: int, x: int) -> None:
 
 
 def _write(band: np.ndarray, texts: list[tuple[float, float, float, str]]) -> None:
-    ink = draw_text(band.shape[1], band.shape[0], texts)[..., None]
-    band[:] = band * (1 - ink) + INK * ink
+    coverage = draw_text(band.shape[1], band.shape[0], texts)[..., None]
+    band[:] = band * (1 - coverage) + TEXT * coverage

@@ -1,7 +1,9 @@
 """The Cycles settings that every render here shares."""
 
+import bpy
 
-def use_cycles(scene, samples: int, seed: int = 0) -> None:
+
+def use_cycles(scene: bpy.types.Scene, samples: int, seed: int = 0) -> None:
     """Cycles on the CPU with a fixed sample count, denoised where this Blender was built with OpenImageDenoise."""
     scene.render.engine = "CYCLES"
     scene.cycles.device = "CPU"
@@ -14,7 +16,7 @@ def use_cycles(scene, samples: int, seed: int = 0) -> None:
 
 
 def has_denoiser() -> bool:
-    """Distribution builds may lack OpenImageDenoise; asking for it there raises (4.3) or is ignored (5.2)."""
+    """Whether this Blender has OpenImageDenoise. Debian's has not: denoising then raises (4.3) or is ignored (5.2)."""
     import _cycles
 
     return bool(_cycles.with_openimagedenoise)

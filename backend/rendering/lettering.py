@@ -1,4 +1,4 @@
-"""Text as pixels: Blender's own font rendered by Cycles, because neither PIL nor a GPU context can be counted on."""
+"""Draws text with Blender's own font, rendered by Cycles: Blender's Python has no Pillow, and a GPU may be missing."""
 
 import os
 import tempfile
@@ -7,14 +7,14 @@ from pathlib import Path
 import bpy
 import numpy as np
 
-from ..scene_io.image_files import read_exr, still_image
+from ..scene_io.image_files import load_pixels, set_media_type
 
 SAMPLES = 8
-ADVANCE = 0.46  # mean width of a letter of Blender's font, in text sizes
+LETTER_WIDTH = 0.46  # mean of Blender's font, in text sizes
 
 
 def draw_text(width: int, height: int, texts: list[tuple[float, float, float, str]]) -> np.ndarray:
-    """[H,W] coverage 0..1 of texts (x, y of the baseline's start in pixels from the top left, size, string)."""
+    """[H,W] coverage 0..1 by texts, each (x, y, size, string): pixels from the top left to the start of the baseline."""
     scene = bpy.data.scenes.new("nep.lettering")
     made = []
     try:
@@ -46,19 +46,20 @@ def draw_text(width: int, height: int, texts: list[tuple[float, float, float, st
         bpy.data.scenes.remove(scene)
 
 
-def fitting(string: str, width: float, size: float) -> str:
-    """The string, shortened where it would be wider than `width` pixels."""
-    most = max(4, int(width / (ADVANCE * size)))
-    return string if len(string) <= most else string[: most - 2] + ".."
+def shortened(string: str, width: float, size: float) -> str:
+    """The string, cut where it would be wider than `width` pixels."""
+    letters = max(4, int(width / (LETTER_WIDTH * size)))
+    return string if len(string) <= letters else string[: letters - 2] + ".."
 
 
-def _alpha(scene) -> np.ndarray:
+def _alpha(scene: bpy.types.Scene) -> np.ndarray:
+    """[H,W] the alpha of the scene's render, 0..1."""
     settings = scene.render.image_settings
-    still_image(settings)
+    set_media_type(settings)
     settings.file_format, settings.color_mode, settings.color_depth = "OPEN_EXR", "RGBA", "16"
     settings.exr_codec = "ZIP"
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "text.exr"
         scene.render.filepath = os.fspath(path)
         bpy.ops.render.render(write_still=True, scene=scene.name)
-        return np.clip(read_exr(path)["A"], 0, 1)
+        return np.clip(load_pixels(path)[..., 3], 0, 1)

@@ -1,4 +1,4 @@
-"""Rendering an asset from a photo's camera under one World after the other, in a scene of its own."""
+"""Renders an object from a photo's camera under one World after the other, in a scene of its own."""
 
 import os
 import tempfile
@@ -9,17 +9,17 @@ import numpy as np
 
 from ..scene_io.cameras import new_camera, pixel_aspect
 from ..scene_io.capture_files import Frame
-from ..scene_io.image_files import read_exr, still_image
+from ..scene_io.image_files import load_pixels, set_media_type
 from .cycles_settings import has_denoiser, use_cycles
 
 SCENE_NAME = "NeP relit comparison"
-SAMPLES_FACTOR_WITHOUT_DENOISER = 4  # halves the noise that is then left in
+SAMPLES_FACTOR_WITHOUT_DENOISER = 4  # halves the noise
 
 
 class RelitScene:
-    """A scene with the object alone. `render` gives linear radiance; `close`, or leaving `with`, removes the scene only."""
+    """A scene with the object alone. `close`, or the end of a `with` block, removes the scene but not the object."""
 
-    def __init__(self, item, width: int, height: int, samples: int, seed: int = 0):
+    def __init__(self, item: bpy.types.Object, width: int, height: int, samples: int, seed: int = 0):
         self.scene = bpy.data.scenes.new(SCENE_NAME)
         self.scene.collection.objects.link(item)
         use_cycles(self.scene, samples * (1 if has_denoiser() else SAMPLES_FACTOR_WITHOUT_DENOISER), seed)
@@ -28,37 +28,37 @@ class RelitScene:
         self.scene.render.resolution_percentage = 100
         self.scene.view_settings.view_transform = "Standard"
 
-    def render(self, frame: Frame, world) -> np.ndarray:
-        """[H,W,3] linear radiance of the object before `world`, seen by the frame's camera."""
+    def render(self, frame: Frame, world: bpy.types.World) -> np.ndarray:
+        """[H,W,3] float32 linear radiance of the object in the light of `world`, seen by the frame's camera."""
         camera = add_camera(frame, self.scene)
         try:
             self.scene.camera, self.scene.world = camera, world
             settings = self.scene.render.image_settings
-            still_image(settings)
+            set_media_type(settings)
             settings.file_format, settings.color_mode, settings.color_depth = "OPEN_EXR", "RGB", "32"
             settings.exr_codec = "ZIP"
             with tempfile.TemporaryDirectory() as folder:
                 path = Path(folder) / "render.exr"
                 self.scene.render.filepath = os.fspath(path)
                 bpy.ops.render.render(write_still=True, scene=self.scene.name)
-                channels = read_exr(path)
+                pixels = load_pixels(path)
         finally:
             data = camera.data
             bpy.data.objects.remove(camera)
             bpy.data.cameras.remove(data)
-        return np.stack([channels[name] for name in "RGB"], axis=-1)
+        return np.ascontiguousarray(pixels[..., :3])
 
-    def __enter__(self):
+    def __enter__(self) -> "RelitScene":
         return self
 
-    def __exit__(self, *raised) -> None:
+    def __exit__(self, *raised: object) -> None:
         self.close()
 
     def close(self) -> None:
         bpy.data.scenes.remove(self.scene)
 
 
-def add_camera(frame: Frame, scene, name: str = "photo camera"):
-    """A Blender camera with the frame's pinhole model; sets the scene's pixel aspect for it."""
+def add_camera(frame: Frame, scene: bpy.types.Scene, name: str = "photo camera") -> bpy.types.Object:
+    """Add a camera with the frame's pinhole model and pose, and set the scene's pixel aspect for it."""
     scene.render.pixel_aspect_x, scene.render.pixel_aspect_y = pixel_aspect(frame)
     return new_camera(frame, scene.collection, name)

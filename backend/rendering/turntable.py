@@ -1,20 +1,21 @@
-"""Cameras on a circle around an object."""
+"""Places cameras on a circle around an object."""
 
 import math
 from pathlib import Path
 
+import bpy
 import numpy as np
 
 from ..scene_io.capture_files import Frame
 
 FIELD_OF_VIEW = math.radians(30)
 ELEVATION = math.radians(18)
-MARGIN = 1.08  # of the object's bounding sphere
-LEVEL_DEGREES = 30.0  # photos that are upright within this mean a capture whose Z is up
+MARGIN = 1.08  # the frames see a sphere this much larger than the object's
+LEVEL_DEGREES = 30.0  # where the photos' mean up direction is nearer to Z than this, Z is up
 
 
-def turntable_frames(item, frames: list[Frame], count: int, size: int) -> list[Frame]:
-    """`count` square frames of `size` pixels that see `item` whole, evenly around the axis that was up in the photos."""
+def turntable_frames(item: bpy.types.Object, frames: list[Frame], count: int, size: int) -> list[Frame]:
+    """`count` square frames of `size` pixels that see all of `item`, evenly spread around the `up_axis` of the photos."""
     corners = np.array([item.matrix_world @ vertex.co for vertex in item.data.vertices])
     center = (corners.min(axis=0) + corners.max(axis=0)) / 2
     radius = float(np.linalg.norm(corners - center, axis=1).max())
@@ -37,7 +38,7 @@ def turntable_frames(item, frames: list[Frame], count: int, size: int) -> list[F
 
 
 def up_axis(frames: list[Frame]) -> np.ndarray:
-    """[3] Z where the photos are upright about it; else the mean of their own upward directions."""
+    """[3] unit vector: the mean of the photos' up directions, or Z where that is near it or not defined."""
     mean = np.mean([frame.matrix[:3, 1] for frame in frames], axis=0)
     length = float(np.linalg.norm(mean))
     if length < 1e-3 or mean[2] / length > math.cos(math.radians(LEVEL_DEGREES)):

@@ -1,5 +1,6 @@
-"""An asset folder becomes a Blender object, in place, with one Principled material."""
+"""Imports an asset folder as a Blender object, where the capture saw it, with one Principled material."""
 
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,7 +11,7 @@ import numpy as np
 
 @dataclass(frozen=True)
 class Texture:
-    """`socket` of the Principled BSDF ('' for one that is only kept at hand) and what the 8-bit file encodes."""
+    """`socket`: the Principled BSDF's input, empty for a texture that is not connected. `is_color`: its PNG is sRGB."""
 
     name: str
     socket: str
@@ -18,7 +19,7 @@ class Texture:
     label: str
 
 
-CONFIDENCE = "confidence"  # image node of the material and attribute of the mesh: 1 where the photos decided
+CONFIDENCE = "confidence"  # image node of the material and attribute of the mesh: 1 where the photos decided the material
 TEXTURES = (
     Texture("albedo", "Base Color", True, "albedo"),
     Texture("roughness", "Roughness", False, "roughness"),
@@ -27,16 +28,16 @@ TEXTURES = (
 )
 
 
-def import_asset(folder: Path, collection, *, name: str = "", pack: bool = True):
+def import_asset(folder: Path, collection: bpy.types.Collection, *, name: str = "", pack: bool = True) -> bpy.types.Object:
     """Import mesh and material into `collection`; returns the object.
 
-    The mesh keeps the capture's coordinates, is smooth with the file's normals, and has its UV map; its attribute
-    `confidence` (float, a value a vertex) says where the photos decided the material. A second import of an asset
-    gets a new name. OSError where a file is missing or unreadable; nothing is left in the .blend then.
+    The mesh keeps the capture's coordinates, the file's normals (smooth) and its UV map. Its attribute `confidence` (a
+    float for each vertex) says where the photos decided the material. `pack`: the images are stored in the .blend. A second
+    import of an asset gets a new name. OSError where a file is missing or unreadable; nothing is left in the .blend then.
     """
     folder = Path(folder)
     check_asset(folder)
-    with nothing_half_made():
+    with removed_on_error():
         item = _import_mesh(folder / "mesh.obj", collection)
         item.name = item.data.name = name or folder.resolve().name
         material = build_material(item.name, folder / "textures", pack=pack)
@@ -47,7 +48,7 @@ def import_asset(folder: Path, collection, *, name: str = "", pack: bool = True)
 
 
 def check_asset(folder: Path) -> None:
-    """OSError in words where `folder` cannot be imported as an asset."""
+    """OSError, with what to do, where `folder` cannot be imported as an asset."""
     if not folder.is_dir():
         raise OSError(f"there is no folder {folder}. Choose the folder that a reconstruction wrote")
     if not (folder / "mesh.obj").is_file():
@@ -63,8 +64,8 @@ def check_asset(folder: Path) -> None:
 
 
 @contextmanager
-def nothing_half_made():
-    """Objects, meshes, materials, images and worlds made inside are removed again when an OSError comes out."""
+def removed_on_error() -> Iterator[None]:
+    """After an OSError, removes the objects, meshes, materials, images and worlds that were made inside."""
     kinds = (bpy.data.objects, bpy.data.meshes, bpy.data.materials, bpy.data.worlds, bpy.data.images)
     before = [set(kind) for kind in kinds]
     try:
@@ -75,8 +76,8 @@ def nothing_half_made():
         raise
 
 
-def build_material(name: str, textures: Path, *, pack: bool = True):
-    """Principled BSDF with Base Color, Roughness and Metallic from the asset's textures; confidence unlinked."""
+def build_material(name: str, textures: Path, *, pack: bool = True) -> bpy.types.Material:
+    """A Principled BSDF with Base Color, Roughness and Metallic from the folder `textures`; confidence is not connected."""
     material = bpy.data.materials.new(name)
     if not material.use_nodes:
         material.use_nodes = True
@@ -92,13 +93,13 @@ def build_material(name: str, textures: Path, *, pack: bool = True):
     return material
 
 
-def load_image(path: Path, *, color_space: str, pack: bool):
-    """An image data-block; packed, or else with a path relative to the saved file where there is one."""
+def load_image(path: Path, *, color_space: str, pack: bool) -> bpy.types.Image:
+    """An image data-block: packed, or with a path that is relative to the .blend if that is saved. OSError if unreadable."""
     try:
         image = bpy.data.images.load(str(path), check_existing=False)
     except RuntimeError as error:
         raise OSError(f"Blender cannot read the image {path}") from error
-    if not image.size[0]:  # Blender reads the pixels only when asked, and says nothing of a torn file
+    if not image.size[0]:  # Blender reads the pixels only when asked, and does not report a damaged file
         bpy.data.images.remove(image)
         raise OSError(f"Blender cannot read the image {path}")
     image.colorspace_settings.name = color_space
@@ -109,8 +110,8 @@ def load_image(path: Path, *, color_space: str, pack: bool):
     return image
 
 
-def _texture_image(folder: Path, texture: Texture, pack: bool):
-    """The 8-bit file where it exists (what other programs read, and a quarter of the size), else the EXR."""
+def _texture_image(folder: Path, texture: Texture, pack: bool) -> bpy.types.Image:
+    """The 8-bit file where there is one (a quarter of the size, and what other programs read); otherwise the EXR file."""
     path = folder / f"{texture.name}.png"
     space = "sRGB" if texture.is_color else "Non-Color"
     if not path.is_file():
@@ -119,24 +120,24 @@ def _texture_image(folder: Path, texture: Texture, pack: bool):
     return load_image(path, color_space=space, pack=pack)
 
 
-def _shade_smooth(mesh) -> None:
-    """Smooth faces, shaded with the normals of the file where it has any."""
+def _shade_smooth(mesh: bpy.types.Mesh) -> None:
+    """Make all faces smooth, with the normals of the file where it has any."""
     normals, custom = _corner_normals(mesh), mesh.has_custom_normals
     mesh.polygons.foreach_set("use_smooth", np.ones(len(mesh.polygons), bool))
-    # Blender 4.2 stores them relative to what smoothing has just changed; setting them again takes its time
+    # Blender 4.2 stores them relative to what smoothing has just changed; setting them again is slow
     if custom and not np.allclose(_corner_normals(mesh), normals, atol=1e-3):
         mesh.normals_split_custom_set(normals.tolist())
 
 
-def _corner_normals(mesh) -> np.ndarray:
-    """The normals that are shaded with [corners, 3]."""
+def _corner_normals(mesh: bpy.types.Mesh) -> np.ndarray:
+    """[corners, 3] the normals that the mesh is shaded with."""
     normals = np.empty((len(mesh.loops), 3), np.float32)
     mesh.corner_normals.foreach_get("vector", normals.ravel())
     return normals
 
 
-def _add_confidence(mesh, image) -> None:
-    """The image's first channel at each vertex (mean over its corners, nearest texel) as the attribute CONFIDENCE."""
+def _add_confidence(mesh: bpy.types.Mesh, image: bpy.types.Image) -> None:
+    """Add the attribute CONFIDENCE: the image's first channel at each vertex (nearest texel, mean over its corners)."""
     width, height = image.size
     pixels = np.empty(width * height * 4, np.float32)
     image.pixels.foreach_get(pixels)  # row 0 is v = 0
@@ -152,7 +153,7 @@ def _add_confidence(mesh, image) -> None:
     attribute.data.foreach_set("value", mean.astype(np.float32))
 
 
-def _import_mesh(path: Path, collection):
+def _import_mesh(path: Path, collection: bpy.types.Collection) -> bpy.types.Object:
     objects, materials, images = set(bpy.data.objects), set(bpy.data.materials), set(bpy.data.images)
     try:
         bpy.ops.wm.obj_import(filepath=str(path), forward_axis="Y", up_axis="Z")  # Blender's own axes: as captured

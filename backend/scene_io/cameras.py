@@ -1,4 +1,4 @@
-"""Blender cameras and the pinhole model of photos: one from the other.
+"""Makes Blender cameras from the pinhole model of photos, and the reverse.
 
 A camera's frame is its photo: `lens` and `sensor` hold the focal length, `shift_x`/`shift_y` the principal point. The
 aspect of the pixels (fl_x / fl_y) is a setting of the scene in Blender, not of the camera.
@@ -26,8 +26,8 @@ class Intrinsics:
     cy: float
 
 
-def new_camera(frame: Frame, collection, name: str):
-    """A camera object with the frame's pinhole model and place, for a scene with `pixel_aspect(frame)`."""
+def new_camera(frame: Frame, collection: bpy.types.Collection, name: str) -> bpy.types.Object:
+    """A camera object with the frame's pinhole model and pose. The scene must have the `pixel_aspect` of the frame."""
     data = bpy.data.cameras.new(name)
     data.sensor_fit, data.sensor_width = "HORIZONTAL", SENSOR_MM
     data.lens = frame.fl_x * SENSOR_MM / frame.width
@@ -42,13 +42,13 @@ def new_camera(frame: Frame, collection, name: str):
 
 
 def pixel_aspect(frame: Frame) -> tuple[float, float]:
-    """The scene's pixel_aspect_x and _y (at least 1, as Blender wants) that the frame's camera needs."""
+    """The scene's pixel_aspect_x and pixel_aspect_y that the frame's camera needs (Blender allows no value under 1)."""
     aspect = frame.fl_x / frame.fl_y  # a pixel's height over its width
     return max(1.0, 1 / aspect), max(1.0, aspect)
 
 
-def intrinsics(data, width: int, height: int, aspect: tuple[float, float] = (1.0, 1.0)) -> Intrinsics:
-    """Of a perspective camera (`data`) whose frame is an image of width x height pixels of `aspect` (x, y)."""
+def intrinsics(data: bpy.types.Camera, width: int, height: int, aspect: tuple[float, float] = (1.0, 1.0)) -> Intrinsics:
+    """Of the perspective camera `data`, whose frame is an image of width x height pixels of `aspect` (x, y)."""
     ratio = aspect[0] / aspect[1]  # a pixel's width over its height
     fit = data.sensor_fit
     if fit == "AUTO":

@@ -1,17 +1,23 @@
-"""The cameras and photos of a capture, as far as Blender needs them (transforms.json, the instant-ngp form)."""
+"""The cameras and photos of a capture, as far as Blender shows them (transforms.json, the form of instant-ngp).
+
+blender_nep/capture/formats/transforms.py is the engine's reader. It checks everything and decides what a valid capture is,
+but Blender's Python cannot import it.
+"""
 
 import json
 import math
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from .image_files import load_pixels
 from .image_size import image_size
+from .srgb import srgb_to_linear
 
 SRGB_FILES = {".png", ".jpg", ".jpeg"}
-GREY = 0.18  # behind photos that were cut out
+GREY = 0.18  # radiance behind photos that were cut out
 
 
 @dataclass(frozen=True)
@@ -27,7 +33,7 @@ class Frame:
     cy: float
     matrix: np.ndarray
     color_space: str
-    gain: tuple[float, float, float] = (1.0, 1.0, 1.0)  # how much brighter than the others it was taken, in each channel
+    gain: tuple[float, float, float] = (1.0, 1.0, 1.0)  # exposure and white balance, relative to the other photos
 
     def photo(self) -> np.ndarray:
         """[H,W,3] linear radiance, over grey where the file has transparency. OSError where it cannot be read."""
@@ -39,7 +45,7 @@ class Frame:
 
 
 def read_frames(folder: Path, transforms: str = "transforms.json") -> list[Frame]:
-    """The capture's frames. OSError or ValueError where there are none to read."""
+    """The capture's frames. OSError where a file is missing, ValueError where one is not as it should be."""
     path = Path(folder) / transforms
     meta = _read_meta(path)
     entries = meta.get("frames")
@@ -49,7 +55,7 @@ def read_frames(folder: Path, transforms: str = "transforms.json") -> list[Frame
 
 
 def read_bounds(folder: Path) -> tuple[list[float], float] | None:
-    """(centre [3], radius) of the object's sphere, where transforms.json says it. OSError or ValueError as above."""
+    """(centre [3], radius) of the object's sphere, where transforms.json has it. OSError and ValueError as `read_frames`."""
     meta = _read_meta(Path(folder) / "transforms.json")
     center, radius = meta.get("object_center"), meta.get("object_radius")
     if center is None or radius is None:
@@ -61,36 +67,26 @@ def read_bounds(folder: Path) -> tuple[list[float], float] | None:
 
 
 def with_exposures(frames: list[Frame], asset: Path) -> list[Frame]:
-    """A capture's frames, all of them, with the exposures that the report of an asset made from it has found."""
+    """`frames` (all of a capture) with the exposures that the report of `asset` gives; unchanged where it gives none."""
     try:
         report = json.loads((Path(asset) / "report.json").read_text(encoding="utf-8"))
         gains = [tuple(float(g) for g in gain) for gain in report["capture"]["photo_gains"]]
-    except (OSError, ValueError, KeyError, TypeError):  # photos of one exposure, or an asset of other makers
+    except (OSError, ValueError, KeyError, TypeError):  # the photos have one exposure, or another program wrote the asset
         return frames
-    fit = len(gains) == len(frames) and all(len(gain) == 3 for gain in gains)  # else it was made from other photos
+    # otherwise the asset was made from other photos
+    fit = len(gains) == len(frames) and all(len(gain) == 3 for gain in gains)
     return [replace(frame, gain=gain) for frame, gain in zip(frames, gains, strict=True)] if fit else frames
 
 
 def spread_frames(frames: list[Frame], count: int) -> list[Frame]:
-    """Up to `count` frames that look from directions as different as can be, the first listed one first."""
-    looks = np.array([frame.matrix[:3, 2] for frame in frames])
+    """Up to `count` frames whose viewing directions differ as much as possible, beginning with the first frame."""
+    directions = np.array([frame.matrix[:3, 2] for frame in frames])
     chosen = [0]
     while len(chosen) < min(count, len(frames)):
-        nearest = (looks @ looks[chosen].T).max(axis=1)
+        nearest = (directions @ directions[chosen].T).max(axis=1)
         nearest[chosen] = np.inf
         chosen.append(int(nearest.argmin()))
     return [frames[index] for index in chosen]
-
-
-def srgb_to_linear(x: np.ndarray) -> np.ndarray:
-    """IEC 61966-2-1."""
-    return np.where(x <= 0.04045, x / 12.92, ((np.maximum(x, 0) + 0.055) / 1.055) ** 2.4)
-
-
-def linear_to_srgb(x: np.ndarray) -> np.ndarray:
-    """IEC 61966-2-1, clipped to 0..1: what Blender's view transform Standard does to Rec.709."""
-    x = np.clip(x, 0, 1)
-    return np.where(x <= 0.0031308, 12.92 * x, 1.055 * x ** (1 / 2.4) - 0.055)
 
 
 def _read_meta(path: Path) -> dict:
@@ -106,7 +102,9 @@ def _read_meta(path: Path) -> dict:
 
 
 def _frame(folder: Path, meta: dict, entry: dict) -> Frame:
-    def value(name: str, default=None):
+    """The frame of `entry`; what it does not say, `meta` says for all frames."""
+
+    def value(name: str, default: float | None = None) -> Any:
         found = entry.get(name, meta.get(name, default))
         if found is None:
             raise ValueError(f"{folder}: a frame has no {name}")
@@ -135,7 +133,7 @@ def _frame(folder: Path, meta: dict, entry: dict) -> Frame:
     )
 
 
-def _matrix(rows, path: Path) -> np.ndarray:
+def _matrix(rows: list, path: Path) -> np.ndarray:
     matrix = np.array(rows, np.float64)
     if matrix.shape == (3, 4):
         matrix = np.concatenate([matrix, [[0.0, 0.0, 0.0, 1.0]]])

@@ -10,16 +10,18 @@ from .capture_files import Frame
 
 COLLECTION_NAME = "NeP cameras: {}"
 CAPTURE_KEY = "nep_capture"  # of the collection: the capture's folder
-SIZE_KEY, ASPECT_KEY = "nep_photo_size", "nep_pixel_aspect"  # of a camera: what Blender keeps in the scene instead
-PHOTO_KEY = "nep_photo"  # of an image that was loaded here
-DISPLAY_SIZE = 0.06  # of the cameras' median distance from their middle
+SIZE_KEY, ASPECT_KEY = "nep_photo_size", "nep_pixel_aspect"  # of a camera, because Blender has one size for all cameras
+PHOTO_KEY = "nep_photo"  # of an image that `load_cameras` has loaded
+DISPLAY_SIZE = 0.06  # of a camera, relative to the cameras' median distance from their mean position
 
 
-def load_cameras(scene, capture: Path, frames: list[Frame], *, match_render: bool = True) -> tuple[list, list[Path]]:
-    """Show the frames' cameras in `scene`, instead of those of an earlier call; returns (cameras, missing photos).
+def load_cameras(
+    scene: bpy.types.Scene, capture: Path, frames: list[Frame], *, match_render: bool = True
+) -> tuple[list[bpy.types.Object], list[Path]]:
+    """Make the frames' cameras in `scene`; those of an earlier call are removed. Returns (cameras, missing photos).
 
-    Blender reads a photo when its camera is looked through, so that hundreds cost nothing here. `match_render`: the
-    scene's render size and pixel aspect become the photos', for photo and view to line up.
+    Blender reads a photo only when somebody looks through its camera, so hundreds of photos take no time here.
+    `match_render`: the scene gets the photos' size and pixel aspect, so that photo and view line up.
     """
     remove_cameras(scene)
     collection = bpy.data.collections.new(COLLECTION_NAME.format(Path(capture).resolve().name))
@@ -47,8 +49,8 @@ def load_cameras(scene, capture: Path, frames: list[Frame], *, match_render: boo
     return cameras, missing
 
 
-def remove_cameras(scene) -> int:
-    """Remove the cameras that `load_cameras` made in this scene, and their photos; returns how many there were."""
+def remove_cameras(scene: bpy.types.Scene) -> int:
+    """Remove the cameras that `load_cameras` made in this scene, and their photos. Returns the number of cameras."""
     collections = camera_collections(scene)
     cameras = [item for collection in collections for item in collection.objects if SIZE_KEY in item]
     data = [camera.data for camera in cameras]
@@ -56,26 +58,26 @@ def remove_cameras(scene) -> int:
     bpy.data.batch_remove([block for block in data if not block.users])
     bpy.data.batch_remove([image for image in bpy.data.images if PHOTO_KEY in image and not image.users])
     for collection in collections:
-        if not collection.objects and not collection.children:  # the artist may have put things of their own into it
+        if not collection.objects and not collection.children:  # otherwise the artist has put something into it
             bpy.data.collections.remove(collection)
         else:
             del collection[CAPTURE_KEY]
     return len(cameras)
 
 
-def camera_collections(scene) -> list:
-    """The collections of `load_cameras` in this scene."""
+def camera_collections(scene: bpy.types.Scene) -> list[bpy.types.Collection]:
+    """The collections that `load_cameras` made in this scene."""
     return [collection for collection in scene.collection.children_recursive if CAPTURE_KEY in collection]
 
 
-def _photo(frame: Frame):
-    """An image that refers to the photo's file (relative to the saved .blend); None where the file is missing."""
+def _photo(frame: Frame) -> bpy.types.Image | None:
+    """An image that refers to the photo's file, relative to the .blend if that is saved. None where the file is missing."""
     known = len(bpy.data.images)
     try:
         image = bpy.data.images.load(str(frame.path.resolve()), check_existing=True)
     except RuntimeError:
         return None
-    if len(bpy.data.images) > known:  # not the artist's own
+    if len(bpy.data.images) > known:  # otherwise the artist had already loaded it
         image[PHOTO_KEY] = True
         if frame.color_space == "linear" and frame.path.suffix.lower() != ".exr":
             image.colorspace_settings.name = "Non-Color"

@@ -2,17 +2,22 @@
 
 from pathlib import Path
 
-from .asset_import import import_asset, nothing_half_made
+import bpy
+
+from .asset_import import import_asset, removed_on_error
 from .world import build_world
 
 
-def import_result(folder: Path, collection, *, name: str = "", pack: bool = True):
+def import_result(
+    folder: Path, collection: bpy.types.Collection, *, name: str = "", pack: bool = True
+) -> tuple[bpy.types.Object, bpy.types.World]:
     """(object, World "<object> light") of the asset in `folder`. OSError where a file is missing or unreadable.
 
-    `pack`: images inside the .blend; else they refer to the asset's files, relative to the .blend where it is saved.
+    `pack`: the images are stored in the .blend. Otherwise they refer to the asset's files, by a path that is relative to the
+    .blend if that is saved.
     """
     folder = Path(folder)
-    with nothing_half_made():
+    with removed_on_error():
         item = import_asset(folder, collection, name=name, pack=pack)
         world = build_world(folder / "environment.exr", name=f"{item.name} light", pack=pack)
     return item, world

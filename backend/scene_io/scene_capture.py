@@ -1,37 +1,39 @@
-"""A capture folder from the cameras of a Blender scene that have a photo as background image."""
+"""Writes a capture folder from those cameras of a Blender scene that have a photo as background image."""
 
 import json
 import os
 from pathlib import Path
+
+import bpy
 
 from .cameras import intrinsics
 from .image_files import write_whole
 from .image_size import image_size
 from .photo_cameras import ASPECT_KEY, SIZE_KEY
 
-SOURCE = "Blender scene"  # marks a transforms.json that was written here and may be replaced
+SOURCE = "Blender scene"  # marks a transforms.json that was written here: it may be replaced
 MINIMUM_PHOTOS = 3
 SUFFIXES = (".exr", ".png", ".jpg", ".jpeg")  # what the engine reads
 ASPECT_TOLERANCE = 0.01
 LINEAR_SPACES = ("Linear Rec.709", "Non-Color")
 
 
-class Unusable(ValueError):
+class UnusableCamera(ValueError):
     """A camera that cannot be part of a capture; the message names it and says why."""
 
 
-def photo_cameras(scene) -> list:
-    """The scene's cameras with a background image, by name."""
+def photo_cameras(scene: bpy.types.Scene) -> list[bpy.types.Object]:
+    """The scene's cameras that have a background image, in the order of their names."""
     return sorted(
         (item for item in scene.objects if item.type == "CAMERA" and _photo(item) is not None), key=lambda item: item.name
     )
 
 
-def write_scene_capture(scene, folder: Path) -> int:
-    """Write `folder`/transforms.json with the scene's cameras and photos; returns how many there are.
+def write_scene_capture(scene: bpy.types.Scene, folder: Path) -> int:
+    """Write `folder`/transforms.json with the scene's cameras and photos. Returns the number of photos.
 
-    Photos stay where they are where a relative path leads to them, others are copied to `folder`/images. ValueError
-    says which cameras cannot be used and why (nothing is written then), OSError that the folder cannot be written.
+    A photo stays where it is if a relative path leads to it; otherwise it is copied to `folder`/images. ValueError says
+    which cameras cannot be used and why, and nothing is written then. OSError says that the folder cannot be written.
     """
     folder = Path(folder)
     target = folder / "transforms.json"
@@ -47,7 +49,7 @@ def write_scene_capture(scene, folder: Path) -> int:
     for camera in cameras:
         try:
             frames.append(_frame(scene, camera, folder, packed))
-        except (Unusable, OSError) as error:
+        except (UnusableCamera, OSError) as error:
             problems.append(str(error))
     if problems:
         more = f" (and {len(problems) - 3} more)" if len(problems) > 3 else ""
@@ -67,19 +69,20 @@ def write_scene_capture(scene, folder: Path) -> int:
     return len(frames)
 
 
-def _frame(scene, camera, folder: Path, packed: dict[str, bytes]) -> dict:
+def _frame(scene: bpy.types.Scene, camera: bpy.types.Object, folder: Path, packed: dict[str, bytes]) -> dict:
+    """The camera's entry in transforms.json. Photos that must be copied go into `packed`."""
     data, background = camera.data, _background(camera)
     if data.type != "PERSP":
         kind = {"PANO": "panoramic", "ORTHO": "orthographic"}.get(data.type, data.type.lower())
-        raise Unusable(f"{camera.name} is a {kind} camera: only perspective ones can be used")
+        raise UnusableCamera(f"{camera.name} is a {kind} camera: only perspective ones can be used")
     if (
         (background.scale, background.rotation, tuple(background.offset)) != (1.0, 0.0, (0.0, 0.0))
         or background.use_flip_x
         or background.use_flip_y
     ):
-        raise Unusable(f"{camera.name} has its photo moved, turned, scaled or flipped: reset its Background Image")
+        raise UnusableCamera(f"{camera.name} has its photo moved, turned, scaled or flipped: reset its Background Image")
     if camera.matrix_world.determinant() <= 0:
-        raise Unusable(f"{camera.name} is mirrored: make its scale positive")
+        raise UnusableCamera(f"{camera.name} is mirrored: make its scale positive")
     name, width, height = _photo_file(camera, folder, packed)
     if ASPECT_KEY in camera:
         aspect = tuple(camera[ASPECT_KEY])
@@ -89,7 +92,7 @@ def _frame(scene, camera, folder: Path, packed: dict[str, bytes]) -> dict:
         aspect = render.pixel_aspect_x, render.pixel_aspect_y
         frame_width, frame_height = render.resolution_x, render.resolution_y
     if abs(width * frame_height / (height * frame_width) - 1) > ASPECT_TOLERANCE:
-        raise Unusable(
+        raise UnusableCamera(
             f"{camera.name}: its photo has {width} x {height} pixels, its frame {frame_width} x "
             f"{frame_height}. Set the render size to the photos'"
         )
@@ -109,12 +112,12 @@ def _frame(scene, camera, folder: Path, packed: dict[str, bytes]) -> dict:
     }
 
 
-def _photo_file(camera, folder: Path, packed: dict[str, bytes]) -> tuple[str, int, int]:
-    """(path for transforms.json, width, height); what has to be copied goes into `packed`."""
+def _photo_file(camera: bpy.types.Object, folder: Path, packed: dict[str, bytes]) -> tuple[str, int, int]:
+    """(path for transforms.json, width, height). A photo that must be copied goes into `packed`."""
     image = _photo(camera)
     path = Path(image.filepath_from_user())
     if image.source != "FILE" or path.suffix.lower() not in SUFFIXES:
-        raise Unusable(f"{camera.name}: {image.name} is no photo file ({', '.join(s[1:] for s in SUFFIXES)})")
+        raise UnusableCamera(f"{camera.name}: {image.name} is no photo file ({', '.join(s[1:] for s in SUFFIXES)})")
     if path.is_file():
         try:
             return Path(os.path.relpath(path, folder)).as_posix(), *image_size(path)
@@ -123,18 +126,18 @@ def _photo_file(camera, folder: Path, packed: dict[str, bytes]) -> tuple[str, in
     elif image.packed_file:
         content, size = image.packed_file.data, tuple(image.size)
     else:
-        raise Unusable(f"{camera.name}: its photo {path} is missing")
+        raise UnusableCamera(f"{camera.name}: its photo {path} is missing")
     name = f"images/{len(packed):03d}_{path.name}"
     packed[name] = content
     return name, *size
 
 
-def _background(camera):
+def _background(camera: bpy.types.Object) -> bpy.types.CameraBackgroundImage | None:
     """The camera's first background image that shows an image; None where it has none."""
     return next((item for item in camera.data.background_images if item.source == "IMAGE" and item.image), None)
 
 
-def _photo(camera):
+def _photo(camera: bpy.types.Object) -> bpy.types.Image | None:
     background = _background(camera)
     return background.image if background else None
 

@@ -1,4 +1,4 @@
-"""Light from an equirectangular image as a World.
+"""Makes a World that shines with an equirectangular image.
 
 Blender's orientation: a direction (x, y, z) lies at u = 0.5 - atan2(y, x) / 2 pi and v = 0.5 + atan2(z, |xy|) / pi;
 v = 1 is the image's top row. `environment.exr` of an asset is written that way, so no rotation is needed.
@@ -11,11 +11,12 @@ import bpy
 from .asset_import import load_image
 
 COLOR_SPACE = "Linear Rec.709"
-HDRI_ORDER = ("studio", "forest", "sunset", "interior", "city", "courtyard", "sunrise", "night")  # most unlike first
+# such that the first few differ most
+HDRI_ORDER = ("studio", "forest", "sunset", "interior", "city", "courtyard", "sunrise", "night")
 
 
-def build_world(path: Path, *, name: str, pack: bool = True):
-    """A World that shines with the equirectangular image at `path`, strength 1. OSError where it cannot be read."""
+def build_world(path: Path, *, name: str, pack: bool = True) -> bpy.types.World:
+    """A World that shines with the equirectangular image at `path`, with strength 1. OSError where it cannot be read."""
     image = load_image(path, color_space=COLOR_SPACE, pack=pack)
     world = bpy.data.worlds.new(name)
     if not world.use_nodes:

@@ -1,4 +1,4 @@
-"""Rendering one view of a synthetic scene in Cycles: the photo and, from the same samples, its ground truth."""
+"""Renders one view of a synthetic scene in Cycles: the photo and, from the same samples, its ground truth."""
 
 import os
 import tempfile
@@ -6,19 +6,22 @@ from pathlib import Path
 
 import bpy
 import numpy as np
+from mathutils import Matrix
 
 from ..rendering.cycles_settings import use_cycles
-from ..scene_io.image_files import read_exr, still_image
+from ..scene_io.image_files import set_media_type
+from .exr_channels import read_channels
 from .scenes import GROUND_TRUTH_COLOR, GROUND_TRUTH_VALUES
 
 BOUNCES = 5
-INDIRECT_CLAMP = 20.0  # radiance; keeps fireflies out of few samples, above what highlights reflect
+INDIRECT_CLAMP = 20.0  # radiance; above what highlights reflect, and low enough against fireflies of few samples
 
 
 class ViewRenderer:
-    """Renders a scene's views with all passes in one go; `render(matrix)` returns (photo, ground truth)."""
+    """Renders a scene's views, each with all passes at once."""
 
-    def __init__(self, scene, size: int, samples: int, field_of_view: float, seed: int):
+    def __init__(self, scene: bpy.types.Scene, size: int, samples: int, field_of_view: float, seed: int):
+        """`size`: width and height in pixels; `field_of_view` in radians."""
         self.scene = scene
         data = bpy.data.cameras.new("camera")
         data.angle = field_of_view
@@ -44,22 +47,23 @@ class ViewRenderer:
         """In pixels."""
         return self.scene.render.resolution_x * self.camera.data.lens / self.camera.data.sensor_width
 
-    def render(self, matrix) -> tuple[np.ndarray, dict[str, np.ndarray]]:
-        """(photo [H,W,3] linear, {channel: [H,W]}): albedo.RGBA, roughness.V, metallic.V, Normal.XYZ, Depth.V, mask.V.
+    def render(self, matrix: Matrix) -> tuple[np.ndarray, dict[str, np.ndarray]]:
+        """(photo [H,W,3] linear radiance, ground truth {channel: [H,W]}) from the camera-to-world `matrix`.
 
-        Depth is the distance along the camera's axis; the normal is in world space; albedo's alpha is the mask.
+        The channels are albedo.RGBA, roughness.V, metallic.V, Normal.XYZ, Depth.V and mask.V. Depth is the distance along
+        the camera's axis. The normal is in world space. Albedo's alpha is the mask.
         """
         self.camera.matrix_world = matrix
         settings = self.scene.render.image_settings
-        still_image(settings, multilayer=True)
+        set_media_type(settings, multilayer=True)
         settings.file_format, settings.color_depth, settings.exr_codec = "OPEN_EXR_MULTILAYER", "32", "ZIP"
         if hasattr(settings, "use_exr_interleave"):
-            settings.use_exr_interleave = True  # one part, as before Blender 5.0
+            settings.use_exr_interleave = True  # one part, as Blender wrote it before 5.0
         with tempfile.TemporaryDirectory() as folder:
             path = Path(folder) / "view.exr"
             self.scene.render.filepath = os.fspath(path)
             bpy.ops.render.render(write_still=True, scene=self.scene.name)
-            passes = read_exr(path)
+            passes = read_channels(path)
         layer = self.layer.name
         photo = np.stack([passes[f"{layer}.Combined.{c}"] for c in "RGB"], axis=-1)
         mask = np.clip(_value(passes, f"{layer}.mask"), 0, 1)

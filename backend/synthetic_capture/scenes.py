@@ -1,4 +1,4 @@
-"""Scenes for synthetic captures: one glossy object floating in a room among tangible things, lamps and a window.
+"""Builds scenes for synthetic captures: a glossy object that floats in a room among solid things, lamps and a window.
 
 After NeP's synthetic set (Wang et al., CVPR 2024): the surroundings are near, so their parallax and their reflections
 in the object cannot be explained by an environment map at infinity; all light comes from inside the room.
@@ -6,6 +6,7 @@ The object is normalised to the sphere of radius 1 at the origin, the border bet
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -42,7 +43,7 @@ GROUND_TRUTH_COLOR = "albedo"
 GROUND_TRUTH_VALUES = ("roughness", "metallic", "mask")
 
 
-def build_scene(source: str, material: str, rng: np.random.Generator):
+def build_scene(source: str, material: str, rng: np.random.Generator) -> tuple[bpy.types.Object, list[bpy.types.Object]]:
     """Fill the (empty) current file. Returns (object, obstacles): every mesh that is not the object is an obstacle.
 
     source: 'suzanne', 'box' or the path of an obj, ply, stl, glb or gltf file (ValueError for others).
@@ -55,7 +56,7 @@ def build_scene(source: str, material: str, rng: np.random.Generator):
     return target, obstacles
 
 
-def triangles(item) -> tuple[np.ndarray, np.ndarray]:
+def triangles(item: bpy.types.Object) -> tuple[np.ndarray, np.ndarray]:
     """World-space (vertices [V,3] float32, triangles [F,3] int32) of a mesh object as rendered (modifiers applied)."""
     evaluated = item.evaluated_get(bpy.context.evaluated_depsgraph_get())
     mesh = evaluated.to_mesh()
@@ -69,7 +70,7 @@ def triangles(item) -> tuple[np.ndarray, np.ndarray]:
     return vertices.reshape(-1, 3) @ matrix[:3, :3].T + matrix[:3, 3], faces.reshape(-1, 3)
 
 
-def _object(source: str):
+def _object(source: str) -> bpy.types.Object:
     if source == "suzanne":
         bpy.ops.mesh.primitive_monkey_add()
         target = bpy.context.object
@@ -95,7 +96,7 @@ def _object(source: str):
     return target
 
 
-def _mesh_file(path: Path):
+def _mesh_file(path: Path) -> bpy.types.Object:
     operators = {
         ".obj": bpy.ops.wm.obj_import,
         ".ply": bpy.ops.wm.ply_import,
@@ -126,13 +127,13 @@ def _mesh_file(path: Path):
     return target
 
 
-def _apply_modifiers(item) -> None:
+def _apply_modifiers(item: bpy.types.Object) -> None:
     bpy.context.view_layer.objects.active = item
     for modifier in list(item.modifiers):
         bpy.ops.object.modifier_apply(modifier=modifier.name)
 
 
-def _normalise(item) -> None:
+def _normalise(item: bpy.types.Object) -> None:
     bpy.context.view_layer.update()
     vertices, _ = triangles(item)
     centre = (vertices.min(0) + vertices.max(0)) / 2
@@ -145,7 +146,7 @@ def _normalise(item) -> None:
     bpy.context.view_layer.update()
 
 
-def _object_material(pattern: str, substances: tuple[Substance, ...], rng: np.random.Generator):
+def _object_material(pattern: str, substances: tuple[Substance, ...], rng: np.random.Generator) -> bpy.types.Material:
     """A Principled material whose inputs also feed the AOVs that become the ground truth."""
     material = bpy.data.materials.new("object")
     material.use_nodes = True
@@ -168,7 +169,9 @@ def _object_material(pattern: str, substances: tuple[Substance, ...], rng: np.ra
     return material
 
 
-def _pattern(nodes, links, pattern: str, rng: np.random.Generator):
+def _pattern(
+    nodes: bpy.types.Nodes, links: bpy.types.NodeLinks, pattern: str, rng: np.random.Generator
+) -> bpy.types.NodeSocket:
     """A socket that is 0 on the first substance and 1 on the second."""
     coordinates = nodes.new("ShaderNodeTexCoord").outputs["Object"]
     threshold = nodes.new("ShaderNodeMath")
@@ -195,7 +198,14 @@ def _pattern(nodes, links, pattern: str, rng: np.random.Generator):
     return threshold.outputs[0]
 
 
-def _blend(nodes, links, factor, first, second):
+def _blend(
+    nodes: bpy.types.Nodes,
+    links: bpy.types.NodeLinks,
+    factor: bpy.types.NodeSocket | None,
+    first: Sequence[float],
+    second: Sequence[float],
+) -> bpy.types.NodeSocket:
+    """A socket with the color `first`, or where `factor` is 1 `second`."""
     mix = nodes.new("ShaderNodeMix")
     mix.data_type = "RGBA"
     colors = [socket for socket in mix.inputs if socket.type == "RGBA"]
@@ -206,7 +216,7 @@ def _blend(nodes, links, factor, first, second):
     return next(socket for socket in mix.outputs if socket.type == "RGBA")
 
 
-def _room(rng: np.random.Generator) -> list:
+def _room(rng: np.random.Generator) -> list[bpy.types.Object]:
     middle, height, width = (FLOOR + CEILING) / 2, CEILING - FLOOR, 2 * HALF_WIDTH
     boxes = [
         ("floor", (0, 0, FLOOR - 0.05), (width, width, 0.1), 1.1),
@@ -228,7 +238,7 @@ def _room(rng: np.random.Generator) -> list:
     return room
 
 
-def _lights(rng: np.random.Generator) -> list:
+def _lights(rng: np.random.Generator) -> list[bpy.types.Object]:
     bar = _surface("window bars", rng, 0.6)
     lights = []
     for name, location, size, color, strength in (
@@ -249,7 +259,7 @@ def _lights(rng: np.random.Generator) -> list:
     return lights
 
 
-def _things(rng: np.random.Generator, count: int = 16) -> list:
+def _things(rng: np.random.Generator, count: int = 16) -> list[bpy.types.Object]:
     """Boxes, spheres and columns that stand on the floor around the object, none within its sphere nor in another."""
     things, taken = [], []
     while len(things) < count:
@@ -263,11 +273,15 @@ def _things(rng: np.random.Generator, count: int = 16) -> list:
             if any(math.hypot(x - a, y - b) < 1.5 * (size + other) for a, b, other in taken):
                 continue
         taken.append((x, y, size))
-        things.append(_thing(len(things), column, x, y, size, angle, rng))
+        things.append(_thing(len(things), column, (x, y), size, angle, rng))
     return things
 
 
-def _thing(number: int, column: bool, x: float, y: float, size: float, angle: float, rng: np.random.Generator):
+def _thing(
+    number: int, column: bool, place: tuple[float, float], size: float, angle: float, rng: np.random.Generator
+) -> bpy.types.Object:
+    """A box, a sphere or a column on the floor at `place` (x, y)."""
+    x, y = place
     name = f"thing{number}"
     if column:
         height = rng.uniform(1.6, 3.2)
@@ -285,7 +299,7 @@ def _thing(number: int, column: bool, x: float, y: float, size: float, angle: fl
     return item
 
 
-def _box(name: str, location, size):
+def _box(name: str, location: Sequence[float], size: Sequence[float]) -> bpy.types.Object:
     mesh = bpy.data.meshes.new(name)
     work = bmesh.new()
     bmesh.ops.create_cube(work, size=1.0)
@@ -297,7 +311,9 @@ def _box(name: str, location, size):
     return item
 
 
-def _surface(name: str, rng: np.random.Generator, roughness: float, checker: float = 0, pale: bool = False):
+def _surface(
+    name: str, rng: np.random.Generator, roughness: float, checker: float = 0, pale: bool = False
+) -> bpy.types.Material:
     """A dielectric of random color, or of two in a checker with `checker` cells per unit of world length."""
     material = bpy.data.materials.new(name)
     material.use_nodes = True
@@ -319,7 +335,7 @@ def _surface(name: str, rng: np.random.Generator, roughness: float, checker: flo
     return material
 
 
-def _emission(name: str, color, strength: float):
+def _emission(name: str, color: Sequence[float], strength: float) -> bpy.types.Material:
     material = bpy.data.materials.new(name)
     material.use_nodes = True
     principled = next(node for node in material.node_tree.nodes if node.type == "BSDF_PRINCIPLED")

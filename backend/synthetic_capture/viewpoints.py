@@ -1,4 +1,4 @@
-"""Where the camera may stand: around the object, outside every thing, with a clear view of the object."""
+"""Chooses where the cameras stand: around the object, outside every obstacle, with a clear view of the object."""
 
 import math
 from dataclasses import dataclass
@@ -13,9 +13,9 @@ from .scenes import CEILING, FLOOR, OBJECT_RADIUS, triangles
 ELEVATIONS = (-22.0, 62.0)  # degrees seen from the object; below -22 the floor would be too near
 DISTANCES = (2.75, 3.4)  # object radii: the sphere of radius 1 just fits into FIELD_OF_VIEW at the nearest
 FIELD_OF_VIEW = math.radians(43)
-CLEARANCE = 0.3  # between camera and anything, object radii
-CLEAR_RAYS = 0.98  # of the rays to the object's bounding sphere must meet nothing on their way
-TRIES = 400
+CLEARANCE = 0.3  # least distance of a camera from anything, object radii
+CLEAR_FRACTION = 0.98  # of the lines to the object's bounding sphere that must meet nothing
+TRIES = 400  # of places for one camera
 
 
 @dataclass(frozen=True)
@@ -26,9 +26,9 @@ class Viewpoint:
 
 
 class Surroundings:
-    """Everything but the object, for ray casts."""
+    """The obstacles (everything but the object), for ray casts."""
 
-    def __init__(self, obstacles: list):
+    def __init__(self, obstacles: list[bpy.types.Object]):
         vertices, faces, count = [], [], 0
         bpy.context.view_layer.update()
         for item in obstacles:
@@ -42,7 +42,7 @@ class Surroundings:
     def clear_fraction(self, position: Vector) -> float:
         """Fraction of the straight lines from `position` to the object's bounding sphere that meet nothing.
 
-        From inside a closed thing every line meets its wall, so such a position gets 0.
+        A position inside a closed obstacle gets 0, because every line meets the obstacle's wall.
         """
         clear = 0
         for target in self.targets:
@@ -51,11 +51,11 @@ class Surroundings:
         return clear / len(self.targets)
 
     def usable(self, position: Vector) -> bool:
-        """Away from things, inside the room, and with a clear view."""
+        """Whether a camera may stand there: inside the room, away from obstacles, with a clear view."""
         if not FLOOR + CLEARANCE < position.z < CEILING - CLEARANCE:
             return False
         nearest = self.tree.find_nearest(position)[3]
-        return nearest is not None and nearest > CLEARANCE and self.clear_fraction(position) >= CLEAR_RAYS
+        return nearest is not None and nearest > CLEARANCE and self.clear_fraction(position) >= CLEAR_FRACTION
 
 
 def fibonacci_sphere(count: int) -> np.ndarray:
@@ -68,7 +68,10 @@ def fibonacci_sphere(count: int) -> np.ndarray:
 
 
 def choose_viewpoints(count: int, surroundings: Surroundings, rng: np.random.Generator) -> list[Viewpoint]:
-    """`count` usable viewpoints spread over the band ELEVATIONS; a spot that is not usable is jittered until one is."""
+    """`count` usable viewpoints spread over ELEVATIONS and DISTANCES. ValueError where the scene leaves no place.
+
+    A place that is not usable is moved at random, further with each try.
+    """
     low, high = (math.sin(math.radians(angle)) for angle in ELEVATIONS)
     turn = rng.uniform(0, 2 * math.pi)
     chosen = []

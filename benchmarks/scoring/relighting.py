@@ -19,7 +19,8 @@ from skimage.metrics import structural_similarity
 from backend.rendering.comparison import exposure
 from backend.rendering.relight import RelitScene
 from backend.scene_io.asset_import import import_asset
-from backend.scene_io.capture_files import Frame, linear_to_srgb, read_frames, spread_frames
+from backend.scene_io.capture_files import Frame, read_frames, spread_frames
+from backend.scene_io.srgb import linear_to_srgb
 from backend.scene_io.world import blender_hdris, build_world
 
 WORLDS, VIEWS, PIXELS, SAMPLES = 3, 3, 256, 64

@@ -1,4 +1,8 @@
-"""Photos on disk as linear radiance: OpenEXR (linear), PNG and JPEG (sRGB, 8 or 16 bits)."""
+"""Photos on disk as linear radiance: OpenEXR (linear), PNG and JPEG (sRGB, 8 or 16 bits).
+
+Blender's Python lacks the packages of this file and cannot import it. backend/scene_io/srgb.py and image_size.py are its
+copies of the sRGB curve and of `image_size`.
+"""
 
 from __future__ import annotations
 

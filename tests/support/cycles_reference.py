@@ -15,7 +15,7 @@ import bpy
 import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
-from backend.scene_io.image_files import read_exr
+from backend.scene_io.image_files import load_pixels
 from backend.scene_io.world import build_world
 
 SIZE, SAMPLES, WIDTH = 64, 256, 2.0
@@ -56,6 +56,5 @@ for values in json.loads(materials):
     with tempfile.TemporaryDirectory() as folder:
         scene.render.filepath = str(Path(folder) / "image.exr")
         bpy.ops.render.render(write_still=True)
-        channels = read_exr(Path(scene.render.filepath))
-    images.append(np.stack([channels[c] for c in "RGBA"], -1))
+        images.append(load_pixels(Path(scene.render.filepath)))
 np.savez(out, images=np.array(images))

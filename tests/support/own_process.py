@@ -1,10 +1,14 @@
 """Functions of a test file in a process of their own: no state of Blender leaks, and a hang has a limit."""
 
+import inspect
 import os
 import subprocess
 import sys
+from collections.abc import Callable
 
 from support.paths import ROOT, TESTS
+
+LIMIT_S = 120
 
 
 def run_file(file: str, *arguments: object, timeout: float, **variables: str) -> subprocess.CompletedProcess:
@@ -17,3 +21,12 @@ def run_file(file: str, *arguments: object, timeout: float, **variables: str) ->
         timeout=timeout,
         env=os.environ | {"PYTHONPATH": path} | variables,
     )
+
+
+def in_blender(function: Callable[..., None], *arguments: object) -> None:
+    """Call a function of a test file, with strings for arguments, in a process that may import bpy.
+
+    The file ends with: if __name__ == "__main__": globals()[sys.argv[1]](*sys.argv[2:]).
+    """
+    done = run_file(inspect.getfile(function), function.__name__, *arguments, timeout=LIMIT_S)
+    assert done.returncode == 0, done.stdout[-2000:] + done.stderr[-4000:]

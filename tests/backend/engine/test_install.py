@@ -2,7 +2,6 @@
 
 import json
 import signal
-import stat
 import subprocess
 import sys
 import time
@@ -10,8 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from backend.engine import install as engine_install
-from backend.engine.check import EngineCheck
+from backend.engine import install
 from backend.engine.install import installed_python
 from support.paths import ROOT
 from support.played_python import played_python
@@ -35,7 +33,7 @@ def begin(base, *options) -> subprocess.Popen:
         [
             sys.executable,
             "-I",
-            engine_install.__file__,
+            install.__file__,
             "--source",
             ROOT,
             "--folder",
@@ -131,21 +129,3 @@ def test_somebody_elses_folder_is_not_touched(base):
     theirs.write_text("years of work")
     code, told = end(begin(base))
     assert code == 1 and "is no engine" in told[-1]["message"] and theirs.read_text() == "years of work"
-
-
-def answer(python: str) -> EngineCheck:
-    check, deadline = EngineCheck(python), time.monotonic() + LIMIT_S
-    while not check.poll():
-        assert time.monotonic() < deadline
-        time.sleep(0.02)
-    return check
-
-
-def test_a_check_says_what_is_there_and_what_is_missing(tmp_path):
-    bare = tmp_path / "bare-python"
-    bare.write_text(f'#!/bin/sh\nexec {sys.executable} -S "$@"\n')
-    bare.chmod(bare.stat().st_mode | stat.S_IXUSR)
-    lacking = answer(str(bare))
-    assert not lacking.works and lacking.lines[-1].startswith("Missing: blender_nep, torch.")
-    assert "cannot be started" in answer("/no/python").lines[0]
-    assert "is no Python" in answer("/bin/true").lines[0]

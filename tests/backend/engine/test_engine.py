@@ -1,7 +1,5 @@
-"""A job lives in files: it outlives who started it, is found again and stopped, and its end is told in words."""
+"""A job lives in files: it outlives the program that started it, is found again, is stopped, and its end is explained."""
 
-import errno
-import json
 import os
 import shutil
 import signal
@@ -13,16 +11,14 @@ from pathlib import Path
 
 import pytest
 
-from backend.engine import timings
+from backend.engine import engine as engine_module
 from backend.engine.command import NoEngineError, reconstruct_arguments
 from backend.engine.engine import Engine
-from backend.engine.job_files import EventFile, has_checkpoint, is_asset, is_running, read_job
-from backend.engine.progress import Progress, describe, duration
-from blender_nep.job.job_folder import Journal
+from backend.engine.job_files import has_checkpoint, is_asset, is_running, read_job
 from support import ball_engine
+from support.own_process import LIMIT_S
 from support.paths import ROOT
 
-LIMIT_S = 120
 SLOW = {"BALL_STEPS": "4000", "BALL_DELAY": "0.02"}
 
 
@@ -90,8 +86,7 @@ sys.path.insert(0, {root!r})
 from backend.engine.engine import Engine
 engine = Engine.start({python!r}, {arguments!r}, keep_going={keep_going})
 while not os.path.exists({sign!r}):
-    engine.poll()
-    assert engine._process.running(), open(engine.log).read()
+    assert not engine.poll()[1], open(engine.log).read()
 os.kill(os.getpid(), 9)
 """
 
@@ -173,6 +168,18 @@ def test_an_output_folder_that_vanishes_is_said(ball):
     assert engine.outcome().code == 5 and str(ball.out) in engine.outcome().message
 
 
+def test_a_deaf_engine_is_killed_in_the_end(engine_python, tmp_path, monkeypatch):
+    monkeypatch.setenv("SCRIPTED_ENGINE", "deaf")
+    monkeypatch.setattr(engine_module, "STOP_GRACE_S", 0.1)
+    monkeypatch.setattr(engine_module, "TERMINATE_GRACE_S", 0.1)
+    engine = Engine.start(engine_python, ["reconstruct", "x", "--out", str(tmp_path / "out")])
+    wait_for((tmp_path / "out" / "waiting").exists)
+    engine.request_stop()
+    follow(engine)
+    assert engine.outcome().code == 128 + 9
+    engine.close()
+
+
 def test_a_python_without_the_engine_is_said(tmp_path):
     bare = tmp_path / "bare-python"
     bare.write_text(f'#!/bin/sh\nexec {sys.executable} -S "$@"\n')
@@ -183,66 +190,3 @@ def test_a_python_without_the_engine_is_said(tmp_path):
     assert isinstance(failed, NoEngineError) and f"{bare} lacks blender_nep" in failed.message and "Install" in failed.hint
     with pytest.raises(NoEngineError, match="cannot be started"):
         Engine.start(str(tmp_path / "no-python"), [])
-
-
-def test_events_are_read_whole_and_foreign_lines_are_not(tmp_path):
-    file = EventFile(tmp_path / "events.jsonl")
-    assert file.read() == []
-    with open(tmp_path / "events.jsonl", "ab", buffering=0) as writer:
-        writer.write(b'a stray line\n[1]\n{"event": "warn')
-        assert file.read() == []
-        writer.write(b'ing", "message": "\xc3\xa4"}\n{"event": "done"}\n')
-        assert file.read() == [{"event": "warning", "message": "ä"}, {"event": "done"}]
-        assert file.read() == []
-
-
-def test_a_journal_outlives_a_full_disk(tmp_path, monkeypatch):
-    journal, room = Journal(tmp_path / "journal"), [5]
-    write = os.write
-
-    def narrow(descriptor, data):
-        if not room[0]:
-            raise OSError(errno.ENOSPC, "No space left on device")
-        taken = write(descriptor, data[: room[0]])
-        room[0] -= taken
-        return taken
-
-    monkeypatch.setattr(os, "write", narrow)
-    journal.write("first line\n")
-    journal.flush()
-    room[0] = 100
-    journal.write("second line\n")
-    journal.flush()
-    assert (tmp_path / "journal").read_text() == "first line\nsecond line\n"
-
-
-def test_expected_time_is_learned_from_assets(tmp_path):
-    file, asset = tmp_path / "timings.json", tmp_path / "asset"
-    asset.mkdir()
-    assert timings.expected_seconds(file, "balanced") == (270.0, False)
-    timings.remember(file, asset)  # without a report
-    for seconds in (100, 300, 200):
-        (asset / "report.json").write_text(json.dumps({"preset": "balanced", "seconds_total": seconds}))
-        timings.remember(file, asset)
-    assert timings.expected_seconds(file, "balanced") == (200.0, True)
-    assert timings.expected_seconds(file, "preview") == (90.0, False)
-    file.write_text("torn")
-    assert timings.expected_seconds(file, "balanced") == (270.0, False)
-    timings.remember(tmp_path / "new folder" / "timings.json", asset)
-    assert timings.expected_seconds(tmp_path / "new folder" / "timings.json", "balanced") == (200.0, True)
-
-
-def test_words_for_people():
-    event = {"event": "progress", "stage": "fields_learning", "step": 2, "steps": 9, "fraction": 0.5, "eta_s": 75}
-    assert describe(event) == " 50 %  Learning shape and light  Step 2 of 9  about 1 min 20 s left"
-    assert Progress.of({"event": "progress", "fraction": None, "eta_s": None}).lines() == [""]
-    assert [duration(s) for s in (1, 44, 299, 300, 3600, 5400)] == [
-        "about 5 s",
-        "about 45 s",
-        "about 5 min",
-        "about 5 min",
-        "about 1 h",
-        "about 1 h 30 min",
-    ]
-    noted = {"event": "progress", "stage": "surface", "steps": 1, "note": {"code": "progress.warming_up", "values": {}}}
-    assert Progress.of(noted).lines() == ["Making the mesh", "Warming up"]

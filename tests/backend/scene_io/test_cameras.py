@@ -1,0 +1,73 @@
+"""Blender's cameras are the pinhole cameras of the photos, in both directions."""
+
+import sys
+from pathlib import Path
+
+import numpy as np
+
+from support.own_process import in_blender
+
+
+def test_photo_camera_has_the_captures_pinhole():
+    in_blender(check_camera)
+
+
+def check_camera():
+    import bpy
+    from bpy_extras.object_utils import world_to_camera_view
+    from mathutils import Vector
+
+    from backend.rendering.relight import add_camera
+    from backend.scene_io.capture_files import Frame
+
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    scene, rng = bpy.context.scene, np.random.default_rng(0)
+    matrix = np.array(Vector((1, -2, 0.5)).to_track_quat("-Z", "Y").to_matrix().to_4x4())
+    matrix[:3, 3] = 0.4, -1.0, 2.0
+    for fl_y in (130.0, 110.0, 150.0):
+        frame = Frame(Path("none"), 120, 90, 130.0, fl_y, 66.0, 40.0, matrix, "linear")
+        camera = add_camera(frame, scene)
+        scene.render.resolution_x, scene.render.resolution_y = frame.width, frame.height
+        bpy.context.view_layer.update()
+        for local in np.c_[rng.uniform(-1, 1, (20, 2)), rng.uniform(-6, -2, 20)]:
+            point = matrix[:3, :3] @ local + matrix[:3, 3]
+            x, y, _ = world_to_camera_view(scene, camera, Vector(point))
+            expected = 66 + 130 * local[0] / -local[2], 40 - fl_y * local[1] / -local[2]
+            np.testing.assert_allclose((x * 120, (1 - y) * 90), expected, atol=2e-3)
+
+
+def test_a_cameras_intrinsics_are_what_blender_projects():
+    in_blender(check_intrinsics)
+
+
+def check_intrinsics():
+    """Every sensor fit, wide and tall frames, shifts and pixels that are no squares, against Blender's projection."""
+    import bpy
+    from bpy_extras.object_utils import world_to_camera_view
+    from mathutils import Vector
+
+    from backend.scene_io.cameras import intrinsics
+
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    scene, rng = bpy.context.scene, np.random.default_rng(0)
+    data = bpy.data.cameras.new("camera")
+    camera = bpy.data.objects.new("camera", data)
+    scene.collection.objects.link(camera)
+    data.sensor_width, data.sensor_height, data.lens = 31.0, 23.0, 40.0
+    data.shift_x, data.shift_y = 0.07, -0.11
+    for fit in ("AUTO", "HORIZONTAL", "VERTICAL"):
+        for size in ((160, 90), (90, 160), (100, 100)):
+            for aspect in ((1.0, 1.0), (1.0, 1.3), (2.0, 1.0)):
+                data.sensor_fit = fit
+                scene.render.resolution_x, scene.render.resolution_y = size
+                scene.render.pixel_aspect_x, scene.render.pixel_aspect_y = aspect
+                bpy.context.view_layer.update()
+                lens = intrinsics(data, *size, aspect)
+                for point in np.c_[rng.uniform(-1, 1, (4, 2)), rng.uniform(-6, -2, 4)]:
+                    x, y, _ = world_to_camera_view(scene, camera, Vector(point))
+                    expected = lens.cx + lens.fl_x * point[0] / -point[2], lens.cy - lens.fl_y * point[1] / -point[2]
+                    np.testing.assert_allclose((x * size[0], (1 - y) * size[1]), expected, atol=1e-3)
+
+
+if __name__ == "__main__":
+    globals()[sys.argv[1]](*sys.argv[2:])

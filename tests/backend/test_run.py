@@ -1,0 +1,129 @@
+"""run.py, from the capture to a relit asset, with an engine that only plays its part."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from support.own_process import LIMIT_S, in_blender
+from support.paths import ROOT, SUZANNE_SMALL
+
+
+def start_run(engine_python: str, mode: str, out: Path, *options: str, asset: Path | None = None) -> subprocess.Popen:
+    variables = os.environ | {"SCRIPTED_ENGINE": mode, "PYTHONPATH": "/nowhere", "BLENDER_USER_RESOURCES": str(out.parent)}
+    if asset:
+        variables["SCRIPTED_ASSET"] = str(asset)
+    return subprocess.Popen(
+        [
+            sys.executable,
+            ROOT / "backend" / "run.py",
+            "--capture",
+            SUZANNE_SMALL,
+            "--out",
+            out,
+            "--engine-python",
+            engine_python,
+            *options,
+        ],
+        env=variables,
+        text=True,
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+    )
+
+
+def until(path: Path, process: subprocess.Popen) -> None:
+    deadline = time.monotonic() + LIMIT_S
+    while not path.exists():
+        assert process.poll() is None, process.communicate()[1]
+        assert time.monotonic() < deadline
+        time.sleep(0.02)
+
+
+def test_engine_error_and_its_code_are_passed_on(engine_python, tmp_path):
+    process = start_run(engine_python, "refuse", tmp_path / "out", "--preset", "preview", "--masks", "ignore")
+    _, told = process.communicate(timeout=LIMIT_S)
+    assert process.returncode == 3
+    assert "image 004.png is missing" in told and "Put it back." in told and "Traceback" not in told
+    given = json.loads((tmp_path / "out" / "arguments.json").read_text())
+    assert given[:2] == ["reconstruct", str(SUZANNE_SMALL)]
+    assert given[given.index("--preset") + 1] == "preview" and given[given.index("--masks") + 1] == "ignore"
+
+
+def test_a_killed_engine_is_reported(engine_python, tmp_path):
+    process = start_run(engine_python, "crash", tmp_path / "out")
+    _, told = process.communicate(timeout=LIMIT_S)
+    assert process.returncode == 128 + 9
+    assert "was killed" in told and "the last words" in told
+
+
+@pytest.mark.parametrize("how", ["SIGTERM", "closed stdin"])
+def test_stopping_lets_the_engine_write_its_checkpoint(engine_python, tmp_path, how):
+    process = start_run(engine_python, "wait", tmp_path / "out", "--watch-stdin")
+    until(tmp_path / "out" / "waiting", process)
+    if how == "SIGTERM":
+        process.send_signal(signal.SIGTERM)
+    else:
+        process.stdin.close()
+        process.stdin = None
+    _, told = process.communicate(timeout=LIMIT_S)
+    assert process.returncode == 7 and "checkpoint written" in told
+    assert (tmp_path / "out" / "checkpoint").read_text() == "saved"
+
+
+def test_an_engine_whose_parent_dies_leaves(engine_python, tmp_path):
+    process = start_run(engine_python, "wait", tmp_path / "out")
+    until(tmp_path / "out" / "waiting", process)
+    process.kill()
+    process.communicate(timeout=LIMIT_S)
+    deadline = time.monotonic() + LIMIT_S
+    while not (tmp_path / "out" / "checkpoint").exists():
+        assert time.monotonic() < deadline
+        time.sleep(0.02)
+
+
+def test_capture_to_relit_asset(engine_python, asset, tmp_path):
+    """run.py from end to end: engine, import, World, comparison.png, asset.blend; then again without the engine."""
+    out = tmp_path / "out"
+    small = ("--relight", "1", "--photos", "1", "--samples", "2")
+    process = start_run(engine_python, "asset", out, *small, asset=asset)
+    _, told = process.communicate(timeout=LIMIT_S)
+    assert process.returncode == 0, told
+    assert "Learning shape and light" in told and "done:" in told
+    sheet = np.asarray(Image.open(out / "comparison.png"), np.float32)
+    assert sheet.shape[1] > 3 * 320 and sheet.shape[0] > 320
+    tiles = [sheet[-200:-20, 6 + k * 326 : 6 + k * 326 + 320] for k in range(3)]
+    assert all(tile.std() > 5 for tile in tiles)
+    assert sheet[:58].max() > 200, "titles are drawn"
+    in_blender(check_saved_file, out / "asset.blend")
+    assert not [path for path in out.iterdir() if "partial" in path.name]
+
+    process = start_run(engine_python, "refuse", out, "--resume", *small)
+    assert process.wait(timeout=LIMIT_S) == 0, "a finished asset needs no engine"
+    (out / "environment.exr").write_bytes(b"torn")
+    process = start_run(engine_python, "refuse", out, "--resume", *small)
+    _, told = process.communicate(timeout=LIMIT_S)
+    assert process.returncode == 8 and "environment.exr" in told and "Traceback" not in told
+
+
+def check_saved_file(path):
+    import bpy
+
+    bpy.ops.wm.open_mainfile(filepath=path)
+    (scene,) = bpy.data.scenes
+    assert scene.world.name == "recovered light" and scene.camera and scene.view_settings.view_transform == "Standard"
+    assert len(bpy.data.worlds) == 2 and [item for item in scene.objects if item.type == "MESH"]
+    used = [image for image in bpy.data.images if image.source == "FILE"]
+    assert len(used) == 6 and all(image.packed_file for image in used)
+
+
+if __name__ == "__main__":
+    globals()[sys.argv[1]](*sys.argv[2:])
