@@ -69,7 +69,7 @@ def set_seed_and_threads(settings: Settings) -> None:
     """The seed of every random generator that a library may use, and the number of threads."""
     threads = settings.threads or usable_cores()
     torch.set_num_threads(threads)
-    numba.set_num_threads(min(threads, numba.config.NUMBA_NUM_THREADS))
+    numba.set_num_threads(min(threads, numba.config.NUMBA_NUM_THREADS))  # type: ignore[attr-defined]  # made at import
     random.seed(settings.seed)
     np.random.seed(settings.seed % 2**32)
     torch.manual_seed(settings.seed)
