@@ -19,7 +19,10 @@ from blender_nep.fields.volume_rendering import SurfaceSamples, render_surface, 
 from blender_nep.ops import bspline
 
 FEATURES = 16
+"""Values that the albedo head hands to the light head."""
 ALBEDO_OCTAVES, LIGHT_OCTAVES, VIEW_OCTAVES = 5, 1, 4
+"""Octaves of the positional encoding of the point for the albedo head, of the point for the light head, and of the view
+direction for the radiance head that is not decomposed. Light varies slowly from point to point, albedo does not."""
 
 
 @dataclass
@@ -119,9 +122,9 @@ class ObjectField(SurfaceColor):
         """The SDF as it stands now."""
         return SplineShape(self.coefficients())
 
-    def shape_optimiser(self, rate: float) -> torch.optim.Optimizer:
-        """For the SDF's parameters that there are now."""
-        return UniformAdam(self.levels, lr=rate)
+    def shape_optimiser(self, rate: float, betas: tuple[float, float]) -> torch.optim.Optimizer:
+        """Adam with one step size a level, for the SDF's parameters that there are now."""
+        return UniformAdam(self.levels, lr=rate, betas=betas)
 
     def add_level(self) -> None:
         """Adds a level of half the cell size, zero everywhere: the field does not change."""

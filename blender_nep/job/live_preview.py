@@ -57,7 +57,7 @@ class LivePreview:
     def __call__(self, learning: FieldsLearning) -> None:
         """Write a preview if it is time. A failure is one warning and the end of the previews."""
         start = self._clock()
-        if start < self._due or not learning.learned:
+        if start < self._due or learning.fraction == 0:
             return
         try:
             self._write(learning)
@@ -101,11 +101,7 @@ def render_pair(learning: FieldsLearning, view: int) -> np.ndarray:
     step = math.ceil(max(height, width) / WIDTH)
     grid = torch.arange(height * width, device=rays.valid.device).reshape(height, width)[::step, ::step]
     index = grid.flatten() + rays.offset[view]
-    rendered = torch.cat([_render(learning, part) for part in index.split(CHUNK)])
+    rendered = torch.cat([learning.render(part).radiance for part in index.split(CHUNK)])
     photo = rays.photo(index)
     pair = [part.cpu().numpy().reshape(*grid.shape, 3) for part in (photo, rendered)]
     return np.round(255 * linear_to_srgb(np.concatenate(pair, 1) * exposure(pair[0]))).astype(np.uint8)
-
-
-def _render(learning: FieldsLearning, index: torch.Tensor) -> torch.Tensor:
-    return learning.render(*learning.rays.rays(index), None).radiance

@@ -76,10 +76,10 @@ def test_previews_keep_to_their_share_of_the_time(rays, capture, tmp_path, monke
         now[0] += 1.5
 
     monkeypatch.setattr(watch, "_write", write)
-    learning = type("Learning", (), {"learned": 0})()
+    learning = type("Learning", (), {"fraction": 0.0})()
     for _ in range(300):
         watch(learning)
-        learning.learned = 1
+        learning.fraction = 0.1
         now[0] += 1
     assert written[0] == 10 and np.diff(written).min() >= 1.5 / 0.03
 
