@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 class FieldsPreset:
     """Stage 1, fields learning. Lengths are in radii of the object's sphere, learning rates are Adam's. A fraction is the
     part of the learning of both fields that is done, 0..1. What a value rests on is said with it; where nothing is said, it
-    was found by trials on the rendered captures (docs/lab.md)."""
+    was found by trials on the rendered captures (docs/lab)."""
 
     background_steps: int = 300
     """Steps of F_e alone, before both fields are learned; then the SDF starts from its visual hull. 0: no such steps."""
@@ -114,10 +114,10 @@ class FieldsPreset:
     object. Highlights count little: they move with the camera, say little of the shape, and would rule the error. inf: they
     count in full (an ablation)."""
     dynamic_weight: str = "none"
-    """The weight w_s: none, paper (eq. 5 as printed) or scaled, see `fields.rendering.dynamic_weight`. docs/benchmarks.md
+    """The weight w_s: none, paper (eq. 4 as printed) or scaled, see `fields.rendering.dynamic_weight`. docs/benchmarks.md
     compares the three."""
     dynamic_weight_cap: float = 1.5
-    """u of eq. 5: the largest w_s. The paper's value."""
+    """u of eq. 4: the largest w_s. The paper's value."""
     decomposition: bool = True
     """False: one radiance head of position, normal and view direction, as in plain NeuS (an ablation)."""
     least_explanation_ratio: float = 1.4
@@ -135,7 +135,7 @@ class FieldsPreset:
 class EnvironmentPreset:
     """The environment field F_e: a spherical volume of raw density and log radiance. Lengths are in radii of the object's
     sphere. Costs are added to the mean tone-mapped photometric error. A fraction is the part of F_e's learning that is done,
-    0..1. Where no source is given, a value was found by trials on the rendered captures (docs/lab.md)."""
+    0..1. Where no source is given, a value was found by trials on the rendered captures (docs/lab)."""
 
     resolutions: tuple[tuple[int, int], ...] = ((20, 32), (28, 64), (40, 96))
     """(shells, rows) of the grid, coarse to fine; there are twice as many columns as rows."""
@@ -213,7 +213,7 @@ class SurfacePreset:
 @dataclass(frozen=True)
 class MaterialPreset:
     """Stage 2, material learning. Residuals and costs are in tone-mapped radiance, 0..1 up to white. Where no source is
-    given, a value was found by trials on the rendered captures (docs/lab.md)."""
+    given, a value was found by trials on the rendered captures (docs/lab)."""
 
     samples: int = 30_000
     """Photo pixels that the materials are learned from."""

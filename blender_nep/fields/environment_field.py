@@ -144,6 +144,7 @@ class EnvironmentField(nn.Module):
             value.backward()
         if raw.grad is None:
             raw.grad = torch.zeros_like(raw)
+        assert slab.grad is not None, "backward has just filled it"
         raw.grad[first : first + run] += slab.grad
         return float(value.detach())
 

@@ -58,7 +58,7 @@ def optimiser(environment: EnvironmentField) -> torch.optim.Optimizer:
     return torch.optim.Adam(environment.parameter_groups(), fused=True)
 
 
-def freeze(environment: EnvironmentField, rays: PixelRays, background: torch.Tensor, seed: int) -> None:
+def freeze(environment: EnvironmentField, rays: PixelRays, background: PixelSet | torch.Tensor, seed: int) -> None:
     """Ends the learning of F_e: measures its coverage by a random part of the background pixels (indices)."""
     generator = torch.Generator(background.device).manual_seed(seed)
     pick = torch.randint(len(background), (environment.preset.coverage_rays,), generator=generator, device=background.device)

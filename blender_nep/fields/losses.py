@@ -56,7 +56,7 @@ class FieldsLosses:
         return torch.lerp(full, dull.abs(), out.opacity.detach()[:, None].clamp(max=1))
 
     def photometric(self, out: Rendering, photo: Tensor) -> Tensor:
-        """L_c, scalar: w_l |c - photo| (Sec. 3.2), tone-mapped."""
+        """L_c (eq. 5), scalar: the mean of w_l |rendering - photo|, tone-mapped."""
         return (out.weight * self.difference(out, photo)).mean()
 
     def total(self, photometric: Tensor, out: Rendering, curvature_weight: float, mask: Tensor | None) -> Tensor:

@@ -1,4 +1,4 @@
-"""The object field F_o: an SDF in the unit sphere, and the decomposed color c_o = c_a * c_l of its surface (eq. 4).
+"""The object field F_o: an SDF in the unit sphere, and the decomposed color c_o = c_a * c_l of its surface (eq. 3).
 
 The SDF is a sum of quadratic B-spline volumes from coarse to fine. The sum is as expressive as the finest grid alone,
 but a step on a coarse level moves the surface as a whole: that preconditioning is what keeps a grid smooth when it
@@ -35,7 +35,7 @@ class Appearance:
 
     @property
     def color(self) -> torch.Tensor:
-        """c_o = c_a * c_l (eq. 4), linear radiance."""
+        """c_o = c_a * c_l (eq. 3), linear radiance."""
         return self.albedo * self.light
 
 
@@ -49,7 +49,7 @@ def _mlp(inputs: int, width: int, outputs: int, hidden: int) -> nn.Sequential:
 class SurfaceColor(nn.Module):
     """The color of F_o's surface by two MLPs of `hidden` layers of `width`.
 
-    `decomposed`: by eq. 4; else by one radiance head, as in NeuS."""
+    `decomposed`: by eq. 3; else by one radiance head, as in NeuS."""
 
     def __init__(self, width: int, decomposed: bool, hidden: int = 2) -> None:
         super().__init__()

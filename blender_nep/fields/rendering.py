@@ -97,7 +97,7 @@ class EnvironmentParts:
 
 
 def dynamic_weight(appearance: Appearance, kind: str, cap: float, epsilon: float = 1e-3) -> Tensor:
-    """The paper's w_s (eq. 5) [n, 1]: small where the color differs much from the albedo, as in reflections. Detached:
+    """The paper's w_s (eq. 4) [n, 1]: small where the color differs much from the albedo, as in reflections. Detached:
     otherwise growing |c_o - c_a| would lower the loss.
 
     kind: `paper`: as printed. `scaled`: the difference in tone-mapped space, relative to the batch's own spread, because as
@@ -161,8 +161,7 @@ class FieldsRenderer:
         settings: RenderSettings,
         generator: torch.Generator | None,
     ) -> EnvironmentParts:
-        """F_e before the sphere for all rays, and behind it for the rays `behind` [k] int64. One call for both: that is
-        faster than two."""
+        """F_e before the sphere for all rays, and behind it for the rays `behind` [k] int64, in one call of the kernel."""
         n, device = len(rays), rays.origins.device
         near = torch.full_like(hits.entry, self.environment.preset.camera_near)
         infinity = torch.full_like(hits.entry, torch.inf)

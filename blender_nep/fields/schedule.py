@@ -1,4 +1,4 @@
-"""When what happens in stage 1: numbers that change while the fields are learned. Nothing here holds a tensor.
+"""The schedule of stage 1: numbers that change while the fields are learned. Nothing here holds a tensor.
 
 Stage 1 first learns F_e alone for `background_steps` steps, and then both fields together. What changes while both are
 learned depends on `fraction`, the part of that learning that is done.
@@ -19,7 +19,7 @@ def geometric_decay(fraction: float, start: float, last: float) -> float:
 
 @dataclass
 class Schedule:
-    """How far the learning is, and what follows from that. The preset says when; the other attributes say where we are."""
+    """How far the learning is, and which settings follow from that."""
 
     preset: FieldsPreset
     background_steps: int
@@ -160,13 +160,13 @@ class Schedule:
         self.start_sharpness = self.preset.hull_sharpness
 
     def advance(self) -> None:
-        """A step was taken."""
+        """Counts a step that was taken."""
         if not self.learns_background:
             self.learned = min(self.learned + self.step_multiplier, self.preset.steps)
         self.step += 1
 
     def state(self) -> dict:
-        """Where we are, for a checkpoint."""
+        """How far the learning is, for a checkpoint."""
         return {
             "start_sharpness": self.start_sharpness,
             "step": self.step,

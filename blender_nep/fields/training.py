@@ -48,26 +48,26 @@ class Optimisers:
 
     @property
     def all(self) -> tuple[torch.optim.Optimizer, ...]:
-        """The three."""
+        """The optimisers of the SDF, of the color heads and of F_e."""
         return self.sdf, self.heads, self.environment
 
     def restart_sdf(self) -> None:
-        """The SDF has other parameters now."""
+        """Starts the SDF's optimiser anew, because the SDF has other parameters now."""
         self.sdf = self._object_field.shape_optimiser(self._preset.sdf_rate, self._preset.sdf_betas)
 
     def restart_environment(self) -> None:
-        """F_e has other parameters now."""
+        """Starts F_e's optimiser anew, because F_e has other parameters now."""
         self.environment = environment_training.optimiser(self._environment)
 
     def set_rates(self, schedule: Schedule) -> None:
-        """The learning rates that are due."""
+        """Gives all optimisers the learning rates that are due."""
         for optimiser, rate in ((self.sdf, schedule.sdf_rate), (self.heads, schedule.head_rate)):
             for group in optimiser.param_groups:
                 group["lr"] = rate
         self.set_environment_rate(schedule)
 
     def set_environment_rate(self, schedule: Schedule) -> None:
-        """That of F_e."""
+        """Gives F_e's optimiser the learning rate that is due."""
         environment_training.set_learning_rate(self.environment, self._environment.preset, schedule.environment_fraction)
 
     def state(self) -> dict:

@@ -1,4 +1,4 @@
-"""Rays through both fields: what each field adds, the weight of eq. 5, and where gradients go."""
+"""Rays through both fields: what each field adds, the weight of eq. 4, and where gradients go."""
 
 import math
 from dataclasses import replace
@@ -29,7 +29,7 @@ def rays(off_axis: list[float]) -> RayBundle:
     return RayBundle(origins, torch.tensor([[0.0, 0.0, -1.0]]).expand(len(off_axis), 3), torch.full((len(off_axis),), 1e-3))
 
 
-def test_dynamic_weight_is_equation_5_and_passes_no_gradient():
+def test_dynamic_weight_is_equation_4_and_passes_no_gradient():
     albedo = torch.tensor([[0.2, 0.5, 0.9], [0.1, 0.1, 0.1]], requires_grad=True)
     light = torch.tensor([[1.0, 1.0, 1.0], [30.0, 30.0, 30.0]], requires_grad=True)
     appearance = Appearance(albedo, light, torch.zeros(2, 1))
