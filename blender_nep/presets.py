@@ -10,121 +10,190 @@ from dataclasses import dataclass, field
 
 @dataclass(frozen=True)
 class FieldsPreset:
-    """Stage 1, fields learning. Lengths in object radii."""
+    """Stage 1, fields learning. Lengths are in radii of the object's sphere, learning rates are Adam's. A fraction is the
+    part of the learning of both fields that is done, 0..1. What a value rests on is said with it; where nothing is said, it
+    was found by trials on the rendered captures (docs/lab)."""
 
     background_steps: int = 300
-    """Steps of F_e alone before; then the object starts from its visual hull."""
+    """Steps of F_e alone, before both fields are learned; then the SDF starts from its visual hull. 0: no such steps."""
     steps: int = 1500
-    """Steps of both fields together; fractions below are of these."""
+    """Steps of both fields together."""
     least_outside: float = 0.05
-    """Share of the pixels that must miss the sphere for F_e to be learned first."""
+    """Share of the photos' pixels that must miss the object's sphere for F_e to be learned first. With fewer there is
+    nothing to learn F_e from."""
     least_contrast: float = 2.0
-    """A hull's silhouette values inside over outside; under it the SDF starts from a sphere."""
+    """Mean silhouette value inside a visual hull over that outside it, at least. Below it the SDF starts from a sphere.
+    inf: always from a sphere (an ablation). The poorest hull that helped had 2.1."""
     environment_gradient_scale: float = 0.1
-    """Scale of F_e's gradients from pixels that see the object's sphere, until `environment_gradient_scale_until`."""
+    """Scale of F_e's gradients from pixels that see the object's sphere. Other pixels then decide what the surroundings are,
+    before the object is known. 1: no scaling (an ablation)."""
     environment_gradient_scale_until: float = 0.5
+    """Fraction until which `environment_gradient_scale` holds."""
     object_rays: int = 1536
-    """Rays a step through pixels in which the object is seen; before the first look, in which its sphere is."""
+    """Rays a step through pixels in which the object is seen; through its sphere until these are first found."""
     object_pixels_at: tuple[float, ...] = (0.25, 0.5, 0.75)
-    """When to look in which pixels the object is seen."""
+    """Fractions, rising, at which it is found out in which pixels the object is seen."""
+    held_out_every: int = 101
+    """Pixels whose index is a multiple of this are not learned from: the validation error is measured on them. Prime, so
+    that they do not fall into the same columns of a photo."""
+    validation_pixels: int = 4096
+    """Held-out pixels, about, on which the validation error is measured."""
     validate_every: float = 0.05
-    """How often the error on held-out pixels is measured, from the first look on."""
+    """Fraction from one measurement of the validation error to the next; the first is at object_pixels_at[0]."""
     patience: int = 3
+    """Measurements after which the error should have fallen by `least_gain`; else it has reached a plateau."""
     least_gain: float = 0.005
-    """While the last so many checks have not lowered the error by this share, learning runs four times as fast towards
-    its end."""
+    """Share by which the validation error should fall within `patience` measurements."""
+    plateau_step_multiplier: int = 4
+    """Steps that one step counts for while the validation error is on a plateau, so that learning ends early. 1: never."""
     sphere_rays: int = 1024
     """Rays a step through any pixels that see the object's sphere."""
     outside_rays: int = 1024
     """Rays a step through all other pixels."""
-    near: float = 0.6
-    """Nothing is nearer to a camera than this: else F_e paints each photo on a screen before its camera."""
     coarsest_cells: int = 16
+    """Cells an axis of the coarsest SDF grid; each further level halves the cell."""
     first_levels: int = 3
+    """Levels of the SDF grid at the start."""
     last_levels: int = 4
-    """The finest SDF grid has coarsest_cells * 2^(last_levels - 1) cells an axis."""
-    fine_from: float = 0.45
+    """Levels of the SDF grid from `refine_at` on: the finest has coarsest_cells * 2^(last_levels - 1) cells an axis."""
+    refine_at: float = 0.45
+    """Fraction at which the SDF grid gets its last levels."""
     initial_radius: float = 0.6
+    """Radius of the sphere from which the SDF starts where there is no hull. At 0.9 the sphere's color learned to show the
+    background, and the sphere stayed."""
     head_width: int = 64
+    """Neurons in each hidden layer of the color heads."""
     first_sharpness: float = 12.0
-    """NeuS sharpness at the start where the SDF is a sphere, 1 / object radius; `hull_sharpness` from a hull."""
+    """NeuS sharpness at the start where the SDF is a sphere, 1 / object radius."""
     hull_sharpness: float = 40.0
+    """NeuS sharpness at the start where the SDF is a visual hull, 1 / object radius."""
     last_sharpness: float = 300.0
+    """NeuS sharpness at the end, 1 / object radius. With 500 a dent grew into a test object."""
     sharpness_until: float = 0.85
-    coarse_until: float = 0.2
+    """Fraction until which the sharpness rises."""
     first_samples: int = 32
-    """Samples a ray in the object until `coarse_until`, while the band is wide; then `samples`."""
+    """Samples a ray in the object until `first_samples_until`, while the surface is soft and its band wide."""
+    first_samples_until: float = 0.2
+    """Fraction from which on `samples` are taken."""
     samples: int = 16
-    opaque: float = 5e-3
-    """F_e behind the object is not rendered where less than this shows through."""
+    """Samples a ray in the object."""
+    transmittance_limit: float = 5e-3
+    """F_e behind the object is not rendered where the object lets less light through than this share: it saves time."""
     sdf_rate: float = 0.003
-    """Typical step of a touched spline coefficient, object radii."""
+    """Learning rate of the SDF, object radii: the typical step of a touched spline coefficient."""
+    sdf_rate_sharpness_power: float = 0.5
+    """The SDF's learning rate falls as the sharpness to minus this power: a sharper surface answers to smaller steps.
+    0: it does not depend on the sharpness."""
+    sdf_betas: tuple[float, float] = (0.9, 0.99)
+    """Adam's decay rates of the SDF's mean gradient and of its mean square. With Adam's own 0.999 the mean square would
+    remember most of all steps; gradients change faster, since the surface sharpens."""
     head_rate: float = 5e-3
-    slow_from: float = 0.3
+    """Learning rate of the color heads."""
+    head_betas: tuple[float, float] = (0.9, 0.99)
+    """As `sdf_betas`, of the color heads."""
+    warm_up_steps: int = 50
+    """Steps of both fields over which both learning rates rise from 0: Adam's first mean squares rest on few gradients."""
+    rate_decay_from: float = 0.3
+    """Fraction from which on both learning rates fall geometrically."""
     last_rate: float = 0.03
-    """From `slow_from` on both rates fall, to this share of themselves at the end."""
+    """Share of themselves that both learning rates have at the end."""
     eikonal: float = 0.02
+    """Weight of the eikonal loss, the mean of (|gradient of the SDF| - 1)^2. 0.1, as in NeuS, holds the starting sphere
+    together where there are no masks."""
     curvature: float = 5e-4
-    """Weight of the mean of sqrt(|Hessian of the SDF|^2 + 1) at surface points, in 1 / object radius, until half time;
-    it then falls to `last_curvature`."""
+    """Weight of the curvature loss, the mean of sqrt(|Hessian of the SDF|^2 + 1) at surface points, in 1 / object radius.
+    0: none (an ablation)."""
+    curvature_decay_from: float = 0.5
+    """Fraction from which on the weight of the curvature loss falls geometrically."""
     last_curvature: float = 1e-4
+    """Weight of the curvature loss at the end."""
     mask: float = 0.5
+    """Weight of the binary cross entropy between the object's opacity and the masks, where there are masks."""
     highlight_threshold: float = 3.0
-    """What is brighter than so many geometric means of what the photos show around the object counts little where the object
-    is seen: highlights move with the camera, say little of the shape, and would rule the error. inf: they count in full."""
+    """Radiance above which a pixel of the object is a highlight, in geometric means of what the photos show around the
+    object. Highlights count little: they move with the camera, say little of the shape, and would rule the error. inf: they
+    count in full (an ablation)."""
     dynamic_weight: str = "none"
-    """none, paper (eq. 5 as printed) or scaled: see fields_learning.dynamic_weight."""
+    """The weight w_s: none, paper (eq. 4 as printed) or scaled, see `fields.rendering.dynamic_weight`. docs/benchmarks.md
+    compares the three."""
+    dynamic_weight_cap: float = 1.5
+    """u of eq. 4: the largest w_s. The paper's value."""
     decomposition: bool = True
     """False: one radiance head of position, normal and view direction, as in plain NeuS (an ablation)."""
     least_explanation_ratio: float = 1.4
     """How much better the object must explain its pixels than F_e alone; 0 turns the check off. Measured: 0.6 and
     1.1 for spheres of air, 1.9 to 8.6 for objects."""
+    explanation_pixels: int = 16384
+    """Pixels that see the object's sphere, of which the explanation ratio is measured."""
+    explanation_opacity: float = 0.9
+    """Opacity of the object above which it covers a pixel, for the explanation ratio."""
+    explanation_least_share: float = 0.001
+    """Share of `explanation_pixels` that the object must cover for a ratio other than 0."""
 
 
 @dataclass(frozen=True)
 class EnvironmentPreset:
-    """The environment field F_e: a spherical volume of raw density and log radiance."""
+    """The environment field F_e: a spherical volume of raw density and log radiance. Lengths are in radii of the object's
+    sphere. Costs are added to the mean tone-mapped photometric error. A fraction is the part of F_e's learning that is done,
+    0..1. Where no source is given, a value was found by trials on the rendered captures (docs/lab)."""
 
     resolutions: tuple[tuple[int, int], ...] = ((20, 32), (28, 64), (40, 96))
     """(shells, rows) of the grid, coarse to fine; there are twice as many columns as rows."""
     refine_at: tuple[float, ...] = (0.15, 0.4)
-    """Fractions of the training at which the next resolution starts."""
+    """Fractions at which the next resolution starts."""
     model: str = "field"
     """field; infinite: a 2-D environment map at infinity, as NeRO and nvdiffrec assume (an ablation); none: the photos
     are cut-outs and show no surroundings (`scene_analysis` decides)."""
     outer_radius: float = 32.0
-    """Radius of the sky shell, in radii of the object's sphere."""
+    """Radius of the sky shell."""
     density_gain: float = 16.0
-    """Optical depth per unit of softplus and of dt / |x|."""
+    """Optical depth per unit of softplus(raw density) and of dt / |x|."""
     initial_raw_density: float = -4.0
-    steps_per_shell_inverse: float = 1.0
-    """March step over shell spacing."""
+    """Raw density at the start, before softplus: nearly clear. Starting at -7 was worse."""
+    march_step: float = 1.0
+    """Longest march step, in spacings of the shells."""
     camera_near: float = 0.6
-    """No density nearer to a camera than this (unit radii): each camera would paint its own floaters."""
+    """Nothing is nearer to a camera than this, in both fields' rendering: else F_e paints each photo on a screen before its
+    camera."""
     gradient_near: float = 2.0
-    """Gradients of samples nearer to the camera are scaled by (t / this)^2; 0 for none."""
+    """Gradients of samples at a distance t < this from the camera are scaled by (t / this)^2 (Philip and Deschaintre 2023,
+    "Floaters No More"); 0: no scaling."""
     transmittance_limit: float = 1e-3
+    """A ray ends where less than this share of the light comes through: it saves time."""
     depth_limit: float = 1e-5
-    """Samples of less optical depth are skipped."""
+    """Samples of less optical depth are skipped: it saves time."""
     learning_rate: float = 0.05
+    """Learning rate of Adam, units of raw density and of log radiance."""
+    rate_decay_from: float = 0.5
+    """Fraction from which on the learning rate falls geometrically."""
+    last_rate: float = 0.1
+    """Share of itself that the learning rate has at the end."""
+    adam_betas: tuple[float, float] = (0.9, 0.99)
+    """Adam's decay rates of the mean gradient and of the mean square. With Adam's own 0.999 the mean square would remember
+    most of all steps."""
     adam_eps: float = 1e-8
+    """Adam's epsilon, added to the root of the mean square. Adam's own."""
     density_variation: float = 1e-3
+    """Cost of the total variation of the raw density, from node to node."""
     color_variation: float = 1e-3
+    """Cost of the total variation of the log radiance, from node to node."""
     variation_softness: float = 0.05
-    """Raw differences below this cost quadratically, above linearly."""
+    """Differences between nodes below this cost quadratically, above linearly: edges are allowed."""
     density_penalty: float = 1e-3
+    """Cost of the mean of softplus(raw density): what the photos do not show to be opaque stays clear."""
     foreground_opacity: float = 0.05
-    """Cost of opacity between a camera and the place where its ray is nearest to the object, in tone-mapped error. Without
-    it fog grows there, different for each photo, and lamps grow too bright to shine through it."""
+    """Cost of opacity between a camera and the place where its ray is nearest to the object. Without it fog grows there,
+    different for each photo, and lamps are learned 12 to 19 % too bright, so as to shine through it."""
     regularised_fraction: float = 0.25
-    """Part of the shells that each step regularises."""
+    """Share of the shells whose priors each step computes, drawn anew: all of them took as long as the rendering."""
     coverage_weight: float = 0.3
     """Rays' worth of weight from which on a node counts as seen, of `coverage_rays` camera rays."""
     coverage_rays: int = 200_000
+    """Camera rays by which the coverage is measured, once F_e is learned."""
     rays_per_step: int = 4096
-    """Background rays a step where F_e is learned alone."""
+    """Rays a step where F_e is learned alone on a given mesh."""
     steps: int = 2000
-    """Steps where F_e is learned alone."""
+    """Steps where F_e is learned alone on a given mesh."""
 
 
 @dataclass(frozen=True)
@@ -132,7 +201,7 @@ class SurfacePreset:
     """From the object field to a mesh."""
 
     grid: int = 224
-    """Marching-cubes samples along each side of [-1,1]^3."""
+    """Marching-cubes samples along each side of [-1, 1]^3."""
     faces: int = 24_000
     """Face budget after decimation; xatlas takes about 3 s for 20,000 faces and 14 s for 60,000."""
     atlas_texels: int = 1024
@@ -143,72 +212,80 @@ class SurfacePreset:
 
 @dataclass(frozen=True)
 class MaterialPreset:
-    """Stage 2, material learning."""
+    """Stage 2, material learning. Residuals and costs are in tone-mapped radiance, 0..1 up to white. Where no source is
+    given, a value was found by trials on the rendered captures (docs/lab)."""
 
     samples: int = 30_000
     """Photo pixels that the materials are learned from."""
     least_cosine: float = 0.25
-    """Pixels seen at a smaller cosine are grazing and left out."""
+    """Cosine between normal and view direction below which a pixel is grazing, and is left out."""
     roughness_levels: tuple[float, ...] = (0.04, 0.07, 0.1, 0.13, 0.17, 0.22, 0.28, 0.36, 0.46, 0.6, 0.78, 1.0)
-    """Roughnesses at which the specular light is prefiltered."""
+    """Roughnesses (Principled's) at which the specular light is prefiltered."""
     diffuse_cones: int = 8
+    """Cones of the diffuse lobe (paper, section 3.3), where what a ray hits is shaded."""
     specular_cones: int = 4
-    """Cones a lobe (paper, section 3.3), where what a ray hits is shaded."""
+    """Cones of the specular lobe (paper, section 3.3): where what a ray hits is shaded, and for each roughness level of what
+    the photos show."""
     irradiance_cones: int = 32
-    """Cones of the diffuse lobe of what the photos show; these are traced once. The specular lobe has specular_cones for
-    each roughness level."""
+    """Cones of the diffuse lobe of what the photos show; these are traced once."""
     use_cones: bool = True
     """False: as many infinitely thin rays (the paper's ablation without cones)."""
     levels: int = 2
-    """N, surface interactions by the rendering equation before the terminal MLP; 0: no indirect light."""
+    """N, surface interactions by the rendering equation before the terminal MLP; 0: no indirect light (an ablation)."""
     terminal_steps: int = 300
-    """Of Adam, for the terminal MLP."""
+    """Steps of Adam for the terminal MLP."""
     residual: bool = True
-    """Learn the light that no photo shows from the object's reflections of it."""
+    """Whether the light that no photo shows is learned from the object's reflections of it; False is an ablation."""
     unseen_rows: int = 32
-    """Rows of the map of that light."""
+    """Rows of the map of the light that no photo shows; there are twice as many columns."""
     unseen_samples: int = 8000
-    """Photo pixels that it is learned from."""
+    """Photo pixels that this light is learned from."""
     unseen_steps: int = 80
-    """Of Adam, each time that it is learned; another roughness is tried for half as many."""
+    """Steps of Adam each time that this light is learned; another roughness is tried for half as many."""
     unseen_smoothness: float = 0.02
-    """Cost of its total variation, tone-mapped from texel to texel, in tone-mapped error."""
+    """Cost of the map's total variation, from texel to texel."""
     unseen_prior: float = 1e-2
-    """Cost of its mean, tone-mapped, in tone-mapped error: light made up must explain more than it costs."""
+    """Cost of the map's mean: light that is made up must explain more than it costs."""
     unseen_color: float = 0.01
-    """Cost of the share of its flux that is not grey: colored light on a grey thing looks like the reverse."""
+    """Cost of the share of the map's flux that is not grey: colored light on a grey object looks like white light on a
+    colored object."""
     label_pixels: int = 240_000
-    """Pixels that say where which material lies, by the light of the samples beside them."""
+    """Pixels that say which material lies where, by the light of the samples beside them."""
     metallic: tuple[float, ...] = (0.0, 1.0)
-    """Hypotheses compared by their residual."""
+    """Values of metallic whose residuals are compared."""
     metal_margin: float = -0.03
-    """Share of the residual by which a metal must be better than a dielectric (less than 0: may be worse): a prior for what
-    photos cannot tell, 0 turns it off. Of rendered objects the wrong one was 18 to 48 % worse at the end, 1 to 6 % in a
-    first round, before the light was found."""
+    """Share of the residual by which a metal must be better than a dielectric; less than 0: it may be worse. This is a prior
+    for what photos cannot tell; 0 turns it off. Measured on rendered objects: the wrong one was 18 to 48 % worse at the end,
+    and 1 to 6 % worse in the first round, before the light was found."""
     sure_margin: float = 0.15
-    """Once every material was worse by this share the other way round, it is not tried again; inf: always."""
+    """Once every material's residual was worse by this share with metallic swapped, that is not tried again; inf: it is
+    tried every time."""
     least_roughness: float = 0.04
+    """Smallest roughness (Principled's) that a material may have."""
     clip: float = 0.25
-    """Residuals (tone-mapped, 0..1) above it count no more: they are wrong geometry, not material."""
+    """Residuals above this count no more: they come from wrong geometry and not from the material."""
     region: float = 0.12
-    """Width of the regions that candidate materials come from, unit frame."""
+    """Width of the regions of the surface from which candidate materials come, object radii."""
     candidates: int = 120
+    """Candidate materials, at most: those of the regions with the most samples."""
     most_materials: int = 6
+    """Materials in the palette, at most."""
     gain: float = 0.05
-    """A further material must lower the residual by this share."""
+    """Share by which a further material must lower the residual."""
     least_share: float = 0.01
-    """Materials on a smaller share of the samples are dropped."""
+    """Share of the samples that a material must have; others are dropped."""
     merge_hue: float = 0.09
+    """Distance in chromaticity below which two materials are one; 0 turns this prior off."""
     merge_roughness: float = 0.08
-    """Materials nearer than this in chromaticity (and metals in roughness) are one; 0 turns the prior off."""
+    """Difference in roughness below which two metals of one chromaticity are one."""
     blend_margin: float = 0.05
-    """A mixture of two materials must be better than each alone by this share."""
+    """Share by which a mixture of two materials must be better than each of them alone."""
     rounds: int = 2
-    """Of fitting the palette, assigning it and updating the indirect light."""
+    """Rounds of fitting the palette, assigning it to the samples and updating the indirect light."""
     most_texels: int = 1024
-    """Largest side of a texture; the photos' own sampling density decides below it."""
+    """Largest side of a texture, texels; below it the photos' own sampling density decides."""
     uniform_texels: int = 128
-    """Largest side where one material explains the photos."""
+    """Largest side of a texture where one material explains the photos, texels."""
 
 
 @dataclass(frozen=True)
@@ -219,19 +296,24 @@ class Preset:
     max_pixels_per_photo: int = 250_000
     """Photos are box-filtered down until they have at most this many pixels."""
     max_pixels: int = 256_000_000
-    """Of all photos together: with more, each is filtered down further. 8 bytes a pixel of disk or GPU memory."""
+    """Pixels of all photos together, at most: with more, each photo is filtered down further. A pixel takes 8 bytes of disk
+    or GPU memory."""
     pixels_in_memory: int = 32_000_000
-    """With more, they lie in a nameless file in the asset's folder, in half precision, and are read from there."""
+    """Pixels of all photos together that are kept in memory. More of them lie in a nameless file in the asset's folder, in
+    half precision, and are read from there."""
     fields_seconds: float = 95.0
+    """Seconds that fields learning takes on two cores: a first guess of the time left, corrected as the job runs."""
     surface_seconds: float = 5.0
+    """As `fields_seconds`, of the surface."""
     material_seconds: float = 70.0
-    """What the three long stages take on two cores: first guess of the time left, corrected as the job runs."""
+    """As `fields_seconds`, of material learning."""
     even_exposure: bool = True
-    """Find the exposure and white balance of each photo, where they differ, and even them out (`capture.exposure`)."""
+    """Whether the exposure and white balance of each photo are found, where they differ, and evened out
+    (`capture.exposure`)."""
     skip_needless: bool = True
-    """Leave out what the scene does not need (`scene_analysis`); False: do everything."""
+    """Whether parts that the scene does not need are left out (`scene_analysis`); False: do everything."""
     environment_height: int = 256
-    """Rows of environment.exr."""
+    """Rows of environment.exr; there are twice as many columns."""
     fields: FieldsPreset = field(default_factory=FieldsPreset)
     environment: EnvironmentPreset = field(default_factory=EnvironmentPreset)
     surface: SurfacePreset = field(default_factory=SurfacePreset)

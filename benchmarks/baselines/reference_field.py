@@ -62,9 +62,9 @@ class ReferenceField(SurfaceColor):
         """The SDF as it stands now: itself."""
         return self
 
-    def shape_optimiser(self, rate: float) -> torch.optim.Optimizer:
+    def shape_optimiser(self, rate: float, betas: tuple[float, float]) -> torch.optim.Optimizer:
         """Adam for the SDF's MLP."""
-        return torch.optim.Adam(self.layers.parameters(), lr=rate)
+        return torch.optim.Adam(self.layers.parameters(), lr=rate, betas=betas)
 
     def values(self, points: Tensor) -> Tensor:
         """Signed distance [n] at points [n, 3], differentiable."""

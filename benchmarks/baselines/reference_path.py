@@ -56,6 +56,7 @@ SIZES = {
 REFERENCE = {
     "fields": {
         "sdf_rate": 5e-4,
+        "sdf_betas": (0.9, 0.999),
         "head_rate": 5e-4,
         "eikonal": 0.1,
         "curvature": 0.0,

@@ -60,7 +60,7 @@ class Bench:
         return fields.object_field, fields.environment, extract_surface(fields.object_field, preset.surface)[0]
 
     def learn(self, preset: Preset, views: int | None = None, pixels: int = PIXELS) -> Profile:
-        """Loads, some steps of F_e alone, the hull, a look for the object, some steps of both fields."""
+        """Loads, some steps of F_e alone, the hull, the object pixels, some steps of both fields."""
         profile = Profile()
         with profile.recording():
             rays = self.rays(views, pixels)
@@ -70,9 +70,9 @@ class Bench:
         with profile.recording():
             for _ in range(STEPS):
                 learning.learn_step()
-            learning._find_hull()
-            learning._update_object_pixels()
-        learning.background_steps = 0  # the hull is there; what follows are steps of both fields
+            learning.start_from_hull()
+            learning.update_object_pixels()
+        # the first of these steps starts from the hull once more, and is not timed
         for _ in range(STEPS):
             learning.learn_step()
         with profile.recording():

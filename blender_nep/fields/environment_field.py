@@ -72,7 +72,7 @@ class EnvironmentField(nn.Module):
     @property
     def relative_step(self) -> float:
         """Longest march step, as a fraction of the distance from the origin."""
-        return self.preset.steps_per_shell_inverse * math.log(self.preset.outer_radius) / (self.raw.shape[0] - 1)
+        return self.preset.march_step * math.log(self.preset.outer_radius) / (self.raw.shape[0] - 1)
 
     @profiled("F_e march")
     def render(
@@ -144,6 +144,7 @@ class EnvironmentField(nn.Module):
             value.backward()
         if raw.grad is None:
             raw.grad = torch.zeros_like(raw)
+        assert slab.grad is not None, "backward has just filled it"
         raw.grad[first : first + run] += slab.grad
         return float(value.detach())
 
@@ -246,7 +247,8 @@ class EnvironmentField(nn.Module):
 
     def parameter_groups(self) -> list[dict]:
         """For torch.optim.Adam."""
-        return [{"params": [self.raw], "lr": self.preset.learning_rate, "betas": (0.9, 0.99), "eps": self.preset.adam_eps}]
+        p = self.preset
+        return [{"params": [self.raw], "lr": p.learning_rate, "betas": p.adam_betas, "eps": p.adam_eps}]
 
     def _load_from_state_dict(self, state_dict, prefix, *arguments):
         stored = state_dict.get(prefix + "raw")

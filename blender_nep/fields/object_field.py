@@ -1,4 +1,4 @@
-"""The object field F_o: an SDF in the unit sphere, and the decomposed color c_o = c_a * c_l of its surface (eq. 4).
+"""The object field F_o: an SDF in the unit sphere, and the decomposed color c_o = c_a * c_l of its surface (eq. 3).
 
 The SDF is a sum of quadratic B-spline volumes from coarse to fine. The sum is as expressive as the finest grid alone,
 but a step on a coarse level moves the surface as a whole: that preconditioning is what keeps a grid smooth when it
@@ -19,7 +19,10 @@ from blender_nep.fields.volume_rendering import SurfaceSamples, render_surface, 
 from blender_nep.ops import bspline
 
 FEATURES = 16
+"""Values that the albedo head hands to the light head."""
 ALBEDO_OCTAVES, LIGHT_OCTAVES, VIEW_OCTAVES = 5, 1, 4
+"""Octaves of the positional encoding of the point for the albedo head, of the point for the light head, and of the view
+direction for the radiance head that is not decomposed. Light varies slowly from point to point, albedo does not."""
 
 
 @dataclass
@@ -32,7 +35,7 @@ class Appearance:
 
     @property
     def color(self) -> torch.Tensor:
-        """c_o = c_a * c_l (eq. 4), linear radiance."""
+        """c_o = c_a * c_l (eq. 3), linear radiance."""
         return self.albedo * self.light
 
 
@@ -46,7 +49,7 @@ def _mlp(inputs: int, width: int, outputs: int, hidden: int) -> nn.Sequential:
 class SurfaceColor(nn.Module):
     """The color of F_o's surface by two MLPs of `hidden` layers of `width`.
 
-    `decomposed`: by eq. 4; else by one radiance head, as in NeuS."""
+    `decomposed`: by eq. 3; else by one radiance head, as in NeuS."""
 
     def __init__(self, width: int, decomposed: bool, hidden: int = 2) -> None:
         super().__init__()
@@ -119,9 +122,9 @@ class ObjectField(SurfaceColor):
         """The SDF as it stands now."""
         return SplineShape(self.coefficients())
 
-    def shape_optimiser(self, rate: float) -> torch.optim.Optimizer:
-        """For the SDF's parameters that there are now."""
-        return UniformAdam(self.levels, lr=rate)
+    def shape_optimiser(self, rate: float, betas: tuple[float, float]) -> torch.optim.Optimizer:
+        """Adam with one step size a level, for the SDF's parameters that there are now."""
+        return UniformAdam(self.levels, lr=rate, betas=betas)
 
     def add_level(self) -> None:
         """Adds a level of half the cell size, zero everywhere: the field does not change."""

@@ -17,7 +17,7 @@ class UniformAdam(torch.optim.Optimizer):
         super().__init__(params, {"lr": lr, "betas": betas})
 
     @torch.no_grad()
-    def step(self) -> None:
+    def step(self) -> None:  # type: ignore[override]  # no closure: the loss of a step is computed once
         for group in self.param_groups:
             b1, b2 = group["betas"]
             for p in group["params"]:

@@ -1,264 +1,149 @@
-"""Stage 1, fields learning: the object field F_o and the environment field F_e, rendered together and learned jointly
-from the photos alone (Sec. 3.2).
+"""Stage 1, fields learning: the object field F_o and the environment field F_e, learned jointly from the photos alone
+(Sec. 3.2). Masks help where they are given and are never required.
 
-A ray that meets the object's border, the unit sphere, is rendered in three parts: environment before it, object in it,
-environment behind it. Masks help where they are given and are never required.
+This file holds the steps, and what a checkpoint keeps of them. `schedule` says when what happens, `rendering` renders rays
+through both fields, `losses` compares them with the photos, `object_pixels` says which pixels are learned from, and
+`visual_hull` gives the SDF its start.
 """
 
 from __future__ import annotations
 
-import math
-from dataclasses import dataclass
+from collections.abc import Callable
 
 import torch
-from torch.nn import functional
+from torch import Tensor
 
 from blender_nep.capture.pixel_rays import PixelRays
-from blender_nep.capture.pixel_set import GrowingPixelSet, PixelSet
-from blender_nep.errors import LearningError, Stopped
+from blender_nep.capture.pixel_set import PixelSet
+from blender_nep.checkpoints import Checkpoint
 from blender_nep.fields import environment_training
 from blender_nep.fields.environment_field import EnvironmentField
+from blender_nep.fields.explanation import explanation_ratio, require_object
+from blender_nep.fields.fields import Fields, FieldsReport, HullReport, new_object_field
+from blender_nep.fields.losses import FieldsLosses
 from blender_nep.fields.non_finite_monitor import NonFiniteMonitor, usable_gradients, usable_loss
-from blender_nep.fields.object_field import Appearance, ObjectField
+from blender_nep.fields.object_field import ObjectField
+from blender_nep.fields.object_pixels import draw_pixels, find_object_pixels, held_out_pixels
+from blender_nep.fields.rendering import FieldsRenderer, RayBundle, Rendering, RenderSettings
+from blender_nep.fields.schedule import Schedule
 from blender_nep.fields.visual_hull import background_silhouettes, carve, mask_silhouettes
-from blender_nep.fields.volume_rendering import BAND, sphere_interval
+from blender_nep.fields.volume_rendering import BAND
 from blender_nep.geometry.mesh import Surface
 from blender_nep.geometry.ray_tracing import RayTracer
 from blender_nep.messages import Message, Part
 from blender_nep.presets import Preset
 from blender_nep.profiling import profiled, section
-from blender_nep.tone_mapping import tone_map, tone_map_without_highlights
-
-HELD_OUT = 101
-"""Pixels whose index is a multiple of this are not learned from."""
+from blender_nep.tone_mapping import tone_map
 
 
-@dataclass
-class Fields:
-    """What stage 1 has learned. `object_field` is None when a mesh was given and F_e was learned alone."""
+class Optimisers:
+    """Adam for each of the three parts that have learning rates of their own: the SDF, the color heads, F_e."""
 
-    object_field: ObjectField | None
-    environment: EnvironmentField
-    report: dict
+    def __init__(self, object_field: ObjectField, environment: EnvironmentField, preset: Preset) -> None:
+        self._object_field, self._environment, self._preset = object_field, environment, preset.fields
+        self.sdf = object_field.shape_optimiser(self._preset.sdf_rate, self._preset.sdf_betas)
+        self.heads: torch.optim.Optimizer = torch.optim.Adam(
+            object_field.color_parameters(), lr=self._preset.head_rate, betas=self._preset.head_betas, fused=True
+        )
+        self.environment = environment_training.optimiser(environment)
+
+    @property
+    def all(self) -> tuple[torch.optim.Optimizer, ...]:
+        """The optimisers of the SDF, of the color heads and of F_e."""
+        return self.sdf, self.heads, self.environment
+
+    def restart_sdf(self) -> None:
+        """Starts the SDF's optimiser anew, because the SDF has other parameters now."""
+        self.sdf = self._object_field.shape_optimiser(self._preset.sdf_rate, self._preset.sdf_betas)
+
+    def restart_environment(self) -> None:
+        """Starts F_e's optimiser anew, because F_e has other parameters now."""
+        self.environment = environment_training.optimiser(self._environment)
+
+    def set_rates(self, schedule: Schedule) -> None:
+        """Gives all optimisers the learning rates that are due."""
+        for optimiser, rate in ((self.sdf, schedule.sdf_rate), (self.heads, schedule.head_rate)):
+            for group in optimiser.param_groups:
+                group["lr"] = rate
+        self.set_environment_rate(schedule)
+
+    def set_environment_rate(self, schedule: Schedule) -> None:
+        """Gives F_e's optimiser the learning rate that is due."""
+        environment_training.set_learning_rate(self.environment, self._environment.preset, schedule.environment_fraction)
 
     def state(self) -> dict:
-        """As a dict of tensors and numbers, for the disk."""
-        objects = None
-        if self.object_field is not None:
-            objects = {"levels": len(self.object_field.levels), "weights": self.object_field.state_dict()}
-        return {"object": objects, "environment": self.environment.state_dict(), "report": self.report}
+        """For a checkpoint."""
+        return {name: getattr(self, name).state_dict() for name in ("sdf", "heads", "environment")}
 
-    @classmethod
-    def from_state(cls, state: dict, preset: Preset, device: torch.device) -> Fields:
-        """The inverse of `state`."""
-        environment = EnvironmentField(preset.environment).to(device)
-        environment.load_state_dict(state["environment"])
-        field = None
-        if state["object"] is not None:
-            field = _object_field(preset, device)
-            for _ in range(state["object"]["levels"] - 1):
-                field.add_level()
-            field.load_state_dict(state["object"]["weights"])
-        return cls(field, environment, state["report"])
-
-
-def _object_field(preset: Preset, device: torch.device) -> ObjectField:
-    p = preset.fields
-    return ObjectField(p.coarsest_cells, p.initial_radius, p.head_width, p.decomposition).to(device)
-
-
-def _brightness(rays: PixelRays, pixels: int = 10_000) -> float:
-    """Geometric mean of the radiance around the object, with masks of the object's; black pixels show nothing."""
-    index = rays.sphere[:: max(1, len(rays.sphere) // pixels)]
-    if rays.mask is not None and (rays.mask[index] > 127).any():
-        index = index[rays.mask[index] > 127]
-    radiance = rays.photo(index)
-    brightness = radiance.mean(-1)
-    lit = brightness > 0.01 * brightness.quantile(0.9)
-    return float(radiance[lit].clamp(min=1e-6).log().mean().exp()) if lit.any() else 1.0
-
-
-@dataclass
-class Rendering:
-    """Rays rendered through both fields: radiance [n, 3], object opacity [n], loss weight [n, 1] (the paper's w_l)."""
-
-    radiance: torch.Tensor
-    opacity: torch.Tensor
-    weight: torch.Tensor
-    eikonal: torch.Tensor
-    curvature: torch.Tensor
-    foreground_opacity: torch.Tensor
-    """mean opacity of F_e between the cameras and the object's sphere"""
-
-
-def dynamic_weight(appearance: Appearance, kind: str, cap: float = 1.5, epsilon: float = 1e-3) -> torch.Tensor:
-    """The paper's w_s (eq. 5) [n, 1]: small where the color differs much from the albedo, as in reflections. Detached:
-    else growing |c_o - c_a| would lower the loss.
-
-    `paper`: as printed. `scaled`: the difference in tone-mapped space, relative to the batch's own spread, because as
-    printed the weight leaves its cap only where |c_o - c_a| > 0.816. `none`: 1.
-    """
-    color, albedo = appearance.color.detach(), appearance.albedo.detach()
-    if kind == "none":
-        return torch.ones_like(color[:, :1])
-    if kind == "paper":
-        square = ((color - albedo) ** 2).mean(-1, keepdim=True)
-    else:
-        square = ((tone_map(color) - tone_map(albedo)) ** 2).mean(-1, keepdim=True)
-        square = square / square.mean().clamp(min=1e-6)
-    return (1 / (square + epsilon)).clamp(max=cap)
+    def load(self, state: dict) -> None:
+        """Go on from `state`; the fields have been loaded before."""
+        self.restart_sdf()
+        self.restart_environment()
+        for name, values in state.items():
+            getattr(self, name).load_state_dict(values)
 
 
 class FieldsLearning:
-    """The state of stage 1: fields, optimisers, step."""
+    """Stage 1 under way: fields, optimisers, schedule, and the pixels that are learned from.
+
+    With `object_field` that one is learned, and not the preset's. The seed decides all that is random.
+    """
 
     def __init__(
         self, rays: PixelRays, preset: Preset, seed: int, device: torch.device, object_field: ObjectField | None = None
     ) -> None:
-        torch.manual_seed(seed)
-        self.rays, self.preset, self.device = rays, preset.fields, device
+        torch.manual_seed(seed)  # of the color heads
+        self.rays, self.preset = rays, preset.fields
         self.generator = torch.Generator(device).manual_seed(seed)
         self.environment = EnvironmentField(preset.environment, environment_training.geometric_mean(rays)).to(device)
-        self.highlight_threshold = preset.fields.highlight_threshold * _brightness(rays)
-        self.object_field = object_field or _object_field(preset, device)
-        preset = preset.fields
-        self.step, self.loss = 0, float("nan")
-        self.learned = 0
-        self.validation_errors: list[float] = []
-        self.validation_pixels: torch.Tensor | None = None
-        self.monitor, self.report = NonFiniteMonitor(), {}
-        # without surroundings there is nothing to learn first; the hull then comes from the masks or not at all
-        known = len(rays.outside) >= preset.least_outside * rays.count
-        self.background_steps = preset.background_steps if known else 0
-        self.start_sharpness = preset.first_sharpness
-        self.head_optimiser = torch.optim.Adam(
-            self.object_field.color_parameters(), lr=preset.head_rate, betas=(0.9, 0.99), fused=True
-        )
-        self._set_levels(preset.first_levels)
-        self._refine_environment()
+        self.losses = FieldsLosses.of(preset, rays)
+        self.object_field = object_field or new_object_field(preset, device)
+        self.schedule = Schedule.at_start(preset.fields, len(rays.outside), rays.count)
+        self._add_levels(self.schedule.levels)
+        self.renderer = FieldsRenderer(self.object_field, self.environment, preset.fields)
+        self.optimisers = Optimisers(self.object_field, self.environment, preset)
+        self.monitor = NonFiniteMonitor()
+        self.hull: HullReport | None = None
+        """The visual hull that the SDF started from."""
         self.object_pixels = rays.sphere
-        self.object_pixels_updates = 0
+        """Pixels in which the object is seen; all that see its sphere until this is first found out."""
+        self.validation_pixels = rays.sphere[:0]
+        """[n] int64: held-out pixels in which the object was seen when this was first found out; none before."""
+        self.loss = float("nan")
+        """Photometric loss of the last step."""
+
+    @property
+    def step(self) -> int:
+        """Steps taken."""
+        return self.schedule.step
 
     @property
     def steps(self) -> int:
-        """Of F_e alone and of both fields together, as far as can be told."""
-        if self.step < self.background_steps:
-            return self.background_steps + self.preset.steps
-        return self.step + math.ceil((self.preset.steps - self.learned) / self._step_multiplier)
+        """Steps in all, as far as can be told now."""
+        return self.schedule.total_steps
 
     @property
     def fraction(self) -> float:
         """How much of the learning of both fields is done, 0..1."""
-        return self.learned / self.preset.steps
+        return self.schedule.fraction
 
-    @property
-    def _step_multiplier(self) -> int:
-        """Steps that one step stands for: more while the error on held-out pixels does not fall, so that what is left,
-        the sharpening and the calming down, is soon over."""
-        return 4 if self._plateaued else 1
+    def render(self, index: Tensor, generator: torch.Generator | None = None) -> Rendering:
+        """Pixels `index` [n] int64 rendered through both fields as they are now. Without a generator nothing is random."""
+        return self._render(RayBundle(*self.rays.rays(index)), generator)
 
-    @property
-    def _learning_rate_decay(self) -> float:
-        """Factor of F_o's step sizes: 1, then down to `last_rate`, geometrically."""
-        p = self.preset
-        return p.last_rate ** max(0.0, (self.fraction - p.slow_from) / (1 - p.slow_from))
+    def _render(self, rays: RayBundle, generator: torch.Generator | None) -> Rendering:
+        now = self.schedule
+        settings = RenderSettings(now.sharpness, now.samples, now.environment_gradient_scale)
+        return self.renderer.render(rays, settings, generator)
 
-    @property
-    def _plateaued(self) -> bool:
-        p = self.preset
-        # a finer grid is rough at first: errors from before it are no measure for those after it
-        errors = self.validation_errors[
-            max(0, math.floor((p.fine_from - p.object_pixels_at[0]) / p.validate_every + 1e-6) + 1) :
-        ]
-        return len(errors) > p.patience and min(errors[-p.patience :]) > (1 - p.least_gain) * min(errors[: -p.patience])
-
-    def _set_levels(self, count: int) -> None:
-        while self.object_field.level_count < count:
-            self.object_field.add_level()
-        self.sdf_optimiser = self.object_field.shape_optimiser(self.preset.sdf_rate)
-
-    def _refine_environment(self) -> None:
-        if self.environment.refine(self.step / self.steps) or self.step == 0:
-            self.environment_optimiser = environment_training.optimiser(self.environment)
-
-    @property
-    def sharpness(self) -> float:
-        """NeuS sharpness, 1 / unit length, at this step: rises geometrically, then stays."""
-        p = self.preset
-        rise = min(self.fraction / p.sharpness_until, 1.0)
-        return self.start_sharpness * (p.last_sharpness / self.start_sharpness) ** rise
-
-    @profiled("render")
-    def render(
-        self, origins: torch.Tensor, directions: torch.Tensor, half_angle: torch.Tensor, generator: torch.Generator | None
-    ) -> Rendering:
-        """Radiance of rays through both fields. All rays [n, 3] may or may not meet the sphere."""
-        p = self.preset
-        samples = p.first_samples if self.fraction < p.coarse_until else p.samples
-        entry, leave = sphere_interval(origins, directions)
-        meets = (leave > entry).nonzero()[:, 0]
-        near = torch.full_like(entry, p.near)
-        infinity = torch.full_like(entry, torch.inf)
-        n = len(entry)
-        shape = self.object_field.shape()
-        surface = shape.render(origins[meets], directions[meets], self.sharpness, samples, generator)
-        normal = functional.normalize(surface.gradient, dim=-1, eps=1e-6)
-        with section("appearance"):
-            appearance = self.object_field.appearance(surface.point, normal, directions[meets[surface.ray]])
-        opacity = surface.opacity.clamp(max=1)
-        # front parts of all rays (whole rays for those that miss), then back parts where something shows through
-        clear = torch.ones(len(meets), device=self.device).index_add(0, surface.ray, -opacity)
-        behind = (clear.detach() > p.opaque).nonzero()[:, 0]
-        back_ray = meets[behind]
-        part = torch.cat([torch.arange(n, device=self.device), back_ray])
-        start = torch.cat([near, leave[back_ray]])
-        end = torch.cat([torch.where(leave > entry, entry, infinity), infinity[back_ray]])
-        radiance, transmittance = self.environment.render(
-            origins[part], directions[part], start, end, half_angle[part], generator
-        )
-        foreground_opacity = (1 - transmittance[:n][meets]).mean() if len(meets) else radiance.sum() * 0
-        if self.fraction < p.environment_gradient_scale_until:
-            # what other pixels know of the surroundings counts more than what the object would have them be
-            share = torch.ones(n, device=self.device).index_fill(0, meets, p.environment_gradient_scale)[part]
-            radiance = torch.lerp(radiance.detach(), radiance, share[:, None])
-            transmittance = torch.lerp(transmittance.detach(), transmittance, share)
-        front, back = radiance[:n], radiance[n:]
-        inside = torch.zeros(len(meets), 3, device=self.device)
-        inside = inside.index_add(0, surface.ray, opacity[:, None] * appearance.color)
-        inside = inside.index_add(0, behind, clear[behind, None] * back)
-        total = front.index_add(0, meets, transmittance[:n][meets, None] * inside)
-        ray = meets[surface.ray]
-        opacities = torch.zeros(n, device=self.device).index_add(0, ray, opacity)
-        w_s = dynamic_weight(appearance, p.dynamic_weight if p.decomposition else "none")
-        weight = torch.ones(n, 1, device=self.device).index_add(0, ray, opacity.detach()[:, None] * (w_s - 1))
-        nothing = total.sum() * 0
-        eikonal = ((surface.sdf_gradient.norm(dim=-1) - 1) ** 2).mean() if len(ray) else nothing
-        with section("curvature"):
-            curvature = (shape.bending(surface.point) + 1).sqrt().mean() if len(ray) and p.curvature > 0 else nothing
-        return Rendering(total, opacities, weight, eikonal, curvature, foreground_opacity)
-
-    def _set_environment_rate(self) -> None:
-        for group in self.environment_optimiser.param_groups:
-            group["lr"] = environment_training.learning_rate(self.environment.preset, self.step / self.steps)
-
-    @profiled("draw pixels")
-    def _draw(self, pool: PixelSet, count: int) -> torch.Tensor:
-        """About `count` random pixels of the pool, without the held-out ones, unless it has no others."""
-        index = pool[torch.randint(len(pool), (count,), generator=self.generator, device=self.device)]
-        learned = index[index % HELD_OUT != 0]
-        return learned if len(learned) else index
-
-    @profiled("held-out error")
-    @torch.no_grad()
-    def _validation_error(self, pixels: int = 4096) -> float:
-        """Photometric error on held-out pixels in which the object was seen at the first look."""
-        if self.validation_pixels is None:
-            index = torch.cat([part[part % HELD_OUT == 0] for part in self.object_pixels.split(1 << 20)])
-            self.validation_pixels = index[:: max(1, len(index) // pixels)]
-        if not len(self.validation_pixels):
-            return float("inf")
-        out = self.render(*self.rays.rays(self.validation_pixels), None)
-        return float((tone_map(out.radiance) - tone_map(self.rays.photo(self.validation_pixels))).abs().mean())
+    def learn_step(self) -> float:
+        """One optimisation step; returns its photometric loss. Raises LearningError when too many were not finite."""
+        if self.schedule.learns_background:
+            self.loss = self._learn_background_step()
+        else:
+            self.loss = self._learn_joint_step()
+        self.schedule.advance()
+        return self.loss
 
     @profiled("steps of F_e alone")
     def _learn_background_step(self) -> float:
@@ -266,109 +151,41 @@ class FieldsLearning:
         p = self.preset
         self._refine_environment()
         index = self._draw(self.rays.outside, p.object_rays + p.sphere_rays + p.outside_rays)
-        self._set_environment_rate()
-        self.loss = environment_training.learn_step(
-            self.environment, self.environment_optimiser, self.rays, index, self.generator
+        self.optimisers.set_environment_rate(self.schedule)
+        loss = environment_training.learn_step(
+            self.environment, self.optimisers.environment, self.rays, index, self.generator
         )
-        self.monitor.record(usable_loss(self.loss))
-        self.step += 1
-        return self.loss
+        self.monitor.record(usable_loss(loss))
+        return loss
 
-    @profiled("visual hull")
-    def _find_hull(self) -> None:
-        """Starts the SDF from the visual hull, where the silhouettes show one; else it stays a sphere."""
-        p = self.preset
-        if self.rays.mask is not None:
-            silhouettes = mask_silhouettes(self.rays)
-        elif self.background_steps:
-            silhouettes = background_silhouettes(self.environment, self.rays)
-        else:
-            return
-        hull = carve(self.rays, silhouettes, round(2 / self.object_field.cell))
-        if hull is None or hull.contrast < p.least_contrast:
-            return
-        self.report["hull"] = {"volume": round(hull.volume, 4), "contrast": round(hull.contrast, 2)}
-        self.object_field.start_from(torch.from_numpy(hull.sdf).to(self.device))
-        self.start_sharpness = p.hull_sharpness
-
-    @profiled("object pixels")
-    @torch.no_grad()
-    def _update_object_pixels(self, block: int = 4) -> None:
-        """Sets `object_pixels`: the valid pixels in which the object is seen now, and some around them."""
-        rays, shape, found = self.rays, self.object_field.shape(), GrowingPixelSet(self.device)
-        band = BAND / self.sharpness
-        for view, (height, width) in enumerate(rays.size):
-            row = torch.arange(0, height, block, device=self.device).add(block // 2).clamp(max=height - 1)
-            column = torch.arange(0, width, block, device=self.device).add(block // 2).clamp(max=width - 1)
-            index = (rays.offset[view] + row[:, None] * width + column).flatten()
-            origins, directions, _ = rays.rays(index)
-            seen = shape.near(origins, directions, band).float().reshape(1, 1, len(row), len(column))
-            seen = functional.max_pool2d(seen, 3, 1, 1)
-            seen = seen[0, 0].repeat_interleave(block, 0)[:height].repeat_interleave(block, 1)[:, :width] > 0
-            valid = rays.valid[rays.offset[view] : rays.offset[view + 1]]
-            found.add(PixelSet.where(seen.flatten() & valid, rays.offset[view]))
-        found = found.finished()
-        self.object_pixels = found if len(found) else rays.sphere
-
-    def learn_step(self) -> float:
-        """One optimisation step; returns the loss."""
-        return self._learn_background_step() if self.step < self.background_steps else self._learn_joint_step()
-
-    def _difference(self, out: Rendering, photo: torch.Tensor) -> torch.Tensor:
-        """Of renderings and photos [n, 3], tone-mapped; without highlights as far as the object hides what is behind it: F_e
-        keeps its lamps."""
-        full = (tone_map(out.radiance) - tone_map(photo)).abs()
-        dull = tone_map_without_highlights(out.radiance, self.highlight_threshold) - tone_map_without_highlights(
-            photo, self.highlight_threshold
-        )
-        return torch.lerp(full, dull.abs(), out.opacity.detach()[:, None].clamp(max=1))
+    def _prepare_joint_step(self) -> None:
+        """What the schedule wants done before the next step of both fields."""
+        now = self.schedule
+        if now.joint_learning_begins:
+            self.start_from_hull()
+        if self.object_field.level_count < now.levels:
+            self._add_levels(now.levels)
+            self.optimisers.restart_sdf()
+        if now.object_pixels_due > now.object_pixels_updates:
+            self.update_object_pixels()
+            now.object_pixels_updates = now.object_pixels_due
+        if now.validation_due:
+            now.validation_errors.append(self.validation_error())
+        self._refine_environment()
 
     @profiled("steps of both fields")
     def _learn_joint_step(self) -> float:
-        p, rays = self.preset, self.rays
-        if self.step == self.background_steps:
-            self._find_hull()
-        if self.fraction >= p.fine_from and self.object_field.level_count < p.last_levels:
-            self._set_levels(p.last_levels)
-        object_pixels_updates = sum(self.fraction >= fraction for fraction in p.object_pixels_at)
-        if object_pixels_updates > self.object_pixels_updates:
-            self.object_pixels_updates = object_pixels_updates
-            self._update_object_pixels()
-        if self.object_pixels_updates and self.fraction >= p.object_pixels_at[0] + p.validate_every * len(
-            self.validation_errors
-        ):
-            self.validation_errors.append(self._validation_error())
-        self._refine_environment()
-        pick = [
-            self._draw(pool, count)
-            for pool, count in (
-                (self.object_pixels, p.object_rays),
-                (rays.sphere, p.sphere_rays),
-                (rays.outside, p.outside_rays),
-            )
-            if len(pool)
-        ]
-        index = torch.cat(pick)
+        self._prepare_joint_step()
+        index = self._draw_batch()
         with section("rays and photo values"):
-            origins, directions, half_angle = rays.rays(index)
-            photo = rays.photo(index)
-        out = self.render(origins, directions, half_angle, self.generator)
-        photometric = (out.weight * self._difference(out, photo)).mean()
-        # stiff while the light is still unknown, which would else be explained by dents; then free for detail
-        soften = (p.last_curvature / p.curvature if p.curvature > 0 else 1.0) ** max(0.0, 2 * self.fraction - 1)
-        loss = photometric + p.eikonal * out.eikonal + p.curvature * soften * out.curvature
-        loss = loss + self.environment.preset.foreground_opacity * out.foreground_opacity
-        if rays.mask is not None and p.mask > 0:
-            mask = rays.mask[index].float() / 255
-            loss = loss + p.mask * functional.binary_cross_entropy(out.opacity.clamp(1e-4, 1 - 1e-4), mask)
-        warm = min(1.0, (self.step - self.background_steps + 1) / 50) * self._learning_rate_decay
-        # a sharper surface answers to smaller steps
-        for group in self.sdf_optimiser.param_groups:
-            group["lr"] = p.sdf_rate * warm * (p.first_sharpness / self.sharpness) ** 0.5
-        for group in self.head_optimiser.param_groups:
-            group["lr"] = p.head_rate * warm
-        self._set_environment_rate()
-        optimisers = (self.sdf_optimiser, self.head_optimiser, self.environment_optimiser)
+            rays = RayBundle(*self.rays.rays(index))
+            photo = self.rays.photo(index)
+        out = self._render(rays, self.generator)
+        photometric = self.losses.photometric(out, photo)
+        mask = None if self.rays.mask is None else self.rays.mask[index].float() / 255
+        loss = self.losses.total(photometric, out, self.schedule.curvature_weight, mask)
+        self.optimisers.set_rates(self.schedule)
+        optimisers = self.optimisers.all
         for optimiser in optimisers:
             optimiser.zero_grad()
         usable = usable_loss(float(loss.detach()))
@@ -381,74 +198,106 @@ class FieldsLearning:
             with section("optimisers"):
                 for optimiser in optimisers:
                     optimiser.step()
-        self.step += 1
-        self.learned = min(self.learned + self._step_multiplier, p.steps)
-        self.loss = float(photometric.detach())
-        return self.loss
+        return float(photometric.detach())
 
-    @torch.no_grad()
-    def explanation_ratio(self, pixels: int = 16384) -> float:
-        """How much better the object explains the pixels that it covers than F_e alone would, if it were not there: the
-        ratio of their mean tone-mapped errors. Near 1: the sphere is empty. 0 where no pixel is covered."""
-        pick = torch.randint(len(self.rays.sphere), (pixels,), generator=self.generator, device=self.device)
-        index = self.rays.sphere[pick]
-        origins, directions, half_angle = self.rays.rays(index)
-        surface = self.object_field.shape().render(origins, directions, self.sharpness, self.preset.samples, None)
-        solid = surface.opacity > 0.9
-        ray = surface.ray[solid]
-        if len(ray) < 0.001 * pixels:
-            return 0.0
-        normal = functional.normalize(surface.gradient[solid], dim=-1, eps=1e-6)
-        color = self.object_field.appearance(surface.point[solid], normal, directions[ray]).color
-        near = torch.full((len(ray),), self.preset.near, device=self.device)
-        behind, _ = self.environment.render(
-            origins[ray], directions[ray], near, torch.full_like(near, torch.inf), half_angle[ray], None
+    def _draw(self, pool: PixelSet, count: int) -> Tensor:
+        return draw_pixels(pool, count, self.preset.held_out_every, self.generator)
+
+    def _draw_batch(self) -> Tensor:
+        """The pixels [n] of a step of both fields."""
+        p = self.preset
+        pools = (
+            (self.object_pixels, p.object_rays),
+            (self.rays.sphere, p.sphere_rays),
+            (self.rays.outside, p.outside_rays),
         )
-        photo = tone_map(self.rays.photo(index[ray]))
-        error = (tone_map(color) - photo).abs().mean().clamp(min=1e-6)
-        return float((tone_map(behind) - photo).abs().mean() / error)
+        return torch.cat([self._draw(pool, count) for pool, count in pools if len(pool)])
+
+    def _add_levels(self, count: int) -> None:
+        while self.object_field.level_count < count:
+            self.object_field.add_level()
+
+    def _refine_environment(self) -> None:
+        if self.environment.refine(self.schedule.environment_fraction):
+            self.optimisers.restart_environment()
+
+    @profiled("visual hull")
+    def start_from_hull(self) -> None:
+        """Starts the SDF from the visual hull, where the silhouettes show one; otherwise it stays as it is."""
+        if self.rays.mask is not None:
+            silhouettes = mask_silhouettes(self.rays)
+        elif self.schedule.background_steps:
+            silhouettes = background_silhouettes(self.environment, self.rays)
+        else:
+            return
+        hull = carve(self.rays, silhouettes, round(2 / self.object_field.cell))
+        if hull is None or hull.contrast < self.preset.least_contrast:
+            return
+        self.hull = HullReport(hull.volume, hull.contrast)
+        self.object_field.start_from(torch.from_numpy(hull.sdf).to(self.generator.device))
+        self.schedule.start_from_hull()
+
+    def update_object_pixels(self) -> None:
+        """Finds out in which pixels the object is seen now. The first time it also chooses the validation pixels."""
+        self.object_pixels = find_object_pixels(self.rays, self.object_field.shape(), BAND / self.schedule.sharpness)
+        if not self.schedule.object_pixels_updates:
+            p = self.preset
+            self.validation_pixels = held_out_pixels(self.object_pixels, p.held_out_every, p.validation_pixels)
+
+    @profiled("held-out error")
+    @torch.no_grad()
+    def validation_error(self) -> float:
+        """Mean absolute tone-mapped error of the validation pixels; inf where there are none."""
+        if not len(self.validation_pixels):
+            return float("inf")
+        rendered = self.render(self.validation_pixels).radiance
+        return float((tone_map(rendered) - tone_map(self.rays.photo(self.validation_pixels))).abs().mean())
+
+    def explanation_ratio(self, pixels: int | None = None) -> float:
+        """See `explanation.explanation_ratio`."""
+        return explanation_ratio(self.renderer, self.rays, self.schedule.sharpness, self.generator, pixels)
+
+    def report(self, ratio: float) -> FieldsReport:
+        """How it went so far, with the explanation ratio that was found."""
+        return FieldsReport(
+            steps=self.step,
+            of_steps=self.schedule.background_steps + self.preset.steps,
+            held_out_error=list(self.schedule.validation_errors),
+            loss=self.loss,
+            explanation_ratio=ratio,
+            steps_not_finite=self.monitor.left_out,
+            hull=self.hull,
+        )
 
     def state(self) -> dict:
         """Everything that a resumed run needs."""
         return {
-            "step": self.step,
+            "schedule": self.schedule.state(),
             "loss": self.loss,
             "levels": self.object_field.level_count,
             "object": self.object_field.state_dict(),
             "environment": self.environment.state_dict(),
-            "sdf_optimiser": self.sdf_optimiser.state_dict(),
-            "head_optimiser": self.head_optimiser.state_dict(),
-            "environment_optimiser": self.environment_optimiser.state_dict(),
+            "optimisers": self.optimisers.state(),
             "generator": self.generator.get_state(),
-            "object_pixels_updates": self.object_pixels_updates,
             "object_pixels": self.object_pixels.state(),
-            "start_sharpness": self.start_sharpness,
-            "report": self.report,
-            "learned": self.learned,
-            "validation_errors": self.validation_errors,
             "validation_pixels": self.validation_pixels,
+            "hull": None if self.hull is None else {"volume": self.hull.volume, "contrast": self.hull.contrast},
             "monitor": self.monitor.state(),
         }
 
     def load(self, state: dict) -> None:
         """Go on from `state`."""
-        self.step, self.loss = state["step"], state["loss"]
-        self._set_levels(state["levels"])
+        device = self.generator.device
+        self.schedule.load(state["schedule"])
+        self.loss = state["loss"]
+        self._add_levels(state["levels"])
         self.object_field.load_state_dict(state["object"])
         self.environment.load_state_dict(state["environment"])
-        self.environment_optimiser = environment_training.optimiser(self.environment)
-        self.sdf_optimiser.load_state_dict(state["sdf_optimiser"])
-        self.head_optimiser.load_state_dict(state["head_optimiser"])
-        self.environment_optimiser.load_state_dict(state["environment_optimiser"])
+        self.optimisers.load(state["optimisers"])
         self.generator.set_state(state["generator"])
-        self.object_pixels_updates = state["object_pixels_updates"]
-        self.object_pixels = PixelSet.from_state(state["object_pixels"]).to(self.device)
-        self.start_sharpness, self.report = state["start_sharpness"], state["report"]
-        self.learned, self.validation_errors, self.validation_pixels = (
-            state["learned"],
-            state["validation_errors"],
-            state["validation_pixels"],
-        )
+        self.object_pixels = PixelSet.from_state(state["object_pixels"]).to(device)
+        self.validation_pixels = state["validation_pixels"].to(device)
+        self.hull = None if state["hull"] is None else HullReport(**state["hull"])
         self.monitor.load(state["monitor"])
 
 
@@ -458,10 +307,10 @@ def learn_fields(
     *,
     seed: int,
     device: torch.device,
-    progress,
-    checkpoint,
+    progress: Callable[[int, int, float], None],
+    checkpoint: Checkpoint,
     surface: Surface | None = None,
-    watch=None,
+    watch: Callable[[FieldsLearning], None] | None = None,
     object_field: ObjectField | None = None,
 ) -> Fields:
     """Learns F_o and F_e from the photos (Sec. 3.2). With `surface` (a known mesh in the unit frame) F_e alone, from the
@@ -469,16 +318,15 @@ def learn_fields(
 
     progress(step, steps, loss) is called after every step, and watch(FieldsLearning), which may only look; checkpoint is
     asked whether to save or stop.
-    Raises LearningError when the loss diverges and Stopped on request.
+    Raises LearningError when the loss diverges or the object's sphere is empty, and Stopped on request.
     """
     if surface is not None:
         background = _pixels_beside(surface, rays)
         environment, report = environment_training.learn_environment(
             rays, background, preset.environment, seed=seed, device=device, progress=progress, checkpoint=checkpoint
         )
-        return Fields(
-            None, environment, {"skipped": {str(Part.OBJECT_FIELD): Message("reason.mesh_given").state()}, **report}
-        )
+        skipped = {"skipped": {str(Part.OBJECT_FIELD): Message("reason.mesh_given").state()}}
+        return Fields(None, environment, {**skipped, **report.as_dict()})
     learning = FieldsLearning(rays, preset, seed, device, object_field)
     state = checkpoint.load()
     if state is not None:
@@ -488,28 +336,11 @@ def learn_fields(
         progress(learning.step, learning.steps, loss)
         if watch is not None:
             watch(learning)
-        if checkpoint.stopping or checkpoint.due():
-            checkpoint.save(learning.state())
-            if checkpoint.stopping:
-                raise Stopped("Stopped during fields learning; the checkpoint is written.", "Go on with --resume.")
-    explanation_ratio = learning.explanation_ratio()
-    if explanation_ratio < preset.fields.least_explanation_ratio:
-        raise LearningError(
-            f"The object's sphere seems to contain nothing: the surroundings explain its pixels almost as well as an object"
-            f" does (ratio {explanation_ratio:.2f}, needed {preset.fields.least_explanation_ratio}).",
-            "Set object_center and object_radius in transforms.json so that the sphere holds the object closely.",
-        )
+        environment_training.save_if_due(checkpoint, learning.state)
+    ratio = learning.explanation_ratio()
+    require_object(ratio, preset.fields.least_explanation_ratio)
     environment_training.freeze(learning.environment, rays, rays.outside if len(rays.outside) else rays.sphere, seed)
-    report = {
-        "steps": learning.step,
-        "of_steps": learning.background_steps + preset.fields.steps,
-        "held_out_error": [round(e, 4) for e in learning.validation_errors],
-        "loss": learning.loss,
-        "explanation_ratio": round(explanation_ratio, 3),
-        **learning.monitor.report(),
-        **learning.report,
-    }
-    return Fields(learning.object_field, learning.environment, report)
+    return Fields(learning.object_field, learning.environment, learning.report(ratio).as_dict())
 
 
 def _pixels_beside(surface: Surface, rays: PixelRays, chunk: int = 1 << 18) -> PixelSet:

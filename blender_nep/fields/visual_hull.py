@@ -63,7 +63,9 @@ def background_silhouettes(environment: EnvironmentField, rays: PixelRays, block
 
 
 def mask_silhouettes(rays: PixelRays, block: int = 4) -> list[torch.Tensor]:
-    """Per view [H / block, W / block]: mean of the object mask."""
+    """Per view [H / block, W / block]: mean of the object mask. Raises ValueError for rays without masks."""
+    if rays.mask is None:
+        raise ValueError("silhouettes by masks need masks")
     maps = []
     for view, (height, width) in enumerate(rays.size):
         mask = rays.mask[rays.offset[view] : rays.offset[view + 1]].float().reshape(1, height, width) / 255

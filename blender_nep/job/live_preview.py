@@ -8,8 +8,9 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, BinaryIO
 
 import numpy as np
 import torch
@@ -58,7 +59,7 @@ class LivePreview:
     def __call__(self, learning: FieldsLearning) -> None:
         """Write a preview if it is time. A failure is one warning and the end of the previews."""
         start = self._clock()
-        if start < self._due or not learning.learned:
+        if start < self._due or learning.fraction == 0:
             return
         try:
             self._write(learning)
@@ -85,11 +86,11 @@ class LivePreview:
             (PREVIEW_MESH, lambda file: np.savez(file, **arrays)),
             (PREVIEW_PICTURE, lambda file: picture.save(file, format="PNG")),
         ):
-            write_atomically(self.path / name, lambda path, write=write: _open_and(write, path))
+            write_atomically(self.path / name, partial(_write_into, write))
             self.events.preview(self.path / name)
 
 
-def _open_and(write: Callable, path: Path) -> None:
+def _write_into(write: Callable[[BinaryIO], object], path: Path) -> None:
     with open(path, "wb") as file:
         write(file)
 
@@ -102,11 +103,7 @@ def render_pair(learning: FieldsLearning, view: int) -> np.ndarray:
     step = math.ceil(max(height, width) / WIDTH)
     grid = torch.arange(height * width, device=rays.valid.device).reshape(height, width)[::step, ::step]
     index = grid.flatten() + rays.offset[view]
-    rendered = torch.cat([_render(learning, part) for part in index.split(CHUNK)])
+    rendered = torch.cat([learning.render(part).radiance for part in index.split(CHUNK)])
     photo = rays.photo(index)
     pair = [part.cpu().numpy().reshape(*grid.shape, 3) for part in (photo, rendered)]
     return np.round(255 * linear_to_srgb(np.concatenate(pair, 1) * exposure(pair[0]))).astype(np.uint8)
-
-
-def _render(learning: FieldsLearning, index: torch.Tensor) -> torch.Tensor:
-    return learning.render(*learning.rays.rays(index), None).radiance

@@ -48,7 +48,7 @@ from blender_nep.profiling import Profile, section
 from blender_nep.stop_request import StopRequest
 
 if TYPE_CHECKING:
-    from blender_nep.fields.training import Fields
+    from blender_nep.fields.fields import Fields
     from blender_nep.materials.training import Materials
 
 _DOUBT = 0.03

@@ -101,7 +101,7 @@ class FieldsStage:
         return result.state()
 
     def unpack(self, state: dict, given: FieldsInput) -> Fields:
-        from blender_nep.fields.training import Fields
+        from blender_nep.fields.fields import Fields
 
         return Fields.from_state(state, given.preset, given.device)
 

@@ -1,4 +1,4 @@
-"""Stage 1 on the capture in the repository: what is learned, determinism, resume; the dynamic weight by its formula."""
+"""Stage 1 on the capture in the repository: what is learned, determinism, resume, ablations."""
 
 import math
 from dataclasses import replace
@@ -8,15 +8,17 @@ import pytest
 import torch
 import trimesh
 
+from benchmarks.suite.harness import with_changes
+from benchmarks.suite.plan import ABLATIONS
 from blender_nep.capture import PixelRays, load_capture
 from blender_nep.checkpoints import NoCheckpoint
 from blender_nep.errors import LearningError
-from blender_nep.fields.object_field import Appearance, ObjectField
-from blender_nep.fields.training import Fields, FieldsLearning, Rendering, dynamic_weight, learn_fields
+from blender_nep.fields.fields import Fields, FieldsReport, HullReport
+from blender_nep.fields.object_field import ObjectField
+from blender_nep.fields.training import FieldsLearning, learn_fields
 from blender_nep.geometry.mesh import Surface
 from blender_nep.geometry.ray_tracing import RayTracer
-from blender_nep.presets import preset
-from blender_nep.tone_mapping import HIGHLIGHT, tone_map, tone_map_without_highlights
+from blender_nep.tone_mapping import tone_map
 from support.brief_preset import brief_preset
 from support.paths import SUZANNE_SMALL
 
@@ -35,18 +37,6 @@ def masked_rays():
 
 def no_progress(step, steps, loss):
     assert 0 < step <= steps and np.isfinite(loss)
-
-
-def test_dynamic_weight_is_equation_5_and_passes_no_gradient():
-    albedo = torch.tensor([[0.2, 0.5, 0.9], [0.1, 0.1, 0.1]], requires_grad=True)
-    light = torch.tensor([[1.0, 1.0, 1.0], [30.0, 30.0, 30.0]], requires_grad=True)
-    appearance = Appearance(albedo, light, torch.zeros(2, 1))
-    weight = dynamic_weight(appearance, "paper", cap=1.5, epsilon=1e-3)
-    assert not weight.requires_grad
-    torch.testing.assert_close(weight[:, 0], torch.tensor([1.5, 1 / (2.9**2 + 1e-3)]))
-    assert (dynamic_weight(appearance, "none") == 1).all()
-    scaled = dynamic_weight(appearance, "scaled")
-    assert scaled[0] > scaled[1], "where the color is the albedo, the pixel counts more"
 
 
 def test_a_short_learning_with_masks_comes_nearer_to_the_truth(masked_rays):
@@ -108,6 +98,37 @@ def test_a_loss_that_is_not_finite_is_given_up_with_a_message(rays):
             learning.learn_step()
 
 
+STAGE_1 = {name: changes for name, changes in ABLATIONS.items() if changes and set(changes) <= {"fields", "environment"}}
+"""Ablations of stage 1 alone, as the benchmarks run them."""
+
+
+@pytest.fixture(scope="module")
+def unchanged(masked_rays):
+    return after(masked_rays, {})
+
+
+def after(rays, changes: dict, steps: int = 12) -> list[torch.Tensor]:
+    """What was learned after some steps, the first six of F_e alone and the others from a visual hull. The threshold is so
+    low that some of the few pixels are highlights."""
+    learning = FieldsLearning(rays, with_changes(brief_preset(highlight_threshold=0.5), changes), 0, CPU)
+    for _ in range(steps):
+        learning.learn_step()
+    return [parameter.detach() for parameter in (*learning.object_field.parameters(), learning.environment.raw)]
+
+
+def same(one: list[torch.Tensor], other: list[torch.Tensor]) -> bool:
+    return all(a.shape == b.shape and torch.equal(a, b) for a, b in zip(one, other, strict=True))
+
+
+def test_twelve_steps_are_the_same_twice(masked_rays, unchanged):
+    assert same(after(masked_rays, {}), unchanged)
+
+
+@pytest.mark.parametrize("ablation", STAGE_1)
+def test_each_ablation_changes_what_is_learned(masked_rays, unchanged, ablation):
+    assert not same(after(masked_rays, STAGE_1[ablation]), unchanged)
+
+
 @pytest.mark.parametrize(
     "ablation",
     [
@@ -124,35 +145,73 @@ def test_ablations_of_the_object_field_learn(rays, ablation):
     assert np.isfinite(losses).all() and np.mean(losses[-4:]) < np.mean(losses[2:6])
 
 
+@pytest.mark.parametrize("steps", [0, 3])
+def test_f_e_is_learned_alone_for_as_many_steps_as_the_preset_says(rays, steps):
+    learning = FieldsLearning(rays, brief_preset(background_steps=steps), 0, CPU)
+    before = [p.detach().clone() for p in learning.object_field.parameters()]
+    raw = learning.environment.raw.detach().clone()
+    for _ in range(steps):
+        learning.learn_step()
+    assert same(before, list(learning.object_field.parameters()))
+    assert torch.equal(raw, learning.environment.raw) == (steps == 0) and learning.fraction == 0
+    learning.learn_step()
+    assert not same(before, list(learning.object_field.parameters()))
+    assert learning.fraction == 1 / 24
+
+
+@pytest.mark.parametrize(("least_contrast", "from_hull"), [(2.0, True), (math.inf, False)])
+def test_the_sdf_starts_from_a_hull_only_where_that_tells_the_object_from_its_surroundings(
+    masked_rays, least_contrast, from_hull
+):
+    learning = FieldsLearning(masked_rays, brief_preset(background_steps=0, least_contrast=least_contrast), 0, CPU)
+    points = 0.6 * torch.nn.functional.normalize(torch.randn(100, 3, generator=torch.Generator().manual_seed(0)), dim=-1)
+    learning.start_from_hull()
+    is_sphere = bool((learning.object_field.sdf(points).abs() < 0.02).all())
+    assert is_sphere != from_hull and (learning.hull is not None) == from_hull
+    p = learning.preset
+    assert learning.schedule.sharpness == (p.hull_sharpness if from_hull else p.first_sharpness)
+
+
+def test_the_environment_is_the_one_of_the_preset(rays):
+    preset = with_changes(brief_preset(background_steps=0), {"environment": {"model": "infinite"}})
+    assert FieldsLearning(rays, preset, 0, CPU).environment.infinite
+
+
+def test_what_the_schedule_wants_done_is_done(rays):
+    """Levels, object pixels and the validation error, each when it is due."""
+    learning = FieldsLearning(rays, brief_preset(background_steps=1, steps=12, first_sharpness=100.0), 0, CPU)
+    p, whole = learning.preset, learning.object_pixels
+    assert learning.validation_error() == math.inf, "no pixels have been chosen yet"
+    while learning.fraction < 1:
+        before = learning.fraction
+        learning.learn_step()
+        joint = learning.schedule.learned > 0
+        assert learning.object_field.level_count == (p.last_levels if joint and before >= p.refine_at else p.first_levels)
+        looked = joint and before >= p.object_pixels_at[0]
+        assert (learning.object_pixels is whole) != looked and bool(len(learning.validation_pixels)) == looked
+        assert bool(learning.schedule.validation_errors) == looked
+    assert learning.schedule.object_pixels_updates == 3 and len(learning.object_pixels) < len(whole)
+    held_out = learning.validation_pixels
+    assert (held_out % p.held_out_every == 0).all()
+    # the error that is measured is that of what is rendered
+    difference = tone_map(learning.render(held_out).radiance) - tone_map(rays.photo(held_out))
+    assert learning.validation_error() == pytest.approx(difference.abs().mean().item())
+
+
+def test_the_report_says_how_it_went_in_plain_values():
+    report = FieldsReport(20, 30, [0.123456, 0.1], 0.25, 1.23456, 0, None)
+    plain = {"steps": 20, "of_steps": 30, "held_out_error": [0.1235, 0.1], "loss": 0.25, "explanation_ratio": 1.235}
+    assert report.as_dict() == plain
+    hull = replace(report, hull=HullReport(0.123456, 12.3456), steps_not_finite=2)
+    assert hull.as_dict() == plain | {"steps_not_finite": 2, "hull": {"volume": 0.1235, "contrast": 12.35}}
+
+
 def test_without_decomposition_the_color_is_one_radiance_of_the_view_direction():
     field = ObjectField(8, 0.6, decomposed=False)
     points = torch.tensor([[0.6, 0, 0]]).expand(2, 3)
     normal = torch.tensor([[1.0, 0, 0]]).expand(2, 3)
     seen = field.appearance(points, normal, torch.tensor([[-1.0, 0, 0], [-0.6, 0.8, 0]]))
     assert (seen.albedo == 1).all() and not torch.equal(seen.color[0], seen.color[1])
-
-
-def test_the_object_is_looked_for_in_the_pixels_that_show_it(rays):
-    learning = FieldsLearning(rays, brief_preset(first_sharpness=100.0), 0, CPU)
-    learning._update_object_pixels()
-    radius = learning.preset.initial_radius
-    origins, directions, _ = rays.rays(torch.cat([rays.sphere.tensor(), rays.outside.tensor()]))
-    off_axis = torch.linalg.cross(origins, directions).norm(dim=-1)
-    found = torch.zeros(rays.count, dtype=torch.bool)
-    found[learning.object_pixels.tensor()] = True
-    found = found[torch.cat([rays.sphere.tensor(), rays.outside.tensor()])]
-    assert found[off_axis < radius].all() and not found[off_axis > radius + 0.45].any()
-
-
-@pytest.mark.parametrize(
-    ("after", "settled"), [((0.073, 0.071, 0.067, 0.066), False), ((0.073, 0.06, 0.06, 0.06, 0.0599), True)]
-)
-def test_learning_ends_early_only_where_the_error_stopped_falling_on_the_finest_grid(rays, after, settled):
-    learning = FieldsLearning(rays, brief_preset(), 0, CPU)
-    whole = learning.steps
-    learning.step = learning.background_steps
-    learning.validation_errors = [0.09, 0.085, 0.08, 0.075, 0.064, *after]  # the finer grid comes with the fifth check
-    assert (learning.steps < whole) == settled
 
 
 def test_a_sphere_without_an_object_is_refused(rays):
@@ -165,38 +224,3 @@ def test_a_sphere_without_an_object_is_refused(rays):
             progress=no_progress,
             checkpoint=NoCheckpoint(),
         )
-
-
-@pytest.mark.parametrize("white", [0.4, 3.0])
-def test_highlights_count_little_but_never_nothing(white):
-    radiance = torch.cat([torch.linspace(0, white, 200), torch.logspace(0, 5, 200)[1:] * white]).double().requires_grad_()
-    mapped = tone_map_without_highlights(radiance, white)
-    torch.testing.assert_close(mapped[:200], tone_map(radiance[:200]))
-    assert (mapped.diff() > 0).all()
-    (slope,) = torch.autograd.grad(mapped.sum(), radiance)
-    relative = slope * radiance.detach()  # what a highlight e times as bright adds
-    torch.testing.assert_close(relative[200:], torch.full_like(relative[200:], HIGHLIGHT))
-    assert float(relative[198]) > 5 * HIGHLIGHT
-    torch.testing.assert_close(tone_map_without_highlights(radiance, math.inf), tone_map(radiance))
-
-
-def test_lamps_count_in_full_where_the_object_does_not_hide_them(rays):
-    learning = FieldsLearning(rays, brief_preset(), 0, CPU)
-    lamp = torch.full((3, 3), 50 * learning.highlight_threshold)
-    nothing = torch.zeros(())
-    out = Rendering(lamp, torch.tensor([0.0, 0.5, 1.0]), torch.ones(3, 1), nothing, nothing, nothing)
-    compared = learning._difference(out, 0.5 * lamp)[:, 0]
-    full, dull = float((tone_map(lamp) - tone_map(0.5 * lamp))[0, 0]), HIGHLIGHT * math.log(2)
-    torch.testing.assert_close(compared, torch.tensor([full, (full + dull) / 2, dull]))
-
-
-@pytest.mark.parametrize("cut", [False, True])
-def test_white_hangs_on_what_is_shown_and_not_on_black_around_it(rays, masked_rays, cut):
-    black = replace(rays, radiance=rays.radiance * (masked_rays.mask > 127)[:, None], mask=masked_rays.mask if cut else None)
-    shown = masked_rays.radiance[(masked_rays.mask > 127) & masked_rays.valid]
-    found = FieldsLearning(black, brief_preset(), 0, CPU).highlight_threshold / preset("preview").fields.highlight_threshold
-    assert found == pytest.approx(float(shown.clamp(min=1e-6).log().mean().exp()), rel=0.15)
-    bright = replace(rays, radiance=1000 * rays.radiance)
-    assert FieldsLearning(bright, brief_preset(), 0, CPU).highlight_threshold == pytest.approx(
-        1000 * FieldsLearning(rays, brief_preset(), 0, CPU).highlight_threshold, rel=1e-3
-    )

@@ -20,7 +20,7 @@ from blender_nep.checkpoints import load_state
 from blender_nep.errors import LearningError
 from blender_nep.fields.non_finite_monitor import PATIENCE, NonFiniteMonitor, usable_gradients, usable_loss
 from blender_nep.fields.optimiser import UniformAdam
-from blender_nep.fields.training import HELD_OUT, FieldsLearning
+from blender_nep.fields.training import FieldsLearning
 
 PLAIN = Case(told="yes", pixels="saturated", suffix=".png")
 
@@ -176,7 +176,7 @@ def test_the_monitor_gives_up_after_many_failures_in_a_row_and_counts_all():
     monitor = NonFiniteMonitor()
     for k in range(3 * PATIENCE):
         assert monitor.record(k % PATIENCE == 0) == (k % PATIENCE == 0)
-    assert monitor.report() == {"steps_not_finite": 3 * (PATIENCE - 1)}
+    assert monitor.left_out == 3 * (PATIENCE - 1)
     copy = NonFiniteMonitor()
     copy.load(monitor.state())
     assert not monitor.record(True) or copy.state() != monitor.state()
@@ -189,7 +189,7 @@ def test_a_gradient_that_is_not_finite_changes_nothing(plain_asset):
     """A finite loss may have a gradient that is not; one such step would stay in Adam's moments for ever."""
     rays = PixelRays.from_capture(load_capture(plain_asset.parent / "capture"), 900, True)
     learning = FieldsLearning(rays, PLAIN.settings(plain_asset, plain_asset).preset, 0, torch.device("cpu"))
-    while learning.step < learning.background_steps + 2:
+    while learning.schedule.learned < 2:
         learning.learn_step()
     parameter = learning.object_field.levels[0]
     hook = parameter.register_hook(lambda gradient: gradient * float("nan"))
@@ -201,13 +201,6 @@ def test_a_gradient_that_is_not_finite_changes_nothing(plain_asset):
     learning.learn_step()
     assert learning.monitor.left_out == 1 and not torch.equal(before[0], parameter)
     assert all(torch.isfinite(p).all() for p in after)
-
-
-def test_a_batch_is_never_empty(plain_asset):
-    rays = PixelRays.from_capture(load_capture(plain_asset.parent / "capture"), 900, True)
-    learning = FieldsLearning(rays, PLAIN.settings(plain_asset, plain_asset).preset, 0, torch.device("cpu"))
-    assert learning._draw(torch.tensor([HELD_OUT]), 4).tolist() == [HELD_OUT] * 4
-    assert HELD_OUT not in learning._draw(torch.tensor([1, HELD_OUT]), 64)
 
 
 def test_gradients_are_usable_only_when_all_are_finite():

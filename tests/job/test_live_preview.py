@@ -84,10 +84,10 @@ def test_previews_keep_to_their_share_of_the_time(rays, capture, tmp_path, monke
         raise LearningError("no surface yet")
 
     monkeypatch.setattr(live_preview, "zero_level", slowly_find_nothing)
-    learning = SimpleNamespace(learned=0, object_field=SimpleNamespace(sdf_grid=lambda _samples: None))
+    learning = SimpleNamespace(fraction=0.0, object_field=SimpleNamespace(sdf_grid=lambda _samples: None))
     for _ in range(300):
         watch(learning)
-        learning.learned = 1
+        learning.fraction = 0.1
         now[0] += 1
     assert written[0] == 10 and np.diff(written).min() >= 1.5 / 0.03
 

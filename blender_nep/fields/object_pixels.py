@@ -1,0 +1,55 @@
+"""Which pixels stage 1 learns from: those in which the object is seen get rays of their own, and some are held out."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+from torch.nn import functional
+
+from blender_nep.capture.pixel_rays import PixelRays
+from blender_nep.capture.pixel_set import GrowingPixelSet, PixelSet
+from blender_nep.fields.object_field import SplineShape
+from blender_nep.profiling import profiled
+
+
+@profiled("object pixels")
+@torch.no_grad()
+def find_object_pixels(rays: PixelRays, shape: SplineShape, band: float, block: int = 4) -> PixelSet:
+    """The valid pixels whose rays come nearer to the surface than `band` (unit lengths), and some around them. Where there
+    are none: all pixels that see the object's sphere.
+
+    One ray in `block` x `block` pixels is tried, and a block is taken if its own ray or one of a neighbour is near.
+    """
+    device = rays.valid.device
+    found = GrowingPixelSet(device)
+    for view, (height, width) in enumerate(rays.size):
+        row = torch.arange(0, height, block, device=device).add(block // 2).clamp(max=height - 1)
+        column = torch.arange(0, width, block, device=device).add(block // 2).clamp(max=width - 1)
+        index = (rays.offset[view] + row[:, None] * width + column).flatten()
+        origins, directions, _ = rays.rays(index)
+        seen = shape.near(origins, directions, band).float().reshape(1, 1, len(row), len(column))
+        seen = functional.max_pool2d(seen, 3, 1, 1)
+        seen = seen[0, 0].repeat_interleave(block, 0)[:height].repeat_interleave(block, 1)[:, :width] > 0
+        valid = rays.valid[rays.offset[view] : rays.offset[view + 1]]
+        found.add(PixelSet.where(seen.flatten() & valid, rays.offset[view]))
+    pixels = found.finished()
+    return pixels if len(pixels) else rays.sphere
+
+
+def held_out(index: Tensor, every: int) -> Tensor:
+    """Whether pixels index [n] are held out, and never learned from [n] bool: every `every`-th of all pixels."""
+    return index % every == 0
+
+
+def held_out_pixels(pixels: PixelSet, every: int, most: int) -> Tensor:
+    """The held-out ones of `pixels` as indices [m], evenly thinned to about `most`."""
+    index = torch.cat([part[held_out(part, every)] for part in pixels.split(1 << 20)])
+    return index[:: max(1, len(index) // most)]
+
+
+@profiled("draw pixels")
+def draw_pixels(pool: PixelSet | Tensor, count: int, every: int, generator: torch.Generator) -> Tensor:
+    """About `count` random pixels [m] of the pool that are not held out; where all that were drawn are held out, these."""
+    index = pool[torch.randint(len(pool), (count,), generator=generator, device=generator.device)]
+    learned = index[~held_out(index, every)]
+    return learned if len(learned) else index

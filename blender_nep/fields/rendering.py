@@ -1,0 +1,181 @@
+"""Rays rendered through both fields: the environment before the object, the object, the environment behind it.
+
+The border between the fields is the unit sphere. A ray that misses it is rendered by F_e alone.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+from torch.nn import functional
+
+from blender_nep.fields.environment_field import EnvironmentField
+from blender_nep.fields.object_field import Appearance, ObjectField
+from blender_nep.fields.volume_rendering import sphere_interval
+from blender_nep.presets import FieldsPreset
+from blender_nep.profiling import profiled, section
+from blender_nep.tone_mapping import tone_map
+
+
+@dataclass(frozen=True)
+class RayBundle:
+    """Rays in the unit frame: origins [n, 3], unit directions [n, 3], half angles [n] of their pixels' cones, radians."""
+
+    origins: Tensor
+    directions: Tensor
+    half_angle: Tensor
+
+    def __len__(self) -> int:
+        return len(self.origins)
+
+    def __getitem__(self, index: Tensor) -> RayBundle:
+        return RayBundle(self.origins[index], self.directions[index], self.half_angle[index])
+
+
+@dataclass(frozen=True)
+class RenderSettings:
+    """What the schedule says of the rendering."""
+
+    sharpness: float
+    """NeuS sharpness, 1 / object radius"""
+    samples: int
+    """Samples a ray in the object"""
+    environment_gradient_scale: float = 1.0
+    """Scale of F_e's gradients from rays that meet the object's sphere"""
+
+
+@dataclass
+class Rendering:
+    """Rays rendered through both fields."""
+
+    radiance: Tensor
+    """[n, 3], linear"""
+    opacity: Tensor
+    """[n], of the object"""
+    weight: Tensor
+    """[n, 1], the paper's w_l: the loss weight, w_s accumulated along the ray"""
+    eikonal: Tensor
+    """Scalar: mean of (|gradient of the SDF| - 1)^2 over all samples"""
+    curvature: Tensor
+    """Scalar: mean of sqrt(|Hessian of the SDF|^2 + 1) over surface points; 0 where its loss has no weight"""
+    foreground_opacity: Tensor
+    """Scalar: mean opacity of F_e between the cameras and the object's sphere"""
+
+
+@dataclass(frozen=True)
+class SphereHits:
+    """Where n rays meet the object's sphere."""
+
+    entry: Tensor
+    """[n] distances along the rays; 0 where they miss"""
+    leave: Tensor
+    """[n] distances along the rays; 0 where they miss"""
+    rays: Tensor
+    """[m] int64: the rays that meet it"""
+
+    @classmethod
+    def of(cls, rays: RayBundle) -> SphereHits:
+        """Of the unit sphere."""
+        entry, leave = sphere_interval(rays.origins, rays.directions)
+        return cls(entry, leave, (leave > entry).nonzero()[:, 0])
+
+
+@dataclass(frozen=True)
+class EnvironmentParts:
+    """What F_e adds to n rays: before the sphere for all of them, and behind it for k of them."""
+
+    front: Tensor
+    """[n, 3] radiance before the sphere; of the whole ray where it misses the sphere"""
+    transmittance: Tensor
+    """[n], up to the sphere"""
+    back: Tensor
+    """[k, 3] radiance behind the sphere"""
+    foreground_opacity: Tensor
+    """Scalar, see Rendering"""
+
+
+def dynamic_weight(appearance: Appearance, kind: str, cap: float, epsilon: float = 1e-3) -> Tensor:
+    """The paper's w_s (eq. 4) [n, 1]: small where the color differs much from the albedo, as in reflections. Detached:
+    otherwise growing |c_o - c_a| would lower the loss.
+
+    kind: `paper`: as printed. `scaled`: the difference in tone-mapped space, relative to the batch's own spread, because as
+    printed the weight leaves its cap only where |c_o - c_a| > 0.816. `none`: 1.
+    cap: the paper's u. epsilon: the paper's, "a small value"; it keeps the fraction finite.
+    """
+    color, albedo = appearance.color.detach(), appearance.albedo.detach()
+    if kind == "none":
+        return torch.ones_like(color[:, :1])
+    if kind == "paper":
+        square = ((color - albedo) ** 2).mean(-1, keepdim=True)
+    else:
+        square = ((tone_map(color) - tone_map(albedo)) ** 2).mean(-1, keepdim=True)
+        square = square / square.mean().clamp(min=1e-6)  # a batch whose colors are all albedos has no spread
+    return (1 / (square + epsilon)).clamp(max=cap)
+
+
+@dataclass(frozen=True)
+class FieldsRenderer:
+    """Renders rays through an object field and the environment field around it."""
+
+    object_field: ObjectField
+    environment: EnvironmentField
+    preset: FieldsPreset
+
+    @profiled("render")
+    def render(self, rays: RayBundle, settings: RenderSettings, generator: torch.Generator | None) -> Rendering:
+        """Rays that may or may not meet the sphere. With a generator samples are jittered, for learning."""
+        p, n, device = self.preset, len(rays), rays.origins.device
+        hits = SphereHits.of(rays)
+        meets = hits.rays
+        shape = self.object_field.shape()
+        surface = shape.render(rays.origins[meets], rays.directions[meets], settings.sharpness, settings.samples, generator)
+        ray = meets[surface.ray]
+        # 1e-6: where the samples' gradients cancel out, there is no normal
+        normal = functional.normalize(surface.gradient, dim=-1, eps=1e-6)
+        with section("appearance"):
+            appearance = self.object_field.appearance(surface.point, normal, rays.directions[ray])
+        opacity = surface.opacity.clamp(max=1)
+        clear = torch.ones(len(meets), device=device).index_add(0, surface.ray, -opacity)
+        behind = (clear.detach() > p.transmittance_limit).nonzero()[:, 0]
+        parts = self._render_environment(rays, hits, meets[behind], settings, generator)
+        inside = torch.zeros(len(meets), 3, device=device)
+        inside = inside.index_add(0, surface.ray, opacity[:, None] * appearance.color)
+        inside = inside.index_add(0, behind, clear[behind, None] * parts.back)
+        radiance = parts.front.index_add(0, meets, parts.transmittance[meets, None] * inside)
+        opacities = torch.zeros(n, device=device).index_add(0, ray, opacity)
+        w_s = dynamic_weight(appearance, p.dynamic_weight if p.decomposition else "none", p.dynamic_weight_cap)
+        weight = torch.ones(n, 1, device=device).index_add(0, ray, opacity.detach()[:, None] * (w_s - 1))
+        nothing = radiance.sum() * 0
+        eikonal = ((surface.sdf_gradient.norm(dim=-1) - 1) ** 2).mean() if len(ray) else nothing
+        with section("curvature"):
+            curvature = (shape.bending(surface.point) + 1).sqrt().mean() if len(ray) and p.curvature > 0 else nothing
+        return Rendering(radiance, opacities, weight, eikonal, curvature, parts.foreground_opacity)
+
+    def _render_environment(
+        self,
+        rays: RayBundle,
+        hits: SphereHits,
+        behind: Tensor,
+        settings: RenderSettings,
+        generator: torch.Generator | None,
+    ) -> EnvironmentParts:
+        """F_e before the sphere for all rays, and behind it for the rays `behind` [k] int64, in one call of the kernel."""
+        n, device = len(rays), rays.origins.device
+        near = torch.full_like(hits.entry, self.environment.preset.camera_near)
+        infinity = torch.full_like(hits.entry, torch.inf)
+        index = torch.cat([torch.arange(n, device=device), behind])
+        part = rays[index]
+        start = torch.cat([near, hits.leave[behind]])
+        end = torch.cat([torch.where(hits.leave > hits.entry, hits.entry, infinity), infinity[behind]])
+        radiance, transmittance = self.environment.render(
+            part.origins, part.directions, start, end, part.half_angle, generator
+        )
+        foreground_opacity = (1 - transmittance[:n][hits.rays]).mean() if len(hits.rays) else radiance.sum() * 0
+        if settings.environment_gradient_scale != 1:
+            # what other pixels show of the surroundings counts more than what would make the object's own error small
+            scale = torch.ones(n, device=device).index_fill(0, hits.rays, settings.environment_gradient_scale)[index]
+            radiance = torch.lerp(radiance.detach(), radiance, scale[:, None])
+            transmittance = torch.lerp(transmittance.detach(), transmittance, scale)
+        return EnvironmentParts(radiance[:n], transmittance[:n], radiance[n:], foreground_opacity)

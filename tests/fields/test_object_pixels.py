@@ -1,0 +1,50 @@
+"""Which pixels stage 1 learns from, and which it is tested on."""
+
+import pytest
+import torch
+
+from blender_nep.capture import PixelRays, load_capture
+from blender_nep.capture.pixel_set import PixelSet
+from blender_nep.fields.object_field import ObjectField
+from blender_nep.fields.object_pixels import draw_pixels, find_object_pixels, held_out_pixels
+from support.paths import SUZANNE_SMALL
+
+
+@pytest.fixture(scope="module")
+def rays():
+    return PixelRays.from_capture(load_capture(SUZANNE_SMALL), 10_000, False)
+
+
+def test_the_object_is_found_in_the_pixels_that_show_it(rays):
+    radius = 0.6
+    pixels = find_object_pixels(rays, ObjectField(64, radius).shape(), 0.06)
+    shown = torch.cat([rays.sphere.tensor(), rays.outside.tensor()])
+    origins, directions, _ = rays.rays(shown)
+    off_axis = torch.linalg.cross(origins, directions).norm(dim=-1)
+    found = torch.zeros(rays.count, dtype=torch.bool)
+    found[pixels.tensor()] = True
+    found = found[shown]
+    assert found[off_axis < radius].all() and not found[off_axis > radius + 0.45].any()
+
+
+def test_an_object_that_is_nowhere_may_be_anywhere_in_its_sphere(rays):
+    class Nothing:
+        def near(self, origins, directions, band):
+            return torch.zeros(len(origins), dtype=torch.bool)
+
+    assert find_object_pixels(rays, Nothing(), 0.06) is rays.sphere
+
+
+def test_held_out_pixels_are_thinned_evenly():
+    pixels = PixelSet.where(torch.ones(10_000, dtype=torch.bool))
+    assert torch.equal(held_out_pixels(pixels, 101, 1000), torch.arange(0, 10_000, 101))
+    thinned = held_out_pixels(pixels, 101, 10)
+    assert len(thinned) == 10 and (thinned.diff() == 10 * 101).all()
+
+
+def test_held_out_pixels_are_never_drawn_unless_there_are_no_others():
+    generator = torch.Generator().manual_seed(0)
+    drawn = draw_pixels(PixelSet.where(torch.ones(500, dtype=torch.bool)), 4000, 101, generator)
+    assert sorted(set(range(500)) - set(drawn.tolist())) == [0, 101, 202, 303, 404]
+    assert draw_pixels(torch.tensor([101]), 4, 101, generator).tolist() == [101] * 4, "a batch is never empty"
+    assert set(draw_pixels(torch.tensor([1, 101]), 64, 101, generator).tolist()) == {1}
