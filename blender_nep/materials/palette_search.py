@@ -31,7 +31,7 @@ _SHADES = 2.5
 
 
 class PaletteSearch:
-    """The palette, and the material of every sample in it."""
+    """The palette, and the material of every sample in it: in the beginning one material for all samples."""
 
     def __init__(self, samples: PhotoSamples, light: IncomingLight, preset: MaterialPreset, device: torch.device) -> None:
         self.samples, self.light, self.preset, self.device = samples, light, preset, device
@@ -40,14 +40,14 @@ class PaletteSearch:
         """[n] into the palette"""
         self.weight = 0.05 + light.coverage[:, : len(preset.roughness_levels) // 2].mean(1)
         """[n] how much a sample counts: until all light is known, by how much of its own is"""
-        self.palette: Palette
         self.merged = 0
         """Shades that the last merge has made one with others"""
         self._tree = cKDTree(samples.position)
         self._around = neighbours(self._tree, samples.position, 2 * NEIGHBOURS)
+        self.palette = self._fit(self.label, 1)
 
     def fit_one(self) -> None:
-        """One material for all samples."""
+        """One material for all samples, under the present light."""
         self.palette = self._fit(self.label, 1)
 
     def metallic_swapped(self) -> Palette:

@@ -143,7 +143,7 @@ class UnseenLightProblem:
         material = palette.at(self.label)
         moments = light.moments(material.roughness, samples, unseen=False)
         offset, slope = affine_in_albedo(material, moments, light.known_diffuse[samples], light.cos_v[samples])
-        response = torch.stack(light.open_lines(self.cones, samples, material), 1).float().cpu().numpy()
+        response = torch.stack(light.open_response(self.cones, samples, material), 1).float().cpu().numpy()
         raw = start.radiance.clamp_min(_GLIMMER).log().requires_grad_()
         logit = torch.logit(palette.albedo.clamp(0.01, 0.99)).requires_grad_()
         optimiser = torch.optim.Adam([{"params": [raw], "lr": _RATE}, {"params": [logit], "lr": _ALBEDO_RATE}])

@@ -73,11 +73,12 @@ def _march(raw, rays, medium, radiance, transmittance, kept, records, keep):
             k = min(int(k_real), shells - 2)
             j, c, fj, fc = angular_cell(ox + t * dx, oy + t * dy, oz + t * dz, rows, columns)
             fk = k_real - k
+            shell_weights = 1.0 - fk, fk
             corners, weights = cell_columns(j, c, rows, columns), bilinear_weights(fj, fc)
             slope = 0.0
             alpha = 1.0
             if not closing:
-                value = trilinear(raw, k, fk, corners, weights, 0)
+                value = trilinear(raw, k, shell_weights, corners, weights, 0)
                 q = math.exp(-abs(value))
                 density = density_gain * (max(value, 0.0) + math.log1p(q))
                 depth = density * step
@@ -88,7 +89,7 @@ def _march(raw, rays, medium, radiance, transmittance, kept, records, keep):
             weight = passed * alpha
             m = first + count
             for channel in range(3):
-                value = trilinear(raw, k, fk, corners, weights, channel + 1)
+                value = trilinear(raw, k, shell_weights, corners, weights, channel + 1)
                 color = math.exp(min(max(value, -COLOR_LIMIT), COLOR_LIMIT))
                 if channel == 0:
                     red += weight * color

@@ -81,6 +81,7 @@ def bilinear(grid, k, corners, weights, channel):
 
 
 @njit(cache=True, inline="always", fastmath=True, error_model="numpy")
-def trilinear(grid, k, fk, corners, weights, channel):
-    """The same between shell k and shell k + 1, at the fraction fk in [0, 1] of the way."""
-    return (1.0 - fk) * bilinear(grid, k, corners, weights, channel) + fk * bilinear(grid, k + 1, corners, weights, channel)
+def trilinear(grid, k, shell_weights, corners, weights, channel):
+    """The same between shell k and shell k + 1, whose two weights add up to 1."""
+    inner, outer = shell_weights
+    return inner * bilinear(grid, k, corners, weights, channel) + outer * bilinear(grid, k + 1, corners, weights, channel)

@@ -7,7 +7,7 @@ import trimesh
 
 from blender_nep.geometry.ray_tracing import RayTracer
 from blender_nep.shading.incoming_light import IncomingLight
-from blender_nep.shading.plenoptic import Material, PlenopticFunction, TerminalRadiance, reflected
+from blender_nep.shading.plenoptic import Material, PlenopticFunction, PlenopticSettings, TerminalRadiance, reflected
 
 
 class UniformLight:
@@ -46,11 +46,8 @@ def scene(two_balls, levels, coverage=1.0, diffuse=8):
         normals,
         UniformLight(coverage),
         UniformTerminal(),
-        levels=levels,
-        diffuse=diffuse,
-        specular=4,
-        use_cones=True,
-        device="cpu",
+        PlenopticSettings(levels=levels, diffuse=diffuse, specular=4, use_cones=True),
+        "cpu",
     )
     rng = np.random.default_rng(0)
     face = rng.integers(0, len(faces), 600)
@@ -72,7 +69,7 @@ def test_without_indirect_light_what_the_object_sees_of_itself_is_black(two_ball
     f_p, points = scene(two_balls, 0)
     light = IncomingLight.gathered(f_p, points, (0.1, 0.5, 1.0), 32, torch.Generator().manual_seed(3), lambda _: None)
     light.update(white(1.0), torch.Generator())
-    assert len(light.hit_index) > 0
+    assert len(light.traced.hit_index) > 0
     assert 0.5 < light.diffuse.mean().item() < 0.99
 
 
