@@ -39,14 +39,14 @@ def two_balls():
     return np.asarray(mesh.vertices), np.asarray(mesh.faces), np.asarray(mesh.vertex_normals)
 
 
-def scene(two_balls, levels, coverage=1.0, diffuse=8):
+def scene(two_balls, levels, coverage=1.0, diffuse=8, use_cones=True):
     vertices, faces, normals = two_balls
     f_p = PlenopticFunction(
         RayTracer(vertices, faces),
         normals,
         UniformLight(coverage),
         UniformTerminal(),
-        PlenopticSettings(levels=levels, diffuse=diffuse, specular=4, use_cones=True),
+        PlenopticSettings(levels=levels, diffuse=diffuse, specular=4, use_cones=use_cones),
         "cpu",
     )
     rng = np.random.default_rng(0)
@@ -55,6 +55,20 @@ def scene(two_balls, levels, coverage=1.0, diffuse=8):
     tilt = 0.3 * torch.randn(600, 3, generator=torch.Generator().manual_seed(1))
     view = torch.nn.functional.normalize(torch.from_numpy(f_p.tracer.face_normals[face]) + tilt, dim=-1)
     return f_p, f_p.points(face, barycentric, view)
+
+
+class RecordingLight(UniformLight):
+    def query_cone(self, origins, directions, half_angle):
+        self.widest = float(half_angle.max())
+        return super().query_cone(origins, directions, half_angle)
+
+
+@pytest.mark.parametrize("use_cones", [True, False])
+def test_without_cones_the_environment_is_asked_for_rays_only(two_balls, use_cones):
+    f_p, points = scene(two_balls, 1, use_cones=use_cones)
+    f_p.environment = RecordingLight()
+    f_p.outgoing(points, white(0.0), 1, torch.Generator().manual_seed(2))
+    assert (f_p.environment.widest > 0.1) == use_cones and (f_p.environment.widest < 0.01) != use_cones
 
 
 @pytest.mark.parametrize("levels", [1, 2])
