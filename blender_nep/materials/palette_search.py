@@ -52,16 +52,19 @@ class PaletteSearch:
 
     def metallic_swapped(self) -> Palette:
         """Each material of the palette as it would be if it were metal instead of a dielectric, or the reverse."""
-        p, opposite = self.preset, self.palette
+        p, swapped = self.preset, self.palette
         cost, albedo = self._scan(self.label, len(self.palette))
         for i, metallic in enumerate(p.metallic):
             found = best_of(cost[i : i + 1], albedo[i : i + 1], p.least_roughness, (metallic,), 0.0)
             for k in (self.palette.metallic != metallic).nonzero().squeeze(-1).tolist():
-                opposite = opposite.with_one(k, found)
-        return opposite
+                swapped = swapped.with_one(k, found)
+        return swapped
 
-    def grow(self, beat: Callable[[], None]) -> None:
-        """Candidates from small regions of the surface; greedy choice; then every sample takes its best."""
+    def grow(self, after_choice: Callable[[], None]) -> None:
+        """Candidates from small regions of the surface; greedy choice; then every sample takes its best.
+
+        after_choice() is called when the materials are chosen.
+        """
         p = self.preset
         if p.most_materials == 1:
             return
@@ -76,7 +79,7 @@ class PaletteSearch:
         candidates = self.palette.joined(regional.pick(large.tolist()))
         cost = torch.stack([self._by_group(self._error(candidates, k), group, groups) for k in range(len(candidates))])
         chosen = choose(cost / size.clamp_min(1e-9), size, p.most_materials, p.gain)
-        beat()
+        after_choice()
         self.palette = candidates.pick(chosen)
         self.assign()
         # A material that hardly any sample takes is an artefact of a badly lit corner.

@@ -97,10 +97,10 @@ class _MaterialLearner:
         """One material is fitted for all samples; the rest is `run`'s."""
         self.seen, self.light, self.preset, self.seed = seen, light, preset, seed
         self.generator, self.report, self.progress = generator, report, progress
-        self.sure_of: Tensor | None = None
+        self.known_metallic: Tensor | None = None
         """[K] metallic of the palette's materials, where the photos have told it clearly"""
-        self.asking = 0.0
-        """Seconds that it took to ask, the last time"""
+        self.trial_seconds = 0.0
+        """Seconds that it took the last time to try every material as metal or as a dielectric"""
         if preset.residual and float(light.coverage.mean()) < _NO_LIGHT:
             self._begin_with_grey_light()
         self.search = PaletteSearch(seen.samples, light, preset, seen.device)
@@ -155,9 +155,9 @@ class _MaterialLearner:
         """The palette's materials the other way round (metal or not); None where it is known what they are."""
         if len(self.preset.metallic) == 1:
             return None
-        if self.sure_of is not None and torch.equal(self.sure_of, self.search.palette.metallic):
+        if self.known_metallic is not None and torch.equal(self.known_metallic, self.search.palette.metallic):
             before = self.report.seconds_saved.get(_ASKING, 0.0)
-            self._skip(_ASKING, "the photos have told it clearly", before + self.asking)
+            self._skip(_ASKING, "the photos have told it clearly", before + self.trial_seconds)
             return None
         return self.search.metallic_swapped()
 
@@ -205,8 +205,8 @@ class _MaterialLearner:
         )
         if margins:
             self.report.metal_or_not_margin = round(min(margins), 4)
-            self.sure_of = search.palette.metallic if min(margins) >= p.sure_margin else None
-            self.asking = scan + trials[len(margins)] - trials[0]
+            self.known_metallic = search.palette.metallic if min(margins) >= p.sure_margin else None
+            self.trial_seconds = scan + trials[len(margins)] - trials[0]
         self.seen.f_p.unseen = light.unseen
         light.add_unseen()
         self._residual()

@@ -25,7 +25,7 @@ from blender_nep.shading.plenoptic import (
     affine_in_albedo,
     moment_weights,
 )
-from blender_nep.shading.unseen_light import OpenCones, UnseenLight
+from blender_nep.shading.unseen_light import UncoveredCones, UnseenLight
 
 _FULL, _EDGE, _DIELECTRIC = range(3)
 
@@ -51,7 +51,7 @@ class TracedLight:
     """[h, 1 + R, 3] weights of these cones in the diffuse lobe (thrice the same), and in the moments of each level"""
     hits: SurfacePoints
     """[h] where they met it"""
-    open: OpenCones
+    uncovered: UncoveredCones
     """The cones that left the object towards where photos did not look well"""
     rays: int
     """Cones traced"""
@@ -68,7 +68,7 @@ class TracedLight:
         }
         own = {name: getattr(self, name) for name in self._TENSORS}
         direct = {"direct_specular": self.specular, "direct_diffuse": self.diffuse}
-        return {"rays": self.rays, "hits": hits, "open": vars(self.open), **direct, **own}
+        return {"rays": self.rays, "hits": hits, "uncovered": vars(self.uncovered), **direct, **own}
 
     @classmethod
     def joined(cls, parts: Sequence[TracedLight]) -> TracedLight:
@@ -82,7 +82,7 @@ class TracedLight:
             diffuse=cat("diffuse"),
             **{name: cat(name) for name in cls._TENSORS},
             hits=SurfacePoints.joined([part.hits for part in parts]),
-            open=OpenCones.joined([part.open for part in parts]),
+            uncovered=UncoveredCones.joined([part.uncovered for part in parts]),
             rays=sum(part.rays for part in parts),
         )
 
@@ -97,7 +97,7 @@ class TracedLight:
             hits=SurfacePoints(
                 hits["position"].to(device), hits["face"].cpu().numpy(), hits["normal"].to(device), hits["view"].to(device)
             ),
-            open=OpenCones(**{name: value.to(device) for name, value in state["open"].items()}),
+            uncovered=UncoveredCones(**{name: value.to(device) for name, value in state["uncovered"].items()}),
             rays=state["rays"],
         )
 
@@ -169,7 +169,7 @@ class IncomingLight:
         if self.unseen is None:
             return
         self.specular, self.diffuse = specular, diffuse = self.known_specular.clone(), self.known_diffuse.clone()
-        far = self.traced.open
+        far = self.traced.uncovered
         for part in torch.arange(len(far), device=diffuse.device).split(1 << 16):
             cones = far[part]
             light = self.unseen(self.points.position[cones.row], cones.direction, cones.half_angle) * cones.share[:, None]
@@ -178,18 +178,18 @@ class IncomingLight:
             share = cones.weight[:, 1:, None, None] * terms[:, None, :, None] * light[:, None, None, :]
             specular.index_add_(0, cones.row, share)
 
-    def open_cones(self, rows: Tensor) -> OpenCones:
+    def uncovered_cones(self, rows: Tensor) -> UncoveredCones:
         """Those of some samples [m], renumbered 0..m-1."""
         place = torch.full((len(self.points),), -1, device=rows.device)
         place[rows] = torch.arange(len(rows), device=rows.device)
-        cones = self.traced.open
+        cones = self.traced.uncovered
         cones = cones[(place[cones.row] >= 0).nonzero().squeeze(-1)]
         cones.row = place[cones.row]
         return cones
 
-    def open_response(self, cones: OpenCones, rows: Tensor, material: Material) -> tuple[Tensor, Tensor]:
-        """What samples `rows` [m], of the materials [m], send to their eyes for a radiance of 1 in one of their open cones
-        [k]: offset and slope [k,3] of `affine_in_albedo`."""
+    def uncovered_response(self, cones: UncoveredCones, rows: Tensor, material: Material) -> tuple[Tensor, Tensor]:
+        """What samples `rows` [m], of the materials [m], send to their eyes for a radiance of 1 in one of their uncovered
+        cones [k]: offset and slope [k,3] of `affine_in_albedo`."""
         each, row = torch.arange(len(cones), device=rows.device), cones.row
         own = Material(material.albedo[row], material.roughness[row], material.metallic[row])
         low, mix = self.roughness_interval(own.roughness)
@@ -253,7 +253,7 @@ def _trace(
         hit_index=first + each[traced.row],
         hit_weight=weight[traced.row],
         hits=traced.hits,
-        open=OpenCones(
+        uncovered=UncoveredCones(
             first + each[far], direction[far], angle[far], 1 - traced.coverage[far], weight[far, :, _FULL], terms
         ),
         rays=len(live),
