@@ -34,7 +34,7 @@ from benchmarks.scoring.geometry import load_test_views
 from benchmarks.scoring.materials import score
 from benchmarks.suite.harness import markdown, resumed, use_threads
 from blender_nep.capture import PixelRays, load_capture
-from blender_nep.capture.photo_files import linear_to_srgb
+from blender_nep.color import linear_to_srgb
 from blender_nep.errors import LearningError
 from blender_nep.materials.training import Materials
 from blender_nep.presets import preset

@@ -12,7 +12,7 @@ from PIL import Image
 from benchmarks.scoring.geometry import Body, camera_rays, true_mesh
 from blender_nep.asset.export import TEXTURES
 from blender_nep.capture.capture import Capture
-from blender_nep.capture.photo_files import linear_to_srgb
+from blender_nep.color import linear_to_srgb
 from blender_nep.geometry.mesh import Surface
 from blender_nep.geometry.uv_raster import look_up
 from blender_nep.materials.training import Materials

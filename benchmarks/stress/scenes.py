@@ -16,7 +16,7 @@ import numpy as np
 import OpenEXR
 from PIL import Image
 
-from blender_nep.capture.photo_files import linear_to_srgb
+from blender_nep.color import linear_to_srgb
 from blender_nep.job.runner import Settings
 from blender_nep.presets import PRESETS, EnvironmentPreset, FieldsPreset, MaterialPreset, Preset, SurfacePreset
 

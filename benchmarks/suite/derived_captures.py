@@ -15,7 +15,7 @@ import OpenEXR
 from PIL import Image
 
 from blender_nep.capture import load_capture
-from blender_nep.capture.photo_files import linear_to_srgb
+from blender_nep.color import linear_to_srgb
 
 _SMALLER = 4
 """The photos of `distant` have as many times fewer pixels a side."""

@@ -21,7 +21,7 @@ from PIL import Image
 
 from blender_nep.asset.preview import render_preview
 from blender_nep.capture import Capture, PixelRays
-from blender_nep.capture.photo_files import linear_to_srgb
+from blender_nep.color import linear_to_srgb, to_bytes
 from blender_nep.files import jsonable, output_errors
 from blender_nep.profiling import section
 
@@ -50,7 +50,7 @@ def write_asset(
 ) -> None:
     """Write the asset of a capture into `folder`. Raises OutputError.
 
-    `surface` and `materials` are those of surface.py and material_learning.py; `light` is EnvironmentField.equirect's
+    `surface` is a geometry.mesh.Surface, `materials` a materials.training.Materials; `light` is EnvironmentField.equirect's
     (radiance [H, 2H, 3], coverage [H, 2H]); `report` is called last, when everything else is on the disk.
     """
     radiance = torch.as_tensor(light[0]).detach().float().cpu().numpy()
@@ -109,11 +109,6 @@ def write_png(path: Path, pixels: np.ndarray, *, srgb: bool) -> None:
     """8-bit PNG of linear values in [0, 1]; `srgb`: encoded for the eye, else linear data."""
     values = linear_to_srgb(pixels) if srgb else np.clip(pixels, 0, 1)
     Image.fromarray(to_bytes(values)).save(path)
-
-
-def to_bytes(values: np.ndarray) -> np.ndarray:
-    """[0, 1] to 0..255, rounded."""
-    return np.round(255 * np.clip(np.nan_to_num(values), 0, 1)).astype(np.uint8)
 
 
 def write_obj(path: Path, mesh: TexturedMesh) -> None:

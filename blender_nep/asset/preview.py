@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import torch
 
-from blender_nep.capture.photo_files import linear_to_srgb
+from blender_nep.color import linear_to_srgb, to_bytes
 from blender_nep.geometry.ray_tracing import RayTracer
 from blender_nep.geometry.uv_raster import look_up
 
@@ -40,7 +40,7 @@ def render_preview(rays: PixelRays, surface, textures: dict[str, np.ndarray], li
         picture[hit] = shade(normal, -directions[hit], {k: look_up(t, uv) for k, t in textures.items()}, lamps)
     shape = (*rays.size[view], 3)
     pair = np.concatenate([photo.reshape(shape), picture.reshape(shape)], 1) * exposure(photo)
-    return np.round(255 * linear_to_srgb(pair)).astype(np.uint8)
+    return to_bytes(linear_to_srgb(pair))
 
 
 def exposure(photo: np.ndarray) -> float:

@@ -14,20 +14,10 @@ import OpenEXR
 from PIL import Image
 
 from blender_nep.capture import png16
+from blender_nep.color import srgb_to_linear
 from blender_nep.errors import CaptureError
 
 SUFFIXES = (".exr", ".png", ".jpg", ".jpeg")
-
-
-def srgb_to_linear(x: np.ndarray) -> np.ndarray:
-    """sRGB-encoded values in [0, 1] to linear (IEC 61966-2-1)."""
-    return np.where(x <= 0.04045, x / 12.92, ((np.maximum(x, 0.04045) + 0.055) / 1.055) ** 2.4).astype(np.float32)
-
-
-def linear_to_srgb(x: np.ndarray) -> np.ndarray:
-    """Linear values to sRGB-encoded ones, both clipped to [0, 1] (IEC 61966-2-1)."""
-    x = np.clip(x, 0.0, 1.0)
-    return np.where(x <= 0.0031308, 12.92 * x, 1.055 * np.maximum(x, 0.0031308) ** (1 / 2.4) - 0.055).astype(np.float32)
 
 
 _SRGB_8 = srgb_to_linear(np.arange(256) / 255.0)

@@ -34,6 +34,27 @@ _DECODED_PIXELS = 50_000_000
 """Of the photos that are decoded at the same time; a photo that is larger is decoded alone."""
 
 
+_PIXEL_WIDTH = 1.77
+"""sqrt(pi): width of a square over the radius of the disc with the same area."""
+_FOOTPRINT_PIXELS = 1000
+
+
+def pixel_width(half_angle):
+    """Angle across a pixel, radians, from the half angle of its cone (array or tensor [...]).
+
+    The cone has the pixel's solid angle Omega. For a pixel as narrow as a camera's, Omega = pi half_angle^2 for the cone and
+    width^2 for the square pixel, so that width = sqrt(pi) half_angle.
+    """
+    return _PIXEL_WIDTH * half_angle
+
+
+def pixel_footprint(rays: PixelRays, most: int = _FOOTPRINT_PIXELS) -> float:
+    """Median width of a pixel at the object's distance, unit frame, over about `most` pixels whose rays meet the sphere."""
+    some = rays.sphere[:: max(1, len(rays.sphere) // most)]
+    origin, _, half_angle = rays.rays(some)
+    return float((pixel_width(half_angle) * origin.norm(dim=-1)).median())
+
+
 @dataclass
 class PixelRays:
     """Pixels of all views, flat: view v owns offset[v]:offset[v + 1], row by row."""

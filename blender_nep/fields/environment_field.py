@@ -20,7 +20,8 @@ from torch import nn
 from blender_nep.fields.environment_grid import resample
 from blender_nep.fields.environment_prefilter import PrefilteredEnvironment
 from blender_nep.ops.environment_cones import accumulate_coverage
-from blender_nep.ops.environment_rendering import render_environment
+from blender_nep.ops.environment_rendering import EnvironmentVolume, render_environment
+from blender_nep.ops.environment_segments import RaySegments
 from blender_nep.ops.environment_smoothness import total_variation
 from blender_nep.presets import EnvironmentPreset
 from blender_nep.profiling import profiled
@@ -106,20 +107,15 @@ class EnvironmentField(nn.Module):
             origins = torch.zeros_like(origins)
             t_near = torch.full_like(t_near, self.preset.outer_radius)
             t_far = torch.where(torch.isinf(t_far), t_far, t_near)
-        return render_environment(
-            self.raw,
-            origins,
-            directions,
-            t_near,
-            t_far,
+        volume = EnvironmentVolume(
             outer_radius=self.preset.outer_radius,
-            relative_step=self.relative_step,
             density_gain=self.preset.density_gain,
-            jitter=jitter,
+            relative_step=self.relative_step,
             gradient_near=self.preset.gradient_near if generator is not None else 0.0,
             transmittance_limit=self.preset.transmittance_limit,
             depth_limit=self.preset.depth_limit,
         )
+        return render_environment(self.raw, RaySegments(origins, directions, t_near, t_far), volume, jitter=jitter)
 
     @profiled("F_e priors")
     def regularise(self, generator: torch.Generator | None = None) -> float:

@@ -17,7 +17,7 @@ import torch
 from PIL import Image
 
 from blender_nep.asset.preview import best_view, exposure
-from blender_nep.capture.photo_files import linear_to_srgb
+from blender_nep.color import linear_to_srgb
 from blender_nep.errors import LearningError, NepError
 from blender_nep.files import output_errors, write_atomically
 from blender_nep.geometry.ray_tracing import RayTracer

@@ -12,7 +12,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from blender_nep.ops.material_fit import fit_lines
+from blender_nep.ops.material_fit import FitHypotheses, FitRoughness, FitSamples, fit_albedos
 from blender_nep.profiling import profiled
 from blender_nep.shading import brdf
 from blender_nep.tone_mapping import tone_map
@@ -56,26 +56,25 @@ def fit_groups(
     ends = torch.bincount(group[member], minlength=groups).cumsum(0)
     cos_v, r = light.cos_v[member][:, None], scan[None]
     single = brdf.specular_albedo(cos_v, r)
-    samples = (
-        light.specular[member],
-        light.diffuse[member],
-        target[member],
-        tone_map(target[member]),
-        weight[member],
-        (1 - single) / single,
-        brdf.multiscatter_scale(brdf.DIELECTRIC_FSS, cos_v, r),
-        1 - brdf.dielectric_albedo(cos_v, r),
+    samples = FitSamples(
+        specular=light.specular[member],
+        diffuse=light.diffuse[member],
+        goal=target[member],
+        tone_goal=tone_map(target[member]),
+        weight=weight[member],
+        ratio=(1 - single) / single,
+        specular_scale=brdf.multiscatter_scale(brdf.DIELECTRIC_FSS, cos_v, r),
+        diffuse_scale=1 - brdf.dielectric_albedo(cos_v, r),
     )
-    low, mix = light.roughness_interval(scan)
+    roughness = FitRoughness(*light.roughness_interval(scan), brdf.average_specular_albedo(scan))
     limits = [1.0 if metallic > 0.5 else most_diffuse for metallic in hypotheses]
     cost = np.zeros((len(hypotheses), len(scan), groups), np.float32)
     albedo = np.zeros((*cost.shape, 3), np.float32)
-    fit_lines(
+    fit_albedos(
         np.concatenate([[0], ends.cpu().numpy()]),
-        *(x.float().cpu().contiguous().numpy() for x in samples),
-        *(x.cpu().numpy() for x in (low, mix, brdf.average_specular_albedo(scan))),
-        np.array(hypotheses, np.float32),
-        np.array(limits, np.float32),
+        FitSamples(*(x.float().cpu().contiguous().numpy() for x in samples)),
+        FitRoughness(*(x.cpu().numpy() for x in roughness)),
+        FitHypotheses(np.array(hypotheses, np.float32), np.array(limits, np.float32)),
         clip,
         _ITERATIONS,
         cost,

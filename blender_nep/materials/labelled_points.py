@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from blender_nep.materials.photo_samples import PhotoSamples
 
 _CANDIDATES = 3
-"""Pixels looked at for each voter: nearly all that show the surface vote, so there is little to choose."""
+"""Pixels looked at for each label pixel: nearly all that show the surface become one, so there is little to choose."""
 
 
 def labelled_samples(search: PaletteSearch) -> LabelledPoints:

@@ -1,4 +1,4 @@
-"""How few materials explain the photos: they are chosen one after another from what was fitted (`material_fits`), as long as
+"""How few materials explain the photos: they are chosen one after another from what was fitted (`fitting`), as long as
 a further one explains enough more."""
 
 from __future__ import annotations

@@ -31,7 +31,7 @@ _SHADES = 2.5
 
 
 class PaletteSearch:
-    """The palette, and the material of every sample in it."""
+    """The palette, and the material of every sample in it: in the beginning one material for all samples."""
 
     def __init__(self, samples: PhotoSamples, light: IncomingLight, preset: MaterialPreset, device: torch.device) -> None:
         self.samples, self.light, self.preset, self.device = samples, light, preset, device
@@ -40,28 +40,31 @@ class PaletteSearch:
         """[n] into the palette"""
         self.weight = 0.05 + light.coverage[:, : len(preset.roughness_levels) // 2].mean(1)
         """[n] how much a sample counts: until all light is known, by how much of its own is"""
-        self.palette: Palette
         self.merged = 0
         """Shades that the last merge has made one with others"""
         self._tree = cKDTree(samples.position)
         self._around = neighbours(self._tree, samples.position, 2 * NEIGHBOURS)
+        self.palette = self._fit(self.label, 1)
 
     def fit_one(self) -> None:
-        """One material for all samples."""
+        """One material for all samples, under the present light."""
         self.palette = self._fit(self.label, 1)
 
     def metallic_swapped(self) -> Palette:
         """Each material of the palette as it would be if it were metal instead of a dielectric, or the reverse."""
-        p, opposite = self.preset, self.palette
+        p, swapped = self.preset, self.palette
         cost, albedo = self._scan(self.label, len(self.palette))
         for i, metallic in enumerate(p.metallic):
             found = best_of(cost[i : i + 1], albedo[i : i + 1], p.least_roughness, (metallic,), 0.0)
             for k in (self.palette.metallic != metallic).nonzero().squeeze(-1).tolist():
-                opposite = opposite.with_one(k, found)
-        return opposite
+                swapped = swapped.with_one(k, found)
+        return swapped
 
-    def grow(self, beat: Callable[[], None]) -> None:
-        """Candidates from small regions of the surface; greedy choice; then every sample takes its best."""
+    def grow(self, after_choice: Callable[[], None]) -> None:
+        """Candidates from small regions of the surface; greedy choice; then every sample takes its best.
+
+        after_choice() is called when the materials are chosen.
+        """
         p = self.preset
         if p.most_materials == 1:
             return
@@ -76,7 +79,7 @@ class PaletteSearch:
         candidates = self.palette.joined(regional.pick(large.tolist()))
         cost = torch.stack([self._by_group(self._error(candidates, k), group, groups) for k in range(len(candidates))])
         chosen = choose(cost / size.clamp_min(1e-9), size, p.most_materials, p.gain)
-        beat()
+        after_choice()
         self.palette = candidates.pick(chosen)
         self.assign()
         # A material that hardly any sample takes is an artefact of a badly lit corner.

@@ -9,7 +9,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from blender_nep.capture.pixel_rays import BRIGHTEST_CLIPPED, SATURATED
+from blender_nep.capture.pixel_rays import BRIGHTEST_CLIPPED, SATURATED, pixel_width
 from blender_nep.errors import LearningError
 from blender_nep.geometry.ray_tracing import RayTracer
 from blender_nep.profiling import profiled
@@ -119,7 +119,7 @@ def _edges(
     side = np.cross(d[rows], np.where(np.abs(d[rows, 2:]) < 0.9, [[0, 0, 1.0]], [[1.0, 0, 0]]))
     side /= np.linalg.norm(side, axis=1, keepdims=True)
     up = np.cross(side, d[rows])
-    reach = _EDGE_PIXELS * 1.77 * angle[rows, None]  # a pixel is as wide as 1.77 half-angles of its cone
+    reach = _EDGE_PIXELS * pixel_width(angle[rows, None])
     for step in (side, -side, up, -up):
         neighbour = d[rows] + reach * step
         neighbour /= np.linalg.norm(neighbour, axis=1, keepdims=True)

@@ -1,7 +1,7 @@
 """Stage 2: albedo, roughness and metallic of the surface from the photos, by the rendering equation over the mesh.
 
-The mesh and F_e stand still, so primary hits, visibility and prefiltered light are computed once (`IncomingLight`). Then
-one material is fitted for all, more are added while they explain clearly more (`material_palette`), and what the object
+The mesh and F_e stand still, so primary hits, visibility and prefiltered light are computed once (`light_gathering`). Then
+one material is fitted for all, more are added while they explain clearly more (`palette_search`), and what the object
 reflects of itself is brought up to date in between.
 """
 
@@ -18,17 +18,15 @@ from torch import Tensor
 
 from blender_nep.errors import LearningError
 from blender_nep.geometry.mesh import Surface
-from blender_nep.geometry.ray_tracing import RayTracer
 from blender_nep.materials.baking import LabelledPoints, bake, texture_size
 from blender_nep.materials.labelled_points import error_of_neighbours, labelled_pixels, labelled_samples, surfels
+from blender_nep.materials.light_gathering import Observations, gathered_light
 from blender_nep.materials.palette import Palette
 from blender_nep.materials.palette_search import PaletteSearch
-from blender_nep.materials.photo_samples import PhotoSamples, select_samples
+from blender_nep.materials.training_report import MaterialReport, TrainingProgress
 from blender_nep.materials.unseen_light_training import learn_unseen_light
 from blender_nep.messages import Message, Part
-from blender_nep.profiling import profiled
 from blender_nep.shading.incoming_light import IncomingLight
-from blender_nep.shading.plenoptic import PlenopticFunction, TerminalRadiance
 from blender_nep.shading.unseen_light import UnseenLight
 
 if TYPE_CHECKING:
@@ -73,55 +71,67 @@ def learn_materials(
 
     A resumed run goes on from the gathered light where that was saved, and ends with the same textures.
     """
-    device = torch.device(device)
-    learner = _MaterialLearner(surface, environment, rays, preset, seed, device, progress, checkpoint)
-    return learner.run()
+    device, start = torch.device(device), time.monotonic()
+    generator = torch.Generator().manual_seed(seed)
+    seen = Observations.of(surface, environment, rays, preset, seed, device)
+    report = MaterialReport(samples=len(seen.samples), left_out=seen.samples.skipped)
+    steps = TrainingProgress(progress, checkpoint, report.seconds, start)
+    steps.phase_ended("select")
+    light = gathered_light(seen, preset, generator, steps)
+    return _MaterialLearner(seen, light, preset, seed, generator, report, steps).run()
 
 
 class _MaterialLearner:
-    def __init__(self, surface, environment, rays, preset, seed, device, progress, checkpoint):
-        self.surface, self.preset, self.device, self.rays, self.seed = surface, preset, device, rays, seed
-        self.progress, self.checkpoint = progress, checkpoint
-        self.generator = torch.Generator().manual_seed(seed)
-        self.steps, self.done, self.loss, self.start = 100, 0, float("nan"), time.monotonic()
-        self.state: dict = {}
-        self.sure_of: Tensor | None = None
+    """The palette under the light that is known so far, and the light that is found by it, in turns."""
+
+    def __init__(
+        self,
+        seen: Observations,
+        light: IncomingLight,
+        preset: MaterialPreset,
+        seed: int,
+        generator: torch.Generator,
+        report: MaterialReport,
+        progress: TrainingProgress,
+    ) -> None:
+        """One material is fitted for all samples; the rest is `run`'s."""
+        self.seen, self.light, self.preset, self.seed = seen, light, preset, seed
+        self.generator, self.report, self.progress = generator, report, progress
+        self.known_metallic: Tensor | None = None
         """[K] metallic of the palette's materials, where the photos have told it clearly"""
-        self.asking = 0.0
-        """Seconds that it took to ask, the last time"""
-        tracer = RayTracer(surface.vertices, surface.faces)
-        self.samples: PhotoSamples = select_samples(
-            rays,
-            tracer,
-            surface.normals,
-            count=preset.samples,
-            least_cosine=preset.least_cosine,
-            generator=np.random.default_rng(seed),
-        )
-        self.footprint = self._footprint(rays)
-        self.report: dict = {"samples": len(self.samples), "left_out": self.samples.skipped, "seconds": {}}
-        self._clock("select")
-        self.f_p = PlenopticFunction(
-            tracer,
-            surface.normals,
-            environment,
-            TerminalRadiance().to(device),
-            levels=preset.levels,
-            diffuse=preset.diffuse_cones,
-            specular=preset.specular_cones,
-            use_cones=preset.use_cones,
-            device=device,
-        )
-        self.points = self.f_p.points(self.samples.face, self.samples.barycentric, self.samples.view)
+        self.trial_seconds = 0.0
+        """Seconds that it took the last time to try every material as metal or as a dielectric"""
+        if preset.residual and float(light.coverage.mean()) < _NO_LIGHT:
+            self._begin_with_grey_light()
+        self.search = PaletteSearch(seen.samples, light, preset, seen.device)
 
     def run(self) -> Materials:
-        """Light, one material, a palette, its places, textures."""
-        preset = self.preset
-        self._gather_light()
-        search = self.search = PaletteSearch(self.samples, self.light, preset, self.device)
-        if preset.residual and float(self.light.coverage.mean()) < _NO_LIGHT:
-            self._begin_with_grey_light()
-        search.fit_one()
+        """A palette, where its materials lie, and textures of that."""
+        single = self._learn_palette()
+        self.progress.phase_ended("materials")
+        seen, search = self.seen, self.search
+        wanted = texture_size(seen.surface, seen.footprint, self.preset.most_texels)
+        size = min(wanted, self.preset.uniform_texels) if len(search.palette) == 1 else wanted
+        self._finish_report(single, size)
+        search.palette = search.palette.with_blends()
+        search.assign()
+        textures = bake(seen.surface, self._labelled_points(), search.palette, size)
+        self.progress.phase_ended("textures")
+        if size < wanted:
+            self._skip(
+                Part.FINE_TEXTURES,
+                Message("reason.one_material"),
+                self.report.seconds["textures"] * ((wanted / size) ** 2 - 1),
+            )
+        self.progress.step(100)
+        if not all(np.isfinite(x).all() for x in textures):
+            message = "material learning diverged: its textures are not finite"
+            raise LearningError(message, "try another --seed", "learning.diverged")
+        return Materials(*textures, self.light.unseen, self.report.as_dict())
+
+    def _learn_palette(self) -> float:
+        """One material, a palette, and unseen light, in turns. Returns the residual with one material."""
+        search, preset = self.search, self.preset
         self._reflect_itself()
         search.fit_one()
         single = self._residual()
@@ -129,117 +139,54 @@ class _MaterialLearner:
         for k in range(preset.rounds):
             self._find_unseen_light()
             self._grow_palette()
-            self._step(75 + 5 * k)
+            self.progress.step(75 + 5 * k)
         self._reflect_itself()
         for k in range(preset.rounds):
             self._find_unseen_light()
             search.merge_shades()
             search.drop_superfluous()
             search.assign()
-            self._step(85 + 5 * k)
-        self._clock("materials")
-        wanted = texture_size(self.surface, self.footprint, preset.most_texels)
-        size = min(wanted, preset.uniform_texels) if len(search.palette) == 1 else wanted
-        self._finish_report(single, size)
-        search.palette = search.palette.with_blends()
-        search.assign()
-        textures = bake(self.surface, self._evidence(), search.palette, size)
-        self._clock("textures")
-        if size < wanted:
-            self._skip(
-                Part.FINE_TEXTURES,
-                Message("reason.one_material"),
-                self.report["seconds"]["textures"] * ((wanted / size) ** 2 - 1),
-            )
-        self._step(100)
-        if not all(np.isfinite(x).all() for x in textures):
-            message = "material learning diverged: its textures are not finite"
-            raise LearningError(message, "try another --seed", "learning.diverged")
-        return Materials(*textures, self.light.unseen, self.report)
-
-    def _gather_light(self) -> None:
-        """The terminal MLP and the prefiltered light: the long part, which a resumed run takes from the checkpoint."""
-        saved = self.checkpoint.load() or {}
-        if "light" in saved:
-            self.f_p.terminal.load_state_dict(saved["terminal"])
-            self.light = IncomingLight.restored(self.f_p, self.points, self.preset.roughness_levels, saved["light"])
-            self.generator.set_state(saved["generator"])
-        else:
-            if self.preset.levels > 0:
-                self._learn_terminal()
-            self.light = IncomingLight.gathered(
-                self.f_p,
-                self.points,
-                self.preset.roughness_levels,
-                self.preset.irradiance_cones,
-                self.generator,
-                lambda share: self._step(10 + int(60 * share)),
-            )
-        self.state = {
-            "terminal": self.f_p.terminal.state_dict(),
-            "light": self.light.state(),
-            "generator": self.generator.get_state(),
-        }
-        self._step(70)
-        self._clock("light")
+            self.progress.step(85 + 5 * k)
+        return single
 
     def _grow_palette(self) -> None:
-        self.search.grow(lambda: self._step(75))
+        self.search.grow(lambda: self.progress.step(75))
 
     def _metallic_swapped(self) -> Palette | None:
         """The palette's materials the other way round (metal or not); None where it is known what they are."""
         if len(self.preset.metallic) == 1:
             return None
-        if self.sure_of is not None and torch.equal(self.sure_of, self.search.palette.metallic):
-            before = self.report.get("seconds_saved", {}).get(Part.METAL_AGAIN, 0.0)
-            self._skip(Part.METAL_AGAIN, Message("reason.metal_known"), before + self.asking)
+        if self.known_metallic is not None and torch.equal(self.known_metallic, self.search.palette.metallic):
+            before = self.report.seconds_saved.get(Part.METAL_AGAIN, 0.0)
+            self._skip(Part.METAL_AGAIN, Message("reason.metal_known"), before + self.trial_seconds)
             return None
         return self.search.metallic_swapped()
 
     def _residual(self) -> float:
-        self.loss = self.search.residual()
-        return self.loss
+        self.progress.loss = self.search.residual()
+        return self.progress.loss
 
     def _reflect_itself(self) -> None:
         self.light.update(self.search.materials_at, self.generator)
         self._residual()
 
-    @profiled("terminal MLP")
-    def _learn_terminal(self) -> None:
-        """MLP(x, d) from the photos: what they show of the surface is the radiance it sends out."""
-        net, p = self.f_p.terminal, self.preset
-        with torch.random.fork_rng(devices=[]):
-            torch.manual_seed(int(torch.randint(1 << 30, (1,), generator=self.generator)))
-            net.load_state_dict(TerminalRadiance().state_dict())
-        optimiser = torch.optim.Adam(net.parameters(), 3e-3)
-        goal = torch.log1p(4 * self.samples.radiance)
-        for k in range(p.terminal_steps):
-            batch = torch.randint(len(goal), (4096,), generator=self.generator).to(self.device)
-            loss = (net.log_radiance(self.points[batch]) - goal[batch]).abs().mean()
-            optimiser.zero_grad()
-            loss.backward()
-            optimiser.step()
-            if k % 20 == 0:
-                self.loss = loss.item()
-                self._step(int(10 * k / p.terminal_steps))
-        self._clock("terminal")
-
     def _begin_with_grey_light(self) -> None:
         """The photos are cut-outs: in no light at all every material is as good as another."""
-        self._add_unseen_light(2 * float(self.samples.radiance.mean(-1).median()))
+        self._add_unseen_light(2 * float(self.seen.samples.radiance.mean(-1).median()))
         self.light.add_unseen()
 
     def _add_unseen_light(self, radiance: float) -> None:
-        self.light.unseen = UnseenLight(self.preset.unseen_rows, self.f_p.environment.typical_distance(), self.device)
+        f_p = self.seen.f_p
+        self.light.unseen = UnseenLight(self.preset.unseen_rows, f_p.environment.typical_distance(), self.seen.device)
         self.light.unseen.radiance += radiance
-        self.f_p.unseen = self.light.unseen
-        self.report["unseen_light_radius"] = round(self.light.unseen.radius, 3)
+        f_p.unseen = self.light.unseen
+        self.report.unseen_light_radius = round(self.light.unseen.radius, 3)
 
     def _find_unseen_light(self) -> None:
         """Light that no photo shows, under the present materials; how far away it is, the first time."""
         p, light, search = self.preset, self.light, self.search
         uncovered = float(1 - light.coverage.mean())
-        self.report["light_not_in_photos"] = round(uncovered, 4)
+        self.report.light_not_in_photos = round(uncovered, 4)
         if not p.residual or uncovered < 0.005:
             self._skip(Part.RESIDUAL, Message("reason.light_seen") if p.residual else Message("reason.preset"))
             return
@@ -249,7 +196,7 @@ class _MaterialLearner:
 
         def tried() -> None:
             trials.append(time.monotonic())
-            self._step(self.done)
+            self.progress.step(self.progress.done)
 
         others = self._metallic_swapped()
         scan = time.monotonic() - start
@@ -257,71 +204,43 @@ class _MaterialLearner:
             light, search.palette, others, search.label, search.target, p, self.generator, tried
         )
         if margins:
-            self.report["metal_or_not_margin"] = round(min(margins), 4)
-            self.sure_of = search.palette.metallic if min(margins) >= p.sure_margin else None
-            self.asking = scan + trials[len(margins)] - trials[0]
-        self.f_p.unseen = light.unseen
+            self.report.metal_or_not_margin = round(min(margins), 4)
+            self.known_metallic = search.palette.metallic if min(margins) >= p.sure_margin else None
+            self.trial_seconds = scan + trials[len(margins)] - trials[0]
+        self.seen.f_p.unseen = light.unseen
         light.add_unseen()
         self._residual()
         search.weight = torch.ones_like(search.weight)
 
-    def _evidence(self) -> LabelledPoints:
+    def _labelled_points(self) -> LabelledPoints:
         """Of all pixels, if the light of the samples tells that of the others."""
-        search, tracer, normals = self.search, self.f_p.tracer, self.surface.normals
+        search, tracer, normals = self.search, self.seen.f_p.tracer, self.seen.surface.normals
         of_samples = labelled_samples(search)
         if len(search.palette) == 1:
             self._skip(Part.VOTES, Message("reason.one_material"))
             return of_samples
-        samples, shown = surfels(self.samples, tracer, normals), search.shown()
+        samples, shown = surfels(self.seen.samples, tracer, normals), search.shown()
         error = error_of_neighbours(search, samples, shown)
-        self.report["neighbours_error"] = round(error, 4)
+        self.report.neighbours_error = round(error, 4)
         if error <= np.median(of_samples.residual):
-            return labelled_pixels(search, samples, shown, self.rays, tracer, normals, self.seed)
+            return labelled_pixels(search, samples, shown, self.seen.rays, tracer, normals, self.seed)
         self._skip(Part.VOTES, Message("reason.light_changes_fast"))
         return of_samples
 
-    def _footprint(self, rays: PixelRays) -> float:
-        """Median width of a pixel on the surface, unit frame."""
-        first = rays.sphere[:: max(1, len(rays.sphere) // 1000)]
-        origin, _, angle = rays.rays(first)
-        return float((1.77 * angle * origin.norm(dim=-1)).median())
-
     def _finish_report(self, single: float, size: int) -> None:
-        palette, share = self.search.palette, self.search.shares()
-        if self.search.merged:
-            self.report["merged_shades"] = self.search.merged
-        self.report["materials"] = [
-            {
-                "share": round(float(s), 4),
-                "albedo": [round(x, 4) for x in a.tolist()],
-                "roughness": round(float(r), 4),
-                "metallic": float(m),
-            }
-            for s, a, r, m in zip(share, palette.albedo, palette.roughness, palette.metallic, strict=True)
-        ]
-        self.report["residual_one_material"], self.report["residual"] = round(single, 5), round(self._residual(), 5)
-        self.report["texture_texels"] = size
-        self.report["cones_traced"] = self.light.rays
-        hits = len(self.light.hit_index)
-        self.report["self_reflection_rays"] = hits
+        report, palette = self.report, self.search.palette
+        report.merged_shades = self.search.merged
+        report.tell_materials(palette, self.search.shares().tolist())
+        report.residual_one_material, report.residual = round(single, 5), round(self._residual(), 5)
+        report.texture_texels = size
+        report.cones_traced = self.light.traced.rays
+        report.self_reflection_rays = hits = len(self.light.traced.hit_index)
         if hits == 0:
             self._skip(Part.INDIRECT_LIGHT, Message("reason.no_self_reflection"))
         if len(palette) == 1:
             self._skip(Part.MATERIAL_BOUNDARIES, Message("reason.one_material"))
 
     def _skip(self, what: Part, why: Message, seconds: float | None = None) -> None:
-        self.report.setdefault("skipped", {})[str(what)] = why.state()
+        self.report.skipped[str(what)] = why.state()
         if seconds is not None:
-            self.report.setdefault("seconds_saved", {})[str(what)] = round(seconds, 2)
-
-    def _step(self, step: int) -> None:
-        self.done = step
-        # Before the light is gathered there is nothing worth keeping; a resumed job repeats what follows it.
-        if self.checkpoint.due():
-            self.checkpoint.save(self.state)
-        self.progress(step, self.steps, self.loss)
-
-    def _clock(self, name: str) -> None:
-        now = time.monotonic()
-        self.report["seconds"][name] = round(now - self.start, 2)
-        self.start = now
+            self.report.seconds_saved[str(what)] = round(seconds, 2)

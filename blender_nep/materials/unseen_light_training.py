@@ -20,62 +20,62 @@ from blender_nep.shading.unseen_transport import UnseenTransport
 from blender_nep.tone_mapping import tone_map
 
 _DARKEST, _BRIGHTEST = math.log(1e-3), math.log(1e3)
-"""Of the map's log radiance."""
-_GLIMMER = 0.005
-"""Radiance that darker texels start from: from black, a logarithm does not rise."""
-_RATE = 0.2
-"""Adam's, for the log radiance: lamps are a hundred times brighter than walls."""
-_SOFT = 0.03
-"""Tone-mapped differences below it cost quadratically."""
+"""Limits of the map's log radiance."""
+_LEAST_START = 0.005
+"""Radiance that darker texels start from: the gradient by a logarithm vanishes at black."""
+_RADIANCE_RATE = 0.2
+"""Adam's learning rate of the log radiance: lamps are a hundred times brighter than walls."""
+_SOFTNESS = 0.03
+"""Tone-mapped differences below this cost quadratically."""
 _ALBEDO_RATE = 0.05
-"""Adam's, for the albedos' logits."""
-_FACTORS = (0.8, 1.25)
-"""By which roughnesses are tried lower and higher."""
+"""Adam's learning rate of the albedos' logits."""
+_ROUGHNESS_FACTORS = (0.8, 1.25)
+"""Factors by which a lower and a higher roughness are tried."""
 _MOST_TRIALS = 6
-"""Each way."""
+"""Trials of lower roughnesses, and as many of higher ones."""
 
 
 @profiled("unseen light")
 def learn_unseen_light(
     light: IncomingLight,
     palette: Palette,
-    others: Palette | None,
+    swapped: Palette | None,
     label: Tensor,
     target: Tensor,
     preset: MaterialPreset,
     generator: torch.Generator,
-    beat: Callable[[], None],
+    after_trial: Callable[[], None],
 ) -> tuple[UnseenLight, Palette, list[float]]:
     """The unseen light, going on from `light.unseen`, and the palette that suits it.
 
     What a material is and what light it reflects cannot be found one after the other: a gold thing in white light looks
     much like a yellow pot in yellow light, and a sharp lamp in a rough surface like a soft lamp in a smooth one. So each
-    material is tried as `others` has it (metal for dielectric and the reverse; None: it is known), then with its roughness
-    lower and higher by a quarter as long as that helps, each time with the light learned anew. beat() is called after every
-    trial.
+    material is tried as `swapped` has it (metal for dielectric and the reverse; None: it is known), then with its roughness
+    lower and higher by a quarter as long as that helps, each time with the light learned anew. after_trial() is
+    called after every trial.
 
     Also returns how much worse, as a share, the photos are explained with each material the other way round (0: as well;
     less: the prior decided).
     """
-    rows = _telling_samples(light, palette, label, target, preset.unseen_samples, generator)
+    rows = _unexplained_samples(light, palette, label, target, preset.unseen_samples, generator)
     unseen = light.unseen
     problem = UnseenLightProblem(light, len(unseen.radiance), unseen.radius, label, target, rows, preset)
 
     def solve(tried: Palette, steps: int, start: UnseenLight) -> UnseenFit:
         fit = problem.solve(tried, start, steps)
-        beat()
+        after_trial()
         return fit
 
     best, margins = solve(palette, preset.unseen_steps, light.unseen), []
-    for k in range(len(palette)) if others is not None else ():
-        other = palette.with_one(k, others)
+    for k in range(len(palette)) if swapped is not None else ():
+        other = palette.with_one(k, swapped)
         fit = solve(other, preset.unseen_steps, light.unseen)
         prior = 1 + preset.metal_margin * float(other.metallic[k] - palette.metallic[k])
         if prior * fit.error < best.error:
             best, fit, palette = fit, best, other
         margins.append(fit.error / best.error - 1)
     for k in range(len(palette)):
-        for factor in _FACTORS:
+        for factor in _ROUGHNESS_FACTORS:
             first = best
             for _ in range(_MOST_TRIALS):
                 roughness = palette.roughness.clone()
@@ -90,7 +90,7 @@ def learn_unseen_light(
     return best.light, Palette(best.albedo, palette.roughness, palette.metallic), margins
 
 
-def _telling_samples(
+def _unexplained_samples(
     light: IncomingLight, palette: Palette, label: Tensor, target: Tensor, count: int, generator: torch.Generator
 ) -> Tensor:
     """Samples to learn from: those that the light does not explain yet, as highlights, come more often."""
@@ -129,12 +129,12 @@ class UnseenLightProblem:
     ) -> None:
         self.light, self.map_rows, self.radius, self.preset = light, map_rows, radius, preset
         self.samples, self.label, self.goal = samples, label[samples], tone_map(target[samples])
-        self.cones = light.open_cones(samples)
+        self.cones = light.uncovered_cones(samples)
         self.transport = UnseenTransport(map_rows, radius, self.cones, light.points.position[samples])
 
     def solve(self, palette: Palette, start: UnseenLight, steps: int) -> UnseenFit:
         """The map and the albedos that explain the photos best with a palette's roughness and metallic, by Adam from
-        `start`, brightened to a glimmer.
+        `start`, whose darker texels are brightened to _LEAST_START.
 
         Priors, all of the tone-mapped map: its total variation; its mean, so that a few lamps are found rather than a bright
         sky; its color, because colored light on a grey object looks like grey light on a colored one.
@@ -143,15 +143,15 @@ class UnseenLightProblem:
         material = palette.at(self.label)
         moments = light.moments(material.roughness, samples, unseen=False)
         offset, slope = affine_in_albedo(material, moments, light.known_diffuse[samples], light.cos_v[samples])
-        response = torch.stack(light.open_lines(self.cones, samples, material), 1).float().cpu().numpy()
-        raw = start.radiance.clamp_min(_GLIMMER).log().requires_grad_()
+        response = torch.stack(light.uncovered_response(self.cones, samples, material), 1).float().cpu().numpy()
+        raw = start.radiance.clamp_min(_LEAST_START).log().requires_grad_()
         logit = torch.logit(palette.albedo.clamp(0.01, 0.99)).requires_grad_()
-        optimiser = torch.optim.Adam([{"params": [raw], "lr": _RATE}, {"params": [logit], "lr": _ALBEDO_RATE}])
+        optimiser = torch.optim.Adam([{"params": [raw], "lr": _RADIANCE_RATE}, {"params": [logit], "lr": _ALBEDO_RATE}])
         area = torch.sin((torch.arange(rows, device=device) + 0.5) * math.pi / rows)[:, None, None]
         area = area / area.mean()
         error = float("nan")
         for k in range(steps):
-            for group, rate in zip(optimiser.param_groups, (_RATE, _ALBEDO_RATE), strict=True):
+            for group, rate in zip(optimiser.param_groups, (_RADIANCE_RATE, _ALBEDO_RATE), strict=True):
                 group["lr"] = rate * 0.1 ** (k / steps)
             radiance = raw.clamp(_DARKEST, _BRIGHTEST).exp()
             levels = pyramid(radiance)
@@ -167,7 +167,7 @@ class UnseenLightProblem:
             brightness = tone_map(radiance)
             down, across = brightness[:-1] - brightness[1:], brightness - brightness.roll(-1, 1)
             prior = p.unseen_smoothness * (
-                (area[1:] * (down**2 + _SOFT**2).sqrt()).mean() + (area * (across**2 + _SOFT**2).sqrt()).mean()
+                (area[1:] * (down**2 + _SOFTNESS**2).sqrt()).mean() + (area * (across**2 + _SOFTNESS**2).sqrt()).mean()
             )
             prior = prior + p.unseen_prior * (area * brightness).mean()
             colored = (area * (radiance - radiance.mean(-1, keepdim=True)).abs()).mean()

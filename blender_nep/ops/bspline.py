@@ -9,6 +9,8 @@ Reference: de Boor, A Practical Guide to Splines; Chaikin's corner cutting is th
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numba
 import numpy as np
 import torch
@@ -277,8 +279,19 @@ def _value(coef, x, y, z, w, d, e):
     return v
 
 
+class _Rays(NamedTuple):
+    """n rays: origins, directions [n, 3], and where each enters and leaves the volume: t_near, t_far [n]."""
+
+    origins: np.ndarray
+    directions: np.ndarray
+    t_near: np.ndarray
+    t_far: np.ndarray
+
+
 @njit(cache=True, parallel=True, fastmath=True)
-def _march(coef, origins, directions, t_near, t_far, band, step, spans, count, threads):
+def _march(coef, rays, band, step, spans, count, threads):
+    """Fills spans [n, most, 2] and count [n]; see `march`. The rays are shared among `threads` in blocks."""
+    origins, directions, t_near, t_far = rays
     n, most = origins.shape[0], spans.shape[1]
     blocks = threads * 8
     for b in prange(blocks):
@@ -335,10 +348,7 @@ def march(coef, origins, directions, t_near, t_far, band: float, step: float, mo
         count = np.zeros(origins.shape[0], np.int32)
         _march(
             coef.numpy(),
-            origins.numpy(),
-            directions.numpy(),
-            t_near.numpy(),
-            t_far.numpy(),
+            _Rays(*(part.numpy() for part in (origins, directions, t_near, t_far))),
             np.float32(band),
             np.float32(step),
             spans,
@@ -346,10 +356,11 @@ def march(coef, origins, directions, t_near, t_far, band: float, step: float, mo
             numba.get_num_threads(),
         )
         return torch.from_numpy(spans), torch.from_numpy(count)
-    return _march_torch(coef, origins, directions, t_near, t_far, band, step, most)
+    return march_torch(coef, origins, directions, t_near, t_far, band, step, most)
 
 
-def _march_torch(coef, origins, directions, t_near, t_far, band, step, most):
+def march_torch(coef, origins, directions, t_near, t_far, band: float, step: float, most: int = 4):
+    """The plain torch body of `march`: any device, any float type."""
     n, device = origins.shape[0], origins.device
     spans = torch.zeros(n, most, 2, device=device)
     count = torch.zeros(n, dtype=torch.int32, device=device)

@@ -7,13 +7,14 @@ spacing, and opacity times coverage. Crassin et al. 2011, voxel cone tracing, in
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numba
 import numpy as np
 import torch
 from numba import njit, prange
 
-from blender_nep.ops.environment_rendering_numba import angular_cell, cell, cell_columns, polar
+from blender_nep.ops.spherical_grid import angular_cell, cell, cell_columns, polar
 
 
 @njit(cache=True, inline="always", fastmath=True, error_model="numpy")
@@ -32,8 +33,21 @@ def _add_level(grid, k, turn, fall, share, out):
         )
 
 
+class _Cones(NamedTuple):
+    origins: np.ndarray
+    """[n, 3]"""
+    directions: np.ndarray
+    """[n, 3] unit length"""
+    near: np.ndarray
+    """[n] distance before which shells are left out"""
+    half_angle: np.ndarray
+    """[n] radians"""
+
+
 @njit(cache=True, parallel=True, fastmath=True, error_model="numpy")
-def _composite(levels_of, radii, shell_radii, occupied, origins, directions, near, half_angle, out, blocks):
+def _composite(levels_of, radii, shell_radii, occupied, cones, out, blocks):
+    """Fills out [n, 4]: mean radiance and coverage of n `_Cones`, which `blocks` tasks share. See `composite_cones`."""
+    origins, directions, near, half_angle = cones
     n, levels, shells = origins.shape[0], radii.shape[0], shell_radii.shape[0]
     to_level = 1.0 / math.log(radii[1] / radii[0])
     first = math.log(radii[0])
@@ -132,7 +146,7 @@ def composite_cones(
         np.asarray(radii, np.float64),
         shell_radii.double().numpy(),
         occupied.numpy(),
-        *(a.detach().cpu().contiguous().float().numpy() for a in (origins, directions, near, half_angle)),
+        _Cones(*(a.detach().cpu().contiguous().float().numpy() for a in (origins, directions, near, half_angle))),
         out,
         16 * numba.get_num_threads(),
     )

@@ -9,144 +9,76 @@ threads share.
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
+import torch
 from numba import njit, prange
+from torch import Tensor
 
-COLOR_LIMIT = 9.0
-"""Raw colors are logarithms of radiance; beyond e^9 = 8100 they are clamped."""
-
-
-@njit(cache=True, inline="always", fastmath=True, error_model="numpy")
-def polar(x, y, z):
-    """Azimuth in turns from -x, [0, 1], and angle from +z in half turns, [0, 1]."""
-    fall = math.atan2(math.sqrt(x * x + y * y), z) * (1.0 / math.pi)
-    return math.atan2(y, x) * (0.5 / math.pi) + 0.5, fall
+from blender_nep.ops.environment_samples import Medium, RaySamples
+from blender_nep.ops.spherical_grid import COLOR_LIMIT, angular_cell, bilinear_weights, cell_columns, trilinear
 
 
-@njit(cache=True, inline="always", fastmath=True, error_model="numpy")
-def cell(turn, fall, rows, columns):
-    """Cell of `polar` angles in a cell-centred equirectangular grid: see `angular_cell`."""
-    v = fall * rows + 0.5
-    j = min(int(v), rows)
-    u = turn * columns + (columns - 0.5)
-    c = int(u)
-    return j, c % columns, v - j, u - c
+class SampleRecords(NamedTuple):
+    """What the backward pass needs of the samples.
 
-
-@njit(cache=True, inline="always", fastmath=True, error_model="numpy")
-def angular_cell(x, y, z, rows, columns):
-    """Cell of a direction in a cell-centred equirectangular grid: (row + 1, column, row fraction, column fraction).
-
-    Rows run from +z (0) to -z; columns with atan2(y, x). The returned row lies in [0, rows]: 0 is the cell between the
-    first row and itself across the pole. The column lies in [0, columns).
+    Ray i owns the places offsets[i] to offsets[i + 1] of all m, and fills the first kept[i] of them.
     """
-    turn, fall = polar(x, y, z)
-    return cell(turn, fall, rows, columns)
 
-
-@njit(cache=True, inline="always", fastmath=True, error_model="numpy")
-def cell_columns(j, c, rows, columns):
-    """The two rows of a cell, and for each its two columns (shifted by half a turn across a pole)."""
-    c1 = c + 1 if c + 1 < columns else 0
-    top, bottom = j - 1, j
-    top_left, top_right, bottom_left, bottom_right = c, c1, c, c1
-    half = columns // 2
-    if j == 0:
-        top = 0
-        top_left, top_right = (c + half) % columns, (c1 + half) % columns
-    if j == rows:
-        bottom = rows - 1
-        bottom_left, bottom_right = (c + half) % columns, (c1 + half) % columns
-    return top, bottom, top_left, top_right, bottom_left, bottom_right
+    offsets: np.ndarray
+    """[n + 1] int64"""
+    kept: np.ndarray
+    """[n] int64"""
+    cells: np.ndarray
+    """[m, 3] int32: shell, row + 1, column, as `angular_cell` returns them"""
+    fractions: np.ndarray
+    """[m, 3] in 0..1: how far the sample is from the cell's first shell, row and column to the next"""
+    local: np.ndarray
+    """[m, 7]: d optical depth / d raw density, opacity, transmittance before the sample, radiance (3), gradient scale"""
 
 
 @njit(cache=True, parallel=True, fastmath=True, error_model="numpy")
-def march(
-    raw,
-    origins,
-    directions,
-    t_closest,
-    b,
-    s_near,
-    s_length,
-    offsets,
-    jitter,
-    infinite,
-    log_radius,
-    density_gain,
-    gradient_near,
-    transmittance_limit,
-    depth_limit,
-    keep,
-    radiance,
-    transmittance,
-    live,
-    cells,
-    fractions,
-    local,
-):
-    """Composite every ray front to back.
+def _march(raw, rays, medium, radiance, transmittance, kept, records, keep):
+    """Composite every ray front to back into radiance [n, 3] and transmittance [n]; `keep`: fill the records, too.
 
-    Args:
-        raw: [K, H, W, 4] grid: raw density, logarithm of radiance.
-        t_closest, b, s_near, s_length: [n], see `environment_segments`.
-        offsets: [n + 1] int64, ray i owns the sample slots offsets[i]:offsets[i + 1], one a step.
-        jitter: [n] in [0, 1), place of the sample within each step.
-        infinite: [n] bool, the ray is closed by the outermost shell.
-        log_radius: logarithm of the outermost shell's radius.
-        gradient_near: t below which gradients are scaled by (t / gradient_near)^2; 0 for none.
-        transmittance_limit: stop below; depth_limit: optical depths below are skipped.
-        keep: write the sample records for the backward pass.
-        radiance [n, 3], transmittance [n], live [n] int64 samples kept, cells [m, 3] int32 (k, row + 1, column),
-        fractions [m, 3], local [m, 7]: d optical depth / d raw, opacity, transmittance before, color, scale of the
-        gradient: outputs.
+    raw [K, H, W, 4], rays: `RaySamples`, medium: `Medium`, records: `SampleRecords`, all of NumPy arrays and numbers. `kept`
+    is that of the records: Numba drops what a parallel loop writes, at its own index, to an array taken from a tuple.
     """
+    origins, directions, t_closest, b, s_near, s_length, infinite, offsets, jitter = rays
+    log_radius, density_gain, gradient_near, transmittance_limit, depth_limit = medium
+    cells, fractions, local = records.cells, records.fractions, records.local
     shells, rows, columns = raw.shape[0], raw.shape[1], raw.shape[2]
     to_shell = (shells - 1) / log_radius
     for i in prange(origins.shape[0]):
         ox, oy, oz = float(origins[i, 0]), float(origins[i, 1]), float(origins[i, 2])
         dx, dy, dz = float(directions[i, 0]), float(directions[i, 1]), float(directions[i, 2])
         first = offsets[i]
-        steps = offsets[i + 1] - first
+        samples = offsets[i + 1] - first
         red, green, blue, passed = 0.0, 0.0, 0.0, 1.0
         count = 0
-        slots = steps - 1 if infinite[i] else steps
-        step = s_length[i] / slots if slots > 0 else 0.0
-        e = math.exp(s_near[i] + jitter[i] * step)
+        steps = samples - 1 if infinite[i] else samples
+        step = s_length[i] / steps if steps > 0 else 0.0
+        exp_s = math.exp(s_near[i] + jitter[i] * step)
         growth = math.exp(step)
-        for n in range(steps):
-            closing = n == slots
+        for n in range(samples):
+            closing = n == steps
             if closing:
-                e = math.exp(s_near[i] + s_length[i])
-            inverse = 1.0 / e
-            t = t_closest[i] + 0.5 * b[i] * (e - inverse)
-            radius = 0.5 * b[i] * (e + inverse)
-            e *= growth
+                exp_s = math.exp(s_near[i] + s_length[i])
+            inverse = 1.0 / exp_s
+            t = t_closest[i] + 0.5 * b[i] * (exp_s - inverse)
+            radius = 0.5 * b[i] * (exp_s + inverse)
+            exp_s *= growth
             k_real = min(max(math.log(radius) * to_shell, 0.0), shells - 1.0)
             k = min(int(k_real), shells - 2)
             j, c, fj, fc = angular_cell(ox + t * dx, oy + t * dy, oz + t * dz, rows, columns)
             fk = k_real - k
-            top, bottom, tl, tr, bl, br = cell_columns(j, c, rows, columns)
-            w0 = (1.0 - fj) * (1.0 - fc)
-            w1 = (1.0 - fj) * fc
-            w2 = fj * (1.0 - fc)
-            w3 = fj * fc
-            g0 = 1.0 - fk
+            shell_weights = 1.0 - fk, fk
+            corners, weights = cell_columns(j, c, rows, columns), bilinear_weights(fj, fc)
             slope = 0.0
             alpha = 1.0
             if not closing:
-                value = g0 * (
-                    w0 * raw[k, top, tl, 0]
-                    + w1 * raw[k, top, tr, 0]
-                    + w2 * raw[k, bottom, bl, 0]
-                    + w3 * raw[k, bottom, br, 0]
-                ) + fk * (
-                    w0 * raw[k + 1, top, tl, 0]
-                    + w1 * raw[k + 1, top, tr, 0]
-                    + w2 * raw[k + 1, bottom, bl, 0]
-                    + w3 * raw[k + 1, bottom, br, 0]
-                )
+                value = trilinear(raw, k, shell_weights, corners, weights, 0)
                 q = math.exp(-abs(value))
                 density = density_gain * (max(value, 0.0) + math.log1p(q))
                 depth = density * step
@@ -157,17 +89,7 @@ def march(
             weight = passed * alpha
             m = first + count
             for channel in range(3):
-                value = g0 * (
-                    w0 * raw[k, top, tl, channel + 1]
-                    + w1 * raw[k, top, tr, channel + 1]
-                    + w2 * raw[k, bottom, bl, channel + 1]
-                    + w3 * raw[k, bottom, br, channel + 1]
-                ) + fk * (
-                    w0 * raw[k + 1, top, tl, channel + 1]
-                    + w1 * raw[k + 1, top, tr, channel + 1]
-                    + w2 * raw[k + 1, bottom, bl, channel + 1]
-                    + w3 * raw[k + 1, bottom, br, channel + 1]
-                )
+                value = trilinear(raw, k, shell_weights, corners, weights, channel + 1)
                 color = math.exp(min(max(value, -COLOR_LIMIT), COLOR_LIMIT))
                 if channel == 0:
                     red += weight * color
@@ -196,20 +118,21 @@ def march(
         radiance[i, 1] = green
         radiance[i, 2] = blue
         transmittance[i] = passed
-        live[i] = count
+        kept[i] = count
 
 
 @njit(cache=True, parallel=True, fastmath=True, error_model="numpy")
-def sample_gradients(offsets, live, local, radiance, transmittance, g_radiance, g_transmittance, g_samples, used):
-    """Gradients of the raw values at every kept sample, [m, 4]; `used` [m] marks slots that hold one."""
-    for i in prange(live.shape[0]):
+def _sample_gradients(records, radiance, transmittance, g_radiance, g_transmittance, g_samples, used):
+    """Gradients of the raw values at every kept sample, [m, 4]; `used` [m] marks the places that hold one."""
+    offsets, kept, _, _, local = records
+    for i in prange(kept.shape[0]):
         first = offsets[i]
         behind_r, behind_g, behind_b = float(radiance[i, 0]), float(radiance[i, 1]), float(radiance[i, 2])
         gr, gg, gb = float(g_radiance[i, 0]), float(g_radiance[i, 1]), float(g_radiance[i, 2])
         g_t = float(g_transmittance[i]) * float(transmittance[i])
         if gr == 0.0 and gg == 0.0 and gb == 0.0 and g_t == 0.0:
             continue
-        for m in range(first, first + live[i]):
+        for m in range(first, first + kept[i]):
             alpha, passed, scale = float(local[m, 1]), float(local[m, 2]), float(local[m, 6])
             red, green, blue = float(local[m, 3]), float(local[m, 4]), float(local[m, 5])
             weight = passed * alpha
@@ -227,7 +150,7 @@ def sample_gradients(offsets, live, local, radiance, transmittance, g_radiance, 
 
 
 @njit(cache=True)
-def order_by_row(used, cells, rows):
+def _order_by_row(used, cells, rows):
     """Counting sort of the used samples by grid row: (order, start [rows + 2])."""
     start = np.zeros(rows + 2, np.int64)
     for m in range(used.shape[0]):
@@ -246,7 +169,7 @@ def order_by_row(used, cells, rows):
 
 
 @njit(cache=True, parallel=True, fastmath=True, error_model="numpy")
-def scatter_rows(order, start, cells, fractions, g_samples, g_raw, parity):
+def _scatter_rows(order, start, cells, fractions, g_samples, g_raw, parity):
     """Add sample gradients to the grid for the row cells of one parity: these touch disjoint rows."""
     rows, columns = g_raw.shape[1], g_raw.shape[2]
     for half_j in prange((rows + 2 - parity) // 2):
@@ -268,3 +191,45 @@ def scatter_rows(order, start, cells, fractions, g_samples, g_raw, parity):
                     g_raw[k + side, top, tr, channel] += w1 * value
                     g_raw[k + side, bottom, bl, channel] += w2 * value
                     g_raw[k + side, bottom, br, channel] += w3 * value
+
+
+class _Render(torch.autograd.Function):
+    @staticmethod
+    def forward(ctx, raw, rays, medium):
+        grid, n = raw.detach().numpy(), len(rays.origins)
+        keep = ctx.needs_input_grad[0]
+        arrays = RaySamples(*(part.contiguous().numpy() for part in rays))
+        m = int(arrays.offsets[-1]) if keep else 0
+        records = SampleRecords(
+            arrays.offsets,
+            np.empty(n, np.int64),
+            np.empty((m, 3), np.int32),
+            np.empty((m, 3), grid.dtype),
+            np.empty((m, 7), grid.dtype),
+        )
+        radiance, transmittance = raw.new_empty((n, 3)), raw.new_empty(n)
+        _march(grid, arrays, medium, radiance.numpy(), transmittance.numpy(), records.kept, records, keep)
+        ctx.shape, ctx.records = grid.shape, records
+        ctx.rendered = radiance.numpy().copy(), transmittance.numpy().copy()
+        return radiance, transmittance
+
+    @staticmethod
+    def backward(ctx, g_radiance, g_transmittance):
+        records = ctx.records
+        g_samples = np.empty((len(records.local), 4), records.local.dtype)
+        used = np.zeros(len(records.local), np.uint8)
+        incoming = g_radiance.contiguous().numpy(), g_transmittance.contiguous().numpy()
+        _sample_gradients(records, *ctx.rendered, *incoming, g_samples, used)
+        order, start = _order_by_row(used, records.cells, ctx.shape[1])
+        g_raw = np.zeros(ctx.shape, records.local.dtype)
+        for parity in (0, 1):
+            _scatter_rows(order, start, records.cells, records.fractions, g_samples, g_raw, parity)
+        return torch.from_numpy(g_raw), None, None
+
+
+def render(raw: Tensor, rays: RaySamples, medium: Medium) -> tuple[Tensor, Tensor]:
+    """Radiance [n, 3] premultiplied and transmittance [n] of sampled rays; differentiable in raw [K, H, W, 4].
+
+    On the CPU; `environment_rendering_torch.render` is the other body.
+    """
+    return _Render.apply(raw, rays, medium)

@@ -6,7 +6,8 @@ import math
 
 import torch
 
-from blender_nep.ops.environment_rendering_numba import COLOR_LIMIT
+from blender_nep.ops.environment_samples import Medium, RaySamples
+from blender_nep.ops.spherical_grid import COLOR_LIMIT
 
 
 def interpolate(raw: torch.Tensor, points: torch.Tensor, log_radius: float) -> torch.Tensor:
@@ -43,45 +44,30 @@ def interpolate(raw: torch.Tensor, points: torch.Tensor, log_radius: float) -> t
     return result
 
 
-def render(
-    raw: torch.Tensor,
-    origins: torch.Tensor,
-    directions: torch.Tensor,
-    t_closest: torch.Tensor,
-    b: torch.Tensor,
-    s_near: torch.Tensor,
-    s_length: torch.Tensor,
-    offsets: torch.Tensor,
-    jitter: torch.Tensor,
-    infinite: torch.Tensor,
-    log_radius: float,
-    density_gain: float,
-    gradient_near: float,
-) -> tuple[torch.Tensor, torch.Tensor]:
-    """Same arguments and result as the Numba kernels (see `environment_rendering_numba.march`), by autograd.
+def render(raw: torch.Tensor, rays: RaySamples, medium: Medium) -> tuple[torch.Tensor, torch.Tensor]:
+    """The same as `environment_rendering_numba.render`, by autograd, with nothing neglected.
 
     Returns:
-        radiance [n, 3], transmittance [n].
+        radiance [n, 3] premultiplied, transmittance [n].
     """
-    steps = offsets[1:] - offsets[:-1]
-    slots = steps - infinite.long()
-    longest = max(int(slots.max()) if len(slots) else 0, 1)
+    steps = rays.offsets[1:] - rays.offsets[:-1] - rays.infinite.long()
+    longest = max(int(steps.max()) if len(steps) else 0, 1)
     number = torch.arange(longest, device=raw.device)
-    step = s_length / slots.clamp_min(1)
-    s = s_near[:, None] + (number + jitter[:, None].double()) * step[:, None]
-    inside = number < slots[:, None]
-    t = t_closest[:, None] + b[:, None] * torch.sinh(s)
-    values = _values(raw, origins, directions, t, gradient_near, log_radius)
-    depth = density_gain * torch.nn.functional.softplus(values[..., 0]) * step[:, None].to(raw.dtype) * inside
+    step = rays.s_length / steps.clamp_min(1)
+    s = rays.s_near[:, None] + (number + rays.jitter[:, None].double()) * step[:, None]
+    inside = number < steps[:, None]
+    t = rays.t_closest[:, None] + rays.b[:, None] * torch.sinh(s)
+    values = _values(raw, rays, t, medium)
+    depth = medium.density_gain * torch.nn.functional.softplus(values[..., 0]) * step[:, None].to(raw.dtype) * inside
     before = torch.exp(-(depth.cumsum(1) - depth))
     weight = -torch.expm1(-depth) * before
     color = _color(values)
     radiance = (weight[..., None] * color).sum(1)
     transmittance = torch.exp(-depth.sum(1))
-    t_exit = t_closest + b * torch.sinh(s_near + s_length)
-    sky = _values(raw, origins, directions, t_exit[:, None], gradient_near, log_radius)[:, 0]
-    radiance = radiance + (infinite * transmittance)[:, None] * _color(sky)
-    return radiance, torch.where(infinite, torch.zeros_like(transmittance), transmittance)
+    t_exit = rays.t_closest + rays.b * torch.sinh(rays.s_near + rays.s_length)
+    sky = _values(raw, rays, t_exit[:, None], medium)[:, 0]
+    radiance = radiance + (rays.infinite * transmittance)[:, None] * _color(sky)
+    return radiance, torch.where(rays.infinite, torch.zeros_like(transmittance), transmittance)
 
 
 def _color(values):
@@ -91,11 +77,11 @@ def _color(values):
     return (raw + (raw.clamp(-COLOR_LIMIT, COLOR_LIMIT) - raw).detach()).exp()
 
 
-def _values(raw, origins, directions, t, gradient_near, log_radius):
+def _values(raw, rays, t, medium):
     """Raw values at distances t [n, m]; gradients scaled by min(1, (t / gradient_near)^2)."""
-    points = origins.double()[:, None] + t[..., None] * directions.double()[:, None]
-    values = interpolate(raw, points, log_radius)
-    if gradient_near <= 0.0:
+    points = rays.origins.double()[:, None] + t[..., None] * rays.directions.double()[:, None]
+    values = interpolate(raw, points, medium.log_radius)
+    if medium.gradient_near <= 0.0:
         return values
-    scale = ((t / gradient_near) ** 2).clamp_max(1.0).to(raw.dtype)[..., None]
+    scale = ((t / medium.gradient_near) ** 2).clamp_max(1.0).to(raw.dtype)[..., None]
     return values * scale + (values * (1 - scale)).detach()

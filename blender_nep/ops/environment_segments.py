@@ -8,27 +8,44 @@ what "a step proportional to the distance" means, and optical depth is density t
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import torch
+from torch import Tensor
 
 MINIMUM_CLOSEST_APPROACH = 1e-3
 """b is not let below this (unit radii): a ray through the origin itself would have infinite length in s."""
 
 
-def scale_invariant_segments(
-    origins: torch.Tensor, directions: torch.Tensor, t_near: torch.Tensor, t_far: torch.Tensor, outer_radius: float
-) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]:
-    """Segments [t_near, t_far] of rays in the coordinate s; an infinite t_far becomes the exit from the outer radius.
+class RaySegments(NamedTuple):
+    """The part [t_near, t_far] of n rays, in distances along the ray; t_far <= t_near is an empty segment."""
 
-    Args:
-        origins, directions: [n, 3], directions of unit length.
-        t_near, t_far: [n] distances along the ray; t_far may be inf. t_far <= t_near is an empty segment.
-        outer_radius: radius of the outermost shell.
+    origins: Tensor
+    """[n, 3], unit frame"""
+    directions: Tensor
+    """[n, 3], unit length"""
+    t_near: Tensor
+    """[n]"""
+    t_far: Tensor
+    """[n]; where it is inf, the outermost shell closes the ray"""
 
-    Returns:
-        t_c [n], b [n], s_near [n], s_length [n] >= 0, all float64.
-    """
-    origins, directions = origins.double(), directions.double()
-    t_near, t_far = t_near.double(), t_far.double()
+
+class ScaleInvariantSegments(NamedTuple):
+    """n ray segments in the coordinate s: t = t_closest + b sinh(s), |x| = b cosh(s). All [n] float64."""
+
+    t_closest: Tensor
+    """Distance along the ray of the point that is closest to the origin"""
+    b: Tensor
+    """Distance of that point from the origin"""
+    s_near: Tensor
+    """Where the segment begins"""
+    s_length: Tensor
+    """Length of the segment, >= 0"""
+
+
+def scale_invariant_segments(segments: RaySegments, outer_radius: float) -> ScaleInvariantSegments:
+    """Ray segments in the coordinate s; an infinite t_far becomes the exit from the sphere of `outer_radius`."""
+    origins, directions, t_near, t_far = (part.double() for part in segments)
     t_closest = -(origins * directions).sum(-1)
     closest = origins + t_closest[:, None] * directions
     b = closest.norm(dim=-1).clamp_min(MINIMUM_CLOSEST_APPROACH)
@@ -36,4 +53,4 @@ def scale_invariant_segments(
     t_far = torch.where(torch.isinf(t_far), t_exit, torch.minimum(t_far, t_exit))
     s_near = torch.asinh((t_near - t_closest) / b)
     s_far = torch.asinh((t_far - t_closest) / b)
-    return t_closest, b, s_near, (s_far - s_near).clamp_min(0.0)
+    return ScaleInvariantSegments(t_closest, b, s_near, (s_far - s_near).clamp_min(0.0))

@@ -8,7 +8,7 @@ import numpy as np
 import torch
 from numba import njit, prange
 
-from blender_nep.ops.environment_rendering_numba import COLOR_LIMIT, angular_cell, cell_columns
+from blender_nep.ops.spherical_grid import COLOR_LIMIT, angular_cell, bilinear, bilinear_weights, cell_columns
 
 RADIAL_STEPS = 4
 """Steps in which the weights of one shell spacing are integrated."""
@@ -29,17 +29,12 @@ def _weights_from_centre(raw, coverage, density_gain, spacing, out):
             j, c, fj, fc = angular_cell(
                 math.sin(theta) * math.cos(phi), math.sin(theta) * math.sin(phi), math.cos(theta), rows, columns
             )
-            top, bottom, tl, tr, bl, br = cell_columns(j, c, rows, columns)
-            w0, w1, w2, w3 = (1.0 - fj) * (1.0 - fc), (1.0 - fj) * fc, fj * (1.0 - fc), fj * fc
+            top, bottom, tl, tr, bl, br = corners = cell_columns(j, c, rows, columns)
+            w0, w1, w2, w3 = weights = bilinear_weights(fj, fc)
             passed = 1.0
             for k in range(shells):
                 for h in range(4):
-                    node[h] = (
-                        w0 * raw[k, top, tl, h]
-                        + w1 * raw[k, top, tr, h]
-                        + w2 * raw[k, bottom, bl, h]
-                        + w3 * raw[k, bottom, br, h]
-                    )
+                    node[h] = bilinear(raw, k, corners, weights, h)
                     out[k, row, column, h] = 0.0
                 node[4] = (
                     w0 * coverage[k, top, tl]

@@ -1,12 +1,14 @@
 """Robust fits of albedos to photo samples on the CPU: a fused Numba kernel.
 
-A task is one roughness of one group of samples: its lines are interpolated once and stay in the cache while the albedo is
-iterated. Sums are in float64; each task is one thread's: results do not depend on their number.
+A task is one roughness of one group of samples. Its radiance is affine in the albedo: the terms are interpolated once and
+stay in the cache while the albedo is iterated. Sums are in float64; each task is one thread's, so that results do not depend
+on the number of threads.
 """
 
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit, prange
@@ -16,65 +18,105 @@ _LOG5 = np.float32(math.log(5.0))
 
 @njit(cache=True, inline="always", fastmath=True, error_model="numpy")
 def _multiscatter_gain(albedo, ratio, average):
-    """Of a metal, by light that is scattered more than once: `brdf.multiscatter_scale` of `brdf.metal_fss`."""
+    """Factor of a metal's radiance that adds the light scattered more than once, at one albedo: `brdf.multiscatter_scale` of
+    `brdf.metal_fss`. ratio: (1 - E) / E; average: E_avg."""
     fss = albedo + (np.float32(1) - albedo) / np.float32(21)
     return np.float32(1) + fss * average / (np.float32(1) - fss * (np.float32(1) - average)) * ratio
 
 
 @njit(cache=True, inline="always", fastmath=True, error_model="numpy")
 def _tone(light):
-    """`metrics.tone_map`; log is three times as fast as log1p, and its error of 1e-7 near black is nothing to a photo."""
+    """`tone_mapping.tone_map` by log, three times as fast as log1p; its error near black, 1e-7, is nothing to a photo."""
     return math.log(np.float32(1) + np.float32(4) * light) / _LOG5
 
 
-@njit(cache=True, parallel=True, fastmath=True, error_model="numpy")
-def fit_lines(
-    starts,
-    specular,
-    diffuse,
-    goal,
-    tone_goal,
-    weight,
-    ratio,
-    specular_scale,
-    diffuse_scale,
-    low,
-    mix,
-    average,
-    metallic,
-    limit,
-    clip,
-    iterations,
-    cost,
-    albedo,
-):
-    """Fills cost [M,R,G] and albedo [M,R,G,3] for M values of `metallic`, R roughnesses, G groups.
+class FitSamples(NamedTuple):
+    """n photo samples in the order of their groups, for R roughnesses; all float32."""
 
-    Samples n in the order of their groups, which begin at starts [G+1]: specular [n,L,3,3] the moments (full, edge,
-    dielectric) at L roughness levels, diffuse, goal, tone_goal [n,3], weight [n]; ratio [n,R]: (1 - E) / E of the lobe;
-    specular_scale, diffuse_scale [n,R]: of the dielectric's lobes. low, mix [R]: the level below a roughness and how
-    far it is to the next; average [R]: mean of E. limit [M]: of the albedo. All float32 but starts and low.
+    specular: np.ndarray
+    """[n, L, 3, 3] moments (full, edge, dielectric) of the light at L roughness levels, a color each"""
+    diffuse: np.ndarray
+    """[n, 3] irradiance over pi"""
+    goal: np.ndarray
+    """[n, 3] linear radiance that the photo shows"""
+    tone_goal: np.ndarray
+    """[n, 3] the same, tone-mapped"""
+    weight: np.ndarray
+    """[n]"""
+    ratio: np.ndarray
+    """[n, R] (1 - E) / E of the lobe, see `brdf.specular_albedo`"""
+    specular_scale: np.ndarray
+    """[n, R] of the dielectric's specular lobe"""
+    diffuse_scale: np.ndarray
+    """[n, R] of the dielectric's diffuse lobe"""
+
+
+class FitRoughness(NamedTuple):
+    """The R roughnesses, between the roughness levels of the light."""
+
+    low: np.ndarray
+    """[R] int64, the level below"""
+    mix: np.ndarray
+    """[R] float32 in 0..1, how far it is to the next level"""
+    average: np.ndarray
+    """[R] float32, see `brdf.average_specular_albedo`"""
+
+
+class FitHypotheses(NamedTuple):
+    """M values of `metallic`."""
+
+    metallic: np.ndarray
+    """[M] float32 in 0..1"""
+    limit: np.ndarray
+    """[M] float32, the largest albedo"""
+
+
+@njit(cache=True, inline="always", fastmath=True, error_model="numpy")
+def _affine_terms(samples, roughness, first, count, j):
+    """The radiance of `count` samples from `first` on at the j-th roughness, as terms of two functions of the albedo:
+    gain * (edge + span * albedo) of a metal, specular_part + diffuse_part * albedo of a dielectric.
+
+    Returns edge, span, specular_part, diffuse_part [count, 3], and the sum of the samples' weights.
     """
+    specular, diffuse = samples.specular, samples.diffuse
+    edge, span = np.empty((count, 3), np.float32), np.empty((count, 3), np.float32)
+    specular_part, diffuse_part = np.empty((count, 3), np.float32), np.empty((count, 3), np.float32)
+    level, share = roughness.low[j], roughness.mix[j]
+    total = 0.0
+    for s in range(count):
+        n = first + s
+        total += samples.weight[n]
+        for c in range(3):
+            full = specular[n, level, 0, c] + share * (specular[n, level + 1, 0, c] - specular[n, level, 0, c])
+            edge[s, c] = specular[n, level, 1, c] + share * (specular[n, level + 1, 1, c] - specular[n, level, 1, c])
+            span[s, c] = full - edge[s, c]
+            coat = specular[n, level, 2, c] + share * (specular[n, level + 1, 2, c] - specular[n, level, 2, c])
+            specular_part[s, c] = samples.specular_scale[n, j] * coat
+            diffuse_part[s, c] = samples.diffuse_scale[n, j] * diffuse[n, c]
+    return edge, span, specular_part, diffuse_part, total
+
+
+@njit(cache=True, parallel=True, fastmath=True, error_model="numpy")
+def fit_albedos(starts, samples, roughness, hypotheses, clip, iterations, cost, albedo):
+    """Fills cost [M, R, G] and albedo [M, R, G, 3] of M hypotheses, R roughnesses and G groups.
+
+    The g-th group are the `FitSamples` from starts[g] to starts[g + 1] [G + 1]. Least squares are reweighted `iterations`
+    times; clip: the largest residual of a sample.
+    """
+    metallic, limit = hypotheses
+    weight, goal, tone_goal, ratio, average = (
+        samples.weight,
+        samples.goal,
+        samples.tone_goal,
+        samples.ratio,
+        roughness.average,
+    )
     groups, steps = cost.shape[2], cost.shape[1]
     for task in prange(groups * steps):
         g, j = task // steps, task % steps
         first = starts[g]
         count = starts[g + 1] - first
-        # radiance: gain * (edge + span * albedo) of a metal, specular_part + diffuse_part * albedo of a dielectric
-        edge, span = np.empty((count, 3), np.float32), np.empty((count, 3), np.float32)
-        specular_part, diffuse_part = np.empty((count, 3), np.float32), np.empty((count, 3), np.float32)
-        level, share = low[j], mix[j]
-        total = 0.0
-        for s in range(count):
-            n = first + s
-            total += weight[n]
-            for c in range(3):
-                full = specular[n, level, 0, c] + share * (specular[n, level + 1, 0, c] - specular[n, level, 0, c])
-                edge[s, c] = specular[n, level, 1, c] + share * (specular[n, level + 1, 1, c] - specular[n, level, 1, c])
-                span[s, c] = full - edge[s, c]
-                coat = specular[n, level, 2, c] + share * (specular[n, level + 1, 2, c] - specular[n, level, 2, c])
-                specular_part[s, c] = specular_scale[n, j] * coat
-                diffuse_part[s, c] = diffuse_scale[n, j] * diffuse[n, c]
+        edge, span, specular_part, diffuse_part, total = _affine_terms(samples, roughness, first, count, j)
         for i in range(len(metallic)):
             metal, rest = metallic[i], np.float32(1) - metallic[i]
             a = np.full(3, np.float32(0.5))

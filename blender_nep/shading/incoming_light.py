@@ -7,7 +7,8 @@ the object again depend on the materials: they are kept in a list and evaluated 
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 import torch
@@ -24,7 +25,7 @@ from blender_nep.shading.plenoptic import (
     affine_in_albedo,
     moment_weights,
 )
-from blender_nep.shading.unseen_light import OpenCones, UnseenLight
+from blender_nep.shading.unseen_light import UncoveredCones, UnseenLight
 
 _FULL, _EDGE, _DIELECTRIC = range(3)
 
@@ -34,16 +35,90 @@ _LEAST_SHARE = 0.02
 """Cones of which photos saw all but this share are not kept for the light that photos did not see."""
 
 
+@dataclass
+class TracedLight:
+    """What the cones of n surface points met; it does not depend on the materials."""
+
+    specular: Tensor
+    """[n, R, 3, 3] light of F_e through the specular lobe of R roughness levels: three moments, a color each"""
+    diffuse: Tensor
+    """[n, 3] irradiance over pi from F_e"""
+    coverage: Tensor
+    """[n, R] in 0..1, share of the specular light that photos saw"""
+    hit_index: Tensor
+    """[h] int64: of which surface point the cones are that met the mesh again"""
+    hit_weight: Tensor
+    """[h, 1 + R, 3] weights of these cones in the diffuse lobe (thrice the same), and in the moments of each level"""
+    hits: SurfacePoints
+    """[h] where they met it"""
+    uncovered: UncoveredCones
+    """The cones that left the object towards where photos did not look well"""
+    rays: int
+    """Cones traced"""
+
+    _TENSORS = ("coverage", "hit_index", "hit_weight")
+
+    def state(self) -> dict:
+        """For a checkpoint."""
+        hits = {
+            "position": self.hits.position,
+            "face": torch.from_numpy(self.hits.face.astype(np.int64)),
+            "normal": self.hits.normal,
+            "view": self.hits.view,
+        }
+        own = {name: getattr(self, name) for name in self._TENSORS}
+        direct = {"direct_specular": self.specular, "direct_diffuse": self.diffuse}
+        return {"rays": self.rays, "hits": hits, "uncovered": vars(self.uncovered), **direct, **own}
+
+    @classmethod
+    def joined(cls, parts: Sequence[TracedLight]) -> TracedLight:
+        """One after the other; the indices of all parts count the points of all of them."""
+
+        def cat(name: str) -> Tensor:
+            return torch.cat([getattr(part, name) for part in parts])
+
+        return cls(
+            specular=cat("specular"),
+            diffuse=cat("diffuse"),
+            **{name: cat(name) for name in cls._TENSORS},
+            hits=SurfacePoints.joined([part.hits for part in parts]),
+            uncovered=UncoveredCones.joined([part.uncovered for part in parts]),
+            rays=sum(part.rays for part in parts),
+        )
+
+    @classmethod
+    def from_state(cls, state: dict, device: torch.device) -> TracedLight:
+        """The inverse of `state`."""
+        hits = state["hits"]
+        return cls(
+            specular=state["direct_specular"].to(device),
+            diffuse=state["direct_diffuse"].to(device),
+            **{name: state[name].to(device) for name in cls._TENSORS},
+            hits=SurfacePoints(
+                hits["position"].to(device), hits["face"].cpu().numpy(), hits["normal"].to(device), hits["view"].to(device)
+            ),
+            uncovered=UncoveredCones(**{name: value.to(device) for name, value in state["uncovered"].items()}),
+            rays=state["rays"],
+        )
+
+
 class IncomingLight:
-    """Light moments of n surface points at R roughness levels, plus the diffuse irradiance."""
+    """Light moments of n surface points at R roughness levels, plus the diffuse irradiance, for the materials and the unseen
+    light of the moment.
 
-    _STATE = ("direct_specular", "direct_diffuse", "coverage", "hit_index", "hit_weight")
+    `specular` [n, R, 3, 3] and `diffuse` [n, 3] are all the light. `known_specular` and `known_diffuse` are what
+    F_e sends and, from the first `update` on, what the object sends to itself.
+    """
 
-    def __init__(self, plenoptic: PlenopticFunction, points: SurfacePoints, roughness_levels: tuple[float, ...]):
-        """Without light yet: see `gathered` and `restored`. points: the n surface points."""
-        self.plenoptic, self.points = plenoptic, points
+    def __init__(
+        self, plenoptic: PlenopticFunction, points: SurfacePoints, roughness_levels: tuple[float, ...], traced: TracedLight
+    ):
+        """points: the n surface points; traced: what their cones met, see `gathered`."""
+        self.plenoptic, self.points, self.traced = plenoptic, points, traced
         self.roughness_levels = torch.tensor(roughness_levels, device=points.position.device)
         self.cos_v = (points.normal * points.view).sum(-1)
+        self.specular = self.known_specular = traced.specular
+        self.diffuse = self.known_diffuse = traced.diffuse
         self.unseen: UnseenLight | None = None
 
     @classmethod
@@ -59,145 +134,32 @@ class IncomingLight:
     ) -> IncomingLight:
         """Traces every cone once, `irradiance` of them for the diffuse lobe; progress(share done) is called after each
         chunk."""
-        light = cls(plenoptic, points, roughness_levels)
-        device, n, levels = points.position.device, len(points), len(roughness_levels)
-        light.direct_specular = torch.zeros(n, levels, 3, 3, device=device)
-        """[n,R,moment,channel] from F_e"""
-        light.direct_diffuse = torch.zeros(n, 3, device=device)
-        light.coverage = torch.ones(n, levels, device=device)
-        """[n,R] share of the specular light that photos saw"""
-        light.rays = 0
-        found = []
-        cones = irradiance + levels * plenoptic.specular
+        device, n = points.position.device, len(points)
+        levels = torch.tensor(roughness_levels, device=device)
+        cones = irradiance + len(levels) * plenoptic.settings.specular
+        parts = []
         for rows in torch.arange(n, device=device).split(max(1, _CHUNK // cones)):
-            found.append(light._gather(rows, irradiance, generator))
+            parts.append(_trace(plenoptic, points[rows], int(rows[0]), levels, irradiance, generator))
             progress((int(rows[-1]) + 1) / n)
-        hit_indices, weights, hits, unseen = zip(*found, strict=True)
-        light.open = OpenCones.joined(unseen)
-        light.hit_index, light.hit_weight = torch.cat(hit_indices), torch.cat(weights)
-        light.hits = SurfacePoints(
-            torch.cat([h.position for h in hits]),
-            np.concatenate([h.face for h in hits]),
-            torch.cat([h.normal for h in hits]),
-            torch.cat([h.view for h in hits]),
-        )
-        light.specular = light.known_specular = light.direct_specular
-        light.diffuse = light.known_diffuse = light.direct_diffuse
-        return light
+        return cls(plenoptic, points, roughness_levels, TracedLight.joined(parts))
 
-    def state(self) -> dict:
-        """What was traced, for a checkpoint."""
-        hits = {
-            "position": self.hits.position,
-            "face": torch.from_numpy(self.hits.face.astype(np.int64)),
-            "normal": self.hits.normal,
-            "view": self.hits.view,
-        }
-        own = {name: getattr(self, name) for name in self._STATE}
-        return {"rays": self.rays, "hits": hits, "open": vars(self.open), **own}
-
-    @classmethod
-    def restored(
-        cls, plenoptic: PlenopticFunction, points: SurfacePoints, roughness_levels: tuple[float, ...], state: dict
-    ) -> IncomingLight:
-        """The inverse of `state`, for the same points and roughness levels."""
-        light = cls(plenoptic, points, roughness_levels)
-        device = points.position.device
-        for name in cls._STATE:
-            setattr(light, name, state[name].to(device))
-        light.rays, hits = state["rays"], state["hits"]
-        light.hits = SurfacePoints(
-            hits["position"].to(device), hits["face"].cpu().numpy(), hits["normal"].to(device), hits["view"].to(device)
-        )
-        light.open = OpenCones(**{name: value.to(device) for name, value in state["open"].items()})
-        light.specular = light.known_specular = light.direct_specular
-        light.diffuse = light.known_diffuse = light.direct_diffuse
-        return light
-
-    def _gather(
-        self, rows: Tensor, irradiance: int, generator: torch.Generator
-    ) -> tuple[Tensor, Tensor, SurfacePoints, OpenCones]:
-        """Traces the cones of some rows; returns those that met the mesh: row, weights [k,1+R,3], where; and those
-        that left it where photos did not look."""
-        points, f_p = self.points[rows], self.plenoptic
-        n, device = len(rows), rows.device
-        frame = brdf.frame(points.normal)
-        v = torch.einsum("nij,ni->nj", frame, points.view)
-        direction, angle, weight = self._cones(v, irradiance, generator)
-        # A cone of no weight (below the horizon) need not be traced.
-        live = (weight[..., _FULL].amax(-1) > 0).reshape(-1).nonzero().squeeze(-1)
-        each = live // direction.shape[1]
-        direction = torch.einsum("nij,nj->ni", frame[each], direction.reshape(-1, 3)[live])
-        weight = weight.flatten(0, 1)[live]
-        traced = f_p.trace(points[each], direction, angle.reshape(-1)[live])
-        self.rays += len(live)
-
-        def gather(values: Tensor) -> Tensor:
-            return torch.zeros(n, *values.shape[1:], device=device).index_add_(0, each, values)
-
-        total = gather(weight[..., None] * traced.radiance[:, None, None, :])
-        self.direct_diffuse[rows], self.direct_specular[rows] = total[:, 0, 0], total[:, 1:]
-        seen = gather(weight[:, 1:, 0] * traced.coverage[:, None])
-        self.coverage[rows] = seen / gather(weight[:, 1:, 0]).clamp_min(1e-9)
-        far = (traced.coverage < 1 - _LEAST_SHARE).nonzero().squeeze(-1)
-        full = weight[far, 1:, _FULL]
-        level = full.argmax(1)
-        terms = weight[far, 1 + level][:, [_EDGE, _DIELECTRIC]] / full.gather(1, level[:, None]).clamp_min(1e-12)
-        unseen = OpenCones(
-            rows[0] + each[far],
-            direction[far],
-            angle.reshape(-1)[live][far],
-            1 - traced.coverage[far],
-            weight[far, :, _FULL],
-            terms,
-        )
-        return rows[0] + each[traced.row], weight[traced.row], traced.hits, unseen
-
-    def _cones(self, v: Tensor, irradiance: int, generator: torch.Generator) -> tuple[Tensor, Tensor, Tensor]:
-        """Cones for local views v [n,3]: `irradiance` of them for the diffuse lobe; the samples of all levels serve all
-        of them, by the balance heuristic (Veach 1995).
-
-        Returns local directions [n,C,3], half-angles [n,C] and weights [n,C,1+R,3]: the diffuse lobe (its weight thrice)
-        and the three moments of each level. A lobe's weights are scaled to its exact albedo, so that a white furnace is
-        exact; a cone is as wide as its share of all samples around it.
-        """
-        n, levels, each = len(v), len(self.roughness_levels), self.plenoptic.specular
-        turn = torch.rand(n, levels + 1, 2, generator=generator).to(v.device)
-        diffuse, diffuse_angle = diffuse_cones(irradiance, turn[:, 0])
-        direction = specular_cones(
-            v[:, None].expand(n, levels, 3), self.roughness_levels.expand(n, levels), each, turn[:, 1:]
-        )[0]
-        direction = direction.reshape(n, -1, 3)
-        cos_v, cos_l = v[:, None, 2], direction[..., 2]
-        h = torch.nn.functional.normalize(v[:, None] + direction, dim=-1)
-        cos_h, cos_vh = h[..., 2].clamp(0, 1), (v[:, None] * h).sum(-1)
-        density, lobes = torch.zeros_like(cos_l), []
-        for roughness in self.roughness_levels:
-            alpha = brdf.alpha_of(roughness)
-            density = density + each * brdf.vndf_pdf(cos_v, cos_h, alpha)
-            lobes.append(brdf.specular(cos_v.expand_as(cos_l), cos_l, cos_h, alpha) * cos_l.clamp_min(0))
-        density = density.clamp_min(1e-9)
-        weight = torch.stack(lobes, -1) / density[..., None] * (cos_l > 0)[..., None]
-        albedo = brdf.specular_albedo(cos_v, self.roughness_levels)
-        weight = weight * (albedo / weight.sum(1).clamp_min(1e-6))[:, None].clamp_max(1e3)
-        fresnel = torch.stack(moment_weights(torch.ones_like(cos_vh), cos_vh), -1)
-        whole = weight.new_zeros(n, irradiance + weight.shape[1], 1 + levels, 3)
-        whole[:, :irradiance, 0] = 1 / max(irradiance, 1)
-        whole[:, irradiance:, 1:] = weight[..., None] * fresnel[:, :, None]
-        return torch.cat([diffuse, direction], 1), torch.cat([diffuse_angle, cone_of_density(density)], 1), whole
+    @property
+    def coverage(self) -> Tensor:
+        """[n, R] in 0..1, share of the specular light that photos saw."""
+        return self.traced.coverage
 
     @profiled("self reflection")
     def update(self, materials_at: Callable[[SurfacePoints], Material], generator: torch.Generator) -> None:
         """The moments under the current materials: what the object sends to itself, and the unseen light."""
-        specular, diffuse = self.direct_specular.clone(), self.direct_diffuse.clone()
-        if len(self.hit_index) and self.plenoptic.levels > 0:
-            light = self.plenoptic.outgoing(self.hits, materials_at, 2, generator)
+        traced = self.traced
+        specular, diffuse = traced.specular.clone(), traced.diffuse.clone()
+        if len(traced.hit_index) and self.plenoptic.settings.levels > 0:
+            light = self.plenoptic.outgoing(traced.hits, materials_at, 2, generator)
             for part in torch.arange(len(light), device=light.device).split(1 << 15):
-                share = self.hit_weight[part, ..., None] * light[part, None, None, :]
-                diffuse.index_add_(0, self.hit_index[part], share[:, 0, 0])
-                specular.index_add_(0, self.hit_index[part], share[:, 1:])
+                share = traced.hit_weight[part, ..., None] * light[part, None, None, :]
+                diffuse.index_add_(0, traced.hit_index[part], share[:, 0, 0])
+                specular.index_add_(0, traced.hit_index[part], share[:, 1:])
         self.known_specular, self.known_diffuse = specular, diffuse
-        """what F_e and the object itself send"""
         self.add_unseen()
 
     @profiled("add the unseen light")
@@ -207,7 +169,7 @@ class IncomingLight:
         if self.unseen is None:
             return
         self.specular, self.diffuse = specular, diffuse = self.known_specular.clone(), self.known_diffuse.clone()
-        far = self.open
+        far = self.traced.uncovered
         for part in torch.arange(len(far), device=diffuse.device).split(1 << 16):
             cones = far[part]
             light = self.unseen(self.points.position[cones.row], cones.direction, cones.half_angle) * cones.share[:, None]
@@ -216,17 +178,18 @@ class IncomingLight:
             share = cones.weight[:, 1:, None, None] * terms[:, None, :, None] * light[:, None, None, :]
             specular.index_add_(0, cones.row, share)
 
-    def open_cones(self, rows: Tensor) -> OpenCones:
+    def uncovered_cones(self, rows: Tensor) -> UncoveredCones:
         """Those of some samples [m], renumbered 0..m-1."""
         place = torch.full((len(self.points),), -1, device=rows.device)
         place[rows] = torch.arange(len(rows), device=rows.device)
-        cones = self.open[(place[self.open.row] >= 0).nonzero().squeeze(-1)]
+        cones = self.traced.uncovered
+        cones = cones[(place[cones.row] >= 0).nonzero().squeeze(-1)]
         cones.row = place[cones.row]
         return cones
 
-    def open_lines(self, cones: OpenCones, rows: Tensor, material: Material) -> tuple[Tensor, Tensor]:
-        """What samples `rows` [m], of the materials [m], send to their eyes for a light of 1 in one of their open cones [k]:
-        offset and slope [k,3] of `affine_in_albedo`."""
+    def uncovered_response(self, cones: UncoveredCones, rows: Tensor, material: Material) -> tuple[Tensor, Tensor]:
+        """What samples `rows` [m], of the materials [m], send to their eyes for a radiance of 1 in one of their uncovered
+        cones [k]: offset and slope [k,3] of `affine_in_albedo`."""
         each, row = torch.arange(len(cones), device=rows.device), cones.row
         own = Material(material.albedo[row], material.roughness[row], material.metallic[row])
         low, mix = self.roughness_interval(own.roughness)
@@ -251,3 +214,82 @@ class IncomingLight:
         levels = self.roughness_levels
         low = (torch.searchsorted(levels, roughness.contiguous(), right=True) - 1).clamp(0, len(levels) - 2)
         return low, ((roughness - levels[low]) / (levels[low + 1] - levels[low])).clamp(0, 1)
+
+
+def _trace(
+    plenoptic: PlenopticFunction,
+    points: SurfacePoints,
+    first: int,
+    roughness_levels: Tensor,
+    irradiance: int,
+    generator: torch.Generator,
+) -> TracedLight:
+    """Traces the cones of some points, which are the points first, first + 1, .. of all."""
+    n, device = len(points), points.position.device
+    frame = brdf.frame(points.normal)
+    v = torch.einsum("nij,ni->nj", frame, points.view)
+    direction, angle, weight = lobe_cones(v, roughness_levels, irradiance, plenoptic.settings.specular, generator)
+    # A cone of no weight (below the horizon) need not be traced.
+    live = (weight[..., _FULL].amax(-1) > 0).reshape(-1).nonzero().squeeze(-1)
+    each = live // direction.shape[1]
+    direction = torch.einsum("nij,nj->ni", frame[each], direction.reshape(-1, 3)[live])
+    weight = weight.flatten(0, 1)[live]
+    angle = angle.reshape(-1)[live]
+    traced = plenoptic.trace(points[each], direction, angle)
+
+    def gather(values: Tensor) -> Tensor:
+        return torch.zeros(n, *values.shape[1:], device=device).index_add_(0, each, values)
+
+    total = gather(weight[..., None] * traced.radiance[:, None, None, :])
+    seen = gather(weight[:, 1:, 0] * traced.coverage[:, None])
+    far = (traced.coverage < 1 - _LEAST_SHARE).nonzero().squeeze(-1)
+    full = weight[far, 1:, _FULL]
+    level = full.argmax(1)
+    terms = weight[far, 1 + level][:, [_EDGE, _DIELECTRIC]] / full.gather(1, level[:, None]).clamp_min(1e-12)
+    return TracedLight(
+        specular=total[:, 1:],
+        diffuse=total[:, 0, 0],
+        coverage=seen / gather(weight[:, 1:, 0]).clamp_min(1e-9),
+        hit_index=first + each[traced.row],
+        hit_weight=weight[traced.row],
+        hits=traced.hits,
+        uncovered=UncoveredCones(
+            first + each[far], direction[far], angle[far], 1 - traced.coverage[far], weight[far, :, _FULL], terms
+        ),
+        rays=len(live),
+    )
+
+
+def lobe_cones(
+    v: Tensor, roughness_levels: Tensor, irradiance: int, specular: int, generator: torch.Generator
+) -> tuple[Tensor, Tensor, Tensor]:
+    """Cones for local views v [n,3]: `irradiance` of them for the diffuse lobe, `specular` for each of R roughness levels.
+
+    The samples of all levels serve all of them, by the balance heuristic (Veach 1995).
+
+    Returns local directions [n,C,3], half-angles [n,C] and weights [n,C,1+R,3]: the diffuse lobe (its weight thrice)
+    and the three moments of each level. A lobe's weights are scaled to its exact albedo, so that a white furnace is
+    exact; a cone is as wide as its share of all samples around it.
+    """
+    n, levels = len(v), len(roughness_levels)
+    turn = torch.rand(n, levels + 1, 2, generator=generator).to(v.device)
+    diffuse, diffuse_angle = diffuse_cones(irradiance, turn[:, 0])
+    direction = specular_cones(v[:, None].expand(n, levels, 3), roughness_levels.expand(n, levels), specular, turn[:, 1:])[0]
+    direction = direction.reshape(n, -1, 3)
+    cos_v, cos_l = v[:, None, 2], direction[..., 2]
+    h = torch.nn.functional.normalize(v[:, None] + direction, dim=-1)
+    cos_h, cos_vh = h[..., 2].clamp(0, 1), (v[:, None] * h).sum(-1)
+    density, lobes = torch.zeros_like(cos_l), []
+    for roughness in roughness_levels:
+        alpha = brdf.alpha_of(roughness)
+        density = density + specular * brdf.vndf_pdf(cos_v, cos_h, alpha)
+        lobes.append(brdf.specular(cos_v.expand_as(cos_l), cos_l, cos_h, alpha) * cos_l.clamp_min(0))
+    density = density.clamp_min(1e-9)
+    weight = torch.stack(lobes, -1) / density[..., None] * (cos_l > 0)[..., None]
+    albedo = brdf.specular_albedo(cos_v, roughness_levels)
+    weight = weight * (albedo / weight.sum(1).clamp_min(1e-6))[:, None].clamp_max(1e3)
+    fresnel = torch.stack(moment_weights(torch.ones_like(cos_vh), cos_vh), -1)
+    whole = weight.new_zeros(n, irradiance + weight.shape[1], 1 + levels, 3)
+    whole[:, :irradiance, 0] = 1 / max(irradiance, 1)
+    whole[:, irradiance:, 1:] = weight[..., None] * fresnel[:, :, None]
+    return torch.cat([diffuse, direction], 1), torch.cat([diffuse_angle, cone_of_density(density)], 1), whole

@@ -7,7 +7,7 @@ levels, and below that the terminal MLP.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -59,6 +59,16 @@ class SurfacePoints:
         i = index.cpu().numpy()
         return SurfacePoints(self.position[index], self.face[i], self.normal[index], self.view[index])
 
+    @classmethod
+    def joined(cls, parts: Sequence[SurfacePoints]) -> SurfacePoints:
+        """One after the other."""
+        return cls(
+            torch.cat([part.position for part in parts]),
+            np.concatenate([part.face for part in parts]),
+            torch.cat([part.normal for part in parts]),
+            torch.cat([part.view for part in parts]),
+        )
+
 
 @dataclass
 class TraceResult:
@@ -98,12 +108,25 @@ class TerminalRadiance(nn.Module):
         return nn.functional.softplus(self.net(torch.cat([points.position, encoded, points.normal, mirrored], 1)))
 
 
+@dataclass(frozen=True)
+class PlenopticSettings:
+    """How deep f_p is evaluated, and by how many cones a surface point."""
+
+    levels: int
+    """N, the number of surface interactions computed by the rendering equation, counting the one that the eye sees (1: what
+    a reflected ray hits comes from the terminal MLP; 0: hits stay black, the ablation without indirect light)"""
+    diffuse: int
+    """Cones of the diffuse lobe, where f_p is evaluated recursively"""
+    specular: int
+    """Cones of the specular lobe"""
+    use_cones: bool = True
+    """False: all cones are as narrow as a ray, the ablation"""
+
+
 class PlenopticFunction:
     """f_p over one mesh and one environment field.
 
-    materials_at(points) gives the current Material there; levels is N, the number of surface interactions computed by
-    the rendering equation counting the one that the eye sees (1: what a reflected ray hits comes from the terminal MLP;
-    0: hits stay black, the ablation without indirect light).
+    materials_at(points) gives the current Material there.
     """
 
     def __init__(
@@ -112,15 +135,11 @@ class PlenopticFunction:
         normals: np.ndarray,
         environment: Environment,
         terminal: TerminalRadiance,
-        *,
-        levels: int,
-        diffuse: int,
-        specular: int,
-        use_cones: bool,
+        settings: PlenopticSettings,
         device: torch.device | str,
     ):
         self.tracer, self.normals, self.environment, self.terminal = tracer, normals, environment, terminal
-        self.levels, self.diffuse, self.specular, self.use_cones = levels, diffuse, specular, use_cones
+        self.settings = settings
         self.device = torch.device(device)
         self.unseen: UnseenLight | None = None
         """Light that no photo shows; None until learned."""
@@ -145,7 +164,7 @@ class PlenopticFunction:
         radiance = torch.zeros_like(directions)
         coverage = torch.ones(len(directions), device=self.device)
         free = torch.from_numpy(np.flatnonzero(~hit)).to(self.device)
-        if not self.use_cones:
+        if not self.settings.use_cones:
             half_angle = torch.full_like(half_angle, 2e-3)
         for index in free.split(_CHUNK):
             radiance[index], coverage[index] = self.environment.query_cone(
@@ -164,14 +183,14 @@ class PlenopticFunction:
         generator: torch.Generator,
     ) -> Tensor:
         """Radiance [n,3] that points send to their eye: the rendering equation at `level`, recursively (eq. 9)."""
-        if self.levels == 0:
+        if self.settings.levels == 0:
             return torch.zeros_like(points.position)
-        if level > self.levels:
+        if level > self.settings.levels:
             return torch.cat(
                 [self.terminal(points[i]) for i in torch.arange(len(points)).split(_CHUNK)]
                 or [torch.zeros_like(points.position)]
             )
-        step = _CHUNK // (self.diffuse + self.specular)
+        step = _CHUNK // (self.settings.diffuse + self.settings.specular)
         parts = [
             self._outgoing(points[i], materials_at, level, generator)
             for i in torch.arange(len(points), device=self.device).split(step)
@@ -205,19 +224,19 @@ class PlenopticFunction:
         level: int,
         generator: torch.Generator,
     ) -> Tensor:
-        n = len(points)
+        n, diffuse, specular = len(points), self.settings.diffuse, self.settings.specular
         material = materials_at(points)
         frame = brdf.frame(points.normal)
         v = local(frame, points.view)
         turn = torch.rand(n, 2, 2, generator=generator).to(self.device)
-        s, weight, cos_vh, s_angle = specular_cones(v, material.roughness, self.specular, turn[:, 0])
-        d, d_angle = diffuse_cones(self.diffuse, turn[:, 1])
+        s, weight, cos_vh, s_angle = specular_cones(v, material.roughness, specular, turn[:, 0])
+        d, d_angle = diffuse_cones(diffuse, turn[:, 1])
         directions = torch.einsum("nij,nkj->nki", frame, torch.cat([s, d], 1))
         angle = torch.cat([s_angle, d_angle], 1)
-        each = torch.arange(n, device=self.device).repeat_interleave(self.specular + self.diffuse)
+        each = torch.arange(n, device=self.device).repeat_interleave(specular + diffuse)
         light = self.incoming(points[each], directions.reshape(-1, 3), angle.reshape(-1), materials_at, level, generator)
         light = light.reshape(n, -1, 3)
-        spec, diff = light[:, : self.specular], light[:, self.specular :].sum(1) / max(self.diffuse, 1)
+        spec, diff = light[:, :specular], light[:, specular:].sum(1) / max(diffuse, 1)
         moments = SpecularMoments(*((w[..., None] * spec).sum(1) for w in moment_weights(weight, cos_vh)))
         return reflected(material, moments, diff, v[:, 2])
 

@@ -104,7 +104,7 @@ def taps(rows: int, radius: float, origins: Tensor, directions: Tensor, half_ang
 
 
 @dataclass
-class OpenCones:
+class UncoveredCones:
     """Cones that left the object towards where photos did not look well, from n surface points in order."""
 
     row: Tensor
@@ -123,10 +123,10 @@ class OpenCones:
     def __len__(self) -> int:
         return len(self.row)
 
-    def __getitem__(self, index: Tensor) -> OpenCones:
-        return OpenCones(*(value[index] for value in vars(self).values()))
+    def __getitem__(self, index: Tensor) -> UncoveredCones:
+        return UncoveredCones(*(value[index] for value in vars(self).values()))
 
     @classmethod
-    def joined(cls, parts: Sequence[OpenCones]) -> OpenCones:
+    def joined(cls, parts: Sequence[UncoveredCones]) -> UncoveredCones:
         """One after the other."""
         return cls(*(torch.cat(values) for values in zip(*(vars(part).values() for part in parts), strict=True)))

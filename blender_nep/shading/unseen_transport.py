@@ -11,19 +11,19 @@ import torch
 from torch import Tensor
 
 from blender_nep.ops.cone_transport import collect, send
-from blender_nep.shading.unseen_light import OpenCones, level_sizes, taps
+from blender_nep.shading.unseen_light import UncoveredCones, level_sizes, taps
 
 _PARTS = 32
 """In which the adjoint is summed, each into a map of its own."""
 
 
 class UnseenTransport:
-    """From a map of `rows` rows at `radius` to n surface points at position [n, 3], through their open cones.
+    """From a map of `rows` rows at `radius` to n surface points at position [n, 3], through their uncovered cones.
 
     Computed on the CPU, whatever the device of the cones.
     """
 
-    def __init__(self, rows: int, radius: float, cones: OpenCones, position: Tensor) -> None:
+    def __init__(self, rows: int, radius: float, cones: UncoveredCones, position: Tensor) -> None:
         index, weight = taps(rows, radius, position[cones.row], cones.direction, cones.half_angle)
         self.texels = sum(2 * size * size for size in level_sizes(rows))
         self._texel = index.int().cpu().numpy()

@@ -13,8 +13,10 @@ from PIL import Image
 
 from blender_nep.capture import Camera, PixelRays, load_capture
 from blender_nep.capture.bounds import sphere_from_cameras
-from blender_nep.capture.photo_files import linear_to_srgb, open_image, srgb_to_linear
+from blender_nep.capture.photo_files import open_image
+from blender_nep.capture.pixel_rays import pixel_footprint, pixel_width
 from blender_nep.capture.summary import describe, summarise
+from blender_nep.color import linear_to_srgb, srgb_to_linear
 from blender_nep.errors import CaptureError
 from blender_nep.messages import Message
 from support.captures import CENTER, RADIUS, look_at, write_exr
@@ -51,6 +53,15 @@ def test_rays_equal_the_camera_model_after_downscaling(make_capture):
     assert abs(float(cones) / whole - 1) < 0.005
 
 
+def test_the_footprint_is_the_pixels_width_at_the_object(make_capture):
+    """A pixel 1 / fl of a radian wide, seen from a known distance; off the axis it is somewhat narrower."""
+    capture = load_capture(make_capture(views=4, size=48).folder)
+    rays = PixelRays.from_capture(capture, 10**6, use_masks=False)
+    distance = [np.linalg.norm(v.camera.position - capture.object_center) / capture.object_radius for v in capture.views]
+    assert pixel_footprint(rays) == pytest.approx(np.median(distance) / capture.views[0].camera.fl_x, rel=0.1)
+    assert float(pixel_width(torch.tensor(0.5))) == pytest.approx(0.5 * np.sqrt(np.pi), rel=2e-3)
+
+
 def test_sphere_and_outside_split_the_valid_pixels(make_capture):
     capture = load_capture(make_capture(views=5).folder)
     rays = PixelRays.from_capture(capture, 10**6, use_masks=False)
@@ -72,6 +83,9 @@ def test_box_filter_is_a_mean_in_linear_space(make_capture):
 def test_srgb_is_inverted():
     x = np.linspace(0, 1, 1001)
     np.testing.assert_allclose(srgb_to_linear(linear_to_srgb(x)), x, atol=1e-6)
+    # the standard's own numbers: the linear part, and half the encoded range
+    np.testing.assert_allclose(srgb_to_linear(np.array([0.0, 0.04045, 0.5, 1.0])), [0, 0.0031308, 0.2140411, 1], atol=1e-7)
+    np.testing.assert_array_equal(linear_to_srgb(np.array([-1.0, 2.0])), [0, 1])
 
 
 def write_png16(path, pixels, filters):

@@ -5,13 +5,14 @@ import io
 import json
 import os
 import threading
+import time
 from dataclasses import replace
 
 import numpy as np
 import pytest
 import torch
 
-from blender_nep.capture import PixelRays, load_capture
+from blender_nep.capture import Capture, PixelRays, load_capture
 from blender_nep.capture import pixel_rays as rays_module
 from blender_nep.capture.photo_files import open_image
 from blender_nep.capture.pixel_set import PixelSet
@@ -55,14 +56,13 @@ def test_pixels_in_a_file_are_those_in_memory_in_half_precision(make_capture, tm
     assert list(folder.iterdir()) == [], "the file has no name: nothing is left behind, however the process ends"
 
 
-def test_a_full_disk_is_the_documented_error(tmp_path):
+def test_a_full_disk_is_the_documented_error(tmp_path, monkeypatch):
     class Full(io.BytesIO):
         def write(self, data):
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
+    monkeypatch.setattr("tempfile.TemporaryFile", lambda **_: Full())
     store = FileStore(4, (3,), np.float16, tmp_path)
-    store.append(np.zeros((2, 3), np.float32))
-    store._file = Full()
     with pytest.raises(OutputError, match="disk is full"):
         store.append(np.zeros((2, 3), np.float32))
 
@@ -92,41 +92,42 @@ def test_strips_give_what_the_whole_photo_gives(make_capture, monkeypatch, suffi
     np.testing.assert_array_equal(np.concatenate([raster.rows(k, k + 4)[0] for k in range(0, 31, 4)]), color)
 
 
-def test_photos_are_decoded_one_at_a_time_when_they_are_large(make_capture, monkeypatch):
-
-    tiny = make_capture(views=8)
-    capture = load_capture(tiny.folder)
+@pytest.mark.parametrize(("room", "at_once"), [(24 * 24 - 1, 1), (2 * 24 * 24, 2)])
+def test_as_many_photos_are_decoded_at_once_as_there_is_room_for(make_capture, monkeypatch, room, at_once):
+    capture = load_capture(make_capture(views=8).folder)
     running, most, lock = 0, 0, threading.Lock()
-    load = rays_module._load
+    open_photo = Capture.open_photo
 
     def counting(*arguments):
         nonlocal running, most
         with lock:
             running += 1
             most = max(most, running)
+        time.sleep(0.05)  # long enough that another thread, if there is one, comes in
         try:
-            return load(*arguments)
+            return open_photo(*arguments)
         finally:
             with lock:
                 running -= 1
 
-    monkeypatch.setattr(rays_module, "_load", counting)
-    monkeypatch.setattr(rays_module, "_DECODED_PIXELS", 24 * 24 - 1)
-    assert PixelRays.from_capture(capture, 100, False).views == 8 and most == 1
+    monkeypatch.setattr(Capture, "open_photo", counting)
+    monkeypatch.setattr(rays_module, "_DECODED_PIXELS", room)
+    monkeypatch.setattr("os.cpu_count", lambda: 4)
+    assert PixelRays.from_capture(capture, 100, False).views == 8 and most == at_once
 
 
 def test_a_job_says_how_many_photos_are_read_and_stops_between_two(make_capture, tmp_path, monkeypatch):
     capture, out, stop = make_capture(views=6).folder, tmp_path / "asset", StopRequest()
-    read, load = 0, rays_module._load
+    read, open_photo = 0, Capture.open_photo
 
-    def loading(*arguments):
+    def opening(*arguments):
         nonlocal read
         read += 1
         if read == 4:
             stop.request("test")
-        return load(*arguments)
+        return open_photo(*arguments)
 
-    monkeypatch.setattr(rays_module, "_load", loading)
+    monkeypatch.setattr(Capture, "open_photo", opening)
     monkeypatch.setattr(rays_module, "_DECODED_PIXELS", 1)
     protocol = io.StringIO()
     settings = job.Settings(capture, out, preset("preview"))

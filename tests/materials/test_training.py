@@ -59,6 +59,16 @@ class HalfSeen(AnalyticEnvironment):
         return math.inf
 
 
+class Counting(AnalyticEnvironment):
+    """The same light, which counts the cones that it is asked for."""
+
+    cones = 0
+
+    def query_cone(self, origins, directions, half_angle):
+        self.cones += len(origins)
+        return super().query_cone(origins, directions, half_angle)
+
+
 @dataclass
 class SyntheticRays:
     """The part of PixelRays that material learning uses."""
@@ -223,8 +233,10 @@ def test_textures_do_not_depend_on_the_block(ball, monkeypatch):
 def test_same_seed_same_textures_also_when_resumed(ball):
     photos = make_photos(constant((0.9, 0.6, 0.3), 0.2, 1.0), views=5, rays=32)
     checkpoint = MemoryCheckpoint(always=True)
-    a, b = learn(ball, photos, checkpoint=checkpoint), learn(ball, photos)
-    resumed = learn(ball, photos, checkpoint=MemoryCheckpoint(checkpoint.state))
+    whole, rest = Counting(), Counting()
+    a, b = learn(ball, photos, checkpoint=checkpoint, environment=whole), learn(ball, photos)
+    resumed = learn(ball, photos, checkpoint=MemoryCheckpoint(checkpoint.state), environment=rest)
+    assert rest.cones < 0.01 * whole.cones, "the light is that of the checkpoint"
     for other in (b, resumed):
         assert (a.albedo == other.albedo).all() and (a.roughness == other.roughness).all()
 

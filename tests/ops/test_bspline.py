@@ -90,7 +90,7 @@ def test_march_brackets_a_sphere():
     assert (count[hits] == 1).all() and (count[misses] == 0).all()
     surface = -b[hits] - (0.36 - off_axis[hits] ** 2).sqrt()
     assert (spans[hits, 0, 0] < surface).all() and (spans[hits, 0, 1] > surface).all()
-    torch_spans, torch_count = bspline._march_torch(coefficients, origins, directions, near, far, band, step, 4)
+    torch_spans, torch_count = bspline.march_torch(coefficients, origins, directions, near, far, band, step, 4)
     assert torch.equal(torch_count, count)
     torch.testing.assert_close(torch_spans, spans, atol=2e-3, rtol=0)
 

@@ -8,9 +8,9 @@ import pytest
 import torch
 
 from blender_nep.fields.environment_prefilter import disc_mean
-from blender_nep.ops.environment_rendering import render_environment
+from blender_nep.ops.environment_rendering import EnvironmentVolume, render_environment
 from blender_nep.ops.environment_rendering_torch import interpolate
-from blender_nep.ops.environment_segments import scale_invariant_segments
+from blender_nep.ops.environment_segments import RaySegments, scale_invariant_segments
 from blender_nep.ops.environment_smoothness import total_variation
 from blender_nep.ops.environment_weights import from_weights, weights_from_centre
 
@@ -40,9 +40,9 @@ def random_grid(shells: int, rows: int, seed: int) -> torch.Tensor:
 
 
 def render(raw, rays, body="numba", step=0.1, **more):
-    return render_environment(
-        raw, *rays, outer_radius=OUTER, relative_step=step, density_gain=2.0, body=body, **(EXACT | more)
-    )
+    jitter = more.pop("jitter", None)
+    volume = EnvironmentVolume(outer_radius=OUTER, density_gain=2.0, relative_step=step, **(EXACT | more))
+    return render_environment(raw, RaySegments(*rays), volume, jitter=jitter, body=body)
 
 
 @pytest.mark.parametrize("gradient_near", [0.0, 1.5])
@@ -152,7 +152,7 @@ def test_no_rays():
 
 def test_segment_length_is_the_integral_of_dt_over_distance():
     origins, directions, near, far = random_rays(10, 12)
-    _, _, _, length = scale_invariant_segments(origins, directions, near, far, OUTER)
+    length = scale_invariant_segments(RaySegments(origins, directions, near, far), OUTER).s_length
     for i in range(10):
         along = float((origins[i] * directions[i]).sum())
         leave = -along + math.sqrt(along**2 - float(origins[i].square().sum()) + OUTER**2)

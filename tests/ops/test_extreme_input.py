@@ -17,7 +17,8 @@ from blender_nep.fields.volume_rendering import neus_weights, place_samples, ren
 from blender_nep.materials.fitting import fit_groups
 from blender_nep.materials.palette import best_of
 from blender_nep.ops import bspline
-from blender_nep.ops.environment_rendering import render_environment
+from blender_nep.ops.environment_rendering import EnvironmentVolume, render_environment
+from blender_nep.ops.environment_segments import RaySegments
 from blender_nep.ops.environment_smoothness import total_variation
 from blender_nep.presets import EnvironmentPreset
 from blender_nep.shading import brdf
@@ -60,16 +61,15 @@ def test_extreme_environments_render_finitely_and_alike(seed, density, color, sp
         raw = start.clone().requires_grad_()
         radiance, passed = render_environment(
             raw,
-            origins,
-            directions,
-            near,
-            far,
-            outer_radius=32.0,
-            relative_step=0.3,
-            density_gain=16.0,
-            gradient_near=2.0,
-            transmittance_limit=0.0,
-            depth_limit=0.0,
+            RaySegments(origins, directions, near, far),
+            EnvironmentVolume(
+                outer_radius=32.0,
+                density_gain=16.0,
+                relative_step=0.3,
+                gradient_near=2.0,
+                transmittance_limit=0.0,
+                depth_limit=0.0,
+            ),
             body=body,
         )
         (radiance.sum() + passed.sum()).backward()
@@ -245,13 +245,13 @@ def test_kernels_take_low_precision_and_compute_in_float32(dtype):
     raw = torch.randn(4, 6, 12, 4, generator=generator).to(dtype).requires_grad_()
     origins, directions = (x.to(dtype) for x in rays_from(2.5, 20, 0))
     near, far = torch.full((20,), 0.5, dtype=dtype), torch.full((20,), math.inf, dtype=dtype)
-    more = {"outer_radius": 32.0, "relative_step": 0.3, "density_gain": 2.0}
+    volume = EnvironmentVolume(outer_radius=32.0, density_gain=2.0, relative_step=0.3)
 
     def all_of(c, p, r, o, d, n, f):
         return [
             bspline.sample(c, p),
             bspline.refine(c),
-            render_environment(r, o, d, n, f, **more)[0],
+            render_environment(r, RaySegments(o, d, n, f), volume)[0],
             total_variation(r, (1.0,) * 4, 0.1),
             *bspline.march(c, o, d, n, n + 4, 0.3, 0.1)[:1],
         ]

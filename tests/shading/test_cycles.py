@@ -14,7 +14,7 @@ import trimesh
 pytest.importorskip("bpy")
 from blender_nep.asset.preview import Pyramid
 from blender_nep.geometry.ray_tracing import RayTracer
-from blender_nep.shading.plenoptic import Material, PlenopticFunction, TerminalRadiance
+from blender_nep.shading.plenoptic import Material, PlenopticFunction, PlenopticSettings, TerminalRadiance
 from support.paths import SUZANNE_SMALL, TESTS
 
 SIZE, WIDTH = 64, 2.0
@@ -100,11 +100,8 @@ def test_our_shading_is_that_of_cycles(reference, index):
         np.asarray(mesh.vertex_normals),
         Sky(light),
         TerminalRadiance(),
-        levels=1 + bounces,
-        diffuse=rays,
-        specular=rays,
-        use_cones=False,
-        device="cpu",
+        PlenopticSettings(levels=1 + bounces, diffuse=rays, specular=rays, use_cones=False),
+        "cpu",
     )
     at = ((np.arange(SIZE) + 0.5) / SIZE - 0.5) * WIDTH
     y, z = np.meshgrid(at, -at)

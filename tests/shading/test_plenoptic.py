@@ -7,7 +7,7 @@ import trimesh
 
 from blender_nep.geometry.ray_tracing import RayTracer
 from blender_nep.shading.incoming_light import IncomingLight
-from blender_nep.shading.plenoptic import Material, PlenopticFunction, TerminalRadiance, reflected
+from blender_nep.shading.plenoptic import Material, PlenopticFunction, PlenopticSettings, TerminalRadiance, reflected
 
 
 class UniformLight:
@@ -39,18 +39,15 @@ def two_balls():
     return np.asarray(mesh.vertices), np.asarray(mesh.faces), np.asarray(mesh.vertex_normals)
 
 
-def scene(two_balls, levels, coverage=1.0, diffuse=8):
+def scene(two_balls, levels, coverage=1.0, diffuse=8, use_cones=True):
     vertices, faces, normals = two_balls
     f_p = PlenopticFunction(
         RayTracer(vertices, faces),
         normals,
         UniformLight(coverage),
         UniformTerminal(),
-        levels=levels,
-        diffuse=diffuse,
-        specular=4,
-        use_cones=True,
-        device="cpu",
+        PlenopticSettings(levels=levels, diffuse=diffuse, specular=4, use_cones=use_cones),
+        "cpu",
     )
     rng = np.random.default_rng(0)
     face = rng.integers(0, len(faces), 600)
@@ -58,6 +55,20 @@ def scene(two_balls, levels, coverage=1.0, diffuse=8):
     tilt = 0.3 * torch.randn(600, 3, generator=torch.Generator().manual_seed(1))
     view = torch.nn.functional.normalize(torch.from_numpy(f_p.tracer.face_normals[face]) + tilt, dim=-1)
     return f_p, f_p.points(face, barycentric, view)
+
+
+class RecordingLight(UniformLight):
+    def query_cone(self, origins, directions, half_angle):
+        self.widest = float(half_angle.max())
+        return super().query_cone(origins, directions, half_angle)
+
+
+@pytest.mark.parametrize("use_cones", [True, False])
+def test_without_cones_the_environment_is_asked_for_rays_only(two_balls, use_cones):
+    f_p, points = scene(two_balls, 1, use_cones=use_cones)
+    f_p.environment = RecordingLight()
+    f_p.outgoing(points, white(0.0), 1, torch.Generator().manual_seed(2))
+    assert (f_p.environment.widest > 0.1) == use_cones and (f_p.environment.widest < 0.01) != use_cones
 
 
 @pytest.mark.parametrize("levels", [1, 2])
@@ -72,7 +83,7 @@ def test_without_indirect_light_what_the_object_sees_of_itself_is_black(two_ball
     f_p, points = scene(two_balls, 0)
     light = IncomingLight.gathered(f_p, points, (0.1, 0.5, 1.0), 32, torch.Generator().manual_seed(3), lambda _: None)
     light.update(white(1.0), torch.Generator())
-    assert len(light.hit_index) > 0
+    assert len(light.traced.hit_index) > 0
     assert 0.5 < light.diffuse.mean().item() < 0.99
 
 

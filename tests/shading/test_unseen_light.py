@@ -15,8 +15,8 @@ from blender_nep.materials.palette import Palette
 from blender_nep.materials.unseen_light_training import UnseenLightProblem, learn_unseen_light
 from blender_nep.presets import MaterialPreset
 from blender_nep.shading.incoming_light import IncomingLight
-from blender_nep.shading.plenoptic import PlenopticFunction, SpecularMoments, TerminalRadiance, reflected
-from blender_nep.shading.unseen_light import OpenCones, UnseenLight, level_sizes, pyramid
+from blender_nep.shading.plenoptic import PlenopticFunction, PlenopticSettings, SpecularMoments, TerminalRadiance, reflected
+from blender_nep.shading.unseen_light import UncoveredCones, UnseenLight, level_sizes, pyramid
 from blender_nep.shading.unseen_transport import UnseenTransport
 
 
@@ -116,11 +116,8 @@ def ball():
         normals,
         DarkCeiling(),
         TerminalRadiance(),
-        levels=1,
-        diffuse=8,
-        specular=4,
-        use_cones=True,
-        device="cpu",
+        PlenopticSettings(levels=1, diffuse=8, specular=4, use_cones=True),
+        "cpu",
     )
     rng = np.random.default_rng(0)
     face = rng.integers(0, len(faces), 4000)
@@ -145,8 +142,8 @@ def test_the_transport_is_what_the_cones_receive_and_its_adjoint_fits(ball):
     material = palette.at(torch.zeros(4000, dtype=torch.int64))
     rows = torch.arange(0, 4000, 3)
     light = lamp(16)
-    cones = ball.open_cones(rows)
-    offset, slope = ball.open_lines(cones, rows, palette.at(torch.zeros(len(rows), dtype=torch.int64)))
+    cones = ball.uncovered_cones(rows)
+    offset, slope = ball.uncovered_response(cones, rows, palette.at(torch.zeros(len(rows), dtype=torch.int64)))
     transport = UnseenTransport(16, light.radius, cones, ball.points.position[rows])
     response = torch.stack([offset, slope], 1).numpy()
     lines = transport.sent(response, pyramid(light.radiance).numpy())
@@ -230,7 +227,7 @@ def test_many_samples_on_many_threads_are_solved_the_same_each_time():
     def random(*shape):
         return torch.rand(*shape, generator=generator)
 
-    cones = OpenCones(
+    cones = UncoveredCones(
         torch.arange(8), directions(8, 0), torch.full((8,), 0.3), torch.ones(8), torch.ones(8, 3), torch.zeros(8, 2)
     )
     moments = SpecularMoments(random(n, 3), 0.1 * random(n, 3), 0.05 * random(n, 3))
@@ -239,8 +236,8 @@ def test_many_samples_on_many_threads_are_solved_the_same_each_time():
         cos_v=0.2 + 0.8 * random(n),
         known_diffuse=random(n, 3),
         moments=lambda *_, **__: moments,
-        open_cones=lambda _: cones,
-        open_lines=lambda *_: (torch.zeros(8, 3), torch.ones(8, 3)),
+        uncovered_cones=lambda _: cones,
+        uncovered_response=lambda *_: (torch.zeros(8, 3), torch.ones(8, 3)),
     )
     palette = Palette(random(2, 3), torch.full((2,), 0.3), torch.tensor([0.0, 1.0]))
     label, target = torch.arange(n) % 2, random(n, 3)

@@ -1,0 +1,129 @@
+"""What stands still while materials are learned: the photo samples, f_p over the mesh, and the light that reaches them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+import torch
+
+from blender_nep.capture.pixel_rays import pixel_footprint
+from blender_nep.geometry.mesh import Surface
+from blender_nep.geometry.ray_tracing import RayTracer
+from blender_nep.materials.photo_samples import PhotoSamples, select_samples
+from blender_nep.materials.training_report import TrainingProgress
+from blender_nep.profiling import profiled
+from blender_nep.shading.incoming_light import IncomingLight, TracedLight
+from blender_nep.shading.plenoptic import PlenopticFunction, PlenopticSettings, SurfacePoints, TerminalRadiance
+
+if TYPE_CHECKING:
+    from blender_nep.capture.pixel_rays import PixelRays
+    from blender_nep.fields.environment_field import EnvironmentField
+    from blender_nep.presets import MaterialPreset
+
+_TERMINAL_RATE = 3e-3
+"""Adam's, for the terminal MLP."""
+_TERMINAL_BATCH = 4096
+
+
+@dataclass(frozen=True)
+class Observations:
+    """The surface as the photos show it."""
+
+    surface: Surface
+    rays: PixelRays
+    samples: PhotoSamples
+    """n pixels that the materials are learned from"""
+    points: SurfacePoints
+    """[n] where they see the surface"""
+    f_p: PlenopticFunction
+    footprint: float
+    """Median width of a pixel on the surface, unit frame"""
+    device: torch.device
+
+    @classmethod
+    def of(
+        cls,
+        surface: Surface,
+        environment: EnvironmentField,
+        rays: PixelRays,
+        preset: MaterialPreset,
+        seed: int,
+        device: torch.device,
+    ) -> Observations:
+        """Selects the samples. Raises LearningError when no photo shows the surface."""
+        tracer = RayTracer(surface.vertices, surface.faces)
+        samples = select_samples(
+            rays,
+            tracer,
+            surface.normals,
+            count=preset.samples,
+            least_cosine=preset.least_cosine,
+            generator=np.random.default_rng(seed),
+        )
+        settings = PlenopticSettings(
+            levels=preset.levels,
+            diffuse=preset.diffuse_cones,
+            specular=preset.specular_cones,
+            use_cones=preset.use_cones,
+        )
+        terminal = TerminalRadiance().to(device)
+        f_p = PlenopticFunction(tracer, surface.normals, environment, terminal, settings, device)
+        points = f_p.points(samples.face, samples.barycentric, samples.view)
+        return cls(surface, rays, samples, points, f_p, pixel_footprint(rays), device)
+
+
+def gathered_light(
+    seen: Observations, preset: MaterialPreset, generator: torch.Generator, progress: TrainingProgress
+) -> IncomingLight:
+    """The terminal MLP and the prefiltered light: the long part, which a resumed run takes from the checkpoint.
+
+    From here on the progress has a state to save.
+    """
+    f_p, saved = seen.f_p, progress.checkpoint.load() or {}
+    if "light" in saved:
+        f_p.terminal.load_state_dict(saved["terminal"])
+        traced = TracedLight.from_state(saved["light"], seen.points.position.device)
+        light = IncomingLight(f_p, seen.points, preset.roughness_levels, traced)
+        generator.set_state(saved["generator"])
+    else:
+        if preset.levels > 0:
+            _learn_terminal(seen, preset.terminal_steps, generator, progress)
+        light = IncomingLight.gathered(
+            f_p,
+            seen.points,
+            preset.roughness_levels,
+            preset.irradiance_cones,
+            generator,
+            lambda share: progress.step(10 + int(60 * share)),
+        )
+    progress.state = {
+        "terminal": f_p.terminal.state_dict(),
+        "light": light.traced.state(),
+        "generator": generator.get_state(),
+    }
+    progress.step(70)
+    progress.phase_ended("light")
+    return light
+
+
+@profiled("terminal MLP")
+def _learn_terminal(seen: Observations, steps: int, generator: torch.Generator, progress: TrainingProgress) -> None:
+    """MLP(x, d) from the photos: what they show of the surface is the radiance it sends out."""
+    net = seen.f_p.terminal
+    with torch.random.fork_rng(devices=[]):
+        torch.manual_seed(int(torch.randint(1 << 30, (1,), generator=generator)))
+        net.load_state_dict(TerminalRadiance().state_dict())
+    optimiser = torch.optim.Adam(net.parameters(), _TERMINAL_RATE)
+    goal = torch.log1p(4 * seen.samples.radiance)
+    for k in range(steps):
+        batch = torch.randint(len(goal), (_TERMINAL_BATCH,), generator=generator).to(seen.device)
+        loss = (net.log_radiance(seen.points[batch]) - goal[batch]).abs().mean()
+        optimiser.zero_grad()
+        loss.backward()
+        optimiser.step()
+        if k % 20 == 0:
+            progress.loss = loss.item()
+            progress.step(int(10 * k / steps))
+    progress.phase_ended("terminal")
