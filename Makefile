@@ -1,6 +1,6 @@
 # make demo   a capture that is in the repository -> asset, .blend, comparison picture
 # make test   lint and all tests
-# make lint   ruff and the directions of imports
+# make lint   ruff, the directions of imports, types
 # make stress CASES=500 SEED=1   whole small jobs on hostile captures (docs/stress.md); goes on where it was stopped
 # make bench  the whole benchmark plan, then docs/benchmarks.md (many hours; less of it:
 #             CAPTURES="a b" PLAN=presets SEEDS=0 JOBS=2, RENDER="--views 24 --size 160 --samples 8")
@@ -62,6 +62,7 @@ lint: $(VENV)/installed-dev
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/lint-imports
+	$(BIN)/mypy
 
 # Stamps: an environment is filled once, and again when the list of packages changes.
 $(VENV)/installed: pyproject.toml constraints.txt

@@ -63,7 +63,7 @@ class Raster:
     @property
     def size(self) -> tuple[int, int]:
         """(H, W)"""
-        return self.stored.shape[:2]
+        return self.stored.shape[0], self.stored.shape[1]
 
     @property
     def is_float(self) -> bool:
@@ -139,7 +139,7 @@ class MaskRaster:
     def rows(self, start: int = 0, end: int | None = None) -> np.ndarray:
         """Coverage [h, W] float32 in 0..1."""
         color, alpha = self.raster.rows(start, end)
-        coverage = alpha if self.from_alpha else color[..., 0]
+        coverage = alpha if self.from_alpha and alpha is not None else color[..., 0]
         return np.nan_to_num(np.clip(coverage, 0.0, 1.0)).astype(np.float32)
 
 

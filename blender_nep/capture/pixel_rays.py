@@ -321,7 +321,7 @@ def _load(capture: Capture, i: int, factor: int, use_masks: bool) -> _Photo:
         else:
             finite, radiance = np.ones(raw.shape[:2], bool), raw
         brightest = max(brightest, float(radiance.max(initial=0.0)))
-        if cut_out:
+        if cut_out and alpha is not None:
             # An edge pixel mixes the object with surroundings that are not there: its radiance is of neither.
             finite &= (alpha > 0.98) | (alpha < 0.02)
             radiance[alpha < 0.02] = 0

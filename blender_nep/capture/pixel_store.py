@@ -48,7 +48,7 @@ class FileStore:
 
     def append(self, rows: np.ndarray) -> None:
         """rows [n, *shape], converted. Raises OutputError when the disk is full."""
-        left = memoryview(np.ascontiguousarray(rows, self._dtype).reshape(-1).view(np.uint8))
+        left = np.ascontiguousarray(rows, self._dtype).reshape(-1).view(np.uint8).data
         with output_errors(self._folder):
             while left:  # written, not mapped: a full disk would end the process by a signal
                 left = left[self._file.write(left) :]
@@ -98,8 +98,9 @@ class PixelStores:
         """A photo [n, 3], [n], [n]. One without a mask ends the keeping of masks. Raises OutputError."""
         self.radiance.append(radiance)
         self.valid.append(valid)
-        self.mask = None if mask is None else self.mask
-        if self.mask is not None:
+        if mask is None:
+            self.mask = None
+        elif self.mask is not None:
             self.mask.append(mask)
 
     def finished(self) -> tuple[Tensor, Tensor, Tensor | None]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -24,7 +25,7 @@ def summarise(folder: Path) -> dict:
     angles = [math.degrees(2 * math.atan(0.5 * c.width / c.fl_x)) for c in cameras]
     sizes = Counter(f"{c.width} x {c.height}" for c in cameras)
     radiance = rays.radiance[rays.valid][:: max(1, rays.count // 1_000_000)].float()
-    found = {
+    found: dict[str, Any] = {
         "folder": str(folder),
         "photos": len(capture.views),
         "sizes": dict(sizes),

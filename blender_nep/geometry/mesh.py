@@ -21,6 +21,13 @@ class Surface:
     uv: np.ndarray | None = None
     """[V,2] in 0..1, v upwards; None before unwrapping"""
 
+    @property
+    def atlas(self) -> np.ndarray:
+        """The UV coordinates [V,2] of an unwrapped surface. ValueError before unwrapping."""
+        if self.uv is None:
+            raise ValueError("the surface is not unwrapped")
+        return self.uv
+
 
 def weld(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Coincident vertices become one; degenerate and duplicate faces go."""

@@ -14,7 +14,7 @@ import numpy as np
 import torch
 
 from blender_nep.capture.exposure import stops
-from blender_nep.capture.pixel_rays import BRIGHTEST_CLIPPED, SATURATED
+from blender_nep.capture.pixel_rays import BRIGHTEST_CLIPPED, SATURATED, pixel_width
 from blender_nep.geometry.ray_tracing import RayTracer
 from blender_nep.messages import Message, Part
 
@@ -95,7 +95,7 @@ class SceneAnalysis:
             clipped=clipped / max(len(radiance), 1),
             sphere_share=len(rays.sphere) / max(int(rays.valid.sum()), 1),
             object_share=None if shown is None else float(shown.float().mean()),
-            pixels_across=2 / max(float((1.77 * angle * origins.norm(dim=-1)).median()), 1e-9),
+            pixels_across=2 / max(float((pixel_width(angle) * origins.norm(dim=-1)).median()), 1e-9),
             exposure_stops=0.0 if rays.gain is None else float(np.ptp(stops(rays.gain))),
             white_balance=0.0 if rays.gain is None else float(_color(rays.gain).square().mean().sqrt()),
         )

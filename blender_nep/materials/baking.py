@@ -64,7 +64,7 @@ def texture_size(surface: Surface, footprint: float, most: int) -> int:
     """Side in texels, a power of two: a texel as large as a pixel's footprint on the surface [unit frame]."""
     corner = surface.vertices[surface.faces]
     area = 0.5 * np.linalg.norm(np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]), axis=1).sum()
-    flat = surface.uv[surface.faces]
+    flat = surface.atlas[surface.faces]
     side, up = flat[:, 1] - flat[:, 0], flat[:, 2] - flat[:, 0]
     used = 0.5 * np.abs(side[:, 0] * up[:, 1] - side[:, 1] * up[:, 0]).sum()
     wanted = math.sqrt(area / max(used, 1e-3)) / max(footprint, 1e-6)
@@ -80,7 +80,7 @@ def bake(
     A texel takes the material that the samples around it vote for; one that no photo saw takes that of the nearest.
     Confidence is 0..1: how many photos saw it, how near, how well the material explains them.
     """
-    face, barycentric = rasterise(surface.uv, surface.faces, size)
+    face, barycentric = rasterise(surface.atlas, surface.faces, size)
     known = face >= 0
     face, barycentric = face[known], barycentric[known]
     tree, sample_label = cKDTree(labelled.position), labelled.cost.argmin(1)

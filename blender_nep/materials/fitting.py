@@ -57,23 +57,24 @@ def fit_groups(
     cos_v, r = light.cos_v[member][:, None], scan[None]
     single = brdf.specular_albedo(cos_v, r)
     samples = FitSamples(
-        specular=light.specular[member],
-        diffuse=light.diffuse[member],
-        goal=target[member],
-        tone_goal=tone_map(target[member]),
-        weight=weight[member],
-        ratio=(1 - single) / single,
-        specular_scale=brdf.multiscatter_scale(brdf.DIELECTRIC_FSS, cos_v, r),
-        diffuse_scale=1 - brdf.dielectric_albedo(cos_v, r),
+        specular=_array(light.specular[member]),
+        diffuse=_array(light.diffuse[member]),
+        goal=_array(target[member]),
+        tone_goal=_array(tone_map(target[member])),
+        weight=_array(weight[member]),
+        ratio=_array((1 - single) / single),
+        specular_scale=_array(brdf.multiscatter_scale(brdf.DIELECTRIC_FSS, cos_v, r)),
+        diffuse_scale=_array(1 - brdf.dielectric_albedo(cos_v, r)),
     )
-    roughness = FitRoughness(*light.roughness_interval(scan), brdf.average_specular_albedo(scan))
+    low, mix = light.roughness_interval(scan)
+    roughness = FitRoughness(low.cpu().numpy(), mix.cpu().numpy(), brdf.average_specular_albedo(scan).cpu().numpy())
     limits = [1.0 if metallic > 0.5 else most_diffuse for metallic in hypotheses]
     cost = np.zeros((len(hypotheses), len(scan), groups), np.float32)
     albedo = np.zeros((*cost.shape, 3), np.float32)
     fit_albedos(
         np.concatenate([[0], ends.cpu().numpy()]),
-        FitSamples(*(x.float().cpu().contiguous().numpy() for x in samples)),
-        FitRoughness(*(x.cpu().numpy() for x in roughness)),
+        samples,
+        roughness,
         FitHypotheses(np.array(hypotheses, np.float32), np.array(limits, np.float32)),
         clip,
         _ITERATIONS,
@@ -81,3 +82,8 @@ def fit_groups(
         albedo,
     )
     return torch.from_numpy(cost).to(target.device), torch.from_numpy(albedo).to(target.device)
+
+
+def _array(values: Tensor) -> np.ndarray:
+    """As the kernel reads it: float32, contiguous, on the CPU."""
+    return values.float().cpu().contiguous().numpy()

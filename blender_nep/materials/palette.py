@@ -54,13 +54,21 @@ class Palette:
 
     def with_one(self, k: int, other: Palette) -> Palette:
         """With the k-th material of another palette in the place of its own."""
-        pairs = (self.albedo, other.albedo), (self.roughness, other.roughness), (self.metallic, other.metallic)
-        return Palette(*(torch.cat([own[:k], its[k : k + 1], own[k + 1 :]]) for own, its in pairs))
+
+        def swap(own: Tensor, its: Tensor) -> Tensor:
+            return torch.cat([own[:k], its[k : k + 1], own[k + 1 :]])
+
+        return Palette(
+            swap(self.albedo, other.albedo), swap(self.roughness, other.roughness), swap(self.metallic, other.metallic)
+        )
 
     def joined(self, other: Palette) -> Palette:
         """Followed by another palette's materials."""
-        pairs = (self.albedo, other.albedo), (self.roughness, other.roughness), (self.metallic, other.metallic)
-        return Palette(*map(torch.cat, pairs))
+        return Palette(
+            torch.cat([self.albedo, other.albedo]),
+            torch.cat([self.roughness, other.roughness]),
+            torch.cat([self.metallic, other.metallic]),
+        )
 
     def pick(self, index: list[int]) -> Palette:
         i = torch.tensor(index, dtype=torch.int64, device=self.roughness.device)

@@ -115,7 +115,7 @@ class _MaterialLearner:
         self._finish_report(single, size)
         search.palette = search.palette.with_blends()
         search.assign()
-        textures = bake(seen.surface, self._labelled_points(), search.palette, size)
+        albedo, roughness, metallic, confidence = bake(seen.surface, self._labelled_points(), search.palette, size)
         self.progress.phase_ended("textures")
         if size < wanted:
             self._skip(
@@ -124,10 +124,11 @@ class _MaterialLearner:
                 self.report.seconds["textures"] * ((wanted / size) ** 2 - 1),
             )
         self.progress.step(100)
-        if not all(np.isfinite(x).all() for x in textures):
+        if not all(np.isfinite(x).all() for x in (albedo, roughness, metallic, confidence)):
             message = "material learning diverged: its textures are not finite"
             raise LearningError(message, "try another --seed", "learning.diverged")
-        return Materials(*textures, self.light.unseen, self.report.as_dict())
+        report = self.report.as_dict()
+        return Materials(albedo, roughness, metallic, confidence, self.light.unseen, report)
 
     def _learn_palette(self) -> float:
         """One material, a palette, and unseen light, in turns. Returns the residual with one material."""

@@ -67,7 +67,7 @@ class MaterialReport:
         """As plain values, for the asset's report."""
         always = {"samples", "left_out", "seconds", "materials"}
         values = {f.name: getattr(self, f.name) for f in fields(self)}
-        empty = (None, {}, [])
+        empty: tuple[Any, ...] = (None, {}, [])
         found = {name: value for name, value in values.items() if name in always or value not in empty}
         if not self.merged_shades:
             del found["merged_shades"]

@@ -58,22 +58,25 @@ def learn_unseen_light(
     less: the prior decided).
     """
     rows = _unexplained_samples(light, palette, label, target, preset.unseen_samples, generator)
-    unseen = light.unseen
-    problem = UnseenLightProblem(light, len(unseen.radiance), unseen.radius, label, target, rows, preset)
+    start = light.unseen
+    if start is None:
+        raise ValueError("light.unseen must hold the map to go on from")
+    problem = UnseenLightProblem(light, len(start.radiance), start.radius, label, target, rows, preset)
 
     def solve(tried: Palette, steps: int, start: UnseenLight) -> UnseenFit:
         fit = problem.solve(tried, start, steps)
         after_trial()
         return fit
 
-    best, margins = solve(palette, preset.unseen_steps, light.unseen), []
-    for k in range(len(palette)) if swapped is not None else ():
-        other = palette.with_one(k, swapped)
-        fit = solve(other, preset.unseen_steps, light.unseen)
-        prior = 1 + preset.metal_margin * float(other.metallic[k] - palette.metallic[k])
-        if prior * fit.error < best.error:
-            best, fit, palette = fit, best, other
-        margins.append(fit.error / best.error - 1)
+    best, margins = solve(palette, preset.unseen_steps, start), []
+    if swapped is not None:
+        for k in range(len(palette)):
+            other = palette.with_one(k, swapped)
+            fit = solve(other, preset.unseen_steps, start)
+            prior = 1 + preset.metal_margin * float(other.metallic[k] - palette.metallic[k])
+            if prior * fit.error < best.error:
+                best, fit, palette = fit, best, other
+            margins.append(fit.error / best.error - 1)
     for k in range(len(palette)):
         for factor in _ROUGHNESS_FACTORS:
             first = best
@@ -163,6 +166,7 @@ class UnseenLightProblem:
             photometric = (tone_map(predicted) - self.goal).abs().mean()
             optimiser.zero_grad()
             photometric.backward()
+            assert sent.grad is not None  # backward has just filled it
             gradient = self.transport.adjoint(response, sent.grad.cpu().numpy())
             brightness = tone_map(radiance)
             down, across = brightness[:-1] - brightness[1:], brightness - brightness.roll(-1, 1)

@@ -201,7 +201,7 @@ class _Render(torch.autograd.Function):
         arrays = RaySamples(*(part.contiguous().numpy() for part in rays))
         m = int(arrays.offsets[-1]) if keep else 0
         records = SampleRecords(
-            arrays.offsets,
+            rays.offsets.contiguous().numpy(),
             np.empty(n, np.int64),
             np.empty((m, 3), np.int32),
             np.empty((m, 3), grid.dtype),
@@ -218,8 +218,9 @@ class _Render(torch.autograd.Function):
         records = ctx.records
         g_samples = np.empty((len(records.local), 4), records.local.dtype)
         used = np.zeros(len(records.local), np.uint8)
-        incoming = g_radiance.contiguous().numpy(), g_transmittance.contiguous().numpy()
-        _sample_gradients(records, *ctx.rendered, *incoming, g_samples, used)
+        radiance, transmittance = ctx.rendered
+        incoming, g_clear = g_radiance.contiguous().numpy(), g_transmittance.contiguous().numpy()
+        _sample_gradients(records, radiance, transmittance, incoming, g_clear, g_samples, used)
         order, start = _order_by_row(used, records.cells, ctx.shape[1])
         g_raw = np.zeros(ctx.shape, records.local.dtype)
         for parity in (0, 1):

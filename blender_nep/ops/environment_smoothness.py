@@ -81,6 +81,6 @@ def total_variation(grid: torch.Tensor, weight: tuple[float, ...], softness: flo
     (grid,) = at_least_float32(grid)
     if body == "torch" or (body == "auto" and grid.device.type != "cpu"):
         differences = (grid.diff(dim=0), grid.diff(dim=1), grid.roll(-1, 2) - grid)
-        means = sum(torch.sqrt(d * d + softness**2).mean(dim=(0, 1, 2)) for d in differences)
-        return means @ grid.new_tensor(weight)
+        down, along, across = (torch.sqrt(d * d + softness**2).mean(dim=(0, 1, 2)) for d in differences)
+        return (down + along + across) @ grid.new_tensor(weight)
     return _VariationNumba.apply(grid, weight, softness)

@@ -27,7 +27,7 @@ _NARROW, _WIDE = 60.0, 6.0
 
 
 def half_vector_angle(roughness: Tensor, beta: float = BETA) -> Tensor:
-    """theta_m: the angle about the normal that holds the share beta of GGX's half-vectors, radians (paper, eq. 11)."""
+    """theta_m: the angle about the normal that holds the share beta of GGX's half-vectors, radians (paper, eq. 10)."""
     return torch.atan(alpha_of(roughness) * math.sqrt(beta / (1 - beta)))
 
 

@@ -1,4 +1,4 @@
-"""The neural plenoptic function f_p(x, d): what light arrives at a surface point x from direction d (paper, eq. 8).
+"""The neural plenoptic function f_p(x, d): what light arrives at a surface point x from direction d (paper, eq. 6).
 
 A ray that leaves the object returns the environment field F_e through a cone, plus a residual for distant light that no
 photo shows; a ray that meets the mesh again returns the radiance reflected there, by the rendering equation, down to N
@@ -28,6 +28,11 @@ class Environment(Protocol):
 
     def query_cone(self, origins: Tensor, directions: Tensor, half_angle: Tensor) -> tuple[Tensor, Tensor]:
         """Mean radiance [n,3] in a cone, and how far photos saw it [n] in 0..1."""
+        ...
+
+    def typical_distance(self) -> float:
+        """Distance from the object's center to what the photos show, unit frame."""
+        ...
 
 
 @dataclass
@@ -147,9 +152,8 @@ class PlenopticFunction:
     def points(self, face: np.ndarray, barycentric: np.ndarray, view: Tensor) -> SurfacePoints:
         """Surface points from a ray tracer's hits and the directions [n,3] towards the eye."""
         position = self.tracer.interpolate(self.tracer.vertices, face, barycentric).astype(np.float32)
-        normal = self.tracer.smooth_normals(self.normals, face, barycentric)
         flat = torch.from_numpy(self.tracer.face_normals[face]).to(self.device)
-        normal = torch.from_numpy(normal).to(self.device)
+        normal = torch.from_numpy(self.tracer.smooth_normals(self.normals, face, barycentric)).to(self.device)
         # A two-sided mesh: the normal is that of the side that is looked at.
         side = torch.where((flat * view).sum(-1, keepdim=True) < 0, -1.0, 1.0)
         return SurfacePoints(torch.from_numpy(position).to(self.device), face, facing(normal * side, view), view)
@@ -182,7 +186,7 @@ class PlenopticFunction:
         level: int,
         generator: torch.Generator,
     ) -> Tensor:
-        """Radiance [n,3] that points send to their eye: the rendering equation at `level`, recursively (eq. 9)."""
+        """Radiance [n,3] that points send to their eye: the rendering equation at `level`, recursively (eq. 7)."""
         if self.settings.levels == 0:
             return torch.zeros_like(points.position)
         if level > self.settings.levels:

@@ -227,15 +227,14 @@ def _set_bounds(capture: Capture, meta: dict, use_masks: bool) -> None:
         capture.warnings.append(Message("capture.half_a_sphere"))
     capture.object_center, capture.object_radius = sphere_from_cameras(cameras)
     capture.bounds_source = "cameras"
-    masks = (
-        [_coarse(capture.load_mask(i)) for i in range(len(cameras))] if use_masks and _may_have_masks(capture) else [None]
-    )
-    if all(m is not None for m in masks):
+    wanted = range(len(cameras)) if use_masks and _may_have_masks(capture) else range(0)
+    masks = [mask for i in wanted if (mask := _coarse(capture.load_mask(i))) is not None]
+    if len(masks) == len(cameras):
         sphere = sphere_from_masks(cameras, masks, capture.object_center, capture.object_radius)
         if sphere is None:
             capture.warnings.append(Message("capture.masks_disagree"))
             return
-        nearest = min(np.linalg.norm(c.position - sphere[0]) for c in cameras)
+        nearest = min(float(np.linalg.norm(c.position - sphere[0])) for c in cameras)
         capture.object_center, capture.object_radius = sphere[0], min(sphere[1], 0.9 * nearest)
         capture.bounds_source = "masks"
 
