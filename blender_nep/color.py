@@ -1,6 +1,6 @@
 """The sRGB transfer function and 8-bit values, of arrays [...].
 
-Blender's own Python cannot import this package: `backend/scene_io/capture_files.py` holds a second copy for it.
+Blender's own Python cannot import this package: `backend/scene_io/srgb.py` holds a second copy for it.
 """
 
 from __future__ import annotations

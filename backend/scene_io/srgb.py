@@ -1,7 +1,6 @@
 """The sRGB curve (IEC 61966-2-1) on numpy arrays, in float64 where the input is.
 
-blender_nep/capture/photo_files.py has the same two functions. That file imports packages which Blender's Python lacks, so
-that it cannot be imported here.
+blender_nep/color.py has the same two functions for the engine. Blender's Python does not import the library.
 """
 
 import numpy as np

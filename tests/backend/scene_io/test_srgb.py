@@ -3,13 +3,13 @@
 import numpy as np
 
 from backend.scene_io import srgb
-from blender_nep.capture import photo_files
+from blender_nep import color
 
 
 def test_both_copies_are_the_same_curve():
     values = np.linspace(0, 1, 1001)
-    np.testing.assert_allclose(srgb.srgb_to_linear(values), photo_files.srgb_to_linear(values), rtol=1e-6)
-    np.testing.assert_allclose(srgb.linear_to_srgb(values), photo_files.linear_to_srgb(values), rtol=1e-6)
+    np.testing.assert_allclose(srgb.srgb_to_linear(values), color.srgb_to_linear(values), rtol=1e-6)
+    np.testing.assert_allclose(srgb.linear_to_srgb(values), color.linear_to_srgb(values), rtol=1e-6)
 
 
 def test_the_curve_is_inverted_and_clipped():

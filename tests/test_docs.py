@@ -1,0 +1,29 @@
+"""The docs name files that are there."""
+
+import re
+import subprocess
+from pathlib import Path
+
+import pytest
+
+from support.paths import ROOT
+
+FOLDERS = ("", "blender_nep/", "backend/", "addon/", "tests/", "benchmarks/")
+"""A path in the docs is relative to the checkout, or to one of these folders."""
+EXAMPLES = {"addon/translations.py"}
+"""Files that a reader is told to make."""
+
+
+def documents() -> list[Path]:
+    names = subprocess.run(["git", "ls-files", "*.md"], cwd=ROOT, capture_output=True, text=True, check=False).stdout.split()
+    return [ROOT / name for name in names] or sorted([*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md")])
+
+
+@pytest.mark.parametrize("document", documents(), ids=lambda path: path.name)
+def test_every_file_that_a_document_names_is_there(document):
+    text = document.read_text(encoding="utf-8")
+    named = set(re.findall(r"`([\w./-]+/[\w-]+\.(?:py|md|toml|png))", text)) - EXAMPLES
+    missing = [name for name in named if not any((ROOT / folder / name).is_file() for folder in FOLDERS)]
+    linked = {link.partition("#")[0] for link in re.findall(r"\]\(([^)\s]+)\)", text) if "://" not in link}
+    missing += [link for link in linked if link and not (document.parent / link).exists()]
+    assert not missing
