@@ -301,11 +301,14 @@ class Preset:
     pixels_in_memory: int = 32_000_000
     """Pixels of all photos together that are kept in memory. More of them lie in a nameless file in the asset's folder, in
     half precision, and are read from there."""
-    fields_seconds: float = 95.0
-    """Seconds that fields learning takes on two cores: a first guess of the time left, corrected as the job runs."""
-    surface_seconds: float = 5.0
+    fields_seconds: float = 140.0
+    """Seconds that fields learning takes on two cores: a first guess of the time left, corrected as the job runs.
+
+    The sidebar shows the sum of the three before a first job. backend/engine/timings.py repeats it, because Blender's Python
+    does not import this package; a test compares the two."""
+    surface_seconds: float = 9.0
     """As `fields_seconds`, of the surface."""
-    material_seconds: float = 70.0
+    material_seconds: float = 85.0
     """As `fields_seconds`, of material learning."""
     even_exposure: bool = True
     """Whether the exposure and white balance of each photo are found, where they differ, and evened out

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import functools
 import os
+from pathlib import Path
 
 
 def _one_core_a_worker() -> None:
@@ -25,6 +27,7 @@ import numba  # noqa: E402
 import numpy as np  # noqa: E402
 import pytest  # noqa: E402
 from PIL import Image  # noqa: E402
+from xdist.scheduler import LoadScopeScheduling  # noqa: E402
 
 numba.set_num_threads(min(len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else 1, 4))
 
@@ -73,12 +76,19 @@ def make_capture(tmp_path):
     return make
 
 
-@pytest.hookimpl(tryfirst=True)
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Tests that share a module's fixture run in one worker, which makes the fixture once (pytest-xdist's loadgroup)."""
-    for item in items:
-        shared = [name for name, found in item._fixtureinfo.name2fixturedefs.items() if found[-1].scope == "module"]
-        if shared:
-            values = getattr(getattr(item, "callspec", None), "params", {})
-            chosen = "-".join(str(values[name]) for name in shared if name in values)
-            item.add_marker(pytest.mark.xdist_group(f"{item.path.stem}-{chosen}"))
+class SharedFixturesScheduling(LoadScopeScheduling):
+    """Tests of a file with module fixtures run in one worker, which makes each fixture once. All others run anywhere."""
+
+    def _split_scope(self, nodeid: str) -> str:
+        file = nodeid.partition("::")[0]
+        return file if _has_module_fixtures(self.config.rootpath / file) else nodeid
+
+
+@functools.cache
+def _has_module_fixtures(file: Path) -> bool:
+    return 'scope="module"' in file.read_text(encoding="utf-8")
+
+
+def pytest_xdist_make_scheduler(config: pytest.Config, log: object) -> SharedFixturesScheduling:
+    """What pytest-xdist asks for. Its own `loadgroup` has no effect with pytest 9.2, which ignores an item's `_nodeid`."""
+    return SharedFixturesScheduling(config, log)

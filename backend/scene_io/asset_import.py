@@ -32,8 +32,9 @@ def import_asset(folder: Path, collection: bpy.types.Collection, *, name: str = 
     """Import mesh and material into `collection`; returns the object.
 
     The mesh keeps the capture's coordinates, the file's normals (smooth) and its UV map. Its attribute `confidence` (a
-    float for each vertex) says where the photos decided the material. `pack`: the images are stored in the .blend. A second
-    import of an asset gets a new name. OSError where a file is missing or unreadable; nothing is left in the .blend then.
+    float for each vertex) says where the photos decided the material. `pack`: the images are stored in the .blend. Where
+    the name is taken, Blender adds a number. OSError where a file is missing or unreadable; nothing is left in the .blend
+    then.
     """
     folder = Path(folder)
     check_asset(folder)

@@ -1,7 +1,7 @@
 """Photos on disk as linear radiance: OpenEXR (linear), PNG and JPEG (sRGB, 8 or 16 bits).
 
-Blender's Python lacks the packages of this file and cannot import it. backend/scene_io/srgb.py and image_size.py are its
-copies of the sRGB curve and of `image_size`.
+Blender's Python lacks the packages of this file and cannot import it: backend/scene_io/image_size.py is its copy of
+`image_size`.
 """
 
 from __future__ import annotations
