@@ -51,7 +51,7 @@ def true_mesh(folder: Path, capture: Capture) -> Body:
 
 def load_test_views(folder: Path, capture: Capture) -> Capture:
     """The views of a capture that nothing is learned from, in the capture's own unit frame."""
-    test = load_capture(folder, transforms="transforms_test.json")
+    test = load_capture(folder, file="transforms_test.json")
     test.object_center, test.object_radius = capture.object_center, capture.object_radius
     return test
 

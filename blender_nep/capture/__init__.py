@@ -2,7 +2,7 @@
 
 from blender_nep.capture.camera import Camera
 from blender_nep.capture.capture import Capture, View
-from blender_nep.capture.formats.transforms import MINIMUM_VIEWS, load_capture
+from blender_nep.capture.loading import MINIMUM_VIEWS, load_capture
 from blender_nep.capture.pixel_rays import PixelRays
 
 __all__ = ["MINIMUM_VIEWS", "Camera", "Capture", "PixelRays", "View", "load_capture"]

@@ -36,6 +36,8 @@ class Capture:
     bounds_source: str
     """Where the sphere comes from: 'options', 'transforms.json', 'masks' or 'cameras'."""
     warnings: list[Message] = field(default_factory=list)
+    files: tuple[Path, ...] = ()
+    """The files that describe the capture, without photos and masks."""
 
     @property
     def to_unit(self) -> np.ndarray:

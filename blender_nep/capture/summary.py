@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from blender_nep.capture.formats.transforms import load_capture
+from blender_nep.capture.loading import load_capture
 from blender_nep.capture.pixel_rays import PixelRays
 from blender_nep.capture.pixel_store import PixelMemory
 from blender_nep.messages import Message

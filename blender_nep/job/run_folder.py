@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 import json
+import os
 import shutil
 from collections.abc import Callable
 from pathlib import Path
@@ -34,15 +35,16 @@ def fingerprint(
 ) -> dict[str, object]:
     """What decides the result of a run, by name: a resume must agree with all of it.
 
-    Photos enter by name and size, transforms.json and a mesh by content; the object's sphere only where it was given.
+    Photos enter by name and size, the capture's own files and a mesh by content, the object's sphere only where it was
+    given.
     """
     paths = [p for v in capture.views for p in (v.image_path, v.mask_path) if p is not None]
-    photos = "\n".join(f"{p.relative_to(capture.folder)} {p.stat().st_size}" for p in paths)
+    photos = "\n".join(f"{os.path.relpath(p, capture.folder)} {p.stat().st_size}" for p in paths)
     settings = dataclasses.asdict(preset)
     metallic = settings["material"].pop("metallic")  # by a name of its own: it is an option of the user
     what = {
         "format": FORMAT,
-        "capture": _digest((capture.folder / "transforms.json").read_bytes() + photos.encode()),
+        "capture": _digest(b"".join(file.read_bytes() for file in capture.files) + photos.encode()),
         "preset": preset.name + " " + _digest(json.dumps(settings, sort_keys=True).encode()),
         "seed": seed,
         "masks": "use" if masks else "ignore",

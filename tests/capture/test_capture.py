@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import struct
 import zlib
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -18,7 +19,9 @@ from blender_nep.capture.pixel_rays import pixel_footprint, pixel_width
 from blender_nep.capture.summary import describe, summarise
 from blender_nep.color import linear_to_srgb, srgb_to_linear
 from blender_nep.errors import CaptureError
+from blender_nep.job.run_folder import fingerprint
 from blender_nep.messages import Message
+from blender_nep.presets import preset
 from support.captures import CENTER, RADIUS, look_at, write_exr
 
 
@@ -273,3 +276,18 @@ def test_summary_says_what_it_found(make_capture):
     assert found["masks"] and 0 < found["mask_coverage"] < 1 and found["bounds_source"] == "transforms.json"
     text = describe(found)
     assert "6 photos" in text and "8-bit" in text and "only 6 photos" in text
+
+
+def test_photos_may_lie_outside_the_folder(make_capture, tmp_path):
+    """A run's fingerprint names photos by their place relative to the folder, wherever they are."""
+    tiny = make_capture()
+    elsewhere = tmp_path / "elsewhere"
+    (tiny.folder / "images").rename(elsewhere)
+    for frame in tiny.meta["frames"]:
+        frame["file_path"] = str(elsewhere / Path(frame["file_path"]).name)
+    capture = load_capture(tiny.save())
+    assert capture.files == (tiny.folder / "transforms.json",)
+    before = fingerprint(capture, preset("preview"), 0, True, None)
+    (tiny.folder / "transforms.json").write_text(json.dumps(tiny.meta | {"object_radius": 0.7}))
+    after = fingerprint(load_capture(tiny.folder), preset("preview"), 0, True, None)
+    assert {key for key in before if before[key] != after[key]} == {"capture"}

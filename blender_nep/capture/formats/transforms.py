@@ -7,80 +7,56 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 
-from blender_nep.capture.bounds import check_sphere, sphere_from_cameras, sphere_from_masks
 from blender_nep.capture.camera import Camera
-from blender_nep.capture.capture import Capture, View
+from blender_nep.capture.capture import View
+from blender_nep.capture.description import CaptureDescription
 from blender_nep.capture.photo_files import SUFFIXES, find_image, image_size
 from blender_nep.errors import CaptureError
 from blender_nep.messages import Message
 
-MINIMUM_VIEWS = 3
-"""With fewer photos, neither the shape nor the surroundings are determined: two views cannot even contradict."""
-
+FILE = "transforms.json"
 _PINHOLE = ("PINHOLE", "SIMPLE_PINHOLE", "OPENCV", "PERSPECTIVE", "SIMPLE_RADIAL", "RADIAL")
 
 
-def load_capture(
-    folder: Path | str,
-    *,
-    use_masks: bool = True,
-    transforms: str = "transforms.json",
-    sphere: tuple[Sequence[float], float] | None = None,
-) -> Capture:
-    """Read and check a capture; photos are opened only for their size (and masks where the bounds need them).
+def recognizes(folder: Path, file: str = FILE) -> bool:
+    """Whether the folder holds a capture of this format."""
+    return (folder / file).is_file()
 
-    `sphere`: the object's (centre [3], radius), which then counts instead of the file's. `use_masks` False: a missing
-    sphere is estimated from the cameras alone. Raises CaptureError, BoundsError.
-    """
-    folder = Path(folder)
-    meta = _read_json(folder, transforms)
+
+def read(folder: Path, file: str = FILE) -> CaptureDescription:
+    """What the file says; photos are opened only for their size. Raises CaptureError."""
+    meta = _read_json(folder / file)
     warnings: list[Message] = []
     frames = meta.get("frames")
     if not isinstance(frames, list) or not frames:
-        raise CaptureError(f"{transforms} lists no frames", "It needs a list 'frames' with file_path and transform_matrix.")
-    if len(frames) < MINIMUM_VIEWS:
-        raise CaptureError(
-            f"{len(frames)} photo{'s'[: len(frames) - 1]}: at least {MINIMUM_VIEWS} from different places are needed",
-            "20 and more photos all around the object work well.",
-        )
+        raise CaptureError(f"{file} lists no frames", "It needs a list 'frames' with file_path and transform_matrix.")
     _check_lens(meta, frames, warnings)
     rescaled: list[str] = []
     views = [_view(folder, meta, frame, n, rescaled) for n, frame in enumerate(frames)]
     if rescaled:
         warnings.append(Message("capture.photos_rescaled", {"count": len(rescaled), "names": rescaled}))
-    _check_places(views, warnings)
-    color_space = _color_space(meta, views, warnings)
-    capture = Capture(folder, views, color_space, np.zeros(3), 1.0, "", warnings)
-    if sphere is None:
-        _set_bounds(capture, meta, use_masks)
-    else:
-        capture.object_center, capture.object_radius = np.array(sphere[0], np.float64), float(sphere[1])
-        capture.bounds_source = "options"
-    cameras = [v.camera for v in views]
-    warnings += check_sphere([v.name for v in views], cameras, capture.object_center, capture.object_radius)
-    return capture
+    return CaptureDescription(
+        name=file,
+        files=(folder / file,),
+        views=views,
+        color_space=meta.get("color_space"),
+        object_center=meta.get("object_center"),
+        object_radius=meta.get("object_radius"),
+        warnings=warnings,
+    )
 
 
-def _read_json(folder: Path, name: str) -> dict:
-    if not folder.exists():
-        raise CaptureError(f"there is no folder {folder}", "Check the path of the capture.")
-    if not folder.is_dir():
-        raise CaptureError(f"{folder} is not a folder", "A capture is a folder with transforms.json and photos.")
-    path = folder / name
-    if not path.is_file():
-        state = "is empty" if not any(folder.iterdir()) else f"has no {name}"
-        raise CaptureError(f"{folder} {state}", f"A capture is a folder with {name} and photos.")
+def _read_json(path: Path) -> dict:
     try:
         meta = json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError) as error:
-        raise CaptureError(f"{name} cannot be read ({error})", "It must be JSON text.") from error
+        raise CaptureError(f"{path.name} cannot be read ({error})", "It must be JSON text.") from error
     if not isinstance(meta, dict):
-        raise CaptureError(f"{name} does not hold a JSON object")
+        raise CaptureError(f"{path.name} does not hold a JSON object")
     return meta
 
 
@@ -177,73 +153,3 @@ def _matrix(frame: dict, name: str) -> np.ndarray:
         raise CaptureError(f"{name}: transform_matrix mirrors", "Cameras are right-handed, look down -z, x right, y up.")
     matrix[:3, :3] = u @ v
     return matrix
-
-
-def _check_places(views: list[View], warnings: list[Message]) -> None:
-    """Raises CaptureError when the photos were taken from fewer than MINIMUM_VIEWS places; warns of repeated ones."""
-    places = np.stack([v.camera.position for v in views])
-    spread = np.linalg.norm(places - places[0], axis=1).max()
-    # relative to the coordinates alone: a small scene far from the origin is a scene, down to float64's last digits
-    if spread <= 1e-10 * np.abs(places).max():
-        raise CaptureError("all cameras stand at the same place", "Photos from around the object are needed.")
-    turns = np.stack([v.camera.camera_to_world[:3, :3].ravel() for v in views])
-    cell = np.round(1e6 * np.concatenate([(places - places[0]) / spread, turns], 1)).astype(np.int64)
-    if len(np.unique(cell[:, :3], axis=0)) < MINIMUM_VIEWS:
-        raise CaptureError(
-            "the photos were taken from only 2 different places",
-            f"At least {MINIMUM_VIEWS} places are needed; 20 and more all around the object work well.",
-        )
-    _, first = np.unique(cell, axis=0, return_index=True)
-    again = [views[i].name for i in sorted(set(range(len(views))) - set(first.tolist()))]
-    if again:
-        warnings.append(Message("capture.same_place", {"count": len(again), "names": again}))
-
-
-def _color_space(meta: dict, views: list[View], warnings: list[Message]) -> str:
-    exr = [v.image_path.suffix.lower() == ".exr" for v in views]
-    declared = meta.get("color_space", "linear" if all(exr) else "srgb")
-    if declared not in ("linear", "srgb"):
-        raise CaptureError(f"color_space {declared!r} is not known", "Use 'linear' or 'srgb'.")
-    if declared == "srgb" and any(exr):
-        warnings.append(Message("capture.exr_is_linear"))
-        return "linear" if all(exr) else "srgb"
-    return declared
-
-
-def _set_bounds(capture: Capture, meta: dict, use_masks: bool) -> None:
-    center, radius = meta.get("object_center"), meta.get("object_radius")
-    cameras = [v.camera for v in capture.views]
-    if center is not None and radius is not None:
-        try:
-            capture.object_center, capture.object_radius = np.array(center, np.float64), float(radius)
-        except (TypeError, ValueError):
-            capture.object_center = np.zeros(0)
-        good = capture.object_center.shape == (3,) and np.isfinite(capture.object_center).all()
-        if not good or not math.isfinite(capture.object_radius) or capture.object_radius <= 0:
-            raise CaptureError("object_center must be three numbers and object_radius a positive one")
-        capture.bounds_source = "transforms.json"
-        return
-    if (center is None) != (radius is None):
-        capture.warnings.append(Message("capture.half_a_sphere"))
-    capture.object_center, capture.object_radius = sphere_from_cameras(cameras)
-    capture.bounds_source = "cameras"
-    wanted = range(len(cameras)) if use_masks and _may_have_masks(capture) else range(0)
-    masks = [mask for i in wanted if (mask := _coarse(capture.load_mask(i))) is not None]
-    if len(masks) == len(cameras):
-        sphere = sphere_from_masks(cameras, masks, capture.object_center, capture.object_radius)
-        if sphere is None:
-            capture.warnings.append(Message("capture.masks_disagree"))
-            return
-        nearest = min(float(np.linalg.norm(c.position - sphere[0])) for c in cameras)
-        capture.object_center, capture.object_radius = sphere[0], min(sphere[1], 0.9 * nearest)
-        capture.bounds_source = "masks"
-
-
-def _may_have_masks(capture: Capture) -> bool:
-    return all(v.mask_path for v in capture.views) or capture.load_mask(0) is not None
-
-
-def _coarse(mask: np.ndarray | None) -> np.ndarray | None:
-    """Every n-th pixel, so that about 200 are left along the longer side."""
-    step = 1 if mask is None else max(1, max(mask.shape) // 200)
-    return None if mask is None else mask[step // 2 :: step, step // 2 :: step]

@@ -1,0 +1,28 @@
+"""What a folder's own files say of a capture: the result of reading any of the formats, before it is checked."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from blender_nep.capture.capture import View
+from blender_nep.messages import Message
+
+
+@dataclass
+class CaptureDescription:
+    """Views, and what else the files say. `loading.load_capture` makes a checked `Capture` of it."""
+
+    name: str
+    """The format or the file, for messages and for `Capture.bounds_source`"""
+    files: tuple[Path, ...]
+    """The files that describe the capture, without photos and masks. A resumed run compares their content"""
+    views: list[View]
+    color_space: Any = None
+    """How 8- and 16-bit photos are encoded, 'linear' or 'srgb', as the file has it; None: not said"""
+    object_center: Any = None
+    """[3] in the capture's coordinates, as the file has it; None: not said"""
+    object_radius: Any = None
+    """As `object_center`"""
+    warnings: list[Message] = field(default_factory=list)

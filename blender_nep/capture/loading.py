@@ -1,0 +1,137 @@
+"""Loading a capture: the format is chosen by what is in the folder, and what the files say is checked."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from blender_nep.capture.bounds import check_sphere, sphere_from_cameras, sphere_from_masks
+from blender_nep.capture.capture import Capture, View
+from blender_nep.capture.description import CaptureDescription
+from blender_nep.capture.formats import transforms
+from blender_nep.errors import CaptureError
+from blender_nep.messages import Message
+
+MINIMUM_VIEWS = 3
+"""With fewer photos, neither the shape nor the surroundings are determined: two views cannot even contradict."""
+
+
+def load_capture(
+    folder: Path | str,
+    *,
+    use_masks: bool = True,
+    file: str = transforms.FILE,
+    sphere: tuple[Sequence[float], float] | None = None,
+) -> Capture:
+    """Read and check a capture. Photos are opened only for their size, and masks where the bounds need them.
+
+    `file`: another file of the form of transforms.json in the folder, such as transforms_test.json. `sphere`: the object's
+    (center [3], radius), which then counts instead of the file's. `use_masks` False: a missing sphere is estimated from the
+    cameras alone. Raises CaptureError, BoundsError.
+    """
+    folder = Path(folder)
+    said = _describe(folder, file)
+    photos = len(said.views)
+    if photos < MINIMUM_VIEWS:
+        raise CaptureError(
+            f"{photos} photo{'s'[: photos - 1]}: at least {MINIMUM_VIEWS} from different places are needed",
+            "20 and more photos all around the object work well.",
+        )
+    warnings = list(said.warnings)
+    _check_places(said.views, warnings)
+    color_space = _color_space(said, warnings)
+    capture = Capture(folder, said.views, color_space, np.zeros(3), 1.0, "", warnings, said.files)
+    if sphere is None:
+        _set_bounds(capture, said, use_masks)
+    else:
+        capture.object_center, capture.object_radius = np.array(sphere[0], np.float64), float(sphere[1])
+        capture.bounds_source = "options"
+    cameras = [v.camera for v in said.views]
+    warnings += check_sphere([v.name for v in said.views], cameras, capture.object_center, capture.object_radius)
+    return capture
+
+
+def _describe(folder: Path, file: str) -> CaptureDescription:
+    """What the folder's files say, read by the format that recognizes them."""
+    if not folder.exists():
+        raise CaptureError(f"there is no folder {folder}", "Check the path of the capture.")
+    if not folder.is_dir():
+        raise CaptureError(f"{folder} is not a folder", "A capture is a folder with transforms.json and photos.")
+    if transforms.recognizes(folder, file):
+        return transforms.read(folder, file)
+    state = "is empty" if not any(folder.iterdir()) else f"has no {file}"
+    raise CaptureError(f"{folder} {state}", f"A capture is a folder with {file} and photos.")
+
+
+def _check_places(views: list[View], warnings: list[Message]) -> None:
+    """Raises CaptureError when the photos were taken from fewer than MINIMUM_VIEWS places; warns of repeated ones."""
+    places = np.stack([v.camera.position for v in views])
+    spread = np.linalg.norm(places - places[0], axis=1).max()
+    # relative to the coordinates alone: a small scene far from the origin is a scene, down to float64's last digits
+    if spread <= 1e-10 * np.abs(places).max():
+        raise CaptureError("all cameras stand at the same place", "Photos from around the object are needed.")
+    turns = np.stack([v.camera.camera_to_world[:3, :3].ravel() for v in views])
+    cell = np.round(1e6 * np.concatenate([(places - places[0]) / spread, turns], 1)).astype(np.int64)
+    if len(np.unique(cell[:, :3], axis=0)) < MINIMUM_VIEWS:
+        raise CaptureError(
+            "the photos were taken from only 2 different places",
+            f"At least {MINIMUM_VIEWS} places are needed; 20 and more all around the object work well.",
+        )
+    _, first = np.unique(cell, axis=0, return_index=True)
+    again = [views[i].name for i in sorted(set(range(len(views))) - set(first.tolist()))]
+    if again:
+        warnings.append(Message("capture.same_place", {"count": len(again), "names": again}))
+
+
+def _color_space(said: CaptureDescription, warnings: list[Message]) -> str:
+    exr = [v.image_path.suffix.lower() == ".exr" for v in said.views]
+    declared = ("linear" if all(exr) else "srgb") if said.color_space is None else said.color_space
+    if declared not in ("linear", "srgb"):
+        raise CaptureError(f"color_space {declared!r} is not known", "Use 'linear' or 'srgb'.")
+    if declared == "srgb" and any(exr):
+        warnings.append(Message("capture.exr_is_linear"))
+        return "linear" if all(exr) else "srgb"
+    return declared
+
+
+def _set_bounds(capture: Capture, said: CaptureDescription, use_masks: bool) -> None:
+    """The object's sphere: as the files say, else estimated from the masks, else from the cameras."""
+    center, radius = said.object_center, said.object_radius
+    cameras = [v.camera for v in capture.views]
+    if center is not None and radius is not None:
+        try:
+            capture.object_center, capture.object_radius = np.array(center, np.float64), float(radius)
+        except (TypeError, ValueError):
+            capture.object_center = np.zeros(0)
+        good = capture.object_center.shape == (3,) and np.isfinite(capture.object_center).all()
+        if not good or not math.isfinite(capture.object_radius) or capture.object_radius <= 0:
+            raise CaptureError("object_center must be three numbers and object_radius a positive one")
+        capture.bounds_source = said.name
+        return
+    if (center is None) != (radius is None):
+        capture.warnings.append(Message("capture.half_a_sphere"))
+    capture.object_center, capture.object_radius = sphere_from_cameras(cameras)
+    capture.bounds_source = "cameras"
+    wanted = range(len(cameras)) if use_masks and _may_have_masks(capture) else range(0)
+    masks = [mask for i in wanted if (mask := _coarse(capture.load_mask(i))) is not None]
+    if len(masks) == len(cameras):
+        sphere = sphere_from_masks(cameras, masks, capture.object_center, capture.object_radius)
+        if sphere is None:
+            capture.warnings.append(Message("capture.masks_disagree"))
+            return
+        nearest = min(float(np.linalg.norm(c.position - sphere[0])) for c in cameras)
+        capture.object_center, capture.object_radius = sphere[0], min(sphere[1], 0.9 * nearest)
+        capture.bounds_source = "masks"
+
+
+def _may_have_masks(capture: Capture) -> bool:
+    return all(v.mask_path for v in capture.views) or capture.load_mask(0) is not None
+
+
+def _coarse(mask: np.ndarray | None) -> np.ndarray | None:
+    """Every n-th pixel, so that about 200 are left along the longer side."""
+    step = 1 if mask is None else max(1, max(mask.shape) // 200)
+    return None if mask is None else mask[step // 2 :: step, step // 2 :: step]
