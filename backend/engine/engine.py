@@ -152,7 +152,9 @@ class Engine:
                 "Bring it back and resume, or start again with another one.",
             )
         if shutil.disk_usage(self.folder).free < FULL_DISK_BYTES:
-            return EngineError(OUTPUT_FAILED, f"The disk of {self.folder.parent} is full.", "Free some space, then resume.")
+            out = self.folder.parent
+            message, hint = f"The disk of {out} is full.", "Free some space, then resume."
+            return EngineError(OUTPUT_FAILED, message, hint, name="output.disk_full", values={"path": str(out)})
         return None
 
     def close(self) -> None:
@@ -175,4 +177,4 @@ def _unexplained_end(code: int | None, log: str) -> EngineError:
         return EngineError(128 - code, "The engine was killed: the memory was full, or somebody ended it.", hint, log)
     if code < 0:
         return EngineError(128 - code, f"The engine crashed (signal {-code}).", hint, log)
-    return EngineError(code or 1, f"The engine ended with code {code} and said no reason.", log)
+    return EngineError(code or 1, f"The engine ended with code {code} and said no reason.", hint, log)

@@ -9,11 +9,14 @@ import sys
 from pathlib import Path
 
 FOLDER = "job"
+TEXTURE_NAMES = ("albedo", "roughness", "metallic", "confidence")
+"""Every texture of an asset: a second copy of `TEXTURES` in blender_nep/asset/export.py, which Blender's Python does not
+import. A test compares the two."""
 
 
 def is_asset(out: Path) -> bool:
     """Whether a finished asset lies in the folder. Its report is written last."""
-    needed = ("mesh.obj", "textures/albedo.exr", "textures/roughness.exr", "textures/metallic.exr", "report.json")
+    needed = ("mesh.obj", *(f"textures/{name}.exr" for name in TEXTURE_NAMES), "report.json")
     return all((Path(out) / name).is_file() for name in needed)
 
 

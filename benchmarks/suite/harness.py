@@ -24,9 +24,9 @@ _POLL = 0.2
 
 
 def with_changes(preset: Preset, changes: dict[str, dict]) -> Preset:
-    """The preset with some fields of its parts changed, or of its own ("job"): {"material": {"levels": 1}}."""
-    parts = {part: replace(getattr(preset, part), **values) for part, values in changes.items() if part != "job"}
-    return replace(preset, **changes.get("job", {}), **parts)
+    """The preset with some fields of its parts changed, or of its own ("preset"): {"material": {"levels": 1}}."""
+    parts = {part: replace(getattr(preset, part), **values) for part, values in changes.items() if part != "preset"}
+    return replace(preset, **changes.get("preset", {}), **parts)
 
 
 def use_threads(count: int) -> None:

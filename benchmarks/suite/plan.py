@@ -28,8 +28,8 @@ ABLATIONS: dict[str, dict[str, dict]] = {
     "no cones": {"material": {"use_cones": False}},
     "no residual": {"material": {"residual": False}},
     "no indirect light": {"material": {"levels": 0}},
-    **{f"N = {n}": {"material": {"levels": n}, "job": {"skip_needless": False}} for n in (1, 2, 3)},
-    AS_TAKEN: {"job": {"even_exposure": False}},
+    **{f"N = {n}": {"material": {"levels": n}, "preset": {"skip_needless": False}} for n in (1, 2, 3)},
+    AS_TAKEN: {"preset": {"even_exposure": False}},
     "one material": {"material": {"most_materials": 1}},
 }
 """Preset fields that differ from the preset's own. w_s is off and N is 2 in all presets, where the scene needs it: with
@@ -76,7 +76,7 @@ class Run:
     @property
     def same_stage_1(self) -> Run | None:
         """The run without ablation, if only stage 2 differs: its fields and its surface serve here too."""
-        only_materials = {"material"} <= set(ABLATIONS[self.ablation]) <= {"material", "job"}
+        only_materials = {"material"} <= set(ABLATIONS[self.ablation]) <= {"material", "preset"}
         return replace(self, ablation="full") if only_materials else None
 
     def as_row(self) -> dict:
@@ -95,7 +95,7 @@ class Run:
 
 CHOICES = tuple(f.name for f in fields(Run) if f.name != "capture")
 _PLANNED = tuple(name for name in ABLATIONS if name != AS_TAKEN)
-_STAGE_2 = tuple(name for name in _PLANNED if set(ABLATIONS[name]) <= {"material", "environment", "job"})
+_STAGE_2 = tuple(name for name in _PLANNED if set(ABLATIONS[name]) <= {"material", "environment", "preset"})
 
 PLANS: dict[str, tuple[dict[str, Sequence], ...]] = {
     "presets": ({"preset": ("preview", "balanced", "quality"), "seed": (0, 1, 2)},),

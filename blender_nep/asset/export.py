@@ -26,6 +26,9 @@ from blender_nep.files import jsonable, output_errors
 from blender_nep.profiling import section
 
 TEXTURES = ("albedo", "roughness", "metallic", "confidence")
+"""Every texture of an asset. `TEXTURE_NAMES` in backend/engine/job_files.py repeats them for Blender's Python."""
+SRGB_TEXTURES = ("albedo",)
+"""Textures that are colors. Their 8-bit files are sRGB-encoded: `is_color` in backend/scene_io/asset_import.py."""
 
 
 @dataclass
@@ -71,7 +74,7 @@ def write_asset(
             write_obj(partial / "mesh.obj", mesh)
             for name, texture in mesh.textures.items():
                 write_exr(partial / "textures" / f"{name}.exr", texture)
-                write_png(partial / "textures" / f"{name}.png", texture, srgb=name == "albedo")
+                write_png(partial / "textures" / f"{name}.png", texture, srgb=name in SRGB_TEXTURES)
             write_glb(partial / "asset.glb", mesh)
             write_exr(partial / "environment.exr", radiance)
             Image.fromarray(picture).save(partial / "preview.png")

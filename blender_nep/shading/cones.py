@@ -1,5 +1,8 @@
 """Material-aware cones: how wide a cone one reflected direction may stand for (paper, section 3.3).
 
+For the pixels of photos, the width is `half_angle_of_density`, of all samples of all roughness levels together
+(`lobe_cones` in incoming_light.py). For what a reflected ray meets, it is the half angle of `specular_cones`.
+
 Everything is an angle or a solid angle: the tangent of a doubled angle turns negative past 45 degrees.
 """
 
@@ -46,11 +49,6 @@ def half_angle_of(solid: Tensor) -> Tensor:
     return 2 * torch.asin((solid / (4 * math.pi)).clamp(0, 1).sqrt())
 
 
-def split(half_angle: Tensor, count: int) -> Tensor:
-    """Half-angle of each of `count` cones that together have the solid angle of one."""
-    return half_angle_of(solid_angle(half_angle) / count)
-
-
 def spiral(count: int, turn: Tensor) -> tuple[Tensor, Tensor]:
     """`count` equal shares of a lobe: how much of it lies further in, and the azimuth, both [..., count] in 0..1.
 
@@ -93,7 +91,7 @@ def diffuse_cones(count: int, turn: Tensor) -> tuple[Tensor, Tensor]:
     return light, half_angle_of(_WIDE_FILL * torch.minimum(1 / (count * pdf.clamp_min(1e-6)), widest))
 
 
-def cone_of_density(density: Tensor) -> Tensor:
+def half_angle_of_density(density: Tensor) -> Tensor:
     """Half-angle [...] of the cone of one sample among others, `density` [...] of them per steradian."""
     sparse = (torch.log(_NARROW / density) / math.log(_NARROW / _WIDE)).clamp(0, 1)
     return half_angle_of(((_FILL + (1 - _FILL) * sparse) / density).clamp_max(math.pi / 4))

@@ -16,7 +16,7 @@ from torch import Tensor
 
 from blender_nep.profiling import profiled
 from blender_nep.shading import brdf
-from blender_nep.shading.cones import cone_of_density, diffuse_cones, specular_cones
+from blender_nep.shading.cones import diffuse_cones, half_angle_of_density, specular_cones
 from blender_nep.shading.plenoptic import (
     Material,
     PlenopticFunction,
@@ -292,4 +292,4 @@ def lobe_cones(
     whole = weight.new_zeros(n, irradiance + weight.shape[1], 1 + levels, 3)
     whole[:, :irradiance, 0] = 1 / max(irradiance, 1)
     whole[:, irradiance:, 1:] = weight[..., None] * fresnel[:, :, None]
-    return torch.cat([diffuse, direction], 1), torch.cat([diffuse_angle, cone_of_density(density)], 1), whole
+    return torch.cat([diffuse, direction], 1), torch.cat([diffuse_angle, half_angle_of_density(density)], 1), whole

@@ -8,6 +8,7 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
@@ -149,6 +150,16 @@ def test_an_asset_that_may_not_be_replaced_is_left_as_it_is(ball):
     follow(engine)
     assert engine.outcome().code == 2 and "already holds an asset" in engine.outcome().message
     assert {path: path.stat().st_mtime_ns for path in ball.out.rglob("*")} == before
+
+
+def test_an_engine_that_dies_on_a_full_disk_is_told_by_the_name_of_that_error(ball, monkeypatch):
+    engine = ball(slow=True, keep_going=True)
+    wait_for(lambda: engine.poll() and (ball.out / "checkpoints" / "fields_learning.pt").exists())
+    monkeypatch.setattr(engine_module.shutil, "disk_usage", lambda _folder: SimpleNamespace(free=0))
+    os.kill(read_job(ball.out)["pid"], signal.SIGKILL)
+    follow(engine)
+    error = engine.outcome()
+    assert error.code == 5 and error.name == "output.disk_full" and str(ball.out) in error.words()[0]
 
 
 def test_a_capture_that_is_gone_is_said(ball):

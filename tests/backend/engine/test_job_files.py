@@ -1,6 +1,9 @@
 """The files by which Blender follows a job."""
 
-from backend.engine.job_files import EventFile
+import pytest
+
+from backend.engine.job_files import TEXTURE_NAMES, EventFile, is_asset
+from blender_nep.asset.export import TEXTURES
 
 
 def test_events_are_read_whole_and_foreign_lines_are_not(tmp_path):
@@ -12,3 +15,17 @@ def test_events_are_read_whole_and_foreign_lines_are_not(tmp_path):
         writer.write(b'ing", "message": "\xc3\xa4"}\n{"event": "done"}\n')
         assert file.read() == [{"event": "warning", "message": "ä"}, {"event": "done"}]
         assert file.read() == []
+
+
+def test_both_copies_name_the_same_textures():
+    assert TEXTURE_NAMES == TEXTURES
+
+
+@pytest.mark.parametrize("missing", ["mesh.obj", "report.json", *(f"textures/{name}.exr" for name in TEXTURE_NAMES)])
+def test_an_asset_is_finished_when_all_its_files_are_there(tmp_path, missing):
+    (tmp_path / "textures").mkdir()
+    for name in ("mesh.obj", "report.json", *(f"textures/{name}.exr" for name in TEXTURE_NAMES)):
+        (tmp_path / name).touch()
+    assert is_asset(tmp_path)
+    (tmp_path / missing).unlink()
+    assert not is_asset(tmp_path)
