@@ -1,6 +1,7 @@
-"""`transforms.json`, the form of instant-ngp and nerfstudio, with two keys more: object_center and object_radius.
+"""Reads `transforms.json`, the format of instant-ngp and nerfstudio.
 
-Intrinsics `fl_x fl_y cx cy w h` stand at the top or in a frame; without fl_x, `camera_angle_x` (radians) gives it.
+Three optional keys are added: `object_center`, `object_radius` and `color_space`. The intrinsics `fl_x fl_y cx cy w h` stand
+at the top or in a frame. Where `fl_x` is missing, `camera_angle_x` (radians) gives it.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ from blender_nep.errors import CaptureError
 from blender_nep.messages import Message
 
 MINIMUM_VIEWS = 3
-"""With fewer photos, neither the shape nor the surroundings are determined: two views cannot even contradict."""
+"""With fewer photos, neither the shape nor the surroundings are determined: two views cannot even contradict each other."""
 
 _PINHOLE = ("PINHOLE", "SIMPLE_PINHOLE", "OPENCV", "PERSPECTIVE", "SIMPLE_RADIAL", "RADIAL")
 
@@ -32,10 +33,10 @@ def load_capture(
     transforms: str = "transforms.json",
     sphere: tuple[Sequence[float], float] | None = None,
 ) -> Capture:
-    """Read and check a capture; photos are opened only for their size (and masks where the bounds need them).
+    """Read and check a capture. Only the headers of photos are read; masks are read only if the sphere needs them.
 
-    `sphere`: the object's (centre [3], radius), which then counts instead of the file's. `use_masks` False: a missing
-    sphere is estimated from the cameras alone. Raises CaptureError, BoundsError.
+    `sphere` is the object's (centre [3], radius) in capture units; it replaces the sphere of the file. With `use_masks`
+    False, a missing sphere is estimated from the cameras alone. Raises CaptureError, BoundsError.
     """
     folder = Path(folder)
     meta = _read_json(folder, transforms)
@@ -158,7 +159,10 @@ def _camera(meta: dict, frame: dict, name: str, size: tuple[int, int], rescaled:
 
 
 def _matrix(frame: dict, name: str) -> np.ndarray:
-    """Camera-to-world [4, 4] with its rotation made exactly orthonormal. Raises CaptureError if far from rigid."""
+    """The frame's camera-to-world matrix [4, 4], with its rotation made exactly orthonormal.
+
+    Raises CaptureError if the matrix is missing, scales, shears or mirrors.
+    """
     try:
         matrix = np.array(frame.get("transform_matrix"), np.float64)
     except (TypeError, ValueError):
@@ -180,10 +184,13 @@ def _matrix(frame: dict, name: str) -> np.ndarray:
 
 
 def _check_places(views: list[View], warnings: list[Message]) -> None:
-    """Raises CaptureError when the photos were taken from fewer than MINIMUM_VIEWS places; warns of repeated ones."""
+    """Raises CaptureError when the photos were taken from fewer than MINIMUM_VIEWS places.
+
+    Adds a warning when several photos have the same place and direction.
+    """
     places = np.stack([v.camera.position for v in views])
     spread = np.linalg.norm(places - places[0], axis=1).max()
-    # relative to the coordinates alone: a small scene far from the origin is a scene, down to float64's last digits
+    # The limit is relative to the coordinates: a small scene far from the origin is allowed, down to float64's last digits.
     if spread <= 1e-10 * np.abs(places).max():
         raise CaptureError("all cameras stand at the same place", "Photos from around the object are needed.")
     turns = np.stack([v.camera.camera_to_world[:3, :3].ravel() for v in views])
@@ -244,6 +251,6 @@ def _may_have_masks(capture: Capture) -> bool:
 
 
 def _coarse(mask: np.ndarray | None) -> np.ndarray | None:
-    """Every n-th pixel, so that about 200 are left along the longer side."""
+    """Every n-th pixel of the mask, so that 200 to 400 are left along the longer side. None stays None."""
     step = 1 if mask is None else max(1, max(mask.shape) // 200)
     return None if mask is None else mask[step // 2 :: step, step // 2 :: step]
