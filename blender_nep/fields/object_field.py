@@ -49,7 +49,7 @@ def _mlp(inputs: int, width: int, outputs: int, hidden: int) -> nn.Sequential:
 class SurfaceColor(nn.Module):
     """The color of F_o's surface. Two MLPs with `hidden` hidden layers of `width` compute it.
 
-    If `decomposed`, the color is c_a * c_l (eq. 3). If not, the albedo is 1, and the light head gives the radiance as in NeuS.
+    If `decomposed`, the color is c_a * c_l (eq. 3). If not, the albedo is 1, and the light head gives radiance, as in NeuS.
     """
 
     def __init__(self, width: int, decomposed: bool, hidden: int = 2) -> None:

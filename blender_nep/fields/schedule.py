@@ -137,7 +137,7 @@ class Schedule:
 
     @property
     def sdf_rate(self) -> float:
-        """Learning rate of the SDF in object radii. It falls as the sharpness rises: a sharper surface needs smaller steps."""
+        """Learning rate of the SDF in object radii. It falls as the sharpness rises: a sharp surface needs small steps."""
         p = self.preset
         return p.sdf_rate * self.object_field_rate * (p.first_sharpness / self.sharpness) ** p.sdf_rate_sharpness_power
 
