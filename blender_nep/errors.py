@@ -79,7 +79,7 @@ class LearningError(NepError):
 
 
 class Stopped(NepError):
-    """The job was stopped on request. If its stage has a checkpoint, the checkpoint was written."""
+    """The job was stopped on request. The checkpoint was written, except after a second Ctrl-C."""
 
     code = 7
     name = "stopped"
