@@ -10,8 +10,9 @@ The modules form layers. A module imports only modules of the layers below its o
     object_bounds, comparison_image, live_preview                           objects and images in the .blend file
     engine_paths, clock, editors, wrapped_text                              what Blender and the preferences offer
     folders, properties                                                     the settings, `scene.nep`
+    output_changes                                                          who is told of a changed output folder
 
-`properties` only declares: `register` tells it to call `running_jobs.attach_job` after an output folder has changed.
+`register` puts `running_jobs.attach_job` among the callbacks of `output_changes`.
 Panels and `running_jobs` call operators by their names in Blender (`nep.import_result`), not by an import.
 What needs no sidebar is in backend/, below all of these layers: the engine's process, captures, assets, renders.
 """
@@ -27,6 +28,7 @@ from . import (
     engine_setup,
     live_preview,
     operators,
+    output_changes,
     panels,
     preferences,
     properties,
@@ -41,7 +43,7 @@ def register() -> None:
     for cls in CLASSES:
         bpy.utils.register_class(cls)
     bpy.types.Scene.nep = bpy.props.PointerProperty(type=properties.NepSettings)
-    properties.output_changed_callbacks.append(running_jobs.attach_job)
+    output_changes.callbacks.append(running_jobs.attach_job)
     bpy.app.handlers.load_post.append(running_jobs.on_file_loaded)
     clock.call_until_false(_attach_jobs_once)  # later: in `register` bpy.data has no scenes
     atexit.register(_close_all)
@@ -51,7 +53,6 @@ def unregister() -> None:
     """Undo `register`. Jobs that were started to keep going go on."""
     atexit.unregister(_close_all)
     _close_all()
-    properties.output_changed_callbacks.remove(running_jobs.attach_job)
     del bpy.types.Scene.nep
     for cls in reversed(CLASSES):
         bpy.utils.unregister_class(cls)
@@ -64,6 +65,7 @@ def _attach_jobs_once() -> bool:
 
 def _close_all() -> None:
     """Stop the timer, the handler and all work under way. A timer or handler that is left makes Blender hang at its end."""
+    output_changes.callbacks.clear()
     clock.stop()
     if running_jobs.on_file_loaded in bpy.app.handlers.load_post:
         bpy.app.handlers.load_post.remove(running_jobs.on_file_loaded)

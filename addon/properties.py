@@ -1,12 +1,8 @@
-"""What the artist chooses: one group of properties, `scene.nep`, which each scene saves in the .blend file.
-
-This module only declares. A module above it that wants to know of a changed output folder puts a function into
-`output_changed_callbacks`.
-"""
-
-from collections.abc import Callable
+"""What the artist chooses: one group of properties, `scene.nep`, which each scene saves in the .blend file."""
 
 import bpy
+
+from . import output_changes
 
 PRESETS = (
     ("preview", "Preview", "A first look within minutes"),
@@ -32,14 +28,6 @@ LIGHTS = tuple(
     for name in ("studio", "forest", "sunset", "interior", "city", "courtyard", "sunrise", "night")
 )
 
-output_changed_callbacks: list[Callable[[bpy.types.Scene], None]] = []
-"""Functions that are called with the scene after its output folder has changed."""
-
-
-def _call_output_changed(settings: "NepSettings", context: bpy.types.Context) -> None:
-    for callback in output_changed_callbacks:
-        callback(settings.id_data)
-
 
 class NepSettings(bpy.types.PropertyGroup):
     capture: bpy.props.StringProperty(
@@ -49,7 +37,7 @@ class NepSettings(bpy.types.PropertyGroup):
         name="Output",
         description="Folder for the result; a job in it is found again when this file is opened",
         subtype="DIR_PATH",
-        update=_call_output_changed,
+        update=output_changes.tell,
     )
     preset: bpy.props.EnumProperty(name="Preset", description="How much time to spend", items=PRESETS, default="balanced")
     use_masks: bpy.props.BoolProperty(

@@ -1,4 +1,4 @@
-"""`python -m blender_nep` is `blender-nep`."""
+"""Runs the command line `blender-nep` for `python -m blender_nep`."""
 
 import sys
 

@@ -1,8 +1,9 @@
-"""Checkpoints of a job.
+"""Saves and loads the checkpoints of a job.
 
-Everything lies in the asset's `checkpoints/`: `run.json` (what is being run), `STAGE.pt` (a stage that is under way, with
-the state before it as `STAGE.previous.pt`) and `STAGE.done.pt` (a stage's result). Files are written under a temporary
-name, flushed to the disk and renamed (`blender_nep.files`), so that a kill at any moment leaves the old one or the new one.
+All files are in the asset's folder `checkpoints/`. `run.json` is the fingerprint of the run. `STAGE.pt` is the last
+checkpoint of a stage that has not ended, and `STAGE.previous.pt` is the one before. `STAGE.done.pt` is the result of a
+stage. Files are written under a temporary name, flushed to the disk and renamed (`blender_nep.files`). So there is always
+the old file or the new file, even if the process is killed.
 """
 
 from __future__ import annotations
@@ -26,12 +27,12 @@ _NUMPY = "__numpy__"
 
 
 def save_state(path: Path, state: dict) -> None:
-    """Write a dict of tensors, arrays, numbers, strings and containers of them. Raises OutputError."""
+    """Write a dict of tensors, arrays, numbers, strings, and containers of these. Raises OutputError."""
     write_atomically(path, lambda temporary: torch.save(_pack(state), temporary))
 
 
 def load_state(path: Path) -> dict:
-    """Read what save_state wrote, tensors on the CPU. No code is run from the file. Raises ValueError if torn."""
+    """Read a file of `save_state`; its tensors are on the CPU. No code of the file is run. Raises ValueError if damaged."""
     try:
         return _unpack(torch.load(path, map_location="cpu", weights_only=True))
     except (RuntimeError, EOFError, pickle.UnpicklingError, KeyError, OSError, ValueError, TypeError) as error:
@@ -39,7 +40,7 @@ def load_state(path: Path) -> dict:
 
 
 def _pack(value: Any) -> Any:
-    """Arrays as marked tensors, so that a file can be read without unpickling arbitrary classes."""
+    """The value with its arrays as marked tensors, so that a file can be read without unpickling arbitrary classes."""
     if isinstance(value, np.ndarray):
         return {_NUMPY: torch.from_numpy(np.array(value, order="C"))}
     if isinstance(value, np.generic):
@@ -62,10 +63,10 @@ def _unpack(value: Any) -> Any:
 
 
 class Checkpoint:
-    """The state of one stage that is under way: due every `interval` seconds, the last two are kept."""
+    """Saves the state of the current stage every `interval` seconds. The last two checkpoints are kept."""
 
     interval = 15.0
-    """Seconds between two saves; a save that takes long stretches it, up to 25."""
+    """Seconds between two saves. If a save takes long, they become more, up to 25."""
 
     def __init__(
         self,
@@ -81,22 +82,22 @@ class Checkpoint:
         self._started = self._saved = clock()
         self._wait = self.interval
         self.seconds_before = 0.0
-        """Seconds that earlier, killed runs spent in this stage up to the loaded state."""
+        """Seconds that earlier runs spent in this stage, up to the loaded state."""
         self.loaded = False
-        """Whether `load` gave a state: the stage is resumed in its middle."""
+        """Whether `load` gave a state, so that the stage goes on from its middle."""
         self._saved_for_stop = False
 
     @property
     def stopping(self) -> bool:
-        """True when the loop should save and raise Stopped."""
+        """Whether a stop was asked for. Then the stage must save and raise Stopped."""
         return self._stop.requested
 
     def due(self) -> bool:
-        """Whether the loop should save now."""
+        """Whether the stage must save now."""
         return self.stopping or self._clock() - self._saved >= self._wait
 
     def save(self, state: dict) -> None:
-        """Write `state` atomically, keeping the one before. Raises OutputError."""
+        """Write `state` atomically, and keep the checkpoint before it. Raises OutputError."""
         start = self._clock()
         stopping = self.stopping
         with output_errors(self.path):
@@ -108,7 +109,7 @@ class Checkpoint:
         self._saved_for_stop |= stopping
 
     def load(self) -> dict | None:
-        """The newest readable state, or None when the stage starts from its beginning."""
+        """The newest readable state. None if there is none: then the stage starts from its beginning."""
         for path in (self.path, self.previous):
             if not path.exists():
                 continue
@@ -122,31 +123,31 @@ class Checkpoint:
         return None
 
     def raise_if_stopped(self, *, saves: bool) -> None:
-        """Raise Stopped once a stop was asked for and, in a stage that `saves`, its state is on the disk."""
+        """Raise Stopped if a stop was asked for. In a stage that `saves`, wait until its state was saved after that."""
         if self.stopping and (self._saved_for_stop or not saves):
             reason = self._stop.reason
             name = "stopped.input_closed" if reason == INPUT_CLOSED else ""
             raise Stopped(f"stopped ({reason}); the checkpoint is written", "Go on with --resume.", name, reason=reason)
 
     def seconds(self) -> float:
-        """Seconds spent in this stage, earlier runs included."""
+        """Seconds spent in this stage, with those of earlier runs."""
         return self.seconds_before + self._clock() - self._started
 
     def remove(self) -> None:
-        """Drop the stage's states: its result is on the disk."""
+        """Remove the checkpoints of the stage. Call it when the result is on the disk."""
         for path in (self.path, self.previous):
             path.unlink(missing_ok=True)
 
 
 class NoCheckpoint:
-    """For learning without a folder: nothing to go on from, nothing to save, nobody to stop it."""
+    """A checkpoint for learning without a folder: nothing is loaded or saved, and nobody can stop it."""
 
     stopping = False
 
     def load(self) -> None:
-        """There is no state."""
+        """None: there is no state to go on from."""
         return None
 
     def due(self) -> bool:
-        """Never."""
+        """False: nothing is saved."""
         return False

@@ -31,7 +31,7 @@ Events for programs are JSON lines on standard output (none when that is a termi
 
 
 def parser() -> argparse.ArgumentParser:
-    """The arguments of the command line."""
+    """The parser of the command line's arguments."""
     top = argparse.ArgumentParser(
         prog="blender-nep",
         description="Photos of a glossy object to a relightable mesh (NeP, CVPR 2024).",

@@ -13,7 +13,7 @@ Exit codes of the command line and of the `error` event:
 | 6    | LearningError | learning failed: no surface was found, or the optimisation diverged                |
 | 7    | Stopped       | stopped on request; the checkpoint is written, `--resume` goes on                  |
 
-Blender's Python does not import this package: backend/engine/exit_codes.py repeats the codes that Blender's side needs.
+Blender's Python does not import this package. `backend/engine/exit_codes.py` repeats the codes that the add-on needs.
 """
 
 from __future__ import annotations
@@ -22,10 +22,10 @@ from typing import Any
 
 
 class NepError(Exception):
-    """An expected failure: `message` says what is wrong (one line), `hint` what to do about it.
+    """An error for the user: `message` says in one line what is wrong, `hint` says what to do.
 
-    `code` is the exit code. `name` (such as `output.disk_full`) and `values` are for programs that have words of their own
-    for this failure, as Blender's panel has (`backend/engine/words.py`).
+    `code` is the exit code. `name` (such as `output.disk_full`) and `values` are for programs that describe the error in
+    words of their own, as Blender's panel does (`backend/engine/words.py`).
     """
 
     code = 1
@@ -39,12 +39,12 @@ class NepError(Exception):
         self.values = values
 
     def told(self) -> dict[str, Any]:
-        """As the `error` event and `blender-nep info --json` have it."""
+        """The error as plain values, for the `error` event and `blender-nep info --json`."""
         return {"code": self.code, "name": self.name, "values": self.values, "message": self.message, "hint": self.hint}
 
 
 class UsageError(NepError):
-    """Wrong arguments."""
+    """The arguments are wrong, or they do not fit the run that is there."""
 
     code = 2
     name = "usage"
@@ -79,7 +79,7 @@ class LearningError(NepError):
 
 
 class Stopped(NepError):
-    """Stopped on request, after the checkpoint was written."""
+    """The job was stopped on request. The checkpoint was written, except after a second Ctrl-C."""
 
     code = 7
     name = "stopped"

@@ -1,6 +1,7 @@
-"""Writing files so that a kill, a full disk or a missing permission leaves the old file or the new one, never half of it.
+"""Writes files so that there is always the old file or the new file, and never half a file.
 
-Every refusal of the operating system becomes an OutputError with a hint.
+This holds when the process is killed, when the disk is full, and when a permission is missing. If the operating system
+refuses to write, the error becomes an OutputError with a hint.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ from blender_nep.errors import OutputError
 
 
 def write_atomically(path: Path, write: Callable[[Path], object]) -> None:
-    """Call write(temporary path), flush it to the disk and rename it to `path`. Raises OutputError."""
+    """Call write(temporary path), flush that file to the disk, and rename it to `path`. Raises OutputError."""
     temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
     with output_errors(path):
         try:
@@ -36,19 +37,19 @@ def write_text(path: Path, text: str) -> None:
 
 @contextmanager
 def output_errors(path: Path) -> Iterator[None]:
-    """Turn the operating system's refusals to write into OutputError."""
+    """A context that turns the operating system's errors while writing `path` into OutputError."""
     try:
         yield
     except OSError as error:
         raise output_error(path, error) from error
-    except RuntimeError as error:  # torch's own writer reports a full disk so
+    except RuntimeError as error:  # torch's own writer raises RuntimeError if the disk is full
         if "PytorchStreamWriter" in str(error) or "unexpected pos" in str(error):
             raise output_error(path, OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))) from error
         raise
 
 
 def output_error(path: Path, error: OSError) -> OutputError:
-    """The OutputError for an OSError met while writing `path`."""
+    """The OutputError for an OSError that was raised while writing `path`."""
     reason = error.strerror or str(error)
     if error.errno in (errno.ENOSPC, errno.EDQUOT):
         hint = "Free some space, then go on with --resume."
@@ -60,7 +61,7 @@ def output_error(path: Path, error: OSError) -> OutputError:
 
 
 def jsonable(value: Any) -> Any:
-    """As JSON has it: containers of strings, numbers and null (for NaN and Inf, which JSON does not know)."""
+    """The value as JSON can hold it: containers of strings, numbers and null. NaN and infinity become null."""
     if isinstance(value, dict):
         return {str(k): jsonable(v) for k, v in value.items()}
     if isinstance(value, list | tuple | set):

@@ -1,9 +1,9 @@
-"""What the library tells its user, apart from errors: codes with values, and the words for them in a terminal.
+"""The messages of the library to its user: codes with values, and their English words for a terminal.
 
-Warnings, sentences about the scene, reasons for leaving something out, and notes on progress are a `Message` each: a code
-and values. Programs read the code and the values; `WORDS` has the English for people who read a terminal. Blender's panel
-has words of its own (`backend/engine/words.py`), because an artist has no command line. Errors (`errors.py`) bring their
-words along.
+Warnings, sentences about the scene, reasons for leaving something out, and notes on progress are each a `Message`: a code
+and values. Programs read the code and the values. People who read a terminal get the English of `WORDS`. Blender's panel has
+words of its own (`backend/engine/words.py`), because an artist has no command line. Errors are not messages: they have their
+words with them (`errors.py`).
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from typing import Any
 
 
 class Part(StrEnum):
-    """What a job may leave out, as report.json names it."""
+    """The parts of a job that it may leave out, with their names in report.json."""
 
     ENVIRONMENT_FIELD = "environment field"
     MASK_TERM = "mask term"
@@ -44,20 +44,20 @@ class Message:
     """Numbers, strings, lists of names, and other messages"""
 
     def __str__(self) -> str:
-        """The words for a terminal. The code itself where a run of another version has left a code without words."""
+        """The words for a terminal. If there are no words for the code (from another version), the code itself."""
         return _FORMATTER.vformat(WORDS[self.code], (), self.values) if self.code in WORDS else self.code
 
     def state(self) -> dict[str, Any]:
-        """As plain values, for the disk."""
+        """The message as plain values, without its words, as it is saved on the disk."""
         return {"code": self.code, "values": {k: _plain(v, Message.state) for k, v in self.values.items()}}
 
     @classmethod
     def from_state(cls, state: Mapping[str, Any]) -> Message:
-        """The inverse of `state`, for messages whose values are no messages."""
+        """The inverse of `state`, for messages whose values are not messages themselves."""
         return cls(state["code"], state["values"])
 
     def told(self) -> dict[str, Any]:
-        """As an event and a report have it: `code`, `values`, and the words as `message`."""
+        """The message as plain values for events and reports: `code`, `values`, and the words as `message`."""
         values = {k: _plain(v, Message.told) for k, v in self.values.items()}
         return {"code": self.code, "values": values, "message": str(self)}
 
@@ -72,8 +72,11 @@ def shortened(names: Sequence[str], most: int = 5) -> str:
 
 
 class _Formatter(string.Formatter):
-    """str.format with two specifications more: `{count:photo|photos}` is the first form for 1 and the second for other
-    numbers, without the number; `{parts:parts}` is a list of parts in plain words. A list of names is shortened."""
+    """str.format with two additional specifications.
+
+    `{count:photo|photos}` gives the first form for 1 and the second form for other numbers, without the number.
+    `{parts:parts}` gives a list of parts in plain words. A list of names is shortened.
+    """
 
     def format_field(self, value: Any, spec: str) -> str:
         if "|" in spec:
@@ -100,11 +103,11 @@ PARTS: dict[str, str] = {
     Part.RESIDUAL: "light that no photo shows",
     Part.FURTHER_STEPS: "the rest of learning shape and light",
     Part.MATERIAL_BOUNDARIES: "boundaries between materials",
-    Part.VOTES: "asking every pixel for its material",
+    Part.VOTES: "finding the material of every pixel",
     Part.FINE_TEXTURES: "fine textures",
-    Part.METAL_AGAIN: "asking again whether the object is metal",
+    Part.METAL_AGAIN: "checking again whether the object is metal",
 }
-"""What is left out, as told to an artist."""
+"""{part: its name in sentences for people}"""
 
 WORDS: dict[str, str] = {
     # warnings about a capture
@@ -115,7 +118,7 @@ WORDS: dict[str, str] = {
     "and {count:adds|add} nothing to the shape: {names}",
     "capture.exr_is_linear": "OpenEXR photos are taken as linear, although color_space says srgb",
     "capture.half_a_sphere": "object_center and object_radius work only together: the one that is given is ignored",
-    "capture.masks_disagree": "the masks agree on no common volume: the object's sphere is estimated from the cameras",
+    "capture.masks_disagree": "the masks contradict each other: the object's sphere is estimated from the cameras",
     "capture.sphere_not_seen": "{count} of {photos} photos {count:does|do} not see the object's sphere: {names}",
     "capture.cameras_far": "the cameras are {radii:.0f} object radii away: the object covers few pixels (is object_radius "
     "too small?)",
@@ -129,10 +132,10 @@ WORDS: dict[str, str] = {
     "capture.pixels_negative": "{pixels} {pixels:pixel|pixels} in {photos} {photos:photo|photos} {pixels:is|are} negative "
     "and {pixels:is|are} taken as 0: {names}",
     "capture.pixels_too_bright": "{pixels} {pixels:pixel|pixels} in {photos} {photos:photo|photos} {pixels:is|are} brighter "
-    "than {limit:.0f} and {pixels:is|are} taken as that: {names}",
+    "than {limit:.0f} and {pixels:is|are} set to that value: {names}",
     "capture.photos_black": "{count} {count:photo is|photos are} black and {count:is|are} left out: {names}",
-    "capture.photos_reduced": "{photos} photos are so many that each is filtered down to {pixels} pixels: {limit} are kept "
-    "of all together",
+    "capture.photos_reduced": "there are {photos} photos: each is scaled down to {pixels} pixels, because all photos "
+    "together may have {limit}",
     "capture.masks_missing": "masks are not used: {count} {count:photo has|photos have} none ({names})",
     "capture.cut_outs_need_masks": "the photos are cut-outs (alpha) and their surroundings are black; results need the "
     "masks",
@@ -147,18 +150,19 @@ WORDS: dict[str, str] = {
     "job.checkpoint_damaged": "checkpoint {file} cannot be used: {reason}",
     "job.steps_left_out": "{count} {count:step|steps} of fields learning {count:was|were} left out: the loss or the "
     "gradient was not finite",
-    "job.metal_unclear": "the photos hardly tell whether the object is metal: where the result is wrong, say so by --metal "
-    "yes or --metal no",
+    "job.metal_unclear": "the photos hardly show whether the object is metal: if the result is wrong, choose --metal yes "
+    "or --metal no",
     # notes on progress
     "progress.warming_up": "warming up",
     # sentences about the scene
     "scene.surroundings": "The photos ({photos}) show the object among its surroundings, which are learned as its light.",
     "scene.cut_outs": "The photos ({photos}) are cut-outs: the light is learned from the object's reflections alone.",
     "scene.masks_used": "Masks are there and are used.",
-    "scene.masks_not_used": "No masks are used: the object is found by what does not look like its surroundings.",
-    "scene.object_clipped": "{percent:g} % of the object's pixels are burnt out (clipped) and say nothing of the material.",
-    "scene.sphere_clipped": "{percent:g} % of the pixels around the object are burnt out (clipped) and say nothing of the "
+    "scene.masks_not_used": "No masks are used: the object is where the photos do not look like its surroundings.",
+    "scene.object_clipped": "{percent:g} % of the object's pixels are burnt out (clipped) and say nothing about the "
     "material.",
+    "scene.sphere_clipped": "{percent:g} % of the pixels around the object are burnt out (clipped) and say nothing about "
+    "the material.",
     "scene.high_range": "The photos hold highlights brighter than white (HDR), and hardly any is burnt out.",
     "scene.hardly_clipped": "The photos end at white, but hardly a pixel is burnt out.",
     "scene.exposure_differs": "The photos differ in exposure (by up to {stops:.1f} stops), which is evened out.",
@@ -169,7 +173,7 @@ WORDS: dict[str, str] = {
     "scene.object_size": "The object's sphere is {pixels:.0f} pixels wide and takes {percent:g} % of the photos; "
     "{object_percent:g} % of that is the object.",
     "scene.convex": "The object is convex.",
-    "scene.reflects_little_in_itself": "Little of the object reflects in itself ({percent:g} % of all directions).",
+    "scene.reflects_little_in_itself": "The object hardly reflects in itself ({percent:g} % of all directions).",
     "scene.reflects_in_itself": "The object reflects in itself ({percent:g} % of all directions).",
     "scene.glossy": "Its brightness changes much from photo to photo: it is glossy.",
     "scene.hardly_glossy": "Its brightness changes a little from photo to photo: it is hardly glossy.",
@@ -180,17 +184,17 @@ WORDS: dict[str, str] = {
     "reason.cut_outs": "the photos are cut-outs",
     "reason.metal": "the object is metal",
     "reason.convex": "the object is convex",
-    "reason.reflects_little_in_itself": "little of the object reflects in itself",
-    "reason.matte": "the object is matte: nothing in it mirrors",
+    "reason.reflects_little_in_itself": "the object hardly reflects in itself",
+    "reason.matte": "the object is matte and mirrors nothing",
     "reason.masks_ignored": "masks are ignored (--masks ignore)",
     "reason.no_masks": "the capture has no masks",
     "reason.sphere_fills_photos": "the sphere fills all photos",
     "reason.mesh_given": "a mesh was given (--mesh)",
     "reason.plateaued": "the error on held-out pixels did not fall any more",
     "reason.one_material": "one material explains the photos",
-    "reason.metal_known": "the photos have told it clearly",
-    "reason.light_seen": "all light that matters was seen by the photos",
+    "reason.metal_known": "the photos have already decided it clearly",
+    "reason.light_seen": "the photos show all light that matters",
     "reason.preset": "turned off by the preset",
     "reason.light_changes_fast": "light changes too fast between the samples of a photo",
-    "reason.no_self_reflection": "nothing of the object reflects in itself",
+    "reason.no_self_reflection": "the object does not reflect in itself",
 }

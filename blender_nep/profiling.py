@@ -1,10 +1,11 @@
-"""Where the time goes (`--profile`): named sections within sections, their wall and CPU seconds.
+"""Measures the wall and CPU seconds of named sections, which may contain sections (`--profile`).
 
     with section("marching"):
         ...
 
-costs a fraction of a microsecond while nothing is profiled. The picture is a flame graph in the file format of
-https://www.speedscope.app (its web page reads files locally; Chrome's and Firefox's own profilers do not know it).
+A section costs a fraction of a microsecond while nothing is profiled. The result is also written as a flame graph in the
+file format of https://www.speedscope.app. Its web page reads files locally; the profilers of Chrome and Firefox cannot read
+them.
 """
 
 from __future__ import annotations
@@ -24,12 +25,12 @@ _current: Profile | None = None
 
 
 def section(name: str):
-    """A context whose time is counted under `name`, within the sections that are open now. The job's main thread only."""
+    """A context whose time is counted under `name`, within the sections that are open. Only for the job's main thread."""
     return _NOTHING if _current is None else _current.section(name)
 
 
 def profiled(name: str):
-    """A decorator: each call of the function is a `section`."""
+    """A decorator: each call of the function is a `section` of this name."""
 
     def decorate(function):
         @wraps(function)
@@ -44,24 +45,26 @@ def profiled(name: str):
 
 @dataclass
 class Part:
-    """What one section took, over all its calls, and the sections within it."""
+    """The calls and seconds of one section, and the sections within it."""
 
     name: str
     calls: int = 0
     wall: float = 0.0
+    """Seconds of wall time of all calls"""
     cpu: float = 0.0
-    """Seconds of all threads"""
+    """CPU seconds of all calls and all threads"""
     parts: dict[str, Part] = field(default_factory=dict)
+    """The sections within this one, by name"""
 
     def rows(self, depth: int = 0) -> Iterator[tuple[int, Part]]:
-        """(depth, part) of this one and of everything within, in the order in which it was first entered."""
+        """(depth, part) of this section and of all sections within it, in the order in which they were first entered."""
         yield depth, self
         for part in self.parts.values():
             yield from part.rows(depth + 1)
 
 
 class Profile:
-    """Records while it is the `recording` one."""
+    """Records the sections that are entered within its context `recording`."""
 
     def __init__(
         self,
@@ -69,14 +72,14 @@ class Profile:
         wall: Callable[[], float] = time.perf_counter,
         cpu: Callable[[], float] = time.process_time,
     ) -> None:
-        """finish() waits for work that was only begun, as on a GPU."""
+        """finish() waits for work that has begun but not ended, as on a GPU. `wall` and `cpu` are clocks in seconds."""
         self.whole = Part("job")
         self._open: list[tuple[Part, float, float]] = []
         self._finish, self._wall, self._cpu = finish, wall, cpu
 
     @contextmanager
     def recording(self) -> Iterator[Profile]:
-        """Within this context `section` counts here."""
+        """Within this context, this profile records all sections."""
         global _current
         before, _current = _current, self
         try:
@@ -86,7 +89,7 @@ class Profile:
             _current = before
 
     def section(self, name: str):
-        """See the function of this name."""
+        """A context whose time is counted under `name` in this profile."""
         parts = self._open[-1][0].parts
         return self._timed(parts.setdefault(name, Part(name)))
 
@@ -110,13 +113,13 @@ class Profile:
         part.cpu += now[1] - cpu
 
     def _up_to_now(self) -> None:
-        """Counts what the open sections have taken so far."""
+        """Add the time that the open sections have taken so far."""
         for k, (part, wall, cpu) in enumerate(self._open):
             self._add(part, wall, cpu)
             self._open[k] = (part, *self._now())
 
     def report(self) -> list[dict]:
-        """A row for each section so far, those within it after it; `section` is its path."""
+        """A row for each section so far; its inner sections follow it. The key `section` is the path of names."""
         self._up_to_now()
         found: list[dict] = []
         path: list[str] = []
@@ -133,7 +136,7 @@ class Profile:
         return found
 
     def table(self) -> str:
-        """For people: the sections, indented, with their share of the CPU seconds of all."""
+        """A table for people: the sections, indented, with their seconds and their share of all CPU seconds."""
         lines = [f"{'section':44}{'calls':>8}{'wall s':>10}{'CPU s':>10}{'CPU %':>8}"]
         for depth, part in self.whole.rows():
             share = 100 * part.cpu / max(self.whole.cpu, 1e-9)
@@ -141,7 +144,7 @@ class Profile:
         return "\n".join(lines)
 
     def write(self, path: Path) -> None:
-        """As a flame graph for speedscope: one of wall and one of CPU seconds. Raises OutputError."""
+        """Write two flame graphs for speedscope, one of wall seconds and one of CPU seconds. Raises OutputError."""
         text = json.dumps(self._speedscope())
         write_text(path, text)
 

@@ -1,4 +1,4 @@
-"""The wish that a job end, and everything that may express it: a signal, a line on standard input, a file."""
+"""The request that a job stops. A signal, a line on standard input, its end, or a file can make the request."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from contextlib import contextmanager
 from pathlib import Path
 
 INPUT_CLOSED = "standard input was closed"
-"""The reason for a stop where the program that has started the job ended."""
+"""The reason for the stop if the program that started the job has ended."""
 
 
 class StopRequest:
-    """Whether somebody wants the job to end: SIGTERM, SIGINT, {"cmd": "stop"} or the end of standard input."""
+    """Whether somebody has asked the job to stop: by SIGTERM, SIGINT, {"cmd": "stop"}, the end of standard input, a file."""
 
     def __init__(self) -> None:
         self._event = threading.Event()
@@ -23,17 +23,17 @@ class StopRequest:
 
     @property
     def requested(self) -> bool:
-        """True from the first wish on."""
+        """Whether a stop was asked for."""
         return self._event.is_set()
 
     def request(self, reason: str) -> None:
-        """Ask the job to write its checkpoint and end."""
+        """Ask the job to write its checkpoint and end. The first reason is kept."""
         self.reason = self.reason or reason
         self._event.set()
 
     @contextmanager
     def signals(self) -> Iterator[StopRequest]:
-        """Within this context SIGTERM and the first SIGINT (Ctrl-C) are wishes; a second Ctrl-C interrupts at once."""
+        """Within this context, SIGTERM and the first SIGINT (Ctrl-C) ask for a stop. A second Ctrl-C interrupts at once."""
 
         def handle(number: int, _frame: object) -> None:
             if self.requested and number == signal.SIGINT:
@@ -48,11 +48,14 @@ class StopRequest:
                 signal.signal(number, handler)
 
     def watch(self, descriptor: int = 0) -> None:
-        """Listen for {"cmd": "stop"} lines on a file descriptor (standard input); its end means the parent died."""
+        """Listen for lines {"cmd": "stop"} on a file descriptor (standard input). Its end also asks for a stop.
+
+        Standard input ends when the program that started the job ends.
+        """
         threading.Thread(target=self._listen, args=(descriptor,), daemon=True).start()
 
     def watch_file(self, path: Path) -> None:
-        """Look for a file whose appearance means stop."""
+        """Ask for a stop as soon as there is a file `path`."""
         threading.Thread(target=self._look_for, args=(path,), daemon=True).start()
 
     def _look_for(self, path: Path) -> None:
@@ -61,7 +64,7 @@ class StopRequest:
                 self.request("stop file")
 
     def _listen(self, descriptor: int) -> None:
-        # os.read, not sys.stdin: a thread that waits in a buffered reader makes the interpreter abort at its exit
+        # os.read and not sys.stdin: a thread that waits in a buffered reader makes the interpreter abort at exit
         rest = b""
         while received := os.read(descriptor, 4096):
             *lines, rest = (rest + received).split(b"\n")

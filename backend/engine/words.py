@@ -28,9 +28,9 @@ PARTS = {
     "residual": "light that no photo shows",
     "further steps of both fields": "the rest of learning shape and light",
     "material boundaries": "boundaries between materials",
-    "votes of all pixels": "asking every pixel for its material",
+    "votes of all pixels": "finding the material of every pixel",
     "fine textures": "fine textures",
-    "asking again whether it is metal": "asking again whether the object is metal",
+    "asking again whether it is metal": "checking again whether the object is metal",
 }
 """What the engine may leave out."""
 
@@ -43,7 +43,7 @@ MESSAGES = {
     "and {count:adds|add} nothing to the shape: {names}",
     "capture.exr_is_linear": "OpenEXR photos are taken as linear, although the capture says sRGB",
     "capture.half_a_sphere": "The capture names only a centre or only a radius of the object's sphere: it is ignored",
-    "capture.masks_disagree": "The masks agree on no common volume: the object's sphere is estimated from the cameras",
+    "capture.masks_disagree": "The masks contradict each other: the object's sphere is estimated from the cameras",
     "capture.sphere_not_seen": "{count} of {photos} photos {count:does|do} not see the object's sphere: {names}",
     "capture.cameras_far": "The cameras are {radii:.0f} object radii away: the object covers few pixels. Are the bounds too "
     "small?",
@@ -57,9 +57,9 @@ MESSAGES = {
     "capture.pixels_negative": "{pixels} {pixels:pixel|pixels} in {photos} {photos:photo|photos} {pixels:is|are} negative "
     "and {pixels:is|are} taken as black: {names}",
     "capture.pixels_too_bright": "{pixels} {pixels:pixel|pixels} in {photos} {photos:photo|photos} {pixels:is|are} brighter "
-    "than {limit:.0f} and {pixels:is|are} taken as that: {names}",
+    "than {limit:.0f} and {pixels:is|are} set to that value: {names}",
     "capture.photos_black": "{count} {count:photo is|photos are} black and {count:is|are} left out: {names}",
-    "capture.photos_reduced": "{photos} photos are so many that each is scaled down to {pixels} pixels",
+    "capture.photos_reduced": "There are {photos} photos, so each is scaled down to {pixels} pixels",
     "capture.masks_missing": "Masks are not used: {count} {count:photo has|photos have} none ({names})",
     "capture.cut_outs_need_masks": "The photos are cut-outs and their surroundings are black: results need the masks",
     "capture.few_photos": "Only {photos} photos: 20 and more give a better shape",
@@ -73,7 +73,7 @@ MESSAGES = {
     "job.checkpoint_damaged": "A checkpoint is damaged and cannot be used: {file}",
     "job.steps_left_out": "{count} {count:step|steps} of learning shape and light {count:was|were} left out: the numbers "
     "were not finite",
-    "job.metal_unclear": "The photos hardly tell whether the object is metal: where the result is wrong, say so in "
+    "job.metal_unclear": "The photos hardly show whether the object is metal: if the result is wrong, choose it in "
     "Advanced > Material",
     # notes on progress
     "progress.warming_up": "Warming up",
@@ -81,9 +81,10 @@ MESSAGES = {
     "scene.surroundings": "The photos ({photos}) show the object among its surroundings, which are learned as its light.",
     "scene.cut_outs": "The photos ({photos}) are cut-outs: the light is learned from the object's reflections alone.",
     "scene.masks_used": "Masks are there and are used.",
-    "scene.masks_not_used": "No masks are used: the object is found by what does not look like its surroundings.",
-    "scene.object_clipped": "{percent:g} % of the object's pixels are burnt out and say nothing of the material.",
-    "scene.sphere_clipped": "{percent:g} % of the pixels around the object are burnt out and say nothing of the material.",
+    "scene.masks_not_used": "No masks are used: the object is where the photos do not look like its surroundings.",
+    "scene.object_clipped": "{percent:g} % of the object's pixels are burnt out and say nothing about the material.",
+    "scene.sphere_clipped": "{percent:g} % of the pixels around the object are burnt out and say nothing about the "
+    "material.",
     "scene.high_range": "The photos hold highlights brighter than white (HDR), and hardly any is burnt out.",
     "scene.hardly_clipped": "The photos end at white, but hardly a pixel is burnt out.",
     "scene.exposure_differs": "The photos differ in exposure (by up to {stops:.1f} stops), which is evened out.",
@@ -94,7 +95,7 @@ MESSAGES = {
     "scene.object_size": "The object's sphere is {pixels:.0f} pixels wide and takes {percent:g} % of the photos; "
     "{object_percent:g} % of that is the object.",
     "scene.convex": "The object is convex.",
-    "scene.reflects_little_in_itself": "Little of the object reflects in itself ({percent:g} % of all directions).",
+    "scene.reflects_little_in_itself": "The object hardly reflects in itself ({percent:g} % of all directions).",
     "scene.reflects_in_itself": "The object reflects in itself ({percent:g} % of all directions).",
     "scene.glossy": "Its brightness changes much from photo to photo: it is glossy.",
     "scene.hardly_glossy": "Its brightness changes a little from photo to photo: it is hardly glossy.",
@@ -105,19 +106,19 @@ MESSAGES = {
     "reason.cut_outs": "the photos are cut-outs",
     "reason.metal": "the object is metal",
     "reason.convex": "the object is convex",
-    "reason.reflects_little_in_itself": "little of the object reflects in itself",
-    "reason.matte": "the object is matte: nothing in it mirrors",
+    "reason.reflects_little_in_itself": "the object hardly reflects in itself",
+    "reason.matte": "the object is matte and mirrors nothing",
     "reason.masks_ignored": "Use Masks is off",
     "reason.no_masks": "the capture has no masks",
     "reason.sphere_fills_photos": "the object's sphere fills all photos",
     "reason.mesh_given": "Known Mesh names a mesh",
     "reason.plateaued": "the error on pixels that are not learned from did not fall any more",
     "reason.one_material": "one material explains the photos",
-    "reason.metal_known": "the photos have told it clearly",
-    "reason.light_seen": "all light that matters was seen by the photos",
+    "reason.metal_known": "the photos have already decided it clearly",
+    "reason.light_seen": "the photos show all light that matters",
     "reason.preset": "the preset turns it off",
     "reason.light_changes_fast": "light changes too fast between the samples of a photo",
-    "reason.no_self_reflection": "nothing of the object reflects in itself",
+    "reason.no_self_reflection": "the object does not reflect in itself",
 }
 
 ERRORS = {

@@ -1,6 +1,6 @@
-"""The asset folder: mesh, textures, light, picture and report, in the capture's own coordinates.
+"""Writes the asset folder: mesh, textures, light, preview picture and report, in the capture's own coordinates.
 
-An asset is complete when `report.json` is there: it is removed first and written last.
+An asset is complete when `report.json` is there. That file is removed first and written last.
 """
 
 from __future__ import annotations
@@ -33,13 +33,18 @@ SRGB_TEXTURES = ("albedo",)
 
 @dataclass
 class TexturedMesh:
-    """A mesh and its textures in the capture's frame. Textures [H, W] or [H, W, 3] float32, row 0 at v = 1."""
+    """A mesh in the capture's frame, and its textures."""
 
     vertices: np.ndarray
+    """[V, 3]"""
     faces: np.ndarray
+    """[F, 3] int"""
     normals: np.ndarray
+    """[V, 3] unit vectors"""
     uv: np.ndarray
+    """[V, 2] in 0..1"""
     textures: dict[str, np.ndarray]
+    """{name: texture [H, W] or [H, W, 3] float32, row 0 at v = 1}"""
 
 
 def write_asset(
@@ -53,8 +58,9 @@ def write_asset(
 ) -> None:
     """Write the asset of a capture into `folder`. Raises OutputError.
 
-    `surface` is a geometry.mesh.Surface, `materials` a materials.training.Materials; `light` is EnvironmentField.equirect's
-    (radiance [H, 2H, 3], coverage [H, 2H]); `report` is called last, when everything else is on the disk.
+    `surface` is a geometry.mesh.Surface, `materials` a materials.training.Materials. `light` is (radiance [H, 2H, 3],
+    coverage [H, 2H]), as EnvironmentField.equirect gives it. `report` gives the content of report.json; it is called last,
+    when everything else is on the disk.
     """
     radiance = torch.as_tensor(light[0]).detach().float().cpu().numpy()
     mesh = TexturedMesh(
@@ -85,7 +91,7 @@ def write_asset(
 
 
 def _move(partial: Path, folder: Path) -> None:
-    """Put the files in place, flushed to the disk; while that goes on no report.json is there."""
+    """Flush the files to the disk and move them into the folder. report.json is removed first and moved last."""
     (folder / "report.json").unlink(missing_ok=True)
     (folder / "textures").mkdir(exist_ok=True)
     files = sorted((p for p in partial.rglob("*") if p.is_file()), key=lambda p: (p.name == "report.json", p))
@@ -96,11 +102,11 @@ def _move(partial: Path, folder: Path) -> None:
 
 
 def write_exr(path: Path, pixels: np.ndarray) -> None:
-    """Half-float OpenEXR of linear values [H, W, 3] (channels R, G, B) or [H, W] (channel V). Raises OSError."""
+    """Write linear values [H, W, 3] (channels R, G, B) or [H, W] (channel V) as half-float OpenEXR. Raises OSError."""
     half = np.clip(np.nan_to_num(pixels), -65504, 65504).astype(np.float16)
     channels = {"RGB": half} if half.ndim == 3 else {"V": half}
     header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
-    path.touch()  # OpenEXR tells of a folder that may not be written, or a full disk, in a RuntimeError without errno
+    path.touch()  # raises a clear OSError for a folder that may not be written; OpenEXR raises RuntimeError without errno
     try:
         OpenEXR.File(header, channels).write(str(path))
     except RuntimeError as error:
@@ -109,13 +115,16 @@ def write_exr(path: Path, pixels: np.ndarray) -> None:
 
 
 def write_png(path: Path, pixels: np.ndarray, *, srgb: bool) -> None:
-    """8-bit PNG of linear values in [0, 1]; `srgb`: encoded for the eye, else linear data."""
+    """Write linear values in [0, 1] as 8-bit PNG. With `srgb`, the values are sRGB-encoded; otherwise they stay linear."""
     values = linear_to_srgb(pixels) if srgb else np.clip(pixels, 0, 1)
     Image.fromarray(to_bytes(values)).save(path)
 
 
 def write_obj(path: Path, mesh: TexturedMesh) -> None:
-    """Wavefront OBJ with normals and UVs, one index for all three, and a material of the PBR extension (Pm, Pr)."""
+    """Write a Wavefront OBJ with normals and UVs, and its MTL with a material of the PBR extension (Pm, Pr).
+
+    Position, normal and UV of a corner have the same index.
+    """
     material = [
         "newmtl nep",
         "Kd 1 1 1",
@@ -135,16 +144,16 @@ def write_obj(path: Path, mesh: TexturedMesh) -> None:
 
 
 def _digits(vertices: np.ndarray) -> int:
-    """Decimal digits that keep vertices [V, 3] to a ten-millionth of the mesh's size, however far away it stands."""
+    """Decimal digits that keep vertices [V, 3] exact to a ten-millionth of the mesh's size, however far from the origin."""
     size, farthest = np.ptp(vertices, axis=0).max(), np.abs(vertices).max()
     return 7 if farthest <= size else min(17, 7 + math.ceil(math.log10(farthest / max(size, 1e-10 * farthest))))
 
 
 def write_glb(path: Path, mesh: TexturedMesh) -> None:
-    """glTF 2.0 binary: Y up, base color sRGB-encoded, roughness in G and metallic in B of one linear texture.
+    """Write a glTF 2.0 binary: Y up, base color sRGB-encoded, roughness in G and metallic in B of one linear texture.
 
-    Vertices are relative to the mesh's middle, which is the node's translation: glTF stores vertices in single precision,
-    too coarse far from the origin.
+    Vertices are relative to the middle of the mesh; the translation of the node holds the middle. The reason: glTF stores
+    vertices in single precision, which is too coarse far from the origin.
     """
     y_up = np.array([[1, 0, 0], [0, 0, 1], [0, -1, 0]], np.float64)
     rough, metal = to_bytes(mesh.textures["roughness"]), to_bytes(mesh.textures["metallic"])

@@ -1,6 +1,6 @@
-"""The asset's preview picture: a photo beside the same view of the asset in its own light.
+"""Renders the preview picture of the asset: a photo beside the same view of the asset in its own light.
 
-A quick look, not a proof: distant light without shadows, prefiltered by roughness.
+The rendering is simple: distant light without shadows, prefiltered by roughness. It does not measure the asset's quality.
 """
 
 from __future__ import annotations
@@ -21,7 +21,10 @@ if TYPE_CHECKING:
 
 
 def render_preview(rays: PixelRays, surface, textures: dict[str, np.ndarray], light: np.ndarray) -> np.ndarray:
-    """[H, 2 W, 3] uint8 sRGB: left the photo that sees most of the object, right the asset. `light` [h, 2h, 3]."""
+    """A picture [H, 2 W, 3] uint8 sRGB: on the left the photo of `best_view`, on the right the asset.
+
+    `textures` are [S, S] or [S, S, 3]; `light` [h, 2h, 3] is linear radiance.
+    """
     tracer = RayTracer(surface.vertices, surface.faces)
     view = best_view(rays, tracer)
     index = torch.arange(rays.offset[view], rays.offset[view + 1], device=rays.valid.device)
@@ -44,12 +47,16 @@ def render_preview(rays: PixelRays, surface, textures: dict[str, np.ndarray], li
 
 
 def exposure(photo: np.ndarray) -> float:
-    """The factor that brings a photo [..., 3] of linear radiance into a picture's range: few highlights are clipped."""
+    """The factor that brings a photo [..., 3] of linear radiance into 0..1, so that only few highlights are clipped."""
     return min(0.8 / max(float(np.quantile(photo.max(-1), 0.97)), 1e-6), 100.0)
 
 
 def best_view(rays: PixelRays, tracer: RayTracer) -> int:
-    """Of the photos that show much of the object and do not cut it, the one taken most nearly from 20 degrees above."""
+    """Index of the photo for the picture.
+
+    It is chosen from the better half of the photos: they show much of the object and do not cut it at the border. Among
+    them it is the one whose camera is nearest to 20 degrees above the object.
+    """
     score, height_off = [], []
     for view in range(rays.views):
         height, width = rays.size[view]
@@ -67,7 +74,10 @@ def best_view(rays: PixelRays, tracer: RayTracer) -> int:
 
 
 def shade(normal: np.ndarray, to_eye: np.ndarray, material: dict[str, np.ndarray], light: Pyramid) -> np.ndarray:
-    """Split-sum shading (Karis 2013, with his analytic fit of the BRDF integral, 2014) [n, 3] by distant light."""
+    """Radiance [n, 3] of n points in distant light, by split-sum shading (Karis 2013; analytic BRDF fit: Karis 2014).
+
+    normal, to_eye [n, 3] are unit vectors; `material` has albedo [n, 3], roughness and metallic [n, 1].
+    """
     albedo, roughness, metallic = material["albedo"], material["roughness"], material["metallic"]
     cosine = np.clip((normal * to_eye).sum(-1, keepdims=True), 1e-3, 1)
     mirror = 2 * cosine * normal - to_eye
@@ -80,13 +90,16 @@ def shade(normal: np.ndarray, to_eye: np.ndarray, material: dict[str, np.ndarray
 
 @dataclass
 class Pyramid:
-    """An equirectangular light [h, 2h, 3], halved again and again; Blender's World orientation, z up."""
+    """An equirectangular light [h, 2h, 3] at several resolutions, each half of the one before.
+
+    It has Blender's World orientation, z up.
+    """
 
     levels: list[np.ndarray]
 
     @classmethod
     def of(cls, light: np.ndarray) -> Pyramid:
-        """All levels down to 4 rows, each the box-filtered one before."""
+        """All levels of `light`, down to 4 to 7 rows. Each level is the level before, box-filtered."""
         levels = [np.asarray(light, np.float32)]
         while levels[-1].shape[0] >= 8:
             last = levels[-1][: levels[-1].shape[0] // 2 * 2, : levels[-1].shape[1] // 2 * 2]
@@ -94,7 +107,10 @@ class Pyramid:
         return cls(levels)
 
     def lookup(self, direction: np.ndarray, roughness: np.ndarray) -> np.ndarray:
-        """Radiance [n, 3] from directions [n, 3], averaged over about the GGX lobe's width (alpha radians)."""
+        """Radiance [n, 3] from directions [n, 3], averaged over about the width of the GGX lobe (alpha radians).
+
+        roughness [n] is Principled's.
+        """
         texel = math.pi / self.levels[0].shape[0]
         level = np.clip(np.log2(np.maximum(roughness**2 / texel, 1)), 0, len(self.levels) - 1)
         low = np.floor(level).astype(int)
@@ -106,7 +122,7 @@ class Pyramid:
         return out
 
     def irradiance(self, normal: np.ndarray) -> np.ndarray:
-        """Integral of radiance times cosine over the hemisphere around normals [n, 3]."""
+        """Irradiance [n, 3]: the integral of radiance times cosine over the hemisphere around normals [n, 3]."""
         coarse = min(self.levels, key=lambda level: abs(level.shape[0] - 16))
         height, width = coarse.shape[:2]
         up = math.pi * (0.5 - (np.arange(height) + 0.5) / height)
@@ -127,7 +143,10 @@ class Pyramid:
 
 
 def _bilinear(image: np.ndarray, direction: np.ndarray) -> np.ndarray:
-    """Blender's equirectangular lookup: u = 1/2 - atan2(y, x) / 2 pi, v = 1/2 + asin(z) / pi; row 0 is the zenith."""
+    """Bilinear values [n, 3] of an equirectangular image [h, 2h, 3] in unit directions [n, 3].
+
+    As in Blender, u = 1/2 - atan2(y, x) / 2 pi and v = 1/2 + asin(z) / pi; row 0 is the zenith.
+    """
     height, width = image.shape[:2]
     x = (0.5 - np.arctan2(direction[:, 1], direction[:, 0]) / (2 * math.pi)) * width - 0.5
     y = (0.5 - np.arcsin(np.clip(direction[:, 2], -1, 1)) / math.pi) * height - 0.5

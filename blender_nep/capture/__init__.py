@@ -1,4 +1,4 @@
-"""The first stage: photos, cameras, masks, the object's bounding sphere."""
+"""The capture stage reads the photos, cameras and masks, and finds the object's bounding sphere."""
 
 from blender_nep.capture.camera import Camera
 from blender_nep.capture.capture import Capture, View

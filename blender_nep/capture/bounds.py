@@ -1,4 +1,4 @@
-"""The object's bounding sphere: estimated from the cameras and the masks, and checked against the photos."""
+"""Estimates the object's bounding sphere from the cameras and the masks, and checks it against the cameras."""
 
 from __future__ import annotations
 
@@ -15,12 +15,13 @@ _HINT = (
 
 
 def sphere_from_cameras(cameras: list[Camera]) -> tuple[np.ndarray, float]:
-    """Centre [3] nearest to all optical axes, and the radius of the largest ball that every tenth camera sees whole.
+    """Centre [3] nearest to all optical axes, and radius of the largest sphere that a tenth of the cameras see whole.
 
-    A photographer who walks around a thing has it whole in the more distant photos; a sphere somewhat too large costs
-    resolution, one too small cuts the object. Least squares on the distances from the axes, reweighted five times
-    towards their median. The ball stays 30 % away from the nearest camera. Raises BoundsError when the axes do not
-    meet (parallel views).
+    A tenth is enough: photos from farther away usually show the whole object. A sphere that is somewhat too large costs
+    resolution; a sphere that is too small cuts the object. The centre is found by least squares on the distances from
+    the axes, reweighted five times towards the point of least absolute distances. The radius is at most 0.7 of the
+    distance to the nearest camera. Raises BoundsError when the axes are parallel, or when fewer than two cameras see the
+    centre.
     """
     position = np.stack([c.position for c in cameras])
     axis = np.stack([c.optical_axis for c in cameras])
@@ -44,11 +45,11 @@ def sphere_from_cameras(cameras: list[Camera]) -> tuple[np.ndarray, float]:
 def sphere_from_masks(
     cameras: list[Camera], masks: list[np.ndarray], center: np.ndarray, radius: float, resolution: int = 48
 ) -> tuple[np.ndarray, float] | None:
-    """The sphere around a coarse visual hull, or None when the masks agree on nothing.
+    """Centre [3] and radius of a sphere around a coarse visual hull, or None when no voxel agrees with the masks.
 
-    Carves a grid over the cube of half side 1.5 `radius`, then again over what was left of it. A voxel stays when at
-    least half of the cameras have it in their frame and 95 % of those see mask there (masks may have errors). `masks`
-    [h, w] in 0..1, of any resolution.
+    The first grid covers the cube of half side 1.5 `radius` around `center`; the second grid covers the voxels that the
+    first one kept. A voxel is kept when at least half of the cameras have it in their frame, and in 95 % of those photos
+    the mask covers it. It is not 100 %, because masks may have errors. `masks` [h, w] are in 0..1, of any resolution.
     """
     low, high = center - 1.5 * radius, center + 1.5 * radius
     for _ in range(2):
@@ -78,7 +79,7 @@ def _carve(cameras: list[Camera], masks: list[np.ndarray], points: np.ndarray) -
 
 
 def check_sphere(names: list[str], cameras: list[Camera], center: np.ndarray, radius: float) -> list[Message]:
-    """Warnings about the sphere. Raises BoundsError when a camera stands inside it or no photo sees it."""
+    """Warnings about the sphere. Raises BoundsError when a camera stands inside the sphere or no photo shows it."""
     distance = np.array([np.linalg.norm(c.position - center) for c in cameras])
     inside = np.flatnonzero(distance <= radius)
     if len(inside):
@@ -103,7 +104,7 @@ def check_sphere(names: list[str], cameras: list[Camera], center: np.ndarray, ra
 
 
 def sees_sphere(camera: Camera, center: np.ndarray, radius: float) -> bool:
-    """Whether some part of the sphere can lie in the camera's frame (exact but at the frame's corners)."""
+    """Whether some part of the sphere can lie in the camera's frame. Near the frame's corners this may be wrongly True."""
     sides = camera.side_distances(center)
     depth = (camera.position - center) @ camera.camera_to_world[:3, 2]
     return bool(sides.min() > -radius and depth > -radius)

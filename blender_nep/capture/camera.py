@@ -40,14 +40,20 @@ class Camera:
         return world / np.linalg.norm(world, axis=-1, keepdims=True)
 
     def project(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Image positions x, y [n] in pixels and depth [n] along -z of `points` [n, 3]; depth <= 0 is behind."""
+        """Image positions x, y [n] in pixels, and depths [n] along -z, of `points` [n, 3] in the capture frame.
+
+        A point with depth <= 0 lies behind the camera; its x and y mean nothing.
+        """
         local = (points - self.position) @ self.camera_to_world[:3, :3]
         depth = -local[:, 2]
         safe = np.where(depth > 1e-12, depth, np.inf)
         return self.cx + self.fl_x * local[:, 0] / safe, self.cy - self.fl_y * local[:, 1] / safe, depth
 
     def side_distances(self, point: np.ndarray) -> np.ndarray:
-        """Signed distances [4] of `point` [3] from the four sides of the view frustum, positive inside."""
+        """Signed distances [4] of `point` [3] from the left, right, top and bottom side of the view frustum.
+
+        They are positive inside, in capture units.
+        """
         local = (np.asarray(point) - self.position) @ self.camera_to_world[:3, :3]
         left, right = -self.cx / self.fl_x, (self.width - self.cx) / self.fl_x
         top, bottom = self.cy / self.fl_y, -(self.height - self.cy) / self.fl_y
@@ -56,6 +62,6 @@ class Camera:
         return normals @ local
 
     def scaled(self, width: int, height: int) -> Camera:
-        """The same camera with its image resampled to another size of the same aspect."""
+        """The same camera, after its image was resampled to another size of the same aspect."""
         sx, sy = width / self.width, height / self.height
         return Camera(width, height, self.fl_x * sx, self.fl_y * sy, self.cx * sx, self.cy * sy, self.camera_to_world)

@@ -56,14 +56,14 @@ class Capture:
         return matrix
 
     def open_photo(self, i: int) -> Raster:
-        """A photo as its file stores it, to be made linear in parts. Raises CaptureError."""
+        """Photo `i` as its file stores it; `Raster.rows` makes it linear. Raises CaptureError."""
         view = self.views[i]
         raster = open_image(view.image_path, self.color_space)
         self._check_size(view, view.image_path, raster.size)
         return raster
 
     def open_mask(self, i: int) -> MaskRaster | None:
-        """A view's mask file, or None where there is none. Raises CaptureError."""
+        """The mask file of view `i`, or None where there is none. Raises CaptureError."""
         view = self.views[i]
         if view.mask_path is None:
             return None
@@ -72,17 +72,20 @@ class Capture:
         return mask
 
     def load_photo(self, i: int) -> tuple[np.ndarray, np.ndarray | None]:
-        """Radiance [H, W, 3] linear float32 (raw, may hold NaN) and the photo's own alpha [H, W] in 0..1.
+        """Radiance [H, W, 3] linear float32 of photo `i`, which may hold NaN, and the photo's alpha [H, W] in 0..1.
 
-        Alpha is None where the file has none or where it is 1 throughout. Where it is 0 the photo is cut out: nothing
-        is known of the surroundings there. Raises CaptureError.
+        Alpha is None where the file has none, or where all of it is at least 0.999. Where alpha is 0, the photo is cut
+        out: nothing is known of the surroundings there. Raises CaptureError.
         """
         raster = self.open_photo(i)
         radiance, alpha = raster.rows()
         return radiance, alpha if raster.has_alpha else None
 
     def load_mask(self, i: int) -> np.ndarray | None:
-        """Coverage by the object [H, W] float32 in 0..1: the mask file, else the photo's alpha, else None."""
+        """Coverage by the object [H, W] float32 in 0..1: from the mask file, else the photo's alpha, else None.
+
+        Raises CaptureError.
+        """
         mask = self.open_mask(i)
         return self.load_photo(i)[1] if mask is None else mask.rows()
 

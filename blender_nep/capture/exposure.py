@@ -1,9 +1,9 @@
-"""The exposure and white balance of each photo, where they differ: what a camera on automatic has done.
+"""Finds the exposure and white balance of each photo, where an automatic camera has changed them.
 
-Many photos show the same surroundings, and what one of them shows brighter than the others do is its gain. The surroundings
-are taken for spheres around the object, one of which is about as far as what a pixel shows: on each of them the photos are
-laid into cells, and where cells agree between photos, they are compared. (F_e cannot tell: given differing photos it learns
-fog before the cameras that makes them so.)
+Many photos show the same surroundings. If one photo shows the same surroundings brighter than the other photos do, the ratio
+is its gain. How far the surroundings are is unknown. So several spheres around the object are tried at once: one of them is
+about as far as what a pixel shows. Each photo is projected onto the cells of every sphere. Cells that agree between the
+photos are then compared. (F_e cannot find the gains: from photos that differ, F_e learns fog in front of the cameras.)
 """
 
 from __future__ import annotations
@@ -20,54 +20,56 @@ from blender_nep.capture.pixel_rays import BRIGHTEST_CLIPPED, SATURATED, PixelRa
 from blender_nep.messages import Message
 
 SPHERES = (0.8, 1.2, 1.7, 2.4, 3.4, 5.0, 10.0, 1e4)
-"""Radii in camera distances."""
+"""Radii of the spheres, as multiples of the cameras' median distance from the object's centre."""
 ROWS = 64
-"""Of cells on a sphere, twice as many columns."""
+"""Rows of cells on a sphere; there are twice as many columns."""
 BLOCKS = 2500
-"""Means over blocks of pixels are compared: so many a photo, and of all photos `MOST_BLOCKS`."""
+"""Means over square blocks of pixels are compared. A photo has about `BLOCKS` of them. With many photos each has fewer, so
+that all photos together have about `MOST_BLOCKS`, but never fewer than about 64 a photo."""
 MOST_BLOCKS = 300_000
 BLOCK_SIDE = 6
-"""At most so many pixels of a block, each way, are looked at."""
+"""The mean of a block is taken over at most this many rows and columns of its pixels."""
 ROUNDS = 8
-"""Of solving and weighting."""
+"""Rounds of reweighted least squares."""
 SMALLEST = 0.05
-"""Differences of logarithms under which cells count as equal."""
+"""Cells whose logarithms differ by less than this count as equal."""
 GUESS = 0.003
-"""Weight, among what an average photo's cells weigh, of the guess that all photos show equally bright things: it decides
-where photos share nothing."""
+"""Weight of the guess that all photos show equally bright things, relative to the weight of an average photo's cells. The
+guess decides only where photos share no cells."""
 LEAST_SHARED = 0.6
-"""Share of a photo's cells that others show too, median of the photos: under it exposures cannot be told. Measured: 0.92 for
-60 photos, 0.72 for 32, 0.45 for 16, of which one capture's exposures then seemed to differ."""
+"""Share of a photo's cells that other photos show too, median over the photos. Under this share, exposures cannot be found.
+Measured: 0.92 for 60 photos, 0.72 for 32, 0.45 for 16. With 16 photos, one capture's equal exposures seemed to differ."""
 LEAST_SPREAD = 0.12
-"""Deviation of the logarithms from which on exposures differ: a sixth of a stop. What was found where they did not: 0.03 to
-0.08, because the surroundings are no spheres."""
+"""Standard deviation of the gains' logarithms from which on exposures count as different: a sixth of a stop. Measured on
+photos with equal exposures: 0.03 to 0.08, because real surroundings are not spheres."""
 MOST_LEFT = 0.85
-"""Share of the differences between photos that may be left with the gains found. Measured: 0.96 to 0.99 where all photos
-share one exposure, 0.74 to 0.80 where they differ by a quarter of a stop, 0.24 to 0.37 of automatic ones."""
+"""Largest share of the differences between photos that may remain after the gains are divided out. Measured: 0.96 to 0.99
+where all photos share one exposure, 0.74 to 0.80 where exposures differ by a quarter of a stop, 0.24 to 0.37 with automatic
+exposure."""
 MOST_ERROR = 0.03
-"""Error of a photo's logarithms, by how two halves of the surroundings differ; the median over the photos. Measured: 0.005
-to 0.008; 0.09 where the object fills the photos."""
+"""Largest error of the gains' logarithms, median over the photos. The error is estimated from two solutions, each of which
+uses one half of the cells. Measured: 0.005 to 0.008; 0.09 where the object fills the photos."""
 DOUBTFUL, FEW = 0.15, 0.05
-"""Error of a photo's logarithms above which its gain is called a guess; or it shares less than this part of the cells that
-photos (their median) share with others."""
+"""A photo's gain is called a guess in two cases: the error of its logarithms is above `DOUBTFUL`, or the number of cells
+that it shares with other photos is below `FEW` times the photos' median."""
 PATCH = 4
-"""Cells across the patches that the halves consist of."""
+"""The two halves of the cells form a checkerboard of patches; a patch is this many cells wide and high."""
 DARK = 0.01
-"""Of a photo's median brightness; darker pixels are left out."""
+"""Blocks darker than this share of their photo's median brightness are left out."""
 
 
 @dataclass(frozen=True)
 class Exposures:
-    """What was found of the photos' exposures."""
+    """The gains of the photos, if they differ."""
 
     gain: torch.Tensor | None
-    """[views, 3] of geometric mean 1 in every channel: how much brighter than the others each photo was taken. None: all
-    have one exposure, or it cannot be told."""
+    """[views, 3]: how much brighter each photo was taken than the average. The geometric mean over the photos is 1 in every
+    channel. None: all photos have one exposure, or the exposures cannot be found."""
     warning: Message | None = None
 
 
 def find_exposures(rays: PixelRays) -> Exposures:
-    """Compares what photos show of the same surroundings; takes a second for 60 photos."""
+    """Compare how bright photos show the same surroundings. Takes a second for 60 photos."""
     if len(rays.outside) == 0:
         return Exposures(None)
     view, cell, value, count, brightness = _cells(rays)
@@ -89,13 +91,15 @@ def find_exposures(rays: PixelRays) -> Exposures:
 
 
 def stops(gain: torch.Tensor) -> list[float]:
-    """How much brighter than the mean each photo was taken, in stops: of gains [views, 3]."""
+    """How much brighter than the average each photo was taken, in stops, from its gains [views, 3]."""
     return [round(float(g), 2) for g in gain.log().mean(1) / math.log(2)]
 
 
 def _cells(rays: PixelRays) -> tuple[np.ndarray, ...]:
-    """Photo [n], cell of a sphere [n], the mean logarithm [n, 3] of the one in the other, of how many blocks [n]; and the
-    mean logarithm [views] of all that a photo shows, NaN where it shows nothing."""
+    """One entry for each photo and cell that it shows: (photo [n], cell [n], mean log radiance [n, 3], blocks in it [n]).
+
+    The fifth result is the mean log radiance [views] of each photo, NaN where a photo shows nothing.
+    """
     device = rays.radiance.device
     distance = float(rays.rays(torch.tensor(rays.offset[:-1], device=device))[0].norm(dim=-1).median())
     ends = rays.brightest <= BRIGHTEST_CLIPPED
@@ -136,7 +140,7 @@ def _cells(rays: PixelRays) -> tuple[np.ndarray, ...]:
 
 
 def _on_spheres(origins: torch.Tensor, directions: torch.Tensor, distance: float) -> tuple[np.ndarray, np.ndarray]:
-    """In which cells rays [n, 3] leave the spheres: cells [m], and whose [m]."""
+    """The cells [m] at which rays [n, 3] leave the spheres, and the index [m] of the ray that leaves there."""
     along = (origins * directions).sum(-1)
     cells, whose = [], []
     for k, radius in enumerate(SPHERES):
@@ -153,10 +157,11 @@ def _on_spheres(origins: torch.Tensor, directions: torch.Tensor, distance: float
 def _solve(
     view: np.ndarray, cell: np.ndarray, value: np.ndarray, count: np.ndarray, brightness: np.ndarray
 ) -> tuple[np.ndarray, float]:
-    """Least absolute differences of value - gain(view) - mean(cell), each entry weighted by how well its cell agrees.
-    Returns the logarithms [views, 3] of the gains and which share of the differences they leave.
+    """Solve for the gains: minimise the absolute differences value - log gain(view) - mean(cell).
 
-    By iteratively reweighted least squares; the cells' means are eliminated from the equations.
+    Each entry is weighted by how well its cell agrees between the photos. Iteratively reweighted least squares; the
+    cells' means are eliminated from the equations. Returns the gains' logarithms [views, 3], and the share of the
+    differences that remains with these gains.
     """
     cells, views = len(SPHERES) * ROWS * 2 * ROWS, len(brightness)
     shared = np.bincount(cell, minlength=cells)[cell] > 1
@@ -165,7 +170,7 @@ def _solve(
     log, weight, agreement = np.zeros((views, 3)), base, base
 
     def differences(log: np.ndarray, weight: np.ndarray) -> np.ndarray:
-        """From the cells' means [n, 3]."""
+        """Differences [n, 3] of the entries, without the gains `log`, from the weighted means of their cells."""
         rest, total = value - log[view], np.maximum(np.bincount(cell, weight, cells), 1e-12)
         return rest - np.stack([np.bincount(cell, weight * rest[:, c], cells) / total for c in range(3)], 1)[cell]
 

@@ -16,7 +16,7 @@ from blender_nep.errors import CaptureError
 from blender_nep.messages import Message
 
 MINIMUM_VIEWS = 3
-"""With fewer photos, neither the shape nor the surroundings are determined: two views cannot even contradict."""
+"""With fewer photos, neither the shape nor the surroundings are determined: two views cannot even contradict each other."""
 
 
 def load_capture(
@@ -67,10 +67,13 @@ def _describe(folder: Path, file: str) -> CaptureDescription:
 
 
 def _check_places(views: list[View], warnings: list[Message]) -> None:
-    """Raises CaptureError when the photos were taken from fewer than MINIMUM_VIEWS places; warns of repeated ones."""
+    """Raises CaptureError when the photos were taken from fewer than MINIMUM_VIEWS places.
+
+    Adds a warning when several photos have the same place and direction.
+    """
     places = np.stack([v.camera.position for v in views])
     spread = np.linalg.norm(places - places[0], axis=1).max()
-    # relative to the coordinates alone: a small scene far from the origin is a scene, down to float64's last digits
+    # The limit is relative to the coordinates: a small scene far from the origin is allowed, down to float64's last digits.
     if spread <= 1e-10 * np.abs(places).max():
         raise CaptureError("all cameras stand at the same place", "Photos from around the object are needed.")
     turns = np.stack([v.camera.camera_to_world[:3, :3].ravel() for v in views])
@@ -132,6 +135,6 @@ def _may_have_masks(capture: Capture) -> bool:
 
 
 def _coarse(mask: np.ndarray | None) -> np.ndarray | None:
-    """Every n-th pixel, so that about 200 are left along the longer side."""
+    """Every n-th pixel of the mask, so that 200 to 400 are left along the longer side. None stays None."""
     step = 1 if mask is None else max(1, max(mask.shape) // 200)
     return None if mask is None else mask[step // 2 :: step, step // 2 :: step]

@@ -1,4 +1,4 @@
-"""Photos on disk as linear radiance: OpenEXR (linear), PNG and JPEG (sRGB, 8 or 16 bits).
+"""Reads photos as linear radiance: OpenEXR (linear), PNG and JPEG (8 or 16 bits, sRGB unless the capture says linear).
 
 Blender's Python lacks the packages of this file and cannot import it: backend/scene_io/image_size.py is its copy of
 `image_size`.
@@ -24,7 +24,10 @@ _SRGB_8 = srgb_to_linear(np.arange(256) / 255.0)
 
 
 def find_image(folder: Path, name: str) -> Path | None:
-    """The file `name` in `folder`; where its extension is missing (as in Blender datasets), the first that fits."""
+    """The path of the image `name` in `folder`, or None if there is no such file.
+
+    Where `name` has no extension (as in Blender datasets), the extensions of `SUFFIXES` are tried in their order.
+    """
     path = folder / name
     if path.is_file():
         return path
@@ -50,15 +53,16 @@ def image_size(path: Path) -> tuple[int, int]:
 
 @dataclass
 class Raster:
-    """An image as its file stores it, made linear a few rows at a time: as radiance it is four times as large.
+    """An image as its file stores it. `rows` makes a few rows linear at a time.
 
-    Alpha of OpenEXR is associated: rows() divides it out.
+    The whole image as float32 radiance would be four times as large as an 8-bit file in memory. OpenEXR stores colors
+    multiplied by alpha; `rows` divides them by alpha.
     """
 
     stored: np.ndarray
-    """[H, W, C] uint8, uint16, float16 or float32; C = 1 grey, 2 grey and alpha, 3, 4 with alpha"""
+    """[H, W, C] uint8, uint16, float16 or float32; C = 1 (grey), 2 (grey, alpha), 3 (RGB) or 4 (RGBA)"""
     encoded: bool
-    """sRGB"""
+    """The values are encoded with the sRGB curve."""
 
     @property
     def size(self) -> tuple[int, int]:
@@ -67,7 +71,7 @@ class Raster:
 
     @property
     def is_float(self) -> bool:
-        """Whether it may hold NaN, Inf, negatives and values above 1."""
+        """Whether the image may hold NaN, infinity, negative values and values above 1."""
         return self.stored.dtype.kind == "f"
 
     @property
@@ -75,7 +79,7 @@ class Raster:
         return np.float32(1 if self.is_float else np.iinfo(self.stored.dtype).max)
 
     def least_alpha(self) -> float:
-        """1 where the file has none."""
+        """Smallest alpha in the image, 0..1; 1 where the file has no alpha."""
         if self.stored.shape[-1] in (1, 3):
             return 1.0
         alpha = self.stored[..., -1]
@@ -85,12 +89,14 @@ class Raster:
 
     @property
     def has_alpha(self) -> bool:
-        """Whether something of it is not opaque."""
+        """Whether some pixel is not opaque (alpha below 0.999)."""
         return self.least_alpha() < 0.999
 
     def rows(self, start: int = 0, end: int | None = None) -> tuple[np.ndarray, np.ndarray | None]:
-        """Radiance [h, W, 3] linear float32 of the rows start..end (raw: NaN, Inf, negatives of an EXR) and alpha [h, W]
-        in 0..1 or None."""
+        """Radiance [h, W, 3] linear float32 of the rows start to end - 1, and alpha [h, W] in 0..1, or None without alpha.
+
+        The radiance of an OpenEXR file may hold NaN, infinity and negative values.
+        """
         part = self.stored[start:end]
         color = np.repeat(part[..., :1], 3, -1) if part.shape[-1] <= 2 else part[..., :3]
         alpha = part[..., -1].astype(np.float32) / self._top if part.shape[-1] in (2, 4) else None
@@ -109,7 +115,7 @@ class Raster:
 
 
 def open_image(path: Path, color_space: str) -> Raster:
-    """An image file as it is. Raises CaptureError."""
+    """Open an image file; its values stay as stored. Raises CaptureError if it cannot be read as an image."""
     try:
         if path.suffix.lower() == ".exr":
             return Raster(_read_exr(path), False)
@@ -120,14 +126,14 @@ def open_image(path: Path, color_space: str) -> Raster:
 
 @dataclass
 class MaskRaster:
-    """A mask file: alpha where it has one that varies, else the first channel, undecoded."""
+    """A mask file. The coverage is its alpha, if some of that is below 1; else its first channel, without sRGB decoding."""
 
     raster: Raster
     from_alpha: bool
 
     @classmethod
     def of(cls, path: Path) -> MaskRaster:
-        """Raises CaptureError."""
+        """Open the mask file at `path`. Raises CaptureError."""
         raster = open_image(path, "linear")
         return cls(raster, raster.least_alpha() < 1.0)
 
@@ -137,7 +143,7 @@ class MaskRaster:
         return self.raster.size
 
     def rows(self, start: int = 0, end: int | None = None) -> np.ndarray:
-        """Coverage [h, W] float32 in 0..1."""
+        """Coverage [h, W] float32 in 0..1 of the rows start to end - 1."""
         color, alpha = self.raster.rows(start, end)
         coverage = alpha if self.from_alpha and alpha is not None else color[..., 0]
         return np.nan_to_num(np.clip(coverage, 0.0, 1.0)).astype(np.float32)
@@ -150,7 +156,10 @@ def _unreadable(path: Path, error: Exception) -> CaptureError:
 
 
 def _color_channels(names: list[str]) -> list[str] | None:
-    """The names of R, G, B (or one luminance) in an EXR part: unlayered first, then 'Combined', then any layer."""
+    """The names of the channels R, G, B (or one luminance) in an EXR part, and of A if there is one; None if there is none.
+
+    Channels outside any layer come first, then a layer 'Combined', then any other layer.
+    """
     layers = sorted({n.rpartition(".")[0] for n in names}, key=lambda n: (n != "", "combined" not in n.lower(), n))
     for layer in layers:
         prefix = layer + "." if layer else ""
@@ -178,7 +187,10 @@ def _read_exr(path: Path) -> np.ndarray:
 
 
 def _place(pixels: np.ndarray, corner: np.ndarray, size: np.ndarray) -> np.ndarray:
-    """An EXR's data window within its display window; what was not stored is NaN."""
+    """Place an EXR's data window, which begins at corner (x, y), into its display window of size (w, h).
+
+    Pixels that are not stored in the file become NaN.
+    """
     out = np.full((int(size[1]), int(size[0]), pixels.shape[-1]), np.nan, pixels.dtype)
     y, x = np.arange(pixels.shape[0]) + int(corner[1]), np.arange(pixels.shape[1]) + int(corner[0])
     rows, columns = (y >= 0) & (y < out.shape[0]), (x >= 0) & (x < out.shape[1])

@@ -1,4 +1,4 @@
-"""Every pixel of every photo as a ray in the unit frame, made on demand from the cameras."""
+"""The pixels of all photos. Rays in the unit frame are computed from the cameras when they are needed."""
 
 from __future__ import annotations
 
@@ -22,28 +22,29 @@ from blender_nep.messages import Message
 from blender_nep.profiling import profiled
 
 MAXIMUM_RADIANCE = 6e4
-"""Brighter values are clipped: the largest half float is 65504."""
+"""Larger radiance is clipped to this value: the largest half float is 65504."""
 
 BRIGHTEST_CLIPPED, SATURATED = 1.001, 0.97
-"""Where no pixel is brighter than the first, files end at 1 and a channel above the second says only "at least"."""
+"""If no pixel is brighter than `BRIGHTEST_CLIPPED`, the files cannot store more than 1. Then a channel above `SATURATED` may
+be clipped: the true radiance is at least that value."""
 _BLACK = 1e-6
-"""A photo without a brighter value shows nothing."""
+"""A photo without a brighter value counts as black."""
 _STRIP_PIXELS = 1 << 18
-"""That are handled at a time: they fit the processor's cache."""
+"""Pixels that are handled at a time; this many fit into the processor's cache."""
 _DECODED_PIXELS = 50_000_000
-"""Of the photos that are decoded at the same time; a photo that is larger is decoded alone."""
+"""Pixels of all photos that are decoded at the same time. A photo with more pixels is decoded alone."""
 
 
 _PIXEL_WIDTH = 1.77
-"""sqrt(pi): width of a square over the radius of the disc with the same area."""
+"""sqrt(pi): the width of a square divided by the radius of the disc with the same area."""
 _FOOTPRINT_PIXELS = 1000
 
 
 def pixel_width(half_angle):
-    """Angle across a pixel, radians, from the half angle of its cone (array or tensor [...]).
+    """Angle across a pixel [...] in radians, from the half angle of its cone (array or tensor [...], radians).
 
-    The cone has the pixel's solid angle Omega. For a pixel as narrow as a camera's, Omega = pi half_angle^2 for the cone and
-    width^2 for the square pixel, so that width = sqrt(pi) half_angle.
+    The cone has the pixel's solid angle Omega. A camera's pixel is narrow, so that Omega = pi half_angle^2 for the cone and
+    Omega = width^2 for the square pixel. Hence width = sqrt(pi) half_angle.
     """
     return _PIXEL_WIDTH * half_angle
 
@@ -57,22 +58,23 @@ def pixel_footprint(rays: PixelRays, most: int = _FOOTPRINT_PIXELS) -> float:
 
 @dataclass
 class PixelRays:
-    """Pixels of all views, flat: view v owns offset[v]:offset[v + 1], row by row."""
+    """The pixels of all views in one list: view v has the indices offset[v] to offset[v + 1] - 1, row by row."""
 
     radiance: Tensor
     """[N, 3] float32 or float16, linear, finite, 0 .. 6e4; 0 where not valid."""
     valid: Tensor
-    """[N] bool: the photo holds a finite radiance here."""
+    """[N] bool: the photo's radiance can be used here. False where it is not finite, at the edges of cut-outs, and in
+    black photos."""
     mask: Tensor | None
-    """[N] uint8, coverage by the object 0..255, or None."""
+    """[N] uint8: coverage by the object, 0..255. None: there are no masks, or they are not used."""
     offset: list[int]
     size: list[tuple[int, int]]
     """(H, W) of each view, after downscaling."""
     background: bool
-    """False for cut-outs (alpha): where the mask is 0 the radiance is 0 and the surroundings are not known."""
+    """False for cut-outs: where alpha is 0, the radiance is 0, and the surroundings are not known."""
     warnings: list[Message]
     sphere: PixelSet
-    """[M]: indices of valid pixels whose ray meets the unit sphere."""
+    """[M]: indices of the valid pixels whose rays meet the unit sphere."""
     outside: PixelSet
     """[K]: indices of the other valid pixels. Empty for cut-outs."""
     _start: Tensor
@@ -81,7 +83,7 @@ class PixelRays:
     _rotation: Tensor
     _origin: Tensor
     gain: Tensor | None = None
-    """[views, 3]: how much brighter than the others each photo was taken; None: all have one exposure."""
+    """[views, 3]: how much brighter each photo was taken than the average. None: all photos have one exposure."""
 
     @property
     def count(self) -> int:
@@ -90,7 +92,7 @@ class PixelRays:
 
     @cached_property
     def brightest(self) -> float:
-        """Largest radiance: a look at all pixels, once."""
+        """Largest radiance of all pixels. It is computed once."""
         return float(self.radiance.max())
 
     @property
@@ -99,14 +101,14 @@ class PixelRays:
         return len(self.size)
 
     def photo(self, index: Tensor) -> Tensor:
-        """The radiance [n, 3] float32 that pixels index [n] int64 show, as if all photos had one exposure."""
+        """The radiance [n, 3] float32 of the pixels index [n] int64, as if all photos had one exposure."""
         radiance = self.radiance[index].float()
         return radiance if self.gain is None else radiance / self.gain[self.view_of(index)]
 
     def with_gain(self, gain: Tensor | None) -> PixelRays:
-        """The same photos, each taken with its own gain."""
+        """The same pixels, with these gains [views, 3] of the photos."""
         rays = replace(self, gain=gain)
-        if "brightest" in vars(self):  # a look at all pixels need not be repeated
+        if "brightest" in vars(self):  # all pixels need not be searched again
             rays.brightest = self.brightest
         return rays
 
@@ -115,10 +117,10 @@ class PixelRays:
         return torch.searchsorted(self._start, index.contiguous(), right=True) - 1
 
     def rays(self, index: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """Origins [n, 3], unit directions [n, 3] (unit frame) and half angles [n] of pixels index [n] int64.
+        """Origins [n, 3], unit directions [n, 3] (both in the unit frame) and half angles [n] of the pixels index [n] int64.
 
-        The half angle (radians) is that of the cone with the pixel's solid angle, Omega = 2 pi (1 - cos h), where a
-        pixel (fl_x, fl_y) at an angle c from the axis subtends Omega = cos(c)^3 / (fl_x fl_y).
+        The half angle h (radians) belongs to the cone that has the pixel's solid angle Omega = 2 pi (1 - cos h). A pixel
+        at an angle c from the optical axis has Omega = cos(c)^3 / (fl_x fl_y).
         """
         view = self.view_of(index)
         local = index - self._start[view]
@@ -134,8 +136,10 @@ class PixelRays:
         return self._origin[view], direction, 2 * torch.asin(torch.sqrt(omega / (4 * math.pi)))
 
     def project(self, view: int, points: Tensor) -> tuple[Tensor, Tensor]:
-        """Where a view sees points [n, 3] (unit frame): image coordinates [n, 2], each in -1..1 across the photo, x to
-        the right and y downwards, and whether they lie ahead of the camera [n] bool."""
+        """Image coordinates [n, 2] of points [n, 3] (unit frame) in a view, and whether they lie in front of it [n] bool.
+
+        Image coordinates go from -1 to 1 across the photo, x to the right and y downwards.
+        """
         fl_x, fl_y, cx, cy = self._intrinsics[view]
         height, width = self.size[view]
         local = (points - self._origin[view]) @ self._rotation[view]
@@ -155,11 +159,11 @@ class PixelRays:
         memory: PixelMemory | None = None,
         progress: Callable[[int, int], None] = lambda done, all_of_them: None,
     ) -> PixelRays:
-        """Load all photos, box-filtered in linear space by the smallest integer factor that meets the pixel budget.
+        """Load all photos. Each is box-filtered in linear space by the smallest integer factor that meets the pixel budget.
 
-        progress(photos read, photos) is called after each and may raise. Raises CaptureError (unreadable, all NaN, all
-        black), BoundsError (no ray meets the sphere; with masks: in most views no pixel of the object does) and
-        OutputError (no room in the folder of `memory`).
+        progress(photos read, all photos) is called after each photo and may raise. Raises CaptureError (a photo cannot be
+        read or is all NaN, all photos are black, or all masks are empty), BoundsError (no ray meets the sphere; or, with
+        masks, in most views no object pixel's ray meets it) and OutputError (no room in the folder of `memory`).
         """
         memory = memory or PixelMemory()
         cameras = [v.camera for v in capture.views]
@@ -218,7 +222,7 @@ class PixelRays:
 
     @profiled("rays that meet the sphere")
     def _split(self) -> None:
-        """Which valid pixels' rays meet the unit sphere, and which do not."""
+        """Set `sphere` and `outside`: valid pixels whose rays meet the unit sphere, and the others. Raises BoundsError."""
         device = self._start.device
         sphere, outside, seeing, showing = GrowingPixelSet(device), GrowingPixelSet(device), set(), set()
         for start in range(0, self.count, _STRIP_PIXELS):
@@ -239,7 +243,8 @@ class PixelRays:
         hint = "Set object_center and object_radius in transforms.json, so that the sphere holds the object."
         if len(self.sphere) == 0:
             raise BoundsError("no photo sees the object's sphere", hint)
-        # An object in the sphere shows in nearly all views of it; one beside it only where it stands in line.
+        # If the object is in the sphere, nearly all views of the sphere show object pixels in it. If the object stands
+        # beside the sphere, only the views along the line through both do.
         if len(showing) < 0.5 * len(seeing):
             raise BoundsError(
                 f"the object's sphere contains nothing: in {len(seeing) - len(showing)} of {len(seeing)} photos of it, "
@@ -251,22 +256,25 @@ class PixelRays:
 @dataclass
 class _Facts:
     repaired: dict[str, int]
-    """Pixels of the file that are not finite ("bad"), have a negative channel, or one above MAXIMUM_RADIANCE ("blinding")"""
+    """Numbers of pixels in the file that are not finite ("bad"), that have a negative channel ("negative"), and that have a
+    channel above MAXIMUM_RADIANCE ("blinding")"""
     empty: bool
-    """Hardly anything of it is finite"""
+    """No pixel is left that can be used, and some pixels are not finite."""
     brightest: float
     cut_out: bool
     has_mask: bool
     covered: bool
-    """The mask shows something"""
+    """The mask shows at least one object pixel."""
 
 
 @dataclass
 class _Photo:
     radiance: np.ndarray
-    """[h * w, 3] float32, filtered down"""
+    """[h * w, 3] float32, linear, downscaled"""
     valid: np.ndarray
+    """[h * w] bool"""
     mask: np.ndarray | None
+    """[h * w] uint8"""
     facts: _Facts
 
 
@@ -278,7 +286,7 @@ def _factor(height: int, width: int, most: int) -> int:
 
 
 def _loaded(capture: Capture, factors: list[int], use_masks: bool) -> Iterator[_Photo]:
-    """The photos in their order, some of them decoded at the same time: as many as memory has room for."""
+    """The photos in their order. As many are decoded at the same time as `_DECODED_PIXELS` allows."""
     largest = max(v.camera.height * v.camera.width for v in capture.views)
     workers = max(1, min(os.cpu_count() or 1, _DECODED_PIXELS // largest))
     with ThreadPoolExecutor(workers) as pool:
@@ -301,7 +309,7 @@ def _wait(future: Future) -> _Photo:
 
 
 def _load(capture: Capture, i: int, factor: int, use_masks: bool) -> _Photo:
-    """A photo, made linear and filtered down strip by strip."""
+    """Photo `i`, made linear and downscaled by `factor`, strip by strip."""
     photo = capture.open_photo(i)
     has_alpha = photo.has_alpha  # looks at every pixel
     cut_out = has_alpha and photo.least_alpha() < 0.5
@@ -322,7 +330,8 @@ def _load(capture: Capture, i: int, factor: int, use_masks: bool) -> _Photo:
             finite, radiance = np.ones(raw.shape[:2], bool), raw
         brightest = max(brightest, float(radiance.max(initial=0.0)))
         if cut_out and alpha is not None:
-            # An edge pixel mixes the object with surroundings that are not there: its radiance is of neither.
+            # At the edge of a cut-out, a pixel mixes the object with surroundings that were removed: its radiance is
+            # neither the object's nor the surroundings'.
             finite &= (alpha > 0.98) | (alpha < 0.02)
             radiance[alpha < 0.02] = 0
         if finite.all():
@@ -355,19 +364,19 @@ def _load(capture: Capture, i: int, factor: int, use_masks: bool) -> _Photo:
 
 
 def _box(pixels: np.ndarray, factor: int) -> np.ndarray:
-    """Mean over factor x factor pixels of [H, W, C]; a remainder at the right and at the bottom is left out."""
+    """Means over blocks of factor x factor pixels of [H, W, C]. Pixels left over at the right and the bottom are dropped."""
     if factor == 1:
         return pixels
     height, width = pixels.shape[0] // factor, pixels.shape[1] // factor
     total = np.zeros((height, width, pixels.shape[2]), np.float32)
-    for i in range(factor):  # strided sums: ten times faster than a mean over two axes of a reshaped view
+    for i in range(factor):  # strided sums are ten times faster than a mean over two axes of a reshaped view
         for j in range(factor):
             total += pixels[i : height * factor : factor, j : width * factor : factor]
     return total / factor**2
 
 
 def _judge(capture: Capture, photos: list[_Facts]) -> list[Message]:
-    """Warnings about the pixels. Raises CaptureError for a photo of NaN, or when every photo is black."""
+    """Warnings about the pixels. Raises CaptureError for a photo without finite pixels, or when every photo is black."""
     names = [v.image_path.name for v in capture.views]
     warnings: list[Message] = []
     for name, photo in zip(names, photos, strict=True):
@@ -389,7 +398,7 @@ def _judge(capture: Capture, photos: list[_Facts]) -> list[Message]:
 
 
 def _repair(kind: str, pixels: int, names: list[str]) -> Message:
-    """The warning for one kind of `_Facts.repaired`: so many pixels in the photos of these names."""
+    """The warning for one kind of `_Facts.repaired`: the number of pixels, and the names of the photos that have them."""
     if kind == "bad":
         return Message("capture.pixels_not_finite", {"pixels": pixels, "photos": len(names), "names": names})
     if kind == "negative":

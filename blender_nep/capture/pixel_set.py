@@ -1,4 +1,7 @@
-"""Sets of pixels as runs of neighbours: eight bytes a pixel for an index would be most of a large capture's memory."""
+"""Sets of pixels, stored as runs of consecutive indices.
+
+An index of eight bytes for each pixel would take most of the memory of a large capture.
+"""
 
 from __future__ import annotations
 
@@ -9,13 +12,13 @@ from torch import Tensor
 
 
 class PixelSet:
-    """A list of pixel indices, kept as runs of consecutive ones.
+    """A list of n pixel indices, stored as runs of consecutive indices.
 
-    `pixels[k]`, with k [m] int64 in 0..n-1, a slice or a mask [n] bool, gives int64 indices, `tensor` all of them.
+    `pixels[k]` gives int64 indices; k is [m] int64 in 0..n-1, a slice or a mask [n] bool. `tensor` gives all indices.
     """
 
     def __init__(self, first: Tensor, length: Tensor) -> None:
-        """first [R] int64: where each run starts; length [R] int64, at least 1."""
+        """first [R] int64: the first index of each run; length [R] int64: the number of its indices, at least 1."""
         self._first, self._length = first, length
         end = length.cumsum(0)
         self._before = end - length
@@ -23,7 +26,7 @@ class PixelSet:
 
     @classmethod
     def where(cls, flags: Tensor, offset: int = 0) -> PixelSet:
-        """offset + the places [m] at which flags [m] bool are true."""
+        """The set of all `offset` + k for which flags[k] is true; flags is [m] bool."""
         edge = torch.diff(
             flags.to(torch.int8), prepend=flags.new_zeros(1, dtype=torch.int8), append=flags.new_zeros(1, dtype=torch.int8)
         )
@@ -32,7 +35,7 @@ class PixelSet:
 
     @classmethod
     def of(cls, index: Tensor) -> PixelSet:
-        """Of indices [n] int64, in their order."""
+        """The set of the indices [n] int64, in their order."""
         new = torch.ones(len(index), dtype=torch.bool, device=index.device)
         new[1:] = index[1:] - index[:-1] != 1
         start = new.nonzero()[:, 0]
@@ -40,14 +43,14 @@ class PixelSet:
 
     @classmethod
     def joined(cls, parts: Sequence[PixelSet]) -> PixelSet:
-        """One after the other, at least one."""
+        """The indices of all parts, one part after the other. There must be at least one part."""
         whole = GrowingPixelSet(parts[0].device)
         for part in parts:
             whole.add(part)
         return whole.finished()
 
     def state(self) -> Tensor:
-        """[2, R] int64: starts and lengths of the runs, for the disk."""
+        """First indices and lengths of the runs, [2, R] int64, as they are saved on the disk."""
         return torch.stack([self._first, self._length])
 
     @classmethod
@@ -56,12 +59,12 @@ class PixelSet:
         return cls(*state)
 
     def to(self, device: torch.device | str) -> PixelSet:
-        """The same on another device."""
+        """The same set on another device."""
         return PixelSet(self._first.to(device), self._length.to(device))
 
     @property
     def device(self) -> torch.device:
-        """Where the indices are made."""
+        """The device on which the indices are made."""
         return self._first.device
 
     def tensor(self) -> Tensor:
@@ -70,7 +73,7 @@ class PixelSet:
         return shift.add_(torch.arange(self._count, device=self.device))
 
     def split(self, size: int) -> Iterator[Tensor]:
-        """The indices, `size` at a time."""
+        """All indices in their order, at most `size` [m] int64 at a time."""
         return (self[start : start + size] for start in range(0, self._count, size))
 
     def __len__(self) -> int:
@@ -86,14 +89,17 @@ class PixelSet:
 
 
 class GrowingPixelSet:
-    """One set after the other, in a single piece of memory: a list of many small ones, made between large temporary
-    arrays, would keep the heap from reusing the room of those (3.8 GB for 240 million pixels, where this takes 0.4)."""
+    """Collects sets, one after the other, in a single piece of memory.
+
+    A list of many small sets, made between large temporary arrays, would keep the heap from reusing the memory of those
+    arrays: 3.8 GB for 240 million pixels, where this class takes 0.4 GB.
+    """
 
     def __init__(self, device: torch.device | str) -> None:
         self._runs, self._used = torch.empty(2, 1024, dtype=torch.int64, device=device), 0
 
     def add(self, part: PixelSet) -> None:
-        """`part` comes after what is there."""
+        """Append the indices of `part`."""
         runs = part.state()
         end = self._used + runs.shape[1]
         if end > self._runs.shape[1]:
@@ -104,5 +110,5 @@ class GrowingPixelSet:
         self._used = end
 
     def finished(self) -> PixelSet:
-        """All of them."""
+        """All indices that were added, as one set."""
         return PixelSet.from_state(self._runs[:, : self._used].clone())

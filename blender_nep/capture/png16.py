@@ -1,4 +1,4 @@
-"""PNG files with 16 bits a channel, which Pillow silently cuts to 8 (PNG specification, W3C, sections 9 and 11)."""
+"""Reads PNG files with 16 bits a channel (PNG specification, W3C, sections 9 and 11). Pillow cuts them to 8 bits."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def _unfilter(rows: np.ndarray, kinds: np.ndarray, step: int) -> None:
 
 
 def header(path: Path) -> tuple[int, int, int, int, int]:
-    """(width, height, bits a channel, color type, interlaced) of a PNG file. Raises ValueError for another file."""
+    """(width, height, bits a channel, color type, interlaced) of a PNG file. Raises ValueError for any other file."""
     with open(path, "rb") as file:
         start = file.read(29)
     if start[:8] != b"\x89PNG\r\n\x1a\n" or len(start) < 29 or start[12:16] != b"IHDR":
@@ -45,7 +45,10 @@ def header(path: Path) -> tuple[int, int, int, int, int]:
 
 
 def read_png16(path: Path) -> np.ndarray:
-    """A non-interlaced 16-bit PNG as [H, W, C] uint16, C = 1 (grey), 2 (grey, alpha), 3 (RGB) or 4 (RGBA)."""
+    """Read a non-interlaced 16-bit PNG: [H, W, C] uint16, C = 1 (grey), 2 (grey, alpha), 3 (RGB) or 4 (RGBA).
+
+    Raises ValueError for another kind of PNG, or if the file is damaged.
+    """
     width, height, bits, kind, interlaced = header(path)
     if bits != 16 or interlaced or kind not in _CHANNELS:
         raise ValueError("not a plain 16-bit PNG")

@@ -1,4 +1,4 @@
-"""What `blender-nep info` says of a capture."""
+"""The facts that `blender-nep info` prints about a capture."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from blender_nep.messages import Message
 
 
 def summarise(folder: Path) -> dict:
-    """Facts about a capture, every photo read once, as plain values. Raises CaptureError, BoundsError."""
+    """Facts about a capture as plain values, ready for JSON. Every photo is read once. Raises CaptureError, BoundsError."""
     capture = load_capture(folder)
     rays = PixelRays.from_capture(capture, 250_000, use_masks=True, memory=PixelMemory(most=32_000_000))
     cameras = [v.camera for v in capture.views]
@@ -54,7 +54,7 @@ def summarise(folder: Path) -> dict:
 
 
 def _directions_covered(position: np.ndarray) -> float:
-    """Share of directions around the object within 30 degrees of some camera."""
+    """Share of the directions around the object that lie within 30 degrees of a camera at position [n, 3] (unit frame)."""
     rng = np.random.default_rng(0)
     probe = rng.normal(size=(4096, 3))
     probe /= np.linalg.norm(probe, axis=1, keepdims=True)
@@ -76,7 +76,7 @@ def _doubts(found: dict) -> list[Message]:
 
 
 def describe(found: dict) -> str:
-    """The same for people."""
+    """The facts of `summarise` as text for people."""
     lines = [
         f"{found['folder']}: {found['photos']} photos ({_counts(found['formats'])}), {_counts(found['sizes'])} pixels",
         f"  color         {found['color_space']}; median {found['radiance']['median']}, 99.9 % below "

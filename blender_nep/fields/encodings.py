@@ -23,7 +23,7 @@ def positional_encoding(x: torch.Tensor, octaves: int) -> torch.Tensor:
 
 @lru_cache(maxsize=8)
 def _legendre_table(levels: int) -> tuple[list[tuple[int, int]], torch.Tensor]:
-    """(l, m) pairs and the coefficients [pairs, l_max + 1] of z^k in Y_l^m / (x + iy)^m, in float64."""
+    """The (l, m) pairs, and the float64 coefficients [pairs, l_max + 1] of z^k in Y_l^m / (x + iy)^m."""
     pairs = [(2**i, m) for i in range(levels) for m in range(2**i + 1)]
     table = torch.zeros(len(pairs), 2 ** (levels - 1) + 1, dtype=torch.float64)
     for row, (degree, m) in enumerate(pairs):
@@ -51,7 +51,7 @@ def encoding_size(levels: int) -> int:
 def integrated_directional_encoding(direction: torch.Tensor, kappa_inv: torch.Tensor, levels: int = 4) -> torch.Tensor:
     """Unit direction [..., 3] and kappa^-1 >= 0 [..., 1] -> [..., encoding_size(levels)].
 
-    Powers of (x + iy) are built by multiplication: polynomials, so the gradient is finite at the poles.
+    Powers of (x + iy) are computed by multiplication. So they are polynomials, and their gradient is finite at the poles.
     """
     pairs, table = _legendre_table(levels)
     table = table.to(direction)

@@ -1,12 +1,12 @@
 """The prefiltered environment field F_e: the radiance of everything outside the object's unit sphere.
 
-A spherical volume centred on the object. Shells stand at equal steps of log |x| from the border |x| = 1 outwards; every
-shell is an equirectangular grid (rows from +z to -z, columns with atan2(y, x)). A node holds a raw density (softplus,
-per unit of dt / |x|, so that the volume is scale-invariant) and the logarithm of linear radiance. The outermost shell
-is the sky: it closes every ray that nothing else stops.
+F_e is a spherical volume centred on the object. Its shells lie at equal steps of log |x| from the border |x| = 1 outwards.
+Every shell is an equirectangular grid (rows from +z to -z, columns with atan2(y, x)). A node holds a raw density and the
+logarithm of linear radiance. The density is softplus(raw density) per unit of dt / |x|, so that the volume is
+scale-invariant. The outermost shell is the sky: it is opaque and ends every ray that nothing else stops.
 
-The paper takes a Mip-NeRF for F_e so that cones can be asked for. Here the volume is prefiltered once learned
-(`environment_prefilter`), so that cones of any width are right by construction.
+The paper uses a Mip-NeRF for F_e, which can be queried with cones. Here the volume is prefiltered after the learning
+(`environment_prefilter`), so that cones of any width can be queried.
 """
 
 from __future__ import annotations
@@ -28,11 +28,13 @@ from blender_nep.profiling import profiled
 
 
 class EnvironmentField(nn.Module):
-    """F_e, see the module's text.
+    """The environment field F_e; the module's docstring describes it.
 
     Args:
         preset: resolutions, priors and learning rate.
-        mean_radiance: linear radiance that the field starts from; best the photos' geometric mean.
+        mean_radiance: linear radiance with which the field starts; the photos' geometric mean is best.
+
+    Raises ValueError for an unknown `preset.model`.
     """
 
     def __init__(self, preset: EnvironmentPreset, mean_radiance: float = 0.2):
@@ -50,12 +52,12 @@ class EnvironmentField(nn.Module):
 
     @property
     def infinite(self) -> bool:
-        """The environment is a 2-D map: only the sky shell counts, and every ray starts from the centre."""
+        """Whether the environment is a 2-D map: only the sky shell counts, and every ray starts from the centre."""
         return self.preset.model == "infinite"
 
     @property
     def known(self) -> bool:
-        """Whether the photos show surroundings; else (cut-outs) the field is black, clear, and nowhere covered."""
+        """Whether the photos show surroundings. If not (cut-outs), the field is black and transparent, its coverage is 0."""
         return self.preset.model != "none"
 
     @property
@@ -67,12 +69,12 @@ class EnvironmentField(nn.Module):
 
     @property
     def level(self) -> int:
-        """Index into `resolutions` of the present grid."""
+        """Index of the present grid in `resolutions`."""
         return self.resolutions.index((self.raw.shape[0], self.raw.shape[1]))
 
     @property
     def relative_step(self) -> float:
-        """Longest march step, as a fraction of the distance from the origin."""
+        """Longest step along a ray, as a fraction of the distance from the origin."""
         return self.preset.march_step * math.log(self.preset.outer_radius) / (self.raw.shape[0] - 1)
 
     @profiled("F_e march")
@@ -89,11 +91,11 @@ class EnvironmentField(nn.Module):
 
         Args:
             origins, directions: [n, 3], unit frame, directions of unit length.
-            t_near, t_far: [n] ends of the segment; t_far = inf lets the sky close the ray. For a camera, keep t_near at
-                `preset.camera_near` or more.
-            half_angle: of the pixel's cone; pixels are narrower than a node, so that it changes nothing here. Use
-                `query_cone` for wide cones.
-            generator: given, samples are jittered (training); None, they stand in the middle of each step.
+            t_near, t_far: [n] ends of the segment. With t_far = inf, the ray ends in the sky. For a camera, t_near must be
+                at least `preset.camera_near`.
+            half_angle: of the pixel's cone, radians. It is not used, because pixels are narrower than a node. For wide
+                cones there is `query_cone`.
+            generator: with a generator (learning), samples are jittered; with None, they lie in the middle of each step.
 
         Returns:
             radiance [n, 3] premultiplied linear, transmittance [n] (0 where t_far is inf).
@@ -119,12 +121,12 @@ class EnvironmentField(nn.Module):
 
     @profiled("F_e priors")
     def regularise(self, generator: torch.Generator | None = None) -> float:
-        """Priors of an under-determined field: adds their gradient to `raw.grad`, after the photometric loss's
-        backward, and returns their value, to be compared with a mean photometric loss.
+        """Add the gradient of the priors to `raw.grad`, and return the value of the priors.
 
-        Total variation of the raw grid (smooth in all three axes, edges allowed) and the mean density, on a random run
-        of shells a call. In place on those shells: as a term of the loss it would fill, and add up, gradients of the
-        whole grid, which took as long as the rendering.
+        Call it after the backward pass of the photometric loss. The priors are needed because the photos do not determine
+        the field. They are the total variation of the raw grid (smooth along all three axes, edges allowed) and the mean
+        density. Each call takes them on some random neighbouring shells, and changes the gradient of these shells in place.
+        As a term of the loss, they would fill and add gradients of the whole grid, which took as long as the rendering.
         """
         preset, raw = self.preset, self.raw
         if not self.known:
@@ -145,9 +147,9 @@ class EnvironmentField(nn.Module):
         return float(value.detach())
 
     def refine(self, fraction: float) -> bool:
-        """Go to the resolution due at this fraction of the training; True if the parameter was replaced.
+        """Go to the resolution that is due at this fraction of the learning, 0..1. True if the resolution has changed.
 
-        After True the optimiser has to be rebuilt: `raw` is a new parameter.
+        Then `raw` is a new parameter, and the optimiser must be made again.
         """
         due = sum(fraction >= start for start in self.preset.refine_at) if self.known else 0
         if due <= self.level:
@@ -158,8 +160,11 @@ class EnvironmentField(nn.Module):
 
     @torch.no_grad()
     def freeze(self, origins: torch.Tensor, directions: torch.Tensor) -> None:
-        """Learning is over: measures `coverage` with camera rays [n, 3] (a node counts as seen, 1, once these see it with
-        a weight of `coverage_weight` rays) and makes the field ready for cones."""
+        """End the learning: measure `coverage` with camera rays [n, 3], so that cones can be queried.
+
+        The coverage of a node is the summed weight with which the rays see it, divided by `preset.coverage_weight`, at
+        most 1.
+        """
         if not self.known:
             return
         weight_seen = np.zeros(self.raw.shape[:3], np.float32)
@@ -189,10 +194,10 @@ class EnvironmentField(nn.Module):
         half_angle: torch.Tensor | float,
         t_near: torch.Tensor | None = None,
     ) -> tuple[torch.Tensor, torch.Tensor]:
-        """Mean radiance [n, 3] in cones from points in the unit sphere, and how far photos saw it [n] in 0..1.
+        """Mean radiance [n, 3] in cones from points in the unit sphere, and the coverage [n] by the photos in 0..1.
 
-        origins, unit directions [n, 3]; half_angle [n] radians, 0 .. pi / 2; t_near [n]: where the environment begins,
-        by default at the border.
+        origins, unit directions [n, 3]; half_angle [n] or one number, radians, 0 .. pi / 2; t_near [n]: the distance at
+        which the environment begins, by default the border |x| = 1.
         """
         if not self.known:
             return torch.zeros_like(origins), torch.zeros_like(origins[:, 0])
@@ -210,7 +215,10 @@ class EnvironmentField(nn.Module):
 
     @torch.no_grad()
     def typical_distance(self, directions: int = 1000) -> float:
-        """Median distance from the object's centre at which what the photos saw of the surroundings stands."""
+        """Median distance of the surroundings from the object's centre, over the directions that the photos show.
+
+        It is `preset.outer_radius` if the environment is a 2-D map or if the photos show no surroundings.
+        """
         k = torch.arange(directions, device=self.raw.device) + 0.5
         z, around = 1 - 2 * k / directions, math.pi * (1 + math.sqrt(5)) * k
         flat = (1 - z * z).sqrt()
@@ -229,9 +237,10 @@ class EnvironmentField(nn.Module):
         return float(distance.median())
 
     def equirect(self, height: int) -> tuple[torch.Tensor, torch.Tensor]:
-        """The light seen from the object's centre, for Blender's World: [height, 2 height, 3] and coverage.
+        """The light seen from the object's centre, as a map for Blender's World.
 
-        Cycles maps a direction to u = 0.5 - atan2(y, x) / (2 pi), v = 0.5 + atan2(z, hypot(x, y)) / pi; row 0 is +z.
+        Returns radiance [height, 2 height, 3] and coverage [height, 2 height] in 0..1. Cycles maps a direction to u = 0.5 -
+        atan2(y, x) / (2 pi), v = 0.5 + atan2(z, hypot(x, y)) / pi; row 0 is +z.
         """
         device = self.raw.device
         theta = (torch.arange(height, device=device) + 0.5) * math.pi / height
@@ -242,7 +251,7 @@ class EnvironmentField(nn.Module):
         return radiance.reshape(height, 2 * height, 3), coverage.reshape(height, 2 * height)
 
     def parameter_groups(self) -> list[dict]:
-        """For torch.optim.Adam."""
+        """The parameters with their learning rate and settings, for torch.optim.Adam."""
         p = self.preset
         return [{"params": [self.raw], "lr": p.learning_rate, "betas": p.adam_betas, "eps": p.adam_eps}]
 

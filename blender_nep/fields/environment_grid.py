@@ -1,4 +1,7 @@
-"""The spherical grid [K, H, W, C]: shells, cell-centred rows from +z to -z, periodic columns with atan2(y, x)."""
+"""Resamples and pads the spherical grid [K, H, W, C].
+
+The axes are shells, cell-centred rows from +z to -z, periodic columns with atan2(y, x), and channels.
+"""
 
 from __future__ import annotations
 
@@ -19,7 +22,10 @@ def resample(raw: torch.Tensor, shells: int, rows: int) -> torch.Tensor:
 
 
 def pad_angles(raw: torch.Tensor) -> torch.Tensor:
-    """[K, H, W, C] -> [K, H + 2, W + 2, C]: one row beyond each pole (turned by half a turn), columns wrapped."""
+    """[K, H, W, C] -> [K, H + 2, W + 2, C]: one more row beyond each pole, and one more column at each side.
+
+    A row beyond a pole is the row at the pole, turned by half a turn. The columns are periodic.
+    """
     half = raw.shape[2] // 2
     rows = torch.cat([raw[:, :1].roll(half, 2), raw, raw[:, -1:].roll(half, 2)], 1)
     return torch.cat([rows[:, :, -1:], rows, rows[:, :, :1]], 2)

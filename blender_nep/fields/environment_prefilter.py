@@ -1,13 +1,13 @@
-"""The environment field prefiltered for cones: levels of means over ever wider discs of directions, for every shell.
+"""Prefilters the environment field for cones. Each level holds, for every shell, means over wider discs of directions.
 
-What is averaged is what can be seen from the centre: each node's weight w = transmittance from the centre * opacity,
-and w times its radiance. A mean of opacities would let light leak through walls, because what stands behind an opaque
-node would count again for its transparent neighbours. Each level is then turned back into opacities that composite,
-from the centre, to just these mean weights; off the centre they give the parallax.
+The means are taken of what is seen from the centre: of each node's weight w = transmittance from the centre * opacity, and
+of w times its radiance. Means of opacities would let light leak through walls: what stands behind an opaque node would count
+again for its transparent neighbours. Each level is then turned back into opacities. Composited from the centre, they give
+exactly these mean weights; from other points, they give the parallax.
 
-The weights are integrated on a grid finer than the field's: the mean of an exponential between two nodes is not the
-mean of its values there. The discs are true discs on the sphere, also at the poles: a convolution that turns with the
-azimuth, done by FFT along the columns, one pair of rows at a time.
+The weights are integrated on a grid finer than the field's, because the mean of an exponential between two nodes is not the
+mean of its values at the nodes. The discs are true discs on the sphere, also at the poles. So each pair of rows has its own
+convolution kernel over the azimuth; the convolutions are done by FFT along the columns.
 """
 
 from __future__ import annotations
@@ -20,12 +20,13 @@ from blender_nep.ops.environment_cones import composite_cones
 from blender_nep.ops.environment_weights import from_weights, weights_from_centre
 
 FINER_ROWS = 2
-"""Rows (and columns) of the finest level for each of the field's."""
+"""Rows of the finest level divided by rows of the field; the same for columns."""
 RATIO = 1.6
-"""Angular radius of each level over that of the level before it."""
+"""Angular radius of each level divided by that of the level before it."""
 SMALLEST_ROWS = 12
 TENT_RADIUS = math.sqrt(2 / 3)
-"""Radius, in texels, of the disc with the variance of bilinear interpolation: 1/6 an axis; a disc has r^2 / 4."""
+"""Radius, in texels, of the disc that has the same variance as bilinear interpolation. Bilinear interpolation has the
+variance 1/6 for each axis; a disc of radius r has r^2 / 4."""
 
 
 def disc_mean(values: torch.Tensor, radius: float) -> torch.Tensor:
@@ -39,7 +40,7 @@ def disc_mean(values: torch.Tensor, radius: float) -> torch.Tensor:
     texel = math.pi / rows
     kernel = ((radius - angle) / texel + 0.5).clamp(0, 1) * sine[None, :, None]
     kernel = kernel / kernel.sum(dim=(1, 2), keepdim=True)
-    # the kernel is even in azimuth: its spectrum is real
+    # the kernel is even in azimuth, so its spectrum is real
     kernel = torch.fft.rfft(kernel, dim=2).real.permute(2, 0, 1).contiguous()
     spectrum = torch.view_as_real(torch.fft.rfft(values, dim=2)).permute(2, 1, 0, 3, 4)
     mixed = torch.bmm(kernel, spectrum.reshape(len(kernel), rows, -1)).reshape(spectrum.shape)
@@ -56,16 +57,16 @@ def _divisible(values: torch.Tensor) -> bool:
 
 
 class PrefilteredEnvironment:
-    """A frozen environment field that answers cones.
+    """A learned environment field that can be queried with cones.
 
-    raw [K, H, W, 4] (raw density, log radiance); coverage [K, H, W] in 0..1. Lives on the CPU.
+    raw [K, H, W, 4] is raw density and log radiance; coverage [K, H, W] is in 0..1. The levels are kept on the CPU.
     """
 
     def __init__(self, raw: torch.Tensor, coverage: torch.Tensor, density_gain: float, outer_radius: float) -> None:
         spacing = math.log(outer_radius) / (raw.shape[0] - 1)
         self.shell_radii = torch.exp(torch.arange(raw.shape[0]) * spacing)
         values = weights_from_centre(raw, coverage, density_gain, spacing, FINER_ROWS * raw.shape[1])
-        # a shell that nobody sees from the centre needs no lookup
+        # a shell that is nowhere visible from the centre needs no lookup
         self.occupied = values[..., 3].amax((1, 2)) > 1e-4
         radius = TENT_RADIUS * math.pi / values.shape[1]
         self.levels, self.radii = [from_weights(values)], [radius]
@@ -83,7 +84,10 @@ class PrefilteredEnvironment:
     def query(
         self, origins: torch.Tensor, directions: torch.Tensor, half_angle: torch.Tensor, near: torch.Tensor
     ) -> tuple[torch.Tensor, torch.Tensor]:
-        """Mean radiance [n, 3] and coverage [n] in cones."""
+        """Mean radiance [n, 3] and coverage [n] in 0..1 in cones that begin at the distances near [n].
+
+        origins, unit directions [n, 3], unit frame; half_angle [n] radians.
+        """
         out = composite_cones(
             self.levels, self.radii, self.shell_radii, self.occupied, origins, directions, near, half_angle
         )

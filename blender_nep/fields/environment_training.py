@@ -1,7 +1,7 @@
-"""Learning F_e alone, from pixels that do not show the object, and what both ways of learning share.
+"""Learns F_e alone, from pixels that do not show the object.
 
-With a given mesh (`--mesh`) `learn_environment` is all of stage 1. Without one, the first steps of `fields.training` are
-`learn_step`.
+With a given mesh (`--mesh`), `learn_environment` is the whole fields learning. Without one, `fields.training` begins with
+steps of F_e alone (`learn_step`); it also uses other functions of this file.
 """
 
 from __future__ import annotations
@@ -26,18 +26,18 @@ from blender_nep.tone_mapping import tone_map
 
 @dataclass(frozen=True)
 class EnvironmentReport:
-    """How the learning of F_e alone went."""
+    """The report on the learning of F_e alone."""
 
     steps_not_finite: int = 0
-    """Steps that were left out because their loss or gradient was not finite"""
+    """Number of steps that were left out because their loss or gradient was not finite"""
 
     def as_dict(self) -> dict:
-        """For report.json; empty where no step was left out."""
+        """The report as plain values, for report.json. It is empty if no step was left out."""
         return {"steps_not_finite": self.steps_not_finite} if self.steps_not_finite else {}
 
 
 def geometric_mean(rays: PixelRays) -> float:
-    """Geometric mean of the photos' radiance, from some 10,000 pixels: where F_e starts."""
+    """Geometric mean of the photos' radiance over about 10,000 pixels. F_e starts with it."""
     some = rays.photo(torch.arange(0, rays.count, max(1, rays.count // 10_000), device=rays.radiance.device))
     return float(some.clamp(min=1e-3).log().mean().exp())
 
@@ -48,7 +48,7 @@ def learning_rate(preset: EnvironmentPreset, fraction: float) -> float:
 
 
 def set_learning_rate(adam: torch.optim.Optimizer, preset: EnvironmentPreset, fraction: float) -> None:
-    """Gives F_e's optimiser the learning rate that is due at a fraction of the learning."""
+    """Set the learning rate of F_e's optimiser that is due at a fraction of the learning, 0..1."""
     for group in adam.param_groups:
         group["lr"] = learning_rate(preset, fraction)
 
@@ -59,7 +59,7 @@ def optimiser(environment: EnvironmentField) -> torch.optim.Optimizer:
 
 
 def freeze(environment: EnvironmentField, rays: PixelRays, background: PixelSet | torch.Tensor, seed: int) -> None:
-    """Ends the learning of F_e: measures its coverage by a random part of the background pixels (indices)."""
+    """End the learning of F_e: measure its coverage with random pixels out of `background` (indices)."""
     generator = torch.Generator(background.device).manual_seed(seed)
     pick = torch.randint(len(background), (environment.preset.coverage_rays,), generator=generator, device=background.device)
     origins, directions, _ = rays.rays(background[pick])
@@ -67,7 +67,7 @@ def freeze(environment: EnvironmentField, rays: PixelRays, background: PixelSet 
 
 
 def save_if_due(checkpoint: Checkpoint, state: Callable[[], dict]) -> None:
-    """Saves state() where the checkpoint is due. Raises Stopped, after saving, where a stop was asked for."""
+    """Save state() if the checkpoint is due or a stop was asked for. In the latter case, raises Stopped after saving."""
     if checkpoint.stopping or checkpoint.due():
         checkpoint.save(state())
         if checkpoint.stopping:
@@ -81,8 +81,10 @@ def learn_step(
     index: torch.Tensor,
     generator: torch.Generator,
 ) -> float:
-    """One step of F_e alone on the pixels `index`; returns the photometric loss, NaN where it or its gradient is not
-    finite: such a step changes nothing."""
+    """Take one step of F_e alone on the pixels `index` [n] int64, and return the photometric loss.
+
+    If the loss or its gradient is not finite, the step changes nothing and the result is NaN.
+    """
     origins, directions, half_angle = rays.rays(index)
     n, near = len(index), torch.full_like(half_angle, environment.preset.camera_near)
     middle = torch.maximum(near, -(origins * directions).sum(-1))
@@ -120,9 +122,9 @@ def learn_environment(
     progress: Callable[[int, int, float], None],
     checkpoint: Checkpoint,
 ) -> tuple[EnvironmentField, EnvironmentReport]:
-    """F_e from the pixels `background` (indices) alone. progress(step, steps, loss) is called after every step.
+    """Learn F_e from the pixels `background` (indices) only. progress(step, steps, loss) is called after every step.
 
-    Raises LearningError when the loss diverges, and Stopped on request, after the checkpoint is written.
+    Raises LearningError when too many steps are not finite, and Stopped on request, after the checkpoint is written.
     """
     generator = torch.Generator(device).manual_seed(seed)
     environment = EnvironmentField(preset, geometric_mean(rays)).to(device)

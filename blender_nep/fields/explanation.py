@@ -1,4 +1,4 @@
-"""Whether the object's sphere holds an object at all."""
+"""Checks whether the object's sphere contains an object at all."""
 
 from __future__ import annotations
 
@@ -15,10 +15,11 @@ from blender_nep.tone_mapping import tone_map
 def explanation_ratio(
     renderer: FieldsRenderer, rays: PixelRays, sharpness: float, generator: torch.Generator, pixels: int | None = None
 ) -> float:
-    """How much better the object explains the pixels that it covers than F_e alone would if the object were not there: the
-    ratio of their mean tone-mapped errors. Near 1: the sphere is empty. 0 where (almost) no pixel is covered.
+    """The error of F_e alone divided by the error of the object, on pixels that the object covers.
 
-    pixels: how many random ones that see the sphere are tried; by default the preset's.
+    Both are mean tone-mapped errors. F_e alone is rendered as if the object were not there. Near 1, the sphere is empty. The
+    ratio is 0 if hardly any pixel is covered. `pixels` is the number of random pixels whose rays meet the sphere; None: the
+    preset's.
     """
     p, environment = renderer.preset, renderer.environment
     pixels = pixels or p.explanation_pixels
@@ -38,12 +39,12 @@ def explanation_ratio(
         covered.origins, covered.directions, near, torch.full_like(near, torch.inf), covered.half_angle, None
     )
     photo = tone_map(rays.photo(index[ray]))
-    error = (tone_map(color) - photo).abs().mean().clamp(min=1e-6)  # photos of nothing but black have no error
+    error = (tone_map(color) - photo).abs().mean().clamp(min=1e-6)  # the error of entirely black photos may be 0
     return float((tone_map(behind) - photo).abs().mean() / error)
 
 
 def require_object(ratio: float, least: float) -> None:
-    """Raises LearningError where the explanation ratio says that the sphere is empty."""
+    """Raises LearningError if the explanation ratio is below `least`: then the sphere is empty."""
     if ratio < least:
         raise LearningError(
             f"The object's sphere seems to contain nothing: the surroundings explain its pixels almost as well as an object"

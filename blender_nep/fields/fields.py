@@ -1,4 +1,4 @@
-"""What stage 1 has learned, and how that went."""
+"""The result of fields learning, and its report."""
 
 from __future__ import annotations
 
@@ -13,35 +13,35 @@ from blender_nep.presets import Preset
 
 @dataclass(frozen=True)
 class HullReport:
-    """The visual hull that the SDF started from."""
+    """The visual hull from which the SDF started."""
 
     volume: float
-    """Share of the object's sphere"""
+    """Share of the object's sphere that the hull fills"""
     contrast: float
-    """Mean silhouette value inside over that outside"""
+    """Mean silhouette value inside the hull divided by that outside"""
 
 
 @dataclass(frozen=True)
 class FieldsReport:
-    """How the learning of both fields went."""
+    """The report on the learning of both fields."""
 
     steps: int
-    """Steps taken, those of F_e alone included"""
+    """Number of steps that were taken, with the steps of F_e alone"""
     of_steps: int
-    """Steps that there would have been without a plateau of the validation error"""
+    """Number of steps that would have been taken if the validation error had not stopped falling"""
     held_out_error: list[float]
     """Validation errors, the oldest first: mean tone-mapped error of held-out pixels of the object"""
     loss: float
     """Photometric loss of the last step"""
     explanation_ratio: float
-    """How much better the object explains its pixels than F_e alone"""
+    """Error of F_e alone divided by the error of the object, on the object's pixels (`explanation.explanation_ratio`)"""
     steps_not_finite: int
-    """Steps that were left out because their loss or gradient was not finite"""
+    """Number of steps that were left out because their loss or gradient was not finite"""
     hull: HullReport | None
     """None where the SDF started from a sphere"""
 
     def as_dict(self) -> dict:
-        """For report.json, rounded. `hull` and `steps_not_finite` are left out where there were none."""
+        """The report as plain values, rounded, for report.json. `hull` None and `steps_not_finite` 0 are left out."""
         found = asdict(self)
         found["held_out_error"] = [round(error, 4) for error in self.held_out_error]
         found["explanation_ratio"] = round(self.explanation_ratio, 3)
@@ -56,16 +56,16 @@ class FieldsReport:
 
 @dataclass
 class Fields:
-    """What stage 1 has learned."""
+    """The result of fields learning."""
 
     object_field: ObjectField | None
-    """None where a mesh was given and F_e was learned alone."""
+    """None if a mesh was given, so that only F_e was learned"""
     environment: EnvironmentField
     report: dict
-    """How it went, for report.json"""
+    """The report for report.json"""
 
     def state(self) -> dict:
-        """As a dict of tensors and numbers, for the disk."""
+        """The result as a dict of tensors and numbers, as it is saved on the disk."""
         objects = None
         if self.object_field is not None:
             objects = {"levels": self.object_field.level_count, "weights": self.object_field.state_dict()}
@@ -86,6 +86,6 @@ class Fields:
 
 
 def new_object_field(preset: Preset, device: torch.device) -> ObjectField:
-    """F_o at the start: a sphere, its coarsest level alone."""
+    """The object field before learning: a sphere, with only the coarsest level."""
     p = preset.fields
     return ObjectField(p.coarsest_cells, p.initial_radius, p.head_width, p.decomposition).to(device)

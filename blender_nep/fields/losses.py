@@ -1,4 +1,4 @@
-"""What stage 1 minimises: the photometric loss, and the priors of both fields with their weights."""
+"""The loss of fields learning: the photometric loss, and the priors with their weights."""
 
 from __future__ import annotations
 
@@ -15,40 +15,49 @@ from blender_nep.tone_mapping import tone_map, tone_map_without_highlights
 
 
 def highlight_threshold(rays: PixelRays, preset: FieldsPreset) -> float:
-    """Radiance above which a pixel of the object is a highlight: so many geometric means of what the photos show around
-    the object, with masks of what they show of the object. It scales with the photos' exposure."""
+    """Linear radiance above which an object pixel is a highlight.
+
+    It is `preset.highlight_threshold` times the geometric mean radiance of the pixels that see the object's sphere, or, with
+    masks, of the object pixels. So it scales with the photos' exposure.
+    """
     return preset.highlight_threshold * _typical_radiance(rays)
 
 
 def _typical_radiance(rays: PixelRays, pixels: int = 10_000) -> float:
-    """Geometric mean over about `pixels` pixels that see the object's sphere."""
+    """Geometric mean radiance of the object pixels, or without masks of the pixels that see the object's sphere.
+
+    Taken over about `pixels` pixels.
+    """
     index = rays.sphere[:: max(1, len(rays.sphere) // pixels)]
     if rays.mask is not None and (rays.mask[index] > 127).any():
         index = index[rays.mask[index] > 127]
     radiance = rays.photo(index)
     brightness = radiance.mean(-1)
-    lit = brightness > 0.01 * brightness.quantile(0.9)  # black around a cut-out object is no radiance
+    lit = brightness > 0.01 * brightness.quantile(0.9)  # the black around a cut-out object does not count
     return float(radiance[lit].clamp(min=1e-6).log().mean().exp()) if lit.any() else 1.0
 
 
 @dataclass(frozen=True)
 class FieldsLosses:
-    """The loss of rendered rays."""
+    """Computes the loss of rendered rays."""
 
     preset: FieldsPreset
     foreground_opacity: float
-    """Weight of F_e's opacity before the object (EnvironmentPreset.foreground_opacity)"""
+    """Weight of the foreground opacity, F_e's opacity in front of the object (EnvironmentPreset.foreground_opacity)"""
     highlight_threshold: float
-    """Linear radiance, see the function of this name"""
+    """Linear radiance above which an object pixel is a highlight"""
 
     @classmethod
     def of(cls, preset: Preset, rays: PixelRays) -> FieldsLosses:
-        """With the preset's weights, for the photos `rays`."""
+        """The losses with the preset's weights, for the photos `rays`."""
         return cls(preset.fields, preset.environment.foreground_opacity, highlight_threshold(rays, preset.fields))
 
     def difference(self, out: Rendering, photo: Tensor) -> Tensor:
-        """Absolute tone-mapped difference [n, 3] of renderings and photos [n, 3]. As far as the object hides what is behind
-        it, highlights hardly count; elsewhere they count in full, so that F_e keeps its lamps."""
+        """Absolute tone-mapped difference [n, 3] between the rendering and the photo's radiance [n, 3].
+
+        Where the object is opaque, highlights hardly count. Where it is transparent, they count in full, so that F_e keeps
+        its lamps. In between, the two differences are mixed by the object's opacity.
+        """
         full = (tone_map(out.radiance) - tone_map(photo)).abs()
         dull = tone_map_without_highlights(out.radiance, self.highlight_threshold) - tone_map_without_highlights(
             photo, self.highlight_threshold
@@ -60,7 +69,7 @@ class FieldsLosses:
         return (out.weight * self.difference(out, photo)).mean()
 
     def total(self, photometric: Tensor, out: Rendering, curvature_weight: float, mask: Tensor | None) -> Tensor:
-        """The photometric loss and all priors, scalar; mask [n] is the object's coverage of the pixels, 0..1."""
+        """The photometric loss plus all priors, scalar. mask [n] is the object's coverage of each pixel, 0..1, or None."""
         p = self.preset
         loss = photometric + p.eikonal * out.eikonal + curvature_weight * out.curvature
         loss = loss + self.foreground_opacity * out.foreground_opacity

@@ -1,4 +1,4 @@
-"""Steps of learning whose loss or gradient is not finite: left out, counted, and given up on when there are too many."""
+"""Counts steps of learning whose loss or gradient is not finite. Such steps are left out; too many of them are an error."""
 
 from __future__ import annotations
 
@@ -9,26 +9,29 @@ import torch
 from blender_nep.errors import LearningError
 
 PATIENCE = 20
-"""Steps in a row that may fail before learning is given up. Not in the preset: a learning that works has none, and one that
-does not has thousands."""
+"""After this many steps in a row that are not finite, learning ends with an error. It is not in the preset: a learning that
+works has no such steps, and a learning that does not work has thousands."""
 LARGEST_LOSS = 1e6
-"""A tone-mapped loss beyond it is as good as infinite."""
+"""A larger tone-mapped loss counts as infinite."""
 
 
 class NonFiniteMonitor:
-    """Records of every step whether its loss and gradient were finite.
+    """Counts the steps whose loss or gradient is not finite.
 
-    A step that is not finite must change nothing: Adam's moments would keep a NaN for ever.
+    Such a step must change nothing, because Adam's moments would keep a NaN for ever.
     """
 
     def __init__(self) -> None:
         self.in_a_row = 0
-        """Steps that were left out since the last one that was not."""
+        """Number of steps that were left out since the last usable step."""
         self.left_out = 0
-        """Steps that were left out so far."""
+        """Number of all steps that were left out so far."""
 
     def record(self, usable: bool) -> bool:
-        """Counts a step that was not `usable`; returns `usable`. Raises LearningError after PATIENCE such steps in a row."""
+        """Count the step if it is not `usable`, and return `usable`.
+
+        Raises LearningError after PATIENCE steps in a row that were not usable.
+        """
         self.in_a_row = 0 if usable else self.in_a_row + 1
         self.left_out += not usable
         if self.in_a_row >= PATIENCE:
@@ -40,7 +43,7 @@ class NonFiniteMonitor:
         return usable
 
     def state(self) -> dict:
-        """For a checkpoint."""
+        """The counts, for a checkpoint."""
         return {"in_a_row": self.in_a_row, "left_out": self.left_out}
 
     def load(self, state: dict) -> None:
@@ -49,12 +52,15 @@ class NonFiniteMonitor:
 
 
 def usable_loss(loss: float) -> bool:
-    """Whether a loss is a number that one can learn from."""
+    """Whether the loss is finite and not larger than LARGEST_LOSS."""
     return abs(loss) < LARGEST_LOSS  # False for NaN
 
 
 def usable_gradients(optimisers: Iterable[torch.optim.Optimizer]) -> bool:
-    """Whether all gradients of the optimisers' parameters are finite; by their sums, which one NaN or Inf spoils."""
+    """Whether all gradients of the optimisers' parameters are finite.
+
+    Only their sums are checked: one NaN or infinity makes the sum not finite.
+    """
     parameters = (p for optimiser in optimisers for group in optimiser.param_groups for p in group["params"])
     sums = [p.grad.sum(dtype=torch.float64) for p in parameters if p.grad is not None]
     return not sums or bool(torch.isfinite(torch.stack(sums)).all())

@@ -1,8 +1,8 @@
 """The object field F_o: an SDF in the unit sphere, and the decomposed color c_o = c_a * c_l of its surface (eq. 3).
 
-The SDF is a sum of quadratic B-spline volumes from coarse to fine. The sum is as expressive as the finest grid alone,
-but a step on a coarse level moves the surface as a whole: that preconditioning is what keeps a grid smooth when it
-learns from reflections. Color is evaluated once a ray, on the composited surface point and normal.
+The SDF is a sum of quadratic B-spline volumes from coarse to fine. The sum is as expressive as the finest grid alone. But a
+step on a coarse level moves the surface as a whole; this preconditioning keeps the grid smooth when it learns from
+reflections. The color is evaluated once for each ray, at the composited surface point and normal.
 """
 
 from __future__ import annotations
@@ -19,10 +19,10 @@ from blender_nep.fields.volume_rendering import SurfaceSamples, render_surface, 
 from blender_nep.ops import bspline
 
 FEATURES = 16
-"""Values that the albedo head hands to the light head."""
+"""Number of values that the albedo head passes to the light head."""
 ALBEDO_OCTAVES, LIGHT_OCTAVES, VIEW_OCTAVES = 5, 1, 4
-"""Octaves of the positional encoding of the point for the albedo head, of the point for the light head, and of the view
-direction for the radiance head that is not decomposed. Light varies slowly from point to point, albedo does not."""
+"""Octaves of the positional encodings: of the point for the albedo head, of the point for the light head, and of the view
+direction when the color is not decomposed. The light head has fewer, because light varies slowly from point to point."""
 
 
 @dataclass
@@ -47,9 +47,10 @@ def _mlp(inputs: int, width: int, outputs: int, hidden: int) -> nn.Sequential:
 
 
 class SurfaceColor(nn.Module):
-    """The color of F_o's surface by two MLPs of `hidden` layers of `width`.
+    """The color of F_o's surface. Two MLPs with `hidden` hidden layers of `width` compute it.
 
-    `decomposed`: by eq. 3; else by one radiance head, as in NeuS."""
+    If `decomposed`, the color is c_a * c_l (eq. 3). If not, the albedo is 1, and the light head gives radiance, as in NeuS.
+    """
 
     def __init__(self, width: int, decomposed: bool, hidden: int = 2) -> None:
         super().__init__()
@@ -72,13 +73,13 @@ class SurfaceColor(nn.Module):
         return Appearance(albedo, nn.functional.softplus(light), roughness)
 
     def color_parameters(self) -> list[nn.Parameter]:
-        """Of both MLPs."""
+        """The parameters of both MLPs."""
         return [*self.surface_head.parameters(), *self.light_head.parameters()]
 
 
 @dataclass
 class SplineShape:
-    """The SDF as it stands now: what a step asks of it, from coefficients [N, N, N] that are summed once."""
+    """The SDF in its present state. All questions of a step use the same coefficients [N, N, N], which are summed once."""
 
     coefficients: torch.Tensor
 
@@ -90,22 +91,25 @@ class SplineShape:
         samples: int,
         generator: torch.Generator | None,
     ) -> SurfaceSamples:
-        """The surface composited along rays [n, 3]; rays that meet none are left out."""
+        """The surface composited along rays [n, 3]. Rays that meet no surface are left out. See `render_surface`."""
         return render_surface(self.coefficients, origins, directions, sharpness, samples, generator)
 
     def bending(self, points: torch.Tensor) -> torch.Tensor:
-        """Squared norm [n] of the SDF's Hessian at points [n, 3], which get no gradient."""
+        """Squared norm [n] of the SDF's Hessian at points [n, 3]. The points get no gradient."""
         hessian = bspline.sample(self.coefficients, points.detach().clamp(-1, 1), hessian=True)[:, 4:]
         return (hessian[:, :3] ** 2).sum(1) + 2 * (hessian[:, 3:] ** 2).sum(1)
 
     def near(self, origins: torch.Tensor, directions: torch.Tensor, band: float) -> torch.Tensor:
-        """Whether rays [n, 3] come nearer to the surface than `band` [n] bool."""
+        """Whether each ray [n, 3] comes nearer to the surface than `band` (unit frame): [n] bool."""
         entry, leave = sphere_interval(origins, directions)
         return bspline.march(self.coefficients, origins, directions, entry, leave, band, 0.5 * band)[1] > 0
 
 
 class ObjectField(SurfaceColor):
-    """F_o over the unit sphere. `cells` are those of the coarsest SDF level; every `add_level` halves the cell."""
+    """The object field F_o in the unit sphere. The coarsest SDF level has cells^3 cells; each `add_level` halves the cell.
+
+    The SDF starts as a sphere of `initial_radius` in the unit frame.
+    """
 
     def __init__(self, cells: int, initial_radius: float, width: int = 64, decomposed: bool = True) -> None:
         super().__init__(width, decomposed)
@@ -115,30 +119,30 @@ class ObjectField(SurfaceColor):
 
     @property
     def level_count(self) -> int:
-        """Levels there are now."""
+        """Number of SDF levels at present."""
         return len(self.levels)
 
     def shape(self) -> SplineShape:
-        """The SDF as it stands now."""
+        """The SDF in its present state."""
         return SplineShape(self.coefficients())
 
     def shape_optimiser(self, rate: float, betas: tuple[float, float]) -> torch.optim.Optimizer:
-        """Adam with one step size a level, for the SDF's parameters that there are now."""
+        """Adam with one step size for each level, for the present parameters of the SDF."""
         return UniformAdam(self.levels, lr=rate, betas=betas)
 
     def add_level(self) -> None:
-        """Adds a level of half the cell size, zero everywhere: the field does not change."""
+        """Add a level of half the cell size. It is zero everywhere, so that the SDF does not change."""
         n = 2 * self.levels[-1].shape[0] - 2
         device = self.levels[-1].device
         self.levels.append(nn.Parameter(torch.zeros(n, n, n, device=device)))
 
     @torch.no_grad()
     def start_from(self, sdf: torch.Tensor) -> None:
-        """Makes the whole field this SDF, given at the centres of the finest level's cells [n, n, n]."""
+        """Set the SDF to values [n, n, n] at the centres of the finest level's cells. Raises ValueError for another n."""
         n = self.levels[-1].shape[0] - 2
         if sdf.shape != (n, n, n):
             raise ValueError(f"an SDF of {n}^3 cells is needed, not {tuple(sdf.shape)}")
-        # a coefficient stands at its cell's centre; one more lies beyond each border
+        # each coefficient lies at the centre of its cell, and there is one more beyond each border
         target = nn.functional.pad(sdf[None, None], (1,) * 6, mode="replicate")[0, 0]
         coarse = nn.functional.interpolate(sdf[None, None], self.levels[0].shape[0] - 2, mode="area")
         self.levels[0].copy_(nn.functional.pad(coarse, (1,) * 6, mode="replicate")[0, 0])
@@ -148,11 +152,11 @@ class ObjectField(SurfaceColor):
 
     @property
     def cell(self) -> float:
-        """Width of the finest cell, unit frame."""
+        """Width of the finest level's cells in the unit frame."""
         return 2.0 / (self.levels[-1].shape[0] - 2)
 
     def coefficients(self) -> torch.Tensor:
-        """Spline coefficients [N, N, N] of the whole SDF on the finest level."""
+        """Spline coefficients [N, N, N] of the whole SDF: the sum of all levels, on the finest level."""
         total = self.levels[0]
         for level in self.levels[1:]:
             total = bspline.refine(total) + level

@@ -1,4 +1,4 @@
-"""Which pixels stage 1 learns from: those in which the object is seen get rays of their own, and some are held out."""
+"""Chooses the pixels for fields learning. Object pixels get rays of their own. Some pixels are held out for validation."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ from blender_nep.profiling import profiled
 @profiled("object pixels")
 @torch.no_grad()
 def find_object_pixels(rays: PixelRays, shape: SplineShape, band: float, block: int = 4) -> PixelSet:
-    """The valid pixels whose rays come nearer to the surface than `band` (unit lengths), and some around them. Where there
-    are none: all pixels that see the object's sphere.
+    """The object pixels: valid pixels whose rays come nearer to the surface than `band` (unit frame), and some around them.
 
-    One ray in `block` x `block` pixels is tried, and a block is taken if its own ray or one of a neighbour is near.
+    One ray for each block of `block` x `block` pixels is tried. A block is taken if its ray or the ray of a neighbouring
+    block is near. If there are no such pixels, the result is all pixels that see the object's sphere.
     """
     device = rays.valid.device
     found = GrowingPixelSet(device)
@@ -37,19 +37,23 @@ def find_object_pixels(rays: PixelRays, shape: SplineShape, band: float, block: 
 
 
 def held_out(index: Tensor, every: int) -> Tensor:
-    """Whether pixels index [n] are held out, and never learned from [n] bool: every `every`-th of all pixels."""
+    """Whether the pixels index [n] are held out from learning: [n] bool. Every `every`-th of all pixels is held out."""
     return index % every == 0
 
 
 def held_out_pixels(pixels: PixelSet, every: int, most: int) -> Tensor:
-    """The held-out ones of `pixels` as indices [m], evenly thinned to about `most`."""
+    """Indices [m] of the held-out pixels among `pixels`. If there are more than `most`, they are thinned evenly to about
+    `most`."""
     index = torch.cat([part[held_out(part, every)] for part in pixels.split(1 << 20)])
     return index[:: max(1, len(index) // most)]
 
 
 @profiled("draw pixels")
 def draw_pixels(pool: PixelSet | Tensor, count: int, every: int, generator: torch.Generator) -> Tensor:
-    """About `count` random pixels [m] of the pool that are not held out; where all that were drawn are held out, these."""
+    """About `count` random pixels [m] of the pool that are not held out.
+
+    If all drawn pixels are held out, these are returned all the same.
+    """
     index = pool[torch.randint(len(pool), (count,), generator=generator, device=generator.device)]
     learned = index[~held_out(index, every)]
     return learned if len(learned) else index

@@ -1,8 +1,8 @@
 """Adam for grids: one step size for a whole level instead of one for every voxel.
 
-Plain Adam gives each voxel a unit step of its own, which turns noise in rarely seen voxels into sandpaper. A single
-second moment per level (Nicolet et al. 2021, "Large Steps in Inverse Rendering of Geometry", sec. 4: AdamUniform; here
-the mean square of the touched entries rather than the maximum) keeps the gradient field's own smoothness.
+Plain Adam gives each voxel a unit step of its own. So the noise in rarely seen voxels makes the surface rough. A single
+second moment for a level keeps the smoothness of the gradient field (AdamUniform, Nicolet et al. 2021, "Large Steps in
+Inverse Rendering of Geometry", sec. 4). Here it is the mean square of the touched entries; in the paper it is the maximum.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ import torch
 
 
 class UniformAdam(torch.optim.Optimizer):
-    """Adam with one second moment per tensor. `lr` is in units of the parameter: the typical step of a touched entry."""
+    """Adam with one second moment for each tensor. `lr` is the typical step of a touched entry, in the parameter's units."""
 
     def __init__(self, params, lr: float, betas: tuple[float, float] = (0.9, 0.99)) -> None:
         super().__init__(params, {"lr": lr, "betas": betas})

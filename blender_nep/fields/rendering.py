@@ -1,6 +1,6 @@
-"""Rays rendered through both fields: the environment before the object, the object, the environment behind it.
+"""Renders rays through both fields: the environment in front of the object, the object, the environment behind it.
 
-The border between the fields is the unit sphere. A ray that misses it is rendered by F_e alone.
+The border between the fields is the unit sphere. A ray that misses the sphere is rendered by F_e alone.
 """
 
 from __future__ import annotations
@@ -36,73 +36,74 @@ class RayBundle:
 
 @dataclass(frozen=True)
 class RenderSettings:
-    """What the schedule says of the rendering."""
+    """The settings of the rendering that the schedule changes."""
 
     sharpness: float
     """NeuS sharpness, 1 / object radius"""
     samples: int
-    """Samples a ray in the object"""
+    """Samples of the object field on each ray"""
     environment_gradient_scale: float = 1.0
     """Scale of F_e's gradients from rays that meet the object's sphere"""
 
 
 @dataclass
 class Rendering:
-    """Rays rendered through both fields."""
+    """The result for n rays."""
 
     radiance: Tensor
-    """[n, 3], linear"""
+    """[n, 3] linear"""
     opacity: Tensor
-    """[n], of the object"""
+    """[n] opacity of the object, 0..1"""
     weight: Tensor
-    """[n, 1], the paper's w_l: the loss weight, w_s accumulated along the ray"""
+    """[n, 1] loss weight, the paper's w_l: w_s accumulated along the ray"""
     eikonal: Tensor
     """Scalar: mean of (|gradient of the SDF| - 1)^2 over all samples"""
     curvature: Tensor
-    """Scalar: mean of sqrt(|Hessian of the SDF|^2 + 1) over surface points; 0 where its loss has no weight"""
+    """Scalar: mean of sqrt(|Hessian of the SDF|^2 + 1) over surface points; 0 if the curvature loss has no weight"""
     foreground_opacity: Tensor
     """Scalar: mean opacity of F_e between the cameras and the object's sphere"""
 
 
 @dataclass(frozen=True)
 class SphereHits:
-    """Where n rays meet the object's sphere."""
+    """The points at which n rays enter and leave the object's sphere."""
 
     entry: Tensor
-    """[n] distances along the rays; 0 where they miss"""
+    """[n] distances along the rays"""
     leave: Tensor
-    """[n] distances along the rays; 0 where they miss"""
+    """[n] distances along the rays; equal to `entry` where a ray misses the sphere"""
     rays: Tensor
-    """[m] int64: the rays that meet it"""
+    """[m] int64: indices of the rays that meet the sphere"""
 
     @classmethod
     def of(cls, rays: RayBundle) -> SphereHits:
-        """Of the unit sphere."""
+        """The hits of the rays with the unit sphere."""
         entry, leave = sphere_interval(rays.origins, rays.directions)
         return cls(entry, leave, (leave > entry).nonzero()[:, 0])
 
 
 @dataclass(frozen=True)
 class EnvironmentParts:
-    """What F_e adds to n rays: before the sphere for all of them, and behind it for k of them."""
+    """F_e's part of n rays: in front of the sphere for all rays, and behind the sphere for k of the rays."""
 
     front: Tensor
-    """[n, 3] radiance before the sphere; of the whole ray where it misses the sphere"""
+    """[n, 3] radiance in front of the sphere; for a ray that misses the sphere, radiance of the whole ray"""
     transmittance: Tensor
-    """[n], up to the sphere"""
+    """[n] transmittance of F_e up to the sphere"""
     back: Tensor
     """[k, 3] radiance behind the sphere"""
     foreground_opacity: Tensor
-    """Scalar, see Rendering"""
+    """Scalar: mean opacity of F_e between the cameras and the object's sphere"""
 
 
 def dynamic_weight(appearance: Appearance, kind: str, cap: float, epsilon: float = 1e-3) -> Tensor:
-    """The paper's w_s (eq. 4) [n, 1]: small where the color differs much from the albedo, as in reflections. Detached:
-    otherwise growing |c_o - c_a| would lower the loss.
+    """The paper's w_s (eq. 4) [n, 1]. It is small where the color differs much from the albedo, as in reflections.
 
-    kind: `paper`: as printed. `scaled`: the difference in tone-mapped space, relative to the batch's own spread, because as
-    printed the weight leaves its cap only where |c_o - c_a| > 0.816. `none`: 1.
-    cap: the paper's u. epsilon: the paper's, "a small value"; it keeps the fraction finite.
+    w_s has no gradient; otherwise a growing |c_o - c_a| would lower the loss.
+
+    kind: `paper` is the equation as printed. `scaled` takes the difference in tone-mapped space, relative to its mean square
+    in the batch, because the printed weight is below its cap only where |c_o - c_a| > 0.816. `none` gives 1.
+    cap: the paper's u. epsilon: the paper's "small value", which keeps the fraction finite.
     """
     color, albedo = appearance.color.detach(), appearance.albedo.detach()
     if kind == "none":
@@ -111,7 +112,7 @@ def dynamic_weight(appearance: Appearance, kind: str, cap: float, epsilon: float
         square = ((color - albedo) ** 2).mean(-1, keepdim=True)
     else:
         square = ((tone_map(color) - tone_map(albedo)) ** 2).mean(-1, keepdim=True)
-        square = square / square.mean().clamp(min=1e-6)  # a batch whose colors are all albedos has no spread
+        square = square / square.mean().clamp(min=1e-6)  # the mean is 0 if all colors equal their albedos
     return (1 / (square + epsilon)).clamp(max=cap)
 
 
@@ -125,14 +126,14 @@ class FieldsRenderer:
 
     @profiled("render")
     def render(self, rays: RayBundle, settings: RenderSettings, generator: torch.Generator | None) -> Rendering:
-        """Rays that may or may not meet the sphere. With a generator samples are jittered, for learning."""
+        """Render rays, whether they meet the sphere or not. With a generator (for learning), samples are jittered."""
         p, n, device = self.preset, len(rays), rays.origins.device
         hits = SphereHits.of(rays)
         meets = hits.rays
         shape = self.object_field.shape()
         surface = shape.render(rays.origins[meets], rays.directions[meets], settings.sharpness, settings.samples, generator)
         ray = meets[surface.ray]
-        # 1e-6: where the samples' gradients cancel out, there is no normal
+        # 1e-6: if the samples' gradients cancel out, the mean gradient is 0
         normal = functional.normalize(surface.gradient, dim=-1, eps=1e-6)
         with section("appearance"):
             appearance = self.object_field.appearance(surface.point, normal, rays.directions[ray])
@@ -161,7 +162,10 @@ class FieldsRenderer:
         settings: RenderSettings,
         generator: torch.Generator | None,
     ) -> EnvironmentParts:
-        """F_e before the sphere for all rays, and behind it for the rays `behind` [k] int64, in one call of the kernel."""
+        """Render F_e in front of the sphere for all rays, and behind it for the rays `behind` [k] int64.
+
+        One call of the kernel renders both.
+        """
         n, device = len(rays), rays.origins.device
         near = torch.full_like(hits.entry, self.environment.preset.camera_near)
         infinity = torch.full_like(hits.entry, torch.inf)
@@ -174,7 +178,7 @@ class FieldsRenderer:
         )
         foreground_opacity = (1 - transmittance[:n][hits.rays]).mean() if len(hits.rays) else radiance.sum() * 0
         if settings.environment_gradient_scale != 1:
-            # what other pixels show of the surroundings counts more than what would make the object's own error small
+            # F_e shall follow the pixels beside the object, and not change so that the object's error becomes small
             scale = torch.ones(n, device=device).index_fill(0, hits.rays, settings.environment_gradient_scale)[index]
             radiance = torch.lerp(radiance.detach(), radiance, scale[:, None])
             transmittance = torch.lerp(transmittance.detach(), transmittance, scale)

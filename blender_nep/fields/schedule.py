@@ -1,7 +1,7 @@
-"""The schedule of stage 1: numbers that change while the fields are learned. Nothing here holds a tensor.
+"""The schedule of fields learning: numbers that change while the fields are learned. It holds no tensors.
 
-Stage 1 first learns F_e alone for `background_steps` steps, and then both fields together. What changes while both are
-learned depends on `fraction`, the part of that learning that is done.
+Fields learning first learns F_e alone for `background_steps` steps, and then both fields together. While both are learned,
+the numbers depend on `fraction`: how much of that learning is done.
 """
 
 from __future__ import annotations
@@ -19,39 +19,39 @@ def geometric_decay(fraction: float, start: float, last: float) -> float:
 
 @dataclass
 class Schedule:
-    """How far the learning is, and which settings follow from that."""
+    """How far the learning is, and the settings that follow from it."""
 
     preset: FieldsPreset
     background_steps: int
-    """Steps of F_e alone, before both fields are learned together."""
+    """Number of steps of F_e alone, before both fields are learned together."""
     start_sharpness: float
-    """NeuS sharpness from which it rises, 1 / object radius."""
+    """NeuS sharpness at the start, 1 / object radius."""
     step: int = 0
-    """Steps taken, those of F_e alone included."""
+    """Number of steps that were taken, with the steps of F_e alone."""
     learned: int = 0
-    """Steps of both fields, each counted `step_multiplier` times; 0 .. preset.steps."""
+    """Number of steps of both fields, each counted `step_multiplier` times; 0 .. preset.steps."""
     object_pixels_updates: int = 0
-    """How often it was found out in which pixels the object is seen."""
+    """How often the object pixels were found."""
     validation_errors: list[float] = field(default_factory=list)
     """Photometric errors on held-out pixels so far, the oldest first."""
 
     @classmethod
     def at_start(cls, preset: FieldsPreset, outside: int, pixels: int) -> Schedule:
-        """For photos of which `outside` of all `pixels` do not look at the object's sphere.
+        """The schedule before the first step. `outside` of all `pixels` have rays that miss the object's sphere.
 
-        Where these are few there are no surroundings to learn first; the visual hull then comes from masks or not at all.
+        If these are too few, F_e is not learned alone first. Then the visual hull comes from masks, or there is none.
         """
         known = outside >= preset.least_outside * pixels
         return cls(preset, preset.background_steps if known else 0, preset.first_sharpness)
 
     @property
     def learns_background(self) -> bool:
-        """Whether the next step is one of F_e alone."""
+        """Whether the next step is a step of F_e alone."""
         return self.step < self.background_steps
 
     @property
     def joint_learning_begins(self) -> bool:
-        """Whether the next step is the first one of both fields."""
+        """Whether the next step is the first step of both fields."""
         return self.step == self.background_steps
 
     @property
@@ -61,52 +61,54 @@ class Schedule:
 
     @property
     def total_steps(self) -> int:
-        """Steps of F_e alone and of both fields together, as far as can be told now."""
+        """Number of all steps, of F_e alone and of both fields, as expected now. A plateau makes it smaller."""
         if self.learns_background:
             return self.background_steps + self.preset.steps
         return self.step + math.ceil((self.preset.steps - self.learned) / self.step_multiplier)
 
     @property
     def environment_fraction(self) -> float:
-        """How much of the learning of F_e is done, 0..1: that of F_e alone counts too."""
+        """How much of the learning of F_e is done, 0..1. The steps of F_e alone count, too."""
         return self.step / self.total_steps
 
     @property
     def plateaued(self) -> bool:
-        """Whether the validation error has stopped falling: for `patience` checks it has gained less than `least_gain`.
+        """Whether the validation error has stopped falling: in the last `patience` checks it fell by less than `least_gain`.
 
-        A finer grid is rough at first: only errors that were measured after it came are compared with each other.
+        After a refinement the grid is rough at first. So only errors that were measured after the refinement are compared.
         """
         p, errors = self.preset, self.validation_errors
         if len(errors) <= p.patience:
             return False
-        # 1e-6: a check that is due at the very fraction of the refinement still sees the coarse grid
+        # 1e-6: a check that is due at exactly the fraction of the refinement still sees the coarse grid
         first = math.floor((p.refine_at - p.object_pixels_at[0]) / p.validate_every + 1e-6) + 1
         errors = errors[max(0, first) :]
         return len(errors) > p.patience and min(errors[-p.patience :]) > (1 - p.least_gain) * min(errors[: -p.patience])
 
     @property
     def step_multiplier(self) -> int:
-        """How many steps the next one stands for: more on a plateau, so that the sharpening and the decay of the learning
-        rates, which are all that is left, are soon over."""
+        """How many steps the next step stands for. On a plateau it stands for more than one.
+
+        On a plateau, only the sharpening and the decay of the learning rates are left; so they are soon over.
+        """
         return self.preset.plateau_step_multiplier if self.plateaued else 1
 
     @property
     def sharpness(self) -> float:
-        """NeuS sharpness, 1 / object radius: rises geometrically until `sharpness_until`, then stays."""
+        """NeuS sharpness, 1 / object radius. It rises geometrically until the fraction `sharpness_until`, then it stays."""
         p = self.preset
         rise = min(self.fraction / p.sharpness_until, 1.0)
         return self.start_sharpness * (p.last_sharpness / self.start_sharpness) ** rise
 
     @property
     def samples(self) -> int:
-        """Samples a ray in the object."""
+        """Samples of the object field on each ray."""
         p = self.preset
         return p.first_samples if self.fraction < p.first_samples_until else p.samples
 
     @property
     def levels(self) -> int:
-        """Levels of the SDF grid."""
+        """Number of levels of the SDF grid."""
         p = self.preset
         return p.last_levels if self.fraction >= p.refine_at else p.first_levels
 
@@ -118,22 +120,24 @@ class Schedule:
 
     @property
     def curvature_weight(self) -> float:
-        """Weight of the curvature loss. The SDF is stiff while the light is unknown, which dents would else explain; the
-        weight then falls, so that detail can form."""
+        """Weight of the curvature loss. It is high at first, and then falls, so that detail can form.
+
+        While the light is still unknown, dents in the surface would otherwise explain the light.
+        """
         p = self.preset
         last = p.last_curvature / p.curvature if p.curvature > 0 else 1.0
         return p.curvature * geometric_decay(self.fraction, p.curvature_decay_from, last)
 
     @property
     def object_field_rate(self) -> float:
-        """Factor of both learning rates of F_o: warm-up from the first step of both fields on, decay later."""
+        """Factor of both learning rates of F_o: it warms up from the first step of both fields on, and decays later."""
         p = self.preset
         warm_up = min(1.0, (self.step - self.background_steps + 1) / p.warm_up_steps)
         return warm_up * geometric_decay(self.fraction, p.rate_decay_from, p.last_rate)
 
     @property
     def sdf_rate(self) -> float:
-        """Learning rate of the SDF, object radii: a sharper surface answers to smaller steps."""
+        """Learning rate of the SDF in object radii. It falls as the sharpness rises: a sharp surface needs small steps."""
         p = self.preset
         return p.sdf_rate * self.object_field_rate * (p.first_sharpness / self.sharpness) ** p.sdf_rate_sharpness_power
 
@@ -144,23 +148,26 @@ class Schedule:
 
     @property
     def object_pixels_due(self) -> int:
-        """How often it should have been found out by now in which pixels the object is seen."""
+        """How often the object pixels should have been found by now."""
         return sum(self.fraction >= at for at in self.preset.object_pixels_at)
 
     @property
     def validation_due(self) -> bool:
-        """Whether the validation error is to be measured: every `validate_every` from the first object pixels on."""
+        """Whether the validation error must be measured now.
+
+        It is measured every `validate_every` of the fraction, after the object pixels were found for the first time.
+        """
         p = self.preset
         if not self.object_pixels_updates:
             return False
         return self.fraction >= p.object_pixels_at[0] + p.validate_every * len(self.validation_errors)
 
     def start_from_hull(self) -> None:
-        """The SDF starts from a visual hull: its surface may be sharper than that of a sphere."""
+        """Note that the SDF starts from a visual hull. The surface may then start sharper than that of a sphere."""
         self.start_sharpness = self.preset.hull_sharpness
 
     def advance(self) -> None:
-        """Counts a step that was taken."""
+        """Count a step that was taken."""
         if not self.learns_background:
             self.learned = min(self.learned + self.step_multiplier, self.preset.steps)
         self.step += 1

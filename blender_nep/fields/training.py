@@ -1,9 +1,9 @@
-"""Stage 1, fields learning: the object field F_o and the environment field F_e, learned jointly from the photos alone
-(Sec. 3.2). Masks help where they are given and are never required.
+"""Fields learning (stage 1 of the paper): learns the object field F_o and the environment field F_e jointly (Sec. 3.2).
 
-This file holds the steps, and what a checkpoint keeps of them. `schedule` says when what happens, `rendering` renders rays
-through both fields, `losses` compares them with the photos, `object_pixels` says which pixels are learned from, and
-`visual_hull` gives the SDF its start.
+The fields are learned from the photos alone. Masks help if they are given, but they are not required. This file holds the
+steps, and the state that a checkpoint saves. `schedule` says when things happen, `rendering` renders rays through both
+fields, `losses` compares the renderings with the photos, `object_pixels` chooses the pixels, and `visual_hull` gives the SDF
+its start.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ from blender_nep.tone_mapping import tone_map
 
 
 class Optimisers:
-    """Adam for each of the three parts that have learning rates of their own: the SDF, the color heads, F_e."""
+    """The Adam optimisers of the SDF, the color heads and F_e. Each of the three has its own learning rate."""
 
     def __init__(self, object_field: ObjectField, environment: EnvironmentField, preset: Preset) -> None:
         self._object_field, self._environment, self._preset = object_field, environment, preset.fields
@@ -53,30 +53,30 @@ class Optimisers:
         return self.sdf, self.heads, self.environment
 
     def restart_sdf(self) -> None:
-        """Starts the SDF's optimiser anew, because the SDF has other parameters now."""
+        """Make the SDF's optimiser anew, after the SDF got new parameters."""
         self.sdf = self._object_field.shape_optimiser(self._preset.sdf_rate, self._preset.sdf_betas)
 
     def restart_environment(self) -> None:
-        """Starts F_e's optimiser anew, because F_e has other parameters now."""
+        """Make F_e's optimiser anew, after F_e got new parameters."""
         self.environment = environment_training.optimiser(self._environment)
 
     def set_rates(self, schedule: Schedule) -> None:
-        """Gives all optimisers the learning rates that are due."""
+        """Set the learning rates of all optimisers that are due now."""
         for optimiser, rate in ((self.sdf, schedule.sdf_rate), (self.heads, schedule.head_rate)):
             for group in optimiser.param_groups:
                 group["lr"] = rate
         self.set_environment_rate(schedule)
 
     def set_environment_rate(self, schedule: Schedule) -> None:
-        """Gives F_e's optimiser the learning rate that is due."""
+        """Set the learning rate of F_e's optimiser that is due now."""
         environment_training.set_learning_rate(self.environment, self._environment.preset, schedule.environment_fraction)
 
     def state(self) -> dict:
-        """For a checkpoint."""
+        """The states of all optimisers, for a checkpoint."""
         return {name: getattr(self, name).state_dict() for name in ("sdf", "heads", "environment")}
 
     def load(self, state: dict) -> None:
-        """Go on from `state`; the fields have been loaded before."""
+        """Go on from `state`. The fields must be loaded before."""
         self.restart_sdf()
         self.restart_environment()
         for name, values in state.items():
@@ -84,15 +84,16 @@ class Optimisers:
 
 
 class FieldsLearning:
-    """Stage 1 under way: fields, optimisers, schedule, and the pixels that are learned from.
+    """The state of fields learning: fields, optimisers, schedule, and the pixels from which they are learned.
 
-    With `object_field` that one is learned, and not the preset's. The seed decides all that is random.
+    If `object_field` is given, it is learned; otherwise a new one is made from the preset. The seed decides all random
+    numbers.
     """
 
     def __init__(
         self, rays: PixelRays, preset: Preset, seed: int, device: torch.device, object_field: ObjectField | None = None
     ) -> None:
-        torch.manual_seed(seed)  # of the color heads
+        torch.manual_seed(seed)  # for the color heads
         self.rays, self.preset = rays, preset.fields
         self.generator = torch.Generator(device).manual_seed(seed)
         self.environment = EnvironmentField(preset.environment, environment_training.geometric_mean(rays)).to(device)
@@ -104,22 +105,22 @@ class FieldsLearning:
         self.optimisers = Optimisers(self.object_field, self.environment, preset)
         self.monitor = NonFiniteMonitor()
         self.hull: HullReport | None = None
-        """The visual hull that the SDF started from."""
+        """The visual hull from which the SDF started, or None."""
         self.object_pixels = rays.sphere
-        """Pixels in which the object is seen; all that see its sphere until this is first found out."""
+        """The object pixels. Until they are first found, all pixels that see the object's sphere."""
         self.validation_pixels = rays.sphere[:0]
-        """[n] int64: held-out pixels in which the object was seen when this was first found out; none before."""
+        """[n] int64: held-out pixels among the first object pixels. Empty until the object pixels are first found."""
         self.loss = float("nan")
         """Photometric loss of the last step."""
 
     @property
     def step(self) -> int:
-        """Steps taken."""
+        """Number of steps that were taken."""
         return self.schedule.step
 
     @property
     def steps(self) -> int:
-        """Steps in all, as far as can be told now."""
+        """Number of all steps, as expected now."""
         return self.schedule.total_steps
 
     @property
@@ -128,7 +129,8 @@ class FieldsLearning:
         return self.schedule.fraction
 
     def render(self, index: Tensor, generator: torch.Generator | None = None) -> Rendering:
-        """Pixels `index` [n] int64 rendered through both fields as they are now. Without a generator nothing is random."""
+        """Render the pixels `index` [n] int64 through both fields in their present state. Without a generator, nothing is
+        random."""
         return self._render(RayBundle(*self.rays.rays(index)), generator)
 
     def _render(self, rays: RayBundle, generator: torch.Generator | None) -> Rendering:
@@ -137,7 +139,7 @@ class FieldsLearning:
         return self.renderer.render(rays, settings, generator)
 
     def learn_step(self) -> float:
-        """One optimisation step; returns its photometric loss. Raises LearningError when too many were not finite."""
+        """Take one step and return its photometric loss. Raises LearningError when too many steps were not finite."""
         if self.schedule.learns_background:
             self.loss = self._learn_background_step()
         else:
@@ -147,7 +149,7 @@ class FieldsLearning:
 
     @profiled("steps of F_e alone")
     def _learn_background_step(self) -> float:
-        """A step of F_e alone, from pixels that do not see the object's sphere."""
+        """Take a step of F_e alone, on pixels whose rays miss the object's sphere."""
         p = self.preset
         self._refine_environment()
         index = self._draw(self.rays.outside, p.object_rays + p.sphere_rays + p.outside_rays)
@@ -159,7 +161,7 @@ class FieldsLearning:
         return loss
 
     def _prepare_joint_step(self) -> None:
-        """What the schedule wants done before the next step of both fields."""
+        """Do what the schedule demands before the next step of both fields."""
         now = self.schedule
         if now.joint_learning_begins:
             self.start_from_hull()
@@ -189,7 +191,7 @@ class FieldsLearning:
         for optimiser in optimisers:
             optimiser.zero_grad()
         usable = usable_loss(float(loss.detach()))
-        if usable and loss.requires_grad:  # not so where no ray meets anything that is learned
+        if usable and loss.requires_grad:  # False if no ray meets anything that is learned
             with section("backward"):
                 loss.backward()
             self.environment.regularise(self.generator)
@@ -204,7 +206,7 @@ class FieldsLearning:
         return draw_pixels(pool, count, self.preset.held_out_every, self.generator)
 
     def _draw_batch(self) -> Tensor:
-        """The pixels [n] of a step of both fields."""
+        """The random pixels [n] int64 of a step of both fields."""
         p = self.preset
         pools = (
             (self.object_pixels, p.object_rays),
@@ -223,7 +225,7 @@ class FieldsLearning:
 
     @profiled("visual hull")
     def start_from_hull(self) -> None:
-        """Starts the SDF from the visual hull, where the silhouettes show one; otherwise it stays as it is."""
+        """Start the SDF from the visual hull. If the silhouettes show no clear hull, the SDF stays as it is."""
         if self.rays.mask is not None:
             silhouettes = mask_silhouettes(self.rays)
         elif self.schedule.background_steps:
@@ -238,7 +240,7 @@ class FieldsLearning:
         self.schedule.start_from_hull()
 
     def update_object_pixels(self) -> None:
-        """Finds out in which pixels the object is seen now. The first time it also chooses the validation pixels."""
+        """Find the object pixels with the present SDF. The first time, also choose the validation pixels."""
         self.object_pixels = find_object_pixels(self.rays, self.object_field.shape(), BAND / self.schedule.sharpness)
         if not self.schedule.object_pixels_updates:
             p = self.preset
@@ -247,18 +249,18 @@ class FieldsLearning:
     @profiled("held-out error")
     @torch.no_grad()
     def validation_error(self) -> float:
-        """Mean absolute tone-mapped error of the validation pixels; inf where there are none."""
+        """Mean absolute tone-mapped error of the validation pixels; infinity if there are none."""
         if not len(self.validation_pixels):
             return float("inf")
         rendered = self.render(self.validation_pixels).radiance
         return float((tone_map(rendered) - tone_map(self.rays.photo(self.validation_pixels))).abs().mean())
 
     def explanation_ratio(self, pixels: int | None = None) -> float:
-        """See `explanation.explanation_ratio`."""
+        """The explanation ratio in the present state (`explanation.explanation_ratio`)."""
         return explanation_ratio(self.renderer, self.rays, self.schedule.sharpness, self.generator, pixels)
 
     def report(self, ratio: float) -> FieldsReport:
-        """How it went so far, with the explanation ratio that was found."""
+        """The report on the learning so far; `ratio` is the explanation ratio."""
         return FieldsReport(
             steps=self.step,
             of_steps=self.schedule.background_steps + self.preset.steps,
@@ -313,12 +315,12 @@ def learn_fields(
     watch: Callable[[FieldsLearning], None] | None = None,
     object_field: ObjectField | None = None,
 ) -> Fields:
-    """Learns F_o and F_e from the photos (Sec. 3.2). With `surface` (a known mesh in the unit frame) F_e alone, from the
-    pixels whose rays miss the mesh. With `object_field` that one is learned, and not the preset's.
+    """Learn F_o and F_e from the photos (Sec. 3.2).
 
-    progress(step, steps, loss) is called after every step, and watch(FieldsLearning), which may only look; checkpoint is
-    asked whether to save or stop.
-    Raises LearningError when the loss diverges or the object's sphere is empty, and Stopped on request.
+    With `surface` (a given mesh in the unit frame), only F_e is learned, from the pixels whose rays miss the mesh. If
+    `object_field` is given, it is learned; otherwise a new one is made from the preset. progress(step, steps, loss) and
+    watch(FieldsLearning) are called after every step; `watch` must not change the learning. The checkpoint says when to save
+    or stop. Raises LearningError when too many steps are not finite or the object's sphere is empty, and Stopped on request.
     """
     if surface is not None:
         background = _pixels_beside(surface, rays)

@@ -1,12 +1,12 @@
-"""Where the object is, before anything is known of it: the photos do not look like their background there.
+"""Finds a visual hull of the object before the object field is learned.
 
-F_e is learned first, alone, from the pixels whose rays miss the object's sphere. What it predicts for the other pixels
-is right where they see through the sphere and wrong where they see the object: the residual is a soft silhouette, and
-space carving (Kutulakos and Seitz 2000) with it gives the object's visual hull. Nothing has to be segmented. With
+F_e is learned first, alone, from the pixels whose rays miss the object's sphere. Its prediction for the other pixels is
+right where they see through the sphere, and wrong where they see the object. So the residual is a soft silhouette. Space
+carving (Kutulakos and Seitz 2000) with the silhouettes gives the object's visual hull. Nothing has to be segmented. With
 masks, the masks are the silhouettes.
 
-A start near the truth lets the surface be sharp at once: a soft one has time to explain highlights by dents, and a
-small sphere does not reach thin parts before it is sharp.
+If the SDF starts near the truth, its surface can be sharp at once. A soft surface has time to explain highlights by dents,
+and a small sphere does not reach thin parts before it is sharp.
 """
 
 from __future__ import annotations
@@ -24,27 +24,33 @@ from blender_nep.fields.environment_field import EnvironmentField
 from blender_nep.tone_mapping import tone_map
 
 LOWEST_SHARE = 0.05
-"""A point is as much object as this quantile of its silhouette values says: nearly all views must agree."""
+"""The score of a point is this quantile of its silhouette values over the views. It is low, so that nearly all views must
+agree."""
 LEAST_COMPONENT = 0.02
-"""Components smaller than this share of the largest are dropped."""
+"""Connected components smaller than this share of the largest one are dropped."""
 LEAST_VOLUME, MOST_VOLUME = 0.002, 0.7
-"""Of the sphere; a hull outside these bounds is no object."""
+"""Smallest and largest share of the sphere that the hull of an object may fill."""
 
 
 @dataclass
 class VisualHull:
-    """A carved hull. sdf [n, n, n] at the centres of n^3 cells of [-1, 1]^3, unit frame; volume: share of the sphere;
-    contrast: mean silhouette value inside over that outside, well above 1 where there is an object."""
+    """A carved hull in the unit frame."""
 
     sdf: np.ndarray
+    """[n, n, n] signed distances at the centres of n^3 cells of [-1, 1]^3, negative inside"""
     volume: float
+    """Share of the sphere that the hull fills"""
     contrast: float
+    """Mean score inside the hull divided by that outside; well above 1 if there is an object"""
 
 
 def background_silhouettes(environment: EnvironmentField, rays: PixelRays, block: int = 4) -> list[torch.Tensor]:
-    """Per view [H / block, W / block]: mean absolute tone-mapped difference between the photo and F_e alone."""
+    """For each view [H / block, W / block]: the absolute tone-mapped difference between the photo and F_e alone.
+
+    The photo is averaged over each block; F_e is rendered for one ray of it.
+    """
     near = environment.preset.camera_near
-    # made first: between the large arrays of a loop they would keep the heap from reusing those
+    # All maps are made first. Made between the large arrays of the loop, they would keep the heap from reusing that memory.
     maps = [torch.empty(max(h // block, 1), max(w // block, 1), device=rays.radiance.device) for h, w in rays.size]
     for view, (height, width) in enumerate(rays.size):
         start, end = rays.offset[view], rays.offset[view + 1]
@@ -63,7 +69,7 @@ def background_silhouettes(environment: EnvironmentField, rays: PixelRays, block
 
 
 def mask_silhouettes(rays: PixelRays, block: int = 4) -> list[torch.Tensor]:
-    """Per view [H / block, W / block]: mean of the object mask. Raises ValueError for rays without masks."""
+    """For each view [H / block, W / block]: the mean of the object mask, 0..1. Raises ValueError for rays without masks."""
     if rays.mask is None:
         raise ValueError("silhouettes by masks need masks")
     maps = []
@@ -74,7 +80,7 @@ def mask_silhouettes(rays: PixelRays, block: int = 4) -> list[torch.Tensor]:
 
 
 def carve(rays: PixelRays, silhouettes: list[torch.Tensor], cells: int) -> VisualHull | None:
-    """The hull of soft silhouettes on cells^3, or None where they show no object."""
+    """The visual hull of soft silhouettes on cells^3 cells, or None if the silhouettes show no object."""
     axis = (np.arange(cells) + 0.5) / cells * 2 - 1
     centres = np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), -1)
     in_sphere = np.linalg.norm(centres, axis=-1) < 1
@@ -97,15 +103,17 @@ def carve(rays: PixelRays, silhouettes: list[torch.Tensor], cells: int) -> Visua
         return None
     above = known & solid[in_sphere]
     contrast = float(score[above].mean() / max(score[known & ~above].mean(), 1e-6)) if above.any() else 0.0
-    # distances to the cells' centres: half a cell from each side to the border between them
+    # The distances are to centres of cells. The border lies half a cell nearer.
     distance = ndimage.distance_transform_edt(~solid) - ndimage.distance_transform_edt(solid)
     distance = (distance - np.sign(distance) * 0.5) * (2 / cells)
     return VisualHull(ndimage.gaussian_filter(distance, 1.0).astype(np.float32), float(volume), contrast)
 
 
 def _score(rays: PixelRays, silhouettes: list[torch.Tensor], points: torch.Tensor, values: int = 1 << 22) -> torch.Tensor:
-    """The LOWEST_SHARE quantile [n] of the silhouettes' values at points [n, 3], over the views that see them. About
-    `values` of them are held at a time."""
+    """The LOWEST_SHARE quantile [n] of the silhouette values at points [n, 3], over the views that see the point.
+
+    NaN where no view does. About `values` silhouette values are held in memory at a time.
+    """
     scores = []
     for part in points.split(max(1, min(1 << 15, values // len(silhouettes)))):
         samples = []

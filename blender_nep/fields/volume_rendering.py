@@ -1,4 +1,4 @@
-"""Volume rendering of the object field: where to sample, and NeuS weights (Wang et al. 2021) in log space."""
+"""Volume rendering of the object field: places the samples, and computes NeuS weights (Wang et al. 2021) in log space."""
 
 from __future__ import annotations
 
@@ -10,30 +10,32 @@ from blender_nep.ops import bspline
 from blender_nep.profiling import profiled, section
 
 BAND = 6.0
-"""Samples are placed where |sharpness * sdf| < BAND: sigmoid(-6) = 0.0025 of opacity is left out."""
+"""Samples are placed where |sharpness * sdf| < BAND. The opacity that is left out is sigmoid(-6) = 0.0025."""
 
 
 @dataclass
 class SurfaceSamples:
-    """What rays meet of the object, composited along each ray. Rows are the rays with `ray` as their index.
-
-    ray [m] int64; opacity [m]; point [m, 3] and gradient [m, 3]: means under the weights; sdf_gradient [m, k + 1, 3] at
-    every sample, for the eikonal term; depth [m].
-    """
+    """The surface that m rays meet, composited along each ray."""
 
     ray: torch.Tensor
+    """[m] int64: indices of the rays"""
     opacity: torch.Tensor
+    """[m] opacity of the object"""
     point: torch.Tensor
+    """[m, 3] point at `depth` on the ray"""
     gradient: torch.Tensor
+    """[m, 3] weighted sum of the SDF's gradients"""
     sdf_gradient: torch.Tensor
+    """[m, k + 1, 3] gradient of the SDF at every sample, for the eikonal term"""
     depth: torch.Tensor
+    """[m] weighted mean distance along the ray"""
 
 
 def sphere_interval(origins: torch.Tensor, directions: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-    """Entry and exit of the unit sphere along each ray [n], clipped to t >= 0; both 0 where the ray misses.
+    """Distances [n] at which each ray enters and leaves the unit sphere, clipped to >= 0; equal where the ray misses it.
 
-    By the distance from the centre: from 100 radii away b^2 - |o|^2 + 1 is a difference of numbers 10,000 times larger,
-    and float32 leaves three digits of it.
+    Computed from the distance between ray and centre. The usual b^2 - |o|^2 + 1 would lose digits: from 100 radii away, it
+    is a difference of numbers 10,000 times larger, of which float32 leaves three digits.
     """
     along = -(origins * directions).sum(-1)
     closest = origins + along[:, None] * directions
@@ -44,8 +46,9 @@ def sphere_interval(origins: torch.Tensor, directions: torch.Tensor) -> tuple[to
 def neus_weights(sdf: torch.Tensor, sharpness: float) -> torch.Tensor:
     """Weights [n, k] of the k sections between k + 1 ordered samples of the SDF [n, k + 1].
 
-    alpha = 1 - phi(f_{i+1}) / phi(f_i) with phi a logistic, from log-sigmoid differences: exact deep inside, where both
-    vanish and the published (p - n + 1e-5) / (p + 1e-5) tends to 1.
+    alpha = 1 - phi(f_{i+1}) / phi(f_i), where phi is the logistic function. It is computed from differences of log-sigmoids,
+    and so it is exact deep inside the object. There both phi vanish, and the published (p - n + 1e-5) / (p + 1e-5) tends to
+    1 although alpha does not.
     """
     log_phi = torch.nn.functional.logsigmoid(sharpness * sdf)
     delta = (log_phi[:, 1:] - log_phi[:, :-1]).clamp(max=0)
@@ -54,7 +57,11 @@ def neus_weights(sdf: torch.Tensor, sharpness: float) -> torch.Tensor:
 
 
 def place_samples(spans: torch.Tensor, count: torch.Tensor, samples: int, jitter: torch.Tensor) -> torch.Tensor:
-    """samples + 1 ordered distances [m, samples + 1], spread evenly over each ray's spans [m, s, 2]; jitter [m] in 0..1."""
+    """Ordered distances [m, samples + 1], spread evenly over each ray's spans.
+
+    spans [m, s, 2] are starts and ends of distances along the rays, of which the first count [m] are used; jitter [m] is in
+    0..1.
+    """
     length = (spans[..., 1] - spans[..., 0]).clamp(min=0)
     length = length * (torch.arange(spans.shape[1], device=spans.device) < count[:, None])
     end = length.cumsum(1)
@@ -75,9 +82,9 @@ def render_surface(
     samples: int,
     generator: torch.Generator | None,
 ) -> SurfaceSamples:
-    """Composites the SDF's surface along rays [n, 3]. Rays that meet no surface are left out of the result.
+    """Composite the SDF's surface along rays [n, 3]. Rays that meet no surface are left out of the result.
 
-    Samples stand only where the surface can be: in the band found by marching the current SDF.
+    Samples are placed only where the surface can be: in the band |sharpness * sdf| < BAND, which marching finds.
     """
     entry, leave = sphere_interval(origins, directions)
     step = max(0.5 * 2.0 / (coefficients.shape[0] - 2), 0.25 * BAND / sharpness)
@@ -94,7 +101,7 @@ def render_surface(
     field = bspline.sample(coefficients, points.clamp(-1, 1).reshape(-1, 3)).reshape(len(ray), samples + 1, 4)
     weights = neus_weights(field[..., 0], sharpness)
     opacity = weights.sum(1)
-    # gradients and points of a section: the mean of its two ends
+    # gradient and distance of a section are the means of its two ends
     share = 0.5 * torch.nn.functional.pad(weights, (1, 0)) + 0.5 * torch.nn.functional.pad(weights, (0, 1))
     gradient = (share[..., None] * field[..., 1:4]).sum(1)
     depth = (share * t).sum(1) / opacity.clamp(min=1e-6)

@@ -1,4 +1,4 @@
-"""The surface as a triangle mesh."""
+"""The surface as a triangle mesh, and its normals."""
 
 from __future__ import annotations
 
@@ -13,24 +13,24 @@ class Surface:
     """A triangle mesh in the unit frame; vertices are split at the seams of the UV map."""
 
     vertices: np.ndarray
-    """[V,3] float64"""
+    """[V, 3] float64"""
     faces: np.ndarray
-    """[F,3] int64, counter-clockwise seen from outside"""
+    """[F, 3] int64, counter-clockwise seen from outside"""
     normals: np.ndarray
-    """[V,3] float64, smooth, unit length, outward"""
+    """[V, 3] float64, smooth, unit length, outward"""
     uv: np.ndarray | None = None
-    """[V,2] in 0..1, v upwards; None before unwrapping"""
+    """[V, 2] in 0..1, v upwards; None before unwrapping"""
 
     @property
     def atlas(self) -> np.ndarray:
-        """The UV coordinates [V,2] of an unwrapped surface. ValueError before unwrapping."""
+        """The UV coordinates [V, 2] of an unwrapped surface. Raises ValueError before unwrapping."""
         if self.uv is None:
             raise ValueError("the surface is not unwrapped")
         return self.uv
 
 
 def weld(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Coincident vertices become one; degenerate and duplicate faces go."""
+    """Merge coincident vertices, and drop degenerate and duplicate faces. Returns vertices [V, 3] and faces [F, 3]."""
     mesh = trimesh.Trimesh(vertices, faces, process=False)
     mesh.merge_vertices(merge_tex=True, merge_norm=True)
     mesh.update_faces(mesh.nondegenerate_faces(height=1e-9) & mesh.unique_faces())
@@ -39,7 +39,7 @@ def weld(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarra
 
 
 def area_normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    """Area-weighted vertex normals, shared by vertices at the same place (so that UV seams do not show)."""
+    """Area-weighted unit normals [V, 3]. Vertices at the same place have the same normal, so that UV seams do not show."""
     _, place = np.unique(np.round(vertices / max(np.abs(vertices).max(), 1e-20) * 1e7), axis=0, return_inverse=True)
     place = place.ravel()
     corner = vertices[faces]
@@ -51,6 +51,6 @@ def area_normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
 
 
 def normalized(vectors: np.ndarray) -> np.ndarray:
-    """`vectors` [...,3] at unit length; a zero vector becomes (0, 0, 1)."""
+    """`vectors` [..., 3] scaled to unit length; a zero vector becomes (0, 0, 1)."""
     length = np.linalg.norm(vectors, axis=-1, keepdims=True)
     return np.where(length > 1e-30, vectors / np.maximum(length, 1e-30), np.array([0.0, 0.0, 1.0]))

@@ -1,7 +1,7 @@
-"""Embree behind one small interface: first hits and occlusion of rays against a triangle mesh.
+"""Traces rays against a triangle mesh with Embree: first hits and occlusion.
 
-Arrays in and out are numpy float32; lengths are those of the mesh (the unit frame, normally). Embree works in single
-precision, so every offset here scales with the scene.
+Arrays in and out are NumPy float32. Lengths are those of the mesh, normally in the unit frame. Embree computes in single
+precision, so the offset from the surface scales with the mesh.
 """
 
 from __future__ import annotations
@@ -16,13 +16,13 @@ from embreex.mesh_construction import TriangleMesh
 from blender_nep.profiling import profiled
 
 _CHUNK = 1 << 16
-"""Rays a task: large enough to hide the call, small enough to share among threads."""
+"""Rays in a task: so many that the call costs little, and so few that threads can share the work."""
 
 
 class RayTracer:
     """First-hit queries against one triangle mesh (two-sided).
 
-    vertices [V,3], faces [F,3]. Raises ValueError when the mesh is empty or has non-finite vertices.
+    vertices [V, 3], faces [F, 3]. Raises ValueError when the mesh is empty or has vertices that are not finite.
     """
 
     def __init__(self, vertices: np.ndarray, faces: np.ndarray):
@@ -36,24 +36,23 @@ class RayTracer:
         used = vertices[faces.ravel()]
         self.scale = float(max(np.abs(used).max(), np.ptp(used, axis=0).max(), 1e-20))
         self.offset = 1e-5 * self.scale
-        """How far `leave` lifts a ray off the surface: about a hundred units in the last place of a coordinate."""
+        """Distance by which `leave` lifts a ray off the surface: about a hundred units in the last place of a coordinate."""
         corner = vertices[faces].astype(np.float64)
         normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
         length = np.linalg.norm(normal, axis=1, keepdims=True)
         self.face_normals = (normal / np.maximum(length, 1e-300)).astype(np.float32)
         self._scene = rtcore_scene.EmbreeScene()
         self._mesh = TriangleMesh(scene=self._scene, vertices=vertices, indices=faces)
-        # Embree builds its tree at the first query: do it here, before several threads ask at once.
+        # Embree builds its tree at the first query. This query does it before several threads ask at once.
         self._scene.run(np.zeros((1, 3), np.float32), np.array([[0, 0, 1]], np.float32))
         self._threads = os.cpu_count() or 1
 
     @profiled("ray tracing")
     def intersect(self, origins: np.ndarray, directions: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """First hit of each ray.
+        """The first hit of each ray. origins, directions [n, 3]; distances are in units of the directions' length.
 
-        origins, directions [n,3] (directions of unit length, or t is in units of their length).
-        Returns t [n] float32 (inf on a miss), face [n] int32 (-1 on a miss), barycentric [n,3] float32 (weights of the
-        face's three vertices; zeros on a miss).
+        Returns distance t [n] float32 (inf on a miss), face [n] int32 (-1 on a miss), barycentric [n, 3] float32 (weights of
+        the face's three vertices; zeros on a miss). Raises ValueError for other shapes.
         """
         n = len(origins)
         t = np.empty(n, np.float32)
@@ -73,7 +72,7 @@ class RayTracer:
 
     @profiled("ray tracing")
     def occluded(self, origins: np.ndarray, directions: np.ndarray) -> np.ndarray:
-        """Whether anything lies on the ray [n] bool."""
+        """Whether each ray meets the mesh: [n] bool. origins, directions [n, 3]. Raises ValueError for other shapes."""
         out = np.empty(len(origins), bool)
 
         def work(span: slice, o: np.ndarray, d: np.ndarray) -> None:
@@ -83,20 +82,23 @@ class RayTracer:
         return out
 
     def leave(self, points: np.ndarray, faces: np.ndarray, directions: np.ndarray) -> np.ndarray:
-        """Origins [n,3] from which rays along `directions` leave `faces` [n] at `points` [n,3] without meeting them.
+        """Origins [n, 3] for rays along directions [n, 3] that start at points [n, 3] on faces [n].
 
-        The points are lifted along the face normal, to the side where the direction goes.
+        The points are lifted along the face normal, to the side of the direction, so that the ray does not hit its own face.
         """
         normal = self.face_normals[faces]
         side = np.where(np.einsum("ij,ij->i", normal, directions) < 0, -self.offset, self.offset)
         return (points + normal * side[:, None]).astype(np.float32)
 
     def interpolate(self, attribute: np.ndarray, faces: np.ndarray, barycentric: np.ndarray) -> np.ndarray:
-        """A vertex attribute [V,k] at surface points (face [n], barycentric [n,3]) -> [n,k]."""
+        """A vertex attribute [V, k] interpolated at surface points (faces [n], barycentric [n, 3]): [n, k]."""
         return np.einsum("nc,nck->nk", barycentric, attribute[self.faces[faces]])
 
     def smooth_normals(self, normals: np.ndarray, faces: np.ndarray, barycentric: np.ndarray) -> np.ndarray:
-        """Interpolated unit normals [n,3] float32; the face normal where the interpolated one vanishes."""
+        """Unit normals [n, 3] float32 at surface points, interpolated from the vertices' normals [V, 3].
+
+        Where the interpolated normal is nearly zero, it is the face normal.
+        """
         smooth = self.interpolate(normals, faces, barycentric)
         length = np.linalg.norm(smooth, axis=1, keepdims=True)
         return np.where(length > 1e-6, smooth / np.maximum(length, 1e-6), self.face_normals[faces]).astype(np.float32)

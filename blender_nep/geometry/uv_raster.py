@@ -1,6 +1,6 @@
-"""Texels of an unwrapped mesh: which point of the surface each one shows, and filling those that show none.
+"""The texels of an unwrapped mesh: finds the surface point of each texel, reads textures, fills texels outside the charts.
 
-Row 0 of a texture is its top (v = 1); texel (i, j) of an [H, W] texture is centred at uv = ((j + 0.5) / W,
+Row 0 of a texture is its top (v = 1). The centre of texel (i, j) of an [H, W] texture is at uv = ((j + 0.5) / W,
 1 - (i + 0.5) / H).
 """
 
@@ -12,10 +12,10 @@ from scipy import ndimage
 
 
 def rasterise(uv: np.ndarray, faces: np.ndarray, size: int) -> tuple[np.ndarray, np.ndarray]:
-    """Surface point of every texel of a square texture.
+    """The surface point of every texel of a square texture.
 
-    uv [V,2] in 0..1, faces [F,3], size in texels. Returns face [size,size] int32 (-1: no surface there) and barycentric
-    [size,size,3] float32. A texel belongs to the face that its centre lies in (the last one where charts overlap).
+    uv [V, 2] in 0..1, faces [F, 3], size in texels. Returns face [size, size] int32 (-1: no surface there) and barycentric
+    [size, size, 3] float32. A texel belongs to the face that contains its centre; where charts overlap, to the last one.
     """
     corners = np.empty((len(uv), 2))
     corners[:, 0] = uv[:, 0] * size - 0.5
@@ -53,7 +53,7 @@ def _rasterise(corners, faces, face, barycentric):
 
 
 def look_up(texture: np.ndarray, uv: np.ndarray) -> np.ndarray:
-    """Bilinear values [n, C] of a texture [H, W] or [H, W, C] at uv [n, 2]; beyond the edge, the edge's."""
+    """Bilinear values [n, C] of a texture [H, W] or [H, W, C] at uv [n, 2]. Beyond the edge, the edge's value is used."""
     height, width = texture.shape[:2]
     texture = texture.reshape(height, width, -1)
     x, y = uv[:, 0] * width - 0.5, (1 - uv[:, 1]) * height - 0.5
@@ -68,10 +68,10 @@ def look_up(texture: np.ndarray, uv: np.ndarray) -> np.ndarray:
 
 
 def nearest_known(known: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Row and column, both [H,W], of the texel inside `known` [H,W] bool that is nearest to each texel; itself where inside.
+    """Row and column, both [H, W], of the known texel that is nearest to each texel; known is [H, W] bool.
 
-    `texture[nearest_known(known)]` is dilated: filtering and mip-mapping then find no foreign color at a seam. The identity
-    when nothing is known.
+    A known texel gets its own row and column; if no texel is known, every texel does. `texture[nearest_known(known)]` is the
+    texture with its charts dilated, so that filtering and mip-mapping mix in no foreign color at a seam.
     """
     if not known.any():
         return tuple(np.indices(known.shape, np.int32))

@@ -1,4 +1,4 @@
-"""The machine that a job runs on: device, cores, memory, versions."""
+"""Facts of the machine that a job runs on: device, cores, memory, versions of packages."""
 
 from __future__ import annotations
 
@@ -14,7 +14,10 @@ from blender_nep.errors import UsageError
 
 
 def choose_device(name: str) -> torch.device:
-    """`auto`: cuda where torch has it. Raises UsageError when cuda is asked for and missing."""
+    """The torch device of this name. `auto` means cuda if torch can use it, else cpu.
+
+    Raises UsageError when `name` is cuda and torch cannot use it.
+    """
     if name == "auto":
         name = "cuda" if torch.cuda.is_available() else "cpu"
     if name == "cuda" and not torch.cuda.is_available():
@@ -28,7 +31,7 @@ def usable_cores() -> int:
 
 
 def peak_memory() -> float | None:
-    """Largest resident memory of this process in MB; None where the system does not tell."""
+    """Largest resident memory of this process so far, in MB; None on Windows."""
     if sys.platform == "win32":
         return None
     import resource
@@ -37,7 +40,7 @@ def peak_memory() -> float | None:
 
 
 def versions() -> dict[str, str]:
-    """What this run was made with."""
+    """{package: version} of blender_nep, Python and the libraries that decide the result."""
     names = ("torch", "numpy", "numba", "trimesh", "xatlas", "embreex", "OpenEXR", "scikit-image")
     found = {"blender_nep": blender_nep.__version__, "python": platform.python_version()}
     return found | {name: importlib.metadata.version(name) for name in names}

@@ -1,4 +1,4 @@
-"""What a job says: JSON lines for programs on standard output, a progress bar or plain lines for people on stderr."""
+"""Sends what a job says: JSON lines for programs to standard output, a progress bar or plain lines for people to stderr."""
 
 from __future__ import annotations
 
@@ -24,9 +24,9 @@ if TYPE_CHECKING:
 
 
 def open_protocol() -> TextIO:
-    """The real standard output, for events alone: from now on whatever is printed goes to stderr.
+    """Return the real standard output, which carries only events from now on. All other prints go to stderr.
 
-    Works on file descriptors, so that prints of C and C++ libraries cannot break the protocol either.
+    The redirection works on file descriptors, so that prints of C and C++ libraries cannot break the protocol either.
     """
     sys.stdout.flush()
     stream = os.fdopen(os.dup(1), "w", encoding="utf-8", buffering=1)
@@ -53,7 +53,7 @@ class Events:
         self.warnings: list[Message] = []
 
     def open_log(self, path: Path) -> None:
-        """Append everything to a log file from now on, and what was said before."""
+        """Open the log file and write what was said before. From now on everything is appended to it."""
         self._log = open(path, "a", encoding="utf-8")
         for line in self._pending:
             self._log.write(line)
@@ -61,7 +61,7 @@ class Events:
         self._log.flush()
 
     def move_to(self, folder: Path, journal: Journal) -> None:
-        """Tell programs that events go to a job folder from now on, and send them there."""
+        """Tell programs that events go to the job folder `folder` from now on, and send them to `journal`."""
         self.emit("job", folder=str(folder.resolve()))
         self._protocol = journal
 
@@ -71,7 +71,7 @@ class Events:
         return self._log is not None
 
     def log(self, text: str) -> None:
-        """A line in the log alone."""
+        """Write a line with the time to the log only. Before `open_log`, the line is kept for the log."""
         line = f"{time.strftime('%Y-%m-%d %H:%M:%S')} {text}\n"
         if self._log is None:
             self._pending.append(line)
@@ -79,11 +79,11 @@ class Events:
         try:
             self._log.write(line)
             self._log.flush()
-        except OSError:  # a full disk: the error itself must still reach the user
+        except OSError:  # the disk is full: the log ends, but the error itself must still reach the user
             self._log = None
 
     def say(self, text: str) -> None:
-        """A line for people."""
+        """Write a line for people, and to the log."""
         self.log(text)
         if self._human is None:
             return
@@ -92,11 +92,11 @@ class Events:
         self._print(text)
 
     def _print(self, text: str) -> None:
-        with contextlib.suppress(OSError):  # a log file on a full disk
+        with contextlib.suppress(OSError):  # stderr may be a file on a full disk
             print(text, file=self._human, flush=True)
 
     def emit(self, event: str, **content: Any) -> None:
-        """One JSON line for programs. A reader that went away is not told any more."""
+        """Send one JSON line to programs. If the reader has closed the pipe, nothing more is sent."""
         if self._protocol is None:
             return
         try:
@@ -116,8 +116,11 @@ class Events:
         note: Message | None = None,
         **extra: Any,
     ) -> None:
-        """How far the job is: at most four events a second, but always the first and last step of a stage.
-        `note` stands for the step where there is something better to say."""
+        """Send how far the job is: at most four events a second, but always the first and the last step of a stage.
+
+        `fraction` is that of the whole job in 0..1, `eta` the seconds left. If there is a `note`, people see the note
+        instead of the step.
+        """
         now, edge = self._clock(), step in (0, steps) or self._last_step is None or self._last_step[0] != stage
         if (edge and self._last_step != (stage, step)) or now - self._last_event >= 0.25:
             self._last_event, self._last_step = now, (stage, step)
@@ -151,32 +154,32 @@ class Events:
                 self._print(text)
 
     def preview(self, path: Path) -> None:
-        """A picture or mesh worth looking at is on the disk."""
+        """Send the path of a picture or mesh that is on the disk and can be shown."""
         self.emit("preview", path=str(path))
 
     def warning(self, message: Message) -> None:
-        """Something that the user should know; each is said once."""
+        """Send a warning to programs and people. The same warning is sent only once."""
         if message not in self.warnings:
             self.warnings.append(message)
             self.emit("warning", **message.told())
             self.say(f"warning: {message}")
 
     def scene(self, lines: list[Message]) -> None:
-        """What is known of the scene by now, and what is left out because of it: sentences, the new ones last."""
+        """Send all sentences on the scene so far: what the photos show, and what is left out and why."""
         self.emit("scene", lines=[line.told() for line in lines])
 
     def done(self, asset: Path) -> None:
-        """The asset is complete."""
+        """Send that the asset is complete."""
         self.emit("done", asset=str(asset))
         self.say(f"done: {asset}")
 
     def error(self, error: NepError) -> None:
-        """The job failed."""
+        """Send that the job failed."""
         self.emit("error", **error.told())
         self.say(f"error: {error.message}" + (f"\n       {error.hint}" if error.hint else ""))
 
     def close(self) -> None:
-        """End the bar and the log."""
+        """Close the progress bar and the log."""
         if self._bar is not None:
             self._bar.close()
             self._bar = None

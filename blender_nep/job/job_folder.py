@@ -1,13 +1,13 @@
-"""`job/` in the asset folder: how another program follows a run, finds it again, and stops it (`--job-files`).
+"""The folder `job/` of an asset. With it another program follows a run, finds it again, and stops it (`--job-files`).
 
-    lock           locked by the operating system for as long as the engine lives, however it dies
-    job.json       id, pid, start, arguments; written last, so that what it describes is complete
+    lock           locked as long as the engine runs; the operating system unlocks it, however the engine ends
+    job.json       id, pid, start, arguments; written last: when it is there, the other files are there too
     events.jsonl   the events, one JSON object a line
     engine.log     what the engine and its libraries print
-    stop           whoever wants the run to write its checkpoint and end makes this file
+    stop           another program makes this file; then the run writes its checkpoint and ends
     preview.*      what has been learned so far (`--preview`)
 
-The folder describes one run, the last one; nothing in it is needed to resume or to use the asset.
+The folder describes only the last run. A resume does not need it, and the asset does not need it.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ _FILES = ("job.json", "events.jsonl", "engine.log", "stop", PREVIEW_MESH, PREVIE
 
 
 class Journal:
-    """A file that lines are appended to and that outlives a full disk: what found no space is written later, in order."""
+    """A file to which lines are appended. Lines that a full disk does not take are kept and written later, in order."""
 
     def __init__(self, path: Path) -> None:
         flags = os.O_WRONLY | os.O_CREAT | os.O_APPEND | getattr(os, "O_BINARY", 0)
@@ -37,21 +37,24 @@ class Journal:
         self._waiting = b""
 
     def write(self, text: str) -> None:
-        """Takes a line; `flush` writes it."""
+        """Take a line. `flush` writes it to the file."""
         self._waiting += text.encode()
 
     def flush(self) -> None:
-        """Writes as much as the disk takes."""
+        """Write as many of the waiting lines as the disk takes."""
         with contextlib.suppress(OSError):
             while self._waiting:
                 self._waiting = self._waiting[os.write(self._descriptor, self._waiting) :]
 
 
 class JobFolder:
-    """The folder of a run that begins now. It belongs to this process until that ends."""
+    """The job folder of a run that begins now. The folder belongs to this process until the process ends."""
 
     def __init__(self, asset: Path) -> None:
-        """Take the folder and clear what an earlier run left. Raises UsageError while another run owns it, OutputError."""
+        """Lock the folder, and remove the files of an earlier run.
+
+        Raises UsageError while another run owns the folder, and OutputError when it cannot be written.
+        """
         self.path = asset / FOLDER
         with output_errors(self.path):
             self.path.mkdir(parents=True, exist_ok=True)
@@ -62,11 +65,11 @@ class JobFolder:
 
     @property
     def stop_file(self) -> Path:
-        """Its appearance is the wish to stop."""
+        """The path of the file that asks the run to stop. Another program makes it."""
         return self.path / "stop"
 
     def describe(self, **what: str) -> None:
-        """Write job.json. Raises OutputError."""
+        """Write job.json with the id, pid, start and arguments, and the texts `what`. Raises OutputError."""
         job = {
             "id": f"{time.time_ns():x}-{os.getpid()}",
             "pid": os.getpid(),
@@ -78,7 +81,10 @@ class JobFolder:
         write_atomically(self.path / "job.json", lambda file: file.write_text(text, encoding="utf-8"))
 
     def take_stderr(self) -> None:
-        """What is printed from now on goes to engine.log: the program that started this one need not live to read it."""
+        """Send everything that is printed to stderr from now on to engine.log. Raises OutputError.
+
+        The program that started this process may end before the run does, so nobody may be there to read stderr.
+        """
         with output_errors(self.path):
             sys.stderr.flush()
             log = os.open(self.path / "engine.log", os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o666)
@@ -87,7 +93,10 @@ class JobFolder:
 
 
 def _lock(path: Path, asset: Path) -> int:
-    """The descriptor of the locked file. A follower locks it for an instant to see whether we live: so try again."""
+    """Lock the file `path` and return its descriptor. Raises UsageError while another run holds the lock, OutputError.
+
+    A program that follows the run locks the file for an instant, to see whether the run lives. So the lock is tried again.
+    """
     descriptor = os.open(path, os.O_RDWR | os.O_CREAT, 0o666)
     for attempt in range(20):
         try:

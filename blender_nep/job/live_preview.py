@@ -1,6 +1,6 @@
-"""What has been learned so far, for people who wait: a coarse mesh, and a photo beside its re-rendering (`--preview`).
+"""Shows what has been learned so far: a coarse mesh, and a photo beside the rendered fields (`--preview`).
 
-It only looks: no random number is drawn and nothing that is learned is touched, so that the asset is the same without it.
+The preview draws no random number and changes nothing that is learned. So the asset is the same with and without it.
 """
 
 from __future__ import annotations
@@ -32,17 +32,17 @@ if TYPE_CHECKING:
 
 GRID = 64
 WIDTH = 160
-"""Pixels of the photo in the picture, at most, in width and height."""
+"""Largest width and height of the photo in the picture, in pixels."""
 CHUNK = 4096
 
 
 class LivePreview:
-    """Called after every step of fields learning; every `interval` seconds it writes `job/preview.npz` and `.png`."""
+    """Writes `job/preview.npz` and `job/preview.png` every `interval` seconds. It is called after every step of learning."""
 
     interval = 10.0
-    """Seconds from one preview to the next, at least."""
+    """Smallest time from one preview to the next, in seconds."""
     share = 0.03
-    """Of the time, at most, that previews may take."""
+    """Largest share of the job's time that previews may take."""
 
     def __init__(
         self,
@@ -57,7 +57,7 @@ class LivePreview:
         self._view: int | None = None
 
     def __call__(self, learning: FieldsLearning) -> None:
-        """Write a preview if it is time. A failure is one warning and the end of the previews."""
+        """Write a preview if it is time. After a failure, there is one warning and no further preview."""
         start = self._clock()
         if start < self._due or learning.fraction == 0:
             return
@@ -73,7 +73,7 @@ class LivePreview:
     def _write(self, learning: FieldsLearning) -> None:
         try:
             vertices, faces = zero_level(learning.object_field.sdf_grid(GRID))
-        except LearningError:  # not yet: the surface is still to be found
+        except LearningError:  # the object field has no surface yet
             return
         with output_errors(self.path):
             self.path.mkdir(exist_ok=True)
@@ -97,7 +97,10 @@ def _write_into(write: Callable[[BinaryIO], object], path: Path) -> None:
 
 @torch.no_grad()
 def render_pair(learning: FieldsLearning, view: int) -> np.ndarray:
-    """[h, 2 w, 3] uint8 sRGB: left a photo, right the fields as its camera sees them, each at most WIDTH pixels wide."""
+    """A picture [h, 2 w, 3] uint8 sRGB: on the left the photo of `view`, on the right the fields rendered by its camera.
+
+    w and h are at most WIDTH.
+    """
     rays = learning.rays
     height, width = rays.size[view]
     step = math.ceil(max(height, width) / WIDTH)

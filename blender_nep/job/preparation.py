@@ -1,4 +1,4 @@
-"""The first stage of a job: checks, the capture, the photos, and what they show; then the output folder is made."""
+"""The capture stage of a job: checks the settings, reads and analyses the capture, and makes the output folder."""
 
 from __future__ import annotations
 
@@ -28,22 +28,24 @@ from blender_nep.stop_request import StopRequest
 
 @dataclass(frozen=True)
 class Prepared:
-    """All that the stages after the first one work with."""
+    """The result of the capture stage. All later stages work with it."""
 
     capture: Capture
     rays: PixelRays
     photos: SceneAnalysis
     plan: Plan
-    """The preset for this scene"""
+    """The preset without the parts that this scene does not need"""
     device: torch.device
     fingerprint: dict[str, object]
-    """What decides the result of the run (`run_folder.fingerprint`)"""
+    """All inputs that decide the result of the run (`run_folder.fingerprint`)"""
     folder: RunFolder
 
 
 def refuse_to_overwrite(settings: Settings) -> None:
-    """Raises UsageError when the output folder holds an asset or a run, and neither --resume nor --overwrite is given;
-    OutputError when it is no folder."""
+    """Raises UsageError when the output folder holds an asset or a run, and neither --resume nor --overwrite is given.
+
+    Raises OutputError when the output path is not a folder.
+    """
     out = settings.out
     if out.exists() and not out.is_dir():
         raise OutputError(f"{out} is a file, not a folder", "Choose another --out.", "output.is_a_file", path=out)
@@ -66,7 +68,7 @@ def refuse_missing_mesh(settings: Settings) -> None:
 
 
 def set_seed_and_threads(settings: Settings) -> None:
-    """The seed of every random generator that a library may use, and the number of threads."""
+    """Set the seed of every random generator that a library may use, and the number of threads."""
     threads = settings.threads or usable_cores()
     torch.set_num_threads(threads)
     numba.set_num_threads(min(threads, numba.config.NUMBA_NUM_THREADS))  # type: ignore[attr-defined]  # made at import
@@ -76,7 +78,7 @@ def set_seed_and_threads(settings: Settings) -> None:
 
 
 class Preparation:
-    """The work of the first stage."""
+    """Runs the capture stage."""
 
     def __init__(
         self, settings: Settings, device: torch.device, tracker: Tracker, events: Events, stop: StopRequest
@@ -86,8 +88,10 @@ class Preparation:
         self._folder = RunFolder(settings.out, stop, events.warning)
 
     def run(self) -> Prepared | None:
-        """None where the asset is complete already, and is the one that was asked for. Raises CaptureError, BoundsError,
-        UsageError, OutputError and Stopped."""
+        """Do the work of the stage. Returns None on a resume if the asset that was asked for is complete already.
+
+        Raises CaptureError, BoundsError, UsageError, OutputError and Stopped.
+        """
         s = self._settings
         capture = self._load_capture()
         what = fingerprint(capture, s.preset, s.seed, s.use_masks, s.mesh, s.sphere)
@@ -110,7 +114,7 @@ class Preparation:
         return Prepared(capture, rays, photos, photos.plan(s.preset), self._device, what, self._folder)
 
     def _finish_complete(self, what: dict[str, object]) -> None:
-        """A resume of an asset that is complete: nothing to do, if it is what was asked for."""
+        """End a resume of an asset that is complete. Raises UsageError if it is not the asset that was asked for."""
         s = self._settings
         try:
             before = dict(json.loads((s.out / "report.json").read_text(encoding="utf-8")).get("fingerprint", {}))
@@ -151,7 +155,7 @@ class Preparation:
             raise Stopped(message, "Start it again with --resume.", "stopped.reading_photos", reason=self._stop.reason)
 
     def _even_out(self, rays: PixelRays) -> PixelRays:
-        """The photos as of one exposure, where theirs differ."""
+        """The same pixels with the gains of the photos, if the photos' exposures differ."""
         found = find_exposures(rays)
         if found.warning:
             self._events.warning(found.warning)

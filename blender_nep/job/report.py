@@ -1,4 +1,4 @@
-"""What a job has done, for report.json."""
+"""Puts together the content of report.json."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from blender_nep.profiling import Profile
 
 @dataclass(frozen=True)
 class JobReport:
-    """Where the facts of a report come from."""
+    """All sources of the facts in report.json."""
 
     settings: Settings
     prepared: Prepared
@@ -32,7 +32,7 @@ class JobReport:
     profile: Profile | None
 
     def content(self) -> dict:
-        """report.json as plain values, at this moment."""
+        """The content of report.json as plain values, as far as the job is now."""
         s, tracker, memory = self.settings, self.tracker, peak_memory()
         return {
             "preset": s.preset.name,

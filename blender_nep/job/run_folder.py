@@ -1,4 +1,4 @@
-"""The `checkpoints/` folder of one run: what is being run, and the result of each stage that is done."""
+"""The folder `checkpoints/` of one run: the fingerprint of the run, and the result of each finished stage."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ from blender_nep.presets import Preset
 from blender_nep.stop_request import StopRequest
 
 FORMAT = 3
-"""Version of the files in `checkpoints/` and of `report.json`; a run of another version is refused.
+"""Version of the files in `checkpoints/` and of `report.json`. A run of another version is refused.
 
-3: stages (before: rooms), and the names of the preset's fields.
+Version 3 has new names: the stages (rooms before), and the fields of the preset.
 """
 
 
@@ -33,15 +33,15 @@ def fingerprint(
     mesh: Path | None,
     sphere: tuple[tuple[float, float, float], float] | None = None,
 ) -> dict[str, object]:
-    """What decides the result of a run, by name: a resume must agree with all of it.
+    """{name: value} of all inputs that decide the result of a run. A resume must agree with all of them.
 
-    Photos enter by name and size, the capture's own files and a mesh by content, the object's sphere only where it was
-    given.
+    Photos and masks enter by their names and file sizes, the capture's own files and a given mesh by their content. The
+    object's sphere enters only if it was given as an option.
     """
     paths = [p for v in capture.views for p in (v.image_path, v.mask_path) if p is not None]
     photos = "\n".join(f"{os.path.relpath(p, capture.folder)} {p.stat().st_size}" for p in paths)
     settings = dataclasses.asdict(preset)
-    metallic = settings["material"].pop("metallic")  # by a name of its own: it is an option of the user
+    metallic = settings["material"].pop("metallic")  # an option of the user: so the fingerprint names it separately
     what = {
         "format": FORMAT,
         "capture": _digest(b"".join(file.read_bytes() for file in capture.files) + photos.encode()),
@@ -59,7 +59,7 @@ def _digest(data: bytes) -> str:
 
 
 def refuse_other_run(asset: Path, before: dict[str, object], what: dict[str, object]) -> None:
-    """Raise UsageError when the run in `asset` is not the one that is asked for."""
+    """Raises UsageError when the run in `asset`, with the fingerprint `before`, is not the run `what` that is asked for."""
     if before.get("format") != what.get("format"):
         raise UsageError(
             f"cannot resume: the run in {asset} is of another version of blender_nep",
@@ -79,7 +79,7 @@ def refuse_other_run(asset: Path, before: dict[str, object], what: dict[str, obj
 
 
 class RunFolder:
-    """Results of finished stages and checkpoints of the one under way, in `asset`/checkpoints."""
+    """The folder `asset`/checkpoints: results of finished stages, and the checkpoint of the current stage."""
 
     def __init__(self, asset: Path, stop: StopRequest, warn: Callable[[Message], None]) -> None:
         self.asset = asset
@@ -91,9 +91,9 @@ class RunFolder:
         return self.path / "run.json"
 
     def can_be_resumed(self, what: dict[str, object]) -> bool:
-        """Whether the folder holds the run that is asked for; False where it holds none, or a run.json that is damaged.
+        """Whether the folder holds the run `what`. False if it holds no run, or if its run.json is damaged.
 
-        Raises UsageError when it holds another run, or checkpoints of which nobody knows the run. Changes nothing.
+        Raises UsageError when the folder holds another run, or checkpoints without a run.json. Changes nothing.
         """
         if not self._run_file.is_file():
             if any(self.path.glob("*.pt")):
@@ -109,7 +109,7 @@ class RunFolder:
         return bool(before)
 
     def begin(self, what: dict[str, object]) -> None:
-        """Make the folder of a new run; what was in it goes. Raises OutputError."""
+        """Make the folder of the new run `what`. Everything that was in the folder is removed. Raises OutputError."""
         with output_errors(self.path):
             if self.path.exists():
                 shutil.rmtree(self.path)
@@ -129,11 +129,11 @@ class RunFolder:
         return Checkpoint(self.path, stage, self._stop, self._warn)
 
     def save_result(self, stage: str, result: dict, seconds: float) -> None:
-        """Write a stage's result. Raises OutputError."""
+        """Write a stage's result, and the seconds that the stage took. Raises OutputError."""
         save_state(self.path / f"{stage}.done.pt", {"seconds": seconds, "result": result})
 
     def load_result(self, stage: str) -> tuple[dict, float] | None:
-        """A finished stage's (result, seconds), or None."""
+        """A finished stage's (result, seconds). None if there is no such file; None and a warning if it is damaged."""
         path = self.path / f"{stage}.done.pt"
         if not path.is_file():
             return None
@@ -145,6 +145,6 @@ class RunFolder:
             return None
 
     def remove(self) -> None:
-        """Drop the whole folder (--clean)."""
+        """Remove the whole folder (--clean). Raises OutputError."""
         with output_errors(self.path):
             shutil.rmtree(self.path)

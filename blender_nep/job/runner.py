@@ -1,6 +1,6 @@
-"""A job: the five stages in order. Capture, fields learning, surface, material learning, asset.
+"""Runs a job: the five stages capture, fields learning, surface, material learning and asset, in this order.
 
-Each stage's result is written before the next begins, so that a killed run goes on from there.
+The result of each long stage is written before the next stage begins, so that a killed run can go on from there.
 """
 
 from __future__ import annotations
@@ -52,16 +52,16 @@ if TYPE_CHECKING:
     from blender_nep.materials.training import Materials
 
 _DOUBT = 0.03
-"""Share of the error by which metal and not metal must differ; under it the photos do not tell."""
+"""If the validation errors of metal and dielectric differ by less than this share, the photos do not decide between them."""
 
 Given = TypeVar("Given")
 Result = TypeVar("Result")
 
 
 def run(settings: Settings, events: Events, stop: StopRequest, stages: Stages | None = None) -> int:
-    """Run a job to its end; returns the exit code. An error is one `error` event, its traceback goes to the log."""
+    """Run a job to its end and return the exit code. An error becomes one `error` event; its traceback goes to the log."""
     try:
-        # An SDF in bfloat16 has steps of 1/256 object radii: where a caller has lowered the precision, a job does not.
+        # An SDF in bfloat16 has steps of 1/256 object radii. So a job uses full precision, even if its caller does not.
         with torch.autocast("cpu", enabled=False), torch.autocast("cuda", enabled=False):
             Job(settings, events, stop, stages or Stages()).run()
         return 0
@@ -74,7 +74,7 @@ def run(settings: Settings, events: Events, stop: StopRequest, stages: Stages | 
         interrupted = Stopped("interrupted", hint, "stopped.interrupted")
         events.error(interrupted)
         return interrupted.code
-    except Exception as error:  # the last resort: a bug, or no memory; the log has it all
+    except Exception as error:  # a bug, or no memory
         events.log("".join(traceback.format_exception(error)))
         where = f"The details are in {settings.out / 'log.txt'}."
         if not events.has_log:
@@ -87,7 +87,7 @@ def run(settings: Settings, events: Events, stop: StopRequest, stages: Stages | 
 
 
 def _unexpected(error: Exception, where: str) -> NepError:
-    """where: how to find the traceback."""
+    """The error for an exception that nobody foresaw. `where` is a sentence that says where the traceback is."""
     if isinstance(error, MemoryError | torch.OutOfMemoryError) or "allocate memory" in str(error):
         return NepError("out of memory", f"Try --preset preview, or smaller photos. {where}", "unexpected.no_memory")
     text = " ".join(str(error).split())
@@ -103,7 +103,7 @@ class Learned:
     materials: Materials
 
     def reports(self) -> dict[StageName, StageReport]:
-        """What each of them says."""
+        """{stage: its report} of the three long stages."""
         return {
             StageName.FIELDS_LEARNING: FieldsReport.of(self.fields.report),
             StageName.SURFACE: StageReport.of(self.surface.report),
@@ -120,7 +120,7 @@ class Job:
         self._scene = SceneReport(events)
 
     def run(self) -> None:
-        """All stages. Raises NepError and its kinds."""
+        """Run all stages. Raises NepError and its subclasses."""
         if not self._settings.profile:
             return self._run(None)
         profile = Profile(torch.cuda.synchronize if choose_device(self._settings.device).type == "cuda" else None)
@@ -136,7 +136,7 @@ class Job:
             self._write_asset(prepared, learned, profile)
 
     def _prepare(self) -> Prepared | None:
-        """Checks, the output folder, the capture, its photos; None where there is nothing to do."""
+        """Check the settings and run the capture stage. None if the asset is complete already."""
         s = self._settings
         refuse_to_overwrite(s)
         if s.job_files:
@@ -156,7 +156,7 @@ class Job:
         return prepared
 
     def _follow_by_files(self) -> None:
-        """From here on the run is followed by its files. Before, the folder may have been somebody else's."""
+        """Take the job folder and send events there. Before this call, the folder may have belonged to another run."""
         s = self._settings
         folder = JobFolder(s.out)
         folder.take_stderr()
@@ -165,7 +165,7 @@ class Job:
         self._events.move_to(folder.path, folder.journal)
 
     def _learn(self, prepared: Prepared) -> Learned:
-        """The three long stages."""
+        """Run the three long stages."""
         s, rays, preset, folder = self._settings, prepared.rays, prepared.plan.preset, prepared.folder
         given = None
         if s.mesh is not None:
@@ -205,7 +205,7 @@ class Job:
             self._events.warning(Message("job.steps_left_out", {"count": left_out}))
 
     def _tell_of_materials(self, report: MaterialsReport, plan: Plan) -> None:
-        if report.light_seconds > 0.5:  # not so where it came from a checkpoint
+        if report.light_seconds > 0.5:  # about 0 where the light came from a checkpoint
             whole, less = self._settings.preset.material, plan.preset.material
             self._scene.skip({}, seconds_of_cones(whole, less, report.light_seconds))
         margin = report.metal_or_not_margin
@@ -213,7 +213,10 @@ class Job:
             self._events.warning(Message("job.metal_unclear"))
 
     def _enter(self, stage: Stage[Given, Result], given: Given, folder: RunFolder) -> Result:
-        """Enter a stage: take its result from the disk, or work and write it. Raises Stopped between stages, too."""
+        """The result of a stage: read from the disk if it is there, else computed and written.
+
+        Raises NepError and its subclasses; Stopped also before the stage has begun to work.
+        """
         name = stage.name
         self._tracker.enter(name)
         saved = folder.load_result(name)
@@ -224,7 +227,7 @@ class Job:
         self._events.log(f"stage {name}")
         checkpoint = folder.checkpoint(name)
         checkpoint.raise_if_stopped(saves=False)
-        # a stage's kernels are compiled at its first step, on each machine once; later runs take them from the cache
+        # A stage's kernels are compiled at its first step, once on each machine. Later runs take them from the cache.
         self._tracker.tell(name, 0, 1, note=Message("progress.warming_up"))
         with section(name):
             result = stage.run(given, self._progress(name, checkpoint), checkpoint)
@@ -236,7 +239,7 @@ class Job:
         return result
 
     def _progress(self, name: StageName, checkpoint: Checkpoint) -> Progress:
-        """What the stage calls after every step."""
+        """The function that the stage calls after every step. It raises Stopped if a stop was asked for."""
         begun = False
 
         def progress(step: int, steps: int, loss: float | None = None, **extra: Any) -> None:

@@ -1,8 +1,8 @@
-"""What a capture needs: what is in the photos, said in plain words before anything is learned, and what can be left out.
+"""Analyses the scene: what the photos show, and which parts of the method this scene does not need.
 
-Two looks, both pure and cheap: one at the photos (`SceneAnalysis.of`), one at the mesh once there is one
-(`SurfaceAnalysis.of`). Each gives facts with numbers, sentences about them, and a preset without the parts that this scene
-does not need. `Preset.skip_needless` turns the leaving out off; the sentences stay.
+There are two analyses, both cheap and without side effects: one of the photos (`SceneAnalysis.of`), and one of the mesh once
+it is there (`SurfaceAnalysis.of`). Each gives facts with numbers, sentences about them, and a preset without the parts that
+this scene does not need. If `Preset.skip_needless` is False, all parts are kept, and the sentences are still said.
 """
 
 from __future__ import annotations
@@ -24,26 +24,27 @@ if TYPE_CHECKING:
     from blender_nep.presets import MaterialPreset, Preset
 
 HARDLY_SEES_ITSELF = 0.01
-"""Self-visibility under which what the object reflects of itself is less than what its light is known to."""
+"""Self-visibility under which the object's reflections of itself are smaller than the error of the learned light."""
 SECOND_BOUNCE = 0.1
-"""Self-visibility from which on light is followed for a second bounce: less than its square comes that way. Measured: no
-difference up to 0.08; at 0.14 the roughness of a glaze came out lower without it in two of three seeds."""
+"""Self-visibility from which on light is followed for a second bounce. That light is less than the square of the
+self-visibility. Measured: no difference up to 0.08; at 0.14, the roughness of a glaze came out lower without the second
+bounce in two of three seeds."""
 MATTE = 0.08
 """View dependence under which the photos show no reflections. Measured: 0.035 for chalk, 0.32 for a glaze, 1.5 to 2.3 for
 metals."""
 GLOSSY = 0.25
 """View dependence from which on the object is called glossy."""
 MATTE_FROM = 0.28
-"""Roughness from which on a matte object's light is gathered."""
+"""Lowest roughness level at which the light of a matte object is gathered."""
 _CAST = 0.05
-"""Difference of logarithms of the channels that an artist would call a cast of color."""
+"""Standard deviation of the gains' logarithms over the channels from which on an artist sees a color cast."""
 _PIXELS = 300_000
-"""Pixels looked at, of all photos."""
+"""Number of pixels that are analysed, of all photos together."""
 
 
 @dataclass(frozen=True)
 class Plan:
-    """The preset for this scene, and {what is left out: why}."""
+    """The preset for this scene, and {part that is left out: why}."""
 
     preset: Preset
     skipped: dict[str, Message]
@@ -51,31 +52,32 @@ class Plan:
 
 @dataclass(frozen=True)
 class SceneAnalysis:
-    """Facts of the photos, as far as they are learned from (box-filtered to the preset's size)."""
+    """Facts about the photos, after they were downscaled to the preset's size."""
 
     photos: int
     masks: bool
-    """The object's masks are there and used"""
+    """The object's masks are there and used."""
     backdrop: bool
-    """False: the photos are cut-outs, nothing is known of the surroundings"""
+    """False: the photos are cut-outs, and nothing is known of the surroundings."""
     brightest: float
-    """Largest radiance, linear; about 1 where the files cannot hold more"""
+    """Largest radiance, linear; about 1 where the files cannot store more"""
     clipped: float
-    """Share of the object's pixels (without masks: its sphere's) that stand at the top of the files' range"""
+    """Share of the object pixels that have the largest value that the files store. Without masks: of the sphere's pixels"""
     sphere_share: float
-    """Share of the photos' pixels that look at the object's sphere"""
+    """Share of the photos' valid pixels whose rays meet the object's sphere"""
     object_share: float | None
-    """Share of those that show the object; None without masks"""
+    """Share of the sphere's pixels that show the object; None without masks"""
     pixels_across: float
-    """Pixels across the sphere, median of the views"""
+    """Number of pixels across the sphere, median over the pixels"""
     exposure_stops: float
-    """Between the darkest and the brightest exposure of a photo; 0 where all share one, or where it cannot be told"""
+    """Stops between the photos with the lowest and the highest exposure; 0 if all are equal, or if they cannot be found"""
     white_balance: float
-    """Standard deviation of the channels' gains, logarithms, from their mean; 0 where all photos share one white balance"""
+    """Standard deviation of the logarithms of the channels' gains from their mean over the channels; 0 if all photos have
+    one white balance, or if it cannot be found"""
 
     @classmethod
     def of(cls, rays: PixelRays) -> SceneAnalysis:
-        """Looks at some 300,000 pixels; takes a tenth of a second."""
+        """Analyse about 300,000 pixels. Takes a tenth of a second."""
         some = rays.sphere[:: max(1, len(rays.sphere) // _PIXELS)]
         shown = None if rays.mask is None else rays.mask[some] > 127
         radiance = rays.radiance[some].float().amax(-1)
@@ -84,7 +86,7 @@ class SceneAnalysis:
         brightest = rays.brightest
         if brightest <= BRIGHTEST_CLIPPED:
             clipped = int((radiance > SATURATED).sum())
-        else:  # a file of a larger range that was clipped has many pixels at one and the same top, not one
+        else:  # files of a larger range: if they were clipped, many pixels have the largest value; otherwise only one has it
             clipped = max(int((radiance >= 0.999 * brightest).sum()) - 1, 0)
         origins, _, angle = rays.rays(some[:: max(1, len(some) // 5000)])
         return cls(
@@ -101,11 +103,11 @@ class SceneAnalysis:
         )
 
     def facts(self) -> dict:
-        """As plain values, for the report."""
+        """All fields as plain values, rounded, for report.json."""
         return _rounded(asdict(self))
 
     def sentences(self) -> list[Message]:
-        """What an artist would want to know."""
+        """Sentences on the photos that an artist wants to know."""
         if self.backdrop:
             lines = [Message("scene.surroundings", {"photos": self.photos})]
         else:
@@ -122,7 +124,7 @@ class SceneAnalysis:
         return [*lines, self._size()]
 
     def _range(self) -> Message:
-        """Whether highlights are clipped."""
+        """The sentence on whether highlights are clipped."""
         if self.clipped >= 0.001 and self.masks:
             return Message("scene.object_clipped", {"percent": _percent(self.clipped)})
         if self.clipped >= 0.001:
@@ -130,7 +132,7 @@ class SceneAnalysis:
         return Message("scene.high_range") if self.brightest > BRIGHTEST_CLIPPED else Message("scene.hardly_clipped")
 
     def _size(self) -> Message:
-        """How much of the photos the sphere, and the object in it, takes."""
+        """The sentence on how much of the photos the sphere takes, and the object in it."""
         pixels, percent = self.pixels_across, _percent(self.sphere_share)
         if self.object_share is None:
             return Message("scene.sphere_size", {"pixels": pixels, "percent": percent})
@@ -138,7 +140,7 @@ class SceneAnalysis:
         return Message("scene.object_size", {"pixels": pixels, "percent": percent, "object_percent": object_percent})
 
     def plan(self, preset: Preset) -> Plan:
-        """Stage 1 and what holds for both stages."""
+        """The preset without the parts that these photos do not need, for fields learning and material learning."""
         skipped: dict[str, Message] = {}
         if not preset.skip_needless:
             return Plan(preset, skipped)
@@ -152,33 +154,34 @@ class SceneAnalysis:
 
 
 def _color(gain: torch.Tensor) -> torch.Tensor:
-    """What gains [views, 3] change besides the exposure, as logarithms."""
+    """The logarithms [views, 3] of the gains [views, 3] without their mean over the channels: the white balance."""
     return gain.log() - gain.log().mean(1, keepdim=True)
 
 
 @dataclass(frozen=True)
 class SurfaceAnalysis:
-    """Facts that need the mesh."""
+    """Facts about the object that need the mesh."""
 
     self_visibility: float
-    """Share of the directions, weighted by their cosine, in which the surface meets itself: 0 for a convex body"""
+    """Share of cosine-weighted directions from the surface that meet the surface again: 0 for a convex body"""
     view_dependence: float | None
-    """How much the same place differs from photo to photo (standard deviation over mean; of the places, the 90 % quantile,
-    because highlights lie on few of them): near 0 for chalk, large for mirrors; None where too few places are seen often"""
+    """How much the brightness of the same surface point differs from photo to photo: standard deviation divided by mean. Of
+    all points it is the 90 % quantile, because only few points show highlights. Near 0 for chalk, large for mirrors. None if
+    too few points are seen often enough"""
 
     @classmethod
     def of(cls, surface: Surface, rays: PixelRays, seed: int = 0) -> SurfaceAnalysis:
-        """Casts some 100,000 rays; takes half a second."""
+        """Analyse the mesh with about 100,000 rays. Takes half a second."""
         rng = np.random.default_rng(seed)
         tracer = RayTracer(surface.vertices, surface.faces)
         return cls(self_visibility(tracer, rng), view_dependence(tracer, surface.normals, rays, rng))
 
     def facts(self) -> dict:
-        """As plain values, for the report."""
+        """All fields as plain values, rounded, for report.json."""
         return _rounded(asdict(self))
 
     def sentences(self) -> list[Message]:
-        """What an artist would want to know."""
+        """Sentences on the object that an artist wants to know."""
         percent = _percent(self.self_visibility)
         if self.convex:
             lines = [Message("scene.convex")]
@@ -195,16 +198,16 @@ class SurfaceAnalysis:
 
     @property
     def convex(self) -> bool:
-        """Whether hardly a ray from the surface meets it again."""
+        """Whether less than one ray in 1000 from the surface meets the surface again."""
         return self.self_visibility < 0.001
 
     @property
     def matte(self) -> bool:
-        """Whether the photos show no reflections to speak of."""
+        """Whether the photos show hardly any reflections."""
         return self.view_dependence is not None and self.view_dependence < MATTE
 
     def plan(self, preset: Preset) -> Plan:
-        """What stage 2 needs."""
+        """The preset without the parts of material learning that this object does not need."""
         p = preset.material
         skipped: dict[str, Message] = {}
         if not preset.skip_needless:
@@ -225,7 +228,7 @@ class SurfaceAnalysis:
 
 
 def seconds_of_cones(whole: MaterialPreset, less: MaterialPreset, seconds: float) -> dict[str, float]:
-    """Seconds that the cones left out of `whole` would have taken, where those of `less` took `seconds`."""
+    """{part: seconds saved} for the cones of `whole` that `less` leaves out; the cones of `less` took `seconds`."""
     dropped_levels = len(whole.roughness_levels) - len(less.roughness_levels)
     left_out = {
         str(Part.IRRADIANCE): whole.irradiance_cones - less.irradiance_cones,
@@ -236,11 +239,11 @@ def seconds_of_cones(whole: MaterialPreset, less: MaterialPreset, seconds: float
 
 
 def self_visibility(tracer: RayTracer, rng: np.random.Generator, points: int = 4000, directions: int = 8) -> float:
-    """Share of cosine-weighted rays from points spread evenly over a mesh that meet the mesh again."""
+    """Share of cosine-weighted rays that meet the mesh again. They start at points spread evenly over the mesh."""
     face, barycentric = _spread(tracer, points, rng)
     face, barycentric = face.repeat(directions), barycentric.repeat(directions, 0)
     normal = tracer.face_normals[face]
-    # a point on the unit sphere around the tip of the normal: directions go by the cosine (Malley)
+    # A point on the unit sphere around the tip of the normal gives a cosine-weighted direction (Malley's method).
     d = rng.normal(size=normal.shape)
     d = normal + d / np.linalg.norm(d, axis=1, keepdims=True)
     d = (d / np.maximum(np.linalg.norm(d, axis=1, keepdims=True), 1e-6)).astype(np.float32)
@@ -257,7 +260,11 @@ def view_dependence(
     least_views: int = 4,
     least_cosine: float = 0.4,
 ) -> float | None:
-    """How much the brightness of surface points varies over the photos that see them (`SurfaceAnalysis`), or None."""
+    """How much the brightness of surface points varies over the photos that see them (`SurfaceAnalysis.view_dependence`).
+
+    A photo sees a point if nothing hides it, and if the cosine between normal and view is above `least_cosine`. Points that
+    fewer than `least_views` photos see are left out. None if less than a tenth of the points are left.
+    """
     face, barycentric = _spread(tracer, points, rng)
     place = tracer.interpolate(tracer.vertices, face, barycentric).astype(np.float32)
     normal = tracer.smooth_normals(normals, face, barycentric)
@@ -286,7 +293,7 @@ def view_dependence(
 
 
 def _spread(tracer: RayTracer, count: int, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
-    """Faces [count] and barycentric coordinates [count,3] of points evenly over a mesh."""
+    """Faces [count] and barycentric coordinates [count, 3] of points spread evenly over the mesh."""
     corner = tracer.vertices[tracer.faces].astype(np.float64)
     area = np.linalg.norm(np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]), axis=1)
     face = rng.choice(len(area), count, p=area / area.sum())
@@ -296,7 +303,7 @@ def _spread(tracer: RayTracer, count: int, rng: np.random.Generator) -> tuple[np
 
 
 def _percent(share: float) -> float:
-    """Rounded to a whole number, or below 10 % to a tenth."""
+    """The share in percent, rounded to a whole number; below 10 % to a tenth."""
     return round(100 * share, 1 if share < 0.1 else 0)
 
 

@@ -1,4 +1,4 @@
-"""What a job says of its scene and of what it leaves out because of it, for the report, the console and the UI."""
+"""Collects what a job says about its scene and what it leaves out, and tells it to the report, the terminal and the UI."""
 
 from __future__ import annotations
 
@@ -14,26 +14,26 @@ if TYPE_CHECKING:
 
 
 class SceneReport:
-    """Grows as the stages are entered; every addition is told at once."""
+    """Facts, sentences and left-out parts of the scene. Stages add to them, and every addition is told at once."""
 
     def __init__(self, events: Events) -> None:
         self._events = events
         self.facts: dict[str, dict] = {}
         self.sentences: list[Message] = []
         self.skipped: dict[str, Message] = {}
-        """{what: why}"""
+        """{part that is left out: why}"""
         self.seconds_saved: dict[str, float] = {}
-        """{what: seconds}, only where this very run measured what a part of it takes"""
+        """{part that is left out: seconds saved}, only where this run measured the time of a similar part"""
 
     def add(self, name: str, found: SceneAnalysis | SurfaceAnalysis, plan: Plan) -> None:
-        """What a look at the photos or at the surface has found."""
+        """Add the facts of the photos or of the surface under `name`, and what `plan` leaves out."""
         self.facts[name] = found.facts()
         self.sentences += found.sentences()
         self.skipped |= plan.skipped
         self._tell(found.sentences() + _lines(plan.skipped, {}))
 
     def left_out(self, rays: PixelRays, *, masks_ignored: bool, mesh_given: bool) -> None:
-        """What there is nothing to do for, whatever the settings."""
+        """Add the parts that have nothing to work on in this capture, whatever the preset says."""
         if rays.mask is None:
             why = Message("reason.masks_ignored") if masks_ignored else Message("reason.no_masks")
             self.skipped[Part.MASK_TERM] = why
@@ -43,7 +43,7 @@ class SceneReport:
             self.skipped[Part.SURFACE_EXTRACTION] = Message("reason.mesh_given")
 
     def skip(self, skipped: Mapping[str, Message], seconds: Mapping[str, float]) -> None:
-        """What a stage has left out by itself; what was left out before keeps its reason."""
+        """Add what a stage has left out. A part that was left out before keeps its first reason."""
         new = {what: why for what, why in skipped.items() if what not in self.skipped}
         self.skipped |= new
         self.seconds_saved |= {what: round(value, 2) for what, value in seconds.items()}
@@ -51,13 +51,13 @@ class SceneReport:
             self._tell(_lines(new, seconds))
 
     def stopped_early(self, steps_saved: float, seconds: float) -> None:
-        """Stage 1 took so many seconds; all steps that the preset allows would be this share more."""
+        """Add that fields learning stopped early. It took `seconds`; all steps would take `steps_saved` times that more."""
         if steps_saved > 0:
             part = Part.FURTHER_STEPS
             self.skip({part: Message("reason.plateaued")}, {part: seconds * steps_saved})
 
     def report(self) -> dict:
-        """For report.json."""
+        """The keys `scene`, `skipped` and `skipped_seconds` of report.json."""
         return {
             "scene": {**self.facts, "sentences": [line.told() for line in self.sentences]},
             "skipped": {part: why.told() for part, why in self.skipped.items()},
@@ -71,7 +71,7 @@ class SceneReport:
 
 
 def _lines(skipped: Mapping[str, Message], seconds: Mapping[str, float]) -> list[Message]:
-    """A sentence for each reason."""
+    """One sentence for each reason, with all parts that are left out for it."""
     reasons: list[tuple[Message, list[str]]] = []
     for part, why in skipped.items():
         parts = next((parts for reason, parts in reasons if reason == why), None)

@@ -1,4 +1,4 @@
-"""What the user asked for."""
+"""The options of one job."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from blender_nep.presets import Preset
 
 @dataclass(frozen=True)
 class Settings:
-    """The arguments of one job."""
+    """The options of one job, as the user gave them (`blender_nep/cli.py`)."""
 
     capture: Path
     out: Path
@@ -20,7 +20,7 @@ class Settings:
     use_masks: bool = True
     mesh: Path | None = None
     sphere: tuple[tuple[float, float, float], float] | None = None
-    """Centre and radius of the object's sphere, capture coordinates; None: the capture's own, or estimated."""
+    """Centre and radius of the object's sphere in capture coordinates. None: from transforms.json, or estimated."""
     resume: bool = False
     overwrite: bool = False
     clean: bool = False

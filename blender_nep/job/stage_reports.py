@@ -1,4 +1,4 @@
-"""What the long stages say of their work, with types: the stages themselves give plain dicts, which go to the disk."""
+"""Typed views of the reports of the long stages. The stages themselves give plain dicts, which are saved on the disk."""
 
 from __future__ import annotations
 
@@ -10,18 +10,18 @@ from blender_nep.messages import Message
 
 @dataclass(frozen=True)
 class StageReport:
-    """What every stage may say."""
+    """The report of one stage."""
 
     facts: dict[str, Any]
-    """What stands in report.json, below `stages`"""
+    """The entry of the stage under `stages` in report.json"""
     skipped: dict[str, Message]
-    """{what was left out: why}"""
+    """{part that was left out: why}"""
     seconds_saved: dict[str, float]
-    """{what was left out: seconds}"""
+    """{part that was left out: seconds saved}"""
 
     @classmethod
     def of(cls, report: dict[str, Any]) -> Self:
-        """From the dict of a stage."""
+        """The typed report for the dict that a stage gives."""
         return cls(
             facts={k: v for k, v in report.items() if k not in ("skipped", "seconds_saved")},
             skipped={part: Message.from_state(why) for part, why in report.get("skipped", {}).items()},
@@ -31,30 +31,35 @@ class StageReport:
 
 @dataclass(frozen=True)
 class FieldsReport(StageReport):
-    """Stage 1."""
+    """The report of fields learning."""
 
     @property
     def steps_saved(self) -> float:
-        """Share of steps, of those that were taken, that the preset allows and learning did not need; 0 with a given
-        mesh."""
+        """Steps that the preset allows but learning did not need, divided by the steps that were taken.
+
+        0 with a given mesh.
+        """
         return self.facts["of_steps"] / self.facts["steps"] - 1 if "of_steps" in self.facts else 0.0
 
     @property
     def steps_not_finite(self) -> int:
-        """Steps that were left out."""
+        """Number of steps that were left out because their loss or gradient was not finite."""
         return self.facts.get("steps_not_finite", 0)
 
 
 @dataclass(frozen=True)
 class MaterialsReport(StageReport):
-    """Stage 2."""
+    """The report of material learning."""
 
     @property
     def light_seconds(self) -> float:
-        """Seconds of gathering light; about 0 where the light came from a checkpoint."""
+        """Seconds that gathering light took; about 0 where the light came from a checkpoint."""
         return self.facts.get("seconds", {}).get("light", 0.0)
 
     @property
     def metal_or_not_margin(self) -> float | None:
-        """Share of the error by which the material found is better than the other way round; None where it is known."""
+        """Share by which the validation error of the chosen class (metal or dielectric) is lower than that of the other.
+
+        None where the user has chosen the class.
+        """
         return self.facts.get("metal_or_not_margin")

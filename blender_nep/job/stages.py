@@ -1,8 +1,8 @@
-"""The stages of a job as objects, each with a name, its expected seconds, and `run`; what a stage needs is passed to it.
+"""The stages of a job as objects. Each has a name, its expected seconds, and `run`; `run` gets all that the stage needs.
 
 The results of the three long stages are kept on the disk: `pack` makes a plain dict of a result, and `unpack` is its
-inverse. The libraries of a stage are imported when the stage is entered: `blender-nep info` and the first error messages do
-not wait for them.
+inverse. The libraries of a stage are imported when the stage is entered, so that `blender-nep info` and the first error
+messages do not wait for them.
 """
 
 from __future__ import annotations
@@ -30,11 +30,11 @@ Given = TypeVar("Given", contravariant=True)
 Result = TypeVar("Result")
 
 CAPTURE_SECONDS, ASSET_SECONDS = 5.0, 10.0
-"""First guesses of the short stages; those of the long ones are in the preset."""
+"""First guesses of the seconds of the short stages. Those of the long stages are in the preset."""
 
 
 class Progress(Protocol):
-    """How a stage tells of its steps. Raises Stopped when a stop was asked for and the checkpoint is written."""
+    """A stage calls this after every step. Raises Stopped if a stop was asked for, after the checkpoint is written."""
 
     def __call__(self, step: int, steps: int, loss: float | None = None, **extra: Any) -> None: ...
 
@@ -45,11 +45,11 @@ class Stage(Protocol[Given, Result]):
     name: StageName
 
     def expected_seconds(self, preset: Preset) -> float:
-        """A first guess."""
+        """A first guess of the seconds that the stage takes."""
         ...
 
     def run(self, given: Given, progress: Progress, checkpoint: Checkpoint) -> Result:
-        """Do the work, or go on from the checkpoint. Raises NepError and its kinds."""
+        """Do the work, or go on from the checkpoint. Raises NepError and its subclasses."""
         ...
 
     def pack(self, result: Result) -> dict:
@@ -63,20 +63,20 @@ class Stage(Protocol[Given, Result]):
 
 @dataclass(frozen=True)
 class FieldsInput:
-    """What stage 1 needs."""
+    """The input of fields learning."""
 
     rays: PixelRays
     preset: Preset
     seed: int
     device: torch.device
     surface: Surface | None = None
-    """A given mesh: then F_e is learned alone."""
+    """A given mesh. With it, only F_e is learned."""
     watch: Callable[[FieldsLearning], None] | None = None
-    """Is called after every step and may only look."""
+    """Called after every step. It must not change the learning."""
 
 
 class FieldsStage:
-    """Stage 1: F_o and F_e."""
+    """Fields learning (stage 1 of the paper): learns F_o and F_e."""
 
     name = StageName.FIELDS_LEARNING
 
@@ -108,7 +108,7 @@ class FieldsStage:
 
 @dataclass(frozen=True)
 class SurfaceInput:
-    """What the surface stage needs: the file of a given mesh, or else the object field."""
+    """The input of the surface stage: the file of a given mesh, or else the object field."""
 
     capture: Capture
     preset: SurfacePreset
@@ -125,7 +125,7 @@ class SurfaceResult:
 
 
 class SurfaceStage:
-    """The mesh: extracted from the object field, or the one that was given (--mesh)."""
+    """Makes the mesh: extracts it from the object field, or reads the mesh that was given (--mesh)."""
 
     name = StageName.SURFACE
 
@@ -154,7 +154,7 @@ class SurfaceStage:
 
 @dataclass(frozen=True)
 class MaterialsInput:
-    """What stage 2 needs."""
+    """The input of material learning."""
 
     surface: Surface
     environment: EnvironmentField
@@ -165,7 +165,7 @@ class MaterialsInput:
 
 
 class MaterialsStage:
-    """Stage 2: textures."""
+    """Material learning (stage 2 of the paper): makes the textures."""
 
     name = StageName.MATERIAL_LEARNING
 
@@ -201,7 +201,7 @@ class MaterialsStage:
 
 @dataclass(frozen=True)
 class AssetInput:
-    """What is written as the asset."""
+    """All that is written as the asset."""
 
     folder: Path
     capture: Capture
@@ -211,11 +211,11 @@ class AssetInput:
     light: tuple[torch.Tensor, torch.Tensor]
     """Radiance [H, 2H, 3] and coverage [H, 2H] of the environment map"""
     report: Callable[[], dict]
-    """Is called last, when everything else is on the disk."""
+    """Gives the content of report.json. It is called last, when everything else is on the disk."""
 
 
 class AssetStage:
-    """The asset folder. Its result is the asset itself, so that there is nothing to pack."""
+    """Writes the asset folder. The asset is its result, so that there is nothing to pack."""
 
     name = StageName.ASSET
 
@@ -228,7 +228,7 @@ class AssetStage:
 
 @dataclass
 class Stages:
-    """What a job runs after it has read the photos; a test or a benchmark may put its own in place."""
+    """The stages that a job runs after it has read the photos. A test or a benchmark may replace some of them."""
 
     fields: Stage[FieldsInput, Fields] = field(default_factory=FieldsStage)
     surface: Stage[SurfaceInput, SurfaceResult] = field(default_factory=SurfaceStage)
@@ -236,6 +236,6 @@ class Stages:
     asset: AssetStage = field(default_factory=AssetStage)
 
     def expected_seconds(self, preset: Preset) -> dict[StageName, float]:
-        """A first guess for every stage of a job."""
+        """A first guess of the seconds of every stage of a job."""
         long = {stage.name: stage.expected_seconds(preset) for stage in (self.fields, self.surface, self.materials)}
         return {StageName.CAPTURE: CAPTURE_SECONDS, **long, StageName.ASSET: ASSET_SECONDS}

@@ -1,4 +1,4 @@
-"""How far a job is, and how long it still takes."""
+"""Estimates how far a job is, and how long it still takes."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from collections.abc import Callable, Mapping
 
 
 def time_text(seconds: float) -> str:
-    """75 -> '1:15'; '?' when not finite."""
+    """The time as text: 75 gives '1:15', 3675 gives '1:01:15', a value that is not finite gives '?'."""
     if not math.isfinite(seconds):
         return "?"
     whole = max(0, round(seconds))
@@ -17,10 +17,10 @@ def time_text(seconds: float) -> str:
 
 
 class Timeline:
-    """How far the whole job is, and how long it still takes.
+    """Estimates how far the whole job is, and how long it still takes.
 
-    Each stage brings a first guess of its seconds. The time left in a stage follows its own pace once that shows; the
-    stages to come are scaled by how wrong the guesses were so far.
+    Each stage brings a first guess of its seconds. Once a stage has advanced by 2 %, or for 15 seconds, the time left in it
+    follows its own pace. The guesses of later stages are scaled by how wrong the guesses were so far.
     """
 
     def __init__(self, expected: Mapping[str, float], clock: Callable[[], float] = time.monotonic) -> None:
@@ -34,15 +34,15 @@ class Timeline:
         self._done: set[str] = set()
 
     def enter(self, stage: str) -> None:
-        """A stage begins."""
+        """Note that a stage begins."""
         self._stage, self._stage_start, self._first = stage, self._clock(), 0.0
 
     def begin_at(self, fraction: float) -> None:
-        """The stage is resumed in its middle: what was done before takes no time now."""
+        """Note that `fraction` of the current stage (0..1) was done in an earlier run and takes no time now."""
         self._first = fraction
 
     def leave(self, *, skipped: bool = False) -> None:
-        """The stage ended; `skipped`: it took no time because its result was there."""
+        """Note that the current stage has ended. `skipped`: it took no time, because its result was on the disk."""
         self._done.add(self._stage)
         if not skipped:
             self._spent += self._clock() - self._stage_start

@@ -1,4 +1,4 @@
-"""What a job has done so far: seconds, losses and resumed stages; and how it tells of its progress."""
+"""Keeps the seconds, losses and resumed stages of a job, and sends its progress."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ class Tracker:
     """Follows a job from stage to stage."""
 
     def __init__(self, expected: Mapping[StageName, float], events: Events) -> None:
-        """expected: a first guess of the seconds of every stage."""
+        """`expected` is a first guess of the seconds of every stage."""
         self._timeline, self._events = Timeline({str(stage): seconds for stage, seconds in expected.items()}), events
         self.seconds: dict[StageName, float] = {}
         self.losses: dict[StageName, float] = {}
@@ -24,15 +24,15 @@ class Tracker:
         """Stages whose results were taken from the disk."""
 
     def enter(self, stage: StageName) -> None:
-        """A stage begins."""
+        """Note that a stage begins."""
         self._timeline.enter(stage)
 
     def begin_at(self, fraction: float) -> None:
-        """The stage goes on from a checkpoint: `fraction` of it was done before."""
+        """Note that the current stage goes on from a checkpoint: `fraction` of it (0..1) was done before."""
         self._timeline.begin_at(fraction)
 
     def tell(self, stage: StageName, step: int, steps: int, loss: float | None = None, **extra: Any) -> None:
-        """How far the stage is. extra: `preview` is the path of a picture that can be looked at; the rest is sent along."""
+        """Send how far the stage is. `extra["preview"]` is the path of a picture to show; the rest goes into the event."""
         if loss is not None:
             self.losses[stage] = float(loss)
         fraction, eta = self._timeline.at(step / max(steps, 1))
@@ -42,12 +42,12 @@ class Tracker:
             self._events.preview(Path(preview))
 
     def leave(self, stage: StageName, seconds: float) -> None:
-        """The stage has ended after so many seconds."""
+        """Note that the stage has ended, and how many seconds it took."""
         self.seconds[stage] = seconds
         self._timeline.leave()
 
     def take_over(self, stage: StageName, seconds: float) -> None:
-        """The stage's result was on the disk; an earlier run took so many seconds for it."""
+        """Note that the stage's result was on the disk, and how many seconds an earlier run took for it."""
         self.seconds[stage] = seconds
         self.resumed.append(stage)
         self._timeline.leave(skipped=True)

@@ -1,4 +1,4 @@
-"""From materials at photo samples to textures over the unwrapped surface."""
+"""Bakes textures over the unwrapped surface from the materials at labelled points."""
 
 from __future__ import annotations
 
@@ -15,53 +15,63 @@ from blender_nep.materials.palette import Palette
 from blender_nep.profiling import profiled
 
 NEIGHBOURS = 16
-"""Samples that vote on the material of a point."""
+"""Number of nearest samples that vote on the material of a point."""
 _BLOCK = 1 << 16
-"""Texels at once: bounds the memory (16 neighbours each), whatever the texture's size."""
+"""Texels that are baked at a time. This bounds the memory (16 neighbours each), whatever the texture's size."""
 
 
 @dataclass
 class LabelledPoints:
-    """Points of the surface whose materials are known, all [n, ...]: where, from which photo, how well each palette
-    material fits."""
+    """n points of the surface whose materials are known, and how well each of the palette's K materials fits them."""
 
     position: np.ndarray
+    """[n, 3] unit frame"""
     photo: np.ndarray
+    """[n] int, index of the photo that shows the point"""
     cost: np.ndarray
-    """[n,K] clipped residual of each material"""
+    """[n, K] clipped residual of each material, averaged over the point's neighbours"""
     albedo: np.ndarray
-    """[n,3] the palette's albedo, or a local one where the photos demand it"""
+    """[n, 3] albedo of the point's material, linear"""
     residual: np.ndarray
-    """[n] of the chosen material"""
+    """[n] residual of the point's material"""
 
 
 @profiled("neighbours")
 def neighbours(tree: cKDTree, points: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Distances and indices [n,count] of the nearest samples."""
+    """Distances and indices [n, count] of the samples in `tree` that are nearest to each point [n, 3].
+
+    If the tree has fewer than `count` samples, all of them are returned.
+    """
     count = min(count, tree.n)
     distance, index = tree.query(points, k=count, workers=-1)
     return distance.reshape(len(points), count), index.reshape(len(points), count)
 
 
 def vote(cost: np.ndarray, distance: np.ndarray, index: np.ndarray) -> np.ndarray:
-    """Material [m] int with the least cost over each point's neighbours, near ones counting more. cost [n,K]."""
+    """Index [m] int of the material with the least mean cost over each point's neighbours (`weighted_mean`)."""
     return weighted_mean(cost, distance, index).argmin(1)
 
 
 def weighted_mean(cost: np.ndarray, distance: np.ndarray, index: np.ndarray) -> np.ndarray:
-    """Mean cost [m,K] over each point's neighbours, near ones counting more. distance, index [m,count] into cost [n,K]."""
+    """Mean cost [m, K] over the neighbours of m points, weighted by `kernel`.
+
+    distance, index [m, count]: of the neighbours; `index` points into cost [n, K].
+    """
     weight = kernel(distance)
     return np.stack([(c[index] * weight).sum(1) for c in cost.T], 1) / weight.sum(1, keepdims=True)
 
 
 def kernel(distance: np.ndarray) -> np.ndarray:
-    """Weights [m,count] that fall to a tenth at the farthest neighbour."""
+    """Weights [m, count] of neighbours at distances [m, count], sorted by distance: a tenth at the farthest one."""
     reach = np.maximum(distance[:, -1:], 1e-9)
     return np.exp(-2.3 * (distance / reach) ** 2)
 
 
 def texture_size(surface: Surface, footprint: float, most: int) -> int:
-    """Side in texels, a power of two: a texel as large as a pixel's footprint on the surface [unit frame]."""
+    """Side of the textures in texels: the power of two that makes a texel about as wide as `footprint` on the surface.
+
+    `footprint` is the width of a pixel on the surface in the unit frame. The result is at least 256 and at most `most`.
+    """
     corner = surface.vertices[surface.faces]
     area = 0.5 * np.linalg.norm(np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]), axis=1).sum()
     flat = surface.atlas[surface.faces]
@@ -75,10 +85,11 @@ def texture_size(surface: Surface, footprint: float, most: int) -> int:
 def bake(
     surface: Surface, labelled: LabelledPoints, palette: Palette, size: int
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Albedo [S,S,3], roughness, metallic, confidence [S,S] float32, seams dilated.
+    """Textures with S = `size` texels a side: albedo [S, S, 3], roughness, metallic and confidence [S, S], float32.
 
-    A texel takes the material that the samples around it vote for; one that no photo saw takes that of the nearest.
-    Confidence is 0..1: how many photos saw it, how near, how well the material explains them.
+    A texel takes the material for which the labelled points around it vote; a texel that no photo shows takes the material
+    of the nearest points. A texel outside the UV charts takes the value of the nearest texel inside. Confidence is in 0..1.
+    It is higher if more photos show the neighbours, if they are nearer, and if the material explains them better.
     """
     face, barycentric = rasterise(surface.atlas, surface.faces, size)
     known = face >= 0
@@ -112,24 +123,26 @@ def bake(
 
 @dataclass
 class _TexelVotes:
-    """What the samples around texels say, all [n, ...]."""
+    """The votes of the labelled points around n texels; all arrays are [n, ...]."""
 
     label: np.ndarray
-    """of the material with the least cost"""
+    """[n] index of the material with the least cost"""
     local_albedo: np.ndarray
-    """[n,3] mean over the neighbours that carry that material"""
+    """[n, 3] mean albedo of the neighbours that have that material"""
     support: np.ndarray
-    """their weight; 0 where none does"""
+    """[n] sum of the weights of those neighbours; 0 if there are none"""
     residual: np.ndarray
+    """[n] weighted mean residual of all neighbours"""
     photos: np.ndarray
-    """how many the neighbours are from"""
+    """[n] number of photos that the neighbours come from"""
     nearest: np.ndarray
+    """[n] distance of the nearest neighbour"""
     farthest: np.ndarray
-    """distances of the neighbours"""
+    """[n] distance of the farthest neighbour"""
 
     @classmethod
     def of(cls, points: np.ndarray, labelled: LabelledPoints, sample_label: np.ndarray, tree: cKDTree) -> _TexelVotes:
-        """For points [n,3]; sample_label [m] is each sample's material."""
+        """The votes for points [n, 3]; sample_label [m] is the material of each labelled point."""
         distance, index = neighbours(tree, points, NEIGHBOURS)
         label, weight = vote(labelled.cost, distance, index), kernel(distance)
         own = weight * (sample_label[index] == label[:, None])
@@ -137,17 +150,17 @@ class _TexelVotes:
         albedo = np.einsum("nk,nkc->nc", own, labelled.albedo[index]) / np.maximum(support, 1e-9)[:, None]
         photos = 1 + (np.diff(np.sort(labelled.photo[index], 1), axis=1) > 0).sum(1)
         residual = (labelled.residual[index] * weight).sum(1) / weight.sum(1)
-        nearest, farthest = distance[:, 0].copy(), distance[:, -1].copy()  # not views, which would keep all distances
+        nearest, farthest = distance[:, 0].copy(), distance[:, -1].copy()  # views would keep all distances in memory
         return cls(label, albedo.astype(np.float32), support, residual, photos, nearest, farthest)
 
     @classmethod
     def joined(cls, parts: list[_TexelVotes]) -> _TexelVotes:
-        """One after the other."""
+        """The votes of all parts, one part after the other."""
         return cls(*(np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(cls)))
 
 
 @profiled("labels")
 def labels_at(tree: cKDTree, labels: torch.Tensor, points: torch.Tensor) -> torch.Tensor:
-    """The label [m] of the sample nearest to each point [m,3]."""
+    """The label [m] of the sample in `tree` that is nearest to each point [m, 3]; labels [n] are those of the samples."""
     nearest = tree.query(points.cpu().numpy(), workers=-1)[1]
     return labels[torch.from_numpy(np.asarray(nearest, np.int64)).to(labels.device)]

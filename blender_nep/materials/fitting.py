@@ -1,7 +1,7 @@
-"""Every hypothesis (metal or not, roughness) for groups of photo samples, each with the albedo that explains them best.
+"""Fits materials to groups of photo samples. A hypothesis is a metallic value and a roughness; its best albedo is computed.
 
-Given roughness and the choice metal or dielectric, the radiance of a pixel is linear in its albedo: solved in closed form,
-robustly, by reweighted least squares in the photometric space.
+For a given roughness and metallic, the radiance of a pixel is linear in its albedo. So the albedo is found in closed form,
+by reweighted least squares in the tone-mapped space, which is robust against outliers.
 """
 
 from __future__ import annotations
@@ -23,11 +23,11 @@ if TYPE_CHECKING:
 _ROUGHNESS = 28
 """Steps of the roughness scan, evenly in sqrt(roughness)."""
 _ITERATIONS = 4
-"""Of the reweighted least squares."""
+"""Iterations of the reweighted least squares."""
 
 
 def roughness_scan(least: float, device: torch.device) -> Tensor:
-    """Roughnesses tried, finer where lobes are narrow."""
+    """The roughness values [R] that are tried, from `least` to 1; they are denser where lobes are narrow."""
     return torch.linspace(least**0.5, 1, _ROUGHNESS, device=device) ** 2
 
 
@@ -44,11 +44,11 @@ def fit_groups(
     hypotheses: tuple[float, ...] = (0.0, 1.0),
     most_diffuse: float = 1.0,
 ) -> tuple[Tensor, Tensor]:
-    """Every hypothesis (metallic, roughness) for every group of samples.
+    """Fit every hypothesis (one of M metallic values, one of R roughness values) to every group of samples.
 
-    target [n,3] linear, weight [n], group [n] int64 in 0..groups-1 (-1: none); most_diffuse: limit of
-    a dielectric's albedo (above 1 the hue survives where F_e is too dark).
-    Returns cost [M,R,groups] (mean clipped residual) and albedo [M,R,groups,3]. Computed on the CPU, whatever the device.
+    target [n, 3] linear; weight [n]; group [n] int64 in 0..groups-1, or -1 for a sample in no group. `most_diffuse` is the
+    largest albedo of a dielectric: a limit above 1 keeps the hue where F_e is too dark. Returns cost [M, R, groups] (mean
+    clipped residual) and albedo [M, R, groups, 3]. The fit runs on the CPU, whatever the device.
     """
     scan = roughness_scan(least_roughness, target.device)
     member = (group >= 0).nonzero().squeeze(-1)
@@ -85,5 +85,5 @@ def fit_groups(
 
 
 def _array(values: Tensor) -> np.ndarray:
-    """As the kernel reads it: float32, contiguous, on the CPU."""
+    """The values as the kernel needs them: float32, contiguous, on the CPU."""
     return values.float().cpu().contiguous().numpy()

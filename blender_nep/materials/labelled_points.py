@@ -1,4 +1,4 @@
-"""What is known in the end of which material lies where: by the samples, or by far more pixels."""
+"""Labels points of the surface with materials: the photo samples, or many more pixels (the label pixels)."""
 
 from __future__ import annotations
 
@@ -21,11 +21,12 @@ if TYPE_CHECKING:
     from blender_nep.materials.photo_samples import PhotoSamples
 
 _CANDIDATES = 3
-"""Pixels looked at for each label pixel: nearly all that show the surface become one, so there is little to choose."""
+"""Pixels that are tried for each label pixel. Nearly all pixels that show the surface become label pixels, so few are
+enough."""
 
 
 def labelled_samples(search: PaletteSearch) -> LabelledPoints:
-    """Of those that the light was gathered for."""
+    """The labelled points of the photo samples, for which the light was gathered."""
     cost = search.costs().cpu().numpy()
     label = search.label.cpu().numpy()
     own = cost[np.arange(len(label)), label] / search.weight.cpu().numpy()
@@ -39,7 +40,10 @@ def labelled_samples(search: PaletteSearch) -> LabelledPoints:
 
 
 def error_of_neighbours(search: PaletteSearch, samples: Surfels, shown: np.ndarray) -> float:
-    """Median error with which the other samples of its photo tell what a sample shows of its own material."""
+    """Median error of predicting a sample's radiance from the nearest other samples of the same photo.
+
+    The radiance is that of the sample's own material, tone-mapped; shown [n, K, 3] is that of every material.
+    """
     label = search.label.cpu().numpy()
     return float(np.median(left_out_error(samples, shown)[np.arange(len(label)), label]))
 
@@ -54,9 +58,11 @@ def labelled_pixels(
     normals: np.ndarray,
     seed: int,
 ) -> LabelledPoints:
-    """Of `preset.label_pixels` pixels, by the light of the samples beside them: boundaries are as sharp as the photos.
+    """The labelled points of at most `preset.label_pixels` pixels, so that boundaries are as sharp as the photos.
 
-    shown [n,K,3]: what each sample shows of each material, tone-mapped."""
+    The light of a pixel is taken from the nearest samples of its photo. shown [n, K, 3] is the tone-mapped radiance that
+    each sample would have with each material.
+    """
     p, palette = search.preset, search.palette
     label_pixels = select_samples(
         rays,
@@ -78,7 +84,7 @@ def labelled_pixels(
 
 
 def surfels(samples: PhotoSamples, tracer: RayTracer, normals: np.ndarray) -> Surfels:
-    """Where samples see the surface, with the vertices' normals [V,3] between them."""
+    """Where the samples see the surface. Their normals are interpolated from the vertices' normals [V, 3]."""
     return Surfels(
         samples.position, tracer.smooth_normals(normals, samples.face, samples.barycentric), samples.photo.cpu().numpy()
     )

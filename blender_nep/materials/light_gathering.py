@@ -1,4 +1,4 @@
-"""What stands still while materials are learned: the photo samples, f_p over the mesh, and the light that reaches them."""
+"""Computes what does not change while materials are learned: the photo samples, f_p over the mesh, and the light on them."""
 
 from __future__ import annotations
 
@@ -23,20 +23,20 @@ if TYPE_CHECKING:
     from blender_nep.presets import MaterialPreset
 
 _TERMINAL_RATE = 3e-3
-"""Adam's, for the terminal MLP."""
+"""Adam's learning rate for the terminal MLP."""
 _TERMINAL_BATCH = 4096
 
 
 @dataclass(frozen=True)
 class Observations:
-    """The surface as the photos show it."""
+    """The surface, and the photo samples that see it."""
 
     surface: Surface
     rays: PixelRays
     samples: PhotoSamples
-    """n pixels that the materials are learned from"""
+    """The n pixels from which the materials are learned"""
     points: SurfacePoints
-    """[n] where they see the surface"""
+    """[n] the points of the surface that the samples see"""
     f_p: PlenopticFunction
     footprint: float
     """Median width of a pixel on the surface, unit frame"""
@@ -52,7 +52,7 @@ class Observations:
         seed: int,
         device: torch.device,
     ) -> Observations:
-        """Selects the samples. Raises LearningError when no photo shows the surface."""
+        """Select the samples and set up f_p. Raises LearningError when no photo shows the surface well enough."""
         tracer = RayTracer(surface.vertices, surface.faces)
         samples = select_samples(
             rays,
@@ -77,9 +77,9 @@ class Observations:
 def gathered_light(
     seen: Observations, preset: MaterialPreset, generator: torch.Generator, progress: TrainingProgress
 ) -> IncomingLight:
-    """The terminal MLP and the prefiltered light: the long part, which a resumed run takes from the checkpoint.
+    """Learn the terminal MLP and gather the prefiltered light [n samples]. Takes long; raises what `progress` raises.
 
-    From here on the progress has a state to save.
+    A resumed run takes both from the checkpoint. Afterwards `progress.state` holds them, so that checkpoints save them.
     """
     f_p, saved = seen.f_p, progress.checkpoint.load() or {}
     if "light" in saved:
@@ -110,7 +110,7 @@ def gathered_light(
 
 @profiled("terminal MLP")
 def _learn_terminal(seen: Observations, steps: int, generator: torch.Generator, progress: TrainingProgress) -> None:
-    """MLP(x, d) from the photos: what they show of the surface is the radiance it sends out."""
+    """Learn the terminal MLP(x, d): the radiance that the surface point x sends in direction d, as the photos show it."""
     net = seen.f_p.terminal
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(int(torch.randint(1 << 30, (1,), generator=generator)))

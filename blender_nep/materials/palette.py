@@ -1,5 +1,8 @@
-"""How few materials explain the photos: they are chosen one after another from what was fitted (`fitting`), as long as
-a further one explains enough more."""
+"""A palette: the few materials that explain the photos.
+
+The materials are chosen one after another from the fitted candidates (`fitting`), until a further material lowers the error
+too little.
+"""
 
 from __future__ import annotations
 
@@ -19,7 +22,7 @@ _MIXTURES = (0.25, 0.5, 0.75)
 
 @dataclass
 class Palette:
-    """K materials: albedo [K,3], roughness [K], metallic [K]; the last `blends` of them are mixtures of two others."""
+    """K materials: albedo [K, 3], roughness [K], metallic [K]. The last `blends` materials are mixtures of two others."""
 
     albedo: Tensor
     roughness: Tensor
@@ -28,11 +31,14 @@ class Palette:
 
     @property
     def blended(self) -> Tensor:
-        """[K] bool: which are mixtures."""
+        """[K] bool: which materials are mixtures."""
         return torch.arange(len(self), device=self.roughness.device) >= len(self) - self.blends
 
     def with_blends(self, most: int = 4) -> Palette:
-        """With mixtures of every two of the first `most` materials: boundaries between materials may be soft."""
+        """This palette, followed by mixtures of every two of its first `most` materials.
+
+        Pixels at soft boundaries between two materials need the mixtures.
+        """
         pairs = [(i, j) for j in range(min(len(self), most)) for i in range(j)]
         if not pairs:
             return self
@@ -49,11 +55,11 @@ class Palette:
         return len(self.roughness)
 
     def at(self, index: Tensor) -> Material:
-        """The material of each index [n]."""
+        """The materials with the indices [n]."""
         return Material(self.albedo[index], self.roughness[index], self.metallic[index])
 
     def with_one(self, k: int, other: Palette) -> Palette:
-        """With the k-th material of another palette in the place of its own."""
+        """This palette, with material k replaced by material k of another palette."""
 
         def swap(own: Tensor, its: Tensor) -> Tensor:
             return torch.cat([own[:k], its[k : k + 1], own[k + 1 :]])
@@ -63,7 +69,7 @@ class Palette:
         )
 
     def joined(self, other: Palette) -> Palette:
-        """Followed by another palette's materials."""
+        """This palette, followed by another palette's materials."""
         return Palette(
             torch.cat([self.albedo, other.albedo]),
             torch.cat([self.roughness, other.roughness]),
@@ -76,7 +82,10 @@ class Palette:
 
 
 def error(light: IncomingLight, target: Tensor, weight: Tensor, material: Material, clip: float) -> Tensor:
-    """Robust residual [n] of every sample under a material (of n, or one broadcast): tone-mapped, clipped, weighted."""
+    """Residual [n] of every sample under its material, in 0..`clip`, multiplied by `weight` [n].
+
+    It is the mean absolute tone-mapped difference from target [n, 3]. `material` holds n materials, or one for all.
+    """
     n = len(target)
     r = material.roughness.expand(n)
     whole = Material(material.albedo.expand(n, 3), r, material.metallic.expand(n))
@@ -87,9 +96,10 @@ def error(light: IncomingLight, target: Tensor, weight: Tensor, material: Materi
 def best_of(
     cost: Tensor, albedo: Tensor, least_roughness: float, hypotheses: tuple[float, ...], metal_margin: float
 ) -> Palette:
-    """The best hypothesis of each group; roughness to a fraction of a step by a parabola through the minimum.
+    """The best hypothesis of each group, from cost [M, R, groups] and albedo [M, R, groups, 3] of `fit_groups`.
 
-    metal_margin: a metal must be better by this share of the residual, the prior that most things are not.
+    The roughness is refined to a fraction of a step by a parabola through the minimum. The residual of a metal must be
+    lower than that of a dielectric by the share `metal_margin`, because most things are not metal.
     """
     scan = roughness_scan(least_roughness, cost.device)
     prior = torch.tensor([1 + metal_margin * m for m in hypotheses], device=cost.device)
@@ -110,10 +120,10 @@ def best_of(
 
 
 def choose(cost: Tensor, size: Tensor, most: int, gain: float) -> list[int]:
-    """Greedy choice of materials: indices of candidates.
+    """Choose at most `most` materials greedily; returns the indices of the chosen candidates.
 
-    cost [C,groups] mean residual of each group under each candidate, size [groups] its weight. The first is the one that
-    is best for all; each further one must lower the total by the share `gain`.
+    cost [C, groups] is the mean residual of each group under each candidate; size [groups] is the weight of a group. The
+    first material is the best for all groups together. Each further material must lower the total by the share `gain`.
     """
     weighted = cost * size
     chosen = [int(weighted.sum(1).argmin())]
@@ -129,11 +139,12 @@ def choose(cost: Tensor, size: Tensor, most: int, gain: float) -> list[int]:
 
 
 def same_material(palette: Palette, share: Tensor, hue: float, roughness: float) -> list[int]:
-    """For each material the larger one that it is a shade of, or itself.
+    """For each material k, the index of the larger material of which k is a shade, or k itself. share [K]: of the samples.
 
-    Two are shades of one when both are metal or both are not, their chromaticities (albedo over its sum) differ by less
-    than `hue`, and, for metals, their roughnesses by less than `roughness`: a metal's roughness is read off its
-    reflections, a dielectric's brightness is mostly irradiance, which F_e knows least where photos do not look.
+    Two materials are shades of one material if both are metals or both are dielectrics, and if their chromaticities (albedo
+    divided by its sum) differ by less than `hue`. Metals must also differ by less than `roughness` in roughness, because
+    reflections show a metal's roughness. The brightness of a dielectric comes mostly from irradiance, and F_e is least
+    certain about light from directions that no photo shows.
     """
     chroma = palette.albedo / palette.albedo.sum(1, keepdim=True).clamp_min(1e-6)
     into = list(range(len(palette)))

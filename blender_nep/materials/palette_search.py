@@ -1,7 +1,8 @@
-"""Which materials an object has and which samples are made of which, under the light that is known so far.
+"""Finds the materials of an object, and the material of each sample, under the light that is known so far.
 
-One material is fitted for all samples; candidates come from small regions of the surface and are chosen while they explain
-clearly more; then neighbours vote, shades of one hue become one, and what a blend of others explains is dropped.
+First, one material is fitted to all samples. Then candidates are fitted to small regions of the surface, and chosen as long
+as a further one explains clearly more. Each sample takes the material for which its neighbours vote. Shades of one hue are
+merged into one material. A material that blends of others explain as well is dropped.
 """
 
 from __future__ import annotations
@@ -27,31 +28,31 @@ if TYPE_CHECKING:
     from blender_nep.shading.incoming_light import IncomingLight
 
 _SHADES = 2.5
-"""Albedo that a dielectric may seem to have where F_e is too dark, until shades of one hue are merged."""
+"""Largest albedo of a dielectric until shades of one hue are merged. It is above 1, because F_e may be too dark."""
 
 
 class PaletteSearch:
-    """The palette, and the material of every sample in it: in the beginning one material for all samples."""
+    """The palette, and the material of every sample. At first, one material is fitted to all samples."""
 
     def __init__(self, samples: PhotoSamples, light: IncomingLight, preset: MaterialPreset, device: torch.device) -> None:
         self.samples, self.light, self.preset, self.device = samples, light, preset, device
         self.target = samples.radiance
         self.label = torch.zeros(len(samples), dtype=torch.int64, device=device)
-        """[n] into the palette"""
+        """[n] int64: each sample's index into the palette"""
         self.weight = 0.05 + light.coverage[:, : len(preset.roughness_levels) // 2].mean(1)
-        """[n] how much a sample counts: until all light is known, by how much of its own is"""
+        """[n] how much a sample counts. Until the unseen light is found: 0.05 + the share of its light that is known"""
         self.merged = 0
-        """Shades that the last merge has made one with others"""
+        """Number of materials that the last merge has removed"""
         self._tree = cKDTree(samples.position)
         self._around = neighbours(self._tree, samples.position, 2 * NEIGHBOURS)
         self.palette = self._fit(self.label, 1)
 
     def fit_one(self) -> None:
-        """One material for all samples, under the present light."""
+        """Fit one material to all samples, under the present light."""
         self.palette = self._fit(self.label, 1)
 
     def metallic_swapped(self) -> Palette:
-        """Each material of the palette as it would be if it were metal instead of a dielectric, or the reverse."""
+        """The palette with every metal fitted as a dielectric, and every dielectric fitted as a metal."""
         p, swapped = self.preset, self.palette
         cost, albedo = self._scan(self.label, len(self.palette))
         for i, metallic in enumerate(p.metallic):
@@ -61,7 +62,7 @@ class PaletteSearch:
         return swapped
 
     def grow(self, after_choice: Callable[[], None]) -> None:
-        """Candidates from small regions of the surface; greedy choice; then every sample takes its best.
+        """Choose materials among candidates from small regions of the surface, and give every sample its material.
 
         after_choice() is called when the materials are chosen.
         """
@@ -82,7 +83,7 @@ class PaletteSearch:
         after_choice()
         self.palette = candidates.pick(chosen)
         self.assign()
-        # A material that hardly any sample takes is an artefact of a badly lit corner.
+        # A material that hardly any sample takes comes from a badly lit corner and not from the object.
         for _ in range(2):
             share = self.shares()
             keep = (share >= p.least_share).nonzero().squeeze(-1).tolist() or [int(share.argmax())]
@@ -94,7 +95,10 @@ class PaletteSearch:
         self.drop_superfluous()
 
     def drop_superfluous(self) -> None:
-        """Without the materials that explain hardly more than the others and their blends, as soft boundaries do."""
+        """Drop the materials that explain hardly more than the other materials and their blends.
+
+        Such materials come from soft boundaries between two materials.
+        """
         for k in self.shares().argsort().tolist():
             if len(self.palette) == 1:
                 return
@@ -107,7 +111,7 @@ class PaletteSearch:
                 return
 
     def merge_shades(self) -> None:
-        """Materials of one hue become one: a difference in brightness alone is more likely F_e's than the object's."""
+        """Merge materials of one hue: a difference in brightness alone more likely comes from F_e than from the object."""
         into = same_material(self.palette, self.shares(), self.preset.merge_hue, self.preset.merge_roughness)
         kept = sorted(set(into))
         if len(kept) < len(self.palette):
@@ -116,7 +120,7 @@ class PaletteSearch:
         self.palette = self._fit(self.label, len(kept))
 
     def assign(self) -> None:
-        """Every sample takes the material that its neighbours vote for."""
+        """Give every sample the material for which its neighbours vote."""
         if len(self.palette) == 1:
             self.label.zero_()
             return
@@ -125,31 +129,37 @@ class PaletteSearch:
             self.label = torch.from_numpy(vote(costs, *self._around)).to(self.device)
 
     def shares(self) -> Tensor:
-        """Share of the samples [K] of each material."""
+        """Share [K] of the samples that have each material."""
         return torch.bincount(self.label, minlength=len(self.palette)) / len(self.label)
 
     @profiled("residuals")
     def costs(self, palette: Palette | None = None) -> Tensor:
-        """[n,K] weighted residuals; a blend must be better than a material alone by a margin."""
+        """Weighted residuals [n, K] of every sample under each material of `palette` (None: this search's palette).
+
+        The residuals of blends are raised by `preset.blend_margin`: a blend must be clearly better than one material.
+        """
         palette = self.palette if palette is None else palette
         costs = torch.stack([self._error(palette, k) for k in range(len(palette))], 1)
         return costs * torch.where(palette.blended, 1 + self.preset.blend_margin, 1.0)
 
     @profiled("votes")
     def smoothed(self, costs: np.ndarray, first: int = 0) -> np.ndarray:
-        """Means over each sample's neighbours from the `first` on (0: itself), near ones counting more."""
+        """Means of costs [n, K] over each sample's neighbours; near ones count more.
+
+        The neighbours are sorted by distance and begin with number `first`; number 0 is the sample itself.
+        """
         return weighted_mean(costs, *(values[:, first:] for values in self._around))
 
     def residual(self) -> float:
-        """Mean tone-mapped error of all samples."""
+        """Mean clipped tone-mapped error of all samples under their materials, weighted by `weight`."""
         return float(self.costs().gather(1, self.label[:, None]).sum() / self.weight.sum())
 
     def materials_at(self, points: SurfacePoints) -> Material:
-        """Of the samples nearest to some points."""
+        """The material at each point: that of the nearest sample."""
         return self.palette.at(labels_at(self._tree, self.label, points.position))
 
     def shown(self) -> np.ndarray:
-        """What each sample would show of each material [n,K,3], tone-mapped."""
+        """The tone-mapped radiance [n, K, 3] that each sample would have with each material."""
         return torch.stack([self._shown(k) for k in range(len(self.palette))], 1).cpu().numpy()
 
     def _shown(self, k: int) -> Tensor:
@@ -179,8 +189,10 @@ class PaletteSearch:
         return error(self.light, self.target, self.weight, palette.at(one), self.preset.clip)
 
     def _left_out(self, palette: Palette) -> float:
-        """Mean residual of every sample under the material that its neighbours vote for without it: what a material gains
-        by fitting the noise does not count."""
+        """Validation error: the mean residual of the samples, each under the material for which its neighbours vote.
+
+        The sample itself has no vote, so that a material gains nothing by fitting noise.
+        """
         costs = self.costs(palette).cpu().numpy()
         label = self.smoothed(costs, first=1).argmin(1)
         return float(costs[np.arange(len(label)), label].mean())

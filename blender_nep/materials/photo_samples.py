@@ -1,4 +1,4 @@
-"""Which pixels of the photos the materials are learned from, and what each of them shows of the surface."""
+"""Selects the pixels of the photos from which materials are learned, and finds the surface point that each of them shows."""
 
 from __future__ import annotations
 
@@ -19,29 +19,29 @@ if TYPE_CHECKING:
 
 _CANDIDATES_PER_SAMPLE = 12
 _VOXEL = 0.05
-"""Width of the voxels over which samples are spread, unit frame."""
+"""Width of the voxels over which samples are spread, in the unit frame."""
 _EDGE_PIXELS = 2.0
-"""A pixel counts as an edge when the surface is not continuous this far around it."""
+"""A pixel counts as an edge if the surface is not continuous within this many pixels around it."""
 
 
 @dataclass
 class PhotoSamples:
-    """Pixels that show the surface: where, from where, and how bright."""
+    """n pixels that show the surface: the surface points that they show, the directions to the camera, and the radiance."""
 
     face: np.ndarray
-    """[n] int"""
+    """[n] int, index of the face"""
     barycentric: np.ndarray
-    """[n,3]"""
+    """[n, 3] coordinates in the face"""
     position: np.ndarray
-    """[n,3]"""
+    """[n, 3] unit frame"""
     view: Tensor
-    """[n,3] unit, towards the camera"""
+    """[n, 3] unit vectors towards the camera"""
     photo: Tensor
-    """[n] which photo"""
+    """[n] int64, index of the photo"""
     radiance: Tensor
-    """[n,3] linear"""
+    """[n, 3] linear, as if all photos had one exposure"""
     skipped: dict
-    """Shares of the pixels tried that were left out, by reason"""
+    """{reason: share of the tried pixels that were left out for it}; pixels that miss the mesh are not counted"""
 
     def __len__(self) -> int:
         return len(self.face)
@@ -58,10 +58,10 @@ def select_samples(
     generator: np.random.Generator,
     candidates: int = _CANDIDATES_PER_SAMPLE,
 ) -> PhotoSamples:
-    """At most `count` pixels spread over the surface and the views, with what carries no information left out; for each,
-    `candidates` are looked at.
+    """Select at most `count` pixels, spread over the surface. For each, `candidates` random pixels are tried.
 
-    Raises LearningError when no pixel shows the mesh.
+    Left out are pixels outside the mask, at grazing angles, at edges of the surface, and clipped ones. Raises LearningError
+    when no pixel is left.
     """
     sphere = rays.sphere
     tried = min(len(sphere), count * candidates)
@@ -113,7 +113,10 @@ def select_samples(
 def _edges(
     tracer: RayTracer, o: np.ndarray, d: np.ndarray, t: np.ndarray, angle: np.ndarray, cosine: np.ndarray, on: np.ndarray
 ) -> np.ndarray:
-    """Whether the surface around a pixel [n] bool is cut off: a neighbouring ray misses, or is far off its plane."""
+    """Whether the surface is not continuous around each pixel [n] bool.
+
+    That is so where a neighbouring ray misses the mesh, or meets it far from the plane of the pixel's surface point.
+    """
     rows = np.flatnonzero(on)
     out = np.zeros(len(o), bool)
     side = np.cross(d[rows], np.where(np.abs(d[rows, 2:]) < 0.9, [[0, 0, 1.0]], [[1.0, 0, 0]]))
@@ -130,7 +133,7 @@ def _edges(
 
 
 def _spread(position: np.ndarray, count: int, generator: np.random.Generator) -> np.ndarray:
-    """Indices of `count` points, those in crowded voxels kept with a lower chance (inverse square root)."""
+    """Indices of `count` random points. A point's weight is 1 / sqrt(number of points in its voxel)."""
     voxel = np.floor(position / _VOXEL).astype(np.int64)
     _, inverse, crowd = np.unique(voxel, axis=0, return_inverse=True, return_counts=True)
     weight = 1 / np.sqrt(crowd[inverse.ravel()])

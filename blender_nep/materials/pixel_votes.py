@@ -1,8 +1,8 @@
-"""Which material every pixel votes for, not only those that the light was gathered for.
+"""Finds how well each material fits the label pixels, for which no light was gathered.
 
-Light hardly changes between neighbouring pixels of one photo. So what a pixel would show of each material is taken from the
-nearest samples of the same photo, whose light is known, and compared with what it does show. Whether it is so is measured:
-each sample is predicted by its neighbours, too.
+Light hardly changes between neighbouring pixels of one photo. So the radiance that a pixel would have with each material is
+taken from the nearest samples of the same photo, whose light is known. It is compared with the pixel's own radiance. Whether
+the light really changes that little is measured: each sample is predicted from its neighbours, too (`left_out_error`).
 """
 
 from __future__ import annotations
@@ -16,29 +16,29 @@ from blender_nep.materials.baking import neighbours, weighted_mean
 
 _NEAREST = 4
 _BEND = 0.2
-"""Distance on the surface, unit frame, that counts as much as a turn of the normal by a radian."""
+"""Distance on the surface, in the unit frame, that counts as much as a turn of the normal by one radian."""
 
 
 class Surfels(NamedTuple):
-    """Where pixels see the surface."""
+    """The n surface points that some pixels see."""
 
     position: np.ndarray
-    """[n,3] unit frame"""
+    """[n, 3] unit frame"""
     normal: np.ndarray
-    """[n,3]"""
+    """[n, 3] unit vectors"""
     photo: np.ndarray
-    """[n] int"""
+    """[n] int, index of the photo"""
 
     def features(self) -> np.ndarray:
-        """[n,6]: what is near in them is lit alike."""
+        """Coordinates [n, 6] of position and normal. Points that are near in these coordinates have similar light."""
         return np.concatenate([self.position, _BEND * self.normal], 1)
 
 
 def pixel_costs(samples: Surfels, shown: np.ndarray, pixels: Surfels, goal: np.ndarray, clip: float) -> np.ndarray:
-    """Residual [m,K] of every pixel under each material: mean over the channels, at most `clip`.
+    """Residual [m, K] of every pixel under each material: mean over the channels, at most `clip`.
 
-    shown [n,K,3]: what each sample would show of each material; goal [m,3]: what the pixels show; both tone-mapped. A pixel
-    of a photo without samples costs `clip` whatever it is made of.
+    shown [n, K, 3] is the radiance that each sample would have with each material; goal [m, 3] is the radiance of the
+    pixels. Both are tone-mapped. In a photo without samples, the residual of every material is `clip`.
     """
     cost = np.full((len(goal), shown.shape[1]), clip, np.float32)
     known, asked = samples.features(), pixels.features()
@@ -53,8 +53,11 @@ def pixel_costs(samples: Surfels, shown: np.ndarray, pixels: Surfels, goal: np.n
 
 
 def left_out_error(samples: Surfels, shown: np.ndarray) -> np.ndarray:
-    """Mean error [n,K] over the channels of what the nearest other samples of its photo say that a sample would show of each
-    material [n,K,3]; 1 where there are none."""
+    """Error [n, K] of predicting each sample from the nearest other samples of its photo, mean over the channels.
+
+    shown [n, K, 3] is the tone-mapped radiance that each sample would have with each material. The error is 1 where the
+    photo has no other sample.
+    """
     error, features = np.ones(shown.shape[:2], np.float32), samples.features()
     for photo in np.unique(samples.photo):
         here = np.flatnonzero(samples.photo == photo)

@@ -1,8 +1,8 @@
-"""Stage 2: albedo, roughness and metallic of the surface from the photos, by the rendering equation over the mesh.
+"""Material learning (stage 2 of the paper): albedo, roughness and metallic of the surface, by the rendering equation.
 
-The mesh and F_e stand still, so primary hits, visibility and prefiltered light are computed once (`light_gathering`). Then
-one material is fitted for all, more are added while they explain clearly more (`palette_search`), and what the object
-reflects of itself is brought up to date in between.
+The mesh and F_e do not change, so primary hits, visibility and prefiltered light are computed once (`light_gathering`). Then
+one material is fitted to all samples, and more are added as long as they explain clearly more (`palette_search`). In
+between, the light that the object reflects to itself is computed again with the new materials.
 """
 
 from __future__ import annotations
@@ -36,24 +36,25 @@ if TYPE_CHECKING:
 
 
 _NO_LIGHT = 0.02
-"""Share of the light below which photos show none of it."""
+"""If the photos show less than this share of the light, they count as showing none of it."""
 
 
 @dataclass
 class Materials:
-    """Textures over the surface's UVs, row 0 = top (v = 1), linear float32."""
+    """Textures over the surface's UVs. Row 0 is the top (v = 1). Linear float32."""
 
     albedo: np.ndarray
-    """[H,W,3] Base Color"""
+    """[H, W, 3] Principled's Base Color, 0..1"""
     roughness: np.ndarray
-    """[H,W] Principled's"""
+    """[H, W] Principled's roughness, 0..1"""
     metallic: np.ndarray
-    """[H,W]"""
+    """[H, W] Principled's metallic, 0..1"""
     confidence: np.ndarray
-    """[H,W] 0..1"""
+    """[H, W] 0..1: 1 where the photos decided"""
     unseen: UnseenLight | None = None
-    """Light that no photo shows, to be added to F_e's where its coverage is missing"""
+    """Light that no photo shows. It is added to F_e's radiance where F_e has no coverage."""
     report: dict = field(default_factory=dict)
+    """`MaterialReport.as_dict`"""
 
 
 def learn_materials(
@@ -67,9 +68,10 @@ def learn_materials(
     progress: Callable,
     checkpoint,
 ) -> Materials:
-    """Textures of the surface. Raises LearningError when no photo shows it; Stopped on request.
+    """Learn the textures of the surface. Raises LearningError and Stopped.
 
-    A resumed run goes on from the gathered light where that was saved, and ends with the same textures.
+    LearningError: no photo shows the surface well enough, or the textures are not finite. A resumed run goes on from the
+    gathered light if that was saved, and ends with the same textures.
     """
     device, start = torch.device(device), time.monotonic()
     generator = torch.Generator().manual_seed(seed)
@@ -82,7 +84,7 @@ def learn_materials(
 
 
 class _MaterialLearner:
-    """The palette under the light that is known so far, and the light that is found by it, in turns."""
+    """Finds the palette under the light that is known so far, and the unseen light with that palette, in turns."""
 
     def __init__(
         self,
@@ -94,19 +96,19 @@ class _MaterialLearner:
         report: MaterialReport,
         progress: TrainingProgress,
     ) -> None:
-        """One material is fitted for all samples; the rest is `run`'s."""
+        """Fit one material to all samples. `run` does the rest."""
         self.seen, self.light, self.preset, self.seed = seen, light, preset, seed
         self.generator, self.report, self.progress = generator, report, progress
         self.known_metallic: Tensor | None = None
-        """[K] metallic of the palette's materials, where the photos have told it clearly"""
+        """[K] metallic of the palette's materials. None if the photos have not decided it clearly."""
         self.trial_seconds = 0.0
-        """Seconds that it took the last time to try every material as metal or as a dielectric"""
+        """Seconds that the last trial of every material as the other class (metal or dielectric) took"""
         if preset.residual and float(light.coverage.mean()) < _NO_LIGHT:
             self._begin_with_grey_light()
         self.search = PaletteSearch(seen.samples, light, preset, seen.device)
 
     def run(self) -> Materials:
-        """A palette, where its materials lie, and textures of that."""
+        """Learn the palette, label the points of the surface, and bake the textures. Raises LearningError and Stopped."""
         single = self._learn_palette()
         self.progress.phase_ended("materials")
         seen, search = self.seen, self.search
@@ -131,7 +133,7 @@ class _MaterialLearner:
         return Materials(albedo, roughness, metallic, confidence, self.light.unseen, report)
 
     def _learn_palette(self) -> float:
-        """One material, a palette, and unseen light, in turns. Returns the residual with one material."""
+        """Fit one material, then learn the palette and the unseen light in turns. Returns the residual with one material."""
         search, preset = self.search, self.preset
         self._reflect_itself()
         search.fit_one()
@@ -154,7 +156,7 @@ class _MaterialLearner:
         self.search.grow(lambda: self.progress.step(75))
 
     def _metallic_swapped(self) -> Palette | None:
-        """The palette's materials the other way round (metal or not); None where it is known what they are."""
+        """The palette with metals and dielectrics swapped. None where the preset or the photos have decided the class."""
         if len(self.preset.metallic) == 1:
             return None
         if self.known_metallic is not None and torch.equal(self.known_metallic, self.search.palette.metallic):
@@ -172,7 +174,7 @@ class _MaterialLearner:
         self._residual()
 
     def _begin_with_grey_light(self) -> None:
-        """The photos are cut-outs: in no light at all every material is as good as another."""
+        """Begin with a grey unseen light if the photos show no light (cut-outs). Without light, all materials look alike."""
         self._add_unseen_light(2 * float(self.seen.samples.radiance.mean(-1).median()))
         self.light.add_unseen()
 
@@ -184,7 +186,7 @@ class _MaterialLearner:
         self.report.unseen_light_radius = round(self.light.unseen.radius, 3)
 
     def _find_unseen_light(self) -> None:
-        """Light that no photo shows, under the present materials; how far away it is, the first time."""
+        """Learn the light that no photo shows, and improve the palette with it. The first time, set its distance, too."""
         p, light, search = self.preset, self.light, self.search
         uncovered = float(1 - light.coverage.mean())
         self.report.light_not_in_photos = round(uncovered, 4)
@@ -214,7 +216,7 @@ class _MaterialLearner:
         search.weight = torch.ones_like(search.weight)
 
     def _labelled_points(self) -> LabelledPoints:
-        """Of all pixels, if the light of the samples tells that of the others."""
+        """The labelled points: label pixels if the light of the samples predicts their light, else the samples."""
         search, tracer, normals = self.search, self.seen.f_p.tracer, self.seen.surface.normals
         of_samples = labelled_samples(search)
         if len(search.palette) == 1:

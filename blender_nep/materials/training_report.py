@@ -1,4 +1,4 @@
-"""What material learning tells: its report, and its steps while it goes on."""
+"""The report of material learning, and the progress of its steps."""
 
 from __future__ import annotations
 
@@ -15,42 +15,42 @@ _STEPS = 100
 
 @dataclass
 class MaterialReport:
-    """What was learned, and what that took. What is None or empty did not come up, and `as_dict` leaves it out."""
+    """What was learned, and what that took. `as_dict` leaves out most values that are None or empty."""
 
     samples: int
-    """Pixels that the materials were learned from"""
+    """Number of pixels from which the materials were learned"""
     left_out: dict[str, float]
-    """Shares of the pixels tried that were left out, by reason"""
+    """{reason: share of the tried pixels that were left out for it}"""
     seconds: dict[str, float] = field(default_factory=dict)
-    """Of each phase"""
+    """{phase: seconds}"""
     unseen_light_radius: float | None = None
-    """Of the map of the light that no photo shows, unit frame"""
+    """Radius of the sphere on which the unseen light lies, in the unit frame"""
     light_not_in_photos: float | None = None
     """Share of the light that no photo shows"""
     metal_or_not_margin: float | None = None
-    """How much worse, as a share, the photos are explained with the least certain material the other way round"""
+    """Share by which the error grows if the least certain material changes its class (metal or dielectric)"""
     merged_shades: int = 0
-    """Materials that became one with another of their hue"""
+    """Number of materials that were merged into another material of their hue"""
     materials: list[dict[str, Any]] = field(default_factory=list)
-    """Of each: share of the samples, albedo, roughness, metallic"""
+    """For each material: share of the samples, albedo, roughness, metallic"""
     residual_one_material: float | None = None
-    """Mean tone-mapped error with one material for everything"""
+    """Mean tone-mapped error with one material for all samples"""
     residual: float | None = None
-    """The same in the end"""
+    """Mean tone-mapped error with the final palette"""
     texture_texels: int | None = None
-    """Side of the textures"""
+    """Side of the textures in texels"""
     cones_traced: int | None = None
     self_reflection_rays: int | None = None
-    """How many of the cones met the object again"""
+    """Number of cones that met the object again"""
     neighbours_error: float | None = None
-    """Median error with which the other samples of a photo tell what a sample shows"""
+    """Median error of predicting a sample's radiance from the nearest other samples of its photo, tone-mapped"""
     skipped: dict[str, dict] = field(default_factory=dict)
-    """What was left out, and why"""
+    """{part that was left out: state of the message that says why}"""
     seconds_saved: dict[str, float] = field(default_factory=dict)
-    """What leaving it out saved, about"""
+    """{part that was left out: seconds that this saved, estimated}"""
 
     def tell_materials(self, palette: Palette, shares: list[float]) -> None:
-        """Fills `materials`; shares [K]: of the samples."""
+        """Fill `materials` from the palette; shares [K] are the shares of the samples."""
         self.materials = [
             {
                 "share": round(share, 4),
@@ -64,7 +64,7 @@ class MaterialReport:
         ]
 
     def as_dict(self) -> dict[str, Any]:
-        """As plain values, for the asset's report."""
+        """The report as plain values, for report.json."""
         always = {"samples", "left_out", "seconds", "materials"}
         values = {f.name: getattr(self, f.name) for f in fields(self)}
         empty: tuple[Any, ...] = (None, {}, [])
@@ -75,26 +75,27 @@ class MaterialReport:
 
 
 class TrainingProgress:
-    """Tells the steps of material learning, saves the checkpoints that are due, and takes the time of each phase."""
+    """Reports the steps of material learning, saves the checkpoints that are due, and measures the time of each phase."""
 
     def __init__(self, callback: Callable, checkpoint, seconds: dict[str, float], start: float) -> None:
-        """callback(step, steps, loss) may raise; seconds: where the phases' times are written; start: of the first one, by
-        `time.monotonic`."""
+        """callback(step, steps, loss) may raise. The times of the phases are written to the dict `seconds`.
+
+        `start` is the start of the first phase, as `time.monotonic` gives it.
+        """
         self.callback, self.checkpoint, self.seconds = callback, checkpoint, seconds
         self.done, self.loss, self.start = 0, float("nan"), start
         self.state: dict = {}
-        """For the checkpoint. Before the light is gathered there is nothing worth keeping: a resumed job repeats what comes
-        before and after it."""
+        """The content of the checkpoint. It is empty until the light is gathered: a resumed job repeats all other work."""
 
     def step(self, step: int) -> None:
-        """Reached `step` of 100."""
+        """Report that `step` of 100 steps is reached, and save the checkpoint if it is due."""
         self.done = step
         if self.checkpoint.due():
             self.checkpoint.save(self.state)
         self.callback(step, _STEPS, self.loss)
 
     def phase_ended(self, name: str) -> None:
-        """The time since the last phase ended is that of this one."""
+        """Note that the phase `name` has ended. It began when the phase before it ended."""
         now = time.monotonic()
         self.seconds[name] = round(now - self.start, 2)
         self.start = now

@@ -1,4 +1,4 @@
-"""Learning the light that no photo shows, together with the albedos, from what the object reflects."""
+"""Learns the light that no photo shows, together with the albedos, from what the object reflects."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from blender_nep.tone_mapping import tone_map
 _DARKEST, _BRIGHTEST = math.log(1e-3), math.log(1e3)
 """Limits of the map's log radiance."""
 _LEAST_START = 0.005
-"""Radiance that darker texels start from: the gradient by a logarithm vanishes at black."""
+"""Darker texels start from this radiance, because the gradient of the log radiance vanishes at black."""
 _RADIANCE_RATE = 0.2
 """Adam's learning rate of the log radiance: lamps are a hundred times brighter than walls."""
 _SOFTNESS = 0.03
@@ -32,7 +32,7 @@ _ALBEDO_RATE = 0.05
 _ROUGHNESS_FACTORS = (0.8, 1.25)
 """Factors by which a lower and a higher roughness are tried."""
 _MOST_TRIALS = 6
-"""Trials of lower roughnesses, and as many of higher ones."""
+"""Largest number of trials with a lower roughness; the same number holds for a higher roughness."""
 
 
 @profiled("unseen light")
@@ -46,16 +46,16 @@ def learn_unseen_light(
     generator: torch.Generator,
     after_trial: Callable[[], None],
 ) -> tuple[UnseenLight, Palette, list[float]]:
-    """The unseen light, going on from `light.unseen`, and the palette that suits it.
+    """Learn the unseen light, starting from `light.unseen`, and improve the palette with it.
 
-    What a material is and what light it reflects cannot be found one after the other: a gold thing in white light looks
-    much like a yellow pot in yellow light, and a sharp lamp in a rough surface like a soft lamp in a smooth one. So each
-    material is tried as `swapped` has it (metal for dielectric and the reverse; None: it is known), then with its roughness
-    lower and higher by a quarter as long as that helps, each time with the light learned anew. after_trial() is
-    called after every trial.
+    Material and light cannot be found one after the other: a gold thing in white light looks much like a yellow pot in
+    yellow light, and a sharp lamp in a rough surface looks like a soft lamp in a smooth surface. So each material is tried
+    as in `swapped`, where metals and dielectrics are swapped (None: the classes are known). Then its roughness is lowered
+    or raised by a quarter, as long as that helps. The light is learned anew in each trial, and after_trial() is called.
 
-    Also returns how much worse, as a share, the photos are explained with each material the other way round (0: as well;
-    less: the prior decided).
+    Returns the light, the palette, and for each material the share by which the error grows if the material changes its
+    class. 0 means that both classes explain the photos equally well; below 0 the prior decided. The list is empty without
+    `swapped`. Raises ValueError without `light.unseen`.
     """
     rows = _unexplained_samples(light, palette, label, target, preset.unseen_samples, generator)
     start = light.unseen
@@ -96,7 +96,10 @@ def learn_unseen_light(
 def _unexplained_samples(
     light: IncomingLight, palette: Palette, label: Tensor, target: Tensor, count: int, generator: torch.Generator
 ) -> Tensor:
-    """Samples to learn from: those that the light does not explain yet, as highlights, come more often."""
+    """Indices [m] of random samples to learn from, m at most `count`.
+
+    Samples that the light does not explain yet, such as highlights, are chosen more often.
+    """
     material = palette.at(label)
     predicted = reflected(material, light.moments(material.roughness), light.diffuse, light.cos_v)
     left = (tone_map(predicted) - tone_map(target)).abs().mean(-1)
@@ -106,18 +109,20 @@ def _unexplained_samples(
 
 @dataclass
 class UnseenFit:
-    """The light, the albedos [K,3] of the palette that were found with it, and the mean tone-mapped error that is left,
-    with what the priors cost."""
+    """The result of one trial."""
 
     light: UnseenLight
     albedo: Tensor
+    """[K, 3] albedos of the palette, learned together with the light"""
     error: float
+    """Mean tone-mapped error, plus the priors"""
 
 
 class UnseenLightProblem:
-    """Some photo samples [m] and the light that reaches them; `solve` finds what is missing of it.
+    """Some photo samples [m] and the known light on them. `solve` finds the unseen light.
 
-    map_rows, radius: of the map; samples [m]: which of `light`; label, target of all samples.
+    map_rows and radius describe the map of the unseen light; samples [m] are indices into `light`; label [n] and target
+    [n, 3] are those of all samples.
     """
 
     def __init__(
@@ -136,11 +141,12 @@ class UnseenLightProblem:
         self.transport = UnseenTransport(map_rows, radius, self.cones, light.points.position[samples])
 
     def solve(self, palette: Palette, start: UnseenLight, steps: int) -> UnseenFit:
-        """The map and the albedos that explain the photos best with a palette's roughness and metallic, by Adam from
-        `start`, whose darker texels are brightened to _LEAST_START.
+        """Find the map and the albedos that explain the photos best, with the palette's roughness and metallic.
 
-        Priors, all of the tone-mapped map: its total variation; its mean, so that a few lamps are found rather than a bright
-        sky; its color, because colored light on a grey object looks like grey light on a colored one.
+        Adam starts from `start`; its texels darker than _LEAST_START are raised to that radiance. There are three priors on
+        the map: the total variation and the mean of its tone-mapped radiance, and its color. The prior on the mean makes a
+        few lamps more likely than a bright sky. The prior on the color is needed because colored light on a grey object
+        looks like grey light on a colored object.
         """
         p, device, light, rows, samples = self.preset, self.goal.device, self.light, self.map_rows, self.samples
         material = palette.at(self.label)
@@ -160,7 +166,7 @@ class UnseenLightProblem:
             levels = pyramid(radiance)
             image = levels.detach().cpu().numpy().astype(np.float32)
             sent = torch.from_numpy(self.transport.sent(response, image)).to(device).requires_grad_()
-            # not [self.label]: its gradient is summed by several threads in any order, and a job must be repeatable
+            # Not [self.label]: several threads would sum its gradient in any order, and a job must be repeatable.
             albedo = torch.sigmoid(logit).index_select(0, self.label)
             predicted = offset + sent[:, 0] + albedo * (slope + sent[:, 1])
             photometric = (tone_map(predicted) - self.goal).abs().mean()

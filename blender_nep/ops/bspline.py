@@ -1,10 +1,10 @@
 """Quadratic B-spline volume on [-1, 1]^3: value, gradient and Hessian at points, from 27 coefficients.
 
-A spline of M cells an axis has N = M + 2 coefficients an axis. It is C1: normals are continuous, the Hessian is
-piecewise constant, and no double backward pass is needed to learn from normals, because value, gradient and Hessian
-are all linear in the coefficients. Halving the cells (`refine`) reproduces the same function exactly.
+A spline with M cells along an axis has N = M + 2 coefficients along that axis. The spline is C1: normals are continuous, and
+the Hessian is piecewise constant. Value, gradient and Hessian are linear in the coefficients; so no double backward pass is
+needed to learn from normals. `refine` halves the cells and gives exactly the same function.
 
-Reference: de Boor, A Practical Guide to Splines; Chaikin's corner cutting is the two-scale relation.
+Reference: de Boor, A Practical Guide to Splines. The rule of `refine` is Chaikin's corner cutting.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from blender_nep.ops.precision import at_least_float32
 
 @njit(cache=True, inline="always")
 def _axis(x, cells, w, dw, ddw):
-    """Index of the first of three taps at x in [-1, 1], and their weights and derivatives with respect to x."""
+    """Index of the first of three taps at x in [-1, 1]. Fills their weights w and derivatives dw, ddw with respect to x."""
     p = (x * 0.5 + 0.5) * cells
     i = int(np.floor(p))
     if i < 0:
@@ -89,13 +89,13 @@ def _forward(coef, points, out, threads):
 
 @njit(cache=True, parallel=True, fastmath=True)
 def _backward(points, grad, coef_grad, threads):
-    """Adds the adjoint of `_forward` to coef_grad. Threads own slabs of the first axis: no race, always the same sum."""
+    """Add the adjoint of `_forward` to coef_grad. Each thread has its own slab of the first axis, so threads never race."""
     size = coef_grad.shape[0]
     cells = size - 2
     n, hessian = points.shape[0], grad.shape[1] == 10
     slabs = threads
     for b in prange(slabs):
-        # the object stands in the middle half: cut the slabs there, so that the threads share the work
+        # the object lies in the middle half: that half is cut into slabs, so that the threads share the work
         low = 0 if b == 0 else int(size * (0.25 + 0.5 * b / slabs))
         high = size if b == slabs - 1 else int(size * (0.25 + 0.5 * (b + 1) / slabs))
         w = np.empty((3, 3), coef_grad.dtype)
@@ -144,7 +144,7 @@ class _Sample(torch.autograd.Function):
 
 
 def sample_torch(coef: torch.Tensor, points: torch.Tensor, hessian: bool = False) -> torch.Tensor:
-    """The plain torch body of `sample`: any device, any float type."""
+    """The body of `sample` in plain torch, for any device and any float type."""
     cells = coef.shape[0] - 2
     p = (points * 0.5 + 0.5) * cells
     i = p.detach().floor().clamp(0, cells - 1)
@@ -175,10 +175,10 @@ def sample_torch(coef: torch.Tensor, points: torch.Tensor, hessian: bool = False
 
 
 def sample(coef: torch.Tensor, points: torch.Tensor, hessian: bool = False) -> torch.Tensor:
-    """Spline value and derivatives at points.
+    """Value and derivatives of the spline at points.
 
-    coef [N, N, N]; points [n, 3] in [-1, 1] (no gradient flows to them). Returns [n, 4]: value, d/dx, d/dy, d/dz; with
-    `hessian` [n, 10]: also xx, yy, zz, xy, xz, yz. Differentiable with respect to coef.
+    coef [N, N, N]; points [n, 3] in [-1, 1] get no gradient. Returns [n, 4]: value, d/dx, d/dy, d/dz; with `hessian`
+    [n, 10]: also xx, yy, zz, xy, xz, yz. Differentiable with respect to coef.
     """
     coef, points = at_least_float32(coef, points)
     if coef.device.type == "cpu":
@@ -188,10 +188,10 @@ def sample(coef: torch.Tensor, points: torch.Tensor, hessian: bool = False) -> t
 
 @njit(cache=True, parallel=True, fastmath=True)
 def _refine(coef, fine):
-    """Chaikin's rule on three axes: each of 2^3 neighbours gives 2^3 finer coefficients."""
+    """Chaikin's rule along three axes: each block of 2^3 neighbouring coefficients gives 2^3 finer ones."""
     n0, n1, n2 = coef.shape[0] - 1, coef.shape[1] - 1, coef.shape[2] - 1
     for i in prange(n0):
-        # two rows of `coef` after the rule on x and y, for each of the four finer rows
+        # `row` is a row of `coef` after the rule along x and y; there is one for each of the four finer rows
         row = np.empty(n2 + 1, coef.dtype)
         for j in range(n1):
             for a in range(2):
@@ -210,10 +210,10 @@ def _refine(coef, fine):
 
 @njit(cache=True, parallel=True, fastmath=True)
 def _refine_adjoint(grad, coef_grad):
-    """The transpose of `_refine`: every coarse coefficient gathers from 4^3 finer ones."""
+    """The transpose of `_refine`: every coarse coefficient sums over 4^3 finer ones."""
     weight = np.array([0.25, 0.75, 0.75, 0.25], grad.dtype)
     for i in prange(coef_grad.shape[0]):
-        row = np.empty(grad.shape[2] + 4, grad.dtype)  # two zeros on either side
+        row = np.empty(grad.shape[2] + 4, grad.dtype)  # with two zeros at each end
         for j in range(coef_grad.shape[1]):
             row[:] = 0
             for a in range(4):
@@ -250,7 +250,7 @@ class _Refine(torch.autograd.Function):
 
 
 def refine_torch(coef: torch.Tensor) -> torch.Tensor:
-    """The plain torch body of `refine`: any device, any float type."""
+    """The body of `refine` in plain torch, for any device and any float type."""
     for axis in range(3):
         n = coef.shape[axis]
         low, high = coef.narrow(axis, 0, n - 1), coef.narrow(axis, 1, n - 1)
@@ -260,7 +260,10 @@ def refine_torch(coef: torch.Tensor) -> torch.Tensor:
 
 
 def refine(coef: torch.Tensor) -> torch.Tensor:
-    """The same spline on cells half as wide: [N, N, N] -> [2N - 2, 2N - 2, 2N - 2]. Linear, differentiable, exact."""
+    """Coefficients of exactly the same spline on cells half as wide: [N, N, N] -> [2N - 2, 2N - 2, 2N - 2].
+
+    Linear and differentiable.
+    """
     (coef,) = at_least_float32(coef)
     return _Refine.apply(coef) if coef.device.type == "cpu" else refine_torch(coef)
 
@@ -280,7 +283,7 @@ def _value(coef, x, y, z, w, d, e):
 
 
 class _Rays(NamedTuple):
-    """n rays: origins, directions [n, 3], and where each enters and leaves the volume: t_near, t_far [n]."""
+    """n rays: origins, directions [n, 3], and the distances t_near, t_far [n] at which they enter and leave the volume."""
 
     origins: np.ndarray
     directions: np.ndarray
@@ -290,7 +293,7 @@ class _Rays(NamedTuple):
 
 @njit(cache=True, parallel=True, fastmath=True)
 def _march(coef, rays, band, step, spans, count, threads):
-    """Fills spans [n, most, 2] and count [n]; see `march`. The rays are shared among `threads` in blocks."""
+    """Fill spans [n, most, 2] and count [n]; see `march`. The threads share the rays in blocks."""
     origins, directions, t_near, t_far = rays
     n, most = origins.shape[0], spans.shape[1]
     blocks = threads * 8
@@ -320,14 +323,14 @@ def _march(coef, rays, band, step, spans, count, threads):
                     spans_here += 1
                     inside = False
                 if v <= -band:
-                    if spans_here == 0:  # the ray starts inside, or jumped the band
+                    if spans_here == 0:  # the ray starts inside the surface, or a step jumped over the band
                         spans[k, 0, 0] = max(t - step, t_near[k])
                         spans[k, 0, 1] = t
                         spans_here = 1
                     break
                 if spans_here == most:
                     break
-                # outside the band the distance bounds the step; 0.7 because a learned SDF is not exact
+                # Outside the band, the SDF limits the step. The factor is 0.7, because a learned SDF is not exact.
                 t += step if near else max(step, 0.7 * (v - band))
             if inside and spans_here < most:
                 spans[k, spans_here, 0] = start
@@ -337,10 +340,11 @@ def _march(coef, rays, band, step, spans, count, threads):
 
 
 def march(coef, origins, directions, t_near, t_far, band: float, step: float, most: int = 4):
-    """Where along each ray |spline| < band, up to the first place where it falls under -band.
+    """Find the spans of each ray in which |spline| < band, up to the first place where the spline falls below -band.
 
-    origins, directions [n, 3]; t_near, t_far [n]; `step` is the finest step (about half a cell). Returns
-    spans [n, most, 2] (start and end along the ray) and count [n]. No gradient. CPU or any torch device.
+    origins, directions [n, 3]; t_near, t_far [n]; `step` is the smallest step (about half a cell). Returns spans [n, most,
+    2] (start and end as distances along the ray) and count [n], the number of spans. If a ray has no span before it falls
+    below -band, it gets one there. There is no gradient. Works on the CPU and on any other torch device.
     """
     coef, origins, directions, t_near, t_far = at_least_float32(coef.detach(), origins, directions, t_near, t_far)
     if coef.device.type == "cpu":
@@ -360,7 +364,7 @@ def march(coef, origins, directions, t_near, t_far, band: float, step: float, mo
 
 
 def march_torch(coef, origins, directions, t_near, t_far, band: float, step: float, most: int = 4):
-    """The plain torch body of `march`: any device, any float type."""
+    """The body of `march` in plain torch, for any device and any float type."""
     n, device = origins.shape[0], origins.device
     spans = torch.zeros(n, most, 2, device=device)
     count = torch.zeros(n, dtype=torch.int32, device=device)

@@ -1,8 +1,8 @@
-"""Products of a sparse matrix that is never written down, and of its adjoint, on the CPU: fused Numba kernels.
+"""Numba kernels on the CPU for the product with a sparse matrix, and with its adjoint. The matrix is never stored.
 
-Every cone of a surface point has four taps in a map; what it brings is spread over the lines of an affine function, with a
-response for each line and color. Points are independent, and the adjoint is summed in parts that do not depend on the
-number of threads: neither do results.
+Every cone of a surface point reads four texels (taps) of a map. Its radiance is multiplied by a response for each line of an
+affine function and each color. Results do not depend on the number of threads: points are independent, and the adjoint is
+summed in a fixed number of parts.
 """
 
 from __future__ import annotations
@@ -13,9 +13,10 @@ from numba import njit, prange
 
 @njit(cache=True, parallel=True, fastmath=True)
 def send(starts, texel, weight, response, levels, out):
-    """Adds to out [n,L,3] what points, whose cones are starts[i] to starts[i + 1], receive of levels [texels,3].
+    """Add to out [n, L, 3] the radiance that the points send for the map `levels` [texels, 3], on L lines.
 
-    texel, weight [k,4] taps of the cones, response [k,L,3].
+    Point i has the cones starts[i] to starts[i + 1] - 1, starts [n + 1]. texel, weight [k, 4] are the taps of the cones;
+    response [k, L, 3].
     """
     lines = response.shape[1]
     for i in prange(len(out)):
@@ -34,8 +35,10 @@ def send(starts, texel, weight, response, levels, out):
 
 @njit(cache=True, parallel=True, fastmath=True)
 def collect(starts, bounds, texel, weight, response, gradient, parts):
-    """Adds to parts [P,texels,3] the adjoint of `send` for gradient [n,L,3]; part p is of points bounds[p] to
-    bounds[p + 1]."""
+    """Add the adjoint of `send` for gradient [n, L, 3] to parts [P, texels, 3]. The sum over the parts is the result.
+
+    Part p holds the points bounds[p] to bounds[p + 1] - 1, bounds [P + 1].
+    """
     lines = response.shape[1]
     for part in prange(len(parts)):
         total = parts[part]

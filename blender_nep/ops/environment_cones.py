@@ -1,7 +1,7 @@
-"""Cones through the prefiltered environment: composited along the axis, at the level as wide as the cone is there.
+"""Composites cones through the prefiltered environment, along their axes. At each shell, the level is as wide as the cone.
 
-A level holds, for every shell, means over discs of one angular radius: premultiplied radiance, opacity of one shell
-spacing, and opacity times coverage. Crassin et al. 2011, voxel cone tracing, in spherical coordinates.
+A level holds, for every shell, means over discs of one angular radius: premultiplied radiance, opacity of one shell spacing,
+and opacity times coverage. This is voxel cone tracing (Crassin et al. 2011) in spherical coordinates.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from blender_nep.ops.spherical_grid import angular_cell, cell, cell_columns, pol
 
 @njit(cache=True, inline="always", fastmath=True, error_model="numpy")
 def _add_level(grid, k, turn, fall, share, out):
-    """Adds share * (bilinear value of shell k at a direction) to out [5]."""
+    """Add share * (bilinear value of shell k) to out [5], in the direction of the `polar` angles turn, fall."""
     rows, columns = grid.shape[0], grid.shape[1]
     j, c, fj, fc = cell(turn, fall, rows, columns)
     top, bottom, tl, tr, bl, br = cell_columns(j, c, rows, columns)
@@ -39,14 +39,14 @@ class _Cones(NamedTuple):
     directions: np.ndarray
     """[n, 3] unit length"""
     near: np.ndarray
-    """[n] distance before which shells are left out"""
+    """[n] shells nearer than this distance are left out"""
     half_angle: np.ndarray
     """[n] radians"""
 
 
 @njit(cache=True, parallel=True, fastmath=True, error_model="numpy")
 def _composite(levels_of, radii, shell_radii, occupied, cones, out, blocks):
-    """Fills out [n, 4]: mean radiance and coverage of n `_Cones`, which `blocks` tasks share. See `composite_cones`."""
+    """Fill out [n, 4]: mean radiance and coverage of n `_Cones`, in `blocks` parallel tasks. See `composite_cones`."""
     origins, directions, near, half_angle = cones
     n, levels, shells = origins.shape[0], radii.shape[0], shell_radii.shape[0]
     to_level = 1.0 / math.log(radii[1] / radii[0])
@@ -93,7 +93,11 @@ def _composite(levels_of, radii, shell_radii, occupied, cones, out, blocks):
 
 @njit(cache=True)
 def accumulate_coverage(raw, origins, directions, near, log_outer, density_gain, step, seen):
-    """Adds to seen [K, H, W] the weight with which each camera ray sees each node (nearest). One thread."""
+    """Add to seen [K, H, W] the weights with which camera rays see nodes. Each sample counts for its nearest node.
+
+    raw [K, H, W, 4]; origins, directions [n, 3]; near [n]; step is a fraction of the distance from the origin. The function
+    runs in one thread.
+    """
     shells, rows, columns = raw.shape[0], raw.shape[1], raw.shape[2]
     for i in range(origins.shape[0]):
         passed, t = 1.0, near[i]
@@ -128,16 +132,17 @@ def composite_cones(
     near: torch.Tensor,
     half_angle: torch.Tensor,
 ) -> torch.Tensor:
-    """Mean radiance and coverage [n, 4] in cones from inside the innermost shell.
+    """Mean radiance and coverage [n, 4] in cones that start inside the innermost shell.
 
-    One lookup a shell, at the level as wide as the cone is there. The body is Numba's on every device: fields of a GPU
-    are copied once, when they are prefiltered.
+    There is one lookup for each shell, at the level as wide as the cone is there. The Numba body is used on every device:
+    the levels of a field on a GPU were copied once, when they were prefiltered.
 
     Args:
-        levels: [H_l, W_l, K, 5] each, see `environment_weights.from_weights`; radii: angular radii of their discs,
+        levels: each [H_l, W_l, K, 5], see `environment_weights.from_weights`; radii: angular radii of their discs in
             radians, a geometric series.
-        shell_radii: [K]; occupied: [K] bool, shells to look at.
-        origins, directions: [n, 3]; near: [n], shells before it are left out; half_angle: [n] radians.
+        shell_radii: [K]; occupied: [K] bool, whether a shell is looked up.
+        origins, directions: [n, 3]; near: [n], shells nearer than this distance are left out, except the last; half_angle:
+            [n] radians.
     """
     out = np.empty((len(origins), 4), np.float32)
     near = (near - 1e-4).clamp(min=0)

@@ -16,7 +16,7 @@ from blender_nep.ops.precision import at_least_float32
 
 @dataclass(frozen=True)
 class EnvironmentVolume:
-    """What the numbers of a spherical grid mean, and how finely rays are marched through it."""
+    """The constants that give a spherical grid its meaning, and the settings of marching rays through it."""
 
     outer_radius: float
     """Radius of the outermost shell, unit frame, above 1"""
@@ -25,12 +25,12 @@ class EnvironmentVolume:
     relative_step: float
     """Longest step as a fraction of the distance from the origin"""
     gradient_near: float = 0.0
-    """Below this distance from the camera, gradients are scaled by (t / gradient_near)^2 [Philip and Deschaintre 2023,
-    "Floaters No More"]: samples are denser there and views fewer. 0: nowhere"""
+    """Nearer to the camera than this, gradients are scaled by (t / gradient_near)^2, because samples are denser there and
+    fewer photos see the place (Philip and Deschaintre 2023, "Floaters No More"). 0: no scaling"""
     transmittance_limit: float = 1e-4
-    """The Numba body ends a ray where less than this passes"""
+    """The Numba body ends a ray when its transmittance falls to this value"""
     depth_limit: float = 1e-5
-    """The Numba body skips samples of a smaller optical depth"""
+    """The Numba body skips samples with a smaller optical depth"""
 
 
 def render_environment(
@@ -40,7 +40,7 @@ def render_environment(
 
     Args:
         raw: [K, H, W, 4] raw density (softplus, times density_gain, per unit of dt / |x|) and log radiance.
-        segments: n of them.
+        segments: n segments.
         jitter: [n] in [0, 1), or None for the middle of each step.
         body: "auto" (Numba on the CPU, torch elsewhere), "numba" or "torch".
 

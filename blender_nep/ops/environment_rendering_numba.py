@@ -1,9 +1,8 @@
-"""Volume rendering of the environment field on the CPU: fused Numba kernels.
+"""Volume rendering of the environment field on the CPU, with fused Numba kernels.
 
-The forward kernel marches every ray once and keeps, for each sample that matters, the cell, the weights and the local
-derivatives. The backward kernels turn these into gradients of the raw grid without a second march. Results do not
-depend on the number of threads: rays are independent, and the gradient is scattered by bands of grid rows that no two
-threads share.
+The forward kernel marches every ray once. For each sample that is not skipped, it records the cell, the weights and the
+local derivatives. The backward kernels compute the gradients of the raw grid from these records, without a second march.
+Results do not depend on the number of threads: rays are independent, and no two threads add to the same grid rows.
 """
 
 from __future__ import annotations
@@ -21,9 +20,9 @@ from blender_nep.ops.spherical_grid import COLOR_LIMIT, angular_cell, bilinear_w
 
 
 class SampleRecords(NamedTuple):
-    """What the backward pass needs of the samples.
+    """Records of the samples for the backward pass.
 
-    Ray i owns the places offsets[i] to offsets[i + 1] of all m, and fills the first kept[i] of them.
+    There are m places. Ray i has the places offsets[i] to offsets[i + 1] - 1, and uses the first kept[i] of them.
     """
 
     offsets: np.ndarray
@@ -33,17 +32,18 @@ class SampleRecords(NamedTuple):
     cells: np.ndarray
     """[m, 3] int32: shell, row + 1, column, as `angular_cell` returns them"""
     fractions: np.ndarray
-    """[m, 3] in 0..1: how far the sample is from the cell's first shell, row and column to the next"""
+    """[m, 3] in 0..1: place of the sample between the cell's first shell, row and column and the next ones"""
     local: np.ndarray
     """[m, 7]: d optical depth / d raw density, opacity, transmittance before the sample, radiance (3), gradient scale"""
 
 
 @njit(cache=True, parallel=True, fastmath=True, error_model="numpy")
 def _march(raw, rays, medium, radiance, transmittance, kept, records, keep):
-    """Composite every ray front to back into radiance [n, 3] and transmittance [n]; `keep`: fill the records, too.
+    """Composite every ray front to back into radiance [n, 3] and transmittance [n]. With `keep`, also fill the records.
 
-    raw [K, H, W, 4], rays: `RaySamples`, medium: `Medium`, records: `SampleRecords`, all of NumPy arrays and numbers. `kept`
-    is that of the records: Numba drops what a parallel loop writes, at its own index, to an array taken from a tuple.
+    raw [K, H, W, 4]; `rays` are `RaySamples`, `medium` is a `Medium`, `records` are `SampleRecords`, all of NumPy arrays and
+    numbers. `kept` is the array `records.kept`. It is passed separately, because Numba loses what a parallel loop writes, at
+    the loop's index, to an array that was taken from a tuple.
     """
     origins, directions, t_closest, b, s_near, s_length, infinite, offsets, jitter = rays
     log_radius, density_gain, gradient_near, transmittance_limit, depth_limit = medium
@@ -123,7 +123,8 @@ def _march(raw, rays, medium, radiance, transmittance, kept, records, keep):
 
 @njit(cache=True, parallel=True, fastmath=True, error_model="numpy")
 def _sample_gradients(records, radiance, transmittance, g_radiance, g_transmittance, g_samples, used):
-    """Gradients of the raw values at every kept sample, [m, 4]; `used` [m] marks the places that hold one."""
+    """Fill g_samples [m, 4]: the gradients of the raw values at every kept sample. `used` [m] marks the places that are
+    filled."""
     offsets, kept, _, _, local = records
     for i in prange(kept.shape[0]):
         first = offsets[i]
@@ -151,7 +152,10 @@ def _sample_gradients(records, radiance, transmittance, g_radiance, g_transmitta
 
 @njit(cache=True)
 def _order_by_row(used, cells, rows):
-    """Counting sort of the used samples by grid row: (order, start [rows + 2])."""
+    """Sort the used samples by the row of their cell (counting sort). Returns their order, and start [rows + 2].
+
+    The samples of row j are order[start[j]] to order[start[j + 1] - 1].
+    """
     start = np.zeros(rows + 2, np.int64)
     for m in range(used.shape[0]):
         if used[m]:
@@ -170,7 +174,7 @@ def _order_by_row(used, cells, rows):
 
 @njit(cache=True, parallel=True, fastmath=True, error_model="numpy")
 def _scatter_rows(order, start, cells, fractions, g_samples, g_raw, parity):
-    """Add sample gradients to the grid for the row cells of one parity: these touch disjoint rows."""
+    """Add the sample gradients to the grid for the cells in all rows of one parity. These cells share no grid rows."""
     rows, columns = g_raw.shape[1], g_raw.shape[2]
     for half_j in prange((rows + 2 - parity) // 2):
         j = 2 * half_j + parity
@@ -231,6 +235,6 @@ class _Render(torch.autograd.Function):
 def render(raw: Tensor, rays: RaySamples, medium: Medium) -> tuple[Tensor, Tensor]:
     """Radiance [n, 3] premultiplied and transmittance [n] of sampled rays; differentiable in raw [K, H, W, 4].
 
-    On the CPU; `environment_rendering_torch.render` is the other body.
+    It runs on the CPU. `environment_rendering_torch.render` is the same function in plain torch.
     """
     return _Render.apply(raw, rays, medium)

@@ -1,4 +1,4 @@
-"""Volume rendering of the environment field in plain torch: the body for `cuda`, and the reference for the tests."""
+"""Volume rendering of the environment field in plain torch, for `cuda`, and as the reference in tests."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def interpolate(raw: torch.Tensor, points: torch.Tensor, log_radius: float) -> t
 
 
 def render(raw: torch.Tensor, rays: RaySamples, medium: Medium) -> tuple[torch.Tensor, torch.Tensor]:
-    """The same as `environment_rendering_numba.render`, by autograd, with nothing neglected.
+    """The same as `environment_rendering_numba.render`, by autograd. No samples are skipped, and no rays are ended early.
 
     Returns:
         radiance [n, 3] premultiplied, transmittance [n].
@@ -71,14 +71,17 @@ def render(raw: torch.Tensor, rays: RaySamples, medium: Medium) -> tuple[torch.T
 
 
 def _color(values):
-    """Radiance of raw values [..., 4]. Beyond the limit the gradient is that at the limit, as in the Numba body: with
-    none, a color that has overshot would stay there."""
+    """Radiance [..., 3] of raw values [..., 4].
+
+    Beyond COLOR_LIMIT the gradient is that at the limit, as in the Numba body. Without a gradient, a color beyond the limit
+    would stay there.
+    """
     raw = values[..., 1:]
     return (raw + (raw.clamp(-COLOR_LIMIT, COLOR_LIMIT) - raw).detach()).exp()
 
 
 def _values(raw, rays, t, medium):
-    """Raw values at distances t [n, m]; gradients scaled by min(1, (t / gradient_near)^2)."""
+    """Raw values [n, m, 4] at distances t [n, m]. Their gradients are scaled by min(1, (t / gradient_near)^2)."""
     points = rays.origins.double()[:, None] + t[..., None] * rays.directions.double()[:, None]
     values = interpolate(raw, points, medium.log_radius)
     if medium.gradient_near <= 0.0:

@@ -1,4 +1,4 @@
-"""What both bodies of the environment's volume rendering are given: sampled rays and the medium's constants."""
+"""The input of both bodies of the environment's volume rendering: sampled rays, and the constants of the medium."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ MAXIMUM_STEPS = 512
 
 
 class RaySamples(NamedTuple):
-    """n rays and where they are sampled: at equal steps of s, see `environment_segments`.
+    """n rays, and the samples on them: at equal steps of the coordinate s of `environment_segments`.
 
-    The fields are tensors; for the Numba kernels they are the same as NumPy arrays.
+    The fields are tensors. For the Numba kernels, they are NumPy arrays.
     """
 
     origins: Tensor
@@ -23,37 +23,38 @@ class RaySamples(NamedTuple):
     directions: Tensor
     """[n, 3] unit length"""
     t_closest: Tensor
-    """[n] float64, as are b, s_near and s_length"""
+    """[n] float64, like b, s_near and s_length; see `ScaleInvariantSegments`"""
     b: Tensor
     s_near: Tensor
     s_length: Tensor
     infinite: Tensor
-    """[n] bool: the outermost shell closes the ray"""
+    """[n] bool: whether the ray ends in the outermost shell, the sky"""
     offsets: Tensor
-    """[n + 1] int64: ray i has offsets[i + 1] - offsets[i] samples, one a step, and one more where it is infinite"""
+    """[n + 1] int64: ray i has offsets[i + 1] - offsets[i] samples: one for each step, and one more if it is infinite"""
     jitter: Tensor
     """[n] in [0, 1): place of the sample within each step"""
 
 
 class Medium(NamedTuple):
-    """Constants of the medium, and what the Numba body may neglect."""
+    """Constants of the medium, and limits below which the Numba body neglects light."""
 
     log_radius: float
     """Logarithm of the outermost shell's radius"""
     density_gain: float
     """Density per unit of ds for a softplus of 1"""
     gradient_near: float
-    """Distance t below which gradients are scaled by (t / gradient_near)^2; 0 for none"""
+    """Distance t below which gradients are scaled by (t / gradient_near)^2; 0 for no scaling"""
     transmittance_limit: float
-    """A ray ends where less than this passes"""
+    """A ray ends when its transmittance falls to this value"""
     depth_limit: float
-    """Samples of a smaller optical depth are skipped"""
+    """Samples with a smaller optical depth are skipped"""
 
 
 def sample_rays(segments: RaySegments, outer_radius: float, relative_step: float, jitter: Tensor | None) -> RaySamples:
-    """Samples of ray segments in steps of at most `relative_step`, a fraction of the distance from the origin.
+    """Place samples on ray segments, in steps of at most `relative_step` times the distance from the origin.
 
-    jitter: [n] in [0, 1); None for the middle of each step.
+    A ray has at most MAXIMUM_STEPS steps; a longer ray has longer steps. jitter: [n] in [0, 1), or None for the middle of
+    each step.
     """
     scaled = scale_invariant_segments(segments, outer_radius)
     infinite = torch.isinf(segments.t_far)

@@ -1,9 +1,9 @@
-"""Where a ray is sampled in the environment's spherical volume.
+"""Ray segments in the scale-invariant coordinate s of the environment's spherical volume.
 
-The volume is scale-invariant: far away it is as fine, in angle and in the logarithm of the distance, as close by. Its
-density is therefore given per unit of ds = dt / |x(t)|. Along a straight ray with distance of closest approach b to the
-origin, reached at t_c, this integrates in closed form: t = t_c + b sinh(s), |x(t)| = b cosh(s). Equal steps in s are
-what "a step proportional to the distance" means, and optical depth is density times a step in s.
+The volume is scale-invariant: in angle and in the logarithm of the distance, it has the same resolution far away and close
+by. So its density is given per unit of ds = dt / |x(t)|. Let a straight ray come nearest to the origin at t_c, with the
+distance b. Then ds integrates in closed form: t = t_c + b sinh(s), |x(t)| = b cosh(s). Equal steps in s are steps that are
+proportional to the distance from the origin, and optical depth is density times a step in s.
 """
 
 from __future__ import annotations
@@ -14,11 +14,11 @@ import torch
 from torch import Tensor
 
 MINIMUM_CLOSEST_APPROACH = 1e-3
-"""b is not let below this (unit radii): a ray through the origin itself would have infinite length in s."""
+"""Smallest b, in the unit frame. A ray through the origin itself would have infinite length in s."""
 
 
 class RaySegments(NamedTuple):
-    """The part [t_near, t_far] of n rays, in distances along the ray; t_far <= t_near is an empty segment."""
+    """Segments t_near to t_far of n rays, in distances along the ray. With t_far <= t_near, a segment is empty."""
 
     origins: Tensor
     """[n, 3], unit frame"""
@@ -27,7 +27,7 @@ class RaySegments(NamedTuple):
     t_near: Tensor
     """[n]"""
     t_far: Tensor
-    """[n]; where it is inf, the outermost shell closes the ray"""
+    """[n]; where it is inf, the ray ends in the outermost shell, the sky"""
 
 
 class ScaleInvariantSegments(NamedTuple):
@@ -36,15 +36,15 @@ class ScaleInvariantSegments(NamedTuple):
     t_closest: Tensor
     """Distance along the ray of the point that is closest to the origin"""
     b: Tensor
-    """Distance of that point from the origin"""
+    """Distance of that point from the origin, at least MINIMUM_CLOSEST_APPROACH"""
     s_near: Tensor
-    """Where the segment begins"""
+    """s at which the segment begins"""
     s_length: Tensor
-    """Length of the segment, >= 0"""
+    """Length of the segment in s, >= 0"""
 
 
 def scale_invariant_segments(segments: RaySegments, outer_radius: float) -> ScaleInvariantSegments:
-    """Ray segments in the coordinate s; an infinite t_far becomes the exit from the sphere of `outer_radius`."""
+    """Ray segments in the coordinate s. They end at the latest where the ray leaves the sphere of `outer_radius`."""
     origins, directions, t_near, t_far = (part.double() for part in segments)
     t_closest = -(origins * directions).sum(-1)
     closest = origins + t_closest[:, None] * directions

@@ -1,4 +1,4 @@
-"""Total variation of a spherical grid, with its gradient: a fused Numba body on the CPU, plain torch elsewhere."""
+"""Total variation of a spherical grid, with its gradient. The body is Numba's on the CPU, and plain torch elsewhere."""
 
 from __future__ import annotations
 
@@ -70,12 +70,12 @@ class _VariationNumba(torch.autograd.Function):
 
 
 def total_variation(grid: torch.Tensor, weight: tuple[float, ...], softness: float, body: str = "auto") -> torch.Tensor:
-    """Sum over the three axes of the mean of sqrt(difference^2 + softness^2), weighted a channel; a scalar.
+    """Sum over the three axes and the channels of weight * mean of sqrt(difference^2 + softness^2). A scalar.
 
     Args:
         grid: [K, H, W, C], periodic in W.
-        weight: one for each channel.
-        softness: differences below this cost quadratically, above linearly.
+        weight: C weights, one for each channel.
+        softness: differences below this cost quadratically, larger ones linearly.
         body: "auto" (Numba on the CPU, torch elsewhere), "numba" or "torch".
     """
     (grid,) = at_least_float32(grid)

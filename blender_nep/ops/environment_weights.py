@@ -1,4 +1,4 @@
-"""From densities to what is seen from the centre, and back to opacities: both ends of the environment's prefilter."""
+"""The two ends of the environment's prefilter: from densities to weights as seen from the centre, and back to opacities."""
 
 from __future__ import annotations
 
@@ -11,10 +11,11 @@ from numba import njit, prange
 from blender_nep.ops.spherical_grid import COLOR_LIMIT, angular_cell, bilinear, bilinear_weights, cell_columns
 
 RADIAL_STEPS = 4
-"""Steps in which the weights of one shell spacing are integrated."""
+"""Number of steps in which the weights between two shells are integrated."""
 LEAST_WEIGHT = 1e-6
+"""A node with a smaller weight takes the color of the node before it."""
 LEAST_LEFT = 1e-4
-"""Where less than this is left to see, opacities are not taken from weights: they would be ratios of rounding."""
+"""If less than this part of the view is left, a node becomes opaque: its opacity would be a ratio of rounding errors."""
 
 
 @njit(cache=True, parallel=True, fastmath=True, error_model="numpy")
@@ -52,7 +53,7 @@ def _weights_from_centre(raw, coverage, density_gain, spacing, out):
                     passed -= weight
                     if weight < 1e-9:
                         continue
-                    # each step's weight is shared between the shells on its two sides
+                    # the weight of a step is shared between the shells on its two sides
                     for h in range(1, 4):
                         value = before[h] + f * (node[h] - before[h])
                         value = weight * math.exp(min(max(value, -COLOR_LIMIT), COLOR_LIMIT))
@@ -104,8 +105,8 @@ def weights_from_centre(
 ) -> torch.Tensor:
     """What each shell contributes to the view from the centre: (w radiance, w, w coverage) [K, rows, 2 rows, 5].
 
-    raw [K, H, W, 4] (raw density, log radiance) and coverage [K, H, W] in 0..1 are interpolated as when rendering;
-    spacing of the shells in log |x|. The weights of a direction sum to 1: the last shell is the sky.
+    raw [K, H, W, 4] (raw density, log radiance) and coverage [K, H, W] in 0..1 are interpolated as in rendering; `spacing`
+    is the distance of the shells in log |x|. The weights w of a direction add up to 1, because the last shell is the sky.
     """
     out = np.empty((raw.shape[0], rows, 2 * rows, 5), np.float32)
     grid, seen = (a.detach().cpu().float().contiguous().numpy() for a in (raw, coverage))
@@ -114,11 +115,11 @@ def weights_from_centre(
 
 
 def from_weights(weighted: torch.Tensor) -> np.ndarray:
-    """Opacities that composite to given weights, laid out for `composite_cones`.
+    """Opacities that composite to given weights, in the memory order that `composite_cones` needs.
 
-    [K, H, W, 5] (w radiance, w, w coverage) -> [H, W, K, 5], the same premultiplied by opacity instead of w: a cone's
-    axis meets neighbours in memory. Where nothing is left to see, a shell is opaque and goes on with the color before
-    it; so is the last.
+    [K, H, W, 5] (w radiance, w, w coverage) -> [H, W, K, 5], the same multiplied by the opacity instead of w. The shells of
+    a direction are neighbours in memory. A node is opaque in the last shell, and where hardly anything of the view is left.
+    A node of hardly any weight takes the color of the node before it.
     """
     shells, rows, columns, channels = weighted.shape
     out = np.empty((rows, columns, shells, channels), np.float32)

@@ -1,8 +1,8 @@
-"""Robust fits of albedos to photo samples on the CPU: a fused Numba kernel.
+"""Robust fits of albedos to photo samples on the CPU, with a fused Numba kernel.
 
-A task is one roughness of one group of samples. Its radiance is affine in the albedo: the terms are interpolated once and
-stay in the cache while the albedo is iterated. Sums are in float64; each task is one thread's, so that results do not depend
-on the number of threads.
+A task is one roughness for one group of samples. The radiance is affine in the albedo: its terms are interpolated once, and
+stay in the cache while the albedo is iterated. Sums are in float64. One thread does a whole task, so that results do not
+depend on the number of threads.
 """
 
 from __future__ import annotations
@@ -18,48 +18,50 @@ _LOG5 = np.float32(math.log(5.0))
 
 @njit(cache=True, inline="always", fastmath=True, error_model="numpy")
 def _multiscatter_gain(albedo, ratio, average):
-    """Factor of a metal's radiance that adds the light scattered more than once, at one albedo: `brdf.multiscatter_scale` of
-    `brdf.metal_fss`. ratio: (1 - E) / E; average: E_avg."""
+    """Factor of a metal's radiance that adds the light that is scattered more than once.
+
+    It is `brdf.multiscatter_scale` of `brdf.metal_fss` for one albedo. ratio is (1 - E) / E; average is E_avg.
+    """
     fss = albedo + (np.float32(1) - albedo) / np.float32(21)
     return np.float32(1) + fss * average / (np.float32(1) - fss * (np.float32(1) - average)) * ratio
 
 
 @njit(cache=True, inline="always", fastmath=True, error_model="numpy")
 def _tone(light):
-    """`tone_mapping.tone_map` by log, three times as fast as log1p; its error near black, 1e-7, is nothing to a photo."""
+    """`tone_mapping.tone_map` with log, which is three times as fast as log1p. Its error near black, 1e-7, is harmless."""
     return math.log(np.float32(1) + np.float32(4) * light) / _LOG5
 
 
 class FitSamples(NamedTuple):
-    """n photo samples in the order of their groups, for R roughnesses; all float32."""
+    """n photo samples in the order of their groups, for R roughness values; all float32."""
 
     specular: np.ndarray
-    """[n, L, 3, 3] moments (full, edge, dielectric) of the light at L roughness levels, a color each"""
+    """[n, L, 3, 3] moments (full, edge, dielectric) of the light at L roughness levels, with three colors each"""
     diffuse: np.ndarray
-    """[n, 3] irradiance over pi"""
+    """[n, 3] irradiance divided by pi"""
     goal: np.ndarray
     """[n, 3] linear radiance that the photo shows"""
     tone_goal: np.ndarray
-    """[n, 3] the same, tone-mapped"""
+    """[n, 3] tone-mapped radiance that the photo shows"""
     weight: np.ndarray
-    """[n]"""
+    """[n] how much a sample counts"""
     ratio: np.ndarray
-    """[n, R] (1 - E) / E of the lobe, see `brdf.specular_albedo`"""
+    """[n, R] (1 - E) / E of the specular lobe, see `brdf.specular_albedo`"""
     specular_scale: np.ndarray
-    """[n, R] of the dielectric's specular lobe"""
+    """[n, R] factor of the dielectric's specular lobe"""
     diffuse_scale: np.ndarray
-    """[n, R] of the dielectric's diffuse lobe"""
+    """[n, R] factor of the dielectric's diffuse lobe"""
 
 
 class FitRoughness(NamedTuple):
-    """The R roughnesses, between the roughness levels of the light."""
+    """The R roughness values, and their places between the roughness levels of the light."""
 
     low: np.ndarray
-    """[R] int64, the level below"""
+    """[R] int64, index of the level below"""
     mix: np.ndarray
-    """[R] float32 in 0..1, how far it is to the next level"""
+    """[R] float32 in 0..1, place between that level and the next"""
     average: np.ndarray
-    """[R] float32, see `brdf.average_specular_albedo`"""
+    """[R] float32, E_avg, see `brdf.average_specular_albedo`"""
 
 
 class FitHypotheses(NamedTuple):
@@ -73,10 +75,10 @@ class FitHypotheses(NamedTuple):
 
 @njit(cache=True, inline="always", fastmath=True, error_model="numpy")
 def _affine_terms(samples, roughness, first, count, j):
-    """The radiance of `count` samples from `first` on at the j-th roughness, as terms of two functions of the albedo:
-    gain * (edge + span * albedo) of a metal, specular_part + diffuse_part * albedo of a dielectric.
+    """The radiance of `count` samples from `first` on, at the j-th roughness, as terms of functions of the albedo.
 
-    Returns edge, span, specular_part, diffuse_part [count, 3], and the sum of the samples' weights.
+    A metal has the radiance gain * (edge + span * albedo), a dielectric specular_part + diffuse_part * albedo. Returns edge,
+    span, specular_part, diffuse_part [count, 3], and the sum of the samples' weights.
     """
     specular, diffuse = samples.specular, samples.diffuse
     edge, span = np.empty((count, 3), np.float32), np.empty((count, 3), np.float32)
@@ -98,10 +100,10 @@ def _affine_terms(samples, roughness, first, count, j):
 
 @njit(cache=True, parallel=True, fastmath=True, error_model="numpy")
 def fit_albedos(starts, samples, roughness, hypotheses, clip, iterations, cost, albedo):
-    """Fills cost [M, R, G] and albedo [M, R, G, 3] of M hypotheses, R roughnesses and G groups.
+    """Fill cost [M, R, G] and albedo [M, R, G, 3] for M values of metallic, R roughness values and G groups.
 
-    The g-th group are the `FitSamples` from starts[g] to starts[g + 1] [G + 1]. Least squares are reweighted `iterations`
-    times; clip: the largest residual of a sample.
+    Group g has the `FitSamples` starts[g] to starts[g + 1] - 1, starts [G + 1]. The least squares are reweighted in each of
+    `iterations`. `clip` is the largest residual that a sample may count with.
     """
     metallic, limit = hypotheses
     weight, goal, tone_goal, ratio, average = (
@@ -138,7 +140,7 @@ def fit_albedos(starts, samples, roughness, hypotheses, clip, iterations, cost, 
                             if residual >= 2 * clip:
                                 continue
                             robust /= max(residual, np.float32(0.02))
-                        # d tone / d radiance turns the tone-mapped residual into a linear one; 1 / |residual| makes it L1
+                        # d tone / d radiance turns a linear residual into a tone-mapped one; 1 / |residual| makes it L1
                         robust /= (np.float32(1) + np.float32(4) * mean) ** 2
                         top += robust * slope * (goal[n, c] - offset)
                         bottom += robust * slope * slope

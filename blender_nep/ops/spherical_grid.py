@@ -1,7 +1,7 @@
-"""Cells of the environment's spherical grid, and what the grid holds between its nodes: functions for the Numba kernels.
+"""Finds cells of the environment's spherical grid, and interpolates in them. The functions are for the Numba kernels.
 
-A grid is [K, H, W, C]: K shells at equal steps of log |x|, each a cell-centred equirectangular image, whose H rows run from
-+z to -z and whose W = 2 H columns run with atan2(y, x), periodically.
+A grid is [K, H, W, C]: K shells at equal steps of log |x|. Each shell is a cell-centred equirectangular image. Its H rows
+run from +z to -z; its W = 2 H columns run with atan2(y, x) and are periodic.
 """
 
 from __future__ import annotations
@@ -11,19 +11,19 @@ import math
 from numba import njit
 
 COLOR_LIMIT = 9.0
-"""Raw colors are logarithms of radiance; beyond e^9 = 8100 they are clamped."""
+"""Raw colors are logarithms of radiance. They are clamped to -9..9, so that radiance is at most e^9 = 8100."""
 
 
 @njit(cache=True, inline="always", fastmath=True, error_model="numpy")
 def polar(x, y, z):
-    """Azimuth in turns from -x, [0, 1], and angle from +z in half turns, [0, 1]."""
+    """(turn, fall) of a direction: the azimuth from -x in turns, 0..1, and the angle from +z in half turns, 0..1."""
     fall = math.atan2(math.sqrt(x * x + y * y), z) * (1.0 / math.pi)
     return math.atan2(y, x) * (0.5 / math.pi) + 0.5, fall
 
 
 @njit(cache=True, inline="always", fastmath=True, error_model="numpy")
 def cell(turn, fall, rows, columns):
-    """Cell of `polar` angles in a cell-centred equirectangular grid: see `angular_cell`."""
+    """The cell of `polar` angles in a cell-centred equirectangular grid. The result is that of `angular_cell`."""
     v = fall * rows + 0.5
     j = min(int(v), rows)
     u = turn * columns + (columns - 0.5)
@@ -33,10 +33,10 @@ def cell(turn, fall, rows, columns):
 
 @njit(cache=True, inline="always", fastmath=True, error_model="numpy")
 def angular_cell(x, y, z, rows, columns):
-    """Cell of a direction in a cell-centred equirectangular grid: (row + 1, column, row fraction, column fraction).
+    """The cell of a direction in a cell-centred equirectangular grid: (row + 1, column, row fraction, column fraction).
 
-    Rows run from +z (0) to -z; columns with atan2(y, x). The returned row lies in [0, rows]: 0 is the cell between the
-    first row and itself across the pole. The column lies in [0, columns).
+    Rows run from +z (0) to -z, columns with atan2(y, x). The first result lies in 0..rows: 0 is the cell between the first
+    row and the same row across the pole. The column lies in 0..columns - 1, the fractions in 0..1.
     """
     turn, fall = polar(x, y, z)
     return cell(turn, fall, rows, columns)
@@ -44,7 +44,7 @@ def angular_cell(x, y, z, rows, columns):
 
 @njit(cache=True, inline="always", fastmath=True, error_model="numpy")
 def cell_columns(j, c, rows, columns):
-    """The two rows of a cell, and for each its two columns (shifted by half a turn across a pole).
+    """The two rows of a cell, and two columns for each row. Across a pole, the columns are shifted by half a turn.
 
     Returns (upper row, lower row, upper left, upper right, lower left, lower right column).
     """
@@ -69,7 +69,7 @@ def bilinear_weights(fj, fc):
 
 @njit(cache=True, inline="always", fastmath=True, error_model="numpy")
 def bilinear(grid, k, corners, weights, channel):
-    """The value of one channel of shell k: `corners` are those of `cell_columns`, `weights` those of `bilinear_weights`."""
+    """The bilinear value of one channel of shell k, for `corners` of `cell_columns` and `weights` of `bilinear_weights`."""
     top, bottom, tl, tr, bl, br = corners
     w0, w1, w2, w3 = weights
     return (
@@ -82,6 +82,9 @@ def bilinear(grid, k, corners, weights, channel):
 
 @njit(cache=True, inline="always", fastmath=True, error_model="numpy")
 def trilinear(grid, k, shell_weights, corners, weights, channel):
-    """The same between shell k and shell k + 1, whose two weights add up to 1."""
+    """The trilinear value of one channel between the shells k and k + 1, whose two `shell_weights` add up to 1.
+
+    The other arguments are those of `bilinear`.
+    """
     inner, outer = shell_weights
     return inner * bilinear(grid, k, corners, weights, channel) + outer * bilinear(grid, k + 1, corners, weights, channel)

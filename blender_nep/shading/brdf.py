@@ -1,16 +1,15 @@
 """The BRDF of Blender's Principled shader, as far as the method uses it: Lambert diffuse under a GGX reflection.
 
-Directions are unit vectors away from the surface: v to the eye, l to the light, h their half-vector, n the normal; all
-shaded quantities are functions of cosines or of local vectors whose z axis is n. `roughness` is Principled's, alpha =
-roughness^2 is GGX's.
+Directions are unit vectors away from the surface: v to the eye, l to the light, h their half-vector, n the normal. All
+functions take cosines, or local vectors whose z axis is n. `roughness` is Principled's; alpha = roughness^2 is GGX's.
 
-What Cycles does (Principled v2, default inputs: IOR 1.5, specular level 0.5, white tint) and this module follows:
+This module follows Cycles (Principled v2, default inputs: IOR 1.5, specular level 0.5, white tint):
 - height-correlated Smith masking (Heitz 2014, eq. 99);
 - metal: Schlick's Fresnel from the Base Color (F82 tint with a white edge is Schlick's);
-- dielectric: the exact Fresnel equations; below it the diffuse lobe, scaled by what the specular lobe does not reflect
-  towards the eye (1 - E_dielectric(v), albedo scaling);
+- dielectric: the exact Fresnel equations for the specular lobe; the diffuse lobe below it is scaled by 1 - E_dielectric(v),
+  the share that the specular lobe does not reflect towards the eye (albedo scaling);
 - Multiscatter GGX: the single-scattering lobe is scaled by 1 + F_ms (1 - E) / E (Turquin 2019, Kulla & Conty 2017).
-Difference: Cycles reads E from a 32-point fit, here it is tabulated by quadrature; the two agree within 0.005.
+There is one difference: Cycles reads E from a 32-point fit; here E is tabulated by quadrature. The two agree within 0.005.
 """
 
 from __future__ import annotations
@@ -21,25 +20,25 @@ from functools import lru_cache
 import torch
 
 IOR = 1.5
-"""Principled's default."""
+"""Index of refraction; Principled's default."""
 DIELECTRIC_F0 = ((IOR - 1) / (IOR + 1)) ** 2
-"""0.04"""
+"""Fresnel reflectance of a dielectric at normal incidence: 0.04"""
 DIELECTRIC_FSS = (IOR - 1) / (4.08567 + 1.00071 * IOR)
-"""Cosine-weighted mean Fresnel reflectance of a dielectric (d'Eon & Irving 2011's fit)."""
+"""Cosine-weighted mean Fresnel reflectance of a dielectric (fit by d'Eon & Irving 2011)."""
 MIN_ROUGHNESS = 0.02
-"""Below it a lobe is narrower than any pixel's cone here, and alpha^2 loses float32's digits."""
+"""Smallest roughness. Below it, a lobe is narrower than any pixel's cone, and alpha^2 loses digits in float32."""
 _TABLE = 32
 
 
 def alpha_of(roughness: torch.Tensor) -> torch.Tensor:
-    """GGX alpha from Principled's roughness, clamped to a lobe that float32 can hold."""
+    """GGX alpha from Principled's roughness, which is clamped to MIN_ROUGHNESS..1."""
     return roughness.clamp(MIN_ROUGHNESS, 1.0) ** 2
 
 
 def ggx_d(cos_h: torch.Tensor, alpha: torch.Tensor) -> torch.Tensor:
-    """GGX normal distribution D(h) [1/sr] (Walter 2007, eq. 33), in the form that keeps small alphas exact."""
+    """GGX normal distribution D(h) [1/sr] (Walter 2007, eq. 33), in a form that is exact for small alpha."""
     squared = alpha * alpha
-    # 1 - cos^2 as (1-c)(1+c): no cancellation near the pole.
+    # 1 - cos^2 is written as (1-c)(1+c), so that nothing cancels near the pole.
     base = cos_h * cos_h * squared + (1 - cos_h) * (1 + cos_h)
     return squared / (math.pi * base * base)
 
@@ -51,17 +50,17 @@ def smith_lambda(cosine: torch.Tensor, alpha: torch.Tensor) -> torch.Tensor:
 
 
 def smith_g1(cosine: torch.Tensor, alpha: torch.Tensor) -> torch.Tensor:
-    """Masking in one direction, 0..1."""
+    """Smith's masking of GGX in one direction, 0..1."""
     return 1 / (1 + smith_lambda(cosine, alpha))
 
 
 def smith_g2(cos_v: torch.Tensor, cos_l: torch.Tensor, alpha: torch.Tensor) -> torch.Tensor:
-    """Height-correlated masking and shadowing, 0..1."""
+    """Smith's height-correlated masking and shadowing of GGX, 0..1 (Heitz 2014, eq. 99)."""
     return 1 / (1 + smith_lambda(cos_v, alpha) + smith_lambda(cos_l, alpha))
 
 
 def schlick_weight(cos_vh: torch.Tensor) -> torch.Tensor:
-    """(1 - v.h)^5: Schlick's Fresnel is F0 + (1 - F0) times this."""
+    """(1 - v.h)^5. Schlick's Fresnel reflectance is F0 + (1 - F0) times this weight."""
     return (1 - cos_vh).clamp(0, 1) ** 5
 
 
@@ -81,9 +80,9 @@ def specular(cos_v: torch.Tensor, cos_l: torch.Tensor, cos_h: torch.Tensor, alph
 
 
 def multiscatter_scale(fss: torch.Tensor | float, cos_v: torch.Tensor, roughness: torch.Tensor) -> torch.Tensor:
-    """Factor of the single-scattering lobe that adds the light scattered more than once.
+    """Factor of the single-scattering lobe that adds the light that is scattered more than once.
 
-    fss: mean Fresnel reflectance, broadcast against cos_v, roughness [...].
+    fss is the mean Fresnel reflectance; it is broadcast against cos_v and roughness [...].
     """
     e, e_average = specular_albedo(cos_v, roughness), average_specular_albedo(roughness)
     fms = fss * e_average / (1 - fss * (1 - e_average))
@@ -98,7 +97,10 @@ def metal_fss(albedo: torch.Tensor) -> torch.Tensor:
 def evaluate(
     v: torch.Tensor, light: torch.Tensor, albedo: torch.Tensor, roughness: torch.Tensor, metallic: torch.Tensor
 ) -> torch.Tensor:
-    """f_r(v, l) [..., 3] in 1/sr, for local unit directions v, l [..., 3], albedo [..., 3], the rest [...]."""
+    """The BRDF f_r(v, l) [..., 3] in 1/sr.
+
+    v, light [..., 3] are local unit directions; albedo [..., 3]; roughness, metallic [...].
+    """
     h = torch.nn.functional.normalize(v + light, dim=-1)
     cos_v, cos_l, cos_h, cos_vh = v[..., 2], light[..., 2], h[..., 2], (v * h).sum(-1)
     lobe = specular(cos_v, cos_l, cos_h, alpha_of(roughness))
@@ -119,9 +121,10 @@ def sample_cosine(u: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
 
 
 def sample_vndf(v: torch.Tensor, alpha: torch.Tensor, u: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-    """Half-vectors distributed as GGX's visible normals (Dupuy & Benyoub 2023, spherical caps).
+    """Sample half-vectors from GGX's visible normals (Dupuy & Benyoub 2023, spherical caps).
 
-    v [..., 3] local with v.z > 0, alpha [...], u [..., 2]. Returns local h [..., 3] and the pdf [...] of the reflected l.
+    v [..., 3] is local with v.z > 0; alpha [...]; u [..., 2] in [0, 1). Returns local h [..., 3], and the pdf [...] in 1/sr
+    of the direction that is v reflected about h.
     """
     stretched = torch.nn.functional.normalize(torch.stack([alpha * v[..., 0], alpha * v[..., 1], v[..., 2]], -1), dim=-1)
     phi = 2 * math.pi * u[..., 0]
@@ -139,7 +142,7 @@ def vndf_pdf(cos_v: torch.Tensor, cos_h: torch.Tensor, alpha: torch.Tensor) -> t
 
 
 def reflect(v: torch.Tensor, h: torch.Tensor) -> torch.Tensor:
-    """v mirrored about h [..., 3]: both away from the surface."""
+    """v mirrored about h, [..., 3]. v and the result both point away from the surface."""
     return 2 * (v * h).sum(-1, keepdim=True) * h - v
 
 
@@ -172,7 +175,10 @@ def average_specular_albedo(roughness: torch.Tensor) -> torch.Tensor:
 
 
 def _look_up(table: torch.Tensor, cos_v: torch.Tensor, roughness: torch.Tensor) -> torch.Tensor:
-    """Bilinear, rows: roughness, columns: sqrt(cos_v) (finer towards grazing). Differentiable in both."""
+    """Bilinear lookup in a table; differentiable in both cos_v and roughness.
+
+    The rows are roughness. The columns are sqrt(cos_v), so that they are denser at grazing angles.
+    """
     table = table.to(roughness.device, roughness.dtype)
     y, x = torch.broadcast_tensors(roughness.clamp(0, 1), cos_v.clamp(1e-6, 1).sqrt())
     x, y = (x * (_TABLE - 1)).clamp(0, _TABLE - 1 - 1e-4), (y * (_TABLE - 1)).clamp(0, _TABLE - 1 - 1e-4)
@@ -184,7 +190,10 @@ def _look_up(table: torch.Tensor, cos_v: torch.Tensor, roughness: torch.Tensor) 
 
 @lru_cache(maxsize=1)
 def _tables() -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-    """E [T,T], E of the dielectric lobe [T,T], E_avg [T], by stratified quadrature over VNDF samples (float32, CPU)."""
+    """Tables on the CPU, float32: E [T, T], E of the dielectric lobe [T, T] and E_avg [T].
+
+    They are computed by stratified quadrature over samples of the visible normals.
+    """
     axis = torch.linspace(0, 1, _TABLE, dtype=torch.float64)
     alpha = alpha_of(axis)[:, None, None]
     cos_v = (axis**2).clamp_min(1e-4)[None, :, None]
@@ -199,7 +208,7 @@ def _tables() -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
     weight = smith_g2(cosine, cos_l, alpha) / smith_g1(cosine, alpha) * (cos_l > 0)
     e = weight.mean(-1)
     single = (weight * dielectric_fresnel((v * h).sum(-1))).mean(-1)
-    mu = axis**2  # integral of 2 mu E(mu) dmu with mu = axis^2
+    mu = axis**2  # E_avg is the integral of 2 mu E(mu) dmu with mu = axis^2
     average = torch.trapezoid(2 * mu * e * 2 * axis, axis, dim=1)
     average = average / torch.trapezoid(2 * mu * 2 * axis, axis)
     fms = DIELECTRIC_FSS * average / (1 - DIELECTRIC_FSS * (1 - average))

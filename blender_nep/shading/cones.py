@@ -1,9 +1,9 @@
-"""Material-aware cones: how wide a cone one reflected direction may stand for (paper, section 3.3).
+"""Material-aware cones: the directions and widths of the cones for the lobes of a material (paper, section 3.3).
 
 For the pixels of photos, the width is `half_angle_of_density`, of all samples of all roughness levels together
 (`lobe_cones` in incoming_light.py). For what a reflected ray meets, it is the half angle of `specular_cones`.
 
-Everything is an angle or a solid angle: the tangent of a doubled angle turns negative past 45 degrees.
+Widths are half-angles or solid angles, not tangents: the tangent of a doubled angle is negative above 45 degrees.
 """
 
 from __future__ import annotations
@@ -18,15 +18,17 @@ from blender_nep.shading.brdf import alpha_of, reflect, sample_cosine, sample_vn
 BETA = 0.9
 """Share of the lobe's energy that the cones together cover."""
 _GOLDEN = (math.sqrt(5) - 1) / 2
-"""Turn between successive points of a sunflower's spiral."""
+"""Turn between two neighbouring points of a sunflower spiral."""
 _FILL = 0.35
-"""Solid angle of a cone over its share of the lobe. Its axis is random within the share, so that a full cone would blur
-the lobe twice: compared with 20,000 rays on lamps of many sizes, 4 cones are 2-10 % off with 1 and 1-5 % with 0.2-0.5."""
+"""Solid angle of a specular cone divided by its share of the lobe. The cone's axis is random within the share, so that a
+full cone would blur the lobe twice. Compared with 20,000 rays on lamps of many sizes, the error of 4 cones is 2 to 10 % with
+1, and 1 to 5 % with 0.2 to 0.5."""
 _WIDE_FILL = 1.5
-"""The same for the diffuse lobe, so wide that a blur hardly matters, but the gaps between narrow cones do: the irradiance
-from a lamp of 8 degrees is 62 % off with 32 cones of 0.35, 28 % with 1, 23 % with 1.5, and 110 % with 8 of 0.35."""
+"""Solid angle of a diffuse cone divided by its share of the lobe. The diffuse lobe is so wide that a blur hardly matters,
+but gaps between narrow cones do. The error of the irradiance from a lamp of 8 degrees is 62 % with 32 cones of 0.35, 28 %
+with 1, 23 % with 1.5, and 110 % with 8 cones of 0.35."""
 _NARROW, _WIDE = 60.0, 6.0
-"""Samples per steradian from which on cones are filled by _FILL, and up to which by 1."""
+"""Samples per steradian. From `_NARROW` on, a cone fills `_FILL` of its share; up to `_WIDE`, it fills the whole share."""
 
 
 def half_vector_angle(roughness: Tensor, beta: float = BETA) -> Tensor:
@@ -35,12 +37,13 @@ def half_vector_angle(roughness: Tensor, beta: float = BETA) -> Tensor:
 
 
 def lobe_half_angle(roughness: Tensor, beta: float = BETA) -> Tensor:
-    """Half-angle of the reflected lobe, radians, at most a hemisphere's: a mirrored direction turns twice as far."""
+    """Half-angle of the reflected lobe, radians, at most pi / 2. It is twice `half_vector_angle`: a mirrored direction turns
+    twice as far as the half-vector."""
     return (2 * half_vector_angle(roughness, beta)).clamp_max(math.pi / 2)
 
 
 def solid_angle(half_angle: Tensor) -> Tensor:
-    """2 pi (1 - cos half_angle) in sr, without cancellation for narrow cones."""
+    """Solid angle of a cone in sr, 2 pi (1 - cos half_angle), in a form without cancellation for narrow cones."""
     return 4 * math.pi * torch.sin(half_angle / 2) ** 2
 
 
@@ -50,22 +53,23 @@ def half_angle_of(solid: Tensor) -> Tensor:
 
 
 def spiral(count: int, turn: Tensor) -> tuple[Tensor, Tensor]:
-    """`count` equal shares of a lobe: how much of it lies further in, and the azimuth, both [..., count] in 0..1.
+    """Places of `count` equal shares of a lobe on a spiral: radial place and azimuth, both [..., count] in 0..1.
 
-    turn [..., 2] in 0..1 moves the points along the radius and around.
+    The radial place is the share of the lobe that lies further in. turn [..., 2] in 0..1 shifts the points along the radius
+    and the azimuth.
     """
     k = torch.arange(count, device=turn.device, dtype=turn.dtype)
     return (turn[..., :1] + k / count) % 1.0, (turn[..., 1:] + k * _GOLDEN) % 1.0
 
 
 def specular_cones(v: Tensor, roughness: Tensor, count: int, turn: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-    """The GGX lobe split among `count` cones.
+    """Split the GGX lobe among `count` cones.
 
-    v [..., 3] local, v.z > 0; roughness [...]; turn [..., 2] in [0,1). Axes are visible normals, so that lobe * l.n / pdf is
-    the weight G2 / G1; a cone is as wide as its share of the lobe (1 / (count pdf), Krivanek & Colbert 2008), never
-    wider than its share of the solid angle that holds beta of the energy.
-    Returns local l [..., count, 3], weight [..., count] (0 below the horizon; the sum is E(v)),
-    cos of v.h [..., count], half_angle [..., count].
+    v [..., 3] is local with v.z > 0; roughness [...]; turn [..., 2] in [0, 1). The half-vectors are sampled from the visible
+    normals, so that lobe * l.n / pdf is the weight G2 / G1. The width of a cone is `_FILL` of its share of the lobe, 1 /
+    (count pdf) (Krivanek & Colbert 2008), and at most `_FILL` of its share of the solid angle that holds BETA of the energy.
+    Returns local l [..., count, 3], weight [..., count] (0 below the horizon; the sum is E(v)), cos of v.h [..., count],
+    half_angle [..., count].
     """
     radial, azimuth = spiral(count, turn)
     v, roughness = v[..., None, :].expand(*radial.shape, 3), roughness[..., None].expand(radial.shape)
@@ -81,10 +85,10 @@ def specular_cones(v: Tensor, roughness: Tensor, count: int, turn: Tensor) -> tu
 
 
 def diffuse_cones(count: int, turn: Tensor) -> tuple[Tensor, Tensor]:
-    """The cosine-weighted hemisphere split among `count` cones of equal weight.
+    """Split the cosine-weighted hemisphere among `count` cones of equal weight.
 
-    turn [..., 2] in [0,1). Returns local l [..., count, 3] and half_angle [..., count]; the mean radiance of the cones
-    is the irradiance over pi.
+    turn [..., 2] in [0, 1). Returns local l [..., count, 3] and half_angle [..., count]. The mean radiance of the cones is
+    the irradiance divided by pi.
     """
     light, pdf = sample_cosine(torch.stack(spiral(count, turn), -1))
     widest = torch.full_like(pdf, 2 * math.pi / max(count, 1))
@@ -92,6 +96,6 @@ def diffuse_cones(count: int, turn: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def half_angle_of_density(density: Tensor) -> Tensor:
-    """Half-angle [...] of the cone of one sample among others, `density` [...] of them per steradian."""
+    """Half-angle [...] of the cone of a sample in a place where there are `density` [...] samples per steradian."""
     sparse = (torch.log(_NARROW / density) / math.log(_NARROW / _WIDE)).clamp(0, 1)
     return half_angle_of(((_FILL + (1 - _FILL) * sparse) / density).clamp_max(math.pi / 4))

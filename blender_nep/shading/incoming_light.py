@@ -1,8 +1,8 @@
-"""Prefiltered incoming light of surface points, at several roughness levels, computed once.
+"""The prefiltered incoming light of surface points at several roughness levels.
 
-The mesh and F_e stand still while materials are learned. So the light through the GGX lobe of each roughness level, and
-the diffuse irradiance, are gathered once by cones; the optimisation interpolates between the levels. Only rays that meet
-the object again depend on the materials: they are kept in a list and evaluated now and then.
+The mesh and F_e do not change while materials are learned. So the light through the GGX lobe of each roughness level, and
+the diffuse irradiance, are gathered once by cones. Between the levels, the light is interpolated. Only cones that meet the
+object again depend on the materials. They are kept in a list, and their light is updated from time to time.
 """
 
 from __future__ import annotations
@@ -30,36 +30,36 @@ from blender_nep.shading.unseen_light import UncoveredCones, UnseenLight
 _FULL, _EDGE, _DIELECTRIC = range(3)
 
 _CHUNK = 1 << 17
-"""Cones traced at a time."""
+"""Number of cones that are traced at a time."""
 _LEAST_SHARE = 0.02
-"""Cones of which photos saw all but this share are not kept for the light that photos did not see."""
+"""Cones whose missing coverage is at most this share are not kept as uncovered cones."""
 
 
 @dataclass
 class TracedLight:
-    """What the cones of n surface points met; it does not depend on the materials."""
+    """The trace result of the cones of n surface points. It does not depend on the materials."""
 
     specular: Tensor
-    """[n, R, 3, 3] light of F_e through the specular lobe of R roughness levels: three moments, a color each"""
+    """[n, R, 3, 3] light of F_e through the specular lobe of R roughness levels: three moments with three colors each"""
     diffuse: Tensor
-    """[n, 3] irradiance over pi from F_e"""
+    """[n, 3] irradiance from F_e, divided by pi"""
     coverage: Tensor
-    """[n, R] in 0..1, share of the specular light that photos saw"""
+    """[n, R] in 0..1: share of the specular lobe whose light the photos show"""
     hit_index: Tensor
-    """[h] int64: of which surface point the cones are that met the mesh again"""
+    """[h] int64: index of the surface point, for each cone that met the mesh again"""
     hit_weight: Tensor
-    """[h, 1 + R, 3] weights of these cones in the diffuse lobe (thrice the same), and in the moments of each level"""
+    """[h, 1 + R, 3] weights of these cones: in the diffuse lobe (three equal numbers), and in the moments of each level"""
     hits: SurfacePoints
-    """[h] where they met it"""
+    """[h] points at which these cones met the mesh"""
     uncovered: UncoveredCones
-    """The cones that left the object towards where photos did not look well"""
+    """The cones that left the object in directions that the photos do not show well"""
     rays: int
-    """Cones traced"""
+    """Number of cones that were traced"""
 
     _TENSORS = ("coverage", "hit_index", "hit_weight")
 
     def state(self) -> dict:
-        """For a checkpoint."""
+        """The trace result as a dict of tensors and numbers, for a checkpoint."""
         hits = {
             "position": self.hits.position,
             "face": torch.from_numpy(self.hits.face.astype(np.int64)),
@@ -72,7 +72,7 @@ class TracedLight:
 
     @classmethod
     def joined(cls, parts: Sequence[TracedLight]) -> TracedLight:
-        """One after the other; the indices of all parts count the points of all of them."""
+        """All parts, one after the other. `hit_index` and `uncovered.row` must already count the points of all parts."""
 
         def cat(name: str) -> Tensor:
             return torch.cat([getattr(part, name) for part in parts])
@@ -103,17 +103,17 @@ class TracedLight:
 
 
 class IncomingLight:
-    """Light moments of n surface points at R roughness levels, plus the diffuse irradiance, for the materials and the unseen
-    light of the moment.
+    """Light moments of n surface points at R roughness levels, and their diffuse irradiance.
 
-    `specular` [n, R, 3, 3] and `diffuse` [n, 3] are all the light. `known_specular` and `known_diffuse` are what
-    F_e sends and, from the first `update` on, what the object sends to itself.
+    `specular` [n, R, 3, 3] and `diffuse` [n, 3] (irradiance divided by pi) are the whole light, under the present materials
+    and the present unseen light. `known_specular` and `known_diffuse` are the light without the unseen light: the light of
+    F_e and, from the first `update` on, the light that the object reflects to itself.
     """
 
     def __init__(
         self, plenoptic: PlenopticFunction, points: SurfacePoints, roughness_levels: tuple[float, ...], traced: TracedLight
     ):
-        """points: the n surface points; traced: what their cones met, see `gathered`."""
+        """`points` are the n surface points; `traced` is the trace result of their cones (`gathered` computes it)."""
         self.plenoptic, self.points, self.traced = plenoptic, points, traced
         self.roughness_levels = torch.tensor(roughness_levels, device=points.position.device)
         self.cos_v = (points.normal * points.view).sum(-1)
@@ -132,8 +132,10 @@ class IncomingLight:
         generator: torch.Generator,
         progress: Callable[[float], None],
     ) -> IncomingLight:
-        """Traces every cone once, `irradiance` of them for the diffuse lobe; progress(share done) is called after each
-        chunk."""
+        """Trace every cone once; a point has `irradiance` cones for the diffuse lobe.
+
+        progress(share that is done, 0..1) is called after each chunk.
+        """
         device, n = points.position.device, len(points)
         levels = torch.tensor(roughness_levels, device=device)
         cones = irradiance + len(levels) * plenoptic.settings.specular
@@ -145,12 +147,12 @@ class IncomingLight:
 
     @property
     def coverage(self) -> Tensor:
-        """[n, R] in 0..1, share of the specular light that photos saw."""
+        """[n, R] in 0..1: share of the specular lobe whose light the photos show."""
         return self.traced.coverage
 
     @profiled("self reflection")
     def update(self, materials_at: Callable[[SurfacePoints], Material], generator: torch.Generator) -> None:
-        """The moments under the current materials: what the object sends to itself, and the unseen light."""
+        """Compute the moments anew under the present materials: the light that the object reflects to itself changes."""
         traced = self.traced
         specular, diffuse = traced.specular.clone(), traced.diffuse.clone()
         if len(traced.hit_index) and self.plenoptic.settings.levels > 0:
@@ -164,7 +166,7 @@ class IncomingLight:
 
     @profiled("add the unseen light")
     def add_unseen(self) -> None:
-        """The moments, with the unseen light of now."""
+        """Set `specular` and `diffuse` to the known light plus the present unseen light."""
         self.specular, self.diffuse = self.known_specular, self.known_diffuse
         if self.unseen is None:
             return
@@ -179,7 +181,7 @@ class IncomingLight:
             specular.index_add_(0, cones.row, share)
 
     def uncovered_cones(self, rows: Tensor) -> UncoveredCones:
-        """Those of some samples [m], renumbered 0..m-1."""
+        """The uncovered cones of the points `rows` [m] int64. Their `row` counts these points: 0..m-1."""
         place = torch.full((len(self.points),), -1, device=rows.device)
         place[rows] = torch.arange(len(rows), device=rows.device)
         cones = self.traced.uncovered
@@ -188,8 +190,11 @@ class IncomingLight:
         return cones
 
     def uncovered_response(self, cones: UncoveredCones, rows: Tensor, material: Material) -> tuple[Tensor, Tensor]:
-        """What samples `rows` [m], of the materials [m], send to their eyes for a radiance of 1 in one of their uncovered
-        cones [k]: offset and slope [k,3] of `affine_in_albedo`."""
+        """Radiance that a point sends to the eye for a radiance of 1 in one of its uncovered cones.
+
+        `rows` [m] are the points, `material` holds their m materials, `cones` are their k uncovered cones. Returns offset
+        and slope [k, 3] of `affine_in_albedo`.
+        """
         each, row = torch.arange(len(cones), device=rows.device), cones.row
         own = Material(material.albedo[row], material.roughness[row], material.metallic[row])
         low, mix = self.roughness_interval(own.roughness)
@@ -198,8 +203,10 @@ class IncomingLight:
         return affine_in_albedo(own, moments, cones.weight[:, :1], self.cos_v[rows][row])
 
     def moments(self, roughness: Tensor, rows: Tensor | slice = slice(None), *, unseen: bool = True) -> SpecularMoments:
-        """Moments of rows [m] at roughness [m] (or a scalar tensor), interpolated between the levels; with the unseen light
-        or without."""
+        """Moments of the points `rows` [m] at roughness [m] (or a scalar tensor), interpolated between the levels.
+
+        `unseen` says whether the unseen light is included.
+        """
         low, mix = self.roughness_interval(roughness)
         table = (self.specular if unseen else self.known_specular)[rows]
         if low.ndim == 0:
@@ -210,7 +217,7 @@ class IncomingLight:
         return SpecularMoments(between[:, _FULL], between[:, _EDGE], between[:, _DIELECTRIC])
 
     def roughness_interval(self, roughness: Tensor) -> tuple[Tensor, Tensor]:
-        """The roughness level below a roughness and how far it is to the next level, 0..1."""
+        """Index of the roughness level below each roughness [...], and the place between it and the next level, 0..1."""
         levels = self.roughness_levels
         low = (torch.searchsorted(levels, roughness.contiguous(), right=True) - 1).clamp(0, len(levels) - 2)
         return low, ((roughness - levels[low]) / (levels[low + 1] - levels[low])).clamp(0, 1)
@@ -224,7 +231,7 @@ def _trace(
     irradiance: int,
     generator: torch.Generator,
 ) -> TracedLight:
-    """Traces the cones of some points, which are the points first, first + 1, .. of all."""
+    """Trace the cones of some points. Among all points, these are numbers `first`, `first` + 1, and so on."""
     n, device = len(points), points.position.device
     frame = brdf.frame(points.normal)
     v = torch.einsum("nij,ni->nj", frame, points.view)
@@ -263,13 +270,13 @@ def _trace(
 def lobe_cones(
     v: Tensor, roughness_levels: Tensor, irradiance: int, specular: int, generator: torch.Generator
 ) -> tuple[Tensor, Tensor, Tensor]:
-    """Cones for local views v [n,3]: `irradiance` of them for the diffuse lobe, `specular` for each of R roughness levels.
+    """Cones for local views v [n, 3]: `irradiance` for the diffuse lobe, and `specular` for each of R roughness levels.
 
-    The samples of all levels serve all of them, by the balance heuristic (Veach 1995).
+    The samples of all levels are used for every level, by the balance heuristic (Veach 1995).
 
-    Returns local directions [n,C,3], half-angles [n,C] and weights [n,C,1+R,3]: the diffuse lobe (its weight thrice)
-    and the three moments of each level. A lobe's weights are scaled to its exact albedo, so that a white furnace is
-    exact; a cone is as wide as its share of all samples around it.
+    Returns local directions [n, C, 3], half-angles [n, C] and weights [n, C, 1 + R, 3]: in the diffuse lobe (three equal
+    numbers), and in the three moments of each level. The weights of a lobe are scaled so that they add up to its exact
+    albedo; so a white furnace is exact. The width of a specular cone follows from the density of all samples around it.
     """
     n, levels = len(v), len(roughness_levels)
     turn = torch.rand(n, levels + 1, 2, generator=generator).to(v.device)

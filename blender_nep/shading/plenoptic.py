@@ -1,8 +1,8 @@
-"""The neural plenoptic function f_p(x, d): what light arrives at a surface point x from direction d (paper, eq. 6).
+"""The neural plenoptic function f_p(x, d): the light that arrives at a surface point x from direction d (paper, eq. 6).
 
-A ray that leaves the object returns the environment field F_e through a cone, plus a residual for distant light that no
-photo shows; a ray that meets the mesh again returns the radiance reflected there, by the rendering equation, down to N
-levels, and below that the terminal MLP.
+A ray that leaves the object gets the radiance of the environment field F_e in a cone, plus the unseen light where no photo
+shows the environment. A ray that meets the mesh again gets the radiance that the mesh reflects there. That radiance comes
+from the rendering equation down to N levels, and below that from the terminal MLP.
 """
 
 from __future__ import annotations
@@ -24,20 +24,20 @@ _CHUNK = 1 << 16
 
 
 class Environment(Protocol):
-    """What is asked of F_e."""
+    """The methods of F_e that f_p needs."""
 
     def query_cone(self, origins: Tensor, directions: Tensor, half_angle: Tensor) -> tuple[Tensor, Tensor]:
-        """Mean radiance [n,3] in a cone, and how far photos saw it [n] in 0..1."""
+        """Mean radiance [n, 3] in cones, and their coverage [n] by the photos in 0..1."""
         ...
 
     def typical_distance(self) -> float:
-        """Distance from the object's center to what the photos show, unit frame."""
+        """Median distance of the surroundings from the object's center, in the unit frame."""
         ...
 
 
 @dataclass
 class Material:
-    """Principled inputs at points: albedo [n,3], roughness [n], metallic [n], linear, 0..1."""
+    """Inputs of the Principled shader at n points: albedo [n, 3], roughness [n], metallic [n]; linear, 0..1."""
 
     albedo: Tensor
     roughness: Tensor
@@ -46,16 +46,16 @@ class Material:
 
 @dataclass
 class SurfacePoints:
-    """Points of the mesh and the unit directions from which they are looked at."""
+    """Points of the mesh, and for each the direction to the eye that sees it."""
 
     position: Tensor
-    """[n,3]"""
+    """[n, 3] unit frame"""
     face: np.ndarray
-    """[n] int"""
+    """[n] int, index of the face"""
     normal: Tensor
-    """[n,3] smooth, unit, on the side of the eye"""
+    """[n, 3] smooth unit normals on the side of the eye"""
     view: Tensor
-    """[n,3] towards the eye, unit"""
+    """[n, 3] unit vectors towards the eye"""
 
     def __len__(self) -> int:
         return len(self.position)
@@ -66,7 +66,7 @@ class SurfacePoints:
 
     @classmethod
     def joined(cls, parts: Sequence[SurfacePoints]) -> SurfacePoints:
-        """One after the other."""
+        """The points of all parts, one part after the other."""
         return cls(
             torch.cat([part.position for part in parts]),
             np.concatenate([part.face for part in parts]),
@@ -77,20 +77,23 @@ class SurfacePoints:
 
 @dataclass
 class TraceResult:
-    """What rays from surface points met: F_e's light where they leave, the next surface point where they do not."""
+    """The trace result of n rays from surface points: F_e's light for rays that leave, surface points for rays that hit."""
 
     radiance: Tensor
-    """[n,3] from F_e; 0 where the ray hits the mesh"""
+    """[n, 3] radiance of F_e; 0 where the ray hits the mesh"""
     coverage: Tensor
-    """[n] how far photos saw that light; 1 where the ray hits the mesh"""
+    """[n] coverage of that light by the photos, 0..1; 1 where the ray hits the mesh"""
     row: Tensor
-    """[k] int64: which rays hit"""
+    """[k] int64: indices of the rays that hit the mesh"""
     hits: SurfacePoints
-    """[k] where"""
+    """[k] the points that they hit"""
 
 
 class TerminalRadiance(nn.Module):
-    """MLP(x, d): radiance that the surface sends out, where the recursion ends. Learned from the photos themselves."""
+    """The terminal MLP(x, d): the radiance that surface points send to the eye. It ends the recursion of f_p.
+
+    It is learned from the photos.
+    """
 
     octaves = 4
 
@@ -102,11 +105,11 @@ class TerminalRadiance(nn.Module):
         )
 
     def forward(self, points: SurfacePoints) -> Tensor:
-        """Radiance [n,3] >= 0."""
+        """Radiance [n, 3] >= 0 that the points send to the eye."""
         return torch.expm1(self.log_radiance(points)).clamp(0, 1e4) / 4
 
     def log_radiance(self, points: SurfacePoints) -> Tensor:
-        """log(1 + 4 radiance): the photometric space, up to a factor."""
+        """log(1 + 4 radiance) [n, 3]: the tone-mapped radiance up to a factor."""
         scaled = points.position[:, None] * (2.0 ** torch.arange(self.octaves, device=points.position.device))[:, None]
         encoded = torch.cat([scaled.sin().flatten(1), scaled.cos().flatten(1)], 1)
         mirrored = brdf.reflect(points.view, points.normal)
@@ -115,23 +118,24 @@ class TerminalRadiance(nn.Module):
 
 @dataclass(frozen=True)
 class PlenopticSettings:
-    """How deep f_p is evaluated, and by how many cones a surface point."""
+    """How many levels f_p has, and how many cones a surface point has."""
 
     levels: int
-    """N, the number of surface interactions computed by the rendering equation, counting the one that the eye sees (1: what
-    a reflected ray hits comes from the terminal MLP; 0: hits stay black, the ablation without indirect light)"""
+    """N, the number of surface interactions by the rendering equation, with the one that the eye sees. With 1, the radiance
+    of a point that a reflected ray hits comes from the terminal MLP. With 0, hits stay black (the ablation without indirect
+    light)."""
     diffuse: int
-    """Cones of the diffuse lobe, where f_p is evaluated recursively"""
+    """Number of cones of the diffuse lobe, where f_p is evaluated recursively"""
     specular: int
-    """Cones of the specular lobe"""
+    """Number of cones of the specular lobe"""
     use_cones: bool = True
-    """False: all cones are as narrow as a ray, the ablation"""
+    """False: all cones are as narrow as a ray (an ablation)"""
 
 
 class PlenopticFunction:
-    """f_p over one mesh and one environment field.
+    """The plenoptic function f_p for one mesh and one environment field.
 
-    materials_at(points) gives the current Material there.
+    In its methods, materials_at(points) gives the present Material at surface points.
     """
 
     def __init__(
@@ -147,20 +151,23 @@ class PlenopticFunction:
         self.settings = settings
         self.device = torch.device(device)
         self.unseen: UnseenLight | None = None
-        """Light that no photo shows; None until learned."""
+        """Light that no photo shows. None until it is learned."""
 
     def points(self, face: np.ndarray, barycentric: np.ndarray, view: Tensor) -> SurfacePoints:
-        """Surface points from a ray tracer's hits and the directions [n,3] towards the eye."""
+        """Surface points from hits of the ray tracer, face [n] and barycentric [n, 3]; view [n, 3] points to the eye."""
         position = self.tracer.interpolate(self.tracer.vertices, face, barycentric).astype(np.float32)
         flat = torch.from_numpy(self.tracer.face_normals[face]).to(self.device)
         normal = torch.from_numpy(self.tracer.smooth_normals(self.normals, face, barycentric)).to(self.device)
-        # A two-sided mesh: the normal is that of the side that is looked at.
+        # The mesh is two-sided: the normal is that of the side that the eye sees.
         side = torch.where((flat * view).sum(-1, keepdim=True) < 0, -1.0, 1.0)
         return SurfacePoints(torch.from_numpy(position).to(self.device), face, facing(normal * side, view), view)
 
     @torch.no_grad()
     def trace(self, start: SurfacePoints, directions: Tensor, half_angle: Tensor) -> TraceResult:
-        """Rays from start [n] along unit directions [n,3]: leave to F_e by cones of half_angle [n] or meet the mesh."""
+        """Trace rays from the points start [n] along unit directions [n, 3].
+
+        A ray that leaves the object queries F_e with a cone of half_angle [n] radians; other rays hit the mesh.
+        """
         d = directions.cpu().numpy()
         origins = self.tracer.leave(start.position.cpu().numpy(), start.face, d)
         t, face, barycentric = self.tracer.intersect(origins, d)
@@ -186,7 +193,7 @@ class PlenopticFunction:
         level: int,
         generator: torch.Generator,
     ) -> Tensor:
-        """Radiance [n,3] that points send to their eye: the rendering equation at `level`, recursively (eq. 7)."""
+        """Radiance [n, 3] that points send to the eye: the rendering equation (eq. 7) at `level`, evaluated recursively."""
         if self.settings.levels == 0:
             return torch.zeros_like(points.position)
         if level > self.settings.levels:
@@ -210,7 +217,10 @@ class PlenopticFunction:
         level: int,
         generator: torch.Generator,
     ) -> Tensor:
-        """f_p [n,3] at start along directions; level is that of the surface the light falls on (1: seen by the eye)."""
+        """f_p [n, 3]: the radiance that arrives at the points start [n] from directions [n, 3], in cones of half_angle [n].
+
+        `level` is the level of these points; points that the eye sees have level 1.
+        """
         traced = self.trace(start, directions, half_angle)
         radiance = traced.radiance
         if self.unseen is not None:
@@ -247,14 +257,14 @@ class PlenopticFunction:
 
 @dataclass
 class SpecularMoments:
-    """Light through the specular lobe, by what the Fresnel term makes of it, each [..., 3] (split-sum)."""
+    """Light through the specular lobe with three Fresnel terms F, each [..., 3] (split-sum)."""
 
     full: Tensor
-    """with F = 1"""
+    """The light with F = 1"""
     edge: Tensor
-    """with F = (1 - v.h)^5"""
+    """The light with F = (1 - v.h)^5"""
     dielectric: Tensor
-    """with the dielectric's Fresnel reflectance"""
+    """The light with the Fresnel reflectance of a dielectric"""
 
 
 def moment_weights(weight: Tensor, cos_vh: Tensor) -> tuple[Tensor, Tensor, Tensor]:
@@ -263,15 +273,16 @@ def moment_weights(weight: Tensor, cos_vh: Tensor) -> tuple[Tensor, Tensor, Tens
 
 
 def reflected(material: Material, specular: SpecularMoments, diffuse: Tensor, cos_v: Tensor) -> Tensor:
-    """Radiance [n,3] towards the eye from the lobes' prefiltered light; diffuse [n,3] is irradiance over pi."""
+    """Radiance [n, 3] towards the eye from the lobes' prefiltered light; diffuse [n, 3] is irradiance divided by pi."""
     offset, slope = affine_in_albedo(material, specular, diffuse, cos_v)
     return offset + slope * material.albedo
 
 
 def affine_in_albedo(material: Material, specular: SpecularMoments, diffuse: Tensor, cos_v: Tensor) -> tuple[Tensor, Tensor]:
-    """The reflected radiance as offset + slope * albedo, [n,3] each: what the albedo is solved from.
+    """The reflected radiance as offset + slope * albedo; returns offset and slope [n, 3].
 
-    Exact but for the light that a metal scatters more than once, which is taken at the material's present albedo.
+    This is exact except for the light that a metal scatters more than once: that light is taken at the material's present
+    albedo.
     """
     r, m, c = material.roughness[:, None], material.metallic[:, None], cos_v[:, None]
     more = brdf.multiscatter_scale(brdf.metal_fss(material.albedo), c, r)
@@ -281,11 +292,14 @@ def affine_in_albedo(material: Material, specular: SpecularMoments, diffuse: Ten
 
 
 def local(frame: Tensor, directions: Tensor) -> Tensor:
-    """Directions [n,3] in frames [n,3,3] whose columns are tangent, bitangent, normal."""
+    """Directions [n, 3] in the local coordinates of frames [n, 3, 3], whose columns are tangent, bitangent, normal."""
     return torch.einsum("nij,ni->nj", frame, directions)
 
 
 def facing(normal: Tensor, view: Tensor, least: float = 0.02) -> Tensor:
-    """Smooth normals [n,3] tilted until they face the eye: interpolated ones may look away at a silhouette."""
+    """Smooth unit normals [n, 3], tilted until they face the eye.
+
+    At a silhouette, interpolated normals may point away from the eye.
+    """
     cosine = (normal * view).sum(-1, keepdim=True)
     return nn.functional.normalize(normal + (least - cosine).clamp_min(0) * view, dim=-1)

@@ -1,12 +1,12 @@
-"""Light that no photo shows, found by the object's own reflections of it.
+"""The unseen light: light that no photo shows, but that the object reflects.
 
-Photos of an object in a room look at the walls behind it; the lamps on the ceiling are seen only as highlights. F_e has
-no evidence there (its coverage is 0), and without that light albedo is too bright, and paint is taken for metal. Where
-F_e was not seen, a map of radiance is added to it: a true residual, weighted by what coverage is missing.
+Photos of an object in a room show the walls behind it. They show the lamps on the ceiling only as highlights. There F_e has
+no coverage. Without that light, the albedo would come out too bright, and paint would be taken for metal. So a map of
+radiance is added to F_e, weighted by the missing coverage.
 
-The map is equirectangular (Blender's orientation, row 0 is +z) on a sphere of finite radius around the object's centre,
-so that near lamps keep their parallax. It is linear in its radiance: with the materials held, the photos are a sparse matrix
-times the map (`unseen_transport`).
+The map is equirectangular (Blender's orientation, row 0 is +z) on a sphere of finite radius around the object's centre, so
+that near lamps keep their parallax. For fixed materials, the light in the photos is linear in the map: a sparse matrix times
+the map (`unseen_transport`).
 """
 
 from __future__ import annotations
@@ -20,19 +20,19 @@ from torch import Tensor
 
 
 class UnseenLight:
-    """Radiance [rows, 2 rows, 3] >= 0 on a sphere of `radius` (unit frame; inf: at infinity)."""
+    """A map of radiance [rows, 2 rows, 3] >= 0 on a sphere of `radius` in the unit frame; inf means infinitely far."""
 
     def __init__(self, rows: int, radius: float, device: torch.device | str) -> None:
         self.radius = radius
         self.radiance = torch.zeros(rows, 2 * rows, 3, device=device)
 
     def __call__(self, origins: Tensor, directions: Tensor, half_angle: Tensor) -> Tensor:
-        """Mean radiance [n, 3] of cones from origins [n, 3] along unit directions, half_angle [n] radians."""
+        """Mean radiance [n, 3] in cones from origins [n, 3] along unit directions [n, 3] with half_angle [n] radians."""
         index, weight = taps(len(self.radiance), self.radius, origins, directions, half_angle)
         return (pyramid(self.radiance)[index] * weight[..., None]).sum(1)
 
     def state(self) -> dict:
-        """As a dict of tensors and numbers."""
+        """The light as a dict of tensors and numbers, for a checkpoint."""
         return {"radius": self.radius, "radiance": self.radiance}
 
     @classmethod
@@ -43,7 +43,7 @@ class UnseenLight:
         return light
 
     def equirect(self, height: int) -> Tensor:
-        """The map as seen from the centre, [height, 2 height, 3]."""
+        """The map at another resolution: radiance [height, 2 height, 3] as seen from the centre."""
         fine = torch.nn.functional.pad(self.radiance.permute(2, 0, 1)[None], (1, 1, 0, 0), mode="circular")
         rows = len(self.radiance)
         fine = torch.nn.functional.interpolate(
@@ -54,7 +54,7 @@ class UnseenLight:
 
 
 def level_sizes(rows: int) -> list[int]:
-    """Rows of the map's levels, each half of the one before."""
+    """Numbers of rows of the map's levels; each has half the rows of the level before."""
     sizes = [rows]
     while sizes[-1] % 2 == 0 and sizes[-1] > 8:
         sizes.append(sizes[-1] // 2)
@@ -62,7 +62,7 @@ def level_sizes(rows: int) -> list[int]:
 
 
 def pyramid(radiance: Tensor) -> Tensor:
-    """All levels [texels, 3] of a map [rows, 2 rows, 3], one after the other; means weighted by solid angle."""
+    """All levels of a map [rows, 2 rows, 3] in one list [texels, 3]. Each level holds means, weighted by solid angle."""
     levels = [radiance]
     for rows in level_sizes(len(radiance))[1:]:
         last = levels[-1]
@@ -73,15 +73,17 @@ def pyramid(radiance: Tensor) -> Tensor:
 
 
 def taps(rows: int, radius: float, origins: Tensor, directions: Tensor, half_angle: Tensor) -> tuple[Tensor, Tensor]:
-    """Where cones meet the map: indices into `pyramid` [n, 4] and bilinear weights [n, 4], at the level whose texels are
-    about as wide as the cone."""
+    """The four texels at which each cone meets the map: indices into `pyramid` [n, 4] and bilinear weights [n, 4].
+
+    They are on the level whose texels are about as wide as the cone.
+    """
     if math.isfinite(radius):
         along = (origins * directions).sum(-1, keepdim=True)
         square = (origins * origins).sum(-1, keepdim=True)
         directions = origins + directions * ((along**2 - square + radius**2).clamp_min(0).sqrt() - along)
         directions = directions / directions.norm(dim=-1, keepdim=True).clamp_min(1e-9)
     sizes = level_sizes(rows)
-    # a bilinear lookup has the variance of a disc of sqrt(2/3) texels: the finest level that is not narrower
+    # A bilinear lookup has the variance of a disc with a radius of sqrt(2/3) texels. The level is the nearest such disc.
     wanted = torch.log2((half_angle / (math.sqrt(2 / 3) * math.pi / rows)).clamp_min(1e-6))
     level = wanted.round().long().clamp(0, len(sizes) - 1)
     size = torch.tensor(sizes, device=level.device)
@@ -105,20 +107,20 @@ def taps(rows: int, radius: float, origins: Tensor, directions: Tensor, half_ang
 
 @dataclass
 class UncoveredCones:
-    """Cones that left the object towards where photos did not look well, from n surface points in order."""
+    """k cones of surface points that left the object in directions that the photos do not show well."""
 
     row: Tensor
-    """[k] int64, ascending: the surface point"""
+    """[k] int64, ascending: index of the surface point"""
     direction: Tensor
-    """[k, 3]"""
+    """[k, 3] unit vectors"""
     half_angle: Tensor
-    """[k]"""
+    """[k] radians"""
     share: Tensor
     """[k] missing coverage, 0..1"""
     weight: Tensor
-    """[k, 1 + R]: in the diffuse lobe, and in the specular lobe of each roughness level"""
+    """[k, 1 + R] weights in the diffuse lobe, and in the specular lobe of each roughness level"""
     fresnel: Tensor
-    """[k, 2]: (1 - v.h)^5 and the dielectric's Fresnel reflectance"""
+    """[k, 2] (1 - v.h)^5, and the Fresnel reflectance of a dielectric"""
 
     def __len__(self) -> int:
         return len(self.row)
@@ -128,5 +130,5 @@ class UncoveredCones:
 
     @classmethod
     def joined(cls, parts: Sequence[UncoveredCones]) -> UncoveredCones:
-        """One after the other."""
+        """The cones of all parts, one part after the other."""
         return cls(*(torch.cat(values) for values in zip(*(vars(part).values() for part in parts), strict=True)))

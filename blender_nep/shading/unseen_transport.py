@@ -1,7 +1,7 @@
-"""What surface points send to their eyes for each texel of the map of unseen light, and the adjoint.
+"""The radiance that surface points send to the eye for a map of unseen light, and the adjoint of that linear function.
 
-Linear in the map: every cone has four taps in its pyramid and, for each line of an affine function of the albedo, a response
-in three colors. The taps stay while materials change.
+Every cone reads four texels (taps) of the map's pyramid. The radiance is an affine function of the albedo; each of its two
+lines (offset and slope) has a response in three colors. The taps stay the same while the materials change.
 """
 
 from __future__ import annotations
@@ -14,13 +14,13 @@ from blender_nep.ops.cone_transport import collect, send
 from blender_nep.shading.unseen_light import UncoveredCones, level_sizes, taps
 
 _PARTS = 32
-"""In which the adjoint is summed, each into a map of its own."""
+"""Number of parts in which the adjoint is summed; each part has a map of its own."""
 
 
 class UnseenTransport:
-    """From a map of `rows` rows at `radius` to n surface points at position [n, 3], through their uncovered cones.
+    """Transports the light of a map with `rows` rows at `radius` to n surface points, through their uncovered cones.
 
-    Computed on the CPU, whatever the device of the cones.
+    position [n, 3] are the points. The work is done on the CPU, whatever the device of the cones.
     """
 
     def __init__(self, rows: int, radius: float, cones: UncoveredCones, position: Tensor) -> None:
@@ -30,13 +30,16 @@ class UnseenTransport:
         self._weight = (weight * cones.share[:, None]).float().cpu().numpy()
         ends = torch.bincount(cones.row, minlength=len(position)).cumsum(0).cpu().numpy()
         self._starts = np.concatenate([[0], ends])
-        # points of about as many cones in each part
+        # all parts have about the same number of cones
         self._bounds = np.searchsorted(self._starts, np.linspace(0, len(cones), _PARTS + 1))
         self._bounds[0], self._bounds[-1] = 0, len(position)
 
     def sent(self, response: np.ndarray, levels: np.ndarray) -> np.ndarray:
-        """Radiance [n, L, 3] for a pyramid [texels, 3]; response [k, L, 3]: what a point sends for a light of 1 in one of
-        its k cones, on each of L lines. All float32. Raises ValueError when the pyramid is another map's."""
+        """Radiance [n, L, 3] that the points send to the eye for a pyramid `levels` [texels, 3], on each of L lines.
+
+        response [k, L, 3] is the radiance that a point sends for a radiance of 1 in one of the k cones. All arrays are
+        float32. Raises ValueError when the pyramid has another number of texels.
+        """
         if levels.shape != (self.texels, 3):
             raise ValueError(f"a pyramid of {self.texels} texels is needed, not of {levels.shape}")
         out = np.zeros((len(self._starts) - 1, *response.shape[1:]), np.float32)
@@ -44,7 +47,7 @@ class UnseenTransport:
         return out
 
     def adjoint(self, response: np.ndarray, gradient: np.ndarray) -> np.ndarray:
-        """From a gradient by radiance [n, L, 3] to one by the pyramid [texels, 3]."""
+        """The gradient [texels, 3] by the pyramid, from the gradient [n, L, 3] by the radiance that `sent` returns."""
         parts = np.zeros((_PARTS, self.texels, 3), np.float32)
         collect(self._starts, self._bounds, self._texel, self._weight, response, np.ascontiguousarray(gradient), parts)
         return parts.sum(0)

@@ -1,4 +1,4 @@
-"""From the object field F_o to one clean mesh with normals and UVs."""
+"""Extracts one clean mesh with normals and UVs from the object field F_o."""
 
 from __future__ import annotations
 
@@ -21,13 +21,13 @@ if TYPE_CHECKING:
     from blender_nep.presets import SurfacePreset
 
 _BORDER = 0.995
-"""The surface is cropped (and capped) at this radius: just inside the unit sphere that divides F_o from F_e."""
+"""The surface is cropped and capped at this radius. It lies just inside the unit sphere, the border between F_o and F_e."""
 
 
 def extract_surface(object_field: ObjectField, preset: SurfacePreset) -> tuple[Surface, dict]:
-    """The zero level of the SDF inside the unit sphere as one clean, decimated, unwrapped mesh, and a report on it.
+    """Make one clean, decimated, unwrapped mesh of the SDF's zero level inside the unit sphere. Also returns a report.
 
-    Raises LearningError when the field has no surface in the sphere.
+    Raises LearningError when the field has no surface in the sphere, or is not finite.
     """
     with section("SDF grid"):
         sdf = object_field.sdf_grid(preset.grid)
@@ -41,7 +41,7 @@ def extract_surface(object_field: ObjectField, preset: SurfacePreset) -> tuple[S
     report["faces_marching_cubes"] = len(faces)
     if len(faces) > preset.faces:
         vertices, faces = _decimate(vertices, faces, preset.faces)
-        # a quadric's best place may lie a little outside of the sphere that the surface was cropped at
+        # decimation may move a vertex a little outside the sphere at which the surface was cropped
         vertices *= np.minimum(1, _BORDER / np.maximum(np.linalg.norm(vertices, axis=1, keepdims=True), 1e-9))
     vertices, faces = weld(vertices, faces)
     report["faces"] = len(faces)
@@ -52,9 +52,9 @@ def extract_surface(object_field: ObjectField, preset: SurfacePreset) -> tuple[S
 
 @profiled("keep the object")
 def keep_object(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray, dict]:
-    """The connected component of the largest area; inner shells and floaters go. Faces are turned outward.
+    """Keep only the connected component with the largest area, and turn its faces outward.
 
-    vertices [V,3], faces [F,3]; the report says how much was dropped.
+    Inner shells and floaters are dropped. vertices [V, 3], faces [F, 3]. The report says how much was dropped.
     """
     mesh = trimesh.Trimesh(vertices, faces, process=False)
     labels = trimesh.graph.connected_component_labels(mesh.face_adjacency, node_count=len(faces))
@@ -80,7 +80,11 @@ def keep_object(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np
 
 @profiled("marching cubes")
 def zero_level(sdf: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Marching cubes over [-1,1]^3 of an SDF [n,n,n] intersected with the unit sphere (which caps what it cuts)."""
+    """Marching cubes on an SDF [n, n, n] over [-1, 1]^3. Returns vertices [V, 3] float64 and faces [F, 3] int64.
+
+    The SDF is first intersected with a sphere of radius _BORDER; where the sphere cuts the surface, it caps the mesh. Raises
+    LearningError when the SDF is not finite, or has no surface in the sphere.
+    """
     n = sdf.shape[0]
     if not np.isfinite(sdf).all():
         hint = "try another --seed or a milder preset"
@@ -102,7 +106,7 @@ def zero_level(sdf: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _above(sdf: np.ndarray, support: Support) -> np.ndarray:
-    """The SDF [n,n,n] intersected with the half-space above a support plane."""
+    """The SDF [n, n, n] intersected with the half-space that begins MARGIN above a support plane."""
     axis = np.linspace(-1, 1, sdf.shape[0], dtype=np.float32)
     x, y, z = (np.float32(c) * axis for c in support.normal)
     below = support.height + MARGIN - (x[:, None, None] + y[None, :, None] + z[None, None, :])
@@ -111,9 +115,10 @@ def _above(sdf: np.ndarray, support: Support) -> np.ndarray:
 
 @profiled("decimation")
 def _decimate(vertices: np.ndarray, faces: np.ndarray, budget: int) -> tuple[np.ndarray, np.ndarray]:
-    """At most about `budget` faces, by quadric errors: many where the surface bends, few where it is flat.
+    """Decimate the mesh to about `budget` faces by quadric errors: many where the surface bends, few where it is flat.
 
-    The gentlest pace that meets the budget: a hasty one collapses edges out of order and turns faces by degrees.
+    The lowest aggressiveness that meets the budget within 2 % is used, because a high one collapses edges out of order and
+    turns faces by degrees. If none meets it, the result of the highest is used.
     """
     vertices, faces = np.ascontiguousarray(vertices, np.float32), np.ascontiguousarray(faces, np.int32)
     for aggressiveness in (2, 3, 5, 7):
@@ -124,7 +129,10 @@ def _decimate(vertices: np.ndarray, faces: np.ndarray, budget: int) -> tuple[np.
 
 
 def _field_normals(object_field: ObjectField, vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    """The SDF's gradient at the vertices; the mesh's own normal where the two disagree (caps, thin folds)."""
+    """Unit normals [V, 3] from the SDF's gradient. Where it disagrees with the mesh's own normal, the latter is used.
+
+    They disagree at caps and thin folds.
+    """
     device = next(object_field.parameters()).device
     field = object_field.normal(torch.as_tensor(vertices, dtype=torch.float32, device=device)).double().cpu().numpy()
     mesh = area_normals(vertices, faces)

@@ -1,4 +1,4 @@
-"""A mesh file that takes the place of the learned shape (`--mesh`)."""
+"""Reads a mesh file that replaces the learned shape (`--mesh`)."""
 
 from __future__ import annotations
 
@@ -18,9 +18,10 @@ if TYPE_CHECKING:
 
 
 def load_surface(mesh_path: Path, capture: Capture, preset: SurfacePreset) -> Surface:
-    """A mesh file in the capture's coordinates, brought to the unit frame; unwrapped where it has no UVs.
+    """Read a mesh file in the capture's coordinates, and bring it to the unit frame.
 
-    Raises CaptureError when it cannot be read, holds no triangle, or lies outside the object's sphere.
+    A mesh without usable UVs is welded and unwrapped. Raises CaptureError when the file cannot be read, holds no triangle or
+    values that are not finite, or lies outside the object's sphere.
     """
     path = Path(mesh_path)
     if not path.is_file():
@@ -30,7 +31,7 @@ def load_surface(mesh_path: Path, capture: Capture, preset: SurfacePreset) -> Su
     except (ValueError, TypeError, KeyError, IndexError, OSError, NotImplementedError) as error:
         hint = "give an OBJ, PLY, STL or glTF file"
         raise CaptureError(f"the mesh {path.name} cannot be read: {error}", hint) from error
-    # a file of points alone is no mesh, whatever was asked for
+    # trimesh may return a point cloud, although force="mesh" asks for a mesh
     if not isinstance(mesh, trimesh.Trimesh) or len(mesh.faces) == 0 or not np.isfinite(mesh.vertices).all():
         raise CaptureError(f"the mesh {path.name} holds no usable triangle", "give a triangle mesh of the object")
     transform = np.asarray(capture.to_unit, np.float64)

@@ -1,7 +1,8 @@
-"""What an object stands on: the sphere cuts a piece out of the table, and that piece must not become a skirt.
+"""Finds the support plane on which an object stands, such as a table.
 
-The mesh is capped where the sphere cuts it. Where the cap's rim lies in one plane, and the surface that reaches the rim
-lies in that plane too, the cut is a table's. A foot or a stand that leaves the sphere meets the rim upright, and stays.
+The object's sphere contains a piece of the table, which must not become a part of the mesh. The mesh is capped where the
+sphere cuts it. If the rim of the cap lies in one plane, and the surface near the rim lies in that plane too, the sphere cuts
+a table. A foot or a stand that leaves the sphere meets the rim upright; it is kept.
 """
 
 from __future__ import annotations
@@ -12,25 +13,25 @@ import numpy as np
 import trimesh
 
 TOLERANCE = 0.03
-"""Distance from the plane up to which a point lies in it, object radii."""
+"""A point up to this far from the plane counts as lying in it; in object radii."""
 LEAST_SHARE = 0.6
-"""Of the rim, and of the surface near it, that must lie in the plane."""
+"""Smallest share of the rim, and of the surface near the rim, that must lie in the plane."""
 LEAST_RIM = 0.4
-"""Radius of the smallest rim taken for a table's, object radii."""
+"""Smallest radius of the rim of a table, in object radii."""
 MARGIN = 0.02
-"""The object is cut this far above the plane, object radii."""
+"""The object is cut this far above the plane, in object radii."""
 
 
 @dataclass
 class Support:
-    """A plane normal . x = height [unit frame], normal [3] towards the object."""
+    """A support plane: the points x with normal . x = height, in the unit frame. normal [3] points towards the object."""
 
     normal: np.ndarray
     height: float
 
 
 def find_support(vertices: np.ndarray, faces: np.ndarray, border: float, seed: int = 0) -> Support | None:
-    """The support plane of a mesh (vertices [V,3], faces [F,3]) capped at radius `border`, or None."""
+    """The support plane of a mesh (vertices [V, 3], faces [F, 3]) that is capped at radius `border`; None without one."""
     radius = np.linalg.norm(vertices, axis=1)
     cap = (radius[faces] > border - 0.01).all(1)
     if not cap.any() or cap.all():
@@ -53,7 +54,10 @@ def find_support(vertices: np.ndarray, faces: np.ndarray, border: float, seed: i
 
 
 def _fit(points: np.ndarray, rng: np.random.Generator, tries: int = 200) -> Support | None:
-    """RANSAC: the plane that holds most points, its normal towards the origin's side of a cut below the centre."""
+    """The plane that contains most points [n, 3], by RANSAC. Its normal points towards the origin (height <= 0).
+
+    None if fewer than 12 points are given, or if less than LEAST_SHARE of them lie in the plane.
+    """
     best, most = None, 0
     if len(points) < 12:
         return None

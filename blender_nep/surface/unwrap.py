@@ -1,4 +1,4 @@
-"""The UV atlas of a mesh (xatlas)."""
+"""Makes the UV atlas of a mesh with xatlas."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 @profiled("UV atlas")
 def unwrap(surface: Surface, preset: SurfacePreset) -> Surface:
-    """The same surface with a UV atlas (xatlas); vertices are duplicated along its seams."""
+    """The same surface with a UV atlas. Vertices are duplicated along its seams."""
     atlas = xatlas.Atlas()
     atlas.add_mesh(surface.vertices.astype(np.float32), surface.faces.astype(np.uint32))
     charts = xatlas.ChartOptions()
@@ -26,7 +26,7 @@ def unwrap(surface: Surface, preset: SurfacePreset) -> Surface:
     pack.bruteForce, pack.create_image = False, False
     atlas.generate(charts, pack)
     source, faces, uv = atlas[0]
-    # Not square, in general: one scale for both axes, so that texels stay square on the surface.
+    # The atlas is not always square. Both axes get the same scale, so that texels are square on the surface.
     uv = uv * np.array([atlas.width, atlas.height]) / max(atlas.width, atlas.height)
     source = source.astype(np.int64)
     return Surface(surface.vertices[source], faces.astype(np.int64), surface.normals[source], uv.astype(np.float64))

@@ -253,7 +253,7 @@ def test_some_bad_pixels_are_left_out_with_a_warning(make_capture):
     left_out, negative, blinding = rays.warnings
     assert str(left_out) == "2 pixels in 1 photo are NaN or Inf and are left out: 001.exr"
     assert str(negative) == "1 pixel in 1 photo is negative and is taken as 0: 001.exr"
-    assert str(blinding) == "1 pixel in 1 photo is brighter than 60000 and is taken as that: 001.exr"
+    assert str(blinding) == "1 pixel in 1 photo is brighter than 60000 and is set to that value: 001.exr"
 
 
 def test_a_black_photo_is_left_out(make_capture):

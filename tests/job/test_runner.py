@@ -73,7 +73,7 @@ def test_what_the_scene_needs_is_told_before_it_is_done_and_stands_in_the_report
     last = events[max(n for n, e in enumerate(events) if e["event"] == "scene")]["lines"][-1]
     assert told[-1][-1] == last["message"]
     assert last["message"] == (
-        "Left out: asking every pixel for its material, boundaries between materials, fine textures, because one material "
+        "Left out: finding the material of every pixel, boundaries between materials, fine textures, because one material "
         "explains the photos (saves about 3 s)."
     )
     assert last["code"] == "scene.left_out_saving" and last["values"]["reason"]["code"] == "reason.one_material"

@@ -1,6 +1,7 @@
-"""`transforms.json`, the form of instant-ngp and nerfstudio, with two keys more: object_center and object_radius.
+"""Reads `transforms.json`, the format of instant-ngp and nerfstudio.
 
-Intrinsics `fl_x fl_y cx cy w h` stand at the top or in a frame; without fl_x, `camera_angle_x` (radians) gives it.
+Three optional keys are added: `object_center`, `object_radius` and `color_space`. The intrinsics `fl_x fl_y cx cy w h` stand
+at the top or in a frame. Where `fl_x` is missing, `camera_angle_x` (radians) gives it.
 """
 
 from __future__ import annotations
@@ -134,7 +135,10 @@ def _camera(meta: dict, frame: dict, name: str, size: tuple[int, int], rescaled:
 
 
 def _matrix(frame: dict, name: str) -> np.ndarray:
-    """Camera-to-world [4, 4] with its rotation made exactly orthonormal. Raises CaptureError if far from rigid."""
+    """The frame's camera-to-world matrix [4, 4], with its rotation made exactly orthonormal.
+
+    Raises CaptureError if the matrix is missing, scales, shears or mirrors.
+    """
     try:
         matrix = np.array(frame.get("transform_matrix"), np.float64)
     except (TypeError, ValueError):
