@@ -89,7 +89,7 @@ class Suite:
                 continue
             if self.children.stopped:
                 break
-            result = self._step(step, run, asset)
+            result = self.run_step(step, run, asset)
             if self.children.stopped:
                 break
             if step == "learn":
@@ -103,7 +103,8 @@ class Suite:
                 _drop_checkpoints(asset, keep=STAGE_1 if run.ablation == "full" else ())
         return row
 
-    def _step(self, step: str, run: Run, asset: Path) -> dict:
+    def run_step(self, step: str, run: Run, asset: Path) -> dict:
+        """Do one step of one run in a separate process, and return what belongs into the row."""
         folder = self.out / "logs"
         order, result = (folder / f"{run.name}.{step}.{kind}" for kind in ("order.json", "result.json"))
         result.unlink(missing_ok=True)

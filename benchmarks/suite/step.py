@@ -89,7 +89,7 @@ def learn(run: Run, asset: Path, order: dict) -> dict:
         capture = with_fewer_views(capture, run.views, Path(order["variant"]))
     shutil.rmtree(asset, ignore_errors=True)
     mesh = run.capture / "gt_mesh.ply" if run.geometry == "true" else None
-    given = order.get("stage_1") and _take_stage_1(Path(order["stage_1"]), asset, capture, run, mesh)
+    given = order.get("stage_1") and take_stage_1(Path(order["stage_1"]), asset, capture, run, mesh)
     settings = job.Settings(
         capture=capture,
         out=asset,
@@ -113,7 +113,7 @@ def learn(run: Run, asset: Path, order: dict) -> dict:
     return found | {"stage_cpu_seconds": cpu}
 
 
-def _take_stage_1(other: Path, asset: Path, capture: Path, run: Run, mesh: Path | None) -> bool:
+def take_stage_1(other: Path, asset: Path, capture: Path, run: Run, mesh: Path | None) -> bool:
     """Copy the finished stage 1 of another run into the folder `asset`, so that `asset` looks like a job stopped after it.
 
     `other` is the asset of the run without ablation. Returns False, and copies nothing, where that run has no finished stage
