@@ -1,13 +1,14 @@
-# make demo   a capture that is in the repository -> asset, .blend, comparison picture
-# make test   lint and all tests
-# make lint   ruff, the directions of imports, types
-# make stress CASES=500 SEED=1   whole small jobs on hostile captures (docs/stress.md); goes on where it was stopped
-# make bench  the whole benchmark plan, then docs/benchmarks.md (many hours; less of it:
-#             CAPTURES="a b" PLAN=presets SEEDS=0 JOBS=2, RENDER="--views 24 --size 160 --samples 8")
-# make test-blender   the extension in Blender 4.2, 4.5, 5.0 and 5.2 (bpy wheels, 4 GB; needs Python 3.13 too)
+# make demo   makes an asset, a .blend file and a comparison picture from the capture in the repository
+# make test   runs make lint and all tests
+# make lint   checks style (ruff), the directions of imports (import-linter) and types (mypy)
+# make stress CASES=500 SEED=1   runs whole small jobs on hostile captures (docs/stress.md). The same command continues a
+#             campaign that was stopped.
+# make bench  runs all benchmarks and writes docs/benchmarks.md. This takes many hours. These variables make it shorter:
+#             CAPTURES="a b" PLAN=presets SEEDS=0 JOBS=2, RENDER="--views 24 --size 160 --samples 8"
+# make test-blender   tests the extension in Blender 4.2, 4.5, 5.0 and 5.2 (bpy wheels, 4 GB; needs Python 3.13 too)
 #
-# Everything is installed into .venv, with the versions of constraints.txt; Python 3.11 is needed (bpy 5.0 has no other).
-# On Linux PyPI's torch carries CUDA (gigabytes). A CPU-only one:
+# Everything is installed into .venv, with the versions of constraints.txt. Python 3.11 is needed, because bpy 5.0 is built
+# for no other version. On Linux, torch from PyPI contains CUDA (gigabytes). This installs torch without CUDA:
 #   make demo PIP_EXTRA_INDEX_URL=https://download.pytorch.org/whl/cpu
 
 PYTHON ?= $(shell for p in python3.11 python3 python; do \
@@ -47,7 +48,8 @@ stress: $(VENV)/installed-dev
 test-blender: $(VENV)/installed
 	$(BIN)/python tests/support/blender_matrix.py
 
-# Without CAPTURES those are taken that the suite renders itself. The peer, Mitsuba, runs where it is installed (docs/peer.md).
+# Without CAPTURES, the suite uses the captures that it renders itself. The peer, Mitsuba, runs where it is installed
+# (docs/peer.md).
 bench: $(VENV)/installed-dev
 	-$(BIN)/python -m benchmarks render $(if $(CAPTURES),,shapes) roughness $(RENDER) --out $(BENCH)
 	-$(BIN)/python -m benchmarks run $(SHOWN) --plan $(PLAN) $(if $(SEEDS),--seed $(SEEDS)) \
@@ -64,7 +66,7 @@ lint: $(VENV)/installed-dev
 	$(BIN)/lint-imports
 	$(BIN)/mypy
 
-# Stamps: an environment is filled once, and again when the list of packages changes.
+# These two files are stamps. An environment is filled once, and again when the list of packages changes.
 $(VENV)/installed: pyproject.toml constraints.txt
 	@test -n "$(PYTHON)" || { echo "Python 3.11 with its venv module was not found; try: make PYTHON=/path/to/python3.11" >&2; exit 1; }
 	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)

@@ -1,11 +1,12 @@
-"""Render the comparison picture of a finished asset, in a Blender of its own.
+"""Render the comparison picture of a finished asset in a separate Blender process.
 
     blender -b --factory-startup --python-exit-code 1 -P backend/render_comparison.py -- --asset DIR --capture DIR ...
     python backend/render_comparison.py --asset DIR --capture DIR ...          (with the bpy wheel)
 
-It prints JSON lines on standard output: {"event": "progress", "done": 1, "total": 4}, then {"event": "done", "path": ...}
-or {"event": "error", "message": ...}. When its standard input is closed, it ends at once. The picture appears whole or not
-at all. The exit code is 0 (done), 7 (standard input was closed), 8 (the picture could not be made) or 2 (wrong arguments).
+The script prints JSON lines on standard output: {"event": "progress", "done": 1, "total": 4}, then
+{"event": "done", "path": ...} or {"event": "error", "message": ...}. When its standard input is closed, the script ends at
+once. The picture is written under a temporary name and then renamed, so there is never half a picture. The exit code is 0
+(done), 7 (standard input was closed), 8 (the picture could not be made) or 2 (wrong arguments).
 """
 
 import argparse
@@ -47,7 +48,10 @@ def say(event: str, **values: object) -> None:
 
 
 def end_with_parent() -> None:
-    """End as soon as standard input is closed: the Blender that wants the picture has cancelled, or has ended."""
+    """End this process as soon as its standard input is closed.
+
+    Standard input closes when the Blender that wants the picture cancels the render, or ends.
+    """
 
     def watch() -> None:
         while os.read(sys.stdin.fileno(), 4096):
@@ -58,7 +62,7 @@ def end_with_parent() -> None:
 
 
 def light_files(options: argparse.Namespace) -> list[Path]:
-    """The HDRIs that the options choose. ValueError where this Blender does not ship one of them."""
+    """The HDRI files that the options choose. Raises ValueError where this Blender does not ship one of them."""
     shipped = {path.stem: path for path in blender_hdris()}
     missing = [name for name in options.light if name not in shipped]
     if missing:
@@ -100,4 +104,5 @@ def main(arguments: list[str]) -> int:
 if __name__ == "__main__":
     code = main(script_arguments())
     sys.stdout.flush()
-    os._exit(code)  # with a thread that still waits for input, the wheel of Blender 4.5 never ends by itself
+    # The watching thread may still wait for input. The bpy wheel of Blender 4.5 would then never end by itself.
+    os._exit(code)

@@ -1,4 +1,4 @@
-"""From a capture to a relit asset in one command, headless.
+"""Turn a capture into a relit asset with one command, headless.
 
     blender -b -P backend/run.py -- --capture DIR --out DIR [--preset preview] [--relight 3]
     python backend/run.py --capture DIR --out DIR          (with the bpy wheel)
@@ -58,7 +58,10 @@ def say(text: str) -> None:
 
 
 class StopRequests:
-    """`asked` is set by SIGTERM, by SIGINT and, if `watch_stdin`, by the end of standard input."""
+    """Listens for requests to stop this program, and sets `asked` when one comes.
+
+    A request is SIGTERM, SIGINT or, if `watch_stdin` is true, the end of standard input.
+    """
 
     def __init__(self, watch_stdin: bool):
         self.asked = threading.Event()
@@ -76,7 +79,7 @@ class StopRequests:
 
 
 def reconstruct(options: argparse.Namespace, stop: StopRequests) -> None:
-    """Run the engine to its end. EngineError where it fails or is stopped."""
+    """Run the engine to its end. Raises EngineError where the engine fails or is stopped."""
     python = find_engine_python(options.engine_python, configured_python())
     engine = Engine.start(
         python,
@@ -106,7 +109,7 @@ def reconstruct(options: argparse.Namespace, stop: StopRequests) -> None:
                 if event["event"] in ("progress", "warning"):
                     last_said = time.monotonic()
                     say(describe(event))
-                elif event["event"] == "scene":  # each event repeats the lines of those before
+                elif event["event"] == "scene":  # each scene event repeats the lines of the scene events before it
                     lines = [Said.of(line).message for line in event["lines"]]
                     for line in lines:
                         if line not in scene:
@@ -122,7 +125,7 @@ def reconstruct(options: argparse.Namespace, stop: StopRequests) -> None:
 
 
 def configured_python() -> str:
-    """The engine's Python in the add-on's preferences, where the add-on is enabled in this Blender."""
+    """The engine's Python from the add-on's preferences; empty where the add-on is not enabled in this Blender."""
     import bpy
 
     for name, addon in bpy.context.preferences.addons.items():
@@ -132,7 +135,10 @@ def configured_python() -> str:
 
 
 def blender_work(options: argparse.Namespace, stop: StopRequests) -> None:
-    """Import the asset, render comparison.png, save asset.blend. OSError, ValueError or RuntimeError where it fails."""
+    """Import the asset, render comparison.png and save asset.blend.
+
+    Raises OSError, ValueError or RuntimeError where one of these fails, and EngineError where a stop is asked for.
+    """
     import bpy
 
     from backend.rendering.comparison import compare, write_comparison
@@ -170,7 +176,7 @@ def blender_work(options: argparse.Namespace, stop: StopRequests) -> None:
 
 
 def save_packed(path: Path) -> None:
-    """Save the .blend with every image inside. The file appears whole or not at all."""
+    """Save the .blend with every image inside. The file is written under a temporary name and then renamed."""
     import bpy
 
     bpy.ops.file.pack_all()
@@ -200,7 +206,8 @@ def main(arguments: list[str]) -> int:
 
 if __name__ == "__main__":
     code = main(script_arguments())
-    if threading.active_count() > 1:  # a thread still waits for input: the wheel of Blender 4.5 may then never end by itself
+    # A thread may still wait for input. The bpy wheel of Blender 4.5 may then never end by itself.
+    if threading.active_count() > 1:
         sys.stdout.flush()
         os._exit(code)
     sys.exit(code)

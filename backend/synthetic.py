@@ -1,12 +1,13 @@
-"""Render a synthetic capture with ground truth: a glossy object among near, tangible things.
+"""Render a synthetic capture with ground truth: a glossy object among near surroundings.
 
     python backend/synthetic.py --scene suzanne --out DIR [--views 62] [--size 400] ...
     blender -b -P backend/synthetic.py -- --scene statue.obj --out DIR ...
 
-DIR becomes a capture (transforms.json, images/NNN.exr, masks/NNN.png) with test views (transforms_test.json, test/,
-test_masks/), their ground truth gt/NNN.exr and the true mesh gt_mesh.ply. transforms.json is written last, so a folder
-that has one is complete. The same arguments give the same capture in the same version of Blender, but for the last digits
-of the photos (Cycles adds in no fixed order). Blender 5 draws other Voronoi cells for `patches` than Blender 4.
+DIR becomes a capture (transforms.json, images/NNN.exr, masks/NNN.png). The capture has test views (transforms_test.json,
+test/, test_masks/), the ground truth of the test views (gt/NNN.exr) and the true mesh (gt_mesh.ply). transforms.json is
+written last, so a folder that has one is complete. The same arguments give the same capture in the same version of Blender,
+except for the last digits of the photos, because Cycles adds in no fixed order. Blender 5 draws other Voronoi cells for the
+pattern `patches` than Blender 4.
 """
 
 import argparse
@@ -62,7 +63,7 @@ def main(arguments: list[str]) -> int:
 def write_capture(
     options: argparse.Namespace, target: bpy.types.Object, train: list[Viewpoint], test: list[Viewpoint]
 ) -> None:
-    """Render every viewpoint and write the folder. OSError where it cannot be written."""
+    """Render every viewpoint and write the capture folder. Raises OSError where the folder cannot be written."""
     out = options.out
     for name in ("images", "masks", "test", "test_masks", "gt"):
         (out / name).mkdir(parents=True, exist_ok=True)
@@ -75,7 +76,7 @@ def write_capture(
         group = "test" if number < len(test) else "train"
         index = len(frames[group])
         images, masks = ("test", "test_masks") if group == "test" else ("images", "masks")
-        renderer.scene.cycles.seed = options.seed + number  # noise must not look alike in two photos
+        renderer.scene.cycles.seed = options.seed + number  # two photos must not have the same noise
         photo, truth = renderer.render(viewpoint.matrix)
         frame = {
             "file_path": f"{images}/{index:03d}.exr",
@@ -106,7 +107,7 @@ def write_capture(
 
 
 def write_ply(path: Path, vertices: np.ndarray, faces: np.ndarray) -> None:
-    """Binary PLY of a triangle mesh: vertices [V,3], faces [F,3]."""
+    """Write a triangle mesh (vertices [V,3], faces [F,3]) as a binary PLY file."""
     header = (
         f"ply\nformat binary_little_endian 1.0\nelement vertex {len(vertices)}\nproperty float x\n"
         f"property float y\nproperty float z\nelement face {len(faces)}\n"

@@ -1,4 +1,4 @@
-"""The benchmark suite.
+"""The command line of the benchmark suite.
 
 python -m benchmarks run CAPTURE... --plan presets ablations views pixels true_mesh roughness (or all) [--relight]
 python -m benchmarks render shapes roughness
@@ -21,12 +21,12 @@ from blender_nep.presets import PRESETS
 
 
 def _count(text: str) -> int | None:
-    """A number, or `all` for None."""
+    """The number that `text` holds; None for `all`."""
     return None if text == "all" else int(text)
 
 
 def parser() -> argparse.ArgumentParser:
-    """The arguments."""
+    """The parser of the suite's command line."""
     top = argparse.ArgumentParser(prog="python -m benchmarks", description="Benchmarks: whole jobs, scored and relit.")
     commands = top.add_subparsers(dest="command", required=True)
     run = commands.add_parser("run", help="learn, score and relight; what is done is not done again")
@@ -63,7 +63,7 @@ def parser() -> argparse.ArgumentParser:
 
 
 def render_captures(options: argparse.Namespace) -> int:
-    """Into OUT/captures; returns 1 where one failed."""
+    """Render the chosen captures into OUT/captures. Returns 1 where a render failed, otherwise 0."""
     failed, children = 0, Children()
     for name in (name for chosen in options.sets for name in SETS[chosen]):
         folder, log = options.out / "captures" / name, options.out / "captures" / f"{name}.log"
@@ -80,7 +80,10 @@ def render_captures(options: argparse.Namespace) -> int:
 
 
 def report(out: Path, document: Path) -> int:
-    """Tables into the document, plots into the folder of its name."""
+    """Write the tables into `document`, and the plots into the folder that has the document's name without its ending.
+
+    Returns 1 where `out` holds no results, otherwise 0.
+    """
     from benchmarks.reports.plots import draw_all
     from benchmarks.reports.report import write_report
     from benchmarks.reports.rows import Results, load
@@ -97,7 +100,7 @@ def report(out: Path, document: Path) -> int:
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Returns 1 where a run failed."""
+    """Run the command. Returns 0; 1 where a run failed; 130 where the command was interrupted."""
     top = parser()
     options = top.parse_args(arguments)
     if options.command == "render":

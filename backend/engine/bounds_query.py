@@ -1,4 +1,4 @@
-"""Asks the engine where the object is (`blender_nep info CAPTURE --json`) while Blender goes on. No bpy in this file."""
+"""Asks the engine where the object is (`blender_nep info CAPTURE --json`) without blocking Blender. No bpy in this file."""
 
 import json
 import subprocess
@@ -9,7 +9,10 @@ from .command import ENGINE_MODULE, EngineError, engine_environment, find_engine
 
 
 class BoundsQuery:
-    """A question that a thread asks. When `poll` is true, either `sphere` (center, radius) or `error` is set."""
+    """Asks the engine for the object's sphere, in a thread.
+
+    When `poll` returns True, the answer is there: either `sphere` (center, radius) or `error` is set.
+    """
 
     def __init__(self, capture: Path, configured_python: str):
         """`configured_python`: the engine's Python of the add-on's preferences, or an empty string."""
@@ -54,11 +57,11 @@ class BoundsQuery:
             self.error = "\n".join(["The engine could not look at the capture.", *last])
 
     def poll(self) -> bool:
-        """Whether the answer is there."""
+        """Return True when the answer is there."""
         return not self._thread.is_alive()
 
     def close(self) -> None:
-        """Give up the question. An engine that is still reading photos is killed."""
+        """Stop waiting for the answer. An engine that is still reading photos is killed."""
         with self._lock:
             self._closed = True
             if self._process and self._process.poll() is None:

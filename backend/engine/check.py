@@ -1,4 +1,4 @@
-"""Asks a Python which parts of the engine it has, while Blender goes on. No bpy in this file."""
+"""Asks a Python program which parts of the engine it has, without blocking Blender. No bpy in this file."""
 
 import json
 import subprocess
@@ -28,10 +28,10 @@ print(json.dumps(found))
 
 
 class EngineCheck:
-    """A question to one Python. The answer is there when `poll` is true.
+    """Asks one Python whether it can run the engine. The answer is there when `poll` returns True.
 
-    `works`: whether this Python can run the engine. `lines`: the answer in words. `versions`: of python, blender_nep and
-    torch, as far as they were found.
+    `works`: whether this Python can run the engine. `lines`: the answer in words, one line each. `versions`: the versions of
+    python, blender_nep and torch that were found.
     """
 
     def __init__(self, python: str):
@@ -42,7 +42,7 @@ class EngineCheck:
         self._start = time.monotonic()
         self._process: subprocess.Popen[bytes] | None = None
         try:
-            # the answer is one line, which fits into the pipe: it can be read after the process has ended
+            # The answer is one line, which fits into the pipe. So it can be read after the process has ended.
             self._process = subprocess.Popen(
                 [python, "-I", "-c", SCRIPT],
                 env=engine_environment(),
@@ -54,7 +54,7 @@ class EngineCheck:
             self.lines = [f"{python} cannot be started: {error.strerror or error}.", "Choose another Python."]
 
     def poll(self) -> bool:
-        """Whether the answer is there."""
+        """Return True when the answer is there."""
         if self._process is None:
             return True
         if self._process.poll() is None:
@@ -92,7 +92,7 @@ class EngineCheck:
         self.versions = {name: found[name] for name in ("python", "blender_nep", "torch") if name in found}
 
     def close(self) -> None:
-        """Give up the question."""
+        """Stop waiting for the answer, and kill the process that would give it."""
         if self._process is not None:
             self._process.kill()
             self._process.communicate()

@@ -1,4 +1,4 @@
-"""How the engine is started: which Python, in what environment, with what arguments. No bpy in this file."""
+"""Finds the Python that runs the engine, and makes its environment and its arguments. No bpy in this file."""
 
 import os
 import subprocess
@@ -18,8 +18,8 @@ CHECK_LIMIT_S = 60.0
 class EngineError(Exception):
     """The engine failed or cannot be started.
 
-    `code` is the exit code. `hint` says what to do, or is empty. `log` is the end of the engine's log, or empty. `name` and
-    `values` are for the panel's own words (words.py).
+    `code` is the exit code. `hint` says what to do, or is empty. `log` is the end of the engine's log, or empty. From `name`
+    and `values` the panel makes its own message (words.py).
     """
 
     def __init__(
@@ -30,12 +30,12 @@ class EngineError(Exception):
         self.name, self.values = name, values or {}
 
     def words(self, translate: Translate = str) -> tuple[str, str]:
-        """(message, hint) for the panel."""
+        """(message, hint) that the panel shows."""
         return error_words(self.name, self.values, self.message, self.hint, translate)
 
 
 class NoEngineError(EngineError):
-    """There is no engine, or a part of it is missing."""
+    """No Python has the engine, or a part of the engine is missing."""
 
     def __init__(self, message: str):
         super().__init__(
@@ -48,21 +48,28 @@ class NoEngineError(EngineError):
 
 
 def engine_environment() -> dict[str, str]:
-    """The environment without Blender's and Python's variables, which would change what the engine's Python imports."""
+    """This process's environment without the variables of Blender and Python.
+
+    Those variables would change what the engine's Python imports.
+    """
     return {name: value for name, value in os.environ.items() if not name.startswith(("PYTHON", "BLENDER_"))}
 
 
 def engine_is_at_hand(configured: str) -> bool:
-    """Whether a Python for the engine is named, or lies in this checkout. Whether it has the engine is not checked."""
+    """Whether a Python for the engine is named, or lies in this checkout.
+
+    The function does not start that Python, so it does not know whether that Python has the engine.
+    """
     return bool(os.environ.get(ENGINE_PYTHON_VARIABLE) or configured or _checkout_python().exists())
 
 
 def find_engine_python(explicit: str | None = None, configured: str | None = None) -> str:
-    """The Python that runs the engine.
+    """The path of the Python that runs the engine.
 
-    In this order: `explicit` (an argument), the variable NEP_ENGINE_PYTHON, `configured` (the add-on's preferences). A
-    Python that is named there is not checked: a missing engine is reported when it is started. Otherwise it is the first
-    of `.venv` of this checkout and the running Python that has the engine. NoEngineError where there is none.
+    The first of these that is set is taken: `explicit` (an argument), the variable NEP_ENGINE_PYTHON, `configured` (the
+    add-on's preferences). A Python that is named in one of these ways is not checked; if it lacks the engine, the start of
+    the engine reports that. Where none is named, two Pythons are checked: the one in `.venv` of this checkout, then the
+    running one. The first that has the engine is taken. Raises NoEngineError where neither has it.
     """
     for python in (explicit, os.environ.get(ENGINE_PYTHON_VARIABLE), configured):
         if python:
@@ -113,8 +120,8 @@ def reconstruct_arguments(
 ) -> list[str]:
     """The engine's command line for one reconstruction.
 
-    keep_going: the engine outlives this program. Otherwise it writes its checkpoint and ends when its standard input is
-    closed. more: further arguments, as they are.
+    keep_going: the engine goes on when this program ends. Otherwise the engine writes its checkpoint and ends when its
+    standard input is closed. more: further arguments, which are passed on unchanged.
     """
     arguments = ["reconstruct", str(capture), "--out", str(out), "--device", device, "--job-files"]
     for name, value in (

@@ -1,8 +1,9 @@
-"""The engine: `python -m blender_nep` in another process, with its own Python that has torch. No bpy in this file.
+"""Starts and follows the engine: `python -m blender_nep` in another process, whose Python has torch. No bpy in this file.
 
-Blender follows the engine by two files, so that nothing is lost when Blender ends: its events (JSON lines: job, progress,
-preview, scene, warning, done, error) and its log. They lie in a temporary folder until the engine has accepted the output
-folder, and after that in `OUT/job/`. There `Engine.attach` finds a running or ended job again.
+Blender follows the engine by two files, so that nothing is lost when Blender ends. One file holds the engine's events (JSON
+lines: job, progress, preview, scene, warning, done, error), the other its log. The two files lie in a temporary folder until
+the engine has accepted the output folder, and after that in `OUT/job/`. There `Engine.attach` finds a running or ended job
+again.
 """
 
 import os
@@ -17,13 +18,13 @@ from .exit_codes import OUTPUT_FAILED, STOPPED
 from .job_files import FOLDER, EventFile, is_running, last_lines, read_job
 from .started_process import StartedProcess
 
-STOP_GRACE_S = 45.0  # after the request to stop, for the checkpoint; then the process is terminated
-TERMINATE_GRACE_S = 10.0  # after that; then the process is killed
+STOP_GRACE_S = 45.0  # time to write the checkpoint after a request to stop; after it the process is terminated
+TERMINATE_GRACE_S = 10.0  # time to end after the process was terminated; after it the process is killed
 FULL_DISK_BYTES = 1 << 20
 
 
 class FoundProcess:
-    """An engine that another program, or an earlier session of Blender, has started in `out`."""
+    """An engine process at work in `out` that another program, or an earlier session of Blender, has started."""
 
     code = None  # only the program that started a process learns its exit code
     command = ("of an earlier session",)
@@ -38,18 +39,18 @@ class FoundProcess:
         return False
 
     def send(self, kill: bool) -> None:
-        if self.running():  # otherwise another process may have got the number by now
+        if self.running():  # otherwise another process may have got this process number by now
             try:
                 os.kill(self.pid, getattr(signal, "SIGKILL", signal.SIGTERM) if kill else signal.SIGTERM)
             except OSError:
-                return  # it has just ended
+                return  # the process has just ended
 
     def close(self) -> None:
-        """There is nothing to release."""
+        """Do nothing: this object holds no files and no pipes."""
 
 
 class Engine:
-    """One engine process, followed by its files. Nothing here blocks."""
+    """Follows one engine process by the files that it writes. No method waits for the process."""
 
     def __init__(self, process: StartedProcess | FoundProcess, folder: Path, in_output: bool):
         self._process, self._in_output = process, in_output
@@ -62,7 +63,10 @@ class Engine:
 
     @classmethod
     def start(cls, python: str, arguments: list[str], *, keep_going: bool = False) -> "Engine":
-        """Start the engine. With keep_going it outlives this program. NoEngineError where it cannot be started."""
+        """Start the engine. With `keep_going` the engine goes on when this program ends.
+
+        Raises NoEngineError where the engine cannot be started.
+        """
         try:
             process = StartedProcess([python, "-I", "-m", ENGINE_MODULE, *arguments], keep_going)
         except OSError as error:
@@ -71,7 +75,10 @@ class Engine:
 
     @classmethod
     def attach(cls, out: Path) -> "Engine | None":
-        """The running or ended job of an output folder; `poll` gives its events from the first. None without a job."""
+        """The running or ended job of the output folder `out`; None where the folder has no job.
+
+        `poll` then gives all events of that job, from its first one.
+        """
         job = read_job(out)
         return None if job is None else cls(FoundProcess(Path(out), job["pid"]), Path(out) / FOLDER, in_output=True)
 
@@ -81,7 +88,7 @@ class Engine:
         return self.folder / "engine.log"
 
     def poll(self) -> tuple[list[dict], bool]:
-        """(events since the last call, whether the engine has ended and everything it said was read)."""
+        """(events since the last call, True when the engine has ended and all its events were read)."""
         ended = not self._process.running()
         new = self._events.read()
         for event in new:
@@ -106,7 +113,10 @@ class Engine:
         return new, ended
 
     def request_stop(self) -> None:
-        """Ask the engine to write its checkpoint and to end. If it does not, `poll` terminates it, then kills it."""
+        """Ask the engine to write its checkpoint and to end.
+
+        If the engine does not end, later calls of `poll` terminate it, then kill it.
+        """
         if self._stop_asked is not None:
             return
         self._stop_asked = time.monotonic()
@@ -116,7 +126,7 @@ class Engine:
                 (self.folder / "stop").touch()
                 asked = True
             except OSError:
-                pass  # the disk is full, or the folder is gone: a signal is left
+                pass  # the disk is full, or the folder is gone: only a signal can stop the engine now
         if not asked:
             self._terminate()
 
@@ -132,7 +142,7 @@ class Engine:
             self._process.send(kill=False)
 
     def outcome(self) -> EngineError | None:
-        """After the end: None where an asset was made, otherwise what went wrong."""
+        """What went wrong; None where an asset was made. Call this after the engine has ended."""
         if self.asset is not None:
             return None
         if self.error is not None:
@@ -158,7 +168,7 @@ class Engine:
         return None
 
     def close(self) -> None:
-        """Stop following. An engine that was started without keep_going then writes its checkpoint and ends."""
+        """Stop following the engine. An engine that was started without `keep_going` then writes its checkpoint and ends."""
         self._process.close()
 
 

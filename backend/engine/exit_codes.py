@@ -1,12 +1,12 @@
-"""Exit codes of the engine that Blender's side gives or understands, and its own.
+"""The exit codes that the code in Blender uses: some of the engine's codes, and one of its own.
 
-The engine's codes are defined in blender_nep/errors.py, which Blender's Python does not import. A test compares the two.
+The engine's codes are defined in blender_nep/errors.py, which Blender's Python does not import. A test compares both files.
 """
 
 NO_ENGINE = 2
-"""There is no engine to start. The engine itself uses this code for wrong arguments."""
+"""No Python with the engine was found. The engine itself uses this code for wrong arguments."""
 OUTPUT_FAILED = 5
 STOPPED = 7
-"""Stopped on request, with the checkpoint written."""
+"""The engine was stopped on request, and has written its checkpoint."""
 BLENDER_FAILED = 8
-"""Blender's part failed after the engine's. The engine does not use this code."""
+"""The engine made the asset, but Blender's part after it failed. The engine does not use this code."""

@@ -1,9 +1,9 @@
-"""Makes an environment with the engine: `install.py --source EXTENSION --folder DIR --python BASE --build cpu`.
+"""Makes a Python environment with the engine: `install.py --source EXTENSION --folder DIR --python BASE --build cpu`.
 
-The add-on starts this file as a program of its own, so that Blender does not wait for pip; therefore it imports nothing of
-this package. It prints JSON lines (progress, done, error) on standard output; what pip prints goes to standard error. When
-its standard input is closed, it stops and removes what it has made. The environment is DIR/nep-engine. engine.json in it is
-written last: an environment without it counts as not installed, and the next run replaces it.
+The add-on starts this file as a separate program, so that Blender does not wait for pip. Therefore this file imports nothing
+of this package. The program prints JSON lines (progress, done, error) on standard output; what pip prints goes to standard
+error. When standard input is closed, the program stops and removes what it has made. The environment is DIR/nep-engine. Its
+file engine.json is written last. An environment without engine.json counts as not installed, and the next run replaces it.
 """
 
 import argparse
@@ -30,7 +30,7 @@ CANCELLED = 7  # exit code
 
 
 class InstallError(Exception):
-    """What went wrong and what to do about it."""
+    """The installation failed. `message` says what went wrong, `hint` what to do about it."""
 
     def __init__(self, message: str, hint: str = ""):
         super().__init__(message)
@@ -46,19 +46,22 @@ def tell(event: str, **content) -> None:
 
 
 def venv_python(folder: Path) -> Path:
-    """The Python of a virtual environment."""
+    """The path of the Python program in the virtual environment `folder`."""
     return folder / Path(*(("Scripts", "python.exe") if os.name == "nt" else ("bin", "python")))
 
 
 def installed_python(folder: Path) -> str:
-    """The Python of a complete engine in `folder`; an empty string where there is none."""
+    """The path of the Python of the engine that was installed in `folder`; empty where no complete engine is there."""
     environment = Path(folder) / NAME
     python = venv_python(environment)
     return str(python) if (environment / DONE).is_file() and python.exists() else ""
 
 
 class ProgramRunner:
-    """Runs one program after the other. When standard input is closed, it ends the running one and starts no further."""
+    """Runs one program after the other.
+
+    When standard input is closed, or a line with "stop" comes, the running program is ended and no other one is started.
+    """
 
     def __init__(self):
         self.cancelled = threading.Event()
@@ -66,7 +69,7 @@ class ProgramRunner:
         threading.Thread(target=self._watch, daemon=True).start()
 
     def _watch(self) -> None:
-        # os.read, not sys.stdin: a thread that waits in a buffered reader makes the interpreter abort at its exit
+        # This reads with os.read, not sys.stdin: a thread that waits in a buffered reader makes Python abort at its exit.
         while line := os.read(0, 4096):
             if b"stop" in line:
                 break
@@ -80,16 +83,21 @@ class ProgramRunner:
             if os.name == "nt":
                 process.kill()
             else:
-                os.killpg(process.pid, signal.SIGKILL)  # pip and what it has started
+                os.killpg(process.pid, signal.SIGKILL)  # ends pip and the programs that pip has started
         except OSError:
-            return  # it has already ended
+            return  # the program has already ended
 
     def run(self, command: list[str], on_line: Callable[[str], None] = lambda line: None) -> tuple[int, str]:
-        """(exit code, the last lines that it printed). Raises Cancelled; OSError where it cannot be started."""
+        """Run `command` and return (exit code, the last lines that it printed).
+
+        `on_line` is called with every line that the program prints. Raises Cancelled where the installation was cancelled,
+        and OSError where the program cannot be started.
+        """
         if self.cancelled.is_set():
             raise Cancelled
         lines: list[str] = []
-        # a file, not a pipe: a child of the program that survives it would keep the pipe open, and us waiting
+        # The output goes to a file, not to a pipe. If the program ended before a child of its own, that child would keep the
+        # pipe open, and this loop would wait for the child.
         with tempfile.TemporaryDirectory(prefix="nep_step_") as folder:
             output_file = Path(folder, "output.txt")
             with open(output_file, "wb") as output:
@@ -119,7 +127,7 @@ class ProgramRunner:
 
 
 def check_base(programs: ProgramRunner, python: str) -> tuple[int, int]:
-    """The version of `python`. Raises InstallError where it cannot make an environment for the engine."""
+    """(major, minor) version of `python`. Raises InstallError where `python` cannot make an environment for the engine."""
     script = "import sys; print('version', *sys.version_info[:2]); import venv, ensurepip"
     try:
         code, text = programs.run([python, "-I", "-c", script])
@@ -151,9 +159,10 @@ def pip_install(
     span: tuple[float, float],
     version: tuple[int, int],
 ) -> None:
-    """Run `pip install ARGUMENTS` with the Python of this version. Raises InstallError.
+    """Run `pip install ARGUMENTS` with `python`, whose version is `version`. Raises InstallError where pip fails.
 
-    Each line that pip prints moves the progress on within `span`. `what` says what is being done.
+    Progress starts at the first fraction of `span` and grows towards the second one with each line that pip prints. `what`
+    is the message of the first progress event.
     """
     fraction, end = span
 
@@ -203,9 +212,10 @@ def install(options: argparse.Namespace, programs: ProgramRunner) -> None:
     python = venv_python(environment)
     pinned = ["--constraint", str(options.source / "constraints.txt")] if version == PINNED else []
     index = ["--index-url", CPU_INDEX] if options.build == "cpu" else []
-    # without its dependencies: torch's own index has other versions of them; pip's usual index provides them below
+    # torch comes without its dependencies here, because torch's own index has other versions of them. The second pip call
+    # below takes them from pip's usual index.
     pip_install(programs, python, ["torch", "--no-deps", *index, *pinned], "Fetching torch", (0.05, 0.5), version)
-    # a copy: pip writes beside the sources, and must not write into the extension
+    # pip installs from a copy: it writes files beside the sources, and must not write into the extension.
     with tempfile.TemporaryDirectory(prefix="nep_source_") as copy:
         for name in SOURCES:
             place = options.source / name
@@ -231,7 +241,8 @@ def install(options: argparse.Namespace, programs: ProgramRunner) -> None:
 def remove(environment: Path) -> None:
     """Remove an older engine, or what an unfinished run has left.
 
-    The file that marks an environment as complete goes first: killed at any time, this leaves none that looks complete.
+    The file that marks an environment as complete is removed first. So an environment that is removed only in part, because
+    this program was killed, does not look complete.
     """
     if environment.exists():
         (environment / UNFINISHED).touch()

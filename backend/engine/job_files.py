@@ -1,6 +1,6 @@
-"""The files of an output folder, as far as Blender reads them: the job in it, its checkpoints, the finished asset.
+"""Reads those files of an output folder that Blender needs: the files of the job, its checkpoints, the finished asset.
 
-`OUT/job/` belongs to the engine (blender_nep/job/job_folder.py lists what is in it). No bpy in this file.
+The engine writes `OUT/job/`; blender_nep/job/job_folder.py lists its files. No bpy in this file.
 """
 
 import json
@@ -15,7 +15,7 @@ import. A test compares the two."""
 
 
 def is_asset(out: Path) -> bool:
-    """Whether a finished asset lies in the folder. Its report is written last."""
+    """Whether the folder holds a finished asset. The engine writes report.json last."""
     needed = ("mesh.obj", *(f"textures/{name}.exr" for name in TEXTURE_NAMES), "report.json")
     return all((Path(out) / name).is_file() for name in needed)
 
@@ -26,7 +26,7 @@ def has_checkpoint(out: Path) -> bool:
 
 
 def read_job(out: Path) -> dict | None:
-    """What job.json says (id, pid, preset, ...) of the last job in the folder; None where there was none."""
+    """The content of job.json (id, pid, preset, ...) of the last job in the folder; None where there was no job."""
     try:
         job = json.loads((Path(out) / FOLDER / "job.json").read_text(encoding="utf-8"))
     except (OSError, ValueError):
@@ -35,7 +35,10 @@ def read_job(out: Path) -> dict | None:
 
 
 def is_running(out: Path) -> bool:
-    """Whether an engine is at work in the folder. It holds a lock, which the operating system releases when it ends."""
+    """Whether an engine is at work in the folder.
+
+    A running engine holds a lock on a file. The operating system releases the lock when the engine ends, for any reason.
+    """
     try:
         descriptor = os.open(Path(out) / FOLDER / "lock", os.O_RDWR)
     except OSError:
@@ -58,15 +61,15 @@ def is_running(out: Path) -> bool:
 
 
 class EventFile:
-    """Reads the events that another process appends to a file as JSON lines. Other lines are left out."""
+    """Reads the events that another process appends to a file as JSON lines. Lines that are no events are left out."""
 
     def __init__(self, path: Path):
         self.path = path
         self._position = 0
-        self._begun = b""  # of a line whose end is not written yet
+        self._begun = b""  # the first part of a line whose end is not written yet
 
     def read(self) -> list[dict]:
-        """The events that have come since the last call; none where the file cannot be read."""
+        """The events that were added since the last call; an empty list where the file cannot be read."""
         try:
             with open(self.path, "rb") as file:
                 file.seek(self._position)
@@ -87,7 +90,7 @@ def _event(line: bytes) -> dict | None:
 
 
 def last_lines(path: Path, count: int) -> str:
-    """The last lines of a text file, of at most 8 KB; empty where it cannot be read."""
+    """The last `count` lines of a text file, at most 8 KB; an empty string where the file cannot be read."""
     try:
         with open(path, "rb") as file:
             file.seek(max(0, os.fstat(file.fileno()).st_size - 8192))

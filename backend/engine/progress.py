@@ -1,10 +1,10 @@
-"""How far a job is, in an artist's words."""
+"""Puts a job's progress into the words of Blender's panel. No bpy in this file."""
 
 from dataclasses import dataclass
 
 from .words import Said, Translate
 
-# the names are those of blender_nep/job/stage_names.py, which Blender's Python does not have
+# The keys are the stage names of blender_nep/job/stage_names.py, which Blender's Python cannot import.
 STAGES = {
     "capture": "Reading the photos",
     "fields_learning": "Learning shape and light",
@@ -16,7 +16,12 @@ STAGES = {
 
 @dataclass(frozen=True)
 class Progress:
-    """`fraction` of the whole job 0..1, step and steps of its present part (0: none to count), seconds left or None."""
+    """How far a job is.
+
+    `fraction`: the part of the whole job that is done, 0..1. `step` and `steps`: the present step of the present stage and
+    the number of its steps; 0 where the stage counts no steps. `eta_s`: seconds left, None where not known. `note`: a
+    sentence that is shown in the place of the step.
+    """
 
     fraction: float = 0.0
     stage: str = "Starting the engine"
@@ -27,7 +32,7 @@ class Progress:
 
     @classmethod
     def of(cls, event: dict) -> "Progress":
-        """A `progress` event of the engine."""
+        """The Progress that a `progress` event of the engine describes."""
         stage, eta = str(event.get("stage", "")), event.get("eta_s")
         return cls(
             min(max(float(event.get("fraction") or 0), 0.0), 1.0),
@@ -39,7 +44,7 @@ class Progress:
         )
 
     def lines(self, translate: Translate = str) -> list[str]:
-        """What is being done; the step, or a note that says more; the time left."""
+        """The lines that the panel shows: the stage, then the note or the step, then the time left."""
         found = [translate(self.stage)]
         if self.note is not None:
             found.append(self.note.words(translate))
@@ -56,13 +61,16 @@ HOURS, HOURS_AND_MINUTES = "about {hours} h", "about {hours} h {minutes} min"
 
 
 def texts() -> list[str]:
-    """Every text of this file: what a translator translates."""
+    """All texts of this file that a translator translates."""
     start = Progress().stage
     return [start, *STAGES.values(), STEP, LEFT, SECONDS, MINUTES, MINUTES_AND_SECONDS, HOURS, HOURS_AND_MINUTES]
 
 
 def duration(seconds: float, translate: Translate = str) -> str:
-    """75 -> 'about 1 min 20 s'; steps that grow with the length, as an estimate deserves."""
+    """A length of time in words, for example 75 -> 'about 1 min 20 s'.
+
+    The time is rounded, and longer times are rounded more, because it is an estimate.
+    """
     if seconds < 60:
         return translate(SECONDS).format(seconds=max(5, 5 * round(seconds / 5)))
     if seconds < 300:
@@ -75,7 +83,7 @@ def duration(seconds: float, translate: Translate = str) -> str:
 
 
 def describe(event: dict) -> str:
-    """One line for people."""
+    """One line of text for an event of the engine, for people who read a terminal or a log."""
     if event["event"] == "progress":
         progress = Progress.of(event)
         return "  ".join([f"{100 * progress.fraction:3.0f} %", *progress.lines()])

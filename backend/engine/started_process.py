@@ -1,4 +1,4 @@
-"""A process that this program starts and follows by files: neither ever waits for a pipe. No bpy in this file."""
+"""Starts a process whose output goes to files, so that no process ever waits for a pipe. No bpy in this file."""
 
 import json
 import os
@@ -11,17 +11,18 @@ from .command import engine_environment
 
 
 class StartedProcess:
-    """`command`, with its standard output in `folder`/events.jsonl and its standard error in `folder`/engine.log.
+    """A running `command`. Its standard output goes to `folder`/events.jsonl, its standard error to `folder`/engine.log.
 
-    When this program ends, or crashes, the process's standard input is closed; that tells it to end too. With `keep_going`
-    it has no standard input and goes on. OSError where it cannot be started.
+    When this program ends or crashes, the process's standard input is closed; that tells the process to end too. With
+    `keep_going` the process has no standard input and goes on. Raises OSError where the process cannot be started.
     """
 
     def __init__(self, command: list[str], keep_going: bool = False):
         self.command = command
         self.folder = Path(tempfile.mkdtemp(prefix="nep_"))
         with open(self.folder / "events.jsonl", "wb") as events, open(self.folder / "engine.log", "wb") as log:
-            # its own session: Ctrl-C in a terminal reaches this program alone, which then asks the process to stop
+            # The process gets its own session, so that Ctrl-C in a terminal reaches only this program. This program then
+            # asks the process to stop.
             self.process = subprocess.Popen(
                 command,
                 env=engine_environment(),
@@ -37,11 +38,14 @@ class StartedProcess:
 
     @property
     def code(self) -> int | None:
-        """The exit code, negative for a signal."""
+        """The exit code; minus the signal's number where a signal ended the process; None while the process runs."""
         return self.process.returncode
 
     def ask_to_stop(self) -> bool:
-        """Ask by its standard input. False where it has none, or has closed it."""
+        """Ask the process to stop by a line on its standard input.
+
+        Returns False where the process has no standard input, or has closed it.
+        """
         if self.process.stdin is None:
             return False
         try:
@@ -52,17 +56,17 @@ class StartedProcess:
         return True
 
     def send(self, kill: bool) -> None:
-        """End it by the operating system: `kill` at once, otherwise so that it can still react."""
+        """Send the process a signal to end. With `kill` it ends at once; otherwise it can still react to the signal."""
         if kill:
             self.process.kill()
         else:
             self.process.terminate()
 
     def close(self) -> None:
-        """Close its standard input and remove the temporary folder."""
+        """Close the process's standard input and remove the temporary folder."""
         if self.process.stdin is not None:
             try:
                 self.process.stdin.close()
             except OSError:
                 pass  # the process has ended: nobody reads the rest
-        shutil.rmtree(self.folder, ignore_errors=True)  # on Windows files that are still open stay
+        shutil.rmtree(self.folder, ignore_errors=True)  # Windows does not remove files that are still open

@@ -1,4 +1,4 @@
-"""How long a job takes: the median of the last jobs on this computer, or a first guess where no job has ended yet."""
+"""Tells how long a job takes: the median of the last jobs on this computer, or a first guess where no job has ended yet."""
 
 import json
 import os
@@ -6,24 +6,27 @@ import statistics
 from pathlib import Path
 
 EXPECTED_SECONDS = {"preview": 93.0, "balanced": 234.0, "quality": 620.0}
-"""Of a whole job with each preset: 60 photos of 400 x 400 on two cores.
+"""Seconds that a whole job takes with each preset: 60 photos of 400 x 400 on two cores.
 
-This is a second copy, because Blender's Python does not import the library: each is the sum of `fields_seconds`,
-`surface_seconds` and `material_seconds` in blender_nep/presets.py. A test compares the two.
+Each number is the sum of `fields_seconds`, `surface_seconds` and `material_seconds` in blender_nep/presets.py. The sums are
+copied here, because Blender's Python does not import the library. A test compares both files.
 """
-JOBS_REMEMBERED = 5  # of each preset
+JOBS_REMEMBERED = 5  # for each preset
 
 
 def expected_seconds(file: Path, preset: str) -> tuple[float, bool]:
-    """(seconds, whether they were measured on this computer) of a whole job. `file` is where `remember` writes."""
+    """(seconds of a whole job with this preset, True where they were measured on this computer).
+
+    `file` is the file that `remember` writes.
+    """
     measured = _read(file).get(preset)
     return (statistics.median(measured), True) if measured else (EXPECTED_SECONDS[preset], False)
 
 
 def remember(file: Path, asset: Path) -> None:
-    """Add to `file` the seconds that the report of a finished asset names.
+    """Add to `file` the seconds that the report of the finished `asset` gives.
 
-    Nothing happens where there is no such report, or where `file` cannot be written.
+    The function does nothing where there is no such report, or where `file` cannot be written.
     """
     try:
         report = json.loads((Path(asset) / "report.json").read_text(encoding="utf-8"))

@@ -1,11 +1,11 @@
-"""What the engine tells, in the words of Blender's panel: for an artist, who has no command line. No bpy in this file.
+"""Puts the engine's messages into the words of Blender's panel, for an artist who has no command line. No bpy in this file.
 
 The engine sends codes with values (blender_nep/messages.py), names of errors (blender_nep/errors.py), and its own English
-for a terminal. The tables here are the panel's English. A code or a name without words here, which an older or a newer
-engine may send, is shown in the engine's own English.
+for a terminal. The tables here hold the panel's English. An older or a newer engine may send a code or a name that is not in
+these tables. The panel then shows the engine's own English.
 
 `translate` turns one text of these tables into another language. The add-on passes Blender's `pgettext_iface` when it
-draws; whatever is inserted in place of `{...}` is inserted afterwards. docs/translating.md says how to add a language.
+draws. Values are put in the place of `{...}` after the translation. docs/translating.md says how to add a language.
 """
 
 import string
@@ -32,7 +32,7 @@ PARTS = {
     "fine textures": "fine textures",
     "asking again whether it is metal": "checking again whether the object is metal",
 }
-"""What the engine may leave out."""
+"""Parts of the work that the engine may leave out: the engine's name of a part -> the panel's words."""
 
 MESSAGES = {
     # warnings about a capture
@@ -102,7 +102,7 @@ MESSAGES = {
     "scene.matte": "Its brightness hardly changes from photo to photo: it is matte.",
     "scene.left_out": "Left out: {parts:parts}, because {reason}.",
     "scene.left_out_saving": "Left out: {parts:parts}, because {reason} (saves about {seconds:.0f} s).",
-    # reasons for leaving something out, as a part of the two sentences above
+    # reasons for leaving something out; they stand in the place of {reason} in the two sentences above
     "reason.cut_outs": "the photos are cut-outs",
     "reason.metal": "the object is metal",
     "reason.convex": "the object is convex",
@@ -164,48 +164,51 @@ ERRORS = {
     "stopped.interrupted": ("Interrupted", "Work since the last checkpoint is lost. Resume goes on from there."),
     "unexpected.no_memory": ("The memory is full", "Choose the preset Preview, or smaller photos."),
 }
-"""Name of an error: the panel's (message, hint). An empty text: the engine's own."""
+"""Name of an error -> the panel's (message, hint). Where a text is empty, the panel shows the engine's own."""
 
 AND_MORE = "{names} and {count} more"
-"""The end of a list of names that is too long."""
+"""How a list of more than MOST_NAMES names is written."""
 MOST_NAMES = 5
 
 
 def texts() -> list[str]:
-    """Every text of these tables, once: what a translator translates."""
+    """All texts of these tables that a translator translates, each once."""
     errors = (text for pair in ERRORS.values() for text in pair)
     return list(dict.fromkeys(text for text in (*MESSAGES.values(), *PARTS.values(), *errors, AND_MORE) if text))
 
 
 @dataclass(frozen=True)
 class Said:
-    """Something that the engine has said: a warning, a sentence about the scene, a note on progress."""
+    """A message of the engine: a warning, a sentence about the scene, or a note on progress."""
 
     code: str = ""
     values: dict[str, Any] = field(default_factory=dict)
     message: str = ""
-    """The engine's own words"""
+    """The message in the engine's own English."""
 
     @classmethod
     def of(cls, told: object) -> "Said":
-        """An event or a part of one; an older engine's sentence is a plain string."""
+        """The message that an event, or a part of an event, holds. Older engines send a plain string instead of a dict."""
         if not isinstance(told, dict):
             return cls(message=str(told))
         values = told.get("values")
         return cls(str(told.get("code", "")), values if isinstance(values, dict) else {}, str(told.get("message", "")))
 
     def words(self, translate: Translate = str) -> str:
-        """For the panel."""
+        """The text that the panel shows: the panel's own words, or the engine's where the panel has none."""
         found = self.own_words(translate)
         return found if found is not None else _capitalised(translate(self.message))
 
     def own_words(self, translate: Translate) -> str | None:
-        """The panel's own words; None where it has none."""
+        """The panel's own words for this message; None where the panel has none."""
         return _filled(MESSAGES.get(self.code, ""), self.values, translate)
 
 
 def error_words(name: str, values: dict[str, Any], message: str, hint: str, translate: Translate = str) -> tuple[str, str]:
-    """The panel's message and hint for an error of this name; message and hint are the engine's own."""
+    """(message, hint) that the panel shows for the error `name`.
+
+    `message` and `hint` are the engine's own texts. The panel shows them where it has no words of its own.
+    """
     own = ERRORS.get(name, ("", ""))
     filled = (_filled(text, values, translate) for text in own)
     first, second = (
@@ -219,7 +222,7 @@ def _capitalised(text: str) -> str:
 
 
 def _filled(template: str, values: dict[str, Any], translate: Translate) -> str | None:
-    """A text of the tables with its values; None where there is no text, or where its values are not all there."""
+    """A text of the tables with its values filled in; None where there is no text, or where a value is missing."""
     if not template:
         return None
     try:
@@ -229,9 +232,12 @@ def _filled(template: str, values: dict[str, Any], translate: Translate) -> str 
 
 
 class _Formatter(string.Formatter):
-    """As the formatter of blender_nep/messages.py, which Blender's Python does not have: `{count:photo|photos}` is the
-    first form for 1 and the second for other numbers; `{parts:parts}` is a list of parts; a list of names is shortened; a
-    message among the values is put into words."""
+    """Fills values into a text, by four rules beside those of `str.format`.
+
+    `{count:photo|photos}` gives the first form for 1 and the second for all other numbers. `{parts:parts}` gives a list of
+    PARTS in words. A list of names is shortened to MOST_NAMES. A value that is a message itself is put into words. The
+    formatter of blender_nep/messages.py has the same rules, but Blender's Python cannot import it.
+    """
 
     def __init__(self, translate: Translate):
         self._translate = translate

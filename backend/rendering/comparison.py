@@ -1,8 +1,9 @@
-"""comparison.png: a photo, the same view rendered under the recovered light, then the object under other lights.
+"""Renders comparison.png: photos beside renderings of the asset.
 
-There is a row for each photo and a column for each light. Below, if wanted, a turntable shows the object under one light.
-Tiles are encoded as by Blender's view transform Standard (sRGB), which changes no hue. Photo and re-rendering share one
-exposure and white balance (the photo's own where those of the photos differ); every other light has its own exposure.
+Each row shows a photo, the same view rendered under the recovered light, and the same view under each of the other lights.
+A turntable below the rows, if one is asked for, shows the object under one light. The tiles are sRGB-encoded, as by
+Blender's view transform Standard, which changes no hue. A photo and its re-rendering share one exposure and white balance;
+where those differ from photo to photo, these are the photo's own. Every other light has its own exposure.
 """
 
 from collections.abc import Callable
@@ -18,8 +19,8 @@ from .contact_sheet import draw_sheet, strip_tile_size
 from .relight import RelitScene
 from .turntable import turntable_frames
 
-TILE_RANGE = (320, 448)  # least and most pixels of a tile's longer side
-EXPOSED = 0.65  # of white: where a tile's EXPOSED_PERCENTILE of luminance is put
+TILE_RANGE = (320, 448)  # smallest and largest number of pixels of a tile's longer side
+EXPOSED = 0.65  # the exposure brings a tile's EXPOSED_PERCENTILE of luminance to this part of white
 EXPOSED_PERCENTILE = 90
 
 
@@ -36,9 +37,10 @@ def compare(
 ) -> tuple[np.ndarray, list[float]]:
     """Render `item` from the photos' cameras under the World `recovered` and under `worlds`.
 
-    Returns the sheet [H,W,3] uint8 and the factor by which each row's photo was made brighter. `turntable`: the number of
-    views around the object, under the first of `worlds` (the recovered light where there is none). `samples`: of Cycles, a
-    pixel. progress(done, total) is called after every render. OSError where a photo cannot be read.
+    Returns the sheet [H,W,3] uint8, and for each row the factor by which its photo was made brighter. `turntable` is the
+    number of views around the object. These views are rendered under the first of `worlds`, or under `recovered` where
+    `worlds` is empty. `samples` is the number of Cycles samples a pixel. progress(done, total) is called after every render.
+    Raises OSError where a photo cannot be read.
     """
     width, height = _tile_size(frames[0])
     columns, done, total = 2 + len(worlds), 0, len(frames) * (1 + len(worlds)) + turntable
@@ -79,19 +81,25 @@ def compare(
 
 
 def write_comparison(path: Path, sheet: np.ndarray) -> None:
-    """Write the sheet as PNG. The file appears whole or not at all."""
+    """Write the sheet as a PNG file, under a temporary name that is then changed to `path`."""
     write_png(path, sheet)
 
 
 def exposure(radiance: np.ndarray) -> float:
-    """The factor that brings the image's bright parts (EXPOSED_PERCENTILE of luminance) to EXPOSED, just under white."""
+    """The factor that brings the bright parts of the image to EXPOSED, just under white.
+
+    The bright parts are the EXPOSED_PERCENTILE of its luminance.
+    """
     luminance = radiance @ np.array([0.2126, 0.7152, 0.0722])
     bright = float(np.percentile(luminance, EXPOSED_PERCENTILE))
     return float(np.clip(EXPOSED / max(bright, 1e-6), 1 / 64, 64))
 
 
 def resize(image: np.ndarray, width: int, height: int) -> np.ndarray:
-    """[h,w,3] to [height,width,3]: area means along an axis that shrinks, linear interpolation along one that grows."""
+    """Resize an image [h,w,3] to [height,width,3].
+
+    Along an axis that shrinks, pixels are means over areas. Along an axis that grows, they are interpolated linearly.
+    """
     for axis, size in ((0, height), (1, width)):
         image = np.moveaxis(_resize_rows(np.moveaxis(image, axis, 0), size), 0, axis)
     return image
@@ -99,7 +107,7 @@ def resize(image: np.ndarray, width: int, height: int) -> np.ndarray:
 
 def _resize_rows(image: np.ndarray, size: int) -> np.ndarray:
     count = len(image)
-    if size < count:  # exact area means, from running sums
+    if size < count:  # exact means over areas, from cumulative sums
         total = np.concatenate([np.zeros_like(image[:1], np.float64), np.cumsum(image, axis=0, dtype=np.float64)])
         edges = np.arange(size + 1) * count / size
         low = np.minimum(edges.astype(int), count - 1)

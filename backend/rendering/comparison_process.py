@@ -1,4 +1,7 @@
-"""Runs `render_comparison.py` in a second Blender, so that the artist's Blender stays responsive and its scene untouched."""
+"""Runs `render_comparison.py` in a second Blender.
+
+So the artist's Blender stays responsive, and its scene is not changed.
+"""
 
 import json
 import os
@@ -14,15 +17,19 @@ from pathlib import Path
 import bpy
 
 SCRIPT = Path(__file__).resolve().parent.parent / "render_comparison.py"
-KILL_AFTER_S = 5.0  # after its standard input was closed
-LOG_LINES = 5  # of the end of the log, for the message of a failure
+KILL_AFTER_S = 5.0  # the process is killed if it still runs this long after its standard input was closed
+LOG_LINES = 5  # lines from the end of the log that the message of a failure shows
 
 
 class ComparisonProcess:
-    """A running render. When `poll` (main thread only) is true, `path` is the picture, or `error` says why there is none."""
+    """A second Blender that renders a comparison.
+
+    When `poll` returns True, either `path` is the path of the picture, or `error` says why there is none. `poll` must be
+    called in the main thread. `done` and `total` count the renders.
+    """
 
     def __init__(self, arguments: list[str]):
-        """OSError where the process cannot be started."""
+        """Start the process with the command line `arguments`. Raises OSError where it cannot be started."""
         self.done, self.total = 0, 0
         self.path: Path | None = None
         self.error = ""
@@ -31,7 +38,7 @@ class ComparisonProcess:
         self._events: queue.SimpleQueue[dict] = queue.SimpleQueue()
         self._log: deque[str] = deque(maxlen=LOG_LINES)
         self._scratch = tempfile.TemporaryDirectory(prefix="nep_comparison_", ignore_cleanup_errors=True)
-        # what it leaves unfinished lies there, and is removed by `close`
+        # The process puts its temporary files into this folder. `close` removes the files that the process leaves behind.
         temporary = dict.fromkeys(("TMPDIR", "TEMP", "TMP"), self._scratch.name)
         self.process = subprocess.Popen(
             [*_blender(), *arguments],
@@ -55,7 +62,7 @@ class ComparisonProcess:
                 self._log.append(line.strip())
 
     def poll(self) -> bool:
-        """Read what the process has printed. True when it has ended."""
+        """Read what the process has printed. Returns True when the process has ended."""
         ended = self.process.poll() is not None and not self._reader.is_alive()
         while not self._events.empty():
             event = self._events.get()
@@ -77,13 +84,13 @@ class ComparisonProcess:
         return ended
 
     def cancel(self) -> None:
-        """Ask the process to end; `poll` says when it has."""
+        """Ask the process to end. `poll` returns True when the process has ended."""
         if not self.cancelled:
             self.cancelled, self._cancelled_at = True, time.monotonic()
             self.process.stdin.close()
 
     def close(self) -> None:
-        """End the process if it runs, and remove its temporary files."""
+        """Kill the process if it still runs, and remove its temporary files."""
         if self.process.poll() is None:
             self.process.kill()
             self.process.wait()
@@ -94,7 +101,7 @@ class ComparisonProcess:
 
 
 def _blender() -> list[str]:
-    """The command that runs SCRIPT: in this Blender, or with the bpy wheel, which has no program, in this Python."""
+    """The command that runs SCRIPT: this Blender's program, or this Python where bpy is a wheel, which has no program."""
     if bpy.app.binary_path:
         return [bpy.app.binary_path, "-b", "--factory-startup", "--python-exit-code", "1", "-P", str(SCRIPT), "--"]
     return [sys.executable, str(SCRIPT)]

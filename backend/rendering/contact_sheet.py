@@ -1,4 +1,4 @@
-"""Lays out the sheet of a comparison: a grid of tiles under titles, and a strip of tiles below."""
+"""Lays out the sheet of a comparison: a grid of tiles with a title over each column, and a strip of tiles below the grid."""
 
 from collections.abc import Sequence
 
@@ -12,15 +12,19 @@ TITLE, SMALL = 17.0, 13.0  # text sizes, pixels
 
 
 def strip_tile_size(columns: int, width: int, height: int, count: int) -> int:
-    """Side of `count` square tiles that fill a row as wide as `columns` tiles of width x height; at most `height`."""
+    """The side, in pixels, of `count` square tiles in a strip.
+
+    The strip is as wide as a row of `columns` tiles of width x height. The side is at most `height`.
+    """
     return max(1, min((columns * (width + GAP) - count * GAP) // count, height))
 
 
 def draw_sheet(
     rows: list[list[np.ndarray]], titles: list[str], subtitle: str, strip: Sequence[np.ndarray] = (), strip_title: str = ""
 ) -> np.ndarray:
-    """The sheet [H,W,3] uint8 of tiles [h,w,3] (sRGB-encoded 0..1, all of one size), with a title for each column.
+    """Draw the sheet [H,W,3] uint8.
 
+    `rows` holds the tiles [h,w,3], which are sRGB-encoded 0..1 and all of one size. `titles` has a title for each column.
     `strip` holds square tiles that are shown in a row below, under `strip_title`.
     """
     height, width = rows[0][0].shape[:2]

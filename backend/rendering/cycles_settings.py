@@ -1,10 +1,13 @@
-"""The Cycles settings that every render here shares."""
+"""The Cycles settings that all renders of this package share."""
 
 import bpy
 
 
 def use_cycles(scene: bpy.types.Scene, samples: int, seed: int = 0) -> None:
-    """Cycles on the CPU with a fixed sample count, denoised where this Blender was built with OpenImageDenoise."""
+    """Let `scene` render with Cycles on the CPU, with a fixed number of samples a pixel.
+
+    The render is denoised where this Blender was built with OpenImageDenoise.
+    """
     scene.render.engine = "CYCLES"
     scene.cycles.device = "CPU"
     scene.cycles.samples = samples
@@ -16,7 +19,10 @@ def use_cycles(scene: bpy.types.Scene, samples: int, seed: int = 0) -> None:
 
 
 def has_denoiser() -> bool:
-    """Whether this Blender has OpenImageDenoise. Debian's has not: denoising then raises (4.3) or is ignored (5.2)."""
+    """Whether this Blender has OpenImageDenoise.
+
+    Debian's Blender does not have it. Denoising then raises an error (4.3) or is ignored (5.2).
+    """
     import _cycles
 
     return bool(_cycles.with_openimagedenoise)

@@ -1,4 +1,4 @@
-"""Draws text with Blender's own font, rendered by Cycles: Blender's Python has no Pillow, and a GPU may be missing."""
+"""Draws text with Blender's own font, which Cycles renders. Blender's Python has no Pillow, and a GPU may be missing."""
 
 import os
 import tempfile
@@ -10,11 +10,15 @@ import numpy as np
 from ..scene_io.image_files import load_pixels, set_media_type
 
 SAMPLES = 8
-LETTER_WIDTH = 0.46  # mean of Blender's font, in text sizes
+LETTER_WIDTH = 0.46  # mean width of a letter of Blender's font, in text sizes
 
 
 def draw_text(width: int, height: int, texts: list[tuple[float, float, float, str]]) -> np.ndarray:
-    """[H,W] coverage 0..1 by texts, each (x, y, size, string): pixels from the top left to the start of the baseline."""
+    """Draw texts, and return how much of each pixel they cover: [H,W], 0..1.
+
+    Each text is (x, y, size, string). x and y are the start of its baseline, in pixels from the top left corner. The size is
+    in pixels.
+    """
     scene = bpy.data.scenes.new("nep.lettering")
     made = []
     try:
@@ -47,13 +51,13 @@ def draw_text(width: int, height: int, texts: list[tuple[float, float, float, st
 
 
 def shortened(string: str, width: float, size: float) -> str:
-    """The string, cut where it would be wider than `width` pixels."""
+    """The string, cut off where it would be wider than about `width` pixels at the text size `size`."""
     letters = max(4, int(width / (LETTER_WIDTH * size)))
     return string if len(string) <= letters else string[: letters - 2] + ".."
 
 
 def _alpha(scene: bpy.types.Scene) -> np.ndarray:
-    """[H,W] the alpha of the scene's render, 0..1."""
+    """Render the scene, and return the alpha [H,W] of the picture, 0..1."""
     settings = scene.render.image_settings
     set_media_type(settings)
     settings.file_format, settings.color_mode, settings.color_depth = "OPEN_EXR", "RGBA", "16"

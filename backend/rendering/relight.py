@@ -1,4 +1,4 @@
-"""Renders an object from a photo's camera under one World after the other, in a scene of its own."""
+"""Renders an object from a photo's camera under different Worlds, in a separate scene."""
 
 import os
 import tempfile
@@ -17,7 +17,7 @@ SAMPLES_FACTOR_WITHOUT_DENOISER = 4  # halves the noise
 
 
 class RelitScene:
-    """A scene with the object alone. `close`, or the end of a `with` block, removes the scene but not the object."""
+    """A scene that holds only the object. `close`, or the end of a `with` block, removes the scene but not the object."""
 
     def __init__(self, item: bpy.types.Object, width: int, height: int, samples: int, seed: int = 0):
         self.scene = bpy.data.scenes.new(SCENE_NAME)
@@ -29,7 +29,7 @@ class RelitScene:
         self.scene.view_settings.view_transform = "Standard"
 
     def render(self, frame: Frame, world: bpy.types.World) -> np.ndarray:
-        """[H,W,3] float32 linear radiance of the object in the light of `world`, seen by the frame's camera."""
+        """Render the object under `world`, seen by the frame's camera: linear radiance [H,W,3] float32."""
         camera = add_camera(frame, self.scene)
         try:
             self.scene.camera, self.scene.world = camera, world
@@ -59,6 +59,6 @@ class RelitScene:
 
 
 def add_camera(frame: Frame, scene: bpy.types.Scene, name: str = "photo camera") -> bpy.types.Object:
-    """Add a camera with the frame's pinhole model and pose, and set the scene's pixel aspect for it."""
+    """Add a camera with the frame's pinhole model and pose, and set the scene's pixel aspect for that camera."""
     scene.render.pixel_aspect_x, scene.render.pixel_aspect_y = pixel_aspect(frame)
     return new_camera(frame, scene.collection, name)

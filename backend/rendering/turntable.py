@@ -10,12 +10,15 @@ from ..scene_io.capture_files import Frame
 
 FIELD_OF_VIEW = math.radians(30)
 ELEVATION = math.radians(18)
-MARGIN = 1.08  # the frames see a sphere this much larger than the object's
-LEVEL_DEGREES = 30.0  # where the photos' mean up direction is nearer to Z than this, Z is up
+MARGIN = 1.08  # the frames see a sphere that is larger than the object's by this factor
+LEVEL_DEGREES = 30.0  # Z is taken as up where the angle between Z and the photos' mean up direction is smaller than this
 
 
 def turntable_frames(item: bpy.types.Object, frames: list[Frame], count: int, size: int) -> list[Frame]:
-    """`count` square frames of `size` pixels that see all of `item`, evenly spread around the `up_axis` of the photos."""
+    """`count` square frames of `size` x `size` pixels that see all of `item`.
+
+    Their cameras stand evenly spread on a circle around the `up_axis` of the photos.
+    """
     corners = np.array([item.matrix_world @ vertex.co for vertex in item.data.vertices])
     center = (corners.min(axis=0) + corners.max(axis=0)) / 2
     radius = float(np.linalg.norm(corners - center, axis=1).max())
@@ -38,7 +41,10 @@ def turntable_frames(item: bpy.types.Object, frames: list[Frame], count: int, si
 
 
 def up_axis(frames: list[Frame]) -> np.ndarray:
-    """[3] unit vector: the mean of the photos' up directions, or Z where that is near it or not defined."""
+    """The axis [3] that points up: a unit vector.
+
+    It is the mean of the photos' up directions. It is Z where that mean is near Z (LEVEL_DEGREES) or has almost no length.
+    """
     mean = np.mean([frame.matrix[:3, 1] for frame in frames], axis=0)
     length = float(np.linalg.norm(mean))
     if length < 1e-3 or mean[2] / length > math.cos(math.radians(LEVEL_DEGREES)):

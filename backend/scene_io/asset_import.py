@@ -11,7 +11,11 @@ import numpy as np
 
 @dataclass(frozen=True)
 class Texture:
-    """`socket`: the Principled BSDF's input, empty for a texture that is not connected. `is_color`: its PNG is sRGB."""
+    """A texture of an asset.
+
+    `socket`: the input of the Principled BSDF, empty for a texture that is not connected. `is_color`: whether the texture's
+    PNG file is sRGB-encoded. `label`: the text on the image node.
+    """
 
     name: str
     socket: str
@@ -19,7 +23,9 @@ class Texture:
     label: str
 
 
-CONFIDENCE = "confidence"  # image node of the material and attribute of the mesh: 1 where the photos decided the material
+# The name of a texture, of its image node and of an attribute of the mesh. Their value is 1 where the photos decided the
+# material.
+CONFIDENCE = "confidence"
 TEXTURES = (
     Texture("albedo", "Base Color", True, "albedo"),
     Texture("roughness", "Roughness", False, "roughness"),
@@ -29,12 +35,12 @@ TEXTURES = (
 
 
 def import_asset(folder: Path, collection: bpy.types.Collection, *, name: str = "", pack: bool = True) -> bpy.types.Object:
-    """Import mesh and material into `collection`; returns the object.
+    """Import the mesh and the material of an asset into `collection`, and return the object.
 
-    The mesh keeps the capture's coordinates, the file's normals (smooth) and its UV map. Its attribute `confidence` (a
-    float for each vertex) says where the photos decided the material. `pack`: the images are stored in the .blend. Where
-    the name is taken, Blender adds a number. OSError where a file is missing or unreadable; nothing is left in the .blend
-    then.
+    The mesh keeps the capture's coordinates, the file's smooth normals and its UV map. Its attribute `confidence` (a float
+    for each vertex) says where the photos decided the material. `pack`: whether the images are stored in the .blend. Where
+    the name is taken, Blender adds a number. Raises OSError where a file is missing or unreadable; nothing is left in the
+    .blend then.
     """
     folder = Path(folder)
     check_asset(folder)
@@ -49,7 +55,7 @@ def import_asset(folder: Path, collection: bpy.types.Collection, *, name: str = 
 
 
 def check_asset(folder: Path) -> None:
-    """OSError, with what to do, where `folder` cannot be imported as an asset."""
+    """Raise OSError where `folder` cannot be imported as an asset. The message says what to do."""
     if not folder.is_dir():
         raise OSError(f"there is no folder {folder}. Choose the folder that a reconstruction wrote")
     if not (folder / "mesh.obj").is_file():
@@ -66,7 +72,10 @@ def check_asset(folder: Path) -> None:
 
 @contextmanager
 def removed_on_error() -> Iterator[None]:
-    """After an OSError, removes the objects, meshes, materials, images and worlds that were made inside."""
+    """Where an OSError leaves the `with` block, remove the data-blocks that the block has made.
+
+    These are objects, meshes, materials, images and worlds.
+    """
     kinds = (bpy.data.objects, bpy.data.meshes, bpy.data.materials, bpy.data.worlds, bpy.data.images)
     before = [set(kind) for kind in kinds]
     try:
@@ -78,7 +87,10 @@ def removed_on_error() -> Iterator[None]:
 
 
 def build_material(name: str, textures: Path, *, pack: bool = True) -> bpy.types.Material:
-    """A Principled BSDF with Base Color, Roughness and Metallic from the folder `textures`; confidence is not connected."""
+    """Make a material: a Principled BSDF whose Base Color, Roughness and Metallic come from the folder `textures`.
+
+    The material also holds an image node with the confidence, which is not connected.
+    """
     material = bpy.data.materials.new(name)
     if not material.use_nodes:
         material.use_nodes = True
@@ -95,7 +107,11 @@ def build_material(name: str, textures: Path, *, pack: bool = True) -> bpy.types
 
 
 def load_image(path: Path, *, color_space: str, pack: bool) -> bpy.types.Image:
-    """An image data-block: packed, or with a path that is relative to the .blend if that is saved. OSError if unreadable."""
+    """Load an image file as a data-block. Raises OSError where Blender cannot read the file.
+
+    With `pack` the image is stored in the .blend. Otherwise it refers to its file, by a relative path if the .blend is
+    saved.
+    """
     try:
         image = bpy.data.images.load(str(path), check_existing=False)
     except RuntimeError as error:
@@ -112,7 +128,10 @@ def load_image(path: Path, *, color_space: str, pack: bool) -> bpy.types.Image:
 
 
 def _texture_image(folder: Path, texture: Texture, pack: bool) -> bpy.types.Image:
-    """The 8-bit file where there is one (a quarter of the size, and what other programs read); otherwise the EXR file."""
+    """Load the texture's PNG file where there is one, otherwise its EXR file.
+
+    The PNG file has a quarter of the size, and it is the file that other programs read.
+    """
     path = folder / f"{texture.name}.png"
     space = "sRGB" if texture.is_color else "Non-Color"
     if not path.is_file():
@@ -122,23 +141,27 @@ def _texture_image(folder: Path, texture: Texture, pack: bool) -> bpy.types.Imag
 
 
 def _shade_smooth(mesh: bpy.types.Mesh) -> None:
-    """Make all faces smooth, with the normals of the file where it has any."""
+    """Make all faces smooth, and keep the normals that the file gives, if it gives any."""
     normals, custom = _corner_normals(mesh), mesh.has_custom_normals
     mesh.polygons.foreach_set("use_smooth", np.ones(len(mesh.polygons), bool))
-    # Blender 4.2 stores them relative to what smoothing has just changed; setting them again is slow
+    # Blender 4.2 stores the file's normals relative to the mesh's own ones, which the line above has just changed. They are
+    # set again only where that changed them, because setting them is slow.
     if custom and not np.allclose(_corner_normals(mesh), normals, atol=1e-3):
         mesh.normals_split_custom_set(normals.tolist())
 
 
 def _corner_normals(mesh: bpy.types.Mesh) -> np.ndarray:
-    """[corners, 3] the normals that the mesh is shaded with."""
+    """The normals [corners, 3] that the mesh is shaded with."""
     normals = np.empty((len(mesh.loops), 3), np.float32)
     mesh.corner_normals.foreach_get("vector", normals.ravel())
     return normals
 
 
 def _add_confidence(mesh: bpy.types.Mesh, image: bpy.types.Image) -> None:
-    """Add the attribute CONFIDENCE: the image's first channel at each vertex (nearest texel, mean over its corners)."""
+    """Add the attribute CONFIDENCE to the mesh.
+
+    Its value at a vertex is the mean, over the vertex's face corners, of the first channel of the nearest texel of `image`.
+    """
     width, height = image.size
     pixels = np.empty(width * height * 4, np.float32)
     image.pixels.foreach_get(pixels)  # row 0 is v = 0
@@ -157,7 +180,8 @@ def _add_confidence(mesh: bpy.types.Mesh, image: bpy.types.Image) -> None:
 def _import_mesh(path: Path, collection: bpy.types.Collection) -> bpy.types.Object:
     objects, materials, images = set(bpy.data.objects), set(bpy.data.materials), set(bpy.data.images)
     try:
-        bpy.ops.wm.obj_import(filepath=str(path), forward_axis="Y", up_axis="Z")  # Blender's own axes: as captured
+        # With these axes Blender does not turn the mesh: it keeps the capture's coordinates.
+        bpy.ops.wm.obj_import(filepath=str(path), forward_axis="Y", up_axis="Z")
     except RuntimeError as error:
         raise OSError(f"Blender cannot read the mesh {path}: {error}") from error
     imported = [item for item in bpy.data.objects if item not in objects]
@@ -168,7 +192,8 @@ def _import_mesh(path: Path, collection: bpy.types.Collection) -> bpy.types.Obje
         raise OSError(f"{path} has no UV map: its textures cannot be placed")
     item.data.materials.clear()
     for material in [material for material in bpy.data.materials if material not in materials]:
-        bpy.data.materials.remove(material)  # the .mtl's approximation; the real one is built from the textures
+        # The .mtl file's material is only an approximation. The full material is built from the textures.
+        bpy.data.materials.remove(material)
     for image in [image for image in bpy.data.images if image not in images]:
         bpy.data.images.remove(image)
     _shade_smooth(item.data)

@@ -1,7 +1,8 @@
-"""Makes Blender cameras from the pinhole model of photos, and the reverse.
+"""Makes a Blender camera from the pinhole model of a photo, and a pinhole model from a Blender camera.
 
-A camera's frame is its photo: `lens` and `sensor` hold the focal length, `shift_x`/`shift_y` the principal point. The
-aspect of the pixels (fl_x / fl_y) is a setting of the scene in Blender, not of the camera.
+The frame of the Blender camera is exactly the photo. The camera's `lens` and `sensor` hold the focal length, its `shift_x`
+and `shift_y` the principal point. The aspect of the pixels (fl_x / fl_y) is a setting of the scene in Blender, not of the
+camera.
 """
 
 from dataclasses import dataclass
@@ -13,12 +14,12 @@ from mathutils import Matrix
 from .capture_files import Frame
 
 SENSOR_MM = 36.0
-CLIP_RANGE = (1e-3, 1e5)  # of the camera's distance to the world's origin, at least
+CLIP_RANGE = (1e-3, 1e5)  # nearest and farthest visible distance, as factors of the camera's distance to the world's origin
 
 
 @dataclass(frozen=True)
 class Intrinsics:
-    """Focal lengths and principal point in pixels; cx, cy from the top left."""
+    """Focal lengths and principal point of a photo in pixels. cx and cy count from the top left corner."""
 
     fl_x: float
     fl_y: float
@@ -27,7 +28,10 @@ class Intrinsics:
 
 
 def new_camera(frame: Frame, collection: bpy.types.Collection, name: str) -> bpy.types.Object:
-    """A camera object with the frame's pinhole model and pose. The scene must have the `pixel_aspect` of the frame."""
+    """Add a camera object with the frame's pinhole model and pose to `collection`, and return it.
+
+    The scene's pixel aspect must be the `pixel_aspect` of the frame.
+    """
     data = bpy.data.cameras.new(name)
     data.sensor_fit, data.sensor_width = "HORIZONTAL", SENSOR_MM
     data.lens = frame.fl_x * SENSOR_MM / frame.width
@@ -42,21 +46,25 @@ def new_camera(frame: Frame, collection: bpy.types.Collection, name: str) -> bpy
 
 
 def pixel_aspect(frame: Frame) -> tuple[float, float]:
-    """The scene's pixel_aspect_x and pixel_aspect_y that the frame's camera needs (Blender allows no value under 1)."""
+    """(pixel_aspect_x, pixel_aspect_y) that the scene needs for the frame's camera. Blender allows no value under 1."""
     aspect = frame.fl_x / frame.fl_y  # a pixel's height over its width
     return max(1.0, 1 / aspect), max(1.0, aspect)
 
 
 def intrinsics(data: bpy.types.Camera, width: int, height: int, aspect: tuple[float, float] = (1.0, 1.0)) -> Intrinsics:
-    """Of the perspective camera `data`, whose frame is an image of width x height pixels of `aspect` (x, y)."""
+    """The intrinsics of the perspective camera `data`.
+
+    The camera's frame is an image of width x height pixels. `aspect` is the scene's (pixel_aspect_x, pixel_aspect_y).
+    """
     ratio = aspect[0] / aspect[1]  # a pixel's width over its height
     fit = data.sensor_fit
     if fit == "AUTO":
         fit = "HORIZONTAL" if width * ratio >= height else "VERTICAL"
-        sensor = data.sensor_width  # AUTO fits the sensor's width to the longer side
+        sensor = data.sensor_width  # AUTO fits the sensor's width to the longer side of the image
     else:
         sensor = data.sensor_width if fit == "HORIZONTAL" else data.sensor_height
-    # the fitted side in pixels of the image's rows and columns: the unit of the shift, and the sensor's extent
+    # The length of the fitted side, in widths of a pixel and in heights of a pixel. The camera's shift is counted in this
+    # length, and the sensor's size is this length.
     unit_x, unit_y = (width, width * ratio) if fit == "HORIZONTAL" else (height / ratio, height)
     return Intrinsics(
         data.lens / sensor * unit_x,

@@ -1,7 +1,7 @@
-"""The cameras and photos of a capture, as far as Blender shows them (transforms.json, the form of instant-ngp).
+"""Reads the cameras and photos of a capture that Blender shows (transforms.json, the form of instant-ngp).
 
-blender_nep/capture/formats/transforms.py is the engine's reader. It checks everything and decides what a valid capture is,
-but Blender's Python cannot import it.
+The engine has its own reader, blender_nep/capture/formats/transforms.py. That reader checks everything and decides what a
+valid capture is. It is not used here, because Blender's Python cannot import it.
 """
 
 import json
@@ -17,12 +17,12 @@ from .image_size import image_size
 from .srgb import srgb_to_linear
 
 SRGB_FILES = {".png", ".jpg", ".jpeg"}
-GREY = 0.18  # radiance behind photos that were cut out
+GREY = 0.18  # radiance that is shown where a photo is transparent
 
 
 @dataclass(frozen=True)
 class Frame:
-    """One photo: its file, pinhole camera (pixels; cx, cy from the top left) and camera-to-world matrix [4,4]."""
+    """One photo: its file, its pinhole camera (in pixels; cx, cy from the top left) and its camera-to-world matrix [4,4]."""
 
     path: Path
     width: int
@@ -36,7 +36,10 @@ class Frame:
     gain: tuple[float, float, float] = (1.0, 1.0, 1.0)  # exposure and white balance, relative to the other photos
 
     def photo(self) -> np.ndarray:
-        """[H,W,3] linear radiance, over grey where the file has transparency. OSError where it cannot be read."""
+        """The photo as linear radiance [H,W,3], over GREY where the file is transparent.
+
+        Raises OSError where the file cannot be read.
+        """
         pixels = load_pixels(self.path)
         rgb, alpha = pixels[..., :3], pixels[..., 3:]
         if self.color_space == "srgb":
@@ -45,7 +48,10 @@ class Frame:
 
 
 def read_frames(folder: Path, transforms: str = "transforms.json") -> list[Frame]:
-    """The capture's frames. OSError where a file is missing, ValueError where one is not as it should be."""
+    """The frames of the capture in `folder`.
+
+    Raises OSError where a file is missing, and ValueError where a file does not have the form that is expected.
+    """
     path = Path(folder) / transforms
     meta = _read_meta(path)
     entries = meta.get("frames")
@@ -55,7 +61,10 @@ def read_frames(folder: Path, transforms: str = "transforms.json") -> list[Frame
 
 
 def read_bounds(folder: Path) -> tuple[list[float], float] | None:
-    """(centre [3], radius) of the object's sphere, where transforms.json has it. OSError and ValueError as `read_frames`."""
+    """(centre [3], radius) of the object's sphere; None where transforms.json does not have both.
+
+    Raises OSError and ValueError for the same reasons as `read_frames`.
+    """
     meta = _read_meta(Path(folder) / "transforms.json")
     center, radius = meta.get("object_center"), meta.get("object_radius")
     if center is None or radius is None:
@@ -67,13 +76,16 @@ def read_bounds(folder: Path) -> tuple[list[float], float] | None:
 
 
 def with_exposures(frames: list[Frame], asset: Path) -> list[Frame]:
-    """`frames` (all of a capture) with the exposures that the report of `asset` gives; unchanged where it gives none."""
+    """The frames with the exposures that the report of `asset` gives; the frames unchanged where the report gives none.
+
+    `frames` must be all frames of the capture.
+    """
     try:
         report = json.loads((Path(asset) / "report.json").read_text(encoding="utf-8"))
         gains = [tuple(float(g) for g in gain) for gain in report["capture"]["photo_gains"]]
-    except (OSError, ValueError, KeyError, TypeError):  # the photos have one exposure, or another program wrote the asset
+    except (OSError, ValueError, KeyError, TypeError):  # all photos have one exposure, or another program wrote the asset
         return frames
-    # otherwise the asset was made from other photos
+    # Where the numbers of gains and of frames differ, the asset was made from other photos.
     fit = len(gains) == len(frames) and all(len(gain) == 3 for gain in gains)
     return [replace(frame, gain=gain) for frame, gain in zip(frames, gains, strict=True)] if fit else frames
 
@@ -102,7 +114,7 @@ def _read_meta(path: Path) -> dict:
 
 
 def _frame(folder: Path, meta: dict, entry: dict) -> Frame:
-    """The frame of `entry`; what it does not say, `meta` says for all frames."""
+    """The frame that `entry` describes. A value that `entry` does not have is taken from `meta`, which is for all frames."""
 
     def value(name: str, default: float | None = None) -> Any:
         found = entry.get(name, meta.get(name, default))
@@ -112,7 +124,7 @@ def _frame(folder: Path, meta: dict, entry: dict) -> Frame:
 
     path = folder / str(value("file_path"))
     if not path.suffix:
-        path = path.with_suffix(".png")  # instant-ngp's synthetic form leaves the ending out
+        path = path.with_suffix(".png")  # instant-ngp's form for synthetic captures leaves out the ending of file names
     if "w" in entry or "w" in meta:
         width, height = int(value("w")), int(value("h"))
     else:

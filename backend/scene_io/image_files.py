@@ -1,12 +1,13 @@
-"""Image files as numpy arrays whose row 0 is the top row, without Blender's color management in between.
+"""Reads and writes image files as numpy arrays. Row 0 is the top row, and no color management changes the values.
 
-Blender itself reads every image here and writes the photos of synthetic captures. Two things are done without it:
+Blender itself reads every image here and writes the photos of synthetic captures. Two things are done without Blender:
 
-- `write_png`: on a full disk Blender's PNG writer leaves half a file and reports success (tried in 4.2, 4.5, 5.0, 5.2).
-- the passes of a multilayer OpenEXR file, which Blender does not show to Python (`synthetic_capture/exr_channels.py`).
+- `write_png` writes PNG files. On a full disk Blender's own PNG writer leaves half a file and reports success (tried in 4.2,
+  4.5, 5.0, 5.2).
+- `synthetic_capture/exr_channels.py` reads the passes of a multilayer OpenEXR file. Blender does not show them to Python.
 
-OpenImageIO's Python module could do both, but an add-on cannot count on it: the bpy wheels of 4.2 and 4.3 do not have it,
-those of 4.4 to 5.2 keep it in a folder outside `sys.path`, and Debian's Blender (4.3.2 and 5.2.2) is built without it.
+OpenImageIO's Python module could do both, but an add-on cannot count on it. The bpy wheels of 4.2 and 4.3 do not have it.
+The wheels of 4.4 to 5.2 keep it in a folder outside `sys.path`. Debian's Blender (4.3.2 and 5.2.2) is built without it.
 """
 
 import os
@@ -19,7 +20,10 @@ import numpy as np
 
 
 def load_pixels(path: Path) -> np.ndarray:
-    """[H,W,4] float32 as stored (8-bit files: 0..1, still sRGB-encoded). OSError where Blender cannot read the file."""
+    """The pixels [H,W,4] of an image file as float32, as they are stored (8-bit files: 0..1, still sRGB-encoded).
+
+    Raises OSError where Blender cannot read the file.
+    """
     try:
         image = bpy.data.images.load(str(path), check_existing=False)
     except RuntimeError as error:
@@ -37,15 +41,16 @@ def load_pixels(path: Path) -> np.ndarray:
 
 
 def write_half_exr(path: Path, rgb: np.ndarray) -> None:
-    """Write [H,W,3] linear radiance as half floats, compressed with DWAA: lossy, a fifth of the size of ZIP.
+    """Write linear radiance [H,W,3] as an OpenEXR file of half floats.
 
-    The file appears whole or not at all. OSError where it cannot be written.
+    The compression is DWAA, which is lossy; the file has a fifth of the size that ZIP gives. The file is written under a
+    temporary name and then renamed. Raises OSError where the file cannot be written.
     """
     height, width = rgb.shape[:2]
     pixels = np.ones((height, width, 4), np.float32)
     pixels[..., :3] = rgb[::-1]
     partial = _partial(path).absolute()  # Blender 5 cannot write to a path without a folder
-    scene = bpy.data.scenes.new("nep.save")  # holds the settings of the file, so that those of the artist's scene stay
+    scene = bpy.data.scenes.new("nep.save")  # holds the file's settings, so that the settings of the artist's scene stay
     image = bpy.data.images.new("nep.save", width, height, float_buffer=True, is_data=True)
     try:
         image.pixels.foreach_set(pixels.ravel())
@@ -64,7 +69,10 @@ def write_half_exr(path: Path, rgb: np.ndarray) -> None:
 
 
 def write_png(path: Path, pixels: np.ndarray) -> None:
-    """Write [H,W] (grey) or [H,W,3] (RGB) uint8 as PNG, values untouched. The file appears whole or not at all."""
+    """Write uint8 pixels [H,W] (grey) or [H,W,3] (RGB) as a PNG file. The values are not changed.
+
+    The file is written under a temporary name and then renamed. Raises OSError where the file cannot be written.
+    """
     height, width = pixels.shape[:2]
     rows = pixels.reshape(height, -1)
     raw = np.concatenate([np.zeros((height, 1), np.uint8), rows], axis=1).tobytes()
@@ -79,13 +87,16 @@ def write_png(path: Path, pixels: np.ndarray) -> None:
 
 
 def set_media_type(settings, *, multilayer: bool = False) -> None:
-    """Prepare a scene's `image_settings` for a still image's file format; Blender 5.0 and later ask for this step first."""
+    """Prepare a scene's `image_settings` for the file format of a still image.
+
+    Blender 5.0 and later need this step before the file format is set. Older versions do not have this setting.
+    """
     if hasattr(settings, "media_type"):
         settings.media_type = "MULTI_LAYER_IMAGE" if multilayer else "IMAGE"
 
 
 def write_whole(path: Path, data: bytes) -> None:
-    """Write `data` under a temporary name, then rename: the file appears whole or not at all."""
+    """Write `data` under a temporary name and then rename the file. Raises OSError where it cannot be written."""
     partial = _partial(path)
     try:
         partial.write_bytes(data)

@@ -1,4 +1,4 @@
-"""A capture's cameras as Blender cameras, each with its photo behind it, in a collection of their own."""
+"""Shows a capture's cameras in Blender: a collection with a camera for each photo, and the photo as its background image."""
 
 from pathlib import Path
 
@@ -9,19 +9,21 @@ from .cameras import new_camera, pixel_aspect
 from .capture_files import Frame
 
 COLLECTION_NAME = "NeP cameras: {}"
-CAPTURE_KEY = "nep_capture"  # of the collection: the capture's folder
-SIZE_KEY, ASPECT_KEY = "nep_photo_size", "nep_pixel_aspect"  # of a camera, because Blender has one size for all cameras
-PHOTO_KEY = "nep_photo"  # of an image that `load_cameras` has loaded
-DISPLAY_SIZE = 0.06  # of a camera, relative to the cameras' median distance from their mean position
+CAPTURE_KEY = "nep_capture"  # custom property of the collection: the capture's folder
+# Custom properties of a camera: its photo's size and pixel aspect. Blender itself has one size and aspect for all cameras.
+SIZE_KEY, ASPECT_KEY = "nep_photo_size", "nep_pixel_aspect"
+PHOTO_KEY = "nep_photo"  # custom property that marks an image which `load_cameras` has loaded
+DISPLAY_SIZE = 0.06  # drawn size of a camera, relative to the median distance of the cameras from their mean position
 
 
 def load_cameras(
     scene: bpy.types.Scene, capture: Path, frames: list[Frame], *, match_render: bool = True
 ) -> tuple[list[bpy.types.Object], list[Path]]:
-    """Make the frames' cameras in `scene`; those of an earlier call are removed. Returns (cameras, missing photos).
+    """Make a camera for each frame in `scene`, and return (cameras, paths of missing photos).
 
-    Blender reads a photo only when somebody looks through its camera, so hundreds of photos take no time here.
-    `match_render`: the scene gets the photos' size and pixel aspect, so that photo and view line up.
+    The cameras of an earlier call are removed first. Blender reads a photo only when somebody looks through its camera, so
+    hundreds of photos take no time here. With `match_render` the scene gets the first photo's size and pixel aspect, so that
+    photo and view line up.
     """
     remove_cameras(scene)
     collection = bpy.data.collections.new(COLLECTION_NAME.format(Path(capture).resolve().name))
@@ -58,7 +60,8 @@ def remove_cameras(scene: bpy.types.Scene) -> int:
     bpy.data.batch_remove([block for block in data if not block.users])
     bpy.data.batch_remove([image for image in bpy.data.images if PHOTO_KEY in image and not image.users])
     for collection in collections:
-        if not collection.objects and not collection.children:  # otherwise the artist has put something into it
+        # The collection stays where the artist has put something into it.
+        if not collection.objects and not collection.children:
             bpy.data.collections.remove(collection)
         else:
             del collection[CAPTURE_KEY]
@@ -71,13 +74,16 @@ def camera_collections(scene: bpy.types.Scene) -> list[bpy.types.Collection]:
 
 
 def _photo(frame: Frame) -> bpy.types.Image | None:
-    """An image that refers to the photo's file, relative to the .blend if that is saved. None where the file is missing."""
+    """An image data-block that refers to the photo's file; None where the file is missing.
+
+    The path is relative to the .blend file if that is saved.
+    """
     known = len(bpy.data.images)
     try:
         image = bpy.data.images.load(str(frame.path.resolve()), check_existing=True)
     except RuntimeError:
         return None
-    if len(bpy.data.images) > known:  # otherwise the artist had already loaded it
+    if len(bpy.data.images) > known:  # otherwise the artist had already loaded this image, and it stays as it is
         image[PHOTO_KEY] = True
         if frame.color_space == "linear" and frame.path.suffix.lower() != ".exr":
             image.colorspace_settings.name = "Non-Color"

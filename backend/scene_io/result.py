@@ -1,4 +1,4 @@
-"""The result of a reconstruction in a Blender file: the object, and the light around it as a World."""
+"""Imports the result of a reconstruction into a Blender file: the object, and the light around it as a World."""
 
 from pathlib import Path
 
@@ -11,10 +11,10 @@ from .world import build_world
 def import_result(
     folder: Path, collection: bpy.types.Collection, *, name: str = "", pack: bool = True
 ) -> tuple[bpy.types.Object, bpy.types.World]:
-    """(object, World "<object> light") of the asset in `folder`. OSError where a file is missing or unreadable.
+    """Import the asset in `folder`, and return (object, World). The World is named "<object> light".
 
-    `pack`: the images are stored in the .blend. Otherwise they refer to the asset's files, by a path that is relative to the
-    .blend if that is saved.
+    With `pack` the images are stored in the .blend. Otherwise they refer to the asset's files, by relative paths if the
+    .blend is saved. Raises OSError where a file is missing or unreadable; nothing is left in the .blend then.
     """
     folder = Path(folder)
     with removed_on_error():

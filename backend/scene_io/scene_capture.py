@@ -1,4 +1,4 @@
-"""Writes a capture folder from those cameras of a Blender scene that have a photo as background image."""
+"""Writes a capture folder from the cameras of a Blender scene that have a photo as background image."""
 
 import json
 import os
@@ -11,7 +11,7 @@ from .image_files import write_whole
 from .image_size import image_size
 from .photo_cameras import ASPECT_KEY, SIZE_KEY
 
-SOURCE = "Blender scene"  # marks a transforms.json that was written here: it may be replaced
+SOURCE = "Blender scene"  # marks a transforms.json that this file has written, and that it may therefore replace
 MINIMUM_PHOTOS = 3
 SUFFIXES = (".exr", ".png", ".jpg", ".jpeg")  # what the engine reads
 ASPECT_TOLERANCE = 0.01
@@ -19,7 +19,7 @@ LINEAR_SPACES = ("Linear Rec.709", "Non-Color")
 
 
 class UnusableCamera(ValueError):
-    """A camera that cannot be part of a capture; the message names it and says why."""
+    """A camera cannot be part of a capture. The message names the camera and says why."""
 
 
 def photo_cameras(scene: bpy.types.Scene) -> list[bpy.types.Object]:
@@ -32,8 +32,9 @@ def photo_cameras(scene: bpy.types.Scene) -> list[bpy.types.Object]:
 def write_scene_capture(scene: bpy.types.Scene, folder: Path) -> int:
     """Write `folder`/transforms.json with the scene's cameras and photos. Returns the number of photos.
 
-    A photo stays where it is if a relative path leads to it; otherwise it is copied to `folder`/images. ValueError says
-    which cameras cannot be used and why, and nothing is written then. OSError says that the folder cannot be written.
+    A photo stays where it is if a relative path leads to it. Otherwise the photo is copied to `folder`/images. Raises
+    ValueError where cameras cannot be used; the message says which and why, and nothing is written then. Raises OSError
+    where the folder cannot be written.
     """
     folder = Path(folder)
     target = folder / "transforms.json"
@@ -70,7 +71,7 @@ def write_scene_capture(scene: bpy.types.Scene, folder: Path) -> int:
 
 
 def _frame(scene: bpy.types.Scene, camera: bpy.types.Object, folder: Path, packed: dict[str, bytes]) -> dict:
-    """The camera's entry in transforms.json. Photos that must be copied go into `packed`."""
+    """The camera's entry in transforms.json. A photo that must be copied is added to `packed` {path in folder: content}."""
     data, background = camera.data, _background(camera)
     if data.type != "PERSP":
         kind = {"PANO": "panoramic", "ORTHO": "orthographic"}.get(data.type, data.type.lower())
@@ -113,7 +114,10 @@ def _frame(scene: bpy.types.Scene, camera: bpy.types.Object, folder: Path, packe
 
 
 def _photo_file(camera: bpy.types.Object, folder: Path, packed: dict[str, bytes]) -> tuple[str, int, int]:
-    """(path for transforms.json, width, height). A photo that must be copied goes into `packed`."""
+    """(path for transforms.json, width, height) of the camera's photo.
+
+    A photo that must be copied is added to `packed` {path in `folder`: content}.
+    """
     image = _photo(camera)
     path = Path(image.filepath_from_user())
     if image.source != "FILE" or path.suffix.lower() not in SUFFIXES:
@@ -121,7 +125,7 @@ def _photo_file(camera: bpy.types.Object, folder: Path, packed: dict[str, bytes]
     if path.is_file():
         try:
             return Path(os.path.relpath(path, folder)).as_posix(), *image_size(path)
-        except ValueError:  # another drive
+        except ValueError:  # no relative path leads to another drive of Windows
             content, size = path.read_bytes(), image_size(path)
     elif image.packed_file:
         content, size = image.packed_file.data, tuple(image.size)
@@ -133,7 +137,7 @@ def _photo_file(camera: bpy.types.Object, folder: Path, packed: dict[str, bytes]
 
 
 def _background(camera: bpy.types.Object) -> bpy.types.CameraBackgroundImage | None:
-    """The camera's first background image that shows an image; None where it has none."""
+    """The camera's first background that shows an image (not a movie); None where the camera has none."""
     return next((item for item in camera.data.background_images if item.source == "IMAGE" and item.image), None)
 
 

@@ -1,7 +1,7 @@
 """Makes a World that shines with an equirectangular image.
 
-Blender's orientation: a direction (x, y, z) lies at u = 0.5 - atan2(y, x) / 2 pi and v = 0.5 + atan2(z, |xy|) / pi;
-v = 1 is the image's top row. `environment.exr` of an asset is written that way, so no rotation is needed.
+Blender finds the light of a direction (x, y, z) at u = 0.5 - atan2(y, x) / 2 pi and v = 0.5 + atan2(z, |xy|) / pi, where
+v = 1 is the image's top row. `environment.exr` of an asset has the same orientation, so no rotation is needed.
 """
 
 from pathlib import Path
@@ -11,12 +11,15 @@ import bpy
 from .asset_import import load_image
 
 COLOR_SPACE = "Linear Rec.709"
-# such that the first few differ most
+# The order is such that the first few HDRIs differ most from each other.
 HDRI_ORDER = ("studio", "forest", "sunset", "interior", "city", "courtyard", "sunrise", "night")
 
 
 def build_world(path: Path, *, name: str, pack: bool = True) -> bpy.types.World:
-    """A World that shines with the equirectangular image at `path`, with strength 1. OSError where it cannot be read."""
+    """Make a World that shines with the equirectangular image at `path`, with strength 1.
+
+    Raises OSError where the image cannot be read.
+    """
     image = load_image(path, color_space=COLOR_SPACE, pack=pack)
     world = bpy.data.worlds.new(name)
     if not world.use_nodes:
@@ -31,12 +34,12 @@ def build_world(path: Path, *, name: str, pack: bool = True) -> bpy.types.World:
     output.location = (220, 0)
     links.new(texture.outputs["Color"], background.inputs["Color"])
     links.new(background.outputs["Background"], output.inputs["Surface"])
-    world.use_fake_user = True  # stays in the file while another World is switched on
+    world.use_fake_user = True  # keeps the World in the file while the scene uses another one
     return world
 
 
 def blender_hdris() -> list[Path]:
-    """The HDRIs that ship with Blender (CC0), in HDRI_ORDER; empty where a distribution left them out."""
+    """The HDRI files that ship with Blender (CC0), in HDRI_ORDER; an empty list where a distribution left them out."""
     folder = bpy.utils.system_resource("DATAFILES", path="studiolights/world")
     if not folder:
         return []

@@ -1,8 +1,9 @@
-"""OpenEXR files of many named channels: the passes that Cycles renders, and the ground truth that is made of them.
+"""Reads and writes OpenEXR files with many named channels: the passes that Cycles renders, and the ground truth.
 
-Own code, because nothing in Blender's Python can do it (`scene_io/image_files.py` says what was tried). It knows the
-plain scan-line form alone, uncompressed or ZIP ("OpenEXR File Layout" of the Academy Software Foundation), which is what
-Cycles writes for us. The library reads and writes its OpenEXR files with the package OpenEXR, which Blender's Python lacks.
+This is own code, because nothing in Blender's Python can do it (`scene_io/image_files.py` says what was tried). It knows
+only files of the plain scan-line form, uncompressed or ZIP-compressed ("OpenEXR File Layout" of the Academy Software
+Foundation). Cycles writes this form with the settings of `ground_truth.py`. The library reads and writes its OpenEXR files
+with the package OpenEXR, which Blender's Python lacks.
 """
 
 import struct
@@ -16,11 +17,14 @@ from ..scene_io.image_files import write_whole
 MAGIC = 20000630
 NEITHER_TILED_NOR_DEEP_NOR_MULTIPART = 0x1A00  # these bits of the version must be 0
 KINDS = {1: np.dtype("<f2"), 2: np.dtype("<f4")}
-LINES_PER_BLOCK = {0: 1, 2: 1, 3: 16}  # of the compressions none, ZIPS, ZIP
+LINES_PER_BLOCK = {0: 1, 2: 1, 3: 16}  # for the compressions none, ZIPS and ZIP
 
 
 def read_channels(path: Path) -> dict[str, np.ndarray]:
-    """Channels {name: [H,W] float32} of a single-part scan-line file, uncompressed or ZIP; ValueError for others."""
+    """The channels {name: [H,W] float32} of an OpenEXR file.
+
+    The file must be a single-part scan-line file, uncompressed or ZIP-compressed. Raises ValueError for other files.
+    """
     data = Path(path).read_bytes()
     magic, version = struct.unpack_from("<ii", data)
     if magic != MAGIC or version & NEITHER_TILED_NOR_DEEP_NOR_MULTIPART:
@@ -52,7 +56,10 @@ def read_channels(path: Path) -> dict[str, np.ndarray]:
 
 
 def write_channels(path: Path, channels: dict[str, np.ndarray]) -> None:
-    """Write {name: [H,W] float16 or float32} as one ZIP-compressed part; the file appears whole or not at all."""
+    """Write the channels {name: [H,W] float16 or float32} as a ZIP-compressed OpenEXR file with one part.
+
+    The file is written under a temporary name and then renamed. Raises OSError where it cannot be written.
+    """
     names = sorted(channels)
     height, width = channels[names[0]].shape
     head = _header({name: channels[name].dtype for name in names}, width, height)
@@ -67,7 +74,7 @@ def write_channels(path: Path, channels: dict[str, np.ndarray]) -> None:
 
 
 def _header(kinds: dict[str, np.dtype], width: int, height: int) -> bytes:
-    """Of a ZIP-compressed file with these channels."""
+    """The header of a ZIP-compressed file with the channels `kinds` {name: data type}."""
     numbers = {kind: number for number, kind in KINDS.items()}
     listed = b"".join(name.encode() + b"\0" + struct.pack("<iB3xii", numbers[kind], 0, 1, 1) for name, kind in kinds.items())
     box = struct.pack("<4i", 0, 0, width - 1, height - 1)
@@ -89,7 +96,7 @@ def _header(kinds: dict[str, np.dtype], width: int, height: int) -> bytes:
 
 
 def _read_header(data: bytes, position: int) -> tuple[dict[str, bytes], int]:
-    """({name of the attribute: its value}, position after the header)."""
+    """Read the header that starts at `position`: ({name of an attribute: its value}, position after the header)."""
     header = {}
     while data[position]:
         end = data.index(b"\0", position)
@@ -111,14 +118,18 @@ def _channel_list(value: bytes) -> list[tuple[str, np.dtype]]:
 
 
 def _predict(raw: bytes) -> bytes:
-    """OpenEXR's ZIP filter: even bytes first, odd bytes after, then differences modulo 256 around 128."""
+    """Apply OpenEXR's ZIP filter.
+
+    The filter puts the bytes at even positions first and the others after them. Then each byte becomes its difference from
+    the byte before it, plus 128, modulo 256.
+    """
     x = np.frombuffer(raw, np.uint8)
     x = np.concatenate([x[0::2], x[1::2]])
     return np.concatenate([x[:1], x[1:] - x[:-1] + np.uint8(128)]).tobytes()
 
 
 def _undo_prediction(packed: bytes) -> bytes:
-    """The inverse of `_predict`."""
+    """Undo what `_predict` does."""
     x = np.frombuffer(packed, np.uint8)
     x = np.cumsum(np.concatenate([x[:1], x[1:] - np.uint8(128)]), dtype=np.uint8)
     half = (len(x) + 1) // 2

@@ -1,4 +1,4 @@
-"""Renders one view of a synthetic scene in Cycles: the photo and, from the same samples, its ground truth."""
+"""Renders a view of a synthetic scene in Cycles: the photo and its ground truth, both from the same samples."""
 
 import os
 import tempfile
@@ -14,11 +14,12 @@ from .exr_channels import read_channels
 from .scenes import GROUND_TRUTH_COLOR, GROUND_TRUTH_VALUES
 
 BOUNCES = 5
-INDIRECT_CLAMP = 20.0  # radiance; above what highlights reflect, and low enough against fireflies of few samples
+# Limit of the radiance of indirect light. Reflected highlights stay below it, and it removes the fireflies of few samples.
+INDIRECT_CLAMP = 20.0
 
 
 class ViewRenderer:
-    """Renders a scene's views, each with all passes at once."""
+    """Renders the views of a scene. One render gives all passes of a view."""
 
     def __init__(self, scene: bpy.types.Scene, size: int, samples: int, field_of_view: float, seed: int):
         """`size`: width and height in pixels; `field_of_view` in radians."""
@@ -31,7 +32,7 @@ class ViewRenderer:
         scene.render.resolution_x = scene.render.resolution_y = size
         scene.render.resolution_percentage = 100
         use_cycles(scene, samples, seed)
-        scene.render.use_persistent_data = True  # geometry is uploaded once for all views
+        scene.render.use_persistent_data = True  # Cycles loads the geometry once for all views
         scene.cycles.max_bounces = scene.cycles.diffuse_bounces = scene.cycles.glossy_bounces = BOUNCES
         scene.cycles.sample_clamp_indirect = INDIRECT_CLAMP
         scene.cycles.caustics_reflective = scene.cycles.caustics_refractive = False
@@ -44,21 +45,22 @@ class ViewRenderer:
 
     @property
     def focal_length(self) -> float:
-        """In pixels."""
+        """The camera's focal length in pixels."""
         return self.scene.render.resolution_x * self.camera.data.lens / self.camera.data.sensor_width
 
     def render(self, matrix: Matrix) -> tuple[np.ndarray, dict[str, np.ndarray]]:
-        """(photo [H,W,3] linear radiance, ground truth {channel: [H,W]}) from the camera-to-world `matrix`.
+        """Render the view whose camera-to-world matrix is `matrix`: (photo, ground truth).
 
-        The channels are albedo.RGBA, roughness.V, metallic.V, Normal.XYZ, Depth.V and mask.V. Depth is the distance along
-        the camera's axis. The normal is in world space. Albedo's alpha is the mask.
+        The photo is linear radiance [H,W,3]. The ground truth is {channel: [H,W]}, with the channels albedo.RGBA,
+        roughness.V, metallic.V, Normal.XYZ, Depth.V and mask.V. Depth is the distance along the camera's axis. The normal is
+        in world space. The alpha of albedo is the mask.
         """
         self.camera.matrix_world = matrix
         settings = self.scene.render.image_settings
         set_media_type(settings, multilayer=True)
         settings.file_format, settings.color_depth, settings.exr_codec = "OPEN_EXR_MULTILAYER", "32", "ZIP"
         if hasattr(settings, "use_exr_interleave"):
-            settings.use_exr_interleave = True  # one part, as Blender wrote it before 5.0
+            settings.use_exr_interleave = True  # gives a file with one part, as Blender wrote it before 5.0
         with tempfile.TemporaryDirectory() as folder:
             path = Path(folder) / "view.exr"
             self.scene.render.filepath = os.fspath(path)
@@ -75,5 +77,5 @@ class ViewRenderer:
 
 
 def _value(passes: dict[str, np.ndarray], name: str) -> np.ndarray:
-    """A one-channel pass, whose channel letter differs between Blender versions (X, V or Z)."""
+    """The pixels of a pass with one channel. The letter of that channel (X, V or Z) differs between Blender versions."""
     return next(pixels for key, pixels in passes.items() if key.rpartition(".")[0] == name)

@@ -1,8 +1,8 @@
 """Builds scenes for synthetic captures: a glossy object that floats in a room among solid things, lamps and a window.
 
-After NeP's synthetic set (Wang et al., CVPR 2024): the surroundings are near, so their parallax and their reflections
-in the object cannot be explained by an environment map at infinity; all light comes from inside the room.
-The object is normalised to the sphere of radius 1 at the origin, the border between object and environment.
+The scenes follow NeP's synthetic set (Wang et al., CVPR 2024). The surroundings are near. Therefore an environment map at
+infinity cannot explain their parallax and their reflections in the object. All light comes from inside the room. The object
+is scaled to fit into the sphere of radius 1 at the origin, which is the border between object and environment.
 """
 
 import math
@@ -17,19 +17,19 @@ from mathutils import Matrix, Vector
 
 FLOOR, CEILING, HALF_WIDTH = -1.45, 4.2, 5.2
 OBJECT_RADIUS = 1.0
-FILL = 0.97  # of OBJECT_RADIUS taken by the object, so that no vertex touches the border
+FILL = 0.97  # the object's radius as a part of OBJECT_RADIUS; below 1, so that no vertex touches the border
 
 
 @dataclass(frozen=True)
 class Substance:
-    """What a patch of the object is made of: linear Base Color, Principled roughness and metallic."""
+    """The material of a part of the object: Base Color (linear), roughness and metallic of the Principled BSDF."""
 
     color: tuple[float, float, float]
     roughness: float
     metallic: float
 
 
-# name -> (pattern, substances); the patterns are 'uniform', 'patches' (random cells) and 'stripes' (bands along z)
+# Name -> (pattern, substances). The patterns are 'uniform', 'patches' (random cells) and 'stripes' (bands along z).
 MATERIALS = {
     "gold": ("uniform", (Substance((0.9, 0.62, 0.3), 0.2, 1.0),)),
     "steel": ("stripes", (Substance((0.62, 0.6, 0.58), 0.12, 1.0), Substance((0.62, 0.6, 0.58), 0.3, 1.0))),
@@ -44,9 +44,10 @@ GROUND_TRUTH_VALUES = ("roughness", "metallic", "mask")
 
 
 def build_scene(source: str, material: str, rng: np.random.Generator) -> tuple[bpy.types.Object, list[bpy.types.Object]]:
-    """Fill the (empty) current file. Returns (object, obstacles): every mesh that is not the object is an obstacle.
+    """Build a scene in the current file, which must be empty. Returns (object, obstacles).
 
-    source: 'suzanne', 'box' or the path of an obj, ply, stl, glb or gltf file (ValueError for others).
+    An obstacle is every mesh that is not the object. `source` is 'suzanne', 'box' or the path of an obj, ply, stl, glb or
+    gltf file. Raises ValueError for other sources.
     """
     target = _object(source)
     _normalise(target)
@@ -57,7 +58,7 @@ def build_scene(source: str, material: str, rng: np.random.Generator) -> tuple[b
 
 
 def triangles(item: bpy.types.Object) -> tuple[np.ndarray, np.ndarray]:
-    """World-space (vertices [V,3] float32, triangles [F,3] int32) of a mesh object as rendered (modifiers applied)."""
+    """(vertices [V,3] float32 in world space, triangles [F,3] int32) of a mesh object, with its modifiers applied."""
     evaluated = item.evaluated_get(bpy.context.evaluated_depsgraph_get())
     mesh = evaluated.to_mesh()
     mesh.calc_loop_triangles()
@@ -122,7 +123,7 @@ def _mesh_file(path: Path) -> bpy.types.Object:
     target.parent = None
     target.matrix_world = matrix
     for item in [item for item in bpy.data.objects if item not in before and item != target]:
-        bpy.data.objects.remove(item)  # the file's own lights, cameras and empties
+        bpy.data.objects.remove(item)  # removes the lights, cameras and empties that the file holds
     target.data.polygons.foreach_set("material_index", np.zeros(len(target.data.polygons), np.int32))
     return target
 
@@ -147,7 +148,7 @@ def _normalise(item: bpy.types.Object) -> None:
 
 
 def _object_material(pattern: str, substances: tuple[Substance, ...], rng: np.random.Generator) -> bpy.types.Material:
-    """A Principled material whose inputs also feed the AOVs that become the ground truth."""
+    """The object's Principled material. The values of its inputs also go to the AOVs, which become the ground truth."""
     material = bpy.data.materials.new("object")
     material.use_nodes = True
     nodes, links = material.node_tree.nodes, material.node_tree.links
@@ -205,7 +206,10 @@ def _blend(
     first: Sequence[float],
     second: Sequence[float],
 ) -> bpy.types.NodeSocket:
-    """A socket with the color `first`, or where `factor` is 1 `second`."""
+    """A socket with the color `first` where `factor` is 0, and `second` where `factor` is 1.
+
+    Where `factor` is None, the color is `first` everywhere.
+    """
     mix = nodes.new("ShaderNodeMix")
     mix.data_type = "RGBA"
     colors = [socket for socket in mix.inputs if socket.type == "RGBA"]
@@ -231,7 +235,7 @@ def _room(rng: np.random.Generator) -> list[bpy.types.Object]:
         item = _box(name, location, size)
         item.data.materials.append(_surface(name, rng, 0.7, checker, pale=name == "ceiling"))
         room.append(item)
-    for number, side in enumerate((-1, 1)):  # pictures: detail that reflections can show
+    for number, side in enumerate((-1, 1)):  # two pictures on a wall give detail that reflections can show
         item = _box(f"picture{number}", (side * 2.0, HALF_WIDTH - 0.04, 0.9), (1.4, 0.05, 1.0))
         item.data.materials.append(_surface(item.name, rng, 0.5, 6.0))
         room.append(item)
@@ -260,10 +264,13 @@ def _lights(rng: np.random.Generator) -> list[bpy.types.Object]:
 
 
 def _things(rng: np.random.Generator, count: int = 16) -> list[bpy.types.Object]:
-    """Boxes, spheres and columns that stand on the floor around the object, none within its sphere nor in another."""
+    """Boxes, spheres and columns that stand on the floor around the object.
+
+    None of them reaches into the object's sphere or into another one.
+    """
     things, taken = [], []
     while len(things) < count:
-        angle = len(things) * 2.399963 + rng.uniform(-0.3, 0.3)  # golden angle: all around
+        angle = len(things) * 2.399963 + rng.uniform(-0.3, 0.3)  # steps of the golden angle spread them all around
         column = len(things) % 5 == 2
         distance = rng.uniform(4.2, 4.7) if column else rng.uniform(1.9, 4.2)
         size = rng.uniform(0.25, 0.35) if column else rng.uniform(0.22, 0.5)
@@ -280,7 +287,7 @@ def _things(rng: np.random.Generator, count: int = 16) -> list[bpy.types.Object]
 def _thing(
     number: int, column: bool, place: tuple[float, float], size: float, angle: float, rng: np.random.Generator
 ) -> bpy.types.Object:
-    """A box, a sphere or a column on the floor at `place` (x, y)."""
+    """Add a box, a sphere or a column on the floor at `place` (x, y), and return it."""
     x, y = place
     name = f"thing{number}"
     if column:
@@ -314,7 +321,10 @@ def _box(name: str, location: Sequence[float], size: Sequence[float]) -> bpy.typ
 def _surface(
     name: str, rng: np.random.Generator, roughness: float, checker: float = 0, pale: bool = False
 ) -> bpy.types.Material:
-    """A dielectric of random color, or of two in a checker with `checker` cells per unit of world length."""
+    """A dielectric material of a random color, or near white with `pale`.
+
+    Where `checker` is not 0, the material is a checker of two colors with `checker` cells per unit of world length.
+    """
     material = bpy.data.materials.new(name)
     material.use_nodes = True
     nodes, links = material.node_tree.nodes, material.node_tree.links
@@ -327,7 +337,7 @@ def _surface(
         texture.inputs["Scale"].default_value = checker
         texture.inputs["Color1"].default_value, texture.inputs["Color2"].default_value = colors
         position = nodes.new("ShaderNodeNewGeometry").outputs["Position"]
-        shift = nodes.new("ShaderNodeVectorMath")  # keeps cell borders off the flat faces, where they would flicker
+        shift = nodes.new("ShaderNodeVectorMath")  # moves cell borders away from flat faces, where they would flicker
         shift.inputs[1].default_value = (0.0171, 0.0171, 0.0171)
         links.new(position, shift.inputs[0])
         links.new(shift.outputs[0], texture.inputs["Vector"])

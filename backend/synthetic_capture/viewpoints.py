@@ -1,4 +1,4 @@
-"""Chooses where the cameras stand: around the object, outside every obstacle, with a clear view of the object."""
+"""Chooses where the cameras stand: around the object, outside all obstacles, with a clear view of the object."""
 
 import math
 from dataclasses import dataclass
@@ -10,23 +10,23 @@ from mathutils.bvhtree import BVHTree
 
 from .scenes import CEILING, FLOOR, OBJECT_RADIUS, triangles
 
-ELEVATIONS = (-22.0, 62.0)  # degrees seen from the object; below -22 the floor would be too near
-DISTANCES = (2.75, 3.4)  # object radii: the sphere of radius 1 just fits into FIELD_OF_VIEW at the nearest
+ELEVATIONS = (-22.0, 62.0)  # degrees, seen from the object; below -22 the floor would be too near
+DISTANCES = (2.75, 3.4)  # object radii; at the smallest distance the sphere of radius 1 just fits into FIELD_OF_VIEW
 FIELD_OF_VIEW = math.radians(43)
-CLEARANCE = 0.3  # least distance of a camera from anything, object radii
-CLEAR_FRACTION = 0.98  # of the lines to the object's bounding sphere that must meet nothing
-TRIES = 400  # of places for one camera
+CLEARANCE = 0.3  # smallest distance of a camera from any obstacle, in object radii
+CLEAR_FRACTION = 0.98  # at least this fraction of the lines to the object's bounding sphere must meet no obstacle
+TRIES = 400  # places that are tried for each camera
 
 
 @dataclass(frozen=True)
 class Viewpoint:
-    """`matrix` is camera-to-world (camera looks down -z, y up)."""
+    """The pose of a camera. `matrix` is camera-to-world; the camera looks down -z, and y points up."""
 
     matrix: Matrix
 
 
 class Surroundings:
-    """The obstacles (everything but the object), for ray casts."""
+    """The obstacles, which are everything but the object, in a form that rays can be cast against."""
 
     def __init__(self, obstacles: list[bpy.types.Object]):
         vertices, faces, count = [], [], 0
@@ -40,7 +40,7 @@ class Surroundings:
         self.targets = [Vector(point) for point in (fibonacci_sphere(200) * OBJECT_RADIUS).tolist()]
 
     def clear_fraction(self, position: Vector) -> float:
-        """Fraction of the straight lines from `position` to the object's bounding sphere that meet nothing.
+        """The fraction of the straight lines from `position` to the object's bounding sphere that meet no obstacle.
 
         A position inside a closed obstacle gets 0, because every line meets the obstacle's wall.
         """
@@ -51,7 +51,7 @@ class Surroundings:
         return clear / len(self.targets)
 
     def usable(self, position: Vector) -> bool:
-        """Whether a camera may stand there: inside the room, away from obstacles, with a clear view."""
+        """Whether a camera may stand at `position`: inside the room, away from obstacles, with a clear view."""
         if not FLOOR + CLEARANCE < position.z < CEILING - CLEARANCE:
             return False
         nearest = self.tree.find_nearest(position)[3]
@@ -59,7 +59,7 @@ class Surroundings:
 
 
 def fibonacci_sphere(count: int) -> np.ndarray:
-    """[count,3] unit vectors spread evenly over the sphere (golden-angle spiral)."""
+    """`count` unit vectors [count,3], spread evenly over the sphere on a golden-angle spiral."""
     index = np.arange(count) + 0.5
     z = 1 - 2 * index / count
     angle = index * math.pi * (3 - math.sqrt(5))
@@ -68,9 +68,10 @@ def fibonacci_sphere(count: int) -> np.ndarray:
 
 
 def choose_viewpoints(count: int, surroundings: Surroundings, rng: np.random.Generator) -> list[Viewpoint]:
-    """`count` usable viewpoints spread over ELEVATIONS and DISTANCES. ValueError where the scene leaves no place.
+    """`count` usable viewpoints, spread over ELEVATIONS and DISTANCES.
 
-    A place that is not usable is moved at random, further with each try.
+    Where a place is not usable, a random place near it is tried; each further try may be farther away. Raises ValueError
+    where the scene has no usable place.
     """
     low, high = (math.sin(math.radians(angle)) for angle in ELEVATIONS)
     turn = rng.uniform(0, 2 * math.pi)

@@ -1,9 +1,12 @@
-"""Materials and a distant environment map on a known mesh by inverse path tracing: Mitsuba 3, LLVM, path replay
-backpropagation. What one would pick today without a GPU; nothing of our stage 2 is used.
+"""Learns materials and a distant environment map on a known mesh by inverse path tracing.
 
-Importing it needs the extra `peer` and an LLVM shared library of version 15 or newer (DRJIT_LIBLLVM_PATH); else it raises
-ImportError. Textures are [H, W, ...] with row 0 at v = 1, as everywhere; the environment map has Mitsuba's own
-orientation: row i at the angle pi i / (rows - 1) from +y, column j at (j + 0.5) / columns of a turn from -z towards +x.
+The path tracer is Mitsuba 3 with LLVM, and its gradients are those of path replay backpropagation. That is what one would
+choose today without a GPU. Nothing of our stage 2 is used.
+
+Importing this file needs the extra `peer` and an LLVM shared library of version 15 or newer (DRJIT_LIBLLVM_PATH); otherwise
+it raises ImportError. Textures are [H, W, ...] with row 0 at v = 1, as everywhere. The environment map has Mitsuba's
+orientation: row i is at the angle pi i / (rows - 1) from +y, and column j is at (j + 0.5) / columns of a turn from -z
+towards +x.
 """
 
 from __future__ import annotations
@@ -32,32 +35,34 @@ LEAST_ROUGHNESS = 0.04
 
 @dataclass(frozen=True)
 class PeerSettings:
-    """Of the optimisation; `levels` are the sides of the textures that are summed: (1,) is one material for all."""
+    """Settings of the optimisation."""
 
     levels: tuple[int, ...] = (1, 8, 32, 128, 256)
+    """Sides, in texels, of the textures that are summed. (1,) gives one material for the whole object."""
     environment_rows: int = 64
     depth: int = 3
     """Segments of a path, counted from the camera: direct light and one reflection in the object."""
     pixels: int = 2048
-    """Of all photos together, a step"""
+    """Pixels a step, of all photos together"""
     samples: int = 16
     """Paths a pixel"""
     samples_grad: int = 8
-    """Other paths a pixel for the gradient, so that it is not correlated with the error"""
+    """Paths a pixel for the gradient. They are other paths, so that the gradient is not correlated with the error."""
     material_rate: float = 0.05
     environment_rate: float = 0.1
     last_rate: float = 0.05
-    """Both rates fall geometrically to this share of themselves"""
+    """Both rates fall geometrically. At the end they are their first value times this number."""
     smoothness: float = 0.05
     """Weight of the textures' total variation"""
     environment_smoothness: float = 0.01
     """Weight of the total variation of the logarithm of the environment map"""
     background: float = 1.0
-    """Weight of the photos' background, as many pixels a step as of the object: it holds the map where photos see it"""
+    """Weight of the photos' background, which keeps the map as photos show it. Each step has as many pixels of the
+    background as of the object."""
 
 
 class _PhotoPixels(mi.Sensor):
-    """Rays of given pixels: a film of n x 1, whose samples are spread over each pixel's cone."""
+    """A sensor whose n pixels have given rays. The film is n x 1, and the samples of a pixel are spread over its cone."""
 
     def __init__(self, props: mi.Properties) -> None:
         super().__init__(props)
@@ -79,7 +84,7 @@ mi.register_sensor("photo_pixels", _PhotoPixels)
 
 
 class PathTracer:
-    """A mesh with a Principled BSDF under an environment map, differentiable by torch."""
+    """Renders a mesh with a Principled BSDF under an environment map. torch can differentiate the rendering."""
 
     def __init__(self, surface: Surface, settings: PeerSettings) -> None:
         self.settings = settings
@@ -105,7 +110,7 @@ class PathTracer:
         values = mi.traverse(mesh)
         values["vertex_positions"] = surface.vertices.astype(np.float32).ravel()
         values["vertex_normals"] = surface.normals.astype(np.float32).ravel()
-        # Mitsuba's first row is at v = 0, ours at v = 1
+        # The first row of a texture is at v = 0 in Mitsuba, and at v = 1 here.
         values["vertex_texcoords"] = (surface.uv * [1, -1] + [0, 1]).astype(np.float32).ravel()
         values["faces"] = surface.faces.astype(np.uint32).ravel()
         values.update()
@@ -164,7 +169,7 @@ class PathTracer:
         sensor.origins = mi.Point3f(np.ascontiguousarray(origins.T))
         sensor.directions = mi.Vector3f(np.ascontiguousarray(directions.T))
         sensor.tangents = mi.Float(np.tan(half_angle))
-        # Mitsuba keeps the last column again before the first, and the first after the last
+        # Mitsuba's map has the last column once more before the first one, and the first one once more after the last one.
         wrapped = torch.cat([environment[:, -1:], environment, environment[:, :1]], 1)
 
         @dr.wrap(source="torch", target="drjit")
@@ -186,14 +191,17 @@ class PathTracer:
 
 
 class Textures(nn.Module):
-    """albedo, roughness, metallic as sums of levels, coarse to fine, through a sigmoid; starts at 0.5 everywhere."""
+    """The textures of albedo, roughness and metallic.
+
+    Each is a sum of levels, coarse to fine, through a sigmoid. The sigmoid is 0.5 everywhere at the start.
+    """
 
     def __init__(self, levels: tuple[int, ...]) -> None:
         super().__init__()
         self.levels = nn.ParameterList(torch.zeros(1, 5, side, side) for side in levels)
 
     def forward(self) -> tuple[Tensor, Tensor, Tensor]:
-        """albedo [H, W, 3], roughness and metallic [H, W]."""
+        """(albedo [H, W, 3], roughness [H, W], metallic [H, W])."""
         side = max(self.levels[-1].shape[-1], 2)  # Mitsuba takes no texture of one texel
         total = sum(functional.interpolate(x, (side, side), mode="bilinear") for x in self.levels)
         values = torch.sigmoid(total[0]).permute(1, 2, 0)
@@ -201,7 +209,11 @@ class Textures(nn.Module):
 
 
 def object_and_background(rays: PixelRays, surface: Surface) -> tuple[Tensor, Tensor]:
-    """Indices of the valid pixels whose whole neighbourhood of five shows the mesh, and of those where none does."""
+    """(indices of the object's pixels, indices of the background's pixels). All of them are valid pixels.
+
+    A pixel belongs to the object where the pixel and its four neighbours show the mesh. It belongs to the background where
+    none of the five shows the mesh.
+    """
     tracer = RayTracer(surface.vertices, surface.faces)
     hit = torch.zeros(rays.count, dtype=torch.bool)
     sphere = rays.sphere.tensor()
@@ -218,7 +230,7 @@ def object_and_background(rays: PixelRays, surface: Surface) -> tuple[Tensor, Te
 
 
 def texel_of(directions: Tensor, rows: int) -> Tensor:
-    """Index [n] into the flattened map of the texel that unit directions [n, 3] meet."""
+    """Indices [n], into the flattened environment map, of the texels that unit directions [n, 3] meet."""
     x, y, z = directions.unbind(-1)
     row = (torch.acos(y.clamp(-1, 1)) / math.pi * (rows - 1)).round().long()
     column = (torch.atan2(x, -z) / (2 * math.pi) * 2 * rows).floor().long() % (2 * rows)
@@ -226,8 +238,10 @@ def texel_of(directions: Tensor, rows: int) -> Tensor:
 
 
 def photographed_environment(rays: PixelRays, background: Tensor, rows: int) -> Tensor:
-    """What the photos' background shows in each direction, as if it were infinitely far [rows, 2 rows, 3]; its geometric
-    mean where no photo looks."""
+    """An environment map [rows, 2 rows, 3] of what the photos' background shows, as if it were infinitely far away.
+
+    Where no photo shows a direction, the map has the geometric mean of the rest.
+    """
     total, count = torch.zeros(rows * 2 * rows, 3), torch.zeros(rows * 2 * rows, 1)
     for index in background.split(1 << 18):
         texel = texel_of(rays.rays(index)[1], rows)
@@ -240,7 +254,7 @@ def photographed_environment(rays: PixelRays, background: Tensor, rows: int) -> 
 
 @dataclass
 class Learned:
-    """Textures and light that were found, and how it went."""
+    """The textures and the light that were learned, and a report of the optimisation."""
 
     albedo: np.ndarray
     roughness: np.ndarray
@@ -250,15 +264,20 @@ class Learned:
 
 
 def _variation(texture: Tensor) -> Tensor:
-    """Mean absolute difference of neighbouring texels of [H, W, C], along both axes."""
+    """The total variation of a texture [H, W, C].
+
+    It is the mean absolute difference of texels that are neighbours in a column, plus that of neighbours in a row.
+    """
     return texture.diff(dim=0).abs().mean() + texture.diff(dim=1).abs().mean()
 
 
 def learn(surface: Surface, rays: PixelRays, settings: PeerSettings, minutes: float, seed: int) -> Learned:
-    """Adam on mini-batches of pixels of all photos, the object's and the background's, for so many CPU minutes; the loss is
-    the mean absolute difference in tone-mapped space (the reported one is of the object alone).
+    """Learn the textures and the light for `minutes` minutes of CPU time.
 
-    Raises LearningError for cut-outs."""
+    Adam takes steps on random pixels of all photos, of the object and of the background. The loss is the mean absolute
+    difference in tone-mapped space. The reported loss is that of the object's pixels alone. Raises LearningError for
+    cut-outs.
+    """
     start = time.process_time()
     torch.manual_seed(seed)
     inside, background = object_and_background(rays, surface)

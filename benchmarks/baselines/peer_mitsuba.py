@@ -1,15 +1,17 @@
-"""A peer beside our stage 2: inverse path tracing with Mitsuba 3 on the true mesh, from the same photos.
+"""Compare our stage 2 with a peer: inverse path tracing with Mitsuba 3, on the true mesh and from the same photos.
 
     python -m benchmarks.baselines.peer_mitsuba CAPTURE... [--minutes 3 10] [--materials texture one] [--threads 1]
                                       [--beside out/benchmarks] [--write docs/peer.md]
 
-Needs `pip install '.[peer]'` and an LLVM shared library, version 15 or newer (DRJIT_LIBLLVM_PATH names it). Captures,
-scores and pictures are those of `python -m benchmarks run --geometry true`, whose rows `--beside` puts into the table: of
-theirs F_e counts, too, as the peer learns its light within its minutes. `texture`
-is a texture for each of albedo, roughness and metallic, `one` a single material, which is the peer's best case for an
-object of one. Minutes are of CPU, from the loaded photos and the unwrapped mesh on. Every run writes one JSON file and a
-picture and is skipped when that exists (names have the settings' hash); a run that fails is a row with its message. Ends
-with the table, and puts it between a document's markers.
+This program needs `pip install '.[peer]'` and an LLVM shared library, version 15 or newer (DRJIT_LIBLLVM_PATH names it).
+Captures, scores and pictures are those of `python -m benchmarks run --geometry true`. `--beside` puts the rows of that
+command into the table too. Their CPU seconds include F_e, because the peer also learns its light within its minutes.
+
+`--materials texture` learns a texture for each of albedo, roughness and metallic. `--materials one` learns a single
+material, which is the peer's best case for an object of one material. Minutes are CPU minutes; they start when the photos
+are loaded and the mesh is unwrapped. Every run writes one JSON file and pictures, and is skipped when the JSON file exists
+(its name has a hash of the settings). A run that fails is a row with its message. At the end the program prints the table,
+and `--write` puts it between the markers of a document.
 """
 
 from __future__ import annotations
@@ -44,7 +46,7 @@ COLUMNS = {"mse_roughness": "roughness", "mse_metallic": "metallic", "mse_albedo
 
 
 def run(folder: Path, minutes: float, settings, seed: int, picture: Path) -> dict:
-    """One run of the peer with `PeerSettings`, and its scores."""
+    """Run the peer once with `settings` (PeerSettings), and return its scores."""
     from benchmarks.baselines.inverse_path_tracing import learn
 
     balanced = preset("balanced")
@@ -70,14 +72,14 @@ def run(folder: Path, minutes: float, settings, seed: int, picture: Path) -> dic
 
 
 def cells(row: dict) -> list:
-    """One line of the table; a failed run shows its message."""
+    """One line of the table. The line of a failed run shows its message."""
     name = {"texture": "peer, textures", "one": "peer, one material"}[row["materials"]]
     scores = [float(row[c]) for c in COLUMNS] if "error" not in row else [row["error"]]
     return [row["capture"], f"{name}, {row['minutes']:g} min", *scores]
 
 
 def our_cells(suite: Path, captures: Iterable[str]) -> list[list]:
-    """Lines of our own runs on the true meshes that were scored, in the same columns."""
+    """The table's lines of our own runs: those on the true meshes that were scored. They have the same columns."""
     ours, lines = Results(load(suite)).whole(geometry="true", ablation="full", seed=0), []
     for capture in captures:
         for preset_name in presets_of(ours.where(capture=capture)):

@@ -1,8 +1,9 @@
-"""The object field as published: the SDF is an MLP (NeuS, Wang et al. 2021), its normals are autograd's.
+"""The object field as published: the SDF is an MLP (NeuS, Wang et al. 2021), and autograd gives its normals.
 
-Eight layers of 256, softplus, six frequencies, weight normalisation, started as a sphere (Atzmon and Lipman 2020); samples
-all along the ray in the object's sphere, half of them placed where NeuS's weights were found high. Color is ours, with
-larger MLPs. It takes the place of `ObjectField` in `learn_fields(..., object_field=...)`.
+The MLP has eight layers of 256, softplus, six frequencies and weight normalisation, and starts as a sphere (Atzmon and
+Lipman 2020). The samples of a ray lie all along its part in the object's sphere. Half of them are placed where NeuS's
+weights are high. The color is that of our own object field, with larger MLPs. This field takes the place of `ObjectField`
+in `learn_fields(..., object_field=...)`.
 """
 
 from __future__ import annotations
@@ -21,24 +22,24 @@ OCTAVES = 6
 LAYERS, WIDTH = 8, 256
 COLOR_LAYERS = 4
 CHUNK = 1 << 16
-"""Points at once where nothing is learned."""
-LOOK_CELLS = 64
-"""Of the grid on which `near` looks for the surface."""
+"""Most points that are evaluated at once where nothing is learned."""
+NEAR_CELLS = 64
+"""Cells a side of the grid on which `near` finds the surface."""
 ROUNDS = 4
-"""In which the samples of the second half are placed, each at twice the sharpness of the one before."""
+"""Rounds in which the second half of the samples is placed. Each round has twice the sharpness of the one before."""
 
 
 class ReferenceField(SurfaceColor):
-    """F_o over the unit sphere with an MLP for its SDF."""
+    """The object field F_o over the unit sphere, with an MLP for its SDF."""
 
     level_count = 1
-    """There is nothing to refine."""
-    cell = 2 / LOOK_CELLS
-    """Width of the cells on which it is looked at, unit frame."""
+    """The MLP has no levels of resolution, so it counts as one that is never refined."""
+    cell = 2 / NEAR_CELLS
+    """Width, in the unit frame, of the cells on which `near` finds the surface."""
 
     def __init__(self, initial_radius: float, decomposed: bool = True, width: int = WIDTH, layers: int = LAYERS) -> None:
         super().__init__(width, decomposed, COLOR_LAYERS)
-        inputs, self.skip = 3 + 6 * OCTAVES, layers // 2  # half way the encoding enters again, as in NeuS
+        inputs, self.skip = 3 + 6 * OCTAVES, layers // 2  # the layer in the middle gets the encoding again, as in NeuS
         sizes = [inputs, *[width] * layers]
         self.layers = nn.ModuleList()
         for k in range(layers):
@@ -46,7 +47,7 @@ class ReferenceField(SurfaceColor):
             layer = nn.Linear(sizes[k], outputs)
             nn.init.zeros_(layer.bias)
             nn.init.normal_(layer.weight, 0, math.sqrt(2 / outputs))
-            with torch.no_grad():  # a sphere has no frequencies: their weights start at 0
+            with torch.no_grad():  # the SDF of a sphere needs no frequencies, so their weights start at 0
                 if k == 0:
                     layer.weight[:, 3:] = 0
                 elif k == self.skip:
@@ -59,15 +60,15 @@ class ReferenceField(SurfaceColor):
         self.activation = nn.Softplus(beta=100)
 
     def shape(self) -> ReferenceField:
-        """The SDF as it stands now: itself."""
+        """The SDF as it is now: this field itself."""
         return self
 
     def shape_optimiser(self, rate: float, betas: tuple[float, float]) -> torch.optim.Optimizer:
-        """Adam for the SDF's MLP."""
+        """Adam for the parameters of the SDF's MLP."""
         return torch.optim.Adam(self.layers.parameters(), lr=rate, betas=betas)
 
     def values(self, points: Tensor) -> Tensor:
-        """Signed distance [n] at points [n, 3], differentiable."""
+        """Signed distances [n] at points [n, 3]. They are differentiable."""
         encoded = positional_encoding(points, OCTAVES)
         x = encoded
         for k, layer in enumerate(self.layers[:-1]):
@@ -77,7 +78,10 @@ class ReferenceField(SurfaceColor):
         return self.layers[-1](x)[:, 0]
 
     def values_and_gradients(self, points: Tensor) -> tuple[Tensor, Tensor]:
-        """Signed distance [n] and its gradient [n, 3], both differentiable where gradients are enabled."""
+        """(signed distances [n], their gradients [n, 3]) at points [n, 3].
+
+        Both are differentiable where gradients are enabled.
+        """
         learning = torch.is_grad_enabled()
         with torch.enable_grad():
             points = points.detach().requires_grad_()
@@ -87,17 +91,17 @@ class ReferenceField(SurfaceColor):
 
     @torch.no_grad()
     def sdf(self, points: Tensor) -> Tensor:
-        """Signed distance, negative inside: [n, 3] -> [n]."""
+        """Signed distances [n] at points [n, 3]. They are negative inside."""
         return torch.cat([self.values(part) for part in points.split(CHUNK)])
 
     @torch.no_grad()
     def normal(self, points: Tensor) -> Tensor:
-        """Unit normals, outward: [n, 3] -> [n, 3]."""
+        """Outward unit normals [n, 3] at points [n, 3]."""
         gradients = torch.cat([self.values_and_gradients(part)[1] for part in points.split(CHUNK)])
         return nn.functional.normalize(gradients, dim=-1)
 
     def sdf_grid(self, n: int) -> np.ndarray:
-        """SDF on n^3 points spanning [-1, 1]^3, index order x, y, z; float32."""
+        """The SDF on n^3 points that span [-1, 1]^3: float32, index order x, y, z."""
         return self._grid(torch.linspace(-1, 1, n)).cpu().numpy()
 
     def _grid(self, axis: Tensor) -> Tensor:
@@ -106,14 +110,17 @@ class ReferenceField(SurfaceColor):
         return self.sdf(points).reshape(len(axis), len(axis), len(axis))
 
     def near(self, origins: Tensor, directions: Tensor, band: float) -> Tensor:
-        """Whether rays [n, 3] come nearer to the surface than `band` [n] bool, on a grid of the SDF."""
+        """Whether rays [n, 3] come nearer to the surface than `band`: [n] bool. The SDF is taken from a grid."""
         centres = torch.arange(-1 - 0.5 * self.cell, 1 + self.cell, self.cell)
         return SplineShape(self._grid(centres)).near(origins, directions, band)
 
     def render(
         self, origins: Tensor, directions: Tensor, sharpness: float, samples: int, generator: torch.Generator | None
     ) -> SurfaceSamples:
-        """The surface composited along rays [n, 3] that meet the sphere, `samples` on each; every ray is in the result."""
+        """Composite the surface along rays [n, 3] that meet the sphere, with `samples` samples a ray.
+
+        Every ray is in the result.
+        """
         if torch.is_grad_enabled():
             return self._render(origins, directions, sharpness, samples, generator)
         most = max(1, CHUNK // samples)
@@ -149,12 +156,15 @@ class ReferenceField(SurfaceColor):
 
     @torch.no_grad()
     def _place(self, origins: Tensor, directions: Tensor, samples: int, generator: torch.Generator | None) -> Tensor:
-        """Ordered distances [n, samples]: half of them even, half by the weights of those before."""
+        """Distances [n, samples] of the samples along the rays, in rising order.
+
+        Half of them are spread evenly. The others are placed in rounds, by the weights of the samples before them.
+        """
         entry, leave = sphere_interval(origins, directions)
         even = samples // 2
 
         def uniform(count: int) -> Tensor:
-            """One random number in each of `count` strata [n, count]; their middles without a generator."""
+            """A random number in each of `count` strata of 0..1: [n, count]. Without a generator, the strata's middles."""
             shape = (len(origins), count)
             jitter = (
                 torch.full(shape, 0.5, device=origins.device)

@@ -1,16 +1,17 @@
-"""The slow reference path: large MLPs and many rays, as published, to show what the fast path loses.
+"""Run the slow reference path, with large MLPs and many rays as published, to show what the fast path loses.
 
     python -m benchmarks.baselines.reference_path CAPTURE... [--size small] [--hours 8] [--steps N] [--threads 1]
                                         [--out out/benchmarks/reference]
 
-Stage 1 learns the SDF as an MLP (`benchmarks.baselines.reference_field`), started as a sphere; F_e, the losses and the
-rest are our own. `--size published` is NeuS's, 8 layers of 256 and 512 rays of 64 + 64 samples, 300,000 steps of which take
-50 days here;
-`small`, 4 layers of 128 and 256 rays of 32 + 32 samples, comes further in a night than it. Stage 2 sends 256 + 128 rays
-instead of cones, on the reference's own mesh. Scores are those of `python -m benchmarks run`.
+Stage 1 learns the SDF as an MLP (`benchmarks.baselines.reference_field`) that starts as a sphere. F_e, the losses and the
+rest are our own. `--size published` is NeuS's size: 8 layers of 256, and 512 rays of 64 + 64 samples. Its 300,000 steps take
+50 days here. `--size small` has 4 layers of 128, and 256 rays of 32 + 32 samples. In a night it comes further than
+`published`. Stage 2 sends 256 + 128 rays instead of cones, on the mesh of this stage 1. Scores are those of
+`python -m benchmarks run`.
 
-Hours are CPU hours of stage 1: a few steps are timed, and as many are planned as fit (`--steps` plans them directly). The
-plan and a checkpoint every 25 seconds or less lie beside the results: the same command goes on where it was ended.
+Hours are CPU hours of stage 1. A few steps are timed, and as many steps are planned as fit into the hours. `--steps` gives
+the number of steps directly. The plan, and a checkpoint every 25 seconds or less, lie beside the results. So the same
+command goes on where it was ended.
 """
 
 from __future__ import annotations
@@ -52,7 +53,7 @@ SIZES = {
         "fields": {"object_rays": 128, "sphere_rays": 128, "outside_rays": 256, "first_samples": 64, "samples": 64},
     },
 }
-"""Of the MLP and of a step. Half of the rays that meet the sphere follow the object, as in ours."""
+"""Sizes of the MLP and of a step. Half of the rays that meet the sphere go to object pixels, as in our own presets."""
 REFERENCE = {
     "fields": {
         "sdf_rate": 5e-4,
@@ -67,14 +68,16 @@ REFERENCE = {
     },
     "material": {"use_cones": False, "diffuse_cones": 256, "irradiance_cones": 256, "specular_cones": 128, "samples": 1500},
 }
-"""`balanced` with NeuS's rates and weights; from a sphere and not from the visual hull, all steps taken.
-Fewer photo samples in stage 2, since each costs as much as 45 do with cones."""
+"""Changes of the preset `balanced`: NeuS's rates and weights.
+
+Learning starts from a sphere and not from the visual hull, and takes all its steps. Stage 2 has fewer photo samples, since
+each costs as much as 45 do with cones."""
 TIMED_STEPS = 3
-"""Of both fields together, to learn how long one takes."""
+"""Steps of both fields together that are timed, to learn how long a step takes."""
 
 
 def step_seconds(rays: PixelRays, settings: Preset, size: str, seed: int) -> float:
-    """CPU seconds a step of both fields, on a learning of its own that is thrown away."""
+    """CPU seconds of a step of both fields. The learning in which the steps are timed is thrown away."""
     settings = with_changes(settings, {"fields": {"background_steps": 0}})
     learning = FieldsLearning(rays, settings, seed, rays.radiance.device, reference_field(settings, size))
     learning.learn_step()
@@ -85,14 +88,14 @@ def step_seconds(rays: PixelRays, settings: Preset, size: str, seed: int) -> flo
 
 
 def reference_field(settings: Preset, size: str) -> ReferenceField:
-    """On the CPU; a learning moves it nowhere."""
+    """A new reference field of this size, on the CPU. FieldsLearning does not move it to another device."""
     return ReferenceField(
         settings.fields.initial_radius, settings.fields.decomposition, SIZES[size]["width"], SIZES[size]["layers"]
     )
 
 
 def planned(file: Path, rays: PixelRays, settings: Preset, size: str, hours: float, steps: int | None, seed: int) -> dict:
-    """{"steps", "step_seconds"}: what `file` holds, else made now and written there."""
+    """The plan {"steps", "step_seconds"} that `file` holds. Where there is no file, make the plan and write it first."""
     if not file.is_file():
         seconds = step_seconds(rays, settings, size, seed)
         write_row(file, {"step_seconds": seconds, "steps": steps or max(1, round(3600 * hours / seconds))})
@@ -100,7 +103,10 @@ def planned(file: Path, rays: PixelRays, settings: Preset, size: str, hours: flo
 
 
 def run(folder: Path, size: str, hours: float, steps: int | None, seed: int, kept: Path) -> dict:
-    """Stage 1, surface and stage 2 of one capture, and all scores. Raises Stopped, with its checkpoint written."""
+    """Run stage 1, the surface and stage 2 on one capture, and return all scores.
+
+    Raises Stopped where a stop is asked for. The checkpoint is written then.
+    """
     capture = load_capture(folder)
     test = geometry.load_test_views(folder, capture)
     device = torch.device("cpu")
@@ -179,7 +185,7 @@ COLUMNS = (
 
 
 def cells(row: dict) -> list:
-    """One line of the table; a failed run shows its message."""
+    """One line of the table. The line of a failed run shows its message."""
     return [row["capture"], row["size"], *(float(row[c]) if c in row else row.get("error", "") for c in COLUMNS)]
 
 

@@ -1,6 +1,8 @@
-"""Table 1 of the paper (Wang et al., CVPR 2024), as printed. Its scenes are its authors' own: other models in other rooms,
-with a Chamfer distance whose normalisation the paper does not give. They stand beside ours to show the form and the
-order of magnitude, no more."""
+"""Table 1 of the paper (Wang et al., CVPR 2024), as printed.
+
+The scenes of the paper are its authors' own: other models in other rooms. The paper does not say how its Chamfer distance is
+normalised. So the paper's figures stand beside ours only to show the form of the table and the order of magnitude.
+"""
 
 METHODS = ("Nerfacto", "NeuS", "NeRO", "NeP")
 CHAMFER = {
@@ -11,7 +13,7 @@ CHAMFER = {
     "Nefertiti": (0.05299, 0.01053, 0.00587, 0.00167),
     "Avg.": (0.05523, 0.01541, 0.00322, 0.00164),
 }
-"""Scene -> METHODS."""
+"""Scene -> the Chamfer distance of each of METHODS."""
 MATERIALS = {
     "Bunny": ((0.002, 0.022, 0.044), (0.002, 0.016, 0.022)),
     "Box": ((0.003, 0.068, 0.056), (0.001, 0.019, 0.067)),
@@ -20,4 +22,4 @@ MATERIALS = {
     "Nefertiti": ((0.020, 0.103, 0.040), (0.008, 0.021, 0.035)),
     "Avg.": ((0.007, 0.051, 0.039), (0.003, 0.020, 0.036)),
 }
-"""Scene -> mean squared errors of roughness, metallic, albedo, of the last two METHODS."""
+"""Scene -> for each of the last two METHODS, the mean squared errors of roughness, metallic and albedo."""

@@ -1,4 +1,4 @@
-"""The plots of `docs/benchmarks/`. Needs the `bench` extra (matplotlib)."""
+"""Draws the plots of `docs/benchmarks/`. This file needs the extra `bench` (matplotlib)."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ MARKS = {"preview": "v", "balanced": "o", "quality": "^"}
 
 
 def _figure(results: Results, title: str) -> tuple[plt.Figure, dict[str, plt.Axes]]:
-    """One panel for each score that any run has."""
+    """A figure with a panel for each score that any run has."""
     names = [name for name in ERRORS if results.figure(name)]
     figure, panels = plt.subplots(1, len(names), figsize=(3.1 * len(names), 3.1), layout="constrained", squeeze=False)
     figure.suptitle(title, fontsize=10)
@@ -55,7 +55,7 @@ def _legend_and_file(figure: plt.Figure, panels: Iterable[plt.Axes], file: Path)
 
 
 def _log_axis(panels: dict[str, plt.Axes], ticks: Sequence[float]) -> None:
-    """Logarithmic, with the runs' own values as ticks."""
+    """Make the x axis of all panels logarithmic, with the values `ticks` marked."""
     for panel in panels.values():
         panel.set_xscale("log")
         panel.set_xticks(ticks, [f"{tick:.0f}" for tick in ticks], fontsize=7)
@@ -70,7 +70,7 @@ def _curves(
     x_of: Callable[[object, Results], float] | None = None,
     color: int = 0,
 ) -> None:
-    """A thin curve for each capture, a thick one for the mean where all of them have the point."""
+    """Draw a thin curve for each capture, and a thick one for the mean over the points that all captures have."""
     for name, panel in panels.items():
         lines = []
         for number, capture in enumerate(captures):
@@ -91,7 +91,7 @@ def _curves(
 
 
 def error_against_time(results: Results, file: Path) -> None:
-    """Presets are points on one curve."""
+    """Draw the errors against the time of a job. A preset is a point of the curve."""
     full = results.whole(ablation="full")
     captures = main_captures(results)
     full = full.where(capture=captures.__contains__)
@@ -103,12 +103,16 @@ def error_against_time(results: Results, file: Path) -> None:
 
 
 def error_against_sweep(results: Results, key: str, file: Path) -> None:
-    """Error against the number of photos, or against the pixels of one; no file where nothing was swept."""
+    """Draw the errors against the number of photos (`key` is "views"), or against the pixels of a photo ("pixels").
+
+    No file is written where no run varies that number.
+    """
     label = {"views": "photos", "pixels": "pixels of a photo"}[key]
     found = sweeps(results, key)
     if not found:
         return
-    bounded = found[0][2].where(**{key: lambda value: value is not None})  # whole runs alone are relit: no curve
+    # Only the runs on all photos and pixels are relit, and one point is no curve. So the panels are those of the other runs.
+    bounded = found[0][2].where(**{key: lambda value: value is not None})
     figure, panels = _figure(bounded, f"Error against {label}")
     ticks = {}
     for place, (preset, values, chosen) in enumerate(found):
@@ -127,7 +131,7 @@ def error_against_sweep(results: Results, key: str, file: Path) -> None:
 
 
 def error_against_roughness(results: Results, file: Path) -> None:
-    """The captures gold_R; no file where there are none."""
+    """Draw the errors on the captures gold_R against their roughness R. No file is written where there are none."""
     found = golds(results)
     if not found:
         return
@@ -141,7 +145,7 @@ def error_against_roughness(results: Results, file: Path) -> None:
 
 
 def time_against_size(results: Results, file: Path) -> None:
-    """Seconds of the surface against faces, of the asset against texels."""
+    """Draw the seconds of the surface stage against faces, and those of the asset stage against texels."""
     full = results.whole()
     figure, axes = plt.subplots(1, 2, figsize=(7, 3.1), layout="constrained")
     pairs = (
@@ -167,10 +171,10 @@ PLOTS: dict[str, Callable[[Results, Path], None]] = {
     "roughness": error_against_roughness,
     "size": time_against_size,
 }
-"""File name -> who draws it."""
+"""File name without ending -> the function that draws the plot."""
 
 
 def draw_all(results: Results, folder: Path) -> None:
-    """All plots, as PNG."""
+    """Draw all plots as PNG files into `folder`."""
     for name, draw in PLOTS.items():
         draw(results, folder / f"{name}.png")

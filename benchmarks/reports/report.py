@@ -1,4 +1,6 @@
-"""`docs/benchmarks.md` from a suite's rows: what stands between a document's markers is replaced, the rest is left alone.
+"""Fills `docs/benchmarks.md` from the rows of a suite.
+
+The text between the markers of the document is replaced. The rest of the document stays as it is. Markers look like this:
 
 <!-- presets -->  ...  <!-- end of presets -->
 """
@@ -16,10 +18,10 @@ MARKED = r"(<!-- {0} -->\n).*?(<!-- end of {0} -->)"
 
 
 def head(rows: list[dict]) -> str:
-    """Machine, versions and number of the runs, each as the rows have it."""
+    """The head of the report: the number of runs, their dates and commits, the machines, the versions of libraries."""
 
     def each(part: str, key: str) -> str:
-        """The values in the order of their names."""
+        """All different values of `key` in the part `part` of the rows, sorted."""
         return ", ".join(sorted({str(row[part][key]) for row in rows if key in row.get(part, {})}))
 
     days = sorted(row["machine"]["date"] for row in rows if "machine" in row)
@@ -48,17 +50,17 @@ TABLES: dict[str, Callable[[Results], str]] = {
     "pixels": lambda results: tables.swept(results, "pixels", "pixels of a photo"),
     "roughness": tables.roughness,
 }
-"""Marker -> Markdown."""
+"""Marker -> the function that makes its Markdown table."""
 PICTURES = {
     "views": "Error against number of photos",
     "pixels": "Error against image size",
     "roughness": "Error against roughness",
 }
-"""Marker -> what its plot shows, where there is one."""
+"""Marker -> what the plot above its table shows. Markers without a plot are not here."""
 
 
 def write_report(rows: list[dict], results: Results, document: Path) -> list[str]:
-    """Fill the document's markers; returns those that it does not have."""
+    """Write all tables between the markers of the document. Returns the names of the markers that it does not have."""
     parts = {"head": head(rows), "failures": tables.failed(rows)}
     for name, table in TABLES.items():
         parts[name] = table(results)
@@ -70,7 +72,10 @@ def write_report(rows: list[dict], results: Results, document: Path) -> list[str
 
 
 def fill(document: Path, parts: dict[str, str]) -> list[str]:
-    """Put {marker: Markdown} between the markers; returns those that the document does not have."""
+    """Write each Markdown text of `parts` {marker: text} between the document's markers of that name.
+
+    Returns the names of the markers that the document does not have.
+    """
     text, missing = document.read_text(encoding="utf-8"), []
     for name, part in parts.items():
         marked = re.compile(MARKED.format(re.escape(name)), re.DOTALL)

@@ -1,4 +1,4 @@
-"""The suite's JSON files as figures: one flat dict a run, and means over seeds and captures."""
+"""Reads figures from the suite's JSON files: a flat dict for each run, and means over seeds and captures."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from blender_nep.job.stage_names import StageName
 
 @dataclass
 class Figure:
-    """Mean of a figure over runs, and their standard deviation (0 for one run)."""
+    """The mean of a figure over `runs` runs, and its standard deviation (0 for one run)."""
 
     mean: float
     deviation: float
@@ -24,17 +24,21 @@ class Figure:
 
 
 def load(out: Path) -> list[dict]:
-    """All rows of a suite's folder, sorted by name."""
+    """All rows of a suite's folder, sorted by the names of their files."""
     return [read_row(file) for file in sorted((out / "rows").glob("*.json"))]
 
 
 def name_of(row: dict) -> tuple:
-    """What tells a run from others."""
+    """A key that differs from run to run: the sorted fields of the run and their values."""
     return tuple(sorted((key, str(value)) for key, value in row["run"].items()))
 
 
 def figures(row: dict, full: dict[tuple, dict]) -> dict[str, float]:
-    """Scores and costs of a row. `full`: rows by `name_of`; what a run took over from another counts as its own."""
+    """The scores and costs of a row.
+
+    `full` holds rows by their `name_of`. Where a run has taken over the stage 1 of another run, the costs of that stage 1
+    count as its own.
+    """
     learned = row["learn"]
     out = {
         key: value
@@ -59,18 +63,21 @@ def figures(row: dict, full: dict[tuple, dict]) -> dict[str, float]:
 
 
 class Results:
-    """Runs that did not fail, with their figures."""
+    """The runs that did not fail, with their figures. `runs` is [(the run's fields, its figures)]."""
 
     def __init__(self, rows: Iterable[dict]) -> None:
         rows = list(rows)
         self.tried = [row["run"] for row in rows]
-        """Runs that failed, too."""
+        """The fields of all runs, those that failed too."""
         done = [row for row in rows if "learn" in row and "error" not in row["learn"]]
         full = {name_of(row): row for row in done}
         self.runs = [(row["run"], figures(row, full)) for row in done]
 
     def where(self, **conditions: object) -> Results:
-        """The runs whose description has these values; a callable is asked."""
+        """The runs whose fields meet the conditions.
+
+        A condition is a value that the field must have, or a function that returns True for the field's value.
+        """
         chosen = Results([])
 
         def fits(run: dict) -> bool:
@@ -81,22 +88,28 @@ class Results:
         return chosen
 
     def whole(self, **conditions: object) -> Results:
-        """Runs on all photos, of the preset's size, on our own geometry."""
+        """The runs that learn from all photos, with the preset's number of pixels, on their own mesh.
+
+        They must meet the `conditions` too, which override these three.
+        """
         return self.where(**{"views": None, "pixels": None, "geometry": "own"} | conditions)
 
     def values(self, key: str) -> list:
-        """The values of a part of the description, in order of appearance."""
+        """The different values that a field of the runs has, in the order of the runs."""
         return list(dict.fromkeys(run[key] for run, _ in self.runs))
 
     def figure(self, name: str) -> Figure | None:
-        """Over all runs; None where no run has it."""
+        """The mean of a figure over all runs that have it; None where no run has it."""
         found = [values[name] for _, values in self.runs if name in values]
         spread = float(np.std(found, ddof=1)) if len(found) > 1 else 0.0
         return Figure(float(np.mean(found)), spread, len(found)) if found else None
 
     def mean_of_captures(self, name: str, captures: Iterable[str]) -> Figure | None:
-        """Mean over captures of the mean over seeds; its deviation is the root mean square of the seeds' deviations over
-        the captures, divided by the root of their number. None unless every capture has it."""
+        """The mean over captures of the means over seeds; None where a capture does not have the figure.
+
+        Its deviation is the root mean square of the seeds' deviations over the captures, divided by the root of the number
+        of captures.
+        """
         each = [self.where(capture=capture).figure(name) for capture in captures]
         if not each or None in each:
             return None
@@ -108,5 +121,5 @@ class Results:
 
 
 def failures(rows: Iterable[dict]) -> list[tuple[dict, str]]:
-    """What was run, and the message."""
+    """(the run's fields, its message) of each run that failed."""
     return [(row["run"], failure(row)) for row in rows if failure(row)]

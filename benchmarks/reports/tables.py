@@ -1,4 +1,4 @@
-"""The Markdown tables of `docs/benchmarks.md`."""
+"""Makes the Markdown tables of `docs/benchmarks.md`."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ SCORES = {
     "psnr_mean": ("relit, dB", 1),
     "ssim_mean": ("SSIM", 3),
 }
-"""Figure -> heading and digits."""
+"""Figure -> (heading of its column, digits after the point)."""
 COSTS = {"seconds": ("seconds", 0), "cpu_seconds": ("CPU s", 0), "peak_mb": ("MB", 0)}
 STAGE_COSTS = {
     "cpu_seconds_fields_learning": ("fields, CPU s", 0),
@@ -33,11 +33,14 @@ STAGE_COSTS = {
 }
 NONE = "-"
 BASELINES = ("plain NeuS color", "environment at infinity")
-"""Ablations that stand for other methods' assumptions: NeuS; NeRO and nvdiffrec."""
+"""Ablations that make the assumptions of other methods: the first those of NeuS, the second those of NeRO and nvdiffrec."""
 
 
 def cell(figure: Figure | None, digits: int) -> str:
-    """0.0042, with ± where there is more than one run and it is not 0 when printed."""
+    """The text of a figure: its mean and, after ±, its deviation.
+
+    The deviation is left out where there is only one run, or where its digits are all 0.
+    """
     if figure is None:
         return NONE
     text, spread = f"{figure.mean:.{digits}f}", f"{figure.deviation:.{digits}f}"
@@ -45,7 +48,7 @@ def cell(figure: Figure | None, digits: int) -> str:
 
 
 def cells(results: Results, columns: dict[str, tuple[str, int]], captures: Sequence[str] | None = None) -> list[str]:
-    """One line: means over all runs, or over captures first."""
+    """The cells of a line of a table: means over all runs or, where `captures` is given, means over these captures."""
     found = {
         name: results.figure(name) if captures is None else results.mean_of_captures(name, captures) for name in columns
     }
@@ -53,34 +56,34 @@ def cells(results: Results, columns: dict[str, tuple[str, int]], captures: Seque
 
 
 def known(results: Results, columns: dict[str, tuple[str, int]]) -> dict[str, tuple[str, int]]:
-    """The columns that any run has."""
+    """The columns whose figures at least one run has."""
     return {name: column for name, column in columns.items() if results.figure(name)}
 
 
 def headings(columns: dict[str, tuple[str, int]]) -> list[str]:
-    """Of a table with these columns."""
+    """The headings of these columns."""
     return [heading for heading, _ in columns.values()]
 
 
 def scored_captures(results: Results) -> list[str]:
-    """Captures with a true mesh."""
+    """The captures whose runs were scored against a true mesh."""
     return sorted(capture for capture in results.values("capture") if results.where(capture=capture).figure("cd_visible"))
 
 
 def main_captures(results: Results) -> list[str]:
-    """Those on which as many presets were tried as on any; the others are of a plan of their own."""
+    """The captures on which the most presets were tried. The other captures belong to special plans, such as `roughness`."""
     full = results.whole(ablation="full")
     tried = {c: len({run["preset"] for run in full.where(capture=c).tried}) for c in scored_captures(full)}
     return [c for c in tried if tried[c] == max(tried.values())]
 
 
 def presets_of(results: Results) -> list[str]:
-    """In the order of their time."""
+    """The presets of the runs, the fastest first."""
     return [preset for preset in PRESETS if preset in results.values("preset")]
 
 
 def table_1(results: Results) -> str:
-    """In the form of the paper's Table 1: the paper's own figures, then ours."""
+    """A table in the form of the paper's Table 1: the paper's figures, then ours."""
     full, captures = results.whole(ablation="full"), main_captures(results)
     presets = presets_of(full)
     ours = {name: results.whole(ablation=name, preset=presets[0]) for name in BASELINES} if presets else {}
@@ -109,7 +112,7 @@ def table_1(results: Results) -> str:
 
 
 def presets(results: Results, columns: dict[str, tuple[str, int]] = SCORES) -> str:
-    """Every capture at every preset, and the means over captures."""
+    """A table with a line for each capture and preset, and the means over captures."""
     full, captures, rows = results.whole(ablation="full"), main_captures(results), []
     columns = known(full, columns)
     for preset in presets_of(full):
@@ -130,7 +133,7 @@ def presets(results: Results, columns: dict[str, tuple[str, int]] = SCORES) -> s
 
 
 def costs(results: Results) -> str:
-    """What they took."""
+    """A table of what each capture and preset costs: seconds, memory, faces and texels."""
     return presets(
         results,
         {
@@ -145,7 +148,10 @@ def costs(results: Results) -> str:
 
 
 def ablations(results: Results, geometry: str = "own") -> str:
-    """Means over the captures that have the ablation, beside the same captures without it."""
+    """A table with a line for each ablation: means over the captures on which it was run.
+
+    The line "full" shows the runs without ablation. `geometry` is the mesh of the runs, "own" or "true".
+    """
     columns = {
         k: v
         for k, v in (SCORES | COSTS).items()
@@ -168,7 +174,7 @@ def ablations(results: Results, geometry: str = "own") -> str:
 
 
 def ablations_by_capture(results: Results) -> str:
-    """Distance and normals, and the three errors of materials, for each capture."""
+    """A table of the ablations: distance, error of normals and the three errors of materials, for each capture."""
     captures = main_captures(results)
     header, rows = ["ablation", "preset", *(f"{c}: cd / normals / r / m / a" for c in captures)], []
     shown = ("cd_visible", "normal_deg", "mse_roughness", "mse_metallic", "mse_albedo")
@@ -195,7 +201,10 @@ def ablations_by_capture(results: Results) -> str:
 
 
 def swept(results: Results, key: str, heading: str) -> str:
-    """Scores against the number of photos or the image size: each capture, and the mean of those that have them all."""
+    """A table of scores against the number of photos (`key` is "views") or the pixels of a photo ("pixels").
+
+    It has a line for each capture, and the mean over the captures that were run with all the numbers.
+    """
     found, rows = sweeps(results, key), []
     columns = {} if not found else known(found[0][2], SCORES | COSTS)
     for preset, values, chosen in found:
@@ -215,7 +224,10 @@ def swept(results: Results, key: str, heading: str) -> str:
 
 
 def sweeps(results: Results, key: str) -> list[tuple[str, list, Results]]:
-    """(preset, values in the order of what was learned from, runs) for each preset with more than one value of `key`."""
+    """(preset, values of `key`, runs) for each preset whose runs have more than one value of `key`.
+
+    The values are in the order of the photos, or pixels, that the runs have really learned from.
+    """
     other = {"views": "pixels", "pixels": "views"}[key]
     found = []
     for preset in presets_of(results):
@@ -229,18 +241,21 @@ def sweeps(results: Results, key: str) -> list[tuple[str, list, Results]]:
 
 
 def learned_from(results: Results, key: str, value: int | None) -> float:
-    """Photos, or pixels of a photo, that the runs with this bound on them have learned from; their mean."""
+    """The mean number of photos, or of pixels of a photo, that runs whose field `key` is `value` have learned from."""
     return results.where(**{key: value}).figure(f"{key}_of_run").mean
 
 
 def shown_value(results: Results, key: str, value: int | None) -> str:
-    """What they learned from, if they agree; else the bound."""
+    """The number of photos, or pixels, as the table shows it.
+
+    It is the number that the runs have learned from, if that is the same for all of them. Otherwise it is `value`.
+    """
     own = results.figure(f"{key}_of_run")
     return f"{own.mean:.0f}" if own and own.deviation == 0 else "all" if value is None else str(value)
 
 
 def roughness(results: Results) -> str:
-    """Scores of the captures gold_R, which differ in nothing but roughness."""
+    """A table of the scores on the captures gold_R, which differ only in their roughness R."""
     found, rows = golds(results), []
     columns = {} if not found else known(found[0][2], SCORES | COSTS)
     for preset, captures, chosen in found:
@@ -249,7 +264,7 @@ def roughness(results: Results) -> str:
 
 
 def golds(results: Results) -> list[tuple[str, list[str], Results]]:
-    """(preset, captures gold_R in rising order, runs)."""
+    """(preset, captures gold_R in rising order of R, runs) for each preset."""
     chosen = results.whole(ablation="full", capture=lambda name: name.startswith("gold_") and name[5:6].isdigit())
     return [
         (preset, sorted(one.values("capture"), key=lambda name: float(name[5:])), one)
@@ -259,7 +274,7 @@ def golds(results: Results) -> list[tuple[str, list[str], Results]]:
 
 
 def failed(rows: list[dict]) -> str:
-    """Runs that did not reach their end."""
+    """A table of the runs that failed, with their messages."""
     found = [
         [run["capture"], run["preset"], run["ablation"], run["geometry"], run["views"] or "all", run["seed"], message]
         for run, message in failures(rows)

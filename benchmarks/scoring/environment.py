@@ -1,4 +1,4 @@
-"""The score of F_e: what it shows of the held-out backgrounds."""
+"""Scores the environment field F_e by the backgrounds of the test views."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from blender_nep.tone_mapping import tone_map
 
 
 def background_psnr(environment: EnvironmentField, test_rays: PixelRays, truth: Body) -> float:
-    """Tone-mapped PSNR (dB) of F_e on the test views' pixels whose rays miss the true mesh."""
+    """PSNR (dB) of F_e in tone-mapped space, over the pixels of the test views whose rays miss the true mesh."""
     tracer = RayTracer(np.asarray(truth.mesh.vertices), np.asarray(truth.mesh.faces))
     sphere = test_rays.sphere.tensor()
     origins, directions, _ = test_rays.rays(sphere)

@@ -1,6 +1,7 @@
-"""Geometry scores of a surface against a capture's true mesh, in object radii; the cameras' own view decides what counts.
+"""Scores a surface against the true mesh of a capture. Distances are in object radii.
 
-libigl measures the distances, Embree casts the rays.
+The distances to a surface count at the points that the capture's cameras see. libigl measures the distances, Embree casts
+the rays.
 """
 
 from __future__ import annotations
@@ -16,48 +17,51 @@ from blender_nep.capture import Capture, load_capture
 from blender_nep.geometry.mesh import Surface
 
 VOXEL = 0.01
-"""One point a voxel of this width, so that places seen often do not dominate."""
+"""Width of a voxel in object radii. One point is kept in each voxel, so that places seen by many pixels do not dominate."""
 
 
 class Body:
-    """A mesh in the unit frame that rays meet and distances are measured to."""
+    """A mesh in the unit frame. Rays can be cast against it, and distances to it can be measured."""
 
     def __init__(self, vertices: np.ndarray, faces: np.ndarray) -> None:
         self.mesh = trimesh.Trimesh(vertices, faces, process=False)
         self.caster = RayMeshIntersector(self.mesh)
 
     def first_hits(self, origins: np.ndarray, directions: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Points, ray indices and faces of the first hits."""
+        """Where rays [n, 3] first meet the mesh: (points [m, 3], indices [m] of the rays, indices [m] of the faces)."""
         return self.caster.intersects_location(origins, directions, multiple_hits=False)
 
     def distance(self, points: np.ndarray) -> np.ndarray:
-        """Distance [n] of points [n, 3] to the surface."""
+        """Distances [n] of points [n, 3] to the surface."""
         v, f = np.asarray(self.mesh.vertices, np.float64), np.asarray(self.mesh.faces, np.int64)
         return np.sqrt(igl.point_mesh_squared_distance(np.ascontiguousarray(points, np.float64), v, f)[0])
 
     def visible(self, cameras: list[tuple[np.ndarray, np.ndarray]], most: int, rng: np.random.Generator) -> np.ndarray:
-        """Points that the cameras' rays meet first, thinned to one a voxel."""
+        """At most `most` of the points [m, 3] that the cameras' rays meet first, one in each voxel.
+
+        `cameras` holds (origins [n, 3], directions [n, 3]) for each camera.
+        """
         points = np.concatenate([self.first_hits(*rays)[0] for rays in cameras])
         _, first = np.unique(np.floor(points / VOXEL).astype(np.int64), axis=0, return_index=True)
         return points[rng.permutation(first)[:most]]
 
 
 def true_mesh(folder: Path, capture: Capture) -> Body:
-    """`gt_mesh.ply` of a capture, in the unit frame."""
+    """The true mesh of a capture (`gt_mesh.ply`), in the unit frame."""
     mesh = trimesh.load(folder / "gt_mesh.ply", process=False, force="mesh")
     mesh.apply_transform(np.asarray(capture.to_unit, np.float64))
     return Body(mesh.vertices, mesh.faces)
 
 
 def load_test_views(folder: Path, capture: Capture) -> Capture:
-    """The views of a capture that nothing is learned from, in the capture's own unit frame."""
+    """The test views of a capture, in the capture's own unit frame. No job learns from the test views."""
     test = load_capture(folder, file="transforms_test.json")
     test.object_center, test.object_radius = capture.object_center, capture.object_radius
     return test
 
 
 def camera_rays(capture: Capture, view: int, stride: int) -> tuple[np.ndarray, np.ndarray, tuple[int, int]]:
-    """Origins and directions [n, 3] of every stride-th pixel of a view in the unit frame, and (rows, columns)."""
+    """The rays of every stride-th pixel of a view: (origins [n, 3], directions [n, 3], (rows, columns)). Unit frame."""
     camera = capture.views[view].camera
     x, y = np.meshgrid(np.arange(0, camera.width, stride) + 0.5, np.arange(0, camera.height, stride) + 0.5)
     local = np.stack([(x - camera.cx) / camera.fl_x, (camera.cy - y) / camera.fl_y, -np.ones_like(x)], -1).reshape(-1, 3)
@@ -68,7 +72,13 @@ def camera_rays(capture: Capture, view: int, stride: int) -> tuple[np.ndarray, n
 
 
 def score(surface: Surface, folder: Path, capture: Capture, test: Capture, points: int = 60_000) -> dict[str, float]:
-    """cd_visible, cd_full, fscore_005, normal_deg and mask_iou; the last two in the test views."""
+    """The geometry scores of `surface`.
+
+    cd_visible: Chamfer distance between the points of both surfaces that the capture's cameras see. cd_full: Chamfer
+    distance between points all over both surfaces. fscore_005: F-score of the visible points at a distance of 0.005.
+    normal_deg: mean angle, in degrees, between the normals in the test views. mask_iou: intersection over union of both
+    silhouettes in the test views. All distances are in object radii. `points` is the most points a surface.
+    """
     rng = np.random.default_rng(0)
     truth, ours = true_mesh(folder, capture), Body(surface.vertices, surface.faces)
     cameras = [camera_rays(capture, v, 6)[:2] for v in range(len(capture.views))]
@@ -87,7 +97,7 @@ def score(surface: Surface, folder: Path, capture: Capture, test: Capture, point
             _, ray, face = body.first_hits(origins, directions)
             normals[k, ray], hits[k, ray] = body.mesh.face_normals[face], True
         shared, either = shared + hits.all(0).sum(), either + hits.any(0).sum()
-        # a pixel at the silhouette sees both object and background
+        # A pixel at the silhouette sees both object and background, so it does not count for the normals.
         inner = hits[1].reshape(size)
         inner[1:-1, 1:-1] &= inner[:-2, 1:-1] & inner[2:, 1:-1] & inner[1:-1, :-2] & inner[1:-1, 2:]
         chosen = hits[0] & inner.ravel()

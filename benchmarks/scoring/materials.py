@@ -1,4 +1,4 @@
-"""Scores of an asset's materials against a capture's `gt/NNN.exr` (albedo, roughness.V, metallic.V, mask.V)."""
+"""Scores an asset's materials against a capture's `gt/NNN.exr` (albedo, roughness.V, metallic.V, mask.V)."""
 
 from __future__ import annotations
 
@@ -21,20 +21,23 @@ CHANNELS = {"albedo": 3, "roughness": 1, "metallic": 1}
 
 
 def read_channels(path: Path) -> dict[str, np.ndarray]:
-    """An EXR's channels, [H, W] or [H, W, C] float32, by name."""
+    """The channels of an OpenEXR file: {name: [H, W] or [H, W, C] float32}."""
     return {name: np.asarray(channel.pixels, np.float32) for name, channel in OpenEXR.File(str(path)).channels().items()}
 
 
 def read_materials(asset: Path) -> Materials:
-    """The textures of an asset."""
+    """Read the textures of an asset."""
     return Materials(**{name: next(iter(read_channels(asset / "textures" / f"{name}.exr").values())) for name in TEXTURES})
 
 
 def score(
     surface: Surface, materials: Materials, folder: Path, capture: Capture, test: Capture, picture: Path, shown: int = 3
 ) -> dict[str, float]:
-    """Mean squared errors over the test views' pixels that show both surfaces; the first views are drawn, truth beside
-    ours. And the true roughness there, mean and deviation."""
+    """The mean squared errors of albedo, roughness and metallic, and the mean and deviation of the true roughness.
+
+    The pixels of the test views that show both surfaces count. The first `shown` test views are drawn into the file
+    `picture`, with the true values beside the learned ones.
+    """
     ours, truth = Body(surface.vertices, surface.faces), true_mesh(folder, capture)
     errors: dict[str, list] = {name: [] for name in CHANNELS}
     rows, roughness = [], []

@@ -1,9 +1,10 @@
-"""Relighting against ground truth: an asset and the true object in Cycles under HDRIs that no photo showed.
+"""Scores relighting: Cycles renders an asset and the true object under HDRIs that no photo showed.
 
-A capture is a folder with `transforms_test.json`, `test_masks/` and `scene.blend`, whose object is named `target`; an asset
-is what `blender-nep reconstruct` wrote. Scores are PSNR (dB) and SSIM, tone-mapped by log(1 + 4x) / log 5, white = 1 after
-the exposure that suits the true rendering, over the pixels of the true object. Pictures: one row a view, truth beside ours
-for each light. Needs the `bpy` extra.
+The capture's folder must hold `transforms_test.json`, `test_masks/` and `scene.blend`, whose object is named `target`. The
+asset is the folder that `blender-nep reconstruct` wrote. The scores are PSNR (dB) and SSIM over the pixels of the true
+object. Both renderings get the exposure that suits the true one, are clipped at white = 1 and are tone-mapped by
+log(1 + 4x) / log 5. The picture has a row for each view; for each light it shows the true object, then the asset. This file
+needs the extra `bpy`.
 """
 
 from __future__ import annotations
@@ -28,12 +29,12 @@ OBJECT = "target"
 
 
 def tone(radiance: np.ndarray) -> np.ndarray:
-    """log(1 + 4x) / log 5 of radiance clipped to 0..1."""
+    """Tone-map radiance x, clipped to 0..1, by log(1 + 4x) / log 5."""
     return np.log1p(4 * radiance.clip(0, 1)) / np.log(5)
 
 
 def true_object(blend: Path):
-    """The capture's own object with its material, linked into no scene yet."""
+    """Load the capture's own object with its material. The object is not linked to a scene yet."""
     with bpy.data.libraries.load(str(blend)) as (source, loaded):
         if OBJECT not in source.objects:
             raise OSError(f"{blend} has no object {OBJECT!r}: it holds {', '.join(source.objects)}")
@@ -42,14 +43,14 @@ def true_object(blend: Path):
 
 
 def mask(folder: Path, frame: Frame, width: int, height: int) -> np.ndarray:
-    """[height, width] bool: pixels that lie wholly on the true object."""
+    """Which pixels lie wholly on the true object: [height, width] bool."""
     file = folder / "test_masks" / f"{frame.path.stem}.png"
     with Image.open(file) as image:
         return np.asarray(image.convert("L").resize((width, height), Image.Resampling.BOX)) > 250
 
 
 def render(item, frames: list[Frame], lights: list, size: tuple[int, int], threads: int) -> np.ndarray:
-    """[view, light, H, W, 3] linear radiance of an object."""
+    """Render an object from all frames under all lights: linear radiance [view, light, H, W, 3]."""
     with RelitScene(item, *size, SAMPLES) as relit:
         relit.scene.render.threads_mode, relit.scene.render.threads = "FIXED", threads
         return np.array([[relit.render(frame, light) for light in lights] for frame in frames], np.float32)
@@ -58,7 +59,10 @@ def render(item, frames: list[Frame], lights: list, size: tuple[int, int], threa
 def rendered_truth(
     folder: Path, frames: list[Frame], lights: list, size: tuple[int, int], threads: int, kept: Path
 ) -> np.ndarray:
-    """What `render` gives for the true object; kept in a file, for all assets of a capture."""
+    """What `render` returns for the true object.
+
+    The result is stored in the file `kept`, because all assets of a capture need it.
+    """
     if not kept.is_file():
         images = render(true_object(folder / "scene.blend"), frames, lights, size, threads)
         kept.parent.mkdir(parents=True, exist_ok=True)
@@ -69,13 +73,16 @@ def rendered_truth(
 
 
 def exposed(true: np.ndarray, ours: np.ndarray, inside: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Both renderings [H, W, 3] tone-mapped, with the exposure that suits the true object (`inside` [H, W])."""
+    """Both renderings [H, W, 3], tone-mapped. Their exposure suits the true rendering of the pixels `inside` [H, W]."""
     gain = exposure(true[inside])
     return tone(gain * true), tone(gain * ours)
 
 
 def agreement(pairs: list[list[tuple[np.ndarray, np.ndarray]]], inside: np.ndarray) -> tuple[list[float], list[float]]:
-    """PSNR in dB and SSIM for each light, of tone-mapped pairs [view][light] over the pixels `inside` [view, H, W]."""
+    """(PSNR in dB for each light, SSIM for each light) of tone-mapped pairs [view][light].
+
+    The pixels `inside` [view, H, W] count.
+    """
     psnr, ssim = [], []
     for of_light in zip(*pairs, strict=True):
         error = [((a - b) ** 2)[on] for (a, b), on in zip(of_light, inside, strict=True)]
@@ -89,7 +96,10 @@ def agreement(pairs: list[list[tuple[np.ndarray, np.ndarray]]], inside: np.ndarr
 
 
 def compare(folder: Path, asset: Path, picture: Path, kept_truth: Path, threads: int) -> dict:
-    """PSNR and SSIM under each light and their means; {} where the capture has no scene to render."""
+    """PSNR and SSIM under each light and their means; {} where the capture has no `scene.blend`.
+
+    The renderings are drawn into the file `picture`.
+    """
     if not (folder / "scene.blend").is_file():
         return {}
     bpy.ops.wm.read_factory_settings(use_empty=True)

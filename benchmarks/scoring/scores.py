@@ -1,4 +1,4 @@
-"""All scores of one asset against a rendered capture's ground truth."""
+"""Computes all scores of an asset that need no Cycles, against the ground truth of a rendered capture."""
 
 from __future__ import annotations
 
@@ -20,11 +20,14 @@ from blender_nep.presets import Preset
 from blender_nep.surface.mesh_file import load_surface
 
 BACKGROUND_PIXELS = 40_000
-"""Of a held-out photo, whatever the job itself used: the scores of presets must be comparable."""
+"""Most pixels of a test photo. It does not depend on the preset, because the scores of presets must be comparable."""
 
 
 def score_asset(folder: Path, asset: Path, preset: Preset, device: str, picture: Path) -> dict:
-    """Geometry, F_e where its checkpoint is kept, materials; {} for a capture without ground truth."""
+    """The scores of geometry, materials and F_e; {} for a capture without ground truth.
+
+    F_e is scored only where the asset still has the checkpoint of stage 1.
+    """
     if not (folder / "gt_mesh.ply").is_file():
         return {}
     capture = load_capture(folder)
@@ -43,7 +46,7 @@ def _background_psnr(
     folder: Path, asset: Path, kept: Path, capture: Capture, test: Capture, preset: Preset, device: torch.device
 ) -> float:
     environment = Fields.from_state(load_state(kept)["result"], preset, device).environment
-    sphere = read_row(asset / "report.json")["capture"]  # F_e lives around the sphere of its own job
+    sphere = read_row(asset / "report.json")["capture"]  # the unit frame of F_e is that of the job that learned it
     for one in (capture, test):
         one.object_center, one.object_radius = np.array(sphere["object_center"]), sphere["object_radius"]
     rays = PixelRays.from_capture(test, BACKGROUND_PIXELS, False, device)

@@ -1,11 +1,12 @@
-"""Stress: whole small jobs on hostile captures, fuzzed with hypothesis; a campaign of them, resumable.
+"""Run whole small jobs on hostile captures, which hypothesis chooses at random.
 
     python -m benchmarks.stress.campaign --cases 500 --seed 1 --out out/stress
-    python -m benchmarks.stress.campaign --case '{"shape": "ring", "pixels": "nan"}'      # one of them again
+    python -m benchmarks.stress.campaign --case '{"shape": "ring", "pixels": "nan"}'      # run a single case
 
-Each case is a `Case` of scenes.py with up to four hostile fields. A case passes when the job ends with an asset that
-keeps the promises of checks.py, or with a documented refusal in one clear message. The campaign writes a row a case
-(cases/*.json) and a summary (summary.json); rows that are there are not run again. Exit code 1: some case failed.
+Each case is a `Case` of scenes.py with up to four hostile fields. A case passes when the job ends with an asset that passes
+checks.py, or when it refuses the capture with one clear message and a documented exit code. The campaign writes a row for
+each case (cases/*.json) and a summary (summary.json). A campaign that was stopped goes on: a case whose row is there is not
+run again. The exit code is 1 where a case failed, otherwise 0.
 """
 
 from __future__ import annotations
@@ -52,7 +53,7 @@ SCENES = {
     "materials": [1, 4],
     "seed": [0, 1, 2**32 + 5],
 }
-"""Scenes that a user may well have: every case has one of each."""
+"""Fields of scenes that a user may well have -> their values. Every case has a value of each."""
 TROUBLES = {
     "shape": ["nothing"],
     "light": ["dark"],
@@ -87,14 +88,14 @@ TROUBLES = {
     "bfloat16": [True],
     "stop": ["fields_learning:3", "fields_learning:17", "material_learning:70", "material_learning:80", "surface:0"],
 }
-"""What goes wrong: a case has up to four of these."""
+"""Fields with hostile values -> these values. A case has up to four of these fields."""
 _ROUGHNESS_STEPS = 6
-"""Roughnesses tried in each fit, instead of 28: they are most of the time that a job on a tiny capture takes."""
+"""Roughnesses that each fit tries, instead of 28. Trying them takes most of the time of a job on a tiny capture."""
 
 
 @st.composite
 def cases(draw: st.DrawFn, most: int = 4) -> Case:
-    """A scene, and up to `most` troubles."""
+    """A random case: a scene of SCENES with up to `most` of the TROUBLES."""
     chosen = {name: draw(st.sampled_from(values)) for name, values in SCENES.items()}
     for name in draw(st.lists(st.sampled_from(list(TROUBLES)), max_size=most, unique=True)):
         chosen[name] = draw(st.sampled_from(TROUBLES[name]))
@@ -102,7 +103,7 @@ def cases(draw: st.DrawFn, most: int = 4) -> Case:
 
 
 class _StopAt(StopRequest):
-    """A wish to end that comes true at "stage:step"."""
+    """A request to stop that is made when the job reaches "stage:step"."""
 
     def __init__(self, where: str) -> None:
         super().__init__()
@@ -115,7 +116,7 @@ class _StopAt(StopRequest):
 
 
 class _AllEvents(Events):
-    """Events of which none is left out, so that a stop comes at the same step each time."""
+    """Events that pass every step on to the request to stop, so that the job stops at the same step each time."""
 
     def __init__(self, protocol, human, stop: StopRequest) -> None:
         super().__init__(protocol, human)
@@ -130,7 +131,7 @@ class _AllEvents(Events):
 def reconstruct(
     case: Case, capture: Path, out: Path, stop: StopRequest | None = None, **changes
 ) -> tuple[int, list[dict], str]:
-    """Exit code, events and text for people of the job of a case."""
+    """Run the job of a case: (exit code, events, the text that the job writes for people)."""
     protocol, human, stop = io.StringIO(), io.StringIO(), stop or StopRequest()
     lowered = torch.autocast("cpu", torch.bfloat16) if case.bfloat16 else contextlib.nullcontext()
     with lowered, mock.patch.object(material_fits, "_ROUGHNESS", _ROUGHNESS_STEPS):
@@ -139,8 +140,10 @@ def reconstruct(
 
 
 def run_case(case: Case, folder: Path) -> dict:
-    """Capture, job and checks of a case in an empty folder: {"code", "failures", "resumed", "message", "warnings",
-    "seconds"}."""
+    """Make the capture of a case in the empty folder `folder`, run the job, and check its result.
+
+    Returns {"code", "failures", "resumed", "message", "warnings", "seconds"}.
+    """
     capture, out, start, was_resumed = folder / "capture", folder / "asset", time.monotonic(), False
     with warnings.catch_warnings(record=True) as told:
         warnings.simplefilter("always")
@@ -172,8 +175,11 @@ def run_case(case: Case, folder: Path) -> dict:
 
 
 def _resume(case: Case, capture: Path, folder: Path) -> tuple[list[str], bool]:
-    """The same job stopped in its middle and resumed from the disk must give the same asset, bit for bit. Failures, and
-    whether it was stopped: a stage may end, or be left out, before the step at which it should be."""
+    """Stop the same job in its middle and resume it from disk. The asset must be the same, bit for bit.
+
+    Returns (failures, whether the job was stopped). The job is not stopped where the stage ends, or is left out, before the
+    step at which it should be stopped.
+    """
     out = folder / "stopped"
     code, events, human = reconstruct(case, capture, out, _StopAt(case.stop))
     if code != 7:
@@ -185,13 +191,15 @@ def _resume(case: Case, capture: Path, folder: Path) -> tuple[list[str], bool]:
 
 
 def digest(case: Case) -> str:
-    """A short name of the case."""
+    """A short name of the case, made from all its fields."""
     return hashlib.sha256(json.dumps(asdict(case), sort_keys=True).encode()).hexdigest()[:12]
 
 
 def campaign(count: int, seed: int, out: Path) -> dict:
-    """Runs `count` different cases, fewer where hypothesis finds no more (those with a row in `out` are not run again);
-    returns the summary."""
+    """Run `count` different cases, or fewer where hypothesis finds no more. Returns the summary.
+
+    A case that has a row in `out` is not run again.
+    """
     rows: dict[str, dict] = {}
 
     @hypothesis_seed(seed)
@@ -222,7 +230,7 @@ def campaign(count: int, seed: int, out: Path) -> dict:
 
 
 def summarise(rows: dict[str, dict]) -> dict:
-    """Counts of a campaign: exit codes, failures by kind, and how often each trouble was met."""
+    """The counts of a campaign: exit codes, failures of each kind, and how often each unusual value of a field occurred."""
     kinds = Counter(f.split(":")[0] for row in rows.values() for f in row["failures"])
     plain = Case()
     met = Counter(
@@ -245,7 +253,7 @@ def summarise(rows: dict[str, dict]) -> dict:
 
 
 def _kind_of(message: str) -> str:
-    """An error message without its numbers and names, to be counted."""
+    """An error message without its numbers and names, so that equal messages are counted together."""
     return " ".join("#" if any(c.isdigit() for c in word) else word for word in message.split())[:80]
 
 

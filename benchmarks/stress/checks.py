@@ -1,6 +1,6 @@
-"""What must hold after every job, however hostile its capture: the checks of the stress tests.
+"""The checks of the stress tests: what must hold after every job, even on a hostile capture.
 
-A failure is a line "kind: what was found"; the kind is what a campaign counts.
+A failure is a line "kind: details". A campaign counts the failures of each kind.
 """
 
 from __future__ import annotations
@@ -35,11 +35,11 @@ REPAIRS = {
     "huge": "capture.pixels_too_bright",
     "one_black": "capture.photos_black",
 }
-"""The warning that must be in the report, for each defect of the pixels (of OpenEXR photos)."""
+"""Defect of the pixels of OpenEXR photos -> the code of the warning that must be in the report."""
 
 
 def strict_json(text: str) -> dict:
-    """JSON without NaN and Infinity, which Python's reader would let pass. Raises ValueError."""
+    """Read JSON. Raises ValueError for NaN and Infinity, which are not JSON, but which Python's reader accepts."""
 
     def refuse(name: str) -> None:
         raise ValueError(f"{name} is not JSON")
@@ -48,7 +48,10 @@ def strict_json(text: str) -> dict:
 
 
 def check_refusal(code: int, events: list[dict], human: str, out: Path) -> list[str]:
-    """Of a job that ended with an exit code other than 0: one clear message, a documented code, no half an asset."""
+    """The failures of a job that ended with an exit code other than 0.
+
+    The job must give one clear message and a documented exit code, and must leave no report of an asset.
+    """
     failures = []
     errors = [e for e in events if e["event"] == "error"]
     if code == 1:
@@ -65,7 +68,10 @@ def check_refusal(code: int, events: list[dict], human: str, out: Path) -> list[
 
 
 def check_asset(case, out: Path) -> list[str]:
-    """Of an asset: complete, finite, in range, inside the bounds, and honest about repairs."""
+    """The failures of an asset.
+
+    The asset must be complete, its values finite and in range, its mesh inside the bounds. Its report must name all repairs.
+    """
     missing = [name for name in FILES if not (out / name).is_file()]
     if missing:
         return [f"incomplete asset: {missing}"]
@@ -91,7 +97,7 @@ def check_asset(case, out: Path) -> list[str]:
 
 
 def check_mesh(out: Path, center: np.ndarray, radius: float, report: dict) -> list[str]:
-    """mesh.obj against the object's sphere, and asset.glb against mesh.obj."""
+    """The failures of the mesh: mesh.obj must lie in the object's sphere, and asset.glb must be the same mesh."""
     failures = []
     vertices, normals = [], []
     for line in (out / "mesh.obj").read_text().splitlines():
@@ -132,11 +138,11 @@ def check_mesh(out: Path, center: np.ndarray, radius: float, report: dict) -> li
 
 
 def check_report(case, report: dict) -> list[str]:
-    """What had to be repaired is in the report's warnings."""
+    """The failures of the report: its warnings must name everything that was repaired."""
     failures, said = [], [warning["code"] for warning in report["warnings"]]
     wanted = REPAIRS.get(case.pixels) if case.suffix == ".exr" else {"one_black": "capture.photos_black"}.get(case.pixels)
     if case.masks == "alpha" and case.pixels in ("negative", "huge"):
-        wanted = None  # may lie where alpha is 0
+        wanted = None  # all bad pixels may lie where alpha is 0
     if wanted and wanted not in said:
         failures.append(f"silent repair: {case.pixels} pixels are not in the warnings ({said})")
     if case.duplicates in ("some", "pairs") and "capture.same_place" not in said:
@@ -148,7 +154,7 @@ def check_report(case, report: dict) -> list[str]:
 
 
 def same_assets(a: Path, b: Path) -> list[str]:
-    """Of two assets that must be equal bit for bit: what differs."""
+    """The failures of two assets that must be equal bit for bit."""
     names = [n for n in FILES if not n.endswith((".glb", "report.json", ".png"))]
     different = [
         n
@@ -170,7 +176,7 @@ def _exr(path: Path) -> np.ndarray:
 
 
 def _tensors(value, name: str = ""):
-    """(name, array) of every tensor and array in a nested state."""
+    """Yield (name, array) for every tensor and array in a nested state."""
     if isinstance(value, dict):
         for key, item in value.items():
             yield from _tensors(item, f"{name}.{key}")

@@ -1,8 +1,9 @@
-"""Tiny captures for the stress tests, made with numpy alone: analytic shapes, shaded by a few analytic lamps.
+"""Makes tiny captures for the stress tests with numpy alone: analytic shapes, lit by a few analytic lamps.
 
-A `Case` says everything about a capture and the job on it; `write_capture` makes the folder, `Case.settings` the job. The
-same case gives the same files. Shapes are sphere-traced, so that the truth needs no mesh; the shading (one prefiltered
-look-up for each lobe) is no reference, only plausible photos of a mirror, of chalk, and of what lies between.
+A `Case` describes a capture and the job on it. `write_capture` makes the capture's folder, `Case.settings` the settings of
+the job. The same case gives the same files. Shapes are sphere-traced, so that the truth needs no mesh. The shading makes one
+prefiltered look-up for each lobe. It is no reference: it only gives plausible photos of mirrors, of chalk, and of materials
+between them.
 """
 
 from __future__ import annotations
@@ -21,12 +22,13 @@ from blender_nep.job.runner import Settings
 from blender_nep.presets import PRESETS, EnvironmentPreset, FieldsPreset, MaterialPreset, Preset, SurfacePreset
 
 FOCAL = 1.3
-"""Focal length over the image's width, for cameras at 2.5 radii; those farther away zoom in, unless told not to."""
+"""Focal length over the image's width, for cameras at 2.5 radii. Other cameras have a longer or shorter lens, in proportion
+to their distance, so that the object keeps its size in the photo. `Case.zoom` turns that off."""
 
 
 @dataclass(frozen=True)
 class Case:
-    """One stress case. The defaults are a well-behaved scene; every field is one axis of the fuzzing."""
+    """One stress case. The defaults describe a harmless scene. Every field is a quantity that the campaign varies."""
 
     shape: str = "sphere"
     """sphere, box, plate (0.03 thick), ring, holes (a plate with two holes), nothing"""
@@ -45,33 +47,34 @@ class Case:
     scale: float = 1.0
     offset: float = 0.0
     distance: float = 2.5
-    """Of the cameras, in object radii."""
+    """Distance of the cameras, in object radii"""
     zoom: bool = True
+    """Whether the lens follows the distance (see FOCAL)"""
     duplicates: str = "none"
-    """none, some (the second photo thrice), pairs (each twice), all (one place for all)"""
+    """Cameras at the same place: none, some (the second photo three times), pairs (each twice), all (one place for all)"""
     roll: float = 0.0
-    """Radians about the optical axis, another sense for every other camera."""
+    """Turn of the cameras about their optical axis, in radians. Every other camera is turned the other way."""
     shift: float = 0.0
-    """Principal point off the centre, in image widths."""
+    """Distance of the principal point from the centre, in image widths"""
     pixels: str = "fine"
     """fine, black, white, saturated, nan, inf, negative, huge, one_black, one_nan, most_nan, noise, flat"""
     mesh: str = "none"
-    """none, true, soup (loose triangles, some degenerate), inside_out"""
+    """Mesh that is given to the job: none, true, soup (loose triangles, some degenerate), inside_out"""
     told: str = "auto"
-    """metal, or not: auto, yes, no"""
+    """What the job is told about the object being metal: auto, yes, no"""
     materials: int = 1
-    """The most that the palette may hold."""
+    """Most materials that the palette may hold"""
     explanation: bool = False
-    """Whether the job may refuse a sphere that seems empty."""
+    """Whether the job may refuse a sphere that seems empty"""
     threads: int = 1
     bfloat16: bool = False
-    """Under torch's autocast to bfloat16."""
+    """Whether the job runs under torch's autocast to bfloat16"""
     seed: int = 0
     stop: str = "none"
     """stage:step at which the job is stopped, and resumed from disk"""
 
     def settings(self, capture: Path, out: Path, **changes) -> Settings:
-        """The job on `capture` into `out`."""
+        """The settings of the job that makes the asset `out` from `capture`."""
         preset = tiny_preset()
         metallic = {"auto": (0.0, 1.0), "yes": (1.0,), "no": (0.0,)}[self.told]
         material = replace(preset.material, metallic=metallic, most_materials=self.materials)
@@ -85,7 +88,10 @@ class Case:
 
 
 def tiny_preset() -> Preset:
-    """Every stage with few steps on coarse grids: a whole job in about a second. It learns little and runs all the code."""
+    """A preset with which a whole job takes about a second: every stage has few steps and coarse grids.
+
+    The job learns little, but it runs all the code.
+    """
     preview = PRESETS["preview"]
     return replace(
         preview,
@@ -135,7 +141,7 @@ def tiny_preset() -> Preset:
 
 
 def signed_distance(shape: str, p: np.ndarray) -> np.ndarray:
-    """Distance [n] to the shape of points [n, 3], in a frame where the object's sphere has radius 1."""
+    """Signed distances [n] of points [n, 3] to the shape, in a frame where the object's sphere has radius 1."""
     if shape == "sphere":
         return np.linalg.norm(p, axis=-1) - 0.6
     if shape == "ring":
@@ -150,7 +156,10 @@ def signed_distance(shape: str, p: np.ndarray) -> np.ndarray:
 
 
 def trace(shape: str, origins: np.ndarray, directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Where rays [n, 3] meet the shape: distance [n] (inf: nowhere) and outward normal [n, 3], by sphere tracing."""
+    """Where rays [n, 3] meet the shape, by sphere tracing: (distances [n], outward normals [n, 3]).
+
+    The distance of a ray that meets nothing is infinite.
+    """
     along = -(origins * directions).sum(-1)
     miss = np.linalg.norm(origins + along[:, None] * directions, axis=-1) > 1
     t = np.maximum(along - 1, 0)
@@ -167,7 +176,7 @@ def trace(shape: str, origins: np.ndarray, directions: np.ndarray) -> tuple[np.n
 
 
 def light_from(kind: str, directions: np.ndarray, blur: float) -> np.ndarray:
-    """Radiance [n, 3] from unit directions [n, 3], averaged over lobes of about `blur` radians."""
+    """The radiance [n, 3] that comes from unit directions [n, 3], averaged over lobes of about `blur` radians."""
     if kind == "uniform":
         return np.full_like(directions, 0.5)
     rng = np.random.default_rng(5)
@@ -183,7 +192,7 @@ def light_from(kind: str, directions: np.ndarray, blur: float) -> np.ndarray:
 
 
 def shade(case: Case, normal: np.ndarray, to_eye: np.ndarray) -> np.ndarray:
-    """Radiance [n, 3] of the surface: a reflection blurred by the roughness over a diffuse base."""
+    """The radiance [n, 3] of the surface: a reflection, blurred by the roughness, plus a diffuse part."""
     cosine = np.clip((normal * to_eye).sum(-1, keepdims=True), 0, 1)
     base = case.albedo * np.array([1.0, 0.75, 0.45])
     f0 = case.metallic * base + (1 - case.metallic) * 0.04
@@ -193,7 +202,7 @@ def shade(case: Case, normal: np.ndarray, to_eye: np.ndarray) -> np.ndarray:
 
 
 def poses(case: Case) -> list[np.ndarray]:
-    """Camera-to-world matrices [4, 4] in the frame of the object's sphere."""
+    """The camera-to-world matrices [4, 4] of all views, in the frame of the object's sphere."""
     matrices = []
     for i in range(case.views):
         turn, rise = 2.39996 * i, math.asin(0.85 * math.sin(1.7 * i))
@@ -219,7 +228,7 @@ def poses(case: Case) -> list[np.ndarray]:
 
 
 def spoil(case: Case, photo: np.ndarray, view: int) -> np.ndarray:
-    """The photo [h, w, 3] with the case's defect."""
+    """The photo [h, w, 3] with the defect `case.pixels`."""
     rng = np.random.default_rng(1000 + view)
     some = rng.random(photo.shape[:2]) < 0.05
     kind = case.pixels
@@ -244,13 +253,13 @@ def spoil(case: Case, photo: np.ndarray, view: int) -> np.ndarray:
 
 
 def write_capture(case: Case, folder: Path) -> None:
-    """The capture of a case: transforms.json, images/, masks/ and mesh.obj where the case has them."""
+    """Write the capture of a case into `folder`: transforms.json and images/, and masks/ and mesh.obj where it has them."""
     (folder / "images").mkdir(parents=True)
     (folder / "masks").mkdir()
     n = case.size
     focal = FOCAL * n * (case.distance / 2.5 if case.zoom else 1.0)
     cx, cy = n * (0.5 + case.shift), n * (0.5 - 0.5 * case.shift)
-    # the object stands at a place of which the scale is a part, and the offset moves everything
+    # The object is not at the world's origin. The scale multiplies its place, and the offset moves everything.
     center = case.scale * np.array([0.3, -0.2, 0.5]) + case.offset * np.array([1.0, -0.5, 0.25])
     meta = {"w": n, "h": n, "fl_x": focal, "fl_y": focal, "cx": cx, "cy": cy, "frames": []}
     bounds = {
@@ -291,7 +300,7 @@ def write_capture(case: Case, folder: Path) -> None:
 
 def _write_photo(path: Path, photo: np.ndarray) -> None:
     if path.suffix == ".exr":
-        # float, not half: 1e30 must reach the reader
+        # The channels are float, not half, so that 1e30 does not become infinite.
         channels = {"RGBA"[: photo.shape[-1]]: np.ascontiguousarray(photo, np.float32)}
         header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
         OpenEXR.File(header, channels).write(str(path))

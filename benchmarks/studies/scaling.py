@@ -1,10 +1,12 @@
-"""How cost grows: one size varied at a time, CPU seconds a stage and peak memory, exponents by log-log least squares.
+"""Measure how time and memory grow with the size of the input.
 
     python -m benchmarks.studies.scaling [--factor NAME...] [--threads 1] [--out out/benchmarks/scaling]
 
-Stages are the sections of `blender_nep.profiling`; kernels are warm before anything is timed. Every measurement writes one
-JSON file and is skipped when that exists. Ends with a table of exponents, and a plot where matplotlib is installed (the
-extra `bench`). Peak memory is the process's own, reset before each measurement (Linux only).
+One size is varied at a time. The CPU seconds of each stage and the peak memory are measured, and the exponents of their
+growth are fitted by least squares in log-log space. Stages are the sections of `blender_nep.profiling`. All kernels run once
+before anything is timed, so that no measurement contains their compilation. Every measurement writes one JSON file, and is
+skipped when that file exists. At the end the program prints a table of exponents, and draws a plot where matplotlib is
+installed (the extra `bench`). Peak memory is that of this process, and is reset before each measurement (Linux only).
 """
 
 from __future__ import annotations
@@ -33,20 +35,20 @@ from blender_nep.profiling import Profile
 from blender_nep.surface.extraction import extract_surface
 
 PIXELS = 36_864
-"""A photo, where it is not varied: the small capture's 192 x 192."""
+"""Pixels of a photo where that number is not varied: the 192 x 192 of the small capture."""
 STEPS = 8
-"""Timed, of each kind, after as many that are not."""
+"""Steps of each kind that are timed. As many steps before them are not timed."""
 CPU = torch.device("cpu")
 
 
 class Bench:
-    """One capture, and the object that the later stages start from."""
+    """Does the work that is measured, on one capture."""
 
     def __init__(self, folder: Path) -> None:
         self.capture = load_capture(folder)
 
     def rays(self, views: int | None = None, pixels: int = PIXELS) -> PixelRays:
-        """Of some of the views, spread evenly."""
+        """The pixel rays of `views` of the views, spread evenly; of all views where `views` is None."""
         views = views or len(self.capture.views)
         pick = np.linspace(0, len(self.capture.views) - 1, views).round().astype(int)
         some = replace(self.capture, views=[self.capture.views[k] for k in pick])
@@ -54,13 +56,13 @@ class Bench:
 
     @cache  # noqa: B019  one bench a process
     def learned(self) -> tuple[ObjectField, EnvironmentField, Surface]:
-        """A short run of stage 1: shapes and sizes are those of a full one."""
+        """The fields and the surface of a short run of stage 1. Their shapes and sizes are those of a full run."""
         preset = base(fields={"background_steps": 60, "steps": 120, "least_explanation_ratio": 0.0})
         fields = learn_fields(self.rays(), preset, seed=0, device=CPU, progress=lambda *_: None, checkpoint=NoCheckpoint())
         return fields.object_field, fields.environment, extract_surface(fields.object_field, preset.surface)[0]
 
     def learn(self, preset: Preset, views: int | None = None, pixels: int = PIXELS) -> Profile:
-        """Loads, some steps of F_e alone, the hull, the object pixels, some steps of both fields."""
+        """Load photos, do some steps of F_e alone, the hull and the object pixels, and some steps of both fields."""
         profile = Profile()
         with profile.recording():
             rays = self.rays(views, pixels)
@@ -72,7 +74,7 @@ class Bench:
                 learning.learn_step()
             learning.start_from_hull()
             learning.update_object_pixels()
-        # the first of these steps starts from the hull once more, and is not timed
+        # These steps are not timed, because the first of them starts from the hull once more.
         for _ in range(STEPS):
             learning.learn_step()
         with profile.recording():
@@ -81,7 +83,7 @@ class Bench:
         return profile
 
     def surface(self, preset: Preset) -> Profile:
-        """Marching cubes to UV atlas."""
+        """Extract the surface: all steps from marching cubes to the UV atlas."""
         field = self.learned()[0]
         profile = Profile()
         with profile.recording():
@@ -89,20 +91,20 @@ class Bench:
         return profile
 
     def textures(self, size: int) -> Profile:
-        """Textures size x size from 3000 samples that say nothing."""
+        """Bake textures of size x size texels from 3000 random samples."""
         surface = self.learned()[2]
         random = np.random.default_rng(0)
         position = surface.vertices[random.integers(len(surface.vertices), size=3000)].astype(np.float32)
         grey, even = np.full((3000, 3), 0.5, np.float32), np.full(3000, 0.1, np.float32)
-        evidence = LabelledPoints(position, random.integers(40, size=3000), even[:, None], grey, even)
+        points = LabelledPoints(position, random.integers(40, size=3000), even[:, None], grey, even)
         palette = Palette(torch.full((1, 3), 0.5), torch.full((1,), 0.3), torch.ones(1))
         profile = Profile()
         with profile.recording():
-            bake(surface, evidence, palette, size)
+            bake(surface, points, palette, size)
         return profile
 
     def materials(self, preset: Preset) -> Profile:
-        """Stage 2 with one material and no light but F_e's."""
+        """Run stage 2 with one material, and without light that F_e does not have."""
         _, environment, _ = self.learned()
         surface = extract_surface(self.learned()[0], preset.surface)[0]
         profile = Profile()
@@ -122,7 +124,7 @@ class Bench:
 
 
 def base(**changes: dict) -> Preset:
-    """The preset that is varied: preview, with a short stage 2."""
+    """The preset that is varied: `preview` with a short stage 2, and with the fields that `changes` gives."""
     short = {"rounds": 1, "most_materials": 1, "residual": False, "samples": 3000, "terminal_steps": 20, "most_texels": 256}
     parts = {"material": short, "surface": {"grid": 96, "faces": 6000, "atlas_texels": 512}}
     for part, values in changes.items():
@@ -133,7 +135,7 @@ def base(**changes: dict) -> Preset:
 STEP = {"steps of F_e alone": STEPS, "steps of both fields": STEPS}
 READ = {"decode photos": 1, "rays that meet the sphere": 1}
 PASS = {"visual hull": 1, "object pixels": 1}
-"""Stages that are reported, and what their seconds are divided by."""
+"""Stages that are reported -> the number by which their seconds are divided."""
 
 FACTORS: dict[str, tuple[tuple[int, ...], Callable, dict[str, float]]] = {
     "views": ((5, 10, 20, 40), lambda b, n: b.learn(base(), views=n), READ | STEP | PASS),
@@ -180,11 +182,11 @@ FACTORS: dict[str, tuple[tuple[int, ...], Callable, dict[str, float]]] = {
         {"gather light": 1, "self reflection": 1},
     ),
 }
-"""Name: values, what is done, and the stages that are reported with what their seconds are divided by."""
+"""Name of a size -> (its values, the work that is measured, {stage that is reported: divisor of its seconds})."""
 
 
 def measure(bench: Bench, value: int, work: Callable, stages: dict[str, float]) -> dict:
-    """CPU seconds of each stage, all its calls together, and the peak memory in MB."""
+    """Do the work, and return the CPU seconds of each stage, all its calls together, and the peak memory in MB."""
     reset_peak()
     profile = work(bench, value)
     seconds: dict[str, float] = {}
@@ -196,14 +198,14 @@ def measure(bench: Bench, value: int, work: Callable, stages: dict[str, float]) 
 
 
 def reset_peak() -> None:
-    """Forget the largest memory so far (Linux)."""
+    """Reset the operating system's record of this process's largest memory (Linux only)."""
     path = Path("/proc/self/clear_refs")
     if path.exists():
         path.write_text("5")
 
 
 def peak() -> float | None:
-    """Largest resident memory in MB since `reset_peak`; None where the system does not tell."""
+    """The largest resident memory in MB since `reset_peak`; None where the operating system does not give it."""
     status = Path("/proc/self/status")
     if not status.exists():
         return None
@@ -212,14 +214,17 @@ def peak() -> float | None:
 
 
 def exponent(values: list[float], costs: list[float]) -> float:
-    """The slope of log cost over log value, by least squares; NaN where a cost is too small to be timed."""
+    """The slope of log cost over log value, by least squares.
+
+    It is NaN where there are fewer than two costs, or where a cost is too small to be timed.
+    """
     if len(costs) < 2 or min(costs) < 1e-3:
         return float("nan")
     return float(np.polyfit(np.log(values), np.log(costs), 1)[0])
 
 
 def curves(rows: list[dict]) -> list[tuple[str, str, list[int], list[float]]]:
-    """(factor, stage, values, costs) of each stage of each factor, peak memory with them."""
+    """(factor, stage, values, costs) of each stage of each factor. Peak memory counts as a stage."""
     found = []
     for name in dict.fromkeys(row["factor"] for row in rows):
         own = sorted((r for r in rows if r["factor"] == name and "error" not in r), key=lambda r: r["value"])
@@ -231,7 +236,7 @@ def curves(rows: list[dict]) -> list[tuple[str, str, list[int], list[float]]]:
 
 
 def table(rows: list[dict]) -> str:
-    """Exponents, and the costs that they are fitted to."""
+    """A table of the exponents and of the costs to which they are fitted."""
     lines = []
     for name, stage, values, costs in curves(rows):
         power = exponent(values, costs)
@@ -248,7 +253,7 @@ def table(rows: list[dict]) -> str:
 
 
 def plot(rows: list[dict], path: Path) -> None:
-    """A panel for each factor, both axes logarithmic. Without matplotlib: nothing."""
+    """Draw a panel for each factor, with logarithmic axes. Without matplotlib nothing is drawn."""
     try:
         from matplotlib.figure import Figure
     except ImportError:
@@ -286,7 +291,8 @@ def main() -> None:
         for value in values:
             file = arguments.out / f"{name.replace(' ', '_')}-{value}.json"
             if not file.is_file() and not warm:
-                bench.materials(base(material={"samples": 500}))  # kernels are compiled or loaded at their first use
+                # Kernels are compiled or loaded at their first use, which must not be timed.
+                bench.materials(base(material={"samples": 500}))
                 bench.learn(base(), views=4)
                 warm = True
             row = {"factor": name, "value": value, "threads": arguments.threads}

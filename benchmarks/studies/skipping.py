@@ -1,14 +1,16 @@
-"""What scene analysis leaves out, the time that it saves, and whether the error grows: whole jobs with and without it.
+"""Compare whole jobs with and without scene analysis: what it leaves out, the time it saves, and whether errors grow.
 
     python -m benchmarks.studies.skipping SCENE... [--preset preview] [--seeds 0 1 2] [--out out/benchmarks/skipping]
                                   [--write docs/benchmarks.md]
 
-A scene is the folder of a capture with ground truth, and after a colon what is made of it or told about it: `cut-out`,
-`clipped`, `distant` (see derived_captures), `masks` (else they are ignored; derived captures use them), `metal` (--metal
-yes). Every run writes one JSON file and is skipped when that exists; a run that fails is a row with its message. Stage 1
-is learned once where leaving out changes nothing in it. Seconds are CPU seconds of the whole job, the look at the
-scene included.
-Ends with the table, and puts it between a document's markers.
+A scene is the folder of a capture with ground truth. Words after a colon, with commas between them, change the capture or
+the job. `cut-out`, `clipped`, `auto-exposed` and `distant` make a variant of the capture (see derived_captures). `masks`
+uses the masks of the capture, which are ignored otherwise; variants always use them. `metal` runs the job with
+`--metal yes`.
+
+Every run writes one JSON file, and is skipped when that file exists. A run that fails is a row with its message. Stage 1 is
+learned once where leaving out changes nothing in it. Seconds are CPU seconds of the whole job, with the scene analysis. At
+the end the program prints the table, and `--write` puts it between the markers of a document.
 """
 
 from __future__ import annotations
@@ -54,7 +56,7 @@ from blender_nep.stop_request import StopRequest
 
 @dataclass(frozen=True)
 class Scene:
-    """A capture, and what is told about it."""
+    """A capture and the settings of the job on it. `metal`: the job is told that the object is metal."""
 
     folder: Path
     name: str
@@ -63,7 +65,7 @@ class Scene:
 
     @classmethod
     def parse(cls, text: str, out: Path) -> Scene:
-        """`FOLDER[:word,word]`."""
+        """The scene that the text `FOLDER[:word,word]` describes. A variant of the capture is made in `out`."""
         path, _, words = text.partition(":")
         folder, told = Path(path), [word for word in words.split(",") if word]
         name = "-".join([folder.name, *told])
@@ -76,18 +78,21 @@ class Scene:
 
 
 def without_skipping(preset: Preset) -> Preset:
-    """The preset that does everything, needed or not."""
+    """The preset without any skipping: the job also does the work that this scene does not need."""
     m = preset.material
     return replace(preset, skip_needless=False, material=replace(m, sure_margin=math.inf, uniform_texels=m.most_texels))
 
 
 class FieldsOnce(FieldsStage):
-    """Stage 1; the same capture, seed and settings are learned once, by the same code."""
+    """Stage 1 that is learned once for the same capture, seed, settings and version of the code.
+
+    The learned fields are stored in the folder `kept`, and the next run takes them from there.
+    """
 
     def __init__(self, scene: Scene, kept: Path, made_by: str) -> None:
         self.scene, self.kept, self.made_by = scene, kept, made_by
         self.taken_over: float | None = None
-        """CPU seconds of the stage 1 that was learned before."""
+        """The CPU seconds of the stored stage 1 that this run has taken; None where this run has learned its own."""
 
     def run(self, given: FieldsInput, progress: Progress, checkpoint: Checkpoint) -> Fields:
         preset = given.preset
@@ -115,7 +120,7 @@ class FieldsOnce(FieldsStage):
 
 
 class KeptAsset(AssetStage):
-    """No asset is written: what would be written is kept here."""
+    """Writes no asset. It keeps the stage's input, and the report of the job, in memory."""
 
     def __init__(self) -> None:
         self.given: AssetInput | None = None
@@ -126,7 +131,7 @@ class KeptAsset(AssetStage):
 
 
 def run(scene: Scene, preset: Preset, seed: int, threads: int, kept: Path, picture: Path) -> dict:
-    """One job and its scores."""
+    """Run one job, and return its seconds, its scores and what it skipped."""
     capture = load_capture(scene.folder, use_masks=scene.masks)
     photos = fingerprint(capture, preset, seed, scene.masks, None)["capture"]
     stage_1, asset, cpu = FieldsOnce(scene, kept, f"{photos} {machine(threads)['commit']}"), KeptAsset(), {}
@@ -164,8 +169,11 @@ ERRORS = {
 
 
 def line(name: str, rows: dict[bool, list[dict]]) -> list[str]:
-    """One scene: what only the run with skipping left out; seconds with / without, and how much less that is; errors with /
-    without; mean ± deviation of seeds."""
+    """The table's line of one scene. `rows` holds the rows of the runs with skipping (True) and without it (False).
+
+    The line shows what only the runs with skipping left out, the seconds of both, the time saved in percent, and the errors
+    of both. Numbers are means over the seeds ± their deviation.
+    """
     good = {skip: [row for row in found if "error" not in row] for skip, found in rows.items()}
     if not all(good.values()):
         return [name, next(row["error"] for found in rows.values() for row in found if "error" in row)]

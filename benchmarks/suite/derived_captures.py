@@ -1,6 +1,6 @@
-"""Captures made from others, with other needs: cut-outs, photos that end at white, an object far away.
+"""Makes variants of a capture: cut-outs, photos that are clipped at white, photos of a distant object.
 
-Each keeps the cameras, the truth and the test views of the capture that it was made from.
+A variant keeps the cameras, the ground truth and the test views of the capture that it was made from.
 """
 
 from __future__ import annotations
@@ -18,27 +18,27 @@ from blender_nep.capture import load_capture
 from blender_nep.color import linear_to_srgb
 
 _SMALLER = 4
-"""The photos of `distant` have as many times fewer pixels a side."""
+"""The width and height of the photos of `distant` are divided by this number."""
 
 
 def cut_out(photo: np.ndarray, mask: np.ndarray, _white: float, file: Path) -> None:
-    """Nothing but the object, before alpha 0."""
+    """Write a cut-out: the object alone, with alpha 0 around it."""
     _write_exr(file, np.concatenate([photo * mask[..., None], mask[..., None]], -1))
 
 
 def clipped(photo: np.ndarray, _mask: np.ndarray, white: float, file: Path) -> None:
-    """8 bits a channel, sRGB, all photos with one exposure."""
+    """Write 8 bits a channel, sRGB-encoded. All photos have the same exposure, which `white` gives."""
     Image.fromarray(np.round(255 * linear_to_srgb(photo / white)).astype(np.uint8)).save(file)
 
 
 def auto_exposed(photo: np.ndarray, _mask: np.ndarray, _white: float, file: Path) -> None:
-    """8 bits a channel, sRGB, each photo exposed for itself: a fiftieth of its pixels are white."""
+    """Write 8 bits a channel, sRGB-encoded. Each photo has its own exposure, which makes a fiftieth of its pixels white."""
     own_white = max(float(np.quantile(photo.max(-1), 0.98)), 1e-6)
     Image.fromarray(np.round(255 * linear_to_srgb(photo / own_white)).astype(np.uint8)).save(file)
 
 
 def distant(photo: np.ndarray, _mask: np.ndarray, _white: float, file: Path) -> None:
-    """As from farther away: few pixels on the object, the same view."""
+    """Write the same view with fewer pixels, so that the object covers few pixels, as if it were far away."""
     _write_exr(file, _shrunk(photo))
 
 
@@ -51,7 +51,7 @@ VARIANTS: dict[str, tuple[Callable, str]] = {
 
 
 def derive(source: Path, variant: str, out: Path) -> Path:
-    """The capture `out`, made from `source` where it is not there yet."""
+    """Make the variant of the capture `source` in the folder `out`, unless it is there already. Returns `out`."""
     write, suffix = VARIANTS[variant]
     if (out / "transforms.json").is_file():
         return out
@@ -89,7 +89,7 @@ def derive(source: Path, variant: str, out: Path) -> Path:
 
 
 def _shrunk(image: np.ndarray) -> np.ndarray:
-    """Means over squares of pixels of [H,W,C]."""
+    """The image [H,W,C] with `_SMALLER` times fewer pixels a side. Each pixel is the mean of a square of pixels."""
     height, width = (side // _SMALLER * _SMALLER for side in image.shape[:2])
     blocks = image[:height, :width].reshape(height // _SMALLER, _SMALLER, width // _SMALLER, _SMALLER, -1)
     return blocks.mean((1, 3)).astype(np.float32)

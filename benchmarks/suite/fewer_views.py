@@ -1,4 +1,7 @@
-"""Captures with fewer photos: a folder with its own transforms.json, whose photos are links into the whole capture."""
+"""Makes captures with fewer photos.
+
+Such a capture is a folder with its own transforms.json and links to the files of the whole capture.
+"""
 
 from __future__ import annotations
 
@@ -11,8 +14,11 @@ import numpy as np
 
 
 def spread(positions: np.ndarray, count: int) -> list[int]:
-    """`count` of the camera positions [n, 3], the first one first, each next as far as can be from those before: fewer
-    are the beginning of more."""
+    """Indices of `count` camera positions [n, 3] that are spread evenly.
+
+    The first is position 0. Each next one is as far as possible from those before it. So a smaller `count` gives the
+    beginning of the list that a larger one gives.
+    """
     chosen = [0]
     nearest = np.linalg.norm(positions - positions[0], axis=1)
     while len(chosen) < min(count, len(positions)):
@@ -22,7 +28,7 @@ def spread(positions: np.ndarray, count: int) -> list[int]:
 
 
 def with_fewer_views(capture: Path, count: int, folder: Path) -> Path:
-    """Write (once) and return the capture of `count` of the photos in `capture`."""
+    """Write a capture with `count` photos of `capture` into `folder`, unless it is there already. Returns `folder`."""
     if (folder / "transforms.json").is_file():
         return folder
     meta = json.loads((capture / "transforms.json").read_text(encoding="utf-8"))
@@ -31,7 +37,7 @@ def with_fewer_views(capture: Path, count: int, folder: Path) -> Path:
     folder.mkdir(parents=True, exist_ok=True)
     for entry in capture.iterdir():
         if entry.name != "transforms.json":
-            with contextlib.suppress(FileExistsError):  # another run writes the same
+            with contextlib.suppress(FileExistsError):  # another run may be making the same links
                 (folder / entry.name).symlink_to(entry.resolve())
     part = folder / f"transforms.{os.getpid()}.part"
     part.write_text(json.dumps(meta | {"frames": [meta["frames"][k] for k in kept]}, indent=1), encoding="utf-8")

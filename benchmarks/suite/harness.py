@@ -1,6 +1,7 @@
-"""What the benchmarks share: presets with fields changed, steps in processes of their own, resumable rows, Markdown tables.
+"""What the benchmarks share: changed presets, steps in separate processes, rows that are resumed, Markdown tables.
 
-Light on purpose: the suite's runner, which is counted into the memory of what it starts, imports no more than this.
+This file imports little. The suite's runner imports no more than this file, because Linux counts the runner's own memory
+into the peak memory of the processes that it starts.
 """
 
 from __future__ import annotations
@@ -20,17 +21,20 @@ from blender_nep.errors import NepError, Stopped
 from blender_nep.presets import Preset
 
 _POLL = 0.2
-"""Seconds between two looks at a running step."""
+"""Seconds between two checks whether a running step has ended."""
 
 
 def with_changes(preset: Preset, changes: dict[str, dict]) -> Preset:
-    """The preset with some fields of its parts changed, or of its own ("preset"): {"material": {"levels": 1}}."""
+    """The preset with some fields changed, for example by {"material": {"levels": 1}}.
+
+    A key of `changes` is the name of a part of the preset, or "preset" for the preset's own fields.
+    """
     parts = {part: replace(getattr(preset, part), **values) for part, values in changes.items() if part != "preset"}
     return replace(preset, **changes.get("preset", {}), **parts)
 
 
 def use_threads(count: int) -> None:
-    """For torch and Numba."""
+    """Let torch and Numba use `count` threads."""
     import numba
     import torch
 
@@ -40,28 +44,31 @@ def use_threads(count: int) -> None:
 
 @dataclass
 class Ended:
-    """How a process ended, and what it alone has used."""
+    """How a process ended, and the time and memory that it used."""
 
     code: int
     """Exit code, or minus a signal's number."""
     seconds: float
     cpu_seconds: float
     peak_mb: float
-    """Linux counts the memory of the process that started it, too: the runner stays small."""
+    """Linux counts the memory of the process that started this one, too. Therefore the suite's runner must stay small."""
     timed_out: bool
 
 
 class Children:
-    """The steps that are running. Once `stopped` is set all of them are killed."""
+    """Runs steps as processes. When `stopped` is set, all running processes are killed."""
 
     stopped = False
 
     def run(self, command: Sequence[str], log: Path, threads: int, limit: float) -> Ended:
-        """Run a command to its end, or kill it with its children after `limit` seconds. Output goes to `log`."""
+        """Run a command to its end. After `limit` seconds it is killed, together with its own children.
+
+        What the command prints is added to the file `log`. Its libraries use `threads` threads.
+        """
         named = {f"{library}_NUM_THREADS": str(threads) for library in ("OMP", "NUMBA", "OPENBLAS", "MKL")}
         start = time.perf_counter()
         with open(log, "ab") as output:
-            # its standard input closes when this process dies, however it does; a job stops at that
+            # The child's standard input closes when this process ends, for any reason. A job stops when that happens.
             child = subprocess.Popen(
                 command, stdin=subprocess.PIPE, stdout=output, stderr=output, env=os.environ | named, start_new_session=True
             )
@@ -81,8 +88,11 @@ class Children:
 
 
 def resumed(file: Path, row: dict, run: Callable[[], dict]) -> dict:
-    """What `file` holds; where there is none, `row` with what run() gives or its error's message, written there. Who is
-    stopped leaves no row."""
+    """The row that `file` holds. Where there is no file, call run(), and write the row into the file first.
+
+    That row is `row` with the values that run() returns, or with "error" and the message of the error that it raises. A run
+    that was stopped writes no row, and raises Stopped.
+    """
     if not file.is_file():
         try:
             row = row | run()
@@ -90,7 +100,7 @@ def resumed(file: Path, row: dict, run: Callable[[], dict]) -> dict:
             raise
         except NepError as error:
             row = row | {"error": str(error)}
-        except Exception as error:  # a campaign of hours must not end with one run, whatever that ran into
+        except Exception as error:  # one run that fails, for any reason, must not end a campaign of hours
             traceback.print_exc()
             row = row | {"error": f"{type(error).__name__}: {error}"}
         write_row(file, row)
@@ -98,7 +108,7 @@ def resumed(file: Path, row: dict, run: Callable[[], dict]) -> dict:
 
 
 def write_row(file: Path, row: dict) -> None:
-    """As JSON, whole or not at all."""
+    """Write `row` as JSON, under a temporary name that is then changed to `file`."""
     file.parent.mkdir(parents=True, exist_ok=True)
     part = file.with_suffix(".part")
     part.write_text(json.dumps(row, indent=1), encoding="utf-8")
@@ -106,12 +116,12 @@ def write_row(file: Path, row: dict) -> None:
 
 
 def read_row(file: Path) -> dict:
-    """What a file of `write_row` holds; {} where there is none."""
+    """The row in a file that `write_row` has written; {} where there is no such file."""
     return json.loads(file.read_text(encoding="utf-8")) if file.is_file() else {}
 
 
 def markdown(header: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
-    """A table; numbers with four digits."""
+    """A Markdown table. Floating-point numbers have four significant digits."""
     lines = ["| " + " | ".join(header) + " |", "|---" * len(header) + "|"]
     lines += ["| " + " | ".join(f"{c:.4g}" if isinstance(c, float) else str(c) for c in row) + " |" for row in rows]
     return "\n".join(lines)

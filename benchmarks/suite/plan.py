@@ -1,4 +1,4 @@
-"""What is run: captures x presets x ablations x number of photos x image size x seeds, as data."""
+"""The plans of the suite, as data: captures x presets x ablations x number of photos x image size x seeds."""
 
 from __future__ import annotations
 
@@ -32,10 +32,13 @@ ABLATIONS: dict[str, dict[str, dict]] = {
     AS_TAKEN: {"preset": {"even_exposure": False}},
     "one material": {"material": {"most_materials": 1}},
 }
-"""Preset fields that differ from the preset's own. w_s is off and N is 2 in all presets, where the scene needs it: with
-skip_needless N = 2 and 3 would be 1 on most objects. Without steps of F_e alone there is no hull either. WITHOUT_F_E is no
-preset's field: all light is a map at infinity, found by the object's reflections alone (the paper puts an MLP there).
-AS_TAKEN changes something where photos' exposures differ, and stands in no plan."""
+"""Name of an ablation -> the preset fields that it changes.
+
+In all presets w_s is off, and N is 2 where the scene needs it. The ablations of N turn skip_needless off, because with it
+N = 2 and N = 3 would become 1 on most objects. "F_e not first" has no visual hull either, because the hull needs steps of
+F_e alone. WITHOUT_F_E changes no field of a preset: step.py gives stage 2 no F_e. All light is then a map at infinity, which
+is found by the object's reflections alone (the paper puts an MLP there). AS_TAKEN changes something only where the exposures
+of photos differ, and is in no plan."""
 
 
 @dataclass(frozen=True)
@@ -46,16 +49,16 @@ class Run:
     preset: str = "balanced"
     ablation: str = "full"
     geometry: str = "own"
-    """own, or true: the materials are learned on the capture's gt_mesh.ply."""
+    """own: the job makes its own mesh. true: the materials are learned on the capture's gt_mesh.ply."""
     views: int | None = None
-    """Photos learned from, spread evenly; None: all."""
+    """How many photos are learned from, spread evenly; None for all."""
     pixels: int | None = None
-    """Most pixels of a photo; None: the preset's."""
+    """Most pixels of a photo; None for the preset's own number."""
     seed: int = 0
 
     @property
     def name(self) -> str:
-        """Of its files."""
+        """The name of this run's files."""
         parts = [self.capture.name, self.preset, self.ablation]
         parts += ["true_mesh"] if self.geometry == "true" else []
         parts += [f"{self.views}_views"] if self.views else []
@@ -64,32 +67,35 @@ class Run:
 
     @property
     def is_plain(self) -> bool:
-        """A whole job as a user would run it: no ablation, all photos, its own mesh."""
+        """Whether this is a whole job as a user would run it: no ablation, all photos, its own mesh."""
         return self == Run(self.capture, self.preset, seed=self.seed)
 
     @property
     def changed_preset(self) -> Preset:
-        """The preset as this run wants it."""
+        """The preset with the changes of this run's ablation and number of pixels."""
         changed = with_changes(PRESETS[self.preset], ABLATIONS[self.ablation])
         return replace(changed, max_pixels_per_photo=self.pixels) if self.pixels else changed
 
     @property
     def same_stage_1(self) -> Run | None:
-        """The run without ablation, if only stage 2 differs: its fields and its surface serve here too."""
+        """The run without ablation whose stage 1 this run can use too; None where this run needs its own stage 1.
+
+        The fields and the surface can be shared where the ablation changes only stage 2.
+        """
         only_materials = {"material"} <= set(ABLATIONS[self.ablation]) <= {"material", "preset"}
         return replace(self, ablation="full") if only_materials else None
 
     def as_row(self) -> dict:
-        """For JSON; the capture by its folder's name alone."""
+        """This run for the row's JSON. The capture is given by the name of its folder, without the path."""
         return asdict(self) | {"capture": self.capture.name}
 
     @classmethod
     def from_json(cls, values: dict) -> Run:
-        """The inverse of `as_json`."""
+        """The run that `as_json` has turned into `values`."""
         return cls(**values | {"capture": Path(values["capture"])})
 
     def as_json(self) -> dict:
-        """With the capture's path."""
+        """This run for the step's JSON. The capture is given by its path."""
         return asdict(self) | {"capture": str(self.capture)}
 
 
@@ -108,13 +114,18 @@ PLANS: dict[str, tuple[dict[str, Sequence], ...]] = {
     ),
     "roughness": ({"preset": ("preview",), "seed": (0,)},),
 }
-"""Name -> what it crosses; what is not named stands at Run's default. `roughness` is for the captures of `render`. Sweeps
-and ablations at `preview`: a third of the time, and what they tell apart is there too."""
+"""Name of a plan -> the values of Run's fields that it combines, each with each.
+
+A field that a plan does not name has Run's default. `roughness` is for the captures that `render` makes. Sweeps and
+ablations use the preset `preview`. It takes a third of the time, and the differences that they look for show there too."""
 
 
 def expand(names: Iterable[str], captures: Sequence[Path], wanted: dict[str, Sequence]) -> list[Run]:
-    """The runs of some plans, each once, cheap seeds first; `wanted` overrides what the plans say. `all` is every plan,
-    and none of them what is wanted alone."""
+    """The runs of the plans `names`, each once. The runs of the first seed come first.
+
+    `wanted` overrides the values of the plans. The name `all` stands for all plans. Without names, the runs are those of
+    `wanted` alone.
+    """
     names = list(PLANS) if "all" in names else list(names)
     matrices = [matrix for name in names for matrix in PLANS[name]] or [{}]
     runs = {}

@@ -1,9 +1,10 @@
-"""Captures that the suite renders itself, in Cycles.
+"""Renders the captures that the suite makes itself, in Cycles.
 
     python -m benchmarks.suite.render NAME FOLDER VIEWS SIZE SAMPLES THREADS
 
-suzanne and box are Blender's own shapes in `backend/synthetic.py`'s room; gold_0.05 ... gold_0.8 are suzanne again, the
-same room, cameras and gold, of another roughness each. `scene.blend` is kept for relighting. Needs the `bpy` extra.
+suzanne and box are shapes of Blender in the room of `backend/synthetic.py`. gold_0.05 ... gold_0.8 show suzanne in the same
+room, with the same cameras and the same gold, but each has another roughness. `scene.blend` is written for relighting. This
+file needs the extra `bpy`.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ SETS = {"shapes": ("suzanne", "box"), "roughness": tuple(f"gold_{roughness:g}" f
 
 
 def render(name: str, folder: Path, views: int, size: int, samples: int, threads: int) -> int:
-    """Render a capture; transforms.json is written last. Returns an exit code."""
+    """Render a capture. transforms.json is written last. Returns an exit code."""
     import bpy
 
     from backend import synthetic

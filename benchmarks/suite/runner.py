@@ -1,10 +1,11 @@
-"""The runner: every run of a plan is learned, scored and relit, each step in a process of its own, into one JSON file.
+"""Runs the runs of a plan. Each run is learned, scored and relit; each of these steps is a separate process.
 
-    OUT/rows/NAME.json     {"run": what, "machine": where, "learn": ..., "score": ..., "relight": ...}
+    OUT/rows/NAME.json     the run's row: {"run": ..., "machine": ..., "learn": ..., "score": ..., "relight": ...}
     OUT/assets/NAME/       the asset; a run without ablation keeps the checkpoints of its stage 1
-    OUT/pictures/, logs/   materials and relit objects beside the truth; what the steps printed
+    OUT/pictures/          materials and relit objects beside the true ones
+    OUT/logs/              what the steps printed
 
-A step that is in the row is not done again. One that failed is there with its message.
+A step that is in the row is not done again. A step that failed is in the row too, with its message.
 """
 
 from __future__ import annotations
@@ -28,7 +29,7 @@ from benchmarks.suite.step import STAGE_1
 
 @dataclass
 class Suite:
-    """Where the results go, and how they are made."""
+    """Runs the steps of runs, and writes their results into `out`."""
 
     out: Path
     threads: int = 1
@@ -36,18 +37,18 @@ class Suite:
     limit: float = 7200.0
     """Seconds after which a step is killed."""
     relight: bool = False
-    """Score in Cycles too what is a whole job as a user would run it."""
+    """Whether whole jobs, as a user would run them (`Run.is_plain`), are scored in Cycles too."""
     retry: bool = False
-    """Do failed steps again."""
+    """Whether steps that failed are done again."""
     children: Children = field(default_factory=Children)
 
     def run_all(self, runs: Sequence[Run], jobs: int) -> int:
-        """All runs, `jobs` at once, in their order; returns how many have failed."""
+        """Run all runs in their order, `jobs` of them at once. Returns how many have failed."""
         failed = 0
         with ThreadPoolExecutor(jobs) as pool:
             started: dict[str, Future] = {}
             for run in runs:
-                # what a run takes over was handed to the pool before it, so that waiting for it ends
+                # The run whose stage 1 this run uses was given to the pool before this run. So waiting for it always ends.
                 donor = run.same_stage_1
                 started[run.name] = pool.submit(self._run_after, run, started.get(donor.name) if donor else None)
             try:
@@ -67,7 +68,10 @@ class Suite:
         return self.run(run)
 
     def run(self, run: Run) -> dict:
-        """The steps of one run that its row does not hold yet. A second runner waits for the first one's."""
+        """Do the steps of one run that its row does not hold yet, and return the row.
+
+        Where another runner is at work on the same run, this one waits for it first.
+        """
         for folder in ("logs", "pictures"):
             (self.out / folder).mkdir(parents=True, exist_ok=True)
         with open(self.out / "logs" / f"{run.name}.lock", "w") as lock:
@@ -85,7 +89,7 @@ class Suite:
                 continue
             if self.children.stopped:
                 break
-            result = self._step(step, run, asset)
+            result = self.run_step(step, run, asset)
             if self.children.stopped:
                 break
             if step == "learn":
@@ -99,7 +103,8 @@ class Suite:
                 _drop_checkpoints(asset, keep=STAGE_1 if run.ablation == "full" else ())
         return row
 
-    def _step(self, step: str, run: Run, asset: Path) -> dict:
+    def run_step(self, step: str, run: Run, asset: Path) -> dict:
+        """Do one step of one run in a separate process, and return what belongs into the row."""
         folder = self.out / "logs"
         order, result = (folder / f"{run.name}.{step}.{kind}" for kind in ("order.json", "result.json"))
         result.unlink(missing_ok=True)
@@ -136,7 +141,7 @@ class Suite:
 
 
 def failure(row: dict) -> str:
-    """The message of the first step that failed, or ''."""
+    """The message of the first step that failed; an empty string where none failed."""
     return next(
         (f"{step}: {row[step]['error']}" for step in ("learn", "score", "relight") if "error" in row.get(step, {})), ""
     )
@@ -157,7 +162,7 @@ def _drop_checkpoints(asset: Path, keep: Sequence[str]) -> None:
 
 
 def machine(threads: int) -> dict:
-    """What ran it, without names."""
+    """The computer that the runs ran on, without its name, and the commit and the date."""
     processor = platform.processor() or platform.machine()
     if Path("/proc/cpuinfo").is_file():
         lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()

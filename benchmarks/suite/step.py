@@ -1,7 +1,8 @@
-"""One step of one run, in a process of its own: `python -m benchmarks.suite.step ORDER RESULT`, both JSON files.
+"""Does one step of one run, as a separate process: `python -m benchmarks.suite.step ORDER RESULT`, both JSON files.
 
-learn: capture -> asset, with the preset that an ablation has changed. score: the asset against the truth. relight: the
-same in Cycles under lights that no photo showed. The order says which; the result is written last.
+The order says which step. `learn` makes the asset from the capture, with the preset that the ablation has changed. `score`
+compares the asset with the ground truth. `relight` compares both in Cycles under lights that no photo showed. The result is
+written last.
 """
 
 from __future__ import annotations
@@ -22,22 +23,22 @@ STAGE_1 = (StageName.FIELDS_LEARNING, StageName.SURFACE)
 
 
 class NoLight:
-    """Stands for F_e in stage 2: it has seen nothing, so that all light has to be found by reflections."""
+    """Takes the place of F_e in stage 2 and gives no light. So stage 2 must find all light by the object's reflections."""
 
     def __init__(self, distance: float) -> None:
         self.distance = distance
 
     def query_cone(self, origins, directions, half_angle):
-        """Radiance [n, 3] and coverage [n], all 0."""
+        """(radiance [n, 3], coverage [n]), both 0 everywhere."""
         return origins * 0, origins[:, 0] * 0
 
     def typical_distance(self) -> float:
-        """Where the light that no photo saw is put, object radii."""
+        """The distance, in object radii, at which stage 2 puts the light that no photo has seen."""
         return self.distance
 
 
 class Timed:
-    """A stage of a job whose CPU seconds are written down."""
+    """Wraps a stage of a job, and writes the CPU seconds of the stage into `cpu`."""
 
     def __init__(self, stage, cpu: dict[str, float]) -> None:
         self._stage, self._cpu = stage, cpu
@@ -46,7 +47,7 @@ class Timed:
         return getattr(self._stage, name)
 
     def run(self, *arguments):
-        """The stage's own work."""
+        """Run the stage, and write down its CPU seconds."""
         start = time.process_time()
         try:
             return self._stage.run(*arguments)
@@ -55,15 +56,15 @@ class Timed:
 
 
 def learn(run: Run, asset: Path, order: dict) -> dict:
-    """The job. An error is {"error": message}."""
+    """Run the job. Returns figures of its report, or {"error": message} where the job fails."""
     from blender_nep.errors import NepError
     from blender_nep.job import runner as job
     from blender_nep.job.events import Events
     from blender_nep.job.stages import MaterialsInput, MaterialsStage, Stages
     from blender_nep.stop_request import StopRequest
 
-    class Heard(Events):
-        """Keeps the error."""
+    class EventsWithError(Events):
+        """Events that also keep the message of the job's error."""
 
         failure = ""
 
@@ -72,7 +73,7 @@ def learn(run: Run, asset: Path, order: dict) -> dict:
             super().error(error)
 
     class WithoutEnvironment(MaterialsStage):
-        """Stage 2 with the ablation's light."""
+        """Stage 2 without F_e, for the ablation WITHOUT_F_E."""
 
         def run(self, given: MaterialsInput, *how):
             return super().run(replace(given, environment=NoLight(run.changed_preset.environment.outer_radius)), *how)
@@ -88,7 +89,7 @@ def learn(run: Run, asset: Path, order: dict) -> dict:
         capture = with_fewer_views(capture, run.views, Path(order["variant"]))
     shutil.rmtree(asset, ignore_errors=True)
     mesh = run.capture / "gt_mesh.ply" if run.geometry == "true" else None
-    given = order.get("stage_1") and _take_stage_1(Path(order["stage_1"]), asset, capture, run, mesh)
+    given = order.get("stage_1") and take_stage_1(Path(order["stage_1"]), asset, capture, run, mesh)
     settings = job.Settings(
         capture=capture,
         out=asset,
@@ -99,7 +100,7 @@ def learn(run: Run, asset: Path, order: dict) -> dict:
         resume=bool(given),
         **settings_of,
     )
-    stop, events = StopRequest(), Heard(None, sys.stderr)
+    stop, events = StopRequest(), EventsWithError(None, sys.stderr)
     stop.watch()
     if job.run(settings, events, stop, stages):
         return {"error": events.failure.replace(str(run.capture), run.capture.name)}
@@ -112,9 +113,12 @@ def learn(run: Run, asset: Path, order: dict) -> dict:
     return found | {"stage_cpu_seconds": cpu}
 
 
-def _take_stage_1(other: Path, asset: Path, capture: Path, run: Run, mesh: Path | None) -> bool:
-    """Put the finished stage 1 of the run without ablation into this one's folder, as a job that was stopped there; not if
-    that was made of another capture or preset than it would be now."""
+def take_stage_1(other: Path, asset: Path, capture: Path, run: Run, mesh: Path | None) -> bool:
+    """Copy the finished stage 1 of another run into the folder `asset`, so that `asset` looks like a job stopped after it.
+
+    `other` is the asset of the run without ablation. Returns False, and copies nothing, where that run has no finished stage
+    1, or was made from another capture or preset than it would be made from now.
+    """
     from blender_nep.capture import load_capture
     from blender_nep.job.run_folder import fingerprint
 
@@ -135,15 +139,17 @@ def _take_stage_1(other: Path, asset: Path, capture: Path, run: Run, mesh: Path 
 
 
 def score(run: Run, asset: Path, order: dict) -> dict:
-    """Geometry, F_e and materials against the truth; what belongs to the whole capture counts, however few photos were
-    learned from."""
+    """The scores of geometry, F_e and materials against the ground truth.
+
+    The scores use the cameras of the whole capture, even where the run has learned from only some of its photos.
+    """
     from benchmarks.scoring.scores import score_asset
 
     return score_asset(run.capture, asset, run.changed_preset, order["settings"]["device"], Path(order["picture"]))
 
 
 def relight(run: Run, asset: Path, order: dict) -> dict:
-    """In Cycles."""
+    """The scores of the asset in Cycles, under lights that no photo showed."""
     from benchmarks.scoring.relighting import compare
 
     return compare(run.capture, asset, Path(order["picture"]), Path(order["truth"]), order["settings"]["threads"])

@@ -1,4 +1,4 @@
-"""The asset folder: every file read back by something else than what wrote it."""
+"""The asset folder. Every file is read by another library, or another function, than the one that wrote it."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from support.captures import CENTER, RADIUS
 
 
 class Textures:
-    """Stands for Materials."""
+    """Takes the place of Materials."""
 
     def __init__(self):
         self.__dict__.update(ball_textures())
@@ -63,7 +63,7 @@ def test_obj_is_the_surface_in_capture_coordinates(write):
     assert mesh.volume > 0
 
 
-def test_textures_are_half_float_and_upright(write):
+def test_textures_are_half_float_and_upright_and_8_bit_in_png(write):
     folder = write()
     truth = ball_textures()
     albedo = OpenEXR.File(str(folder / "textures/albedo.exr")).channels()["RGB"].pixels
@@ -121,28 +121,37 @@ def test_a_failed_write_leaves_no_report(write):
     assert not (folder / ".partial").exists()
 
 
-def test_report_comes_last(write, monkeypatch):
+def test_the_report_is_removed_first_and_put_in_place_last(write, monkeypatch):
     folder = write()
-    moved = []
+    moved, fail_at = [], None
     replace = asset.os.replace
 
     def watch(source, target):
-        moved.append(str(target.name))
         assert not (folder / "report.json").exists()
-        if len(moved) == 4:
+        moved.append(str(target.relative_to(folder)))
+        if len(moved) == fail_at:
             raise PermissionError(13, "Permission denied")
         replace(source, target)
 
     monkeypatch.setattr(asset.os, "replace", watch)
-    with pytest.raises(OutputError):
+    write()
+    assert moved[-1] == "report.json" and len(moved) == len({p for p in folder.rglob("*") if p.is_file()})
+    moved, fail_at = [], 4
+    with pytest.raises(OutputError, match="Permission denied"):
         write()
-    assert not (folder / "report.json").exists() and "report.json" not in moved
+    assert len(moved) == 4 and not (folder / "report.json").exists()
 
 
-def test_preview_shows_photo_and_asset(write):
-    picture = np.asarray(Image.open(write() / "preview.png"))
+def test_preview_shows_a_photo_and_beside_it_the_same_view_of_the_asset(write, tmp_path):
+    """The photos show a grey ball before a background that changes. The asset has a colored ball in grey light."""
+    picture = np.asarray(Image.open(write() / "preview.png"), np.float64)
     assert picture.shape == (24, 48, 3)
-    assert picture[12, 12].std() < 3 and (picture[:, 24:] > 0).any()
+    photo, view = picture[:, :24], picture[:, 24:]
+    ball = np.asarray(Image.open(tmp_path / "capture" / "masks" / "000.png")) > 127  # the same in all photos
+    assert ((photo.std(-1) < 1) == ball).mean() > 0.97, "the photo's ball is grey, and its background is not"
+    light = np.median(view[~ball], axis=0)
+    assert np.ptp(light) < 1, "the grey light is seen beside the asset"
+    assert ((np.abs(view - light).max(-1) > 3) == ball).mean() > 0.95, "the asset stands where the photo shows the ball"
 
 
 def test_preview_light_of_one_color_shades_in_closed_form():

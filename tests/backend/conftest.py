@@ -1,4 +1,4 @@
-"""An asset that is small enough to be written by hand, and an engine that only plays its part."""
+"""Fixtures: a small asset that is written by hand, and a scripted engine that learns nothing."""
 
 from pathlib import Path
 

@@ -1,11 +1,10 @@
-"""run.py, from the capture to a relit asset, with an engine that only plays its part."""
+"""run.py from the capture to a relit asset, with a scripted engine that learns nothing."""
 
 import json
 import os
 import signal
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +13,7 @@ from PIL import Image
 
 from support.own_process import LIMIT_S, in_blender
 from support.paths import ROOT, SUZANNE_SMALL
+from support.waiting import wait_until
 
 
 def start_run(engine_python: str, mode: str, out: Path, *options: str, asset: Path | None = None) -> subprocess.Popen:
@@ -40,15 +40,15 @@ def start_run(engine_python: str, mode: str, out: Path, *options: str, asset: Pa
     )
 
 
-def until(path: Path, process: subprocess.Popen) -> None:
-    deadline = time.monotonic() + LIMIT_S
-    while not path.exists():
+def wait_for_file(path: Path, process: subprocess.Popen) -> None:
+    def written() -> bool:
         assert process.poll() is None, process.communicate()[1]
-        assert time.monotonic() < deadline
-        time.sleep(0.02)
+        return path.exists()
+
+    wait_until(written)
 
 
-def test_engine_error_and_its_code_are_passed_on(engine_python, tmp_path):
+def test_an_error_of_the_engine_and_its_exit_code_are_passed_on(engine_python, tmp_path):
     process = start_run(engine_python, "refuse", tmp_path / "out", "--preset", "preview", "--masks", "ignore")
     _, told = process.communicate(timeout=LIMIT_S)
     assert process.returncode == 3
@@ -68,7 +68,7 @@ def test_a_killed_engine_is_reported(engine_python, tmp_path):
 @pytest.mark.parametrize("how", ["SIGTERM", "closed stdin"])
 def test_stopping_lets_the_engine_write_its_checkpoint(engine_python, tmp_path, how):
     process = start_run(engine_python, "wait", tmp_path / "out", "--watch-stdin")
-    until(tmp_path / "out" / "waiting", process)
+    wait_for_file(tmp_path / "out" / "waiting", process)
     if how == "SIGTERM":
         process.send_signal(signal.SIGTERM)
     else:
@@ -79,18 +79,15 @@ def test_stopping_lets_the_engine_write_its_checkpoint(engine_python, tmp_path, 
     assert (tmp_path / "out" / "checkpoint").read_text() == "saved"
 
 
-def test_an_engine_whose_parent_dies_leaves(engine_python, tmp_path):
+def test_an_engine_writes_its_checkpoint_when_its_parent_is_killed(engine_python, tmp_path):
     process = start_run(engine_python, "wait", tmp_path / "out")
-    until(tmp_path / "out" / "waiting", process)
+    wait_for_file(tmp_path / "out" / "waiting", process)
     process.kill()
     process.communicate(timeout=LIMIT_S)
-    deadline = time.monotonic() + LIMIT_S
-    while not (tmp_path / "out" / "checkpoint").exists():
-        assert time.monotonic() < deadline
-        time.sleep(0.02)
+    wait_until((tmp_path / "out" / "checkpoint").exists)
 
 
-def test_capture_to_relit_asset(engine_python, asset, tmp_path):
+def test_run_makes_a_relit_asset_and_needs_no_engine_for_a_finished_one(engine_python, asset, tmp_path):
     """run.py from end to end: engine, import, World, comparison.png, asset.blend; then again without the engine."""
     out = tmp_path / "out"
     small = ("--relight", "1", "--photos", "1", "--samples", "2")

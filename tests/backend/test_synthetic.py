@@ -1,4 +1,4 @@
-"""A small synthetic capture: its cameras, masks and ground truth agree with its mesh, which they were not made from."""
+"""A small synthetic capture. Its cameras, masks and ground truth must agree with its mesh file, which is written apart."""
 
 import json
 import subprocess
@@ -86,7 +86,7 @@ def test_depth_is_that_of_the_mesh(capture):
     assert inside.sum() > 200 and np.median(error) < 0.02
 
 
-def test_ground_truth_channels(capture):
+def test_the_ground_truth_agrees_with_the_materials_and_the_mask(capture):
     truth = channels(capture / "gt" / "000.exr")
     assert set(truth) == {
         "albedo.R",
@@ -122,21 +122,21 @@ def test_ground_truth_channels(capture):
     assert outside.any() and truth["albedo.R"][outside].max() == 0
 
 
-def test_photos_are_linear_and_bright(capture):
+def test_photos_hold_linear_radiance_above_white(capture):
     for _, frame in frames(capture):
         photo = np.stack([channels(capture / frame["file_path"])[c] for c in "RGB"], axis=-1)
         assert photo.shape == (SIZE, SIZE, 3) and np.isfinite(photo).all() and photo.min() >= 0
         assert 0.02 < np.median(photo) < 2 and photo.max() > 1.2
 
 
-def test_same_seed_same_cameras_whatever_the_size(capture, tmp_path):
+def test_the_same_seed_gives_the_same_cameras_at_any_image_size(capture, tmp_path):
     done = render(tmp_path, "--scene", "box", "--views", "3", "--test-views", "1", "--size", "8", "--samples", "1")
     assert done.returncode == 0, done.stderr
     for (_, first), (_, second) in zip(frames(capture), frames(tmp_path), strict=True):
         assert first == second
 
 
-def test_mesh_file_as_scene_and_a_wrong_one(tmp_path):
+def test_a_mesh_file_is_scaled_to_fit_and_a_missing_one_is_refused(tmp_path):
     mesh = trimesh.creation.icosphere(subdivisions=2, radius=7.0)
     mesh.apply_translation([100, 0, -3])
     mesh.export(tmp_path / "ball.ply")

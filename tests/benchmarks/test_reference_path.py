@@ -10,9 +10,8 @@ from torch.nn import functional
 pytest.importorskip("igl")
 from benchmarks.baselines.reference_field import ReferenceField
 from benchmarks.baselines.reference_path import REFERENCE, SIZES
-from benchmarks.suite.harness import resumed, with_changes
+from benchmarks.suite.harness import with_changes
 from blender_nep.capture import PixelRays, load_capture
-from blender_nep.errors import Stopped
 from blender_nep.fields.training import FieldsLearning
 from blender_nep.presets import preset
 from support.paths import SUZANNE_SMALL
@@ -73,10 +72,17 @@ def test_half_of_the_samples_stand_at_the_surface_and_its_depth_is_the_zero_of_t
     field = ReferenceField(0.6)
     direction = directions(64, 2)
     origin = -3 * direction
-    t = field._place(origin, direction, 128, torch.Generator().manual_seed(0))
-    assert t.shape == (64, 128) and (t.diff(dim=1) >= 0).all() and t.min() >= 2 - 1e-5 and t.max() <= 4 + 1e-5
+    placed, values_and_gradients = [], field.values_and_gradients
+
+    def recorded(points: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        placed.append(points.detach())
+        return values_and_gradients(points)
+
+    monkeypatch.setattr(field, "values_and_gradients", recorded)
     with torch.no_grad():
-        surface = field.render(origin, direction, 300.0, 128, None)
+        surface = field.render(origin, direction, 300.0, 128, torch.Generator().manual_seed(0))
+    t = ((torch.cat(placed).reshape(64, 128, 3) - origin[:, None]) * direction[:, None]).sum(-1)
+    assert (t.diff(dim=1) >= -1e-5).all() and t.min() >= 2 - 1e-5 and t.max() <= 4 + 1e-5
     assert (surface.opacity > 0.99).all() and torch.equal(surface.ray, torch.arange(64))
     assert ((t - surface.depth[:, None]).abs() < 0.06).float().mean() > 0.3, "evenly spread, 6 % would be that near"
     at = field.sdf(origin + surface.depth[:, None] * direction)
@@ -116,12 +122,3 @@ def test_it_takes_the_place_of_the_object_field_and_a_resumed_learning_goes_on_t
     assert [first.learn_step() for _ in range(3)] == [other.learn_step() for _ in range(3)]
     assert np.abs(first.object_field.sdf_grid(8) - before).max() > 1e-3
     assert np.isfinite(first.explanation_ratio(256))
-
-
-def test_a_stopped_run_leaves_no_row(tmp_path):
-    def stop():
-        raise Stopped("stopped")
-
-    with pytest.raises(Stopped):
-        resumed(tmp_path / "row.json", {}, stop)
-    assert not (tmp_path / "row.json").exists()

@@ -1,4 +1,4 @@
-"""Tables and plots from rows that were made up, whose means are known."""
+"""Tables and plots of made-up rows, whose means are known."""
 
 import re
 import shutil
@@ -20,7 +20,7 @@ PRESETS = {"preview": (0.004, 100.0), "balanced": (0.002, 300.0)}
 
 
 def made_up(out: Path, run: Run, error: float, seconds: float, **learned) -> None:
-    """A row as the suite writes it."""
+    """Write a row of the form that the suite writes."""
     stages = {"capture": 1.0, "fields_learning": seconds / 2, "surface": 1.0, "material_learning": seconds / 2, "asset": 1.0}
     row = {
         "run": run.as_row(),
@@ -87,7 +87,7 @@ def out(tmp_path) -> Path:
 
 
 def line_of(table: str, *cells: str) -> list[str]:
-    """The cells of the one line that begins with these."""
+    """The cells of the only line of the table that begins with `cells`."""
     lines = [[cell.strip() for cell in line.strip("|").split("|")] for line in table.splitlines()]
     (found,) = [line for line in lines if line[: len(cells)] == list(cells)]
     return found
@@ -126,7 +126,7 @@ def test_costs_are_those_of_the_rows(out):
     assert line["seconds"] == "100" and line["fields, CPU s"] == "50" and line["texels"] == "65536" and line["MB"] == "1000"
 
 
-def test_sweeps_have_the_whole_runs_in_them_in_the_order_of_what_was_learned_from(out):
+def test_a_sweep_includes_the_whole_runs_and_is_sorted_by_what_was_learned_from(out):
     table = tables.swept(Results(load(out)), "views", "photos")
     assert [line_of(table, "**mean**", "balanced", views)[3] for views in ("8", "16")] == ["0.0125", "0.0063"]
     assert line_of(table, "**mean**", "balanced", "60")[3] == "0.0035 ± 0.0005"
@@ -149,7 +149,7 @@ def test_our_rows_on_the_true_mesh_stand_beside_the_peers(tmp_path):
     assert our_cells(tmp_path, ["bunny", "box"]) == [["box", "ours, preview", 0.003, 0.0, 0.003, 60.0]]
 
 
-def test_a_failed_run_is_told_and_in_no_mean(out):
+def test_a_failed_run_is_reported_and_counts_in_no_mean(out):
     rows = load(out)
     assert [message for _, message in failures(rows)] == ["learn: killed after 7200 s"]
     assert "killed after 7200 s" in tables.failed(rows)
@@ -158,7 +158,7 @@ def test_a_failed_run_is_told_and_in_no_mean(out):
     assert line_of(table, "**mean**", "quality")[3] == "-"  # suzanne alone is no mean of two
 
 
-def test_a_report_replaces_what_is_between_its_markers_alone(out, tmp_path):
+def test_a_report_replaces_only_the_text_between_its_markers(out, tmp_path):
     document, rows = tmp_path / "figures.md", load(out)
     document.write_text(
         "before\n<!-- presets -->\nold\n<!-- end of presets -->\nafter\n<!-- head -->\n<!-- end of head -->\n"
@@ -173,7 +173,7 @@ def test_a_report_replaces_what_is_between_its_markers_alone(out, tmp_path):
     assert write_report(rows, Results(rows), Path(shutil.copy(DOCUMENT, tmp_path))) == []
 
 
-def test_plots_are_small_pictures_and_none_is_made_of_nothing(out, tmp_path):
+def test_every_plot_of_the_report_is_drawn_as_a_small_picture(out, tmp_path):
     pytest.importorskip("matplotlib", reason="the extra `bench`")
     from benchmarks.reports.plots import PLOTS, draw_all
 

@@ -1,4 +1,4 @@
-"""The benchmark's own scores, on bodies whose scores are known; ablations change what their names say."""
+"""The scores of the benchmarks on bodies whose scores are known. Ablations change only the fields that they name."""
 
 from dataclasses import asdict
 
@@ -68,7 +68,7 @@ def test_a_failed_run_is_a_row_with_its_message_and_a_done_one_is_not_run_again(
     assert not (tmp_path / "stopped.json").exists()
 
 
-def test_an_asset_that_is_the_truth_scores_perfectly_but_for_what_is_put_in(tmp_path):
+def test_an_asset_that_is_the_truth_scores_perfectly_except_for_an_error_that_is_put_in(tmp_path):
     gold = {
         name: read_channels(SUZANNE_SMALL / "gt" / "000.exr")[channel]
         for name, channel in (
@@ -97,7 +97,7 @@ def test_an_asset_that_is_the_truth_scores_perfectly_but_for_what_is_put_in(tmp_
     assert score_asset(tmp_path, asset, preset("preview"), "cpu", picture) == {}
 
 
-def test_relit_pictures_that_differ_by_a_tenth_agree_to_20_decibels_on_the_object_alone():
+def test_relit_pictures_that_differ_by_a_tenth_have_a_psnr_of_20_over_the_object_alone():
     pytest.importorskip("bpy")
     from benchmarks.scoring.relighting import agreement, exposed
 
@@ -116,7 +116,7 @@ def test_relit_pictures_that_differ_by_a_tenth_agree_to_20_decibels_on_the_objec
     assert bright == pytest.approx(dark, abs=1e-5) and (bright == other).all()
 
 
-def test_an_exponent_is_that_of_the_power_law_and_what_cannot_be_timed_has_none():
+def test_an_exponent_is_that_of_the_power_law_and_is_nan_where_a_cost_is_too_small():
     values = [5, 10, 20, 40]
     assert scaling.exponent(values, [3e-2 * v**1.5 for v in values]) == pytest.approx(1.5)
     assert np.isnan(scaling.exponent(values, [0.0, 1e-5, 1.0, 2.0]))
@@ -129,7 +129,7 @@ def test_an_exponent_is_that_of_the_power_law_and_what_cannot_be_timed_has_none(
     assert "| views | decode | 5, 10, 20 | 0.05, 0.1, 0.2 | 1.00 |" in scaling.table(rows)
 
 
-def test_every_size_that_is_varied_changes_what_is_measured_and_is_timed():
+def test_every_value_of_a_varied_size_changes_the_work_that_is_measured():
     class Recorder:
         def __getattr__(self, kind):
             return lambda *arguments, **keywords: (kind, arguments, tuple(keywords.items()))

@@ -1,4 +1,4 @@
-"""The benchmark of what is left out: the captures it makes are what they say, its table shows only what differs."""
+"""The study of skipping: variants of captures have the properties of their names, and the table shows only differences."""
 
 import pytest
 import torch
@@ -11,13 +11,15 @@ from blender_nep.presets import preset
 from support.paths import SUZANNE_SMALL
 
 
-def look(scene: Scene) -> SceneAnalysis:
+def analyse(scene: Scene) -> SceneAnalysis:
     return SceneAnalysis.of(PixelRays.from_capture(load_capture(scene.folder), 40_000, scene.masks, torch.device("cpu")))
 
 
-def test_captures_are_made_with_the_needs_that_they_are_named_for(tmp_path):
-    plain = look(Scene.parse(f"{SUZANNE_SMALL}:masks", tmp_path))
-    cut, white, far = (look(Scene.parse(f"{SUZANNE_SMALL}:{word}", tmp_path)) for word in ("cut-out", "clipped", "distant"))
+def test_a_variant_of_a_capture_has_the_properties_of_its_name(tmp_path):
+    plain = analyse(Scene.parse(f"{SUZANNE_SMALL}:masks", tmp_path))
+    cut, white, far = (
+        analyse(Scene.parse(f"{SUZANNE_SMALL}:{word}", tmp_path)) for word in ("cut-out", "clipped", "distant")
+    )
     assert plain.backdrop and white.backdrop and far.backdrop and not cut.backdrop
     assert plain.clipped < 0.001 and 0.01 < white.clipped < 0.05 and white.brightest <= 1
     assert far.pixels_across == pytest.approx(plain.pixels_across / 4, rel=0.02)
@@ -25,14 +27,14 @@ def test_captures_are_made_with_the_needs_that_they_are_named_for(tmp_path):
         assert made.object_share == pytest.approx(plain.object_share, rel=0.05)
 
 
-def test_a_scene_says_what_is_told_about_it(tmp_path):
+def test_a_scene_is_parsed_and_an_unknown_word_is_refused(tmp_path):
     told = Scene.parse(f"{SUZANNE_SMALL}:metal", tmp_path)
     assert told == Scene(SUZANNE_SMALL, "suzanne_small-metal", masks=False, metal=True)
-    with pytest.raises(SystemExit, match="glas"):
+    with pytest.raises(SystemExit, match="unknown: glas"):
         Scene.parse(f"{SUZANNE_SMALL}:glas", tmp_path)
 
 
-def test_the_table_names_what_only_one_of_both_left_out():
+def test_the_table_names_only_what_the_run_without_skipping_did():
     scores = {"cd_visible": 0.5, "normal_deg": 1.0, "mse_roughness": 0.0, "mse_metallic": 0.0, "mse_albedo": 0.0}
     rows = {
         True: [scores | {"seconds": s, "skipped": {"mask term": "", "indirect light": ""}} for s in (1.0, 3.0)],
@@ -43,7 +45,7 @@ def test_the_table_names_what_only_one_of_both_left_out():
     assert line("ball", rows | {False: [{"error": "no surface"}]}) == ["ball", "no surface"]
 
 
-def test_without_skipping_turns_all_of_it_off():
+def test_without_skipping_turns_every_way_of_skipping_off():
     whole = without_skipping(preset("preview"))
     assert not whole.skip_needless and whole.material.uniform_texels == whole.material.most_texels
     assert whole.material.sure_margin == float("inf") and whole.fields == preset("preview").fields

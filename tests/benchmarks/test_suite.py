@@ -17,7 +17,7 @@ from benchmarks.suite.fewer_views import spread, with_fewer_views
 from benchmarks.suite.harness import Children, read_row, write_row
 from benchmarks.suite.plan import ABLATIONS, AS_TAKEN, PLANS, WITHOUT_F_E, Run, expand
 from benchmarks.suite.runner import Suite, failure
-from benchmarks.suite.step import STAGE_1, _take_stage_1, learn
+from benchmarks.suite.step import STAGE_1, learn, take_stage_1
 from blender_nep.capture import load_capture
 from blender_nep.checkpoints import save_state
 from blender_nep.job.run_folder import RunFolder, fingerprint
@@ -27,13 +27,13 @@ from support.paths import SUZANNE_SMALL
 
 
 class FakeSuite(Suite):
-    """Its learning fails for seed 1; counts what was done."""
+    """A suite whose steps learn nothing. The learning of seed 1 fails. `done` lists the steps that were done."""
 
     def __init__(self, *arguments, **keywords):
         super().__init__(*arguments, **keywords)
         self.done = []
 
-    def _step(self, step, run, asset):
+    def run_step(self, step, run, asset):
         self.done.append((step, run.name))
         return {"error": "no surface was found"} if step == "learn" and run.seed == 1 else {"figure": 1.0}
 
@@ -60,19 +60,27 @@ def test_only_whole_jobs_as_a_user_would_run_them_are_relit(tmp_path):
     assert relit == {plain.name, replace(plain, preset="quality").name}
 
 
-@pytest.mark.parametrize("captures", [[SUZANNE_SMALL, SUZANNE_SMALL / "images" / ".."], [SUZANNE_SMALL.parent / "nothing"]])
-def test_captures_of_one_name_and_folders_that_are_none_are_refused(captures, tmp_path):
-    with pytest.raises(SystemExit):
-        main(["run", *map(str, captures), "--out", str(tmp_path)])
+@pytest.mark.parametrize(
+    ("captures", "message"),
+    [
+        ([SUZANNE_SMALL, SUZANNE_SMALL / "images" / ".."], "two captures have the same name"),
+        ([SUZANNE_SMALL.parent / "nothing"], "is no capture: it has no transforms.json"),
+    ],
+)
+def test_captures_of_one_name_and_folders_without_a_capture_are_refused(captures, message, tmp_path, capsys):
+    with pytest.raises(SystemExit) as ended:
+        main(["run", *map(str, captures), "--out", str(tmp_path), "--list"])
+    assert ended.value.code == 2 and message in capsys.readouterr().err
     assert not list(tmp_path.iterdir())
 
 
-def test_the_list_of_a_plan_is_its_runs(capsys):
-    assert main(["run", str(SUZANNE_SMALL), "--plan", "views", "--views", "8", "all", "--list"]) == 0
+def test_list_prints_the_runs_of_a_plan_and_runs_none(capsys, tmp_path):
+    assert main(["run", str(SUZANNE_SMALL), "--plan", "views", "--views", "8", "all", "--list", "--out", str(tmp_path)]) == 0
     assert capsys.readouterr().out.split() == [
         f"{SUZANNE_SMALL.name}-preview-full-8_views-seed_0",
         f"{SUZANNE_SMALL.name}-preview-full-seed_0",
     ]
+    assert not list(tmp_path.iterdir())
 
 
 def test_only_runs_that_change_stage_2_alone_take_over_a_stage_1():
@@ -83,16 +91,16 @@ def test_only_runs_that_change_stage_2_alone_take_over_a_stage_1():
     assert same("full") is None and same("environment at infinity") is None and same("no curvature") is None
 
 
-def test_a_stage_1_that_is_taken_over_is_what_the_job_finds_when_it_resumes(tmp_path):
+def test_a_job_resumes_from_a_stage_1_that_was_taken_over(tmp_path):
     run, done = Run(SUZANNE_SMALL, "preview", "no cones", seed=3), {"seconds": 12.0, "result": {"steps": 7}}
-    assert not _take_stage_1(tmp_path / "other", tmp_path / "asset", SUZANNE_SMALL, run, None)
+    assert not take_stage_1(tmp_path / "other", tmp_path / "asset", SUZANNE_SMALL, run, None)
     (tmp_path / "other" / "checkpoints").mkdir(parents=True)
     for stage in STAGE_1:
         save_state(tmp_path / "other" / "checkpoints" / f"{stage}.done.pt", done)
     for donor, taken in ((Run(SUZANNE_SMALL, "preview", seed=4), False), (Run(SUZANNE_SMALL, "preview", seed=3), True)):
         made = fingerprint(load_capture(SUZANNE_SMALL), donor.changed_preset, donor.seed, False, None)
         write_row(tmp_path / "other" / "report.json", {"fingerprint": made})
-        assert _take_stage_1(tmp_path / "other", tmp_path / "asset", SUZANNE_SMALL, run, None) == taken
+        assert take_stage_1(tmp_path / "other", tmp_path / "asset", SUZANNE_SMALL, run, None) == taken
     folder = RunFolder(tmp_path / "asset", StopRequest(), print)
     assert folder.can_be_resumed(fingerprint(load_capture(SUZANNE_SMALL), run.changed_preset, 3, False, None))
     assert folder.load_result("fields_learning") == ({"steps": 7}, 12.0) and folder.load_result("material_learning") is None
@@ -104,7 +112,7 @@ def test_a_changed_preset_has_the_image_size_and_the_ablation():
     assert changed.fields == preset("quality").fields and not changed.skip_needless
 
 
-def test_what_is_done_is_not_done_again_and_a_failed_run_is_a_row(tmp_path):
+def test_a_step_that_is_done_is_not_done_again_and_a_failed_run_is_a_row(tmp_path):
     runs = [Run(SUZANNE_SMALL, "preview", seed=seed) for seed in (0, 1)]
     suite = FakeSuite(tmp_path)
     assert suite.run_all(runs, 2) == 1
@@ -121,9 +129,9 @@ def test_what_is_done_is_not_done_again_and_a_failed_run_is_a_row(tmp_path):
 
 def test_two_runners_do_not_do_the_same_run(tmp_path):
     class Slow(FakeSuite):
-        def _step(self, step, run, asset):
+        def run_step(self, step, run, asset):
             time.sleep(0.3)
-            return super()._step(step, run, asset)
+            return super().run_step(step, run, asset)
 
     both = [Slow(tmp_path), Slow(tmp_path)]
     threads = [threading.Thread(target=one.run, args=(Run(SUZANNE_SMALL),)) for one in both]
@@ -136,10 +144,10 @@ def test_two_runners_do_not_do_the_same_run(tmp_path):
 
 def test_a_run_that_takes_over_a_stage_1_waits_for_it(tmp_path):
     class Slow(FakeSuite):
-        def _step(self, step, run, asset):
+        def run_step(self, step, run, asset):
             if run.ablation == "full":
                 time.sleep(0.3)
-            return super()._step(step, run, asset)
+            return super().run_step(step, run, asset)
 
     suite = Slow(tmp_path)
     full, other = Run(SUZANNE_SMALL), Run(SUZANNE_SMALL, ablation="no cones")
@@ -162,7 +170,7 @@ def test_a_step_that_crashes_or_hangs_is_an_error(tmp_path):
 
 
 def test_memory_and_cpu_seconds_are_those_of_the_step_alone(tmp_path):
-    # from a process as small as the runner: Linux counts what stood in the memory of the process that starts another
+    # The steps are started from a process as small as the runner, because Linux counts that process's memory too.
     code = (
         "import sys; from pathlib import Path; from benchmarks.suite.harness import Children\n"
         "def used(code):\n"
@@ -207,7 +215,7 @@ def test_a_run_without_f_e_in_stage_2_has_the_same_mesh_from_the_same_stage_1_an
     from benchmarks.stress.scenes import Case, tiny_preset, write_capture
 
     monkeypatch.setitem(PRESETS, "preview", tiny_preset())
-    monkeypatch.setattr(StopRequest, "watch", lambda self: None)  # a test has no standard input to be told by
+    monkeypatch.setattr(StopRequest, "watch", lambda self: None)  # a test has no standard input to watch
     write_capture(Case(), tmp_path / "ball")
     whole, other = tmp_path / "whole", tmp_path / "other"
     order = {"settings": {"device": "cpu", "threads": 1}}
@@ -217,4 +225,4 @@ def test_a_run_without_f_e_in_stage_2_has_the_same_mesh_from_the_same_stage_1_an
     assert sorted(taken["resumed_stages"]) == sorted(STAGE_1) and "fields_learning" not in taken["stage_cpu_seconds"]
     assert (whole / "mesh.obj").read_bytes() == (other / "mesh.obj").read_bytes()
     one, two = (read_materials(asset) for asset in (whole, other))
-    assert np.abs(one.albedo - two.albedo).mean() > 1e-3, "F_e was there"
+    assert np.abs(one.albedo - two.albedo).mean() > 1e-3, "the ablation has changed nothing"

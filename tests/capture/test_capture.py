@@ -223,7 +223,7 @@ def test_a_scene_of_any_size_anywhere_has_the_same_rays(make_capture, scale, off
         assert (one - other).abs().max() < 3e-6
 
 
-def test_photos_from_the_same_place_are_told_and_two_places_are_refused(make_capture):
+def test_photos_from_the_same_place_give_a_warning_and_only_two_places_are_refused(make_capture):
     tiny = make_capture()
     frames = tiny.meta["frames"]
     frames[4]["transform_matrix"] = frames[1]["transform_matrix"]
@@ -270,7 +270,7 @@ def test_unit_frame_and_back(make_capture):
     np.testing.assert_allclose(capture.from_unit @ [0, 0, 1, 1], [CENTER[0], CENTER[1], CENTER[2] + RADIUS, 1])
 
 
-def test_summary_says_what_it_found(make_capture):
+def test_the_summary_describes_the_capture(make_capture):
     found = summarise(make_capture(masks=True, suffix=".png").folder)
     assert json.loads(json.dumps(found))["photos"] == 6
     assert found["masks"] and 0 < found["mask_coverage"] < 1 and found["bounds_source"] == "transforms.json"

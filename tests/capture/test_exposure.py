@@ -1,4 +1,4 @@
-"""Gains of photos: known ones are found again in a room of known size and in rendered photos; else none are found."""
+"""Exposures of photos: known ones are found again, and none are found where photos cannot tell."""
 
 from dataclasses import replace
 
@@ -82,7 +82,7 @@ def test_white_balance_alone_is_found_too(in_a_ball):
     assert Message("scene.white_balance_differs") in SceneAnalysis.of(rays.with_gain(true)).sentences()
 
 
-def test_what_is_white_in_a_file_says_nothing(in_a_ball, monkeypatch):
+def test_clipped_pixels_are_left_out_when_exposures_are_found(in_a_ball, monkeypatch):
     true = gains(in_a_ball.views, 0.4, 5)
     clipped = taken_with(in_a_ball, 1.6 * true)
     clipped = replace(clipped, radiance=clipped.radiance.clamp(max=1))
@@ -92,7 +92,7 @@ def test_what_is_white_in_a_file_says_nothing(in_a_ball, monkeypatch):
     assert without_white < min(0.1, 0.8 * difference(find_exposures(clipped).gain, true))
 
 
-def test_it_is_not_told_where_it_cannot_be(in_a_ball, make_capture):
+def test_no_exposures_are_found_where_photos_cannot_tell(in_a_ball, make_capture):
     alone = make_capture(views=8, masks=True, alpha=True, name="cut").folder
     cut = PixelRays.from_capture(load_capture(alone), 40_000, True)
     assert not cut.background and find_exposures(cut) == Exposures(None)
@@ -124,7 +124,7 @@ def test_a_photo_that_shares_little_or_nothing_is_guessed_by_its_brightness_and_
         assert log[3].abs().max() < 0.7
 
 
-def test_few_photos_cannot_tell(make_capture):
+def test_no_exposures_are_found_from_too_few_photos(make_capture):
     rays = PixelRays.from_capture(load_capture(make_capture(views=6, name="few").folder), 40_000, False)
     assert find_exposures(rays) == Exposures(None) == find_exposures(taken_with(rays, gains(6, 0.5, 0)))
 
@@ -141,13 +141,13 @@ def test_photos_are_read_as_of_one_exposure_and_the_scene_says_so(in_a_ball):
     assert "exposure" not in " ".join(line.code for line in SceneAnalysis.of(in_a_ball).sentences())
 
 
-def test_brightest_is_looked_for_once(in_a_ball):
+def test_the_brightest_value_is_computed_once(in_a_ball):
     assert in_a_ball.brightest == float(in_a_ball.radiance.max())
     in_a_ball.radiance[0] = 9.0
     assert in_a_ball.with_gain(None).brightest < 9
 
 
-def test_everything_reads_the_photos_as_of_one_exposure(tmp_path):
+def test_no_result_depends_on_the_exposures_of_the_photos(tmp_path):
     """Gains that are powers of two change no bit of what is learned or shown."""
     rays = PixelRays.from_capture(load_capture(SUZANNE_SMALL), 2500, True)
     true = 2.0 ** torch.randint(-2, 3, (rays.views, 1), generator=torch.Generator().manual_seed(3)).expand(-1, 3).float()

@@ -1,4 +1,4 @@
-"""Pixels on the disk and pixel sets as runs: the same values as in memory and as plain index tensors."""
+"""Pixels in a file have the values of pixels in memory. Pixel sets, stored as runs, hold the indices of plain tensors."""
 
 import errno
 import io
@@ -92,8 +92,8 @@ def test_strips_give_what_the_whole_photo_gives(make_capture, monkeypatch, suffi
     np.testing.assert_array_equal(np.concatenate([raster.rows(k, k + 4)[0] for k in range(0, 31, 4)]), color)
 
 
-@pytest.mark.parametrize(("room", "at_once"), [(24 * 24 - 1, 1), (2 * 24 * 24, 2)])
-def test_as_many_photos_are_decoded_at_once_as_there_is_room_for(make_capture, monkeypatch, room, at_once):
+@pytest.mark.parametrize(("most_pixels", "at_once"), [(24 * 24 - 1, 1), (2 * 24 * 24, 2)])
+def test_no_more_photos_are_decoded_at_once_than_memory_allows(make_capture, monkeypatch, most_pixels, at_once):
     capture = load_capture(make_capture(views=8).folder)
     running, most, lock = 0, 0, threading.Lock()
     open_photo = Capture.open_photo
@@ -111,12 +111,12 @@ def test_as_many_photos_are_decoded_at_once_as_there_is_room_for(make_capture, m
                 running -= 1
 
     monkeypatch.setattr(Capture, "open_photo", counting)
-    monkeypatch.setattr(rays_module, "_DECODED_PIXELS", room)
+    monkeypatch.setattr(rays_module, "_DECODED_PIXELS", most_pixels)
     monkeypatch.setattr("os.cpu_count", lambda: 4)
     assert PixelRays.from_capture(capture, 100, False).views == 8 and most == at_once
 
 
-def test_a_job_says_how_many_photos_are_read_and_stops_between_two(make_capture, tmp_path, monkeypatch):
+def test_a_job_reports_how_many_photos_are_read_and_stops_between_two(make_capture, tmp_path, monkeypatch):
     capture, out, stop = make_capture(views=6).folder, tmp_path / "asset", StopRequest()
     read, open_photo = 0, Capture.open_photo
 

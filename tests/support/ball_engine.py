@@ -1,4 +1,4 @@
-"""An engine that is real but for its stages (ball_stages.BallStages), as an executable that stands for the engine's Python.
+"""An executable that takes the place of the engine's Python. The engine is real, but its stages are ball_stages.BallStages.
 
 BALL_STEPS and BALL_DELAY (seconds a step) in the environment say how long it takes.
 """

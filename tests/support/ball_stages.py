@@ -1,4 +1,4 @@
-"""Stages that learn nothing, for the tests of the job around them: they know the answer, a grey ball."""
+"""Stages that learn nothing and always give a grey ball, for the tests of the job around them."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from blender_nep.messages import Message, Part
 from support.captures import RADIUS
 
 WHY = Message("reason.one_material")
-"""Why stage 1 says that it leaves something out."""
+"""The reason that stage 1 reports for what it leaves out."""
 
 
 class BallFields(FieldsStage):
@@ -61,7 +61,7 @@ class BallMaterials(MaterialsStage):
 
 
 class BallStages(Stages):
-    """Stages that know the answer, a grey ball, and count steps instead of learning."""
+    """Stages that count steps instead of learning, and give a grey ball."""
 
     def __init__(self, steps: int = 5, on_step=None, fail: Exception | None = None) -> None:
         super().__init__(BallFields(self), BallSurface(self), BallMaterials(self))
@@ -103,7 +103,7 @@ class GreyLight:
 
 
 def ball_surface() -> Surface:
-    """A ball of radius 0.5 / RADIUS in the unit frame, with UVs of a kind."""
+    """A ball of radius 0.5 / RADIUS in the unit frame, with UVs that its x and y give."""
     mesh = trimesh.creation.icosphere(2, 0.5 / RADIUS)
     unit = np.asarray(mesh.vertices) / (0.5 / RADIUS)
     uv = 0.5 + 0.4 * unit[:, :2]

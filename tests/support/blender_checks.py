@@ -1,4 +1,4 @@
-"""What the scripts that run inside a Blender of their own share. No bpy at module level: pytest reads this folder too."""
+"""Helpers of the scripts that run inside Blender. No bpy at module level, because pytest reads this folder too."""
 
 import time
 
@@ -6,7 +6,7 @@ LIMIT_S = 120
 
 
 def fails(call, message: str) -> None:
-    """An operator that reports an error raises RuntimeError in Python."""
+    """Assert that an operator reports an error with this message. Such an operator raises RuntimeError in Python."""
     try:
         call()
     except RuntimeError as error:
@@ -16,7 +16,7 @@ def fails(call, message: str) -> None:
 
 
 def rounds(addon, until) -> None:
-    """Rounds of the add-on's timer, which never fires without an event loop, until something holds."""
+    """Call the add-on's timer until `until()` is true. Without an event loop, Blender never calls the timer itself."""
     deadline = time.monotonic() + LIMIT_S
     while not until():
         assert time.monotonic() < deadline, "nothing came"

@@ -1,9 +1,9 @@
-"""The extension in every Blender that it is for: `make test-blender`, or with the versions wanted:
+"""Tests the extension in every version of Blender that it supports: `make test-blender`, or with chosen versions:
 
     python tests/support/blender_matrix.py [4.2 4.5 5.0 5.2]
 
-Each version is the bpy wheel in an environment of its own, .venv-blender/VERSION (1 GB each, made once). The engine is
-the Python that runs this file; it makes one asset of the bundled capture, once, and all versions use it.
+Each version is a bpy wheel in its own environment, .venv-blender/VERSION (1 GB each, made once). The engine runs in the
+Python that runs this file. It makes an asset of the bundled capture once, and all versions use that asset.
 """
 
 import os
@@ -23,7 +23,7 @@ INSTALL_LIMIT_S, ENGINE_LIMIT_S, SESSION_LIMIT_S = 1800, 1800, 600
 
 
 def find_python(version: str) -> str:
-    """An interpreter of that version with its venv module: on the path, or one of pyenv's. SystemExit without."""
+    """A Python of that version with its venv module, from the path or from pyenv. SystemExit where there is none."""
     pyenv = Path(os.environ.get("PYENV_ROOT", Path.home() / ".pyenv"), "versions")
     candidates = [f"python{version}", *map(str, sorted(pyenv.glob(f"{version}.*/bin/python{version}")))]
     for candidate in candidates:
@@ -33,7 +33,7 @@ def find_python(version: str) -> str:
 
 
 def environment(version: str) -> str:
-    """The Python of the environment with that Blender; makes it where it is not there."""
+    """The Python of the environment with that Blender. The environment is made where it is not there yet."""
     python = ENVIRONMENTS / version / "bin" / "python"
     if subprocess.run([python, "-c", "import bpy"], capture_output=True).returncode if python.exists() else True:
         print(f"Blender {version}: installing", flush=True)

@@ -23,7 +23,7 @@ def look_at(position: np.ndarray, target: np.ndarray) -> np.ndarray:
 
 
 def write_exr(path: Path, pixels: np.ndarray) -> None:
-    """[H, W, 3 or 4] as half float, or a dict of channels."""
+    """Write pixels [H, W, 3 or 4] as half floats, or a dict of channels as they are."""
     channels = pixels if isinstance(pixels, dict) else {"RGBA"[: pixels.shape[-1]]: pixels.astype(np.float16)}
     OpenEXR.File({"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}, channels).write(str(path))
 

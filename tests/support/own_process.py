@@ -1,4 +1,4 @@
-"""Functions of a test file in a process of their own: no state of Blender leaks, and a hang has a limit."""
+"""Runs functions of a test file in a separate process, so that no state of Blender leaks and a hang has a limit."""
 
 import inspect
 import os

@@ -1,4 +1,4 @@
-"""An executable that only plays venv and pip, for the tests of the engine's installation."""
+"""Executables that stand for a Python: one that only plays venv and pip, and one without any packages."""
 
 import os
 import stat
@@ -35,10 +35,18 @@ elif what[:3] == ["-m", "pip", "install"]:
 
 
 def played_python(folder: Path) -> str:
-    """Makes the played Python; the file `mode` beside it says how it behaves."""
+    """Make a Python that only plays venv and pip. The file `mode` beside it says how it behaves. Returns its path."""
     place = ("Scripts", "python.exe") if os.name == "nt" else ("bin", "python")
     path = folder / "base-python"
     path.write_text(PLAYED.format(python=sys.executable, folder=str(folder), place=place))
     path.chmod(path.stat().st_mode | stat.S_IXUSR)
     (folder / "mode").write_text("well")
+    return str(path)
+
+
+def bare_python(folder: Path) -> str:
+    """Make a Python that has no installed packages, so that the engine is missing. Returns its path."""
+    path = folder / "bare-python"
+    path.write_text(f'#!/bin/sh\nexec {sys.executable} -S "$@"\n')
+    path.chmod(path.stat().st_mode | stat.S_IXUSR)
     return str(path)

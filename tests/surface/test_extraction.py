@@ -97,11 +97,19 @@ def test_uv_atlas_covers_every_face_without_overlap():
     assert np.isin(np.flatnonzero(area * 512**2 > 4), face).all()
 
 
-def test_empty_full_and_broken_fields_raise():
-    for function in (lambda p: p.norm(dim=-1) + 1, lambda p: p.norm(dim=-1) - 5, lambda p: p[:, 0] * float("nan")):
-        with pytest.raises(LearningError) as error:
-            extract_surface(AnalyticField(function), PRESET)
-        assert error.value.code == 6 and error.value.hint
+@pytest.mark.parametrize(
+    ("function", "message", "hint"),
+    [
+        (lambda p: p.norm(dim=-1) + 1, "is empty inside the sphere", "object_radius"),
+        (lambda p: p.norm(dim=-1) - 5, "fills the whole sphere", "object_radius"),
+        (lambda p: p[:, 0] * float("nan"), "SDF is not finite", "--seed"),
+    ],
+    ids=["empty", "full", "not finite"],
+)
+def test_a_field_without_a_surface_is_an_error_that_says_why(function, message, hint):
+    with pytest.raises(LearningError, match=message) as error:
+        extract_surface(AnalyticField(function), PRESET)
+    assert error.value.code == 6 and hint in error.value.hint
 
 
 def test_rasterised_texels_lie_at_their_own_uv():
@@ -141,10 +149,19 @@ def test_loaded_mesh_comes_to_the_unit_frame(tmp_path):
     assert surface.uv is not None
 
 
-def test_unusable_mesh_files_say_so(tmp_path):
+@pytest.mark.parametrize(
+    ("name", "message", "hint"),
+    [
+        ("missing.ply", "there is no mesh file .*missing.ply", "--mesh"),
+        ("bad.ply", "the mesh bad.ply cannot be read", "OBJ, PLY, STL or glTF"),
+        ("points.ply", "points.ply holds no usable triangle", "a triangle mesh"),
+        ("far.ply", "far.ply lies outside the object's bounding sphere", "coordinates"),
+    ],
+)
+def test_an_unusable_mesh_file_is_refused_with_its_reason(tmp_path, name, message, hint):
     (tmp_path / "bad.ply").write_text("no mesh")
+    trimesh.PointCloud(np.eye(3)).export(tmp_path / "points.ply")
     trimesh.creation.icosphere(radius=0.1).apply_translation([9, 0, 0]).export(tmp_path / "far.ply")
-    for name in ("missing.ply", "bad.ply", "far.ply"):
-        with pytest.raises(CaptureError) as error:
-            load_surface(tmp_path / name, UnitCapture(np.eye(4)), PRESET)
-        assert error.value.hint
+    with pytest.raises(CaptureError, match=message) as error:
+        load_surface(tmp_path / name, UnitCapture(np.eye(4)), PRESET)
+    assert hint in error.value.hint

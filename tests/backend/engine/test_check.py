@@ -1,36 +1,37 @@
-"""Which parts of the engine a Python has."""
+"""The check of a Python names the parts of the engine that it has and those that it lacks."""
 
-import stat
+import platform
 import sys
-import time
 
 import torch
 
 import blender_nep
 from backend.engine.check import EngineCheck
+from support.played_python import bare_python
+from support.waiting import wait_until
 
 LIMIT_S = 180
 
 
 def answer(python: str) -> EngineCheck:
-    check, deadline = EngineCheck(python), time.monotonic() + LIMIT_S
-    while not check.poll():
-        assert time.monotonic() < deadline
-        time.sleep(0.02)
+    check = EngineCheck(python)
+    wait_until(check.poll, LIMIT_S)
     return check
 
 
-def test_a_check_says_what_is_there_and_what_is_missing(tmp_path):
-    bare = tmp_path / "bare-python"
-    bare.write_text(f'#!/bin/sh\nexec {sys.executable} -S "$@"\n')
-    bare.chmod(bare.stat().st_mode | stat.S_IXUSR)
-    lacking = answer(str(bare))
-    assert not lacking.works and lacking.lines[-1].startswith("Missing: blender_nep, torch.")
-    assert "cannot be started" in answer("/no/python").lines[0]
-    assert "is no Python" in answer("/bin/true").lines[0]
+def test_a_python_without_the_engine_does_not_work_and_its_missing_parts_are_named(tmp_path):
+    lacking = answer(bare_python(tmp_path))
+    assert not lacking.works and lacking.lines[0] == f"Python {platform.python_version()}"
+    assert lacking.lines[-1].startswith("Missing: blender_nep, torch.")
 
 
-def test_a_python_with_the_engine_works():
+def test_a_program_that_is_no_python_does_not_work():
+    for program, message in (("/no/python", "/no/python cannot be started"), ("/bin/true", "/bin/true is no Python")):
+        found = answer(program)
+        assert not found.works and found.lines[0].startswith(message)
+
+
+def test_a_python_with_the_engine_works_and_its_versions_are_named():
     found = answer(sys.executable)
     assert found.works, found.lines
     assert found.versions["torch"] == torch.__version__ and found.versions["blender_nep"] == blender_nep.__version__

@@ -1,12 +1,10 @@
-"""A job lives in files: it outlives the program that started it, is found again, is stopped, and its end is explained."""
+"""Jobs that are followed by their files: they outlive their starter, are found again, are stopped, and report errors."""
 
 import os
 import shutil
 import signal
-import stat
 import subprocess
 import sys
-import time
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -19,6 +17,8 @@ from backend.engine.job_files import has_checkpoint, is_asset, is_running, read_
 from support import ball_engine
 from support.own_process import LIMIT_S
 from support.paths import ROOT
+from support.played_python import bare_python
+from support.waiting import wait_until
 
 SLOW = {"BALL_STEPS": "4000", "BALL_DELAY": "0.02"}
 
@@ -47,27 +47,20 @@ def ball(make_capture, tmp_path, monkeypatch):
             os.kill(read_job(start.out)["pid"], signal.SIGKILL)
 
 
-def wait_for(condition):
-    deadline = time.monotonic() + LIMIT_S
-    while not condition():
-        assert time.monotonic() < deadline, "nothing came"
-        time.sleep(0.02)
-
-
 def follow(engine) -> list[dict]:
     """All events up to the end."""
     events = []
-    wait_for(lambda: events.extend((polled := engine.poll())[0]) or polled[1])
+    wait_until(lambda: events.extend((polled := engine.poll())[0]) or polled[1])
     return events
 
 
 def at_work(out: Path):
-    """Waits until learning has written a checkpoint; returns the job's description."""
-    wait_for((out / "checkpoints" / "fields_learning.pt").exists)
+    """Wait until learning has written a checkpoint, and return the job's description."""
+    wait_until((out / "checkpoints" / "fields_learning.pt").exists)
     return read_job(out)
 
 
-def test_a_job_is_followed_to_its_asset_and_told_again_afterwards(ball):
+def test_a_job_is_followed_to_its_asset_and_its_events_can_be_read_again(ball):
     engine = ball()
     told = follow(engine)
     assert engine.outcome() is None and is_asset(ball.out) and not is_running(ball.out)
@@ -93,8 +86,8 @@ os.kill(os.getpid(), 9)
 
 
 @pytest.mark.parametrize("keep_going", [True, False])
-def test_the_death_of_the_starter(ball, keep_going):
-    """Keep going: the job lives on, is found, stopped by its file, resumed. Else it has written its checkpoint."""
+def test_a_job_outlives_its_starter_only_with_keep_going(ball, keep_going):
+    """With keep_going the job goes on, is found, stopped by its file and resumed. Otherwise it writes its checkpoint."""
     arguments = reconstruct_arguments(ball.capture, ball.out, preset="preview", keep_going=keep_going)
     sign = ball.out / "checkpoints" / "fields_learning.pt"
     script = STARTER.format(root=str(ROOT), python=ball.python, arguments=arguments, keep_going=keep_going, sign=str(sign))
@@ -103,7 +96,7 @@ def test_the_death_of_the_starter(ball, keep_going):
     found = Engine.attach(ball.out)
     if keep_going:
         before = len(found.poll()[0])
-        wait_for(lambda: found.poll()[0])
+        wait_until(lambda: found.poll()[0])
         assert before and is_running(ball.out), "it goes on"
         found.request_stop()
     follow(found)
@@ -116,9 +109,9 @@ def test_the_death_of_the_starter(ball, keep_going):
     assert not (ball.out / "job" / "stop").exists()
 
 
-def test_a_killed_engine_is_seen_by_who_started_it_and_by_who_found_it(ball):
+def test_a_killed_engine_is_reported_to_its_starter_and_to_who_attached_to_it(ball):
     engine = ball(slow=True, keep_going=True)
-    wait_for(lambda: engine.poll() and (ball.out / "checkpoints" / "fields_learning.pt").exists())
+    wait_until(lambda: engine.poll() and (ball.out / "checkpoints" / "fields_learning.pt").exists())
     os.kill(read_job(ball.out)["pid"], signal.SIGKILL)
     follow(engine)
     assert engine.outcome().code == 128 + 9 and "was killed" in engine.outcome().message
@@ -162,7 +155,7 @@ def test_an_engine_that_dies_on_a_full_disk_is_told_by_the_name_of_that_error(ba
     assert error.code == 5 and error.name == "output.disk_full" and str(ball.out) in error.words()[0]
 
 
-def test_a_capture_that_is_gone_is_said(ball):
+def test_a_capture_that_is_gone_is_reported(ball):
     shutil.rmtree(ball.capture)
     engine = ball()
     follow(engine)
@@ -170,32 +163,30 @@ def test_a_capture_that_is_gone_is_said(ball):
     assert not is_asset(ball.out) and not has_checkpoint(ball.out)
 
 
-def test_an_output_folder_that_vanishes_is_said(ball):
+def test_an_output_folder_that_vanishes_is_reported(ball):
     engine = ball(slow=True)
-    wait_for(lambda: engine.poll() and (ball.out / "checkpoints" / "fields_learning.pt").exists())
+    wait_until(lambda: engine.poll() and (ball.out / "checkpoints" / "fields_learning.pt").exists())
     while ball.out.exists():
         shutil.rmtree(ball.out, ignore_errors=True)
     follow(engine)
     assert engine.outcome().code == 5 and str(ball.out) in engine.outcome().message
 
 
-def test_a_deaf_engine_is_killed_in_the_end(engine_python, tmp_path, monkeypatch):
+def test_an_engine_that_ignores_requests_to_stop_is_killed(engine_python, tmp_path, monkeypatch):
     monkeypatch.setenv("SCRIPTED_ENGINE", "deaf")
     monkeypatch.setattr(engine_module, "STOP_GRACE_S", 0.1)
     monkeypatch.setattr(engine_module, "TERMINATE_GRACE_S", 0.1)
     engine = Engine.start(engine_python, ["reconstruct", "x", "--out", str(tmp_path / "out")])
-    wait_for((tmp_path / "out" / "waiting").exists)
+    wait_until((tmp_path / "out" / "waiting").exists)
     engine.request_stop()
     follow(engine)
     assert engine.outcome().code == 128 + 9
     engine.close()
 
 
-def test_a_python_without_the_engine_is_said(tmp_path):
-    bare = tmp_path / "bare-python"
-    bare.write_text(f'#!/bin/sh\nexec {sys.executable} -S "$@"\n')
-    bare.chmod(bare.stat().st_mode | stat.S_IXUSR)
-    engine = Engine.start(str(bare), ["reconstruct", "x", "--out", str(tmp_path / "out")])
+def test_a_python_without_the_engine_is_reported(tmp_path):
+    bare = bare_python(tmp_path)
+    engine = Engine.start(bare, ["reconstruct", "x", "--out", str(tmp_path / "out")])
     follow(engine)
     failed = engine.outcome()
     assert isinstance(failed, NoEngineError) and f"{bare} lacks blender_nep" in failed.message and "Install" in failed.hint

@@ -1,11 +1,9 @@
-"""The engine's installation, with a Python that only plays venv and pip: what it makes, cleans up, and says."""
+"""The engine's installation, with a Python that only plays venv and pip: what it makes, cleans up and reports."""
 
 import json
 import signal
 import subprocess
 import sys
-import time
-from pathlib import Path
 
 import pytest
 
@@ -13,6 +11,7 @@ from backend.engine import install
 from backend.engine.install import installed_python
 from support.paths import ROOT
 from support.played_python import played_python
+from support.waiting import wait_until
 
 LIMIT_S = 60
 
@@ -50,18 +49,11 @@ def begin(base, *options) -> subprocess.Popen:
 
 
 def end(process) -> tuple[int, list[dict]]:
-    code = process.wait(LIMIT_S)  # its standard input stays open: else it would stop
+    code = process.wait(LIMIT_S)  # its standard input stays open, because the program stops when it is closed
     return code, [json.loads(line) for line in process.stdout.read().splitlines()]
 
 
-def wait_for(path: Path) -> None:
-    deadline = time.monotonic() + LIMIT_S
-    while not path.exists():
-        assert time.monotonic() < deadline
-        time.sleep(0.02)
-
-
-def test_an_engine_is_made(base, tmp_path):
+def test_an_installation_makes_an_engine_with_the_chosen_build(base, tmp_path):
     code, told = end(begin(base))
     assert code == 0 and told[-1]["event"] == "done" and told[-1]["torch"] == "2.9.9"
     assert installed_python(base.folder) == told[-1]["python"]
@@ -83,14 +75,14 @@ def test_an_engine_is_made(base, tmp_path):
         ("full", "The disk is full", "Free some"),
     ],
 )
-def test_what_cannot_be_is_said_and_nothing_is_left(base, mode, message, hint):
+def test_an_installation_that_fails_says_why_and_leaves_nothing(base, mode, message, hint):
     base(mode)
     code, told = end(begin(base))
     assert code == 1 and message in told[-1]["message"] and hint in told[-1]["hint"]
     assert not installed_python(base.folder) and not (base.folder / "nep-engine").exists()
 
 
-def test_a_python_that_is_none_is_said(base):
+def test_a_base_python_that_does_not_exist_is_reported(base):
     base.python = "/no/python"
     code, told = end(begin(base))
     assert code == 1 and "/no/python cannot be started" in told[-1]["message"]
@@ -98,10 +90,10 @@ def test_a_python_that_is_none_is_said(base):
 
 @pytest.mark.parametrize("how", ["stop", "closed"])
 def test_a_cancelled_installation_leaves_nothing(base, tmp_path, how):
-    """By the button, or because Blender is gone."""
+    """The add-on's button sends "stop". Standard input closes when Blender has ended."""
     base("slow")
     process = begin(base)
-    wait_for(tmp_path / "slow")
+    wait_until((tmp_path / "slow").exists)
     if how == "stop":
         process.stdin.write('{"cmd": "stop"}\n')
         process.stdin.flush()
@@ -111,10 +103,10 @@ def test_a_cancelled_installation_leaves_nothing(base, tmp_path, how):
     assert code == 7 and "cancelled" in told[-1]["message"] and not (base.folder / "nep-engine").exists()
 
 
-def test_a_killed_installation_looks_like_none_and_is_made_anew(base, tmp_path):
+def test_a_killed_installation_counts_as_not_installed_and_is_replaced(base, tmp_path):
     base("slow")
     process = begin(base)
-    wait_for(tmp_path / "slow")
+    wait_until((tmp_path / "slow").exists)
     process.send_signal(signal.SIGKILL)
     process.communicate()
     assert (base.folder / "nep-engine").exists() and not installed_python(base.folder)

@@ -6,7 +6,7 @@ from backend.engine.job_files import TEXTURE_NAMES, EventFile, is_asset
 from blender_nep.asset.export import TEXTURES
 
 
-def test_events_are_read_whole_and_foreign_lines_are_not(tmp_path):
+def test_only_whole_events_are_read_and_other_lines_are_left_out(tmp_path):
     file = EventFile(tmp_path / "events.jsonl")
     assert file.read() == []
     with open(tmp_path / "events.jsonl", "ab", buffering=0) as writer:

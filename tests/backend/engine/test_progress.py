@@ -1,9 +1,9 @@
-"""How far a job is, in an artist's words."""
+"""The progress of a job in the words of the panel."""
 
 from backend.engine.progress import Progress, describe, duration
 
 
-def test_words_for_people():
+def test_progress_is_put_into_words():
     event = {"event": "progress", "stage": "fields_learning", "step": 2, "steps": 9, "fraction": 0.5, "eta_s": 75}
     assert describe(event) == " 50 %  Learning shape and light  Step 2 of 9  about 1 min 20 s left"
     assert Progress.of({"event": "progress", "fraction": None, "eta_s": None}).lines() == [""]

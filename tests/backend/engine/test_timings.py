@@ -28,7 +28,7 @@ def asset(tmp_path):
     return report
 
 
-def test_the_median_of_the_last_jobs_counts(tmp_path, asset):
+def test_the_expected_time_is_the_median_of_the_last_five_jobs(tmp_path, asset):
     file = tmp_path / "new folder" / "timings.json"
     assert expected_seconds(file, "balanced") == (EXPECTED_SECONDS["balanced"], False)
     for seconds in (9000, 9000, 9000, 100, 300, 200, 400, 500):
@@ -37,7 +37,7 @@ def test_the_median_of_the_last_jobs_counts(tmp_path, asset):
     assert expected_seconds(file, "preview") == (EXPECTED_SECONDS["preview"], False)
 
 
-def test_what_is_no_time_is_not_remembered(tmp_path, asset):
+def test_a_report_without_a_valid_time_is_not_remembered(tmp_path, asset):
     file = tmp_path / "timings.json"
     remember(file, tmp_path / "missing")
     for preset, seconds in (("balanced", -1), ("balanced", "soon"), ("another", 100)):

@@ -15,7 +15,7 @@ GAINS = ((1.0, 1.0, 1.0), (2.0, 2.0, 1.5), (0.25, 0.3, 0.25))
 
 @pytest.mark.parametrize("color_space", ["srgb", "linear"])
 def test_the_re_rendering_is_exposed_as_its_photo_was(tmp_path, color_space):
-    """Before a grey world, whatever the exposure and white balance of the photo, the two tiles have one color."""
+    """Photo and world are grey. For every exposure and white balance of the photo, both tiles have the same color."""
     write_exr(tmp_path / "grey.exr", np.full((4, 8, 3), GREY))
     in_blender(check_exposure, tmp_path, color_space)
 

@@ -1,15 +1,16 @@
-"""An asset folder as a Blender object: geometry, material, images, and what is refused."""
+"""The import of an asset folder as a Blender object: geometry, material, images, and what is refused."""
 
 import json
 import sys
 from pathlib import Path
 
 import numpy as np
+from PIL import Image
 
 from support.own_process import in_blender
 
 
-def test_import_of_an_asset(asset):
+def test_an_imported_asset_has_the_mesh_and_the_textures_of_its_files(asset):
     corners = [line.split()[1:] for line in (asset / "mesh.obj").read_text().splitlines() if line.startswith("v ")]
     in_blender(check_import, asset, json.dumps([[float(x) for x in corner] for corner in corners]))
 
@@ -36,6 +37,25 @@ def check_import(asset, corners):
         assert link.from_node.name == name and link.from_node.image.colorspace_settings.name == space
     assert nodes["confidence"].image.colorspace_settings.name == "Non-Color"
     assert len(bpy.data.images) == 4 and all(image.packed_file for image in bpy.data.images)
+
+
+def test_each_vertex_has_the_confidence_of_its_texel(asset):
+    """The asset's four vertices have the four corners of the texture as their UVs."""
+    pixels = np.full((8, 8), 255, np.uint8)
+    pixels[7, 0], pixels[7, 7], pixels[0, 0], pixels[0, 7] = 51, 102, 153, 204  # (u, v) = 0 0, 1 0, 0 1, 1 1
+    Image.fromarray(pixels).save(asset / "textures" / "confidence.png")
+    in_blender(check_confidence, asset)
+
+
+def check_confidence(asset):
+    import bpy
+
+    from backend.scene_io.asset_import import import_asset
+
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    item = import_asset(Path(asset), bpy.context.scene.collection)
+    values = [point.value for point in item.data.attributes["confidence"].data]
+    np.testing.assert_allclose(values, [0.2, 0.4, 0.6, 0.8], atol=1e-6)
 
 
 def test_the_exr_texture_stands_in_for_a_missing_png(asset):

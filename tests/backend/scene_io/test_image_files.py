@@ -66,7 +66,7 @@ def check_pixels(folder):
     assert (found[..., 3] == 1).all()
 
 
-def test_what_cannot_be_read_or_written_is_an_oserror(tmp_path):
+def test_a_file_that_cannot_be_read_or_written_is_an_oserror_and_leaves_nothing(tmp_path):
     (tmp_path / "torn.exr").write_bytes(b"\x76\x2f\x31\x01torn")
     (tmp_path / "file").touch()
     for name in ("folder.png", "folder.exr"):
