@@ -147,7 +147,7 @@ def test_an_asset_that_may_not_be_replaced_is_left_as_it_is(ball):
 
 def test_an_engine_that_dies_on_a_full_disk_is_told_by_the_name_of_that_error(ball, monkeypatch):
     engine = ball(slow=True, keep_going=True)
-    wait_for(lambda: engine.poll() and (ball.out / "checkpoints" / "fields_learning.pt").exists())
+    wait_until(lambda: engine.poll() and (ball.out / "checkpoints" / "fields_learning.pt").exists())
     monkeypatch.setattr(engine_module.shutil, "disk_usage", lambda _folder: SimpleNamespace(free=0))
     os.kill(read_job(ball.out)["pid"], signal.SIGKILL)
     follow(engine)
