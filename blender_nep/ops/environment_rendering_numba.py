@@ -41,9 +41,8 @@ class SampleRecords(NamedTuple):
 def _march(raw, rays, medium, radiance, transmittance, kept, records, keep):
     """Composite every ray front to back into radiance [n, 3] and transmittance [n]. With `keep`, also fill the records.
 
-    raw [K, H, W, 4]; `rays` are `RaySamples`, `medium` is a `Medium`, `records` are `SampleRecords`, all of NumPy arrays and
-    numbers. `kept` is the array `records.kept`. It is passed separately, because Numba loses what a parallel loop writes, at
-    the loop's index, to an array that was taken from a tuple.
+    raw [K, H, W, 4]; RaySamples, Medium and SampleRecords are of NumPy arrays and numbers. `kept` is `records.kept`: Numba
+    loses what a parallel loop writes, at the loop's index, to an array that was taken from a tuple.
     """
     origins, directions, t_closest, b, s_near, s_length, infinite, offsets, jitter = rays
     log_radius, density_gain, gradient_near, transmittance_limit, depth_limit = medium
