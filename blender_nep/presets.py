@@ -245,6 +245,10 @@ class MaterialPreset:
     ablation)."""
     terminal_steps: int = 300
     """Adam's steps for the terminal MLP."""
+    terminal_rate: float = 3e-3
+    """Adam's learning rate for the terminal MLP."""
+    terminal_batch: int = 4096
+    """Photo samples a step for the terminal MLP."""
     residual: bool = True
     """Whether the light that no photo shows is learned from the object's reflections of it. False is an ablation."""
     unseen_rows: int = 32
@@ -255,6 +259,15 @@ class MaterialPreset:
     """Adam's steps each time that the unseen light is learned. A trial of another roughness takes half as many."""
     unseen_smoothness: float = 0.02
     """Cost of the total variation of the map of the unseen light, from texel to texel."""
+    unseen_softness: float = 0.03
+    """Tone-mapped differences from texel to texel below this cost quadratically, above linearly."""
+    unseen_rate: float = 0.2
+    """Adam's learning rate of the map's log radiance at the start: lamps are a hundred times brighter than walls. The rate
+    falls to a tenth."""
+    unseen_albedo_rate: float = 0.05
+    """Adam's learning rate of the albedos' logits, while the unseen light is learned. It falls as `unseen_rate`."""
+    unseen_roughness_factors: tuple[float, ...] = (0.8, 1.25)
+    """Factors by which a lower and a higher roughness are tried while the unseen light is learned."""
     unseen_prior: float = 1e-2
     """Cost of the map's mean, so that unseen light is added only if it explains the photos better."""
     unseen_color: float = 0.01

@@ -22,10 +22,6 @@ if TYPE_CHECKING:
     from blender_nep.fields.environment_field import EnvironmentField
     from blender_nep.presets import MaterialPreset
 
-_TERMINAL_RATE = 3e-3
-"""Adam's learning rate for the terminal MLP."""
-_TERMINAL_BATCH = 4096
-
 
 @dataclass(frozen=True)
 class Observations:
@@ -89,7 +85,7 @@ def gathered_light(
         generator.set_state(saved["generator"])
     else:
         if preset.levels > 0:
-            _learn_terminal(seen, preset.terminal_steps, generator, progress)
+            _learn_terminal(seen, preset, generator, progress)
         light = IncomingLight.gathered(
             f_p,
             seen.points,
@@ -109,16 +105,18 @@ def gathered_light(
 
 
 @profiled("terminal MLP")
-def _learn_terminal(seen: Observations, steps: int, generator: torch.Generator, progress: TrainingProgress) -> None:
+def _learn_terminal(
+    seen: Observations, preset: MaterialPreset, generator: torch.Generator, progress: TrainingProgress
+) -> None:
     """Learn the terminal MLP(x, d): the radiance that the surface point x sends in direction d, as the photos show it."""
-    net = seen.f_p.terminal
+    net, steps = seen.f_p.terminal, preset.terminal_steps
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(int(torch.randint(1 << 30, (1,), generator=generator)))
         net.load_state_dict(TerminalRadiance().state_dict())
-    optimiser = torch.optim.Adam(net.parameters(), _TERMINAL_RATE)
+    optimiser = torch.optim.Adam(net.parameters(), preset.terminal_rate)
     goal = torch.log1p(4 * seen.samples.radiance)
     for k in range(steps):
-        batch = torch.randint(len(goal), (_TERMINAL_BATCH,), generator=generator).to(seen.device)
+        batch = torch.randint(len(goal), (preset.terminal_batch,), generator=generator).to(seen.device)
         loss = (net.log_radiance(seen.points[batch]) - goal[batch]).abs().mean()
         optimiser.zero_grad()
         loss.backward()

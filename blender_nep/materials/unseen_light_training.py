@@ -23,14 +23,6 @@ _DARKEST, _BRIGHTEST = math.log(1e-3), math.log(1e3)
 """Limits of the map's log radiance."""
 _LEAST_START = 0.005
 """Darker texels start from this radiance, because the gradient of the log radiance vanishes at black."""
-_RADIANCE_RATE = 0.2
-"""Adam's learning rate of the log radiance: lamps are a hundred times brighter than walls."""
-_SOFTNESS = 0.03
-"""Tone-mapped differences below this cost quadratically."""
-_ALBEDO_RATE = 0.05
-"""Adam's learning rate of the albedos' logits."""
-_ROUGHNESS_FACTORS = (0.8, 1.25)
-"""Factors by which a lower and a higher roughness are tried."""
 _MOST_TRIALS = 6
 """Largest number of trials with a lower roughness; the same number holds for a higher roughness."""
 
@@ -78,7 +70,7 @@ def learn_unseen_light(
                 best, fit, palette = fit, best, other
             margins.append(fit.error / best.error - 1)
     for k in range(len(palette)):
-        for factor in _ROUGHNESS_FACTORS:
+        for factor in preset.unseen_roughness_factors:
             first = best
             for _ in range(_MOST_TRIALS):
                 roughness = palette.roughness.clone()
@@ -155,12 +147,12 @@ class UnseenLightProblem:
         response = torch.stack(light.uncovered_response(self.cones, samples, material), 1).float().cpu().numpy()
         raw = start.radiance.clamp_min(_LEAST_START).log().requires_grad_()
         logit = torch.logit(palette.albedo.clamp(0.01, 0.99)).requires_grad_()
-        optimiser = torch.optim.Adam([{"params": [raw], "lr": _RADIANCE_RATE}, {"params": [logit], "lr": _ALBEDO_RATE}])
+        optimiser = torch.optim.Adam([{"params": [raw]}, {"params": [logit]}])
         area = torch.sin((torch.arange(rows, device=device) + 0.5) * math.pi / rows)[:, None, None]
         area = area / area.mean()
         error = float("nan")
         for k in range(steps):
-            for group, rate in zip(optimiser.param_groups, (_RADIANCE_RATE, _ALBEDO_RATE), strict=True):
+            for group, rate in zip(optimiser.param_groups, (p.unseen_rate, p.unseen_albedo_rate), strict=True):
                 group["lr"] = rate * 0.1 ** (k / steps)
             radiance = raw.clamp(_DARKEST, _BRIGHTEST).exp()
             levels = pyramid(radiance)
@@ -176,8 +168,9 @@ class UnseenLightProblem:
             gradient = self.transport.adjoint(response, sent.grad.cpu().numpy())
             brightness = tone_map(radiance)
             down, across = brightness[:-1] - brightness[1:], brightness - brightness.roll(-1, 1)
+            soft = p.unseen_softness**2
             prior = p.unseen_smoothness * (
-                (area[1:] * (down**2 + _SOFTNESS**2).sqrt()).mean() + (area * (across**2 + _SOFTNESS**2).sqrt()).mean()
+                (area[1:] * (down**2 + soft).sqrt()).mean() + (area * (across**2 + soft).sqrt()).mean()
             )
             prior = prior + p.unseen_prior * (area * brightness).mean()
             colored = (area * (radiance - radiance.mean(-1, keepdim=True)).abs()).mean()
