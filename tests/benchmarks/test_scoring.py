@@ -45,7 +45,7 @@ def test_distances_between_concentric_balls_are_the_difference_of_their_radii():
 def test_an_ablation_changes_the_fields_it_names_and_no_others(changes):
     expected, found = asdict(preset("balanced")), asdict(with_changes(preset("balanced"), changes))
     for part, values in changes.items():
-        at = expected if part == "job" else expected[part]
+        at = expected if part == "preset" else expected[part]
         assert set(values) <= set(at)
         at |= values
     assert found == expected

@@ -20,6 +20,7 @@ from blender_nep.capture.pixel_store import FileStore, PixelMemory
 from blender_nep.errors import OutputError
 from blender_nep.job import runner as job
 from blender_nep.job.events import Events
+from blender_nep.messages import Message
 from blender_nep.presets import preset
 from blender_nep.stop_request import StopRequest
 from support.ball_stages import BallStages
@@ -70,7 +71,8 @@ def test_a_full_disk_is_the_documented_error(tmp_path, monkeypatch):
 def test_a_budget_for_all_photos_filters_each_down_further_and_says_so(make_capture):
     capture = load_capture(make_capture(views=6, size=24).folder)
     rays = PixelRays.from_capture(capture, 24 * 24, False, memory=PixelMemory(most=6 * 12 * 12))
-    assert rays.size == [(12, 12)] * 6 and "filtered down to 144 pixels" in str(rays.warnings[0])
+    assert rays.size == [(12, 12)] * 6
+    assert rays.warnings[0] == Message("capture.photos_reduced", {"photos": 6, "pixels": 144, "limit": 6 * 144})
 
 
 @pytest.mark.parametrize(("suffix", "alpha"), [(".exr", False), (".exr", True), (".png", False)])

@@ -39,7 +39,8 @@ def test_a_job_ends_with_an_asset_and_tells_how_far_it_is(start):
     report = json.loads((start.out / "report.json").read_text())
     assert report["preset"] == "preview" and report["seed"] == 0 and report["capture"]["views"] == 6
     assert set(report["seconds"]) == set(StageName) and report["peak_memory_mb"] > 10
-    assert report["versions"]["torch"] == torch.__version__
+    # a build for CUDA calls itself 2.13.0+cu130, and its package 2.13.0
+    assert report["versions"]["torch"].partition("+")[0] == torch.__version__.partition("+")[0]
     convex = {"code": "reason.convex", "values": {}, "message": "the object is convex"}
     assert report["skipped"] == {"votes of all pixels": {**ONE_MATERIAL, "message": str(WHY)}, "indirect light": convex}
     assert report["losses"]["fields_learning"] == pytest.approx(0.25)
