@@ -13,7 +13,7 @@ from blender_nep.job.preparation import Prepared
 from blender_nep.job.scene_report import SceneReport
 from blender_nep.job.settings import Settings
 from blender_nep.job.stage_names import StageName
-from blender_nep.job.stage_reports import StageReport
+from blender_nep.job.stage_reports import StageReportView
 from blender_nep.job.tracker import Tracker
 from blender_nep.messages import Message
 from blender_nep.profiling import Profile
@@ -25,7 +25,7 @@ class JobReport:
 
     settings: Settings
     prepared: Prepared
-    stages: dict[StageName, StageReport]
+    stages: dict[StageName, StageReportView]
     scene: SceneReport
     tracker: Tracker
     warnings: list[Message]

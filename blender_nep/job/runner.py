@@ -31,7 +31,7 @@ from blender_nep.job.scene_analysis import Plan, SurfaceAnalysis, seconds_of_con
 from blender_nep.job.scene_report import SceneReport
 from blender_nep.job.settings import Settings
 from blender_nep.job.stage_names import StageName
-from blender_nep.job.stage_reports import FieldsReport, MaterialsReport, StageReport
+from blender_nep.job.stage_reports import FieldsReportView, MaterialsReportView, StageReportView
 from blender_nep.job.stages import (
     AssetInput,
     FieldsInput,
@@ -102,12 +102,12 @@ class Learned:
     surface: SurfaceResult
     materials: Materials
 
-    def reports(self) -> dict[StageName, StageReport]:
+    def reports(self) -> dict[StageName, StageReportView]:
         """{stage: its report} of the three long stages."""
         return {
-            StageName.FIELDS_LEARNING: FieldsReport.of(self.fields.report),
-            StageName.SURFACE: StageReport.of(self.surface.report),
-            StageName.MATERIAL_LEARNING: MaterialsReport.of(self.materials.report),
+            StageName.FIELDS_LEARNING: FieldsReportView.of(self.fields.report),
+            StageName.SURFACE: StageReportView.of(self.surface.report),
+            StageName.MATERIAL_LEARNING: MaterialsReportView.of(self.materials.report),
         }
 
 
@@ -174,7 +174,7 @@ class Job:
             rays, preset, s.seed, prepared.device, None if given is None else given.surface, self._live_preview(prepared)
         )
         fields = self._enter(self._stages.fields, fields_input, folder)
-        self._tell_of_fields(FieldsReport.of(fields.report))
+        self._tell_of_fields(FieldsReportView.of(fields.report))
         surface = given or self._enter(
             self._stages.surface,
             SurfaceInput(prepared.capture, preset.surface, object_field=fields.object_field),
@@ -188,7 +188,7 @@ class Job:
             surface.surface, fields.environment, rays, plan.preset.material, s.seed, prepared.device
         )
         materials = self._enter(self._stages.materials, materials_input, folder)
-        self._tell_of_materials(MaterialsReport.of(materials.report), plan)
+        self._tell_of_materials(MaterialsReportView.of(materials.report), plan)
         return Learned(fields, surface, materials)
 
     def _live_preview(self, prepared: Prepared) -> Callable | None:
@@ -198,13 +198,13 @@ class Job:
 
         return LivePreview(self._settings.out, prepared.rays, prepared.capture.from_unit, self._events)
 
-    def _tell_of_fields(self, report: FieldsReport) -> None:
+    def _tell_of_fields(self, report: FieldsReportView) -> None:
         self._scene.stopped_early(report.steps_saved, self._tracker.seconds[StageName.FIELDS_LEARNING])
         left_out = report.steps_not_finite
         if left_out:
             self._events.warning(Message("job.steps_left_out", {"count": left_out}))
 
-    def _tell_of_materials(self, report: MaterialsReport, plan: Plan) -> None:
+    def _tell_of_materials(self, report: MaterialsReportView, plan: Plan) -> None:
         if report.light_seconds > 0.5:  # about 0 where the light came from a checkpoint
             whole, less = self._settings.preset.material, plan.preset.material
             self._scene.skip({}, seconds_of_cones(whole, less, report.light_seconds))

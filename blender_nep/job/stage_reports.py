@@ -9,7 +9,7 @@ from blender_nep.messages import Message
 
 
 @dataclass(frozen=True)
-class StageReport:
+class StageReportView:
     """The report of one stage."""
 
     facts: dict[str, Any]
@@ -30,7 +30,7 @@ class StageReport:
 
 
 @dataclass(frozen=True)
-class FieldsReport(StageReport):
+class FieldsReportView(StageReportView):
     """The report of fields learning."""
 
     @property
@@ -48,7 +48,7 @@ class FieldsReport(StageReport):
 
 
 @dataclass(frozen=True)
-class MaterialsReport(StageReport):
+class MaterialsReportView(StageReportView):
     """The report of material learning."""
 
     @property
@@ -58,8 +58,9 @@ class MaterialsReport(StageReport):
 
     @property
     def metal_or_not_margin(self) -> float | None:
-        """Share by which the validation error of the chosen class (metal or dielectric) is lower than that of the other.
+        """How much worse, as a share, the photos are explained with a material's class (metal or dielectric) swapped.
 
-        None where the user has chosen the class.
+        It is the smallest share of all materials. None where the classes were not compared, for example because the user
+        has chosen the class.
         """
         return self.facts.get("metal_or_not_margin")

@@ -187,7 +187,9 @@ class MaterialsStage:
         )
 
     def pack(self, result: Materials) -> dict:
-        textures = {k: getattr(result, k) for k in ("albedo", "roughness", "metallic", "confidence")}
+        from blender_nep.asset.export import TEXTURES
+
+        textures = {name: getattr(result, name) for name in TEXTURES}
         unseen = result.unseen.state() if result.unseen is not None else None
         return {"textures": textures, "unseen": unseen, "report": result.report}
 

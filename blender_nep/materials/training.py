@@ -128,7 +128,7 @@ class _MaterialLearner:
         self.progress.step(100)
         if not all(np.isfinite(x).all() for x in (albedo, roughness, metallic, confidence)):
             message = "material learning diverged: its textures are not finite"
-            raise LearningError(message, "try another --seed", "learning.diverged")
+            raise LearningError(message, "Try another --seed.", "learning.diverged")
         report = self.report.as_dict()
         return Materials(albedo, roughness, metallic, confidence, self.light.unseen, report)
 

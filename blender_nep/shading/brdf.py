@@ -21,8 +21,6 @@ import torch
 
 IOR = 1.5
 """Index of refraction; Principled's default."""
-DIELECTRIC_F0 = ((IOR - 1) / (IOR + 1)) ** 2
-"""Fresnel reflectance of a dielectric at normal incidence: 0.04"""
 DIELECTRIC_FSS = (IOR - 1) / (4.08567 + 1.00071 * IOR)
 """Cosine-weighted mean Fresnel reflectance of a dielectric (fit by d'Eon & Irving 2011)."""
 MIN_ROUGHNESS = 0.02

@@ -87,7 +87,7 @@ def zero_level(sdf: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """
     n = sdf.shape[0]
     if not np.isfinite(sdf).all():
-        hint = "try another --seed or a milder preset"
+        hint = "Try another --seed or a milder preset."
         raise LearningError("the object field diverged: its SDF is not finite", hint, "learning.diverged")
     axis = np.linspace(-1, 1, n, dtype=np.float32)
     squared = axis * axis

@@ -25,21 +25,21 @@ def load_surface(mesh_path: Path, capture: Capture, preset: SurfacePreset) -> Su
     """
     path = Path(mesh_path)
     if not path.is_file():
-        raise CaptureError(f"there is no mesh file {path}", "check the path given to --mesh")
+        raise CaptureError(f"there is no mesh file {path}", "Check the path of --mesh.")
     try:
         mesh = trimesh.load(path, process=False, force="mesh", maintain_order=True)
     except (ValueError, TypeError, KeyError, IndexError, OSError, NotImplementedError) as error:
-        hint = "give an OBJ, PLY, STL or glTF file"
+        hint = "Give an OBJ, PLY, STL or glTF file."
         raise CaptureError(f"the mesh {path.name} cannot be read: {error}", hint) from error
     # trimesh may return a point cloud, although force="mesh" asks for a mesh
     if not isinstance(mesh, trimesh.Trimesh) or len(mesh.faces) == 0 or not np.isfinite(mesh.vertices).all():
-        raise CaptureError(f"the mesh {path.name} holds no usable triangle", "give a triangle mesh of the object")
+        raise CaptureError(f"the mesh {path.name} holds no usable triangle", "Give a triangle mesh of the object.")
     transform = np.asarray(capture.to_unit, np.float64)
     vertices = np.asarray(mesh.vertices, np.float64) @ transform[:3, :3].T + transform[:3, 3]
     if np.linalg.norm(vertices, axis=1).min() > 1:
         raise CaptureError(
             f"the mesh {path.name} lies outside the object's bounding sphere",
-            "the mesh must be in the capture's own coordinates, Z up as captured",
+            "The mesh must be in the capture's own coordinates, Z up as captured.",
         )
     faces = np.asarray(mesh.faces, np.int64)
     uv = getattr(mesh.visual, "uv", None)

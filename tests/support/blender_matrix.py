@@ -3,7 +3,8 @@
     python tests/support/blender_matrix.py [4.2 4.5 5.0 5.2]
 
 Each version is a bpy wheel in its own environment, .venv-blender/VERSION (1 GB each, made once). The engine runs in the
-Python that runs this file. It makes an asset of the bundled capture once, and all versions use that asset.
+Python that runs this file. It makes an asset of the bundled capture, and makes it again only if that asset is of another
+preset or version. All versions use it.
 """
 
 import os
@@ -14,6 +15,8 @@ import tempfile
 from pathlib import Path
 
 import extension
+
+from blender_nep.errors import UsageError
 
 PYTHON_OF = {"4.2": "3.11", "4.5": "3.11", "5.0": "3.11", "5.2": "3.13"}  # the one Python that each wheel is built for
 ENVIRONMENTS = extension.ROOT / ".venv-blender"
@@ -43,12 +46,11 @@ def environment(version: str) -> str:
 
 
 def main(versions: list[str]) -> int:
-    subprocess.run(
-        [sys.executable, "-m", "blender_nep", "reconstruct", CAPTURE, "--out", ASSET, "--preset", "preview", "--resume"],
-        check=True,
-        timeout=ENGINE_LIMIT_S,
-        cwd=extension.ROOT,
-    )
+    command = [sys.executable, "-m", "blender_nep", "reconstruct", CAPTURE, "--out", ASSET, "--preset", "preview"]
+    ended = subprocess.run([*command, "--resume"], timeout=ENGINE_LIMIT_S, cwd=extension.ROOT)
+    if ended.returncode == UsageError.code:  # the asset there is of another preset or version
+        ended = subprocess.run([*command, "--overwrite"], timeout=ENGINE_LIMIT_S, cwd=extension.ROOT)
+    ended.check_returncode()
     failed = []
     for version in versions:
         python = environment(version)
