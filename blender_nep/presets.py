@@ -151,10 +151,11 @@ class EnvironmentPreset:
     model: str = "field"
     """Kind of F_e. field: the spherical volume. infinite: a 2-D environment map at infinity, as NeRO and nvdiffrec assume
     (an ablation). none: the photos are cut-outs and show no surroundings (`scene_analysis` decides this)."""
-    outer_radius: float = 32.0
-    """Radius of the sky shell."""
+    contraction_radius: float = 12.0
+    """Nearer than this, the shells of the grid lie at equal steps of log |x|; beyond it, at equal steps of 1 / |x|. The
+    last shell, the sky, lies at infinity."""
     density_gain: float = 16.0
-    """Optical depth per unit of softplus(raw density) and of dt / |x|."""
+    """Optical depth per unit of softplus(raw density) and of contracted distance."""
     initial_raw_density: float = -4.0
     """Raw density at the start, before softplus. It makes F_e nearly transparent. A start at -7 was worse."""
     march_step: float = 1.0

@@ -58,6 +58,7 @@ class Timed:
 def learn(run: Run, asset: Path, order: dict) -> dict:
     """Run the job. Returns figures of its report, or {"error": message} where the job fails."""
     from blender_nep.errors import NepError
+    from blender_nep.fields.environment_field import FAR
     from blender_nep.job import runner as job
     from blender_nep.job.events import Events
     from blender_nep.job.stages import MaterialsInput, MaterialsStage, Stages
@@ -76,7 +77,7 @@ def learn(run: Run, asset: Path, order: dict) -> dict:
         """Stage 2 without F_e, for the ablation WITHOUT_F_E."""
 
         def run(self, given: MaterialsInput, *how):
-            return super().run(replace(given, environment=NoLight(run.changed_preset.environment.outer_radius)), *how)
+            return super().run(replace(given, environment=NoLight(FAR)), *how)
 
     cpu: dict[str, float] = {}
     stages = Stages()

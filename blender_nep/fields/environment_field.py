@@ -1,9 +1,10 @@
 """The prefiltered environment field F_e: the radiance of everything outside the object's unit sphere.
 
-F_e is a spherical volume centred on the object. Its shells lie at equal steps of log |x| from the border |x| = 1 outwards.
-Every shell is an equirectangular grid (rows from +z to -z, columns with atan2(y, x)). A node holds a raw density and the
-logarithm of linear radiance. The density is softplus(raw density) per unit of dt / |x|, so that the volume is
-scale-invariant. The outermost shell is the sky: it is opaque and ends every ray that nothing else stops.
+F_e is a spherical volume centred on the object, from the border |x| = 1 to infinity. Its shells lie at equal steps of the
+contracted distance (`ops.environment_segments`): log |x| near the object, 1 / |x| far away. Every shell is an
+equirectangular grid (rows from +z to -z, columns with atan2(y, x)). A node holds a raw density and the logarithm of linear
+radiance. The density is softplus(raw density) per unit of the contracted distance. The outermost shell is the sky: it lies
+at infinity, is opaque, and ends every ray that nothing else stops.
 
 The paper uses a Mip-NeRF for F_e, which can be queried with cones. Here the volume is prefiltered after the learning
 (`environment_prefilter`), so that cones of any width can be queried.
@@ -21,10 +22,14 @@ from blender_nep.fields.environment_grid import resample
 from blender_nep.fields.environment_prefilter import PrefilteredEnvironment
 from blender_nep.ops.environment_cones import accumulate_coverage
 from blender_nep.ops.environment_rendering import EnvironmentVolume, render_environment
-from blender_nep.ops.environment_segments import RaySegments
+from blender_nep.ops.environment_samples import Medium, RaySamples, sample_rays
+from blender_nep.ops.environment_segments import RaySegments, contracted_length, contracted_radius
 from blender_nep.ops.environment_smoothness import total_variation
 from blender_nep.presets import EnvironmentPreset
 from blender_nep.profiling import profiled
+
+FAR = 1000.0
+"""Distance, in object radii, that stands for infinity where a finite number is needed."""
 
 
 class EnvironmentField(nn.Module):
@@ -73,9 +78,9 @@ class EnvironmentField(nn.Module):
         return self.resolutions.index((self.raw.shape[0], self.raw.shape[1]))
 
     @property
-    def relative_step(self) -> float:
-        """Longest step along a ray, as a fraction of the distance from the origin."""
-        return self.preset.march_step * math.log(self.preset.outer_radius) / (self.raw.shape[0] - 1)
+    def longest_step(self) -> float:
+        """Longest step along a ray, in contracted distance."""
+        return self.preset.march_step * contracted_length(self.preset.contraction_radius) / (self.raw.shape[0] - 1)
 
     @profiled("F_e march")
     def render(
@@ -107,12 +112,12 @@ class EnvironmentField(nn.Module):
             jitter = torch.rand(len(origins), generator=generator, device=origins.device, dtype=origins.dtype)
         if self.infinite:
             origins = torch.zeros_like(origins)
-            t_near = torch.full_like(t_near, self.preset.outer_radius)
+            t_near = torch.full_like(t_near, FAR)
             t_far = torch.where(torch.isinf(t_far), t_far, t_near)
         volume = EnvironmentVolume(
-            outer_radius=self.preset.outer_radius,
+            contraction_radius=self.preset.contraction_radius,
             density_gain=self.preset.density_gain,
-            relative_step=self.relative_step,
+            longest_step=self.longest_step,
             gradient_near=self.preset.gradient_near if generator is not None else 0.0,
             transmittance_limit=self.preset.transmittance_limit,
             depth_limit=self.preset.depth_limit,
@@ -170,15 +175,13 @@ class EnvironmentField(nn.Module):
         weight_seen = np.zeros(self.raw.shape[:3], np.float32)
         if self.infinite:
             origins = torch.zeros_like(origins)
-        near = np.full(len(origins), self.preset.camera_near, np.float32)
+        near = torch.full_like(origins[:, 0], FAR if self.infinite else self.preset.camera_near)
+        segments = RaySegments(*(part.cpu() for part in (origins, directions, near, torch.full_like(near, torch.inf))))
+        samples = sample_rays(segments, self.preset.contraction_radius, self.longest_step, None)
         accumulate_coverage(
             self.raw.detach().cpu().numpy(),
-            origins.cpu().numpy(),
-            directions.cpu().numpy(),
-            near,
-            math.log(self.preset.outer_radius),
-            self.preset.density_gain,
-            self.relative_step,
+            RaySamples(*(part.contiguous().numpy() for part in samples)),
+            Medium(self.preset.contraction_radius, self.preset.density_gain, 0.0, 0.0, 0.0),
             weight_seen,
         )
         seen = (torch.from_numpy(weight_seen) / self.preset.coverage_weight).clamp(max=1)
@@ -203,10 +206,10 @@ class EnvironmentField(nn.Module):
             return torch.zeros_like(origins), torch.zeros_like(origins[:, 0])
         if self._prefiltered is None:
             self._prefiltered = PrefilteredEnvironment(
-                self.raw, self.coverage, self.preset.density_gain, self.preset.outer_radius
+                self.raw, self.coverage, self.preset.density_gain, self.preset.contraction_radius
             )
         if self.infinite:
-            origins, t_near = torch.zeros_like(origins), torch.full_like(origins[:, 0], self.preset.outer_radius)
+            origins, t_near = torch.zeros_like(origins), torch.full_like(origins[:, 0], FAR)
         if t_near is None:
             b = (origins * directions).sum(-1)
             t_near = (-b + (b * b - (origins * origins).sum(-1) + 1).clamp(min=0).sqrt()).clamp(min=1e-3)
@@ -217,7 +220,7 @@ class EnvironmentField(nn.Module):
     def typical_distance(self, directions: int = 1000) -> float:
         """Median distance of the surroundings from the object's centre, over the directions that the photos show.
 
-        It is `preset.outer_radius` if the environment is a 2-D map or if the photos show no surroundings.
+        It is FAR if it is farther than that, if the environment is a 2-D map, or if the photos show no surroundings.
         """
         k = torch.arange(directions, device=self.raw.device) + 0.5
         z, around = 1 - 2 * k / directions, math.pi * (1 + math.sqrt(5)) * k
@@ -226,12 +229,10 @@ class EnvironmentField(nn.Module):
         _, coverage = self.query_cone(torch.zeros_like(d), d, 0.05)
         d = d[coverage > 0.5]
         if self.infinite or not len(d):
-            return self.preset.outer_radius
-        near, distance = (
-            torch.ones(len(d), device=d.device),
-            torch.full((len(d),), self.preset.outer_radius, device=d.device),
-        )
-        for radius in torch.logspace(0, math.log10(self.preset.outer_radius), 64).flip(0).tolist():
+            return FAR
+        near, distance = torch.ones(len(d), device=d.device), torch.full((len(d),), FAR, device=d.device)
+        contracted = torch.linspace(0, contracted_length(self.preset.contraction_radius), 64)[:-1]
+        for radius in contracted_radius(contracted, self.preset.contraction_radius).flip(0).tolist():
             _, passed = self.render(torch.zeros_like(d), d, near, torch.full_like(near, radius))
             distance[passed < 0.5] = radius
         return float(distance.median())

@@ -17,6 +17,7 @@ import math
 import torch
 
 from blender_nep.ops.environment_cones import composite_cones
+from blender_nep.ops.environment_segments import contracted_length, contracted_radius
 from blender_nep.ops.environment_weights import from_weights, weights_from_centre
 
 FINER_ROWS = 2
@@ -62,9 +63,10 @@ class PrefilteredEnvironment:
     raw [K, H, W, 4] is raw density and log radiance; coverage [K, H, W] is in 0..1. The levels are kept on the CPU.
     """
 
-    def __init__(self, raw: torch.Tensor, coverage: torch.Tensor, density_gain: float, outer_radius: float) -> None:
-        spacing = math.log(outer_radius) / (raw.shape[0] - 1)
-        self.shell_radii = torch.exp(torch.arange(raw.shape[0]) * spacing)
+    def __init__(self, raw: torch.Tensor, coverage: torch.Tensor, density_gain: float, contraction_radius: float) -> None:
+        length = contracted_length(contraction_radius)
+        spacing = length / (raw.shape[0] - 1)
+        self.shell_radii = contracted_radius(torch.linspace(0, length, raw.shape[0]), contraction_radius)
         values = weights_from_centre(raw, coverage, density_gain, spacing, FINER_ROWS * raw.shape[1])
         # a shell that is nowhere visible from the centre needs no lookup
         self.occupied = values[..., 3].amax((1, 2)) > 1e-4

@@ -14,6 +14,7 @@ import numpy as np
 import torch
 from numba import njit, prange
 
+from blender_nep.ops.contracted_rays import contraction_border, place_inside, place_outside
 from blender_nep.ops.spherical_grid import angular_cell, cell, cell_columns, polar
 
 
@@ -31,6 +32,10 @@ def _add_level(grid, k, turn, fall, share, out):
         out[h] += (
             w0 * grid[top, tl, k, h] + w1 * grid[top, tr, k, h] + w2 * grid[bottom, bl, k, h] + w3 * grid[bottom, br, k, h]
         )
+
+
+SKY_RADIUS = 1e9
+"""Stands for the infinite radius of the sky. From points in the unit sphere, the sky has no parallax at this distance."""
 
 
 class _Cones(NamedTuple):
@@ -92,34 +97,43 @@ def _composite(levels_of, radii, shell_radii, occupied, cones, out, blocks):
 
 
 @njit(cache=True)
-def accumulate_coverage(raw, origins, directions, near, log_outer, density_gain, step, seen):
-    """Add to seen [K, H, W] the weights with which camera rays see nodes. Each sample counts for its nearest node.
+def accumulate_coverage(raw, rays, medium, seen):
+    """Add to seen [K, H, W] the weights with which rays see nodes. Each sample counts for its nearest node.
 
-    raw [K, H, W, 4]; origins, directions [n, 3]; near [n]; step is a fraction of the distance from the origin. The function
-    runs in one thread.
+    raw [K, H, W, 4]; RaySamples and Medium are of NumPy arrays and numbers. The function runs in one thread.
     """
+    origins, directions, t_closest, b, w_near, w_length, infinite, offsets, _ = rays
+    contraction_radius, density_gain = medium.contraction_radius, medium.density_gain
     shells, rows, columns = raw.shape[0], raw.shape[1], raw.shape[2]
+    to_shell = (shells - 1) / (math.log(contraction_radius) + 1.0)
     for i in range(origins.shape[0]):
-        passed, t = 1.0, near[i]
-        while passed > 0.01:
-            x = origins[i, 0] + t * directions[i, 0]
-            y = origins[i, 1] + t * directions[i, 1]
-            z = origins[i, 2] + t * directions[i, 2]
-            radius = max(math.sqrt(x * x + y * y + z * z), 1.0)
-            place = math.log(radius) / log_outer * (shells - 1)
-            closing = place >= shells - 1
-            k = min(int(place + 0.5), shells - 1)
+        samples = offsets[i + 1] - offsets[i]
+        steps = samples - 1 if infinite[i] else samples
+        step = w_length[i] / steps if steps > 0 else 0.0
+        w_border, z_border = contraction_border(b[i], contraction_radius)
+        passed = 1.0
+        for n in range(samples):
+            x, y, z = float(directions[i, 0]), float(directions[i, 1]), float(directions[i, 2])
+            place = shells - 1.0
+            if n < steps:
+                w = w_near[i] + (n + 0.5) * step
+                if abs(w) <= w_border:
+                    t, place = place_inside(math.exp(w), b[i], to_shell)
+                else:
+                    t, place = place_outside(w, b[i], w_border, z_border, contraction_radius, to_shell)
+                t += t_closest[i]
+                x, y, z = origins[i, 0] + t * x, origins[i, 1] + t * y, origins[i, 2] + t * z
+            k = min(max(int(place + 0.5), 0), shells - 1)
             j, c, fj, fc = angular_cell(x, y, z, rows, columns)
             row = min(max(j - 1 if fj < 0.5 else j, 0), rows - 1)
             column = c if fc < 0.5 else (c + 1) % columns
             value = raw[k, row, column, 0]
             density = density_gain * (max(value, 0.0) + math.log1p(math.exp(-abs(value))))
-            alpha = 1.0 if closing else 1.0 - math.exp(-density * step)
+            alpha = 1.0 - math.exp(-density * step) if n < steps else 1.0
             seen[k, row, column] += passed * alpha
             passed *= 1.0 - alpha
-            if closing:
+            if passed <= 0.01:
                 break
-            t += step * radius
 
 
 def composite_cones(
@@ -140,7 +154,7 @@ def composite_cones(
     Args:
         levels: each [H_l, W_l, K, 5], see `environment_weights.from_weights`; radii: angular radii of their discs in
             radians, a geometric series.
-        shell_radii: [K]; occupied: [K] bool, whether a shell is looked up.
+        shell_radii: [K], the sky's may be inf; occupied: [K] bool, whether a shell is looked up.
         origins, directions: [n, 3]; near: [n], shells nearer than this distance are left out, except the last; half_angle:
             [n] radians.
     """
@@ -149,7 +163,7 @@ def composite_cones(
     _composite(
         numba.typed.List(levels),
         np.asarray(radii, np.float64),
-        shell_radii.double().numpy(),
+        shell_radii.double().clamp(max=SKY_RADIUS).numpy(),
         occupied.numpy(),
         _Cones(*(a.detach().cpu().contiguous().float().numpy() for a in (origins, directions, near, half_angle))),
         out,

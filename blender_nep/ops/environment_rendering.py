@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 import torch
@@ -18,12 +17,12 @@ from blender_nep.ops.precision import at_least_float32
 class EnvironmentVolume:
     """The constants that give a spherical grid its meaning, and the settings of marching rays through it."""
 
-    outer_radius: float
-    """Radius of the outermost shell, unit frame, above 1"""
+    contraction_radius: float
+    """Beyond this radius, shells lie at equal steps of 1 / |x|; unit frame, above 1"""
     density_gain: float
-    """Factor of softplus(raw density): optical depth per unit of dt / |x|"""
-    relative_step: float
-    """Longest step as a fraction of the distance from the origin"""
+    """Factor of softplus(raw density): optical depth per unit of the contracted coordinate w (`environment_segments`)"""
+    longest_step: float
+    """Longest step of a ray in w"""
     gradient_near: float = 0.0
     """Nearer to the camera than this, gradients are scaled by (t / gradient_near)^2, because samples are denser there and
     fewer photos see the place (Philip and Deschaintre 2023, "Floaters No More"). 0: no scaling"""
@@ -39,7 +38,7 @@ def render_environment(
     """Radiance and transmittance of ray segments through a spherical grid; differentiable in the grid.
 
     Args:
-        raw: [K, H, W, 4] raw density (softplus, times density_gain, per unit of dt / |x|) and log radiance.
+        raw: [K, H, W, 4] raw density (softplus, times density_gain, per unit of w) and log radiance.
         segments: n segments.
         jitter: [n] in [0, 1), or None for the middle of each step.
         body: "auto" (Numba on the CPU, torch elsewhere), "numba" or "torch".
@@ -49,9 +48,9 @@ def render_environment(
     """
     raw, *parts = at_least_float32(raw, *segments)
     with torch.no_grad():
-        rays = sample_rays(RaySegments(*parts), volume.outer_radius, volume.relative_step, jitter)
+        rays = sample_rays(RaySegments(*parts), volume.contraction_radius, volume.longest_step, jitter)
     medium = Medium(
-        math.log(volume.outer_radius),
+        volume.contraction_radius,
         volume.density_gain,
         volume.gradient_near,
         volume.transmittance_limit,

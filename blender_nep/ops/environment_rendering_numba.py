@@ -15,6 +15,7 @@ import torch
 from numba import njit, prange
 from torch import Tensor
 
+from blender_nep.ops.contracted_rays import contraction_border, place_inside, place_outside
 from blender_nep.ops.environment_samples import Medium, RaySamples
 from blender_nep.ops.spherical_grid import COLOR_LIMIT, angular_cell, bilinear_weights, cell_columns, trilinear
 
@@ -44,11 +45,11 @@ def _march(raw, rays, medium, radiance, transmittance, kept, records, keep):
     raw [K, H, W, 4]; RaySamples, Medium and SampleRecords are of NumPy arrays and numbers. `kept` is `records.kept`: Numba
     loses what a parallel loop writes, at the loop's index, to an array that was taken from a tuple.
     """
-    origins, directions, t_closest, b, s_near, s_length, infinite, offsets, jitter = rays
-    log_radius, density_gain, gradient_near, transmittance_limit, depth_limit = medium
+    origins, directions, t_closest, b, w_near, w_length, infinite, offsets, jitter = rays
+    contraction_radius, density_gain, gradient_near, transmittance_limit, depth_limit = medium
     cells, fractions, local = records.cells, records.fractions, records.local
     shells, rows, columns = raw.shape[0], raw.shape[1], raw.shape[2]
-    to_shell = (shells - 1) / log_radius
+    to_shell = (shells - 1) / (math.log(contraction_radius) + 1.0)
     for i in prange(origins.shape[0]):
         ox, oy, oz = float(origins[i, 0]), float(origins[i, 1]), float(origins[i, 2])
         dx, dy, dz = float(directions[i, 0]), float(directions[i, 1]), float(directions[i, 2])
@@ -57,20 +58,29 @@ def _march(raw, rays, medium, radiance, transmittance, kept, records, keep):
         red, green, blue, passed = 0.0, 0.0, 0.0, 1.0
         count = 0
         steps = samples - 1 if infinite[i] else samples
-        step = s_length[i] / steps if steps > 0 else 0.0
-        exp_s = math.exp(s_near[i] + jitter[i] * step)
+        step = w_length[i] / steps if steps > 0 else 0.0
+        w_border, z_border = contraction_border(b[i], contraction_radius)
+        w = w_near[i] + jitter[i] * step
+        exp_w = math.exp(w)
         growth = math.exp(step)
         for n in range(samples):
             closing = n == steps
-            if closing:
-                exp_s = math.exp(s_near[i] + s_length[i])
-            inverse = 1.0 / exp_s
-            t = t_closest[i] + 0.5 * b[i] * (exp_s - inverse)
-            radius = 0.5 * b[i] * (exp_s + inverse)
-            exp_s *= growth
-            k_real = min(max(math.log(radius) * to_shell, 0.0), shells - 1.0)
+            if closing:  # the sky lies at infinity, in the direction of the ray
+                t = 1e30
+                k_real = shells - 1.0
+                px, py, pz = dx, dy, dz
+            else:
+                if abs(w) <= w_border:
+                    t, k_real = place_inside(exp_w, b[i], to_shell)
+                else:
+                    t, k_real = place_outside(w, b[i], w_border, z_border, contraction_radius, to_shell)
+                t += t_closest[i]
+                k_real = min(max(k_real, 0.0), shells - 1.0)
+                px, py, pz = ox + t * dx, oy + t * dy, oz + t * dz
+                w += step
+                exp_w *= growth
             k = min(int(k_real), shells - 2)
-            j, c, fj, fc = angular_cell(ox + t * dx, oy + t * dy, oz + t * dz, rows, columns)
+            j, c, fj, fc = angular_cell(px, py, pz, rows, columns)
             fk = k_real - k
             shell_weights = 1.0 - fk, fk
             corners, weights = cell_columns(j, c, rows, columns), bilinear_weights(fj, fc)
@@ -108,7 +118,7 @@ def _march(raw, rays, medium, radiance, transmittance, kept, records, keep):
                 local[m, 0] = slope
                 local[m, 1] = alpha
                 local[m, 2] = passed
-                local[m, 6] = min(1.0, (t / gradient_near) ** 2) if gradient_near > 0.0 else 1.0
+                local[m, 6] = (t / gradient_near) ** 2 if t < gradient_near else 1.0
                 count += 1
             passed *= 1.0 - alpha
             if passed <= transmittance_limit:

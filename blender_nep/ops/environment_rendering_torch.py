@@ -5,26 +5,28 @@ from __future__ import annotations
 import math
 
 import torch
+from torch import Tensor
 
+from blender_nep.ops.contracted_rays import SMALLEST_ANGLE
 from blender_nep.ops.environment_samples import Medium, RaySamples
+from blender_nep.ops.environment_segments import contracted_length
 from blender_nep.ops.spherical_grid import COLOR_LIMIT
 
 
-def interpolate(raw: torch.Tensor, points: torch.Tensor, log_radius: float) -> torch.Tensor:
+def interpolate(raw: Tensor, points: Tensor, shell: Tensor) -> Tensor:
     """Trilinear interpolation of a spherical grid.
 
     Args:
-        raw: [K, H, W, C]: shells at equal steps of log |x| in [0, log_radius], cell-centred rows from +z to -z, columns
-            with atan2(y, x), periodic.
-        points: [..., 3].
+        raw: [K, H, W, C]: K shells, cell-centred rows from +z to -z, columns with atan2(y, x), periodic.
+        points: [..., 3]; only their directions from the origin count.
+        shell: [...] in 0 .. K - 1: the place between the shells.
 
     Returns:
         [..., C].
     """
     shells, rows, columns, channels = raw.shape
     x, y, z = points.unbind(-1)
-    radius = points.norm(dim=-1)
-    k_real = (radius.clamp_min(1e-12).log() * ((shells - 1) / log_radius)).clamp(0.0, shells - 1.0)
+    k_real = shell.clamp(0.0, shells - 1.0)
     k = k_real.floor().long().clamp_max(shells - 2)
     v = torch.atan2(torch.hypot(x, y), z) * (rows / math.pi) + 0.5
     j = v.floor().long().clamp(0, rows)
@@ -44,7 +46,7 @@ def interpolate(raw: torch.Tensor, points: torch.Tensor, log_radius: float) -> t
     return result
 
 
-def render(raw: torch.Tensor, rays: RaySamples, medium: Medium) -> tuple[torch.Tensor, torch.Tensor]:
+def render(raw: Tensor, rays: RaySamples, medium: Medium) -> tuple[Tensor, Tensor]:
     """The same as `environment_rendering_numba.render`, by autograd. No samples are skipped, and no rays are ended early.
 
     Returns:
@@ -53,19 +55,24 @@ def render(raw: torch.Tensor, rays: RaySamples, medium: Medium) -> tuple[torch.T
     steps = rays.offsets[1:] - rays.offsets[:-1] - rays.infinite.long()
     longest = max(int(steps.max()) if len(steps) else 0, 1)
     number = torch.arange(longest, device=raw.device)
-    step = rays.s_length / steps.clamp_min(1)
-    s = rays.s_near[:, None] + (number + rays.jitter[:, None].double()) * step[:, None]
+    step = rays.w_length / steps.clamp_min(1)
+    w = rays.w_near[:, None] + (number + rays.jitter[:, None].double()) * step[:, None]
     inside = number < steps[:, None]
-    t = rays.t_closest[:, None] + rays.b[:, None] * torch.sinh(s)
-    values = _values(raw, rays, t, medium)
+    t, shell = _places(w, rays.b[:, None], raw.shape[0], medium.contraction_radius)
+    t = t + rays.t_closest[:, None]
+    points = rays.origins.double()[:, None] + t[..., None] * rays.directions.double()[:, None]
+    values = interpolate(raw, points, shell)
+    if medium.gradient_near > 0.0:
+        scale = ((t / medium.gradient_near) ** 2).clamp_max(1.0).to(raw.dtype)[..., None]
+        values = values * scale + (values * (1 - scale)).detach()
     depth = medium.density_gain * torch.nn.functional.softplus(values[..., 0]) * step[:, None].to(raw.dtype) * inside
     before = torch.exp(-(depth.cumsum(1) - depth))
     weight = -torch.expm1(-depth) * before
     color = _color(values)
     radiance = (weight[..., None] * color).sum(1)
     transmittance = torch.exp(-depth.sum(1))
-    t_exit = rays.t_closest + rays.b * torch.sinh(rays.s_near + rays.s_length)
-    sky = _values(raw, rays, t_exit[:, None], medium)[:, 0]
+    directions = rays.directions.double()  # the sky lies at infinity, in the direction of the ray
+    sky = interpolate(raw, directions, torch.full_like(directions[:, 0], raw.shape[0] - 1.0))
     radiance = radiance + (rays.infinite * transmittance)[:, None] * _color(sky)
     return radiance, torch.where(rays.infinite, torch.zeros_like(transmittance), transmittance)
 
@@ -80,11 +87,17 @@ def _color(values):
     return (raw + (raw.clamp(-COLOR_LIMIT, COLOR_LIMIT) - raw).detach()).exp()
 
 
-def _values(raw, rays, t, medium):
-    """Raw values [n, m, 4] at distances t [n, m]. Their gradients are scaled by min(1, (t / gradient_near)^2)."""
-    points = rays.origins.double()[:, None] + t[..., None] * rays.directions.double()[:, None]
-    values = interpolate(raw, points, medium.log_radius)
-    if medium.gradient_near <= 0.0:
-        return values
-    scale = ((t / medium.gradient_near) ** 2).clamp_max(1.0).to(raw.dtype)[..., None]
-    return values * scale + (values * (1 - scale)).detach()
+def _places(w: Tensor, b: Tensor, shells: int, contraction_radius: float) -> tuple[Tensor, Tensor]:
+    """Signed distances [n, m] from the rays' closest points, and places between the shells [n, m], at w [n, m].
+
+    b [n, 1] are the distances of the closest points from the origin.
+    """
+    border = (b / contraction_radius).clamp_max(1)
+    w_border, z_border = torch.acosh(1 / border), torch.asin(border)
+    inner = w.clamp(-w_border, w_border)
+    z = (z_border - (w.abs() - w_border) * b / contraction_radius).clamp(SMALLEST_ANGLE, 0.5 * math.pi)
+    is_inner = w.abs() <= w_border
+    t = torch.where(is_inner, b * torch.sinh(inner), torch.sign(w) * b / torch.tan(z))
+    beyond = contracted_length(contraction_radius) - contraction_radius * torch.sin(z) / b
+    u = torch.where(is_inner, torch.log(b * torch.cosh(inner)), beyond)
+    return t, u * ((shells - 1) / contracted_length(contraction_radius))

@@ -7,13 +7,13 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from blender_nep.ops.environment_segments import RaySegments, scale_invariant_segments
+from blender_nep.ops.environment_segments import RaySegments, contract_segments
 
 MAXIMUM_STEPS = 512
 
 
 class RaySamples(NamedTuple):
-    """n rays, and the samples on them: at equal steps of the coordinate s of `environment_segments`.
+    """n rays, and the samples on them: at equal steps of the coordinate w of `environment_segments`.
 
     The fields are tensors. For the Numba kernels, they are NumPy arrays.
     """
@@ -23,10 +23,10 @@ class RaySamples(NamedTuple):
     directions: Tensor
     """[n, 3] unit length"""
     t_closest: Tensor
-    """[n] float64, like b, s_near and s_length; see `ScaleInvariantSegments`"""
+    """[n] float64, like b, w_near and w_length; see `ContractedSegments`"""
     b: Tensor
-    s_near: Tensor
-    s_length: Tensor
+    w_near: Tensor
+    w_length: Tensor
     infinite: Tensor
     """[n] bool: whether the ray ends in the outermost shell, the sky"""
     offsets: Tensor
@@ -38,10 +38,10 @@ class RaySamples(NamedTuple):
 class Medium(NamedTuple):
     """Constants of the medium, and limits below which the Numba body neglects light."""
 
-    log_radius: float
-    """Logarithm of the outermost shell's radius"""
+    contraction_radius: float
+    """Beyond this radius, shells lie at equal steps of 1 / |x|"""
     density_gain: float
-    """Density per unit of ds for a softplus of 1"""
+    """Density per unit of dw for a softplus of 1"""
     gradient_near: float
     """Distance t below which gradients are scaled by (t / gradient_near)^2; 0 for no scaling"""
     transmittance_limit: float
@@ -50,17 +50,17 @@ class Medium(NamedTuple):
     """Samples with a smaller optical depth are skipped"""
 
 
-def sample_rays(segments: RaySegments, outer_radius: float, relative_step: float, jitter: Tensor | None) -> RaySamples:
-    """Place samples on ray segments, in steps of at most `relative_step` times the distance from the origin.
+def sample_rays(segments: RaySegments, contraction_radius: float, longest_step: float, jitter: Tensor | None) -> RaySamples:
+    """Place samples on ray segments, in steps of at most `longest_step` in w.
 
     A ray has at most MAXIMUM_STEPS steps; a longer ray has longer steps. jitter: [n] in [0, 1), or None for the middle of
     each step.
     """
-    scaled = scale_invariant_segments(segments, outer_radius)
+    contracted = contract_segments(segments, contraction_radius)
     infinite = torch.isinf(segments.t_far)
-    steps = torch.ceil(scaled.s_length / relative_step).long().clamp_max(MAXIMUM_STEPS)
+    steps = torch.ceil(contracted.w_length / longest_step).long().clamp_max(MAXIMUM_STEPS)
     offsets = steps.new_zeros(len(steps) + 1)
     torch.cumsum(steps + infinite.long(), 0, out=offsets[1:])
     if jitter is None:
         jitter = torch.full_like(segments.t_near, 0.5)
-    return RaySamples(segments.origins, segments.directions, *scaled, infinite, offsets, jitter)
+    return RaySamples(segments.origins, segments.directions, *contracted, infinite, offsets, jitter)

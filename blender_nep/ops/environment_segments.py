@@ -1,20 +1,28 @@
-"""Ray segments in the scale-invariant coordinate s of the environment's spherical volume.
+"""Ray segments in the contracted coordinate of the environment's spherical volume.
 
-The volume is scale-invariant: in angle and in the logarithm of the distance, it has the same resolution far away and close
-by. So its density is given per unit of ds = dt / |x(t)|. Let a straight ray come nearest to the origin at t_c, with the
-distance b. Then ds integrates in closed form: t = t_c + b sinh(s), |x(t)| = b cosh(s). Equal steps in s are steps that are
-proportional to the distance from the origin, and optical depth is density times a step in s.
+The volume is contracted as in mip-NeRF 360 (Barron et al. 2022): inside the contraction radius R its shells lie at equal
+steps of log |x|, so that near things have the same resolution in angle and in distance. Outside R the shells lie at equal
+steps of disparity 1 / |x|, because that is what parallax shows of far things. The last shell, the sky, lies at infinity:
+
+    u(|x|) = log |x| for |x| <= R,    u(|x|) = log R + 1 - R / |x| for |x| > R,    u(infinity) = log R + 1.
+
+Density is given per unit of dw = dt / |x| * min(1, R / |x|). For a ray through the centre, dw = du. Let a straight ray come
+nearest to the origin at t_c, with the distance b. Then w integrates in closed form, counted from that point:
+
+    inside R:   t = t_c + b sinh(w),   |x| = b cosh(w)
+    outside R:  t = t_c + b / tan(z),  |x| = b / sin(z),  where the angle z falls linearly in w, from asin(b / R) to 0.
 """
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
 MINIMUM_CLOSEST_APPROACH = 1e-3
-"""Smallest b, in the unit frame. A ray through the origin itself would have infinite length in s."""
+"""Smallest b, in the unit frame. A ray through the origin itself would have infinite length in w."""
 
 
 class RaySegments(NamedTuple):
@@ -30,27 +38,46 @@ class RaySegments(NamedTuple):
     """[n]; where it is inf, the ray ends in the outermost shell, the sky"""
 
 
-class ScaleInvariantSegments(NamedTuple):
-    """n ray segments in the coordinate s: t = t_closest + b sinh(s), |x| = b cosh(s). All [n] float64."""
+class ContractedSegments(NamedTuple):
+    """n ray segments in the contracted coordinate w. All [n] float64."""
 
     t_closest: Tensor
-    """Distance along the ray of the point that is closest to the origin"""
+    """Distance along the ray of the point that is closest to the origin; there w = 0"""
     b: Tensor
     """Distance of that point from the origin, at least MINIMUM_CLOSEST_APPROACH"""
-    s_near: Tensor
-    """s at which the segment begins"""
-    s_length: Tensor
-    """Length of the segment in s, >= 0"""
+    w_near: Tensor
+    """w at which the segment begins"""
+    w_length: Tensor
+    """Length of the segment in w, >= 0"""
 
 
-def scale_invariant_segments(segments: RaySegments, outer_radius: float) -> ScaleInvariantSegments:
-    """Ray segments in the coordinate s. They end at the latest where the ray leaves the sphere of `outer_radius`."""
+def contracted_length(contraction_radius: float) -> float:
+    """u of the sky: the length in w of a ray from the unit sphere to infinity, away from the centre."""
+    return math.log(contraction_radius) + 1
+
+
+def contracted_radius(u: Tensor, contraction_radius: float) -> Tensor:
+    """The inverse of u(|x|): distances from the centre, for u in 0 .. contracted_length. The sky's is inf."""
+    beyond = (contracted_length(contraction_radius) - u).clamp_min(0)
+    return torch.where(beyond >= 1, torch.exp(u), contraction_radius / beyond)
+
+
+def contract_segments(segments: RaySegments, contraction_radius: float) -> ContractedSegments:
+    """Ray segments in the contracted coordinate w."""
     origins, directions, t_near, t_far = (part.double() for part in segments)
     t_closest = -(origins * directions).sum(-1)
     closest = origins + t_closest[:, None] * directions
     b = closest.norm(dim=-1).clamp_min(MINIMUM_CLOSEST_APPROACH)
-    t_exit = t_closest + (outer_radius**2 - b**2).clamp_min(0.0).sqrt()
-    t_far = torch.where(torch.isinf(t_far), t_exit, torch.minimum(t_far, t_exit))
-    s_near = torch.asinh((t_near - t_closest) / b)
-    s_far = torch.asinh((t_far - t_closest) / b)
-    return ScaleInvariantSegments(t_closest, b, s_near, (s_far - s_near).clamp_min(0.0))
+    w_near = _contract(t_near - t_closest, b, contraction_radius)
+    w_far = _contract(t_far - t_closest, b, contraction_radius)
+    return ContractedSegments(t_closest, b, w_near, (w_far - w_near).clamp_min(0.0))
+
+
+def _contract(t: Tensor, b: Tensor, contraction_radius: float) -> Tensor:
+    """w at the distances t from the closest point, t and b [n]."""
+    border = (b / contraction_radius).clamp_max(1)
+    z_border, w_border = torch.asin(border), torch.acosh(1 / border)
+    z = torch.atan2(b, t.abs())
+    beyond = w_border + (contraction_radius / b) * (z_border - z)
+    w = torch.where(z < z_border, beyond, torch.asinh((t.abs() / b).clamp_max(1e8)))
+    return torch.where(t < 0, -w, w)

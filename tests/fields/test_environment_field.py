@@ -12,17 +12,19 @@ from blender_nep.errors import LearningError
 from blender_nep.fields.environment_field import EnvironmentField
 from blender_nep.fields.environment_grid import resample
 from blender_nep.fields.environment_training import learn_environment, learn_step, optimiser
+from blender_nep.ops.environment_segments import contracted_length
 from blender_nep.presets import EnvironmentPreset
 from blender_nep.tone_mapping import tone_map
 
-PRESET = EnvironmentPreset(resolutions=((24, 32), (28, 48)), refine_at=(0.5,), outer_radius=20.0)
+PRESET = EnvironmentPreset(resolutions=((24, 32), (28, 48)), refine_at=(0.5,), contraction_radius=20.0)
 
 
 def box_field(size: float = 6.0) -> EnvironmentField:
     """The inside of a cube |x|, |y|, |z| <= size as a field: smooth colored walls with a bright window."""
     field = EnvironmentField(PRESET)
     shells, rows = field.raw.shape[:2]
-    radius = torch.linspace(0, math.log(PRESET.outer_radius), shells).exp()[:, None, None, None]
+    length = contracted_length(PRESET.contraction_radius)
+    at_shell = torch.linspace(0, length, shells)[:, None, None, None]
     theta = (torch.arange(rows) + 0.5) * math.pi / rows
     phi = (torch.arange(2 * rows) + 0.5) * math.pi / rows - math.pi
     theta, phi = torch.meshgrid(theta, phi, indexing="ij")
@@ -32,7 +34,9 @@ def box_field(size: float = 6.0) -> EnvironmentField:
     color = 0.5 + 0.4 * torch.sin(at * torch.tensor([0.7, 0.5, 0.9]))
     color = color + 8.0 * ((at[..., :1] > 0.99 * size) & (at[..., 1:].abs().amax(-1, keepdim=True) < 2.5))
     with torch.no_grad():
-        inside = (wall[None, ..., None] / radius).log() / math.log(PRESET.outer_radius) * (shells - 1)
+        inside = (
+            (wall[None, ..., None].log() - at_shell) / length * (shells - 1)
+        )
         field.raw[..., :1] = (-10 * inside).clamp(-12, 4)
         field.raw[..., 1:] = color.log()
     return field

@@ -10,11 +10,13 @@ import torch
 from blender_nep.fields.environment_prefilter import disc_mean
 from blender_nep.ops.environment_rendering import EnvironmentVolume, render_environment
 from blender_nep.ops.environment_rendering_torch import interpolate
-from blender_nep.ops.environment_segments import RaySegments, scale_invariant_segments
+from blender_nep.ops.environment_segments import RaySegments, contract_segments, contracted_length, contracted_radius
 from blender_nep.ops.environment_smoothness import total_variation
 from blender_nep.ops.environment_weights import from_weights, weights_from_centre
 
-OUTER = 20.0
+RADIUS = 2.5
+"""The contraction radius. Rays of `random_rays` begin inside and outside it."""
+LENGTH = contracted_length(RADIUS)
 EXACT = {"transmittance_limit": 0.0, "depth_limit": 0.0}
 
 
@@ -41,7 +43,7 @@ def random_grid(shells: int, rows: int, seed: int) -> torch.Tensor:
 
 def render(raw, rays, body="numba", step=0.1, **more):
     jitter = more.pop("jitter", None)
-    volume = EnvironmentVolume(outer_radius=OUTER, density_gain=2.0, relative_step=step, **(EXACT | more))
+    volume = EnvironmentVolume(contraction_radius=RADIUS, density_gain=2.0, longest_step=step, **(EXACT | more))
     return render_environment(raw, RaySegments(*rays), volume, jitter=jitter, body=body)
 
 
@@ -87,43 +89,72 @@ def test_neglecting_little_changes_little():
     assert ((exact - rough).abs() / (1 + exact)).max() < 0.02
 
 
+def along_ray(origin, direction, near, far, steps=40_001):
+    """Brute force: (distances |x| from the centre [m], contracted lengths [m]) of m short pieces of a ray. Far may be inf.
+
+    The pieces have equal steps of 1 / (1 + t - near), so that they also reach infinity.
+    """
+    edges = 1 / np.linspace(1, 1 / (1 + far - near), steps).clip(1e-9) - 1 + near
+    t, dt = 0.5 * (edges[1:] + edges[:-1]), np.diff(edges)
+    distance = np.linalg.norm(origin.numpy() + t[:, None] * direction.numpy(), axis=1)
+    return distance, dt / distance * np.minimum(1, RADIUS / distance)
+
+
 @pytest.mark.parametrize("body", ["numba", "torch"])
 def test_uniform_medium_has_its_closed_form(body):
-    """Density sigma / |x|: optical depth sigma (asinh(t1 / b) - asinh(t0 / b)), t measured from the closest point."""
+    """Optical depth is density times the contracted length of the segment."""
     origins, directions, near, far = random_rays(40, 8)
-    far = torch.where(torch.isinf(far), 3.0, far)
+    far = torch.where(torch.isinf(far), 9.0, far)
     raw = torch.zeros(4, 6, 12, 4, dtype=torch.float64)
     raw[..., 0], raw[..., 1:] = 0.3, torch.tensor([0.1, -1.0, 2.0])
     radiance, transmittance = render(raw, (origins, directions, near, far), body)
-    along = (origins * directions).sum(-1)
-    b = (origins - along[:, None] * directions).norm(dim=-1)
-    length = torch.asinh((far + along) / b) - torch.asinh((near + along) / b)
-    expected = torch.exp(-2.0 * math.log1p(math.exp(0.3)) * length)
-    torch.testing.assert_close(transmittance, expected, rtol=1e-9, atol=1e-12)
+    pieces = [along_ray(*ray)[1].sum() for ray in zip(origins, directions, near.tolist(), far.tolist(), strict=True)]
+    expected = torch.exp(-2.0 * math.log1p(math.exp(0.3)) * torch.tensor(pieces, dtype=torch.float64))
+    torch.testing.assert_close(transmittance, expected, rtol=1e-6, atol=1e-9)
     torch.testing.assert_close(
-        radiance, (1 - expected)[:, None] * torch.tensor([0.1, -1.0, 2.0]).double().exp(), rtol=1e-7, atol=1e-9
+        radiance, (1 - expected)[:, None] * torch.tensor([0.1, -1.0, 2.0]).double().exp(), rtol=1e-6, atol=1e-8
     )
 
 
-def test_radial_medium_against_quadrature():
-    """Raw values linear in log |x| are exact on the grid; the emission integral by brute force, in plain distances."""
-    shells = torch.linspace(0, math.log(OUTER), 9, dtype=torch.float64)
+@pytest.mark.parametrize("body", ["numba", "torch"])
+def test_radial_medium_against_quadrature(body):
+    """Raw values linear in the contracted distance are exact on the grid; the emission integral by brute force."""
+    shells = torch.linspace(0, LENGTH, 9, dtype=torch.float64)
     raw = torch.zeros(9, 6, 12, 4, dtype=torch.float64)
     raw[..., 0] = (1.5 * shells - 2.0)[:, None, None]
     raw[..., 1:] = (0.4 * shells - 1.0)[:, None, None, None]
-    origins, directions, near, far = random_rays(5, 9)
-    origins, far = origins * 2, torch.full_like(far, 4.0)
-    radiance, transmittance = render(raw, (origins, directions, near, far), step=0.002)
-    edges = np.linspace(0.6, 4.0, 40_001)
-    t, dt = 0.5 * (edges[1:] + edges[:-1]), edges[1] - edges[0]
-    for i in range(5):
-        distance = np.linalg.norm(origins[i].numpy() + t[:, None] * directions[i].numpy(), axis=1).clip(1)
-        density = 2.0 * np.log1p(np.exp(1.5 * np.log(distance) - 2.0)) / distance
-        before = np.exp(-np.cumsum(density * dt) + 0.5 * density * dt)
-        assert float(radiance[i, 0]) == pytest.approx(
-            np.sum(before * density * dt * np.exp(0.4 * np.log(distance) - 1.0)), rel=1e-3
-        )
-        assert float(transmittance[i]) == pytest.approx(np.exp(-np.sum(density * dt)), rel=1e-3)
+    origins, directions, near, far = random_rays(6, 9)
+    origins, far = origins * 2, torch.where(torch.isinf(far), 60.0, 4.0 * far)
+    radiance, transmittance = render(raw, (origins, directions, near, far), body, step=0.002)
+    for i in range(6):
+        distance, length = along_ray(origins[i], directions[i], 0.6, float(far[i]))
+        distance = distance.clip(1)
+        u = np.where(distance <= RADIUS, np.log(distance), math.log(RADIUS) + 1 - RADIUS / distance)
+        depth = 2.0 * np.log1p(np.exp(1.5 * u - 2.0)) * length
+        before = np.exp(-np.cumsum(depth) + 0.5 * depth)
+        assert float(radiance[i, 0]) == pytest.approx(np.sum(before * depth * np.exp(0.4 * u - 1.0)), rel=1e-3)
+        assert float(transmittance[i]) == pytest.approx(np.exp(-np.sum(depth)), rel=1e-3)
+
+
+@pytest.mark.parametrize("body", ["numba", "torch"])
+def test_the_sky_has_no_parallax_and_a_near_shell_has_all_of_it(body):
+    """A bright half sphere of directions: at infinity, all cameras see it in the same directions; nearby, they do not."""
+    rows = 32
+    origins, directions, near, far = (part[1::3] for part in random_rays(60, 13))
+    for shell, radius in ((8, math.inf), (3, float(contracted_radius(torch.tensor(3 * LENGTH / 8), RADIUS)))):
+        raw = torch.full((9, rows, 2 * rows, 4), -30.0, dtype=torch.float64)
+        raw[shell, ..., 0] = 60.0  # opaque within a small part of the gap between two shells
+        raw[:, : rows // 2, :, 1:] = 0.0
+        start = near if shell == 8 else torch.full_like(near, 0.01)
+        at = origins if shell == 8 else 0.3 * origins
+        radiance, _ = render(raw, (at, directions, start, far), body, step=0.002)
+        along = (at * directions).sum(-1)
+        t = 1e6 if radius == math.inf else -along + (along**2 - at.square().sum(-1) + radius**2).sqrt()
+        height = (at + torch.as_tensor(t, dtype=torch.float64).expand(len(at))[:, None] * directions)[:, 2]
+        height = height / (1e6 if radius == math.inf else radius)
+        clear = height.abs() > 0.15  # beside the border between the halves, values are interpolated
+        assert clear.sum() > 10
+        torch.testing.assert_close(radiance[clear, 0] > 0.5, height[clear] > 0)
 
 
 @pytest.mark.parametrize("body", ["numba", "torch"])
@@ -150,17 +181,21 @@ def test_no_rays():
     assert render(random_grid(4, 4, 1), (none, none, ends, ends))[0].shape == (0, 3)
 
 
-def test_segment_length_is_the_integral_of_dt_over_distance():
+def test_segment_length_is_its_integral():
     origins, directions, near, far = random_rays(10, 12)
-    length = scale_invariant_segments(RaySegments(origins, directions, near, far), OUTER).s_length
+    length = contract_segments(RaySegments(origins, directions, near, far), RADIUS).w_length
     for i in range(10):
-        along = float((origins[i] * directions[i]).sum())
-        leave = -along + math.sqrt(along**2 - float(origins[i].square().sum()) + OUTER**2)
-        end = min(float(far[i]), leave)
-        edges = np.linspace(0.6, end, 200_001)
-        t = 0.5 * (edges[1:] + edges[:-1])
-        distance = np.linalg.norm(origins[i].numpy() + t[:, None] * directions[i].numpy(), axis=1)
-        assert float(length[i]) == pytest.approx(np.sum((end - 0.6) / len(t) / distance), rel=1e-4)
+        pieces = along_ray(origins[i], directions[i], 0.6, float(far[i]), 400_001)[1]
+        assert float(length[i]) == pytest.approx(pieces.sum(), rel=1e-4)
+
+
+def test_contracted_distance_of_a_radial_ray_and_its_inverse():
+    radius = torch.tensor([1.0, 1.7, RADIUS, 4.0, 80.0, math.inf], dtype=torch.float64)
+    origins, directions = torch.zeros(6, 3).double(), torch.tensor([[0.0, 0.0, 1.0]]).double().expand(6, 3)
+    u = contract_segments(RaySegments(origins, directions, torch.ones(6).double(), radius), RADIUS).w_length
+    assert float(u[-1]) == pytest.approx(LENGTH, abs=1e-5)
+    torch.testing.assert_close(contracted_radius(u, RADIUS)[:-1], radius[:-1], rtol=1e-4, atol=0)
+    assert contracted_radius(torch.tensor([LENGTH]), RADIUS).isinf().all()
 
 
 def test_interpolation_is_smooth_over_pole_and_seam():
@@ -176,7 +211,7 @@ def test_interpolation_is_smooth_over_pole_and_seam():
     points[:200, :2] *= 0.01
     points[200:400, 0], points[200:400, 1] = -1.0, points[200:400, 1] * 0.01
     points = torch.nn.functional.normalize(points, dim=-1)
-    torch.testing.assert_close(interpolate(raw, points * 3, math.log(OUTER)), points, rtol=0, atol=2e-3)
+    torch.testing.assert_close(interpolate(raw, points * 3, torch.full_like(points[:, 0], 1.3)), points, rtol=0, atol=2e-3)
 
 
 @pytest.mark.parametrize("degrees", [5.0, 20.0, 60.0, 90.0])
@@ -216,7 +251,7 @@ def test_nothing_left_to_see_is_opaque_and_keeps_its_color():
 
 def test_weights_from_the_centre_are_what_rays_from_there_see():
     raw, rows = random_grid(7, 8, 1).float(), 16
-    weights = weights_from_centre(raw, torch.ones(7, 8, 16), 2.0, math.log(OUTER) / 6, rows)
+    weights = weights_from_centre(raw, torch.ones(7, 8, 16), 2.0, LENGTH / 6, rows)
     torch.testing.assert_close(weights[..., 3].sum(0), torch.ones(rows, 2 * rows))
     torch.testing.assert_close(weights[..., 4], weights[..., 3])
     theta = (torch.arange(rows) + 0.5) * math.pi / rows

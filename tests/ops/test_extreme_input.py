@@ -63,9 +63,9 @@ def test_extreme_environments_render_finitely_and_alike(seed, density, color, sp
             raw,
             RaySegments(origins, directions, near, far),
             EnvironmentVolume(
-                outer_radius=32.0,
+                contraction_radius=12.0,
                 density_gain=16.0,
-                relative_step=0.3,
+                longest_step=0.3,
                 gradient_near=2.0,
                 transmittance_limit=0.0,
                 depth_limit=0.0,
@@ -245,7 +245,7 @@ def test_kernels_take_low_precision_and_compute_in_float32(dtype):
     raw = torch.randn(4, 6, 12, 4, generator=generator).to(dtype).requires_grad_()
     origins, directions = (x.to(dtype) for x in rays_from(2.5, 20, 0))
     near, far = torch.full((20,), 0.5, dtype=dtype), torch.full((20,), math.inf, dtype=dtype)
-    volume = EnvironmentVolume(outer_radius=32.0, density_gain=2.0, relative_step=0.3)
+    volume = EnvironmentVolume(contraction_radius=12.0, density_gain=2.0, longest_step=0.3)
 
     def all_of(c, p, r, o, d, n, f):
         return [
