@@ -185,6 +185,11 @@ class EnvironmentPreset:
     """Cost of the total variation of the raw density, from node to node."""
     color_variation: float = 1e-3
     """Cost of the total variation of the log radiance, from node to node."""
+    detail_rows: int = 384
+    """Rows of the color detail, a multiple of twice the rows of each grid in `resolutions`. There are twice as many columns.
+    A photo of 400 pixels shows 0.1 degrees a pixel; 384 rows are 0.5 degrees each, the grid's 96 rows 1.9 degrees."""
+    detail_variation: float = 1e-4
+    """Cost of the total variation of the color detail, from texel to texel."""
     variation_softness: float = 0.05
     """Differences between nodes below this cost quadratically; larger ones cost linearly, so that edges are allowed."""
     density_penalty: float = 1e-3
@@ -356,7 +361,7 @@ PRESETS = {
         material_seconds=45,
         environment_height=128,
         fields=FieldsPreset(background_steps=200, steps=700, object_rays=1280, sphere_rays=768, outside_rays=768),
-        environment=EnvironmentPreset(resolutions=((20, 32), (28, 64)), refine_at=(0.25,), steps=600),
+        environment=EnvironmentPreset(resolutions=((20, 32), (28, 64)), refine_at=(0.25,), detail_rows=256, steps=600),
         surface=SurfacePreset(grid=144, faces=10_000, atlas_texels=512),
         material=MaterialPreset(
             samples=12_000, label_pixels=60_000, terminal_steps=150, unseen_samples=4000, unseen_steps=60, most_texels=512

@@ -52,6 +52,7 @@ class EnvironmentField(nn.Module):
         raw[..., 0] = -20.0 if self.infinite else preset.initial_raw_density
         raw[..., 1:] = math.log(max(mean_radiance, 1e-4))
         self.raw = nn.Parameter(raw)
+        self.detail = nn.Parameter(torch.zeros(preset.detail_rows, 2 * preset.detail_rows, 3))
         self.register_buffer("coverage", torch.zeros(raw.shape[:3]))
         self._prefiltered: PrefilteredEnvironment | None = None
 
@@ -122,7 +123,8 @@ class EnvironmentField(nn.Module):
             transmittance_limit=self.preset.transmittance_limit,
             depth_limit=self.preset.depth_limit,
         )
-        return render_environment(self.raw, RaySegments(origins, directions, t_near, t_far), volume, jitter=jitter)
+        segments = RaySegments(origins, directions, t_near, t_far)
+        return render_environment(self.raw, self.detail, segments, volume, jitter=jitter)
 
     @profiled("F_e priors")
     def regularise(self, generator: torch.Generator | None = None) -> float:
@@ -149,6 +151,22 @@ class EnvironmentField(nn.Module):
             raw.grad = torch.zeros_like(raw)
         assert slab.grad is not None, "backward has just filled it"
         raw.grad[first : first + run] += slab.grad
+        return float(value.detach()) + self._smooth_detail(generator)
+
+    def _smooth_detail(self, generator: torch.Generator | None) -> float:
+        """Add the gradient of the total variation of some random neighbouring rows of the color detail; return its value."""
+        rows = self.preset.detail_rows
+        run = max(2, round(rows * self.preset.regularised_fraction))
+        first = int(torch.randint(0, rows - run + 1, (1,), generator=generator, device=self.raw.device))
+        band = self.detail.detach()[first : first + run].requires_grad_()
+        with torch.enable_grad():
+            weight = (self.preset.detail_variation,) * 3
+            value = total_variation(band[None].expand(2, -1, -1, -1).contiguous(), weight, self.preset.variation_softness)
+            value.backward()
+        if self.detail.grad is None:
+            self.detail.grad = torch.zeros_like(self.detail)
+        assert band.grad is not None, "backward has just filled it"
+        self.detail.grad[first : first + run] += band.grad
         return float(value.detach())
 
     def refine(self, fraction: float) -> bool:
@@ -206,7 +224,7 @@ class EnvironmentField(nn.Module):
             return torch.zeros_like(origins), torch.zeros_like(origins[:, 0])
         if self._prefiltered is None:
             self._prefiltered = PrefilteredEnvironment(
-                self.raw, self.coverage, self.preset.density_gain, self.preset.contraction_radius
+                self.raw, self.coverage, self.detail, self.preset.density_gain, self.preset.contraction_radius
             )
         if self.infinite:
             origins, t_near = torch.zeros_like(origins), torch.full_like(origins[:, 0], FAR)
@@ -254,7 +272,7 @@ class EnvironmentField(nn.Module):
     def parameter_groups(self) -> list[dict]:
         """The parameters with their learning rate and settings, for torch.optim.Adam."""
         p = self.preset
-        return [{"params": [self.raw], "lr": p.learning_rate, "betas": p.adam_betas, "eps": p.adam_eps}]
+        return [{"params": [self.raw, self.detail], "lr": p.learning_rate, "betas": p.adam_betas, "eps": p.adam_eps}]
 
     def _load_from_state_dict(self, state_dict, prefix, *arguments):
         stored = state_dict.get(prefix + "raw")

@@ -14,11 +14,14 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
 import torch
 
+from blender_nep.fields.environment_grid import resample
 from blender_nep.ops.environment_cones import composite_cones
 from blender_nep.ops.environment_segments import contracted_length, contracted_radius
 from blender_nep.ops.environment_weights import from_weights, weights_from_centre
+from blender_nep.ops.spherical_grid import COLOR_LIMIT
 
 FINER_ROWS = 2
 """Rows of the finest level divided by rows of the field; the same for columns."""
@@ -57,17 +60,44 @@ def _divisible(values: torch.Tensor) -> bool:
     return values.shape[1] % 4 == 0 and values.shape[1] // 2 >= SMALLEST_ROWS
 
 
+def _add_detail(values: torch.Tensor, detail: torch.Tensor, far: torch.Tensor) -> np.ndarray:
+    """Multiply the radiance of values [K, H, W, 5] by what the color detail [D, 2 D, 3] means; return what is finer.
+
+    far [K] in 0..1 is the share of the detail in each shell. A value gets the mean of the factor over its texel, because the
+    shells vary little within a texel. The result [D, 2 D, 3] is the factor divided by its interpolated means.
+    """
+    rows, parts = values.shape[1], len(detail) // values.shape[1]
+    exponent = detail.detach().cpu().float()
+    for shell in far.nonzero()[:, 0].tolist():
+        factor = (far[shell] * exponent).clamp(-COLOR_LIMIT, COLOR_LIMIT).exp()
+        mean = factor.reshape(rows, parts, 2 * rows, parts, 3).mean(dim=(1, 3))
+        values[shell, ..., :3] *= mean
+    # the last shell, the sky, has the full share
+    return (factor / resample(mean[None].expand(2, -1, -1, -1), 2, len(factor))[0]).contiguous().numpy()
+
+
 class PrefilteredEnvironment:
     """A learned environment field that can be queried with cones.
 
-    raw [K, H, W, 4] is raw density and log radiance; coverage [K, H, W] is in 0..1. The levels are kept on the CPU.
+    raw [K, H, W, 4] is raw density and log radiance; coverage [K, H, W] is in 0..1; detail [D, 2 D, 3] is added to the log
+    radiance of all shells, D a multiple of FINER_ROWS H. The levels are kept on the CPU.
     """
 
-    def __init__(self, raw: torch.Tensor, coverage: torch.Tensor, density_gain: float, contraction_radius: float) -> None:
+    def __init__(
+        self,
+        raw: torch.Tensor,
+        coverage: torch.Tensor,
+        detail: torch.Tensor,
+        density_gain: float,
+        contraction_radius: float,
+    ) -> None:
         length = contracted_length(contraction_radius)
         spacing = length / (raw.shape[0] - 1)
         self.shell_radii = contracted_radius(torch.linspace(0, length, raw.shape[0]), contraction_radius)
         values = weights_from_centre(raw, coverage, density_gain, spacing, FINER_ROWS * raw.shape[1])
+        shells = torch.arange(raw.shape[0]) * spacing
+        self.far = (2 * (shells - math.log(contraction_radius))).clamp(0, 1)
+        self.detail = _add_detail(values, detail, self.far)
         # a shell that is nowhere visible from the centre needs no lookup
         self.occupied = values[..., 3].amax((1, 2)) > 1e-4
         radius = TENT_RADIUS * math.pi / values.shape[1]
@@ -91,6 +121,15 @@ class PrefilteredEnvironment:
         origins, unit directions [n, 3], unit frame; half_angle [n] radians.
         """
         out = composite_cones(
-            self.levels, self.radii, self.shell_radii, self.occupied, origins, directions, near, half_angle
+            self.levels,
+            self.radii,
+            self.detail,
+            self.shell_radii,
+            self.occupied,
+            self.far,
+            origins,
+            directions,
+            near,
+            half_angle,
         )
         return out[:, :3], out[:, 3].clamp(0, 1)

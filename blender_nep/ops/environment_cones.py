@@ -15,7 +15,7 @@ import torch
 from numba import njit, prange
 
 from blender_nep.ops.contracted_rays import contraction_border, place_inside, place_outside
-from blender_nep.ops.spherical_grid import angular_cell, cell, cell_columns, polar
+from blender_nep.ops.spherical_grid import angular_cell, bilinear_2d, bilinear_weights, cell, cell_columns, polar
 
 
 @njit(cache=True, inline="always", fastmath=True, error_model="numpy")
@@ -34,6 +34,16 @@ def _add_level(grid, k, turn, fall, share, out):
         )
 
 
+@njit(cache=True, inline="always", fastmath=True, error_model="numpy")
+def _sharpen(detail, turn, fall, share, out):
+    """Multiply the color of out [5] by the bilinear value of the detail [D, 2 D, 3], mixed with 1 by `share`, 0..1."""
+    rows, columns = detail.shape[0], detail.shape[1]
+    j, c, fj, fc = cell(turn, fall, rows, columns)
+    corners, weights = cell_columns(j, c, rows, columns), bilinear_weights(fj, fc)
+    for h in range(3):
+        out[h] *= 1.0 + share * (bilinear_2d(detail, corners, weights, h) - 1.0)
+
+
 SKY_RADIUS = 1e9
 """Stands for the infinite radius of the sky. From points in the unit sphere, the sky has no parallax at this distance."""
 
@@ -50,12 +60,12 @@ class _Cones(NamedTuple):
 
 
 @njit(cache=True, parallel=True, fastmath=True, error_model="numpy")
-def _composite(levels_of, radii, shell_radii, occupied, cones, out, blocks):
+def _composite(levels_of, radii, detail, shell_radii, occupied, far, cones, out, blocks):
     """Fill out [n, 4]: mean radiance and coverage of n `_Cones`, in `blocks` parallel tasks. See `composite_cones`."""
     origins, directions, near, half_angle = cones
     n, levels, shells = origins.shape[0], radii.shape[0], shell_radii.shape[0]
     to_level = 1.0 / math.log(radii[1] / radii[0])
-    first = math.log(radii[0])
+    first, to_finer = math.log(radii[0]), 1.0 / math.log(detail.shape[0] / levels_of[0].shape[0])
     for block in prange(blocks):
         value = np.empty(5)
         for i in range(block * n // blocks, (block + 1) * n // blocks):
@@ -72,7 +82,8 @@ def _composite(levels_of, radii, shell_radii, occupied, cones, out, blocks):
                 t = math.sqrt(max(rest + radius * radius, 0.0)) - along
                 if t < near[i] and k < shells - 1:
                     continue
-                place = min(max((width + math.log(max(t, 1e-6) / radius) - first) * to_level, 0.0), levels - 1.0)
+                narrower = first - width - math.log(max(t, 1e-6) / radius)
+                place = min(max(-narrower * to_level, 0.0), levels - 1.0)
                 level = min(int(place), levels - 2)
                 mix = place - level
                 turn, fall = polar(ox + t * dx, oy + t * dy, oz + t * dz)
@@ -82,6 +93,8 @@ def _composite(levels_of, radii, shell_radii, occupied, cones, out, blocks):
                     _add_level(levels_of[level], k, turn, fall, 1.0 - mix, value)
                 if mix > 0.0:
                     _add_level(levels_of[level + 1], k, turn, fall, mix, value)
+                if narrower > 0.0 and far[k] > 0.0:
+                    _sharpen(detail, turn, fall, far[k] * min(narrower * to_finer, 1.0), value)
                 red += passed * value[0]
                 green += passed * value[1]
                 blue += passed * value[2]
@@ -139,8 +152,10 @@ def accumulate_coverage(raw, rays, medium, seen):
 def composite_cones(
     levels: list[np.ndarray],
     radii: list[float],
+    detail: np.ndarray,
     shell_radii: torch.Tensor,
     occupied: torch.Tensor,
+    far: torch.Tensor,
     origins: torch.Tensor,
     directions: torch.Tensor,
     near: torch.Tensor,
@@ -154,7 +169,10 @@ def composite_cones(
     Args:
         levels: each [H_l, W_l, K, 5], see `environment_weights.from_weights`; radii: angular radii of their discs in
             radians, a geometric series.
-        shell_radii: [K], the sky's may be inf; occupied: [K] bool, whether a shell is looked up.
+        detail: [D, 2 D, 3], D > H_0: the color in each direction divided by its mean over the narrowest disc. Cones narrower
+            than this disc are multiplied by it.
+        shell_radii: [K], the sky's may be inf; occupied: [K] bool, whether a shell is looked up;
+            far: [K] in 0..1, share of the detail.
         origins, directions: [n, 3]; near: [n], shells nearer than this distance are left out, except the last; half_angle:
             [n] radians.
     """
@@ -163,8 +181,10 @@ def composite_cones(
     _composite(
         numba.typed.List(levels),
         np.asarray(radii, np.float64),
+        detail,
         shell_radii.double().clamp(max=SKY_RADIUS).numpy(),
         occupied.numpy(),
+        far.double().numpy(),
         _Cones(*(a.detach().cpu().contiguous().float().numpy() for a in (origins, directions, near, half_angle))),
         out,
         16 * numba.get_num_threads(),

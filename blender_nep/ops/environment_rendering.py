@@ -33,12 +33,20 @@ class EnvironmentVolume:
 
 
 def render_environment(
-    raw: Tensor, segments: RaySegments, volume: EnvironmentVolume, *, jitter: Tensor | None = None, body: str = "auto"
+    raw: Tensor,
+    detail: Tensor,
+    segments: RaySegments,
+    volume: EnvironmentVolume,
+    *,
+    jitter: Tensor | None = None,
+    body: str = "auto",
 ) -> tuple[Tensor, Tensor]:
-    """Radiance and transmittance of ray segments through a spherical grid; differentiable in the grid.
+    """Radiance and transmittance of ray segments through a spherical grid; differentiable in the grids.
 
     Args:
         raw: [K, H, W, 4] raw density (softplus, times density_gain, per unit of w) and log radiance.
+        detail: [D, 2 D, 3] color detail, D >= 2 H: what is added to the log radiance of all shells, by direction from the
+            centre. It has more rows than the shells.
         segments: n segments.
         jitter: [n] in [0, 1), or None for the middle of each step.
         body: "auto" (Numba on the CPU, torch elsewhere), "numba" or "torch".
@@ -46,7 +54,7 @@ def render_environment(
     Returns:
         radiance [n, 3] premultiplied, transmittance [n].
     """
-    raw, *parts = at_least_float32(raw, *segments)
+    raw, detail, *parts = at_least_float32(raw, detail, *segments)
     with torch.no_grad():
         rays = sample_rays(RaySegments(*parts), volume.contraction_radius, volume.longest_step, jitter)
     medium = Medium(
@@ -57,5 +65,5 @@ def render_environment(
         volume.depth_limit,
     )
     if body == "torch" or (body == "auto" and raw.device.type != "cpu"):
-        return environment_rendering_torch.render(raw, rays, medium)
-    return environment_rendering_numba.render(raw, rays, medium)
+        return environment_rendering_torch.render(raw, detail, rays, medium)
+    return environment_rendering_numba.render(raw, detail, rays, medium)

@@ -15,9 +15,17 @@ import torch
 from numba import njit, prange
 from torch import Tensor
 
-from blender_nep.ops.contracted_rays import contraction_border, place_inside, place_outside
+from blender_nep.ops.contracted_rays import contraction_border, far_share, place_inside, place_outside
 from blender_nep.ops.environment_samples import Medium, RaySamples
-from blender_nep.ops.spherical_grid import COLOR_LIMIT, angular_cell, bilinear_weights, cell_columns, trilinear
+from blender_nep.ops.spherical_grid import (
+    COLOR_LIMIT,
+    bilinear_2d,
+    bilinear_weights,
+    cell,
+    cell_columns,
+    polar,
+    trilinear,
+)
 
 
 class SampleRecords(NamedTuple):
@@ -34,22 +42,29 @@ class SampleRecords(NamedTuple):
     """[m, 3] int32: shell, row + 1, column, as `angular_cell` returns them"""
     fractions: np.ndarray
     """[m, 3] in 0..1: place of the sample between the cell's first shell, row and column and the next ones"""
+    detail_cells: np.ndarray
+    """[m, 2] int32: row + 1 and column of the cell in the color detail"""
+    detail_fractions: np.ndarray
+    """[m, 3] in 0..1: place of the sample between the first row and column of that cell and the next ones; `far_share`"""
     local: np.ndarray
     """[m, 7]: d optical depth / d raw density, opacity, transmittance before the sample, radiance (3), gradient scale"""
 
 
 @njit(cache=True, parallel=True, fastmath=True, error_model="numpy")
-def _march(raw, rays, medium, radiance, transmittance, kept, records, keep):
+def _march(raw, detail, rays, medium, radiance, transmittance, kept, records, keep):
     """Composite every ray front to back into radiance [n, 3] and transmittance [n]. With `keep`, also fill the records.
 
-    raw [K, H, W, 4]; RaySamples, Medium and SampleRecords are of NumPy arrays and numbers. `kept` is `records.kept`: Numba
-    loses what a parallel loop writes, at the loop's index, to an array that was taken from a tuple.
+    raw [K, H, W, 4]; detail [D, 2 D, 3]; RaySamples, Medium and SampleRecords are of NumPy arrays and numbers. `kept` is
+    `records.kept`: Numba loses what a parallel loop writes, at the loop's index, to an array that was taken from a tuple.
     """
     origins, directions, t_closest, b, w_near, w_length, infinite, offsets, jitter = rays
     contraction_radius, density_gain, gradient_near, transmittance_limit, depth_limit = medium
     cells, fractions, local = records.cells, records.fractions, records.local
+    detail_cells, detail_fractions = records.detail_cells, records.detail_fractions
+    detail_rows, detail_columns = detail.shape[0], detail.shape[1]
     shells, rows, columns = raw.shape[0], raw.shape[1], raw.shape[2]
-    to_shell = (shells - 1) / (math.log(contraction_radius) + 1.0)
+    spacing = (math.log(contraction_radius) + 1.0) / (shells - 1)
+    to_shell = 1.0 / spacing
     for i in prange(origins.shape[0]):
         ox, oy, oz = float(origins[i, 0]), float(origins[i, 1]), float(origins[i, 2])
         dx, dy, dz = float(directions[i, 0]), float(directions[i, 1]), float(directions[i, 2])
@@ -80,7 +95,8 @@ def _march(raw, rays, medium, radiance, transmittance, kept, records, keep):
                 w += step
                 exp_w *= growth
             k = min(int(k_real), shells - 2)
-            j, c, fj, fc = angular_cell(px, py, pz, rows, columns)
+            turn, fall = polar(px, py, pz)
+            j, c, fj, fc = cell(turn, fall, rows, columns)
             fk = k_real - k
             shell_weights = 1.0 - fk, fk
             corners, weights = cell_columns(j, c, rows, columns), bilinear_weights(fj, fc)
@@ -97,8 +113,16 @@ def _march(raw, rays, medium, radiance, transmittance, kept, records, keep):
                 alpha = -math.expm1(-depth)
             weight = passed * alpha
             m = first + count
+            share = far_share(k_real, spacing, contraction_radius)
+            detail_j, detail_c, detail_fj, detail_fc = 0, 0, 0.0, 0.0
+            if share > 0.0:
+                detail_j, detail_c, detail_fj, detail_fc = cell(turn, fall, detail_rows, detail_columns)
+            detail_corners = cell_columns(detail_j, detail_c, detail_rows, detail_columns)
+            detail_weights = bilinear_weights(detail_fj, detail_fc)
             for channel in range(3):
                 value = trilinear(raw, k, shell_weights, corners, weights, channel + 1)
+                if share > 0.0:
+                    value += share * bilinear_2d(detail, detail_corners, detail_weights, channel)
                 color = math.exp(min(max(value, -COLOR_LIMIT), COLOR_LIMIT))
                 if channel == 0:
                     red += weight * color
@@ -115,6 +139,11 @@ def _march(raw, rays, medium, radiance, transmittance, kept, records, keep):
                 fractions[m, 0] = fk
                 fractions[m, 1] = fj
                 fractions[m, 2] = fc
+                detail_cells[m, 0] = detail_j
+                detail_cells[m, 1] = detail_c
+                detail_fractions[m, 0] = detail_fj
+                detail_fractions[m, 1] = detail_fc
+                detail_fractions[m, 2] = share
                 local[m, 0] = slope
                 local[m, 1] = alpha
                 local[m, 2] = passed
@@ -134,7 +163,7 @@ def _march(raw, rays, medium, radiance, transmittance, kept, records, keep):
 def _sample_gradients(records, radiance, transmittance, g_radiance, g_transmittance, g_samples, used):
     """Fill g_samples [m, 4]: the gradients of the raw values at every kept sample. `used` [m] marks the places that are
     filled."""
-    offsets, kept, _, _, local = records
+    offsets, kept, local = records.offsets, records.kept, records.local
     for i in prange(kept.shape[0]):
         first = offsets[i]
         behind_r, behind_g, behind_b = float(radiance[i, 0]), float(radiance[i, 1]), float(radiance[i, 2])
@@ -182,8 +211,13 @@ def _order_by_row(used, cells, rows):
 
 
 @njit(cache=True, parallel=True, fastmath=True, error_model="numpy")
-def _scatter_rows(order, start, cells, fractions, g_samples, g_raw, parity):
-    """Add the sample gradients to the grid for the cells in all rows of one parity. These cells share no grid rows."""
+def _scatter_rows(order, start, records, g_samples, g_raw, g_detail, parity):
+    """Add the sample gradients to both grids for the cells in all rows of one parity.
+
+    These cells share no rows of the raw grid, and no rows of the detail, which has at least twice as many rows.
+    """
+    cells, fractions = records.cells, records.fractions
+    detail_cells, detail_fractions = records.detail_cells, records.detail_fractions
     rows, columns = g_raw.shape[1], g_raw.shape[2]
     for half_j in prange((rows + 2 - parity) // 2):
         j = 2 * half_j + parity
@@ -204,13 +238,25 @@ def _scatter_rows(order, start, cells, fractions, g_samples, g_raw, parity):
                     g_raw[k + side, top, tr, channel] += w1 * value
                     g_raw[k + side, bottom, bl, channel] += w2 * value
                     g_raw[k + side, bottom, br, channel] += w3 * value
+            share = detail_fractions[m, 2]
+            if share == 0.0:
+                continue
+            corners = cell_columns(detail_cells[m, 0], detail_cells[m, 1], g_detail.shape[0], g_detail.shape[1])
+            top, bottom, tl, tr, bl, br = corners
+            w0, w1, w2, w3 = bilinear_weights(detail_fractions[m, 0], detail_fractions[m, 1])
+            for channel in range(3):
+                value = share * g_samples[m, channel + 1]
+                g_detail[top, tl, channel] += w0 * value
+                g_detail[top, tr, channel] += w1 * value
+                g_detail[bottom, bl, channel] += w2 * value
+                g_detail[bottom, br, channel] += w3 * value
 
 
 class _Render(torch.autograd.Function):
     @staticmethod
-    def forward(ctx, raw, rays, medium):
+    def forward(ctx, raw, detail, rays, medium):
         grid, n = raw.detach().numpy(), len(rays.origins)
-        keep = ctx.needs_input_grad[0]
+        keep = any(ctx.needs_input_grad)
         arrays = RaySamples(*(part.contiguous().numpy() for part in rays))
         m = int(arrays.offsets[-1]) if keep else 0
         records = SampleRecords(
@@ -218,11 +264,14 @@ class _Render(torch.autograd.Function):
             np.empty(n, np.int64),
             np.empty((m, 3), np.int32),
             np.empty((m, 3), grid.dtype),
+            np.empty((m, 2), np.int32),
+            np.empty((m, 3), grid.dtype),
             np.empty((m, 7), grid.dtype),
         )
         radiance, transmittance = raw.new_empty((n, 3)), raw.new_empty(n)
-        _march(grid, arrays, medium, radiance.numpy(), transmittance.numpy(), records.kept, records, keep)
-        ctx.shape, ctx.records = grid.shape, records
+        rendered = radiance.numpy(), transmittance.numpy()
+        _march(grid, detail.detach().numpy(), arrays, medium, *rendered, records.kept, records, keep)
+        ctx.shapes, ctx.records = (grid.shape, tuple(detail.shape)), records
         ctx.rendered = radiance.numpy().copy(), transmittance.numpy().copy()
         return radiance, transmittance
 
@@ -234,16 +283,17 @@ class _Render(torch.autograd.Function):
         radiance, transmittance = ctx.rendered
         incoming, g_clear = g_radiance.contiguous().numpy(), g_transmittance.contiguous().numpy()
         _sample_gradients(records, radiance, transmittance, incoming, g_clear, g_samples, used)
-        order, start = _order_by_row(used, records.cells, ctx.shape[1])
-        g_raw = np.zeros(ctx.shape, records.local.dtype)
+        order, start = _order_by_row(used, records.cells, ctx.shapes[0][1])
+        g_raw, g_detail = (np.zeros(shape, records.local.dtype) for shape in ctx.shapes)
         for parity in (0, 1):
-            _scatter_rows(order, start, records.cells, records.fractions, g_samples, g_raw, parity)
-        return torch.from_numpy(g_raw), None, None
+            _scatter_rows(order, start, records, g_samples, g_raw, g_detail, parity)
+        return torch.from_numpy(g_raw), torch.from_numpy(g_detail), None, None
 
 
-def render(raw: Tensor, rays: RaySamples, medium: Medium) -> tuple[Tensor, Tensor]:
-    """Radiance [n, 3] premultiplied and transmittance [n] of sampled rays; differentiable in raw [K, H, W, 4].
+def render(raw: Tensor, detail: Tensor, rays: RaySamples, medium: Medium) -> tuple[Tensor, Tensor]:
+    """Radiance [n, 3] premultiplied and transmittance [n] of sampled rays.
 
-    It runs on the CPU. `environment_rendering_torch.render` is the same function in plain torch.
+    It is differentiable in raw [K, H, W, 4] and detail [D, 2 D, 3], D >= 2 H, and runs on the CPU.
+    `environment_rendering_torch.render` is the same function in plain torch.
     """
-    return _Render.apply(raw, rays, medium)
+    return _Render.apply(raw, detail, rays, medium)

@@ -46,7 +46,7 @@ def interpolate(raw: Tensor, points: Tensor, shell: Tensor) -> Tensor:
     return result
 
 
-def render(raw: Tensor, rays: RaySamples, medium: Medium) -> tuple[Tensor, Tensor]:
+def render(raw: Tensor, detail: Tensor, rays: RaySamples, medium: Medium) -> tuple[Tensor, Tensor]:
     """The same as `environment_rendering_numba.render`, by autograd. No samples are skipped, and no rays are ended early.
 
     Returns:
@@ -61,7 +61,7 @@ def render(raw: Tensor, rays: RaySamples, medium: Medium) -> tuple[Tensor, Tenso
     t, shell = _places(w, rays.b[:, None], raw.shape[0], medium.contraction_radius)
     t = t + rays.t_closest[:, None]
     points = rays.origins.double()[:, None] + t[..., None] * rays.directions.double()[:, None]
-    values = interpolate(raw, points, shell)
+    values = _values(raw, detail, points, shell, medium.contraction_radius)
     if medium.gradient_near > 0.0:
         scale = ((t / medium.gradient_near) ** 2).clamp_max(1.0).to(raw.dtype)[..., None]
         values = values * scale + (values * (1 - scale)).detach()
@@ -72,7 +72,8 @@ def render(raw: Tensor, rays: RaySamples, medium: Medium) -> tuple[Tensor, Tenso
     radiance = (weight[..., None] * color).sum(1)
     transmittance = torch.exp(-depth.sum(1))
     directions = rays.directions.double()  # the sky lies at infinity, in the direction of the ray
-    sky = interpolate(raw, directions, torch.full_like(directions[:, 0], raw.shape[0] - 1.0))
+    last = torch.full_like(directions[:, 0], raw.shape[0] - 1.0)
+    sky = _values(raw, detail, directions, last, medium.contraction_radius)
     radiance = radiance + (rays.infinite * transmittance)[:, None] * _color(sky)
     return radiance, torch.where(rays.infinite, torch.zeros_like(transmittance), transmittance)
 
@@ -85,6 +86,14 @@ def _color(values):
     """
     raw = values[..., 1:]
     return (raw + (raw.clamp(-COLOR_LIMIT, COLOR_LIMIT) - raw).detach()).exp()
+
+
+def _values(raw: Tensor, detail: Tensor, points: Tensor, shell: Tensor, contraction_radius: float) -> Tensor:
+    """Raw values [..., 4] at points [..., 3] between the shells [...], with the color detail [D, 2 D, 3] of far points."""
+    u = shell * (contracted_length(contraction_radius) / (raw.shape[0] - 1))
+    share = (2 * (u - math.log(contraction_radius))).clamp(0, 1).to(raw.dtype)
+    fine = interpolate(detail[None].expand(2, -1, -1, -1), points, torch.zeros_like(shell))
+    return interpolate(raw, points, shell) + torch.nn.functional.pad(share[..., None] * fine, (1, 0))
 
 
 def _places(w: Tensor, b: Tensor, shells: int, contraction_radius: float) -> tuple[Tensor, Tensor]:

@@ -81,6 +81,15 @@ def bilinear(grid, k, corners, weights, channel):
 
 
 @njit(cache=True, inline="always", fastmath=True, error_model="numpy")
+def bilinear_2d(image, corners, weights, channel):
+    """The bilinear value of one channel of an image [H, 2 H, C] of all directions. The arguments are those of `bilinear`."""
+    top, bottom, tl, tr, bl, br = corners
+    w0, w1, w2, w3 = weights
+    upper = w0 * image[top, tl, channel] + w1 * image[top, tr, channel]
+    return upper + w2 * image[bottom, bl, channel] + w3 * image[bottom, br, channel]
+
+
+@njit(cache=True, inline="always", fastmath=True, error_model="numpy")
 def trilinear(grid, k, shell_weights, corners, weights, channel):
     """The trilinear value of one channel between the shells k and k + 1, whose two `shell_weights` add up to 1.
 

@@ -34,9 +34,7 @@ def box_field(size: float = 6.0) -> EnvironmentField:
     color = 0.5 + 0.4 * torch.sin(at * torch.tensor([0.7, 0.5, 0.9]))
     color = color + 8.0 * ((at[..., :1] > 0.99 * size) & (at[..., 1:].abs().amax(-1, keepdim=True) < 2.5))
     with torch.no_grad():
-        inside = (
-            (wall[None, ..., None].log() - at_shell) / length * (shells - 1)
-        )
+        inside = (wall[None, ..., None].log() - at_shell) / length * (shells - 1)
         field.raw[..., :1] = (-10 * inside).clamp(-12, 4)
         field.raw[..., 1:] = color.log()
     return field

@@ -41,10 +41,16 @@ def random_grid(shells: int, rows: int, seed: int) -> torch.Tensor:
     return torch.randn(shells, rows, 2 * rows, 4, generator=generator, dtype=torch.float64) - 1
 
 
+def random_detail(rows: int, seed: int) -> torch.Tensor:
+    return torch.randn(rows, 2 * rows, 3, generator=torch.Generator().manual_seed(seed), dtype=torch.float64)
+
+
 def render(raw, rays, body="numba", step=0.1, **more):
-    jitter = more.pop("jitter", None)
+    jitter, detail = more.pop("jitter", None), more.pop("detail", None)
+    if detail is None:
+        detail = torch.zeros(2 * raw.shape[1], 4 * raw.shape[1], 3, dtype=raw.dtype)
     volume = EnvironmentVolume(contraction_radius=RADIUS, density_gain=2.0, longest_step=step, **(EXACT | more))
-    return render_environment(raw, RaySegments(*rays), volume, jitter=jitter, body=body)
+    return render_environment(raw, detail, RaySegments(*rays), volume, jitter=jitter, body=body)
 
 
 @pytest.mark.parametrize("gradient_near", [0.0, 1.5])
@@ -54,18 +60,21 @@ def test_numba_and_torch_agree(gradient_near):
     weights = torch.randn(60, 4, generator=torch.Generator().manual_seed(6), dtype=torch.float64)
     results = []
     for body in ("numba", "torch"):
-        raw = random_grid(6, 8, 1).requires_grad_()
-        radiance, transmittance = render(raw, rays, body, jitter=jitter, gradient_near=gradient_near)
+        raw, detail = random_grid(6, 8, 1).requires_grad_(), random_detail(16, 2).requires_grad_()
+        radiance, transmittance = render(raw, rays, body, jitter=jitter, gradient_near=gradient_near, detail=detail)
         (radiance * weights[:, :3]).sum().add((transmittance * weights[:, 3]).sum()).backward()
-        results.append((radiance.detach(), transmittance.detach(), raw.grad))
+        assert detail.grad.abs().max() > 1e-3  # some rays see far shells
+        results.append((radiance.detach(), transmittance.detach(), raw.grad, detail.grad))
     for ours, reference in zip(*results, strict=True):
         torch.testing.assert_close(ours, reference, rtol=1e-9, atol=1e-11)
 
 
 def test_gradient_by_finite_differences():
     rays = random_rays(6, 2)
-    raw = random_grid(3, 4, 3).requires_grad_()
-    assert torch.autograd.gradcheck(lambda grid: render(grid, rays, step=0.4), (raw,), eps=1e-6, atol=1e-7)
+    grids = random_grid(3, 4, 3).requires_grad_(), random_detail(8, 4).requires_grad_()
+    assert torch.autograd.gradcheck(
+        lambda raw, detail: render(raw, rays, step=0.4, detail=detail), grids, eps=1e-6, atol=1e-7
+    )
 
 
 def test_gradient_does_not_depend_on_the_number_of_threads():
@@ -75,9 +84,9 @@ def test_gradient_does_not_depend_on_the_number_of_threads():
     try:
         for count in {1, threads}:
             numba.set_num_threads(count)
-            raw = random_grid(6, 8, 1).float().requires_grad_()
-            render(raw, rays)[0].sum().backward()
-            gradients.append(raw.grad)
+            raw, detail = random_grid(6, 8, 1).float().requires_grad_(), random_detail(16, 2).float().requires_grad_()
+            render(raw, rays, detail=detail)[0].sum().backward()
+            gradients.append(torch.cat([raw.grad.flatten(), detail.grad.flatten()]))
     finally:
         numba.set_num_threads(threads)
     assert all(torch.equal(gradients[0], other) for other in gradients)
@@ -196,6 +205,25 @@ def test_contracted_distance_of_a_radial_ray_and_its_inverse():
     assert float(u[-1]) == pytest.approx(LENGTH, abs=1e-5)
     torch.testing.assert_close(contracted_radius(u, RADIUS)[:-1], radius[:-1], rtol=1e-4, atol=0)
     assert contracted_radius(torch.tensor([LENGTH]), RADIUS).isinf().all()
+
+
+@pytest.mark.parametrize("body", ["numba", "torch"])
+def test_color_detail_multiplies_what_is_far_and_nothing_near(body):
+    """Opaque shells of one color: at infinity, the detail multiplies the color of the ray's direction; at 1.5 radii, not."""
+    rows = 16
+    origins, directions, near, far = (part[1::3] for part in random_rays(60, 14))
+    detail = torch.zeros(rows, 2 * rows, 3, dtype=torch.float64)
+    detail[: rows // 2] = math.log(3)  # what is above the horizon is three times as bright
+    above, clear = directions[:, 2] > 0, directions[:, 2].abs() > 0.15
+    raw = torch.zeros(9, rows // 2, rows, 4, dtype=torch.float64)
+    raw[..., 0] = -40.0
+    sky, _ = render(raw, (origins, directions, near, far), body, detail=detail)
+    expected = torch.where(above, 3.0, 1.0).double()
+    torch.testing.assert_close(sky[clear, 0], expected[clear], rtol=1e-9, atol=0)
+    raw[1:3, ..., 0] = 60.0
+    inside = 0.1 * torch.nn.functional.normalize(origins, dim=-1)
+    wall, _ = render(raw, (inside, directions, 0 * near + 0.95, far), body, step=0.01, detail=detail)
+    torch.testing.assert_close(wall, torch.ones_like(wall), rtol=1e-6, atol=0)
 
 
 def test_interpolation_is_smooth_over_pole_and_seam():

@@ -53,6 +53,7 @@ def test_extreme_environments_render_finitely_and_alike(seed, density, color, sp
     generator = torch.Generator().manual_seed(seed)
     noise = spread * torch.randn(4, 6, 12, 4, generator=generator, dtype=torch.float64)
     start = noise + torch.tensor([density, color, color, color], dtype=torch.float64)
+    detail = spread * torch.randn(12, 24, 3, generator=generator, dtype=torch.float64)
     origins, directions = rays_from(distance, 24, seed, torch.float64)
     near = torch.full((24,), 0.6, dtype=torch.float64)
     far = torch.where(torch.arange(24) % 3 == 0, torch.inf, near + torch.arange(24) - 4.0)
@@ -61,6 +62,7 @@ def test_extreme_environments_render_finitely_and_alike(seed, density, color, sp
         raw = start.clone().requires_grad_()
         radiance, passed = render_environment(
             raw,
+            detail,
             RaySegments(origins, directions, near, far),
             EnvironmentVolume(
                 contraction_radius=12.0,
@@ -247,16 +249,17 @@ def test_kernels_take_low_precision_and_compute_in_float32(dtype):
     near, far = torch.full((20,), 0.5, dtype=dtype), torch.full((20,), math.inf, dtype=dtype)
     volume = EnvironmentVolume(contraction_radius=12.0, density_gain=2.0, longest_step=0.3)
 
-    def all_of(c, p, r, o, d, n, f):
+    def all_of(c, p, r, e, o, d, n, f):
         return [
             bspline.sample(c, p),
             bspline.refine(c),
-            render_environment(r, RaySegments(o, d, n, f), volume)[0],
+            render_environment(r, e, RaySegments(o, d, n, f), volume)[0],
             total_variation(r, (1.0,) * 4, 0.1),
             *bspline.march(c, o, d, n, n + 4, 0.3, 0.1)[:1],
         ]
 
-    given_low = (coefficients, points, raw, origins, directions, near, far)
+    detail = torch.randn(12, 24, 3, generator=generator).to(dtype)
+    given_low = (coefficients, points, raw, detail, origins, directions, near, far)
     for low, full in zip(all_of(*given_low), all_of(*(x.detach().float() for x in given_low)), strict=True):
         assert low.dtype == torch.float32
         torch.testing.assert_close(low.detach(), full, rtol=0, atol=0)

@@ -1,0 +1,42 @@
+"""Places on a ray in the contracted coordinate w (`environment_segments`). The functions are for the Numba kernels."""
+
+from __future__ import annotations
+
+import math
+
+from numba import njit
+
+SMALLEST_ANGLE = 1e-9
+"""Smallest angle z outside the contraction radius. At 0 the place would lie at infinity."""
+
+
+@njit(cache=True, inline="always", fastmath=True, error_model="numpy")
+def contraction_border(b, contraction_radius):
+    """(w, z) at which a ray with the closest distance b crosses the contraction radius, w >= 0."""
+    border = min(b / contraction_radius, 1.0)
+    return math.acosh(1.0 / border), math.asin(border)
+
+
+@njit(cache=True, inline="always", fastmath=True, error_model="numpy")
+def place_inside(exp_w, b, to_shell):
+    """(distance from the closest point, shell coordinate) inside the contraction radius, from exp(w)."""
+    inverse = 1.0 / exp_w
+    return 0.5 * b * (exp_w - inverse), math.log(0.5 * b * (exp_w + inverse)) * to_shell
+
+
+@njit(cache=True, inline="always", fastmath=True, error_model="numpy")
+def place_outside(w, b, w_border, z_border, contraction_radius, to_shell):
+    """(signed distance from the closest point, shell coordinate) outside the contraction radius."""
+    z = max(z_border - (abs(w) - w_border) * b / contraction_radius, SMALLEST_ANGLE)
+    t = b / math.tan(z)
+    shell = (math.log(contraction_radius) + 1.0 - contraction_radius * math.sin(z) / b) * to_shell
+    return (t if w >= 0.0 else -t), shell
+
+
+@njit(cache=True, inline="always", fastmath=True, error_model="numpy")
+def far_share(shell, spacing, contraction_radius):
+    """Share of the color detail at a shell coordinate: 0 inside the contraction radius, 1 beyond twice that radius.
+
+    `spacing` is the distance of the shells in u.
+    """
+    return min(max(2.0 * (shell * spacing - math.log(contraction_radius)), 0.0), 1.0)
