@@ -103,8 +103,9 @@ def write_random_capture(options: argparse.Namespace) -> None:
     options.seed = scene.seed
     options.out.mkdir(parents=True, exist_ok=True)
     write_whole(options.out / "scene.json", (json.dumps(scene.as_json(), indent=1) + "\n").encode())
-    # The finer filter of the denoiser's guides takes 1 s a view of 200 x 200, as much time as eight samples.
-    bpy.context.scene.cycles.denoising_prefilter = "FAST"
+    # The finer filter of the denoiser's guides takes as much time as eight samples. Without the light tree a sample takes
+    # 40 % less time, and a room has only a few lamps to choose from.
+    bpy.context.scene.cycles.denoising_prefilter, bpy.context.scene.cycles.use_light_tree = "FAST", False
     photographing = Photographing(field_of_view, scene.photography)
     write_capture(options, built.target, built.train, built.test, photographing)
 
