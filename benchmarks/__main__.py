@@ -149,6 +149,8 @@ def main(arguments: list[str] | None = None) -> int:
         names = [name for chosen in options.sets for name in SETS[chosen]]
         return render_captures(names, options.out / "captures", options.views, options)
     if options.command == "random":
+        if not options.write.is_file():
+            top.error(f"{options.write} is no file: give a copy of docs/random-scenes.md, whose markers the report fills")
         return random_scenes(options)
     if options.command == "report":
         return report(options.out, options.write)

@@ -167,3 +167,10 @@ def test_the_command_renders_what_is_missing_and_reports_a_render_that_fails(tmp
     assert "render: synthetic.py: no free place" in text and "learn: no surface was found" in text
     assert read_row(out / "rows" / "random_1-preview-full-seed_0.json")["score"]["cd_visible"] == 0.002
     assert "0.0020" in text
+
+
+def test_a_document_that_is_not_there_is_refused_before_anything_runs(tmp_path, capsys):
+    with pytest.raises(SystemExit) as ended:
+        command.main(["random", "--out", str(tmp_path / "out"), "--write", str(tmp_path / "missing.md")])
+    assert ended.value.code == 2 and "missing.md is no file" in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
