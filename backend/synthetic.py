@@ -2,18 +2,25 @@
 
     python backend/synthetic.py --scene suzanne --out DIR [--views 62] [--size 400] ...
     blender -b -P backend/synthetic.py -- --scene statue.obj --out DIR ...
+    python backend/synthetic.py --random SEED --out DIR [--meshes FILE...]
 
 DIR becomes a capture (transforms.json, images/NNN.exr, masks/NNN.png). The capture has test views (transforms_test.json,
 test/, test_masks/), the ground truth of the test views (gt/NNN.exr) and the true mesh (gt_mesh.ply). transforms.json is
-written last, so a folder that has one is complete. The same arguments give the same capture in the same version of Blender,
-except for the last digits of the photos, because Cycles adds in no fixed order. Blender 5 draws other Voronoi cells for the
-pattern `patches` than Blender 4.
+written last, so a folder that has one is complete.
+
+`--random` draws a whole scene from a seed: the object, its materials, the surroundings, a support, the cameras, and how the
+photos are exposed and stored. What was drawn is written as scene.json. The photos may be PNG files.
+
+The same arguments give the same capture in the same version of Blender, except for the last digits of the photos, because
+Cycles adds in no fixed order. Blender 5 draws other Voronoi cells for the pattern `patches` than Blender 4.
 """
 
 import argparse
 import json
+import math
 import sys
 import time
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import bpy
@@ -23,45 +30,122 @@ if __package__ in (None, ""):
     sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 from backend.arguments import script_arguments
-from backend.scene_io.image_files import write_half_exr, write_png
+from backend.scene_io.image_files import write_png, write_whole
 from backend.synthetic_capture import scenes
 from backend.synthetic_capture.exr_channels import write_channels
 from backend.synthetic_capture.ground_truth import ViewRenderer
+from backend.synthetic_capture.photo_files import ENDINGS, automatic_gain, gain_for, write_photo
+from backend.synthetic_capture.random_build import build_random_scene
+from backend.synthetic_capture.random_scene import Photography, draw_scene
 from backend.synthetic_capture.viewpoints import FIELD_OF_VIEW, Surroundings, Viewpoint, choose_viewpoints
+
+METER_SIZE, METER_SAMPLES, METER_VIEWS = 48, 8, 8
+"""Pixels, samples and photos of the small renders that the exposure of a random scene is found on."""
 
 
 def parse(arguments: list[str]) -> argparse.Namespace:
     parser = argparse.ArgumentParser(prog="synthetic.py", description=__doc__.split("\n\n")[0])
-    parser.add_argument("--scene", default="suzanne", help="suzanne, box, or a mesh file (obj, ply, stl, glb, gltf)")
+    what = parser.add_mutually_exclusive_group()
+    what.add_argument("--scene", default="suzanne", help="suzanne, box, or a mesh file (obj, ply, stl, glb, gltf)")
+    what.add_argument("--random", type=_seed, metavar="SEED", help="draw the whole scene from this seed, 0 or more")
+    parser.add_argument("--meshes", nargs="+", default=[], metavar="FILE", help="further objects that --random may draw")
     parser.add_argument("--out", type=Path, required=True, help="the capture folder to write")
-    parser.add_argument("--views", type=int, default=62, help="photos to learn from")
+    parser.add_argument("--views", type=int, help="photos to learn from; default: 62, or what --random draws")
     parser.add_argument("--test-views", type=int, default=8, help="further photos with ground truth")
     parser.add_argument("--size", type=int, default=400, help="width and height of a photo in pixels")
     parser.add_argument("--samples", type=int, default=20, help="Cycles samples a pixel (denoised where possible)")
-    parser.add_argument("--seed", type=int, default=0, help="of the room, the cameras and the noise")
+    parser.add_argument("--threads", type=int, default=0, help="of Cycles; 0: one for each core")
+    parser.add_argument("--seed", type=int, default=0, help="of the room, the cameras and the noise; not with --random")
     parser.add_argument("--material", choices=sorted(scenes.MATERIALS), help="default: gold; the box: patches")
     return parser.parse_args(arguments)
+
+
+def _seed(text: str) -> int:
+    if int(text) < 0:
+        raise argparse.ArgumentTypeError(f"{text} is below 0")
+    return int(text)
 
 
 def main(arguments: list[str]) -> int:
     options = parse(arguments)
     bpy.ops.wm.read_factory_settings(use_empty=True)
-    rng = np.random.default_rng(options.seed)
-    material = options.material or scenes.DEFAULT_MATERIAL.get(options.scene, "gold")
+    if options.threads:
+        bpy.context.scene.render.threads_mode, bpy.context.scene.render.threads = "FIXED", options.threads
     try:
-        target, obstacles = scenes.build_scene(options.scene, material, rng)
-        surroundings = Surroundings(obstacles)
-        train = choose_viewpoints(options.views, surroundings, rng)
-        test = choose_viewpoints(options.test_views, surroundings, rng)
-        write_capture(options, target, train, test)
+        if options.random is None:
+            target, train, test = fixed_scene(options)
+            write_capture(options, target, train, test, Photographing())
+        else:
+            write_random_capture(options)
     except (ValueError, OSError) as error:
         print(f"synthetic.py: {error}", file=sys.stderr)
         return 2
     return 0
 
 
+def fixed_scene(options: argparse.Namespace) -> tuple[bpy.types.Object, list[Viewpoint], list[Viewpoint]]:
+    """Build the scene that `--scene` names: (object, viewpoints to learn from, test viewpoints). Raises ValueError."""
+    rng = np.random.default_rng(options.seed)
+    material = options.material or scenes.DEFAULT_MATERIAL.get(options.scene, "gold")
+    target, obstacles = scenes.build_scene(options.scene, material, rng)
+    surroundings = Surroundings(obstacles)
+    train = choose_viewpoints(62 if options.views is None else options.views, surroundings, rng)
+    return target, train, choose_viewpoints(options.test_views, surroundings, rng)
+
+
+def write_random_capture(options: argparse.Namespace) -> None:
+    """Draw a scene, build it, and write its capture folder with scene.json. Raises ValueError and OSError."""
+    scene = draw_scene(options.random, options.meshes)
+    if options.views is not None:
+        scene = replace(scene, cameras=replace(scene.cameras, views=options.views))
+    built = build_random_scene(scene, options.test_views)
+    field_of_view = math.radians(scene.cameras.field_of_view)
+    options.seed = scene.seed
+    options.out.mkdir(parents=True, exist_ok=True)
+    write_whole(options.out / "scene.json", (json.dumps(scene.as_json(), indent=1) + "\n").encode())
+    # The finer filter of the denoiser's guides takes as much time as eight samples. Without the light tree a sample takes
+    # 40 % less time, and a room has only a few lamps to choose from.
+    bpy.context.scene.cycles.denoising_prefilter, bpy.context.scene.cycles.use_light_tree = "FAST", False
+    photographing = Photographing(field_of_view, scene.photography)
+    write_capture(options, built.target, built.train, built.test, photographing)
+
+
+@dataclass(frozen=True)
+class Photographing:
+    """The camera, and how its photos are exposed and stored."""
+
+    field_of_view: float = FIELD_OF_VIEW
+    """radians"""
+    photography: Photography | None = None
+    """None: radiance as it is, as OpenEXR"""
+
+    @property
+    def format(self) -> str:
+        """The format of the photos, one of photo_files.ENDINGS."""
+        return self.photography.format if self.photography else "EXR half linear"
+
+    def meter(self, options: argparse.Namespace, train: list[Viewpoint]) -> float:
+        """The gain of all photos, found on small renders of some viewpoints; 1 where photos hold plain radiance."""
+        if self.photography is None:
+            return 1.0
+        renderer = ViewRenderer(bpy.context.scene, METER_SIZE, METER_SAMPLES, self.field_of_view, options.seed)
+        chosen = train[:: max(1, len(train) // METER_VIEWS)]
+        photos = [renderer.render(viewpoint.matrix)[0] for viewpoint in chosen]
+        return gain_for(photos, self.photography.brightness)
+
+    def exposed(self, photo: np.ndarray, gain: float) -> np.ndarray:
+        """The photo [H,W,3] with the exposure that it is taken with. `gain` is that of `meter`."""
+        if self.photography and self.photography.auto_exposure:
+            gain = automatic_gain(photo, self.photography.brightness, gain)
+        return photo * np.float32(gain)
+
+
 def write_capture(
-    options: argparse.Namespace, target: bpy.types.Object, train: list[Viewpoint], test: list[Viewpoint]
+    options: argparse.Namespace,
+    target: bpy.types.Object,
+    train: list[Viewpoint],
+    test: list[Viewpoint],
+    photographing: Photographing,
 ) -> None:
     """Render every viewpoint and write the capture folder. Raises OSError where the folder cannot be written."""
     out = options.out
@@ -69,7 +153,8 @@ def write_capture(
         (out / name).mkdir(parents=True, exist_ok=True)
     (out / "transforms.json").unlink(missing_ok=True)
     write_ply(out / "gt_mesh.ply", *scenes.triangles(target))
-    renderer = ViewRenderer(bpy.context.scene, options.size, options.samples, FIELD_OF_VIEW, options.seed)
+    gain = photographing.meter(options, train)
+    renderer = ViewRenderer(bpy.context.scene, options.size, options.samples, photographing.field_of_view, options.seed)
     started, total = time.monotonic(), len(train) + len(test)
     frames = {"test": [], "train": []}
     for number, viewpoint in enumerate(test + train):
@@ -79,26 +164,32 @@ def write_capture(
         renderer.scene.cycles.seed = options.seed + number  # two photos must not have the same noise
         photo, truth = renderer.render(viewpoint.matrix)
         frame = {
-            "file_path": f"{images}/{index:03d}.exr",
+            "file_path": f"{images}/{index:03d}{ENDINGS[photographing.format]}",
             "mask_path": f"{masks}/{index:03d}.png",
             "transform_matrix": [list(row) for row in viewpoint.matrix],
         }
         frames[group].append(frame)
-        write_half_exr(out / frame["file_path"], photo)
+        write_photo(out / frame["file_path"], photographing.exposed(photo, gain), photographing.format)
         write_png(out / frame["mask_path"], np.round(truth["mask.V"] * 255).astype(np.uint8))
         if group == "test":
             write_channels(out / "gt" / f"{index:03d}.exr", {name: x.astype(np.float16) for name, x in truth.items()})
         left = (time.monotonic() - started) / (number + 1) * (total - number - 1)
         print(f"view {number + 1}/{total}, {left:.0f} s left", file=sys.stderr, flush=True)
+    write_transforms(out, renderer, "linear" if photographing.format.startswith("EXR") else "srgb", frames)
+
+
+def write_transforms(out: Path, renderer: ViewRenderer, color_space: str, frames: dict[str, list[dict]]) -> None:
+    """Write transforms_test.json and, last, transforms.json."""
+    size = renderer.scene.render.resolution_x
     shared = {
         "camera_model": "PINHOLE",
-        "w": options.size,
-        "h": options.size,
+        "w": size,
+        "h": size,
         "fl_x": renderer.focal_length,
         "fl_y": renderer.focal_length,
-        "cx": options.size / 2,
-        "cy": options.size / 2,
-        "color_space": "linear",
+        "cx": size / 2,
+        "cy": size / 2,
+        "color_space": color_space,
         "object_center": [0.0, 0.0, 0.0],
         "object_radius": scenes.OBJECT_RADIUS,
     }

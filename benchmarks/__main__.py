@@ -3,6 +3,7 @@
 python -m benchmarks run CAPTURE... --plan presets ablations views pixels true_mesh roughness (or all) [--relight]
 python -m benchmarks render shapes roughness
 python -m benchmarks run CAPTURE... --preset preview balanced --ablation full "no cones" --seed 0 1 2
+python -m benchmarks random
 python -m benchmarks report --write docs/benchmarks.md
 """
 
@@ -11,13 +12,18 @@ from __future__ import annotations
 import argparse
 import signal
 import sys
+from collections.abc import Iterable
 from pathlib import Path
 
 from benchmarks.suite.harness import Children
-from benchmarks.suite.plan import ABLATIONS, CHOICES, PLANS, expand
-from benchmarks.suite.render import SETS
+from benchmarks.suite.plan import ABLATIONS, CHOICES, PLANS, Run, expand
+from benchmarks.suite.render import RANDOM, SETS
 from benchmarks.suite.runner import Suite
 from blender_nep.presets import PRESETS
+
+SCENES = range(1, 13)
+"""The seeds of the random scenes. Odd seeds are for working, even seeds are only reported."""
+INTERRUPTED = 130
 
 
 def _count(text: str) -> int | None:
@@ -38,45 +44,81 @@ def parser() -> argparse.ArgumentParser:
     run.add_argument("--views", nargs="+", type=_count, help="photos learned from, or `all`")
     run.add_argument("--pixels", nargs="+", type=_count, help="most pixels of a photo, or `all`: the preset's")
     run.add_argument("--seed", nargs="+", type=int)
-    run.add_argument("--jobs", type=int, default=1, help="at once (%(default)s)")
-    run.add_argument("--device", choices=("auto", "cpu", "cuda"), default="auto")
-    run.add_argument("--limit", type=float, default=7200, help="seconds after which a step is killed (%(default)s)")
     run.add_argument(
         "--relight",
         action="store_true",
         help="score in Cycles too what has no ablation and all photos (about 100 s a run; needs bpy)",
     )
-    run.add_argument("--retry", action="store_true", help="do failed steps again")
     run.add_argument("--list", action="store_true", help="say what would be run")
     render = commands.add_parser("render", help="render captures in Cycles (needs bpy): what is there is kept")
     render.add_argument("sets", nargs="+", choices=list(SETS))
     render.add_argument("--views", type=int, default=40)
     render.add_argument("--size", type=int, default=256)
     render.add_argument("--samples", type=int, default=16)
+    drawn = commands.add_parser("random", help="render random scenes (needs bpy), learn and score them, write the report")
+    drawn.add_argument("--scenes", nargs="+", type=int, default=list(SCENES), metavar="SEED", help="default: 1 to 12")
+    drawn.add_argument("--captures", type=Path, help="folder of the rendered scenes (OUT/captures)")
+    drawn.add_argument("--preset", choices=list(PRESETS), help="this overrides the plan's")
+    drawn.add_argument("--size", type=int, default=200)
+    drawn.add_argument("--samples", type=int, default=4)
+    drawn.add_argument("--write", type=Path, default=Path("docs/random-scenes.md"), help="the document (%(default)s)")
+    for command in (run, drawn):
+        command.add_argument("--jobs", type=int, default=1, help="at once (%(default)s)")
+        command.add_argument("--device", choices=("auto", "cpu", "cuda"), default="auto")
+        command.add_argument("--limit", type=float, default=7200, help="seconds after which a step is killed (%(default)s)")
+        command.add_argument("--retry", action="store_true", help="do failed steps again")
     report = commands.add_parser("report", help="tables and plots of what was run (needs matplotlib)")
     report.add_argument("--write", type=Path, default=Path("docs/benchmarks.md"), help="the document (%(default)s)")
-    for command in (run, render, report):
+    for command in (run, render, drawn, report):
         command.add_argument("--out", type=Path, default=Path("out/benchmarks"))
-    for command in (run, render):
+    for command in (run, render, drawn):
         command.add_argument("--threads", type=int, default=1, help="of a process (%(default)s)")
     return top
 
 
-def render_captures(options: argparse.Namespace) -> int:
-    """Render the chosen captures into OUT/captures. Returns 1 where a render failed, otherwise 0."""
+def render_captures(names: Iterable[str], captures: Path, views: int, options: argparse.Namespace) -> int:
+    """Render the captures of these names into the folder `captures`. Returns 1 where a render failed, otherwise 0."""
     failed, children = 0, Children()
-    for name in (name for chosen in options.sets for name in SETS[chosen]):
-        folder, log = options.out / "captures" / name, options.out / "captures" / f"{name}.log"
+    for name in names:
+        folder, log = captures / name, captures / f"{name}.log"
         if (folder / "transforms.json").is_file():
             continue
         folder.mkdir(parents=True, exist_ok=True)
-        numbers = map(str, (options.views, options.size, options.samples, options.threads))
+        numbers = map(str, (views, options.size, options.samples, options.threads))
         ended = children.run(
             [sys.executable, "-m", "benchmarks.suite.render", name, str(folder), *numbers], log, options.threads, 24 * 3600
         )
         print(f"{folder}: {'failed, see its log' if ended.code else 'rendered'}", file=sys.stderr, flush=True)
         failed += ended.code != 0
     return int(failed > 0)
+
+
+def random_scenes(options: argparse.Namespace) -> int:
+    """Render the random scenes, run and score a job on each, and write the report. Returns 1 where anything failed."""
+    from benchmarks.reports.random_scenes import write_random_report
+
+    captures = (options.captures or options.out / "captures").resolve()
+    names = [f"{RANDOM}{seed}" for seed in options.scenes]
+    failed = render_captures(names, captures, 0, options)
+    rendered = [captures / name for name in names if (captures / name / "transforms.json").is_file()]
+    runs = expand(["random"], rendered, {"preset": (options.preset,)} if options.preset else {})
+    ended = run_all(options, runs)
+    if ended != INTERRUPTED:
+        missing = write_random_report(options.out, captures, options.scenes, runs, options.write)
+        for marker in missing:
+            print(f"{options.write} has no marker {marker!r}", file=sys.stderr)
+    return ended or failed
+
+
+def run_all(options: argparse.Namespace, runs: list[Run], relight: bool = False) -> int:
+    """Run these runs. Returns 1 where a run failed, INTERRUPTED where the command was interrupted, otherwise 0."""
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    suite = Suite(options.out, options.threads, options.device, options.limit, relight, options.retry)
+    try:
+        return int(suite.run_all(runs, options.jobs) > 0)
+    except KeyboardInterrupt:
+        print("interrupted; the same command goes on", file=sys.stderr)
+        return INTERRUPTED
 
 
 def report(out: Path, document: Path) -> int:
@@ -104,7 +146,12 @@ def main(arguments: list[str] | None = None) -> int:
     top = parser()
     options = top.parse_args(arguments)
     if options.command == "render":
-        return render_captures(options)
+        names = [name for chosen in options.sets for name in SETS[chosen]]
+        return render_captures(names, options.out / "captures", options.views, options)
+    if options.command == "random":
+        if not options.write.is_file():
+            top.error(f"{options.write} is no file: give a copy of docs/random-scenes.md, whose markers the report fills")
+        return random_scenes(options)
     if options.command == "report":
         return report(options.out, options.write)
     captures = [capture.resolve() for capture in options.captures]
@@ -118,13 +165,7 @@ def main(arguments: list[str] | None = None) -> int:
     if options.list:
         print(*(run.name for run in runs), sep="\n")
         return 0
-    signal.signal(signal.SIGTERM, signal.default_int_handler)
-    suite = Suite(options.out, options.threads, options.device, options.limit, options.relight, options.retry)
-    try:
-        return int(suite.run_all(runs, options.jobs) > 0)
-    except KeyboardInterrupt:
-        print("interrupted; the same command goes on", file=sys.stderr)
-        return 130
+    return run_all(options, runs, options.relight)
 
 
 if __name__ == "__main__":

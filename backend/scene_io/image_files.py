@@ -69,18 +69,19 @@ def write_half_exr(path: Path, rgb: np.ndarray) -> None:
 
 
 def write_png(path: Path, pixels: np.ndarray) -> None:
-    """Write uint8 pixels [H,W] (grey) or [H,W,3] (RGB) as a PNG file. The values are not changed.
+    """Write uint8 or uint16 pixels [H,W] (grey) or [H,W,3] (RGB) as a PNG file. The values are not changed.
 
     The file is written under a temporary name and then renamed. Raises OSError where the file cannot be written.
     """
     height, width = pixels.shape[:2]
-    rows = pixels.reshape(height, -1)
+    depth = 8 * pixels.dtype.itemsize
+    rows = np.ascontiguousarray(pixels, pixels.dtype.newbyteorder(">")).reshape(height, -1).view(np.uint8)
     raw = np.concatenate([np.zeros((height, 1), np.uint8), rows], axis=1).tobytes()
 
     def chunk(kind: bytes, body: bytes) -> bytes:
         return struct.pack(">I", len(body)) + kind + body + struct.pack(">I", zlib.crc32(kind + body))
 
-    header = struct.pack(">IIBBBBB", width, height, 8, 2 if pixels.ndim == 3 else 0, 0, 0, 0)
+    header = struct.pack(">IIBBBBB", width, height, depth, 2 if pixels.ndim == 3 else 0, 0, 0, 0)
     write_whole(
         path, b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", header) + chunk(b"IDAT", zlib.compress(raw, 9)) + chunk(b"IEND", b"")
     )

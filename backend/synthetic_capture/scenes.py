@@ -7,7 +7,6 @@ is scaled to fit into the sphere of radius 1 at the origin, which is the border 
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 import bmesh
@@ -15,18 +14,11 @@ import bpy
 import numpy as np
 from mathutils import Matrix, Vector
 
+from .substances import Substance
+
 FLOOR, CEILING, HALF_WIDTH = -1.45, 4.2, 5.2
 OBJECT_RADIUS = 1.0
 FILL = 0.97  # the object's radius as a part of OBJECT_RADIUS; below 1, so that no vertex touches the border
-
-
-@dataclass(frozen=True)
-class Substance:
-    """The material of a part of the object: Base Color (linear), roughness and metallic of the Principled BSDF."""
-
-    color: tuple[float, float, float]
-    roughness: float
-    metallic: float
 
 
 # Name -> (pattern, substances). The patterns are 'uniform', 'patches' (random cells) and 'stripes' (bands along z).
@@ -50,9 +42,9 @@ def build_scene(source: str, material: str, rng: np.random.Generator) -> tuple[b
     gltf file. Raises ValueError for other sources.
     """
     target = _object(source)
-    _normalise(target)
+    normalize(target)
     target.data.materials.clear()
-    target.data.materials.append(_object_material(*MATERIALS[material], rng))
+    target.data.materials.append(object_material(*MATERIALS[material], rng))
     obstacles = _room(rng) + _lights(rng) + _things(rng)
     return target, obstacles
 
@@ -77,7 +69,7 @@ def _object(source: str) -> bpy.types.Object:
         target = bpy.context.object
         target.modifiers.new("subdivision", "SUBSURF").render_levels = 2
         target.modifiers[0].levels = 2
-        _apply_modifiers(target)
+        apply_modifiers(target)
         target.data.shade_smooth()
     elif source == "box":
         bpy.ops.mesh.primitive_cube_add()
@@ -88,16 +80,16 @@ def _object(source: str) -> bpy.types.Object:
         bevel = target.modifiers.new("bevel", "BEVEL")
         bevel.width, bevel.segments, bevel.harden_normals = 0.12, 4, True
         target.data.shade_smooth()
-        _apply_modifiers(target)
+        apply_modifiers(target)
     else:
-        target = _mesh_file(Path(source))
+        target = mesh_file(Path(source))
         target.data.shade_smooth()
         target.data.set_sharp_from_angle(angle=math.radians(40))
     target.name = target.data.name = "object"
     return target
 
 
-def _mesh_file(path: Path) -> bpy.types.Object:
+def mesh_file(path: Path) -> bpy.types.Object:
     operators = {
         ".obj": bpy.ops.wm.obj_import,
         ".ply": bpy.ops.wm.ply_import,
@@ -128,13 +120,13 @@ def _mesh_file(path: Path) -> bpy.types.Object:
     return target
 
 
-def _apply_modifiers(item: bpy.types.Object) -> None:
+def apply_modifiers(item: bpy.types.Object) -> None:
     bpy.context.view_layer.objects.active = item
     for modifier in list(item.modifiers):
         bpy.ops.object.modifier_apply(modifier=modifier.name)
 
 
-def _normalise(item: bpy.types.Object) -> None:
+def normalize(item: bpy.types.Object) -> None:
     bpy.context.view_layer.update()
     vertices, _ = triangles(item)
     centre = (vertices.min(0) + vertices.max(0)) / 2
@@ -147,7 +139,7 @@ def _normalise(item: bpy.types.Object) -> None:
     bpy.context.view_layer.update()
 
 
-def _object_material(pattern: str, substances: tuple[Substance, ...], rng: np.random.Generator) -> bpy.types.Material:
+def object_material(pattern: str, substances: tuple[Substance, ...], rng: np.random.Generator) -> bpy.types.Material:
     """The object's Principled material. The values of its inputs also go to the AOVs, which become the ground truth."""
     material = bpy.data.materials.new("object")
     material.use_nodes = True
@@ -232,32 +224,32 @@ def _room(rng: np.random.Generator) -> list[bpy.types.Object]:
         boxes.append((f"wall{number}", (x * reach, y * reach, middle), size, (0, 0.7)[number % 2]))
     room = []
     for name, location, size, checker in boxes:
-        item = _box(name, location, size)
-        item.data.materials.append(_surface(name, rng, 0.7, checker, pale=name == "ceiling"))
+        item = box(name, location, size)
+        item.data.materials.append(surface(name, rng, 0.7, checker, pale=name == "ceiling"))
         room.append(item)
     for number, side in enumerate((-1, 1)):  # two pictures on a wall give detail that reflections can show
-        item = _box(f"picture{number}", (side * 2.0, HALF_WIDTH - 0.04, 0.9), (1.4, 0.05, 1.0))
-        item.data.materials.append(_surface(item.name, rng, 0.5, 6.0))
+        item = box(f"picture{number}", (side * 2.0, HALF_WIDTH - 0.04, 0.9), (1.4, 0.05, 1.0))
+        item.data.materials.append(surface(item.name, rng, 0.5, 6.0))
         room.append(item)
     return room
 
 
 def _lights(rng: np.random.Generator) -> list[bpy.types.Object]:
-    bar = _surface("window bars", rng, 0.6)
+    bar = surface("window bars", rng, 0.6)
     lights = []
     for name, location, size, color, strength in (
         ("window", (-HALF_WIDTH + 0.02, 0.8, 1.5), (0.04, 3.0, 2.0), (0.9, 0.95, 1.0), 8.0),
         ("ceiling lamp", (1.5, 1.0, CEILING - 0.03), (1.8, 1.2, 0.04), (1.0, 0.95, 0.85), 22.0),
         ("lantern", (-3.0, -3.0, 2.6), (0.8, 0.8, 0.8), (0.6, 0.8, 1.0), 10.0),
     ):
-        item = _box(name, location, size)
-        item.data.materials.append(_emission(name, color, strength))
+        item = box(name, location, size)
+        item.data.materials.append(emission(name, color, strength))
         lights.append(item)
     for name, location, size in (
         ("bar0", (-HALF_WIDTH + 0.07, 0.8, 1.5), (0.06, 0.1, 2.1)),
         ("bar1", (-HALF_WIDTH + 0.07, 0.8, 1.5), (0.06, 3.1, 0.1)),
     ):
-        item = _box(name, location, size)
+        item = box(name, location, size)
         item.data.materials.append(bar)
         lights.append(item)
     return lights
@@ -299,14 +291,14 @@ def _thing(
         bpy.ops.mesh.primitive_uv_sphere_add(segments=48, ring_count=24, radius=size, location=(x, y, FLOOR + size))
         bpy.context.object.data.shade_smooth()
     else:
-        _box(name, (x, y, FLOOR + size), (2 * size, 1.6 * size, 2 * size)).rotation_euler.z = angle
+        box(name, (x, y, FLOOR + size), (2 * size, 1.6 * size, 2 * size)).rotation_euler.z = angle
     item = bpy.data.objects[name] if name in bpy.data.objects else bpy.context.object
     item.name = name
-    item.data.materials.append(_surface(name, rng, rng.uniform(0.3, 0.8), (0, 7.0, 0, 12.0)[number % 4]))
+    item.data.materials.append(surface(name, rng, rng.uniform(0.3, 0.8), (0, 7.0, 0, 12.0)[number % 4]))
     return item
 
 
-def _box(name: str, location: Sequence[float], size: Sequence[float]) -> bpy.types.Object:
+def box(name: str, location: Sequence[float], size: Sequence[float]) -> bpy.types.Object:
     mesh = bpy.data.meshes.new(name)
     work = bmesh.new()
     bmesh.ops.create_cube(work, size=1.0)
@@ -318,7 +310,7 @@ def _box(name: str, location: Sequence[float], size: Sequence[float]) -> bpy.typ
     return item
 
 
-def _surface(
+def surface(
     name: str, rng: np.random.Generator, roughness: float, checker: float = 0, pale: bool = False
 ) -> bpy.types.Material:
     """A dielectric material of a random color, or near white with `pale`.
@@ -345,7 +337,7 @@ def _surface(
     return material
 
 
-def _emission(name: str, color: Sequence[float], strength: float) -> bpy.types.Material:
+def emission(name: str, color: Sequence[float], strength: float) -> bpy.types.Material:
     material = bpy.data.materials.new(name)
     material.use_nodes = True
     principled = next(node for node in material.node_tree.nodes if node.type == "BSDF_PRINCIPLED")

@@ -1,6 +1,7 @@
 """Chooses where the cameras stand: around the object, outside all obstacles, with a clear view of the object."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import bpy
@@ -25,18 +26,28 @@ class Viewpoint:
     matrix: Matrix
 
 
+@dataclass(frozen=True)
+class Layout:
+    """Where the cameras may stand, seen from the object."""
+
+    elevations: tuple[float, ...] = ELEVATIONS
+    """degrees: the lowest and the highest; with `rings`, one for each ring"""
+    distances: tuple[float, float] = DISTANCES
+    """object radii"""
+    heights: tuple[float, float] = (FLOOR, CEILING)
+    """the heights between which a camera stands"""
+    rings: bool = False
+    """whether the cameras stand on rings around the object"""
+
+
 class Surroundings:
     """The obstacles, which are everything but the object, in a form that rays can be cast against."""
 
-    def __init__(self, obstacles: list[bpy.types.Object]):
-        vertices, faces, count = [], [], 0
+    def __init__(self, obstacles: Sequence[bpy.types.Object], support: Sequence[bpy.types.Object] = ()):
+        """`support` holds what the object stands on. It does not count as hiding the object, which touches it."""
         bpy.context.view_layer.update()
-        for item in obstacles:
-            points, corners = triangles(item)
-            vertices.append(points)
-            faces.append(corners + count)
-            count += len(points)
-        self.tree = BVHTree.FromPolygons(np.concatenate(vertices).tolist(), np.concatenate(faces).tolist())
+        self.hiding = _tree(obstacles)
+        self.solid = _tree([*obstacles, *support])
         self.targets = [Vector(point) for point in (fibonacci_sphere(200) * OBJECT_RADIUS).tolist()]
 
     def clear_fraction(self, position: Vector) -> float:
@@ -47,15 +58,25 @@ class Surroundings:
         clear = 0
         for target in self.targets:
             line = target - position
-            clear += self.tree.ray_cast(position, line.normalized(), line.length)[0] is None
+            clear += self.hiding.ray_cast(position, line.normalized(), line.length)[0] is None
         return clear / len(self.targets)
 
-    def usable(self, position: Vector) -> bool:
-        """Whether a camera may stand at `position`: inside the room, away from obstacles, with a clear view."""
-        if not FLOOR + CLEARANCE < position.z < CEILING - CLEARANCE:
+    def usable(self, position: Vector, heights: tuple[float, float]) -> bool:
+        """Whether a camera may stand at `position`: between these heights, away from obstacles, with a clear view."""
+        if not heights[0] + CLEARANCE < position.z < heights[1] - CLEARANCE:
             return False
-        nearest = self.tree.find_nearest(position)[3]
-        return nearest is not None and nearest > CLEARANCE and self.clear_fraction(position) >= CLEAR_FRACTION
+        nearest = self.solid.find_nearest(position)[3]
+        return (nearest is None or nearest > CLEARANCE) and self.clear_fraction(position) >= CLEAR_FRACTION
+
+
+def _tree(items: Sequence[bpy.types.Object]) -> BVHTree:
+    vertices, faces, count = [np.zeros((0, 3))], [np.zeros((0, 3), np.int32)], 0
+    for item in items:
+        points, corners = triangles(item)
+        vertices.append(points)
+        faces.append(corners + count)
+        count += len(points)
+    return BVHTree.FromPolygons(np.concatenate(vertices).tolist(), np.concatenate(faces).tolist())
 
 
 def fibonacci_sphere(count: int) -> np.ndarray:
@@ -67,24 +88,30 @@ def fibonacci_sphere(count: int) -> np.ndarray:
     return np.stack([ring * np.cos(angle), ring * np.sin(angle), z], axis=1)
 
 
-def choose_viewpoints(count: int, surroundings: Surroundings, rng: np.random.Generator) -> list[Viewpoint]:
-    """`count` usable viewpoints, spread over ELEVATIONS and DISTANCES.
+def choose_viewpoints(
+    count: int, surroundings: Surroundings, rng: np.random.Generator, layout: Layout | None = None
+) -> list[Viewpoint]:
+    """`count` usable viewpoints, spread over the layout.
 
     Where a place is not usable, a random place near it is tried; each further try may be farther away. Raises ValueError
     where the scene has no usable place.
     """
-    low, high = (math.sin(math.radians(angle)) for angle in ELEVATIONS)
+    layout = layout or Layout()
+    low, high = (math.sin(math.radians(angle)) for angle in (min(layout.elevations), max(layout.elevations)))
     turn = rng.uniform(0, 2 * math.pi)
     chosen = []
     for index in range(count):
         height, angle = low + (high - low) * (index + 0.5) / count, turn + index * math.pi * (3 - math.sqrt(5))
+        if layout.rings:
+            ring = layout.elevations[index % len(layout.elevations)]
+            height, angle = math.sin(math.radians(ring)), turn + index * 2 * math.pi / count
         for attempt in range(TRIES):
             spread = attempt / TRIES
             z = float(np.clip(height + spread * rng.normal(0, 0.5), low, high))
             a = angle + rng.normal(0, 0.1 + 2 * spread)
             ring = math.sqrt(1 - z * z)
-            position = Vector((ring * math.cos(a), ring * math.sin(a), z)) * rng.uniform(*DISTANCES) * OBJECT_RADIUS
-            if surroundings.usable(position):
+            position = Vector((ring * math.cos(a), ring * math.sin(a), z)) * rng.uniform(*layout.distances) * OBJECT_RADIUS
+            if surroundings.usable(position, layout.heights):
                 break
         else:
             raise ValueError("no free place for a camera in this scene: give another --seed")

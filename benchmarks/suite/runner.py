@@ -130,7 +130,7 @@ class Suite:
         if ended.timed_out:
             found = {"error": f"killed after {self.limit:.0f} s"}
         elif not found:
-            found = {"error": f"ended with code {ended.code}: {_last_line(log)}"}
+            found = {"error": f"ended with code {ended.code}: {last_line(log)}"}
         if step == "learn":
             found |= {"wall_seconds": ended.seconds, "cpu_seconds": ended.cpu_seconds, "peak_mb": ended.peak_mb}
             if donor and found.get("resumed_stages"):
@@ -147,7 +147,7 @@ def failure(row: dict) -> str:
     )
 
 
-def _last_line(log: Path) -> str:
+def last_line(log: Path) -> str:
     lines = [line.strip() for line in log.read_text(encoding="utf-8", errors="replace").splitlines()]
     return next((line for line in reversed(lines) if line), "")[:200]
 

@@ -11,6 +11,7 @@ import pytest
 import trimesh
 from PIL import Image
 
+from blender_nep.capture.png16 import read_png16
 from support.paths import ROOT
 
 LIMIT_S = 120
@@ -159,6 +160,24 @@ def test_a_mesh_file_is_scaled_to_fit_and_a_missing_one_is_refused(tmp_path):
     wrong = render(tmp_path / "none", "--scene", str(tmp_path / "missing.obj"))
     assert wrong.returncode == 2 and "missing.obj" in wrong.stderr
     assert not (tmp_path / "none").exists()
+
+
+def test_a_random_scene_becomes_a_capture_whose_photos_have_its_format_and_brightness(tmp_path):
+    done = render(tmp_path, "--random", "1", "--views", "4", "--test-views", "1", "--size", str(SIZE), "--samples", "8")
+    assert done.returncode == 0, done.stderr
+    scene = json.loads((tmp_path / "scene.json").read_text())
+    assert (scene["seed"], scene["cameras"]["views"], scene["photography"]["format"]) == (1, 4, "PNG 16 bits sRGB")
+    listed = list(frames(tmp_path))
+    assert len(listed) == 5 and {Path(frame["file_path"]).suffix for _, frame in listed} == {".png"}
+    assert listed[0][0]["color_space"] == "srgb" and (tmp_path / "gt" / "000.exr").is_file()
+    photos = [read_png16(tmp_path / frame["file_path"])[..., :3] / 65535 for _, frame in listed]
+    assert np.mean(photos) == pytest.approx(scene["photography"]["brightness"], abs=0.06)
+    test_mesh_projects_onto_masks(tmp_path)
+
+
+def test_a_random_scene_below_0_is_refused(tmp_path):
+    done = render(tmp_path / "none", "--random", "-1")
+    assert done.returncode == 2 and "-1 is below 0" in done.stderr
 
 
 def test_bundled_capture_is_whole_and_small():
