@@ -16,8 +16,9 @@ from scipy.spatial import cKDTree
 from torch import Tensor
 
 from blender_nep.materials.baking import NEIGHBOURS, labels_at, neighbours, vote, weighted_mean
-from blender_nep.materials.fitting import fit_groups
-from blender_nep.materials.palette import Palette, best_of, choose, error, same_material
+from blender_nep.materials.fitting import fit_groups, roughness_scan
+from blender_nep.materials.palette import Palette, best_of, between, choose, error, place_of_least, same_material
+from blender_nep.materials.roughness import residual_of_reflections, share_roughness
 from blender_nep.profiling import profiled, section
 from blender_nep.shading.plenoptic import Material, SurfacePoints, reflected
 from blender_nep.tone_mapping import tone_map
@@ -118,6 +119,23 @@ class PaletteSearch:
             self.merged = len(self.palette) - len(kept)
             self.label = torch.tensor([kept.index(k) for k in into], device=self.device)[self.label]
         self.palette = self._fit(self.label, len(kept))
+        self.find_roughness()
+
+    def find_roughness(self) -> None:
+        """Find the materials' roughness by their reflections alone, and their albedo with that roughness."""
+        p, palette = self.preset, self.palette
+        found = residual_of_reflections(self.light, self.target, self.samples.position, self.label, palette, p)
+        place = place_of_least(share_roughness(*found, palette.metallic < 0.5, p.roughness_margin))
+        scan = roughness_scan(p.least_roughness, self.device)
+        of_all = self._scan(self.label, len(palette))[1]
+        hypothesis = [p.metallic.index(metallic) for metallic in palette.metallic.tolist()]
+        albedo = torch.stack([of_all[i, :, k] for k, i in enumerate(hypothesis)], 1)
+        told = found[1] > 0
+        self.palette = Palette(
+            torch.where(told[:, None], between(albedo, place), palette.albedo),
+            torch.where(told, between(scan.sqrt()[:, None].expand(-1, len(palette)), place) ** 2, palette.roughness),
+            palette.metallic,
+        )
 
     def assign(self) -> None:
         """Give every sample the material for which its neighbours vote."""
