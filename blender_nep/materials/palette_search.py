@@ -122,18 +122,20 @@ class PaletteSearch:
         self.find_roughness()
 
     def find_roughness(self) -> None:
-        """Find the materials' roughness by their reflections alone, and their albedo with that roughness."""
-        p, palette = self.preset, self.palette
-        found = residual_of_reflections(self.light, self.target, self.samples.position, self.label, palette, p)
-        place = place_of_least(share_roughness(*found, palette.metallic < 0.5, p.roughness_margin))
+        """Find the dielectrics' roughness by their reflections alone, and their albedo with that roughness."""
+        p, palette, k = self.preset, self.palette, len(self.palette)
+        dielectric = palette.metallic < 0.5
+        if not dielectric.any():
+            return
+        label = torch.where(dielectric[self.label], self.label, -1)
+        residual, weight = residual_of_reflections(self.light, self.target, self.samples.position, label, k, p)
+        place = place_of_least(share_roughness(residual, weight, p.roughness_margin))
         scan = roughness_scan(p.least_roughness, self.device)
-        of_all = self._scan(self.label, len(palette))[1]
-        hypothesis = [p.metallic.index(metallic) for metallic in palette.metallic.tolist()]
-        albedo = torch.stack([of_all[i, :, k] for k, i in enumerate(hypothesis)], 1)
-        told = found[1] > 0
+        albedo = between(self._scan(self.label, k)[1][p.metallic.index(0.0)], place)
+        found = weight > 0
         self.palette = Palette(
-            torch.where(told[:, None], between(albedo, place), palette.albedo),
-            torch.where(told, between(scan.sqrt()[:, None].expand(-1, len(palette)), place) ** 2, palette.roughness),
+            torch.where(found[:, None], albedo, palette.albedo),
+            torch.where(found, between(scan.sqrt()[:, None].expand(-1, k), place) ** 2, palette.roughness),
             palette.metallic,
         )
 
