@@ -16,6 +16,7 @@ from blender_nep.materials.unseen_light_training import UnseenLightProblem, lear
 from blender_nep.presets import MaterialPreset
 from blender_nep.shading.incoming_light import IncomingLight
 from blender_nep.shading.plenoptic import PlenopticFunction, PlenopticSettings, SpecularMoments, TerminalRadiance, reflected
+from blender_nep.shading.smooth_irradiance import IrradianceMean
 from blender_nep.shading.unseen_light import UncoveredCones, UnseenLight, level_sizes, pyramid
 from blender_nep.shading.unseen_transport import UnseenTransport
 
@@ -148,11 +149,18 @@ def test_the_transport_is_what_the_cones_receive_and_its_adjoint_fits(ball):
     response = torch.stack([offset, slope], 1).numpy()
     lines = transport.sent(response, pyramid(light.radiance).numpy())
     sent = lines[:, 0] + lines[:, 1] * palette.albedo.numpy()
-    before = reflected(material, ball.moments(material.roughness), ball.diffuse, ball.cos_v)
+    far = ball.traced.uncovered
+    everywhere = UnseenTransport(16, light.radius, far, ball.points.position)
+    own_irradiance = everywhere.sent(far.weight[:, None, :1].expand(-1, 1, 3).numpy(), pyramid(light.radiance).numpy())[:, 0]
+    own_irradiance = torch.from_numpy(own_irradiance)
+    known = ball.diffuse
+    before = reflected(material, ball.moments(material.roughness), torch.zeros_like(known), ball.cos_v)
     ball.unseen = light
     ball.update(None, torch.Generator())
-    after = reflected(material, ball.moments(material.roughness), ball.diffuse, ball.cos_v)
+    after = reflected(material, ball.moments(material.roughness), own_irradiance, ball.cos_v)
     np.testing.assert_allclose(sent, (after - before)[rows].numpy(), rtol=2e-3, atol=2e-4)
+    mean = IrradianceMean(ball.points.position, ball.points.normal)(own_irradiance)
+    np.testing.assert_allclose((ball.diffuse - known).numpy(), mean.numpy(), rtol=2e-3, atol=2e-4)
     other = np.random.default_rng(1).normal(size=lines.shape).astype(np.float32)
     levels = np.random.default_rng(2).normal(size=(len(pyramid(light.radiance)), 3)).astype(np.float32)
     assert (transport.sent(response, levels) * other).sum() == pytest.approx(
