@@ -308,6 +308,8 @@ class MaterialPreset:
     """Two materials whose chromaticities differ by less than this are merged; 0 turns this prior off."""
     merge_roughness: float = 0.08
     """Two metals of one chromaticity are merged if they differ by less than this in roughness."""
+    roughness_margin: float = 0.03
+    """Dielectrics share one roughness if that raises the residual of none of them by more than this share."""
     blend_margin: float = 0.05
     """Share by which a mixture of two materials must be better than one material alone."""
     rounds: int = 2

@@ -98,25 +98,37 @@ def best_of(
 ) -> Palette:
     """The best hypothesis of each group, from cost [M, R, groups] and albedo [M, R, groups, 3] of `fit_groups`.
 
-    The roughness is refined to a fraction of a step by a parabola through the minimum. The residual of a metal must be
+    The roughness is refined to a fraction of a step (`place_of_least`). The residual of a metal must be
     lower than that of a dielectric by the share `metal_margin`, because most things are not metal.
     """
     scan = roughness_scan(least_roughness, cost.device)
     prior = torch.tensor([1 + metal_margin * m for m in hypotheses], device=cost.device)
-    value, j = cost.min(1)
-    i = (value * prior[:, None]).argmin(0)
+    i = (cost.amin(1) * prior[:, None]).argmin(0)
     each = torch.arange(cost.shape[2], device=cost.device)
-    j = j[i, each]
-    inner = j.clamp(1, len(scan) - 2)
-    left, middle, right = (cost[i, inner + k, each] for k in (-1, 0, 1))
+    place = place_of_least(cost[i, :, each].T)
+    return Palette(
+        between(albedo[i, :, each].transpose(0, 1), place),
+        between(scan.sqrt()[:, None].expand(-1, len(each)), place) ** 2,
+        torch.tensor(hypotheses, device=cost.device)[i],
+    )
+
+
+def place_of_least(values: Tensor) -> Tensor:
+    """Where each column of values [R, K] is least: a place [K] in 0..R-1, refined by a parabola through three rows."""
+    j, each = values.argmin(0), torch.arange(values.shape[1], device=values.device)
+    inner = j.clamp(1, len(values) - 2)
+    left, middle, right = (values[inner + k, each] for k in (-1, 0, 1))
     curve = left - 2 * middle + right
     shift = torch.where((curve > 1e-9) & (j == inner), 0.5 * (left - right) / curve.clamp_min(1e-9), 0.0)
-    shift = shift.clamp(-0.5, 0.5)
-    step = torch.where(shift < 0, -1, 1)
-    other = (j + step).clamp(0, len(scan) - 1)
-    a = torch.lerp(albedo[i, j, each], albedo[i, other, each], shift.abs()[:, None])
-    root = torch.lerp(scan[j].sqrt(), scan[other].sqrt(), shift.abs())
-    return Palette(a, root**2, torch.tensor(hypotheses, device=cost.device)[i])
+    return j + shift.clamp(-0.5, 0.5)
+
+
+def between(values: Tensor, place: Tensor) -> Tensor:
+    """The values [R, K, ...] at a place [K] in 0..R-1 of each column, linear between the rows: [K, ...]."""
+    low = place.long().clamp(0, len(values) - 2)
+    each = torch.arange(len(place), device=place.device)
+    share = (place - low).reshape(-1, *[1] * (values.ndim - 2)).to(values.dtype)
+    return torch.lerp(values[low, each], values[low + 1, each], share)
 
 
 def choose(cost: Tensor, size: Tensor, most: int, gain: float) -> list[int]:

@@ -16,8 +16,9 @@ from scipy.spatial import cKDTree
 from torch import Tensor
 
 from blender_nep.materials.baking import NEIGHBOURS, labels_at, neighbours, vote, weighted_mean
-from blender_nep.materials.fitting import fit_groups
-from blender_nep.materials.palette import Palette, best_of, choose, error, same_material
+from blender_nep.materials.fitting import fit_groups, roughness_scan
+from blender_nep.materials.palette import Palette, best_of, between, choose, error, place_of_least, same_material
+from blender_nep.materials.roughness import residual_of_reflections, share_roughness
 from blender_nep.profiling import profiled, section
 from blender_nep.shading.plenoptic import Material, SurfacePoints, reflected
 from blender_nep.tone_mapping import tone_map
@@ -118,6 +119,25 @@ class PaletteSearch:
             self.merged = len(self.palette) - len(kept)
             self.label = torch.tensor([kept.index(k) for k in into], device=self.device)[self.label]
         self.palette = self._fit(self.label, len(kept))
+        self.find_roughness()
+
+    def find_roughness(self) -> None:
+        """Find the dielectrics' roughness by their reflections alone, and their albedo with that roughness."""
+        p, palette, k = self.preset, self.palette, len(self.palette)
+        dielectric = palette.metallic < 0.5
+        if not dielectric.any():
+            return
+        label = torch.where(dielectric[self.label], self.label, -1)
+        residual, weight = residual_of_reflections(self.light, self.target, self.samples.position, label, k, p)
+        place = place_of_least(share_roughness(residual, weight, p.roughness_margin))
+        scan = roughness_scan(p.least_roughness, self.device)
+        albedo = between(self._scan(self.label, k)[1][p.metallic.index(0.0)], place)
+        found = weight > 0
+        self.palette = Palette(
+            torch.where(found[:, None], albedo, palette.albedo),
+            torch.where(found, between(scan.sqrt()[:, None].expand(-1, k), place) ** 2, palette.roughness),
+            palette.metallic,
+        )
 
     def assign(self) -> None:
         """Give every sample the material for which its neighbours vote."""

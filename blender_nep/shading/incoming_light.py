@@ -25,6 +25,7 @@ from blender_nep.shading.plenoptic import (
     affine_in_albedo,
     moment_weights,
 )
+from blender_nep.shading.smooth_irradiance import IrradianceMean
 from blender_nep.shading.unseen_light import UncoveredCones, UnseenLight
 
 _FULL, _EDGE, _DIELECTRIC = range(3)
@@ -107,7 +108,8 @@ class IncomingLight:
 
     `specular` [n, R, 3, 3] and `diffuse` [n, 3] (irradiance divided by pi) are the whole light, under the present materials
     and the present unseen light. `known_specular` and `known_diffuse` are the light without the unseen light: the light of
-    F_e and, from the first `update` on, the light that the object reflects to itself.
+    F_e and, from the first `update` on, the light that the object reflects to itself. The irradiance is a mean over
+    neighbouring points (`IrradianceMean`).
     """
 
     def __init__(
@@ -117,8 +119,9 @@ class IncomingLight:
         self.plenoptic, self.points, self.traced = plenoptic, points, traced
         self.roughness_levels = torch.tensor(roughness_levels, device=points.position.device)
         self.cos_v = (points.normal * points.view).sum(-1)
+        self._mean = IrradianceMean(points.position, points.normal)
         self.specular = self.known_specular = traced.specular
-        self.diffuse = self.known_diffuse = traced.diffuse
+        self.diffuse = self.known_diffuse = self._mean(traced.diffuse)
         self.unseen: UnseenLight | None = None
 
     @classmethod
@@ -161,7 +164,7 @@ class IncomingLight:
                 share = traced.hit_weight[part, ..., None] * light[part, None, None, :]
                 diffuse.index_add_(0, traced.hit_index[part], share[:, 0, 0])
                 specular.index_add_(0, traced.hit_index[part], share[:, 1:])
-        self.known_specular, self.known_diffuse = specular, diffuse
+        self.known_specular, self.known_diffuse = specular, self._mean(diffuse)
         self.add_unseen()
 
     @profiled("add the unseen light")
@@ -170,7 +173,8 @@ class IncomingLight:
         self.specular, self.diffuse = self.known_specular, self.known_diffuse
         if self.unseen is None:
             return
-        self.specular, self.diffuse = specular, diffuse = self.known_specular.clone(), self.known_diffuse.clone()
+        self.specular = specular = self.known_specular.clone()
+        diffuse = torch.zeros_like(self.known_diffuse)
         far = self.traced.uncovered
         for part in torch.arange(len(far), device=diffuse.device).split(1 << 16):
             cones = far[part]
@@ -179,6 +183,7 @@ class IncomingLight:
             terms = torch.cat([torch.ones_like(light[:, :1]), cones.fresnel], 1)
             share = cones.weight[:, 1:, None, None] * terms[:, None, :, None] * light[:, None, None, :]
             specular.index_add_(0, cones.row, share)
+        self.diffuse = self.known_diffuse + self._mean(diffuse)
 
     def uncovered_cones(self, rows: Tensor) -> UncoveredCones:
         """The uncovered cones of the points `rows` [m] int64. Their `row` counts these points: 0..m-1."""

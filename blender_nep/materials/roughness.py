@@ -1,0 +1,93 @@
+"""Finds the roughness of dielectrics from the places where the photos tell it.
+
+How much of a dielectric's light comes from below its coat depends on the albedo and on the irradiance, and small errors of
+the irradiance are as strong as the whole reflection. So three things are done:
+
+- Each material has an albedo of its own in each small region of the surface. What is left to compare between the photos of a
+  region is the reflection. These albedos are not used for anything else.
+- A sample counts as far as its reflected light is in the photos. The unseen light is too coarse to tell a roughness.
+- Dielectrics that the photos hardly tell apart in roughness share one: a bright glaze hides its reflections in the light
+  from below, and a dark one shows them.
+
+A metal has no light from below. Its roughness is that of the fit to all its samples.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from blender_nep.materials.fitting import fit_groups
+from blender_nep.profiling import profiled
+
+if TYPE_CHECKING:
+    from blender_nep.presets import MaterialPreset
+    from blender_nep.shading.incoming_light import IncomingLight
+
+_LEAST_SAMPLES = 8
+"""Least number of samples in a region. With fewer, its three albedos would follow the noise."""
+_NO_LIMIT = 2.5
+"""Largest regional albedo. It is above 1, because F_e may be too dark in a region."""
+
+
+@profiled("roughness")
+def residual_of_reflections(
+    light: IncomingLight,
+    target: Tensor,
+    position: np.ndarray,
+    label: Tensor,
+    materials: int,
+    preset: MaterialPreset,
+) -> tuple[Tensor, Tensor]:
+    """The residual of each of the K materials, as a dielectric, at the R values of `roughness_scan`, with regional albedos.
+
+    target [n, 3] linear; position [n, 3] in the unit frame; label [n] int64 in 0..K-1, or -1 for a sample that does not
+    count. Returns the mean residual [R, K] and the weight of the samples [K] that it comes from; 0 where no region has
+    enough samples.
+    """
+    weight = 0.05 + light.coverage[:, : len(preset.roughness_levels) // 2].mean(1)
+    voxel = np.floor(position / preset.region).astype(np.int64)
+    place = np.concatenate([label.cpu().numpy()[:, None], voxel], 1)
+    region, inverse, count = np.unique(place, axis=0, return_inverse=True, return_counts=True)
+    used = (count >= _LEAST_SAMPLES) & (region[:, 0] >= 0)
+    group = torch.from_numpy(np.where(used, np.arange(len(count)), -1)[inverse.ravel()]).to(target.device)
+    cost, _ = fit_groups(
+        light,
+        target,
+        weight,
+        group,
+        len(count),
+        least_roughness=preset.least_roughness,
+        clip=preset.clip,
+        hypotheses=(0.0,),
+        most_diffuse=_NO_LIMIT,
+    )
+    inside = group >= 0
+    mass = torch.zeros(len(count), device=target.device).index_add_(0, group[inside], weight[inside])
+    material = torch.from_numpy(region[used, 0]).to(target.device)
+    mass, own = mass[torch.from_numpy(used)], (cost[0] * mass).T[torch.from_numpy(used)]
+    total = torch.zeros(materials, device=target.device).index_add_(0, material, mass)
+    summed = torch.zeros(materials, cost.shape[1], device=target.device).index_add_(0, material, own)
+    return (summed / total.clamp_min(1e-9)[:, None]).T, total
+
+
+def share_roughness(residual: Tensor, weight: Tensor, margin: float) -> Tensor:
+    """The residuals [R, K] by which the roughness is chosen: those of the materials, or the mean of those that share one.
+
+    weight [K] is that of the samples of each material. The common roughness is that with the least weighted mean of the
+    residuals. A material whose residual it raises by more than the share `margin` leaves, and the others look for a common
+    roughness again. A material without weight keeps its residual.
+    """
+    shared, chosen = weight > 0, residual.clone()
+    while int(shared.sum()) > 1:
+        together = (residual[:, shared] * weight[shared]).sum(1) / weight[shared].sum()
+        worse = residual[together.argmin()] / residual.amin(0).clamp_min(1e-9) - 1
+        worse = torch.where(shared, worse, torch.zeros_like(worse))
+        if float(worse.max()) <= margin:
+            chosen[:, shared] = together[:, None]
+            break
+        shared = shared & (worse < worse.max())
+    return chosen

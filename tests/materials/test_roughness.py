@@ -1,0 +1,116 @@
+"""The roughness of materials from their reflections: photos made with known materials, under light that is known wrongly."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from blender_nep.materials.fitting import fit_groups, roughness_scan
+from blender_nep.materials.palette import Palette, between, place_of_least
+from blender_nep.materials.roughness import residual_of_reflections, share_roughness
+from blender_nep.presets import MaterialPreset
+from blender_nep.shading.incoming_light import IncomingLight
+from blender_nep.shading.plenoptic import reflected
+
+PRESET = replace(MaterialPreset(), roughness_levels=(0.05, 0.1, 0.2, 0.4, 1.0), least_roughness=0.05, region=0.5)
+SCAN = roughness_scan(PRESET.least_roughness, torch.device("cpu"))
+
+
+class Lit:
+    """The light of n samples: a random lamp beside the reflected direction, which wider lobes see more and more of."""
+
+    roughness_interval, moments = IncomingLight.roughness_interval, IncomingLight.moments
+
+    def __init__(self, n: int) -> None:
+        generator = torch.Generator().manual_seed(3)
+        self.roughness_levels = torch.tensor(PRESET.roughness_levels)
+        sharp, soft = 3 * torch.rand(2, n, 1, 3, generator=generator) ** 3
+        full = torch.lerp(sharp, soft.mean(0), torch.tensor([0.0, 0.25, 0.5, 0.75, 1.0])[None, :, None])
+        self.specular = torch.stack([full, 0.15 * full, 0.06 * full], 2)
+        self.diffuse = 0.3 + torch.rand(n, 3, generator=generator)
+        self.cos_v = 0.3 + 0.7 * torch.rand(n, generator=generator)
+        self.coverage = torch.ones(n, len(self.roughness_levels))
+
+
+def photos(light: Lit, palette: Palette, label: torch.Tensor) -> torch.Tensor:
+    material = palette.at(label)
+    return reflected(material, light.moments(material.roughness), light.diffuse, light.cos_v)
+
+
+def minimum(residual: torch.Tensor) -> torch.Tensor:
+    place = place_of_least(residual)
+    return between(SCAN.sqrt()[:, None].expand(-1, len(place)), place) ** 2
+
+
+def test_reflections_tell_the_roughness_although_the_irradiance_is_wrong():
+    n = 4000
+    light, random = Lit(n), np.random.default_rng(1)
+    palette = Palette(torch.tensor([[0.8, 0.8, 0.7], [0.9, 0.6, 0.3]]), torch.tensor([0.12, 0.3]), torch.zeros(2))
+    label = torch.from_numpy(random.integers(2, size=n))
+    position = random.random((n, 3)).astype(np.float32) * 2
+    photo = photos(light, palette, label)
+    region = np.floor(position / PRESET.region).astype(int) @ [1, 4, 16]
+    light.diffuse = light.diffuse * torch.from_numpy(random.uniform(0.6, 1.4, 64)[region]).float()[:, None]
+    residual, weight = residual_of_reflections(light, photo, position, label, len(palette), PRESET)
+    torch.testing.assert_close(minimum(residual), palette.roughness, rtol=0, atol=0.02)
+    torch.testing.assert_close(weight, 1.05 * torch.bincount(label).float(), rtol=0.02, atol=0)
+    of_all, _ = fit_groups(light, photo, torch.ones(n), label, 2, least_roughness=0.05, clip=0.25, hypotheses=(0.0, 1.0))
+    assert of_all[0, :, 0].min() > 5 * residual[:, 0].min(), "one albedo cannot explain the photos"
+
+
+def test_samples_without_known_light_hardly_count():
+    n = 2000
+    light, random = Lit(n), np.random.default_rng(2)
+    palette = Palette(torch.tensor([[0.8, 0.8, 0.7]]), torch.tensor([0.12]), torch.tensor([0.0]))
+    position, label = random.random((n, 3)).astype(np.float32), torch.zeros(n, dtype=torch.int64)
+    photo = photos(light, palette, label)
+    unknown = torch.from_numpy(random.random(n) < 0.5)
+    rough = Palette(palette.albedo, torch.tensor([0.6]), palette.metallic)
+    photo[unknown] = photos(light, rough, label)[unknown]
+    light.coverage[unknown] = 0
+    residual, _ = residual_of_reflections(light, photo, position, label, len(palette), PRESET)
+    assert float(minimum(residual)) == pytest.approx(0.12, abs=0.02)
+
+
+def test_too_few_samples_tell_nothing():
+    light = Lit(4)
+    label = torch.zeros(4, dtype=torch.int64)
+    residual, weight = residual_of_reflections(light, torch.ones(4, 3), np.zeros((4, 3)), label, 1, PRESET)
+    assert float(weight) == 0 and (residual == 0).all()
+
+
+def bowls(*shapes: tuple[float, float]) -> torch.Tensor:
+    """Residuals [28, K] that are least at a row and rise quadratically: (row, rise in 10 rows as a share)."""
+    row = torch.arange(28.0)
+    return torch.stack([0.02 * (1 + rise * ((row - least) / 10) ** 2) for least, rise in shapes], 1)
+
+
+def test_a_flat_residual_borrows_the_roughness_of_a_curved_one():
+    residual, weight = bowls((4, 1.0), (9, 0.02)), torch.tensor([1.0, 1.0])
+    chosen = share_roughness(residual, weight, 0.03)
+    # the minimum of the sum of two parabolas: (1.0 * 4 + 0.02 * 9) / 1.02
+    torch.testing.assert_close(place_of_least(chosen), torch.full((2,), 4.18 / 1.02), rtol=0, atol=0.02)
+
+
+def test_two_clear_roughnesses_stay_apart_and_a_third_borrows_from_the_nearer():
+    residual, weight = bowls((2, 1.0), (20, 1.0), (5, 0.02)), torch.tensor([3.0, 1.0, 1.0])
+    place = place_of_least(share_roughness(residual, weight, 0.03))
+    assert float(place[1]) == pytest.approx(20, abs=0.01)
+    assert float(place[0]) == float(place[2]) == pytest.approx((3 * 2 + 0.02 * 5) / 3.02, abs=0.02)
+
+
+def test_materials_without_samples_do_not_take_part():
+    residual, weight = bowls((4, 1.0), (12, 0.02)), torch.tensor([1.0, 0.0])
+    assert torch.equal(share_roughness(residual, weight, 0.03), residual)
+
+
+def test_samples_of_no_material_do_not_count():
+    light, random = Lit(900), np.random.default_rng(3)
+    palette = Palette(torch.tensor([[0.8, 0.8, 0.7]]), torch.tensor([0.12]), torch.zeros(1))
+    position, label = random.random((900, 3)).astype(np.float32), torch.zeros(900, dtype=torch.int64)
+    photo = photos(light, palette, label)
+    photo[::2] = 3.0
+    label[::2] = -1
+    residual, _ = residual_of_reflections(light, photo, position, label, 1, PRESET)
+    assert float(minimum(residual)) == pytest.approx(0.12, abs=0.02) and residual.min() < 2e-3
