@@ -142,8 +142,11 @@ def fit_albedos(starts, samples, roughness, hypotheses, clip, iterations, cost, 
                             robust /= max(residual, np.float32(0.02))
                         # d tone / d radiance turns a linear residual into a tone-mapped one; 1 / |residual| makes it L1
                         robust /= (np.float32(1) + np.float32(4) * mean) ** 2
-                        top += robust * slope * (goal[n, c] - offset)
-                        bottom += robust * slope * slope
+                        # A metal's reflections are never quite in place. Least squares would take the misplaced light for
+                        # noise of the slope, and make the metal too dark. `mean` treats prediction and photo alike.
+                        instrument = metal * mean + rest * slope
+                        top += robust * instrument * (goal[n, c] - offset)
+                        bottom += robust * instrument * slope
                     a[c] = min(max(top / max(bottom, 1e-12), 0.0), limit[i])
             left = 0.0
             for s in range(count):

@@ -108,8 +108,8 @@ class IncomingLight:
 
     `specular` [n, R, 3, 3] and `diffuse` [n, 3] (irradiance divided by pi) are the whole light, under the present materials
     and the present unseen light. `known_specular` and `known_diffuse` are the light without the unseen light: the light of
-    F_e and, from the first `update` on, the light that the object reflects to itself. The irradiance is a mean over
-    neighbouring points (`IrradianceMean`).
+    F_e and, from the first `update` on, the light that the object reflects to itself. The known irradiance is a
+    mean over neighbouring points (`IrradianceMean`).
     """
 
     def __init__(
@@ -173,8 +173,7 @@ class IncomingLight:
         self.specular, self.diffuse = self.known_specular, self.known_diffuse
         if self.unseen is None:
             return
-        self.specular = specular = self.known_specular.clone()
-        diffuse = torch.zeros_like(self.known_diffuse)
+        self.specular, self.diffuse = specular, diffuse = self.known_specular.clone(), self.known_diffuse.clone()
         far = self.traced.uncovered
         for part in torch.arange(len(far), device=diffuse.device).split(1 << 16):
             cones = far[part]
@@ -183,7 +182,6 @@ class IncomingLight:
             terms = torch.cat([torch.ones_like(light[:, :1]), cones.fresnel], 1)
             share = cones.weight[:, 1:, None, None] * terms[:, None, :, None] * light[:, None, None, :]
             specular.index_add_(0, cones.row, share)
-        self.diffuse = self.known_diffuse + self._mean(diffuse)
 
     def uncovered_cones(self, rows: Tensor) -> UncoveredCones:
         """The uncovered cones of the points `rows` [m] int64. Their `row` counts these points: 0..m-1."""

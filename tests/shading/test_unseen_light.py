@@ -16,7 +16,6 @@ from blender_nep.materials.unseen_light_training import UnseenLightProblem, lear
 from blender_nep.presets import MaterialPreset
 from blender_nep.shading.incoming_light import IncomingLight
 from blender_nep.shading.plenoptic import PlenopticFunction, PlenopticSettings, SpecularMoments, TerminalRadiance, reflected
-from blender_nep.shading.smooth_irradiance import IrradianceMean
 from blender_nep.shading.unseen_light import UncoveredCones, UnseenLight, level_sizes, pyramid
 from blender_nep.shading.unseen_transport import UnseenTransport
 
@@ -138,14 +137,6 @@ def lamp(rows: int) -> UnseenLight:
     return light
 
 
-def own_irradiance(ball, light):
-    """Irradiance / pi [n, 3] of the unseen light from each point's own cones, without the mean over neighbours."""
-    cones = ball.traced.uncovered
-    transport = UnseenTransport(len(light.radiance), light.radius, cones, ball.points.position)
-    response = cones.weight[:, None, :1].expand(-1, 1, 3).numpy()
-    return torch.from_numpy(transport.sent(response, pyramid(light.radiance).numpy())[:, 0])
-
-
 def test_the_transport_is_what_the_cones_receive_and_its_adjoint_fits(ball):
     palette = Palette(torch.tensor([[0.8, 0.5, 0.2]]), torch.tensor([0.3]), torch.tensor([0.4]))
     material = palette.at(torch.zeros(4000, dtype=torch.int64))
@@ -157,15 +148,11 @@ def test_the_transport_is_what_the_cones_receive_and_its_adjoint_fits(ball):
     response = torch.stack([offset, slope], 1).numpy()
     lines = transport.sent(response, pyramid(light.radiance).numpy())
     sent = lines[:, 0] + lines[:, 1] * palette.albedo.numpy()
-    own = own_irradiance(ball, light)
-    known = ball.diffuse
-    before = reflected(material, ball.moments(material.roughness), torch.zeros_like(known), ball.cos_v)
+    before = reflected(material, ball.moments(material.roughness), ball.diffuse, ball.cos_v)
     ball.unseen = light
     ball.update(None, torch.Generator())
-    after = reflected(material, ball.moments(material.roughness), own, ball.cos_v)
+    after = reflected(material, ball.moments(material.roughness), ball.diffuse, ball.cos_v)
     np.testing.assert_allclose(sent, (after - before)[rows].numpy(), rtol=2e-3, atol=2e-4)
-    mean = IrradianceMean(ball.points.position, ball.points.normal)(own)
-    np.testing.assert_allclose((ball.diffuse - known).numpy(), mean.numpy(), rtol=2e-3, atol=2e-4)
     other = np.random.default_rng(1).normal(size=lines.shape).astype(np.float32)
     levels = np.random.default_rng(2).normal(size=(len(pyramid(light.radiance)), 3)).astype(np.float32)
     assert (transport.sent(response, levels) * other).sum() == pytest.approx(
@@ -219,11 +206,9 @@ def test_reflections_reveal_a_lamp_that_no_photo_shows(ball, metallic):
     truth = lamp(16)
     ball.unseen = truth
     ball.update(None, torch.Generator())
-    moments = ball.moments(material.roughness)
+    target = reflected(material, ball.moments(material.roughness), ball.diffuse, ball.cos_v)
     ball.unseen = None
     ball.update(None, torch.Generator())
-    # The problem knows the irradiance from each point's own cones, with their noise.
-    target = reflected(material, moments, ball.diffuse + own_irradiance(ball, truth), ball.cos_v)
     wrong = replace(palette, albedo=torch.full((1, 3), 0.5))
     start = UnseenLight(16, 4.0, "cpu")
     fit = UnseenLightProblem(ball, 16, 4.0, label, target, torch.arange(4000), MaterialPreset()).solve(wrong, start, 150)
