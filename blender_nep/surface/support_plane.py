@@ -7,10 +7,10 @@ a table. A foot or a stand that leaves the sphere meets the rim upright; it is k
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 import trimesh
+
+from blender_nep.geometry.support import Support
 
 TOLERANCE = 0.03
 """A point up to this far from the plane counts as lying in it; in object radii."""
@@ -19,15 +19,7 @@ LEAST_SHARE = 0.6
 LEAST_RIM = 0.4
 """Smallest radius of the rim of a table, in object radii."""
 MARGIN = 0.02
-"""The object is cut this far above the plane, in object radii."""
-
-
-@dataclass
-class Support:
-    """A support plane: the points x with normal . x = height, in the unit frame. normal [3] points towards the object."""
-
-    normal: np.ndarray
-    height: float
+"""Up to this far above the plane, in object radii, the surface may be that of the support instead of the object."""
 
 
 def find_support(vertices: np.ndarray, faces: np.ndarray, border: float, seed: int = 0) -> Support | None:
