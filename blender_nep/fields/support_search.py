@@ -28,12 +28,18 @@ LOWEST, HIGHEST = -0.98, 0.2
 RINGS = (0.15, 0.5)
 """The plane is compared in rings of these widths around the object's sphere: a plate may end soon, and a plain table may
 show something only farther away."""
+REFINE_RING = 1.0
+"""The ring is so wide when the plane is refined: the wider, the better the tilt is known."""
+TILT_GAIN = 0.97
+"""By this factor the spread must fall before the plane is tilted against the upward direction of the cameras."""
 LEAST_CONTRAST = 1.3
 """By this factor the spread of the colors at the minimum must be below the spread REACH above and below it. Measured: 2.6
 for a patterned table; at most 1.04 for seven objects without one, with the photos from above only."""
 REACH = 0.08
-_POINTS, _VIEWS, _ROWS = 400, 40, 200
-"""Number of points of the ring, largest number of photos, and rows and columns to which the photos are resized."""
+_POINTS, _FINE_POINTS = 400, 1600
+"""Number of points of a ring: in the sweep, and when the plane is refined."""
+_VIEWS, _ROWS = 40, 200
+"""Largest number of photos that are compared, and the rows and columns to which they are resized."""
 
 
 @profiled("support plane")
@@ -52,28 +58,28 @@ def find_support_by_photos(rays: PixelRays) -> Support | None:
         return None
     photos = _Photos(rays)
     planes = [Support(up, float(height)) for height in np.arange(LOWEST, min(HIGHEST, lowest), STEP)]
-    best, contrast, width = max((_best_plane(photos, planes, width) for width in RINGS), key=lambda found: found[1])
+    best, contrast = max((_best_plane(photos, planes, width) for width in RINGS), key=lambda found: found[1])
     if contrast < LEAST_CONTRAST:
         return None
-    support = _refined(photos, best, width)
+    support = _refined(photos, best)
     return support if (cameras @ support.normal).min() > support.height else None
 
 
-def _best_plane(photos: _Photos, planes: list[Support], width: float) -> tuple[Support, float, float]:
-    """The plane with the sharpest minimum of the spread in a ring of `width`, its contrast, and the width.
+def _best_plane(photos: _Photos, planes: list[Support], width: float) -> tuple[Support, float]:
+    """The plane with the sharpest minimum of the spread in a ring of `width`, and its contrast.
 
     The contrast is how many times larger the spread of the same ring is REACH above and below the plane.
     """
-    found = np.pad([photos.spread(plane, plane.radius, width) for plane in planes], 1, constant_values=np.inf)
+    found = np.pad([photos.ring_spread(plane, plane.radius, width) for plane in planes], 1, constant_values=np.inf)
     minima = np.flatnonzero((found[1:-1] <= found[:-2]) & (found[1:-1] <= found[2:]) & np.isfinite(found[1:-1]))
     best, most = planes[0], 0.0
     for k in minima.tolist():
         plane = planes[k]
-        others = [photos.spread(Support(plane.normal, plane.height + d), plane.radius, width) for d in (-REACH, REACH)]
+        others = [photos.ring_spread(Support(plane.normal, plane.height + d), plane.radius, width) for d in (-REACH, REACH)]
         contrast = min(others) / max(found[k + 1], 1e-6)
         if contrast > most:
             best, most = plane, contrast
-    return best, most, width
+    return best, most
 
 
 def upward(rotations: np.ndarray) -> np.ndarray:
@@ -101,19 +107,18 @@ class _Photos:
             photos.append(functional.adaptive_avg_pool2d(photo, (_ROWS, _ROWS)))
         self.photos = torch.cat(photos)
 
-    def spread(self, support: Support, inner: float, width: float) -> float:
-        """Median over a ring of the median absolute difference of a point's colors from their median; inf if hardly seen.
-
-        The ring lies in the plane, between the radii `inner` and `inner` + `width`.
-        """
-        points = torch.from_numpy(ring(support, inner, width).astype(np.float32)).to(self.photos.device)
-        colors = self._colors(points)
+    def spread(self, points: np.ndarray) -> np.ndarray:
+        """Median absolute difference [n] of the colors of points [n, 3] from their medians; NaN where hardly seen."""
+        colors = self._colors(torch.from_numpy(points.astype(np.float32)).to(self.photos.device))
         seen = torch.isfinite(colors[..., 0]).sum(0) >= max(4, len(self.photos) // 4)
-        if seen.sum() < 0.2 * len(seen):
-            return float("inf")
-        colors = colors[:, seen]
         spread = (colors - colors.nanmedian(0).values).abs().nanmedian(0).values.mean(-1)
-        return float(spread.median())
+        return torch.where(seen, spread, torch.nan).double().cpu().numpy()
+
+    def ring_spread(self, support: Support, inner: float, width: float) -> float:
+        """Median spread of the points of a ring between the radii `inner` and `inner` + `width`; inf if hardly seen."""
+        spread = self.spread(ring(support, inner, width, _POINTS))
+        known = np.isfinite(spread)
+        return float(np.median(spread[known])) if known.mean() >= 0.2 else float("inf")
 
     def _colors(self, points: Tensor) -> Tensor:
         """Colors [views, n, 3] of points [n, 3]; NaN where a photo does not show the point."""
@@ -124,28 +129,52 @@ class _Photos:
         return torch.where(seen[..., None], colors, torch.nan)
 
 
-def ring(support: Support, inner: float, width: float) -> np.ndarray:
-    """Evenly spread points [n, 3] of the plane between the radii `inner` and `inner` + `width`: a Fibonacci spiral."""
-    k = np.arange(_POINTS) + 0.5
-    radius = np.sqrt(inner**2 + ((inner + width) ** 2 - inner**2) * k / _POINTS)
+def ring(support: Support, inner: float, width: float, count: int) -> np.ndarray:
+    """Evenly spread points [count, 3] of the plane between the radii `inner` and `inner` + `width`: a Fibonacci spiral."""
+    k = np.arange(count) + 0.5
+    radius = np.sqrt(inner**2 + ((inner + width) ** 2 - inner**2) * k / count)
     angle = np.pi * (1 + np.sqrt(5)) * k
     across, along = support.axes()
     points = radius[:, None] * (np.cos(angle)[:, None] * across + np.sin(angle)[:, None] * along)
     return points + support.height * np.asarray(support.normal)
 
 
-def _refined(photos: _Photos, start: Support, width: float) -> Support:
-    """The plane near `start` with the least spread, by the method of Nelder and Mead in height and tilt."""
+def _refined(photos: _Photos, start: Support) -> Support:
+    """The plane near `start` with the least spread. Its tilt changes only if that makes the spread clearly less."""
+    level, at_level = start, np.inf
+    for _ in range(2):
+        level, at_level = _moved(photos, level, tilts=False)
+    for _ in range(3):
+        tilted, at_tilted = _moved(photos, level, tilts=True)
+        if at_tilted >= TILT_GAIN * at_level:
+            break
+        level, at_level = tilted, at_tilted
+    return level
+
+
+def _moved(photos: _Photos, start: Support, tilts: bool) -> tuple[Support, float]:
+    """The plane near `start` with the least spread, by the method of Nelder and Mead in height and tilt, and the spread.
+
+    Only those points of a wide ring are compared that agree best at the start: so neither the object in front of the plane
+    nor what lies beyond its end disturbs. The points move along the normal of `start`.
+    """
+    points = ring(start, start.radius, REFINE_RING, _FINE_POINTS)
+    # a little above and below, too: else those would be chosen that agree with the start by chance
+    nearby = [photos.spread(points + rise * start.normal) for rise in (-0.5 * STEP, 0.0, 0.5 * STEP)]
+    spread = np.min(nearby, axis=0)
+    points = points[spread <= np.nanmedian(spread)]
     across, along = start.axes()
+    lever = np.stack([np.ones(len(points)), points @ across, points @ along], 1)[:, : 3 if tilts else 1]
 
-    def plane(x: np.ndarray) -> Support:
-        normal = start.normal + x[1] * across + x[2] * along
-        return Support(normal / np.linalg.norm(normal), float(x[0]))
+    def mean_spread(x: np.ndarray) -> float:
+        moved = photos.spread(points + (lever @ x)[:, None] * start.normal)
+        return float(np.nanmean(moved)) if np.isfinite(moved).any() else float("inf")
 
-    def spread(x: np.ndarray) -> float:
-        return photos.spread(plane(x), start.radius, width)
-
-    first = np.array([start.height, 0.0, 0.0])
-    simplex = first + np.array([[0, 0, 0], [0.5 * STEP, 0, 0], [0, 0.02, 0], [0, 0, 0.02]])
-    options = {"initial_simplex": simplex, "xatol": 5e-4, "fatol": 1e-6, "maxfev": 120}
-    return plane(minimize(spread, first, method="Nelder-Mead", options=options).x)
+    steps = np.array([0.5 * STEP, 0.02, 0.02])[: lever.shape[1]]
+    simplex = np.concatenate([np.zeros((1, len(steps))), np.diag(steps)])
+    options = {"initial_simplex": simplex, "xatol": 2e-4, "fatol": 1e-7, "maxfev": 80}
+    found = minimize(mean_spread, simplex[0], method="Nelder-Mead", options=options)
+    rise = np.pad(found.x, (0, 3 - len(steps)))
+    normal = start.normal - rise[1] * across - rise[2] * along
+    length = float(np.linalg.norm(normal))
+    return Support(normal / length, (start.height + float(rise[0])) / length), float(found.fun)
