@@ -23,7 +23,7 @@ from blender_nep.tone_mapping import tone_map
 
 STEP = 0.025
 """Step of the sweep over heights, in object radii."""
-LOWEST, HIGHEST = -0.98, 0.2
+LOWEST, HIGHEST = -0.98, -0.05
 """Range of heights of a support plane, from the sphere's centre."""
 RINGS = (0.15, 0.5)
 """The plane is compared in rings of these widths around the object's sphere: a plate may end soon, and a plain table may
@@ -70,13 +70,13 @@ def _best_plane(photos: _Photos, planes: list[Support], width: float) -> tuple[S
 
     The contrast is how many times larger the spread of the same ring is REACH above and below the plane.
     """
-    found = np.pad([photos.ring_spread(plane, plane.radius, width) for plane in planes], 1, constant_values=np.inf)
-    minima = np.flatnonzero((found[1:-1] <= found[:-2]) & (found[1:-1] <= found[2:]) & np.isfinite(found[1:-1]))
+    found = np.array([photos.ring_spread(plane, plane.radius, width) for plane in planes])
+    minima = 1 + np.flatnonzero((found[1:-1] <= found[:-2]) & (found[1:-1] <= found[2:]) & np.isfinite(found[1:-1]))
     best, most = planes[0], 0.0
     for k in minima.tolist():
         plane = planes[k]
         others = [photos.ring_spread(Support(plane.normal, plane.height + d), plane.radius, width) for d in (-REACH, REACH)]
-        contrast = min(others) / max(found[k + 1], 1e-6)
+        contrast = min(others) / max(found[k], 1e-6)
         if contrast > most:
             best, most = plane, contrast
     return best, most
