@@ -17,6 +17,7 @@ from torch import Tensor, nn
 from blender_nep.fields.encodings import positional_encoding
 from blender_nep.fields.object_field import SplineShape, SurfaceColor
 from blender_nep.fields.volume_rendering import SurfaceSamples, neus_weights, sphere_interval
+from blender_nep.geometry.support import Support
 
 OCTAVES = 6
 LAYERS, WIDTH = 8, 256
@@ -58,6 +59,13 @@ class ReferenceField(SurfaceColor):
         nn.init.constant_(last.bias, -initial_radius)
         self.layers.append(nn.utils.parametrizations.weight_norm(last))
         self.activation = nn.Softplus(beta=100)
+
+    support: Support | None = None
+    """The plane on which the object stands, if the photos show one"""
+
+    def interval(self, origins: Tensor, directions: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """Where rays [n, 3] can meet the object: see `SplineShape.interval`."""
+        return SplineShape(self.layers[-1].bias, self.support).interval(origins, directions)
 
     def shape(self) -> ReferenceField:
         """The SDF as it is now: this field itself."""

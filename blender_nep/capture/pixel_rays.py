@@ -135,6 +135,10 @@ class PixelRays:
         omega = cosine**3 / (fl_x * fl_y)
         return self._origin[view], direction, 2 * torch.asin(torch.sqrt(omega / (4 * math.pi)))
 
+    def camera(self, view: int) -> tuple[Tensor, Tensor]:
+        """Position [3] (unit frame) and camera-to-world rotation [3, 3] of a view."""
+        return self._origin[view], self._rotation[view]
+
     def project(self, view: int, points: Tensor) -> tuple[Tensor, Tensor]:
         """Image coordinates [n, 2] of points [n, 3] (unit frame) in a view, and whether they lie in front of it [n] bool.
 

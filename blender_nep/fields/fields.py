@@ -8,6 +8,7 @@ import torch
 
 from blender_nep.fields.environment_field import EnvironmentField
 from blender_nep.fields.object_field import ObjectField
+from blender_nep.geometry.support import Support
 from blender_nep.presets import Preset
 
 
@@ -63,26 +64,31 @@ class Fields:
     environment: EnvironmentField
     report: dict
     """The report for report.json"""
+    support: Support | None = None
+    """The plane on which the object stands, if the photos show one"""
 
     def state(self) -> dict:
         """The result as a dict of tensors and numbers, as it is saved on the disk."""
         objects = None
         if self.object_field is not None:
             objects = {"levels": self.object_field.level_count, "weights": self.object_field.state_dict()}
-        return {"object": objects, "environment": self.environment.state_dict(), "report": self.report}
+        support = None if self.support is None else self.support.state()
+        return {"object": objects, "environment": self.environment.state_dict(), "report": self.report, "support": support}
 
     @classmethod
     def from_state(cls, state: dict, preset: Preset, device: torch.device) -> Fields:
         """The inverse of `state`."""
         environment = EnvironmentField(preset.environment).to(device)
         environment.load_state_dict(state["environment"])
+        support = None if state["support"] is None else Support.from_state(state["support"])
         field = None
         if state["object"] is not None:
             field = new_object_field(preset, device)
             for _ in range(state["object"]["levels"] - 1):
                 field.add_level()
             field.load_state_dict(state["object"]["weights"])
-        return cls(field, environment, state["report"])
+            field.support = support
+        return cls(field, environment, state["report"], support)
 
 
 def new_object_field(preset: Preset, device: torch.device) -> ObjectField:

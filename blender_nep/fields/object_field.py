@@ -16,6 +16,7 @@ from torch import nn
 from blender_nep.fields.encodings import encoding_size, integrated_directional_encoding, positional_encoding
 from blender_nep.fields.optimiser import UniformAdam
 from blender_nep.fields.volume_rendering import SurfaceSamples, render_surface, sphere_interval
+from blender_nep.geometry.support import Support
 from blender_nep.ops import bspline
 
 FEATURES = 16
@@ -82,6 +83,23 @@ class SplineShape:
     """The SDF in its present state. All questions of a step use the same coefficients [N, N, N], which are summed once."""
 
     coefficients: torch.Tensor
+    support: Support | None = None
+    """The plane on which the object stands. It hides what the SDF is below it."""
+
+    def interval(self, origins: torch.Tensor, directions: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+        """Where rays [n, 3] are in the part of the unit sphere that can hold the object.
+
+        Returns the distances [n] at which they enter and leave that part (equal where they miss it), and whether they leave
+        it through the support plane [n] bool.
+        """
+        entry, leave = sphere_interval(origins, directions)
+        if self.support is None:
+            return entry, leave, torch.zeros_like(entry, dtype=torch.bool)
+        normal = torch.as_tensor(self.support.normal, dtype=origins.dtype, device=origins.device)
+        cosine = directions @ normal
+        t = (self.support.height - origins @ normal) / cosine.clamp(max=-1e-6)
+        meets = (cosine < -1e-6) & (leave > entry) & (t < leave)
+        return entry, torch.where(meets, torch.maximum(t, entry), leave), meets & (t > entry)
 
     def render(
         self,
@@ -92,7 +110,8 @@ class SplineShape:
         generator: torch.Generator | None,
     ) -> SurfaceSamples:
         """The surface composited along rays [n, 3]. Rays that meet no surface are left out. See `render_surface`."""
-        return render_surface(self.coefficients, origins, directions, sharpness, samples, generator)
+        interval = self.interval(origins, directions)[:2]
+        return render_surface(self.coefficients, origins, directions, sharpness, samples, generator, interval)
 
     def bending(self, points: torch.Tensor) -> torch.Tensor:
         """Squared norm [n] of the SDF's Hessian at points [n, 3]. The points get no gradient."""
@@ -101,7 +120,7 @@ class SplineShape:
 
     def near(self, origins: torch.Tensor, directions: torch.Tensor, band: float) -> torch.Tensor:
         """Whether each ray [n, 3] comes nearer to the surface than `band` (unit frame): [n] bool."""
-        entry, leave = sphere_interval(origins, directions)
+        entry, leave, _ = self.interval(origins, directions)
         return bspline.march(self.coefficients, origins, directions, entry, leave, band, 0.5 * band)[1] > 0
 
 
@@ -116,6 +135,8 @@ class ObjectField(SurfaceColor):
         centre = (torch.arange(cells + 2) - 0.5) / cells * 2 - 1
         x, y, z = torch.meshgrid(centre, centre, centre, indexing="ij")
         self.levels = nn.ParameterList([nn.Parameter((x * x + y * y + z * z).sqrt() - initial_radius)])
+        self.support: Support | None = None
+        """The plane on which the object stands, if the photos show one."""
 
     @property
     def level_count(self) -> int:
@@ -124,7 +145,7 @@ class ObjectField(SurfaceColor):
 
     def shape(self) -> SplineShape:
         """The SDF in its present state."""
-        return SplineShape(self.coefficients())
+        return SplineShape(self.coefficients(), self.support)
 
     def shape_optimiser(self, rate: float, betas: tuple[float, float]) -> torch.optim.Optimizer:
         """Adam with one step size for each level, for the present parameters of the SDF."""

@@ -1,6 +1,9 @@
 """Renders rays through both fields: the environment in front of the object, the object, the environment behind it.
 
 The border between the fields is the unit sphere. A ray that misses the sphere is rendered by F_e alone.
+
+If the object stands on a support plane, the part of the plane in the sphere is opaque. Its color comes from F_o's color
+heads, as that of the object's surface. A ray that meets the plane before the sphere is rendered by F_e alone.
 """
 
 from __future__ import annotations
@@ -12,8 +15,7 @@ from torch import Tensor
 from torch.nn import functional
 
 from blender_nep.fields.environment_field import EnvironmentField
-from blender_nep.fields.object_field import Appearance, ObjectField
-from blender_nep.fields.volume_rendering import sphere_interval
+from blender_nep.fields.object_field import Appearance, ObjectField, SplineShape
 from blender_nep.presets import FieldsPreset
 from blender_nep.profiling import profiled, section
 from blender_nep.tone_mapping import tone_map
@@ -66,7 +68,7 @@ class Rendering:
 
 @dataclass(frozen=True)
 class SphereHits:
-    """The points at which n rays enter and leave the object's sphere."""
+    """The points at which n rays enter and leave the object's sphere, or the part of it above the support plane."""
 
     entry: Tensor
     """[n] distances along the rays"""
@@ -74,12 +76,14 @@ class SphereHits:
     """[n] distances along the rays; equal to `entry` where a ray misses the sphere"""
     rays: Tensor
     """[m] int64: indices of the rays that meet the sphere"""
+    on_support: Tensor
+    """[n] bool: whether the rays leave through the support plane"""
 
     @classmethod
-    def of(cls, rays: RayBundle) -> SphereHits:
-        """The hits of the rays with the unit sphere."""
-        entry, leave = sphere_interval(rays.origins, rays.directions)
-        return cls(entry, leave, (leave > entry).nonzero()[:, 0])
+    def of(cls, rays: RayBundle, shape: SplineShape) -> SphereHits:
+        """The hits of the rays with the unit sphere and the support plane."""
+        entry, leave, on_support = shape.interval(rays.origins, rays.directions)
+        return cls(entry, leave, (leave > entry).nonzero()[:, 0], on_support)
 
 
 @dataclass(frozen=True)
@@ -128,9 +132,9 @@ class FieldsRenderer:
     def render(self, rays: RayBundle, settings: RenderSettings, generator: torch.Generator | None) -> Rendering:
         """Render rays, whether they meet the sphere or not. With a generator (for learning), samples are jittered."""
         p, n, device = self.preset, len(rays), rays.origins.device
-        hits = SphereHits.of(rays)
-        meets = hits.rays
         shape = self.object_field.shape()
+        hits = SphereHits.of(rays, shape)
+        meets = hits.rays
         surface = shape.render(rays.origins[meets], rays.directions[meets], settings.sharpness, settings.samples, generator)
         ray = meets[surface.ray]
         # 1e-6: if the samples' gradients cancel out, the mean gradient is 0
@@ -140,10 +144,15 @@ class FieldsRenderer:
         opacity = surface.opacity.clamp(max=1)
         clear = torch.ones(len(meets), device=device).index_add(0, surface.ray, -opacity)
         behind = (clear.detach() > p.transmittance_limit).nonzero()[:, 0]
+        on_support = hits.on_support[meets[behind]]
+        below, behind = behind[on_support], behind[~on_support]
         parts = self._render_environment(rays, hits, meets[behind], settings, generator)
         inside = torch.zeros(len(meets), 3, device=device)
         inside = inside.index_add(0, surface.ray, opacity[:, None] * appearance.color)
         inside = inside.index_add(0, behind, clear[behind, None] * parts.back)
+        if len(below):
+            support = self._support_color(rays[meets[below]], hits.leave[meets[below]])
+            inside = inside.index_add(0, below, clear[below, None] * support)
         radiance = parts.front.index_add(0, meets, parts.transmittance[meets, None] * inside)
         opacities = torch.zeros(n, device=device).index_add(0, ray, opacity)
         w_s = dynamic_weight(appearance, p.dynamic_weight if p.decomposition else "none", p.dynamic_weight_cap)
@@ -153,6 +162,13 @@ class FieldsRenderer:
         with section("curvature"):
             curvature = (shape.bending(surface.point) + 1).sqrt().mean() if len(ray) and p.curvature > 0 else nothing
         return Rendering(radiance, opacities, weight, eikonal, curvature, parts.foreground_opacity)
+
+    def _support_color(self, rays: RayBundle, distance: Tensor) -> Tensor:
+        """Radiance [n, 3] of the support plane that rays [n] meet at distances [n]."""
+        assert self.object_field.support is not None, "a ray has met the support plane"
+        point = rays.origins + distance[:, None] * rays.directions
+        normal = torch.as_tensor(self.object_field.support.normal, dtype=point.dtype, device=point.device)
+        return self.object_field.appearance(point, normal.expand_as(point), rays.directions).color
 
     def _render_environment(
         self,

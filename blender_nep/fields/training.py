@@ -26,10 +26,13 @@ from blender_nep.fields.object_field import ObjectField
 from blender_nep.fields.object_pixels import draw_pixels, find_object_pixels, held_out_pixels
 from blender_nep.fields.rendering import FieldsRenderer, RayBundle, Rendering, RenderSettings
 from blender_nep.fields.schedule import Schedule
+from blender_nep.fields.support_search import find_support_by_photos
+from blender_nep.fields.support_start import with_closed_foot
 from blender_nep.fields.visual_hull import background_silhouettes, carve, mask_silhouettes
 from blender_nep.fields.volume_rendering import BAND
 from blender_nep.geometry.mesh import Surface
 from blender_nep.geometry.ray_tracing import RayTracer
+from blender_nep.geometry.support import Support
 from blender_nep.messages import Message, Part
 from blender_nep.presets import Preset
 from blender_nep.profiling import profiled, section
@@ -236,7 +239,10 @@ class FieldsLearning:
         if hull is None or hull.contrast < self.preset.least_contrast:
             return
         self.hull = HullReport(hull.volume, hull.contrast)
-        self.object_field.start_from(torch.from_numpy(hull.sdf).to(self.generator.device))
+        sdf, support = hull.sdf, self.object_field.support
+        if support is not None:
+            sdf = with_closed_foot(sdf, support)
+        self.object_field.start_from(torch.from_numpy(sdf).to(self.generator.device))
         self.schedule.start_from_hull()
 
     def update_object_pixels(self) -> None:
@@ -285,6 +291,7 @@ class FieldsLearning:
             "validation_pixels": self.validation_pixels,
             "hull": None if self.hull is None else {"volume": self.hull.volume, "contrast": self.hull.contrast},
             "monitor": self.monitor.state(),
+            "support": None if self.object_field.support is None else self.object_field.support.state(),
         }
 
     def load(self, state: dict) -> None:
@@ -301,6 +308,7 @@ class FieldsLearning:
         self.validation_pixels = state["validation_pixels"].to(device)
         self.hull = None if state["hull"] is None else HullReport(**state["hull"])
         self.monitor.load(state["monitor"])
+        self.object_field.support = None if state["support"] is None else Support.from_state(state["support"])
 
 
 def learn_fields(
@@ -328,11 +336,13 @@ def learn_fields(
             rays, background, preset.environment, seed=seed, device=device, progress=progress, checkpoint=checkpoint
         )
         skipped = {"skipped": {str(Part.OBJECT_FIELD): Message("reason.mesh_given").state()}}
-        return Fields(None, environment, {**skipped, **report.as_dict()})
+        return Fields(None, environment, {**skipped, **report.as_dict()}, find_support_by_photos(rays))
     learning = FieldsLearning(rays, preset, seed, device, object_field)
     state = checkpoint.load()
     if state is not None:
         learning.load(state)
+    else:
+        learning.object_field.support = find_support_by_photos(rays)
     while learning.fraction < 1:
         loss = learning.learn_step()
         progress(learning.step, learning.steps, loss)
@@ -342,7 +352,8 @@ def learn_fields(
     ratio = learning.explanation_ratio()
     require_object(ratio, preset.fields.least_explanation_ratio)
     environment_training.freeze(learning.environment, rays, rays.outside if len(rays.outside) else rays.sphere, seed)
-    return Fields(learning.object_field, learning.environment, learning.report(ratio).as_dict())
+    field = learning.object_field
+    return Fields(field, learning.environment, learning.report(ratio).as_dict(), field.support)
 
 
 def _pixels_beside(surface: Surface, rays: PixelRays, chunk: int = 1 << 18) -> PixelSet:

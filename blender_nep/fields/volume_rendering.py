@@ -81,12 +81,14 @@ def render_surface(
     sharpness: float,
     samples: int,
     generator: torch.Generator | None,
+    interval: tuple[torch.Tensor, torch.Tensor] | None = None,
 ) -> SurfaceSamples:
     """Composite the SDF's surface along rays [n, 3]. Rays that meet no surface are left out of the result.
 
-    Samples are placed only where the surface can be: in the band |sharpness * sdf| < BAND, which marching finds.
+    Samples are placed only where the surface can be: in the band |sharpness * sdf| < BAND, which marching finds. `interval`
+    are the distances [n] between which the surface is looked for; by default, those between which a ray is in the sphere.
     """
-    entry, leave = sphere_interval(origins, directions)
+    entry, leave = interval or sphere_interval(origins, directions)
     step = max(0.5 * 2.0 / (coefficients.shape[0] - 2), 0.25 * BAND / sharpness)
     with section("march"):
         spans, count = bspline.march(coefficients, origins, directions, entry, leave, BAND / sharpness, step)

@@ -185,7 +185,13 @@ class Job:
         plan = shape.plan(preset)
         self._scene.add("surface", shape, plan)
         materials_input = MaterialsInput(
-            surface.surface, fields.environment, rays, plan.preset.material, s.seed, prepared.device
+            surface.surface,
+            fields.environment,
+            rays,
+            plan.preset.material,
+            s.seed,
+            prepared.device,
+            surface.support or fields.support,
         )
         materials = self._enter(self._stages.materials, materials_input, folder)
         self._tell_of_materials(MaterialsReportView.of(materials.report), plan)

@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from blender_nep.fields.object_field import ObjectField
     from blender_nep.fields.training import Fields, FieldsLearning
     from blender_nep.geometry.mesh import Surface
+    from blender_nep.geometry.support import Support
     from blender_nep.materials.training import Materials
     from blender_nep.presets import MaterialPreset, Preset, SurfacePreset
 
@@ -123,6 +124,14 @@ class SurfaceResult:
     surface: Surface
     report: dict = field(default_factory=dict)
 
+    @property
+    def support(self) -> Support | None:
+        """The plane on which the object stands and at which the mesh is cut; None without one."""
+        from blender_nep.geometry.support import Support
+
+        found = self.report.get("cut_support_plane")
+        return None if found is None else Support.from_state(found)
+
 
 class SurfaceStage:
     """Makes the mesh: extracts it from the object field, or reads the mesh that was given (--mesh)."""
@@ -162,6 +171,8 @@ class MaterialsInput:
     preset: MaterialPreset
     seed: int
     device: torch.device
+    support: Support | None = None
+    """The plane on which the object stands"""
 
 
 class MaterialsStage:
@@ -184,6 +195,7 @@ class MaterialsStage:
             device=given.device,
             progress=progress,
             checkpoint=checkpoint,
+            support=given.support,
         )
 
     def pack(self, result: Materials) -> dict:

@@ -27,11 +27,13 @@ from blender_nep.materials.training_report import MaterialReport, TrainingProgre
 from blender_nep.materials.unseen_light_training import learn_unseen_light
 from blender_nep.messages import Message, Part
 from blender_nep.shading.incoming_light import IncomingLight
+from blender_nep.shading.support_light import SupportLight
 from blender_nep.shading.unseen_light import UnseenLight
 
 if TYPE_CHECKING:
     from blender_nep.capture.pixel_rays import PixelRays
     from blender_nep.fields.environment_field import EnvironmentField
+    from blender_nep.geometry.support import Support
     from blender_nep.presets import MaterialPreset
 
 
@@ -67,8 +69,9 @@ def learn_materials(
     device: torch.device | str,
     progress: Callable,
     checkpoint,
+    support: Support | None = None,
 ) -> Materials:
-    """Learn the textures of the surface. Raises LearningError and Stopped.
+    """Learn the textures of the surface, which stands on the plane `support`. Raises LearningError and Stopped.
 
     LearningError: no photo shows the surface well enough, or the textures are not finite. A resumed run goes on from the
     gathered light if that was saved, and ends with the same textures.
@@ -76,6 +79,8 @@ def learn_materials(
     device, start = torch.device(device), time.monotonic()
     generator = torch.Generator().manual_seed(seed)
     seen = Observations.of(surface, environment, rays, preset, seed, device)
+    if support is not None:
+        seen.f_p.support_light = SupportLight.of(support, rays, seen.f_p.tracer)
     report = MaterialReport(samples=len(seen.samples), left_out=seen.samples.skipped)
     steps = TrainingProgress(progress, checkpoint, report.seconds, start)
     steps.phase_ended("select")

@@ -18,6 +18,7 @@ from torch import Tensor, nn
 from blender_nep.geometry.ray_tracing import RayTracer
 from blender_nep.shading import brdf
 from blender_nep.shading.cones import diffuse_cones, specular_cones
+from blender_nep.shading.support_light import SupportLight
 from blender_nep.shading.unseen_light import UnseenLight
 
 _CHUNK = 1 << 16
@@ -152,6 +153,8 @@ class PlenopticFunction:
         self.device = torch.device(device)
         self.unseen: UnseenLight | None = None
         """Light that no photo shows. None until it is learned."""
+        self.support_light: SupportLight | None = None
+        """The light of the plane on which the object stands. None if it stands on none."""
 
     def points(self, face: np.ndarray, barycentric: np.ndarray, view: Tensor) -> SurfacePoints:
         """Surface points from hits of the ray tracer, face [n] and barycentric [n, 3]; view [n, 3] points to the eye."""
@@ -178,12 +181,22 @@ class PlenopticFunction:
         if not self.settings.use_cones:
             half_angle = torch.full_like(half_angle, 2e-3)
         for index in free.split(_CHUNK):
-            radiance[index], coverage[index] = self.environment.query_cone(
+            radiance[index], coverage[index] = self._surroundings(
                 start.position[index], directions[index], half_angle[index]
             )
         row = torch.from_numpy(np.flatnonzero(hit)).to(self.device)
         hits = self.points(face[hit], barycentric[hit], -directions[row])
         return TraceResult(radiance.clamp_min(0), coverage.clamp(0, 1), row, hits)
+
+    def _surroundings(self, origins: Tensor, directions: Tensor, half_angle: Tensor) -> tuple[Tensor, Tensor]:
+        """Mean radiance [n, 3] and coverage [n] of cones that leave the object: of the support plane, or of F_e."""
+        if self.support_light is None:
+            return self.environment.query_cone(origins, directions, half_angle)
+        radiance, meets = self.support_light.query_cone(origins, directions, half_angle)
+        coverage = torch.ones_like(radiance[:, 0])
+        far = (~meets).nonzero()[:, 0]
+        radiance[far], coverage[far] = self.environment.query_cone(origins[far], directions[far], half_angle[far])
+        return radiance, coverage
 
     @torch.no_grad()
     def outgoing(

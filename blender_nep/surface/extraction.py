@@ -8,12 +8,14 @@ import fast_simplification
 import numpy as np
 import torch
 import trimesh
+from scipy.ndimage import map_coordinates
 from skimage import measure
 
 from blender_nep.errors import LearningError
 from blender_nep.geometry.mesh import Surface, area_normals, normalized, weld
+from blender_nep.geometry.support import Support
 from blender_nep.profiling import profiled, section
-from blender_nep.surface.support_plane import MARGIN, Support, find_support
+from blender_nep.surface.support_plane import MARGIN, find_support
 from blender_nep.surface.unwrap import unwrap
 
 if TYPE_CHECKING:
@@ -27,17 +29,21 @@ _BORDER = 0.995
 def extract_surface(object_field: ObjectField, preset: SurfacePreset) -> tuple[Surface, dict]:
     """Make one clean, decimated, unwrapped mesh of the SDF's zero level inside the unit sphere. Also returns a report.
 
+    An object on a support plane is cut off there, and its foot is closed flat. The plane is the object field's, if the
+    photos showed one; else it is looked for in the mesh.
+
     Raises LearningError when the field has no surface in the sphere, or is not finite.
     """
+    known = object_field.support
     with section("SDF grid"):
         sdf = object_field.sdf_grid(preset.grid)
-    vertices, faces = zero_level(sdf)
-    support = find_support(vertices, faces, _BORDER)
-    if support is not None:
+    vertices, faces = zero_level(sdf if known is None else _above(sdf, known))
+    support = known or find_support(vertices, faces, _BORDER)
+    if support is not None and known is None:
         vertices, faces = zero_level(_above(sdf, support))
     vertices, faces, report = keep_object(vertices, faces)
     if support is not None:
-        report["cut_support_plane"] = {"normal": support.normal.round(3).tolist(), "height": round(support.height, 4)}
+        report["cut_support_plane"] = support.state()
     report["faces_marching_cubes"] = len(faces)
     if len(faces) > preset.faces:
         vertices, faces = _decimate(vertices, faces, preset.faces)
@@ -106,11 +112,26 @@ def zero_level(sdf: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _above(sdf: np.ndarray, support: Support) -> np.ndarray:
-    """The SDF [n, n, n] intersected with the half-space that begins MARGIN above a support plane."""
-    axis = np.linspace(-1, 1, sdf.shape[0], dtype=np.float32)
+    """The SDF [n, n, n] of the object alone, which stands on a support plane and ends there with a flat foot.
+
+    Within MARGIN above the plane the SDF may also hold the support, with a fillet to the object. So there it is extrapolated
+    linearly, along the plane's normal, from the two layers at MARGIN and at twice MARGIN.
+    """
+    n = sdf.shape[0]
+    axis = np.linspace(-1, 1, n, dtype=np.float32)
     x, y, z = (np.float32(c) * axis for c in support.normal)
-    below = support.height + MARGIN - (x[:, None, None] + y[None, :, None] + z[None, None, :])
-    return np.maximum(sdf, below.astype(np.float32))
+    height = x[:, None, None] + y[None, :, None] + z[None, None, :] - np.float32(support.height)
+    alone = sdf.astype(np.float32, copy=True)
+    low = np.nonzero(height < MARGIN)
+    points = np.stack([axis[i] for i in low], 1)
+    rise = (MARGIN - height[low])[:, None] * support.normal
+    first, second = (
+        map_coordinates(sdf, ((points + rise + k * MARGIN * support.normal).T + 1) * (n - 1) / 2, order=1, mode="nearest")
+        for k in (0, 1)
+    )
+    slope = np.clip((first - second) / MARGIN, -1, 1)
+    alone[low] = first + slope * (MARGIN - height[low]).clip(0, MARGIN)
+    return np.maximum(alone, -height)
 
 
 @profiled("decimation")

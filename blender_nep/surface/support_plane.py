@@ -7,10 +7,10 @@ a table. A foot or a stand that leaves the sphere meets the rim upright; it is k
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 import trimesh
+
+from blender_nep.geometry.support import Support
 
 TOLERANCE = 0.03
 """A point up to this far from the plane counts as lying in it; in object radii."""
@@ -19,15 +19,7 @@ LEAST_SHARE = 0.6
 LEAST_RIM = 0.4
 """Smallest radius of the rim of a table, in object radii."""
 MARGIN = 0.02
-"""The object is cut this far above the plane, in object radii."""
-
-
-@dataclass
-class Support:
-    """A support plane: the points x with normal . x = height, in the unit frame. normal [3] points towards the object."""
-
-    normal: np.ndarray
-    height: float
+"""Up to this far above the plane, in object radii, the surface may be that of the support instead of the object."""
 
 
 def find_support(vertices: np.ndarray, faces: np.ndarray, border: float, seed: int = 0) -> Support | None:
@@ -40,17 +32,18 @@ def find_support(vertices: np.ndarray, faces: np.ndarray, border: float, seed: i
     plane = _fit(rim, np.random.default_rng(seed))
     if plane is None:
         return None
-    normal, height = plane.normal, plane.height
-    if np.sqrt(max(border**2 - height**2, 0.0)) < LEAST_RIM:
+    if np.sqrt(max(border**2 - plane.height**2, 0.0)) < LEAST_RIM:
         return None
     mesh = trimesh.Trimesh(vertices, faces, process=False)
     near = ~cap & (radius[faces].mean(1) > 0.85 * border)
     area = mesh.area_faces[near]
-    flat = np.abs(mesh.triangles_center[near] @ normal - height) < TOLERANCE
-    up = mesh.face_normals[near] @ normal
-    if area.sum() == 0 or (area * (flat & (up > 0.8))).sum() < LEAST_SHARE * area.sum():
+    centre = mesh.triangles_center[near]
+    flat = (np.abs(plane.distance(centre)) < TOLERANCE) & (mesh.face_normals[near] @ plane.normal > 0.8)
+    if area.sum() == 0 or area[flat].sum() < LEAST_SHARE * area.sum():
         return None
-    return plane
+    # the rim is rounded, and so a little lower than the table: the faces beside it tell the height
+    level = (mesh.face_normals[near] @ plane.normal > 0.98) & flat
+    return _plane_through(centre[level]) if level.sum() >= 3 else plane
 
 
 def _fit(points: np.ndarray, rng: np.random.Generator, tries: int = 200) -> Support | None:
@@ -73,7 +66,12 @@ def _fit(points: np.ndarray, rng: np.random.Generator, tries: int = 200) -> Supp
             best, most = inside, inside.sum()
     if best is None or most < LEAST_SHARE * len(points):
         return None
-    centre = points[best].mean(0)
-    normal = np.linalg.svd(points[best] - centre, full_matrices=False)[2][2]
+    return _plane_through(points[best])
+
+
+def _plane_through(points: np.ndarray) -> Support:
+    """The plane nearest to points [n, 3] in the least-squares sense. Its normal points towards the origin (height <= 0)."""
+    centre = points.mean(0)
+    normal = np.linalg.svd(points - centre, full_matrices=False)[2][2]
     height = float(normal @ centre)
     return Support(-normal, -height) if height > 0 else Support(normal, height)

@@ -3,6 +3,7 @@
 import math
 from dataclasses import replace
 
+import numpy as np
 import pytest
 import torch
 
@@ -10,6 +11,7 @@ from blender_nep.fields.environment_field import EnvironmentField
 from blender_nep.fields.fields import new_object_field
 from blender_nep.fields.object_field import Appearance
 from blender_nep.fields.rendering import FieldsRenderer, RayBundle, RenderSettings, dynamic_weight
+from blender_nep.geometry.support import Support
 from blender_nep.presets import Preset
 from support.brief_preset import brief_preset
 
@@ -39,6 +41,25 @@ def test_dynamic_weight_is_equation_4_and_passes_no_gradient():
     assert (dynamic_weight(appearance, "none", cap=1.5) == 1).all()
     scaled = dynamic_weight(appearance, "scaled", cap=1.5)
     assert scaled[0] > scaled[1], "where the color is the albedo, the pixel counts more"
+
+
+def test_a_support_plane_ends_rays_in_the_sphere_and_hides_what_the_sdf_is_below_it():
+    fields, seen = renderer(brief_preset()), rays([0.0, 0.8, 1.5])
+    above = fields.render(seen, SHARP, None)
+    fields.object_field.support = Support(np.array([0.0, 0.0, 1.0]), -0.3)
+    out = fields.render(seen, SHARP, None)
+    torch.testing.assert_close(out.radiance[[0, 2]], above.radiance[[0, 2]])
+    color = fields.object_field.appearance(
+        torch.tensor([[0.8, 0.0, -0.3]]), torch.tensor([[0.0, 0.0, 1.0]]), seen.directions[:1]
+    ).color
+    before, clear = fields.environment.render(
+        seen.origins[1:2], seen.directions[1:2], torch.tensor([0.6]), torch.tensor([2.4])
+    )
+    torch.testing.assert_close(out.radiance[1:2], before + clear[:, None] * color)
+    torch.testing.assert_close(out.opacity[1], torch.tensor(0.0), atol=1e-3, rtol=0)
+    fields.object_field.support = Support(np.array([0.0, 0.0, 1.0]), 0.7)
+    hidden = fields.render(seen, SHARP, None)
+    torch.testing.assert_close(hidden.opacity, torch.zeros(3), atol=1e-3, rtol=0)
 
 
 def test_a_ray_sees_the_environment_the_object_or_both():

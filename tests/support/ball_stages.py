@@ -32,7 +32,7 @@ class BallFields(FieldsStage):
         return {"report": result.report}
 
     def unpack(self, state, given):
-        return SimpleNamespace(object_field="ball", environment=GreyLight(), report=state["report"])
+        return SimpleNamespace(object_field="ball", environment=GreyLight(), support=None, report=state["report"])
 
 
 class BallSurface(SurfaceStage):
@@ -86,7 +86,7 @@ class BallStages(Stages):
         if self.fail is not None:
             raise self.fail
         report = {"loss": 0.1, "skipped": {str(Part.VOTES): WHY.state()}}
-        return SimpleNamespace(object_field="ball", environment=GreyLight(), report=report)
+        return SimpleNamespace(object_field="ball", environment=GreyLight(), support=None, report=report)
 
     def learn_materials(self, given, progress, checkpoint):
         self._loop("material_learning", progress, checkpoint)

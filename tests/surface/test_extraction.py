@@ -23,6 +23,7 @@ class AnalyticField(torch.nn.Module):
         super().__init__()
         self.function = function
         self.anchor = torch.nn.Parameter(torch.zeros(1))
+        self.support = None
 
     def sdf(self, points):
         return self.function(points)

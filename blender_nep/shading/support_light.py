@@ -1,0 +1,149 @@
+"""The light of the support plane in the object's sphere: what the object sees of the table on which it stands.
+
+F_e knows the table from the unit sphere outwards. The disc of the table inside the sphere is neither F_e nor object. Photos
+show it, with the object's shadow on it. Each texel of the disc takes the median of its colors in the photos that see it past
+the object. The texture is prefiltered, so that cones of any width can be queried (mipmaps, Williams 1983).
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+import torch
+from torch import Tensor
+from torch.nn import functional
+
+from blender_nep.geometry.ray_tracing import RayTracer
+from blender_nep.geometry.support import Support
+from blender_nep.profiling import profiled
+
+if TYPE_CHECKING:
+    from blender_nep.capture.pixel_rays import PixelRays
+
+TEXELS = 128
+"""Texels along each side of the square that is textured."""
+SIDE = 1.2
+"""The square's half side, in radii of the disc. It is larger than the disc, because wide cones reach beyond the rim."""
+LEAST_PHOTOS = 3
+"""A texel that fewer photos show takes the color of the texels around it."""
+LEAST_COSINE = 0.1
+"""Smallest cosine between the plane's normal and the direction to the camera; other photos show the texel too blurred."""
+MOST_PHOTOS = 80
+"""Largest number of photos that are used. This bounds the memory."""
+
+
+class SupportLight:
+    """The prefiltered radiance of the support plane in the unit sphere."""
+
+    def __init__(self, support: Support, radiance: Tensor) -> None:
+        """radiance [T, T, 3], linear; T is a power of two. Row 0 and column 0 lie at the negative ends of the axes."""
+        device = radiance.device
+        self.support, self.side = support, SIDE * support.radius
+        self.normal, self.across, self.along = (
+            torch.as_tensor(axis, dtype=torch.float32, device=device) for axis in (support.normal, *support.axes())
+        )
+        level = radiance.permute(2, 0, 1)[None]
+        self.levels = [level]
+        while level.shape[-1] > 1:
+            level = functional.avg_pool2d(level, 2)
+            self.levels.append(level)
+
+    @classmethod
+    @profiled("support light")
+    def of(cls, support: Support, rays: PixelRays, tracer: RayTracer) -> SupportLight | None:
+        """The light of the plane as the photos show it. None if the plane misses the sphere, or if no photo shows the disc.
+
+        The object's mesh in `tracer` tells which photos see a texel.
+        """
+        if support.radius == 0:
+            return None
+        points = _texel_centres(support)
+        colors = []
+        for view in range(0, rays.views, max(1, -(-rays.views // MOST_PHOTOS))):
+            colors.append(_colors_in(view, rays, points, support, tracer))
+        shown = torch.stack(colors)
+        seen = torch.isfinite(shown[..., 0]).sum(0) >= LEAST_PHOTOS
+        if not seen.any():
+            return None
+        median = shown.nanmedian(0).values
+        grid = torch.where(seen[:, None], median, 0).reshape(TEXELS, TEXELS, 3)
+        return cls(support, filled(grid, seen.reshape(TEXELS, TEXELS)))
+
+    def query_cone(self, origins: Tensor, directions: Tensor, half_angle: Tensor) -> tuple[Tensor, Tensor]:
+        """Mean radiance [n, 3] of the plane in cones of half_angle [n] radians, and which meet it in the sphere [n] bool.
+
+        origins [n, 3] lie in the unit sphere. The radiance is 0 for the other cones.
+        """
+        cosine = -(directions @ self.normal)
+        height = origins @ self.normal - self.support.height
+        t = height.clamp_min(0) / cosine.clamp_min(1e-6)
+        point = origins + t[:, None] * directions
+        meets = (cosine > 1e-6) & (height > -1e-3) & (point.square().sum(-1) < 1)
+        radiance = torch.zeros_like(origins)
+        row = meets.nonzero()[:, 0]
+        if len(row):
+            # the cone's footprint is an ellipse; its area is that of a disc of this diameter
+            width = 2 * t[row] * half_angle[row].clamp_max(1.5).tan() / cosine[row].sqrt()
+            place = torch.stack([point[row] @ self.along, point[row] @ self.across], -1) / self.side
+            radiance[row] = self._filtered(place, width)
+        return radiance, meets
+
+    def _filtered(self, place: Tensor, width: Tensor) -> Tensor:
+        """Radiance [n, 3] at places [n, 2] in -1..1, averaged over `width` [n] in the unit frame, between two levels."""
+        texels = width * (self.levels[0].shape[-1] / (2 * self.side))
+        level = texels.clamp_min(1).log2().clamp_max(len(self.levels) - 1.001)
+        low = level.long()
+        out = place.new_zeros(len(place), 3)
+        for k, texture in enumerate(self.levels):
+            share = (low == k) * (1 - level.frac()) + (low == k - 1) * level.frac()
+            row = (share > 0).nonzero()[:, 0]
+            if len(row):
+                sample = functional.grid_sample(
+                    texture, place[row][None, :, None], padding_mode="border", align_corners=False
+                )
+                out[row] += share[row, None] * sample[0, :, :, 0].T
+        return out
+
+
+def _texel_centres(support: Support) -> np.ndarray:
+    """Centres [TEXELS^2, 3] of the texels, row by row."""
+    line = ((np.arange(TEXELS) + 0.5) / TEXELS * 2 - 1) * SIDE * support.radius
+    across, along = support.axes()
+    points = line[:, None, None] * across + line[None, :, None] * along + support.height * np.asarray(support.normal)
+    return points.reshape(-1, 3).astype(np.float32)
+
+
+def _colors_in(view: int, rays: PixelRays, points: np.ndarray, support: Support, tracer: RayTracer) -> Tensor:
+    """Linear radiance [n, 3] of points [n, 3] of the plane in a photo; NaN where the photo does not show them."""
+    device = rays.radiance.device
+    height, width = rays.size[view]
+    first, last = rays.offset[view], rays.offset[view + 1]
+    photo = rays.photo(torch.arange(first, last, device=device))
+    photo = torch.where(rays.valid[first:last, None], photo, torch.nan).reshape(1, height, width, 3).permute(0, 3, 1, 2)
+    at = torch.from_numpy(points).to(device)
+    place, ahead = rays.project(view, at)
+    color = functional.grid_sample(photo, place[None, :, None], align_corners=False)[0, :, :, 0].T
+    to_camera = rays.camera(view)[0].cpu().numpy() - points
+    to_camera /= np.linalg.norm(to_camera, axis=1, keepdims=True)
+    free = to_camera @ support.normal > LEAST_COSINE
+    lifted = points + np.asarray(support.normal, np.float32) * 10 * tracer.offset
+    free[free] = ~tracer.occluded(lifted[free], to_camera[free])
+    seen = ahead & (place.abs() < 1).all(-1) & torch.from_numpy(free).to(device)
+    return torch.where(seen[:, None], color, torch.nan)
+
+
+def filled(grid: Tensor, known: Tensor) -> Tensor:
+    """A grid [T, T, 3] whose texels are known where `known` [T, T]; the others get the mean of the known ones around them.
+
+    T is a power of two. The mean is taken on the finest coarser level that knows something there.
+    """
+    weight = known.to(grid.dtype)[None, None]
+    value = grid.permute(2, 0, 1)[None] * weight
+    if grid.shape[0] == 1:
+        return grid
+    share = functional.avg_pool2d(weight, 2)
+    mean = functional.avg_pool2d(value, 2) / share.clamp_min(1e-9)
+    coarse = filled(mean[0].permute(1, 2, 0), share[0, 0] > 0)
+    wide = functional.interpolate(coarse.permute(2, 0, 1)[None], scale_factor=2, mode="bilinear", align_corners=False)
+    return torch.where(known[..., None], grid, wide[0].permute(1, 2, 0))

@@ -1,0 +1,59 @@
+"""The plane under an object is found in the photos, at its height and tilt; where there is none, none is found."""
+
+import numpy as np
+import pytest
+import torch
+
+from blender_nep.capture import PixelRays, load_capture
+from blender_nep.fields.support_search import find_support_by_photos, upward
+from blender_nep.fields.support_start import FOOT, with_closed_foot
+from blender_nep.geometry.support import Support
+from support.table_scene import HEIGHT, turn, write_table_scene
+
+
+def rays_of(folder):
+    return PixelRays.from_capture(load_capture(folder), 10_000, False, torch.device("cpu"))
+
+
+@pytest.mark.parametrize("tilt", [0.0, 0.5])
+def test_a_patterned_table_is_found_at_its_height_and_tilt(tmp_path, tilt):
+    support = find_support_by_photos(rays_of(write_table_scene(tmp_path / "capture", tilt=tilt)))
+    assert support is not None
+    assert support.height == pytest.approx(HEIGHT, abs=0.01)
+    assert support.normal @ (turn(tilt) @ [0, 0, 1]) > np.cos(np.radians(1))
+
+
+@pytest.mark.parametrize(
+    "scene",
+    [{"table": False}, {"elevations": (-40, 15, 35, 60)}],
+    ids=["no table", "a table that some photos are taken from below"],
+)
+def test_nothing_is_found_where_nothing_can_support_the_object(tmp_path, scene):
+    assert find_support_by_photos(rays_of(write_table_scene(tmp_path / "capture", **scene))) is None
+
+
+def test_a_rolled_camera_does_not_tip_the_upward_direction():
+    rng = np.random.default_rng(0)
+    rotations = []
+    for angle in rng.uniform(0, 2 * np.pi, 12):
+        back = np.array([np.cos(angle), np.sin(angle), rng.uniform(0.1, 1)])
+        back /= np.linalg.norm(back)
+        right = np.cross([0, 0, 1.0], back)
+        right /= np.linalg.norm(right)
+        rotations.append(np.stack([right, np.cross(back, right), back], 1))
+    assert upward(np.stack(rotations)) @ [0, 0, 1] == pytest.approx(1)
+    roll = turn(0.1)[np.ix_([0, 2, 1], [0, 2, 1])]
+    rotations[0] = rotations[0] @ roll
+    assert upward(np.stack(rotations)) @ [0, 0, 1] > 0.99
+
+
+def test_the_hull_of_an_object_on_a_plane_gets_a_closed_foot():
+    n, support = 48, Support(np.array([0.0, 0.0, 1.0]), -0.5)
+    axis = (np.arange(n) + 0.5) / n * 2 - 1
+    x, y, z = np.meshgrid(axis, axis, axis, indexing="ij")
+    cylinder = np.maximum(np.hypot(x, y) - 0.4, z - 0.3)
+    hollow = np.maximum(cylinder, -0.45 - z)  # the lowest twentieth of the object is missing
+    closed = with_closed_foot(hollow.astype(np.float32), support)
+    lost = (closed >= 0) & (cylinder < 0) & (z > -0.5) & (np.hypot(x, y) < 0.37 - FOOT)
+    assert not lost.any()
+    assert not ((closed < 0) & (cylinder > 0.02)).any(), "nothing grows beside the object"

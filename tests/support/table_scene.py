@@ -1,0 +1,68 @@
+"""A capture of a ball on a patterned table, rendered analytically."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+
+from support.captures import look_at, write_exr
+
+HEIGHT, BALL = -0.6, 0.45
+"""Height of the table, and radius of the ball that touches it"""
+CENTRE = np.array([0.1, 0.0, HEIGHT + BALL])
+SIZE, FOCAL = 72, 90.0
+
+
+def pattern(points: np.ndarray) -> np.ndarray:
+    """Linear radiance [n, 3] of points [n, 3] of the table."""
+    x, y = points[:, 0], points[:, 1]
+    return np.stack([0.4 + 0.25 * np.sin(5 * x), 0.4 + 0.25 * np.cos(6 * y), 0.3 + 0.2 * np.sin(4 * (x + y))], 1)
+
+
+def turn(tilt: float) -> np.ndarray:
+    """A rotation [3, 3] about the y axis by `tilt` radians."""
+    c, s = np.cos(tilt), np.sin(tilt)
+    return np.array([[c, 0, s], [0, 1, 0], [-s, 0, c]])
+
+
+def colors(origin: np.ndarray, directions: np.ndarray, table: bool) -> np.ndarray:
+    """What rays from `origin` [3] along directions [n, 3] see: the ball, the table if there is one, or walls far away."""
+    color = 0.3 + 0.2 * np.sin(3 * directions)
+    if table:
+        t = (HEIGHT - origin[2]) / np.minimum(directions[:, 2], -1e-6)
+        color[directions[:, 2] < 0] = pattern(origin + t[:, None] * directions)[directions[:, 2] < 0]
+    along = directions @ (CENTRE - origin)
+    away = np.linalg.norm(origin + along[:, None] * directions - CENTRE, axis=1)
+    color[away < BALL] = [0.1, 0.5, 0.2]
+    return color
+
+
+def write_table_scene(
+    folder: Path, *, table: bool = True, tilt: float = 0.0, elevations: tuple[float, ...] = (15, 35, 60)
+) -> Path:
+    """Write the capture, turned by `tilt` radians with cameras and all; elevations of the rings of cameras in degrees."""
+    (folder / "images").mkdir(parents=True)
+    row, column = np.mgrid[:SIZE, :SIZE] + 0.5
+    local = np.stack([(column - SIZE / 2) / FOCAL, (SIZE / 2 - row) / FOCAL, -np.ones_like(row)], -1).reshape(-1, 3)
+    local /= np.linalg.norm(local, axis=1, keepdims=True)
+    frames = []
+    for k in range(24):
+        around, up = 2.4 * k, np.radians(elevations[k % len(elevations)])
+        position = 3.2 * np.array([np.cos(around) * np.cos(up), np.sin(around) * np.cos(up), np.sin(up)])
+        matrix = look_at(position, np.zeros(3))
+        photo = colors(position, local @ matrix[:3, :3].T, table)
+        write_exr(folder / "images" / f"{k}.exr", photo.reshape(SIZE, SIZE, 3))
+        matrix[:3] = turn(tilt) @ matrix[:3]
+        frames.append({"file_path": f"images/{k}.exr", "transform_matrix": matrix.tolist()})
+    intrinsics = {"w": SIZE, "h": SIZE, "fl_x": FOCAL, "fl_y": FOCAL, "cx": SIZE / 2, "cy": SIZE / 2}
+    meta = {
+        "camera_model": "PINHOLE",
+        **intrinsics,
+        "color_space": "linear",
+        "object_center": [0, 0, 0],
+        "object_radius": 1.0,
+    }
+    (folder / "transforms.json").write_text(json.dumps({**meta, "frames": frames}))
+    return folder
