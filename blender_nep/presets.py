@@ -235,7 +235,7 @@ class MaterialPreset:
     """Number of photo pixels from which the materials are learned."""
     least_cosine: float = 0.25
     """Smallest cosine between normal and view direction; pixels at more grazing angles are left out."""
-    roughness_levels: tuple[float, ...] = (0.04, 0.07, 0.1, 0.13, 0.17, 0.22, 0.28, 0.36, 0.46, 0.6, 0.78, 1.0)
+    roughness_levels: tuple[float, ...] = (0.03, 0.06, 0.1, 0.13, 0.17, 0.22, 0.28, 0.36, 0.46, 0.6, 0.78, 1.0)
     """Roughness levels (Principled's roughness) at which the specular light is prefiltered."""
     diffuse_cones: int = 8
     """Cones of the diffuse lobe (paper, section 3.3) at a point that a cone hits."""
@@ -290,7 +290,7 @@ class MaterialPreset:
     sure_margin: float = 0.15
     """If every material's residual is higher by this share in the other class (metal or dielectric), the other class is not
     tried again. inf: it is tried every time."""
-    least_roughness: float = 0.04
+    least_roughness: float = 0.03
     """Smallest roughness (Principled's) that a material may have."""
     clip: float = 0.25
     """Larger residuals are clipped to this, because they come from wrong geometry and not from the material."""

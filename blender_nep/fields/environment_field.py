@@ -198,7 +198,7 @@ class EnvironmentField(nn.Module):
         samples = sample_rays(segments, self.preset.contraction_radius, self.longest_step, None)
         accumulate_coverage(
             self.raw.detach().cpu().numpy(),
-            RaySamples(*(part.contiguous().numpy() for part in samples)),
+            RaySamples(*(part.contiguous().numpy() for part in samples)),  # type: ignore[arg-type]  # arrays, for Numba
             Medium(self.preset.contraction_radius, self.preset.density_gain, 0.0, 0.0, 0.0),
             weight_seen,
         )

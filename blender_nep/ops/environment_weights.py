@@ -106,7 +106,8 @@ def weights_from_centre(
     """What each shell contributes to the view from the centre: (w radiance, w, w coverage) [K, rows, 2 rows, 5].
 
     raw [K, H, W, 4] (raw density, log radiance) and coverage [K, H, W] in 0..1 are interpolated as in rendering; `spacing`
-    is the distance of the shells in log |x|. The weights w of a direction add up to 1, because the last shell is the sky.
+    is the contracted distance from shell to shell. The weights w of a direction add up to 1, because the last shell is the
+    sky.
     """
     out = np.empty((raw.shape[0], rows, 2 * rows, 5), np.float32)
     grid, seen = (a.detach().cpu().float().contiguous().numpy() for a in (raw, coverage))

@@ -40,10 +40,12 @@ def by_torch(light: Lit, target: torch.Tensor, weight: torch.Tensor, metallic: f
         residual = tone_map(predicted) - tone_map(target.double())
         if k == 4:
             break
-        robust = weight[:, None] / (1 + 4 * (0.5 * (predicted + target) if k else target.double())) ** 2
+        mean = 0.5 * (predicted + target) if k else target.double()
+        robust = weight[:, None] / (1 + 4 * mean) ** 2
         if k:
             robust = robust * (residual.abs() < 2 * CLIP) / residual.abs().clamp_min(0.02)
-        a = (robust * slope * (target - offset)).sum(0) / (robust * slope**2).sum(0).clamp_min(1e-12)
+        instrument = metallic * mean + (1 - metallic) * slope
+        a = (robust * instrument * (target - offset)).sum(0) / (robust * instrument * slope).sum(0).clamp_min(1e-12)
         a = a.clamp(0, 1 if metallic > 0.5 else MOST_DIFFUSE)
     return float((residual.abs().mean(-1).clamp_max(CLIP) * weight).sum() / weight.sum()), a
 
@@ -113,3 +115,24 @@ def test_no_sample_is_no_material():
     nothing = torch.zeros(0)
     cost, albedo = fit_groups(Lit(0), torch.zeros(0, 3), nothing, nothing.long(), 2, least_roughness=LEAST, clip=CLIP)
     assert (cost == 0).all() and (albedo == 0).all()
+
+
+def test_a_metal_keeps_its_brightness_although_its_reflections_are_misplaced():
+    """The light of the photo and the known light differ by errors of one kind: each is the other's, misplaced.
+
+    Least squares would give 0.53 for an albedo of 0.8.
+    """
+    n, generator = 4000, torch.Generator().manual_seed(5)
+    light = Lit(n)
+    scene = torch.exp(0.8 * torch.randn(n, 1, 1, 1, generator=generator))
+    known, shown = (scene * torch.exp(0.5 * torch.randn(n, 1, 1, 1, generator=generator)) for _ in range(2))
+    albedo, ones = torch.tensor([0.8, 0.6, 0.3]), torch.ones(1, 5, 3, 3) * torch.tensor([1.0, 0.05, 0.04])[:, None]
+    light.specular = shown * ones
+    rough = torch.full((n,), 0.3)
+    material = Material(albedo.expand(n, 3), rough, torch.ones(n))
+    photo = reflected(material, light.moments(rough), light.diffuse, light.cos_v)
+    light.specular = known * ones
+    group = torch.zeros(n, dtype=torch.int64)
+    _, found = fit_groups(light, photo, torch.ones(n), group, 1, least_roughness=LEAST, clip=10.0, hypotheses=(1.0,))
+    j = int((roughness_scan(LEAST, torch.device("cpu")) - 0.3).abs().argmin())
+    torch.testing.assert_close(found[0, j, 0], albedo, rtol=0.04, atol=0.01)
