@@ -13,6 +13,7 @@ from pathlib import Path
 
 import pytest
 
+from blender_nep.job.run_folder import FORMAT
 from blender_nep.presets import preset
 from blender_nep.stop_request import StopRequest
 from support.ball_stages import BallStages
@@ -81,7 +82,7 @@ def of_format(number: int):
     return lambda run: run | {"format": number}
 
 
-@pytest.mark.parametrize("number", [2, 4, None])
+@pytest.mark.parametrize("number", [FORMAT - 1, FORMAT + 1, None])
 def test_a_run_of_another_version_is_refused_and_left_alone(start, number):
     start(BallStages(on_step=lambda r, s: stop.request("test")), stop := StopRequest())
     change(start.out / "checkpoints" / "run.json", of_format(number))
@@ -179,6 +180,7 @@ from blender_nep.job import runner as job
 from blender_nep.checkpoints import Checkpoint
 from blender_nep.stop_request import StopRequest
 from blender_nep.job.events import Events
+from blender_nep.job.run_folder import FORMAT
 from blender_nep.presets import preset
 from blender_nep.shading.unseen_light import UnseenLight
 Checkpoint.interval = 0.01
