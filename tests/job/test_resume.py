@@ -180,7 +180,6 @@ from blender_nep.job import runner as job
 from blender_nep.checkpoints import Checkpoint
 from blender_nep.stop_request import StopRequest
 from blender_nep.job.events import Events
-from blender_nep.job.run_folder import FORMAT
 from blender_nep.presets import preset
 from blender_nep.shading.unseen_light import UnseenLight
 Checkpoint.interval = 0.01
