@@ -310,6 +310,9 @@ class MaterialPreset:
     """Two metals of one chromaticity are merged if they differ by less than this in roughness."""
     roughness_margin: float = 0.03
     """Dielectrics share one roughness if that raises the residual of none of them by more than this share."""
+    spread_margin: float = 0.03
+    """For a metal, roughness values are possible whose residual is up to this share above the least. Among these, the spread
+    of the reflected light decides."""
     blend_margin: float = 0.05
     """Share by which a mixture of two materials must be better than one material alone."""
     rounds: int = 2

@@ -18,7 +18,7 @@ from torch import Tensor
 from blender_nep.materials.baking import NEIGHBOURS, labels_at, neighbours, vote, weighted_mean
 from blender_nep.materials.fitting import fit_groups, roughness_scan
 from blender_nep.materials.palette import Palette, best_of, between, choose, error, place_of_least, same_material
-from blender_nep.materials.roughness import residual_of_reflections, share_roughness
+from blender_nep.materials.roughness import place_by_spread, residual_of_reflections, share_roughness, spread
 from blender_nep.profiling import profiled, section
 from blender_nep.shading.plenoptic import Material, SurfacePoints, reflected
 from blender_nep.tone_mapping import tone_map
@@ -118,26 +118,57 @@ class PaletteSearch:
         if len(kept) < len(self.palette):
             self.merged = len(self.palette) - len(kept)
             self.label = torch.tensor([kept.index(k) for k in into], device=self.device)[self.label]
-        self.palette = self._fit(self.label, len(kept))
-        self.find_roughness()
+        p = self.preset
+        cost, albedos = self._scan(self.label, len(kept))
+        self.palette = best_of(cost, albedos, p.least_roughness, p.metallic, p.metal_margin)
+        self._find_roughness(cost, albedos)
 
-    def find_roughness(self) -> None:
-        """Find the dielectrics' roughness by their reflections alone, and their albedo with that roughness."""
+    def _find_roughness(self, cost: Tensor, albedos: Tensor) -> None:
+        """Find the roughness of each material by what tells it (`roughness`), and its albedo with that roughness.
+
+        cost [M, R, K] and albedos [M, R, K, 3] are those of the hypotheses for all samples of each material.
+        """
         p, palette, k = self.preset, self.palette, len(self.palette)
         dielectric = palette.metallic < 0.5
-        if not dielectric.any():
-            return
-        label = torch.where(dielectric[self.label], self.label, -1)
-        residual, weight = residual_of_reflections(self.light, self.target, self.samples.position, label, k, p)
-        place = place_of_least(share_roughness(residual, weight, p.roughness_margin))
+        place, found = torch.zeros(k, device=self.device), ~dielectric
+        if dielectric.any():
+            label = torch.where(dielectric[self.label], self.label, -1)
+            residual, weight = residual_of_reflections(self.light, self.target, self.samples.position, label, k, p)
+            place = place_of_least(share_roughness(residual, weight, p.roughness_margin))
+            found = weight > 0
+        for metal in (~dielectric).nonzero().squeeze(-1).tolist():
+            place[metal] = self._place_of_metal(metal, cost[p.metallic.index(1.0), :, metal])
+            found[metal] = True
         scan = roughness_scan(p.least_roughness, self.device)
-        albedo = between(self._scan(self.label, k)[1][p.metallic.index(0.0)], place)
-        found = weight > 0
+        values = [between(albedos[i], place) for i in range(len(p.metallic))]
+        of_class = [p.metallic.index(metallic) for metallic in palette.metallic.tolist()]
+        albedo = torch.stack([values[i][j] for j, i in enumerate(of_class)])
         self.palette = Palette(
             torch.where(found[:, None], albedo, palette.albedo),
             torch.where(found, between(scan.sqrt()[:, None].expand(-1, k), place) ** 2, palette.roughness),
             palette.metallic,
         )
+
+    def _place_of_metal(self, k: int, residual: Tensor) -> float:
+        """The place of the roughness of material k, a metal, in `roughness_scan`. residual [R] is that of its samples."""
+        p, scan = self.preset, roughness_scan(self.preset.least_roughness, self.device)
+        own = (self.label == k).nonzero().squeeze(-1)
+        voxel = np.floor(self.samples.position[own.cpu().numpy()] / p.region).astype(np.int64)
+        region = torch.from_numpy(np.unique(voxel, axis=0, return_inverse=True)[1].ravel()).to(self.device)
+        weight = 0.05 + self.light.coverage[own, : len(p.roughness_levels) // 2].mean(1)
+        photo = self.target[own].mean(-1)
+        darkest = 0.1 * photo.median().clamp_min(1e-6)  # what is darker says more about noise than about the light
+        of_photo = spread(photo + darkest, weight, region)
+
+        def excess(row: int) -> float:
+            roughness = scan[row].expand(len(own))
+            material = Material(self.palette.albedo[k].expand(len(own), 3), roughness, torch.ones_like(roughness))
+            shown = reflected(
+                material, self.light.moments(roughness, own), self.light.diffuse[own], self.light.cos_v[own]
+            ).mean(-1)
+            return spread(shown + darkest, weight, region) - of_photo
+
+        return place_by_spread(residual, p.spread_margin, excess)
 
     def assign(self) -> None:
         """Give every sample the material for which its neighbours vote."""

@@ -1,7 +1,7 @@
-"""Finds the roughness of dielectrics from the places where the photos tell it.
+"""Finds the roughness of materials from what tells it.
 
-How much of a dielectric's light comes from below its coat depends on the albedo and on the irradiance, and small errors of
-the irradiance are as strong as the whole reflection. So three things are done:
+**Dielectrics.** How much of a dielectric's light comes from below its coat depends on the albedo and on the irradiance, and
+small errors of the irradiance are as strong as the whole reflection. So three things are done:
 
 - Each material has an albedo of its own in each small region of the surface. What is left to compare between the photos of a
   region is the reflection. These albedos are not used for anything else.
@@ -9,11 +9,15 @@ the irradiance are as strong as the whole reflection. So three things are done:
 - Dielectrics that the photos hardly tell apart in roughness share one: a bright glaze hides its reflections in the light
   from below, and a dark one shows them.
 
-A metal has no light from below. Its roughness is that of the fit to all its samples.
+**Metals.** Normals are a little wrong, so reflections are misplaced. A misplaced reflection agrees best with a blurred one,
+and the residual is least at a roughness that is too high. For mirrors the residual hardly changes there. How far the
+radiance spreads about its mean does not depend on where the reflections are. So the residual gives a range of roughness
+values, and within the range the spread decides.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -91,3 +95,41 @@ def share_roughness(residual: Tensor, weight: Tensor, margin: float) -> Tensor:
             break
         shared = shared & (worse < worse.max())
     return chosen
+
+
+def spread(radiance: Tensor, weight: Tensor, region: Tensor) -> float:
+    """Mean absolute deviation of the log radiance from its mean in each region; a change of exposure changes nothing.
+
+    radiance [n] > 0, weight [n], region [n] int64. Regions of fewer than _LEAST_SAMPLES samples are left out; without any
+    other region, the spread is 0.
+    """
+    values, count = torch.log(radiance), torch.bincount(region)
+    total = torch.zeros(len(count), device=values.device).index_add_(0, region, weight)
+    mean = torch.zeros(len(count), device=values.device).index_add_(0, region, weight * values) / total.clamp_min(1e-9)
+    used = count[region] >= _LEAST_SAMPLES
+    share = weight[used] / weight[used].sum().clamp_min(1e-9)
+    return float((share * (values - mean[region])[used].abs()).sum())
+
+
+def place_by_spread(residual: Tensor, margin: float, excess: Callable[[int], float]) -> float:
+    """The place 0 .. R - 1 of a metal's roughness in `roughness_scan`.
+
+    residual [R]; all rows around the least one whose residual is at most 1 + `margin` times the least are possible.
+    excess(row) is how much more the prediction spreads than the photos; it falls with the roughness. The place is where it
+    vanishes, or the end of the range that is nearest to that.
+    """
+    best, limit = int(residual.argmin()), float(residual.min()) * (1 + margin)
+    low = high = best
+    while low > 0 and residual[low - 1] <= limit:
+        low -= 1
+    while high < len(residual) - 1 and residual[high + 1] <= limit:
+        high += 1
+    before = excess(low)
+    if before <= 0:
+        return float(low)
+    for row in range(low + 1, high + 1):
+        after = excess(row)
+        if after <= 0:
+            return row - after / (after - before)
+        before = after
+    return float(high)

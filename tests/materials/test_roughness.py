@@ -8,10 +8,10 @@ import torch
 
 from blender_nep.materials.fitting import fit_groups, roughness_scan
 from blender_nep.materials.palette import Palette, between, place_of_least
-from blender_nep.materials.roughness import residual_of_reflections, share_roughness
+from blender_nep.materials.roughness import place_by_spread, residual_of_reflections, share_roughness, spread
 from blender_nep.presets import MaterialPreset
 from blender_nep.shading.incoming_light import IncomingLight
-from blender_nep.shading.plenoptic import reflected
+from blender_nep.shading.plenoptic import Material, reflected
 
 PRESET = replace(MaterialPreset(), roughness_levels=(0.05, 0.1, 0.2, 0.4, 1.0), least_roughness=0.05, region=0.5)
 SCAN = roughness_scan(PRESET.least_roughness, torch.device("cpu"))
@@ -114,3 +114,49 @@ def test_samples_of_no_material_do_not_count():
     label[::2] = -1
     residual, _ = residual_of_reflections(light, photo, position, label, 1, PRESET)
     assert float(minimum(residual)) == pytest.approx(0.12, abs=0.02) and residual.min() < 2e-3
+
+
+def test_spread_is_the_deviation_of_the_logarithm_within_regions():
+    random = np.random.default_rng(4)
+    region = torch.from_numpy(random.integers(5, size=500))
+    values = torch.from_numpy(random.normal(size=500)).float()
+    weight = torch.from_numpy(random.uniform(0.5, 1, 500)).float()
+    brightness = torch.tensor([0.1, 1.0, 3.0, 10.0, 0.5])[region]
+    found = spread(torch.exp(values) * brightness, weight, region)
+    deviation = values.clone()
+    for k in range(5):
+        deviation[region == k] -= torch.from_numpy(np.array(np.average(values[region == k], weights=weight[region == k])))
+    assert found == pytest.approx(np.average(deviation.abs(), weights=weight), rel=1e-4)
+    alone = torch.arange(500)  # a region a sample
+    assert spread(torch.exp(values), weight, alone) == 0
+
+
+@pytest.mark.parametrize(
+    ("zero", "expected"),
+    [(4.25, 4.25), (-3.0, 2.0), (20.0, 8.0)],  # the residual allows the rows 2 to 8
+)
+def test_the_spread_decides_within_what_the_residual_allows(zero, expected):
+    row = torch.arange(28.0)
+    residual = 0.05 * (1 + 0.03 * ((row - 5) / 3) ** 2)
+    assert place_by_spread(residual, 0.0301, lambda r: 0.1 * (zero - r)) == pytest.approx(expected, abs=1e-4)
+
+
+def test_a_mirror_whose_reflections_are_misplaced_stays_sharp():
+    n = 4000
+    light, random = Lit(n), np.random.default_rng(5)
+    albedo, rough = torch.tensor([0.8, 0.7, 0.6]), torch.full((n,), 0.1)
+    region = torch.from_numpy(random.integers(40, size=n))
+    photo = reflected(Material(albedo.expand(n, 3), rough, torch.ones(n)), light.moments(rough), light.diffuse, light.cos_v)
+    moved = torch.from_numpy(np.lexsort([random.random(n), region.numpy()]))  # each region's reflections, shuffled
+    photo[region.argsort(stable=True)] = photo[moved].clone()
+    group = torch.zeros(n, dtype=torch.int64)
+    cost, _ = fit_groups(light, photo, torch.ones(n), group, 1, least_roughness=0.05, clip=0.25, hypotheses=(1.0,))
+    assert float(SCAN[cost[0, :, 0].argmin()]) > 0.3, "a blur agrees best with what is misplaced"
+
+    def excess(row: int) -> float:
+        r = SCAN[row].expand(n)
+        shown = reflected(Material(albedo.expand(n, 3), r, torch.ones(n)), light.moments(r), light.diffuse, light.cos_v)
+        return spread(shown.mean(-1), torch.ones(n), region) - spread(photo.mean(-1), torch.ones(n), region)
+
+    place = place_by_spread(cost[0, :, 0], 10.0, excess)
+    assert float(between(SCAN.sqrt()[:, None], torch.tensor([place])) ** 2) == pytest.approx(0.1, abs=0.01)
