@@ -200,6 +200,8 @@ class EnvironmentPreset:
     regularised_fraction: float = 0.25
     """Share of the shells for which a step computes the priors. The shells are drawn anew in each step. The priors of all
     shells took as long as the rendering."""
+    regularised_detail: float = 0.1
+    """Share of the rows of the color detail for which a step computes the prior. The rows are drawn anew in each step."""
     coverage_weight: float = 0.3
     """A node has full coverage if the weights with which `coverage_rays` camera rays see it add up to this."""
     coverage_rays: int = 200_000

@@ -156,12 +156,12 @@ class EnvironmentField(nn.Module):
     def _smooth_detail(self, generator: torch.Generator | None) -> float:
         """Add the gradient of the total variation of some random neighbouring rows of the color detail; return its value."""
         rows = self.preset.detail_rows
-        run = max(2, round(rows * self.preset.regularised_fraction))
+        run = max(2, round(rows * self.preset.regularised_detail))
         first = int(torch.randint(0, rows - run + 1, (1,), generator=generator, device=self.raw.device))
         band = self.detail.detach()[first : first + run].requires_grad_()
         with torch.enable_grad():
             weight = (self.preset.detail_variation,) * 3
-            value = total_variation(band[None].expand(2, -1, -1, -1).contiguous(), weight, self.preset.variation_softness)
+            value = total_variation(band[None], weight, self.preset.variation_softness)
             value.backward()
         if self.detail.grad is None:
             self.detail.grad = torch.zeros_like(self.detail)

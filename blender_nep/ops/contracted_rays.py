@@ -34,9 +34,9 @@ def place_outside(w, b, w_border, z_border, contraction_radius, to_shell):
 
 
 @njit(cache=True, inline="always", fastmath=True, error_model="numpy")
-def far_share(shell, spacing, contraction_radius):
+def far_share(shell, border, spacing):
     """Share of the color detail at a shell coordinate: 0 inside the contraction radius, 1 beyond twice that radius.
 
-    `spacing` is the distance of the shells in u.
+    `border` is the shell coordinate of the contraction radius; `spacing` is the distance of the shells in u.
     """
-    return min(max(2.0 * (shell * spacing - math.log(contraction_radius)), 0.0), 1.0)
+    return min(max(2.0 * (shell - border) * spacing, 0.0), 1.0)

@@ -42,12 +42,30 @@ class SampleRecords(NamedTuple):
     """[m, 3] int32: shell, row + 1, column, as `angular_cell` returns them"""
     fractions: np.ndarray
     """[m, 3] in 0..1: place of the sample between the cell's first shell, row and column and the next ones"""
+    detail_share: np.ndarray
+    """[m] in 0..1: `far_share`. Where it is 0, the sample has no color detail."""
     detail_cells: np.ndarray
     """[m, 2] int32: row + 1 and column of the cell in the color detail"""
     detail_fractions: np.ndarray
-    """[m, 3] in 0..1: place of the sample between the first row and column of that cell and the next ones; `far_share`"""
+    """[m, 2] in 0..1: place of the sample between the first row and column of that cell and the next ones"""
     local: np.ndarray
     """[m, 7]: d optical depth / d raw density, opacity, transmittance before the sample, radiance (3), gradient scale"""
+
+
+@njit(cache=True, inline="always", fastmath=True, error_model="numpy")
+def _radiance(raw):
+    """Linear radiance of a raw color."""
+    return math.exp(min(max(raw, -COLOR_LIMIT), COLOR_LIMIT))
+
+
+@njit(cache=True, inline="always", fastmath=True, error_model="numpy")
+def _detail_at(detail, place, share):
+    """The three logarithms that the color detail adds in a cell; `place` is that of `cell`, `share` that of `far_share`."""
+    j, c, fj, fc = place
+    corners, weights = cell_columns(j, c, detail.shape[0], detail.shape[1]), bilinear_weights(fj, fc)
+    red = share * bilinear_2d(detail, corners, weights, 0)
+    green = share * bilinear_2d(detail, corners, weights, 1)
+    return red, green, share * bilinear_2d(detail, corners, weights, 2)
 
 
 @njit(cache=True, parallel=True, fastmath=True, error_model="numpy")
@@ -60,11 +78,12 @@ def _march(raw, detail, rays, medium, radiance, transmittance, kept, records, ke
     origins, directions, t_closest, b, w_near, w_length, infinite, offsets, jitter = rays
     contraction_radius, density_gain, gradient_near, transmittance_limit, depth_limit = medium
     cells, fractions, local = records.cells, records.fractions, records.local
-    detail_cells, detail_fractions = records.detail_cells, records.detail_fractions
+    detail_share, detail_cells, detail_fractions = records.detail_share, records.detail_cells, records.detail_fractions
     detail_rows, detail_columns = detail.shape[0], detail.shape[1]
     shells, rows, columns = raw.shape[0], raw.shape[1], raw.shape[2]
     spacing = (math.log(contraction_radius) + 1.0) / (shells - 1)
     to_shell = 1.0 / spacing
+    border = math.log(contraction_radius) * to_shell
     for i in prange(origins.shape[0]):
         ox, oy, oz = float(origins[i, 0]), float(origins[i, 1]), float(origins[i, 2])
         dx, dy, dz = float(directions[i, 0]), float(directions[i, 1]), float(directions[i, 2])
@@ -113,40 +132,28 @@ def _march(raw, detail, rays, medium, radiance, transmittance, kept, records, ke
                 alpha = -math.expm1(-depth)
             weight = passed * alpha
             m = first + count
-            share = far_share(k_real, spacing, contraction_radius)
-            detail_j, detail_c, detail_fj, detail_fc = 0, 0, 0.0, 0.0
+            red_detail, green_detail, blue_detail = 0.0, 0.0, 0.0
+            share = far_share(k_real, border, spacing)
             if share > 0.0:
-                detail_j, detail_c, detail_fj, detail_fc = cell(turn, fall, detail_rows, detail_columns)
-            detail_corners = cell_columns(detail_j, detail_c, detail_rows, detail_columns)
-            detail_weights = bilinear_weights(detail_fj, detail_fc)
-            for channel in range(3):
-                value = trilinear(raw, k, shell_weights, corners, weights, channel + 1)
-                if share > 0.0:
-                    value += share * bilinear_2d(detail, detail_corners, detail_weights, channel)
-                color = math.exp(min(max(value, -COLOR_LIMIT), COLOR_LIMIT))
-                if channel == 0:
-                    red += weight * color
-                elif channel == 1:
-                    green += weight * color
-                else:
-                    blue += weight * color
+                place = cell(turn, fall, detail_rows, detail_columns)
+                red_detail, green_detail, blue_detail = _detail_at(detail, place, share)
                 if keep:
-                    local[m, 3 + channel] = color
+                    detail_cells[m, 0], detail_cells[m, 1] = place[0], place[1]
+                    detail_fractions[m, 0], detail_fractions[m, 1] = place[2], place[3]
+            red_here = _radiance(trilinear(raw, k, shell_weights, corners, weights, 1) + red_detail)
+            green_here = _radiance(trilinear(raw, k, shell_weights, corners, weights, 2) + green_detail)
+            blue_here = _radiance(trilinear(raw, k, shell_weights, corners, weights, 3) + blue_detail)
+            red += weight * red_here
+            green += weight * green_here
+            blue += weight * blue_here
             if keep:
-                cells[m, 0] = k
-                cells[m, 1] = j
-                cells[m, 2] = c
-                fractions[m, 0] = fk
-                fractions[m, 1] = fj
-                fractions[m, 2] = fc
-                detail_cells[m, 0] = detail_j
-                detail_cells[m, 1] = detail_c
-                detail_fractions[m, 0] = detail_fj
-                detail_fractions[m, 1] = detail_fc
-                detail_fractions[m, 2] = share
+                cells[m, 0], cells[m, 1], cells[m, 2] = k, j, c
+                fractions[m, 0], fractions[m, 1], fractions[m, 2] = fk, fj, fc
+                detail_share[m] = share
                 local[m, 0] = slope
                 local[m, 1] = alpha
                 local[m, 2] = passed
+                local[m, 3], local[m, 4], local[m, 5] = red_here, green_here, blue_here
                 local[m, 6] = (t / gradient_near) ** 2 if t < gradient_near else 1.0
                 count += 1
             passed *= 1.0 - alpha
@@ -238,7 +245,7 @@ def _scatter_rows(order, start, records, g_samples, g_raw, g_detail, parity):
                     g_raw[k + side, top, tr, channel] += w1 * value
                     g_raw[k + side, bottom, bl, channel] += w2 * value
                     g_raw[k + side, bottom, br, channel] += w3 * value
-            share = detail_fractions[m, 2]
+            share = records.detail_share[m]
             if share == 0.0:
                 continue
             corners = cell_columns(detail_cells[m, 0], detail_cells[m, 1], g_detail.shape[0], g_detail.shape[1])
@@ -264,8 +271,9 @@ class _Render(torch.autograd.Function):
             np.empty(n, np.int64),
             np.empty((m, 3), np.int32),
             np.empty((m, 3), grid.dtype),
+            np.empty(m, grid.dtype),
             np.empty((m, 2), np.int32),
-            np.empty((m, 3), grid.dtype),
+            np.empty((m, 2), grid.dtype),
             np.empty((m, 7), grid.dtype),
         )
         radiance, transmittance = raw.new_empty((n, 3)), raw.new_empty(n)

@@ -17,7 +17,7 @@ def _variation(grid, weight, softness, value, gradient):
     squared = softness * softness
     scale = np.empty((3, channels))
     for h in range(channels):
-        scale[0, h] = weight[h] / ((shells - 1) * rows * columns)
+        scale[0, h] = weight[h] / (max(shells - 1, 1) * rows * columns)
         scale[1, h] = weight[h] / (shells * (rows - 1) * columns)
         scale[2, h] = weight[h] / (shells * rows * columns)
     for row in prange(rows):
@@ -73,7 +73,7 @@ def total_variation(grid: torch.Tensor, weight: tuple[float, ...], softness: flo
     """Sum over the three axes and the channels of weight * mean of sqrt(difference^2 + softness^2). A scalar.
 
     Args:
-        grid: [K, H, W, C], periodic in W.
+        grid: [K, H, W, C], periodic in W. K may be 1; H is at least 2.
         weight: C weights, one for each channel.
         softness: differences below this cost quadratically, larger ones linearly.
         body: "auto" (Numba on the CPU, torch elsewhere), "numba" or "torch".
@@ -81,6 +81,6 @@ def total_variation(grid: torch.Tensor, weight: tuple[float, ...], softness: flo
     (grid,) = at_least_float32(grid)
     if body == "torch" or (body == "auto" and grid.device.type != "cpu"):
         differences = (grid.diff(dim=0), grid.diff(dim=1), grid.roll(-1, 2) - grid)
-        down, along, across = (torch.sqrt(d * d + softness**2).mean(dim=(0, 1, 2)) for d in differences)
-        return (down + along + across) @ grid.new_tensor(weight)
+        means = [torch.sqrt(d * d + softness**2).mean(dim=(0, 1, 2)) for d in differences if d.numel()]
+        return torch.stack(means).sum(0) @ grid.new_tensor(weight)
     return _VariationNumba.apply(grid, weight, softness)
