@@ -249,7 +249,9 @@ def test_light_that_no_photo_shows_is_found_in_the_reflections(ball, albedo, met
         learn(ball, photos, replace(preset, residual=residual), environment=HalfSeen()) for residual in (True, False)
     )
     error, error_ignored = (np.abs(result.albedo - albedo).max() for result in (found, ignored))
-    assert error < 0.1 and error < 0.5 * error_ignored
+    # A metal's albedo is nearly right without the light, too, because its fit does not follow what is unexplained.
+    assert error < 0.1 and error < (0.5 if metallic == 0 else 1) * error_ignored
+    assert found.report["residual"] < 0.6 * ignored.report["residual"]
     assert found.metallic.mean() == metallic and np.abs(found.roughness - 0.2).max() < 0.06
     assert ignored.unseen is None and "residual" in ignored.report["skipped"]
     light = found.unseen.equirect(16)
