@@ -83,13 +83,14 @@ def texture_size(surface: Surface, footprint: float, most: int) -> int:
 
 @profiled("textures")
 def bake(
-    surface: Surface, labelled: LabelledPoints, palette: Palette, size: int
+    surface: Surface, labelled: LabelledPoints, palette: Palette, size: int, shown: np.ndarray | None = None
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Textures with S = `size` texels a side: albedo [S, S, 3], roughness, metallic and confidence [S, S], float32.
 
     A texel takes the material for which the labelled points around it vote; a texel that no photo shows takes the material
     of the nearest points. A texel outside the UV charts takes the value of the nearest texel inside. Confidence is in 0..1.
-    It is higher if more photos show the neighbours, if they are nearer, and if the material explains them better.
+    It is higher if more photos show the neighbours, if they are nearer, and if the material explains them better. It is 0
+    on faces that no photo shows: shown [F] says which do; without it, all do.
     """
     face, barycentric = rasterise(surface.atlas, surface.faces, size)
     known = face >= 0
@@ -106,6 +107,8 @@ def bake(
     spacing = np.median(votes.farthest)
     seen = (1 - np.exp(-votes.photos / 4)) * np.exp(-np.maximum(votes.nearest / spacing - 1, 0))
     confidence = seen * np.exp(-votes.residual / 0.1)
+    if shown is not None:
+        confidence *= shown[face]
     fill = nearest_known(known)
 
     def texture(values: np.ndarray) -> np.ndarray:

@@ -23,6 +23,7 @@ from blender_nep.materials.labelled_points import error_of_neighbours, labelled_
 from blender_nep.materials.light_gathering import Observations, gathered_light
 from blender_nep.materials.palette import Palette
 from blender_nep.materials.palette_search import PaletteSearch
+from blender_nep.materials.shown_faces import shown_faces
 from blender_nep.materials.training_report import MaterialReport, TrainingProgress
 from blender_nep.materials.unseen_light_training import learn_unseen_light
 from blender_nep.messages import Message, Part
@@ -122,7 +123,8 @@ class _MaterialLearner:
         self._finish_report(single, size)
         search.palette = search.palette.with_blends()
         search.assign()
-        albedo, roughness, metallic, confidence = bake(seen.surface, self._labelled_points(), search.palette, size)
+        shown = shown_faces(seen.surface, seen.f_p.tracer, seen.rays)
+        albedo, roughness, metallic, confidence = bake(seen.surface, self._labelled_points(), search.palette, size, shown)
         self.progress.phase_ended("textures")
         if size < wanted:
             self._skip(

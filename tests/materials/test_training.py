@@ -79,6 +79,17 @@ class SyntheticRays:
     view: torch.Tensor
     mask: None = None
 
+    @property
+    def views(self) -> int:
+        return int(self.view.max()) + 1
+
+    def camera(self, view):
+        return self.origin[self.view == view][0], None
+
+    def project(self, view, points):
+        """Every point lies in the middle of every frame."""
+        return torch.zeros(len(points), 2), torch.ones(len(points), dtype=torch.bool)
+
     def __post_init__(self):
         self.sphere = torch.arange(len(self.radiance))
         self.brightest = float(self.radiance.max())
@@ -219,13 +230,20 @@ def test_paint_and_metal_are_told_apart_where_they_lie(ball):
     assert ((result.roughness[known][clear] - np.where(metal, 0.25, 0.15)) ** 2).mean() < 0.003
 
 
-def test_textures_do_not_depend_on_the_block(ball, monkeypatch):
+def test_textures_do_not_depend_on_the_block_and_faces_that_no_photo_shows_have_no_confidence(ball, monkeypatch):
     random = np.random.default_rng(2)
     position = ball.vertices[random.integers(len(ball.vertices), size=300)].astype(np.float32)
     cost, albedo, residual = (random.random(shape).astype(np.float32) for shape in ((300, 2), (300, 3), 300))
     evidence = LabelledPoints(position, random.integers(9, size=300), cost, albedo, residual)
     palette = Palette(torch.tensor([[0.9, 0.6, 0.3], [0.2, 0.3, 0.4]]), torch.tensor([0.2, 0.6]), torch.tensor([1.0, 0.0]))
     whole = bake(ball, evidence, palette, 64)
+    shown = ball.vertices[ball.faces].mean(1)[:, 2] > 0
+    *same, confidence = bake(ball, evidence, palette, 64, shown)
+    face = rasterise(ball.uv, ball.faces, 64)[0]
+    inside, on_shown = face >= 0, shown[np.maximum(face, 0)]
+    assert (confidence[inside & ~on_shown] == 0).all() and (confidence[inside & on_shown] > 0).all()
+    assert np.array_equal(confidence[inside & on_shown], whole[-1][inside & on_shown])
+    assert all(np.array_equal(a, b) for a, b in zip(whole[:-1], same, strict=True))
     monkeypatch.setattr("blender_nep.materials.baking._BLOCK", 37)
     assert all(np.array_equal(a, b) for a, b in zip(whole, bake(ball, evidence, palette, 64), strict=True))
 
