@@ -6,7 +6,6 @@ Odd seeds are for working. Even seeds are only reported, so nothing may be chang
 from __future__ import annotations
 
 import math
-import shutil
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -141,7 +140,9 @@ def write_random_report(out: Path, captures: Path, seeds: Sequence[int], runs: S
     for marker, (remainder, _) in SETS.items():
         parts[marker] = scene_table([scene for scene in scenes if scene.seed % 2 == remainder])
     pictures = document.with_suffix("")
-    shutil.rmtree(pictures, ignore_errors=True)
+    for old in pictures.glob("*.png"):  # `pictures` may be `out`, so nothing else is deleted
+        if old.stem.isdigit():
+            old.unlink()
     shown = []
     for scene in worst_scenes(scenes):
         text = f"**Seed {scene.seed}.** {scene.summary or 'The scene was not rendered.'}"

@@ -122,6 +122,16 @@ def test_the_report_fills_the_document_and_draws_the_worst(out, tmp_path):
     assert document.read_text() == once, "a second report replaces the first"
 
 
+def test_the_report_deletes_nothing_but_its_own_pictures(out, tmp_path):
+    captures, document = out / "captures", out.with_suffix(".md")  # so the pictures lie in the folder of the results
+    shutil.copy(DOCUMENT, document)
+    (out / "12.png").write_bytes(b"a picture of an earlier report")
+    before = {path for path in out.rglob("*") if path.is_file()} - {out / "12.png"}
+    write_random_report(out, captures, list(ERRORS), [run_of(seed) for seed in ERRORS], document)
+    after = {path for path in out.rglob("*") if path.is_file()}
+    assert before <= after and out / "12.png" not in after
+
+
 def write_obj(path: Path) -> None:
     """A tetrahedron with UVs."""
     lines = ["v 0.5 0 -0.3", "v -0.3 0.5 -0.3", "v -0.3 -0.5 -0.3", "v 0 0 0.6", "vt 0 0", "vt 1 0", "vt 0 1", "vt 1 1"]
