@@ -35,6 +35,9 @@ class FieldsPreset:
     """Rays of a step through object pixels. Until these are first found, the rays go through the object's sphere."""
     object_pixels_at: tuple[float, ...] = (0.25, 0.5, 0.75)
     """Fractions, rising, at which the object pixels are found."""
+    carve_again_at: tuple[float, ...] = (0.5, 0.75)
+    """Fractions, rising, at which the object is carved again, with the silhouettes of an F_e that is known better. Empty:
+    never."""
     held_out_every: int = 101
     """Pixels whose index is a multiple of this number are held out from learning; the validation error is measured on them.
     The number is prime, so that these pixels do not lie in the same columns of a photo."""

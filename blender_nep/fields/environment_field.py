@@ -6,6 +6,10 @@ equirectangular grid (rows from +z to -z, columns with atan2(y, x)). A node hold
 radiance. The density is softplus(raw density) per unit of the contracted distance. The outermost shell is the sky: it lies
 at infinity, is opaque, and ends every ray that nothing else stops.
 
+The color detail is one image of all directions from the centre, finer than the shells. It is added to the logarithm of the
+radiance of what is farther than the contraction radius. Near things get none: seen from other cameras, they lie in other
+directions from the centre than what is behind them.
+
 The paper uses a Mip-NeRF for F_e, which can be queried with cones. Here the volume is prefiltered after the learning
 (`environment_prefilter`), so that cones of any width can be queried.
 """

@@ -19,7 +19,7 @@ import torch
 
 from blender_nep.fields.environment_grid import resample
 from blender_nep.ops.environment_cones import composite_cones
-from blender_nep.ops.environment_segments import contracted_length, contracted_radius
+from blender_nep.ops.environment_segments import contracted_length, contracted_radius, far_share
 from blender_nep.ops.environment_weights import from_weights, weights_from_centre
 from blender_nep.ops.spherical_grid import COLOR_LIMIT
 
@@ -92,11 +92,10 @@ class PrefilteredEnvironment:
         contraction_radius: float,
     ) -> None:
         length = contracted_length(contraction_radius)
+        u = torch.linspace(0, length, raw.shape[0])
         spacing = length / (raw.shape[0] - 1)
-        self.shell_radii = contracted_radius(torch.linspace(0, length, raw.shape[0]), contraction_radius)
+        self.shell_radii, self.far = contracted_radius(u, contraction_radius), far_share(u, contraction_radius)
         values = weights_from_centre(raw, coverage, density_gain, spacing, FINER_ROWS * raw.shape[1])
-        shells = torch.arange(raw.shape[0]) * spacing
-        self.far = (2 * (shells - math.log(contraction_radius))).clamp(0, 1)
         self.detail = _add_detail(values, detail, self.far)
         # a shell that is nowhere visible from the centre needs no lookup
         self.occupied = values[..., 3].amax((1, 2)) > 1e-4

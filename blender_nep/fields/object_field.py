@@ -171,6 +171,11 @@ class ObjectField(SurfaceColor):
             level.zero_()
         self.levels[-1].add_(target - self.coefficients())
 
+    @torch.no_grad()
+    def add(self, difference: torch.Tensor) -> None:
+        """Add values [n, n, n] to the SDF, smoothed by the spline. They belong to the centres of the finest cells."""
+        self.levels[-1][1:-1, 1:-1, 1:-1] += difference
+
     @property
     def cell(self) -> float:
         """Width of the finest level's cells in the unit frame."""
@@ -193,6 +198,22 @@ class ObjectField(SurfaceColor):
         """Unit normals, outward: [n, 3] -> [n, 3]."""
         gradient = bspline.sample(self.coefficients(), points.clamp(-1, 1))[:, 1:4]
         return nn.functional.normalize(gradient, dim=-1)
+
+    def sdf_in_cells(self) -> np.ndarray:
+        """SDF [n, n, n] at the centres of the finest level's cells; 1 where no object can be: outside the sphere, and below
+        the support plane."""
+        n = round(2 / self.cell)
+        axis = (torch.arange(n, device=self.levels[0].device) + 0.5) / n * 2 - 1
+        planes = []
+        for x in axis:
+            y, z = torch.meshgrid(axis, axis, indexing="ij")
+            points = torch.stack([x.expand_as(y), y, z], -1).reshape(-1, 3)
+            place = points.cpu().numpy()
+            nothing = np.linalg.norm(place, axis=-1) > 1
+            if self.support is not None:
+                nothing |= self.support.distance(place) < 0
+            planes.append(np.where(nothing, 1.0, self.sdf(points).cpu().numpy()).reshape(n, n))
+        return np.stack(planes).astype(np.float32)
 
     def sdf_grid(self, n: int) -> np.ndarray:
         """SDF on n^3 points spanning [-1, 1]^3, index order x, y, z; float32."""

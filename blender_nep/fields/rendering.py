@@ -163,6 +163,18 @@ class FieldsRenderer:
             curvature = (shape.bending(surface.point) + 1).sqrt().mean() if len(ray) and p.curvature > 0 else nothing
         return Rendering(radiance, opacities, weight, eikonal, curvature, parts.foreground_opacity)
 
+    @torch.no_grad()
+    def background(self, rays: RayBundle) -> Tensor:
+        """The radiance [n, 3] that rays [n] would have without the object: that of F_e and of the support plane."""
+        hits = SphereHits.of(rays, self.object_field.shape())
+        near = torch.full_like(hits.entry, self.environment.preset.camera_near)
+        end = torch.where(hits.on_support, hits.entry, torch.inf)
+        radiance, transmittance = self.environment.render(rays.origins, rays.directions, near, end, rays.half_angle)
+        below = hits.on_support.nonzero()[:, 0]
+        if len(below):
+            radiance[below] += transmittance[below, None] * self._support_color(rays[below], hits.leave[below])
+        return radiance
+
     def _support_color(self, rays: RayBundle, distance: Tensor) -> Tensor:
         """Radiance [n, 3] of the support plane that rays [n] meet at distances [n]."""
         assert self.object_field.support is not None, "a ray has met the support plane"

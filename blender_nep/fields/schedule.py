@@ -32,6 +32,8 @@ class Schedule:
     """Number of steps of both fields, each counted `step_multiplier` times; 0 .. preset.steps."""
     object_pixels_updates: int = 0
     """How often the object pixels were found."""
+    carvings: int = 0
+    """How often the object was carved again."""
     validation_errors: list[float] = field(default_factory=list)
     """Photometric errors on held-out pixels so far, the oldest first."""
 
@@ -152,6 +154,11 @@ class Schedule:
         return sum(self.fraction >= at for at in self.preset.object_pixels_at)
 
     @property
+    def carvings_due(self) -> int:
+        """How often the object should have been carved again by now. Without steps of F_e alone, it never is."""
+        return sum(self.fraction >= at for at in self.preset.carve_again_at) if self.background_steps else 0
+
+    @property
     def validation_due(self) -> bool:
         """Whether the validation error must be measured now.
 
@@ -179,6 +186,7 @@ class Schedule:
             "step": self.step,
             "learned": self.learned,
             "object_pixels_updates": self.object_pixels_updates,
+            "carvings": self.carvings,
             "validation_errors": list(self.validation_errors),
         }
 
@@ -187,4 +195,5 @@ class Schedule:
         self.start_sharpness = state["start_sharpness"]
         self.step, self.learned = state["step"], state["learned"]
         self.object_pixels_updates = state["object_pixels_updates"]
+        self.carvings = state["carvings"]
         self.validation_errors = list(state["validation_errors"])

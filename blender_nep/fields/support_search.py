@@ -56,7 +56,7 @@ def find_support_by_photos(rays: PixelRays) -> Support | None:
     lowest = float((cameras @ up).min())
     if lowest <= LOWEST:
         return None
-    photos = _Photos(rays)
+    photos = SmallPhotos(rays)
     planes = [Support(up, float(height)) for height in np.arange(LOWEST, min(HIGHEST, lowest), STEP)]
     best, contrast = max((_best_plane(photos, planes, width) for width in RINGS), key=lambda found: found[1])
     if contrast < LEAST_CONTRAST:
@@ -65,7 +65,7 @@ def find_support_by_photos(rays: PixelRays) -> Support | None:
     return support if (cameras @ support.normal).min() > support.height else None
 
 
-def _best_plane(photos: _Photos, planes: list[Support], width: float) -> tuple[Support, float]:
+def _best_plane(photos: SmallPhotos, planes: list[Support], width: float) -> tuple[Support, float]:
     """The plane with the sharpest minimum of the spread in a ring of `width`, and its contrast.
 
     The contrast is how many times larger the spread of the same ring is REACH above and below the plane.
@@ -93,7 +93,7 @@ def upward(rotations: np.ndarray) -> np.ndarray:
     return up if (above @ up).sum() > 0 else -up
 
 
-class _Photos:
+class SmallPhotos:
     """Small tone-mapped photos, in which the colors of a plane's points are compared."""
 
     def __init__(self, rays: PixelRays) -> None:
@@ -109,7 +109,7 @@ class _Photos:
 
     def spread(self, points: np.ndarray) -> np.ndarray:
         """Median absolute difference [n] of the colors of points [n, 3] from their medians; NaN where hardly seen."""
-        colors = self._colors(torch.from_numpy(points.astype(np.float32)).to(self.photos.device))
+        colors = self.colors(torch.from_numpy(points.astype(np.float32)).to(self.photos.device))
         seen = torch.isfinite(colors[..., 0]).sum(0) >= max(4, len(self.photos) // 4)
         spread = (colors - colors.nanmedian(0).values).abs().nanmedian(0).values.mean(-1)
         return torch.where(seen, spread, torch.nan).double().cpu().numpy()
@@ -120,7 +120,7 @@ class _Photos:
         known = np.isfinite(spread)
         return float(np.median(spread[known])) if known.mean() >= 0.2 else float("inf")
 
-    def _colors(self, points: Tensor) -> Tensor:
+    def colors(self, points: Tensor) -> Tensor:
         """Colors [views, n, 3] of points [n, 3]; NaN where a photo does not show the point."""
         found = [self.rays.project(view, points) for view in self.views]
         place, ahead = (torch.stack(part) for part in zip(*found, strict=True))
@@ -139,7 +139,7 @@ def ring(support: Support, inner: float, width: float, count: int) -> np.ndarray
     return points + support.height * np.asarray(support.normal)
 
 
-def _refined(photos: _Photos, start: Support) -> Support:
+def _refined(photos: SmallPhotos, start: Support) -> Support:
     """The plane near `start` with the least spread. Its tilt changes only if that makes the spread clearly less."""
     level, at_level = start, np.inf
     for _ in range(2):
@@ -152,7 +152,7 @@ def _refined(photos: _Photos, start: Support) -> Support:
     return level
 
 
-def _moved(photos: _Photos, start: Support, tilts: bool) -> tuple[Support, float]:
+def _moved(photos: SmallPhotos, start: Support, tilts: bool) -> tuple[Support, float]:
     """The plane near `start` with the least spread, by the method of Nelder and Mead in height and tilt, and the spread.
 
     Only those points of a wide ring are compared that agree best at the start: so neither the object in front of the plane

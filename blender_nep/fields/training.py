@@ -24,11 +24,12 @@ from blender_nep.fields.losses import FieldsLosses
 from blender_nep.fields.non_finite_monitor import NonFiniteMonitor, usable_gradients, usable_loss
 from blender_nep.fields.object_field import ObjectField
 from blender_nep.fields.object_pixels import draw_pixels, find_object_pixels, held_out_pixels
+from blender_nep.fields.plain_support import find_plain_support
 from blender_nep.fields.rendering import FieldsRenderer, RayBundle, Rendering, RenderSettings
 from blender_nep.fields.schedule import Schedule
 from blender_nep.fields.support_search import find_support_by_photos
 from blender_nep.fields.support_start import with_closed_foot
-from blender_nep.fields.visual_hull import background_silhouettes, carve, mask_silhouettes
+from blender_nep.fields.visual_hull import VisualHull, background_silhouettes, carve, excess, mask_silhouettes
 from blender_nep.fields.volume_rendering import BAND
 from blender_nep.geometry.mesh import Surface
 from blender_nep.geometry.ray_tracing import RayTracer
@@ -171,6 +172,9 @@ class FieldsLearning:
         if self.object_field.level_count < now.levels:
             self._add_levels(now.levels)
             self.optimisers.restart_sdf()
+        if now.carvings_due > now.carvings and self.rays.mask is None:
+            self.carve_again()
+            now.carvings = now.carvings_due
         if now.object_pixels_due > now.object_pixels_updates:
             self.update_object_pixels()
             now.object_pixels_updates = now.object_pixels_due
@@ -229,13 +233,13 @@ class FieldsLearning:
     @profiled("visual hull")
     def start_from_hull(self) -> None:
         """Start the SDF from the visual hull. If the silhouettes show no clear hull, the SDF stays as it is."""
+        cells = round(2 / self.object_field.cell)
         if self.rays.mask is not None:
-            silhouettes = mask_silhouettes(self.rays)
+            hull = carve(self.rays, mask_silhouettes(self.rays), cells)
         elif self.schedule.background_steps:
-            silhouettes = background_silhouettes(self.environment, self.rays)
+            hull = self._hull_without_masks(cells)
         else:
             return
-        hull = carve(self.rays, silhouettes, round(2 / self.object_field.cell))
         if hull is None or hull.contrast < self.preset.least_contrast:
             return
         self.hull = HullReport(hull.volume, hull.contrast)
@@ -244,6 +248,33 @@ class FieldsLearning:
             sdf = with_closed_foot(sdf, support)
         self.object_field.start_from(torch.from_numpy(sdf).to(self.generator.device))
         self.schedule.start_from_hull()
+
+    def _hull_without_masks(self, cells: int) -> VisualHull | None:
+        """The hull from the residuals of F_e. If no support plane is known, one is looked for with the hull's help."""
+        silhouettes = background_silhouettes(self._environment_alone, self.rays)
+        hull, field = carve(self.rays, silhouettes, cells), self.object_field
+        if hull is None or field.support is not None:
+            return hull
+        field.support = find_plain_support(self.rays, hull.sdf)
+        return carve(self.rays, silhouettes, cells, weak_foot=True)
+
+    @torch.no_grad()
+    def _environment_alone(self, rays: RayBundle) -> Tensor:
+        """The radiance [n, 3] of F_e alone."""
+        near = torch.full_like(rays.half_angle, self.environment.preset.camera_near)
+        end = torch.full_like(near, torch.inf)
+        return self.environment.render(rays.origins, rays.directions, near, end, rays.half_angle)[0]
+
+    @profiled("visual hull")
+    def carve_again(self) -> None:
+        """Take from the object what F_e and the support plane alone explain, now that both are known better."""
+        field, shape = self.object_field, self.object_field.shape()
+        band = BAND / self.schedule.sharpness
+        silhouettes = background_silhouettes(
+            self.renderer.background, self.rays, 4, lambda rays: shape.near(rays.origins, rays.directions, band)
+        )
+        free = excess(self.rays, silhouettes, field.sdf_in_cells())
+        field.add(torch.from_numpy(free).to(self.generator.device))
 
     def update_object_pixels(self) -> None:
         """Find the object pixels with the present SDF. The first time, also choose the validation pixels."""

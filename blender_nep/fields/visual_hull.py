@@ -11,6 +11,7 @@ and a small sphere does not reach thin parts before it is sharp.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -20,7 +21,7 @@ from skimage.filters import threshold_otsu
 from torch.nn import functional
 
 from blender_nep.capture.pixel_rays import PixelRays
-from blender_nep.fields.environment_field import EnvironmentField
+from blender_nep.fields.rendering import RayBundle
 from blender_nep.tone_mapping import tone_map
 
 LOWEST_SHARE = 0.05
@@ -28,6 +29,13 @@ LOWEST_SHARE = 0.05
 agree."""
 LEAST_COMPONENT = 0.02
 """Connected components smaller than this share of the largest one are dropped."""
+QUIET_BACKGROUND = 0.74
+"""If the threshold between the square roots of the scores is below this share of that between the scores, the background is
+much quieter than the object, and the lower threshold is used."""
+EXCESS_SHARE = 0.25
+"""A cell of the object is free space if its score is below this share of the median score of the object's cells."""
+LEAST_EXCESS = 27
+"""Connected free cells in the object count only if there are at least this many."""
 LEAST_VOLUME, MOST_VOLUME = 0.002, 0.7
 """Smallest and largest share of the sphere that the hull of an object may fill."""
 
@@ -44,12 +52,17 @@ class VisualHull:
     """Mean score inside the hull divided by that outside; well above 1 if there is an object"""
 
 
-def background_silhouettes(environment: EnvironmentField, rays: PixelRays, block: int = 4) -> list[torch.Tensor]:
-    """For each view [H / block, W / block]: the absolute tone-mapped difference between the photo and F_e alone.
+def background_silhouettes(
+    background: Callable[[RayBundle], torch.Tensor],
+    rays: PixelRays,
+    block: int = 4,
+    wanted: Callable[[RayBundle], torch.Tensor] | None = None,
+) -> list[torch.Tensor]:
+    """For each view [H / block, W / block]: the absolute tone-mapped difference between the photo and the background.
 
-    The photo is averaged over each block; F_e is rendered for one ray of it.
+    background(rays) gives the radiance [n, 3] without the object. It is asked only of the rays for which wanted(rays) [n] is
+    true; the others get the value 0. The photo is averaged over each block; the background is rendered for one ray of it.
     """
-    near = environment.preset.camera_near
     # All maps are made first. Made between the large arrays of the loop, they would keep the heap from reusing that memory.
     maps = [torch.empty(max(h // block, 1), max(w // block, 1), device=rays.radiance.device) for h, w in rays.size]
     for view, (height, width) in enumerate(rays.size):
@@ -58,13 +71,14 @@ def background_silhouettes(environment: EnvironmentField, rays: PixelRays, block
         row = torch.arange(rows, device=rays.radiance.device) * height // rows + min(block // 2, height - 1)
         column = torch.arange(columns, device=rays.radiance.device) * width // columns + min(block // 2, width - 1)
         index = (start + row[:, None] * width + column).flatten()
-        origins, directions, half_angle = rays.rays(index)
-        t = torch.full_like(half_angle, near)
-        with torch.no_grad():
-            radiance, _ = environment.render(origins, directions, t, torch.full_like(t, torch.inf), half_angle)
+        bundle = RayBundle(*rays.rays(index))
+        asked = torch.ones_like(bundle.half_angle, dtype=torch.bool) if wanted is None else wanted(bundle)
+        radiance = torch.zeros_like(bundle.directions)
+        radiance[asked] = background(bundle[asked])
         photo = rays.photo(torch.arange(start, end, device=rays.radiance.device)).reshape(height, width, 3)
         photo = functional.adaptive_avg_pool2d(tone_map(photo).permute(2, 0, 1), (rows, columns)).permute(1, 2, 0)
-        maps[view].copy_((tone_map(radiance).reshape(rows, columns, 3) - photo).abs().mean(-1))
+        difference = (tone_map(radiance).reshape(rows, columns, 3) - photo).abs().mean(-1)
+        maps[view].copy_(difference * asked.reshape(rows, columns))
     return maps
 
 
@@ -79,8 +93,11 @@ def mask_silhouettes(rays: PixelRays, block: int = 4) -> list[torch.Tensor]:
     return maps
 
 
-def carve(rays: PixelRays, silhouettes: list[torch.Tensor], cells: int) -> VisualHull | None:
-    """The visual hull of soft silhouettes on cells^3 cells, or None if the silhouettes show no object."""
+def carve(rays: PixelRays, silhouettes: list[torch.Tensor], cells: int, weak_foot: bool = False) -> VisualHull | None:
+    """The visual hull of soft silhouettes on cells^3 cells, or None if the silhouettes show no object.
+
+    weak_foot: the silhouettes may be weak near the foot, because the object may mirror an unknown support.
+    """
     axis = (np.arange(cells) + 0.5) / cells * 2 - 1
     centres = np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), -1)
     in_sphere = np.linalg.norm(centres, axis=-1) < 1
@@ -89,7 +106,7 @@ def carve(rays: PixelRays, silhouettes: list[torch.Tensor], cells: int) -> Visua
     known = np.isfinite(score)
     if not known.any() or np.ptp(score[known]) < 1e-6:
         return None
-    level = threshold_otsu(score[known])
+    level = _threshold(score[known], weak_foot)
     solid = np.zeros(in_sphere.shape, bool)
     solid[in_sphere] = np.nan_to_num(score) > level
     labels, count = ndimage.label(solid)
@@ -107,6 +124,40 @@ def carve(rays: PixelRays, silhouettes: list[torch.Tensor], cells: int) -> Visua
     distance = ndimage.distance_transform_edt(~solid) - ndimage.distance_transform_edt(solid)
     distance = (distance - np.sign(distance) * 0.5) * (2 / cells)
     return VisualHull(ndimage.gaussian_filter(distance, 1.0).astype(np.float32), float(volume), contrast)
+
+
+def _threshold(score: np.ndarray, weak_foot: bool) -> float:
+    """The score [n] above which a cell belongs to the object.
+
+    Otsu's threshold expects that both classes scatter alike. Over a plain table, the background scatters much less, and a
+    mirror that reflects the table has low scores. Square roots make the classes more alike. Where the background is not
+    quiet, the lower threshold would add much that is free.
+    """
+    level = threshold_otsu(score)
+    lower = threshold_otsu(np.sqrt(score)) ** 2
+    return lower if weak_foot and lower < QUIET_BACKGROUND * level else level
+
+
+def excess(rays: PixelRays, silhouettes: list[torch.Tensor], sdf: np.ndarray) -> np.ndarray:
+    """What must be added to an object's SDF [n, n, n] so that free space is not a part of the object; 0 elsewhere.
+
+    sdf and the result belong to the centres of n^3 cells of [-1, 1]^3, in radii of the object's sphere. A cell of the object
+    is free if nearly all views agree that the background alone explains the photos there.
+    """
+    cells = len(sdf)
+    axis = (np.arange(cells) + 0.5) / cells * 2 - 1
+    solid = sdf < 0
+    if not solid.any():
+        return np.zeros(sdf.shape, np.float32)
+    centres = np.stack([axis[index] for index in np.nonzero(solid)], -1).astype(np.float32)
+    score = _score(rays, silhouettes, torch.from_numpy(centres).to(rays.radiance.device)).cpu().numpy()
+    free = np.zeros_like(solid)
+    free[solid] = score < EXCESS_SHARE * np.nanmedian(score)  # False where no view sees the cell
+    labels, _ = ndimage.label(free)
+    free &= np.bincount(labels.ravel())[labels] >= LEAST_EXCESS
+    # The distances are to centres of cells. The border lies half a cell nearer.
+    distance = (ndimage.distance_transform_edt(free | ~solid) - 0.5) * (2 / cells)
+    return np.where(free, distance - sdf, 0.0).astype(np.float32)
 
 
 def _score(rays: PixelRays, silhouettes: list[torch.Tensor], points: torch.Tensor, values: int = 1 << 22) -> torch.Tensor:

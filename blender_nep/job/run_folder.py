@@ -18,7 +18,7 @@ from blender_nep.messages import Message
 from blender_nep.presets import Preset
 from blender_nep.stop_request import StopRequest
 
-FORMAT = 4
+FORMAT = 5
 """Version of the files in `checkpoints/` and of `report.json`. A run of another version is refused.
 
 Version 3 has new names: the stages (rooms before), and the fields of the preset.

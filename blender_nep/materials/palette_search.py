@@ -18,7 +18,13 @@ from torch import Tensor
 from blender_nep.materials.baking import NEIGHBOURS, labels_at, neighbours, vote, weighted_mean
 from blender_nep.materials.fitting import fit_groups, roughness_scan
 from blender_nep.materials.palette import Palette, best_of, between, choose, error, place_of_least, same_material
-from blender_nep.materials.roughness import place_by_spread, residual_of_reflections, share_roughness, spread
+from blender_nep.materials.roughness import (
+    place_by_spread,
+    residual_of_reflections,
+    share_roughness,
+    spread,
+    weight_of_known_light,
+)
 from blender_nep.profiling import profiled, section
 from blender_nep.shading.plenoptic import Material, SurfacePoints, reflected
 from blender_nep.tone_mapping import tone_map
@@ -40,7 +46,7 @@ class PaletteSearch:
         self.target = samples.radiance
         self.label = torch.zeros(len(samples), dtype=torch.int64, device=device)
         """[n] int64: each sample's index into the palette"""
-        self.weight = 0.05 + light.coverage[:, : len(preset.roughness_levels) // 2].mean(1)
+        self.weight = weight_of_known_light(light)
         """[n] how much a sample counts. Until the unseen light is found: 0.05 + the share of its light that is known"""
         self.merged = 0
         """Number of materials that the last merge has removed"""
@@ -70,9 +76,8 @@ class PaletteSearch:
         p = self.preset
         if p.most_materials == 1:
             return
-        voxel = np.floor(self.samples.position / p.region).astype(np.int64)
-        _, inverse, count = np.unique(voxel, axis=0, return_inverse=True, return_counts=True)
-        group, groups = torch.from_numpy(inverse.ravel()).to(self.device), len(count)
+        group, count = self._regions(self.samples.position)
+        groups = len(count)
         regional = self._fit(group, groups, _SHADES)
         size = self._by_group(self.weight, group, groups)
         large = np.flatnonzero(count >= max(20, np.median(count) / 2))
@@ -153,9 +158,8 @@ class PaletteSearch:
         """The place of the roughness of material k, a metal, in `roughness_scan`. residual [R] is that of its samples."""
         p, scan = self.preset, roughness_scan(self.preset.least_roughness, self.device)
         own = (self.label == k).nonzero().squeeze(-1)
-        voxel = np.floor(self.samples.position[own.cpu().numpy()] / p.region).astype(np.int64)
-        region = torch.from_numpy(np.unique(voxel, axis=0, return_inverse=True)[1].ravel()).to(self.device)
-        weight = 0.05 + self.light.coverage[own, : len(p.roughness_levels) // 2].mean(1)
+        region, _ = self._regions(self.samples.position[own.cpu().numpy()])
+        weight = weight_of_known_light(self.light)[own]
         photo = self.target[own].mean(-1)
         darkest = 0.1 * photo.median().clamp_min(1e-6)  # what is darker says more about noise than about the light
         of_photo = spread(photo + darkest, weight, region)
@@ -247,6 +251,12 @@ class PaletteSearch:
         costs = self.costs(palette).cpu().numpy()
         label = self.smoothed(costs, first=1).argmin(1)
         return float(costs[np.arange(len(label)), label].mean())
+
+    def _regions(self, position: np.ndarray) -> tuple[Tensor, np.ndarray]:
+        """The region [n] int64 of each position [n, 3], and the number of positions in each region."""
+        voxel = np.floor(position / self.preset.region).astype(np.int64)
+        _, inverse, count = np.unique(voxel, axis=0, return_inverse=True, return_counts=True)
+        return torch.from_numpy(inverse.ravel()).to(self.device), count
 
     def _by_group(self, values: Tensor, group: Tensor, groups: int) -> Tensor:
         return torch.zeros(groups, device=self.device).index_add_(0, group, values)

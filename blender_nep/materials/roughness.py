@@ -37,6 +37,14 @@ _NO_LIMIT = 2.5
 """Largest regional albedo. It is above 1, because F_e may be too dark in a region."""
 
 
+def weight_of_known_light(light: IncomingLight) -> Tensor:
+    """Weight [n] of the samples: 0.05 + the share of a sample's reflected light that the photos show.
+
+    The narrower half of the roughness levels counts: wide lobes see much that no photo shows, and tell little.
+    """
+    return 0.05 + light.coverage[:, : light.coverage.shape[1] // 2].mean(1)
+
+
 @profiled("roughness")
 def residual_of_reflections(
     light: IncomingLight,
@@ -52,7 +60,7 @@ def residual_of_reflections(
     count. Returns the mean residual [R, K] and the weight of the samples [K] that it comes from; 0 where no region has
     enough samples.
     """
-    weight = 0.05 + light.coverage[:, : len(preset.roughness_levels) // 2].mean(1)
+    weight = weight_of_known_light(light)
     voxel = np.floor(position / preset.region).astype(np.int64)
     place = np.concatenate([label.cpu().numpy()[:, None], voxel], 1)
     region, inverse, count = np.unique(place, axis=0, return_inverse=True, return_counts=True)

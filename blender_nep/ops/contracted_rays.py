@@ -18,19 +18,21 @@ def contraction_border(b, contraction_radius):
 
 
 @njit(cache=True, inline="always", fastmath=True, error_model="numpy")
-def place_inside(exp_w, b, to_shell):
-    """(distance from the closest point, shell coordinate) inside the contraction radius, from exp(w)."""
-    inverse = 1.0 / exp_w
-    return 0.5 * b * (exp_w - inverse), math.log(0.5 * b * (exp_w + inverse)) * to_shell
+def place_on_ray(w, exp_w, b, border, contraction_radius, to_shell):
+    """(signed distance from the closest point, shell coordinate) at w. exp_w is exp(w), border is `contraction_border`.
 
-
-@njit(cache=True, inline="always", fastmath=True, error_model="numpy")
-def place_outside(w, b, w_border, z_border, contraction_radius, to_shell):
-    """(signed distance from the closest point, shell coordinate) outside the contraction radius."""
-    z = max(z_border - (abs(w) - w_border) * b / contraction_radius, SMALLEST_ANGLE)
-    t = b / math.tan(z)
-    shell = (math.log(contraction_radius) + 1.0 - contraction_radius * math.sin(z) / b) * to_shell
-    return (t if w >= 0.0 else -t), shell
+    Only inside the contraction radius is exp_w used, so that a march can update it by a factor.
+    """
+    w_border, z_border = border
+    if abs(w) <= w_border:
+        inverse = 1.0 / exp_w
+        t = 0.5 * b * (exp_w - inverse)
+        u = math.log(0.5 * b * (exp_w + inverse))
+    else:
+        z = max(z_border - (abs(w) - w_border) * b / contraction_radius, SMALLEST_ANGLE)
+        t = math.copysign(b / math.tan(z), w)
+        u = math.log(contraction_radius) + 1.0 - contraction_radius * math.sin(z) / b
+    return t, u * to_shell
 
 
 @njit(cache=True, inline="always", fastmath=True, error_model="numpy")

@@ -14,7 +14,7 @@ import numpy as np
 import torch
 from numba import njit, prange
 
-from blender_nep.ops.contracted_rays import contraction_border, place_inside, place_outside
+from blender_nep.ops.contracted_rays import contraction_border, place_on_ray
 from blender_nep.ops.spherical_grid import angular_cell, bilinear_2d, bilinear_weights, cell, cell_columns, polar
 
 
@@ -123,17 +123,14 @@ def accumulate_coverage(raw, rays, medium, seen):
         samples = offsets[i + 1] - offsets[i]
         steps = samples - 1 if infinite[i] else samples
         step = w_length[i] / steps if steps > 0 else 0.0
-        w_border, z_border = contraction_border(b[i], contraction_radius)
+        border = contraction_border(b[i], contraction_radius)
         passed = 1.0
         for n in range(samples):
             x, y, z = float(directions[i, 0]), float(directions[i, 1]), float(directions[i, 2])
             place = shells - 1.0
             if n < steps:
                 w = w_near[i] + (n + 0.5) * step
-                if abs(w) <= w_border:
-                    t, place = place_inside(math.exp(w), b[i], to_shell)
-                else:
-                    t, place = place_outside(w, b[i], w_border, z_border, contraction_radius, to_shell)
+                t, place = place_on_ray(w, math.exp(w), b[i], border, contraction_radius, to_shell)
                 t += t_closest[i]
                 x, y, z = origins[i, 0] + t * x, origins[i, 1] + t * y, origins[i, 2] + t * z
             k = min(max(int(place + 0.5), 0), shells - 1)

@@ -15,7 +15,7 @@ import torch
 from numba import njit, prange
 from torch import Tensor
 
-from blender_nep.ops.contracted_rays import contraction_border, far_share, place_inside, place_outside
+from blender_nep.ops.contracted_rays import contraction_border, far_share, place_on_ray
 from blender_nep.ops.environment_samples import Medium, RaySamples
 from blender_nep.ops.spherical_grid import (
     COLOR_LIMIT,
@@ -61,11 +61,14 @@ def _radiance(raw):
 @njit(cache=True, inline="always", fastmath=True, error_model="numpy")
 def _detail_at(detail, place, share):
     """The three logarithms that the color detail adds in a cell; `place` is that of `cell`, `share` that of `far_share`."""
-    j, c, fj, fc = place
-    corners, weights = cell_columns(j, c, detail.shape[0], detail.shape[1]), bilinear_weights(fj, fc)
-    red = share * bilinear_2d(detail, corners, weights, 0)
-    green = share * bilinear_2d(detail, corners, weights, 1)
-    return red, green, share * bilinear_2d(detail, corners, weights, 2)
+    red, green, blue = 0.0, 0.0, 0.0
+    if share > 0.0:
+        j, c, fj, fc = place
+        corners, weights = cell_columns(j, c, detail.shape[0], detail.shape[1]), bilinear_weights(fj, fc)
+        red = share * bilinear_2d(detail, corners, weights, 0)
+        green = share * bilinear_2d(detail, corners, weights, 1)
+        blue = share * bilinear_2d(detail, corners, weights, 2)
+    return red, green, blue
 
 
 @njit(cache=True, parallel=True, fastmath=True, error_model="numpy")
@@ -79,7 +82,6 @@ def _march(raw, detail, rays, medium, radiance, transmittance, kept, records, ke
     contraction_radius, density_gain, gradient_near, transmittance_limit, depth_limit = medium
     cells, fractions, local = records.cells, records.fractions, records.local
     detail_share, detail_cells, detail_fractions = records.detail_share, records.detail_cells, records.detail_fractions
-    detail_rows, detail_columns = detail.shape[0], detail.shape[1]
     shells, rows, columns = raw.shape[0], raw.shape[1], raw.shape[2]
     spacing = (math.log(contraction_radius) + 1.0) / (shells - 1)
     to_shell = 1.0 / spacing
@@ -89,14 +91,12 @@ def _march(raw, detail, rays, medium, radiance, transmittance, kept, records, ke
         dx, dy, dz = float(directions[i, 0]), float(directions[i, 1]), float(directions[i, 2])
         first = offsets[i]
         samples = offsets[i + 1] - first
-        red, green, blue, passed = 0.0, 0.0, 0.0, 1.0
-        count = 0
+        red, green, blue, passed, count = 0.0, 0.0, 0.0, 1.0, 0
         steps = samples - 1 if infinite[i] else samples
         step = w_length[i] / steps if steps > 0 else 0.0
-        w_border, z_border = contraction_border(b[i], contraction_radius)
+        ray_border = contraction_border(b[i], contraction_radius)
         w = w_near[i] + jitter[i] * step
-        exp_w = math.exp(w)
-        growth = math.exp(step)
+        exp_w, growth = math.exp(w), math.exp(step)
         for n in range(samples):
             closing = n == steps
             if closing:  # the sky lies at infinity, in the direction of the ray
@@ -104,10 +104,7 @@ def _march(raw, detail, rays, medium, radiance, transmittance, kept, records, ke
                 k_real = shells - 1.0
                 px, py, pz = dx, dy, dz
             else:
-                if abs(w) <= w_border:
-                    t, k_real = place_inside(exp_w, b[i], to_shell)
-                else:
-                    t, k_real = place_outside(w, b[i], w_border, z_border, contraction_radius, to_shell)
+                t, k_real = place_on_ray(w, exp_w, b[i], ray_border, contraction_radius, to_shell)
                 t += t_closest[i]
                 k_real = min(max(k_real, 0.0), shells - 1.0)
                 px, py, pz = ox + t * dx, oy + t * dy, oz + t * dz
@@ -119,8 +116,7 @@ def _march(raw, detail, rays, medium, radiance, transmittance, kept, records, ke
             fk = k_real - k
             shell_weights = 1.0 - fk, fk
             corners, weights = cell_columns(j, c, rows, columns), bilinear_weights(fj, fc)
-            slope = 0.0
-            alpha = 1.0
+            slope, alpha = 0.0, 1.0
             if not closing:
                 value = trilinear(raw, k, shell_weights, corners, weights, 0)
                 q = math.exp(-abs(value))
@@ -132,36 +128,28 @@ def _march(raw, detail, rays, medium, radiance, transmittance, kept, records, ke
                 alpha = -math.expm1(-depth)
             weight = passed * alpha
             m = first + count
-            red_detail, green_detail, blue_detail = 0.0, 0.0, 0.0
             share = far_share(k_real, border, spacing)
-            if share > 0.0:
-                place = cell(turn, fall, detail_rows, detail_columns)
-                red_detail, green_detail, blue_detail = _detail_at(detail, place, share)
-                if keep:
-                    detail_cells[m, 0], detail_cells[m, 1] = place[0], place[1]
-                    detail_fractions[m, 0], detail_fractions[m, 1] = place[2], place[3]
-            red_here = _radiance(trilinear(raw, k, shell_weights, corners, weights, 1) + red_detail)
-            green_here = _radiance(trilinear(raw, k, shell_weights, corners, weights, 2) + green_detail)
-            blue_here = _radiance(trilinear(raw, k, shell_weights, corners, weights, 3) + blue_detail)
-            red += weight * red_here
-            green += weight * green_here
-            blue += weight * blue_here
+            place = cell(turn, fall, detail.shape[0], detail.shape[1])
+            red_here, green_here, blue_here = _detail_at(detail, place, share)
+            red_here = _radiance(trilinear(raw, k, shell_weights, corners, weights, 1) + red_here)
+            green_here = _radiance(trilinear(raw, k, shell_weights, corners, weights, 2) + green_here)
+            blue_here = _radiance(trilinear(raw, k, shell_weights, corners, weights, 3) + blue_here)
+            red, green, blue = red + weight * red_here, green + weight * green_here, blue + weight * blue_here
             if keep:
                 cells[m, 0], cells[m, 1], cells[m, 2] = k, j, c
                 fractions[m, 0], fractions[m, 1], fractions[m, 2] = fk, fj, fc
                 detail_share[m] = share
-                local[m, 0] = slope
-                local[m, 1] = alpha
-                local[m, 2] = passed
+                if share > 0.0:
+                    detail_cells[m, 0], detail_cells[m, 1] = place[0], place[1]
+                    detail_fractions[m, 0], detail_fractions[m, 1] = place[2], place[3]
+                local[m, 0], local[m, 1], local[m, 2] = slope, alpha, passed
                 local[m, 3], local[m, 4], local[m, 5] = red_here, green_here, blue_here
                 local[m, 6] = (t / gradient_near) ** 2 if t < gradient_near else 1.0
                 count += 1
             passed *= 1.0 - alpha
             if passed <= transmittance_limit:
                 break
-        radiance[i, 0] = red
-        radiance[i, 1] = green
-        radiance[i, 2] = blue
+        radiance[i, 0], radiance[i, 1], radiance[i, 2] = red, green, blue
         transmittance[i] = passed
         kept[i] = count
 

@@ -9,7 +9,7 @@ from torch import Tensor
 
 from blender_nep.ops.contracted_rays import SMALLEST_ANGLE
 from blender_nep.ops.environment_samples import Medium, RaySamples
-from blender_nep.ops.environment_segments import contracted_length
+from blender_nep.ops.environment_segments import contracted_length, far_share
 from blender_nep.ops.spherical_grid import COLOR_LIMIT
 
 
@@ -91,7 +91,7 @@ def _color(values):
 def _values(raw: Tensor, detail: Tensor, points: Tensor, shell: Tensor, contraction_radius: float) -> Tensor:
     """Raw values [..., 4] at points [..., 3] between the shells [...], with the color detail [D, 2 D, 3] of far points."""
     u = shell * (contracted_length(contraction_radius) / (raw.shape[0] - 1))
-    share = (2 * (u - math.log(contraction_radius))).clamp(0, 1).to(raw.dtype)
+    share = far_share(u, contraction_radius).to(raw.dtype)
     fine = interpolate(detail[None].expand(2, -1, -1, -1), points, torch.zeros_like(shell))
     return interpolate(raw, points, shell) + torch.nn.functional.pad(share[..., None] * fine, (1, 0))
 

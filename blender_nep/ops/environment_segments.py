@@ -62,6 +62,11 @@ def contracted_radius(u: Tensor, contraction_radius: float) -> Tensor:
     return torch.where(beyond >= 1, torch.exp(u), contraction_radius / beyond)
 
 
+def far_share(u: Tensor, contraction_radius: float) -> Tensor:
+    """Share of the color detail at contracted distances: 0 inside the contraction radius, 1 beyond twice that radius."""
+    return (2 * (u - math.log(contraction_radius))).clamp(0, 1)
+
+
 def contract_segments(segments: RaySegments, contraction_radius: float) -> ContractedSegments:
     """Ray segments in the contracted coordinate w."""
     origins, directions, t_near, t_far = (part.double() for part in segments)

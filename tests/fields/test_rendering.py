@@ -62,6 +62,17 @@ def test_a_support_plane_ends_rays_in_the_sphere_and_hides_what_the_sdf_is_below
     torch.testing.assert_close(hidden.opacity, torch.zeros(3), atol=1e-3, rtol=0)
 
 
+@pytest.mark.parametrize("support", [None, Support(np.array([0.0, 0.0, 1.0]), -0.3)])
+def test_the_background_is_what_is_rendered_where_the_object_is_empty(support):
+    fields, seen = renderer(brief_preset()), rays([0.0, 0.4, 0.8, 1.5])
+    fields.object_field.support = support
+    background = fields.background(seen)
+    assert (background - fields.render(seen, SHARP, None).radiance)[:2].abs().max() > 1e-3, "here the object is in front"
+    with torch.no_grad():
+        fields.object_field.levels[0] += 2
+    torch.testing.assert_close(background, fields.render(seen, SHARP, None).radiance)
+
+
 def test_a_ray_sees_the_environment_the_object_or_both():
     fields, seen = renderer(brief_preset()), rays([0.0, 0.8, 1.5])
     out = fields.render(seen, SHARP, None)

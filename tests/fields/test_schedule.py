@@ -139,3 +139,13 @@ def test_a_schedule_goes_on_from_its_state():
     assert other == now
     now.validation_errors.append(0.5)
     assert other != now, "nothing is shared"
+
+
+def test_the_object_is_carved_again_at_its_fractions_if_f_e_was_learned_alone():
+    first, last = PRESET.carve_again_at
+    assert [schedule(f).carvings_due for f in (first - 0.01, first, last - 0.01, last, 1.0)] == [0, 1, 1, 2, 2]
+    assert schedule(1.0, background_steps=0).carvings_due == 0
+    assert schedule(1.0, replace(PRESET, carve_again_at=())).carvings_due == 0
+    resumed = schedule(0.0)
+    resumed.load(schedule(0.7, carvings=1).state())
+    assert resumed.carvings == 1

@@ -13,6 +13,7 @@ from benchmarks.suite.plan import ABLATIONS
 from blender_nep.capture import PixelRays, load_capture
 from blender_nep.checkpoints import NoCheckpoint
 from blender_nep.errors import LearningError
+from blender_nep.fields import training
 from blender_nep.fields.fields import Fields, FieldsReport, HullReport
 from blender_nep.fields.object_field import ObjectField
 from blender_nep.fields.training import FieldsLearning, learn_fields
@@ -172,6 +173,26 @@ def test_the_sdf_starts_from_a_hull_only_where_that_tells_the_object_from_its_su
     assert learning.schedule.sharpness == (p.hull_sharpness if from_hull else p.first_sharpness)
 
 
+def test_carving_again_takes_what_the_background_explains(rays, monkeypatch):
+    """The background differs from the photos only where a ball is seen; the SDF is a sphere around that ball."""
+
+    def shows_a_ball(background, rays, block, wanted):
+        maps = []
+        for view, (height, width) in enumerate(rays.size):
+            origin, direction, _ = rays.rays(torch.arange(rays.offset[view], rays.offset[view + 1]))
+            seen = torch.linalg.cross(origin, direction).norm(dim=-1) < 0.5
+            maps.append(0.2 * seen.float().reshape(height, width))
+        return maps
+
+    monkeypatch.setattr(training, "background_silhouettes", shows_a_ball)
+    learning = FieldsLearning(rays, brief_preset(), 0, CPU)
+    way = torch.nn.functional.normalize(torch.randn(200, 3, generator=torch.Generator().manual_seed(0)), dim=-1)
+    assert (learning.object_field.sdf(0.55 * way) < 0).all()
+    learning.carve_again()
+    assert (learning.object_field.sdf(0.55 * way) > 0).float().mean() > 0.95
+    assert (learning.object_field.sdf(0.25 * way) < 0).all()
+
+
 def test_the_environment_is_the_one_of_the_preset(rays):
     preset = with_changes(brief_preset(background_steps=0), {"environment": {"model": "infinite"}})
     assert FieldsLearning(rays, preset, 0, CPU).environment.infinite
@@ -190,7 +211,8 @@ def test_what_the_schedule_wants_done_is_done(rays):
         looked = joint and before >= p.object_pixels_at[0]
         assert (learning.object_pixels is whole) != looked and bool(len(learning.validation_pixels)) == looked
         assert bool(learning.schedule.validation_errors) == looked
-    assert learning.schedule.object_pixels_updates == 3 and len(learning.object_pixels) < len(whole)
+    assert learning.schedule.object_pixels_updates == 3 and learning.schedule.carvings == 2
+    assert len(learning.object_pixels) < len(whole)
     held_out = learning.validation_pixels
     assert (held_out % p.held_out_every == 0).all()
     # the error that is measured is that of what is rendered

@@ -7,7 +7,9 @@ from torch.nn import functional
 
 from blender_nep.capture import PixelRays, load_capture
 from blender_nep.fields.object_field import ObjectField
-from blender_nep.fields.visual_hull import carve, mask_silhouettes
+from blender_nep.fields.visual_hull import LEAST_EXCESS, background_silhouettes, carve, excess, mask_silhouettes
+from blender_nep.geometry.support import Support
+from blender_nep.tone_mapping import tone_map
 from support.paths import SUZANNE_SMALL
 
 
@@ -56,6 +58,60 @@ def test_the_silhouettes_of_a_ball_are_carved_into_the_ball(rays):
     assert np.abs(hull.sdf - true)[near].mean() < 2 / cells
 
 
+def intersection(one, other):
+    """Intersection over union of two solids, bool [n, n, n]."""
+    return (one & other).sum() / (one | other).sum()
+
+
+@pytest.mark.parametrize(("floor", "found"), [(0.002, True), (0.07, False)])
+def test_a_foot_of_weak_silhouettes_is_found_over_a_quiet_background_only(rays, floor, found):
+    """Two balls: the maps hold 0.4 for one, 0.13 for the other, and `floor` for the background."""
+    body, foot, cells = torch.tensor([0.0, 0.0, 0.35]), torch.tensor([0.0, 0.0, -0.35]), 48
+    maps = [
+        torch.maximum(0.4 * strong, 0.13 * weak).clamp(min=floor)
+        for strong, weak in zip(silhouettes_of(rays, body, 0.4), silhouettes_of(rays, foot, 0.35), strict=True)
+    ]
+    upper = signed_distance(cells, body.numpy(), 0.4) < 0
+    both = upper | (signed_distance(cells, foot.numpy(), 0.35) < 0)
+    plain, weak_foot = (carve(rays, maps, cells, weak).sdf < 0 for weak in (False, True))
+    assert intersection(plain, upper) > 0.8 and intersection(plain, both) < 0.7
+    assert (intersection(weak_foot, both) > 0.8) == found
+    assert np.array_equal(weak_foot, plain) != found
+
+
+def test_what_the_background_explains_is_taken_from_the_object(rays):
+    centre, radius, cells = torch.tensor([0.1, 0.0, -0.1]), 0.4, 48
+    true = signed_distance(cells, centre.numpy(), radius)
+    lump = signed_distance(cells, np.array([0.1, 0.0, 0.35]), 0.2)
+    sdf = np.minimum(true, lump)
+    change = excess(rays, silhouettes_of(rays, centre, radius), sdf)
+    left = sdf + change
+    assert (left[(lump < 0) & (true > 0.06)] > 0).all(), "the lump is free space"
+    assert (change[true < -0.06] == 0).all() and (change[sdf > 0] == 0).all()
+    speck = true.copy()
+    speck[30:32, 30:32, 40:42] = -0.01
+    assert speck[30:32, 30:32, 40:42].size < LEAST_EXCESS
+    assert (excess(rays, silhouettes_of(rays, centre, radius), speck)[30:32, 30:32, 40:42] == 0).all()
+    assert not excess(rays, silhouettes_of(rays, centre, radius), np.ones((8, 8, 8))).any()
+
+
+def test_the_background_is_asked_only_of_the_wanted_rays(rays):
+    asked = []
+
+    def black(bundle):
+        asked.append(len(bundle))
+        return torch.zeros_like(bundle.directions)
+
+    maps = background_silhouettes(black, rays, 4, lambda bundle: bundle.directions[:, 2] < 0)
+    everything = background_silhouettes(black, rays, 4)
+    assert sum(asked[: rays.views]) < sum(asked[rays.views :]) == sum(map(torch.numel, maps))
+    height, width = rays.size[0]
+    photo = tone_map(rays.photo(torch.arange(height * width))).reshape(height, width, 3)
+    expected = functional.avg_pool2d(photo.permute(2, 0, 1), 4).mean(0)
+    torch.testing.assert_close(everything[0], expected)
+    assert all(((part == 0) | (part == whole)).all() for part, whole in zip(maps, everything, strict=True))
+
+
 @pytest.mark.parametrize("value", [0.0, 0.3])
 def test_silhouettes_without_an_object_give_no_hull(rays, value):
     assert carve(rays, [torch.full((20, 20), value)] * rays.views, 32) is None
@@ -87,3 +143,21 @@ def test_a_field_can_start_from_an_sdf():
     assert (field.sdf(points) - true).abs()[away].max() < 0.01
     with pytest.raises(ValueError, match="32"):
         field.start_from(sdf[:16, :16, :16])
+
+
+def test_a_field_tells_its_sdf_in_cells_and_takes_additions():
+    field = ObjectField(16, 0.6)
+    field.add_level()
+    axis = (torch.arange(32) + 0.5) / 32 * 2 - 1
+    centres = torch.stack(torch.meshgrid(axis, axis, axis, indexing="ij"), -1)
+    inside = (centres.norm(dim=-1) <= 1).numpy()
+    before = field.sdf_in_cells()
+    away = inside & (centres.norm(dim=-1) > 0.2).numpy()  # a smooth field rounds the point at the sphere's centre
+    np.testing.assert_allclose(before[away], (centres.norm(dim=-1) - 0.6).numpy()[away], atol=0.02)
+    assert (before[~inside] == 1).all()
+    field.add(torch.full((32, 32, 32), 0.25))
+    inner = (centres.abs().amax(-1) < 0.9).numpy() & inside  # beyond the border, no cell is added to
+    np.testing.assert_allclose((field.sdf_in_cells() - before)[inner], 0.25, atol=1e-5)
+    field.support = Support(np.array([0.0, 0.0, 1.0]), -0.3)
+    below = centres[..., 2].numpy() < -0.3
+    assert (field.sdf_in_cells()[below] == 1).all() and (field.sdf_in_cells()[inside & ~below] < 1).all()

@@ -110,7 +110,7 @@ def along_ray(origin, direction, near, far, steps=40_001):
 
 
 @pytest.mark.parametrize("body", ["numba", "torch"])
-def test_uniform_medium_has_its_closed_form(body):
+def test_uniform_medium_absorbs_by_its_contracted_length(body):
     """Optical depth is density times the contracted length of the segment."""
     origins, directions, near, far = random_rays(40, 8)
     far = torch.where(torch.isinf(far), 9.0, far)

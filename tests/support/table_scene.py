@@ -1,4 +1,4 @@
-"""A capture of a ball on a patterned table, rendered analytically."""
+"""A capture of a ball on a table, rendered analytically. The table has a pattern, or only the soft shadow of the ball."""
 
 from __future__ import annotations
 
@@ -21,18 +21,24 @@ def pattern(points: np.ndarray) -> np.ndarray:
     return np.stack([0.4 + 0.25 * np.sin(5 * x), 0.4 + 0.25 * np.cos(6 * y), 0.3 + 0.2 * np.sin(4 * (x + y))], 1)
 
 
+def shadow(points: np.ndarray) -> np.ndarray:
+    """Linear radiance [n, 3] of points [n, 3] of a plain table, which is darker near the foot of the ball."""
+    away = np.linalg.norm(points[:, :2] - CENTRE[:2], axis=1)
+    return np.array([0.2, 0.3, 0.35]) * (1 - 0.8 * np.exp(-((away / 0.4) ** 2)))[:, None]
+
+
 def turn(tilt: float) -> np.ndarray:
     """A rotation [3, 3] about the y axis by `tilt` radians."""
     c, s = np.cos(tilt), np.sin(tilt)
     return np.array([[c, 0, s], [0, 1, 0], [-s, 0, c]])
 
 
-def colors(origin: np.ndarray, directions: np.ndarray, table: bool) -> np.ndarray:
+def colors(origin: np.ndarray, directions: np.ndarray, table: bool, plain: bool) -> np.ndarray:
     """What rays from `origin` [3] along directions [n, 3] see: the ball, the table if there is one, or walls far away."""
     color = 0.3 + 0.2 * np.sin(3 * directions)
     if table:
         t = (HEIGHT - origin[2]) / np.minimum(directions[:, 2], -1e-6)
-        color[directions[:, 2] < 0] = pattern(origin + t[:, None] * directions)[directions[:, 2] < 0]
+        color[directions[:, 2] < 0] = (shadow if plain else pattern)(origin + t[:, None] * directions)[directions[:, 2] < 0]
     along = directions @ (CENTRE - origin)
     away = np.linalg.norm(origin + along[:, None] * directions - CENTRE, axis=1)
     color[away < BALL] = [0.1, 0.5, 0.2]
@@ -40,7 +46,12 @@ def colors(origin: np.ndarray, directions: np.ndarray, table: bool) -> np.ndarra
 
 
 def write_table_scene(
-    folder: Path, *, table: bool = True, tilt: float = 0.0, elevations: tuple[float, ...] = (15, 35, 60)
+    folder: Path,
+    *,
+    table: bool = True,
+    plain: bool = False,
+    tilt: float = 0.0,
+    elevations: tuple[float, ...] = (15, 35, 60),
 ) -> Path:
     """Write the capture, turned by `tilt` radians with cameras and all; elevations of the rings of cameras in degrees."""
     (folder / "images").mkdir(parents=True)
@@ -52,7 +63,7 @@ def write_table_scene(
         around, up = 2.4 * k, np.radians(elevations[k % len(elevations)])
         position = 3.2 * np.array([np.cos(around) * np.cos(up), np.sin(around) * np.cos(up), np.sin(up)])
         matrix = look_at(position, np.zeros(3))
-        photo = colors(position, local @ matrix[:3, :3].T, table)
+        photo = colors(position, local @ matrix[:3, :3].T, table, plain)
         write_exr(folder / "images" / f"{k}.exr", photo.reshape(SIZE, SIZE, 3))
         matrix[:3] = turn(tilt) @ matrix[:3]
         frames.append({"file_path": f"images/{k}.exr", "transform_matrix": matrix.tolist()})
