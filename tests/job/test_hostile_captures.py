@@ -11,6 +11,7 @@ import torch
 
 pytest.importorskip("hypothesis")
 from hypothesis import HealthCheck, Phase, given, settings
+from scipy.spatial import cKDTree
 
 from benchmarks.stress.campaign import cases, digest, reconstruct, run_case, summarise
 from benchmarks.stress.checks import check_asset, same_assets
@@ -112,12 +113,14 @@ def test_one_thread_and_many_give_the_same_asset_within_rounding(plain_asset, tm
             name: load_state(out / "checkpoints" / f"{name}.done.pt")["result"]
             for name in ("fields_learning", "material_learning")
         }
-        found.append(
-            {"sdf": stages["fields_learning"]["object"]["weights"]["levels.2"], "vertices": unit_surface(out)}
-            | stages["material_learning"]["textures"]
-        )
-    assert all(np.shape(one) == np.shape(other) for one, other in zip(*(f.values() for f in found), strict=True))
-    assert not [name for name, one in found[0].items() if np.abs(np.asarray(one) - np.asarray(found[1][name])).max() > 1e-3]
+        sdf = stages["fields_learning"]["object"]["weights"]["levels.2"]
+        found.append(({"sdf": sdf} | stages["material_learning"]["textures"], unit_surface(out)))
+    (one, vertices), (other, others) = found
+    assert all(np.shape(one[name]) == np.shape(other[name]) for name in one)
+    assert not [name for name in one if np.abs(np.asarray(one[name]) - np.asarray(other[name])).max() > 1e-3]
+    # Rounding may swap two edges of nearly the same cost in the simplification, and with them the order of the vertices.
+    assert len(vertices) == len(others)
+    assert max(cKDTree(a).query(b)[0].max() for a, b in ((vertices, others), (others, vertices))) < 1e-3
 
 
 def test_another_seed_gives_another_asset_of_the_same_thing(plain_asset, tmp_path):
