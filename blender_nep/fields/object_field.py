@@ -200,28 +200,30 @@ class ObjectField(SurfaceColor):
         return nn.functional.normalize(gradient, dim=-1)
 
     def sdf_in_cells(self) -> np.ndarray:
-        """SDF [n, n, n] at the centres of the finest level's cells; 1 where no object can be: outside the sphere, and below
-        the support plane."""
+        """SDF [n, n, n] at the centres of the finest level's cells; float32.
+
+        It is 1 where no object can be: outside the sphere, and below the support plane.
+        """
         n = round(2 / self.cell)
-        axis = (torch.arange(n, device=self.levels[0].device) + 0.5) / n * 2 - 1
-        planes = []
-        for x in axis:
-            y, z = torch.meshgrid(axis, axis, indexing="ij")
-            points = torch.stack([x.expand_as(y), y, z], -1).reshape(-1, 3)
-            place = points.cpu().numpy()
-            nothing = np.linalg.norm(place, axis=-1) > 1
-            if self.support is not None:
-                nothing |= self.support.distance(place) < 0
-            planes.append(np.where(nothing, 1.0, self.sdf(points).cpu().numpy()).reshape(n, n))
-        return np.stack(planes).astype(np.float32)
+        axis = (torch.arange(n) + 0.5) / n * 2 - 1
+        sdf = self._sdf_on(axis)
+        place = np.stack(np.meshgrid(*[axis.numpy()] * 3, indexing="ij"), -1)
+        nothing = np.linalg.norm(place, axis=-1) > 1
+        if self.support is not None:
+            nothing |= self.support.distance(place) < 0
+        return np.where(nothing, np.float32(1), sdf)
 
     def sdf_grid(self, n: int) -> np.ndarray:
         """SDF on n^3 points spanning [-1, 1]^3, index order x, y, z; float32."""
-        axis = torch.linspace(-1, 1, n, device=self.levels[0].device)
-        coefficients = self.coefficients().detach()
+        return self._sdf_on(torch.linspace(-1, 1, n))
+
+    @torch.no_grad()
+    def _sdf_on(self, axis: torch.Tensor) -> np.ndarray:
+        """SDF [n, n, n] on the grid whose x, y and z are those of `axis` [n]."""
+        axis, coefficients = axis.to(self.levels[0].device), self.coefficients()
         planes = []
         for x in axis:
             y, z = torch.meshgrid(axis, axis, indexing="ij")
             points = torch.stack([x.expand_as(y), y, z], -1).reshape(-1, 3)
-            planes.append(bspline.sample(coefficients, points)[:, 0].reshape(n, n).cpu().numpy())
+            planes.append(bspline.sample(coefficients, points)[:, 0].reshape(y.shape).cpu().numpy())
         return np.stack(planes)

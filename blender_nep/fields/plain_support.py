@@ -17,13 +17,13 @@ from torch import Tensor
 from torch.nn import functional
 
 from blender_nep.capture.pixel_rays import PixelRays
-from blender_nep.fields.support_search import HIGHEST, LOWEST, STEP, SmallPhotos, upward
+from blender_nep.fields.support_search import STEP, SmallPhotos, possible_planes
 from blender_nep.geometry.support import Support
 from blender_nep.profiling import profiled
 
 MOST_SPREAD = 0.015
-"""Largest tone-mapped spread of a support's colors. Measured: 0.006 to 0.010 on tables and plates, 0.04 to 0.13 where the
-object floats."""
+"""Largest tone-mapped spread of a support's colors. Measured: 0.006 to 0.010 on tables and plates (0.015 under a mirror on a
+plain plate), 0.04 to 0.13 where the object floats."""
 NEAR_LEAST = 1.25
 """The spread of the plane is at most this multiple of the least spread of all lower planes."""
 RISE, LEAST_RISE = 0.1, 1.4
@@ -47,12 +47,9 @@ def find_plain_support(rays: PixelRays, hull_sdf: np.ndarray) -> Support | None:
     hull_sdf [n, n, n] belongs to the centres of n^3 cells of [-1, 1]^3, negative inside. Takes 1 to 2 CPU seconds if no
     camera is below the object, and nearly no time otherwise.
     """
-    cameras = torch.stack([rays.camera(view)[0] for view in range(rays.views)]).double().cpu().numpy()
-    up = upward(np.stack([rays.camera(view)[1].double().cpu().numpy() for view in range(rays.views)]))
-    lowest = float((cameras @ up).min())
-    if not rays.background or lowest <= LOWEST:
+    up, heights = possible_planes(rays)
+    if not len(heights):
         return None
-    heights = np.arange(LOWEST, min(HIGHEST, lowest), STEP)
     near_foot = _NearFoot(rays, hull_sdf, up)
     spread = np.array([near_foot.spread(float(height)) for height in heights])
     for k in range(len(spread) - 1 - round(RISE / STEP), -1, -1):

@@ -49,20 +49,27 @@ def find_support_by_photos(rays: PixelRays) -> Support | None:
 
     Takes a few seconds if no camera is below the object, and nearly no time otherwise.
     """
-    if not rays.background:
-        return None
-    cameras = torch.stack([rays.camera(view)[0] for view in range(rays.views)]).double().cpu().numpy()
-    up = upward(np.stack([rays.camera(view)[1].double().cpu().numpy() for view in range(rays.views)]))
-    lowest = float((cameras @ up).min())
-    if lowest <= LOWEST:
+    up, heights = possible_planes(rays)
+    if not len(heights):
         return None
     photos = SmallPhotos(rays)
-    planes = [Support(up, float(height)) for height in np.arange(LOWEST, min(HIGHEST, lowest), STEP)]
+    planes = [Support(up, float(height)) for height in heights]
     best, contrast = max((_best_plane(photos, planes, width) for width in RINGS), key=lambda found: found[1])
     if contrast < LEAST_CONTRAST:
         return None
     support = _refined(photos, best)
-    return support if (cameras @ support.normal).min() > support.height else None
+    positions = np.stack([rays.camera(view)[0].double().cpu().numpy() for view in range(rays.views)])
+    return support if (positions @ support.normal).min() > support.height else None
+
+
+def possible_planes(rays: PixelRays) -> tuple[np.ndarray, np.ndarray]:
+    """Upward direction [3], and the heights [n] at which a support plane may lie; none if a camera is below the object, or
+    if the photos do not show the surroundings."""
+    cameras = [[part.double().cpu().numpy() for part in rays.camera(view)] for view in range(rays.views)]
+    positions, rotations = (np.stack(part) for part in zip(*cameras, strict=True))
+    up = upward(rotations)
+    lowest = float((positions @ up).min()) if rays.background else LOWEST
+    return up, np.arange(LOWEST, min(HIGHEST, lowest), STEP)
 
 
 def _best_plane(photos: SmallPhotos, planes: list[Support], width: float) -> tuple[Support, float]:

@@ -29,7 +29,7 @@ from blender_nep.fields.rendering import FieldsRenderer, RayBundle, Rendering, R
 from blender_nep.fields.schedule import Schedule
 from blender_nep.fields.support_search import find_support_by_photos
 from blender_nep.fields.support_start import with_closed_foot
-from blender_nep.fields.visual_hull import VisualHull, background_silhouettes, carve, excess, mask_silhouettes
+from blender_nep.fields.visual_hull import VisualHull, background_silhouettes, carve, excess, mask_silhouettes, score_cells
 from blender_nep.fields.volume_rendering import BAND
 from blender_nep.geometry.mesh import Surface
 from blender_nep.geometry.ray_tracing import RayTracer
@@ -235,7 +235,7 @@ class FieldsLearning:
         """Start the SDF from the visual hull. If the silhouettes show no clear hull, the SDF stays as it is."""
         cells = round(2 / self.object_field.cell)
         if self.rays.mask is not None:
-            hull = carve(self.rays, mask_silhouettes(self.rays), cells)
+            hull = carve(score_cells(self.rays, mask_silhouettes(self.rays), cells))
         elif self.schedule.background_steps:
             hull = self._hull_without_masks(cells)
         else:
@@ -251,12 +251,12 @@ class FieldsLearning:
 
     def _hull_without_masks(self, cells: int) -> VisualHull | None:
         """The hull from the residuals of F_e. If no support plane is known, one is looked for with the hull's help."""
-        silhouettes = background_silhouettes(self._environment_alone, self.rays)
-        hull, field = carve(self.rays, silhouettes, cells), self.object_field
+        score = score_cells(self.rays, background_silhouettes(self._environment_alone, self.rays), cells)
+        hull, field = carve(score), self.object_field
         if hull is None or field.support is not None:
             return hull
         field.support = find_plain_support(self.rays, hull.sdf)
-        return carve(self.rays, silhouettes, cells, weak_foot=True)
+        return carve(score, weak_foot=True)
 
     @torch.no_grad()
     def _environment_alone(self, rays: RayBundle) -> Tensor:
@@ -271,7 +271,7 @@ class FieldsLearning:
         field, shape = self.object_field, self.object_field.shape()
         band = BAND / self.schedule.sharpness
         silhouettes = background_silhouettes(
-            self.renderer.background, self.rays, 4, lambda rays: shape.near(rays.origins, rays.directions, band)
+            self.renderer.background, self.rays, wanted=lambda rays: shape.near(rays.origins, rays.directions, band)
         )
         free = excess(self.rays, silhouettes, field.sdf_in_cells())
         field.add(torch.from_numpy(free).to(self.generator.device))

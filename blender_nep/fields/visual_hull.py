@@ -93,32 +93,39 @@ def mask_silhouettes(rays: PixelRays, block: int = 4) -> list[torch.Tensor]:
     return maps
 
 
-def carve(rays: PixelRays, silhouettes: list[torch.Tensor], cells: int, weak_foot: bool = False) -> VisualHull | None:
-    """The visual hull of soft silhouettes on cells^3 cells, or None if the silhouettes show no object.
+def score_cells(rays: PixelRays, silhouettes: list[torch.Tensor], cells: int) -> np.ndarray:
+    """Scores [cells, cells, cells] of the cells of [-1, 1]^3: how much nearly all views see an object there.
 
-    weak_foot: the silhouettes may be weak near the foot, because the object may mirror an unknown support.
+    NaN outside the unit sphere, and where no view sees the cell.
     """
     axis = (np.arange(cells) + 0.5) / cells * 2 - 1
     centres = np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), -1)
     in_sphere = np.linalg.norm(centres, axis=-1) < 1
     points = torch.from_numpy(centres[in_sphere].astype(np.float32)).to(rays.radiance.device)
-    score = _score(rays, silhouettes, points).cpu().numpy()
-    known = np.isfinite(score)
+    score = np.full(in_sphere.shape, np.nan, np.float32)
+    score[in_sphere] = _score(rays, silhouettes, points).cpu().numpy()
+    return score
+
+
+def carve(score: np.ndarray, weak_foot: bool = False) -> VisualHull | None:
+    """The visual hull of cells with scores [n, n, n] (`score_cells`), or None if the scores show no object.
+
+    weak_foot: the silhouettes may be weak near the foot, because the object may mirror an unknown support.
+    """
+    cells, known = len(score), np.isfinite(score)
     if not known.any() or np.ptp(score[known]) < 1e-6:
         return None
-    level = _threshold(score[known], weak_foot)
-    solid = np.zeros(in_sphere.shape, bool)
-    solid[in_sphere] = np.nan_to_num(score) > level
+    solid = np.nan_to_num(score) > _threshold(score[known], weak_foot)
     labels, count = ndimage.label(solid)
     if count == 0:
         return None
     size = np.bincount(labels.ravel())[1:]
     solid = np.isin(labels, 1 + np.flatnonzero(size >= LEAST_COMPONENT * size.max()))
     solid = ndimage.binary_fill_holes(solid)
-    volume = solid.sum() / in_sphere.sum()
+    volume = solid.sum() / (np.pi / 6 * solid.size)
     if not LEAST_VOLUME <= volume <= MOST_VOLUME:
         return None
-    above = known & solid[in_sphere]
+    above = known & solid
     contrast = float(score[above].mean() / max(score[known & ~above].mean(), 1e-6)) if above.any() else 0.0
     # The distances are to centres of cells. The border lies half a cell nearer.
     distance = ndimage.distance_transform_edt(~solid) - ndimage.distance_transform_edt(solid)

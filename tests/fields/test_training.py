@@ -176,7 +176,7 @@ def test_the_sdf_starts_from_a_hull_only_where_that_tells_the_object_from_its_su
 def test_carving_again_takes_what_the_background_explains(rays, monkeypatch):
     """The background differs from the photos only where a ball is seen; the SDF is a sphere around that ball."""
 
-    def shows_a_ball(background, rays, block, wanted):
+    def shows_a_ball(background, rays, wanted):
         maps = []
         for view, (height, width) in enumerate(rays.size):
             origin, direction, _ = rays.rays(torch.arange(rays.offset[view], rays.offset[view + 1]))

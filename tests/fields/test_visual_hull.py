@@ -7,7 +7,7 @@ from torch.nn import functional
 
 from blender_nep.capture import PixelRays, load_capture
 from blender_nep.fields.object_field import ObjectField
-from blender_nep.fields.visual_hull import LEAST_EXCESS, background_silhouettes, carve, excess, mask_silhouettes
+from blender_nep.fields.visual_hull import LEAST_EXCESS, background_silhouettes, carve, excess, mask_silhouettes, score_cells
 from blender_nep.geometry.support import Support
 from blender_nep.tone_mapping import tone_map
 from support.paths import SUZANNE_SMALL
@@ -49,7 +49,7 @@ def test_projecting_a_point_on_a_pixels_ray_gives_the_pixel(rays):
 
 def test_the_silhouettes_of_a_ball_are_carved_into_the_ball(rays):
     centre, radius, cells = torch.tensor([0.25, -0.1, 0.1]), 0.4, 48
-    hull = carve(rays, silhouettes_of(rays, centre, radius), cells)
+    hull = carve(score_cells(rays, silhouettes_of(rays, centre, radius), cells))
     true = signed_distance(cells, centre.numpy(), radius)
     both, either = ((hull.sdf < 0) & (true < 0)).sum(), ((hull.sdf < 0) | (true < 0)).sum()
     assert both / either > 0.85 and hull.contrast > 10
@@ -73,7 +73,8 @@ def test_a_foot_of_weak_silhouettes_is_found_over_a_quiet_background_only(rays, 
     ]
     upper = signed_distance(cells, body.numpy(), 0.4) < 0
     both = upper | (signed_distance(cells, foot.numpy(), 0.35) < 0)
-    plain, weak_foot = (carve(rays, maps, cells, weak).sdf < 0 for weak in (False, True))
+    score = score_cells(rays, maps, cells)
+    plain, weak_foot = (carve(score, weak).sdf < 0 for weak in (False, True))
     assert intersection(plain, upper) > 0.8 and intersection(plain, both) < 0.7
     assert (intersection(weak_foot, both) > 0.8) == found
     assert np.array_equal(weak_foot, plain) != found
@@ -114,7 +115,7 @@ def test_the_background_is_asked_only_of_the_wanted_rays(rays):
 
 @pytest.mark.parametrize("value", [0.0, 0.3])
 def test_silhouettes_without_an_object_give_no_hull(rays, value):
-    assert carve(rays, [torch.full((20, 20), value)] * rays.views, 32) is None
+    assert carve(score_cells(rays, [torch.full((20, 20), value)] * rays.views, 32)) is None
 
 
 def test_the_masks_hull_holds_the_object(rays):
@@ -124,7 +125,7 @@ def test_the_masks_hull_holds_the_object(rays):
     truth = trimesh.load(SUZANNE_SMALL / "gt_mesh.ply", process=False, force="mesh")
     points = trimesh.sample.sample_surface(truth, 3000, seed=0)[0]
     points = torch.from_numpy((points - capture.object_center) / capture.object_radius).float()
-    hull = carve(rays, mask_silhouettes(rays), 64)
+    hull = carve(score_cells(rays, mask_silhouettes(rays), 64))
     value = functional.grid_sample(
         torch.from_numpy(hull.sdf)[None, None], points.flip(-1)[None, None, None], align_corners=False
     ).flatten()
