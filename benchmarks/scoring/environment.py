@@ -13,7 +13,10 @@ from blender_nep.tone_mapping import tone_map
 
 
 def background_psnr(environment: EnvironmentField, test_rays: PixelRays, truth: Body) -> float:
-    """PSNR (dB) of F_e in tone-mapped space, over the pixels of the test views whose rays miss the true mesh."""
+    """PSNR (dB) of F_e in tone-mapped space, over the pixels of the test views whose rays miss the true mesh.
+
+    The exposure of `test_rays` is that of the photos from which F_e was learned.
+    """
     tracer = RayTracer(np.asarray(truth.mesh.vertices), np.asarray(truth.mesh.faces))
     sphere = test_rays.sphere.tensor()
     origins, directions, _ = test_rays.rays(sphere)
@@ -25,6 +28,6 @@ def background_psnr(environment: EnvironmentField, test_rays: PixelRays, truth: 
         near = torch.full_like(half_angle, environment.preset.camera_near)
         with torch.no_grad():
             radiance, _ = environment.render(origins, directions, near, torch.full_like(near, torch.inf), half_angle)
-        photo = test_rays.radiance[index].float()
+        photo, radiance = test_rays.radiance[index].float(), radiance / test_rays.exposure
         errors.append((tone_map(radiance).clamp(0, 1) - tone_map(photo).clamp(0, 1)).square().mean(1))
     return float(-10 * torch.log10(torch.cat(errors).mean()))

@@ -46,8 +46,8 @@ def _background_psnr(
     folder: Path, asset: Path, kept: Path, capture: Capture, test: Capture, preset: Preset, device: torch.device
 ) -> float:
     environment = Fields.from_state(load_state(kept)["result"], preset, device).environment
-    sphere = read_row(asset / "report.json")["capture"]  # the unit frame of F_e is that of the job that learned it
+    learned = read_row(asset / "report.json")["capture"]  # F_e has the unit frame and exposure of the job that learned it
     for one in (capture, test):
-        one.object_center, one.object_radius = np.array(sphere["object_center"]), sphere["object_radius"]
-    rays = PixelRays.from_capture(test, BACKGROUND_PIXELS, False, device)
+        one.object_center, one.object_radius = np.array(learned["object_center"]), learned["object_radius"]
+    rays = PixelRays.from_capture(test, BACKGROUND_PIXELS, False, device).with_exposure(learned["exposure"])
     return fields.background_psnr(environment, rays, geometry.true_mesh(folder, capture))

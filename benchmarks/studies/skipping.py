@@ -105,6 +105,7 @@ class FieldsOnce(FieldsStage):
                 preset.environment,
                 preset.max_pixels_per_photo,
                 preset.even_exposure,
+                preset.brightness,
             )
         )
         file = self.kept / f"{self.scene.folder.name}-{hashlib.sha256(same.encode()).hexdigest()[:16]}.stage_1.pt"

@@ -30,6 +30,7 @@ ABLATIONS: dict[str, dict[str, dict]] = {
     "no indirect light": {"material": {"levels": 0}},
     **{f"N = {n}": {"material": {"levels": n}, "preset": {"skip_needless": False}} for n in (1, 2, 3)},
     AS_TAKEN: {"preset": {"even_exposure": False}},
+    "brightness as taken": {"preset": {"brightness": 0.0}},
     "one material": {"material": {"most_materials": 1}},
 }
 """Name of an ablation -> the preset fields that it changes.

@@ -59,8 +59,8 @@ def write_asset(
     """Write the asset of a capture into `folder`. Raises OutputError.
 
     `surface` is a geometry.mesh.Surface, `materials` a materials.training.Materials. `light` is (radiance [H, 2H, 3],
-    coverage [H, 2H]), as EnvironmentField.equirect gives it. `report` gives the content of report.json; it is called last,
-    when everything else is on the disk.
+    coverage [H, 2H]), as EnvironmentField.equirect gives it; environment.exr is as bright as the photos. `report` gives the
+    content of report.json; it is called last, when everything else is on the disk.
     """
     radiance = torch.as_tensor(light[0]).detach().float().cpu().numpy()
     mesh = TexturedMesh(
@@ -82,7 +82,7 @@ def write_asset(
                 write_exr(partial / "textures" / f"{name}.exr", texture)
                 write_png(partial / "textures" / f"{name}.png", texture, srgb=name in SRGB_TEXTURES)
             write_glb(partial / "asset.glb", mesh)
-            write_exr(partial / "environment.exr", radiance)
+            write_exr(partial / "environment.exr", radiance / rays.exposure)
             Image.fromarray(picture).save(partial / "preview.png")
             (partial / "report.json").write_text(json.dumps(jsonable(report()), indent=1), encoding="utf-8")
             _move(partial, folder)

@@ -84,6 +84,8 @@ class PixelRays:
     _origin: Tensor
     gain: Tensor | None = None
     """[views, 3]: how much brighter each photo was taken than the average. None: all photos have one exposure."""
+    exposure: float = 1.0
+    """`photo` multiplies the radiance by this, so that the method sees all captures about equally bright."""
 
     @property
     def count(self) -> int:
@@ -101,13 +103,19 @@ class PixelRays:
         return len(self.size)
 
     def photo(self, index: Tensor) -> Tensor:
-        """The radiance [n, 3] float32 of the pixels index [n] int64, as if all photos had one exposure."""
-        radiance = self.radiance[index].float()
+        """The radiance [n, 3] float32 of the pixels index [n] int64, as if all photos had one exposure, times `exposure`."""
+        radiance = self.radiance[index].float() * self.exposure
         return radiance if self.gain is None else radiance / self.gain[self.view_of(index)]
 
     def with_gain(self, gain: Tensor | None) -> PixelRays:
         """The same pixels, with these gains [views, 3] of the photos."""
-        rays = replace(self, gain=gain)
+        return self._still_knowing_the_brightest(replace(self, gain=gain))
+
+    def with_exposure(self, exposure: float) -> PixelRays:
+        """The same pixels, with this exposure."""
+        return self._still_knowing_the_brightest(replace(self, exposure=exposure))
+
+    def _still_knowing_the_brightest(self, rays: PixelRays) -> PixelRays:
         if "brightest" in vars(self):  # all pixels need not be searched again
             rays.brightest = self.brightest
         return rays

@@ -8,6 +8,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
+from blender_nep.capture.brightness import typical_radiance
 from blender_nep.capture.pixel_rays import PixelRays
 from blender_nep.fields.rendering import Rendering
 from blender_nep.presets import FieldsPreset, Preset
@@ -20,21 +21,7 @@ def highlight_threshold(rays: PixelRays, preset: FieldsPreset) -> float:
     It is `preset.highlight_threshold` times the geometric mean radiance of the pixels that see the object's sphere, or, with
     masks, of the object pixels. So it scales with the photos' exposure.
     """
-    return preset.highlight_threshold * _typical_radiance(rays)
-
-
-def _typical_radiance(rays: PixelRays, pixels: int = 10_000) -> float:
-    """Geometric mean radiance of the object pixels, or without masks of the pixels that see the object's sphere.
-
-    Taken over about `pixels` pixels.
-    """
-    index = rays.sphere[:: max(1, len(rays.sphere) // pixels)]
-    if rays.mask is not None and (rays.mask[index] > 127).any():
-        index = index[rays.mask[index] > 127]
-    radiance = rays.photo(index)
-    brightness = radiance.mean(-1)
-    lit = brightness > 0.01 * brightness.quantile(0.9)  # the black around a cut-out object does not count
-    return float(radiance[lit].clamp(min=1e-6).log().mean().exp()) if lit.any() else 1.0
+    return preset.highlight_threshold * typical_radiance(rays, of_object=True)
 
 
 @dataclass(frozen=True)

@@ -21,9 +21,9 @@ from blender_nep.fields.support_search import STEP, SmallPhotos, possible_planes
 from blender_nep.geometry.support import Support
 from blender_nep.profiling import profiled
 
-MOST_SPREAD = 0.015
-"""Largest tone-mapped spread of a support's colors. Measured: 0.006 to 0.010 on tables and plates (0.015 under a mirror on a
-plain plate), 0.04 to 0.13 where the object floats."""
+MOST_SPREAD = 0.03
+"""Largest tone-mapped spread of a support's colors. Measured: 0.007 to 0.019 on tables and plates (0.038 under a mirror on a
+plain plate); at least 0.05 at all heights where the object floats."""
 NEAR_LEAST = 1.25
 """The spread of the plane is at most this multiple of the least spread of all lower planes."""
 RISE, LEAST_RISE = 0.1, 1.4

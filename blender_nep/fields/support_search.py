@@ -29,7 +29,8 @@ RINGS = (0.15, 0.5)
 """The plane is compared in rings of these widths around the object's sphere: a plate may end soon, and a plain table may
 show something only farther away."""
 REFINE_RING = 1.0
-"""The ring is so wide when the plane is refined: the wider, the better the tilt is known."""
+"""The ring is so wide when the plane is refined: the wider, the better the tilt is known. Where the plane does not stand out
+in this ring, because a plate ends before, the widest of RINGS is used in which it does."""
 TILT_GAIN = 0.97
 """By this factor the spread must fall before the plane is tilted against the upward direction of the cameras."""
 LEAST_CONTRAST = 1.3
@@ -57,7 +58,8 @@ def find_support_by_photos(rays: PixelRays) -> Support | None:
     best, contrast = max((_best_plane(photos, planes, width) for width in RINGS), key=lambda found: found[1])
     if contrast < LEAST_CONTRAST:
         return None
-    support = _refined(photos, best)
+    width = next(w for w in sorted((REFINE_RING, *RINGS), reverse=True) if _contrast(photos, best, w) >= LEAST_CONTRAST)
+    support = _refined(photos, best, width)
     positions = np.stack([rays.camera(view)[0].double().cpu().numpy() for view in range(rays.views)])
     return support if (positions @ support.normal).min() > support.height else None
 
@@ -73,20 +75,23 @@ def possible_planes(rays: PixelRays) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _best_plane(photos: SmallPhotos, planes: list[Support], width: float) -> tuple[Support, float]:
-    """The plane with the sharpest minimum of the spread in a ring of `width`, and its contrast.
-
-    The contrast is how many times larger the spread of the same ring is REACH above and below the plane.
-    """
+    """The plane with the sharpest minimum of the spread in a ring of `width`, and its contrast."""
     found = np.array([photos.ring_spread(plane, plane.radius, width) for plane in planes])
     minima = 1 + np.flatnonzero((found[1:-1] <= found[:-2]) & (found[1:-1] <= found[2:]) & np.isfinite(found[1:-1]))
     best, most = planes[0], 0.0
     for k in minima.tolist():
-        plane = planes[k]
-        others = [photos.ring_spread(Support(plane.normal, plane.height + d), plane.radius, width) for d in (-REACH, REACH)]
-        contrast = min(others) / max(found[k], 1e-6)
+        contrast = _contrast(photos, planes[k], width)
         if contrast > most:
-            best, most = plane, contrast
+            best, most = planes[k], contrast
     return best, most
+
+
+def _contrast(photos: SmallPhotos, plane: Support, width: float) -> float:
+    """How many times larger the spread of a ring of `width` is REACH above and below the plane than in the plane."""
+    below, here, above = (
+        photos.ring_spread(Support(plane.normal, plane.height + rise), plane.radius, width) for rise in (-REACH, 0.0, REACH)
+    )
+    return min(below, above) / max(here, 1e-6)
 
 
 def upward(rotations: np.ndarray) -> np.ndarray:
@@ -146,26 +151,29 @@ def ring(support: Support, inner: float, width: float, count: int) -> np.ndarray
     return points + support.height * np.asarray(support.normal)
 
 
-def _refined(photos: SmallPhotos, start: Support) -> Support:
-    """The plane near `start` with the least spread. Its tilt changes only if that makes the spread clearly less."""
+def _refined(photos: SmallPhotos, start: Support, width: float) -> Support:
+    """The plane near `start` with the least spread in a ring of `width`.
+
+    Its tilt changes only if that makes the spread clearly less.
+    """
     level, at_level = start, np.inf
     for _ in range(2):
-        level, at_level = _moved(photos, level, tilts=False)
+        level, at_level = _moved(photos, level, width, tilts=False)
     for _ in range(3):
-        tilted, at_tilted = _moved(photos, level, tilts=True)
+        tilted, at_tilted = _moved(photos, level, width, tilts=True)
         if at_tilted >= TILT_GAIN * at_level:
             break
         level, at_level = tilted, at_tilted
     return level
 
 
-def _moved(photos: SmallPhotos, start: Support, tilts: bool) -> tuple[Support, float]:
+def _moved(photos: SmallPhotos, start: Support, width: float, tilts: bool) -> tuple[Support, float]:
     """The plane near `start` with the least spread, by the method of Nelder and Mead in height and tilt, and the spread.
 
-    Only those points of a wide ring are compared that agree best at the start: so neither the object in front of the plane
+    Only those points of the ring are compared that agree best at the start: so neither the object in front of the plane
     nor what lies beyond its end disturbs. The points move along the normal of `start`.
     """
-    points = ring(start, start.radius, REFINE_RING, _FINE_POINTS)
+    points = ring(start, start.radius, width, _FINE_POINTS)
     # a little above and below, too: else those would be chosen that agree with the start by chance
     nearby = [photos.spread(points + rise * start.normal) for rise in (-0.5 * STEP, 0.0, 0.5 * STEP)]
     spread = np.min(nearby, axis=0)

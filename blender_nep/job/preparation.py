@@ -11,6 +11,7 @@ import numpy as np
 import torch
 
 from blender_nep.capture import Capture, PixelRays, load_capture
+from blender_nep.capture.brightness import to_brightness
 from blender_nep.capture.exposure import find_exposures
 from blender_nep.capture.pixel_store import PixelMemory
 from blender_nep.errors import OutputError, Stopped, UsageError
@@ -103,6 +104,8 @@ class Preparation:
         with section("scene analysis"):
             if s.preset.even_exposure:
                 rays = self._even_out(rays)
+            if s.preset.brightness > 0:
+                rays = to_brightness(rays, s.preset.brightness)
             photos = SceneAnalysis.of(rays)
         self._make_output()
         if resumed:

@@ -64,5 +64,6 @@ class JobReport:
             "object_radius": capture.object_radius,
             "bounds_source": capture.bounds_source,
             "masks": rays.mask is not None,
+            "exposure": rays.exposure,
             **({} if rays.gain is None else {"photo_gains": np.round(rays.gain.tolist(), 4).tolist()}),
         }

@@ -30,11 +30,12 @@ class Textures:
 def write(make_capture, tmp_path):
     """write(light) writes the ball's asset, at `center` where that is given, and returns its folder."""
     capture = load_capture(make_capture(masks=True).folder)
-    rays = PixelRays.from_capture(capture, 10**6, use_masks=True)
+    seen = PixelRays.from_capture(capture, 10**6, use_masks=True)
     folder = tmp_path / "asset"
     folder.mkdir()
 
-    def run(light=None, report=lambda: {"seed": 3}, center=CENTER):
+    def run(light=None, report=lambda: {"seed": 3}, center=CENTER, exposure=1.0):
+        rays = seen.with_exposure(exposure)
         capture.object_center = np.asarray(center)
         asset.write_asset(folder, capture, rays, ball_surface(), Textures(), light or GreyLight().equirect(16), report)
         return folder
@@ -178,3 +179,9 @@ def test_light_may_be_a_tensor_that_needs_grad(write):
     light = torch.full((16, 32, 3), 0.25, requires_grad=True)
     folder = write(light=(light, torch.ones(16, 32)))
     np.testing.assert_array_equal(OpenEXR.File(str(folder / "environment.exr")).channels()["RGB"].pixels, 0.25)
+
+
+def test_the_environment_map_is_as_bright_as_the_photos(write):
+    """The method sees the photos four times as bright, so the light that it finds is four times too bright."""
+    folder = write(light=(torch.full((16, 32, 3), 2.0), torch.ones(16, 32)), exposure=4.0)
+    np.testing.assert_array_equal(OpenEXR.File(str(folder / "environment.exr")).channels()["RGB"].pixels, 0.5)
