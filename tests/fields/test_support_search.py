@@ -23,9 +23,16 @@ def test_a_patterned_table_is_found_at_its_height_and_tilt(tmp_path, tilt):
     assert support.normal @ (turn(tilt) @ [0, 0, 1]) > np.cos(np.radians(1))
 
 
+def test_a_plate_is_found_at_its_height_and_tilt_though_it_ends_soon(tmp_path):
+    """Its rim is 0.25 radii outside the object's sphere. What lies behind must not draw the plane away."""
+    support = find_support_by_photos(rays_of(write_table_scene(tmp_path / "capture", radius=1.05)))
+    assert support is not None and support.height == pytest.approx(HEIGHT, abs=0.01)
+    assert support.normal @ [0, 0, 1] > np.cos(np.radians(0.3))
+
+
 @pytest.mark.parametrize(
     "scene",
-    [{"table": False}, {"elevations": (-40, 15, 35, 60)}],
+    [{"radius": 0.0}, {"elevations": (-40, 15, 35, 60)}],
     ids=["no table", "a table that some photos are taken from below"],
 )
 def test_nothing_is_found_where_nothing_can_support_the_object(tmp_path, scene):

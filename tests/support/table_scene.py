@@ -33,12 +33,12 @@ def turn(tilt: float) -> np.ndarray:
     return np.array([[c, 0, s], [0, 1, 0], [-s, 0, c]])
 
 
-def colors(origin: np.ndarray, directions: np.ndarray, table: bool, plain: bool) -> np.ndarray:
-    """What rays from `origin` [3] along directions [n, 3] see: the ball, the table if there is one, or walls far away."""
+def colors(origin: np.ndarray, directions: np.ndarray, radius: float, plain: bool) -> np.ndarray:
+    """What rays from `origin` [3] along directions [n, 3] see: the ball, the round table, or walls far away."""
     color = 0.3 + 0.2 * np.sin(3 * directions)
-    if table:
-        t = (HEIGHT - origin[2]) / np.minimum(directions[:, 2], -1e-6)
-        color[directions[:, 2] < 0] = (shadow if plain else pattern)(origin + t[:, None] * directions)[directions[:, 2] < 0]
+    points = origin + ((HEIGHT - origin[2]) / np.minimum(directions[:, 2], -1e-6))[:, None] * directions
+    met = (directions[:, 2] < 0) & (np.hypot(points[:, 0], points[:, 1]) < radius)
+    color[met] = (shadow if plain else pattern)(points[met])
     along = directions @ (CENTRE - origin)
     away = np.linalg.norm(origin + along[:, None] * directions - CENTRE, axis=1)
     color[away < BALL] = [0.1, 0.5, 0.2]
@@ -48,12 +48,15 @@ def colors(origin: np.ndarray, directions: np.ndarray, table: bool, plain: bool)
 def write_table_scene(
     folder: Path,
     *,
-    table: bool = True,
+    radius: float = np.inf,
     plain: bool = False,
     tilt: float = 0.0,
     elevations: tuple[float, ...] = (15, 35, 60),
 ) -> Path:
-    """Write the capture, turned by `tilt` radians with cameras and all; elevations of the rings of cameras in degrees."""
+    """Write the capture, turned by `tilt` radians with cameras and all. Returns its folder.
+
+    radius: that of the table, in object radii; 0 for none. elevations: those of the rings of cameras, in degrees.
+    """
     (folder / "images").mkdir(parents=True)
     row, column = np.mgrid[:SIZE, :SIZE] + 0.5
     local = np.stack([(column - SIZE / 2) / FOCAL, (SIZE / 2 - row) / FOCAL, -np.ones_like(row)], -1).reshape(-1, 3)
@@ -63,7 +66,7 @@ def write_table_scene(
         around, up = 2.4 * k, np.radians(elevations[k % len(elevations)])
         position = 3.2 * np.array([np.cos(around) * np.cos(up), np.sin(around) * np.cos(up), np.sin(up)])
         matrix = look_at(position, np.zeros(3))
-        photo = colors(position, local @ matrix[:3, :3].T, table, plain)
+        photo = colors(position, local @ matrix[:3, :3].T, radius, plain)
         write_exr(folder / "images" / f"{k}.exr", photo.reshape(SIZE, SIZE, 3))
         matrix[:3] = turn(tilt) @ matrix[:3]
         frames.append({"file_path": f"images/{k}.exr", "transform_matrix": matrix.tolist()})
