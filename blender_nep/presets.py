@@ -352,9 +352,9 @@ class Preset:
     """First guess of the seconds of material learning, as `fields_seconds`."""
     even_exposure: bool = True
     """Whether differences between the photos in exposure and white balance are found and evened out (`capture.exposure`)."""
-    brightness: float = 0.18
-    """The photos are made so bright that the typical radiance of the pixels that see the object's sphere is this, which is
-    middle gray (`capture.brightness`). 0: they stay as they are (an ablation)."""
+    brightness: float = 0.25
+    """The photos are made so bright that the typical radiance of the pixels that see the object's sphere is this
+    (`capture.brightness`). Here the tone mapping turns from linear to logarithmic. 0: they stay as they are (an ablation)."""
     skip_needless: bool = True
     """Whether parts that the scene does not need are left out (`scene_analysis`). False: nothing is left out."""
     environment_height: int = 256

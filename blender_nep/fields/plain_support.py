@@ -21,7 +21,7 @@ from blender_nep.fields.support_search import STEP, SmallPhotos, possible_planes
 from blender_nep.geometry.support import Support
 from blender_nep.profiling import profiled
 
-MOST_SPREAD = 0.03
+MOST_SPREAD = 0.035
 """Largest tone-mapped spread of a support's colors. Measured: 0.007 to 0.019 on tables and plates (0.038 under a mirror on a
 plain plate); at least 0.05 at all heights where the object floats."""
 NEAR_LEAST = 1.25
