@@ -30,6 +30,7 @@ class Part(StrEnum):
     RESIDUAL = "residual"
     FURTHER_STEPS = "further steps of both fields"
     MATERIAL_BOUNDARIES = "material boundaries"
+    VARIED_MATERIALS = "materials that vary from place to place"
     VOTES = "votes of all pixels"
     FINE_TEXTURES = "fine textures"
     METAL_AGAIN = "asking again whether it is metal"
@@ -103,6 +104,7 @@ PARTS: dict[str, str] = {
     Part.RESIDUAL: "light that no photo shows",
     Part.FURTHER_STEPS: "the rest of learning shape and light",
     Part.MATERIAL_BOUNDARIES: "boundaries between materials",
+    Part.VARIED_MATERIALS: "materials that vary from place to place",
     Part.VOTES: "finding the material of every pixel",
     Part.FINE_TEXTURES: "fine textures",
     Part.METAL_AGAIN: "checking again whether the object is metal",
@@ -191,6 +193,7 @@ WORDS: dict[str, str] = {
     "reason.sphere_fills_photos": "the sphere fills all photos",
     "reason.mesh_given": "a mesh was given (--mesh)",
     "reason.plateaued": "the error on held-out pixels did not fall any more",
+    "reason.palette_explains": "a few materials explain the photos",
     "reason.one_material": "one material explains the photos",
     "reason.metal_known": "the photos have already decided it clearly",
     "reason.light_seen": "the photos show all light that matters",

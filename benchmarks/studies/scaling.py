@@ -28,7 +28,6 @@ from blender_nep.fields.object_field import ObjectField
 from blender_nep.fields.training import FieldsLearning, learn_fields
 from blender_nep.geometry.mesh import Surface
 from blender_nep.materials.baking import LabelledPoints, bake
-from blender_nep.materials.palette import Palette
 from blender_nep.materials.training import learn_materials
 from blender_nep.presets import PRESETS, Preset
 from blender_nep.profiling import Profile
@@ -96,11 +95,10 @@ class Bench:
         random = np.random.default_rng(0)
         position = surface.vertices[random.integers(len(surface.vertices), size=3000)].astype(np.float32)
         grey, even = np.full((3000, 3), 0.5, np.float32), np.full(3000, 0.1, np.float32)
-        points = LabelledPoints(position, random.integers(40, size=3000), even[:, None], grey, even)
-        palette = Palette(torch.full((1, 3), 0.5), torch.full((1,), 0.3), torch.ones(1))
+        points = LabelledPoints(position, random.integers(40, size=3000), grey, even, even, even)
         profile = Profile()
         with profile.recording():
-            bake(surface, points, palette, size)
+            bake(surface, points, size)
         return profile
 
     def materials(self, preset: Preset) -> Profile:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 import numpy as np
 import torch
@@ -11,7 +11,6 @@ from scipy.spatial import cKDTree
 
 from blender_nep.geometry.mesh import Surface
 from blender_nep.geometry.uv_raster import nearest_known, rasterise
-from blender_nep.materials.palette import Palette
 from blender_nep.profiling import profiled
 
 NEIGHBOURS = 16
@@ -22,16 +21,18 @@ _BLOCK = 1 << 16
 
 @dataclass
 class LabelledPoints:
-    """n points of the surface whose materials are known, and how well each of the palette's K materials fits them."""
+    """n points of the surface whose materials are known."""
 
     position: np.ndarray
     """[n, 3] unit frame"""
     photo: np.ndarray
     """[n] int, index of the photo that shows the point"""
-    cost: np.ndarray
-    """[n, K] clipped residual of each material, averaged over the point's neighbours"""
     albedo: np.ndarray
-    """[n, 3] albedo of the point's material, linear"""
+    """[n, 3] linear"""
+    roughness: np.ndarray
+    """[n] Principled's roughness"""
+    metallic: np.ndarray
+    """[n] Principled's metallic"""
     residual: np.ndarray
     """[n] residual of the point's material"""
 
@@ -83,30 +84,33 @@ def texture_size(surface: Surface, footprint: float, most: int) -> int:
 
 @profiled("textures")
 def bake(
-    surface: Surface, labelled: LabelledPoints, palette: Palette, size: int, shown: np.ndarray | None = None
+    surface: Surface, labelled: LabelledPoints, size: int, shown: np.ndarray | None = None
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Textures with S = `size` texels a side: albedo [S, S, 3], roughness, metallic and confidence [S, S], float32.
 
-    A texel takes the material for which the labelled points around it vote; a texel that no photo shows takes the material
-    of the nearest points. A texel outside the UV charts takes the value of the nearest texel inside. Confidence is in 0..1.
-    It is higher if more photos show the neighbours, if they are nearer, and if the material explains them better. It is 0
-    on faces that no photo shows: shown [F] says which do; without it, all do.
+    A texel takes the weighted mean of the materials of the nearest labelled points. A texel outside the UV charts takes the
+    value of the nearest texel inside. Confidence is in 0..1. It is higher if more photos show the neighbours, if they are
+    nearer, and if their materials explain them better. It is 0 on faces that no photo shows. shown [F] says which faces
+    photos show; None: all.
     """
     face, barycentric = rasterise(surface.atlas, surface.faces, size)
     known = face >= 0
     face, barycentric = face[known], barycentric[known]
-    tree, sample_label = cKDTree(labelled.position), labelled.cost.argmin(1)
-    blocks = []
-    for start in range(0, max(len(face), 1), _BLOCK):
+    tree, count = cKDTree(labelled.position), len(face)
+    values = np.concatenate([labelled.albedo, labelled.roughness[:, None], labelled.metallic[:, None]], 1)
+    material, residual = np.empty((count, 5), np.float32), np.empty(count, np.float32)
+    photos, nearest, farthest = np.empty(count, np.int64), np.empty(count), np.empty(count)
+    for start in range(0, count, _BLOCK):
         part = slice(start, start + _BLOCK)
         points = np.einsum("nc,nck->nk", barycentric[part], surface.vertices[surface.faces[face[part]]])
-        blocks.append(_TexelVotes.of(points, labelled, sample_label, tree))
-    votes = _TexelVotes.joined(blocks)
-    del blocks, barycentric
-    albedo = np.where(votes.support[:, None] > 1e-3, votes.local_albedo, palette.albedo.cpu().numpy()[votes.label])
-    spacing = np.median(votes.farthest)
-    seen = (1 - np.exp(-votes.photos / 4)) * np.exp(-np.maximum(votes.nearest / spacing - 1, 0))
-    confidence = seen * np.exp(-votes.residual / 0.1)
+        distance, index = neighbours(tree, points, NEIGHBOURS)
+        material[part] = weighted_mean(values, distance, index)
+        residual[part] = weighted_mean(labelled.residual[:, None], distance, index)[:, 0]
+        photos[part] = 1 + (np.diff(np.sort(labelled.photo[index], 1), axis=1) > 0).sum(1)
+        nearest[part], farthest[part] = distance[:, 0], distance[:, -1]
+    spacing = np.median(farthest) if count else 1.0
+    seen = (1 - np.exp(-photos / 4)) * np.exp(-np.maximum(nearest / spacing - 1, 0))
+    confidence = seen * np.exp(-residual / 0.1)
     if shown is not None:
         confidence *= shown[face]
     fill = nearest_known(known)
@@ -116,50 +120,8 @@ def bake(
         out[known] = values
         return out[fill]
 
-    return (
-        texture(albedo.clip(0, 1)),
-        texture(palette.roughness.cpu().numpy()[votes.label]),
-        texture(palette.metallic.cpu().numpy()[votes.label]),
-        texture(confidence),
-    )
-
-
-@dataclass
-class _TexelVotes:
-    """The votes of the labelled points around n texels; all arrays are [n, ...]."""
-
-    label: np.ndarray
-    """[n] index of the material with the least cost"""
-    local_albedo: np.ndarray
-    """[n, 3] mean albedo of the neighbours that have that material"""
-    support: np.ndarray
-    """[n] sum of the weights of those neighbours; 0 if there are none"""
-    residual: np.ndarray
-    """[n] weighted mean residual of all neighbours"""
-    photos: np.ndarray
-    """[n] number of photos that the neighbours come from"""
-    nearest: np.ndarray
-    """[n] distance of the nearest neighbour"""
-    farthest: np.ndarray
-    """[n] distance of the farthest neighbour"""
-
-    @classmethod
-    def of(cls, points: np.ndarray, labelled: LabelledPoints, sample_label: np.ndarray, tree: cKDTree) -> _TexelVotes:
-        """The votes for points [n, 3]; sample_label [m] is the material of each labelled point."""
-        distance, index = neighbours(tree, points, NEIGHBOURS)
-        label, weight = vote(labelled.cost, distance, index), kernel(distance)
-        own = weight * (sample_label[index] == label[:, None])
-        support = own.sum(1)
-        albedo = np.einsum("nk,nkc->nc", own, labelled.albedo[index]) / np.maximum(support, 1e-9)[:, None]
-        photos = 1 + (np.diff(np.sort(labelled.photo[index], 1), axis=1) > 0).sum(1)
-        residual = (labelled.residual[index] * weight).sum(1) / weight.sum(1)
-        nearest, farthest = distance[:, 0].copy(), distance[:, -1].copy()  # views would keep all distances in memory
-        return cls(label, albedo.astype(np.float32), support, residual, photos, nearest, farthest)
-
-    @classmethod
-    def joined(cls, parts: list[_TexelVotes]) -> _TexelVotes:
-        """The votes of all parts, one part after the other."""
-        return cls(*(np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(cls)))
+    material = material.clip(0, 1)
+    return texture(material[:, :3]), texture(material[:, 3]), texture(material[:, 4]), texture(confidence)
 
 
 @profiled("labels")

@@ -9,6 +9,7 @@ import torch
 from scipy.spatial import cKDTree
 
 from blender_nep.materials.baking import NEIGHBOURS, LabelledPoints, neighbours, weighted_mean
+from blender_nep.materials.blending import blended_materials
 from blender_nep.materials.photo_samples import select_samples
 from blender_nep.materials.pixel_votes import Surfels, left_out_error, pixel_costs
 from blender_nep.profiling import profiled
@@ -19,6 +20,7 @@ if TYPE_CHECKING:
     from blender_nep.geometry.ray_tracing import RayTracer
     from blender_nep.materials.palette_search import PaletteSearch
     from blender_nep.materials.photo_samples import PhotoSamples
+    from blender_nep.presets import MaterialPreset
 
 _CANDIDATES = 3
 """Pixels that are tried for each label pixel. Nearly all pixels that show the surface become label pixels, so few are
@@ -30,13 +32,16 @@ def labelled_samples(search: PaletteSearch) -> LabelledPoints:
     cost = search.costs().cpu().numpy()
     label = search.label.cpu().numpy()
     own = cost[np.arange(len(label)), label] / search.weight.cpu().numpy()
-    return LabelledPoints(
-        search.samples.position,
-        search.samples.photo.cpu().numpy(),
-        search.smoothed(cost),
-        search.palette.albedo.cpu().numpy()[label],
-        own,
-    )
+    return _labelled(search, search.samples.position, search.samples.photo.cpu().numpy(), search.smoothed(cost), own)
+
+
+def _labelled(
+    search: PaletteSearch, position: np.ndarray, photo: np.ndarray, cost: np.ndarray, residual: np.ndarray
+) -> LabelledPoints:
+    """Labelled points with the materials, or blends, that have the least cost [n, K]."""
+    material = blended_materials(cost, search.palette, search.preset.blend_margin)
+    albedo, roughness, metallic = material.albedo.numpy(), material.roughness.numpy(), material.metallic.numpy()
+    return LabelledPoints(position, photo, albedo, roughness, metallic, residual)
 
 
 def error_of_neighbours(search: PaletteSearch, samples: Surfels, shown: np.ndarray) -> float:
@@ -64,22 +69,27 @@ def labelled_pixels(
     each sample would have with each material.
     """
     p, palette = search.preset, search.palette
-    label_pixels = select_samples(
-        rays,
-        tracer,
-        normals,
-        count=p.label_pixels,
-        least_cosine=p.least_cosine,
-        generator=np.random.default_rng(seed),
-        candidates=_CANDIDATES,
-    )
+    label_pixels = select_label_pixels(rays, tracer, normals, p, seed)
     pixels = surfels(label_pixels, tracer, normals)
     cost = pixel_costs(samples, shown, pixels, tone_map(label_pixels.radiance).cpu().numpy(), p.clip)
     cost = cost * torch.where(palette.blended, 1 + p.blend_margin, 1.0).cpu().numpy()
     smoothed = weighted_mean(cost, *neighbours(cKDTree(pixels.position), pixels.position, 2 * NEIGHBOURS))
-    label = smoothed.argmin(1)
-    return LabelledPoints(
-        pixels.position, pixels.photo, smoothed, palette.albedo.cpu().numpy()[label], cost[np.arange(len(cost)), label]
+    own = cost[np.arange(len(cost)), smoothed.argmin(1)]
+    return _labelled(search, pixels.position, pixels.photo, smoothed, own)
+
+
+def select_label_pixels(
+    rays: PixelRays, tracer: RayTracer, normals: np.ndarray, preset: MaterialPreset, seed: int
+) -> PhotoSamples:
+    """At most `preset.label_pixels` pixels that show the surface well."""
+    return select_samples(
+        rays,
+        tracer,
+        normals,
+        count=preset.label_pixels,
+        least_cosine=preset.least_cosine,
+        generator=np.random.default_rng(seed),
+        candidates=_CANDIDATES,
     )
 
 

@@ -16,8 +16,10 @@ from blender_nep.shading.incoming_light import IncomingLight
 from blender_nep.shading.plenoptic import Material, reflected
 from blender_nep.tone_mapping import tone_map
 
-_MIXTURES = (0.25, 0.5, 0.75)
+SHARES = (0.25, 0.5, 0.75)
 """Shares of the second material in a blend of two."""
+_MOST_BLENDED = 4
+"""Only so many materials of a palette are blended, because the number of pairs grows quickly."""
 
 
 @dataclass
@@ -34,16 +36,20 @@ class Palette:
         """[K] bool: which materials are mixtures."""
         return torch.arange(len(self), device=self.roughness.device) >= len(self) - self.blends
 
-    def with_blends(self, most: int = 4) -> Palette:
-        """This palette, followed by mixtures of every two of its first `most` materials.
+    def pairs(self) -> list[tuple[int, int]]:
+        """The materials (i, j) that are blended, in the order of the blends. Each pair has one blend for each of SHARES."""
+        return [(i, j) for j in range(min(len(self) - self.blends, _MOST_BLENDED)) for i in range(j)]
+
+    def with_blends(self) -> Palette:
+        """This palette, followed by mixtures of every two of its first `_MOST_BLENDED` materials.
 
         Pixels at soft boundaries between two materials need the mixtures.
         """
-        pairs = [(i, j) for j in range(min(len(self), most)) for i in range(j)]
+        pairs = self.pairs()
         if not pairs:
             return self
-        i, j = torch.tensor(pairs, device=self.roughness.device).T.repeat_interleave(len(_MIXTURES), 1)
-        t = torch.tensor(_MIXTURES, device=self.roughness.device).repeat(len(pairs))
+        i, j = torch.tensor(pairs, device=self.roughness.device).T.repeat_interleave(len(SHARES), 1)
+        t = torch.tensor(SHARES, device=self.roughness.device).repeat(len(pairs))
 
         def extended(values: Tensor) -> Tensor:
             share = t.reshape(-1, *[1] * (values.ndim - 1))

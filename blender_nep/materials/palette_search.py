@@ -34,6 +34,8 @@ if TYPE_CHECKING:
     from blender_nep.presets import MaterialPreset
     from blender_nep.shading.incoming_light import IncomingLight
 
+_MOST_REFITS = 4
+"""Largest number of fits to the samples that show one material alone."""
 _SHADES = 2.5
 """Largest albedo of a dielectric until shades of one hue are merged. It is above 1, because F_e may be too dark."""
 
@@ -128,6 +130,58 @@ class PaletteSearch:
         self.palette = best_of(cost, albedos, p.least_roughness, p.metallic, p.metal_margin)
         self._find_roughness(cost, albedos)
 
+    def blend(self) -> None:
+        """Add blends of two materials, and fit the materials to the samples that show one material alone.
+
+        A material that was fitted to blends, too, is too much like its partner. The fit is repeated as long as it lowers the
+        left-out residual.
+        """
+        self.palette = self.palette.with_blends()
+        self.assign()
+        left_out = self._left_out(self.palette)
+        for _ in range(_MOST_REFITS if self.palette.blends else 0):
+            before = self.palette, self.label
+            if not self._fit_unblended():
+                return
+            error = self._left_out(self.palette)
+            if error >= left_out:
+                self.palette, self.label = before
+                return
+            left_out = error
+
+    def _fit_unblended(self) -> bool:
+        """Fit each material to its unblended samples, in its class. False, and no change, if one has hardly any."""
+        count = len(self.palette) - self.palette.blends
+        alone = torch.where(self.label < count, self.label, -1)
+        if int(torch.bincount(alone + 1, minlength=count + 1)[1:].min()) < self.preset.least_share * len(alone):
+            return False
+        self.palette, self.label = self.palette.pick(list(range(count))), alone
+        cost, albedos = self._scan(alone, count)
+        place = place_of_least(torch.stack([cost[i, :, k] for k, i in enumerate(self._classes())], 1))
+        self._set(place, torch.ones_like(self.palette.metallic, dtype=torch.bool), albedos)
+        self._find_roughness(cost, albedos)
+        self.palette = self.palette.with_blends()
+        self.assign()
+        return True
+
+    def _classes(self) -> list[int]:
+        """For each material, the index of its metallic among the preset's values."""
+        return [self.preset.metallic.index(metallic) for metallic in self.palette.metallic.tolist()]
+
+    def _set(self, place: Tensor, found: Tensor, albedos: Tensor) -> None:
+        """Set roughness and albedo of the materials that are `found` [K] to those at place [K] of `roughness_scan`.
+
+        albedos [M, R, K, 3] are those of the hypotheses.
+        """
+        scan, k = roughness_scan(self.preset.least_roughness, self.device), len(self.palette)
+        values = [between(each, place) for each in albedos]
+        albedo = torch.stack([values[i][j] for j, i in enumerate(self._classes())])
+        self.palette = Palette(
+            torch.where(found[:, None], albedo, self.palette.albedo),
+            torch.where(found, between(scan.sqrt()[:, None].expand(-1, k), place) ** 2, self.palette.roughness),
+            self.palette.metallic,
+        )
+
     def _find_roughness(self, cost: Tensor, albedos: Tensor) -> None:
         """Find the roughness of each material by what tells it (`roughness`), and its albedo with that roughness.
 
@@ -144,15 +198,7 @@ class PaletteSearch:
         for metal in (~dielectric).nonzero().squeeze(-1).tolist():
             place[metal] = self._place_of_metal(metal, cost[p.metallic.index(1.0), :, metal])
             found[metal] = True
-        scan = roughness_scan(p.least_roughness, self.device)
-        values = [between(albedos[i], place) for i in range(len(p.metallic))]
-        of_class = [p.metallic.index(metallic) for metallic in palette.metallic.tolist()]
-        albedo = torch.stack([values[i][j] for j, i in enumerate(of_class)])
-        self.palette = Palette(
-            torch.where(found[:, None], albedo, palette.albedo),
-            torch.where(found, between(scan.sqrt()[:, None].expand(-1, k), place) ** 2, palette.roughness),
-            palette.metallic,
-        )
+        self._set(place, found, albedos)
 
     def _place_of_metal(self, k: int, residual: Tensor) -> float:
         """The place of the roughness of material k, a metal, in `roughness_scan`. residual [R] is that of its samples."""

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial import cKDTree
 
-from blender_nep.materials.baking import neighbours, weighted_mean
+from blender_nep.materials.baking import kernel, neighbours, weighted_mean
 
 _NEAREST = 4
 _BEND = 0.2
@@ -50,6 +50,24 @@ def pixel_costs(samples: Surfels, shown: np.ndarray, pixels: Surfels, goal: np.n
         expected = _expected(shown[here], distance, index)
         cost[there] = np.abs(expected - goal[there, None]).mean(-1).clip(max=clip)
     return cost
+
+
+def nearest_samples(samples: Surfels, pixels: Surfels) -> tuple[np.ndarray, np.ndarray]:
+    """Indices [m, S] int64 and weights [m, S] float32 of the samples of the same photo whose light is that of each pixel.
+
+    The weights of a pixel add up to 1; they are 0 in a photo without samples.
+    """
+    index, share = np.zeros((len(pixels.photo), _NEAREST), np.int64), np.zeros((len(pixels.photo), _NEAREST), np.float32)
+    known, asked = samples.features(), pixels.features()
+    for photo in np.unique(samples.photo):
+        here, there = np.flatnonzero(samples.photo == photo), np.flatnonzero(pixels.photo == photo)
+        if len(there) == 0:
+            continue
+        distance, near = neighbours(cKDTree(known[here]), asked[there], _NEAREST)
+        weight = kernel(distance)
+        index[there, : near.shape[1]] = here[near]
+        share[there, : near.shape[1]] = weight / weight.sum(1, keepdims=True)
+    return index, share
 
 
 def left_out_error(samples: Surfels, shown: np.ndarray) -> np.ndarray:

@@ -7,6 +7,7 @@ between, the light that the object reflects to itself is computed again with the
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -19,13 +20,27 @@ from torch import Tensor
 from blender_nep.errors import LearningError
 from blender_nep.geometry.mesh import Surface
 from blender_nep.materials.baking import LabelledPoints, bake, texture_size
-from blender_nep.materials.labelled_points import error_of_neighbours, labelled_pixels, labelled_samples, surfels
+from blender_nep.materials.labelled_points import (
+    error_of_neighbours,
+    labelled_pixels,
+    labelled_samples,
+    select_label_pixels,
+    surfels,
+)
 from blender_nep.materials.light_gathering import Observations, gathered_light
 from blender_nep.materials.palette import Palette
 from blender_nep.materials.palette_search import PaletteSearch
 from blender_nep.materials.shown_faces import shown_faces
 from blender_nep.materials.training_report import MaterialReport, TrainingProgress
 from blender_nep.materials.unseen_light_training import learn_unseen_light
+from blender_nep.materials.varied_materials import (
+    PlacedPixels,
+    VariedMaterials,
+    fit_segments,
+    gain_of_segments,
+    segments_of,
+    varied_points,
+)
 from blender_nep.messages import Message, Part
 from blender_nep.shading.incoming_light import IncomingLight
 from blender_nep.shading.support_light import SupportLight
@@ -116,16 +131,19 @@ class _MaterialLearner:
     def run(self) -> Materials:
         """Learn the palette, label the points of the surface, and bake the textures. Raises LearningError and Stopped."""
         single = self._learn_palette()
+        seen, search, shares = self.seen, self.search, self.search.shares().tolist()
+        search.blend()
+        self._finish_report(single, shares)
+        varied = self._varied_materials()
         self.progress.phase_ended("materials")
-        seen, search = self.seen, self.search
         wanted = texture_size(seen.surface, seen.footprint, self.preset.most_texels)
-        size = min(wanted, self.preset.uniform_texels) if len(search.palette) == 1 else wanted
-        self._finish_report(single, size)
-        search.palette = search.palette.with_blends()
-        search.assign()
+        uniform = len(search.palette) == 1 and varied is None
+        self.report.texture_texels = size = min(wanted, self.preset.uniform_texels) if uniform else wanted
         shown = shown_faces(seen.surface, seen.f_p.tracer, seen.rays)
-        albedo, roughness, metallic, confidence = bake(seen.surface, self._labelled_points(), search.palette, size, shown)
+        albedo, roughness, metallic, confidence = bake(seen.surface, self._labelled_points(varied), size, shown)
         self.progress.phase_ended("textures")
+        if uniform:
+            self._skip(Part.MATERIAL_BOUNDARIES, Message("reason.one_material"))
         if size < wanted:
             self._skip(
                 Part.FINE_TEXTURES,
@@ -222,33 +240,53 @@ class _MaterialLearner:
         self._residual()
         search.weight = torch.ones_like(search.weight)
 
-    def _labelled_points(self) -> LabelledPoints:
+    def _varied_materials(self) -> VariedMaterials | None:
+        """Materials that vary from place to place, if they explain held-out photos much better than the palette does."""
+        search, p = self.search, self.preset
+        if math.isinf(p.varied_gain):
+            self._skip(Part.VARIED_MATERIALS, Message("reason.preset"))
+            return None
+        segments = segments_of(search.samples, self.seed)
+        gain = gain_of_segments(search, segments)
+        self.report.varied_gain = round(gain, 4)
+        if gain < p.varied_gain:
+            self._skip(Part.VARIED_MATERIALS, Message("reason.palette_explains"))
+            return None
+        label = torch.from_numpy(segments.label).to(self.seen.device)
+        self.report.segments = len(segments)
+        return VariedMaterials(segments, fit_segments(search.light, search.target, label, segments, p))
+
+    def _labelled_points(self, varied: VariedMaterials | None) -> LabelledPoints:
         """The labelled points: label pixels if the light of the samples predicts their light, else the samples."""
-        search, tracer, normals = self.search, self.seen.f_p.tracer, self.seen.surface.normals
+        search, tracer, normals, rays = self.search, self.seen.f_p.tracer, self.seen.surface.normals, self.seen.rays
         of_samples = labelled_samples(search)
-        if len(search.palette) == 1:
+        if len(search.palette) == 1 and varied is None:
             self._skip(Part.VOTES, Message("reason.one_material"))
             return of_samples
         samples, shown = surfels(self.seen.samples, tracer, normals), search.shown()
         error = error_of_neighbours(search, samples, shown)
         self.report.neighbours_error = round(error, 4)
-        if error <= np.median(of_samples.residual):
-            return labelled_pixels(search, samples, shown, self.seen.rays, tracer, normals, self.seed)
-        self._skip(Part.VOTES, Message("reason.light_changes_fast"))
+        predicted = error <= np.median(of_samples.residual)
+        if not predicted:
+            self._skip(Part.VOTES, Message("reason.light_changes_fast"))
+        if varied is not None:
+            chosen = select_label_pixels(rays, tracer, normals, self.preset, self.seed) if predicted else self.seen.samples
+            pixels = PlacedPixels.of(surfels(chosen, tracer, normals), chosen.radiance, samples)
+            return varied_points(varied, search.light, pixels, self.preset)
+        if predicted:
+            return labelled_pixels(search, samples, shown, rays, tracer, normals, self.seed)
         return of_samples
 
-    def _finish_report(self, single: float, size: int) -> None:
+    def _finish_report(self, single: float, shares: list[float]) -> None:
+        """Report what was learned; shares [K] are those of the palette's materials before they were blended."""
         report, palette = self.report, self.search.palette
         report.merged_shades = self.search.merged
-        report.tell_materials(palette, self.search.shares().tolist())
+        report.tell_materials(palette.pick(list(range(len(shares)))), shares)
         report.residual_one_material, report.residual = round(single, 5), round(self._residual(), 5)
-        report.texture_texels = size
         report.cones_traced = self.light.traced.rays
         report.self_reflection_rays = hits = len(self.light.traced.hit_index)
         if hits == 0:
             self._skip(Part.INDIRECT_LIGHT, Message("reason.no_self_reflection"))
-        if len(palette) == 1:
-            self._skip(Part.MATERIAL_BOUNDARIES, Message("reason.one_material"))
 
     def _skip(self, what: Part, why: Message, seconds: float | None = None) -> None:
         self.report.skipped[str(what)] = why.state()

@@ -44,6 +44,10 @@ class MaterialReport:
     """Number of cones that met the object again"""
     neighbours_error: float | None = None
     """Median error of predicting a sample's radiance from the nearest other samples of its photo, tone-mapped"""
+    varied_gain: float | None = None
+    """Share by which a material for each segment lowers the palette's residual, on held-out photos"""
+    segments: int | None = None
+    """Number of segments, if each has a material of its own"""
     skipped: dict[str, dict] = field(default_factory=dict)
     """{part that was left out: state of the message that says why}"""
     seconds_saved: dict[str, float] = field(default_factory=dict)

@@ -7,13 +7,12 @@ depend on the number of threads.
 
 from __future__ import annotations
 
-import math
 from typing import NamedTuple
 
 import numpy as np
 from numba import njit, prange
 
-_LOG5 = np.float32(math.log(5.0))
+from blender_nep.ops.tone import tone
 
 
 @njit(cache=True, inline="always", fastmath=True, error_model="numpy")
@@ -24,12 +23,6 @@ def _multiscatter_gain(albedo, ratio, average):
     """
     fss = albedo + (np.float32(1) - albedo) / np.float32(21)
     return np.float32(1) + fss * average / (np.float32(1) - fss * (np.float32(1) - average)) * ratio
-
-
-@njit(cache=True, inline="always", fastmath=True, error_model="numpy")
-def _tone(light):
-    """`tone_mapping.tone_map` with log, which is three times as fast as log1p. Its error near black, 1e-7, is harmless."""
-    return math.log(np.float32(1) + np.float32(4) * light) / _LOG5
 
 
 class FitSamples(NamedTuple):
@@ -136,7 +129,7 @@ def fit_albedos(starts, samples, roughness, hypotheses, clip, iterations, cost, 
                             mean = goal[n, c]
                         else:
                             mean = np.float32(0.5) * (light + goal[n, c])
-                            residual = abs(_tone(light) - tone_goal[n, c])
+                            residual = abs(tone(light) - tone_goal[n, c])
                             if residual >= 2 * clip:
                                 continue
                             robust /= max(residual, np.float32(0.02))
@@ -158,7 +151,7 @@ def fit_albedos(starts, samples, roughness, hypotheses, clip, iterations, cost, 
                         gain * (edge[s, c] + span[s, c] * a[c]) + rest * (specular_part[s, c] + diffuse_part[s, c] * a[c]),
                         np.float32(0),
                     )
-                    residual += abs(_tone(light) - tone_goal[n, c])
+                    residual += abs(tone(light) - tone_goal[n, c])
                 left += min(residual / np.float32(3), clip) * weight[n]
             cost[i, j, g] = left / max(total, 1e-9)
             for c in range(3):

@@ -1,197 +1,16 @@
 """Material learning end to end: photos of a sphere made by brute-force Monte Carlo, materials known."""
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 import pytest
 import torch
-import trimesh
 
 from blender_nep.errors import LearningError
-from blender_nep.geometry.mesh import Surface
 from blender_nep.geometry.uv_raster import rasterise
 from blender_nep.materials.baking import LabelledPoints, bake
-from blender_nep.materials.palette import Palette
-from blender_nep.materials.training import learn_materials
-from blender_nep.presets import MaterialPreset, SurfacePreset
-from blender_nep.shading import brdf
-from blender_nep.surface.unwrap import unwrap
-
-PRESET = replace(
-    MaterialPreset(),
-    samples=1200,
-    terminal_steps=60,
-    unseen_rows=16,
-    unseen_steps=20,
-    most_texels=256,
-    region=0.4,
-    candidates=10,
-)
-RADIUS = 0.7
-
-
-class AnalyticEnvironment:
-    """Radiance of a few soft lamps at infinity; cones widen the lamps as a spherical Gaussian's convolution does."""
-
-    def __init__(self):
-        generator = torch.Generator().manual_seed(7)
-        self.axis = torch.nn.functional.normalize(torch.randn(14, 3, generator=generator), dim=-1)
-        self.color = torch.rand(14, 3, generator=generator) * 4 + 0.2
-        self.sharpness = torch.linspace(8, 120, 14)
-
-    def query_cone(self, origins, directions, half_angle):
-        variance = 1 / self.sharpness + half_angle[:, None] ** 2 / 4
-        gain = (1 / self.sharpness) / variance
-        lobes = gain * torch.exp((directions @ self.axis.T - 1) / variance)
-        return 0.15 + lobes @ self.color, torch.ones(len(directions))
-
-
-class HalfSeen(AnalyticEnvironment):
-    """The same light, of which no photo shows the upper part: there F_e is black and without coverage."""
-
-    def query_cone(self, origins, directions, half_angle):
-        radiance, _ = super().query_cone(origins, directions, half_angle)
-        seen = (directions[:, 2] < 0.3).float()
-        return radiance * seen[:, None], seen
-
-    def typical_distance(self):
-        return math.inf
-
-
-class Counting(AnalyticEnvironment):
-    """The same light, which counts the cones that it is asked for."""
-
-    cones = 0
-
-    def query_cone(self, origins, directions, half_angle):
-        self.cones += len(origins)
-        return super().query_cone(origins, directions, half_angle)
-
-
-@dataclass
-class SyntheticRays:
-    """The part of PixelRays that material learning uses."""
-
-    radiance: torch.Tensor
-    origin: torch.Tensor
-    direction: torch.Tensor
-    view: torch.Tensor
-    mask: None = None
-
-    @property
-    def views(self) -> int:
-        return int(self.view.max()) + 1
-
-    def camera(self, view):
-        return self.origin[self.view == view][0], None
-
-    def project(self, view, points):
-        """Every point lies in the middle of every frame."""
-        return torch.zeros(len(points), 2), torch.ones(len(points), dtype=torch.bool)
-
-    def __post_init__(self):
-        self.sphere = torch.arange(len(self.radiance))
-        self.brightest = float(self.radiance.max())
-
-    def rays(self, index):
-        return self.origin[index], self.direction[index], torch.full((len(index),), 0.004)
-
-    def view_of(self, index):
-        return self.view[index]
-
-    def photo(self, index):
-        return self.radiance[index]
-
-
-class MemoryCheckpoint:
-    """Keeps the last state; due at every step where `always`."""
-
-    stopping = False
-
-    def __init__(self, state=None, always=False):
-        self.state, self.always = state, always
-
-    def due(self):
-        return self.always
-
-    def save(self, state):
-        self.state = state
-
-    def load(self):
-        return self.state
-
-
-def make_photos(materials, views=10, side=32, rays=160, environment=None):
-    """Photos of the sphere in all of the light; materials(points [n,3]) -> albedo, roughness, metallic."""
-    environment, generator = environment or AnalyticEnvironment(), torch.Generator().manual_seed(11)
-    eye = torch.nn.functional.normalize(torch.randn(views, 3, generator=generator), dim=-1) * 3
-    u = (torch.arange(side) + 0.5) / side * 0.5 - 0.25
-    x, y = torch.meshgrid(u, u, indexing="ij")
-    frame = brdf.frame(torch.nn.functional.normalize(-eye, dim=-1))
-    local = torch.nn.functional.normalize(torch.stack([x, y, torch.ones_like(x)], -1).reshape(-1, 3), dim=-1)
-    direction = torch.einsum("vij,nj->vni", frame, local).reshape(-1, 3)
-    origin = eye.repeat_interleave(side * side, 0)
-    along = -(origin * direction).sum(-1)
-    squared = along**2 - (origin**2).sum(-1) + RADIUS**2
-    hit = squared > 0
-    t = along - squared.clamp_min(0).sqrt()
-    points = origin[hit] + direction[hit] * t[hit, None]
-    normal, view = points / RADIUS, -direction[hit]
-    albedo, roughness, metallic = materials(points)
-    f = brdf.frame(normal)
-    v = torch.einsum("nij,ni->nj", f, view)
-    n = len(points)
-    uniform = torch.rand(n, rays, 2, generator=generator)
-
-    def incoming(to_light):
-        d = torch.einsum("nij,nkj->nki", f, to_light).reshape(-1, 3)
-        return AnalyticEnvironment.query_cone(environment, d, d, torch.zeros(len(d)))[0].reshape(n, rays, 3)
-
-    # Balance heuristic between the two samplers: an estimator that shares nothing with the cones.
-    each = [x[:, None].expand(n, rays, *x.shape[1:]) for x in (v, albedo, roughness, metallic)]
-    alpha = brdf.alpha_of(each[2])
-    h, _ = brdf.sample_vndf(each[0], alpha, uniform)
-    total = torch.zeros(n, 3)
-    for to_light in (brdf.reflect(each[0], h), brdf.sample_cosine(uniform.flip(-1))[0]):
-        half = torch.nn.functional.normalize(each[0] + to_light, dim=-1)
-        pdf = brdf.vndf_pdf(each[0][..., 2], half[..., 2], alpha) + to_light[..., 2].clamp_min(0) / math.pi
-        value = brdf.evaluate(each[0], to_light, *each[1:]) * to_light[..., 2:].clamp_min(0)
-        total += (value * incoming(to_light) / pdf[..., None].clamp_min(1e-9)).mean(1)
-    radiance = torch.zeros(len(origin), 3)
-    radiance[hit] = total
-    return SyntheticRays(radiance, origin, direction, torch.arange(views).repeat_interleave(side * side))
-
-
-@pytest.fixture(scope="module")
-def ball():
-    mesh = trimesh.creation.icosphere(subdivisions=4, radius=RADIUS)
-    vertices, faces = np.asarray(mesh.vertices), np.asarray(mesh.faces)
-    return unwrap(Surface(vertices, faces, vertices / RADIUS), SurfacePreset(atlas_texels=256))
-
-
-def learn(ball, photos, preset=PRESET, checkpoint=None, environment=None):
-    steps = []
-    result = learn_materials(
-        ball,
-        environment or AnalyticEnvironment(),
-        photos,
-        preset,
-        seed=0,
-        device="cpu",
-        progress=lambda step, steps_, loss, **_: steps.append(step),
-        checkpoint=checkpoint or MemoryCheckpoint(),
-    )
-    assert steps == sorted(steps) and steps[-1] == 100
-    return result
-
-
-def constant(albedo, roughness, metallic):
-    def materials(points):
-        n = len(points)
-        return torch.tensor(albedo).expand(n, 3), torch.full((n,), roughness), torch.full((n,), metallic)
-
-    return materials
+from support.lit_ball import PRESET, Counting, HalfSeen, MemoryCheckpoint, constant, learn, make_photos
 
 
 @pytest.mark.parametrize(
@@ -233,19 +52,18 @@ def test_paint_and_metal_are_told_apart_where_they_lie(ball):
 def test_textures_do_not_depend_on_the_block_and_faces_that_no_photo_shows_have_no_confidence(ball, monkeypatch):
     random = np.random.default_rng(2)
     position = ball.vertices[random.integers(len(ball.vertices), size=300)].astype(np.float32)
-    cost, albedo, residual = (random.random(shape).astype(np.float32) for shape in ((300, 2), (300, 3), 300))
-    evidence = LabelledPoints(position, random.integers(9, size=300), cost, albedo, residual)
-    palette = Palette(torch.tensor([[0.9, 0.6, 0.3], [0.2, 0.3, 0.4]]), torch.tensor([0.2, 0.6]), torch.tensor([1.0, 0.0]))
-    whole = bake(ball, evidence, palette, 64)
+    material = (random.random(shape).astype(np.float32) for shape in ((300, 3), 300, 300, 300))
+    evidence = LabelledPoints(position, random.integers(9, size=300), *material)
+    whole = bake(ball, evidence, 64)
     shown = ball.vertices[ball.faces].mean(1)[:, 2] > 0
-    *same, confidence = bake(ball, evidence, palette, 64, shown)
+    *same, confidence = bake(ball, evidence, 64, shown)
     face = rasterise(ball.uv, ball.faces, 64)[0]
     inside, on_shown = face >= 0, shown[np.maximum(face, 0)]
     assert (confidence[inside & ~on_shown] == 0).all() and (confidence[inside & on_shown] > 0).all()
     assert np.array_equal(confidence[inside & on_shown], whole[-1][inside & on_shown])
     assert all(np.array_equal(a, b) for a, b in zip(whole[:-1], same, strict=True))
     monkeypatch.setattr("blender_nep.materials.baking._BLOCK", 37)
-    assert all(np.array_equal(a, b) for a, b in zip(whole, bake(ball, evidence, palette, 64), strict=True))
+    assert all(np.array_equal(a, b) for a, b in zip(whole, bake(ball, evidence, 64), strict=True))
 
 
 def test_same_seed_same_textures_also_when_resumed(ball):

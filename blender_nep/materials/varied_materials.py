@@ -1,0 +1,206 @@
+"""Materials that vary from place to place, for objects that a palette of few materials does not explain.
+
+Each segment of the surface (`segments`) gets a material of its own. Few samples tell little about a roughness, so the
+residuals of near segments of similar color are averaged before metallic and roughness are chosen. The albedo is then found
+for every pixel from its neighbors.
+
+More freedom always explains photos better, and errors of the light would become paint. So these materials are used only if
+they explain photos that they were not fitted to much better than the palette does.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+import torch
+from scipy.spatial import cKDTree
+from torch import Tensor
+
+from blender_nep.materials.baking import LabelledPoints, kernel, neighbours
+from blender_nep.materials.fitting import fit_groups, roughness_scan
+from blender_nep.materials.palette import Palette, between, error, place_of_least
+from blender_nep.materials.pixel_votes import Surfels, nearest_samples
+from blender_nep.materials.roughness import weight_of_known_light
+from blender_nep.materials.segments import Segments, features, median_color
+from blender_nep.ops.local_albedo import fit_local_albedos
+from blender_nep.profiling import profiled
+from blender_nep.shading.plenoptic import Material, affine_in_albedo
+
+if TYPE_CHECKING:
+    from blender_nep.materials.palette_search import PaletteSearch
+    from blender_nep.materials.photo_samples import PhotoSamples
+    from blender_nep.presets import MaterialPreset
+    from blender_nep.shading.incoming_light import IncomingLight
+
+_SAMPLES_OF_SEGMENT = 50
+"""Mean number of samples in a segment."""
+_FEW_PIXELS = 8
+"""Samples around a sample whose median is its color. Samples lie far apart, so more would be of other paint."""
+_MANY_PIXELS = 24
+"""Label pixels around a label pixel whose median is its color."""
+_ROUGHNESS_SEGMENTS, _ROUGHNESS_REACH = 48, 3.3
+"""Number of the near segments whose residuals tell the roughness, and the distance at which their weight falls to 1/e."""
+_CLASS_SEGMENTS, _CLASS_REACH = 12, 1.5
+"""The same for the class: metal or dielectric."""
+_OTHER_CLASS = 1e-3
+"""Weight of segments of the other class when the roughness is chosen. It is not 0, for a segment may be alone."""
+_BLEND_SEGMENTS, _BLEND_REACH = 8, 1.5
+"""The same for the roughness between the centers of segments."""
+_HELD_OUT = 4
+"""One photo of this many is held out while the gain is measured."""
+_ALBEDO_PIXELS = 8
+"""Label pixels around a label pixel, itself among them, that share one albedo. More would blur thin outlines."""
+_ITERATIONS = 6
+"""Iterations of the reweighted least squares of a pixel's albedo."""
+
+
+@dataclass
+class VariedMaterials:
+    """The materials of K segments, and where the segments are."""
+
+    segments: Segments
+    palette: Palette
+    """The material of each segment"""
+
+    @profiled("varied materials")
+    def at(self, position: np.ndarray, color: np.ndarray) -> Material:
+        """The materials of m points at position [m, 3] with median log color [m, 3].
+
+        Albedo and metallic are those of the nearest segment. The roughness is interpolated between near segments of the
+        same class.
+        """
+        distance, index = self.segments.near(features(position, color), _BLEND_SEGMENTS)
+        nearest = self.palette.at(torch.from_numpy(index[:, 0]).to(self.palette.roughness.device))
+        metallic, root = self.palette.metallic.cpu().numpy(), self.palette.roughness.sqrt().cpu().numpy()
+        weight = np.exp(-((distance / _BLEND_REACH) ** 2)) * (metallic[index] == metallic[index[:, :1]])
+        weight[:, 0] += 1e-9  # a point far from all segments takes the nearest one's
+        roughness = ((root[index] * weight).sum(1) / weight.sum(1)) ** 2
+        return Material(nearest.albedo.clamp(0, 1), torch.from_numpy(roughness).to(nearest.roughness), nearest.metallic)
+
+
+def segments_of(samples: PhotoSamples, seed: int) -> Segments:
+    """The segments of the photo samples."""
+    color = median_color(cKDTree(samples.position), samples.radiance.cpu().numpy(), samples.position, _FEW_PIXELS)
+    return Segments.of(samples.position, color, max(1, len(samples) // _SAMPLES_OF_SEGMENT), seed)
+
+
+def gain_of_segments(search: PaletteSearch, segments: Segments) -> float:
+    """Share by which the materials of segments lower the residual of the palette, on photos that were held out.
+
+    The palette has seen these photos, so the gain is rather too small than too large. 0 if there are too few photos.
+    """
+    light, p = search.light, search.preset
+    label = torch.from_numpy(segments.label).to(search.device)
+    held_out = search.samples.photo % _HELD_OUT == 0
+    if not bool(held_out.any()) or bool(held_out.all()):
+        return 0.0
+    trained = fit_segments(light, search.target, torch.where(held_out, -1, label), segments, p)
+    even = torch.ones_like(search.weight)
+    theirs = error(light, search.target, even, trained.at(label), p.clip)[held_out].mean()
+    ours = error(light, search.target, even, search.palette.at(search.label), p.clip)[held_out].mean()
+    return float(1 - theirs / ours.clamp_min(1e-9))
+
+
+@profiled("varied materials")
+def fit_segments(light: IncomingLight, target: Tensor, label: Tensor, segments: Segments, preset: MaterialPreset) -> Palette:
+    """The material of each of K segments. label [n] int64 is that of the samples, -1 for those that do not count.
+
+    Segments whose samples do not count get the roughness and the class of their neighbors, and no sensible albedo.
+    """
+    p, count = preset, len(segments)
+    weight = weight_of_known_light(light)
+    residual, albedo = fit_groups(
+        light,
+        target,
+        weight,
+        label,
+        count,
+        least_roughness=p.least_roughness,
+        clip=p.clip,
+        hypotheses=p.metallic,
+    )
+    mass = torch.bincount(label.clamp_min(0), weight * (label >= 0), minlength=count).cpu().numpy()
+    scan, cost = roughness_scan(p.least_roughness, light.cos_v.device), residual.cpu().numpy()
+    distance, index = segments.near(segments.centre, _ROUGHNESS_SEGMENTS)
+    near = mass[index] * np.exp(-((distance / _ROUGHNESS_REACH) ** 2))
+    row = _averaged(cost, near, index).argmin(1)
+    of_class = np.take_along_axis(cost, row[:, None], 1)[:, 0]
+    close = mass[index] * np.exp(-((distance / _CLASS_REACH) ** 2)) * (np.arange(index.shape[1]) < _CLASS_SEGMENTS)
+    margin = np.array([1 + p.segment_metal_margin * m for m in p.metallic])
+    chosen = (_averaged(of_class, close, index) * margin[:, None]).argmin(0)
+    same = near * np.where(chosen[index] == chosen[:, None], 1, _OTHER_CLASS)
+    own = torch.from_numpy(chosen).to(residual.device)
+    each = torch.arange(count, device=residual.device)
+    place = place_of_least(torch.from_numpy(_averaged(cost, same, index)).to(residual)[own, :, each].T)
+    return Palette(
+        between(albedo[own, :, each].transpose(0, 1), place),
+        between(scan.sqrt()[:, None].expand(-1, count), place) ** 2,
+        torch.tensor(p.metallic, device=residual.device)[own],
+    )
+
+
+def _averaged(values: np.ndarray, weight: np.ndarray, index: np.ndarray) -> np.ndarray:
+    """Weighted means of values [..., K] over the segments index [K, near], with weight [K, near]."""
+    return (values[..., index] * weight).sum(-1) / np.maximum(weight.sum(-1), 1e-9)
+
+
+@dataclass
+class PlacedPixels:
+    """m pixels of the photos, the surface points that they show, and the samples whose light is theirs."""
+
+    position: np.ndarray
+    """[m, 3] unit frame"""
+    photo: np.ndarray
+    """[m] int, index of the photo"""
+    radiance: Tensor
+    """[m, 3] linear"""
+    sample: np.ndarray
+    """[m, S] int64, indices of samples of the same photo whose light is averaged"""
+    share: np.ndarray
+    """[m, S] weights of these samples; they add up to 1"""
+
+    @classmethod
+    def of(cls, pixels: Surfels, radiance: Tensor, samples: Surfels) -> PlacedPixels:
+        """The pixels, with the light of their nearest samples. A pixel that is a sample itself has its own light."""
+        return cls(pixels.position, pixels.photo, radiance, *nearest_samples(samples, pixels))
+
+
+def varied_points(
+    materials: VariedMaterials, light: IncomingLight, pixels: PlacedPixels, preset: MaterialPreset
+) -> LabelledPoints:
+    """The pixels as labelled points, each with an albedo of its own."""
+    tree = cKDTree(pixels.position)
+    radiance = pixels.radiance.float().cpu().numpy()
+    color = median_color(tree, radiance, pixels.position, _MANY_PIXELS)
+    material = materials.at(pixels.position, color)
+    offset, slope = _affine_of_pixels(material, light, pixels)
+    distance, index = neighbours(tree, pixels.position, _ALBEDO_PIXELS)
+    albedo, residual = np.empty_like(radiance), np.empty(len(radiance), np.float32)
+    metallic = material.metallic.cpu().numpy()
+    fit_local_albedos(
+        index,
+        kernel(distance).astype(np.float32),
+        offset,
+        slope,
+        metallic,
+        radiance,
+        np.float32(preset.clip),
+        _ITERATIONS,
+        albedo,
+        residual,
+    )
+    return LabelledPoints(pixels.position, pixels.photo, albedo, material.roughness.cpu().numpy(), metallic, residual)
+
+
+def _affine_of_pixels(material: Material, light: IncomingLight, pixels: PlacedPixels) -> tuple[np.ndarray, np.ndarray]:
+    """Offset and slope [m, 3] of the pixels' radiance, with the light of their samples (`affine_in_albedo`), float32."""
+    offset, slope = torch.zeros_like(material.albedo), torch.zeros_like(material.albedo)
+    for k in range(pixels.sample.shape[1]):
+        row = torch.from_numpy(pixels.sample[:, k]).to(offset.device)
+        share = torch.from_numpy(pixels.share[:, k, None]).to(offset)
+        moments = light.moments(material.roughness, row)
+        terms = affine_in_albedo(material, moments, light.diffuse[row], light.cos_v[row])
+        offset, slope = offset + share * terms[0], slope + share * terms[1]
+    return offset.float().cpu().numpy(), slope.float().cpu().numpy()

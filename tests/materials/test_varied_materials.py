@@ -1,0 +1,110 @@
+"""Materials that vary: many paints, a gradual patina, and objects whose materials must stay uniform."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from blender_nep.geometry.uv_raster import rasterise
+from support.lit_ball import PRESET, RADIUS, learn, make_photos
+
+MORE = replace(PRESET, samples=5000, label_pixels=9000)
+FEW = replace(MORE, varied_gain=math.inf)
+BRONZE, PATINA = torch.tensor([0.62, 0.4, 0.22]), torch.tensor([0.27, 0.43, 0.34])
+
+
+def fields(points):
+    """The number of the field [n] of each point: 24 fields around random centers."""
+    centre = torch.nn.functional.normalize(torch.randn(24, 3, generator=torch.Generator().manual_seed(5)), dim=-1)
+    return torch.cdist(points / RADIUS, centre).argmin(1)
+
+
+def many_paints(points):
+    """Twenty paints, and gold leaf on four fields; the gloss differs from field to field."""
+    paint = torch.rand(24, 3, generator=torch.Generator().manual_seed(6)) * 0.8 + 0.05
+    gold = torch.arange(24) % 6 == 0
+    paint[gold] = torch.tensor([0.95, 0.7, 0.35])
+    roughness = torch.where(gold, 0.2, torch.linspace(0.1, 0.35, 24))
+    at = fields(points)
+    return paint[at], roughness[at], gold[at].float()
+
+
+def patina(points):
+    """Bronze that turns green from place to place, gradually."""
+    share = 0.5 + 0.5 * torch.sin(5 * points[:, 0]) * torch.cos(4 * points[:, 2])
+    return BRONZE + (PATINA - BRONZE) * share[:, None], 0.2 + 0.35 * share, 1 - share
+
+
+def errors(ball, result, materials):
+    """Mean squared errors of albedo, roughness and metallic over the texels of the charts."""
+    face, barycentric = rasterise(ball.uv, ball.faces, len(result.metallic))
+    known = face >= 0
+    points = np.einsum("nc,nck->nk", barycentric[known], ball.vertices[ball.faces[face[known]]])
+    true = materials(torch.from_numpy(points).float())
+    found = (result.albedo, result.roughness, result.metallic)
+    return [float(((a[known] - b.numpy()) ** 2).mean()) for a, b in zip(found, true, strict=True)]
+
+
+@pytest.fixture(scope="module")
+def photos_of_paints():
+    return make_photos(many_paints, views=16, side=48, rays=64)
+
+
+@pytest.fixture(scope="module")
+def varied(ball, photos_of_paints):
+    return learn(ball, photos_of_paints, MORE)
+
+
+def test_many_paints_and_gold_leaf_get_materials_of_their_own(ball, photos_of_paints, varied):
+    few = learn(ball, photos_of_paints, FEW)
+    assert varied.report["segments"] > 50 and "segments" not in few.report
+    assert few.report["skipped"]["materials that vary from place to place"]["code"] == "reason.preset"
+    albedo, roughness, metallic = errors(ball, varied, many_paints)
+    assert albedo < 0.01 and roughness < 0.006 and metallic < 0.06
+    worse = errors(ball, few, many_paints)
+    assert albedo < 0.75 * worse[0] and roughness < worse[1]
+
+
+def test_paint_does_not_follow_the_light(ball, varied):
+    """The error of the albedo must not follow the irradiance: light and shade are not paint."""
+    result = varied
+    face, barycentric = rasterise(ball.uv, ball.faces, len(result.metallic))
+    known = face >= 0
+    points = torch.from_numpy(np.einsum("nc,nck->nk", barycentric[known], ball.vertices[ball.faces[face[known]]])).float()
+    true, _, metal = many_paints(points)
+    white = make_photos(lambda at: (torch.ones(len(at), 3), torch.ones(len(at)), torch.zeros(len(at))), views=16, side=48)
+    lit = white.radiance.sum(1) > 0
+    place = white.origin[lit] + white.direction[lit] * ray_lengths(white.origin[lit], white.direction[lit])[:, None]
+    near = torch.cdist(points[::7], place).argmin(1)
+    irradiance = white.radiance[lit].mean(1)[near].log()
+    excess = torch.from_numpy(result.albedo[known][::7]).mean(1).log() - true[::7].mean(1).log()
+    paint = metal[::7] < 0.5
+    assert abs(np.corrcoef(excess[paint], irradiance[paint])[0, 1]) < 0.25
+
+
+def ray_lengths(origin, direction):
+    """Distances at which the rays meet the ball."""
+    along = -(origin * direction).sum(-1)
+    return along - (along**2 - (origin**2).sum(-1) + RADIUS**2).clamp_min(0).sqrt()
+
+
+def test_a_gradual_patina_is_blended_from_unblended_materials(ball):
+    result = learn(ball, make_photos(patina, views=16, side=48, rays=64), MORE)
+    assert "segments" not in result.report, "two materials and their blends explain it"
+    albedo, roughness, metallic = errors(ball, result, patina)
+    assert albedo < 0.003 and roughness < 0.006 and metallic < 0.03
+    shares = np.sort(result.metallic[result.metallic > 0.02])
+    assert len(np.unique((shares * 50).astype(int))) > 30, "shares are continuous, not steps of a quarter"
+
+
+@pytest.mark.parametrize("metallic", [0.0, 1.0])
+def test_a_uniform_object_stays_uniform(ball, metallic):
+    def uniform(points):
+        n = len(points)
+        return torch.tensor([0.7, 0.45, 0.2]).expand(n, 3), torch.full((n,), 0.2), torch.full((n,), metallic)
+
+    result = learn(ball, make_photos(uniform, views=16, side=48, rays=64), MORE)
+    assert result.report["skipped"]["materials that vary from place to place"]["code"] == "reason.palette_explains"
+    assert np.ptp(result.albedo, axis=(0, 1)).max() < 1e-3 and np.ptp(result.roughness) < 1e-3
