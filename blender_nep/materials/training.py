@@ -19,6 +19,7 @@ from torch import Tensor
 
 from blender_nep.errors import LearningError
 from blender_nep.geometry.mesh import Surface
+from blender_nep.materials.baked_light import correlations
 from blender_nep.materials.baking import LabelledPoints, bake, texture_size
 from blender_nep.materials.labelled_points import (
     error_of_neighbours,
@@ -140,7 +141,9 @@ class _MaterialLearner:
         uniform = len(search.palette) == 1 and varied is None
         self.report.texture_texels = size = min(wanted, self.preset.uniform_texels) if uniform else wanted
         shown = shown_faces(seen.surface, seen.f_p.tracer, seen.rays)
-        albedo, roughness, metallic, confidence = bake(seen.surface, self._labelled_points(varied), size, shown)
+        points = self._labelled_points(varied)
+        self.report.albedo_follows = correlations(points, self.light, seen.samples.position)
+        albedo, roughness, metallic, confidence = bake(seen.surface, points, size, shown)
         self.progress.phase_ended("textures")
         if uniform:
             self._skip(Part.MATERIAL_BOUNDARIES, Message("reason.one_material"))
