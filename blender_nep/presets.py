@@ -326,6 +326,9 @@ class MaterialPreset:
     segment_metal_margin: float = 0.1
     """As `metal_margin`, for the segments of an object whose materials vary: few samples tell less, and most things are not
     metal."""
+    segment_prior: float = 0.8
+    """Weight of the residuals of the whole object beside those around a segment, when the segment's roughness is chosen. 0
+    turns this prior off."""
     rounds: int = 2
     """Rounds of learning the unseen light and choosing the palette anew; afterwards as many rounds without new materials."""
     most_texels: int = 1024

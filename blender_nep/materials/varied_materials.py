@@ -107,7 +107,9 @@ def gain_of_segments(search: PaletteSearch, segments: Segments) -> float:
 def fit_segments(light: IncomingLight, target: Tensor, label: Tensor, segments: Segments, preset: MaterialPreset) -> Palette:
     """The material of each of K segments. label [n] int64 is that of the samples, -1 for those that do not count.
 
-    Segments whose samples do not count get the roughness and the class of their neighbors, and no sensible albedo.
+    Residuals are averaged over near segments. The mean over the whole object is added with the weight
+    `preset.segment_prior`: it decides the roughness where the photos of a place hardly tell it. Segments whose samples do
+    not count get the roughness and the class of their neighbors, and no sensible albedo.
     """
     p, count = preset, len(segments)
     weight = weight_of_known_light(light)
@@ -125,24 +127,28 @@ def fit_segments(light: IncomingLight, target: Tensor, label: Tensor, segments: 
     scan, cost = roughness_scan(p.least_roughness, light.cos_v.device), residual.cpu().numpy()
     distance, index = segments.near(segments.centre, _ROUGHNESS_SEGMENTS)
     near = mass[index] * np.exp(-((distance / _ROUGHNESS_REACH) ** 2))
-    row = _averaged(cost, near, index).argmin(1)
+    everywhere = p.segment_prior * _averaged(cost, mass, np.arange(count))[..., None]
+    row = (_averaged(cost, near, index) + everywhere).argmin(1)
     of_class = np.take_along_axis(cost, row[:, None], 1)[:, 0]
     close = mass[index] * np.exp(-((distance / _CLASS_REACH) ** 2)) * (np.arange(index.shape[1]) < _CLASS_SEGMENTS)
     margin = np.array([1 + p.segment_metal_margin * m for m in p.metallic])
     chosen = (_averaged(of_class, close, index) * margin[:, None]).argmin(0)
     same = near * np.where(chosen[index] == chosen[:, None], 1, _OTHER_CLASS)
-    own = torch.from_numpy(chosen).to(residual.device)
-    each = torch.arange(count, device=residual.device)
-    place = place_of_least(torch.from_numpy(_averaged(cost, same, index)).to(residual)[own, :, each].T)
+    each = np.arange(count)
+    curve = _averaged(cost, same, index)[chosen, :, each]
+    for k in np.unique(chosen):
+        members = np.flatnonzero(chosen == k)
+        curve[members] += p.segment_prior * _averaged(cost[k], mass[members], members)
+    place = place_of_least(torch.from_numpy(curve.T).to(residual))
     return Palette(
-        between(albedo[own, :, each].transpose(0, 1), place),
+        between(albedo[torch.from_numpy(chosen), :, torch.from_numpy(each)].transpose(0, 1), place),
         between(scan.sqrt()[:, None].expand(-1, count), place) ** 2,
-        torch.tensor(p.metallic, device=residual.device)[own],
+        torch.tensor(p.metallic, device=residual.device)[torch.from_numpy(chosen)],
     )
 
 
 def _averaged(values: np.ndarray, weight: np.ndarray, index: np.ndarray) -> np.ndarray:
-    """Weighted means of values [..., K] over the segments index [K, near], with weight [K, near]."""
+    """Weighted means of values [..., K] over the segments index [..., near], with weight [..., near]."""
     return (values[..., index] * weight).sum(-1) / np.maximum(weight.sum(-1), 1e-9)
 
 
