@@ -191,7 +191,7 @@ class EnvironmentPreset:
     detail_rows: int = 384
     """Rows of the color detail, a multiple of twice the rows of each grid in `resolutions`. There are twice as many columns.
     A photo of 400 pixels shows 0.1 degrees a pixel; 384 rows are 0.5 degrees each, the grid's 96 rows 1.9 degrees."""
-    detail_variation: float = 1e-4
+    detail_variation: float = 1e-2
     """Cost of the total variation of the color detail, from texel to texel."""
     variation_softness: float = 0.05
     """Differences between nodes below this cost quadratically; larger ones cost linearly, so that edges are allowed."""

@@ -53,4 +53,5 @@ def test_fewer_points_than_segments(n):
 def test_same_seed_same_segments():
     position, white = checkered(1000, 2)
     color = np.where(white[:, None], 0.0, -2.0) * np.ones(3)
-    assert np.array_equal(Segments.of(position, color, 30, 5).label, Segments.of(position, color, 30, 5).label)
+    for seed in (5, 2**32 + 5):
+        assert np.array_equal(Segments.of(position, color, 30, seed).label, Segments.of(position, color, 30, seed).label)
