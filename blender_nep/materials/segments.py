@@ -64,7 +64,8 @@ class Segments:
         points = features(position, color)
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # of empty clusters, which are left out below
-            centre, _ = kmeans2(points, min(count, len(points)), _ITERATIONS, minit="points", seed=np.random.default_rng(seed))
+            random = np.random.default_rng(seed)  # the seed itself may be too large for SciPy
+            centre, _ = kmeans2(points, min(count, len(points)), _ITERATIONS, minit="points", seed=random)
         used, label = np.unique(cKDTree(centre).query(points)[1], return_inverse=True)
         return cls(centre[used], label.ravel())
 
