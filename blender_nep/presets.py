@@ -28,7 +28,7 @@ class FieldsPreset:
     starts from a sphere. inf: always from a sphere (an ablation). The poorest hull that helped had 2.1."""
     environment_gradient_scale: float = 0.1
     """Scale of F_e's gradients from pixels that see the object's sphere. With a small scale, the other pixels decide what
-    the surroundings are, before the object is known. 1: no scaling (ablation)."""
+    the surroundings are, before the object is known. 1: no scaling (an ablation)."""
     environment_gradient_scale_until: float = 0.5
     """Fraction until which `environment_gradient_scale` holds."""
     object_rays: int = 1536
@@ -109,7 +109,7 @@ class FieldsPreset:
     stays the sphere from which it starts."""
     curvature: float = 5e-4
     """Weight of the curvature loss, the mean of sqrt(|Hessian of the SDF|^2 + 1) at surface points, in 1 / object radius.
-    0: no curvature loss (ablation)."""
+    0: no curvature loss (an ablation)."""
     curvature_decay_from: float = 0.5
     """Fraction from which on the weight of the curvature loss falls geometrically."""
     last_curvature: float = 1e-4
@@ -119,14 +119,14 @@ class FieldsPreset:
     highlight_threshold: float = 3.0
     """Radiance above which an object pixel is a highlight, as a multiple of the typical radiance of the photos
     (`fields.losses.highlight_threshold`). Highlights count little: they move with the camera, say little about the shape,
-    and would dominate the error. inf: they count in full (ablation)."""
+    and would dominate the error. inf: they count in full (an ablation)."""
     dynamic_weight: str = "none"
     """Kind of the weight w_s: none, paper (eq. 4 as printed) or scaled, see `fields.rendering.dynamic_weight`.
     docs/benchmarks.md compares the three."""
     dynamic_weight_cap: float = 1.5
     """u of eq. 4: the largest w_s. The paper's value."""
     decomposition: bool = True
-    """False: one radiance head of position, normal and view direction, as in plain NeuS (ablation)."""
+    """False: one radiance head of position, normal and view direction, as in plain NeuS (an ablation)."""
     least_explanation_ratio: float = 1.4
     """Smallest explanation ratio: error of F_e alone divided by error of the object, on the object's pixels. With less, the
     sphere counts as empty. 0 turns the check off. Measured: 0.6 and 1.1 for empty spheres, 1.9 to 8.6 for objects."""
@@ -322,7 +322,7 @@ class MaterialPreset:
     """Share by which a mixture of two materials must be better than one material alone."""
     varied_gain: float = 0.25
     """Materials may vary from place to place if that lowers the residual of held-out photos by this share. inf: never.
-    Measured: 0.55 for a vase in forty paints; -0.07 to 0 for a glaze, a patina and paint of two colors."""
+    Measured: 0.34 to 0.55 for a vase in forty paints; -0.20 to 0.16 for seven objects that a palette explains."""
     segment_metal_margin: float = 0.1
     """As `metal_margin`, for the segments of an object whose materials vary: few samples tell less, and most things are not
     metal."""
@@ -363,7 +363,8 @@ class Preset:
     """Whether differences between the photos in exposure and white balance are found and evened out (`capture.exposure`)."""
     brightness: float = 0.25
     """The photos are made so bright that the typical radiance of the pixels that see the object's sphere is this
-    (`capture.brightness`). Here the tone mapping turns from linear to logarithmic. 0: they stay as they are (ablation)."""
+    (`capture.brightness`). Here the tone mapping turns from linear to logarithmic. 0: they stay as they are, which is an
+    ablation."""
     skip_needless: bool = True
     """Whether parts that the scene does not need are left out (`scene_analysis`). False: nothing is left out."""
     environment_height: int = 256

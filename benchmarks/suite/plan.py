@@ -31,7 +31,8 @@ ABLATIONS: dict[str, dict[str, dict]] = {
     **{f"N = {n}": {"material": {"levels": n}, "preset": {"skip_needless": False}} for n in (1, 2, 3)},
     AS_TAKEN: {"preset": {"even_exposure": False}},
     "brightness as taken": {"preset": {"brightness": 0.0}},
-    "one material": {"material": {"most_materials": 1}},
+    "one material": {"material": {"most_materials": 1, "varied_gain": math.inf}},
+    "a palette for all objects": {"material": {"varied_gain": math.inf}},
 }
 """Name of an ablation -> the preset fields that it changes.
 

@@ -14,7 +14,7 @@ from blender_nep.geometry.uv_raster import nearest_known, rasterise
 from blender_nep.profiling import profiled
 
 NEIGHBOURS = 16
-"""Number of nearest samples that vote on the material of a point."""
+"""Number of nearest points that decide the material of a point."""
 _BLOCK = 1 << 16
 """Texels that are baked at a time. This bounds the memory (16 neighbours each), whatever the texture's size."""
 

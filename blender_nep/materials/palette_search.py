@@ -138,8 +138,10 @@ class PaletteSearch:
         """
         self.palette = self.palette.with_blends()
         self.assign()
+        if not self.palette.blends:
+            return
         left_out = self._left_out(self.palette)
-        for _ in range(_MOST_REFITS if self.palette.blends else 0):
+        for _ in range(_MOST_REFITS):
             before = self.palette, self.label
             if not self._fit_unblended():
                 return
@@ -152,7 +154,7 @@ class PaletteSearch:
     def _fit_unblended(self) -> bool:
         """Fit each material to its unblended samples, in its class. False, and no change, if one has hardly any."""
         count = len(self.palette) - self.palette.blends
-        alone = torch.where(self.label < count, self.label, -1)
+        alone = torch.where(self.label < count, self.label, -1)  # -1: in no group of the fits
         if int(torch.bincount(alone + 1, minlength=count + 1)[1:].min()) < self.preset.least_share * len(alone):
             return False
         self.palette, self.label = self.palette.pick(list(range(count))), alone

@@ -12,9 +12,11 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial import cKDTree
 
-from blender_nep.materials.baking import kernel, neighbours, weighted_mean
+from blender_nep.materials.baking import kernel, neighbours
 
 _NEAREST = 4
+_BLOCK = 1 << 14
+"""Pixels whose neighbors' radiances are read at a time. This bounds the memory."""
 _BEND = 0.2
 """Distance on the surface, in the unit frame, that counts as much as a turn of the normal by one radian."""
 
@@ -34,40 +36,32 @@ class Surfels(NamedTuple):
         return np.concatenate([self.position, _BEND * self.normal], 1)
 
 
+def nearest_samples(samples: Surfels, pixels: Surfels, first: int = 0) -> tuple[np.ndarray, np.ndarray]:
+    """Indices [m, S] int64 and weights [m, S] float32 of the samples of the same photo whose light is that of each pixel.
+
+    The weights of a pixel add up to 1, or are 0 where the photo has no sample. The neighbors begin with number `first`: for
+    pixels that are samples themselves, number 0 is the sample itself.
+    """
+    index, share = np.zeros((len(pixels.photo), _NEAREST), np.int64), np.zeros((len(pixels.photo), _NEAREST), np.float32)
+    known, asked = samples.features(), pixels.features()
+    for photo in np.unique(samples.photo):
+        here, there = np.flatnonzero(samples.photo == photo), np.flatnonzero(pixels.photo == photo)
+        if len(there) == 0 or len(here) <= first:
+            continue
+        distance, near = (a[:, first:] for a in neighbours(cKDTree(known[here]), asked[there], _NEAREST + first))
+        weight = kernel(distance)
+        index[there, : near.shape[1]] = here[near]
+        share[there, : near.shape[1]] = weight / weight.sum(1, keepdims=True)
+    return index, share
+
+
 def pixel_costs(samples: Surfels, shown: np.ndarray, pixels: Surfels, goal: np.ndarray, clip: float) -> np.ndarray:
     """Residual [m, K] of every pixel under each material: mean over the channels, at most `clip`.
 
     shown [n, K, 3] is the radiance that each sample would have with each material; goal [m, 3] is the radiance of the
     pixels. Both are tone-mapped. In a photo without samples, the residual of every material is `clip`.
     """
-    cost = np.full((len(goal), shown.shape[1]), clip, np.float32)
-    known, asked = samples.features(), pixels.features()
-    for photo in np.unique(samples.photo):
-        here, there = np.flatnonzero(samples.photo == photo), np.flatnonzero(pixels.photo == photo)
-        if len(there) == 0:
-            continue
-        distance, index = neighbours(cKDTree(known[here]), asked[there], _NEAREST)
-        expected = _expected(shown[here], distance, index)
-        cost[there] = np.abs(expected - goal[there, None]).mean(-1).clip(max=clip)
-    return cost
-
-
-def nearest_samples(samples: Surfels, pixels: Surfels) -> tuple[np.ndarray, np.ndarray]:
-    """Indices [m, S] int64 and weights [m, S] float32 of the samples of the same photo whose light is that of each pixel.
-
-    The weights of a pixel add up to 1; they are 0 in a photo without samples.
-    """
-    index, share = np.zeros((len(pixels.photo), _NEAREST), np.int64), np.zeros((len(pixels.photo), _NEAREST), np.float32)
-    known, asked = samples.features(), pixels.features()
-    for photo in np.unique(samples.photo):
-        here, there = np.flatnonzero(samples.photo == photo), np.flatnonzero(pixels.photo == photo)
-        if len(there) == 0:
-            continue
-        distance, near = neighbours(cKDTree(known[here]), asked[there], _NEAREST)
-        weight = kernel(distance)
-        index[there, : near.shape[1]] = here[near]
-        share[there, : near.shape[1]] = weight / weight.sum(1, keepdims=True)
-    return index, share
+    return _residuals(shown, nearest_samples(samples, pixels), goal[:, None], clip).clip(max=clip)
 
 
 def left_out_error(samples: Surfels, shown: np.ndarray) -> np.ndarray:
@@ -76,16 +70,19 @@ def left_out_error(samples: Surfels, shown: np.ndarray) -> np.ndarray:
     shown [n, K, 3] is the tone-mapped radiance that each sample would have with each material. The error is 1 where the
     photo has no other sample.
     """
-    error, features = np.ones(shown.shape[:2], np.float32), samples.features()
-    for photo in np.unique(samples.photo):
-        here = np.flatnonzero(samples.photo == photo)
-        if len(here) == 1:
-            continue
-        distance, index = (a[:, 1:] for a in neighbours(cKDTree(features[here]), features[here], _NEAREST + 1))
-        error[here] = np.abs(_expected(shown[here], distance, index) - shown[here]).mean(-1)
-    return error
+    return _residuals(shown, nearest_samples(samples, samples, first=1), shown, 1.0)
 
 
-def _expected(shown: np.ndarray, distance: np.ndarray, index: np.ndarray) -> np.ndarray:
-    n, materials, _ = shown.shape
-    return weighted_mean(shown.reshape(n, -1), distance, index).reshape(len(index), materials, 3)
+def _residuals(shown: np.ndarray, near: tuple[np.ndarray, np.ndarray], goal: np.ndarray, unknown: float) -> np.ndarray:
+    """Mean absolute difference [m, K] over the channels of goal [m, 1 or K, 3] and of what the nearest samples show.
+
+    shown [n, K, 3] is that of the samples; near: `nearest_samples`. It is `unknown` where there are none.
+    """
+    index, share = near
+    out = np.full((len(index), shown.shape[1]), unknown, np.float32)
+    known = np.flatnonzero(share.any(1))
+    for start in range(0, len(known), _BLOCK):
+        rows = known[start : start + _BLOCK]
+        expected = np.einsum("ms,mskc->mkc", share[rows], shown[index[rows]])
+        out[rows] = np.abs(expected - goal[rows]).mean(-1)
+    return out

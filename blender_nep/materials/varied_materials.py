@@ -44,10 +44,10 @@ _ROUGHNESS_SEGMENTS, _ROUGHNESS_REACH = 48, 3.3
 """Number of the near segments whose residuals tell the roughness, and the distance at which their weight falls to 1/e."""
 _CLASS_SEGMENTS, _CLASS_REACH = 12, 1.5
 """The same for the class: metal or dielectric."""
-_OTHER_CLASS = 1e-3
-"""Weight of segments of the other class when the roughness is chosen. It is not 0, for a segment may be alone."""
 _BLEND_SEGMENTS, _BLEND_REACH = 8, 1.5
 """The same for the roughness between the centers of segments."""
+_OTHER_CLASS = 1e-3
+"""Weight of segments of the other class when the roughness is chosen. It is not 0, for a segment may be alone."""
 _HELD_OUT = 4
 """One photo of this many is held out while the gain is measured."""
 _ALBEDO_PIXELS = 8
@@ -98,9 +98,9 @@ def gain_of_segments(search: PaletteSearch, segments: Segments) -> float:
         return 0.0
     trained = fit_segments(light, search.target, torch.where(held_out, -1, label), segments, p)
     even = torch.ones_like(search.weight)
-    theirs = error(light, search.target, even, trained.at(label), p.clip)[held_out].mean()
-    ours = error(light, search.target, even, search.palette.at(search.label), p.clip)[held_out].mean()
-    return float(1 - theirs / ours.clamp_min(1e-9))
+    of_segments = error(light, search.target, even, trained.at(label), p.clip)[held_out].mean()
+    of_palette = error(light, search.target, even, search.palette.at(search.label), p.clip)[held_out].mean()
+    return float(1 - of_segments / of_palette.clamp_min(1e-9))
 
 
 @profiled("varied materials")
@@ -128,11 +128,12 @@ def fit_segments(light: IncomingLight, target: Tensor, label: Tensor, segments: 
     distance, index = segments.near(segments.centre, _ROUGHNESS_SEGMENTS)
     near = mass[index] * np.exp(-((distance / _ROUGHNESS_REACH) ** 2))
     everywhere = p.segment_prior * _averaged(cost, mass, np.arange(count))[..., None]
-    row = (_averaged(cost, near, index) + everywhere).argmin(1)
+    row = (_averaged(cost, near, index) + everywhere).argmin(1)  # the best roughness of each class
     of_class = np.take_along_axis(cost, row[:, None], 1)[:, 0]
     close = mass[index] * np.exp(-((distance / _CLASS_REACH) ** 2)) * (np.arange(index.shape[1]) < _CLASS_SEGMENTS)
     margin = np.array([1 + p.segment_metal_margin * m for m in p.metallic])
     chosen = (_averaged(of_class, close, index) * margin[:, None]).argmin(0)
+    # now that the classes are known, the roughness again, from segments of the same class
     same = near * np.where(chosen[index] == chosen[:, None], 1, _OTHER_CLASS)
     each = np.arange(count)
     curve = _averaged(cost, same, index)[chosen, :, each]
@@ -154,7 +155,7 @@ def _averaged(values: np.ndarray, weight: np.ndarray, index: np.ndarray) -> np.n
 
 @dataclass
 class PlacedPixels:
-    """m pixels of the photos, the surface points that they show, and the samples whose light is theirs."""
+    """m pixels of the photos, the surface points that they show, and the samples whose light is taken for theirs."""
 
     position: np.ndarray
     """[m, 3] unit frame"""
@@ -169,8 +170,11 @@ class PlacedPixels:
 
     @classmethod
     def of(cls, pixels: Surfels, radiance: Tensor, samples: Surfels) -> PlacedPixels:
-        """The pixels, with the light of their nearest samples. A pixel that is a sample itself has its own light."""
-        return cls(pixels.position, pixels.photo, radiance, *nearest_samples(samples, pixels))
+        """The pixels with the light of their nearest samples. Pixels of a photo without samples are left out."""
+        sample, share = nearest_samples(samples, pixels)
+        lit = np.flatnonzero(share.any(1))
+        rows = torch.from_numpy(lit).to(radiance.device)
+        return cls(pixels.position[lit], pixels.photo[lit], radiance[rows], sample[lit], share[lit])
 
 
 def varied_points(

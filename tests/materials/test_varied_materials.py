@@ -8,6 +8,8 @@ import pytest
 import torch
 
 from blender_nep.geometry.uv_raster import rasterise
+from blender_nep.materials.pixel_votes import Surfels
+from blender_nep.materials.varied_materials import PlacedPixels
 from support.lit_ball import PRESET, RADIUS, learn, make_photos
 
 MORE = replace(PRESET, samples=5000, label_pixels=9000)
@@ -88,6 +90,23 @@ def ray_lengths(origin, direction):
     """Distances at which the rays meet the ball."""
     along = -(origin * direction).sum(-1)
     return along - (along**2 - (origin**2).sum(-1) + RADIUS**2).clamp_min(0).sqrt()
+
+
+def test_who_knows_that_nothing_is_metal_decides_for_every_place(ball, photos_of_paints):
+    result = learn(ball, photos_of_paints, replace(MORE, metallic=(0.0,)))
+    assert result.report["segments"] > 50
+    assert (result.metallic == 0).all() and np.isfinite(result.albedo).all()
+
+
+def test_pixels_of_a_photo_without_samples_are_left_out():
+    """No light is known for them. As metals they would have the radiance of the photo and a slope of 0."""
+    at = np.array([[0.0, 0, 0.7], [0.1, 0, 0.69], [0.2, 0, 0.67]])
+    pixels = Surfels(at, at / RADIUS, np.array([0, 3, 1]))
+    samples = Surfels(at[[0, 2]], at[[0, 2]] / RADIUS, np.array([0, 1]))
+    placed = PlacedPixels.of(pixels, torch.arange(9.0).reshape(3, 3), samples)
+    assert placed.photo.tolist() == [0, 1] and placed.position.tolist() == at[[0, 2]].tolist()
+    assert placed.radiance.tolist() == [[0, 1, 2], [6, 7, 8]]
+    assert placed.sample[:, 0].tolist() == [0, 1] and placed.share.sum(1) == pytest.approx(1)
 
 
 def test_a_gradual_patina_is_blended_from_unblended_materials(ball):
