@@ -19,6 +19,7 @@ class Part(StrEnum):
     """The parts of a job that it may leave out, with their names in report.json."""
 
     ENVIRONMENT_FIELD = "environment field"
+    COLOR_DETAIL = "color detail of the environment field"
     MASK_TERM = "mask term"
     PIXELS_OUTSIDE = "pixels outside the sphere"
     SURFACE_EXTRACTION = "surface extraction"
@@ -93,6 +94,7 @@ _FORMATTER = _Formatter()
 
 PARTS: dict[str, str] = {
     Part.ENVIRONMENT_FIELD: "the surroundings",
+    Part.COLOR_DETAIL: "fine detail of far surroundings",
     Part.MASK_TERM: "comparing with masks",
     Part.PIXELS_OUTSIDE: "pixels beside the object's sphere",
     Part.SURFACE_EXTRACTION: "making a mesh",
@@ -184,6 +186,7 @@ WORDS: dict[str, str] = {
     "scene.left_out_saving": "Left out: {parts:parts}, because {reason} (saves about {seconds:.0f} s).",
     # reasons for leaving something out
     "reason.cut_outs": "the photos are cut-outs",
+    "reason.near_surroundings": "the surroundings are near",
     "reason.metal": "the object is metal",
     "reason.convex": "the object is convex",
     "reason.reflects_little_in_itself": "the object hardly reflects in itself",

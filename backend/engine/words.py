@@ -17,6 +17,7 @@ Translate = Callable[[str], str]
 
 PARTS = {
     "environment field": "the surroundings",
+    "color detail of the environment field": "fine detail of far surroundings",
     "mask term": "comparing with masks",
     "pixels outside the sphere": "pixels beside the object's sphere",
     "surface extraction": "making a mesh",
@@ -105,6 +106,7 @@ MESSAGES = {
     "scene.left_out_saving": "Left out: {parts:parts}, because {reason} (saves about {seconds:.0f} s).",
     # reasons for leaving something out; they stand in the place of {reason} in the two sentences above
     "reason.cut_outs": "the photos are cut-outs",
+    "reason.near_surroundings": "the surroundings are near",
     "reason.metal": "the object is metal",
     "reason.convex": "the object is convex",
     "reason.reflects_little_in_itself": "the object hardly reflects in itself",

@@ -8,7 +8,8 @@ at infinity, is opaque, and ends every ray that nothing else stops.
 
 The color detail is one image of all directions from the centre, finer than the shells. It is added to the logarithm of the
 radiance of what is farther than the contraction radius. Near things get none: seen from other cameras, they lie in other
-directions from the centre than what is behind them.
+directions from the centre than what is behind them. F_e gets the color detail only if the photos show much that is far: in a
+small room it would learn noise.
 
 The paper uses a Mip-NeRF for F_e, which can be queried with cones. Here the volume is prefiltered after the learning
 (`environment_prefilter`), so that cones of any width can be queried.
@@ -51,14 +52,21 @@ class EnvironmentField(nn.Module):
         if preset.model not in ("field", "infinite", "none"):
             raise ValueError(f"unknown environment model {preset.model!r}: field, infinite or none")
         self.preset = preset
+        raw = self._first_grid(math.log(max(mean_radiance, 1e-4)))
+        self.raw = nn.Parameter(raw)
+        self.detail = nn.Parameter(torch.zeros(0, 0, 3))
+        self.register_buffer("coverage", torch.zeros(raw.shape[:3]))
+        self.far_share: torch.Tensor
+        self.register_buffer("far_share", torch.tensor(math.nan))
+        self._prefiltered: PrefilteredEnvironment | None = None
+
+    def _first_grid(self, log_radiance: float | torch.Tensor) -> torch.Tensor:
+        """The coarsest grid, nearly transparent, with one radiance everywhere."""
         shells, rows = self.resolutions[0]
         raw = torch.empty(shells, rows, 2 * rows, 4)
-        raw[..., 0] = -20.0 if self.infinite else preset.initial_raw_density
-        raw[..., 1:] = math.log(max(mean_radiance, 1e-4))
-        self.raw = nn.Parameter(raw)
-        self.detail = nn.Parameter(torch.zeros(preset.detail_rows, 2 * preset.detail_rows, 3))
-        self.register_buffer("coverage", torch.zeros(raw.shape[:3]))
-        self._prefiltered: PrefilteredEnvironment | None = None
+        raw[..., 0] = -20.0 if self.infinite else self.preset.initial_raw_density
+        raw[..., 1:] = log_radiance
+        return raw
 
     @property
     def infinite(self) -> bool:
@@ -76,6 +84,11 @@ class EnvironmentField(nn.Module):
         if not self.known:
             return [(2, 2)]
         return [(2 if self.infinite else shells, rows) for shells, rows in self.preset.resolutions]
+
+    @property
+    def detail_decided(self) -> bool:
+        """Whether `decide_detail` was called."""
+        return bool(self.far_share == self.far_share)  # not NaN
 
     @property
     def level(self) -> int:
@@ -155,11 +168,11 @@ class EnvironmentField(nn.Module):
             raw.grad = torch.zeros_like(raw)
         assert slab.grad is not None, "backward has just filled it"
         raw.grad[first : first + run] += slab.grad
-        return float(value.detach()) + self._smooth_detail(generator)
+        return float(value.detach()) + (self._smooth_detail(generator) if len(self.detail) else 0.0)
 
     def _smooth_detail(self, generator: torch.Generator | None) -> float:
         """Add the gradient of the total variation of some random neighbouring rows of the color detail; return its value."""
-        rows = self.preset.detail_rows
+        rows = len(self.detail)
         run = max(2, round(rows * self.preset.regularised_detail))
         first = int(torch.randint(0, rows - run + 1, (1,), generator=generator, device=self.raw.device))
         band = self.detail.detach()[first : first + run].requires_grad_()
@@ -183,6 +196,27 @@ class EnvironmentField(nn.Module):
             return False
         self.raw = nn.Parameter(resample(self.raw.detach(), *self.resolutions[due]))
         self.coverage = self.raw.new_zeros(self.raw.shape[:3])
+        return True
+
+    @torch.no_grad()
+    def decide_detail(self, origins: torch.Tensor, directions: torch.Tensor) -> bool:
+        """Ask whether camera rays [n, 3] show enough that is far away. If so, begin anew with a color detail.
+
+        `far_share` becomes the mean transmittance up to the contraction radius, 0..1. F_e begins anew because its grid has
+        found places for the far colors without the detail, and keeps them. True if F_e has begun anew. Then `raw` and
+        `detail` are new parameters, and the optimiser must be made again.
+        """
+        preset = self.preset
+        along = (origins * directions).sum(-1)
+        rest = along * along - (origins * origins).sum(-1)
+        end = (rest + preset.contraction_radius**2).clamp(min=0).sqrt() - along
+        near = torch.full_like(end, preset.camera_near)
+        _, passed = self.render(origins, directions, near, torch.maximum(end, near))
+        self.far_share.fill_(passed.mean())
+        if float(self.far_share) < preset.detail_from:
+            return False
+        self.raw = nn.Parameter(self._first_grid(self.raw[..., 1:].mean()).to(self.raw.device))
+        self.detail = nn.Parameter(self.raw.new_zeros(preset.detail_rows, 2 * preset.detail_rows, 3))
         return True
 
     @torch.no_grad()
@@ -283,5 +317,8 @@ class EnvironmentField(nn.Module):
         if stored is not None and stored.shape != self.raw.shape:
             self.raw = nn.Parameter(self.raw.new_empty(stored.shape))
             self.coverage = self.raw.new_zeros(stored.shape[:3])
+        detail = state_dict.get(prefix + "detail")
+        if detail is not None and detail.shape != self.detail.shape:
+            self.detail = nn.Parameter(self.detail.new_empty(detail.shape))
         self._prefiltered = None
         super()._load_from_state_dict(state_dict, prefix, *arguments)

@@ -64,9 +64,12 @@ def _add_detail(values: torch.Tensor, detail: torch.Tensor, far: torch.Tensor) -
     """Multiply the radiance of values [K, H, W, 5] by what the color detail [D, 2 D, 3] means; return what is finer.
 
     far [K] in 0..1 is the share of the detail in each shell. A value gets the mean of the factor over its texel, because the
-    shells vary little within a texel. The result [D, 2 D, 3] is the factor divided by its interpolated means.
+    shells vary little within a texel. The result [D, 2 D, 3] is the factor divided by its interpolated means. Without color
+    detail (D = 0), it is 1 everywhere.
     """
     rows, parts = values.shape[1], len(detail) // values.shape[1]
+    if not len(detail):
+        return np.ones((2 * rows, 4 * rows, 3), np.float32)
     exponent = detail.detach().cpu().float()
     for shell in far.nonzero()[:, 0].tolist():
         factor = (far[shell] * exponent).clamp(-COLOR_LIMIT, COLOR_LIMIT).exp()
@@ -80,7 +83,7 @@ class PrefilteredEnvironment:
     """A learned environment field that can be queried with cones.
 
     raw [K, H, W, 4] is raw density and log radiance; coverage [K, H, W] is in 0..1; detail [D, 2 D, 3] is added to the log
-    radiance of all shells, D a multiple of FINER_ROWS H. The levels are kept on the CPU.
+    radiance of all shells, D a multiple of FINER_ROWS H, or 0. The levels are kept on the CPU.
     """
 
     def __init__(
@@ -95,6 +98,8 @@ class PrefilteredEnvironment:
         u = torch.linspace(0, length, raw.shape[0])
         spacing = length / (raw.shape[0] - 1)
         self.shell_radii, self.far = contracted_radius(u, contraction_radius), far_share(u, contraction_radius)
+        if not len(detail):
+            self.far = torch.zeros_like(self.far)
         values = weights_from_centre(raw, coverage, density_gain, spacing, FINER_ROWS * raw.shape[1])
         self.detail = _add_detail(values, detail, self.far)
         # a shell that is nowhere visible from the centre needs no lookup

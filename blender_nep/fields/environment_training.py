@@ -19,6 +19,7 @@ from blender_nep.errors import Stopped
 from blender_nep.fields.environment_field import EnvironmentField
 from blender_nep.fields.non_finite_monitor import NonFiniteMonitor, usable_gradients, usable_loss
 from blender_nep.fields.schedule import geometric_decay
+from blender_nep.messages import Message, Part
 from blender_nep.presets import EnvironmentPreset
 from blender_nep.profiling import section
 from blender_nep.tone_mapping import tone_map
@@ -56,6 +57,27 @@ def set_learning_rate(adam: torch.optim.Optimizer, preset: EnvironmentPreset, fr
 def optimiser(environment: EnvironmentField) -> torch.optim.Optimizer:
     """Adam for the field's present grid."""
     return torch.optim.Adam(environment.parameter_groups(), fused=True)
+
+
+def refine(environment: EnvironmentField, rays: PixelRays, background: PixelSet | torch.Tensor, fraction: float) -> bool:
+    """Bring F_e to what is due at this fraction of the learning, 0..1: a finer grid, or the decision on its color detail.
+
+    `background` are the pixels (indices) whose rays decide. True if F_e has new parameters, so that its optimiser must be
+    made again.
+    """
+    preset, changed = environment.preset, environment.refine(fraction)
+    if environment.known and fraction >= preset.detail_at and not environment.detail_decided:
+        pick = torch.arange(0, len(background), max(1, len(background) // preset.detail_rays), device=background.device)
+        origins, directions, _ = rays.rays(background[pick])
+        changed = environment.decide_detail(origins, directions) or changed
+    return changed
+
+
+def skipped_detail(environment: EnvironmentField) -> dict[str, dict]:
+    """The report's entry that F_e has no color detail, and why; empty if it has one."""
+    if not environment.detail_decided or len(environment.detail):
+        return {}
+    return {str(Part.COLOR_DETAIL): Message("reason.near_surroundings").state()}
 
 
 def freeze(environment: EnvironmentField, rays: PixelRays, background: PixelSet | torch.Tensor, seed: int) -> None:
@@ -150,7 +172,7 @@ def learn_environment(
         generator.set_state(state["generator"])
         monitor.load(state["monitor"])
     while step < preset.steps:
-        if environment.refine(step / preset.steps):
+        if refine(environment, rays, background, step / preset.steps):
             adam = optimiser(environment)
         set_learning_rate(adam, preset, step / preset.steps)
         pick = torch.randint(len(background), (preset.rays_per_step,), generator=generator, device=device)

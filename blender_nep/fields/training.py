@@ -128,6 +128,11 @@ class FieldsLearning:
         return self.schedule.total_steps
 
     @property
+    def background(self) -> PixelSet:
+        """The pixels whose rays miss the object's sphere. If there are none, all pixels that see it."""
+        return self.rays.outside if len(self.rays.outside) else self.rays.sphere
+
+    @property
     def fraction(self) -> float:
         """How much of the learning of both fields is done, 0..1."""
         return self.schedule.fraction
@@ -227,7 +232,7 @@ class FieldsLearning:
             self.object_field.add_level()
 
     def _refine_environment(self) -> None:
-        if self.environment.refine(self.schedule.environment_fraction):
+        if environment_training.refine(self.environment, self.rays, self.background, self.schedule.environment_fraction):
             self.optimisers.restart_environment()
 
     @profiled("visual hull")
@@ -366,8 +371,11 @@ def learn_fields(
         environment, report = environment_training.learn_environment(
             rays, background, preset.environment, seed=seed, device=device, progress=progress, checkpoint=checkpoint
         )
-        skipped = {"skipped": {str(Part.OBJECT_FIELD): Message("reason.mesh_given").state()}}
-        return Fields(None, environment, {**skipped, **report.as_dict()}, find_support_by_photos(rays))
+        skipped = {
+            str(Part.OBJECT_FIELD): Message("reason.mesh_given").state(),
+            **environment_training.skipped_detail(environment),
+        }
+        return Fields(None, environment, {"skipped": skipped, **report.as_dict()}, find_support_by_photos(rays))
     learning = FieldsLearning(rays, preset, seed, device, object_field)
     state = checkpoint.load()
     if state is not None:
@@ -382,9 +390,10 @@ def learn_fields(
         environment_training.save_if_due(checkpoint, learning.state)
     ratio = learning.explanation_ratio()
     require_object(ratio, preset.fields.least_explanation_ratio)
-    environment_training.freeze(learning.environment, rays, rays.outside if len(rays.outside) else rays.sphere, seed)
+    environment_training.freeze(learning.environment, rays, learning.background, seed)
     field = learning.object_field
-    return Fields(field, learning.environment, learning.report(ratio).as_dict(), field.support)
+    skipped = environment_training.skipped_detail(learning.environment)
+    return Fields(field, learning.environment, {"skipped": skipped, **learning.report(ratio).as_dict()}, field.support)
 
 
 def _pixels_beside(surface: Surface, rays: PixelRays, chunk: int = 1 << 18) -> PixelSet:

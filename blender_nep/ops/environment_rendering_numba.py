@@ -75,7 +75,7 @@ def _detail_at(detail, place, share):
 def _march(raw, detail, rays, medium, radiance, transmittance, kept, records, keep):
     """Composite every ray front to back into radiance [n, 3] and transmittance [n]. With `keep`, also fill the records.
 
-    raw [K, H, W, 4]; detail [D, 2 D, 3]; RaySamples, Medium and SampleRecords are of NumPy arrays and numbers. `kept` is
+    raw [K, H, W, 4]; detail [D, 2 D, 3], D may be 0; RaySamples, Medium and SampleRecords are of NumPy arrays. `kept` is
     `records.kept`: Numba loses what a parallel loop writes, at the loop's index, to an array that was taken from a tuple.
     """
     origins, directions, t_closest, b, w_near, w_length, infinite, offsets, jitter = rays
@@ -86,6 +86,7 @@ def _march(raw, detail, rays, medium, radiance, transmittance, kept, records, ke
     spacing = (math.log(contraction_radius) + 1.0) / (shells - 1)
     to_shell = 1.0 / spacing
     border = math.log(contraction_radius) * to_shell
+    detailed = detail.shape[0] > 0
     for i in prange(origins.shape[0]):
         ox, oy, oz = float(origins[i, 0]), float(origins[i, 1]), float(origins[i, 2])
         dx, dy, dz = float(directions[i, 0]), float(directions[i, 1]), float(directions[i, 2])
@@ -128,7 +129,7 @@ def _march(raw, detail, rays, medium, radiance, transmittance, kept, records, ke
                 alpha = -math.expm1(-depth)
             weight = passed * alpha
             m = first + count
-            share = far_share(k_real, border, spacing)
+            share = far_share(k_real, border, spacing) if detailed else 0.0
             place = cell(turn, fall, detail.shape[0], detail.shape[1])
             red_here, green_here, blue_here = _detail_at(detail, place, share)
             red_here = _radiance(trilinear(raw, k, shell_weights, corners, weights, 1) + red_here)
@@ -289,7 +290,7 @@ class _Render(torch.autograd.Function):
 def render(raw: Tensor, detail: Tensor, rays: RaySamples, medium: Medium) -> tuple[Tensor, Tensor]:
     """Radiance [n, 3] premultiplied and transmittance [n] of sampled rays.
 
-    It is differentiable in raw [K, H, W, 4] and detail [D, 2 D, 3], D >= 2 H, and runs on the CPU.
+    It is differentiable in raw [K, H, W, 4] and detail [D, 2 D, 3], D >= 2 H or 0, and runs on the CPU.
     `environment_rendering_torch.render` is the same function in plain torch.
     """
     return _Render.apply(raw, detail, rays, medium)

@@ -90,10 +90,13 @@ def _color(values):
 
 def _values(raw: Tensor, detail: Tensor, points: Tensor, shell: Tensor, contraction_radius: float) -> Tensor:
     """Raw values [..., 4] at points [..., 3] between the shells [...], with the color detail [D, 2 D, 3] of far points."""
+    values = interpolate(raw, points, shell)
+    if not len(detail):
+        return values
     u = shell * (contracted_length(contraction_radius) / (raw.shape[0] - 1))
     share = far_share(u, contraction_radius).to(raw.dtype)
     fine = interpolate(detail[None].expand(2, -1, -1, -1), points, torch.zeros_like(shell))
-    return interpolate(raw, points, shell) + torch.nn.functional.pad(share[..., None] * fine, (1, 0))
+    return values + torch.nn.functional.pad(share[..., None] * fine, (1, 0))
 
 
 def _places(w: Tensor, b: Tensor, shells: int, contraction_radius: float) -> tuple[Tensor, Tensor]:

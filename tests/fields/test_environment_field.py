@@ -11,7 +11,7 @@ from blender_nep.checkpoints import NoCheckpoint
 from blender_nep.errors import LearningError
 from blender_nep.fields.environment_field import EnvironmentField
 from blender_nep.fields.environment_grid import resample
-from blender_nep.fields.environment_training import learn_environment, learn_step, optimiser
+from blender_nep.fields.environment_training import learn_environment, learn_step, optimiser, refine, skipped_detail
 from blender_nep.ops.environment_segments import contracted_length
 from blender_nep.presets import EnvironmentPreset
 from blender_nep.tone_mapping import tone_map
@@ -148,6 +148,24 @@ def test_refining_keeps_the_field():
         a = coarse.render(origins, directions, near, far)[0]
         b = fine.render(origins, directions, near, far)[0]
     assert (tone_map(a) - tone_map(b)).abs().mean() < 0.02
+
+
+@pytest.mark.parametrize(("size", "far"), [(6.0, False), (60.0, True)])
+def test_far_walls_get_a_color_detail_and_near_walls_do_not(size, far):
+    """The contraction radius is 20: the walls of the small room lie inside it, those of the large room outside."""
+    field, directions = box_field(size), random_directions(500, 8)
+    rays = SimpleNamespace(rays=lambda index: (-2 * directions.flip(0)[index], directions[index], None))
+    before = field.raw.detach().clone()
+    assert not refine(field, rays, torch.arange(500), 0.5 * PRESET.detail_at) and not field.detail_decided
+    assert refine(field, rays, torch.arange(500), PRESET.detail_at) == far
+    assert field.detail_decided and not refine(field, rays, torch.arange(500), 0.4)
+    assert (float(field.far_share) > 0.9) if far else (float(field.far_share) < 0.1)
+    assert len(field.detail) == (PRESET.detail_rows if far else 0)
+    assert ("color detail of the environment field" in skipped_detail(field)) != far
+    assert torch.equal(field.raw, before) != far  # with a color detail, F_e begins anew
+    restored = EnvironmentField(PRESET)
+    restored.load_state_dict(field.state_dict())
+    assert restored.detail_decided and restored.detail.shape == field.detail.shape
 
 
 def test_resampling_a_smooth_grid_keeps_its_values_at_the_directions():

@@ -69,6 +69,18 @@ def test_numba_and_torch_agree(gradient_near):
         torch.testing.assert_close(ours, reference, rtol=1e-9, atol=1e-11)
 
 
+@pytest.mark.parametrize("body", ["numba", "torch"])
+def test_no_color_detail_is_a_color_detail_of_zeros(body):
+    rays, results = random_rays(60, 0), []
+    for detail in (torch.zeros(0, 0, 3, dtype=torch.float64), torch.zeros(16, 32, 3, dtype=torch.float64)):
+        raw = random_grid(6, 8, 1).requires_grad_()
+        radiance, transmittance = render(raw, rays, body, detail=detail)
+        (radiance.sum() + transmittance.sum()).backward()
+        results.append((radiance.detach(), transmittance.detach(), raw.grad))
+    for without, zeros in zip(*results, strict=True):
+        torch.testing.assert_close(without, zeros, rtol=1e-12, atol=1e-14)
+
+
 def test_gradient_by_finite_differences():
     rays = random_rays(6, 2)
     grids = random_grid(3, 4, 3).requires_grad_(), random_detail(8, 4).requires_grad_()
