@@ -1,4 +1,4 @@
-"""The command line: `blender-nep info` and `blender-nep reconstruct`."""
+"""The command line: `blender-nep info`, `blender-nep reconstruct` and `blender-nep materials`."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def parser() -> argparse.ArgumentParser:
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     top.add_argument("--version", action="version", version=f"blender-nep {__version__}")
-    commands = top.add_subparsers(dest="command", required=True, metavar="{info,reconstruct}")
+    commands = top.add_subparsers(dest="command", required=True, metavar="{info,reconstruct,materials}")
 
     info = commands.add_parser("info", help="say what a capture holds and what looks wrong")
     info.add_argument("capture", type=Path, metavar="CAPTURE", help="folder with transforms.json and photos")
@@ -95,7 +95,34 @@ def parser() -> argparse.ArgumentParser:
     run.add_argument(
         "--watch-stdin", action="store_true", help='stop at {"cmd": "stop"} on standard input, or when it is closed'
     )
+    change = commands.add_parser(
+        "materials",
+        help="list the materials of an asset, or correct them",
+        epilog=EXIT_CODES,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    change.add_argument("asset", type=Path, metavar="ASSET", help="folder of the asset")
+    what = change.add_mutually_exclusive_group()
+    what.add_argument(
+        "--set",
+        type=_correction,
+        action="append",
+        metavar="NUMBER:WHAT=VALUE",
+        help="2:metallic=1 or 2:roughness=0.3; all other materials become as they were learned; may be repeated",
+    )
+    what.add_argument("--reset", action="store_true", help="make all materials as they were learned")
     return top
+
+
+def _correction(text: str) -> tuple[int, str, float]:
+    number, _, rest = text.partition(":")
+    name, _, value = rest.partition("=")
+    if name not in ("metallic", "roughness"):
+        raise argparse.ArgumentTypeError("must be NUMBER:metallic=VALUE or NUMBER:roughness=VALUE")
+    wanted = float(value)
+    if not 0 <= wanted <= 1 or (name == "metallic" and wanted not in (0, 1)):
+        raise argparse.ArgumentTypeError("metallic must be 0 or 1, roughness between 0 and 1")
+    return int(number), name, wanted
 
 
 def _seed(text: str) -> int:
@@ -132,7 +159,8 @@ def main(arguments: list[str] | None = None) -> int:
     options = top.parse_args(arguments)
     if options.command == "reconstruct" and (options.object_center is None) != (options.object_radius is None):
         top.error("--object-center and --object-radius work only together")
-    return _info(options) if options.command == "info" else _reconstruct(options)
+    commands = {"info": _info, "reconstruct": _reconstruct, "materials": _materials}
+    return commands[options.command](options)
 
 
 def _info(options: argparse.Namespace) -> int:
@@ -192,3 +220,39 @@ def _reconstruct(options: argparse.Namespace) -> int:
     )
     with stop.signals():
         return job.run(settings, events, stop)
+
+
+def _materials(options: argparse.Namespace) -> int:
+    if options.set is None and not options.reset:
+        return _list_materials(options.asset)
+    from blender_nep.job.events import Events, open_protocol
+
+    terminal = sys.stdout.isatty()
+    protocol = open_protocol()
+    events = Events(None if terminal else protocol, sys.stderr)
+
+    from blender_nep.job import correction
+    from blender_nep.materials.corrections import Correction
+    from blender_nep.stop_request import StopRequest
+
+    wanted: dict[int, dict[str, float]] = {}
+    for number, name, value in options.set or ():
+        wanted.setdefault(number, {})[name] = value
+    return correction.run(options.asset, {k: Correction(**values) for k, values in wanted.items()}, events, StopRequest())
+
+
+def _list_materials(asset: Path) -> int:
+    from blender_nep.errors import NepError
+    from blender_nep.job.correction import read_report
+
+    try:
+        materials = read_report(asset)["materials"]
+    except NepError as error:
+        print(f"error: {error.message}" + (f"\n       {error.hint}" if error.hint else ""), file=sys.stderr)
+        return error.code
+    print("number  share  roughness  metal  albedo (linear)")
+    for number, found in enumerate(materials):
+        color = " ".join(f"{x:.3f}" for x in found["albedo"])
+        metal = "yes" if found["metallic"] > 0.5 else "no"
+        print(f"{number:6}  {found['share']:5.1%}  {found['roughness']:9.3f}  {metal:>5}  {color}")
+    return 0

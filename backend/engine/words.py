@@ -148,6 +148,16 @@ ERRORS = {
         "The job in {folder} was begun with other settings and cannot be resumed: {different}",
         "Use the same capture and settings as then, or Start Again.",
     ),
+    "usage.no_asset": ("{folder} holds no finished result", "Choose the folder of a finished reconstruction."),
+    "usage.asset_of_other_version": (
+        "The result in {folder} was made by another version of the engine and cannot be corrected",
+        "Reconstruct it again to correct its materials.",
+    ),
+    "usage.no_such_material": ("There is no material {number} in this result; it has {count}", "Import the result again."),
+    "usage.not_correctable": (
+        "The folder checkpoints of {folder} is not complete, so its materials cannot be corrected",
+        "Reconstruct it again to correct its materials.",
+    ),
     "bounds": ("", "Press Propose Bounds. Then move and scale the sphere: the whole object inside, no camera inside."),
     "output.is_a_file": ("{path} is a file, not a folder", "Choose another output folder."),
     "output.disk_full": ("The disk is full: {path} cannot be written", "Free some space, then Resume."),

@@ -15,15 +15,12 @@ from pathlib import Path
 
 import numpy as np
 import OpenEXR
-import torch
 import trimesh
 from PIL import Image
 
-from blender_nep.asset.preview import render_preview
-from blender_nep.capture import Capture, PixelRays
 from blender_nep.color import linear_to_srgb, to_bytes
 from blender_nep.files import jsonable, output_errors
-from blender_nep.profiling import section
+from blender_nep.geometry.mesh import Surface
 
 TEXTURES = ("albedo", "roughness", "metallic", "confidence")
 """Every texture of an asset. `TEXTURE_NAMES` in backend/engine/job_files.py repeats them for Blender's Python."""
@@ -47,31 +44,34 @@ class TexturedMesh:
     """{name: texture [H, W] or [H, W, 3] float32, row 0 at v = 1}"""
 
 
-def write_asset(
-    folder: Path,
-    capture: Capture,
-    rays: PixelRays,
-    surface,
-    materials,
-    light: tuple[torch.Tensor, torch.Tensor],
-    report: Callable[[], dict],
-) -> None:
-    """Write the asset of a capture into `folder`. Raises OutputError.
+@dataclass
+class Placement:
+    """Where the unit frame lies in the capture's frame."""
 
-    `surface` is a geometry.mesh.Surface, `materials` a materials.training.Materials. `light` is (radiance [H, 2H, 3],
-    coverage [H, 2H]), as EnvironmentField.equirect gives it; environment.exr is as bright as the photos. `report` gives the
-    content of report.json; it is called last, when everything else is on the disk.
+    center: np.ndarray
+    """[3] the object's center"""
+    radius: float
+
+    def mesh(self, surface: Surface, textures: dict[str, np.ndarray]) -> TexturedMesh:
+        """The surface in the capture's frame, with its textures."""
+        return TexturedMesh(
+            vertices=np.asarray(surface.vertices) * self.radius + self.center,
+            faces=np.asarray(surface.faces),
+            normals=np.asarray(surface.normals),
+            uv=surface.atlas,
+            textures=textures,
+        )
+
+
+def write_asset(
+    folder: Path, mesh: TexturedMesh, picture: np.ndarray | None, light: np.ndarray | None, report: Callable[[], dict]
+) -> None:
+    """Write an asset into `folder`. Raises OutputError.
+
+    `picture` [h, w, 3] uint8 is the preview picture, `light` [H, 2H, 3] the environment as bright as the photos; where one
+    is None, the file that is there stays. `report` gives the content of report.json; it is called last, when everything
+    else is on the disk.
     """
-    radiance = torch.as_tensor(light[0]).detach().float().cpu().numpy()
-    mesh = TexturedMesh(
-        vertices=np.asarray(surface.vertices) * capture.object_radius + capture.object_center,
-        faces=np.asarray(surface.faces),
-        normals=np.asarray(surface.normals),
-        uv=np.asarray(surface.uv),
-        textures={name: np.asarray(getattr(materials, name), np.float32) for name in TEXTURES},
-    )
-    with section("preview picture"):
-        picture = render_preview(rays, surface, mesh.textures, radiance)
     with output_errors(folder):
         partial = folder / ".partial"
         shutil.rmtree(partial, ignore_errors=True)
@@ -82,8 +82,10 @@ def write_asset(
                 write_exr(partial / "textures" / f"{name}.exr", texture)
                 write_png(partial / "textures" / f"{name}.png", texture, srgb=name in SRGB_TEXTURES)
             write_glb(partial / "asset.glb", mesh)
-            write_exr(partial / "environment.exr", radiance / rays.exposure)
-            Image.fromarray(picture).save(partial / "preview.png")
+            if light is not None:
+                write_exr(partial / "environment.exr", light)
+            if picture is not None:
+                Image.fromarray(picture).save(partial / "preview.png")
             (partial / "report.json").write_text(json.dumps(jsonable(report()), indent=1), encoding="utf-8")
             _move(partial, folder)
         finally:

@@ -18,32 +18,47 @@ from blender_nep.geometry.uv_raster import look_up
 
 if TYPE_CHECKING:
     from blender_nep.capture import PixelRays
+    from blender_nep.geometry.mesh import Surface
 
 
-def render_preview(rays: PixelRays, surface, textures: dict[str, np.ndarray], light: np.ndarray) -> np.ndarray:
-    """A picture [H, 2 W, 3] uint8 sRGB: on the left the photo of `best_view`, on the right the asset.
+@dataclass
+class PreviewView:
+    """The view of the preview picture: what one photo shows, and where its pixels look, without the other photos."""
 
-    `textures` are [S, S] or [S, S, 3]; `light` [h, 2h, 3] is linear radiance.
-    """
-    tracer = RayTracer(surface.vertices, surface.faces)
-    view = best_view(rays, tracer)
-    index = torch.arange(rays.offset[view], rays.offset[view + 1], device=rays.valid.device)
-    photo = rays.photo(index).cpu().numpy()
-    origins, directions, _ = (t.cpu().numpy() for t in rays.rays(index))
-    distance, face, barycentric = tracer.intersect(origins, directions)
-    hit = np.flatnonzero(np.isfinite(distance))
-    lamps = Pyramid.of(light)
-    picture = lamps.lookup(directions, np.zeros(len(directions)))
-    if len(hit):
-        corners = np.asarray(surface.faces)[face[hit]]
-        weights = barycentric[hit][..., None]
-        normal = (np.asarray(surface.normals)[corners] * weights).sum(1)
-        normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-9)
-        uv = (np.asarray(surface.uv)[corners] * weights).sum(1)
-        picture[hit] = shade(normal, -directions[hit], {k: look_up(t, uv) for k, t in textures.items()}, lamps)
-    shape = (*rays.size[view], 3)
-    pair = np.concatenate([photo.reshape(shape), picture.reshape(shape)], 1) * exposure(photo)
-    return to_bytes(linear_to_srgb(pair))
+    photo: np.ndarray
+    """[h, w, 3] linear radiance"""
+    origin: np.ndarray
+    """[3] the camera's place in the unit frame"""
+    directions: np.ndarray
+    """[h w, 3] unit vectors"""
+
+    @classmethod
+    def best(cls, rays: PixelRays, surface: Surface) -> PreviewView:
+        """The photo that `best_view` chooses."""
+        view = best_view(rays, RayTracer(surface.vertices, surface.faces))
+        index = torch.arange(rays.offset[view], rays.offset[view + 1], device=rays.valid.device)
+        origins, directions, _ = (t.cpu().numpy() for t in rays.rays(index))
+        return cls(rays.photo(index).cpu().numpy().reshape(*rays.size[view], 3), origins[0], directions)
+
+    def render(self, surface: Surface, textures: dict[str, np.ndarray], light: np.ndarray) -> np.ndarray:
+        """A picture [h, 2 w, 3] uint8 sRGB: the photo on the left, the asset on the right.
+
+        `textures` are [S, S] or [S, S, 3]; `light` [H, 2H, 3] is linear radiance.
+        """
+        directions, tracer = self.directions, RayTracer(surface.vertices, surface.faces)
+        distance, face, barycentric = tracer.intersect(np.broadcast_to(self.origin, directions.shape), directions)
+        hit = np.flatnonzero(np.isfinite(distance))
+        lamps = Pyramid.of(light)
+        picture = lamps.lookup(directions, np.zeros(len(directions)))
+        if len(hit):
+            corners = np.asarray(surface.faces)[face[hit]]
+            weights = barycentric[hit][..., None]
+            normal = (np.asarray(surface.normals)[corners] * weights).sum(1)
+            normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-9)
+            uv = (surface.atlas[corners] * weights).sum(1)
+            picture[hit] = shade(normal, -directions[hit], {k: look_up(t, uv) for k, t in textures.items()}, lamps)
+        pair = np.concatenate([self.photo, picture.reshape(self.photo.shape)], 1) * exposure(self.photo)
+        return to_bytes(linear_to_srgb(pair))
 
 
 def exposure(photo: np.ndarray) -> float:

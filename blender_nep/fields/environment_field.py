@@ -57,7 +57,7 @@ class EnvironmentField(nn.Module):
         self.detail = nn.Parameter(torch.zeros(0, 0, 3))
         self.register_buffer("coverage", torch.zeros(raw.shape[:3]))
         self.far_share: torch.Tensor
-        self.register_buffer("far_share", torch.tensor(math.nan))
+        self.register_buffer("far_share", torch.tensor(-1.0))  # -1: not measured yet
         self._prefiltered: PrefilteredEnvironment | None = None
 
     def _first_grid(self, log_radiance: float | torch.Tensor) -> torch.Tensor:
@@ -88,7 +88,7 @@ class EnvironmentField(nn.Module):
     @property
     def detail_decided(self) -> bool:
         """Whether `decide_detail` was called."""
-        return bool(self.far_share == self.far_share)  # not NaN
+        return bool(self.far_share >= 0)
 
     @property
     def level(self) -> int:

@@ -26,6 +26,8 @@ class JobReport:
     settings: Settings
     prepared: Prepared
     stages: dict[StageName, StageReportView]
+    materials: list[dict]
+    """The materials that an artist can correct"""
     scene: SceneReport
     tracker: Tracker
     warnings: list[Message]
@@ -48,6 +50,8 @@ class JobReport:
             **self.scene.report(),
             "losses": {str(stage): loss for stage, loss in tracker.losses.items()},
             **({} if self.profile is None else {"profile": self.profile.report()}),
+            "materials": self.materials,
+            "corrections": {},
             "stages": {str(stage): part.facts for stage, part in self.stages.items()},
             "warnings": [warning.told() for warning in self.warnings],
             "fingerprint": self.prepared.fingerprint,

@@ -6,17 +6,18 @@ The result of each long stage is written before the next stage begins, so that a
 from __future__ import annotations
 
 import time
-import traceback
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import torch
 
+from blender_nep.asset.export import Placement
+from blender_nep.asset.preview import PreviewView
 from blender_nep.checkpoints import Checkpoint
-from blender_nep.errors import NepError, Stopped
 from blender_nep.job.device import choose_device
 from blender_nep.job.events import Events
+from blender_nep.job.exit_code import exit_code
 from blender_nep.job.job_folder import JobFolder
 from blender_nep.job.preparation import (
     Preparation,
@@ -26,7 +27,7 @@ from blender_nep.job.preparation import (
     set_seed_and_threads,
 )
 from blender_nep.job.report import JobReport
-from blender_nep.job.run_folder import RunFolder
+from blender_nep.job.run_folder import PREVIEW, RunFolder
 from blender_nep.job.scene_analysis import Plan, SurfaceAnalysis, seconds_of_cones
 from blender_nep.job.scene_report import SceneReport
 from blender_nep.job.settings import Settings
@@ -60,38 +61,13 @@ Result = TypeVar("Result")
 
 def run(settings: Settings, events: Events, stop: StopRequest, stages: Stages | None = None) -> int:
     """Run a job to its end and return the exit code. An error becomes one `error` event; its traceback goes to the log."""
-    try:
+
+    def work() -> None:
         # An SDF in bfloat16 has steps of 1/256 object radii. So a job uses full precision, even if its caller does not.
         with torch.autocast("cpu", enabled=False), torch.autocast("cuda", enabled=False):
             Job(settings, events, stop, stages or Stages()).run()
-        return 0
-    except NepError as error:
-        events.log("".join(traceback.format_exception(error)))
-        events.error(error)
-        return error.code
-    except KeyboardInterrupt:
-        hint = "Work since the last checkpoint is lost; --resume goes on from there."
-        interrupted = Stopped("interrupted", hint, "stopped.interrupted")
-        events.error(interrupted)
-        return interrupted.code
-    except Exception as error:  # a bug, or no memory
-        events.log("".join(traceback.format_exception(error)))
-        where = f"The details are in {settings.out / 'log.txt'}."
-        if not events.has_log:
-            where = "".join(traceback.format_exception(error))
-        unexpected = _unexpected(error, where)
-        events.error(unexpected)
-        return unexpected.code
-    finally:
-        events.close()
 
-
-def _unexpected(error: Exception, where: str) -> NepError:
-    """The error for an exception that nobody foresaw. `where` is a sentence that says where the traceback is."""
-    if isinstance(error, MemoryError | torch.OutOfMemoryError) or "allocate memory" in str(error):
-        return NepError("out of memory", f"Try --preset preview, or smaller photos. {where}", "unexpected.no_memory")
-    text = " ".join(str(error).split())
-    return NepError(f"unexpected {type(error).__name__}: {text[:200]}", where)
+    return exit_code(work, events, settings.out)
 
 
 @dataclass(frozen=True)
@@ -270,15 +246,22 @@ class Job:
         reports = learned.reports()
         for part in reports.values():
             self._scene.skip(part.skipped, part.seconds_saved)
-        job_report = JobReport(s, prepared, reports, self._scene, self._tracker, self._events.warnings, profile)
+        kept = learned.materials.kept
+        materials = [] if kept is None else kept.listed()
+        job_report = JobReport(s, prepared, reports, materials, self._scene, self._tracker, self._events.warnings, profile)
 
         def report() -> dict:
             self._tracker.seconds[name] = time.monotonic() - start
             return job_report.content()
 
-        given = AssetInput(
-            s.out, prepared.capture, prepared.rays, learned.surface.surface, learned.materials, (light, coverage), report
-        )
+        surface, capture, rays = learned.surface.surface, prepared.capture, prepared.rays
+        with section(name), section("preview picture"):
+            view = PreviewView.best(rays, surface)
+        radiance = light.detach().float().cpu().numpy()
+        if not s.clean:
+            prepared.folder.save_result(PREVIEW, {"view": vars(view), "light": radiance}, 0.0)
+        place = Placement(capture.object_center, capture.object_radius)
+        given = AssetInput(s.out, place, surface, learned.materials, radiance, rays.exposure, view, report)
         with section(name):
             self._stages.asset.run(given)
         if s.clean:

@@ -12,11 +12,15 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol, TypeVar
 
+import numpy as np
 import torch
 
 from blender_nep.job.stage_names import StageName
+from blender_nep.profiling import section
 
 if TYPE_CHECKING:
+    from blender_nep.asset.export import Placement
+    from blender_nep.asset.preview import PreviewView
     from blender_nep.capture import Capture, PixelRays
     from blender_nep.checkpoints import Checkpoint
     from blender_nep.fields.environment_field import EnvironmentField
@@ -203,14 +207,17 @@ class MaterialsStage:
 
         textures = {name: getattr(result, name) for name in TEXTURES}
         unseen = result.unseen.state() if result.unseen is not None else None
-        return {"textures": textures, "unseen": unseen, "report": result.report}
+        kept = result.kept.state() if result.kept is not None else None
+        return {"textures": textures, "unseen": unseen, "report": result.report, "kept": kept}
 
     def unpack(self, state: dict, given: MaterialsInput) -> Materials:
+        from blender_nep.materials.corrections import KeptMaterials
         from blender_nep.materials.training import Materials
         from blender_nep.shading.unseen_light import UnseenLight
 
+        kept = KeptMaterials.from_state(state["kept"]) if state["kept"] is not None else None
         unseen = UnseenLight.from_state(state["unseen"]) if state["unseen"] is not None else None
-        return Materials(**state["textures"], unseen=unseen, report=state["report"])
+        return Materials(**state["textures"], unseen=unseen, report=state["report"], kept=kept)
 
 
 @dataclass(frozen=True)
@@ -218,12 +225,15 @@ class AssetInput:
     """All that is written as the asset."""
 
     folder: Path
-    capture: Capture
-    rays: PixelRays
+    place: Placement
     surface: Surface
     materials: Materials
-    light: tuple[torch.Tensor, torch.Tensor]
-    """Radiance [H, 2H, 3] and coverage [H, 2H] of the environment map"""
+    light: np.ndarray
+    """[H, 2H, 3] radiance of the environment map, as bright as the engine sees it"""
+    exposure: float
+    """By this factor, the engine sees the light brighter than the photos show it"""
+    view: PreviewView
+    """The view of the preview picture"""
     report: Callable[[], dict]
     """Gives the content of report.json. It is called last, when everything else is on the disk."""
 
@@ -235,9 +245,13 @@ class AssetStage:
 
     def run(self, given: AssetInput) -> None:
         """Write all files. Raises OutputError."""
-        from blender_nep.asset.export import write_asset
+        from blender_nep.asset.export import TEXTURES, write_asset
 
-        write_asset(given.folder, given.capture, given.rays, given.surface, given.materials, given.light, given.report)
+        textures = {name: np.asarray(getattr(given.materials, name), np.float32) for name in TEXTURES}
+        with section("preview picture"):
+            picture = given.view.render(given.surface, textures, given.light)
+        mesh = given.place.mesh(given.surface, textures)
+        write_asset(given.folder, mesh, picture, given.light / given.exposure, given.report)
 
 
 @dataclass

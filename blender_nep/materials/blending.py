@@ -2,22 +2,51 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
-import torch
 
+from blender_nep.materials.baking import LabelledPoints
 from blender_nep.materials.palette import SHARES, Palette
-from blender_nep.shading.plenoptic import Material
 
 
-def blended_materials(cost: np.ndarray, palette: Palette, blend_margin: float) -> Material:
-    """The materials of n points, on the CPU, from the residuals cost [n, K + blends] of a palette with blends.
+@dataclass
+class BlendedPoints:
+    """n points of the surface, each with a blend of two materials of a palette. Most points show one material alone."""
 
+    position: np.ndarray
+    """[n, 3] unit frame"""
+    photo: np.ndarray
+    """[n] int, index of the photo that shows the point"""
+    residual: np.ndarray
+    """[n] residual of the point's material"""
+    first: np.ndarray
+    """[n] int64, index of the first material"""
+    second: np.ndarray
+    """[n] int64, index of the second material"""
+    share: np.ndarray
+    """[n] in 0..1, share of the second material"""
+
+    def labelled(self, palette: Palette) -> LabelledPoints:
+        """The points with the materials of a palette. It may have blends; they are not used."""
+
+        def mixed(values: np.ndarray) -> np.ndarray:
+            part = self.share.reshape(-1, *[1] * (values.ndim - 1))
+            return values[self.first] * (1 - part) + values[self.second] * part
+
+        albedo, roughness, metallic = (x.cpu().numpy() for x in (palette.albedo, palette.roughness, palette.metallic))
+        return LabelledPoints(self.position, self.photo, mixed(albedo), mixed(roughness), mixed(metallic), self.residual)
+
+
+def find_blends(cost: np.ndarray, palette: Palette, blend_margin: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The blends of n points: first material [n], second material [n] and share of the second [n].
+
+    cost [n, K + blends] are the residuals of a palette with blends.
     The residuals of blends are raised by the share `blend_margin`. The best material or blend of a point tells which pairs
     are possible. Along each pair, the share is where a parabola through the residuals of three neighboring shares is least.
     The pair with the least minimum is taken.
     """
     pairs = np.array(palette.pairs(), np.int64).reshape(-1, 2)
-    albedo, roughness, metallic = (x.cpu().numpy() for x in (palette.albedo, palette.roughness, palette.metallic))
     best = cost.argmin(1)
     first, second, share = best.copy(), best.copy(), np.zeros(len(best), np.float32)
     least, alone, steps = np.full(len(best), np.inf), len(palette) - palette.blends, len(SHARES)
@@ -29,12 +58,7 @@ def blended_materials(cost: np.ndarray, palette: Palette, blend_margin: float) -
         better = value < least[rows]
         rows, at = rows[better], at[better]
         least[rows], first[rows], second[rows], share[rows] = value[better], i, j, at / (steps + 1)
-
-    def mixed(values: np.ndarray) -> torch.Tensor:
-        part = share.reshape(-1, *[1] * (values.ndim - 1))
-        return torch.from_numpy(values[first] * (1 - part) + values[second] * part)
-
-    return Material(mixed(albedo), mixed(roughness), mixed(metallic))
+    return first, second, share
 
 
 def _least_of_parabola(line: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

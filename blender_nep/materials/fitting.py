@@ -18,7 +18,7 @@ from blender_nep.shading import brdf
 from blender_nep.tone_mapping import tone_map
 
 if TYPE_CHECKING:
-    from blender_nep.shading.incoming_light import IncomingLight
+    from blender_nep.shading.light_moments import LightMoments
 
 _ROUGHNESS = 28
 """Steps of the roughness scan, evenly in sqrt(roughness)."""
@@ -31,9 +31,19 @@ def roughness_scan(least: float, device: torch.device) -> Tensor:
     return torch.linspace(least**0.5, 1, _ROUGHNESS, device=device) ** 2
 
 
+def place_in_scan(roughness: Tensor, least: float) -> Tensor:
+    """The place [n] in 0 .. R - 1 of roughness values [n] in `roughness_scan`, the nearest one if they are outside."""
+    return ((roughness.sqrt() - least**0.5) / (1 - least**0.5)).clamp(0, 1) * (_ROUGHNESS - 1)
+
+
+def roughness_at(place: Tensor, least: float) -> Tensor:
+    """The inverse of `place_in_scan`: the roughness [n] at places [n] of `roughness_scan`."""
+    return (least**0.5 + (1 - least**0.5) * place / (_ROUGHNESS - 1)) ** 2
+
+
 @profiled("fits")
 def fit_groups(
-    light: IncomingLight,
+    light: LightMoments,
     target: Tensor,
     weight: Tensor,
     group: Tensor,

@@ -8,8 +8,8 @@ import numpy as np
 import torch
 from scipy.spatial import cKDTree
 
-from blender_nep.materials.baking import NEIGHBOURS, LabelledPoints, neighbours, weighted_mean
-from blender_nep.materials.blending import blended_materials
+from blender_nep.materials.baking import NEIGHBOURS, neighbours, weighted_mean
+from blender_nep.materials.blending import BlendedPoints, find_blends
 from blender_nep.materials.photo_samples import select_samples
 from blender_nep.materials.pixel_votes import Surfels, left_out_error, pixel_costs
 from blender_nep.profiling import profiled
@@ -27,21 +27,19 @@ _CANDIDATES = 3
 enough."""
 
 
-def labelled_samples(search: PaletteSearch) -> LabelledPoints:
-    """The labelled points of the photo samples, for which the light was gathered."""
+def labelled_samples(search: PaletteSearch) -> BlendedPoints:
+    """The photo samples, for which the light was gathered, as blended points."""
     cost = search.costs().cpu().numpy()
     label = search.label.cpu().numpy()
     own = cost[np.arange(len(label)), label] / search.weight.cpu().numpy()
-    return _labelled(search, search.samples.position, search.samples.photo.cpu().numpy(), search.smoothed(cost), own)
+    return _blended(search, search.samples.position, search.samples.photo.cpu().numpy(), search.smoothed(cost), own)
 
 
-def _labelled(
+def _blended(
     search: PaletteSearch, position: np.ndarray, photo: np.ndarray, cost: np.ndarray, residual: np.ndarray
-) -> LabelledPoints:
-    """Labelled points with the materials, or blends, that have the least cost [n, K]."""
-    material = blended_materials(cost, search.palette, search.preset.blend_margin)
-    albedo, roughness, metallic = material.albedo.numpy(), material.roughness.numpy(), material.metallic.numpy()
-    return LabelledPoints(position, photo, albedo, roughness, metallic, residual)
+) -> BlendedPoints:
+    """Points with the materials, or blends, that have the least cost [n, K]."""
+    return BlendedPoints(position, photo, residual, *find_blends(cost, search.palette, search.preset.blend_margin))
 
 
 def error_of_neighbours(search: PaletteSearch, samples: Surfels, shown: np.ndarray) -> float:
@@ -62,8 +60,8 @@ def labelled_pixels(
     tracer: RayTracer,
     normals: np.ndarray,
     seed: int,
-) -> LabelledPoints:
-    """The labelled points of at most `preset.label_pixels` pixels, so that boundaries are as sharp as the photos.
+) -> BlendedPoints:
+    """At most `preset.label_pixels` pixels as blended points, so that boundaries are as sharp as the photos.
 
     The light of a pixel is taken from the nearest samples of its photo. shown [n, K, 3] is the tone-mapped radiance that
     each sample would have with each material.
@@ -75,7 +73,7 @@ def labelled_pixels(
     cost = cost * torch.where(palette.blended, 1 + p.blend_margin, 1.0).cpu().numpy()
     smoothed = weighted_mean(cost, *neighbours(cKDTree(pixels.position), pixels.position, 2 * NEIGHBOURS))
     own = cost[np.arange(len(cost)), smoothed.argmin(1)]
-    return _labelled(search, pixels.position, pixels.photo, smoothed, own)
+    return _blended(search, pixels.position, pixels.photo, smoothed, own)
 
 
 def select_label_pixels(

@@ -12,7 +12,7 @@ import torch
 from torch import Tensor
 
 from blender_nep.materials.fitting import roughness_scan
-from blender_nep.shading.incoming_light import IncomingLight
+from blender_nep.shading.light_moments import LightMoments
 from blender_nep.shading.plenoptic import Material, reflected
 from blender_nep.tone_mapping import tone_map
 
@@ -87,7 +87,7 @@ class Palette:
         return Palette(self.albedo[i], self.roughness[i], self.metallic[i])
 
 
-def error(light: IncomingLight, target: Tensor, weight: Tensor, material: Material, clip: float) -> Tensor:
+def error(light: LightMoments, target: Tensor, weight: Tensor, material: Material, clip: float) -> Tensor:
     """Residual [n] of every sample under its material, in 0..`clip`, multiplied by `weight` [n].
 
     It is the mean absolute tone-mapped difference from target [n, 3]. `material` holds n materials, or one for all.

@@ -29,7 +29,7 @@ from blender_nep.profiling import profiled
 
 if TYPE_CHECKING:
     from blender_nep.presets import MaterialPreset
-    from blender_nep.shading.incoming_light import IncomingLight
+    from blender_nep.shading.light_moments import LightMoments
 
 _LEAST_SAMPLES = 8
 """Least number of samples in a region. With fewer, its three albedos would follow the noise."""
@@ -37,7 +37,7 @@ _NO_LIMIT = 2.5
 """Largest regional albedo. It is above 1, because F_e may be too dark in a region."""
 
 
-def weight_of_known_light(light: IncomingLight) -> Tensor:
+def weight_of_known_light(light: LightMoments) -> Tensor:
     """Weight [n] of the samples: 0.05 + the share of a sample's reflected light that the photos show.
 
     The narrower half of the roughness levels counts: wide lobes see much that no photo shows, and tell little.
@@ -47,7 +47,7 @@ def weight_of_known_light(light: IncomingLight) -> Tensor:
 
 @profiled("roughness")
 def residual_of_reflections(
-    light: IncomingLight,
+    light: LightMoments,
     target: Tensor,
     position: np.ndarray,
     label: Tensor,

@@ -20,7 +20,15 @@ from torch import Tensor
 from blender_nep.errors import LearningError
 from blender_nep.geometry.mesh import Surface
 from blender_nep.materials.baked_light import correlations
-from blender_nep.materials.baking import LabelledPoints, bake, texture_size
+from blender_nep.materials.baking import bake, texture_size
+from blender_nep.materials.blending import BlendedPoints
+from blender_nep.materials.corrections import (
+    Correctable,
+    CorrectablePalette,
+    CorrectableSegments,
+    KeptMaterials,
+    groups_of_segments,
+)
 from blender_nep.materials.labelled_points import (
     error_of_neighbours,
     labelled_pixels,
@@ -40,10 +48,10 @@ from blender_nep.materials.varied_materials import (
     fit_segments,
     gain_of_segments,
     segments_of,
-    varied_points,
 )
 from blender_nep.messages import Message, Part
 from blender_nep.shading.incoming_light import IncomingLight
+from blender_nep.shading.light_moments import LightMoments
 from blender_nep.shading.support_light import SupportLight
 from blender_nep.shading.unseen_light import UnseenLight
 
@@ -74,6 +82,8 @@ class Materials:
     """Light that no photo shows. It is added to F_e's radiance where F_e has no coverage."""
     report: dict = field(default_factory=dict)
     """`MaterialReport.as_dict`"""
+    kept: KeptMaterials | None = None
+    """What a correction by the artist needs"""
 
 
 def learn_materials(
@@ -141,7 +151,8 @@ class _MaterialLearner:
         uniform = len(search.palette) == 1 and varied is None
         self.report.texture_texels = size = min(wanted, self.preset.uniform_texels) if uniform else wanted
         shown = shown_faces(seen.surface, seen.f_p.tracer, seen.rays)
-        points = self._labelled_points(varied)
+        kept = KeptMaterials(self._correctable(varied), size, shown)
+        points = kept.materials.labelled(self.preset)
         self.report.albedo_follows = correlations(points, self.light, seen.samples.position)
         albedo, roughness, metallic, confidence = bake(seen.surface, points, size, shown)
         self.progress.phase_ended("textures")
@@ -158,7 +169,7 @@ class _MaterialLearner:
             message = "material learning diverged: its textures are not finite"
             raise LearningError(message, "Try another --seed.", "learning.diverged")
         report = self.report.as_dict()
-        return Materials(albedo, roughness, metallic, confidence, self.light.unseen, report)
+        return Materials(albedo, roughness, metallic, confidence, self.light.unseen, report, kept)
 
     def _learn_palette(self) -> float:
         """Fit one material, then learn the palette and the unseen light in turns. Returns the residual with one material."""
@@ -259,13 +270,16 @@ class _MaterialLearner:
         self.report.segments = len(segments)
         return VariedMaterials(segments, fit_segments(search.light, search.target, label, segments, p))
 
-    def _labelled_points(self, varied: VariedMaterials | None) -> LabelledPoints:
-        """The labelled points: label pixels if the light of the samples predicts their light, else the samples."""
+    def _correctable(self, varied: VariedMaterials | None) -> Correctable:
+        """The materials, and the points of the surface that show them: label pixels, or only the photo samples.
+
+        They are label pixels if the light of the samples predicts the light of label pixels.
+        """
         search, tracer, normals, rays = self.search, self.seen.f_p.tracer, self.seen.surface.normals, self.seen.rays
         of_samples = labelled_samples(search)
         if len(search.palette) == 1 and varied is None:
             self._skip(Part.VOTES, Message("reason.one_material"))
-            return of_samples
+            return self._correctable_palette(of_samples)
         samples, shown = surfels(self.seen.samples, tracer, normals), search.shown()
         error = error_of_neighbours(search, samples, shown)
         self.report.neighbours_error = round(error, 4)
@@ -275,10 +289,18 @@ class _MaterialLearner:
         if varied is not None:
             chosen = select_label_pixels(rays, tracer, normals, self.preset, self.seed) if predicted else self.seen.samples
             pixels = PlacedPixels.of(surfels(chosen, tracer, normals), chosen.radiance, samples)
-            return varied_points(varied, search.light, pixels, self.preset)
+            light = LightMoments(**self.light.moments_state())
+            return CorrectableSegments(light, search.target, varied, groups_of_segments(varied), pixels)
         if predicted:
-            return labelled_pixels(search, samples, shown, rays, tracer, normals, self.seed)
-        return of_samples
+            return self._correctable_palette(labelled_pixels(search, samples, shown, rays, tracer, normals, self.seed))
+        return self._correctable_palette(of_samples)
+
+    def _correctable_palette(self, points: BlendedPoints) -> CorrectablePalette:
+        search, count = self.search, len(self.search.palette) - self.search.palette.blends
+        label = torch.where(search.label < count, search.label, -1)
+        share = torch.bincount(label + 1, minlength=count + 1)[1:] / len(label)
+        palette = search.palette.pick(list(range(count)))
+        return CorrectablePalette(LightMoments(**self.light.moments_state()), search.target, label, palette, share, points)
 
     def _finish_report(self, single: float, shares: list[float]) -> None:
         """Report what was learned; shares [K] are those of the palette's materials before they were blended."""

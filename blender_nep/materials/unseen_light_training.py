@@ -142,7 +142,7 @@ class UnseenLightProblem:
         """
         p, device, light, rows, samples = self.preset, self.goal.device, self.light, self.map_rows, self.samples
         material = palette.at(self.label)
-        moments = light.moments(material.roughness, samples, unseen=False)
+        moments = light.known_moments(material.roughness, samples)
         offset, slope = affine_in_albedo(material, moments, light.known_diffuse[samples], light.cos_v[samples])
         response = torch.stack(light.uncovered_response(self.cones, samples, material), 1).float().cpu().numpy()
         raw = start.radiance.clamp_min(_LEAST_START).log().requires_grad_()

@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from blender_nep.materials.palette_search import PaletteSearch
     from blender_nep.materials.photo_samples import PhotoSamples
     from blender_nep.presets import MaterialPreset
-    from blender_nep.shading.incoming_light import IncomingLight
+    from blender_nep.shading.light_moments import LightMoments
 
 _SAMPLES_OF_SEGMENT = 50
 """Mean number of samples in a segment."""
@@ -63,6 +63,8 @@ class VariedMaterials:
     segments: Segments
     palette: Palette
     """The material of each segment"""
+    exact: np.ndarray | None = None
+    """[K] bool: segments whose roughness an artist has set, so that it is not interpolated. None: no segment"""
 
     @profiled("varied materials")
     def at(self, position: np.ndarray, color: np.ndarray) -> Material:
@@ -77,6 +79,8 @@ class VariedMaterials:
         weight = np.exp(-((distance / _BLEND_REACH) ** 2)) * (metallic[index] == metallic[index[:, :1]])
         weight[:, 0] += 1e-9  # a point far from all segments takes the nearest one's
         roughness = ((root[index] * weight).sum(1) / weight.sum(1)) ** 2
+        if self.exact is not None:
+            roughness = np.where(self.exact[index[:, 0]], root[index[:, 0]] ** 2, roughness)
         return Material(nearest.albedo.clamp(0, 1), torch.from_numpy(roughness).to(nearest.roughness), nearest.metallic)
 
 
@@ -104,14 +108,24 @@ def gain_of_segments(search: PaletteSearch, segments: Segments) -> float:
 
 
 @profiled("varied materials")
-def fit_segments(light: IncomingLight, target: Tensor, label: Tensor, segments: Segments, preset: MaterialPreset) -> Palette:
+def fit_segments(
+    light: LightMoments,
+    target: Tensor,
+    label: Tensor,
+    segments: Segments,
+    preset: MaterialPreset,
+    metallic: Tensor | None = None,
+) -> Palette:
     """The material of each of K segments. label [n] int64 is that of the samples, -1 for those that do not count.
+
+    metallic [K] are the classes, if they are known. Else the photos decide between those of the preset.
 
     Residuals are averaged over near segments. The mean over the whole object is added with the weight
     `preset.segment_prior`: it decides the roughness where the photos of a place hardly tell it. Segments whose samples do
     not count get the roughness and the class of their neighbors, and no sensible albedo.
     """
     p, count = preset, len(segments)
+    classes = p.metallic if metallic is None else (0.0, 1.0)
     weight = weight_of_known_light(light)
     residual, albedo = fit_groups(
         light,
@@ -121,7 +135,7 @@ def fit_segments(light: IncomingLight, target: Tensor, label: Tensor, segments: 
         count,
         least_roughness=p.least_roughness,
         clip=p.clip,
-        hypotheses=p.metallic,
+        hypotheses=classes,
     )
     mass = torch.bincount(label.clamp_min(0), weight * (label >= 0), minlength=count).cpu().numpy()
     scan, cost = roughness_scan(p.least_roughness, light.cos_v.device), residual.cpu().numpy()
@@ -131,8 +145,10 @@ def fit_segments(light: IncomingLight, target: Tensor, label: Tensor, segments: 
     row = (_averaged(cost, near, index) + everywhere).argmin(1)  # the best roughness of each class
     of_class = np.take_along_axis(cost, row[:, None], 1)[:, 0]
     close = mass[index] * np.exp(-((distance / _CLASS_REACH) ** 2)) * (np.arange(index.shape[1]) < _CLASS_SEGMENTS)
-    margin = np.array([1 + p.segment_metal_margin * m for m in p.metallic])
+    margin = np.array([1 + p.segment_metal_margin * m for m in classes])
     chosen = (_averaged(of_class, close, index) * margin[:, None]).argmin(0)
+    if metallic is not None:
+        chosen = (metallic > 0.5).long().cpu().numpy()
     # now that the classes are known, the roughness again, from segments of the same class
     same = near * np.where(chosen[index] == chosen[:, None], 1, _OTHER_CLASS)
     each = np.arange(count)
@@ -144,7 +160,7 @@ def fit_segments(light: IncomingLight, target: Tensor, label: Tensor, segments: 
     return Palette(
         between(albedo[torch.from_numpy(chosen), :, torch.from_numpy(each)].transpose(0, 1), place),
         between(scan.sqrt()[:, None].expand(-1, count), place) ** 2,
-        torch.tensor(p.metallic, device=residual.device)[torch.from_numpy(chosen)],
+        torch.tensor(classes, device=residual.device)[torch.from_numpy(chosen)],
     )
 
 
@@ -178,7 +194,7 @@ class PlacedPixels:
 
 
 def varied_points(
-    materials: VariedMaterials, light: IncomingLight, pixels: PlacedPixels, preset: MaterialPreset
+    materials: VariedMaterials, light: LightMoments, pixels: PlacedPixels, preset: MaterialPreset
 ) -> LabelledPoints:
     """The pixels as labelled points, each with an albedo of its own."""
     tree = cKDTree(pixels.position)
@@ -204,7 +220,7 @@ def varied_points(
     return LabelledPoints(pixels.position, pixels.photo, albedo, material.roughness.cpu().numpy(), metallic, residual)
 
 
-def _affine_of_pixels(material: Material, light: IncomingLight, pixels: PlacedPixels) -> tuple[np.ndarray, np.ndarray]:
+def _affine_of_pixels(material: Material, light: LightMoments, pixels: PlacedPixels) -> tuple[np.ndarray, np.ndarray]:
     """Offset and slope [m, 3] of the pixels' radiance, with the light of their samples (`affine_in_albedo`), float32."""
     offset, slope = torch.zeros_like(material.albedo), torch.zeros_like(material.albedo)
     for k in range(pixels.sample.shape[1]):

@@ -17,6 +17,7 @@ from torch import Tensor
 from blender_nep.profiling import profiled
 from blender_nep.shading import brdf
 from blender_nep.shading.cones import diffuse_cones, half_angle_of_density, specular_cones
+from blender_nep.shading.light_moments import LightMoments
 from blender_nep.shading.plenoptic import (
     Material,
     PlenopticFunction,
@@ -103,7 +104,7 @@ class TracedLight:
         )
 
 
-class IncomingLight:
+class IncomingLight(LightMoments):
     """Light moments of n surface points at R roughness levels, and their diffuse irradiance.
 
     `specular` [n, R, 3, 3] and `diffuse` [n, 3] (irradiance divided by pi) are the whole light, under the present materials
@@ -117,11 +118,11 @@ class IncomingLight:
     ):
         """`points` are the n surface points; `traced` is the trace result of their cones (`gathered` computes it)."""
         self.plenoptic, self.points, self.traced = plenoptic, points, traced
-        self.roughness_levels = torch.tensor(roughness_levels, device=points.position.device)
-        self.cos_v = (points.normal * points.view).sum(-1)
         self._mean = IrradianceMean(points.position, points.normal)
-        self.specular = self.known_specular = traced.specular
-        self.diffuse = self.known_diffuse = self._mean(traced.diffuse)
+        self.known_specular, self.known_diffuse = traced.specular, self._mean(traced.diffuse)
+        levels = torch.tensor(roughness_levels, device=points.position.device)
+        cos_v = (points.normal * points.view).sum(-1)
+        super().__init__(self.known_specular, self.known_diffuse, traced.coverage, cos_v, levels)
         self.unseen: UnseenLight | None = None
 
     @classmethod
@@ -147,11 +148,6 @@ class IncomingLight:
             parts.append(_trace(plenoptic, points[rows], int(rows[0]), levels, irradiance, generator))
             progress((int(rows[-1]) + 1) / n)
         return cls(plenoptic, points, roughness_levels, TracedLight.joined(parts))
-
-    @property
-    def coverage(self) -> Tensor:
-        """[n, R] in 0..1: share of the specular lobe whose light the photos show."""
-        return self.traced.coverage
 
     @profiled("self reflection")
     def update(self, materials_at: Callable[[SurfacePoints], Material], generator: torch.Generator) -> None:
@@ -205,25 +201,9 @@ class IncomingLight:
         moments = SpecularMoments(full, full * cones.fresnel[:, :1], full * cones.fresnel[:, 1:])
         return affine_in_albedo(own, moments, cones.weight[:, :1], self.cos_v[rows][row])
 
-    def moments(self, roughness: Tensor, rows: Tensor | slice = slice(None), *, unseen: bool = True) -> SpecularMoments:
-        """Moments of the points `rows` [m] at roughness [m] (or a scalar tensor), interpolated between the levels.
-
-        `unseen` says whether the unseen light is included.
-        """
-        low, mix = self.roughness_interval(roughness)
-        table = (self.specular if unseen else self.known_specular)[rows]
-        if low.ndim == 0:
-            between = torch.lerp(table[:, low], table[:, low + 1], mix)
-        else:
-            each = torch.arange(len(table), device=table.device)
-            between = torch.lerp(table[each, low], table[each, low + 1], mix[:, None, None])
-        return SpecularMoments(between[:, _FULL], between[:, _EDGE], between[:, _DIELECTRIC])
-
-    def roughness_interval(self, roughness: Tensor) -> tuple[Tensor, Tensor]:
-        """Index of the roughness level below each roughness [...], and the place between it and the next level, 0..1."""
-        levels = self.roughness_levels
-        low = (torch.searchsorted(levels, roughness.contiguous(), right=True) - 1).clamp(0, len(levels) - 2)
-        return low, ((roughness - levels[low]) / (levels[low + 1] - levels[low])).clamp(0, 1)
+    def known_moments(self, roughness: Tensor, rows: Tensor | slice = slice(None)) -> SpecularMoments:
+        """`moments` without the unseen light."""
+        return self.between_levels(self.known_specular, roughness, rows)
 
 
 def _trace(

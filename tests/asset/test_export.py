@@ -7,14 +7,14 @@ import json
 import numpy as np
 import OpenEXR
 import pytest
-import torch
 import trimesh
 from PIL import Image
 
 from blender_nep.asset import export as asset
-from blender_nep.asset.preview import Pyramid, shade
+from blender_nep.asset.preview import PreviewView, Pyramid, shade
 from blender_nep.capture import PixelRays, load_capture
 from blender_nep.errors import OutputError
+from blender_nep.job.stages import AssetInput, AssetStage
 from support.ball_stages import GreyLight, ball_surface, ball_textures
 from support.captures import CENTER, RADIUS
 
@@ -35,9 +35,10 @@ def write(make_capture, tmp_path):
     folder.mkdir()
 
     def run(light=None, report=lambda: {"seed": 3}, center=CENTER, exposure=1.0):
-        rays = seen.with_exposure(exposure)
-        capture.object_center = np.asarray(center)
-        asset.write_asset(folder, capture, rays, ball_surface(), Textures(), light or GreyLight().equirect(16), report)
+        surface, radiance = ball_surface(), light if light is not None else GreyLight().equirect(16)[0].numpy()
+        view = PreviewView.best(seen.with_exposure(exposure), surface)
+        place = asset.Placement(np.asarray(center), capture.object_radius)
+        AssetStage().run(AssetInput(folder, place, surface, Textures(), radiance, exposure, view, report))
         return folder
 
     return run
@@ -175,13 +176,7 @@ def test_preview_light_is_looked_up_as_in_blender():
     np.testing.assert_allclose(found, np.eye(3), atol=1e-5)
 
 
-def test_light_may_be_a_tensor_that_needs_grad(write):
-    light = torch.full((16, 32, 3), 0.25, requires_grad=True)
-    folder = write(light=(light, torch.ones(16, 32)))
-    np.testing.assert_array_equal(OpenEXR.File(str(folder / "environment.exr")).channels()["RGB"].pixels, 0.25)
-
-
 def test_the_environment_map_is_as_bright_as_the_photos(write):
     """The method sees the photos four times as bright, so the light that it finds is four times too bright."""
-    folder = write(light=(torch.full((16, 32, 3), 2.0), torch.ones(16, 32)), exposure=4.0)
+    folder = write(light=np.full((16, 32, 3), 2.0, np.float32), exposure=4.0)
     np.testing.assert_array_equal(OpenEXR.File(str(folder / "environment.exr")).channels()["RGB"].pixels, 0.5)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from blender_nep.asset.preview import render_preview
+from blender_nep.asset.preview import PreviewView
 from blender_nep.capture import PixelRays, exposure, load_capture
 from blender_nep.capture.exposure import SPHERES, Exposures, find_exposures, stops
 from blender_nep.checkpoints import NoCheckpoint
@@ -186,7 +186,7 @@ def test_no_result_depends_on_the_exposures_of_the_photos(tmp_path):
             fields.report,
             fields.environment.raw.detach().numpy(),
             samples.radiance.numpy(),
-            render_preview(photos, surface, textures, np.ones((8, 16, 3))),
+            PreviewView.best(photos, surface).render(surface, textures, np.ones((8, 16, 3))),
             render_pair(watched[-1], 2),
             view_dependence(tracer, surface.normals, photos, np.random.default_rng(0)),
         ]

@@ -10,6 +10,7 @@ import pytest
 from PIL import Image
 
 from blender_nep.capture import load_capture
+from blender_nep.errors import NepError
 from blender_nep.job import runner as job
 from blender_nep.job.events import Events
 from blender_nep.presets import preset
@@ -224,7 +225,7 @@ def test_parallel_cameras_need_a_given_sphere(make_capture):
         matrix = np.array(tiny.meta["frames"][0]["transform_matrix"])
         matrix[0, 3] += i
         frame["transform_matrix"] = matrix.tolist()
-    with pytest.raises(job.NepError, match="parallel") as caught:
+    with pytest.raises(NepError, match="parallel") as caught:
         load_capture(tiny.save())
     assert caught.value.code == 4 and "object_center" in caught.value.hint
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from blender_nep.materials.blending import blended_materials
+from blender_nep.materials.blending import BlendedPoints, find_blends
 from blender_nep.materials.palette import Palette
 
 MARGIN = 0.05
@@ -27,25 +27,31 @@ def mixed(p, i, j, share):
     return (1 - share[:, None]) * values[i] + share[:, None] * values[j]
 
 
+def blends(cost, p):
+    """The materials that residuals `cost` [n, K + blends] lead to. Position, photo and residual do not matter here."""
+    none = np.zeros(len(cost))
+    return BlendedPoints(none, none, none, *find_blends(cost, p, MARGIN)).labelled(p)
+
+
 @pytest.mark.parametrize(("materials", "pair"), [(2, (0, 1)), (3, (0, 2)), (3, (1, 2)), (4, (2, 3))])
 def test_every_share_is_found_exactly(materials, pair):
     p = palette(materials)
     true = mixed(p, *pair, np.linspace(0, 1, 41))
-    found = blended_materials(residuals(p.with_blends(), true), p.with_blends(), MARGIN)
-    assert found.albedo.numpy() == pytest.approx(true[:, :3], abs=1e-3)
-    assert found.roughness.numpy() == pytest.approx(true[:, 3], abs=1e-3)
-    assert found.metallic.numpy() == pytest.approx(true[:, 4], abs=1e-3)
+    found = blends(residuals(p.with_blends(), true), p.with_blends())
+    assert found.albedo == pytest.approx(true[:, :3], abs=1e-3)
+    assert found.roughness == pytest.approx(true[:, 3], abs=1e-3)
+    assert found.metallic == pytest.approx(true[:, 4], abs=1e-3)
 
 
 def test_one_material_stays_as_it_is():
     p = palette(1)
-    found = blended_materials(np.ones((5, 1), np.float32), p, MARGIN)
-    assert torch.equal(found.albedo, p.albedo.expand(5, 3)) and torch.equal(found.roughness, p.roughness.expand(5))
+    found = blends(np.ones((5, 1), np.float32), p)
+    assert np.array_equal(found.albedo, p.albedo.expand(5, 3)) and np.array_equal(found.roughness, p.roughness.expand(5))
 
 
 def test_materials_that_are_not_blended_stay_as_they_are():
     p = palette(6)
     values = torch.cat([p.albedo, p.roughness[:, None], p.metallic[:, None]], 1).numpy()
-    found = blended_materials(residuals(p.with_blends(), values), p.with_blends(), MARGIN)
-    assert found.albedo.numpy()[4:] == pytest.approx(values[4:, :3], abs=1e-6)
-    assert found.metallic.numpy() == pytest.approx(values[:, 4], abs=1e-3)
+    found = blends(residuals(p.with_blends(), values), p.with_blends())
+    assert found.albedo[4:] == pytest.approx(values[4:, :3], abs=1e-6)
+    assert found.metallic == pytest.approx(values[:, 4], abs=1e-3)

@@ -6,26 +6,24 @@ import pytest
 import torch
 
 from blender_nep.materials.fitting import fit_groups, roughness_scan
-from blender_nep.shading.incoming_light import IncomingLight
+from blender_nep.shading.light_moments import LightMoments
 from blender_nep.shading.plenoptic import Material, SpecularMoments, affine_in_albedo, reflected
 from blender_nep.tone_mapping import tone_map
 
 CLIP, LEAST, MOST_DIFFUSE = 0.25, 0.05, 2.5
 
 
-class Lit:
+class Lit(LightMoments):
     """The light of n samples at several roughness levels: random, but smooth from level to level."""
-
-    roughness_interval, moments = IncomingLight.roughness_interval, IncomingLight.moments
 
     def __init__(self, n: int) -> None:
         generator = torch.Generator().manual_seed(3)
-        self.roughness_levels = torch.tensor([0.05, 0.15, 0.3, 0.6, 1.0])
         ends = 0.5 + torch.rand(n, 2, 3, generator=generator)
         full = torch.lerp(ends[:, :1], ends[:, 1:], torch.linspace(1, 0, 5)[None, :, None])
-        self.specular = torch.stack([full, 0.15 * full, 0.06 * full], 2)
-        self.diffuse = 0.3 + torch.rand(n, 3, generator=generator)
-        self.cos_v = 0.3 + 0.7 * torch.rand(n, generator=generator)
+        specular = torch.stack([full, 0.15 * full, 0.06 * full], 2)
+        diffuse = 0.3 + torch.rand(n, 3, generator=generator)
+        cos_v = 0.3 + 0.7 * torch.rand(n, generator=generator)
+        super().__init__(specular, diffuse, torch.ones(n, 5), cos_v, torch.tensor([0.05, 0.15, 0.3, 0.6, 1.0]))
 
 
 def by_torch(light: Lit, target: torch.Tensor, weight: torch.Tensor, metallic: float, j: int) -> tuple[float, torch.Tensor]:

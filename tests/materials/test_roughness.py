@@ -10,27 +10,25 @@ from blender_nep.materials.fitting import fit_groups, roughness_scan
 from blender_nep.materials.palette import Palette, between, place_of_least
 from blender_nep.materials.roughness import place_by_spread, residual_of_reflections, share_roughness, spread
 from blender_nep.presets import MaterialPreset
-from blender_nep.shading.incoming_light import IncomingLight
+from blender_nep.shading.light_moments import LightMoments
 from blender_nep.shading.plenoptic import Material, reflected
 
 PRESET = replace(MaterialPreset(), roughness_levels=(0.05, 0.1, 0.2, 0.4, 1.0), least_roughness=0.05, region=0.5)
 SCAN = roughness_scan(PRESET.least_roughness, torch.device("cpu"))
 
 
-class Lit:
+class Lit(LightMoments):
     """The light of n samples: a random lamp beside the reflected direction, which wider lobes see more and more of."""
-
-    roughness_interval, moments = IncomingLight.roughness_interval, IncomingLight.moments
 
     def __init__(self, n: int) -> None:
         generator = torch.Generator().manual_seed(3)
-        self.roughness_levels = torch.tensor(PRESET.roughness_levels)
         sharp, soft = 3 * torch.rand(2, n, 1, 3, generator=generator) ** 3
         full = torch.lerp(sharp, soft.mean(0), torch.tensor([0.0, 0.25, 0.5, 0.75, 1.0])[None, :, None])
-        self.specular = torch.stack([full, 0.15 * full, 0.06 * full], 2)
-        self.diffuse = 0.3 + torch.rand(n, 3, generator=generator)
-        self.cos_v = 0.3 + 0.7 * torch.rand(n, generator=generator)
-        self.coverage = torch.ones(n, len(self.roughness_levels))
+        specular = torch.stack([full, 0.15 * full, 0.06 * full], 2)
+        diffuse = 0.3 + torch.rand(n, 3, generator=generator)
+        cos_v = 0.3 + 0.7 * torch.rand(n, generator=generator)
+        levels = torch.tensor(PRESET.roughness_levels)
+        super().__init__(specular, diffuse, torch.ones(n, len(levels)), cos_v, levels)
 
 
 def photos(light: Lit, palette: Palette, label: torch.Tensor) -> torch.Tensor:

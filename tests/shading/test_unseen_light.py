@@ -235,7 +235,7 @@ def test_many_samples_on_many_threads_are_solved_the_same_each_time():
         points=SimpleNamespace(position=random(n, 3) - 0.5),
         cos_v=0.2 + 0.8 * random(n),
         known_diffuse=random(n, 3),
-        moments=lambda *_, **__: moments,
+        known_moments=lambda *_: moments,
         uncovered_cones=lambda _: cones,
         uncovered_response=lambda *_: (torch.zeros(8, 3), torch.ones(8, 3)),
     )

@@ -1,0 +1,132 @@
+"""Corrects the materials of a finished asset, as an artist wants them, from the light that the job has kept."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from blender_nep.asset.export import TEXTURES, Placement, write_asset
+from blender_nep.asset.preview import PreviewView
+from blender_nep.errors import UsageError
+from blender_nep.files import output_errors
+from blender_nep.geometry.mesh import Surface
+from blender_nep.job.events import Events
+from blender_nep.job.exit_code import exit_code
+from blender_nep.job.run_folder import FORMAT, PREVIEW, RunFolder
+from blender_nep.job.stage_names import StageName
+from blender_nep.materials.corrections import Correction, KeptMaterials
+from blender_nep.presets import preset
+from blender_nep.stop_request import StopRequest
+
+_STEPS = 3
+
+
+@dataclass(frozen=True)
+class _Finished:
+    """What an asset folder holds of its job."""
+
+    kept: KeptMaterials
+    surface: Surface
+    view: PreviewView
+    light: np.ndarray
+
+
+def run(asset: Path, corrections: Mapping[int, Correction], events: Events, stop: StopRequest) -> int:
+    """Correct the materials of the asset in the folder `asset`, and return the exit code.
+
+    `corrections` {number of the material: correction} is complete: a material that it does not name becomes as it was
+    learned. Stops only before the files are written.
+    """
+    return exit_code(lambda: _correct(asset, corrections, events, stop), events, asset)
+
+
+def _correct(asset: Path, corrections: Mapping[int, Correction], events: Events, stop: StopRequest) -> None:
+    report = read_report(asset)
+    _refuse_unknown(report, corrections)
+    with output_errors(asset):
+        events.open_log(asset / "log.txt")
+    events.log(f"correction: {_told(corrections)}")
+    _progress(events, 0)
+    found = _load(asset, events, stop)
+    _progress(events, 1)
+    baked, materials = found.kept.bake(found.surface, corrections, preset(report["preset"]).material)
+    textures = dict(zip(TEXTURES, baked, strict=True))
+    _progress(events, 2)
+    picture = found.view.render(found.surface, textures, found.light)
+    capture = report["capture"]
+    mesh = Placement(np.array(capture["object_center"]), capture["object_radius"]).mesh(found.surface, textures)
+    corrected = report | {"materials": materials, "corrections": _told(corrections)}
+    write_asset(asset, mesh, picture, None, lambda: corrected)
+    _progress(events, _STEPS)
+    events.preview(asset / "preview.png")
+    events.done(asset)
+
+
+def _progress(events: Events, step: int) -> None:
+    events.progress(str(StageName.MATERIAL_LEARNING), step, _STEPS, step / _STEPS, 0.0, None)
+
+
+def read_report(asset: Path) -> dict[str, Any]:
+    """The content of report.json. Raises UsageError where `asset` is no finished asset of this version."""
+    try:
+        report = json.loads((asset / "report.json").read_text(encoding="utf-8"))
+        version = report["fingerprint"]["format"]
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        hint = "Give the folder of a finished reconstruction."
+        raise UsageError(f"{asset} holds no finished asset", hint, "usage.no_asset", folder=asset) from error
+    if version != FORMAT:
+        raise UsageError(
+            f"the asset in {asset} is of another version of blender_nep",
+            "Reconstruct it again, or correct it with that version.",
+            "usage.asset_of_other_version",
+            folder=asset,
+        )
+    return report
+
+
+def _refuse_unknown(report: dict[str, Any], corrections: Mapping[int, Correction]) -> None:
+    count = len(report.get("materials", ()))
+    for number in corrections:
+        if not 0 <= number < count:
+            raise UsageError(
+                f"there is no material {number}: the asset has {count}, counted from 0",
+                "`blender-nep materials ASSET` lists them.",
+                "usage.no_such_material",
+                number=number,
+                count=count,
+            )
+
+
+def _load(asset: Path, events: Events, stop: StopRequest) -> _Finished:
+    """What the job has kept. Raises UsageError where it was removed or is damaged."""
+    folder = RunFolder(asset, stop, events.warning)
+    surface, materials, preview = (
+        folder.load_result(name) for name in (StageName.SURFACE, StageName.MATERIAL_LEARNING, PREVIEW)
+    )
+    if surface is None or materials is None or preview is None or materials[0]["kept"] is None:
+        raise UsageError(
+            f"the asset in {asset} cannot be corrected: its folder checkpoints is not complete",
+            "Reconstruct it again, without --clean.",
+            "usage.not_correctable",
+            folder=asset,
+        )
+    state = preview[0]
+    return _Finished(
+        KeptMaterials.from_state(materials[0]["kept"]),
+        Surface(**surface[0]["arrays"]),
+        PreviewView(**state["view"]),
+        state["light"],
+    )
+
+
+def _told(corrections: Mapping[int, Correction]) -> dict[str, dict[str, float]]:
+    """The corrections for report.json."""
+    return {
+        str(number): {name: value for name, value in vars(correction).items() if value is not None}
+        for number, correction in sorted(corrections.items())
+    }

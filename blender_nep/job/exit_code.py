@@ -1,0 +1,46 @@
+"""Turns the end of a command into an exit code, and an error into one `error` event."""
+
+from __future__ import annotations
+
+import traceback
+from collections.abc import Callable
+from pathlib import Path
+
+import torch
+
+from blender_nep.errors import NepError, Stopped
+from blender_nep.job.events import Events
+
+
+def exit_code(work: Callable[[], None], events: Events, asset: Path) -> int:
+    """Do `work` and return the exit code. The traceback of an error goes to the log; `asset` is the folder of the log."""
+    try:
+        work()
+        return 0
+    except NepError as error:
+        events.log("".join(traceback.format_exception(error)))
+        events.error(error)
+        return error.code
+    except KeyboardInterrupt:
+        hint = "Work since the last checkpoint is lost; --resume goes on from there."
+        interrupted = Stopped("interrupted", hint, "stopped.interrupted")
+        events.error(interrupted)
+        return interrupted.code
+    except Exception as error:  # a bug, or no memory
+        events.log("".join(traceback.format_exception(error)))
+        where = f"The details are in {asset / 'log.txt'}."
+        if not events.has_log:
+            where = "".join(traceback.format_exception(error))
+        unexpected = _unexpected(error, where)
+        events.error(unexpected)
+        return unexpected.code
+    finally:
+        events.close()
+
+
+def _unexpected(error: Exception, where: str) -> NepError:
+    """The error for an exception that nobody foresaw. `where` is a sentence that says where the traceback is."""
+    if isinstance(error, MemoryError | torch.OutOfMemoryError) or "allocate memory" in str(error):
+        return NepError("out of memory", f"Try --preset preview, or smaller photos. {where}", "unexpected.no_memory")
+    text = " ".join(str(error).split())
+    return NepError(f"unexpected {type(error).__name__}: {text[:200]}", where)

@@ -1,0 +1,280 @@
+"""Corrections by an artist: some materials get another class (metal or dielectric) or another roughness.
+
+The light stays as it was found, so a correction takes seconds. What the artist does not name stays as it was learned. The
+albedo of a corrected material is fitted again, because it depends on both.
+
+An object with a palette has one entry for each material. An object whose materials vary from place to place has hundreds of
+segments, so its segments are put into groups of similar materials, and each group is one entry.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any, Protocol
+
+import numpy as np
+import torch
+from scipy.cluster.hierarchy import fcluster, linkage
+from torch import Tensor
+
+from blender_nep.color import linear_to_srgb
+from blender_nep.geometry.mesh import Surface
+from blender_nep.materials.baking import LabelledPoints, bake
+from blender_nep.materials.blending import BlendedPoints
+from blender_nep.materials.fitting import fit_groups, place_in_scan, roughness_at
+from blender_nep.materials.palette import Palette, between, place_of_least
+from blender_nep.materials.segments import Segments
+from blender_nep.materials.varied_materials import PlacedPixels, VariedMaterials, fit_segments, varied_points
+from blender_nep.shading.light_moments import LightMoments
+
+if TYPE_CHECKING:
+    from blender_nep.presets import MaterialPreset
+
+MOST_GROUPS = 6
+"""Largest number of groups of segments in each class. More would make the artist's list too long."""
+_SAME_COLOR = 0.12
+"""Segments of one group differ by about this much in their sRGB albedo (0..1, Euclidean)."""
+
+
+@dataclass(frozen=True)
+class Correction:
+    """What an artist says of one material. None: as it was learned."""
+
+    metallic: float | None = None
+    """0 or 1"""
+    roughness: float | None = None
+    """Principled's roughness, 0..1"""
+
+
+@dataclass(frozen=True)
+class ListedMaterial:
+    """One entry of the list that an artist sees."""
+
+    share: float
+    """Share of the photo samples that show it, 0..1"""
+    albedo: tuple[float, float, float]
+    """Linear, 0..1"""
+    roughness: float
+    metallic: float
+
+    def told(self, learned: ListedMaterial) -> dict[str, Any]:
+        """The entry for report.json; `learned` is the entry without corrections."""
+        return {
+            "share": round(self.share, 4),
+            "albedo": [round(x, 4) for x in self.albedo],
+            "roughness": round(self.roughness, 4),
+            "metallic": self.metallic,
+            "learned": {"roughness": round(learned.roughness, 4), "metallic": learned.metallic},
+        }
+
+
+class Correctable(Protocol):
+    """Materials that can be corrected, and the points of the surface that show them."""
+
+    def corrected(self, corrections: Mapping[int, Correction], preset: MaterialPreset) -> Any:
+        """The same with these corrections, {number of the entry: correction}."""
+        ...
+
+    def listed(self) -> list[ListedMaterial]:
+        """The entries, in the order of their numbers."""
+        ...
+
+    def labelled(self, preset: MaterialPreset) -> LabelledPoints:
+        """The points of the surface with their materials."""
+        ...
+
+    def state(self) -> dict:
+        """All of it as a dict of tensors and arrays."""
+        ...
+
+
+@dataclass
+class CorrectablePalette:
+    """A palette of K materials without blends."""
+
+    light: LightMoments
+    target: Tensor
+    """[n, 3] linear radiance of the photo samples"""
+    label: Tensor
+    """[n] int64, the material that a sample shows alone; -1 for a blend"""
+    palette: Palette
+    share: Tensor
+    """[K] share of the samples"""
+    points: BlendedPoints
+
+    def corrected(self, corrections: Mapping[int, Correction], preset: MaterialPreset) -> CorrectablePalette:
+        palette = self.palette
+        for k, correction in corrections.items():
+            palette = palette.with_one(k, self._fitted(k, correction, preset))
+        return replace(self, palette=palette)
+
+    def _fitted(self, k: int, correction: Correction, preset: MaterialPreset) -> Palette:
+        """This palette, in which material k obeys the correction. A material that no sample shows alone keeps its albedo."""
+        metallic = float(self.palette.metallic[k]) if correction.metallic is None else correction.metallic
+        cost, albedo = fit_groups(
+            self.light,
+            self.target,
+            torch.ones_like(self.light.cos_v),
+            torch.where(self.label == k, 0, -1),
+            1,
+            least_roughness=preset.least_roughness,
+            clip=preset.clip,
+            hypotheses=(metallic,),
+        )
+        place = place_of_least(cost[0])
+        if correction.roughness is not None or metallic == float(self.palette.metallic[k]):
+            wanted = self.palette.roughness[k] if correction.roughness is None else correction.roughness
+            place = place_in_scan(torch.as_tensor(wanted).reshape(1).to(cost), preset.least_roughness)
+        roughness = correction.roughness
+        if roughness is None:
+            roughness = float(roughness_at(place, preset.least_roughness)[0])
+        values = Palette(self.palette.albedo.clone(), self.palette.roughness.clone(), self.palette.metallic.clone())
+        if bool((self.label == k).any()):
+            values.albedo[k] = between(albedo[0], place)[0].clamp(0, 1)
+        values.roughness[k], values.metallic[k] = roughness, metallic
+        return values
+
+    def listed(self) -> list[ListedMaterial]:
+        p = self.palette
+        values = zip(self.share.tolist(), p.albedo.tolist(), p.roughness.tolist(), p.metallic.tolist(), strict=True)
+        return [ListedMaterial(share, (a[0], a[1], a[2]), rough, metal) for share, a, rough, metal in values]
+
+    def labelled(self, preset: MaterialPreset) -> LabelledPoints:
+        return self.points.labelled(self.palette)
+
+    def state(self) -> dict:
+        own = {"target": self.target, "label": self.label, "share": self.share}
+        palette = {name: getattr(self.palette, name) for name in _MATERIAL}
+        return {**own, "light": self.light.moments_state(), "palette": palette, "points": vars(self.points)}
+
+    @classmethod
+    def from_state(cls, state: dict) -> CorrectablePalette:
+        """The inverse of `state`."""
+        light, palette = LightMoments(**state["light"]), Palette(**state["palette"])
+        points = BlendedPoints(**state["points"])
+        return cls(light, state["target"], state["label"], palette, state["share"], points)
+
+
+@dataclass
+class CorrectableSegments:
+    """The materials of K segments in G groups."""
+
+    light: LightMoments
+    target: Tensor
+    """[n, 3] linear radiance of the photo samples"""
+    varied: VariedMaterials
+    group: np.ndarray
+    """[K] int, the group of each segment; group 0 is the largest"""
+    pixels: PlacedPixels
+
+    def corrected(self, corrections: Mapping[int, Correction], preset: MaterialPreset) -> CorrectableSegments:
+        palette = self.varied.palette
+        exact = np.zeros(len(self.group), bool)
+        wanted = [corrections.get(int(g), Correction()) for g in self.group]
+        metallic = torch.tensor([torch.nan if c.metallic is None else c.metallic for c in wanted]).to(palette.metallic)
+        changed = ~metallic.isnan() & (metallic != palette.metallic)
+        if bool(changed.any()):
+            label = torch.from_numpy(self.varied.segments.label).to(palette.metallic.device)
+            classes = torch.where(changed, metallic, palette.metallic)
+            fitted = fit_segments(self.light, self.target, label, self.varied.segments, preset, classes)
+            palette = Palette(
+                torch.where(changed[:, None], fitted.albedo, palette.albedo),
+                torch.where(changed, fitted.roughness, palette.roughness),
+                classes,
+            )
+        roughness = palette.roughness.clone()
+        for k, correction in enumerate(wanted):
+            if correction.roughness is not None:
+                roughness[k], exact[k] = correction.roughness, True
+        return replace(self, varied=replace(self.varied, palette=replace(palette, roughness=roughness), exact=exact))
+
+    def listed(self) -> list[ListedMaterial]:
+        p, count = self.varied.palette, np.bincount(self.varied.segments.label, minlength=len(self.group)).astype(np.float64)
+        values = torch.cat([p.albedo.clamp(0, 1), p.roughness[:, None], p.metallic[:, None]], 1).cpu().numpy()
+        found = []
+        for group in range(int(self.group.max()) + 1):
+            own = np.flatnonzero(self.group == group)
+            red, green, blue, roughness, metallic = np.average(values[own], 0, np.maximum(count[own], 1e-9)).tolist()
+            found.append(ListedMaterial(count[own].sum() / count.sum(), (red, green, blue), roughness, round(metallic)))
+        return found
+
+    def labelled(self, preset: MaterialPreset) -> LabelledPoints:
+        return varied_points(self.varied, self.light, self.pixels, preset)
+
+    def state(self) -> dict:
+        palette = {name: getattr(self.varied.palette, name) for name in _MATERIAL}
+        own = {"target": self.target, "group": self.group, "palette": palette, "segments": vars(self.varied.segments)}
+        return {**own, "light": self.light.moments_state(), "pixels": vars(self.pixels)}
+
+    @classmethod
+    def from_state(cls, state: dict) -> CorrectableSegments:
+        """The inverse of `state`."""
+        varied = VariedMaterials(Segments(**state["segments"]), Palette(**state["palette"]))
+        light, pixels = LightMoments(**state["light"]), PlacedPixels(**state["pixels"])
+        return cls(light, state["target"], varied, state["group"], pixels)
+
+
+_MATERIAL = ("albedo", "roughness", "metallic")
+
+
+@dataclass
+class KeptMaterials:
+    """All that a correction needs. It is kept on the disk when materials are learned."""
+
+    materials: Correctable
+    texels: int
+    """Side of the textures"""
+    shown: np.ndarray
+    """[F] bool, whether a photo shows the face"""
+
+    def state(self) -> dict:
+        """All of it as a dict of tensors, arrays and numbers."""
+        kind = next(name for name, cls in _KINDS.items() if isinstance(self.materials, cls))
+        return {"kind": kind, "materials": self.materials.state(), "texels": self.texels, "shown": self.shown}
+
+    @classmethod
+    def from_state(cls, state: dict) -> KeptMaterials:
+        """The inverse of `state`, on the CPU."""
+        return cls(_KINDS[state["kind"]].from_state(state["materials"]), state["texels"], state["shown"])
+
+    def listed(self) -> list[dict[str, Any]]:
+        """The materials as they were learned, for report.json."""
+        return [entry.told(entry) for entry in self.materials.listed()]
+
+    def bake(
+        self, surface: Surface, corrections: Mapping[int, Correction], preset: MaterialPreset
+    ) -> tuple[tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray], list[dict[str, Any]]]:
+        """The textures with these corrections, as `baking.bake` gives them, and the materials for report.json."""
+        corrected = self.materials.corrected(corrections, preset)
+        entries = zip(corrected.listed(), self.materials.listed(), strict=True)
+        textures = bake(surface, corrected.labelled(preset), self.texels, self.shown)
+        return textures, [now.told(learned) for now, learned in entries]
+
+
+_KINDS: dict[str, type[CorrectablePalette] | type[CorrectableSegments]] = {
+    "palette": CorrectablePalette,
+    "segments": CorrectableSegments,
+}
+
+
+def groups_of_segments(varied: VariedMaterials) -> np.ndarray:
+    """The group [K] int of each segment: segments of one class with similar albedos. Group 0 has the most samples."""
+    palette, count = varied.palette, np.bincount(varied.segments.label, minlength=len(varied.segments))
+    color = linear_to_srgb(palette.albedo.clamp(0, 1).cpu().numpy())
+    metallic = palette.metallic.cpu().numpy()
+    group, groups = np.zeros(len(color), np.int64), 0
+    for value in np.unique(metallic):
+        own = np.flatnonzero(metallic == value)
+        found = np.zeros(len(own), np.int64)
+        if len(own) > 1:
+            tree = linkage(color[own], "average")
+            found = fcluster(tree, _SAME_COLOR, "distance") - 1
+            if found.max() >= MOST_GROUPS:
+                found = fcluster(tree, MOST_GROUPS, "maxclust") - 1
+        group[own] = groups + found
+        groups += int(found.max()) + 1
+    size = np.bincount(group, weights=count, minlength=groups)
+    rank = np.empty(groups, np.int64)
+    rank[np.argsort(-size, kind="stable")] = np.arange(groups)
+    return rank[group]

@@ -1,0 +1,53 @@
+"""The light of surface points as their materials need it: moments at several roughness levels, and the irradiance."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from blender_nep.shading.plenoptic import SpecularMoments
+
+_FULL, _EDGE, _DIELECTRIC = range(3)
+
+
+class LightMoments:
+    """The whole light of n surface points at R roughness levels, under the materials and the unseen light found so far."""
+
+    def __init__(self, specular: Tensor, diffuse: Tensor, coverage: Tensor, cos_v: Tensor, roughness_levels: Tensor) -> None:
+        self.specular = specular
+        """[n, R, 3, 3] light through the specular lobe of each level: three moments with three colors each"""
+        self.diffuse = diffuse
+        """[n, 3] irradiance divided by pi"""
+        self.coverage = coverage
+        """[n, R] in 0..1: share of the specular lobe whose light the photos show"""
+        self.cos_v = cos_v
+        """[n] cosine between the normal and the direction to the camera"""
+        self.roughness_levels = roughness_levels
+        """[R]"""
+
+    def moments(self, roughness: Tensor, rows: Tensor | slice = slice(None)) -> SpecularMoments:
+        """Moments of the points `rows` [m] at roughness [m] (or a scalar tensor), interpolated between the levels."""
+        return self.between_levels(self.specular, roughness, rows)
+
+    def between_levels(self, specular: Tensor, roughness: Tensor, rows: Tensor | slice) -> SpecularMoments:
+        """The same for given moments of the levels, specular [n, R, 3, 3]."""
+        low, mix = self.roughness_interval(roughness)
+        table = specular[rows]
+        if low.ndim == 0:
+            between = torch.lerp(table[:, low], table[:, low + 1], mix)
+        else:
+            each = torch.arange(len(table), device=table.device)
+            between = torch.lerp(table[each, low], table[each, low + 1], mix[:, None, None])
+        return SpecularMoments(between[:, _FULL], between[:, _EDGE], between[:, _DIELECTRIC])
+
+    def roughness_interval(self, roughness: Tensor) -> tuple[Tensor, Tensor]:
+        """Index of the roughness level below each roughness [...], and the place between it and the next level, 0..1."""
+        levels = self.roughness_levels
+        low = (torch.searchsorted(levels, roughness.contiguous(), right=True) - 1).clamp(0, len(levels) - 2)
+        return low, ((roughness - levels[low]) / (levels[low + 1] - levels[low])).clamp(0, 1)
+
+    _TENSORS = ("specular", "diffuse", "coverage", "cos_v", "roughness_levels")
+
+    def moments_state(self) -> dict[str, Tensor]:
+        """The moments as a dict of tensors, from which `LightMoments` can be made again."""
+        return {name: getattr(self, name) for name in self._TENSORS}

@@ -1,0 +1,194 @@
+"""`blender-nep materials`: a finished asset is corrected, or refused and left as it is."""
+
+import io
+import json
+
+import numpy as np
+import OpenEXR
+import pytest
+import torch
+
+from blender_nep.cli import main
+from blender_nep.job import correction
+from blender_nep.job.events import Events
+from blender_nep.materials.blending import BlendedPoints
+from blender_nep.materials.corrections import CorrectablePalette, Correction, KeptMaterials
+from blender_nep.materials.palette import Palette
+from blender_nep.materials.training import Materials
+from blender_nep.shading.light_moments import LightMoments
+from blender_nep.stop_request import StopRequest
+from support.ball_stages import BallStages, ball_surface
+
+FILES = ("mesh.obj", "asset.glb", "preview.png", "environment.exr", "report.json", "textures/roughness.exr")
+
+
+def two_materials() -> KeptMaterials:
+    """A metal on the lower half of the ball and paint on the upper half, in grey light."""
+    surface = ball_surface()
+    n = len(surface.vertices)
+    upper = surface.normals[:, 2] > 0
+    full = torch.ones(n, 4, 1, 3)
+    levels = torch.tensor([0.05, 0.2, 0.5, 1.0])
+    light = LightMoments(
+        torch.cat([full, 0.1 * full, 0.05 * full], 2), torch.ones(n, 3), torch.ones(n, 4), torch.full((n,), 0.8), levels
+    )
+    palette = Palette(torch.tensor([[0.9, 0.7, 0.3], [0.5, 0.1, 0.1]]), torch.tensor([0.2, 0.5]), torch.tensor([1.0, 0.0]))
+    label = torch.from_numpy(upper.astype(np.int64))
+    points = BlendedPoints(
+        surface.vertices, np.arange(n) % 5, np.zeros(n), label.numpy(), label.numpy(), np.zeros(n, np.float32)
+    )
+    target = palette.albedo[label]
+    materials = CorrectablePalette(light, target, label, palette, torch.tensor([0.5, 0.5]), points)
+    return KeptMaterials(materials, 32, np.ones(len(surface.faces), bool))
+
+
+class KeepingStages(BallStages):
+    """A job that learns two materials, and keeps what a correction needs."""
+
+    def learn_materials(self, given, progress, checkpoint):
+        kept = two_materials()
+        textures, _ = kept.bake(ball_surface(), {}, given.preset)
+        return Materials(*textures, report={}, kept=kept)
+
+
+@pytest.fixture
+def asset(start):
+    assert start(KeepingStages())[0] == 0
+    return start.out
+
+
+def contents(asset) -> dict[str, bytes]:
+    return {name: (asset / name).read_bytes() for name in FILES}
+
+
+def correct(asset, corrections):
+    protocol = io.StringIO()
+    code = correction.run(asset, corrections, Events(protocol, io.StringIO()), StopRequest())
+    return code, [json.loads(line) for line in protocol.getvalue().splitlines()]
+
+
+def report_of(asset) -> dict:
+    return json.loads((asset / "report.json").read_text())
+
+
+def roughness_of(asset) -> np.ndarray:
+    return OpenEXR.File(str(asset / "textures/roughness.exr")).channels()["V"].pixels.astype(float)
+
+
+def test_the_report_of_a_job_lists_the_materials(asset):
+    listed = report_of(asset)["materials"]
+    assert [entry["metallic"] for entry in listed] == [1, 0] and report_of(asset)["corrections"] == {}
+    assert listed[0] == {
+        "share": 0.5,
+        "albedo": [0.9, 0.7, 0.3],
+        "roughness": 0.2,
+        "metallic": 1,
+        "learned": {"roughness": 0.2, "metallic": 1},
+    }
+
+
+def test_a_correction_rewrites_the_asset_and_taking_it_back_restores_every_byte(asset):
+    before = contents(asset)
+    code, events = correct(asset, {1: Correction(metallic=1.0, roughness=0.3)})
+    assert code == 0 and events[-1] == {"event": "done", "asset": str(asset)}
+    assert [event["fraction"] for event in events if event["event"] == "progress"][-1] == 1
+    report = report_of(asset)
+    assert report["corrections"] == {"1": {"metallic": 1, "roughness": 0.3}}
+    assert report["materials"][1]["metallic"] == 1 and report["materials"][1]["learned"] == {"roughness": 0.5, "metallic": 0}
+    values = roughness_of(asset)  # a texel is a mean of several points
+    assert 0.28 < values.max() < 0.301, "0.5 is gone"
+    assert values.min() < 0.22, "the other material is still there"
+    now = contents(asset)
+    changed = {name for name in FILES if now[name] != before[name]}
+    assert changed == {"asset.glb", "preview.png", "report.json", "textures/roughness.exr"}
+    assert correct(asset, {})[0] == 0
+    assert contents(asset) == before
+
+
+def test_each_correction_begins_with_what_was_learned(asset):
+    assert correct(asset, {0: Correction(roughness=0.9)})[0] == 0
+    assert correct(asset, {1: Correction(roughness=0.8)})[0] == 0
+    assert report_of(asset)["corrections"] == {"1": {"roughness": 0.8}}
+    assert report_of(asset)["materials"][0]["roughness"] == 0.2
+
+
+def without_surface(asset):
+    (asset / "checkpoints" / "surface.done.pt").unlink()
+
+
+def without_checkpoints(asset):
+    for file in (asset / "checkpoints").iterdir():
+        file.unlink()
+
+
+def with_damaged_materials(asset):
+    (asset / "checkpoints" / "material_learning.done.pt").write_bytes(b"no archive")
+
+
+def of_another_version(asset):
+    report = report_of(asset)
+    report["fingerprint"]["format"] -= 1
+    (asset / "report.json").write_text(json.dumps(report))
+
+
+def with_a_damaged_report(asset):
+    (asset / "report.json").write_text("{")
+
+
+@pytest.mark.parametrize(
+    ("spoil", "name"),
+    [
+        (without_surface, "usage.not_correctable"),
+        (without_checkpoints, "usage.not_correctable"),
+        (with_damaged_materials, "usage.not_correctable"),
+        (of_another_version, "usage.asset_of_other_version"),
+        (with_a_damaged_report, "usage.no_asset"),
+    ],
+)
+def test_what_cannot_be_corrected_is_refused_and_left_as_it_is(asset, spoil, name):
+    spoil(asset)
+    before = contents(asset)
+    code, events = correct(asset, {0: Correction(roughness=0.9)})
+    assert code == 2 and events[-1]["name"] == name and events[-1]["hint"]
+    assert contents(asset) == before and not (asset / ".partial").exists()
+
+
+def test_an_unknown_material_is_refused(asset):
+    code, events = correct(asset, {2: Correction(roughness=0.9)})
+    assert code == 2 and events[-1]["name"] == "usage.no_such_material"
+    assert events[-1]["values"] == {"number": 2, "count": 2}
+
+
+def test_a_folder_without_an_asset_is_refused(tmp_path):
+    code, events = correct(tmp_path / "nothing", {})
+    assert code == 2 and events[-1]["name"] == "usage.no_asset"
+    assert not (tmp_path / "nothing").exists()
+
+
+def test_an_asset_that_was_cleaned_is_refused(start):
+    assert start(KeepingStages(), clean=True)[0] == 0
+    code, events = correct(start.out, {0: Correction(roughness=0.9)})
+    assert code == 2 and events[-1]["name"] == "usage.not_correctable"
+
+
+def test_an_asset_whose_materials_come_from_the_disk_can_be_corrected(start):
+    """A resumed job takes the materials from the disk, with what a correction needs."""
+    assert start(KeepingStages())[0] == 0
+    (start.out / "report.json").unlink()
+    assert start(KeepingStages(), resume=True)[0] == 0
+    assert correct(start.out, {0: Correction(roughness=0.9)})[0] == 0
+
+
+def test_the_command_lists_the_materials(asset, capsys):
+    assert main(["materials", str(asset)]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert len(lines) == 3 and lines[1].split() == ["0", "50.0%", "0.200", "yes", "0.900", "0.700", "0.300"]
+
+
+@pytest.mark.parametrize(
+    "what", ["1", "1:metallic=0.5", "1:roughness=2", "1:roughness=nan", "x:metallic=1", "1:albedo=0", "1:roughness=a"]
+)
+def test_a_wrong_correction_is_a_wrong_argument(asset, what):
+    with pytest.raises(SystemExit) as ended:
+        main(["materials", str(asset), "--set", what])
+    assert ended.value.code == 2

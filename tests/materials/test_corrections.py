@@ -1,0 +1,139 @@
+"""Corrections by an artist: what the artist says is right wins, and all else stays as it was learned."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from blender_nep.materials.corrections import Correction, KeptMaterials
+from support.lit_ball import PRESET, RADIUS, learn, make_photos
+
+MORE = replace(PRESET, samples=3000, label_pixels=6000)
+GOLD, RED = torch.tensor([0.95, 0.7, 0.35]), torch.tensor([0.6, 0.1, 0.08])
+TEXTURES = ("albedo", "roughness", "metallic", "confidence")
+
+
+def gold_below_red(points):
+    """Gold of roughness 0.2 below the equator, red paint of roughness 0.4 above it."""
+    gold = (points[:, 2] < 0)[:, None]
+    return torch.where(gold, GOLD, RED), torch.where(gold, 0.2, 0.4)[:, 0], gold[:, 0].float()
+
+
+@pytest.fixture(scope="module")
+def photos():
+    return make_photos(gold_below_red, views=16, side=48, rays=64)
+
+
+@pytest.fixture(scope="module")
+def learned(ball, photos):
+    return learn(ball, photos, MORE)
+
+
+@pytest.fixture(scope="module")
+def without_metal(ball, photos):
+    """The same photos, learned as if nothing were metal."""
+    return learn(ball, photos, replace(MORE, metallic=(0.0,)))
+
+
+def number_of(result, color):
+    """The number of the material whose hue is nearest to a color."""
+    listed = np.array([entry["albedo"] for entry in result.kept.listed()])
+    hue = listed / listed.sum(1, keepdims=True)
+    return int(np.abs(hue - (color / color.sum()).numpy()).sum(1).argmin())
+
+
+def at_pole(ball, texture, sign):
+    """Mean of a texture over the half of the charts around one pole: far from the boundary between the materials."""
+    inside = sign * ball.vertices[:, 2] > 0.4 * RADIUS
+    uv = ball.uv[inside]
+    size = len(texture)
+    row, column = ((1 - uv[:, 1]) * size).astype(int).clip(0, size - 1), (uv[:, 0] * size).astype(int).clip(0, size - 1)
+    return texture[row, column].mean(0)
+
+
+def test_without_corrections_the_textures_are_those_that_were_learned(ball, learned):
+    textures, listed = learned.kept.bake(ball, {}, MORE)
+    assert all(np.array_equal(a, getattr(learned, name)) for a, name in zip(textures, TEXTURES, strict=True))
+    assert listed == learned.kept.listed() and len(listed) == 2
+    assert all(entry["learned"] == {k: entry[k] for k in ("roughness", "metallic")} for entry in listed)
+
+
+def test_what_is_kept_survives_the_disk(ball, learned):
+    restored = KeptMaterials.from_state(learned.kept.state())
+    wanted = {0: Correction(metallic=1.0, roughness=0.3)}
+    for one, other in zip(restored.bake(ball, wanted, MORE)[0], learned.kept.bake(ball, wanted, MORE)[0], strict=True):
+        np.testing.assert_array_equal(one, other)
+
+
+def test_saying_that_it_is_metal_finds_the_true_albedo_and_roughness(ball, without_metal):
+    """The lower half is gold. It was learned as a dielectric, so only the artist can know."""
+    k = number_of(without_metal, GOLD)
+    textures, listed = without_metal.kept.bake(ball, {k: Correction(metallic=1.0)}, MORE)
+    albedo, _, metallic, _ = textures
+    assert listed[k]["metallic"] == 1 and listed[k]["learned"]["metallic"] == 0
+    assert listed[k]["albedo"] == pytest.approx(GOLD.tolist(), abs=0.03)
+    assert listed[k]["roughness"] == pytest.approx(0.2, abs=0.03)
+    # blends stay as they were found with the wrong material, so a little red is left
+    assert at_pole(ball, metallic, -1) > 0.8 and at_pole(ball, metallic, 1) < 0.05
+    error, before = (np.abs(at_pole(ball, t, -1) - GOLD.numpy()).max() for t in (albedo, without_metal.albedo))
+    assert error < 0.1 and before > 0.4, "the dielectric has another albedo"
+
+
+def test_a_given_roughness_is_taken_exactly_and_nothing_else_changes(ball, learned):
+    k = number_of(learned, GOLD)
+    (albedo, roughness, metallic, _), listed = learned.kept.bake(ball, {k: Correction(roughness=0.55)}, MORE)
+    assert listed[k]["roughness"] == pytest.approx(0.55, abs=1e-4)
+    unblended = learned.metallic > 1 - 1e-6
+    assert unblended.mean() > 0.3 and np.abs(roughness[unblended] - 0.55).max() < 1e-4
+    paint = learned.metallic < 1e-6
+    for before, now in ((learned.roughness, roughness), (learned.albedo, albedo)):
+        assert paint.mean() > 0.3 and np.array_equal(before[paint], now[paint])
+    np.testing.assert_allclose(metallic, learned.metallic, atol=1e-6)
+    assert listed[1 - k] == learned.kept.listed()[1 - k]
+
+
+def test_the_learned_class_and_roughness_give_the_learned_albedo(ball, learned):
+    """A correction that says what was learned is no change, but for the fit to unblended samples alone."""
+    for k, entry in enumerate(learned.kept.listed()):
+        wanted = {k: Correction(metallic=entry["metallic"], roughness=entry["roughness"])}
+        assert learned.kept.bake(ball, wanted, MORE)[1][k]["albedo"] == pytest.approx(entry["albedo"], abs=0.03)
+
+
+def many_fields(points):
+    """Twenty paints, and gold leaf on four fields of 24."""
+    centre = torch.nn.functional.normalize(torch.randn(24, 3, generator=torch.Generator().manual_seed(5)), dim=-1)
+    at = torch.cdist(points / RADIUS, centre).argmin(1)
+    paint = torch.rand(24, 3, generator=torch.Generator().manual_seed(6)) * 0.8 + 0.05
+    gold = torch.arange(24) % 6 == 0
+    paint[gold] = GOLD
+    return paint[at], torch.where(gold, 0.2, 0.3)[at], gold.float()[at]
+
+
+@pytest.fixture(scope="module")
+def varied(ball):
+    return learn(ball, make_photos(many_fields, views=16, side=48, rays=64), replace(MORE, samples=5000, label_pixels=9000))
+
+
+def test_segments_are_listed_in_few_groups_of_one_class(varied):
+    assert varied.report["segments"] > 50
+    groups, palette = varied.kept.materials.group, varied.kept.materials.varied.palette
+    listed = varied.kept.listed()
+    assert 4 <= len(listed) <= 12 and sum(entry["share"] for entry in listed) == pytest.approx(1, abs=0.01)
+    assert [entry["share"] for entry in listed] == sorted((entry["share"] for entry in listed), reverse=True)
+    for number, entry in enumerate(listed):
+        assert (palette.metallic.numpy()[groups == number] == entry["metallic"]).all()
+
+
+def test_a_group_of_segments_is_corrected_and_the_others_stay(ball, varied):
+    listed = varied.kept.listed()
+    gold = next(k for k, entry in enumerate(listed) if entry["metallic"] == 1)
+    restored = KeptMaterials.from_state(varied.kept.state())
+    (_, roughness, metallic, _), corrected = restored.bake(ball, {gold: Correction(metallic=0.0, roughness=0.7)}, MORE)
+    assert corrected[gold]["metallic"] == 0 and corrected[gold]["roughness"] == pytest.approx(0.7, abs=1e-4)
+    changed = (varied.metallic > 0.99) & (metallic < 0.01)
+    assert changed.mean() > 0.02 and np.abs(roughness[changed] - 0.7).max() < 0.1
+    for k in set(range(len(listed))) - {gold}:
+        assert corrected[k] == listed[k]
+    others = (varied.metallic < 0.01) & (np.abs(roughness - 0.7) > 0.1)
+    assert np.abs(metallic - varied.metallic)[others].max() < 0.01
