@@ -3,6 +3,7 @@
 import os
 import subprocess
 import sys
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -26,7 +27,7 @@ class EngineError(Exception):
         self, code: int, message: str, hint: str = "", log: str = "", name: str = "", values: dict[str, Any] | None = None
     ):
         super().__init__("\n".join(text for text in (message, hint, log) if text))
-        self.code, self.message, self.hint = code, message, hint
+        self.code, self.message, self.hint, self.log = code, message, hint, log
         self.name, self.values = name, values or {}
 
     def words(self, translate: Translate = str) -> tuple[str, str]:
@@ -136,3 +137,14 @@ def reconstruct_arguments(
             arguments += [name, str(value)]
     flags = {"--watch-stdin": not keep_going, "--resume": resume, "--overwrite": overwrite, "--preview": preview}
     return [*arguments, *more, *(name for name, wanted in flags.items() if wanted)]
+
+
+def materials_arguments(asset: Path | str, corrections: Mapping[int, Mapping[str, float]]) -> list[str]:
+    """The engine's command line that gives the materials of an asset these corrections, and no others.
+
+    `corrections`: number of a material -> its corrected values, by the names `metallic` and `roughness`. Where there is
+    none, all materials go back to what was learned.
+    """
+    given = [f"{number}:{name}={value:.4g}" for number, values in corrections.items() for name, value in values.items()]
+    options = [text for one in given for text in ("--set", one)]
+    return ["materials", str(asset), *(options or ["--reset"])]

@@ -21,6 +21,7 @@ from .started_process import StartedProcess
 STOP_GRACE_S = 45.0  # time to write the checkpoint after a request to stop; after it the process is terminated
 TERMINATE_GRACE_S = 10.0  # time to end after the process was terminated; after it the process is killed
 FULL_DISK_BYTES = 1 << 20
+RESUME = "Resume goes on from its last checkpoint, if there is one."
 
 
 class FoundProcess:
@@ -141,8 +142,11 @@ class Engine:
             self._terminated = True
             self._process.send(kill=False)
 
-    def outcome(self) -> EngineError | None:
-        """What went wrong; None where an asset was made. Call this after the engine has ended."""
+    def outcome(self, retry: str = RESUME) -> EngineError | None:
+        """What went wrong; None where an asset was made. Call this after the engine has ended.
+
+        `retry`: the hint where the engine ended and said no reason.
+        """
         if self.asset is not None:
             return None
         if self.error is not None:
@@ -150,7 +154,8 @@ class Engine:
         code, tail = self._process.code, last_lines(self.log, 5)
         if code == STOPPED or (self._stop_asked is not None and code == -signal.SIGTERM):
             return EngineError(STOPPED, "Stopped.", "Resume goes on from the last checkpoint, if there is one.")
-        return self._output_error() or _missing_module_error(self._process.command[0], tail) or _unexplained_end(code, tail)
+        missing = _missing_module_error(self._process.command[0], tail)
+        return self._output_error() or missing or _unexplained_end(code, tail, retry)
 
     def _output_error(self) -> EngineError | None:
         if not self._in_output:
@@ -179,8 +184,7 @@ def _missing_module_error(python: str, tail: str) -> EngineError | None:
     return NoEngineError(f"The engine's Python {python} lacks {missing[1].partition('.')[0]}.")
 
 
-def _unexplained_end(code: int | None, log: str) -> EngineError:
-    hint = "Resume goes on from its last checkpoint, if there is one."
+def _unexplained_end(code: int | None, log: str, hint: str) -> EngineError:
     if code is None:
         return EngineError(1, "The engine ended and said no reason: it was killed, or the computer restarted.", hint, log)
     if code == -getattr(signal, "SIGKILL", 0):

@@ -180,6 +180,16 @@ ERRORS = {
 }
 """Name of an error -> the panel's (message, hint). Where a text is empty, the panel shows the engine's own."""
 
+CORRECTION_HINTS = {
+    "usage.folder_in_use": "Stop it or wait for its end, then press Apply again.",
+    "output.disk_full": "Free some space, then press Apply again.",
+    "output.not_permitted": "Change its permissions, then press Apply again.",
+    "output": "Look whether the folder can be written, then press Apply again.",
+    "unexpected.no_memory": "Close other programs, then press Apply again.",
+}
+"""Name of an error -> the hint while materials are corrected. These stand in the place of the hints of ERRORS, which tell
+how to go on with a job."""
+
 AND_MORE = "{names} and {count} more"
 """How a list of more than MOST_NAMES names is written."""
 MOST_NAMES = 5
@@ -187,8 +197,8 @@ MOST_NAMES = 5
 
 def texts() -> list[str]:
     """All texts of these tables that a translator translates, each once."""
-    errors = (text for pair in ERRORS.values() for text in pair)
-    return list(dict.fromkeys(text for text in (*MESSAGES.values(), *PARTS.values(), *errors, AND_MORE) if text))
+    errors, hints = (text for pair in ERRORS.values() for text in pair), CORRECTION_HINTS.values()
+    return list(dict.fromkeys(text for text in (*MESSAGES.values(), *PARTS.values(), *errors, *hints, AND_MORE) if text))
 
 
 @dataclass(frozen=True)
