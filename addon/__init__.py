@@ -6,9 +6,10 @@ The modules form layers. A module imports only modules of the layers below its o
     preferences, panels/                                                    what Blender draws
     operators/                                                              what a button or a script calls
     running_jobs                                                            the jobs that this Blender follows
-    bounds_estimate, comparison_render, engine_setup, imported_result       other work under way, and results
-    object_bounds, comparison_image, live_preview                           objects and images in the .blend file
-    engine_paths, clock, editors, wrapped_text                              what Blender and the preferences offer
+    bounds_estimate, comparison_render, engine_setup, imported_result,
+        material_correction                                                 other work under way, and results
+    object_bounds, comparison_image, live_preview, imported_materials       objects and images in the .blend file
+    engine_paths, clock, editors, wrapped_text, swatches                    what Blender and the preferences offer
     folders, properties                                                     the settings, `scene.nep`
     output_changes                                                          who is told of a changed output folder
 
@@ -27,15 +28,29 @@ from . import (
     comparison_render,
     engine_setup,
     live_preview,
+    material_correction,
     operators,
     output_changes,
     panels,
     preferences,
     properties,
     running_jobs,
+    swatches,
 )
 
-CLASSES = (preferences.NepPreferences, properties.NepSettings, *operators.CLASSES, *panels.CLASSES)
+CLASSES = (
+    preferences.NepPreferences,
+    properties.NepMaterial,
+    properties.NepSettings,
+    *operators.CLASSES,
+    *panels.CLASSES,
+)
+HANDLERS = (
+    ("load_post", running_jobs.on_file_loaded),
+    ("load_post", material_correction.on_file_loaded),
+    ("undo_post", material_correction.on_undone),
+    ("redo_post", material_correction.on_undone),
+)
 
 
 def register() -> None:
@@ -44,7 +59,8 @@ def register() -> None:
         bpy.utils.register_class(cls)
     bpy.types.Scene.nep = bpy.props.PointerProperty(type=properties.NepSettings)
     output_changes.callbacks.append(running_jobs.attach_job)
-    bpy.app.handlers.load_post.append(running_jobs.on_file_loaded)
+    for event, handler in HANDLERS:
+        getattr(bpy.app.handlers, event).append(handler)
     clock.call_until_false(_attach_jobs_once)  # later: in `register` bpy.data has no scenes
     atexit.register(_close_all)
 
@@ -64,13 +80,16 @@ def _attach_jobs_once() -> bool:
 
 
 def _close_all() -> None:
-    """Stop the timer, the handler and all work under way. A timer or handler that is left makes Blender hang at its end."""
+    """Stop the timer, the handlers and all work under way. A timer or handler that is left makes Blender hang at its end."""
     output_changes.callbacks.clear()
     clock.stop()
-    if running_jobs.on_file_loaded in bpy.app.handlers.load_post:
-        bpy.app.handlers.load_post.remove(running_jobs.on_file_loaded)
+    for event, handler in HANDLERS:
+        if handler in getattr(bpy.app.handlers, event):
+            getattr(bpy.app.handlers, event).remove(handler)
     running_jobs.close_all()
     engine_setup.close_all()
     bounds_estimate.close_all()
     comparison_render.close_all()
+    material_correction.close_all()
     live_preview.remove_all_pictures()
+    swatches.remove_all_swatches()

@@ -7,17 +7,20 @@ import bpy
 from ..backend.engine.job_files import is_asset, read_job
 from ..backend.scene_io.result import import_result
 from .folders import folder_key, resolve_folder
+from .imported_materials import fill_materials
 
 
 def place_result(scene: bpy.types.Scene, folder: Path) -> bpy.types.Object:
     """Import the asset in `folder` into the scene and select its object; returns the object.
 
-    The light becomes `scene.nep.recovered_world`; the scene's own World stays in use.
+    The light becomes `scene.nep.recovered_world`; the scene's own World stays in use. `scene.nep.materials` lists the
+    result's materials.
     OSError where a file of the asset is missing or cannot be read.
     """
     settings = scene.nep
     item, world = import_result(folder, scene.collection, pack=settings.images == "PACKED")
     settings.recovered_world, settings.asset = world, str(folder)
+    fill_materials(settings, folder)
     settings.imported_job = _last_job_identifier(folder)
     layer = scene.view_layers[0]
     for other in layer.objects.selected:

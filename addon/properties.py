@@ -29,6 +29,48 @@ LIGHTS = tuple(
 )
 
 
+METAL_CORRECTIONS = (
+    ("AS_LEARNED", "As Learned", "What the photos said"),
+    ("METAL", "Metal", "This material is metal"),
+    ("NOT_METAL", "Not Metal", "This material is paint, plastic, glaze or stone"),
+)
+
+
+class NepMaterial(bpy.types.PropertyGroup):
+    """A material of the imported result, and its correction (imported_materials.py)."""
+
+    share: bpy.props.FloatProperty(name="Share", description="Part of the surface that has this material", min=0, max=1)
+    albedo: bpy.props.FloatVectorProperty(
+        name="Color", description="Base Color in the textures", subtype="COLOR", size=3, min=0, max=1
+    )
+    roughness: bpy.props.FloatProperty(name="Present Roughness", description="Roughness in the textures", min=0, max=1)
+    is_metal: bpy.props.BoolProperty(name="Is Metal", description="Whether it is metal in the textures")
+    learned_roughness: bpy.props.FloatProperty(name="Learned Roughness", description="What the photos said", min=0, max=1)
+    learned_is_metal: bpy.props.BoolProperty(name="Learned as Metal", description="What the photos said")
+    metal: bpy.props.EnumProperty(
+        name="Metal",
+        description="Whether this material is metal, where you know it better than the photos show it",
+        items=METAL_CORRECTIONS,
+    )
+    set_roughness: bpy.props.BoolProperty(
+        name="Set Roughness", description="Give this material a roughness of your own; off: as learned from the photos"
+    )
+    new_roughness: bpy.props.FloatProperty(
+        name="Roughness", description="The roughness that this material gets", min=0, max=1, subtype="FACTOR", precision=2
+    )
+    applied_metal: bpy.props.EnumProperty(
+        name="Applied Metal", description="The correction in the textures", items=METAL_CORRECTIONS, options={"HIDDEN"}
+    )
+    applied_roughness: bpy.props.FloatProperty(
+        name="Applied Roughness",
+        description="The correction in the textures; -1: none",
+        default=-1,
+        min=-1,
+        max=1,
+        options={"HIDDEN"},
+    )
+
+
 class NepSettings(bpy.types.PropertyGroup):
     capture: bpy.props.StringProperty(
         name="Capture", description="Folder with transforms.json and the photos of one object", subtype="DIR_PATH"
@@ -83,6 +125,12 @@ class NepSettings(bpy.types.PropertyGroup):
         ),
     )
     asset: bpy.props.StringProperty(name="Asset", description="The result that was imported last", subtype="DIR_PATH")
+    materials: bpy.props.CollectionProperty(
+        name="Materials", description="The materials of the imported result", type=NepMaterial
+    )
+    material_index: bpy.props.IntProperty(
+        name="Active Material", description="The material whose correction the panel shows", min=0
+    )
     recovered_world: bpy.props.PointerProperty(
         name="Recovered Light", description="The World that was recovered from the photos", type=bpy.types.World
     )

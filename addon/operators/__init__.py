@@ -1,6 +1,6 @@
 """The operators: what the buttons of the panels do, and the commands of scripts (`bpy.ops.nep.…`)."""
 
-from . import bounds, cameras, comparison, engine, reconstruct, result
+from . import bounds, cameras, comparison, engine, materials, reconstruct, result
 
 CLASSES = (
     *reconstruct.CLASSES,
@@ -8,5 +8,6 @@ CLASSES = (
     *cameras.CLASSES,
     *bounds.CLASSES,
     *result.CLASSES,
+    *materials.CLASSES,
     *comparison.CLASSES,
 )

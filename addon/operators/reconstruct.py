@@ -12,7 +12,7 @@ import bpy
 from ...backend.engine.command import EngineError, find_engine_python, reconstruct_arguments
 from ...backend.engine.engine import Engine
 from ...backend.engine.job_files import FOLDER, has_checkpoint, is_asset, is_running
-from .. import clock, running_jobs
+from .. import clock, material_correction, running_jobs
 from ..editors import open_editor
 from ..engine_paths import engine_python
 from ..folders import SAVE_FILE_FIRST, resolve_folder
@@ -99,6 +99,9 @@ class NEP_OT_reconstruct(bpy.types.Operator):
             return None
         if is_running(output):
             self.report({"ERROR"}, f"Another job is running in {output}; wait for it, or choose another output folder")
+            return None
+        if material_correction.is_at_work_in(output):
+            self.report({"ERROR"}, f"The materials in {output} are being corrected; wait until that has ended")
             return None
         try:
             arguments = self._engine_arguments(scene, capture, output)

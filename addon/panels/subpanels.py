@@ -64,7 +64,7 @@ class NEP_PT_relit_comparison(SubPanel, bpy.types.Panel):
     bl_label = "Relit Comparison"
     bl_idname = "NEP_PT_relit_comparison"
     bl_options = {"DEFAULT_CLOSED"}
-    bl_order = 3
+    bl_order = 4
 
     def draw(self, context: bpy.types.Context) -> None:
         layout, settings, render = self.layout, context.scene.nep, comparison_render.current

@@ -1,5 +1,6 @@
 """Imports an asset folder as a Blender object, where the capture saw it, with one Principled material."""
 
+import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -125,6 +126,28 @@ def load_image(path: Path, *, color_space: str, pack: bool) -> bpy.types.Image:
     elif bpy.data.is_saved:
         image.filepath = bpy.path.relpath(str(path))
     return image
+
+
+def reload_textures(folder: Path) -> int:
+    """Read the textures of an asset from their files again, in every image of the .blend that was loaded from them.
+
+    The data-blocks stay, and so does all that uses them. A packed image is packed again. An image whose file is gone keeps
+    its pixels. Returns the number of images that were read.
+    """
+    files = {_path_key(folder / "textures" / (texture.name + end)) for texture in TEXTURES for end in (".png", ".exr")}
+    count = 0
+    for image in bpy.data.images:
+        path = bpy.path.abspath(image.filepath, library=image.library)
+        if image.source == "FILE" and _path_key(path) in files and os.path.isfile(path):
+            image.reload()
+            image.update_tag()  # viewports that render show the new pixels
+            count += 1
+    return count
+
+
+def _path_key(path: Path | str) -> str:
+    """One string for all ways to write the path of the same file."""
+    return os.path.normcase(os.path.abspath(path))
 
 
 def _texture_image(folder: Path, texture: Texture, pack: bool) -> bpy.types.Image:

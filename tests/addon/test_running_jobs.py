@@ -5,26 +5,15 @@ import shutil
 import signal
 import sys
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from support import ball_engine
-from support.blender_checks import Drawn, fails, rounds
+from support.blender_checks import drawn_by, fails, register, rounds
 from support.own_process import run_file
-from support.paths import ROOT
 
 LIMIT_S = 60
-
-
-@pytest.fixture
-def package(tmp_path, monkeypatch):
-    """A folder with the extension as the importable package `nep_addon`; Blender's user files go there too."""
-    (tmp_path / "package").mkdir()
-    (tmp_path / "package" / "nep_addon").symlink_to(ROOT)
-    monkeypatch.setenv("BLENDER_USER_RESOURCES", str(tmp_path))
-    return tmp_path
 
 
 @pytest.fixture
@@ -46,7 +35,7 @@ def in_blender(function, folder: Path, *, code=0, **variables) -> str:
 # scripts and key maps of artists name them: none may be renamed
 OPERATORS = {"reconstruct", "cancel", "open_log", "import_result", "use_recovered_light"} | {
     *("load_cameras", "clear_cameras", "capture_from_scene", "propose_bounds", "clear_bounds"),
-    *("render_comparison", "cancel_comparison", "show_comparison"),
+    *("correct_materials", "render_comparison", "cancel_comparison", "show_comparison"),
     *("check_engine", "install_engine", "cancel_install", "open_preferences"),
 }
 SLOW = {"BALL_STEPS": "4000", "BALL_DELAY": "0.02"}
@@ -64,15 +53,6 @@ def set_up(folder: Path):
     return bpy, addon, settings
 
 
-def register():
-    import nep_addon
-
-    nep_addon.register()
-    from nep_addon import addon
-
-    return addon
-
-
 def start(bpy, addon, scene=None):
     """Press the button; returns the job."""
     assert bpy.ops.nep.reconstruct(wait=False) == {"FINISHED"}
@@ -85,12 +65,7 @@ def meshes(bpy) -> list[str]:
 
 def drawn(bpy, addon) -> list[str]:
     """The texts and operators of the main panel, in their order."""
-    real = bpy.context.preferences
-    preferences = SimpleNamespace(system=SimpleNamespace(ui_scale=1.0), ui_styles=real.ui_styles, addons=real.addons)
-    context = SimpleNamespace(scene=bpy.context.scene, region=None, preferences=preferences)  # as a screen has it
-    layout = Drawn()
-    addon.panels.reconstruct.NEP_PT_reconstruct.draw(SimpleNamespace(layout=layout), context)
-    return layout.log
+    return drawn_by(bpy, addon.panels.reconstruct.NEP_PT_reconstruct)
 
 
 def test_what_the_photos_show_stands_below_the_buttons_also_after_a_stop(folders):
@@ -302,16 +277,19 @@ def check_registration(folder):
     import bpy
 
     def handlers() -> list[str]:
-        return [function.__module__ for function in bpy.app.handlers.load_post if "nep_addon" in function.__module__]
+        lists = (getattr(bpy.app.handlers, event) for event, _ in addon.HANDLERS)
+        return [function.__name__ for found in lists for function in found if "nep_addon" in function.__module__]
 
     def operators() -> set[str]:
         return {name for name in dir(bpy.ops.nep) if not name.startswith("_")}
 
     import nep_addon
+    from nep_addon import addon
 
     for _ in range(2):
         nep_addon.register()
-        assert operators() == OPERATORS and hasattr(bpy.types, "NEP_PT_reconstruct") and len(handlers()) == 1
+        assert operators() == OPERATORS and hasattr(bpy.types, "NEP_PT_reconstruct")
+        assert sorted(set(handlers())) == ["on_file_loaded", "on_undone"]
         bpy.context.scene.nep.output = str(folder / "out")
         nep_addon.unregister()
         assert not operators() and not handlers()

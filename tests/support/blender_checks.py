@@ -1,6 +1,7 @@
 """Helpers of the scripts that run inside Blender. No bpy at module level, because pytest reads this folder too."""
 
 import time
+from types import SimpleNamespace
 
 LIMIT_S = 120
 
@@ -13,6 +14,16 @@ def fails(call, message: str) -> None:
         assert message in str(error), error
     else:
         raise AssertionError(f"no error told of: {message}")
+
+
+def register():
+    """Register the add-on, which is importable as `nep_addon`; returns its package `addon`."""
+    import nep_addon
+
+    nep_addon.register()
+    from nep_addon import addon
+
+    return addon
 
 
 def rounds(addon, until) -> None:
@@ -40,3 +51,13 @@ class Drawn:
 
     def panel(self, *_arguments, **_keywords):
         return Drawn(self.log), Drawn(self.log)
+
+
+def drawn_by(bpy, panel) -> list[str]:
+    """The texts and operators that a panel draws for the scene, in their order."""
+    real = bpy.context.preferences
+    preferences = SimpleNamespace(system=SimpleNamespace(ui_scale=1.0), ui_styles=real.ui_styles, addons=real.addons)
+    context = SimpleNamespace(scene=bpy.context.scene, region=None, preferences=preferences)  # as a screen has it
+    layout = Drawn()
+    panel.draw(SimpleNamespace(layout=layout), context)
+    return layout.log

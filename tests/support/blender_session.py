@@ -47,6 +47,7 @@ def check_install(archive: str) -> None:
         "propose_bounds",
         "clear_bounds",
         "use_recovered_light",
+        "correct_materials",
         "cancel_comparison",
         "show_comparison",
     ):
