@@ -7,7 +7,7 @@ from bpy.app.translations import pgettext_iface
 
 from ...backend.engine.command import EngineError, find_engine_python
 from ...backend.engine.exit_codes import OUTPUT_FAILED
-from ...backend.engine.job_files import is_asset, is_running
+from ...backend.engine.job_files import has_checkpoint, is_asset, is_running
 from .. import material_correction
 from ..engine_paths import engine_python
 from ..folders import SAVE_FILE_FIRST, resolve_folder
@@ -78,6 +78,8 @@ def _check(scene: bpy.types.Scene, asset: Path) -> None:
         raise EngineError(OUTPUT_FAILED, f"A job is running in {asset}.", "Wait for its end, or cancel it.")
     if not is_asset(asset):
         hint = "Bring the folder back, or import the result from the folder where it is now."
+        if has_checkpoint(asset):  # a correction that is killed while it writes its files leaves the result so
+            hint = "Its job has not ended: Resume it."
         raise EngineError(OUTPUT_FAILED, f"There is no finished result in {asset}.", hint)
     if not is_list_of(scene.nep, asset):
         hint = "Import it, then correct its materials."

@@ -266,6 +266,11 @@ def check_no_start(folder):
     correcting_engine.write_report(asset, correcting_engine.MATERIALS[:2])
     refused("holds another result by now", "Import it")
     correcting_engine.write_report(asset, correcting_engine.MATERIALS)
+    (asset / "checkpoints").mkdir()
+    (asset / "checkpoints" / "run.json").touch()
+    (asset / "report.json").rename(folder / "report.json")
+    refused("There is no finished result", "Its job has not ended: Resume it.")
+    (folder / "report.json").rename(asset / "report.json")
     asset.rename(folder / "moved")
     refused("There is no finished result", "Bring the folder back")
     settings.asset = "//asset"

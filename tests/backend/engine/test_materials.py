@@ -9,6 +9,8 @@ from backend.engine import words
 from backend.engine.asset_materials import AssetMaterial, read_materials
 from backend.engine.command import NoEngineError, materials_arguments
 from backend.engine.correction_process import CorrectionProcess
+from blender_nep import cli
+from blender_nep.materials.corrections import ListedMaterial
 from support import correcting_engine
 from support.played_python import bare_python
 from support.waiting import wait_until
@@ -50,6 +52,20 @@ def test_a_report_that_does_not_name_the_materials_gives_none(tmp_path, report):
     if report is not None:
         (tmp_path / "report.json").write_text(report)
     assert read_materials(tmp_path) == []
+
+
+def test_a_report_of_the_library_is_understood(tmp_path):
+    learned = ListedMaterial(0.25, (0.8, 0.2, 0.1), 0.5, 0.0)
+    told = ListedMaterial(0.25, (0.9, 0.7, 0.3), 0.1, 1.0).told(learned)
+    (tmp_path / "report.json").write_text(json.dumps({"materials": [told], "corrections": {}}))
+    expected = AssetMaterial(0.25, (0.9, 0.7, 0.3), 0.1, True, 0.5, False)
+    assert read_materials(tmp_path) == [expected]
+
+
+def test_the_library_understands_the_arguments():
+    found = cli.parser().parse_args(materials_arguments("asset", {1: {"metallic": 1.0}, 11: {"roughness": 1e-5}}))
+    assert found.set == [(1, "metallic", 1.0), (11, "roughness", 1e-5)] and not found.reset
+    assert cli.parser().parse_args(materials_arguments("asset", {})).reset
 
 
 def test_the_arguments_name_all_corrections_or_take_all_back():
