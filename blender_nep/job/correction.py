@@ -17,6 +17,7 @@ from blender_nep.files import output_errors
 from blender_nep.geometry.mesh import Surface
 from blender_nep.job.events import Events
 from blender_nep.job.exit_code import exit_code
+from blender_nep.job.job_folder import held
 from blender_nep.job.run_folder import FORMAT, PREVIEW, RunFolder
 from blender_nep.job.stage_names import StageName
 from blender_nep.materials.corrections import Correction, KeptMaterials
@@ -42,7 +43,12 @@ def run(asset: Path, corrections: Mapping[int, Correction], events: Events, stop
     `corrections` {number of the material: correction} is complete: a material that it does not name becomes as it was
     learned. Stops only before the files are written.
     """
-    return exit_code(lambda: _correct(asset, corrections, events, stop), events, asset)
+
+    def work() -> None:
+        with held(asset):
+            _correct(asset, corrections, events, stop)
+
+    return exit_code(work, events, asset)
 
 
 def _correct(asset: Path, corrections: Mapping[int, Correction], events: Events, stop: StopRequest) -> None:

@@ -18,6 +18,7 @@ import json
 import os
 import sys
 import time
+from collections.abc import Iterator
 from pathlib import Path
 
 from blender_nep.errors import UsageError
@@ -90,6 +91,24 @@ class JobFolder:
             log = os.open(self.path / "engine.log", os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o666)
             os.dup2(log, 2)
             os.close(log)
+
+
+@contextlib.contextmanager
+def held(asset: Path) -> Iterator[None]:
+    """Lock the job folder of a finished run, if the asset has one, so that no run begins there.
+
+    Its files stay. Raises UsageError while a run owns the folder, and OutputError when it cannot be locked.
+    """
+    path = asset / FOLDER / "lock"
+    if not path.exists():
+        yield
+        return
+    with output_errors(path):
+        descriptor = _lock(path, asset)
+    try:
+        yield
+    finally:
+        os.close(descriptor)
 
 
 def _lock(path: Path, asset: Path) -> int:

@@ -11,6 +11,7 @@ import torch
 from blender_nep.cli import main
 from blender_nep.job import correction
 from blender_nep.job.events import Events
+from blender_nep.job.job_folder import JobFolder
 from blender_nep.materials.blending import BlendedPoints
 from blender_nep.materials.corrections import CorrectablePalette, Correction, KeptMaterials
 from blender_nep.materials.palette import Palette
@@ -163,6 +164,24 @@ def test_a_folder_without_an_asset_is_refused(tmp_path):
     code, events = correct(tmp_path / "nothing", {})
     assert code == 2 and events[-1]["name"] == "usage.no_asset"
     assert not (tmp_path / "nothing").exists()
+
+
+def test_an_asset_at_which_a_job_works_is_refused(asset):
+    run = JobFolder(asset)  # it holds the lock as long as this process lives
+    before = contents(asset)
+    code, events = correct(asset, {0: Correction(roughness=0.9)})
+    assert code == 2 and events[-1]["name"] == "usage.folder_in_use"
+    assert contents(asset) == before and run.path.is_dir()
+
+
+def test_a_correction_leaves_the_job_folder_free_and_as_it_was(start):
+    assert start(KeepingStages())[0] == 0
+    (start.out / "job").mkdir()
+    (start.out / "job" / "lock").touch()
+    (start.out / "job" / "events.jsonl").write_text("as it was")
+    assert correct(start.out, {0: Correction(roughness=0.9)})[0] == 0
+    assert (start.out / "job" / "events.jsonl").read_text() == "as it was"
+    JobFolder(start.out)  # raises UsageError if the lock is still held
 
 
 def test_an_asset_that_was_cleaned_is_refused(start):
