@@ -35,7 +35,7 @@ def _fill(item: NepMaterial, material: AssetMaterial) -> None:
     metallic, roughness = material.correction.get("metallic"), material.correction.get("roughness")
     item.metal = "AS_LEARNED" if metallic is None else "METAL" if metallic > 0.5 else "NOT_METAL"
     item.set_roughness = roughness is not None
-    item.new_roughness = material.learned_roughness if roughness is None else roughness
+    item.new_roughness = material.roughness if roughness is None else roughness
     item.applied_metal = item.metal
     item.applied_roughness = -1 if roughness is None else item.new_roughness
 

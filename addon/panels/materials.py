@@ -5,7 +5,7 @@ from bpy.app.translations import pgettext_iface
 
 from .. import material_correction
 from ..folders import resolve_folder
-from ..imported_materials import applied_corrections, chosen_corrections
+from ..imported_materials import applied_correction, applied_corrections, chosen_corrections
 from ..properties import NepMaterial, NepSettings
 from ..swatches import swatch_icon
 from ..wrapped_text import draw_wrapped
@@ -17,6 +17,8 @@ NO_MATERIALS = (
     "This result does not name its materials, because an older version of the engine has made it. "
     "Reconstruct again to correct them."
 )
+NOW_METAL = "Now: roughness {roughness:.2f}, metal"
+NOW_NOT_METAL = "Now: roughness {roughness:.2f}, not metal"
 LEARNED_METAL = "Learned: roughness {roughness:.2f}, metal"
 LEARNED_NOT_METAL = "Learned: roughness {roughness:.2f}, not metal"
 
@@ -95,12 +97,17 @@ def _draw_correction(layout: bpy.types.UILayout, context: bpy.types.Context, set
     value.prop(item, "new_roughness", text="", slider=True)
     learned = pgettext_iface(LEARNED_METAL if item.learned_is_metal else LEARNED_NOT_METAL)
     draw_wrapped(layout, context, learned.format(roughness=item.learned_roughness))
+    if applied_correction(item):
+        now = pgettext_iface(NOW_METAL if item.is_metal else NOW_NOT_METAL)
+        draw_wrapped(layout, context, now.format(roughness=item.roughness))
 
 
 def _draw_buttons(layout: bpy.types.UILayout, settings: NepSettings) -> None:
     chosen, applied = chosen_corrections(settings), applied_corrections(settings)
     row = layout.row(align=True)
-    row.operator("nep.correct_materials", icon="CHECKMARK")
+    apply = row.row(align=True)
+    apply.enabled = chosen != applied
+    apply.operator("nep.correct_materials", icon="CHECKMARK")
     reset = row.row(align=True)
     reset.enabled = bool(chosen or applied)
     reset.operator("nep.correct_materials", text="Reset", icon="LOOP_BACK").reset = True

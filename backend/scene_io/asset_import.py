@@ -27,6 +27,7 @@ class Texture:
 # The name of a texture, of its image node and of an attribute of the mesh. Their value is 1 where the photos decided the
 # material.
 CONFIDENCE = "confidence"
+FILE_OF_TEXTURE = "nep_file"  # an image's property: the absolute path of the asset's file that it shows
 TEXTURES = (
     Texture("albedo", "Base Color", True, "albedo"),
     Texture("roughness", "Roughness", False, "roughness"),
@@ -133,11 +134,17 @@ def reload_textures(folder: Path) -> int:
 
     The data-blocks stay, and so does all that uses them. A packed image is packed again. An image whose file is gone keeps
     its pixels. Returns the number of images that were read.
+
+    An image also knows its file by the property FILE_OF_TEXTURE. The reason: Blender makes the paths of images relative when
+    it saves, and a .blend with packed images may be moved.
     """
     files = {_path_key(folder / "textures" / (texture.name + end)) for texture in TEXTURES for end in (".png", ".exr")}
     count = 0
     for image in bpy.data.images:
         path = bpy.path.abspath(image.filepath, library=image.library)
+        known = str(image.get(FILE_OF_TEXTURE, ""))
+        if _path_key(path) not in files and known and _path_key(known) in files and image.library is None:
+            path = image.filepath = known
         if image.source == "FILE" and _path_key(path) in files and os.path.isfile(path):
             image.reload()
             image.update_tag()  # viewports that render show the new pixels
@@ -160,7 +167,9 @@ def _texture_image(folder: Path, texture: Texture, pack: bool) -> bpy.types.Imag
     if not path.is_file():
         path = folder / f"{texture.name}.exr"
         space = "Linear Rec.709" if texture.is_color else "Non-Color"
-    return load_image(path, color_space=space, pack=pack)
+    image = load_image(path, color_space=space, pack=pack)
+    image[FILE_OF_TEXTURE] = os.path.abspath(path)
+    return image
 
 
 def _shade_smooth(mesh: bpy.types.Mesh) -> None:

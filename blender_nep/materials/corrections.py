@@ -52,7 +52,7 @@ class ListedMaterial:
     """One entry of the list that an artist sees."""
 
     share: float
-    """Share of the photo samples that show it, 0..1"""
+    """Share of the points of the surface that show it, 0..1; a blend of two counts for both"""
     albedo: tuple[float, float, float]
     """Linear, 0..1"""
     roughness: float
@@ -99,8 +99,6 @@ class CorrectablePalette:
     label: Tensor
     """[n] int64, the material that a sample shows alone; -1 for a blend"""
     palette: Palette
-    share: Tensor
-    """[K] share of the samples"""
     points: BlendedPoints
 
     def corrected(self, corrections: Mapping[int, Correction], preset: MaterialPreset) -> CorrectablePalette:
@@ -136,24 +134,26 @@ class CorrectablePalette:
         return values
 
     def listed(self) -> list[ListedMaterial]:
-        p = self.palette
-        values = zip(self.share.tolist(), p.albedo.tolist(), p.roughness.tolist(), p.metallic.tolist(), strict=True)
+        p, points = self.palette, self.points
+        mass = np.bincount(points.first, 1 - points.share, len(p)) + np.bincount(points.second, points.share, len(p))
+        values = zip(
+            (mass / max(mass.sum(), 1)).tolist(), p.albedo.tolist(), p.roughness.tolist(), p.metallic.tolist(), strict=True
+        )
         return [ListedMaterial(share, (a[0], a[1], a[2]), rough, metal) for share, a, rough, metal in values]
 
     def labelled(self, preset: MaterialPreset) -> LabelledPoints:
         return self.points.labelled(self.palette)
 
     def state(self) -> dict:
-        own = {"target": self.target, "label": self.label, "share": self.share}
+        own = {"target": self.target, "label": self.label, "points": vars(self.points)}
         palette = {name: getattr(self.palette, name) for name in _MATERIAL}
-        return {**own, "light": self.light.moments_state(), "palette": palette, "points": vars(self.points)}
+        return {**own, "light": self.light.moments_state(), "palette": palette}
 
     @classmethod
     def from_state(cls, state: dict) -> CorrectablePalette:
         """The inverse of `state`."""
         light, palette = LightMoments(**state["light"]), Palette(**state["palette"])
-        points = BlendedPoints(**state["points"])
-        return cls(light, state["target"], state["label"], palette, state["share"], points)
+        return cls(light, state["target"], state["label"], palette, BlendedPoints(**state["points"]))
 
 
 @dataclass

@@ -298,9 +298,8 @@ class _MaterialLearner:
     def _correctable_palette(self, points: BlendedPoints) -> CorrectablePalette:
         search, count = self.search, len(self.search.palette) - self.search.palette.blends
         label = torch.where(search.label < count, search.label, -1)
-        share = torch.bincount(label + 1, minlength=count + 1)[1:] / len(label)
         palette = search.palette.pick(list(range(count)))
-        return CorrectablePalette(LightMoments(**self.light.moments_state()), search.target, label, palette, share, points)
+        return CorrectablePalette(LightMoments(**self.light.moments_state()), search.target, label, palette, points)
 
     def _finish_report(self, single: float, shares: list[float]) -> None:
         """Report what was learned; shares [K] are those of the palette's materials before they were blended."""

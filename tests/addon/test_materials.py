@@ -280,6 +280,24 @@ def check_no_start(folder):
     assert bpy.ops.nep.correct_materials() == {"FINISHED"}
 
 
+def test_a_file_that_was_moved_shows_the_correction(folder):
+    in_blender(check_moved, folder)
+
+
+def check_moved(folder):
+    """Saving makes the paths of packed images relative, so that they lead nowhere in another folder."""
+    bpy, addon, settings = imported(folder)
+    bpy.ops.wm.save_as_mainfile(filepath=str(folder / "scene.blend"))
+    (folder / "far" / "away").mkdir(parents=True)
+    shutil.move(folder / "scene.blend", folder / "far" / "away" / "scene.blend")
+    bpy.ops.wm.open_mainfile(filepath=str(folder / "far" / "away" / "scene.blend"))
+    settings = bpy.context.scene.nep
+    settings.materials[0].metal = "METAL"
+    assert bpy.ops.nep.correct_materials() == {"FINISHED"}
+    assert texels(bpy, "metallic") == [1, 1, 0]
+    assert "Import the result again" not in " ".join(panel(bpy, addon))
+
+
 def test_an_object_whose_textures_are_gone_from_the_file_is_told(folder):
     in_blender(check_no_images, folder)
 

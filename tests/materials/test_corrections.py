@@ -56,6 +56,7 @@ def test_without_corrections_the_textures_are_those_that_were_learned(ball, lear
     textures, listed = learned.kept.bake(ball, {}, MORE)
     assert all(np.array_equal(a, getattr(learned, name)) for a, name in zip(textures, TEXTURES, strict=True))
     assert listed == learned.kept.listed() and len(listed) == 2
+    assert sum(entry["share"] for entry in listed) == pytest.approx(1, abs=1e-3)
     assert all(entry["learned"] == {k: entry[k] for k in ("roughness", "metallic")} for entry in listed)
 
 
