@@ -117,7 +117,6 @@ WORDS: dict[str, str] = {
     # warnings about a capture
     "capture.photos_rescaled": "{count} {count:photo differs|photos differ} in size from the declared w x h (same aspect; "
     "intrinsics rescaled): {names}",
-    "capture.lens_ignored": "lens distortion (k1, k2, p1, p2) is ignored: undistort the photos for a sharper result",
     "capture.same_place": "{count} {count:photo was|photos were} taken from the same place in the same direction as others "
     "and {count:adds|add} nothing to the shape: {names}",
     "capture.exr_is_linear": "OpenEXR photos are taken as linear, although color_space says srgb",

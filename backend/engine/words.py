@@ -40,7 +40,6 @@ MESSAGES = {
     # warnings about a capture
     "capture.photos_rescaled": "{count} {count:photo differs|photos differ} in size from what the capture says, and "
     "{count:is|are} used all the same: {names}",
-    "capture.lens_ignored": "Lens distortion is ignored: undistort the photos for a sharper result",
     "capture.same_place": "{count} {count:photo was|photos were} taken from the same place in the same direction as others "
     "and {count:adds|add} nothing to the shape: {names}",
     "capture.exr_is_linear": "OpenEXR photos are taken as linear, although the capture says sRGB",

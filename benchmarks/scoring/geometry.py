@@ -64,9 +64,7 @@ def camera_rays(capture: Capture, view: int, stride: int) -> tuple[np.ndarray, n
     """The rays of every stride-th pixel of a view: (origins [n, 3], directions [n, 3], (rows, columns)). Unit frame."""
     camera = capture.views[view].camera
     x, y = np.meshgrid(np.arange(0, camera.width, stride) + 0.5, np.arange(0, camera.height, stride) + 0.5)
-    local = np.stack([(x - camera.cx) / camera.fl_x, (camera.cy - y) / camera.fl_y, -np.ones_like(x)], -1).reshape(-1, 3)
-    directions = local @ camera.camera_to_world[:3, :3].T
-    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    directions = camera.directions(x.ravel(), y.ravel())
     origin = (camera.position - capture.object_center) / capture.object_radius
     return np.broadcast_to(origin, directions.shape), directions, x.shape
 

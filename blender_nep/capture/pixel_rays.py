@@ -14,7 +14,9 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from blender_nep.capture.camera import Camera
 from blender_nep.capture.capture import Capture
+from blender_nep.capture.lens import Lenses
 from blender_nep.capture.pixel_set import GrowingPixelSet, PixelSet
 from blender_nep.capture.pixel_store import PixelMemory
 from blender_nep.errors import BoundsError, CaptureError
@@ -82,6 +84,8 @@ class PixelRays:
     _intrinsics: Tensor
     _rotation: Tensor
     _origin: Tensor
+    _lenses: Lenses | None = None
+    """The lens of each view. None: no camera has distortion."""
     gain: Tensor | None = None
     """[views, 3]: how much brighter each photo was taken than the average. None: all photos have one exposure."""
     exposure: float = 1.0
@@ -128,7 +132,8 @@ class PixelRays:
         """Origins [n, 3], unit directions [n, 3] (both in the unit frame) and half angles [n] of the pixels index [n] int64.
 
         The half angle h (radians) belongs to the cone that has the pixel's solid angle Omega = 2 pi (1 - cos h). A pixel
-        at an angle c from the optical axis has Omega = cos(c)^3 / (fl_x fl_y).
+        at an angle c from the optical axis has Omega = cos(c)^3 / (fl_x fl_y), divided by the area that the lens makes of an
+        area there.
         """
         view = self.view_of(index)
         local = index - self._start[view]
@@ -137,10 +142,15 @@ class PixelRays:
         fl_x, fl_y, cx, cy = self._intrinsics[view].unbind(-1)
         x = ((local - row * width).float() + 0.5 - cx) / fl_x
         y = (cy - row.float() - 0.5) / fl_y
-        cosine = torch.rsqrt(x * x + y * y + 1)
-        camera = torch.stack([x * cosine, y * cosine, -cosine], -1)
+        if self._lenses is None:
+            cosine = torch.rsqrt(x * x + y * y + 1)
+            camera = torch.stack([x * cosine, y * cosine, -cosine], -1)
+            omega = cosine**3 / (fl_x * fl_y)
+        else:
+            seen, density, _ = self._lenses.at(view).directions(x, -y)
+            camera = seen * seen.new_tensor([1.0, -1.0, -1.0])
+            omega = density / (fl_x * fl_y)
         direction = torch.einsum("nij,nj->ni", self._rotation[view], camera)
-        omega = cosine**3 / (fl_x * fl_y)
         return self._origin[view], direction, 2 * torch.asin(torch.sqrt(omega / (4 * math.pi)))
 
     def camera(self, view: int) -> tuple[Tensor, Tensor]:
@@ -150,15 +160,21 @@ class PixelRays:
     def project(self, view: int, points: Tensor) -> tuple[Tensor, Tensor]:
         """Image coordinates [n, 2] of points [n, 3] (unit frame) in a view, and whether they lie in front of it [n] bool.
 
-        Image coordinates go from -1 to 1 across the photo, x to the right and y downwards.
+        Image coordinates go from -1 to 1 across the photo, x to the right and y downwards. A point that the lens cannot show
+        counts as not in front.
         """
         fl_x, fl_y, cx, cy = self._intrinsics[view]
         height, width = self.size[view]
         local = (points - self._origin[view]) @ self._rotation[view]
         depth = -local[:, 2]
         safe = depth.clamp(min=1e-6)
-        x, y = local[:, 0] / safe * fl_x + cx, cy - local[:, 1] / safe * fl_y
-        return torch.stack([2 * x / width - 1, 2 * y / height - 1], -1), depth > 1e-3
+        ahead = depth > 1e-3
+        if self._lenses is None:
+            x, y = local[:, 0] / safe * fl_x + cx, cy - local[:, 1] / safe * fl_y
+        else:
+            u, v, shown = self._lenses.at(view).places(local * local.new_tensor([1.0, -1.0, -1.0]))
+            x, y, ahead = u * fl_x + cx, v * fl_y + cy, ahead & shown
+        return torch.stack([2 * x / width - 1, 2 * y / height - 1], -1), ahead
 
     @classmethod
     def from_capture(
@@ -185,9 +201,9 @@ class PixelRays:
         offset = np.concatenate([[0], np.cumsum([h * w for h, w in sizes])]).tolist()
         stores = memory.stores(offset[-1], use_masks, device)
         facts = []
-        for photo in _loaded(capture, factors, use_masks):
+        for photo, camera, size in zip(_loaded(capture, factors, use_masks), cameras, sizes, strict=True):
             facts.append(photo.facts)
-            stores.append(photo.radiance, photo.valid, photo.mask)
+            stores.append(photo.radiance, photo.valid & _shown_by_lens(camera, size), photo.mask)
             progress(len(facts), len(cameras))
         warnings = _judge(capture, facts)
         if most < max_pixels_per_photo:
@@ -228,6 +244,7 @@ class PixelRays:
             _intrinsics=tensor(intrinsics),
             _rotation=tensor([c.camera_to_world[:3, :3] for c in cameras]),
             _origin=tensor(origins),
+            _lenses=_lenses(cameras, device),
         )
         rays._split()
         return rays
@@ -288,6 +305,22 @@ class _Photo:
     mask: np.ndarray | None
     """[h * w] uint8"""
     facts: _Facts
+
+
+def _lenses(cameras: list[Camera], device: torch.device | str) -> Lenses | None:
+    """The lenses of the cameras in single precision. None if none of them distorts."""
+    if all(camera.lens.is_pinhole for camera in cameras):
+        return None
+    return Lenses.of([camera.lens for camera in cameras], device, torch.float32)
+
+
+def _shown_by_lens(camera: Camera, size: tuple[int, int]) -> np.ndarray:
+    """Whether the lens shows anything in each pixel [H * W] bool of the photo downscaled to `size` (H, W)."""
+    if camera.lens.is_pinhole:
+        return np.ones(size[0] * size[1], bool)
+    small = camera.scaled(size[1], size[0])
+    y, x = np.indices(size)
+    return small.shows(x.ravel() + 0.5, y.ravel() + 0.5)
 
 
 def _factor(height: int, width: int, most: int) -> int:

@@ -132,8 +132,18 @@ def same_place(tiny):
     tiny.save()
 
 
-def fisheye(tiny):
-    tiny.meta["camera_model"] = "OPENCV_FISHEYE"
+def panorama(tiny):
+    tiny.meta["camera_model"] = "EQUIRECTANGULAR"
+    tiny.save()
+
+
+def fisheye_with_tangential_terms(tiny):
+    tiny.meta |= {"camera_model": "OPENCV_FISHEYE", "p1": 0.01}
+    tiny.save()
+
+
+def text_as_distortion(tiny):
+    tiny.meta["k1"] = "strong"
     tiny.save()
 
 
@@ -181,7 +191,9 @@ CASES = [
     (nan_matrix, 3, "not a 4 x 4 matrix"),
     (short_matrix, 3, "not a 4 x 4 matrix"),
     (same_place, 3, "same place"),
-    (fisheye, 3, "OPENCV_FISHEYE is not supported"),
+    (panorama, 3, "EQUIRECTANGULAR is not supported"),
+    (fisheye_with_tangential_terms, 3, "has no p1 and p2"),
+    (text_as_distortion, 3, "k1 is not a number"),
     (negative_radius, 3, "object_radius"),
     (camera_inside, 4, "cameras stand inside the object's sphere"),
     (sphere_out_of_sight, 4, "no photo sees the object's sphere"),

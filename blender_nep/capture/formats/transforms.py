@@ -1,7 +1,8 @@
 """Reads `transforms.json`, the format of instant-ngp and nerfstudio.
 
 Three optional keys are added: `object_center`, `object_radius` and `color_space`. The intrinsics `fl_x fl_y cx cy w h` stand
-at the top or in a frame. Where `fl_x` is missing, `camera_angle_x` (radians) gives it.
+at the top or in a frame. Where `fl_x` is missing, `camera_angle_x` (radians) gives it. `camera_model` and the distortion `k1
+k2 k3 k4 p1 p2` stand there, too.
 """
 
 from __future__ import annotations
@@ -15,12 +16,15 @@ import numpy as np
 from blender_nep.capture.camera import Camera
 from blender_nep.capture.capture import View
 from blender_nep.capture.description import CaptureDescription
+from blender_nep.capture.lens import Lens
 from blender_nep.capture.photo_files import SUFFIXES, find_image, image_size
 from blender_nep.errors import CaptureError
 from blender_nep.messages import Message
 
 FILE = "transforms.json"
-_PINHOLE = ("PINHOLE", "SIMPLE_PINHOLE", "OPENCV", "PERSPECTIVE", "SIMPLE_RADIAL", "RADIAL")
+_OPENCV = ("PINHOLE", "SIMPLE_PINHOLE", "OPENCV", "PERSPECTIVE", "SIMPLE_RADIAL", "RADIAL")
+_FISHEYE = ("OPENCV_FISHEYE", "SIMPLE_RADIAL_FISHEYE", "RADIAL_FISHEYE")
+_TERMS = ("k1", "k2", "k3", "k4", "p1", "p2")
 
 
 def recognizes(folder: Path, file: str = FILE) -> bool:
@@ -35,9 +39,8 @@ def read(folder: Path, file: str = FILE) -> CaptureDescription:
     frames = meta.get("frames")
     if not isinstance(frames, list) or not frames:
         raise CaptureError(f"{file} lists no frames", "It needs a list 'frames' with file_path and transform_matrix.")
-    _check_lens(meta, frames, warnings)
     rescaled: list[str] = []
-    views = [_view(folder, meta, frame, n, rescaled) for n, frame in enumerate(frames)]
+    views = [_view(folder, meta, _dict(frame, n), n, rescaled) for n, frame in enumerate(frames)]
     if rescaled:
         warnings.append(Message("capture.photos_rescaled", {"count": len(rescaled), "names": rescaled}))
     return CaptureDescription(
@@ -61,18 +64,19 @@ def _read_json(path: Path) -> dict:
     return meta
 
 
-def _check_lens(meta: dict, frames: list[dict], warnings: list[Message]) -> None:
-    models = {
-        str(m).upper()
-        for m in [meta.get("camera_model")] + [_dict(f, n).get("camera_model") for n, f in enumerate(frames)]
-        if m
-    }
-    unknown = sorted(models - set(_PINHOLE))
-    if unknown:
-        raise CaptureError(f"camera model {unknown[0]} is not supported", "Undistort the photos to PINHOLE first.")
-    terms = [s.get(k, 0) for s in [meta, *frames] for k in ("k1", "k2", "k3", "k4", "p1", "p2")]
-    if any(abs(t) > 1e-4 for t in terms if isinstance(t, int | float)):
-        warnings.append(Message("capture.lens_ignored"))
+def _lens(meta: dict, frame: dict, name: str) -> Lens:
+    """The distortion of a frame's camera. Raises CaptureError for a model that is not known."""
+    model = str(frame.get("camera_model") or meta.get("camera_model") or "OPENCV").upper()
+    if model not in _OPENCV + _FISHEYE:
+        raise CaptureError(
+            f"camera model {model} is not supported",
+            f"Use {', '.join(_OPENCV[:1] + _OPENCV[2:3] + _FISHEYE[:1])}, or undistort the photos to PINHOLE.",
+        )
+    terms = [_number(frame, meta, key, name) or 0.0 for key in _TERMS]
+    lens = Lens(*terms, fisheye=model in _FISHEYE)
+    if lens.fisheye and (lens.p1 or lens.p2):
+        raise CaptureError(f"{name}: a fisheye lens has no p1 and p2", "Take them out, or correct camera_model.")
+    return lens
 
 
 def _dict(frame: object, n: int) -> dict:
@@ -122,7 +126,7 @@ def _camera(meta: dict, frame: dict, name: str, size: tuple[int, int], rescaled:
     fl_y, cx, cy = fl_y or fl_x, width / 2 if cx is None else cx, height / 2 if cy is None else cy
     if min(fl_x, fl_y, width, height) <= 0:
         raise CaptureError(f"{name}: focal length and size must be positive")
-    camera = Camera(round(width), round(height), fl_x, fl_y, cx, cy, _matrix(frame, name))
+    camera = Camera(round(width), round(height), fl_x, fl_y, cx, cy, _matrix(frame, name), _lens(meta, frame, name))
     if (camera.width, camera.height) == size:
         return camera
     if abs(size[0] * height / (size[1] * width) - 1) > 0.01:
