@@ -72,8 +72,8 @@ def _lens(meta: dict, frame: dict, name: str) -> Lens:
             f"camera model {model} is not supported",
             f"Use {', '.join(_OPENCV[:1] + _OPENCV[2:3] + _FISHEYE[:1])}, or undistort the photos to PINHOLE.",
         )
-    terms = [_number(frame, meta, key, name) or 0.0 for key in _TERMS]
-    lens = Lens(*terms, fisheye=model in _FISHEYE)
+    k1, k2, k3, k4, p1, p2 = (_number(frame, meta, key, name) or 0.0 for key in _TERMS)
+    lens = Lens(k1, k2, k3, k4, p1, p2, fisheye=model in _FISHEYE)
     if lens.fisheye and (lens.p1 or lens.p2):
         raise CaptureError(f"{name}: a fisheye lens has no p1 and p2", "Take them out, or correct camera_model.")
     return lens
