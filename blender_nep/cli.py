@@ -42,7 +42,9 @@ def parser() -> argparse.ArgumentParser:
     commands = top.add_subparsers(dest="command", required=True, metavar="{info,reconstruct,materials}")
 
     info = commands.add_parser("info", help="say what a capture holds and what looks wrong")
-    info.add_argument("capture", type=Path, metavar="CAPTURE", help="folder with transforms.json and photos")
+    info.add_argument(
+        "capture", type=Path, metavar="CAPTURE", help="folder with photos and transforms.json, or a COLMAP project"
+    )
     info.add_argument("--json", action="store_true", help="as one JSON object")
 
     run = commands.add_parser(
@@ -51,7 +53,9 @@ def parser() -> argparse.ArgumentParser:
         epilog=EXIT_CODES,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    run.add_argument("capture", type=Path, metavar="CAPTURE", help="folder with transforms.json and photos")
+    run.add_argument(
+        "capture", type=Path, metavar="CAPTURE", help="folder with photos and transforms.json, or a COLMAP project"
+    )
     run.add_argument("--out", type=Path, required=True, metavar="ASSET", help="folder of the asset")
     run.add_argument(
         "--preset",

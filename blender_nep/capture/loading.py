@@ -11,7 +11,7 @@ import numpy as np
 from blender_nep.capture.bounds import check_sphere, sphere_from_cameras, sphere_from_masks
 from blender_nep.capture.capture import Capture, View
 from blender_nep.capture.description import CaptureDescription
-from blender_nep.capture.formats import transforms
+from blender_nep.capture.formats import colmap, nerf_synthetic, transforms
 from blender_nep.errors import CaptureError
 from blender_nep.messages import Message
 
@@ -59,11 +59,17 @@ def _describe(folder: Path, file: str) -> CaptureDescription:
     if not folder.exists():
         raise CaptureError(f"there is no folder {folder}", "Check the path of the capture.")
     if not folder.is_dir():
-        raise CaptureError(f"{folder} is not a folder", "A capture is a folder with transforms.json and photos.")
+        raise CaptureError(f"{folder} is not a folder", "A capture is a folder with photos and their cameras.")
     if transforms.recognizes(folder, file):
         return transforms.read(folder, file)
+    if file == transforms.FILE:
+        for other in (nerf_synthetic, colmap):
+            if other.recognizes(folder):
+                return other.read(folder)
     state = "is empty" if not any(folder.iterdir()) else f"has no {file}"
-    raise CaptureError(f"{folder} {state}", f"A capture is a folder with {file} and photos.")
+    raise CaptureError(
+        f"{folder} {state}", f"A capture is a folder with {file} and photos, a COLMAP project, or a NeRF data set."
+    )
 
 
 def _check_places(views: list[View], warnings: list[Message]) -> None:

@@ -1,0 +1,204 @@
+"""Reads a COLMAP project: `cameras` and `images`, binary or text.
+
+They lie in the folder, in `sparse/0` or `sparse`, or in these below `colmap/`. The photos lie in `images/` or in the folder
+itself. Masks, if any, lie in `masks/`, under the photo's name with `.png` added or in place of its ending. The frame of the
+capture is COLMAP's own. The sparse points are not read.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Iterator
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from blender_nep.capture.camera import Camera
+from blender_nep.capture.capture import View
+from blender_nep.capture.description import CaptureDescription
+from blender_nep.capture.lens import Lens
+from blender_nep.capture.photo_files import SUFFIXES, find_image, image_size
+from blender_nep.errors import CaptureError
+from blender_nep.messages import Message
+
+NAME = "COLMAP"
+_PLACES = ("sparse/0", "sparse", "colmap/sparse/0", "colmap/sparse", "")
+_MODELS = {
+    "SIMPLE_PINHOLE": ("f", "cx", "cy"),
+    "PINHOLE": ("fx", "fy", "cx", "cy"),
+    "SIMPLE_RADIAL": ("f", "cx", "cy", "k1"),
+    "RADIAL": ("f", "cx", "cy", "k1", "k2"),
+    "OPENCV": ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2"),
+    "OPENCV_FISHEYE": ("fx", "fy", "cx", "cy", "k1", "k2", "k3", "k4"),
+    "FULL_OPENCV": ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6"),
+    "FOV": ("fx", "fy", "cx", "cy", "omega"),
+    "SIMPLE_RADIAL_FISHEYE": ("f", "cx", "cy", "k1"),
+    "RADIAL_FISHEYE": ("f", "cx", "cy", "k1", "k2"),
+    "THIN_PRISM_FISHEYE": ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3", "k4", "sx1", "sy1"),
+}
+"""Parameters of COLMAP's camera models. A model's number in binary files is its place here."""
+_UNKNOWN = ("FULL_OPENCV", "FOV", "THIN_PRISM_FISHEYE")
+"""Models whose distortion `Lens` does not have."""
+
+
+class _Intrinsics(NamedTuple):
+    model: str
+    width: int
+    height: int
+    terms: dict[str, float]
+    """{name of the parameter: value}"""
+
+
+class _Pose(NamedTuple):
+    name: str
+    """The photo's file, relative to the folder of photos"""
+    camera: int
+    quaternion: tuple[float, ...]
+    """w, x, y, z of the rotation from the world to the camera, whose axes are OpenCV's"""
+    translation: tuple[float, ...]
+
+
+def recognizes(folder: Path) -> bool:
+    """Whether the folder holds a COLMAP project."""
+    return _model_folder(folder) is not None
+
+
+def _model_folder(folder: Path) -> Path | None:
+    for place in _PLACES:
+        for ending in ("bin", "txt"):
+            if all((folder / place / f"{name}.{ending}").is_file() for name in ("cameras", "images")):
+                return folder / place
+    return None
+
+
+def read(folder: Path) -> CaptureDescription:
+    """What the project says; photos are opened only for their size. Raises CaptureError."""
+    model = _model_folder(folder)
+    assert model is not None, "`recognizes` has found it"
+    ending = "bin" if (model / "images.bin").is_file() and (model / "cameras.bin").is_file() else "txt"
+    files = (model / f"cameras.{ending}", model / f"images.{ending}")
+    try:
+        if ending == "bin":
+            cameras, poses = _binary_cameras(files[0].read_bytes()), _binary_poses(files[1].read_bytes())
+        else:
+            cameras = _text_cameras(files[0].read_text(encoding="utf-8"))
+            poses = _text_poses(files[1].read_text(encoding="utf-8"))
+    except (OSError, ValueError, IndexError, struct.error) as error:
+        raise CaptureError(
+            f"the COLMAP project in {model} cannot be read ({error})", "Export it again, as text or binary."
+        ) from error
+    if not poses:
+        raise CaptureError(f"the COLMAP project in {model} has no photos with a pose", "Run COLMAP's mapper again.")
+    rescaled: list[str] = []
+    views = [_view(folder, cameras, pose, rescaled) for pose in sorted(poses, key=lambda pose: pose.name)]
+    warnings = [Message("capture.photos_rescaled", {"count": len(rescaled), "names": rescaled})] if rescaled else []
+    return CaptureDescription(name=NAME, files=files, views=views, warnings=warnings)
+
+
+def _view(folder: Path, cameras: dict[int, _Intrinsics], pose: _Pose, rescaled: list[str]) -> View:
+    image = find_image(folder / "images", pose.name) or find_image(folder, pose.name)
+    if image is None:
+        raise CaptureError(f"photo {pose.name} is missing", f"Put it into {folder / 'images'}.")
+    if image.suffix.lower() not in SUFFIXES:
+        allowed = ", ".join(suffix[1:] for suffix in SUFFIXES)
+        raise CaptureError(f"{pose.name}: only {allowed} photos can be read", "Convert the photos.")
+    if pose.camera not in cameras:
+        raise CaptureError(f"{pose.name}: the project has no camera {pose.camera}", "Export the project again.")
+    masks = (folder / "masks" / f"{pose.name}.png", (folder / "masks" / pose.name).with_suffix(".png"))
+    mask = next((path for path in masks if path.is_file()), None)
+    camera = _camera(cameras[pose.camera], pose)
+    size = image_size(image)
+    if size != (camera.width, camera.height):
+        if abs(size[0] * camera.height / (size[1] * camera.width) - 1) > 0.01:
+            raise CaptureError(
+                f"{pose.name} is {size[0]} x {size[1]} pixels, but COLMAP says {camera.width} x {camera.height}",
+                "Give the photos that COLMAP has seen.",
+            )
+        rescaled.append(pose.name)
+        camera = camera.scaled(*size)
+    return View(str(Path(pose.name).with_suffix("")), image, mask, camera)
+
+
+def _camera(intrinsics: _Intrinsics, pose: _Pose) -> Camera:
+    terms = intrinsics.terms
+    if intrinsics.model in _UNKNOWN:
+        raise CaptureError(
+            f"camera model {intrinsics.model} is not supported", "Let COLMAP use OPENCV or OPENCV_FISHEYE, or undistort."
+        )
+    fl_x, fl_y = terms.get("f", terms.get("fx", 0.0)), terms.get("f", terms.get("fy", 0.0))
+    if min(fl_x, fl_y, intrinsics.width, intrinsics.height) <= 0:
+        raise CaptureError(f"{pose.name}: focal length and size must be positive")
+    lens = Lens(
+        **{name: value for name, value in terms.items() if name[0] in "kp"}, fisheye=intrinsics.model.endswith("FISHEYE")
+    )
+    w, x, y, z = np.array(pose.quaternion) / np.linalg.norm(pose.quaternion)
+    to_camera = np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+            [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+            [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
+        ]
+    )
+    matrix = np.eye(4)
+    matrix[:3, :3] = to_camera.T * [1, -1, -1]  # from OpenCV's axes to ours: y up, looking down -z
+    matrix[:3, 3] = -to_camera.T @ np.array(pose.translation)
+    if not np.isfinite(matrix).all():
+        raise CaptureError(f"{pose.name}: its pose is not finite", "Run COLMAP's mapper again.")
+    return Camera(intrinsics.width, intrinsics.height, fl_x, fl_y, terms["cx"], terms["cy"], matrix, lens)
+
+
+def _intrinsics(model: str, width: int, height: int, values: list[float]) -> _Intrinsics:
+    if model not in _MODELS:
+        raise ValueError(f"unknown camera model {model}")
+    if len(values) != len(_MODELS[model]):
+        raise ValueError(f"{model} with {len(values)} parameters")
+    return _Intrinsics(model, width, height, dict(zip(_MODELS[model], values, strict=True)))
+
+
+def _text_cameras(text: str) -> dict[int, _Intrinsics]:
+    out = {}
+    for words in (line.split() for line in text.splitlines() if line.strip() and not line.startswith("#")):
+        out[int(words[0])] = _intrinsics(words[1], int(words[2]), int(words[3]), [float(word) for word in words[4:]])
+    return out
+
+
+def _text_poses(text: str) -> list[_Pose]:
+    """Every photo has two lines: its pose, and its features, which may be an empty line."""
+    lines = [line for line in text.splitlines() if not line.startswith("#")]
+    out = []
+    for line in lines[::2]:
+        if line.strip():
+            words = line.split(maxsplit=9)
+            numbers = tuple(float(word) for word in words[1:8])
+            out.append(_Pose(words[9], int(words[8]), numbers[:4], numbers[4:]))
+    return out
+
+
+def _binary_cameras(data: bytes) -> dict[int, _Intrinsics]:
+    out, at = {}, 8
+    for _ in range(_count(data)):
+        number, model, width, height = struct.unpack_from("<iiQQ", data, at)
+        name = list(_MODELS)[model] if 0 <= model < len(_MODELS) else str(model)
+        count = len(_MODELS.get(name, ()))
+        out[number] = _intrinsics(name, width, height, list(struct.unpack_from(f"<{count}d", data, at + 24)))
+        at += 24 + 8 * count
+    return out
+
+
+def _binary_poses(data: bytes) -> list[_Pose]:
+    return list(_each_binary_pose(data))
+
+
+def _each_binary_pose(data: bytes) -> Iterator[_Pose]:
+    at = 8
+    for _ in range(_count(data)):
+        values = struct.unpack_from("<i7di", data, at)
+        end = data.index(b"\0", at + 64)
+        (features,) = struct.unpack_from("<Q", data, end + 1)
+        yield _Pose(data[at + 64 : end].decode("utf-8"), values[8], values[1:5], values[5:8])
+        at = end + 9 + 24 * features
+
+
+def _count(data: bytes) -> int:
+    return struct.unpack_from("<Q", data)[0]

@@ -1,0 +1,156 @@
+"""Captures in other forms give the same cameras. pycolmap 4.2.1 wrote `colmap_project/`, and what its cameras see."""
+
+import json
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from blender_nep.capture import PixelRays, load_capture
+from blender_nep.capture.formats import colmap
+from blender_nep.capture.lens import Lens
+from blender_nep.errors import CaptureError
+
+PROJECT = Path(__file__).parent / "colmap_project"
+
+
+def project(folder: Path, ending: str, place: str = "sparse/0", photos: str = "images") -> Path:
+    """The project with black photos in `folder`, its files with one ending only."""
+    (folder / place).mkdir(parents=True)
+    for name in ("cameras", "images"):
+        shutil.copy(PROJECT / f"{name}.{ending}", folder / place)
+    for entry in json.loads((PROJECT / "truth.json").read_text()):
+        path = folder / photos / entry["name"]
+        path.parent.mkdir(parents=True, exist_ok=True)
+        Image.new("RGB", (32, 24)).save(path)
+    return folder
+
+
+@pytest.mark.parametrize("place", ["sparse/0", "colmap/sparse/0", ""])
+@pytest.mark.parametrize("ending", ["bin", "txt"])
+def test_colmap_cameras_see_what_pycolmap_says(tmp_path, ending, place):
+    folder = project(tmp_path / "capture", ending, place)
+    assert colmap.recognizes(folder)
+    said = colmap.read(folder)
+    truth = {entry["name"]: entry for entry in json.loads((PROJECT / "truth.json").read_text())}
+    assert [view.name for view in said.views] == ["fourth", "second", "side a/first", "third"]
+    for view in said.views:
+        entry = truth[f"{view.name}.png"]
+        np.testing.assert_allclose(view.camera.position, entry["position"], atol=1e-12)
+        x, y = np.array(entry["pixels"]).T
+        np.testing.assert_allclose(view.camera.directions(x, y), entry["directions"], atol=1e-9)
+    assert said.views[1].camera.lens == Lens(k1=0.02, k2=-0.01, k3=0.003, k4=-0.0005, fisheye=True)
+
+
+def test_photos_beside_the_project_and_masks_of_both_names_are_found(tmp_path):
+    folder = project(tmp_path / "capture", "txt", photos="")
+    (folder / "masks").mkdir()
+    for name in ("second.png.png", "third.png"):
+        Image.new("L", (32, 24)).save(folder / "masks" / name)
+    masks = {view.name: view.mask_path for view in colmap.read(folder).views}
+    assert masks["second"].name == "second.png.png" and masks["third"].name == "third.png" and masks["fourth"] is None
+
+
+def as_colmap(tiny) -> Path:
+    """The capture of `tiny` as a COLMAP project in text form, written here, without transforms.json."""
+    camera = tiny.meta
+    lines = []
+    for number, frame in enumerate(camera["frames"], 1):
+        matrix = np.array(frame["transform_matrix"])
+        to_camera = (matrix[:3, :3] * [1, -1, -1]).T
+        w = 0.5 * np.sqrt(max(0, 1 + np.trace(to_camera)))
+        assert w > 0.05, "the formula below needs it"
+        x, y, z = (to_camera[[2, 0, 1], [1, 2, 0]] - to_camera[[1, 2, 0], [2, 0, 1]]) / (4 * w)
+        t = -to_camera @ matrix[:3, 3]
+        numbers = " ".join(repr(float(value)) for value in (w, x, y, z, *t))
+        lines += [f"{number} {numbers} 1 {Path(frame['file_path']).name}", ""]
+    terms = " ".join(str(camera[key]) for key in ("fl_x", "fl_y", "cx", "cy"))
+    (tiny.folder / "cameras.txt").write_text(f"1 PINHOLE {camera['w']} {camera['h']} {terms}\n")
+    (tiny.folder / "images.txt").write_text("# two lines a photo\n" + "\n".join(lines) + "\n")
+    (tiny.folder / "transforms.json").unlink()
+    return tiny.folder
+
+
+def test_a_capture_gives_the_same_rays_as_a_colmap_project(make_capture):
+    tiny = make_capture(views=6)
+    before = load_capture(tiny.folder)
+    after = load_capture(as_colmap(tiny))
+    assert [view.name for view in after.views] == [view.name for view in before.views]
+    for one, other in zip(before.views, after.views, strict=True):
+        np.testing.assert_allclose(other.camera.camera_to_world, one.camera.camera_to_world, atol=1e-9)
+        assert (other.camera.fl_x, other.camera.cx) == (one.camera.fl_x, one.camera.cx)
+    # The project says no sphere: it is estimated where the cameras look, which is the tiny capture's center.
+    np.testing.assert_allclose(after.object_center, before.object_center, atol=1e-3)
+    assert after.bounds_source == "cameras" and len(PixelRays.from_capture(after, 10**6, use_masks=False).sphere) > 0
+
+
+def test_a_nerf_data_set_is_recognized_by_its_training_file(make_capture):
+    tiny = make_capture(views=5, suffix=".png", alpha=True)
+    before = load_capture(tiny.folder)
+    for frame in tiny.meta["frames"]:
+        frame["file_path"] = "./" + frame["file_path"].removesuffix(".png")
+    meta = {
+        "camera_angle_x": 2 * np.arctan(0.5 * tiny.meta["w"] / tiny.meta["fl_x"]),
+        "frames": tiny.meta["frames"],
+        "object_center": tiny.meta["object_center"],
+        "object_radius": tiny.meta["object_radius"],
+    }
+    (tiny.folder / "transforms.json").unlink()
+    (tiny.folder / "transforms_train.json").write_text(json.dumps(meta))
+    after = load_capture(tiny.folder)
+    for one, other in zip(before.views, after.views, strict=True):
+        assert other.camera.fl_x == pytest.approx(one.camera.fl_x) and other.image_path == one.image_path
+        np.testing.assert_array_equal(other.camera.camera_to_world, one.camera.camera_to_world)
+
+
+def torn(folder):
+    path = folder / "sparse/0/images.bin"
+    path.write_bytes(path.read_bytes()[:300])
+
+
+def no_photo(folder):
+    (folder / "images/third.png").unlink()
+
+
+def model_of_the_future(folder):
+    path = folder / "sparse/0/cameras.bin"
+    data = bytearray(path.read_bytes())
+    data[12] = 77
+    path.write_bytes(data)
+
+
+def other_photos(folder):
+    Image.new("RGB", (40, 10)).save(folder / "images/third.png")
+
+
+def empty(folder):
+    (folder / "sparse/0/images.bin").write_bytes(bytes(8))
+
+
+@pytest.mark.parametrize(
+    ("damage", "message"),
+    [
+        (torn, "cannot be read"),
+        (no_photo, "third.png is missing"),
+        (model_of_the_future, "unknown camera model 77"),
+        (other_photos, "third.png is 40 x 10 pixels, but COLMAP says 32 x 24"),
+        (empty, "no photos with a pose"),
+    ],
+)
+def test_a_damaged_project_ends_in_a_clear_message(tmp_path, damage, message):
+    folder = project(tmp_path / "capture", "bin")
+    damage(folder)
+    with pytest.raises(CaptureError, match=message):
+        colmap.read(folder)
+
+
+def test_a_camera_model_that_no_lens_has_is_refused(tmp_path):
+    folder = project(tmp_path / "capture", "txt")
+    path = folder / "sparse/0/cameras.txt"
+    path.write_text(
+        path.read_text().replace("1 OPENCV 32 24", "1 FULL_OPENCV 32 24").replace("-0.001\n", "-0.001 0 0 0 0\n")
+    )
+    with pytest.raises(CaptureError, match="FULL_OPENCV is not supported"):
+        colmap.read(folder)
