@@ -24,7 +24,7 @@ import bpy
 from backend.arguments import script_arguments
 from backend.engine.exit_codes import BLENDER_FAILED, STOPPED
 from backend.rendering.comparison import compare, write_comparison
-from backend.scene_io.capture_files import read_frames, spread_frames, with_exposures
+from backend.scene_io.capture_files import read_frames_of, spread_frames, with_exposures
 from backend.scene_io.result import import_result
 from backend.scene_io.world import blender_hdris, build_world
 
@@ -77,7 +77,7 @@ def main(arguments: list[str]) -> int:
     options = parse(arguments)
     end_with_parent()
     try:
-        frames = with_exposures(read_frames(options.capture), options.asset)
+        frames = with_exposures(read_frames_of(options.capture, options.asset), options.asset)
         frames = spread_frames(frames, max(options.photos, 1))
         bpy.ops.wm.read_factory_settings(use_empty=True)
         item, recovered = import_result(options.asset, bpy.context.scene.collection)

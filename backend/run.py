@@ -144,10 +144,10 @@ def blender_work(options: argparse.Namespace, stop: StopRequests) -> None:
     from backend.rendering.comparison import compare, write_comparison
     from backend.rendering.relight import add_camera
     from backend.scene_io.asset_import import import_asset
-    from backend.scene_io.capture_files import read_frames, spread_frames, with_exposures
+    from backend.scene_io.capture_files import read_frames_of, spread_frames, with_exposures
     from backend.scene_io.world import blender_hdris, build_world
 
-    frames = with_exposures(read_frames(options.capture), options.out)
+    frames = with_exposures(read_frames_of(options.capture, options.out), options.out)
     frames = spread_frames(frames, options.photos)
     bpy.ops.wm.read_factory_settings(use_empty=True)
     scene = bpy.context.scene

@@ -17,6 +17,7 @@ from .image_size import image_size
 from .srgb import srgb_to_linear
 
 SRGB_FILES = {".png", ".jpg", ".jpeg"}
+CAMERAS = "cameras.json"  # the engine writes it into every asset: blender_nep/asset/cameras_file.py
 GREY = 0.18  # radiance that is shown where a photo is transparent
 
 
@@ -58,6 +59,17 @@ def read_frames(folder: Path, transforms: str = "transforms.json") -> list[Frame
     if not isinstance(entries, list) or not entries or not all(isinstance(entry, dict) for entry in entries):
         raise ValueError(f"{path} lists no frames")
     return [_frame(Path(folder), meta, entry) for entry in entries]
+
+
+def read_frames_of(capture: Path, asset: Path) -> list[Frame]:
+    """The frames of the capture from which `asset` was made.
+
+    Where the capture has another form than transforms.json, they are read from the asset's cameras.json. Raises as
+    `read_frames`.
+    """
+    if (Path(capture) / "transforms.json").is_file() or not (Path(asset) / CAMERAS).is_file():
+        return read_frames(capture)
+    return read_frames(asset, CAMERAS)
 
 
 def read_bounds(folder: Path) -> tuple[list[float], float] | None:

@@ -18,6 +18,7 @@ import OpenEXR
 import trimesh
 from PIL import Image
 
+from blender_nep.asset.cameras_file import CAMERAS
 from blender_nep.color import linear_to_srgb, to_bytes
 from blender_nep.files import jsonable, output_errors
 from blender_nep.geometry.mesh import Surface
@@ -64,13 +65,18 @@ class Placement:
 
 
 def write_asset(
-    folder: Path, mesh: TexturedMesh, picture: np.ndarray | None, light: np.ndarray | None, report: Callable[[], dict]
+    folder: Path,
+    mesh: TexturedMesh,
+    picture: np.ndarray | None,
+    light: np.ndarray | None,
+    cameras: dict | None,
+    report: Callable[[], dict],
 ) -> None:
     """Write an asset into `folder`. Raises OutputError.
 
-    `picture` [h, w, 3] uint8 is the preview picture, `light` [H, 2H, 3] the environment as bright as the photos; where one
-    is None, the file that is there stays. `report` gives the content of report.json; it is called last, when everything
-    else is on the disk.
+    `picture` [h, w, 3] uint8 is the preview picture, `light` [H, 2H, 3] the environment as bright as the photos, and
+    `cameras` the content of cameras.json; where one is None, the file that is there stays. `report` gives the content of
+    report.json; it is called last, when everything else is on the disk.
     """
     with output_errors(folder):
         partial = folder / ".partial"
@@ -84,6 +90,8 @@ def write_asset(
             write_glb(partial / "asset.glb", mesh)
             if light is not None:
                 write_exr(partial / "environment.exr", light)
+            if cameras is not None:
+                (partial / CAMERAS).write_text(json.dumps(cameras, indent=1), encoding="utf-8")
             if picture is not None:
                 Image.fromarray(picture).save(partial / "preview.png")
             (partial / "report.json").write_text(json.dumps(jsonable(report()), indent=1), encoding="utf-8")

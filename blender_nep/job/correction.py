@@ -67,7 +67,7 @@ def _correct(asset: Path, corrections: Mapping[int, Correction], events: Events,
     capture = report["capture"]
     mesh = Placement(np.array(capture["object_center"]), capture["object_radius"]).mesh(found.surface, textures)
     corrected = report | {"materials": materials, "corrections": _told(corrections)}
-    write_asset(asset, mesh, picture, None, lambda: corrected)
+    write_asset(asset, mesh, picture, None, None, lambda: corrected)
     _progress(events, _STEPS)
     events.preview(asset / "preview.png")
     events.done(asset)

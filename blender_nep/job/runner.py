@@ -261,7 +261,7 @@ class Job:
         if not s.clean:
             prepared.folder.save_result(PREVIEW, {"view": vars(view), "light": radiance}, 0.0)
         place = Placement(capture.object_center, capture.object_radius)
-        given = AssetInput(s.out, place, surface, learned.materials, radiance, rays.exposure, view, report)
+        given = AssetInput(s.out, capture, place, surface, learned.materials, radiance, rays.exposure, view, report)
         with section(name):
             self._stages.asset.run(given)
         if s.clean:

@@ -225,6 +225,7 @@ class AssetInput:
     """All that is written as the asset."""
 
     folder: Path
+    capture: Capture
     place: Placement
     surface: Surface
     materials: Materials
@@ -245,13 +246,15 @@ class AssetStage:
 
     def run(self, given: AssetInput) -> None:
         """Write all files. Raises OutputError."""
+        from blender_nep.asset.cameras_file import cameras_content
         from blender_nep.asset.export import TEXTURES, write_asset
 
         textures = {name: np.asarray(getattr(given.materials, name), np.float32) for name in TEXTURES}
         with section("preview picture"):
             picture = given.view.render(given.surface, textures, given.light)
         mesh = given.place.mesh(given.surface, textures)
-        write_asset(given.folder, mesh, picture, given.light / given.exposure, given.report)
+        cameras = cameras_content(given.capture, given.folder)
+        write_asset(given.folder, mesh, picture, given.light / given.exposure, cameras, given.report)
 
 
 @dataclass

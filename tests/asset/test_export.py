@@ -38,7 +38,7 @@ def write(make_capture, tmp_path):
         surface, radiance = ball_surface(), light if light is not None else GreyLight().equirect(16)[0].numpy()
         view = PreviewView.best(seen.with_exposure(exposure), surface)
         place = asset.Placement(np.asarray(center), capture.object_radius)
-        AssetStage().run(AssetInput(folder, place, surface, Textures(), radiance, exposure, view, report))
+        AssetStage().run(AssetInput(folder, capture, place, surface, Textures(), radiance, exposure, view, report))
         return folder
 
     return run
@@ -48,7 +48,7 @@ def test_the_folder_holds_what_the_format_names(write):
     folder = write()
     found = {str(p.relative_to(folder)) for p in folder.rglob("*") if p.is_file()}
     textures = {f"textures/{n}.{s}" for n in ("albedo", "roughness", "metallic", "confidence") for s in ("exr", "png")}
-    others = {"mesh.obj", "mesh.mtl", "asset.glb", "environment.exr", "preview.png", "report.json"}
+    others = {"mesh.obj", "mesh.mtl", "asset.glb", "environment.exr", "preview.png", "cameras.json", "report.json"}
     assert found == textures | others
     assert json.loads((folder / "report.json").read_text()) == {"seed": 3}
 

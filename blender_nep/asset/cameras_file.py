@@ -1,0 +1,54 @@
+"""`cameras.json` of an asset: the photos and cameras as the engine has read them, whatever the form of the capture.
+
+Blender's side reads it where the capture has no transforms.json (`read_frames_of` in backend/scene_io/capture_files.py). Its
+keys are those of transforms.json; photos are named relative to the asset's folder.
+"""
+
+from __future__ import annotations
+
+import os
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from blender_nep.capture import Capture
+    from blender_nep.capture.camera import Camera
+
+CAMERAS = "cameras.json"
+"""The file's name. `CAMERAS` in backend/scene_io/capture_files.py repeats it for Blender's Python."""
+
+
+def cameras_content(capture: Capture, folder: Path) -> dict[str, Any]:
+    """The content of cameras.json for an asset in `folder`."""
+    frames = [{"file_path": _place(view.image_path, folder), **_camera(view.camera)} for view in capture.views]
+    return {
+        "color_space": capture.color_space,
+        "object_center": capture.object_center.tolist(),
+        "object_radius": capture.object_radius,
+        "frames": frames,
+    }
+
+
+def _place(photo: Path, folder: Path) -> str:
+    """The photo's path relative to the folder, or absolute where they lie on different drives."""
+    try:
+        return Path(os.path.relpath(photo.resolve(), folder.resolve())).as_posix()
+    except ValueError:
+        return photo.resolve().as_posix()
+
+
+def _camera(camera: Camera) -> dict[str, Any]:
+    distortion = asdict(camera.lens)
+    model = "OPENCV_FISHEYE" if distortion.pop("fisheye") else "OPENCV"
+    return {
+        "camera_model": model,
+        "w": camera.width,
+        "h": camera.height,
+        "fl_x": camera.fl_x,
+        "fl_y": camera.fl_y,
+        "cx": camera.cx,
+        "cy": camera.cy,
+        **{name: value for name, value in distortion.items() if value},
+        "transform_matrix": camera.camera_to_world.tolist(),
+    }

@@ -1,0 +1,55 @@
+"""Blender's reader finds the cameras of a capture of any form in the asset, as the engine has read them."""
+
+import json
+import shutil
+
+import numpy as np
+
+from backend.scene_io.capture_files import CAMERAS as BLENDER_CAMERAS
+from backend.scene_io.capture_files import read_frames, read_frames_of
+from blender_nep.asset.cameras_file import CAMERAS, cameras_content
+from blender_nep.capture import load_capture
+from blender_nep.capture.formats import transforms
+
+
+def written(capture, folder):
+    folder.mkdir(parents=True)
+    (folder / CAMERAS).write_text(json.dumps(cameras_content(capture, folder)))
+    return folder
+
+
+def test_both_sides_name_the_file_alike():
+    assert CAMERAS == BLENDER_CAMERAS
+
+
+def test_blender_reads_what_the_engine_has_read(make_capture, tmp_path):
+    tiny = make_capture(views=5)
+    expected = read_frames(tiny.folder)
+    nerf = tiny.folder.with_name("nerf data")
+    shutil.copytree(tiny.folder, nerf)
+    (nerf / "transforms.json").rename(nerf / "transforms_train.json")
+    asset = written(load_capture(nerf), tmp_path / "out" / "asset")
+    for one, other in zip(expected, read_frames_of(nerf, asset), strict=True):
+        assert other.path.resolve() == nerf / one.path.relative_to(tiny.folder)
+        assert (other.width, other.fl_x, other.cy, other.color_space) == (one.width, one.fl_x, one.cy, one.color_space)
+        np.testing.assert_allclose(other.matrix, one.matrix, atol=1e-12)
+
+
+def test_a_capture_with_transforms_json_is_read_itself(make_capture, tmp_path):
+    """Its photos may have been moved since the asset was made."""
+    tiny = make_capture(views=4)
+    asset = written(load_capture(tiny.folder), tmp_path / "asset")
+    moved = tiny.folder.rename(tmp_path / "moved")
+    assert [frame.path.parent for frame in read_frames_of(moved, asset)] == [moved / "images"] * 4
+
+
+def test_the_file_is_a_capture_of_its_own(make_capture, tmp_path):
+    """Distortion, sphere and colors come back, in a fisheye lens too."""
+    tiny = make_capture(views=4)
+    tiny.meta |= {"camera_model": "OPENCV_FISHEYE", "k1": 0.03, "k4": -0.001}
+    tiny.save()
+    capture = load_capture(tiny.folder)
+    asset = written(capture, tmp_path / "asset")
+    said = transforms.read(asset, CAMERAS)
+    assert [view.camera.lens for view in said.views] == [view.camera.lens for view in capture.views]
+    assert said.color_space == capture.color_space and said.object_radius == capture.object_radius
