@@ -52,12 +52,16 @@ class Camera:
             return np.stack([u, -v, -np.ones_like(u)], -1)
         return Lenses.of([self.lens]).directions(*map(torch.from_numpy, (u, v)))[0].numpy() * _TO_OPENCV
 
-    def shows(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-        """Whether the lens shows anything at image positions x, y [n]: [n] bool. It does not where its distortion folds."""
+    def shown_pixels(self, width: int, height: int) -> np.ndarray:
+        """Whether the lens shows anything in each pixel [H * W] bool of the image resampled to this size, row by row.
+
+        It does not where its distortion folds.
+        """
         if self.lens.is_pinhole:
-            return np.ones(len(x), bool)
-        u, v = (x - self.cx) / self.fl_x, (y - self.cy) / self.fl_y
-        return Lenses.of([self.lens]).directions(*map(torch.from_numpy, (u, v)))[2].numpy()
+            return np.ones(width * height, bool)
+        small = self.scaled(width, height)
+        v, u = (np.indices((height, width)).reshape(2, -1) + 0.5 - [[small.cy], [small.cx]]) / [[small.fl_y], [small.fl_x]]
+        return Lenses.of([self.lens]).directions(torch.from_numpy(u), torch.from_numpy(v))[2].numpy()
 
     def project(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Image positions x, y [n] in pixels, and depths [n] along -z, of `points` [n, 3] in the capture frame.

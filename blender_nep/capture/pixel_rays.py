@@ -203,7 +203,7 @@ class PixelRays:
         facts = []
         for photo, camera, size in zip(_loaded(capture, factors, use_masks), cameras, sizes, strict=True):
             facts.append(photo.facts)
-            stores.append(photo.radiance, photo.valid & _shown_by_lens(camera, size), photo.mask)
+            stores.append(photo.radiance, photo.valid & camera.shown_pixels(size[1], size[0]), photo.mask)
             progress(len(facts), len(cameras))
         warnings = _judge(capture, facts)
         if most < max_pixels_per_photo:
@@ -312,15 +312,6 @@ def _lenses(cameras: list[Camera], device: torch.device | str) -> Lenses | None:
     if all(camera.lens.is_pinhole for camera in cameras):
         return None
     return Lenses.of([camera.lens for camera in cameras], device, torch.float32)
-
-
-def _shown_by_lens(camera: Camera, size: tuple[int, int]) -> np.ndarray:
-    """Whether the lens shows anything in each pixel [H * W] bool of the photo downscaled to `size` (H, W)."""
-    if camera.lens.is_pinhole:
-        return np.ones(size[0] * size[1], bool)
-    small = camera.scaled(size[1], size[0])
-    y, x = np.indices(size)
-    return small.shows(x.ravel() + 0.5, y.ravel() + 0.5)
 
 
 def _factor(height: int, width: int, most: int) -> int:

@@ -111,7 +111,7 @@ def test_a_camera_projects_back_to_the_pixel_and_keeps_its_lens_when_scaled(lens
     points = camera.position + 3 * camera.directions(x, y)
     px, py, depth = camera.project(points)
     np.testing.assert_allclose(np.stack([px, py]), np.stack([x, y]), atol=1e-7)
-    assert (depth > 0).all() and camera.shows(x, y).all()
+    assert (depth > 0).all() and camera.shown_pixels(30, 20).all()
     small = camera.scaled(30, 20)
     np.testing.assert_allclose(small.directions(x / 2, y / 2), camera.directions(x, y), atol=1e-12)
 
