@@ -73,7 +73,9 @@ class NepMaterial(bpy.types.PropertyGroup):
 
 class NepSettings(bpy.types.PropertyGroup):
     capture: bpy.props.StringProperty(
-        name="Capture", description="Folder with transforms.json and the photos of one object", subtype="DIR_PATH"
+        name="Capture",
+        description="Folder with the photos of one object and their cameras: transforms.json or a COLMAP project",
+        subtype="DIR_PATH",
     )
     output: bpy.props.StringProperty(
         name="Output",

@@ -64,20 +64,26 @@ def read_frames(folder: Path, transforms: str = "transforms.json") -> list[Frame
 def read_frames_of(capture: Path, asset: Path) -> list[Frame]:
     """The frames of the capture from which `asset` was made.
 
-    Where the capture has another form than transforms.json, they are read from the asset's cameras.json. Raises as
-    `read_frames`.
+    Where the capture has another form than transforms.json, they are read from the asset's cameras.json, whose photos must
+    lie in the capture's folder. Raises as `read_frames`.
     """
-    if (Path(capture) / "transforms.json").is_file() or not (Path(asset) / CAMERAS).is_file():
-        return read_frames(capture)
-    return read_frames(asset, CAMERAS)
+    if not (Path(capture) / "transforms.json").is_file() and (Path(asset) / CAMERAS).is_file():
+        frames, folder = read_frames(asset, CAMERAS), Path(capture).resolve()
+        if all(frame.path.resolve().is_relative_to(folder) for frame in frames):
+            return frames
+    return read_frames(capture)
 
 
 def read_bounds(folder: Path) -> tuple[list[float], float] | None:
     """(centre [3], radius) of the object's sphere; None where transforms.json does not have both.
 
-    Raises OSError and ValueError for the same reasons as `read_frames`.
+    None also for a folder without transforms.json: the engine knows other forms of captures. Raises OSError where there is
+    no folder, and ValueError for the same reasons as `read_frames`.
     """
-    meta = _read_meta(Path(folder) / "transforms.json")
+    path = Path(folder) / "transforms.json"
+    if path.parent.is_dir() and not path.is_file():
+        return None
+    meta = _read_meta(path)
     center, radius = meta.get("object_center"), meta.get("object_radius")
     if center is None or radius is None:
         return None

@@ -4,9 +4,10 @@ import json
 import shutil
 
 import numpy as np
+import pytest
 
 from backend.scene_io.capture_files import CAMERAS as BLENDER_CAMERAS
-from backend.scene_io.capture_files import read_frames, read_frames_of
+from backend.scene_io.capture_files import read_bounds, read_frames, read_frames_of
 from blender_nep.asset.cameras_file import CAMERAS, cameras_content
 from blender_nep.capture import load_capture
 from blender_nep.capture.formats import transforms
@@ -35,6 +36,14 @@ def test_blender_reads_what_the_engine_has_read(make_capture, tmp_path):
         np.testing.assert_allclose(other.matrix, one.matrix, atol=1e-12)
 
 
+def test_another_folder_is_no_capture_of_the_asset(make_capture, tmp_path):
+    tiny = make_capture(views=4)
+    asset = written(load_capture(tiny.folder), tmp_path / "asset")
+    (tmp_path / "other").mkdir()
+    with pytest.raises(OSError, match=r"has no transforms\.json"):
+        read_frames_of(tmp_path / "other", asset)
+
+
 def test_a_capture_with_transforms_json_is_read_itself(make_capture, tmp_path):
     """Its photos may have been moved since the asset was made."""
     tiny = make_capture(views=4)
@@ -53,3 +62,12 @@ def test_the_file_is_a_capture_of_its_own(make_capture, tmp_path):
     said = transforms.read(asset, CAMERAS)
     assert [view.camera.lens for view in said.views] == [view.camera.lens for view in capture.views]
     assert said.color_space == capture.color_space and said.object_radius == capture.object_radius
+
+
+def test_the_sidebar_asks_the_engine_for_the_bounds_of_other_forms(make_capture):
+    tiny = make_capture(views=4)
+    assert read_bounds(tiny.folder) is not None
+    (tiny.folder / "transforms.json").unlink()
+    assert read_bounds(tiny.folder) is None
+    with pytest.raises(OSError, match="no folder"):
+        read_bounds(tiny.folder / "nowhere")
