@@ -6,6 +6,7 @@ valid capture is. It is not used here, because Blender's Python cannot import it
 
 import json
 import math
+import os
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -68,10 +69,16 @@ def read_frames_of(capture: Path, asset: Path) -> list[Frame]:
     lie in the capture's folder. Raises as `read_frames`.
     """
     if not (Path(capture) / "transforms.json").is_file() and (Path(asset) / CAMERAS).is_file():
-        frames, folder = read_frames(asset, CAMERAS), Path(capture).resolve()
-        if all(frame.path.resolve().is_relative_to(folder) for frame in frames):
+        frames = read_frames(Path(asset).resolve(), CAMERAS)
+        if all(_lies_in(frame.path, Path(capture)) for frame in frames):
             return frames
     return read_frames(capture)
+
+
+def _lies_in(path: Path, folder: Path) -> bool:
+    """Whether the file, or the link to it, lies in the folder."""
+    as_written = Path(os.path.abspath(path)).is_relative_to(os.path.abspath(folder))
+    return as_written or path.resolve().is_relative_to(folder.resolve())
 
 
 def read_bounds(folder: Path) -> tuple[list[float], float] | None:

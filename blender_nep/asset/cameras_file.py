@@ -31,11 +31,11 @@ def cameras_content(capture: Capture, folder: Path) -> dict[str, Any]:
 
 
 def _place(photo: Path, folder: Path) -> str:
-    """The photo's path relative to the folder, or absolute where they lie on different drives."""
+    """The photo's path relative to the folder, or absolute if they lie on different drives. A link to a photo stays one."""
     try:
-        return Path(os.path.relpath(photo.resolve(), folder.resolve())).as_posix()
+        return Path(os.path.relpath(os.path.abspath(photo), folder.resolve())).as_posix()
     except ValueError:
-        return photo.resolve().as_posix()
+        return Path(os.path.abspath(photo)).as_posix()
 
 
 def _camera(camera: Camera) -> dict[str, Any]:

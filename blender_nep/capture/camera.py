@@ -7,6 +7,7 @@ Cameras look down -z, x right, y up; matrices are camera-to-world; pixel centres
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 import torch
@@ -60,8 +61,7 @@ class Camera:
         if self.lens.is_pinhole:
             return np.ones(width * height, bool)
         small = self.scaled(width, height)
-        v, u = (np.indices((height, width)).reshape(2, -1) + 0.5 - [[small.cy], [small.cx]]) / [[small.fl_y], [small.fl_x]]
-        return Lenses.of([self.lens]).directions(torch.from_numpy(u), torch.from_numpy(v))[2].numpy()
+        return _shown_pixels(self.lens, width, height, small.fl_x, small.fl_y, small.cx, small.cy)
 
     def project(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Image positions x, y [n] in pixels, and depths [n] along -z, of `points` [n, 3] in the capture frame.
@@ -102,3 +102,10 @@ class Camera:
         sx, sy = width / self.width, height / self.height
         intrinsics = self.fl_x * sx, self.fl_y * sy, self.cx * sx, self.cy * sy
         return Camera(width, height, *intrinsics, self.camera_to_world, self.lens)
+
+
+@lru_cache(maxsize=4)
+def _shown_pixels(lens: Lens, width: int, height: int, fl_x: float, fl_y: float, cx: float, cy: float) -> np.ndarray:
+    """`Camera.shown_pixels`. The photos of a capture often share one camera, so the last results are kept."""
+    v, u = (np.indices((height, width)).reshape(2, -1) + 0.5 - [[cy], [cx]]) / [[fl_y], [fl_x]]
+    return Lenses.of([lens]).directions(torch.from_numpy(u), torch.from_numpy(v))[2].numpy()

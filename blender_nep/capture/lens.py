@@ -53,9 +53,12 @@ NO_DISTORTION = Lens()
 class Lenses:
     """A batch of n lenses. Coefficients are float64 or float32 tensors; `at` picks rows."""
 
-    def __init__(self, terms: Tensor, fisheye: Tensor, reach: Tensor) -> None:
-        """terms [n, 6]: k1, k2, k3, k4, p1, p2; fisheye [n] bool; reach [n]: see `_reach`."""
-        self.terms, self.fisheye, self.reach = terms, fisheye, reach
+    def __init__(self, terms: Tensor, fisheye: Tensor, reach: Tensor, kinds: frozenset[bool]) -> None:
+        """terms [n, 6]: k1, k2, k3, k4, p1, p2; fisheye [n] bool; reach [n]: see `_reach`.
+
+        kinds: the values that `fisheye` may have, so that a model that no lens has is not computed.
+        """
+        self.terms, self.fisheye, self.reach, self.kinds = terms, fisheye, reach, kinds
 
     @classmethod
     def of(cls, lenses: Sequence[Lens], device: torch.device | str = "cpu", dtype: torch.dtype = torch.float64) -> Lenses:
@@ -63,12 +66,12 @@ class Lenses:
         terms = torch.tensor([astuple(lens)[:6] for lens in lenses], dtype=dtype, device=device)
         fisheye = torch.tensor([lens.fisheye for lens in lenses], device=device)
         reach = torch.tensor([_reach(lens) for lens in lenses], dtype=dtype, device=device)
-        return cls(terms, fisheye, reach)
+        return cls(terms, fisheye, reach, frozenset(lens.fisheye for lens in lenses))
 
     def at(self, index: Tensor | int) -> Lenses:
         """The lenses of the rows `index` [m]; with an int, that one lens, which then holds for any number of places."""
         rows = slice(index, index + 1) if isinstance(index, int) else index
-        return Lenses(self.terms[rows], self.fisheye[rows], self.reach[rows])
+        return Lenses(self.terms[rows], self.fisheye[rows], self.reach[rows], self.kinds)
 
     def directions(self, u: Tensor, v: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """What the image places u, v [n] show.
@@ -76,9 +79,11 @@ class Lenses:
         Returns unit directions [n, 3], the solid angle [n] of an area of 1 at each place (sr per squared focal length), and
         whether any direction is shown there [n] bool. No direction is shown beyond the place where the distortion folds.
         """
+        if True not in self.kinds:
+            return self._perspective(u, v)
+        if False not in self.kinds:
+            return self._round(u, v)
         flat, flat_density, flat_shown = self._perspective(u, v)
-        if not bool(self.fisheye.any()):
-            return flat, flat_density, flat_shown
         round_, density, shown = self._round(u, v)
         fisheye = self.fisheye.expand(len(u))
         return (
@@ -99,7 +104,7 @@ class Lenses:
         radius = torch.hypot(x, y)
         u, v = self._distorted(x / safe, y / safe)
         shown = ahead & (radius / safe < self.reach)
-        if bool(self.fisheye.any()):
+        if True in self.kinds:
             theta = torch.atan2(radius, z)
             scale = self._radial(theta * theta) * theta / radius.clamp_min(1e-12)
             u, v = torch.where(self.fisheye, scale * x, u), torch.where(self.fisheye, scale * y, v)

@@ -36,6 +36,19 @@ def test_blender_reads_what_the_engine_has_read(make_capture, tmp_path):
         np.testing.assert_allclose(other.matrix, one.matrix, atol=1e-12)
 
 
+def test_photos_may_be_links_and_the_asset_a_link(make_capture, tmp_path):
+    """As where a folder of photos is shared by several COLMAP projects."""
+    tiny = make_capture(views=4)
+    linked = tmp_path / "linked"
+    linked.mkdir()
+    (linked / "images").symlink_to(tiny.folder / "images")
+    shutil.copy(tiny.folder / "transforms.json", linked / "transforms_train.json")
+    (tmp_path / "disk").mkdir()
+    (tmp_path / "asset").symlink_to(written(load_capture(linked), tmp_path / "disk" / "deep" / "asset"))
+    frames = read_frames_of(linked, tmp_path / "asset")
+    assert len(frames) == 4 and all(frame.path.is_file() for frame in frames)
+
+
 def test_another_folder_is_no_capture_of_the_asset(make_capture, tmp_path):
     tiny = make_capture(views=4)
     asset = written(load_capture(tiny.folder), tmp_path / "asset")

@@ -110,6 +110,13 @@ def torn(folder):
     path.write_bytes(path.read_bytes()[:300])
 
 
+def endless_focal_length(folder):
+    path = folder / "sparse/0/cameras.bin"
+    data = bytearray(path.read_bytes())
+    data[32:40] = np.array([np.inf]).tobytes()
+    path.write_bytes(data)
+
+
 def no_photo(folder):
     (folder / "images/third.png").unlink()
 
@@ -133,6 +140,7 @@ def empty(folder):
     ("damage", "message"),
     [
         (torn, "cannot be read"),
+        (endless_focal_length, "cannot be read"),
         (no_photo, "third.png is missing"),
         (model_of_the_future, "unknown camera model 77"),
         (other_photos, "third.png is 40 x 10 pixels, but COLMAP says 32 x 24"),

@@ -85,6 +85,14 @@ def test_beyond_its_fold_a_lens_shows_nothing():
     assert not batch.places(torch.tensor([[0.1, 0.1, -1.0]], dtype=torch.float64))[2].any()
 
 
+def test_one_fisheye_lens_holds_for_many_places_in_single_precision(flat):
+    u, v = map(torch.from_numpy, 0.8 * flat)
+    exact = Lenses.of([FISHEYE]).directions(u, v)
+    found = Lenses.of([FISHEYE, FISHEYE], dtype=torch.float32).at(1).directions(u.float(), v.float())
+    for one, other in zip(exact, found, strict=True):
+        np.testing.assert_allclose(other, one, rtol=3e-6, atol=1e-6)
+
+
 def test_each_row_of_a_batch_has_its_own_lens(flat):
     u, v = map(torch.from_numpy, 0.8 * flat)
     lenses = [REAL, FISHEYE, Lens(), ALL_TERMS]

@@ -8,7 +8,6 @@ capture is COLMAP's own. The sparse points are not read.
 from __future__ import annotations
 
 import struct
-from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple
 
@@ -17,10 +16,10 @@ import numpy as np
 from blender_nep.capture.camera import Camera
 from blender_nep.capture.capture import View
 from blender_nep.capture.description import CaptureDescription
+from blender_nep.capture.formats.photos import check_readable, fitted, rescaled_warnings
 from blender_nep.capture.lens import Lens
-from blender_nep.capture.photo_files import SUFFIXES, find_image, image_size
+from blender_nep.capture.photo_files import find_image
 from blender_nep.errors import CaptureError
-from blender_nep.messages import Message
 
 NAME = "COLMAP"
 _PLACES = ("sparse/0", "sparse", "colmap/sparse/0", "colmap/sparse", "")
@@ -92,31 +91,19 @@ def read(folder: Path) -> CaptureDescription:
         raise CaptureError(f"the COLMAP project in {model} has no photos with a pose", "Run COLMAP's mapper again.")
     rescaled: list[str] = []
     views = [_view(folder, cameras, pose, rescaled) for pose in sorted(poses, key=lambda pose: pose.name)]
-    warnings = [Message("capture.photos_rescaled", {"count": len(rescaled), "names": rescaled})] if rescaled else []
-    return CaptureDescription(name=NAME, files=files, views=views, warnings=warnings)
+    return CaptureDescription(name=NAME, files=files, views=views, warnings=rescaled_warnings(rescaled))
 
 
 def _view(folder: Path, cameras: dict[int, _Intrinsics], pose: _Pose, rescaled: list[str]) -> View:
     image = find_image(folder / "images", pose.name) or find_image(folder, pose.name)
     if image is None:
         raise CaptureError(f"photo {pose.name} is missing", f"Put it into {folder / 'images'}.")
-    if image.suffix.lower() not in SUFFIXES:
-        allowed = ", ".join(suffix[1:] for suffix in SUFFIXES)
-        raise CaptureError(f"{pose.name}: only {allowed} photos can be read", "Convert the photos.")
+    check_readable(image, pose.name)
     if pose.camera not in cameras:
         raise CaptureError(f"{pose.name}: the project has no camera {pose.camera}", "Export the project again.")
     masks = (folder / "masks" / f"{pose.name}.png", (folder / "masks" / pose.name).with_suffix(".png"))
     mask = next((path for path in masks if path.is_file()), None)
-    camera = _camera(cameras[pose.camera], pose)
-    size = image_size(image)
-    if size != (camera.width, camera.height):
-        if abs(size[0] * camera.height / (size[1] * camera.width) - 1) > 0.01:
-            raise CaptureError(
-                f"{pose.name} is {size[0]} x {size[1]} pixels, but COLMAP says {camera.width} x {camera.height}",
-                "Give the photos that COLMAP has seen.",
-            )
-        rescaled.append(pose.name)
-        camera = camera.scaled(*size)
+    camera = fitted(_camera(cameras[pose.camera], pose), image, pose.name, NAME, rescaled)
     return View(str(Path(pose.name).with_suffix("")), image, mask, camera)
 
 
@@ -151,8 +138,8 @@ def _camera(intrinsics: _Intrinsics, pose: _Pose) -> Camera:
 def _intrinsics(model: str, width: int, height: int, values: list[float]) -> _Intrinsics:
     if model not in _MODELS:
         raise ValueError(f"unknown camera model {model}")
-    if len(values) != len(_MODELS[model]):
-        raise ValueError(f"{model} with {len(values)} parameters")
+    if len(values) != len(_MODELS[model]) or not np.isfinite(values).all():
+        raise ValueError(f"{model} with the parameters {values}")
     return _Intrinsics(model, width, height, dict(zip(_MODELS[model], values, strict=True)))
 
 
@@ -187,17 +174,14 @@ def _binary_cameras(data: bytes) -> dict[int, _Intrinsics]:
 
 
 def _binary_poses(data: bytes) -> list[_Pose]:
-    return list(_each_binary_pose(data))
-
-
-def _each_binary_pose(data: bytes) -> Iterator[_Pose]:
-    at = 8
+    out, at = [], 8
     for _ in range(_count(data)):
         values = struct.unpack_from("<i7di", data, at)
         end = data.index(b"\0", at + 64)
         (features,) = struct.unpack_from("<Q", data, end + 1)
-        yield _Pose(data[at + 64 : end].decode("utf-8"), values[8], values[1:5], values[5:8])
+        out.append(_Pose(data[at + 64 : end].decode("utf-8"), values[8], values[1:5], values[5:8]))
         at = end + 9 + 24 * features
+    return out
 
 
 def _count(data: bytes) -> int:

@@ -16,10 +16,10 @@ import numpy as np
 from blender_nep.capture.camera import Camera
 from blender_nep.capture.capture import View
 from blender_nep.capture.description import CaptureDescription
+from blender_nep.capture.formats.photos import check_readable, fitted, rescaled_warnings
 from blender_nep.capture.lens import Lens
-from blender_nep.capture.photo_files import SUFFIXES, find_image, image_size
+from blender_nep.capture.photo_files import find_image, image_size
 from blender_nep.errors import CaptureError
-from blender_nep.messages import Message
 
 FILE = "transforms.json"
 _OPENCV = ("PINHOLE", "SIMPLE_PINHOLE", "OPENCV", "PERSPECTIVE", "SIMPLE_RADIAL", "RADIAL")
@@ -35,14 +35,11 @@ def recognizes(folder: Path, file: str = FILE) -> bool:
 def read(folder: Path, file: str = FILE) -> CaptureDescription:
     """What the file says; photos are opened only for their size. Raises CaptureError."""
     meta = _read_json(folder / file)
-    warnings: list[Message] = []
     frames = meta.get("frames")
     if not isinstance(frames, list) or not frames:
         raise CaptureError(f"{file} lists no frames", "It needs a list 'frames' with file_path and transform_matrix.")
     rescaled: list[str] = []
-    views = [_view(folder, meta, _dict(frame, n), n, rescaled) for n, frame in enumerate(frames)]
-    if rescaled:
-        warnings.append(Message("capture.photos_rescaled", {"count": len(rescaled), "names": rescaled}))
+    views = [_view(folder, file, meta, _dict(frame, n), n, rescaled) for n, frame in enumerate(frames)]
     return CaptureDescription(
         name=file,
         files=(folder / file,),
@@ -50,7 +47,7 @@ def read(folder: Path, file: str = FILE) -> CaptureDescription:
         color_space=meta.get("color_space"),
         object_center=meta.get("object_center"),
         object_radius=meta.get("object_radius"),
-        warnings=warnings,
+        warnings=rescaled_warnings(rescaled),
     )
 
 
@@ -70,7 +67,7 @@ def _lens(meta: dict, frame: dict, name: str) -> Lens:
     if model not in _OPENCV + _FISHEYE:
         raise CaptureError(
             f"camera model {model} is not supported",
-            f"Use {', '.join(_OPENCV[:1] + _OPENCV[2:3] + _FISHEYE[:1])}, or undistort the photos to PINHOLE.",
+            "Use PINHOLE, OPENCV or OPENCV_FISHEYE, or undistort the photos.",
         )
     k1, k2, k3, k4, p1, p2 = (_number(frame, meta, key, name) or 0.0 for key in _TERMS)
     lens = Lens(k1, k2, k3, k4, p1, p2, fisheye=model in _FISHEYE)
@@ -94,27 +91,27 @@ def _number(frame: dict, meta: dict, key: str, name: str) -> float | None:
     return float(value)
 
 
-def _view(folder: Path, meta: dict, frame: dict, n: int, rescaled: list[str]) -> View:
+def _view(folder: Path, file: str, meta: dict, frame: dict, n: int, rescaled: list[str]) -> View:
     if not isinstance(frame.get("file_path"), str):
         raise CaptureError(f"frame {n} has no file_path")
     name = frame["file_path"]
     image = find_image(folder, name)
     if image is None:
-        raise CaptureError(
-            f"photo {name} is missing", f"Put it back into {folder}, or take its frame out of transforms.json."
-        )
-    if image.suffix.lower() not in SUFFIXES:
-        raise CaptureError(f"{name}: only {', '.join(s[1:] for s in SUFFIXES)} photos can be read", "Convert the photos.")
+        raise CaptureError(f"photo {name} is missing", f"Put it back into {folder}, or take its frame out of {file}.")
+    check_readable(image, name)
     mask = None
     if frame.get("mask_path"):
         mask = find_image(folder, str(frame["mask_path"]))
         if mask is None:
             raise CaptureError(f"mask {frame['mask_path']} is missing", "Put it back, or take mask_path out of its frame.")
-    return View(Path(name).stem, image, mask, _camera(meta, frame, name, image_size(image), rescaled))
+    return View(Path(name).stem, image, mask, fitted(_camera(meta, frame, name, image), image, name, file, rescaled))
 
 
-def _camera(meta: dict, frame: dict, name: str, size: tuple[int, int], rescaled: list[str]) -> Camera:
-    width, height = _number(frame, meta, "w", name) or size[0], _number(frame, meta, "h", name) or size[1]
+def _camera(meta: dict, frame: dict, name: str, image: Path) -> Camera:
+    width, height = _number(frame, meta, "w", name), _number(frame, meta, "h", name)
+    if not width or not height:
+        size = image_size(image)
+        width, height = width or size[0], height or size[1]
     fl_x, angle = _number(frame, meta, "fl_x", name), _number(frame, meta, "camera_angle_x", name)
     if fl_x is None:
         if angle is None:
@@ -126,16 +123,7 @@ def _camera(meta: dict, frame: dict, name: str, size: tuple[int, int], rescaled:
     fl_y, cx, cy = fl_y or fl_x, width / 2 if cx is None else cx, height / 2 if cy is None else cy
     if min(fl_x, fl_y, width, height) <= 0:
         raise CaptureError(f"{name}: focal length and size must be positive")
-    camera = Camera(round(width), round(height), fl_x, fl_y, cx, cy, _matrix(frame, name), _lens(meta, frame, name))
-    if (camera.width, camera.height) == size:
-        return camera
-    if abs(size[0] * height / (size[1] * width) - 1) > 0.01:
-        raise CaptureError(
-            f"{name} is {size[0]} x {size[1]} pixels, but transforms.json says {camera.width} x {camera.height}",
-            "The aspect differs, so the intrinsics cannot be rescaled: correct w and h, or the photo.",
-        )
-    rescaled.append(name)
-    return camera.scaled(*size)
+    return Camera(round(width), round(height), fl_x, fl_y, cx, cy, _matrix(frame, name), _lens(meta, frame, name))
 
 
 def _matrix(frame: dict, name: str) -> np.ndarray:
