@@ -3,6 +3,7 @@
     python backend/synthetic.py --scene suzanne --out DIR [--views 62] [--size 400] ...
     blender -b -P backend/synthetic.py -- --scene statue.obj --out DIR ...
     python backend/synthetic.py --random SEED --out DIR [--meshes FILE...]
+    python backend/synthetic.py --scene suzanne --snapshots --out DIR
 
 DIR becomes a capture (transforms.json, images/NNN.exr, masks/NNN.png). The capture has test views (transforms_test.json,
 test/, test_masks/), the ground truth of the test views (gt/NNN.exr) and the true mesh (gt_mesh.ply). transforms.json is
@@ -10,6 +11,10 @@ written last, so a folder that has one is complete.
 
 `--random` draws a whole scene from a seed: the object, its materials, the surroundings, a support, the cameras, and how the
 photos are exposed and stored. What was drawn is written as scene.json. The photos may be PNG files.
+
+`--snapshots` writes photos as a phone takes them, to DIR/photos: JPEG files, a lens with distortion, an exposure that varies
+by up to a stop, and nothing that tells the cameras. The surroundings have prints. DIR/with_cameras is a capture of the same
+photos with the true cameras, test views, and ground truth.
 
 The same arguments give the same capture in the same version of Blender, except for the last digits of the photos, because
 Cycles adds in no fixed order. Blender 5 draws other Voronoi cells for the pattern `patches` than Blender 4.
@@ -37,6 +42,7 @@ from backend.synthetic_capture.ground_truth import ViewRenderer
 from backend.synthetic_capture.photo_files import ENDINGS, automatic_gain, gain_for, write_photo
 from backend.synthetic_capture.random_build import build_random_scene
 from backend.synthetic_capture.random_scene import Photography, draw_scene
+from backend.synthetic_capture.snapshots import BRIGHTNESS, Phone
 from backend.synthetic_capture.viewpoints import FIELD_OF_VIEW, Surroundings, Viewpoint, choose_viewpoints
 
 METER_SIZE, METER_SAMPLES, METER_VIEWS = 48, 8, 8
@@ -56,6 +62,7 @@ def parse(arguments: list[str]) -> argparse.Namespace:
     parser.add_argument("--samples", type=int, default=20, help="Cycles samples a pixel (denoised where possible)")
     parser.add_argument("--threads", type=int, default=0, help="of Cycles; 0: one for each core")
     parser.add_argument("--seed", type=int, default=0, help="of the room, the cameras and the noise; not with --random")
+    parser.add_argument("--snapshots", action="store_true", help="photos as a phone takes them; not with --random")
     parser.add_argument("--material", choices=sorted(scenes.MATERIALS), help="default: gold; the box: patches")
     return parser.parse_args(arguments)
 
@@ -74,7 +81,12 @@ def main(arguments: list[str]) -> int:
     try:
         if options.random is None:
             target, train, test = fixed_scene(options)
-            write_capture(options, target, train, test, Photographing())
+            photographing = Photographing()
+            if options.snapshots:
+                photographing = Photographing(phone=Phone(options.size, FIELD_OF_VIEW))
+                options.out /= "with_cameras"
+                (options.out.parent / "photos").mkdir(parents=True, exist_ok=True)
+            write_capture(options, target, train, test, photographing)
         else:
             write_random_capture(options)
     except (ValueError, OSError) as error:
@@ -87,7 +99,7 @@ def fixed_scene(options: argparse.Namespace) -> tuple[bpy.types.Object, list[Vie
     """Build the scene that `--scene` names: (object, viewpoints to learn from, test viewpoints). Raises ValueError."""
     rng = np.random.default_rng(options.seed)
     material = options.material or scenes.DEFAULT_MATERIAL.get(options.scene, "gold")
-    target, obstacles = scenes.build_scene(options.scene, material, rng)
+    target, obstacles = scenes.build_scene(options.scene, material, rng, patterned=options.snapshots)
     surroundings = Surroundings(obstacles)
     train = choose_viewpoints(62 if options.views is None else options.views, surroundings, rng)
     return target, train, choose_viewpoints(options.test_views, surroundings, rng)
@@ -118,6 +130,8 @@ class Photographing:
     """radians"""
     photography: Photography | None = None
     """None: radiance as it is, as OpenEXR"""
+    phone: Phone | None = None
+    """Takes the photos to learn from as JPEG files instead. None: no phone"""
 
     @property
     def format(self) -> str:
@@ -126,12 +140,12 @@ class Photographing:
 
     def meter(self, options: argparse.Namespace, train: list[Viewpoint]) -> float:
         """The gain of all photos, found on small renders of some viewpoints; 1 where photos hold plain radiance."""
-        if self.photography is None:
+        if self.photography is None and self.phone is None:
             return 1.0
         renderer = ViewRenderer(bpy.context.scene, METER_SIZE, METER_SAMPLES, self.field_of_view, options.seed)
         chosen = train[:: max(1, len(train) // METER_VIEWS)]
         photos = [renderer.render(viewpoint.matrix)[0] for viewpoint in chosen]
-        return gain_for(photos, self.photography.brightness)
+        return gain_for(photos, self.photography.brightness if self.photography else BRIGHTNESS)
 
     def exposed(self, photo: np.ndarray, gain: float) -> np.ndarray:
         """The photo [H,W,3] with the exposure that it is taken with. `gain` is that of `meter`."""
@@ -154,7 +168,10 @@ def write_capture(
     (out / "transforms.json").unlink(missing_ok=True)
     write_ply(out / "gt_mesh.ply", *scenes.triangles(target))
     gain = photographing.meter(options, train)
-    renderer = ViewRenderer(bpy.context.scene, options.size, options.samples, photographing.field_of_view, options.seed)
+    phone = photographing.phone
+    size = phone.rendered_size if phone else options.size
+    field_of_view = phone.rendered_field_of_view if phone else photographing.field_of_view
+    renderer = ViewRenderer(bpy.context.scene, size, options.samples, field_of_view, options.seed)
     started, total = time.monotonic(), len(train) + len(test)
     frames = {"test": [], "train": []}
     for number, viewpoint in enumerate(test + train):
@@ -169,17 +186,25 @@ def write_capture(
             "transform_matrix": [list(row) for row in viewpoint.matrix],
         }
         frames[group].append(frame)
-        write_photo(out / frame["file_path"], photographing.exposed(photo, gain), photographing.format)
+        if phone and group == "train":
+            frame["file_path"] = f"../photos/IMG_{index + 1:04d}.jpg"
+            truth["mask.V"] = phone.resampled(truth["mask.V"]).clip(0, 1)
+            phone.take(out / frame["file_path"], phone.resampled(photo), gain)
+        else:
+            write_photo(out / frame["file_path"], photographing.exposed(photo, gain), photographing.format)
         write_png(out / frame["mask_path"], np.round(truth["mask.V"] * 255).astype(np.uint8))
         if group == "test":
             write_channels(out / "gt" / f"{index:03d}.exr", {name: x.astype(np.float16) for name, x in truth.items()})
         left = (time.monotonic() - started) / (number + 1) * (total - number - 1)
         print(f"view {number + 1}/{total}, {left:.0f} s left", file=sys.stderr, flush=True)
-    write_transforms(out, renderer, "linear" if photographing.format.startswith("EXR") else "srgb", frames)
+    linear = photographing.format.startswith("EXR")
+    write_transforms(out, renderer, "linear" if linear and not phone else "srgb", frames, phone)
 
 
-def write_transforms(out: Path, renderer: ViewRenderer, color_space: str, frames: dict[str, list[dict]]) -> None:
-    """Write transforms_test.json and, last, transforms.json."""
+def write_transforms(
+    out: Path, renderer: ViewRenderer, color_space: str, frames: dict[str, list[dict]], phone: Phone | None = None
+) -> None:
+    """Write transforms_test.json and, last, transforms.json. The phone has taken the photos of the latter, if any."""
     size = renderer.scene.render.resolution_x
     shared = {
         "camera_model": "PINHOLE",
@@ -193,8 +218,12 @@ def write_transforms(out: Path, renderer: ViewRenderer, color_space: str, frames
         "object_center": [0.0, 0.0, 0.0],
         "object_radius": scenes.OBJECT_RADIUS,
     }
-    for group, name in (("test", "transforms_test.json"), ("train", "transforms.json")):
-        (out / name).write_text(json.dumps(shared | {"frames": frames[group]}, indent=1) + "\n")
+    lens = {}
+    if phone:
+        lens = {"camera_model": "OPENCV", "w": phone.size, "h": phone.size, "cx": phone.size / 2, "cy": phone.size / 2}
+        lens |= {"k1": phone.k1, "k2": phone.k2}
+    for group, name, own in (("test", "transforms_test.json", {}), ("train", "transforms.json", lens)):
+        (out / name).write_text(json.dumps(shared | own | {"frames": frames[group]}, indent=1) + "\n")
 
 
 def write_ply(path: Path, vertices: np.ndarray, faces: np.ndarray) -> None:

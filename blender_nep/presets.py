@@ -328,6 +328,8 @@ class MaterialPreset:
     of the reflected light decides."""
     blend_margin: float = 0.05
     """Share by which a mixture of two materials must be better than one material alone."""
+    inner_blend_margin: float = 0.25
+    """As `blend_margin`, for label pixels whose wider surroundings show one material: there a mixture is mostly noise."""
     varied_gain: float = 0.25
     """Materials may vary from place to place if that lowers the residual of held-out photos by this share. inf: never.
     Measured: 0.34 to 0.55 for a vase in forty paints; -0.20 to 0.16 for seven objects that a palette explains."""

@@ -35,18 +35,25 @@ GROUND_TRUTH_COLOR = "albedo"
 GROUND_TRUTH_VALUES = ("roughness", "metallic", "mask")
 
 
-def build_scene(source: str, material: str, rng: np.random.Generator) -> tuple[bpy.types.Object, list[bpy.types.Object]]:
+def build_scene(
+    source: str, material: str, rng: np.random.Generator, patterned: bool = False
+) -> tuple[bpy.types.Object, list[bpy.types.Object]]:
     """Build a scene in the current file, which must be empty. Returns (object, obstacles).
 
     An obstacle is every mesh that is not the object. `source` is 'suzanne', 'box' or the path of an obj, ply, stl, glb or
-    gltf file. Raises ValueError for other sources.
+    gltf file. `patterned`: the floor, the pictures and the things have prints, so that
+    structure from motion finds features. Raises ValueError for other
+    sources.
     """
     target = _object(source)
     normalize(target)
     target.data.materials.clear()
     target.data.materials.append(object_material(*MATERIALS[material], rng))
-    obstacles = _room(rng) + _lights(rng) + _things(rng)
-    return target, obstacles
+    room, lights, things = _room(rng), _lights(rng), _things(rng)
+    prints = [item for item in room if item.name.startswith(("floor", "picture"))] + things
+    for item in prints if patterned else ():
+        item.data.materials[0] = printed(f"print on {item.name}", rng)
+    return target, room + lights + things
 
 
 def triangles(item: bpy.types.Object) -> tuple[np.ndarray, np.ndarray]:
@@ -334,6 +341,34 @@ def surface(
         links.new(position, shift.inputs[0])
         links.new(shift.outputs[0], texture.inputs["Vector"])
         links.new(texture.outputs["Color"], principled.inputs["Base Color"])
+    return material
+
+
+def printed(name: str, rng: np.random.Generator) -> bpy.types.Material:
+    """A dielectric material with a print of colored cells of several sizes, which repeats nowhere."""
+    material = bpy.data.materials.new(name)
+    material.use_nodes = True
+    nodes, links = material.node_tree.nodes, material.node_tree.links
+    principled = next(node for node in nodes if node.type == "BSDF_PRINCIPLED")
+    principled.inputs["Roughness"].default_value = 0.7
+    shift = nodes.new("ShaderNodeVectorMath")
+    shift.inputs[1].default_value = rng.uniform(-50, 50, 3)
+    links.new(nodes.new("ShaderNodeNewGeometry").outputs["Position"], shift.inputs[0])
+    color = None
+    for scale in (2.5, 9.0, 30.0):
+        cells = nodes.new("ShaderNodeTexVoronoi")
+        cells.inputs["Scale"].default_value = scale
+        links.new(shift.outputs[0], cells.inputs["Vector"])
+        if color is None:
+            color = cells.outputs["Color"]
+            continue
+        mix = nodes.new("ShaderNodeMix")
+        mix.data_type, mix.inputs[0].default_value = "RGBA", 0.3
+        first, second = (socket for socket in mix.inputs if socket.type == "RGBA")
+        links.new(color, first)
+        links.new(cells.outputs["Color"], second)
+        color = next(socket for socket in mix.outputs if socket.type == "RGBA")
+    links.new(color, principled.inputs["Base Color"])
     return material
 
 

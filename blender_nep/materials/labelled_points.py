@@ -25,6 +25,9 @@ if TYPE_CHECKING:
 _CANDIDATES = 3
 """Pixels that are tried for each label pixel. Nearly all pixels that show the surface become label pixels, so few are
 enough."""
+_WIDER, _STRIDE = 32, 4
+"""The wider surroundings of a label pixel: every fourth of its nearest ones, so many of them. Their costs are means over
+neighbors themselves."""
 
 
 def labelled_samples(search: PaletteSearch) -> BlendedPoints:
@@ -70,10 +73,25 @@ def labelled_pixels(
     label_pixels = select_label_pixels(rays, tracer, normals, p, seed)
     pixels = surfels(label_pixels, tracer, normals)
     cost = pixel_costs(samples, shown, pixels, tone_map(label_pixels.radiance).cpu().numpy(), p.clip)
-    cost = cost * torch.where(palette.blended, 1 + p.blend_margin, 1.0).cpu().numpy()
-    smoothed = weighted_mean(cost, *neighbours(cKDTree(pixels.position), pixels.position, 2 * NEIGHBOURS))
+    blended = palette.blended.cpu().numpy()
+    cost = cost * np.where(blended, 1 + p.blend_margin, 1.0)
+    tree = cKDTree(pixels.position)
+    smoothed = weighted_mean(cost, *neighbours(tree, pixels.position, 2 * NEIGHBOURS))
+    inner = shows_one_material(smoothed, blended, tree)
+    smoothed[np.ix_(inner, blended)] *= (1 + p.inner_blend_margin) / (1 + p.blend_margin)
     own = cost[np.arange(len(cost)), smoothed.argmin(1)]
     return _blended(search, pixels.position, pixels.photo, smoothed, own)
+
+
+def shows_one_material(cost: np.ndarray, blended: np.ndarray, tree: cKDTree) -> np.ndarray:
+    """Whether one material alone explains the wider surroundings of each point best, [n] bool.
+
+    cost [n, K] are the residuals of the n points in `tree`; blended [K] says which of the K are mixtures of two materials.
+    """
+    if not blended.any():
+        return np.zeros(len(cost), bool)
+    around = neighbours(tree, tree.data, _WIDER * _STRIDE)[1][:, ::_STRIDE]
+    return ~blended[np.stack([column[around].mean(1) for column in cost.T], 1).argmin(1)]
 
 
 def select_label_pixels(
