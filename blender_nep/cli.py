@@ -1,4 +1,4 @@
-"""The command line: `blender-nep info`, `blender-nep reconstruct` and `blender-nep materials`."""
+"""The command line: `blender-nep info`, `cameras`, `reconstruct` and `materials`."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def parser() -> argparse.ArgumentParser:
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     top.add_argument("--version", action="version", version=f"blender-nep {__version__}")
-    commands = top.add_subparsers(dest="command", required=True, metavar="{info,reconstruct,materials}")
+    commands = top.add_subparsers(dest="command", required=True, metavar="{info,cameras,reconstruct,materials}")
 
     info = commands.add_parser("info", help="say what a capture holds and what looks wrong")
     info.add_argument(
@@ -47,6 +47,7 @@ def parser() -> argparse.ArgumentParser:
     )
     info.add_argument("--json", action="store_true", help="as one JSON object")
 
+    _add_cameras(commands)
     run = commands.add_parser(
         "reconstruct",
         help="make an asset of a capture",
@@ -118,6 +119,28 @@ def parser() -> argparse.ArgumentParser:
     return top
 
 
+def _add_cameras(commands: argparse._SubParsersAction) -> None:
+    find = commands.add_parser(
+        "cameras",
+        help="find the cameras of photos, so that they become a capture",
+        epilog=EXIT_CODES,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    find.add_argument("photos", type=Path, metavar="PHOTOS", help="folder with photos")
+    find.add_argument("--out", type=Path, metavar="CAPTURE", help="folder of the capture (the folder of the photos)")
+    find.add_argument(
+        "--features",
+        choices=("everywhere", "object", "surroundings"),
+        default="everywhere",
+        help="where to look for points, if PHOTOS/masks shows the object: on a turntable, only on the object (%(default)s)",
+    )
+    find.add_argument("--overwrite", action="store_true", help="replace cameras that are there")
+    find.add_argument("--threads", type=_count, metavar="N", help="CPU threads (all cores)")
+    find.add_argument(
+        "--watch-stdin", action="store_true", help='stop at {"cmd": "stop"} on standard input, or when it is closed'
+    )
+
+
 def _correction(text: str) -> tuple[int, str, float]:
     number, _, rest = text.partition(":")
     name, _, value = rest.partition("=")
@@ -163,7 +186,7 @@ def main(arguments: list[str] | None = None) -> int:
     options = top.parse_args(arguments)
     if options.command == "reconstruct" and (options.object_center is None) != (options.object_radius is None):
         top.error("--object-center and --object-radius work only together")
-    commands = {"info": _info, "reconstruct": _reconstruct, "materials": _materials}
+    commands = {"info": _info, "cameras": _cameras, "reconstruct": _reconstruct, "materials": _materials}
     return commands[options.command](options)
 
 
@@ -181,6 +204,31 @@ def _info(options: argparse.Namespace) -> int:
         return error.code
     print(json.dumps(found, indent=1) if options.json else describe(found))
     return 0
+
+
+def _cameras(options: argparse.Namespace) -> int:
+    from blender_nep.job.events import Events, open_protocol
+
+    terminal = sys.stdout.isatty()
+    protocol = open_protocol()
+    events = Events(None if terminal else protocol, sys.stderr)
+
+    from blender_nep.job import camera_search
+    from blender_nep.stop_request import StopRequest
+
+    stop = StopRequest()
+    if options.watch_stdin:
+        stop.watch()
+    with stop.signals():
+        return camera_search.run(
+            options.photos,
+            options.out,
+            events,
+            stop,
+            features=options.features,
+            overwrite=options.overwrite,
+            threads=options.threads,
+        )
 
 
 def _chosen_preset(options: argparse.Namespace) -> Preset:

@@ -114,6 +114,21 @@ PARTS: dict[str, str] = {
 """{part: its name in sentences for people}"""
 
 WORDS: dict[str, str] = {
+    # cameras that were found from photos alone
+    "cameras.photos": "reading photo {step} of {steps}",
+    "cameras.features": "finding features in photo {step} of {steps}",
+    "cameras.matches": "comparing photos: pair {step} of {steps}",
+    "cameras.places": "placing photo {step} of {steps}",
+    "cameras.placed": "{count} of {photos} photos were placed; their features agree within {error:.2f} pixels",
+    "cameras.sure": "the cameras look right",
+    "cameras.not_placed": "{count} {count:photo was|photos were} not placed, because {count:it shares|they share} too few "
+    "points with the others: {names}. Take more photos in between, or leave {count:it|them} out",
+    "cameras.groups": "the photos fall into {count} groups that share no points; the largest one is used. Take photos "
+    "between the groups",
+    "cameras.unsure": "the {count:place of this photo is|places of these photos are} unsure: {names}. Look whether "
+    "{count:it is|they are} blurred, or take more photos near {count:it|them}",
+    "cameras.gap": "there is no photo within {degrees:.0f} degrees around the object, between {before} and {after}. Take "
+    "some from there, if you can",
     # warnings about a capture
     "capture.photos_rescaled": "{count} {count:photo differs|photos differ} in size from the declared w x h (same aspect; "
     "intrinsics rescaled): {names}",

@@ -11,6 +11,7 @@ STAGES = {
     "surface": "Making the mesh",
     "material_learning": "Learning the materials",
     "asset": "Writing the result",
+    "finding_cameras": "Finding the cameras",
 }
 
 

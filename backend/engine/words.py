@@ -37,6 +37,21 @@ PARTS = {
 """Parts of the work that the engine may leave out: the engine's name of a part -> the panel's words."""
 
 MESSAGES = {
+    # cameras that were found from photos alone
+    "cameras.photos": "Reading photo {step} of {steps}",
+    "cameras.features": "Finding features in photo {step} of {steps}",
+    "cameras.matches": "Comparing photos: pair {step} of {steps}",
+    "cameras.places": "Placing photo {step} of {steps}",
+    "cameras.placed": "{count} of {photos} photos were placed. Their features agree within {error:.2f} pixels.",
+    "cameras.sure": "The cameras look right.",
+    "cameras.not_placed": "{count} {count:photo was|photos were} not placed, because {count:it shares|they share} too few "
+    "points with the others: {names}. Take more photos in between, or leave {count:it|them} out",
+    "cameras.groups": "The photos fall into {count} groups that share no points; the largest one is used. Take photos "
+    "between the groups",
+    "cameras.unsure": "the {count:place of this photo is|places of these photos are} unsure: {names}. Look whether "
+    "{count:it is|they are} blurred, or take more photos near {count:it|them}",
+    "cameras.gap": "There is no photo within {degrees:.0f} degrees around the object, between {before} and {after}. Take "
+    "some from there, if you can",
     # warnings about a capture
     "capture.photos_rescaled": "{count} {count:photo differs|photos differ} in size from what the capture says, and "
     "{count:is|are} used all the same: {names}",
@@ -133,6 +148,9 @@ ERRORS = {
         "Another job is at work in {folder}",
         "Stop it or wait for its end, or choose another output folder.",
     ),
+    "usage.cameras_exist": ("{folder} has cameras already", "Press Find Cameras with Replace, or choose another folder."),
+    "usage.no_masks": ("Features by masks need a mask for each photo", "Put the masks into {folder}, or use all features."),
+    "unexpected.no_pycolmap": ("The installed engine cannot find cameras", "Install the engine again in the preferences."),
     "usage.no_mesh": ("There is no mesh {path}", "Check Advanced > Known Mesh."),
     "usage.report_damaged": ("{path} is damaged", "Start Again."),
     "usage.other_version": (
@@ -174,6 +192,7 @@ ERRORS = {
     "stopped": ("Stopped. The checkpoint is written", "Resume goes on from there."),
     "stopped.input_closed": ("Stopped because Blender closed. The checkpoint is written", "Resume goes on from there."),
     "stopped.reading_photos": ("Stopped while the photos were read", "Resume starts again."),
+    "stopped.cameras": ("Stopped. No cameras were written", "Press Find Cameras again."),
     "stopped.interrupted": ("Interrupted", "Work since the last checkpoint is lost. Resume goes on from there."),
     "unexpected.no_memory": ("The memory is full", "Choose the preset Preview, or smaller photos."),
 }

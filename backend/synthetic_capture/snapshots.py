@@ -19,8 +19,8 @@ BRIGHTNESS = 0.36
 """Mean sRGB value of the photos that the exposure aims at."""
 QUALITY = 93
 """of the JPEG files"""
-FILM_WIDTH = 36.0
-"""mm; EXIF tells the focal length for this width"""
+FILM_DIAGONAL = 43.2666
+"""mm; EXIF tells the focal length for film of this diagonal"""
 
 
 @dataclass(frozen=True)
@@ -81,7 +81,7 @@ class Phone:
         exposed = linear_to_srgb(radiance * automatic_gain(radiance, BRIGHTNESS, gain))
         write_jpeg(path, exposed)
         data = path.read_bytes()
-        path.write_bytes(data[:2] + exif(FILM_WIDTH * self.focal_length / self.size) + data[2:])
+        path.write_bytes(data[:2] + exif(FILM_DIAGONAL * self.focal_length / (self.size * math.sqrt(2))) + data[2:])
 
 
 def _catmull_rom(t: np.ndarray) -> list[np.ndarray]:
@@ -109,7 +109,7 @@ def write_jpeg(path: Path, encoded: np.ndarray) -> None:
 
 
 def exif(focal_length: float) -> bytes:
-    """The JPEG segment with EXIF data that say one thing: the focal length [mm] for a film 36 mm wide."""
+    """The JPEG segment with EXIF data that say one thing: the focal length [mm] for film of 36 x 24 mm."""
     entry = struct.pack("<HHIHH", 0xA405, 3, 1, round(focal_length), 0)
     pointer = struct.pack("<HHII", 0x8769, 4, 1, 26)
     tiff = struct.pack("<2sHI", b"II", 42, 8) + struct.pack("<H", 1) + pointer + struct.pack("<I", 0)

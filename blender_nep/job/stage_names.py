@@ -16,3 +16,7 @@ class StageName(StrEnum):
     SURFACE = "surface"
     MATERIAL_LEARNING = "material_learning"
     ASSET = "asset"
+
+
+CAMERA_SEARCH = "finding_cameras"
+"""The one stage of `blender-nep cameras`, in its events."""

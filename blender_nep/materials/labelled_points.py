@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-import torch
 from scipy.spatial import cKDTree
 
 from blender_nep.materials.baking import NEIGHBOURS, neighbours, weighted_mean

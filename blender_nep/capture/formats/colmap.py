@@ -75,23 +75,33 @@ def read(folder: Path) -> CaptureDescription:
     """What the project says; photos are opened only for their size. Raises CaptureError."""
     model = _model_folder(folder)
     assert model is not None, "`recognizes` has found it"
-    ending = "bin" if (model / "images.bin").is_file() and (model / "cameras.bin").is_file() else "txt"
-    files = (model / f"cameras.{ending}", model / f"images.{ending}")
-    try:
-        if ending == "bin":
-            cameras, poses = _binary_cameras(files[0].read_bytes()), _binary_poses(files[1].read_bytes())
-        else:
-            cameras = _text_cameras(files[0].read_text(encoding="utf-8"))
-            poses = _text_poses(files[1].read_text(encoding="utf-8"))
-    except (OSError, ValueError, IndexError, struct.error) as error:
-        raise CaptureError(
-            f"the COLMAP project in {model} cannot be read ({error})", "Export it again, as text or binary."
-        ) from error
+    files, cameras, poses = _read_model(model)
     if not poses:
         raise CaptureError(f"the COLMAP project in {model} has no photos with a pose", "Run COLMAP's mapper again.")
     rescaled: list[str] = []
     views = [_view(folder, cameras, pose, rescaled) for pose in sorted(poses, key=lambda pose: pose.name)]
     return CaptureDescription(name=NAME, files=files, views=views, warnings=rescaled_warnings(rescaled))
+
+
+def read_cameras(model: Path) -> dict[str, Camera]:
+    """The cameras of the COLMAP model in the folder `model`, by the names of their photos. Raises CaptureError."""
+    _, cameras, poses = _read_model(model)
+    return {pose.name: _camera(cameras[pose.camera], pose) for pose in poses}
+
+
+def _read_model(model: Path) -> tuple[tuple[Path, Path], dict[int, _Intrinsics], list[_Pose]]:
+    """The two files of a model, its intrinsics by their numbers, and its poses. Raises CaptureError."""
+    ending = "bin" if (model / "images.bin").is_file() and (model / "cameras.bin").is_file() else "txt"
+    files = (model / f"cameras.{ending}", model / f"images.{ending}")
+    try:
+        if ending == "bin":
+            return files, _binary_cameras(files[0].read_bytes()), _binary_poses(files[1].read_bytes())
+        cameras, poses = (file.read_text(encoding="utf-8") for file in files)
+        return files, _text_cameras(cameras), _text_poses(poses)
+    except (OSError, ValueError, IndexError, struct.error) as error:
+        raise CaptureError(
+            f"the COLMAP project in {model} cannot be read ({error})", "Export it again, as text or binary."
+        ) from error
 
 
 def _view(folder: Path, cameras: dict[int, _Intrinsics], pose: _Pose, rescaled: list[str]) -> View:

@@ -1,0 +1,191 @@
+"""Cameras of photos alone: the photos of a printed room, whose cameras and lens are known."""
+
+import io
+import json
+import shutil
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from benchmarks.scoring.cameras import errors, similarity
+from blender_nep.capture import load_capture
+from blender_nep.errors import CaptureError
+from blender_nep.job import camera_search
+from blender_nep.job.events import Events
+from blender_nep.stop_request import StopRequest
+from support.printed_room import BALLS, FOCAL, LENS, camera, photograph, write_photos
+
+COUNT = 16
+OTHER_SCENE = 7
+
+
+def found(photos, out, **options):
+    """(exit code, events) of the command."""
+    said = io.StringIO()
+    code = camera_search.run(photos, out, Events(said), StopRequest(), **options)
+    return code, [json.loads(line) for line in said.getvalue().splitlines()]
+
+
+def one(events, kind):
+    return next(event for event in events if event["event"] == kind)
+
+
+def warnings(events):
+    return {event["code"]: event["values"] for event in events if event["event"] == "warning"}
+
+
+@pytest.fixture(scope="module")
+def photos(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("room")
+    write_photos(folder, COUNT)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def search(photos, tmp_path_factory):
+    out = tmp_path_factory.mktemp("found")
+    code, events = found(photos, out)
+    assert code == 0, events[-1]
+    return load_capture(out), events
+
+
+def test_all_photos_are_placed_where_they_were_taken(search):
+    capture, events = search
+    true = [camera(number, COUNT) for number in range(COUNT)]
+    assert [view.image_path.name for view in capture.views] == [f"photo_{n:02d}.jpg" for n in range(COUNT)]
+    off = errors([view.camera for view in capture.views], true, np.array(BALLS[0][0]))
+    assert off["rotation_deg"] < 0.1 and off["rotation_deg_largest"] < 0.3
+    assert off["position"] < 0.003 and off["direction_deg"] < 0.1
+    assert not warnings(events)
+
+
+def test_the_lens_is_found(search):
+    lens, true = search[0].views[0].camera, LENS
+    assert lens.fl_x == pytest.approx(FOCAL, rel=0.01)
+    radius = np.linspace(0, 0.6, 7) ** 2
+    bent, truly = (1 + k.k1 * radius + k.k2 * radius**2 for k in (lens.lens, true))
+    assert np.abs(bent - truly).max() < 0.005
+
+
+def test_the_frame_stands_upright_around_what_the_cameras_look_at(search):
+    capture, _ = search
+    true = [camera(number, COUNT) for number in range(COUNT)]
+    turn, scale, shift = similarity([view.camera for view in capture.views], true)
+    assert turn @ [0, 0, 1] == pytest.approx([0, 0, 1], abs=0.03)
+    assert shift == pytest.approx(BALLS[0][0], abs=0.15 * BALLS[0][1] + 0.05)
+    assert capture.object_radius == 1 and scale > BALLS[0][1]
+
+
+def test_progress_rises_to_the_end(search):
+    fractions = [event["fraction"] for event in search[1] if event["event"] == "progress"]
+    assert fractions[-1] == 1 and min(fractions) < 0.2 and len(fractions) > 5
+
+
+def test_a_photo_of_another_scene_is_named_and_left_out(photos, tmp_path):
+    room = tmp_path / "photos"
+    shutil.copytree(photos, room)
+    photograph(camera(5, COUNT), seed=OTHER_SCENE).save(room / "stranger.jpg", quality=95)
+    code, events = found(room, None)
+    assert code == 0
+    assert warnings(events)["cameras.not_placed"]["names"] == ["stranger.jpg"]
+    assert len(load_capture(room).views) == COUNT
+
+
+def test_portrait_photos_stand_upright(photos, tmp_path):
+    """The stored photos are turned, and EXIF says so. The found cameras fit the stored pixels."""
+    room = tmp_path / "photos"
+    room.mkdir()
+    exif = Image.Exif()
+    exif[0x0112] = 6  # the stored image must be turned clockwise
+    for path in sorted(photos.iterdir()):
+        with Image.open(path) as image:
+            image.transpose(Image.Transpose.ROTATE_90).save(room / path.name, quality=95, exif=exif)
+    code, _ = found(room, tmp_path / "out")
+    assert code == 0
+    cameras = [view.camera for view in load_capture(tmp_path / "out").views]
+    assert (cameras[0].width, cameras[0].height) == (240, 320)
+    up = np.mean([-seen.camera_to_world[:3, 0] for seen in cameras], axis=0)
+    assert up[2] / np.linalg.norm(up) > 0.99
+
+
+@pytest.mark.parametrize("features", ["object", "surroundings"])
+def test_masks_say_where_features_count(photos, tmp_path, features):
+    """Masks that allow no pixel leave no feature, so no photo can be placed."""
+    room = tmp_path / "photos"
+    (room / "masks").mkdir(parents=True)
+    for path in sorted(photos.iterdir())[:4]:
+        shutil.copy(path, room)
+        shown = 0 if features == "object" else 255
+        Image.new("L", (320, 240), shown).save(room / "masks" / f"{path.stem}.png")
+    code, events = found(room, tmp_path / "out", features=features)
+    assert code == 3 and one(events, "error")["name"] == "capture.cameras_not_found"
+
+
+def grey(folder, count):
+    for number in range(count):
+        Image.new("RGB", (320, 240), (90, 90, 90)).save(folder / f"{number}.png")
+
+
+def alike(folder, count):
+    for number in range(count):
+        photograph(camera(0, COUNT)).save(folder / f"{number}.jpg")
+
+
+def strangers(folder, count):
+    for number in range(count):
+        photograph(camera(number, COUNT), seed=100 + number).save(folder / f"{number}.jpg")
+
+
+@pytest.mark.parametrize("write", [grey, alike, strangers])
+def test_photos_that_cannot_be_placed_end_in_a_hint(tmp_path, write):
+    write(tmp_path, 5)
+    code, events = found(tmp_path, tmp_path / "out")
+    error = one(events, "error")
+    assert (code, error["name"]) == (CaptureError.code, "capture.cameras_not_found") and "print" in error["hint"]
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(
+    ("count", "name"), [(0, "capture.too_few_photos"), (2, "capture.too_few_photos"), (None, "capture.no_folder")]
+)
+def test_too_few_photos(tmp_path, count, name):
+    folder = tmp_path / "photos"
+    if count is not None:
+        folder.mkdir()
+        grey(folder, count)
+    code, events = found(folder, None)
+    assert (code, one(events, "error")["name"]) == (3, name)
+
+
+def test_a_broken_photo_is_named(tmp_path):
+    grey(tmp_path, 3)
+    (tmp_path / "half.png").write_bytes((tmp_path / "0.png").read_bytes()[:60])
+    code, events = found(tmp_path, None)
+    assert code == 3 and "half.png" in one(events, "error")["message"]
+
+
+def test_cameras_that_are_there_are_not_replaced_unasked(tmp_path):
+    grey(tmp_path, 3)
+    (tmp_path / "transforms.json").write_text("mine")
+    code, events = found(tmp_path, None)
+    assert (code, one(events, "error")["name"]) == (2, "usage.cameras_exist")
+    assert (tmp_path / "transforms.json").read_text() == "mine"
+
+
+def test_features_by_masks_need_masks(tmp_path):
+    grey(tmp_path, 3)
+    code, events = found(tmp_path, None, features="object")
+    assert (code, one(events, "error")["name"]) == (2, "usage.no_masks")
+
+
+def test_stopping_writes_nothing(photos, tmp_path):
+    stop = StopRequest()
+
+    class StoppingEvents(Events):
+        def progress(self, stage, step, steps, *rest, **more):
+            if rest[3].code == "cameras.features":
+                stop.request("test")
+
+    code = camera_search.run(photos, tmp_path / "out", StoppingEvents(io.StringIO()), stop)
+    assert code == 7 and not (tmp_path / "out").exists()
