@@ -43,9 +43,18 @@ def parser() -> argparse.ArgumentParser:
 
     info = commands.add_parser("info", help="say what a capture holds and what looks wrong")
     info.add_argument(
-        "capture", type=Path, metavar="CAPTURE", help="folder with photos and transforms.json, or a COLMAP project"
+        "capture",
+        type=Path,
+        metavar="CAPTURE",
+        help="folder with photos and their cameras: transforms.json, COLMAP, Metashape, Bundler and others",
     )
     info.add_argument("--json", action="store_true", help="as one JSON object")
+    info.add_argument(
+        "--picture",
+        type=Path,
+        metavar="FILE.png",
+        help="draw from which directions photos were taken, and where they are missing",
+    )
 
     _add_cameras(commands)
     run = commands.add_parser(
@@ -55,7 +64,10 @@ def parser() -> argparse.ArgumentParser:
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     run.add_argument(
-        "capture", type=Path, metavar="CAPTURE", help="folder with photos and transforms.json, or a COLMAP project"
+        "capture",
+        type=Path,
+        metavar="CAPTURE",
+        help="folder with photos and their cameras: transforms.json, COLMAP, Metashape, Bundler and others",
     )
     run.add_argument("--out", type=Path, required=True, metavar="ASSET", help="folder of the asset")
     run.add_argument(
@@ -134,6 +146,9 @@ def _add_cameras(commands: argparse._SubParsersAction) -> None:
         default="everywhere",
         help="where to look for points, if PHOTOS/masks shows the object: on a turntable, only on the object (%(default)s)",
     )
+    find.add_argument(
+        "--improve", action="store_true", help="PHOTOS has cameras: improve them by the photos, in the same frame"
+    )
     find.add_argument("--overwrite", action="store_true", help="replace cameras that are there")
     find.add_argument("--threads", type=_count, metavar="N", help="CPU threads (all cores)")
     find.add_argument(
@@ -196,7 +211,7 @@ def _info(options: argparse.Namespace) -> int:
     from blender_nep.files import jsonable
 
     try:
-        found = summarise(options.capture)
+        found = summarise(options.capture, options.picture)
     except NepError as error:
         if options.json:
             print(json.dumps({"error": jsonable(error.told())}, indent=1))
@@ -220,15 +235,10 @@ def _cameras(options: argparse.Namespace) -> int:
     if options.watch_stdin:
         stop.watch()
     with stop.signals():
-        return camera_search.run(
-            options.photos,
-            options.out,
-            events,
-            stop,
-            features=options.features,
-            overwrite=options.overwrite,
-            threads=options.threads,
+        wanted = camera_search.CameraSearch(
+            options.photos, options.out, options.features, options.improve, options.overwrite, options.threads
         )
+        return camera_search.run(wanted, events, stop)
 
 
 def _chosen_preset(options: argparse.Namespace) -> Preset:

@@ -129,9 +129,20 @@ WORDS: dict[str, str] = {
     "{count:it is|they are} blurred, or take more photos near {count:it|them}",
     "cameras.gap": "there is no photo within {degrees:.0f} degrees around the object, between {before} and {after}. Take "
     "some from there, if you can",
+    "cameras.sphere": "looking for the object",
+    "cameras.sphere_unsure": "the object's place and size are a guess. Look whether the sphere "
+    "(object_center, object_radius) holds the whole object",
+    "cameras.good_as_given": "the given cameras are kept: their features agree within {error:.2f} pixels, which cannot be "
+    "improved",
+    "cameras.improved": "the cameras were improved: their features agree within {after:.2f} pixels instead of "
+    "{before:.2f}. They were turned by {degrees:.3f} degrees and moved by {percent:.2f} % of their distance (medians)",
+    "cameras.kept": "{count} {count:photo shows|photos show} too few points of the scene, and {count:keeps its|keep their} "
+    "given {count:camera|cameras}: {names}",
     # warnings about a capture
     "capture.photos_rescaled": "{count} {count:photo differs|photos differ} in size from the declared w x h (same aspect; "
     "intrinsics rescaled): {names}",
+    "capture.photos_without_pose": "{count} {count:photo is|photos are} left out, because {count:it has|they have} no "
+    "camera pose or {count:is|are} disabled: {names}",
     "capture.same_place": "{count} {count:photo was|photos were} taken from the same place in the same direction as others "
     "and {count:adds|add} nothing to the shape: {names}",
     "capture.exr_is_linear": "OpenEXR photos are taken as linear, although color_space says srgb",
@@ -159,6 +170,31 @@ WORDS: dict[str, str] = {
     "masks",
     "capture.few_photos": "only {photos} photos: 20 and more give a better shape",
     "capture.few_directions": "the cameras cover few directions: what no photo shows will be guessed",
+    "capture.hole_above": "no photo was taken within {degrees:.0f} degrees of straight above",
+    "capture.hole_below": "no photo was taken within {degrees:.0f} degrees of straight below",
+    "capture.hole_beside": "no photo was taken within {degrees:.0f} degrees of azimuth {azimuth:.0f}, elevation "
+    "{elevation:.0f}: take some between {before} and {after}",
+    "capture.photos_blurred": "{count} {count:photo is|photos are} clearly more blurred than the photos beside "
+    "{count:it|them}: {names}. Leave {count:it|them} out or take {count:it|them} again",
+    "capture.photos_darker": "{count} {count:photo is|photos are} up to {stops:.1f} stops darker than the others: {names}. "
+    "Develop all photos with one exposure, or leave {count:it|them} out",
+    "capture.photos_brighter": "{count} {count:photo is|photos are} up to {stops:.1f} stops brighter than the others: "
+    "{names}. Develop all photos with one exposure, or leave {count:it|them} out",
+    "capture.sphere_clipped": "{percent:g} % of the pixels around the object are burnt out (clipped): expose less, or take "
+    "photos with a larger range (raw, OpenEXR)",
+    "capture.cameras_look_away": "the object's centre is not in the picture of {count} {count:photo|photos}: {names}. Look "
+    "whether {count:its camera is|their cameras are} right",
+    "capture.cameras_near": "{count} {count:camera stands|cameras stand} much nearer to the object than the others: "
+    "{names}. Look whether {count:its place is|their places are} right",
+    "capture.cameras_distant": "{count} {count:camera stands|cameras stand} much farther from the object than the others: "
+    "{names}. Look whether {count:its place is|their places are} right",
+    "capture.sphere_small": "the object's sphere is only about {pixels:.0f} pixels wide in the photos: go nearer, use "
+    "larger photos, or make object_radius smaller if the object is smaller",
+    "capture.sphere_at_edges": "{percent:.0f} % of the photos cut off a part of the object's sphere: if object_radius is "
+    "not too large, step back, so that the photos show the whole object and its surroundings",
+    "capture.on_turntable": "in {percent:.0f} % of the photos the surroundings stay at the same place although the "
+    "cameras differ: the object turned while the camera and the surroundings stood still, and reconstruct refuses such "
+    "photos. Mask the surroundings out (cut-outs with alpha), or photograph by walking around the object",
     "capture.highlights_clipped": "8-bit photos clip highlights: mirror-like parts will come out darker than they are",
     "capture.cut_outs": "cut-outs show no surroundings: light can be learned from reflections alone",
     # warnings of a job

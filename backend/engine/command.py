@@ -148,3 +148,12 @@ def materials_arguments(asset: Path | str, corrections: Mapping[int, Mapping[str
     given = [f"{number}:{name}={value:.4g}" for number, values in corrections.items() for name, value in values.items()]
     options = [text for one in given for text in ("--set", one)]
     return ["materials", str(asset), *(options or ["--reset"])]
+
+
+def cameras_arguments(photos: Path | str, *, threads: int | None = None, overwrite: bool = False) -> list[str]:
+    """The engine's command line that finds the cameras of the photos in a folder, and writes them into the folder.
+
+    The engine ends, and writes nothing, when its standard input is closed. overwrite: replace cameras that are there.
+    """
+    options = [] if threads is None else ["--threads", str(threads)]
+    return ["cameras", str(photos), "--watch-stdin", *options, *(["--overwrite"] if overwrite else [])]

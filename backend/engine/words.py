@@ -38,23 +38,33 @@ PARTS = {
 
 MESSAGES = {
     # cameras that were found from photos alone
-    "cameras.photos": "Reading photo {step} of {steps}",
-    "cameras.features": "Finding features in photo {step} of {steps}",
-    "cameras.matches": "Comparing photos: pair {step} of {steps}",
-    "cameras.places": "Placing photo {step} of {steps}",
-    "cameras.placed": "{count} of {photos} photos were placed. Their features agree within {error:.2f} pixels.",
+    "cameras.photos": "Read {step} of {steps} photos",
+    "cameras.features": "Looked for details in {step} of {steps} photos",
+    "cameras.matches": "Compared {step} of {steps} pairs of photos",
+    "cameras.places": "Placed {step} of {steps} photos",
+    "cameras.placed": "{count} of {photos} photos were placed. The details that they share agree within {error:.2f} pixels.",
     "cameras.sure": "The cameras look right.",
     "cameras.not_placed": "{count} {count:photo was|photos were} not placed, because {count:it shares|they share} too few "
-    "points with the others: {names}. Take more photos in between, or leave {count:it|them} out",
-    "cameras.groups": "The photos fall into {count} groups that share no points; the largest one is used. Take photos "
+    "details with the others: {names}. Take more photos in between, or leave {count:it|them} out",
+    "cameras.groups": "The photos fall into {count} groups that share no details; the largest one is used. Take photos "
     "between the groups",
-    "cameras.unsure": "the {count:place of this photo is|places of these photos are} unsure: {names}. Look whether "
+    "cameras.unsure": "The {count:place of this photo is|places of these photos are} unsure: {names}. Look whether "
     "{count:it is|they are} blurred, or take more photos near {count:it|them}",
     "cameras.gap": "There is no photo within {degrees:.0f} degrees around the object, between {before} and {after}. Take "
     "some from there, if you can",
+    "cameras.sphere": "Looking for the object",
+    "cameras.sphere_unsure": "The object's place and size are a guess. Press Propose Bounds, and move and scale the sphere",
+    "cameras.good_as_given": "The given cameras are kept: their features agree within {error:.2f} pixels, which cannot be "
+    "improved",
+    "cameras.improved": "The cameras were improved: their features agree within {after:.2f} pixels instead of "
+    "{before:.2f}. They were turned by {degrees:.3f} degrees and moved by {percent:.2f} % of their distance (medians)",
+    "cameras.kept": "{count} {count:photo shows|photos show} too few points of the scene, and {count:keeps its|keep their} "
+    "given {count:camera|cameras}: {names}",
     # warnings about a capture
     "capture.photos_rescaled": "{count} {count:photo differs|photos differ} in size from what the capture says, and "
     "{count:is|are} used all the same: {names}",
+    "capture.photos_without_pose": "{count} {count:photo is|photos are} left out, because {count:it has|they have} no "
+    "camera pose or {count:is|are} disabled: {names}",
     "capture.same_place": "{count} {count:photo was|photos were} taken from the same place in the same direction as others "
     "and {count:adds|add} nothing to the shape: {names}",
     "capture.exr_is_linear": "OpenEXR photos are taken as linear, although the capture says sRGB",
@@ -80,6 +90,31 @@ MESSAGES = {
     "capture.cut_outs_need_masks": "The photos are cut-outs and their surroundings are black: results need the masks",
     "capture.few_photos": "Only {photos} photos: 20 and more give a better shape",
     "capture.few_directions": "The cameras cover few directions: what no photo shows will be guessed",
+    "capture.hole_above": "No photo was taken within {degrees:.0f} degrees of straight above",
+    "capture.hole_below": "No photo was taken within {degrees:.0f} degrees of straight below",
+    "capture.hole_beside": "No photo was taken within {degrees:.0f} degrees of azimuth {azimuth:.0f}, elevation "
+    "{elevation:.0f}: take some between {before} and {after}",
+    "capture.photos_blurred": "{count} {count:photo is|photos are} clearly more blurred than the photos beside "
+    "{count:it|them}: {names}. Leave {count:it|them} out or take {count:it|them} again",
+    "capture.photos_darker": "{count} {count:photo is|photos are} up to {stops:.1f} stops darker than the others: {names}. "
+    "Develop all photos with one exposure, or leave {count:it|them} out",
+    "capture.photos_brighter": "{count} {count:photo is|photos are} up to {stops:.1f} stops brighter than the others: "
+    "{names}. Develop all photos with one exposure, or leave {count:it|them} out",
+    "capture.sphere_clipped": "{percent:g} % of the pixels around the object are burnt out: expose less, or take photos "
+    "with a larger range (raw, OpenEXR)",
+    "capture.cameras_look_away": "The object's centre is not in the picture of {count} {count:photo|photos}: {names}. Look "
+    "whether {count:its camera is|their cameras are} right",
+    "capture.cameras_near": "{count} {count:camera stands|cameras stand} much nearer to the object than the others: "
+    "{names}. Look whether {count:its place is|their places are} right",
+    "capture.cameras_distant": "{count} {count:camera stands|cameras stand} much farther from the object than the others: "
+    "{names}. Look whether {count:its place is|their places are} right",
+    "capture.sphere_small": "The object's sphere is only about {pixels:.0f} pixels wide in the photos: go nearer, use "
+    "larger photos, or make the bounds smaller if the object is smaller",
+    "capture.sphere_at_edges": "{percent:.0f} % of the photos cut off a part of the object's sphere: if the bounds are not "
+    "too large, step back, so that the photos show the whole object and its surroundings",
+    "capture.on_turntable": "In {percent:.0f} % of the photos the surroundings stay at the same place although the "
+    "cameras differ: the object turned while the camera and the surroundings stood still. Such photos cannot be used as "
+    "they are. Mask the surroundings out (cut-outs with alpha), or photograph by walking around the object",
     "capture.highlights_clipped": "8-bit photos clip highlights: mirror-like parts will come out darker than they are",
     "capture.cut_outs": "Cut-outs show no surroundings: light can be learned from reflections alone",
     # warnings of a job
@@ -148,9 +183,25 @@ ERRORS = {
         "Another job is at work in {folder}",
         "Stop it or wait for its end, or choose another output folder.",
     ),
-    "usage.cameras_exist": ("{folder} has cameras already", "Press Find Cameras with Replace, or choose another folder."),
-    "usage.no_masks": ("Features by masks need a mask for each photo", "Put the masks into {folder}, or use all features."),
+    "usage.cameras_exist": (
+        "{folder} has cameras already",
+        "Use them, or press Find Cameras Again in Cameras and Bounds, which replaces them.",
+    ),
+    "usage.no_masks": ("Each photo needs a mask for this", "Put the masks into {folder}."),
     "unexpected.no_pycolmap": ("The installed engine cannot find cameras", "Install the engine again in the preferences."),
+    "capture.too_few_photos": (
+        "There {photos:is|are} {photos} {photos:photo|photos} in the folder: at least 3 are needed",
+        "40 photos and more, all around the object, work well.",
+    ),
+    "capture.cameras_not_found": (
+        "",
+        "Put the object on a sheet with a print (a newspaper, a patterned cloth), let things stand around it, and take 40 "
+        "photos or more that overlap by two thirds.",
+    ),
+    "capture.turntable": (
+        "The object turned while the camera and the surroundings stood still, so no light fits the photos",
+        "Mask the surroundings out (cut-outs with alpha), or photograph by walking around the object.",
+    ),
     "usage.no_mesh": ("There is no mesh {path}", "Check Advanced > Known Mesh."),
     "usage.report_damaged": ("{path} is damaged", "Start Again."),
     "usage.other_version": (
@@ -208,6 +259,15 @@ CORRECTION_HINTS = {
 """Name of an error -> the hint while materials are corrected. These stand in the place of the hints of ERRORS, which tell
 how to go on with a job."""
 
+CAMERA_HINTS = {
+    "output.disk_full": "Free some space, then press Find Cameras again.",
+    "output.not_permitted": "Change its permissions, or copy the photos to another folder and choose that one.",
+    "output": "Look whether the folder can be written, then press Find Cameras again.",
+    "unexpected.no_memory": "Close other programs, or use smaller photos, then press Find Cameras again.",
+    "stopped.interrupted": "Press Find Cameras again.",
+}
+"""Name of an error -> the hint while cameras are sought, as CORRECTION_HINTS."""
+
 AND_MORE = "{names} and {count} more"
 """How a list of more than MOST_NAMES names is written."""
 MOST_NAMES = 5
@@ -215,7 +275,8 @@ MOST_NAMES = 5
 
 def texts() -> list[str]:
     """All texts of these tables that a translator translates, each once."""
-    errors, hints = (text for pair in ERRORS.values() for text in pair), CORRECTION_HINTS.values()
+    errors = (text for pair in ERRORS.values() for text in pair)
+    hints = (*CORRECTION_HINTS.values(), *CAMERA_HINTS.values())
     return list(dict.fromkeys(text for text in (*MESSAGES.values(), *PARTS.values(), *errors, *hints, AND_MORE) if text))
 
 

@@ -9,23 +9,9 @@ from pathlib import Path
 
 import numpy as np
 
+from blender_nep.cameras.alignment import angle, similarity
 from blender_nep.capture import load_capture
 from blender_nep.capture.camera import Camera
-
-
-def similarity(found: Sequence[Camera], true: Sequence[Camera]) -> tuple[np.ndarray, float, np.ndarray]:
-    """(rotation [3, 3], scale, translation [3]) that carries the found cameras onto the true ones.
-
-    The rotation is the mean over the cameras (chordal, by SVD); scale and translation fit the positions by least squares.
-    """
-    total = sum(t.camera_to_world[:3, :3] @ f.camera_to_world[:3, :3].T for f, t in zip(found, true, strict=True))
-    u, _, v = np.linalg.svd(np.asarray(total))
-    turn = u @ np.diag([1, 1, np.sign(np.linalg.det(u @ v))]) @ v
-    a = np.stack([f.position for f in found]) @ turn.T
-    b = np.stack([t.position for t in true])
-    centered = a - a.mean(0)
-    scale = float((centered * (b - b.mean(0))).sum() / (centered**2).sum())
-    return turn, scale, b.mean(0) - scale * a.mean(0)
 
 
 def errors(found: Sequence[Camera], true: Sequence[Camera], center: np.ndarray) -> dict[str, float]:
@@ -38,7 +24,7 @@ def errors(found: Sequence[Camera], true: Sequence[Camera], center: np.ndarray) 
     rotation, position, direction = [], [], []
     for f, t in zip(found, true, strict=True):
         difference = t.camera_to_world[:3, :3].T @ turn @ f.camera_to_world[:3, :3]
-        rotation.append(_angle(difference))
+        rotation.append(angle(difference))
         away = np.linalg.norm(scale * turn @ f.position + shift - t.position)
         position.append(float(away / np.linalg.norm(t.position - center)))
         x, y = (grid.ravel() for grid in np.meshgrid(*(np.linspace(0.05, 0.95, 7) * side for side in (t.width, t.height))))
@@ -54,13 +40,6 @@ def errors(found: Sequence[Camera], true: Sequence[Camera], center: np.ndarray) 
         "direction_deg": float(np.median(direction)),
         "focal_length": float(np.median(focal)),
     }
-
-
-def _angle(rotation: np.ndarray) -> float:
-    """Angle [degrees] of a rotation; also exact for small angles."""
-    skew = rotation - rotation.T
-    sine = 0.5 * np.linalg.norm([skew[2, 1], skew[0, 2], skew[1, 0]])
-    return float(np.degrees(np.arctan2(sine, 0.5 * (np.trace(rotation) - 1))))
 
 
 def compare(found: Path, true: Path) -> dict[str, float]:

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from blender_nep.cameras.alignment import moved
 from blender_nep.cameras.photo_folder import Photo
 from blender_nep.cameras.structure_from_motion import LONGEST_SIDE, Group, PlacedPhoto
 from blender_nep.capture.bounds import sphere_from_cameras
@@ -20,6 +22,9 @@ _FEW_POINTS = 60
 """A photo with fewer scene points is unsure."""
 _LARGE_ERROR = 2.0
 """Pixels of a photo scaled down to LONGEST_SIDE. A photo with a larger error is unsure."""
+_OUTLIER, _SMALL_ERROR = 3.0, 0.5
+"""A photo whose error is so many times the median, and more than so many of the same pixels, is unsure, too. A zoomed photo
+has such an error where EXIF does not tell its focal length."""
 _GAP = 60.0
 """Degrees around the object without a photo that deserve a warning"""
 _PATTERN = (
@@ -27,15 +32,19 @@ _PATTERN = (
     "photos or more that overlap by two thirds."
 )
 
+_NO_EXIF = "These photos have no EXIF. If the lens was zoomed, use the camera's own files, which tell the focal length."
+
 
 @dataclass(frozen=True)
 class FoundCameras:
-    """Cameras of some of the photos. The frame has z up, the object's center at 0, and the object's sphere has radius 1."""
+    """Cameras of some of the photos."""
 
     placed: list[PlacedPhoto]
     points: np.ndarray
     """[n, 3] scene points"""
     not_placed: list[Photo]
+    object_center: np.ndarray = field(default_factory=lambda: np.zeros(3))
+    object_radius: float = 1.0
 
     @property
     def median_error(self) -> float:
@@ -44,26 +53,23 @@ class FoundCameras:
 
 
 def choose(photos: Sequence[Photo], groups: Sequence[Group]) -> FoundCameras:
-    """The largest group, turned upright and scaled. Raises CaptureError where too few photos were placed."""
+    """The largest group, in a frame with z up, the object's center at 0, and the object's sphere of radius 1.
+
+    Raises CaptureError where too few photos were placed.
+    """
     count = len(groups[0].placed) if groups else 0
     if count < MINIMUM_VIEWS or (2 * count < len(photos) and count < _ENOUGH):
-        placed = f"only {count} of {len(photos)} photos could be placed" if count else "no photo could be placed"
-        raise CaptureError(f"{placed}: the photos share too few points", _PATTERN, "capture.cameras_not_found", placed=count)
+        few = f"only {count} of {len(photos)} photos could be placed" if count else "no photo could be placed"
+        hint = _PATTERN if any(any(photo.camera) for photo in photos) else f"{_PATTERN} {_NO_EXIF}"
+        why = "the photos share too few points, or were taken from one place"
+        raise CaptureError(f"{few}: {why}", hint, "capture.cameras_not_found", placed=count)
     best = groups[0]
     turn = _upright([found.photo for found in best.placed], [found.camera.camera_to_world for found in best.placed])
-    turned = [replace(f, camera=_moved(f.camera, turn, np.zeros(3), 1.0)) for f in best.placed]
-    center, radius = sphere_from_cameras([found.camera for found in turned])
-    moved = [replace(f, camera=_moved(f.camera, np.eye(3), center, radius)) for f in turned]
+    center, radius = sphere_from_cameras([moved(found.camera, turn, 1.0, np.zeros(3)) for found in best.placed])
+    placed = [replace(found, camera=moved(found.camera, turn, 1 / radius, -center / radius)) for found in best.placed]
     names = {found.photo.path for found in best.placed}
     left = [photo for photo in photos if photo.path not in names]
-    return FoundCameras(moved, (best.points @ turn.T - center) / radius, left)
-
-
-def _moved(camera, turn: np.ndarray, center: np.ndarray, scale: float):
-    matrix = camera.camera_to_world.copy()
-    matrix[:3, :3] = turn @ matrix[:3, :3]
-    matrix[:3, 3] = (turn @ matrix[:3, 3] - center) / scale
-    return replace(camera, camera_to_world=matrix)
+    return FoundCameras(placed, (best.points @ turn.T - center) / radius, left)
 
 
 def _upright(photos: Sequence[Photo], poses: Sequence[np.ndarray]) -> np.ndarray:
@@ -102,7 +108,7 @@ def messages(found: FoundCameras, groups: Sequence[Group]) -> tuple[list[Message
     others = [len(group.placed) for group in groups[1:] if len(group.placed) >= MINIMUM_VIEWS]
     if others and found.not_placed:
         warnings.append(Message("cameras.groups", {"count": len(others) + 1}))
-    unsure = [f.photo.path.name for f in found.placed if f.points < _FEW_POINTS or f.error > _LARGE_ERROR * _reduction(f)]
+    unsure = _unsure(found.placed)
     if unsure:
         warnings.append(Message("cameras.unsure", {"count": len(unsure), "names": unsure}))
     gap, before, after = _largest_gap(found.placed)
@@ -111,6 +117,26 @@ def messages(found: FoundCameras, groups: Sequence[Group]) -> tuple[list[Message
     if not warnings:
         said.append(Message("cameras.sure"))
     return said, warnings
+
+
+def _unsure(placed: Sequence[PlacedPhoto]) -> list[str]:
+    """Names of the photos whose cameras may be wrong."""
+    usual = float(np.median([found.error / _reduction(found) for found in placed]))
+    limit = min(_LARGE_ERROR, max(_OUTLIER * usual, _SMALL_ERROR))
+    cameras = Counter(found.photo.camera for found in placed)
+    shapes = Counter(_shape(found.photo) for found in placed)
+    unsure = []
+    for found in placed:
+        # the center of a lens is taken for the center of the photo, which is wrong where a photo was cropped
+        cropped = shapes[_shape(found.photo)] == 1 and cameras[found.photo.camera] > 1
+        if found.points < _FEW_POINTS or found.error > limit * _reduction(found) or cropped:
+            unsure.append(found.photo.path.name)
+    return unsure
+
+
+def _shape(photo: Photo) -> tuple[object, ...]:
+    """The camera as EXIF names it, and the ratio of the photo's longer side to the shorter one."""
+    return (*photo.camera, round(max(photo.width, photo.height) / min(photo.width, photo.height), 2))
 
 
 def _reduction(found: PlacedPhoto) -> float:

@@ -2,23 +2,20 @@
 
     python -m blender_nep.cameras.matching_process FOLDER
 
-FOLDER holds `settings.json` (see `structure_from_motion.start`) and `images/`. The result is written there: COLMAP models in
+FOLDER holds `settings.json` (see `structure_from_motion`) and `images/`. The result is written there: COLMAP models in
 `sparse/0`, `sparse/1` and so on, and `result.json`. Standard output carries JSON lines with stage, step and steps. Standard
 error carries pycolmap's log.
 
 pycolmap brings a zlib of its own, with which Python's zlib can crash. So this process compresses nothing, reads no PNG by
-Pillow, and imports nothing of the package.
+Pillow, and imports nothing of the package. It brings an SQLite of its own, too: Python's SQLite must not open the database
+here, because each of the two would release the other's locks.
 """
 
 from __future__ import annotations
 
 import json
 import os
-import sqlite3
 import sys
-import threading
-from collections.abc import Iterator
-from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -27,6 +24,13 @@ import numpy as np
 _SEED = 0
 _COARSE_FEATURES = 400
 """Features of each photo that choose the pairs: the largest ones, which are seen from many places."""
+_LEAST_MATCHES_OF_GIVEN = 8
+"""Matches that a pair of photos must have where the cameras are given. These reject most wrong matches."""
+_WIDE, _ROUNDS = 12.0, 3
+"""Largest distance [pixels] between a feature and its scene point in the first round of improving given cameras, and the
+number of rounds. The last round has pycolmap's own limit of 4 pixels."""
+_GUESSED_FOCAL = 1.2
+"""Focal length in longest sides of a photo, as COLMAP guesses it"""
 _RATIO = 0.85
 """A coarse feature matches if its second best match is this much worse (cosines of angles between descriptors)."""
 
@@ -35,13 +39,22 @@ def main(folder: Path) -> None:
     import pycolmap
 
     settings = json.loads((folder / "settings.json").read_text(encoding="utf-8"))
+    # This connection stays open. Where the last one is closed, SQLite locks the whole database, and so does the next one to
+    # open it. pycolmap fails if the process that counts the rows (structure_from_motion) reads at that moment.
+    with pycolmap.Database.open(str(folder / "database.db")):
+        _find(pycolmap, folder, settings)
+
+
+def _find(pycolmap: Any, folder: Path, settings: dict) -> None:
     database, images = folder / "database.db", folder / "images"
     names = [name for lens in settings["lenses"] for name in lens["names"]]
     pycolmap.set_random_seed(_SEED)
-    with _reported("features", database, "descriptors", len(names)):
-        for lens in settings["lenses"]:
-            _extract(pycolmap, database, images, lens, settings)
-    pairs = _pairs(pycolmap, database, settings["partners"])
+    _say("features", 0, len(names))
+    for lens in settings["lenses"]:
+        _extract(pycolmap, database, images, lens, settings)
+    _say("features", len(names), len(names))
+    given = settings["given"]
+    pairs = _near_pairs(given, settings["partners"]) if given else _pairs(pycolmap, database, settings["partners"])
     (folder / "pairs.txt").write_text("".join(f"{a} {b}\n" for a, b in pairs), encoding="utf-8")
     matching = pycolmap.FeatureMatchingOptions()
     matching.num_threads = settings["threads"]
@@ -49,17 +62,27 @@ def main(folder: Path) -> None:
     pairing.match_list_path = str(folder / "pairs.txt")
     verification = pycolmap.TwoViewGeometryOptions()
     verification.ransac.random_seed = _SEED
-    with _reported("matches", database, "two_view_geometries", len(pairs)):
-        pycolmap.match_image_pairs(database, matching, pairing, verification, pycolmap.Device.cpu)
-    _map(pycolmap, folder, len(names), settings["threads"])
+    if given:
+        verification.min_num_inliers = _LEAST_MATCHES_OF_GIVEN
+    _say("matches", 0, len(pairs))
+    pycolmap.match_image_pairs(database, matching, pairing, verification, pycolmap.Device.cpu)
+    _say("matches", len(pairs), len(pairs))
+    if given:
+        _improve(pycolmap, folder, settings)
+    else:
+        found = _map(pycolmap, folder, len(names), settings["threads"])
+        if _placed(found) < len(names) / 2 and any(lens["params"] for lens in settings["lenses"]):
+            _forget_focal_lengths(pycolmap, folder, verification)
+            again = _map(pycolmap, folder, len(names), settings["threads"])
+            found = max(found, again, key=_placed)
+        _write(folder, [(model, {}) for model in found])
 
 
 def _extract(pycolmap: Any, database: Path, images: Path, lens: dict, settings: dict) -> None:
     reader = pycolmap.ImageReaderOptions()
-    reader.camera_model = "RADIAL"
-    if lens["focal_length"]:
-        focal = lens["focal_length"]
-        reader.camera_params = f"{focal},{lens['width'] / 2},{lens['height'] / 2},0,0"
+    reader.camera_model = lens["model"]
+    if lens["params"]:
+        reader.camera_params = ",".join(map(repr, lens["params"]))
     if settings["masked"]:
         reader.mask_path = str(images.parent / "masks")
     features = pycolmap.FeatureExtractionOptions()
@@ -95,6 +118,16 @@ def _pairs(pycolmap: Any, database: Path, partners: int) -> list[tuple[str, str]
     return [(names[i], names[j]) for i, j in sorted(chosen)]
 
 
+def _near_pairs(given: dict, partners: int) -> list[tuple[str, str]]:
+    """The pairs of photos to match where the cameras are given: for each photo, the nearest `partners` cameras."""
+    names = sorted(given)
+    places = np.array([given[name]["position"] for name in names])
+    apart = np.linalg.norm(places[:, None] - places[None], axis=-1)
+    near = np.argsort(apart, axis=1, kind="stable")[:, 1 : partners + 1]
+    chosen = {(min(i, int(j)), max(i, int(j))) for i, row in enumerate(near) for j in row if int(j) != i}
+    return [(names[i], names[j]) for i, j in sorted(chosen)]
+
+
 def _coarse(opened: Any, image: int) -> np.ndarray:
     """Unit descriptors [n, 128] float32 of the photo's largest features."""
     places = np.asarray(opened.read_keypoints(image))
@@ -119,7 +152,8 @@ def _similarity(first: np.ndarray, second: np.ndarray) -> int:
     return int((mutual & (angle[:, 1] < _RATIO * angle[:, 0])).sum())
 
 
-def _map(pycolmap: Any, folder: Path, count: int, threads: int) -> None:
+def _map(pycolmap: Any, folder: Path, count: int, threads: int) -> list[Any]:
+    """The models that COLMAP's incremental mapping finds."""
     (folder / "sparse").mkdir(exist_ok=True)
     options = pycolmap.IncrementalPipelineOptions()
     options.num_threads, options.random_seed, options.extract_colors = threads, _SEED, False
@@ -135,16 +169,89 @@ def _map(pycolmap: Any, folder: Path, count: int, threads: int) -> None:
     found = pycolmap.incremental_mapping(
         folder / "database.db", folder / "images", folder / "sparse", options, next_image_callback=report
     )
-    models = []
-    for number, model in sorted(found.items()):
+    return [model for _, model in sorted(found.items())]
+
+
+def _placed(models: list[Any]) -> int:
+    """Photos in the largest model"""
+    return max((model.num_reg_images() for model in models), default=0)
+
+
+def _forget_focal_lengths(pycolmap: Any, folder: Path, verification: Any) -> None:
+    """Let all cameras begin with COLMAP's guess of the focal length, and judge the matches again.
+
+    EXIF may tell a focal length that is wrong by a factor, for example in cropped photos. Too few matches agree then.
+    """
+    with pycolmap.Database.open(str(folder / "database.db")) as opened:
+        for camera in opened.read_all_cameras():
+            size = camera.width, camera.height
+            camera.params = [_GUESSED_FOCAL * max(size), size[0] / 2, size[1] / 2, 0.0, 0.0]
+            camera.has_prior_focal_length = False
+            opened.update_camera(camera)
+        opened.clear_two_view_geometries()
+    pycolmap.verify_matches(folder / "database.db", folder / "pairs.txt", verification)
+
+
+def _write(folder: Path, models: list[tuple[Any, dict]]) -> None:
+    """Write models in COLMAP's form, and `result.json`. Each model comes with what else is to be said of its photos."""
+    told = []
+    for number, (model, more) in enumerate(models):
         target = folder / "sparse" / str(number)
-        target.mkdir(exist_ok=True)
+        target.mkdir(parents=True, exist_ok=True)
         model.write_binary(str(target))
         photos = {model.images[i].name: _support(model, model.images[i]) for i in model.reg_image_ids()}
-        models.append({"folder": str(number), "photos": photos})
+        told.append({"folder": str(number), "photos": photos} | more)
         points = [point.xyz for point in model.points3D.values() if point.track.length() >= 3]
         np.save(folder / f"points_{number}.npy", np.array(points).reshape(-1, 3))
-    (folder / "result.json").write_text(json.dumps(models), encoding="utf-8")
+    (folder / "result.json").write_text(json.dumps(told), encoding="utf-8")
+
+
+def _improve(pycolmap: Any, folder: Path, settings: dict) -> None:
+    """Improve given cameras: find scene points with them, and adjust cameras and points to the features; several rounds."""
+    model = _given_model(pycolmap, folder, settings)
+    options = pycolmap.IncrementalPipelineOptions()
+    options.num_threads, options.random_seed, options.extract_colors = settings["threads"], _SEED, False
+    adjustment = pycolmap.BundleAdjustmentOptions()
+    adjustment.print_summary = False
+    adjustment.refine_extra_params = all(lens["refined"] for lens in settings["lenses"])
+    adjustment.ceres.loss_function_type = pycolmap.LossFunctionType.SOFT_L1
+    adjustment.ceres.solver_options.num_threads = settings["threads"]
+    (folder / "round").mkdir()
+    before = {}
+    for number in range(_ROUNDS):
+        _say("places", number, _ROUNDS)
+        limit = _WIDE if number == 0 else 4.0
+        options.mapper.filter_max_reproj_error = options.triangulation.complete_max_reproj_error = limit
+        model = pycolmap.triangulate_points(
+            model, folder / "database.db", folder / "images", folder / "round", clear_points=True, options=options
+        )
+        if number == 0:
+            before = {model.images[i].name: _support(model, model.images[i]) for i in model.reg_image_ids()}
+        pycolmap.bundle_adjustment(model, adjustment)
+    _say("places", _ROUNDS, _ROUNDS)
+    _write(folder, [(model, {"before": before})])
+
+
+def _given_model(pycolmap: Any, folder: Path, settings: dict) -> Any:
+    """The given cameras as a COLMAP model without scene points, under the database's numbers."""
+    with pycolmap.Database.open(str(folder / "database.db")) as opened:
+        images = {image.name: image for image in opened.read_all_images()}
+    lens_of = {name: lens for lens in settings["lenses"] for name in lens["names"]}
+    cameras, poses = {}, []
+    for name, pose in settings["given"].items():
+        lens, image = lens_of[name], images[name]
+        size = f"{round(lens['width'])} {round(lens['height'])}"
+        cameras[image.camera_id] = f"{lens['model']} {size} " + " ".join(map(repr, lens["params"]))
+        numbers = " ".join(map(repr, (*pose["quaternion"], *pose["translation"])))
+        poses.append(f"{image.image_id} {numbers} {image.camera_id} {name}\n\n")
+    given = folder / "given"
+    given.mkdir()
+    texts = {"cameras": "".join(f"{n} {text}\n" for n, text in cameras.items()), "images": "".join(poses), "points3D": ""}
+    for name, text in texts.items():
+        (given / f"{name}.txt").write_text(text, encoding="utf-8")
+    model = pycolmap.Reconstruction()
+    model.read_text(str(given))
+    return model
 
 
 def _support(model: Any, image: Any) -> dict[str, float]:
@@ -158,31 +265,6 @@ def _error(model: Any, image: Any, point: Any) -> float:
     """Distance [pixels] between a feature and the projection of its 3-D point."""
     place = image.project_point(model.points3D[point.point3D_id].xyz)
     return float("inf") if place is None else float(np.linalg.norm(place - point.xy))
-
-
-@contextmanager
-def _reported(stage: str, database: Path, table: str, steps: int) -> Iterator[None]:
-    """Within this context, the number of rows of the database's table is reported every second."""
-    ended = threading.Event()
-
-    def watch() -> None:
-        while not ended.wait(1.0):
-            try:
-                with closing(sqlite3.connect(f"file:{database}?mode=ro", uri=True, timeout=1)) as opened:
-                    rows = opened.execute(f"SELECT COUNT(*) FROM {table}").fetchone()[0]
-                _say(stage, min(rows, steps), steps)
-            except sqlite3.Error:
-                pass  # the table is not there yet, or is locked: the next second tells
-
-    _say(stage, 0, steps)
-    watcher = threading.Thread(target=watch, daemon=True)
-    watcher.start()
-    try:
-        yield
-    finally:
-        ended.set()
-        watcher.join()
-    _say(stage, steps, steps)
 
 
 def _say(stage: str, step: int, steps: int) -> None:

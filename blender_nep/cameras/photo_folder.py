@@ -2,29 +2,42 @@
 
 from __future__ import annotations
 
+import struct
+import zlib
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from PIL import Image
 
+from blender_nep.capture.capture import Capture
 from blender_nep.capture.loading import MINIMUM_VIEWS
-from blender_nep.capture.photo_files import SUFFIXES, image_size, open_image
+from blender_nep.capture.photo_files import SUFFIXES, exif, file_kind, image_size, open_image
 from blender_nep.color import linear_to_srgb, to_bytes
 from blender_nep.errors import CaptureError
 
-_EXIF, _MAKE, _MODEL, _ORIENTATION = 0x8769, 0x010F, 0x0110, 0x0112
+_MAKE, _MODEL, _ORIENTATION = 0x010F, 0x0110, 0x0112
 _FOCAL_LENGTH, _FILM_LENGTH, _LENS_MODEL = 0x920A, 0xA405, 0xA434
 _FILM_DIAGONAL = 43.2666
 """mm, of film 36 x 24. A focal length "in 35 mm film" is for the same diagonal angle."""
-_QUARTER_TURNS = {1: 0, 6: 1, 3: 2, 8: 3}
-"""{EXIF orientation: by how many quarter turns clockwise the stored image must be turned to stand upright}"""
+_QUARTER_TURNS = {1: 0, 2: 0, 6: 1, 5: 1, 3: 2, 4: 2, 8: 3, 7: 3}
+"""{EXIF orientation: by how many quarter turns clockwise the stored image must be turned to stand upright}
+
+The second of two equal ones says that the image is mirrored too, which does not change where its top is.
+"""
 _MASKS = "masks"
+_DAMAGED = (OSError, ValueError, SyntaxError, EOFError, struct.error, zlib.error, Image.DecompressionBombError)
+"""What Pillow raises for damaged files"""
+_STRIP = 64
+"""Rows of a photo that are made grey at a time"""
 
 
 @dataclass(frozen=True)
 class Photo:
-    """A photo as its file stores it. EXIF's orientation is not applied: all photos of a camera have the same lens then."""
+    """A photo as its file stores it. EXIF's orientation is not applied: all photos of a camera have the same lens then.
+
+    HEIC is the exception: its decoder turns the pixels, so that upright and lying photos of a phone have a lens each.
+    """
 
     path: Path
     width: int
@@ -44,14 +57,21 @@ class Photo:
 
 
 def find_photos(folder: Path) -> list[Photo]:
-    """The photos in `folder`, or in its folder `images`, sorted by name. Masks lie in the folder `masks` beside them.
+    """The photos in `folder`, or in its folder `images`, sorted by name. Masks lie in `folder`'s folder `masks`.
 
     A file that is no photo is passed over if its ending is none of a photo. Raises CaptureError if the folder is missing, if
-    a photo cannot be read, or if there are too few.
+    a photo cannot be read, if a mask has not its photo's size, or if there are too few photos.
     """
     if not folder.is_dir():
         raise CaptureError(f"there is no folder {folder}", "Check the path of the folder with photos.", "capture.no_folder")
-    paths = _photo_files(folder) or (_photo_files(folder / "images") if (folder / "images").is_dir() else [])
+    try:
+        paths = _photo_files(folder)
+        if len(paths) < MINIMUM_VIEWS and (folder / "images").is_dir():  # a picture may lie beside the folder of photos
+            paths = _photo_files(folder / "images") or paths
+    except OSError as error:
+        reason = error.strerror or str(error)
+        message = f"{folder} cannot be read ({reason})"
+        raise CaptureError(message, "Change its permissions.", "capture.folder_unreadable") from error
     if len(paths) < MINIMUM_VIEWS:
         allowed = ", ".join(suffix[1:] for suffix in SUFFIXES)
         raise CaptureError(
@@ -63,35 +83,68 @@ def find_photos(folder: Path) -> list[Photo]:
     return [_photo(path, folder) for path in paths]
 
 
+def photos_of(capture: Capture) -> list[Photo]:
+    """The photos of a capture. Raises CaptureError where a photo cannot be read."""
+    found = []
+    for view in capture.views:
+        width, height = _size(view.image_path)
+        found.append(Photo(view.image_path, width, height, None, (), mask=view.mask_path))
+    return found
+
+
 def _photo_files(folder: Path) -> list[Path]:
-    files = (path for path in folder.iterdir() if path.suffix.lower() in SUFFIXES and not path.name.startswith("."))
-    return sorted(path for path in files if path.is_file())
+    """The photos in a folder, sorted by name.
+
+    A photo is often there twice: a camera writes a JPEG beside a raw file, and people export TIFF or JPEG files into the
+    folder. Of files with one stem, EXR, PNG and JPEG files count, or else the file whose ending comes first in `SUFFIXES`.
+    """
+    named = (path for path in folder.iterdir() if path.suffix.lower() in SUFFIXES and not path.name.startswith("."))
+    files = sorted(path for path in named if path.is_file())
+    best: dict[str, int] = {}
+    for path in files:
+        best[path.stem] = min(_rank(path), best.get(path.stem, len(SUFFIXES)))
+    return [path for path in files if _rank(path) == best[path.stem]]
+
+
+def _rank(path: Path) -> int:
+    return max(SUFFIXES.index(path.suffix.lower()), SUFFIXES.index(".jpeg"))
 
 
 def _photo(path: Path, folder: Path) -> Photo:
-    width, height = image_size(path)
+    width, height = _size(path)
     masks = (folder / _MASKS / f"{path.name}.png", folder / _MASKS / f"{path.stem}.png")
     mask = next((mask for mask in masks if mask.is_file()), None)
-    tags = _exif(path)
+    if mask is not None and (size := _size(mask)) != (width, height):
+        raise CaptureError(
+            f"the mask {mask.name} is {size[0]} x {size[1]} pixels, but {path.name} is {width} x {height}",
+            "A mask needs the size of its photo, as the file stores it: EXIF's orientation is not applied.",
+            "capture.mask_size",
+            mask=mask,
+        )
+    try:
+        tags = exif(path)
+    except CaptureError:  # damaged EXIF; whether the pixels are sound is seen when they are read
+        tags = {}
     words = tuple(str(tags.get(tag, "")).strip("\0 ") for tag in (_MAKE, _MODEL, _LENS_MODEL, _FOCAL_LENGTH, _FILM_LENGTH))
     turns = _QUARTER_TURNS.get(tags.get(_ORIENTATION, 1), 0)  # type: ignore[call-overload]
     return Photo(path, width, height, _focal_length(tags, width, height), words, turns, mask)
 
 
-def _exif(path: Path) -> dict[int, object]:
-    """What EXIF says, {tag: value}. Raises CaptureError where the photo cannot be read."""
-    if path.suffix.lower() == ".exr":
-        return {}
+def _size(path: Path) -> tuple[int, int]:
     try:
-        with Image.open(path) as image:
-            exif = image.getexif()
-            return {**exif, **exif.get_ifd(_EXIF)}
-    except (OSError, ValueError, SyntaxError) as error:
+        return image_size(path)
+    except CaptureError as error:
         raise _unreadable(path, error) from error
 
 
 def _unreadable(path: Path, error: Exception) -> CaptureError:
-    return CaptureError(f"{path.name} cannot be read as an image ({error})", "Take it out, or copy it again.")
+    known = isinstance(error, CaptureError)
+    return CaptureError(
+        str(error) if known else f"{path.name} cannot be read as an image ({error})",
+        "Take it out, or copy it again.",
+        "capture.photo_unreadable",
+        photo=path,
+    )
 
 
 def _focal_length(tags: dict[int, object], width: int, height: int) -> float | None:
@@ -106,35 +159,43 @@ def _focal_length(tags: dict[int, object], width: int, height: int) -> float | N
 def grey_copy(photo: Photo, longest: int) -> np.ndarray:
     """The photo as grey sRGB values [h, w] uint8, scaled down so that no side is longer than `longest`.
 
-    Photos with radiance get an exposure that shows their median at half of white.
+    Photos with radiance get an exposure that shows their median at half of white. Raises CaptureError.
     """
-    if photo.path.suffix.lower() == ".exr":
-        radiance, _ = open_image(photo.path, "linear").rows()
-        radiance = np.clip(np.nan_to_num(radiance), 0, None)
-        exposed = radiance * (0.2 / max(float(np.median(radiance)), 1e-6))
-        image = Image.fromarray(to_bytes(linear_to_srgb(exposed.mean(-1))))
-    else:
-        image = _opened(photo.path)
+    try:
+        image = _opened(photo.path) if file_kind(photo.path) == "pillow" else Image.fromarray(_grey(photo.path))
+    except (*_DAMAGED, CaptureError) as error:
+        raise _unreadable(photo.path, error) from error
     factor = longest / max(image.size)
     if factor < 1:
         image = image.resize((round(image.width * factor), round(image.height * factor)), Image.Resampling.LANCZOS)
     return np.asarray(image)
 
 
+def _grey(path: Path) -> np.ndarray:
+    """The photo as grey sRGB values [H, W] uint8."""
+    raster = open_image(path, "srgb")
+    if raster.encoding.is_linear:
+        radiance = np.clip(np.nan_to_num(raster.rows()[0]), 0, None)
+        exposed = radiance * (0.2 / max(float(np.median(radiance)), 1e-6))
+        return to_bytes(linear_to_srgb(exposed.mean(-1)))
+    strips = (raster.rows(start, start + _STRIP)[0] for start in range(0, raster.size[0], _STRIP))
+    return np.concatenate([to_bytes(linear_to_srgb(np.nan_to_num(strip).mean(-1))) for strip in strips])
+
+
 def _opened(path: Path) -> Image.Image:
-    try:
-        with Image.open(path) as image:
-            if image.mode.startswith("I"):  # 16 bits
-                return Image.fromarray((np.asarray(image, np.float32) / 257).clip(0, 255).astype(np.uint8))
-            return image.convert("L")
-    except (OSError, ValueError, SyntaxError) as error:
-        raise _unreadable(path, error) from error
+    with Image.open(path) as image:
+        if image.mode.startswith("I"):  # 16 bits
+            return Image.fromarray((np.asarray(image, np.float32) / 257).clip(0, 255).astype(np.uint8))
+        return image.convert("L")
 
 
 def mask_copy(photo: Photo, size: tuple[int, int]) -> np.ndarray | None:
-    """Where the mask shows the object, [h, w] bool, at `size` (width, height); None without a mask."""
+    """Where the mask shows the object, [h, w] bool, at `size` (width, height); None without a mask. Raises CaptureError."""
     if photo.mask is None:
         return None
-    with Image.open(photo.mask) as image:
-        grey = image.getchannel("A") if "A" in image.getbands() else image.convert("L")
-        return np.asarray(grey.resize(size, Image.Resampling.BOX)) > 127
+    try:
+        with Image.open(photo.mask) as image:
+            grey = image.getchannel("A") if "A" in image.getbands() else image.convert("L")
+            return np.asarray(grey.resize(size, Image.Resampling.BOX)) > 127
+    except _DAMAGED as error:
+        raise _unreadable(photo.mask, error) from error

@@ -2,24 +2,33 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import math
 import os
+import queue
+import shutil
+import signal
+import sqlite3
 import subprocess
 import sys
+import tempfile
 import threading
-from collections.abc import Callable, Sequence
+import time
+from collections import deque
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from PIL import Image
+from scipy.spatial.transform import Rotation
 
 from blender_nep.cameras.photo_folder import Photo, grey_copy, mask_copy
 from blender_nep.capture.camera import Camera
 from blender_nep.capture.formats import colmap
-from blender_nep.errors import NepError, OutputError, Stopped
-from blender_nep.files import output_errors
+from blender_nep.errors import CaptureError, NepError, OutputError, Stopped
 from blender_nep.stop_request import StopRequest
 
 LONGEST_SIDE = 1600
@@ -31,6 +40,21 @@ _PARTNERS = 24
 _SMALL = 1100
 """Photos whose longest side is shorter than this [pixels] are doubled before features are sought, as SIFT's paper does."""
 _POLL_S = 0.2
+_LOOK_S = 1.0
+"""How often the database is asked how far the process is"""
+_TABLES = {"features": "descriptors", "matches": "two_view_geometries"}
+"""{stage: the table that has a row for each step that is done}"""
+_OTHER_FOLDER = "The environment variable TMPDIR can name another folder for them."
+_LOG_LINES, _LAST_LINES = 400, 5
+"""Lines of pycolmap's log that are kept, and that a message shows"""
+_DISK_FULL = ("database or disk is full", "No space left")
+_STACK = ("@", "***", "PC:")
+"""How the lines begin in which a crash tells its stack"""
+_NO_MEMORY = ("bad_alloc", "MemoryError", "Cannot allocate memory")
+_LEAST_FREE = 1_000_000
+"""Bytes. With less space, the disk counts as full."""
+_SIGKILL = 9
+"""The signal by which Linux ends a process where memory is short"""
 
 Report = Callable[[str, int, int], None]
 """Called with the stage ('photos', 'features', 'matches' or 'places'), the step, and the number of steps"""
@@ -56,99 +80,238 @@ class Group:
     placed: list[PlacedPhoto]
     points: np.ndarray
     """[n, 3] scene points that three photos show, or more"""
+    error_before: float | None = None
+    """As the median `PlacedPhoto.error` of all photos, but with the given cameras; None where none were given"""
 
 
 def find_groups(
-    photos: Sequence[Photo], folder: Path, masked: bool | None, threads: int | None, report: Report, stop: StopRequest
+    photos: Sequence[Photo],
+    folder: Path,
+    report: Report,
+    stop: StopRequest,
+    *,
+    masked: bool | None = None,
+    threads: int | None = None,
+    given: Sequence[Camera] | None = None,
 ) -> list[Group]:
     """Groups of photos whose places were found, the largest one first. Working files are left in the empty `folder`.
 
     masked: None uses features everywhere; True only those on the object that the masks show, False only those beside it.
-    Raises CaptureError where a photo cannot be read, OutputError where the disk is full, Stopped on request, and NepError
-    where pycolmap fails.
+    given: cameras of the photos that are only improved. There is one group then, in a frame near the given one. Raises
+    CaptureError where a photo cannot be read, OutputError where the disk is full, Stopped on request, and NepError where
+    pycolmap fails.
     """
     scale = {}
-    with output_errors(folder):
-        for sub in ("images", "masks"):
-            (folder / sub).mkdir()
-        for number, photo in enumerate(photos):
-            _stop_if_asked(stop)
-            report("photos", number, len(photos))
-            name, grey = f"{number:05d}.png", grey_copy(photo, LONGEST_SIDE)
-            scale[name] = photo.width / grey.shape[1]
-            Image.fromarray(grey).save(folder / "images" / name, compress_level=1)
-            if masked is not None and (mask := mask_copy(photo, (grey.shape[1], grey.shape[0]))) is not None:
-                Image.fromarray(np.uint8(255) * (mask == masked)).save(folder / "masks" / f"{name}.png", compress_level=1)
-        settings = _settings(photos, scale, masked is not None, threads)
+    for number, photo in enumerate(photos):
+        _stop_if_asked(stop)
+        report("photos", number, len(photos))
+        name, grey = f"{number:05d}.png", grey_copy(photo, LONGEST_SIDE)
+        scale[name] = photo.width / grey.shape[1]
+        _save(grey, folder / "images" / name)
+        if masked is not None and (mask := mask_copy(photo, (grey.shape[1], grey.shape[0]))) is not None:
+            _save(np.uint8(255) * (mask == masked), folder / "masks" / f"{name}.png")
+    settings = _settings(photos, scale, given) | {
+        "masked": masked is not None,
+        "threads": threads or os.cpu_count() or 1,
+    }
+    with _working_file(folder):
         (folder / "settings.json").write_text(json.dumps(settings), encoding="utf-8")
     report("photos", len(photos), len(photos))
     _run(folder, report, stop)
     return _read(folder, photos, scale)
 
 
-def _settings(photos: Sequence[Photo], scale: dict[str, float], masked: bool, threads: int | None) -> dict:
+@contextmanager
+def working_folder() -> Iterator[Path]:
+    """An empty temporary folder, which is removed at the end. Raises OutputError where there can be none."""
+    try:
+        made = tempfile.TemporaryDirectory(prefix="nep_cameras_", ignore_cleanup_errors=True)
+    except OSError as error:
+        raise _unwritable(Path(tempfile.tempdir or "."), error) from error
+    with made as folder:
+        yield Path(folder)
+
+
+def _save(image: np.ndarray, path: Path) -> None:
+    with _working_file(path.parent.parent):
+        path.parent.mkdir(exist_ok=True)
+        Image.fromarray(image).save(path, compress_level=1)
+
+
+@contextmanager
+def _working_file(folder: Path) -> Iterator[None]:
+    """A context that turns the operating system's errors while writing into `folder` into OutputError."""
+    try:
+        yield
+    except OSError as error:
+        raise _unwritable(folder.parent, error) from error
+
+
+def _unwritable(folder: Path, error: OSError) -> OutputError:
+    """The error where working files cannot be written into the folder for temporary files."""
+    if error.errno in (errno.ENOSPC, errno.EDQUOT):
+        return _disk_full(folder)
+    reason = error.strerror or str(error)
+    message = f"the working files in {folder} cannot be written ({reason})"
+    return OutputError(message, _OTHER_FOLDER, "output.no_working_files", reason=reason)
+
+
+def _disk_full(folder: Path) -> OutputError:
+    return OutputError(
+        f"the disk is full: the working files in {folder} cannot be written",
+        f"Free some space. {_OTHER_FOLDER}",
+        "output.disk_full",
+        path=folder,
+    )
+
+
+def _settings(photos: Sequence[Photo], scale: dict[str, float], given: Sequence[Camera] | None) -> dict:
     """The file settings.json of `matching_process`. Photos of one lens share a camera."""
     lenses: dict[tuple, dict] = {}
-    for name, photo in zip(scale, photos, strict=True):
-        lens = lenses.setdefault(
-            photo.lens,
-            {
-                "width": photo.width / scale[name],
-                "height": photo.height / scale[name],
-                "focal_length": photo.focal_length and photo.focal_length / scale[name],
-                "names": [],
-            },
-        )
+    for number, (name, photo) in enumerate(zip(scale, photos, strict=True)):
+        if given is None:
+            lens = lenses.setdefault(photo.lens, _unknown_lens(photo, scale[name]))
+        else:
+            camera = given[number]
+            intrinsics = (camera.width, camera.height, camera.fl_x, camera.fl_y, camera.cx, camera.cy, camera.lens)
+            lens = lenses.setdefault(intrinsics, _given_lens(camera, scale[name]))
         lens["names"].append(name)
     longest = max(max(photo.width, photo.height) / factor for photo, factor in zip(photos, scale.values(), strict=True))
     return {
         "lenses": list(lenses.values()),
-        "masked": masked,
+        "given": {} if given is None else {name: _pose(camera) for name, camera in zip(scale, given, strict=True)},
         "features": _FEATURES,
         "first_octave": -1 if longest < _SMALL else 0,
         "partners": _PARTNERS,
-        "threads": threads or os.cpu_count() or 1,
     }
+
+
+def _unknown_lens(photo: Photo, scale: float) -> dict:
+    """A lens whose focal length EXIF may tell."""
+    width, height = photo.width / scale, photo.height / scale
+    params = [photo.focal_length / scale, width / 2, height / 2, 0.0, 0.0] if photo.focal_length else None
+    return {"model": "RADIAL", "params": params, "width": width, "height": height, "refined": True, "names": []}
+
+
+def _given_lens(camera: Camera, scale: float) -> dict:
+    """A lens with COLMAP's model that has the fewest parameters for it. k3 of FULL_OPENCV is not refined."""
+    k, center = camera.lens, [camera.cx / scale, camera.cy / scale]
+    focal, refined = [camera.fl_x / scale, camera.fl_y / scale], True
+    if k.fisheye:
+        model, params = "OPENCV_FISHEYE", [*focal, *center, k.k1, k.k2, k.k3, k.k4]
+    elif k.k4:
+        raise CaptureError(
+            "cameras with k4 cannot be improved", "Find them anew, without --improve.", "capture.lens_not_improved"
+        )
+    elif k.k3:
+        model, params, refined = "FULL_OPENCV", [*focal, *center, k.k1, k.k2, k.p1, k.p2, k.k3, 0.0, 0.0, 0.0], False
+    elif k.p1 or k.p2 or abs(camera.fl_x / camera.fl_y - 1) > 1e-6:
+        model, params = "OPENCV", [*focal, *center, k.k1, k.k2, k.p1, k.p2]
+    else:
+        model, params = "RADIAL", [focal[0], *center, k.k1, k.k2]
+    size = {"width": camera.width / scale, "height": camera.height / scale}
+    return {"model": model, "params": params, "refined": refined, "names": []} | size
+
+
+def _pose(camera: Camera) -> dict[str, list[float]]:
+    """A pose as COLMAP has it: the rotation (w, x, y, z) and translation from the world to OpenCV's axes."""
+    to_camera = (camera.camera_to_world[:3, :3] * [1, -1, -1]).T
+    x, y, z, w = Rotation.from_matrix(to_camera).as_quat().tolist()
+    position = camera.position
+    return {"quaternion": [w, x, y, z], "translation": (-to_camera @ position).tolist(), "position": position.tolist()}
 
 
 def _run(folder: Path, report: Report, stop: StopRequest) -> None:
     """Run `matching_process` to its end."""
-    log = folder / "pycolmap.log"
     command = [sys.executable, "-m", "blender_nep.cameras.matching_process", str(folder)]
-    with open(log, "wb") as errors:
-        process = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=errors)
-    ended = threading.Event()
+    process = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+    said: queue.SimpleQueue[bytes | None] = queue.SimpleQueue()
+    log: deque[bytes] = deque(maxlen=_LOG_LINES)  # in memory: a log on a full disk would say nothing
 
-    def end_if_asked() -> None:
-        while not ended.wait(_POLL_S):
-            if stop.requested:
-                process.kill()
+    def listen() -> None:
+        for line in process.stdout or ():
+            said.put(line)
+        said.put(None)
 
-    watcher = threading.Thread(target=end_if_asked, daemon=True)
-    watcher.start()
+    readers = [threading.Thread(target=target, daemon=True) for target in (listen, lambda: log.extend(process.stderr or ()))]
+    for reader in readers:
+        reader.start()
     try:
-        assert process.stdout is not None
-        for line in process.stdout:
-            said = json.loads(line)
-            report(said["stage"], said["step"], said["steps"])
-        process.wait()
+        if _follow(said, folder / "database.db", report, stop):
+            process.wait()
     finally:
-        ended.set()
         process.kill()
         process.wait()
-        watcher.join()
+        for reader in readers:
+            reader.join()
+        for pipe in (process.stdout, process.stderr):
+            if pipe is not None:
+                pipe.close()
     _stop_if_asked(stop)
     if process.returncode or not (folder / "result.json").is_file():
-        raise _failure(log.read_text(encoding="utf-8", errors="replace"), process.returncode)
+        raise _failure(b"".join(log).decode("utf-8", "replace"), process.returncode, folder)
 
 
-def _failure(log: str, code: int) -> NepError:
+def _follow(said: queue.SimpleQueue[bytes | None], database: Path, report: Report, stop: StopRequest) -> bool:
+    """Report the steps that the process says, until it says None. Returns False as soon as a stop is asked for.
+
+    Between two steps, the rows of the database tell how far the process is. They are counted here and not in the process:
+    Python's SQLite and pycolmap's in one process release each other's locks, and the database breaks.
+    """
+    stage, steps, looked = "", 0, time.monotonic()
+    while not stop.requested:
+        try:
+            line = said.get(timeout=_POLL_S)
+        except queue.Empty:
+            if stage in _TABLES and time.monotonic() - looked >= _LOOK_S:
+                looked = time.monotonic()
+                rows = _rows(database, _TABLES[stage])
+                if rows is not None:
+                    report(stage, min(rows, steps), steps)
+            continue
+        if line is None:
+            return True
+        step = _step(line)
+        if step is not None:
+            stage, steps = step[0], step[2]
+            report(*step)
+    return False
+
+
+def _step(line: bytes) -> tuple[str, int, int] | None:
+    """The stage, the step and the number of steps that a line of the process says; None for what pycolmap prints."""
+    try:
+        said = json.loads(line)
+        return str(said["stage"]), int(said["step"]), int(said["steps"])
+    except (ValueError, TypeError, KeyError):
+        return None
+
+
+def _rows(database: Path, table: str) -> int | None:
+    """The number of rows of a table; None where the database cannot be read at this moment."""
+    try:
+        with closing(sqlite3.connect(f"{database.absolute().as_uri()}?mode=ro", uri=True, timeout=1)) as opened:
+            return int(opened.execute(f"SELECT COUNT(*) FROM {table}").fetchone()[0])
+    except sqlite3.Error:
+        return None
+
+
+def _failure(log: str, code: int, folder: Path) -> NepError:
+    """The error for a process that ended with `code` and the words `log`."""
     if "No module named 'pycolmap'" in log:
         return NepError("pycolmap is not installed", "Install it: pip install pycolmap.", "unexpected.no_pycolmap")
-    if "database or disk is full" in log or "No space left" in log:
-        return OutputError("the disk is full: the cameras cannot be found", "Free some space.", "output.disk_full")
-    last = "\n".join(log.strip().splitlines()[-5:])
-    return NepError(f"pycolmap failed (exit code {code})", f"Its last words: {last}", "unexpected.pycolmap_failed")
+    if any(words in log for words in _DISK_FULL) or shutil.disk_usage(folder).free < _LEAST_FREE:
+        return _disk_full(folder.parent)
+    if code == -_SIGKILL or any(words in log for words in _NO_MEMORY):
+        return NepError("out of memory", "Close other programs, or use fewer or smaller photos.", "unexpected.no_memory")
+    how = f"ended with exit code {code}"
+    if code < 0:
+        names = {one.value: one.name for one in signal.Signals}
+        how = f"crashed ({names.get(-code, f'signal {-code}')})"
+    said = [line.strip() for line in log.splitlines() if line.strip() and not line.strip().startswith(_STACK)]
+    last = f" Its last words: {' '.join(said[-_LAST_LINES:])}" if said else ""
+    hint = "Try it again. If it fails again, install the newest pycolmap, or report it."
+    return NepError(f"pycolmap {how}", hint + last, "unexpected.pycolmap_failed")
 
 
 def _stop_if_asked(stop: StopRequest) -> None:
@@ -168,5 +331,7 @@ def _read(folder: Path, photos: Sequence[Photo], scale: dict[str, float]) -> lis
                 full = camera.scaled(photo.width, photo.height)
                 placed.append(PlacedPhoto(photo, full, said["points"], said["error"] * scale[name]))
         points = np.load(folder / f"points_{model['folder']}.npy")
-        groups.append(Group(sorted(placed, key=lambda found: found.photo.path.name), points))
+        before = [scale[name] * said["error"] for name, said in model.get("before", {}).items() if said["points"]]
+        error = float(np.median(before)) if before else None
+        groups.append(Group(sorted(placed, key=lambda found: found.photo.path.name), points, error))
     return sorted(groups, key=lambda group: -len(group.placed))

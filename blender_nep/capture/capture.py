@@ -30,7 +30,7 @@ class Capture:
     folder: Path
     views: list[View]
     color_space: str
-    """'linear' or 'srgb': how 8- and 16-bit photos are encoded. OpenEXR is always linear."""
+    """How photos are encoded that are not OpenEXR: 'linear', or 'srgb', which means as the file says, else sRGB."""
     object_center: np.ndarray
     object_radius: float
     bounds_source: str

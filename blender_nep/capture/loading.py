@@ -11,7 +11,7 @@ import numpy as np
 from blender_nep.capture.bounds import check_sphere, sphere_from_cameras, sphere_from_masks
 from blender_nep.capture.capture import Capture, View
 from blender_nep.capture.description import CaptureDescription
-from blender_nep.capture.formats import colmap, nerf_synthetic, transforms
+from blender_nep.capture.formats import bundler, cameras_sphere, colmap, llff, metashape, nerf_synthetic, transforms
 from blender_nep.errors import CaptureError
 from blender_nep.messages import Message
 
@@ -63,12 +63,14 @@ def _describe(folder: Path, file: str) -> CaptureDescription:
     if transforms.recognizes(folder, file):
         return transforms.read(folder, file)
     if file == transforms.FILE:
-        for other in (nerf_synthetic, colmap):
+        for other in (nerf_synthetic, colmap, llff, cameras_sphere, metashape, bundler):
             if other.recognizes(folder):
                 return other.read(folder)
     state = "is empty" if not any(folder.iterdir()) else f"has no {file}"
     raise CaptureError(
-        f"{folder} {state}", f"A capture is a folder with {file} and photos, a COLMAP project, or a NeRF data set."
+        f"{folder} {state}",
+        f"A capture is a folder with photos and their cameras: {file}, a COLMAP project, an export of Metashape (.xml) or "
+        "Bundler (.out), or a data set of NeRF, LLFF (poses_bounds.npy) or NeuS (cameras_sphere.npz).",
     )
 
 

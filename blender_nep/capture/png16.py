@@ -10,6 +10,7 @@ import numba
 import numpy as np
 
 _CHANNELS = {0: 1, 2: 3, 4: 2, 6: 4}
+_SMALL_CHUNK = 64
 
 
 @numba.njit(cache=True)
@@ -42,6 +43,23 @@ def header(path: Path) -> tuple[int, int, int, int, int]:
         raise ValueError("not a PNG file")
     width, height, bits, kind, _, _, interlaced = struct.unpack(">IIBBBBB", start[16:29])
     return width, height, bits, kind, interlaced
+
+
+def chunks(path: Path) -> dict[bytes, bytes]:
+    """{name: content} of the small chunks before a PNG's pixels, which say what its colors mean."""
+    found = {}
+    with open(path, "rb") as file:
+        file.seek(8)
+        while len(start := file.read(8)) == 8:
+            size, name = struct.unpack(">I4s", start)
+            if name in (b"IDAT", b"IEND"):
+                break
+            if size <= _SMALL_CHUNK:
+                found[name] = file.read(size)
+                file.seek(4, 1)
+            else:
+                file.seek(size + 4, 1)
+    return found
 
 
 def read_png16(path: Path) -> np.ndarray:

@@ -238,11 +238,10 @@ class FieldsLearning:
     @profiled("visual hull")
     def start_from_hull(self) -> None:
         """Start the SDF from the visual hull. If the silhouettes show no clear hull, the SDF stays as it is."""
-        cells = round(2 / self.object_field.cell)
         if self.rays.mask is not None:
-            hull = carve(score_cells(self.rays, mask_silhouettes(self.rays), cells))
+            hull = carve(score_cells(self.rays, mask_silhouettes(self.rays), self._cells))
         elif self.schedule.background_steps:
-            hull = self._hull_without_masks(cells)
+            hull = self.hull_without_masks()
         else:
             return
         if hull is None or hull.contrast < self.preset.least_contrast:
@@ -254,9 +253,17 @@ class FieldsLearning:
         self.object_field.start_from(torch.from_numpy(sdf).to(self.generator.device))
         self.schedule.start_from_hull()
 
-    def _hull_without_masks(self, cells: int) -> VisualHull | None:
-        """The hull from the residuals of F_e. If no support plane is known, one is looked for with the hull's help."""
-        score = score_cells(self.rays, background_silhouettes(self._environment_alone, self.rays), cells)
+    @property
+    def _cells(self) -> int:
+        """Number of cells of the SDF grid along a side."""
+        return round(2 / self.object_field.cell)
+
+    def hull_without_masks(self) -> VisualHull | None:
+        """The hull from the residuals of F_e, as it is now. None if F_e explains all.
+
+        If no support plane is known, one is looked for with the hull's help.
+        """
+        score = score_cells(self.rays, background_silhouettes(self._environment_alone, self.rays), self._cells)
         hull, field = carve(score), self.object_field
         if hull is None or field.support is not None:
             return hull

@@ -1,16 +1,20 @@
-"""The command that finds the cameras of photos, and writes a capture with them."""
+"""The command that finds the cameras of photos, or improves given ones, and writes a capture with them."""
 
 from __future__ import annotations
 
-import tempfile
+import os
+from dataclasses import dataclass, replace
 from pathlib import Path
 
-from blender_nep.cameras.found_cameras import choose, messages
-from blender_nep.cameras.photo_folder import find_photos
-from blender_nep.cameras.structure_from_motion import find_groups
-from blender_nep.cameras.written_capture import write_capture
+from blender_nep.cameras.found_cameras import FoundCameras, choose, messages
+from blender_nep.cameras.improved_cameras import take_over
+from blender_nep.cameras.photo_folder import Photo, find_photos, photos_of
+from blender_nep.cameras.structure_from_motion import find_groups, working_folder
+from blender_nep.cameras.written_capture import check_writable, write_capture
 from blender_nep.capture.formats import transforms
-from blender_nep.errors import UsageError
+from blender_nep.capture.loading import load_capture
+from blender_nep.errors import BoundsError, CaptureError, UsageError
+from blender_nep.fields.object_sphere import ObjectSphere, find_object_sphere
 from blender_nep.job.events import Events
 from blender_nep.job.exit_code import exit_code
 from blender_nep.job.stage_names import CAMERA_SEARCH
@@ -18,44 +22,61 @@ from blender_nep.job.timeline import Timeline
 from blender_nep.messages import Message
 from blender_nep.stop_request import StopRequest
 
-_SECONDS = {"photos": 0.1, "features": 2.0, "matches": 4.0, "places": 2.0}
+_SECONDS = {"photos": 0.1, "features": 2.0, "matches": 4.0, "places": 2.0, "sphere": 0.3}
 """First guess of the seconds that a photo takes in each step"""
 
 
-def run(
-    photos: Path,
-    out: Path | None,
-    events: Events,
-    stop: StopRequest,
-    *,
-    features: str = "everywhere",
-    overwrite: bool = False,
-    threads: int | None = None,
-) -> int:
-    """Find the cameras of the photos in the folder `photos`, and return the exit code.
+@dataclass(frozen=True)
+class CameraSearch:
+    """What the command `cameras` is asked for."""
 
-    The capture is written to `out` (None: to `photos` itself). features: 'everywhere', or where masks allow them: on the
-    'object', or in its 'surroundings'. Stops on request, and then writes nothing.
-    """
+    photos: Path
+    """Folder with photos; to improve cameras, a capture"""
+    out: Path | None = None
+    """Folder of the capture that is written; None: `photos`"""
+    features: str = "everywhere"
+    """Where features count: 'everywhere', or where masks allow them: on the 'object', or in its 'surroundings'"""
+    improve: bool = False
+    """Improve the capture's cameras instead of finding cameras anew"""
+    overwrite: bool = False
+    threads: int | None = None
+
+
+def run(search: CameraSearch, events: Events, stop: StopRequest) -> int:
+    """Find or improve the cameras, write the capture, and return the exit code. A stopped search writes nothing."""
+    folder = search.photos if search.out is None else search.out
 
     def work() -> None:
-        folder = photos if out is None else out
-        _refuse_capture(folder, overwrite)
-        found = find_photos(photos)
-        masked = {"everywhere": None, "object": True, "surroundings": False}[features]
-        if masked is not None and any(photo.mask is None for photo in found):
-            raise UsageError(
-                f"--features {features} needs a mask for each photo",
-                f"Put them into {photos / 'masks'}, under the photos' names.",
-                "usage.no_masks",
-                folder=photos / "masks",
-            )
+        _refuse_capture(folder, search.overwrite)
+        capture = load_capture(search.photos, use_masks=False) if search.improve else None
+        found = find_photos(search.photos) if capture is None else photos_of(capture)
+        check_writable(folder)
+        for warning in () if capture is None else capture.warnings:
+            events.warning(warning)
+        masked = _masked(search, found)
         progress = _Progress(events, len(found))
-        with tempfile.TemporaryDirectory(prefix="nep_cameras_") as scratch:
-            groups = find_groups(found, Path(scratch), masked, threads, progress, stop)
-        cameras = choose(found, groups)
-        said, warnings = messages(cameras, groups)
-        write_capture(cameras, folder)
+        given = None if capture is None else [view.camera for view in capture.views]
+        with working_folder() as scratch:
+            groups = find_groups(found, scratch, progress, stop, masked=masked, threads=search.threads, given=given)
+        if capture is None:
+            cameras = choose(found, groups)
+            said, warnings = messages(cameras, groups)
+            write_capture(cameras, folder)
+            progress("sphere", 0, 1)
+            written = load_capture(folder, use_masks=False)
+            try:
+                sphere = find_object_sphere(written)
+            except (BoundsError, CaptureError):  # the cameras are good all the same
+                sphere = ObjectSphere(cameras.object_center, cameras.object_radius, False)
+            write_capture(replace(cameras, object_center=sphere.center, object_radius=sphere.radius), folder)
+            if not sphere.sure:
+                warnings.append(Message("cameras.sphere_unsure"))
+        else:
+            improved = take_over(found, [view.camera for view in capture.views], groups[0], capture.object_center)
+            said, warnings = improved.messages()
+            if improved.worthwhile or search.out is not None:
+                chosen = FoundCameras(improved.chosen, groups[0].points, [], capture.object_center, capture.object_radius)
+                write_capture(chosen, folder, capture.color_space)
         for warning in warnings:
             events.warning(warning)
         events.scene(said)
@@ -64,11 +85,27 @@ def run(
         progress.end()
         events.done(folder)
 
-    return exit_code(work, events, photos)
+    return exit_code(work, events, search.photos)
+
+
+def _masked(search: CameraSearch, photos: list[Photo]) -> bool | None:
+    """`find_groups`' masked. Raises UsageError where masks are wanted and a photo has none."""
+    if search.features == "everywhere":
+        return None
+    without = [photo.path.name for photo in photos if photo.mask is None]
+    if without:
+        which = f"{without[0]} has none" if len(without) == 1 else f"{len(without)} of {len(photos)} photos have none"
+        raise UsageError(
+            f"--features {search.features} needs a mask for each photo, but {which}",
+            f"Put them into {search.photos / 'masks'}, under the photos' names.",
+            "usage.no_masks",
+            folder=search.photos / "masks",
+        )
+    return search.features == "object"
 
 
 def _refuse_capture(folder: Path, overwrite: bool) -> None:
-    if (folder / transforms.FILE).exists() and not overwrite:
+    if os.path.exists(folder / transforms.FILE) and not overwrite:  # False in a folder that may not be read
         raise UsageError(
             f"{folder} has cameras already ({transforms.FILE})",
             "Choose another --out, or replace them with --overwrite.",
@@ -98,6 +135,7 @@ class _Progress:
             "features": Message("cameras.features", values),
             "matches": Message("cameras.matches", values),
             "places": Message("cameras.places", values),
+            "sphere": Message("cameras.sphere"),
         }
         self._events.progress(CAMERA_SEARCH, step, steps, fraction, left, None, notes[stage])
 

@@ -14,6 +14,7 @@ from blender_nep.capture import Capture, PixelRays, load_capture
 from blender_nep.capture.brightness import to_brightness
 from blender_nep.capture.exposure import find_exposures
 from blender_nep.capture.pixel_store import PixelMemory
+from blender_nep.capture.turntable import refuse_turntable
 from blender_nep.errors import OutputError, Stopped, UsageError
 from blender_nep.files import output_errors
 from blender_nep.job.device import usable_cores
@@ -102,6 +103,7 @@ class Preparation:
         resumed = s.resume and self._folder.can_be_resumed(what)
         rays = self._read_photos(capture)
         with section("scene analysis"):
+            refuse_turntable(rays)
             if s.preset.even_exposure:
                 rays = self._even_out(rays)
             if s.preset.brightness > 0:

@@ -8,10 +8,13 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from benchmarks.scoring.cameras import errors, similarity
+from benchmarks.scoring.cameras import errors
+from blender_nep.cameras.alignment import similarity
 from blender_nep.capture import load_capture
 from blender_nep.errors import CaptureError
+from blender_nep.fields.object_sphere import ObjectSphere
 from blender_nep.job import camera_search
+from blender_nep.job.camera_search import CameraSearch
 from blender_nep.job.events import Events
 from blender_nep.stop_request import StopRequest
 from support.printed_room import BALLS, FOCAL, LENS, camera, photograph, write_photos
@@ -23,7 +26,7 @@ OTHER_SCENE = 7
 def found(photos, out, **options):
     """(exit code, events) of the command."""
     said = io.StringIO()
-    code = camera_search.run(photos, out, Events(said), StopRequest(), **options)
+    code = camera_search.run(CameraSearch(photos, out, **options), Events(said), StopRequest())
     return code, [json.loads(line) for line in said.getvalue().splitlines()]
 
 
@@ -75,6 +78,19 @@ def test_the_frame_stands_upright_around_what_the_cameras_look_at(search):
     assert turn @ [0, 0, 1] == pytest.approx([0, 0, 1], abs=0.03)
     assert shift == pytest.approx(BALLS[0][0], abs=0.15 * BALLS[0][1] + 0.05)
     assert capture.object_radius == 1 and scale > BALLS[0][1]
+
+
+def test_the_sphere_that_was_found_is_written(photos, tmp_path, monkeypatch):
+    room = tmp_path / "photos"
+    room.mkdir()
+    for path in sorted(photos.iterdir())[:10]:
+        shutil.copy(path, room)
+    guess = ObjectSphere(np.array([0.1, 0.2, 0.3]), 0.7, sure=False)
+    monkeypatch.setattr(camera_search, "find_object_sphere", lambda capture: guess)
+    code, events = found(room, None)
+    capture = load_capture(room)
+    assert code == 0 and "cameras.sphere_unsure" in warnings(events)
+    assert capture.object_center.tolist() == guess.center.tolist() and capture.object_radius == guess.radius
 
 
 def test_progress_rises_to_the_end(search):
@@ -187,5 +203,5 @@ def test_stopping_writes_nothing(photos, tmp_path):
             if rest[3].code == "cameras.features":
                 stop.request("test")
 
-    code = camera_search.run(photos, tmp_path / "out", StoppingEvents(io.StringIO()), stop)
+    code = camera_search.run(CameraSearch(photos, tmp_path / "out"), StoppingEvents(io.StringIO()), stop)
     assert code == 7 and not (tmp_path / "out").exists()

@@ -2,6 +2,7 @@
 
 import json
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -154,11 +155,20 @@ def test_a_damaged_project_ends_in_a_clear_message(tmp_path, damage, message):
         colmap.read(folder)
 
 
+def with_model(folder, model, more):
+    """A project whose first camera has another model, with more parameters."""
+    made = project(folder, "txt")
+    path = made / "sparse/0/cameras.txt"
+    path.write_text(path.read_text().replace("1 OPENCV 32 24", f"1 {model} 32 24").replace("-0.001\n", f"-0.001 {more}\n"))
+    return made
+
+
 def test_a_camera_model_that_no_lens_has_is_refused(tmp_path):
-    folder = project(tmp_path / "capture", "txt")
-    path = folder / "sparse/0/cameras.txt"
-    path.write_text(
-        path.read_text().replace("1 OPENCV 32 24", "1 FULL_OPENCV 32 24").replace("-0.001\n", "-0.001 0 0 0 0\n")
-    )
     with pytest.raises(CaptureError, match="FULL_OPENCV is not supported"):
-        colmap.read(folder)
+        colmap.read(with_model(tmp_path / "capture", "FULL_OPENCV", "0 0 0.01 0"))
+
+
+def test_a_full_model_without_its_denominator_is_opencvs_model_with_k3(tmp_path):
+    plain = colmap.read(project(tmp_path / "plain", "txt")).views[0].camera.lens
+    lens = colmap.read(with_model(tmp_path / "capture", "FULL_OPENCV", "0.003 0 0 0")).views[0].camera.lens
+    assert lens == replace(plain, k3=0.003)

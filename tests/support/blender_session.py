@@ -42,6 +42,8 @@ def check_install(archive: str) -> None:
     known = set(bpy.types.UILayout.bl_rna.functions["prop"].parameters.keys())
     assert {"placeholder", "icon", "text"} <= known and "progress" in bpy.types.UILayout.bl_rna.functions
     for name in (
+        "find_cameras",
+        "cancel_find_cameras",
         "clear_cameras",
         "capture_from_scene",
         "propose_bounds",
@@ -103,6 +105,19 @@ def check_capture_from_scene(capture: Path, folder: Path) -> None:
     assert not (folder / "no").exists()
     assert bpy.ops.nep.clear_cameras() == {"FINISHED"}
     assert not bpy.data.cameras and not bpy.data.images and not bpy.ops.nep.capture_from_scene.poll()
+
+
+def check_camera_search(capture: Path, folder: Path) -> None:
+    """Photos without cameras are refused with what to do. The engine looks for cameras, and says why there are none."""
+    photos = folder / "photos"
+    shutil.copytree(capture / "images", photos)
+    nep().capture, nep().output = str(photos), str(folder / "never")
+    for refused in (bpy.ops.nep.reconstruct, bpy.ops.nep.load_cameras, bpy.ops.nep.propose_bounds):
+        fails(refused, "press Find Cameras first")
+    fails(bpy.ops.nep.find_cameras, "share too few points")
+    assert bpy.ops.nep.find_cameras.poll() and not bpy.ops.nep.cancel_find_cameras.poll()
+    assert not (photos / "transforms.json").exists() and not (folder / "never").exists()
+    nep().capture, nep().output = str(capture), ""
 
 
 def check_bounds(capture: Path, from_scene: Path) -> None:
@@ -262,6 +277,7 @@ def main(archive: str, *folders: str) -> None:
     check_install(archive)
     check_cameras(capture)
     check_capture_from_scene(capture, folder)
+    check_camera_search(capture, folder)
     check_bounds(capture, folder / "from scene")
     check_job(capture, asset)
     check_import(asset, folder)

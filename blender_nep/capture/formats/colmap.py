@@ -37,7 +37,7 @@ _MODELS = {
     "THIN_PRISM_FISHEYE": ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3", "k4", "sx1", "sy1"),
 }
 """Parameters of COLMAP's camera models. A model's number in binary files is its place here."""
-_UNKNOWN = ("FULL_OPENCV", "FOV", "THIN_PRISM_FISHEYE")
+_UNKNOWN = ("FOV", "THIN_PRISM_FISHEYE")
 """Models whose distortion `Lens` does not have."""
 
 
@@ -119,7 +119,9 @@ def _view(folder: Path, cameras: dict[int, _Intrinsics], pose: _Pose, rescaled: 
 
 def _camera(intrinsics: _Intrinsics, pose: _Pose) -> Camera:
     terms = intrinsics.terms
-    if intrinsics.model in _UNKNOWN:
+    # FULL_OPENCV divides by a polynomial of k4, k5 and k6. Without them it is OpenCV's model with k3.
+    rational = intrinsics.model == "FULL_OPENCV" and any(terms[name] for name in ("k4", "k5", "k6"))
+    if intrinsics.model in _UNKNOWN or rational:
         raise CaptureError(
             f"camera model {intrinsics.model} is not supported", "Let COLMAP use OPENCV or OPENCV_FISHEYE, or undistort."
         )
@@ -127,7 +129,8 @@ def _camera(intrinsics: _Intrinsics, pose: _Pose) -> Camera:
     if min(fl_x, fl_y, intrinsics.width, intrinsics.height) <= 0:
         raise CaptureError(f"{pose.name}: focal length and size must be positive")
     lens = Lens(
-        **{name: value for name, value in terms.items() if name[0] in "kp"}, fisheye=intrinsics.model.endswith("FISHEYE")
+        **{name: value for name, value in terms.items() if name[0] in "kp" and value},
+        fisheye=intrinsics.model.endswith("FISHEYE"),
     )
     w, x, y, z = np.array(pose.quaternion) / np.linalg.norm(pose.quaternion)
     to_camera = np.array(

@@ -1,0 +1,100 @@
+"""Given cameras are improved by the photos, in their own frame; good ones are left alone."""
+
+import io
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from PIL import Image
+from scipy.spatial.transform import Rotation
+
+from benchmarks.scoring.cameras import errors
+from blender_nep.cameras.found_cameras import FoundCameras
+from blender_nep.cameras.photo_folder import find_photos
+from blender_nep.cameras.structure_from_motion import PlacedPhoto
+from blender_nep.cameras.written_capture import write_capture
+from blender_nep.capture import load_capture
+from blender_nep.job import camera_search
+from blender_nep.job.camera_search import CameraSearch
+from blender_nep.job.events import Events
+from blender_nep.stop_request import StopRequest
+from support.printed_room import BALLS, camera, write_photos
+
+COUNT = 16
+CENTER, RADIUS = np.array(BALLS[0][0]), 0.8
+TRUE = [camera(number, COUNT) for number in range(COUNT)]
+
+
+@pytest.fixture(scope="module")
+def photos(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("room")
+    write_photos(folder, COUNT)
+    return find_photos(folder)
+
+
+def capture_with(photos, cameras, folder):
+    placed = [PlacedPhoto(photo, given, 0, 0.0) for photo, given in zip(photos, cameras, strict=True)]
+    write_capture(FoundCameras(placed, np.zeros((0, 3)), [], CENTER, RADIUS), folder)
+    return folder
+
+
+def shaken(degrees, part, seed=1):
+    """The true cameras, each turned by about so many degrees and moved by such a part of its distance."""
+    random, out = np.random.default_rng(seed), []
+    for true in TRUE:
+        matrix = true.camera_to_world.copy()
+        matrix[:3, :3] = (
+            Rotation.from_rotvec(random.normal(size=3) * degrees / 1.54, degrees=True).as_matrix() @ matrix[:3, :3]
+        )
+        matrix[:3, 3] += random.normal(size=3) * part / 1.54 * np.linalg.norm(matrix[:3, 3] - CENTER)
+        out.append(replace(true, camera_to_world=matrix))
+    return out
+
+
+def improved(capture, out):
+    """(cameras, events) after the command."""
+    said = io.StringIO()
+    code = camera_search.run(CameraSearch(capture, out, improve=True), Events(said), StopRequest())
+    events = [json.loads(line) for line in said.getvalue().splitlines()]
+    assert code == 0, events[-1]
+    return load_capture(out), events
+
+
+def code_of(events):
+    return next(event for event in events if event["event"] == "scene")["lines"][0]["code"]
+
+
+def test_shaken_cameras_come_back(photos, tmp_path):
+    given = shaken(0.3, 0.01)
+    capture, events = improved(capture_with(photos, given, tmp_path / "given"), tmp_path / "out")
+    before, after = (errors(cameras, TRUE, CENTER) for cameras in (given, [view.camera for view in capture.views]))
+    assert before["rotation_deg"] > 0.2 and after["rotation_deg"] < 0.3 * before["rotation_deg"]
+    assert after["position"] < 0.2 * before["position"] and after["focal_length"] < 0.005
+    assert code_of(events) == "cameras.improved"
+    assert capture.object_center == pytest.approx(CENTER) and capture.object_radius == RADIUS
+    # the frame is held: without any alignment, the cameras stand nearer to the true ones than the given ones did
+    apart = [np.linalg.norm(view.camera.position - true.position) for view, true in zip(capture.views, TRUE, strict=True)]
+    assert np.median(apart) < 0.5 * np.median(
+        [np.linalg.norm(g.position - t.position) for g, t in zip(given, TRUE, strict=True)]
+    )
+
+
+def test_exact_cameras_are_kept_to_the_last_digit(photos, tmp_path):
+    capture, events = improved(capture_with(photos, TRUE, tmp_path / "given"), tmp_path / "out")
+    assert code_of(events) == "cameras.good_as_given"
+    for view, true in zip(capture.views, TRUE, strict=True):
+        assert np.abs(view.camera.camera_to_world - true.camera_to_world).max() < 1e-9
+        assert view.camera.lens == true.lens and view.camera.fl_x == true.fl_x
+
+
+def test_a_photo_without_shared_points_keeps_its_camera(photos, tmp_path):
+    blank = tmp_path / "blank.png"
+    Image.new("L", (TRUE[0].width, TRUE[0].height), 120).save(blank)
+    given = shaken(0.3, 0.01)
+    changed = [*photos[:5], replace(photos[5], path=blank), *photos[6:]]
+    capture, events = improved(capture_with(changed, given, tmp_path / "given"), tmp_path / "out")
+    warned = next(event for event in events if event["event"] == "warning")
+    assert (warned["code"], warned["values"]["names"]) == ("cameras.kept", ["blank.png"])
+    assert np.abs(capture.views[5].camera.camera_to_world - given[5].camera_to_world).max() < 1e-9
+    assert np.abs(capture.views[6].camera.camera_to_world - given[6].camera_to_world).max() > 1e-4

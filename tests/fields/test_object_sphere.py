@@ -1,0 +1,33 @@
+"""The object's sphere is found by a quick hull: a ball before walls, in a sphere that is twice too large."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from blender_nep.capture import load_capture
+from blender_nep.fields.object_sphere import find_object_sphere
+from support.table_scene import BALL, CENTRE, write_table_scene
+
+
+def test_the_sphere_shrinks_around_the_ball_in_any_units(tmp_path):
+    capture = load_capture(write_table_scene(tmp_path / "ball", radius=0))
+    here = find_object_sphere(capture)
+    away = np.linalg.norm(here.center - CENTRE)
+    assert here.sure
+    assert away + BALL < here.radius < 1.5 * BALL, "the whole ball is in the sphere, and not much else"
+    shift, scale = np.array([500.0, -20.0, 7.0]), 1000.0
+    views = []
+    for view in capture.views:
+        matrix = view.camera.camera_to_world.copy()
+        matrix[:3, 3] = scale * matrix[:3, 3] + shift
+        views.append(replace(view, camera=replace(view.camera, camera_to_world=matrix)))
+    far = find_object_sphere(replace(capture, views=views, object_center=shift, object_radius=scale))
+    assert np.abs((far.center - shift) / scale - here.center).max() < 0.03
+    assert abs(far.radius / scale - here.radius) < 0.03
+
+
+def test_a_sphere_that_cuts_the_object_is_kept_and_is_unsure(tmp_path):
+    capture = load_capture(write_table_scene(tmp_path / "ball", radius=0))
+    small = replace(capture, object_center=CENTRE + np.array([0.2, 0, 0]), object_radius=0.4)
+    found = find_object_sphere(small)
+    assert not found.sure and found.radius == small.object_radius and np.array_equal(found.center, small.object_center)
