@@ -6,11 +6,11 @@ The modules form layers. A module imports only modules of the layers below its o
     preferences, panels/                                                    what Blender draws
     operators/                                                              what a button or a script calls
     running_jobs                                                            the jobs that this Blender follows
-    bounds_estimate, comparison_render, engine_setup, imported_result,
-        material_correction                                                 other work under way, and results
+    bounds_estimate, camera_search, comparison_render, engine_setup,
+        imported_result, material_correction                                other work under way, and results
     object_bounds, comparison_image, live_preview, imported_materials       objects and images in the .blend file
     engine_paths, clock, editors, wrapped_text, swatches                    what Blender and the preferences offer
-    folders, properties                                                     the settings, `scene.nep`
+    capture_folder, folders, properties                                     the settings, `scene.nep`, and their folders
     output_changes                                                          who is told of a changed output folder
 
 `register` puts `running_jobs.attach_job` among the callbacks of `output_changes`.
@@ -24,6 +24,7 @@ import bpy
 
 from . import (
     bounds_estimate,
+    camera_search,
     clock,
     comparison_render,
     engine_setup,
@@ -48,6 +49,7 @@ CLASSES = (
 HANDLERS = (
     ("load_post", running_jobs.on_file_loaded),
     ("load_post", material_correction.on_file_loaded),
+    ("load_post", camera_search.on_file_loaded),
     ("undo_post", material_correction.on_undone),
     ("redo_post", material_correction.on_undone),
 )
@@ -89,6 +91,7 @@ def _close_all() -> None:
     running_jobs.close_all()
     engine_setup.close_all()
     bounds_estimate.close_all()
+    camera_search.close_all()
     comparison_render.close_all()
     material_correction.close_all()
     live_preview.remove_all_pictures()

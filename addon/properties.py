@@ -74,7 +74,8 @@ class NepMaterial(bpy.types.PropertyGroup):
 class NepSettings(bpy.types.PropertyGroup):
     capture: bpy.props.StringProperty(
         name="Capture",
-        description="Folder with the photos of one object and their cameras: transforms.json or a COLMAP project",
+        description="Folder with the photos of one object. Their cameras are there, too (transforms.json or a COLMAP "
+        "project), or Find Cameras finds them",
         subtype="DIR_PATH",
     )
     output: bpy.props.StringProperty(

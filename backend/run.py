@@ -35,9 +35,7 @@ SAY_EVERY_S = 2.0
 
 def parse(arguments: list[str]) -> argparse.Namespace:
     parser = argparse.ArgumentParser(prog="run.py", description=__doc__.split("\n\n")[0])
-    parser.add_argument(
-        "--capture", type=Path, required=True, help="folder with photos and transforms.json, or a COLMAP project"
-    )
+    parser.add_argument("--capture", type=Path, required=True, help="folder with photos and their cameras")
     parser.add_argument("--out", type=Path, required=True, help="asset folder to write")
     parser.add_argument("--preset", choices=tuple(EXPECTED_SECONDS))
     parser.add_argument("--relight", type=int, default=3, metavar="N", help="HDRIs to show the object under")

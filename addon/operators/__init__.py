@@ -1,11 +1,12 @@
 """The operators: what the buttons of the panels do, and the commands of scripts (`bpy.ops.nep.…`)."""
 
-from . import bounds, cameras, comparison, engine, materials, reconstruct, result
+from . import bounds, camera_search, cameras, comparison, engine, materials, reconstruct, result
 
 CLASSES = (
     *reconstruct.CLASSES,
     *engine.CLASSES,
     *cameras.CLASSES,
+    *camera_search.CLASSES,
     *bounds.CLASSES,
     *result.CLASSES,
     *materials.CLASSES,

@@ -4,6 +4,7 @@ import bpy
 
 from ...backend.scene_io.capture_files import read_bounds
 from .. import bounds_estimate
+from ..camera_search import why_not_usable
 from ..engine_paths import engine_python
 from ..folders import SAVE_FILE_FIRST, resolve_folder
 from ..object_bounds import bounds_object, place_bounds
@@ -40,6 +41,9 @@ class NEP_OT_propose_bounds(bpy.types.Operator):
         capture = resolve_folder(scene.nep.capture)
         if capture is None:
             self.report({"ERROR"}, SAVE_FILE_FIRST)
+            return {"CANCELLED"}
+        if refused := why_not_usable(capture):
+            self.report({"ERROR"}, refused)
             return {"CANCELLED"}
         try:
             known = read_bounds(capture)

@@ -7,6 +7,7 @@ import bpy
 from ...backend.scene_io.capture_files import read_frames
 from ...backend.scene_io.photo_cameras import camera_collections, load_cameras, remove_cameras
 from ...backend.scene_io.scene_capture import MINIMUM_PHOTOS, photo_cameras, write_scene_capture
+from ..camera_search import why_not_usable
 from ..folders import SAVE_FILE_FIRST, resolve_folder
 
 
@@ -40,6 +41,9 @@ class NEP_OT_load_cameras(bpy.types.Operator):
         folder = resolve_folder(capture)
         if folder is None:
             self.report({"ERROR"}, SAVE_FILE_FIRST if capture else "Choose a capture folder first")
+            return {"CANCELLED"}
+        if refused := why_not_usable(folder):
+            self.report({"ERROR"}, refused)
             return {"CANCELLED"}
         try:
             frames = read_frames(folder)

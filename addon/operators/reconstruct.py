@@ -13,6 +13,7 @@ from ...backend.engine.command import EngineError, find_engine_python, reconstru
 from ...backend.engine.engine import Engine
 from ...backend.engine.job_files import FOLDER, has_checkpoint, is_asset, is_running
 from .. import clock, material_correction, running_jobs
+from ..camera_search import why_not_usable
 from ..editors import open_editor
 from ..engine_paths import engine_python
 from ..folders import SAVE_FILE_FIRST, resolve_folder
@@ -96,6 +97,9 @@ class NEP_OT_reconstruct(bpy.types.Operator):
         if capture is None or output is None:
             both_named = (self.capture or settings.capture) and (self.output or settings.output)
             self.report({"ERROR"}, SAVE_FILE_FIRST if both_named else "Choose a capture folder and an output folder first")
+            return None
+        if refused := why_not_usable(capture):
+            self.report({"ERROR"}, refused)
             return None
         if is_running(output):
             self.report({"ERROR"}, f"Another job is running in {output}; wait for it, or choose another output folder")

@@ -13,6 +13,7 @@ from ..folders import resolve_folder
 from ..imported_result import has_new_result
 from ..running_jobs import Job, job_of
 from ..wrapped_text import draw_wrapped, panel_width
+from .camera_search import draw_camera_search
 
 ROW_HEIGHT = 20  # in pixels at an interface scale of 1; template_icon counts in rows
 
@@ -31,7 +32,7 @@ class NEP_PT_reconstruct(bpy.types.Panel):
         if job is not None and not job.ended:
             _draw_running(self.layout, context, job)
             return
-        _draw_settings(self.layout, context.scene)
+        _draw_settings(self.layout, context)
         _draw_engine(self.layout, context)
         if job is not None:
             _draw_end(self.layout, context, job)
@@ -40,9 +41,10 @@ class NEP_PT_reconstruct(bpy.types.Panel):
             _draw_scene_analysis(self.layout, context, job)
 
 
-def _draw_settings(layout: bpy.types.UILayout, scene: bpy.types.Scene) -> None:
-    settings = scene.nep
+def _draw_settings(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
+    settings = context.scene.nep
     layout.prop(settings, "capture", placeholder="Folder with the photos")
+    draw_camera_search(layout, context)
     layout.prop(settings, "output", placeholder="Folder for the result")
     layout.prop(settings, "preset")
     seconds, measured = expected_seconds(timings_file(), settings.preset)

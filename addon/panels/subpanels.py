@@ -4,9 +4,11 @@ import bpy
 
 from .. import bounds_estimate, comparison_render
 from ..comparison_image import comparison_image
+from ..folders import resolve_folder
 from ..imported_result import is_recovered_light_used
 from ..object_bounds import bounds_object, bounds_warning
 from ..wrapped_text import draw_wrapped
+from .camera_search import draw_find_again
 
 
 class SubPanel:
@@ -29,6 +31,7 @@ class NEP_PT_cameras_and_bounds(SubPanel, bpy.types.Panel):
         row.operator("nep.load_cameras", icon="CAMERA_DATA")
         row.operator("nep.clear_cameras", text="", icon="X")
         column.operator("nep.capture_from_scene", icon="SCENE_DATA")
+        draw_find_again(column, resolve_folder(context.scene.nep.capture))
         column = self.layout.column(align=True)
         row = column.row(align=True)
         row.operator("nep.propose_bounds", icon="MESH_UVSPHERE")

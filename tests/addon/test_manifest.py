@@ -127,6 +127,7 @@ def use_extension(archive: str, folder: str) -> None:
     fails(lambda: bpy.ops.nep.reconstruct(), "Choose a capture folder")
     fails(lambda: bpy.ops.nep.reconstruct(capture="missing", output=folder + "/none"), "there is no capture")
     settings = bpy.context.scene.nep
+    (Path(folder) / "transforms.json").touch()  # the played engine does not read the cameras
     settings.capture, settings.output, settings.preset = folder, folder + "/out", "preview"
     assert bpy.ops.nep.reconstruct() == {"FINISHED"}
     item = bpy.data.objects["out"]

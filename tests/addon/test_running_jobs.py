@@ -34,7 +34,15 @@ def in_blender(function, folder: Path, *, code=0, **variables) -> str:
 
 # scripts and key maps of artists name them: none may be renamed
 OPERATORS = {"reconstruct", "cancel", "open_log", "import_result", "use_recovered_light"} | {
-    *("load_cameras", "clear_cameras", "capture_from_scene", "propose_bounds", "clear_bounds"),
+    *(
+        "find_cameras",
+        "cancel_find_cameras",
+        "load_cameras",
+        "clear_cameras",
+        "capture_from_scene",
+        "propose_bounds",
+        "clear_bounds",
+    ),
     *("correct_materials", "render_comparison", "cancel_comparison", "show_comparison"),
     *("check_engine", "install_engine", "cancel_install", "open_preferences"),
 }
@@ -100,6 +108,7 @@ def check_life_of_a_job(folder):
     assert texts_with("for 60 small photos") and not texts_with("on this machine"), "a guess"
     job = start(bpy, addon)
     assert not bpy.ops.nep.reconstruct.poll() and bpy.ops.nep.cancel.poll()
+    assert not bpy.ops.nep.find_cameras.poll(), "other cameras would keep the job from being resumed"
     rounds(addon, lambda: "NeP preview" in bpy.data.objects)
     preview = bpy.data.objects["NeP preview"]
     assert len(preview.data.polygons) == 320 and preview.hide_render

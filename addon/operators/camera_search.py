@@ -1,0 +1,114 @@
+"""The operators of the search for the cameras of photos: begin it, cancel it."""
+
+import bpy
+from bpy.app.translations import pgettext_iface
+
+from ...backend.engine.camera_process import check_writable
+from ...backend.engine.command import EngineError, find_engine_python
+from .. import camera_search
+from ..capture_folder import look_into
+from ..engine_paths import engine_python
+from ..folders import SAVE_FILE_FIRST, resolve_folder
+from ..running_jobs import job_of
+
+
+class NEP_OT_find_cameras(bpy.types.Operator):
+    bl_idname = "nep.find_cameras"
+    bl_label = "Find Cameras"
+    bl_description = (
+        "Find where the photos of the capture folder were taken, and write that into the folder. "
+        "The photos must overlap and show the same things around the object"
+    )
+
+    overwrite: bpy.props.BoolProperty(
+        name="Overwrite", description="Replace the cameras that the folder has", options={"SKIP_SAVE"}
+    )
+
+    @classmethod
+    def description(cls, context: bpy.types.Context, properties: bpy.types.OperatorProperties) -> str:
+        if properties.overwrite:
+            return "Find the cameras of the photos anew, and replace those that the capture folder has"
+        return cls.bl_description
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        if camera_search.current is not None:
+            cls.poll_message_set("Cameras are being found")
+            return False
+        job = job_of(context.scene)
+        if job is not None and not job.ended:  # it could not be resumed with other cameras
+            cls.poll_message_set("A job is running in the output folder")
+            return False
+        if not context.scene.nep.capture:
+            cls.poll_message_set("Choose a folder with photos first")
+            return False
+        return True
+
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        folder = resolve_folder(context.scene.nep.capture)
+        if self.overwrite and folder is not None and look_into(folder).has_cameras:
+            return context.window_manager.invoke_confirm(
+                self,
+                event,
+                title="Find Cameras Again",
+                confirm_text="Find Cameras Again",
+                message="This replaces the cameras in the capture folder. They cannot be brought back.",
+            )
+        return self._find(context, wait=bpy.app.background)
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        return self._find(context, wait=not self.options.is_invoke)  # is_invoke: the artist has confirmed the question
+
+    def _find(self, context: bpy.types.Context, wait: bool) -> set[str]:
+        settings = context.scene.nep
+        folder = resolve_folder(settings.capture)
+        if folder is None:
+            self.report({"ERROR"}, SAVE_FILE_FIRST)
+            return {"CANCELLED"}
+        try:
+            check_writable(folder)
+            python = find_engine_python(configured=engine_python(context))
+            search = camera_search.start_search(
+                python, folder, threads=settings.threads or None, replace=self.overwrite, wait=wait
+            )
+        except EngineError as error:
+            return self._failed(camera_search.keep_failed_start(folder, error))
+        if not wait:
+            return {"FINISHED"}
+        if search.failed is not None:
+            return self._failed(search.failed)
+        for warning in search.process.warnings:
+            self.report({"WARNING"}, warning.words(pgettext_iface))
+        self.report({"INFO"}, _joined(*(said.words(pgettext_iface) for said in search.process.found)))
+        return {"FINISHED"}
+
+    def _failed(self, error: EngineError) -> set[str]:
+        self.report({"ERROR"}, _joined(*error.words(pgettext_iface), error.log))
+        return {"CANCELLED"}
+
+
+def _joined(*texts: str) -> str:
+    return "\n".join(text for text in texts if text)
+
+
+class NEP_OT_cancel_find_cameras(bpy.types.Operator):
+    bl_idname = "nep.cancel_find_cameras"
+    bl_label = "Cancel"
+    bl_description = "Stop looking for the cameras; nothing is written"
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        if camera_search.current is None:
+            cls.poll_message_set("No cameras are being found")
+            return False
+        if camera_search.current.process.stopping:
+            cls.poll_message_set("It is stopping already")
+            return False
+        return True
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        camera_search.current.process.stop()
+        return {"FINISHED"}
+
+
+CLASSES = (NEP_OT_find_cameras, NEP_OT_cancel_find_cameras)

@@ -1,0 +1,91 @@
+"""The box below the capture folder, where its photos have no cameras yet, or where their cameras have just been found."""
+
+from pathlib import Path
+
+import bpy
+from bpy.app.translations import pgettext_iface
+
+from ...backend.engine.capture_contents import LEAST_PHOTOS
+from ...backend.engine.exit_codes import STOPPED
+from .. import camera_search
+from ..camera_search import CameraSearch
+from ..capture_folder import CaptureFolder, last_look_into
+from ..folders import resolve_folder
+from ..wrapped_text import draw_wrapped
+
+NO_CAMERAS_YET = "{count} photos, no cameras yet"
+TOO_FEW = "Too few photos: {count} of at least {least}"
+NO_PHOTOS = "This folder holds no photos"
+REPLACED = "They replace the earlier cameras: press Load Cameras and Propose Bounds again."
+STOPPING = "Stopping"
+PROGRESS_LINES = 3  # always as many, so that the buttons below do not move while a search runs
+NEEDS_ENGINE = ("engine.missing", "unexpected.no_pycolmap")  # names of the errors that the preferences can mend
+
+
+def draw_camera_search(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
+    """Draw the box. Nothing is drawn for a capture with cameras that were not found just now."""
+    folder = resolve_folder(context.scene.nep.capture)
+    if folder is None:
+        return
+    if camera_search.is_at_work_in(folder):
+        _draw_progress(layout.box())
+        return
+    holds, search = last_look_into(folder), camera_search.last_search(folder)
+    if holds.lacks_cameras:
+        box = layout.box()
+        _draw_offer(box, holds)
+        if search is not None and search.failed is not None:
+            _draw_failure(box, context, search)
+    elif search is not None:
+        box = layout.box()
+        if search.failed is None:
+            _draw_found(box, context, search)
+        else:
+            _draw_failure(box, context, search)
+    elif not holds.photos and not holds.has_cameras and folder.is_dir():
+        layout.label(text=NO_PHOTOS, icon="INFO")
+
+
+def _draw_offer(box: bpy.types.UILayout, holds: CaptureFolder) -> None:
+    text = NO_CAMERAS_YET if holds.has_enough_photos else TOO_FEW
+    box.label(text=pgettext_iface(text).format(count=holds.photos, least=LEAST_PHOTOS), icon="CAMERA_DATA")
+    if holds.has_enough_photos:
+        box.operator("nep.find_cameras", icon="VIEWZOOM")
+
+
+def _draw_progress(box: bpy.types.UILayout) -> None:
+    """The bar, with Cancel beside it: a second click on Find Cameras, which stood below, must not cancel."""
+    process = camera_search.current.process
+    progress = process.progress
+    row = box.split(factor=0.66, align=True)
+    row.progress(factor=progress.fraction, text=f"{100 * progress.fraction:.0f} %")
+    row.operator("nep.cancel_find_cameras")
+    column = box.column(align=True)
+    lines = [pgettext_iface(STOPPING)] if process.stopping else progress.lines(pgettext_iface)
+    for line in lines + [""] * (PROGRESS_LINES - len(lines)):
+        column.label(text=line)
+
+
+def _draw_found(box: bpy.types.UILayout, context: bpy.types.Context, search: CameraSearch) -> None:
+    texts = [said.words(pgettext_iface) for said in search.process.found]
+    if search.replaces:
+        texts.append(pgettext_iface(REPLACED))
+    draw_wrapped(box, context, "\n".join(texts), "CHECKMARK")
+    for warning in search.process.warnings:
+        draw_wrapped(box, context, warning.words(pgettext_iface), "INFO")
+
+
+def _draw_failure(box: bpy.types.UILayout, context: bpy.types.Context, search: CameraSearch) -> None:
+    failed = search.failed
+    message, hint = failed.words(pgettext_iface)
+    draw_wrapped(box, context, message, "PAUSE" if failed.code == STOPPED else "ERROR")
+    draw_wrapped(box, context, "\n".join(text for text in (hint, failed.log) if text), "BLANK1")
+    if failed.name in NEEDS_ENGINE:
+        box.operator("nep.open_preferences", icon="PREFERENCES")
+
+
+def draw_find_again(layout: bpy.types.UILayout, folder: Path | None) -> None:
+    """The button that replaces the cameras of a folder with photos. Nothing is drawn for other folders."""
+    holds = CaptureFolder() if folder is None else last_look_into(folder)
+    if holds.has_transforms and holds.has_enough_photos:
+        layout.operator("nep.find_cameras", text="Find Cameras Again", icon="FILE_REFRESH").overwrite = True
