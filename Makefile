@@ -6,6 +6,7 @@
 # make bench  runs all benchmarks and writes docs/benchmarks.md. This takes many hours. These variables make it shorter:
 #             CAPTURES="a b" PLAN=presets SEEDS=0 JOBS=2, RENDER="--views 24 --size 160 --samples 8"
 # make test-blender   tests the extension in Blender 4.2, 4.5, 5.0 and 5.2 (bpy wheels, 4 GB; needs Python 3.13 too)
+# make wheels  says which dependencies of the engine have a wheel, for each system and Python (needs the package index)
 #
 # Everything is installed into .venv, with the versions of constraints.txt. Python 3.11 is needed, because bpy 5.0 is built
 # for no other version. On Linux, torch from PyPI contains CUDA (gigabytes). This installs torch without CUDA:
@@ -33,7 +34,7 @@ ifdef PIP_EXTRA_INDEX_URL
 export PIP_EXTRA_INDEX_URL
 endif
 
-.PHONY: demo test stress test-blender lint bench clean
+.PHONY: demo test stress test-blender wheels lint bench clean
 
 demo: $(VENV)/installed
 	$(BIN)/python backend/run.py --capture $(CAPTURE) --out $(OUT) --preset preview --relight 3 --overwrite
@@ -47,6 +48,9 @@ stress: $(VENV)/installed-dev
 
 test-blender: $(VENV)/installed
 	$(BIN)/python tests/support/blender_matrix.py
+
+wheels: $(VENV)/installed-dev
+	$(BIN)/python tests/support/wheel_matrix.py
 
 # Without CAPTURES, the suite uses the captures that it renders itself. The peer, Mitsuba, runs where it is installed
 # (docs/peer.md).
