@@ -222,6 +222,7 @@ WORDS: dict[str, str] = {
     "the material.",
     "scene.high_range": "The photos hold highlights brighter than white (HDR), and hardly any is burnt out.",
     "scene.hardly_clipped": "The photos end at white, but hardly a pixel is burnt out.",
+    "scene.vignetting": "The photos are darker towards their corners (by {stops:.1f} stops), which is evened out.",
     "scene.exposure_differs": "The photos differ in exposure (by up to {stops:.1f} stops), which is evened out.",
     "scene.white_balance_differs": "The photos differ in white balance, which is evened out.",
     "scene.exposure_and_white_balance_differ": "The photos differ in exposure (by up to {stops:.1f} stops) and white "

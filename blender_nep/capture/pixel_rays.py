@@ -19,6 +19,7 @@ from blender_nep.capture.capture import Capture
 from blender_nep.capture.lens import Lenses
 from blender_nep.capture.pixel_set import GrowingPixelSet, PixelSet
 from blender_nep.capture.pixel_store import PixelMemory
+from blender_nep.capture.vignetting import Vignetting
 from blender_nep.errors import BoundsError, CaptureError
 from blender_nep.messages import Message
 from blender_nep.profiling import profiled
@@ -35,27 +36,6 @@ _STRIP_PIXELS = 1 << 18
 """Pixels that are handled at a time; this many fit into the processor's cache."""
 _DECODED_PIXELS = 50_000_000
 """Pixels of all photos that are decoded at the same time. A photo with more pixels is decoded alone."""
-
-
-_PIXEL_WIDTH = 1.77
-"""sqrt(pi): the width of a square divided by the radius of the disc with the same area."""
-_FOOTPRINT_PIXELS = 1000
-
-
-def pixel_width(half_angle):
-    """Angle across a pixel [...] in radians, from the half angle of its cone (array or tensor [...], radians).
-
-    The cone has the pixel's solid angle Omega. A camera's pixel is narrow, so that Omega = pi half_angle^2 for the cone and
-    Omega = width^2 for the square pixel. Hence width = sqrt(pi) half_angle.
-    """
-    return _PIXEL_WIDTH * half_angle
-
-
-def pixel_footprint(rays: PixelRays, most: int = _FOOTPRINT_PIXELS) -> float:
-    """Median width of a pixel at the object's distance, unit frame, over about `most` pixels whose rays meet the sphere."""
-    some = rays.sphere[:: max(1, len(rays.sphere) // most)]
-    origin, _, half_angle = rays.rays(some)
-    return float((pixel_width(half_angle) * origin.norm(dim=-1)).median())
 
 
 @dataclass
@@ -88,6 +68,8 @@ class PixelRays:
     """The lens of each view. None: no camera has distortion."""
     gain: Tensor | None = None
     """[views, 3]: how much brighter each photo was taken than the average. None: all photos have one exposure."""
+    vignetting: Vignetting | None = None
+    """How much darker photos are towards their corners. None: they are not, or nobody can tell."""
     exposure: float = 1.0
     """`photo` multiplies the radiance by this, so that the method sees all captures about equally bright."""
 
@@ -107,13 +89,18 @@ class PixelRays:
         return len(self.size)
 
     def photo(self, index: Tensor) -> Tensor:
-        """The radiance [n, 3] float32 of the pixels index [n] int64, as if all photos had one exposure, times `exposure`."""
+        """The radiance [n, 3] float32 of the pixels index [n] int64, as if all photos had one exposure, times `exposure`.
+
+        It is without vignetting.
+        """
         radiance = self.radiance[index].float() * self.exposure
+        if self.vignetting is not None:
+            radiance = radiance / self.vignetting.at(self.from_middle(index))[:, None]
         return radiance if self.gain is None else radiance / self.gain[self.view_of(index)]
 
-    def with_gain(self, gain: Tensor | None) -> PixelRays:
-        """The same pixels, with these gains [views, 3] of the photos."""
-        return self._still_knowing_the_brightest(replace(self, gain=gain))
+    def with_gain(self, gain: Tensor | None, vignetting: Vignetting | None = None) -> PixelRays:
+        """The same pixels, with these gains [views, 3] of the photos and this vignetting."""
+        return self._still_knowing_the_brightest(replace(self, gain=gain, vignetting=vignetting))
 
     def with_exposure(self, exposure: float) -> PixelRays:
         """The same pixels, with this exposure."""
@@ -152,6 +139,15 @@ class PixelRays:
             omega = density / (fl_x * fl_y)
         direction = torch.einsum("nij,nj->ni", self._rotation[view], camera)
         return self._origin[view], direction, 2 * torch.asin(torch.sqrt(omega / (4 * math.pi)))
+
+    def from_middle(self, index: Tensor) -> Tensor:
+        """Squared distance [n] of the pixels index [n] int64 from the middle of their photo, in half diagonals: 0 .. 1."""
+        view = self.view_of(index)
+        local, width = index - self._start[view], self._width[view]
+        height = torch.diff(self._start, append=self._start.new_tensor([self.count]))[view] // width
+        row = torch.div(local, width, rounding_mode="floor")
+        x, y = 2 * (local - row * width) + 1 - width, 2 * row + 1 - height
+        return (x * x + y * y).float() / (width * width + height * height).float()
 
     def camera(self, view: int) -> tuple[Tensor, Tensor]:
         """Position [3] (unit frame) and camera-to-world rotation [3, 3] of a view."""

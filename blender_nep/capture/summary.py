@@ -66,6 +66,7 @@ def summarise(folder: Path, picture: Path | None = None) -> dict:
         "invalid_pixels": int((~rays.valid).sum()),
         "clipped": round(_clipped(rays), 4),
         "exposure_stops": _exposure_stops(compared),
+        "corner_stops": _corner_stops(compared),
         "surroundings_still": None if still is None else round(still, 3),
         "radiance": {
             "median": round(float(radiance.median()), 5),
@@ -93,6 +94,12 @@ def _exposure_stops(compared: Comparison | None) -> float | None:
     if found is None or found.warning == Message("capture.exposure_unclear"):
         return None
     return 0.0 if found.gain is None else round(float(np.ptp(stops(found.gain))), 2)
+
+
+def _corner_stops(compared: Comparison | None) -> float:
+    """Stops by which the photos' corners are brighter than their middles: negative, or 0 if there is no vignetting."""
+    vignetting = None if compared is None else compared.exposures().vignetting
+    return 0.0 if vignetting is None else round(vignetting.corner_stops, 2)
 
 
 def _turntable(still: float | None) -> list[Message]:
@@ -148,6 +155,8 @@ def describe(found: dict) -> str:
     exposure = (
         "not known" if stops_apart is None else f"up to {stops_apart} stops apart" if stops_apart else "no clear difference"
     )
+    if found["corner_stops"]:
+        exposure += f", corners {-found['corner_stops']} stops darker"
     lines = [
         f"{found['folder']}: {found['photos']} photos ({_counts(found['formats'])}), {_counts(found['sizes'])} pixels",
         f"  color          {found['color_space']}; median {found['radiance']['median']}, 99.9 % below "

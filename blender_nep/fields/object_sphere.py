@@ -66,8 +66,8 @@ def _hull_sphere(capture: Capture, seed: int) -> tuple[np.ndarray, float] | None
     quick = preset("preview")
     quick = replace(quick, fields=replace(quick.fields, background_steps=_STEPS))
     rays = PixelRays.from_capture(capture, _PIXELS, use_masks=False)
-    gain = find_exposures(rays).gain
-    rays = to_brightness(rays if gain is None else rays.with_gain(gain), quick.brightness)
+    exposures = find_exposures(rays)
+    rays = to_brightness(rays.with_gain(exposures.gain, exposures.vignetting), quick.brightness)
     learning = FieldsLearning(rays, quick, seed, torch.device("cpu"))
     while learning.schedule.learns_background:
         learning.learn_step()

@@ -160,11 +160,11 @@ class Preparation:
             raise Stopped(message, "Start it again with --resume.", "stopped.reading_photos", reason=self._stop.reason)
 
     def _even_out(self, rays: PixelRays) -> PixelRays:
-        """The same pixels with the gains of the photos, if the photos' exposures differ."""
+        """The same pixels with the gains of the photos, if the photos' exposures differ, and without vignetting."""
         found = find_exposures(rays)
         if found.warning:
             self._events.warning(found.warning)
-        return rays if found.gain is None else rays.with_gain(found.gain)
+        return rays.with_gain(found.gain, found.vignetting)
 
     def _make_output(self) -> None:
         out = self._settings.out

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 
 import numpy as np
 import torch
@@ -70,4 +70,5 @@ class JobReport:
             "masks": rays.mask is not None,
             "exposure": rays.exposure,
             **({} if rays.gain is None else {"photo_gains": np.round(rays.gain.tolist(), 4).tolist()}),
+            **({} if rays.vignetting is None else {"vignetting": asdict(rays.vignetting)}),
         }

@@ -14,7 +14,8 @@ import numpy as np
 import torch
 
 from blender_nep.capture.exposure import stops
-from blender_nep.capture.pixel_rays import BRIGHTEST_CLIPPED, SATURATED, pixel_width
+from blender_nep.capture.pixel_rays import BRIGHTEST_CLIPPED, SATURATED
+from blender_nep.capture.pixel_width import pixel_width
 from blender_nep.geometry.ray_tracing import RayTracer
 from blender_nep.messages import Message, Part
 
@@ -71,6 +72,8 @@ class SceneAnalysis:
     """Number of pixels across the sphere, median over the pixels"""
     exposure_stops: float
     """Stops between the photos with the lowest and the highest exposure; 0 if all are equal, or if they cannot be found"""
+    corner_stops: float
+    """Stops by which the photos' corners are brighter than their middles, before that is evened out; negative: darker"""
     white_balance: float
     """Standard deviation of the logarithms of the channels' gains from their mean over the channels; 0 if all photos have
     one white balance, or if it cannot be found"""
@@ -99,6 +102,7 @@ class SceneAnalysis:
             object_share=None if shown is None else float(shown.float().mean()),
             pixels_across=2 / max(float((pixel_width(angle) * origins.norm(dim=-1)).median()), 1e-9),
             exposure_stops=0.0 if rays.gain is None else float(np.ptp(stops(rays.gain))),
+            corner_stops=0.0 if rays.vignetting is None else rays.vignetting.corner_stops,
             white_balance=0.0 if rays.gain is None else float(_color(rays.gain).square().mean().sqrt()),
         )
 
@@ -121,6 +125,8 @@ class SceneAnalysis:
             lines.append(Message("scene.exposure_differs", {"stops": self.exposure_stops}))
         elif white_balance:
             lines.append(Message("scene.white_balance_differs"))
+        if self.corner_stops:
+            lines.append(Message("scene.vignetting", {"stops": -self.corner_stops}))
         return [*lines, self._size()]
 
     def _range(self) -> Message:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import torch
 
-from blender_nep.capture.pixel_rays import pixel_footprint
+from blender_nep.capture.pixel_width import pixel_footprint
 from blender_nep.geometry.mesh import Surface
 from blender_nep.geometry.ray_tracing import RayTracer
 from blender_nep.materials.photo_samples import PhotoSamples, select_samples

@@ -9,7 +9,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from blender_nep.capture.pixel_rays import BRIGHTEST_CLIPPED, SATURATED, pixel_width
+from blender_nep.capture.pixel_rays import BRIGHTEST_CLIPPED, SATURATED
+from blender_nep.capture.pixel_width import pixel_width
 from blender_nep.errors import LearningError
 from blender_nep.geometry.ray_tracing import RayTracer
 from blender_nep.profiling import profiled

@@ -15,7 +15,7 @@ from PIL import Image
 from blender_nep.capture import Camera, PixelRays, load_capture
 from blender_nep.capture.bounds import sphere_from_cameras
 from blender_nep.capture.photo_files import open_image
-from blender_nep.capture.pixel_rays import pixel_footprint, pixel_width
+from blender_nep.capture.pixel_width import pixel_footprint, pixel_width
 from blender_nep.capture.summary import describe, summarise
 from blender_nep.color import linear_to_srgb, srgb_to_linear
 from blender_nep.errors import CaptureError
