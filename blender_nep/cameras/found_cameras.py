@@ -25,9 +25,6 @@ _LARGE_ERROR = 2.0
 _OUTLIER, _SMALL_ERROR = 3.0, 0.5
 """A photo whose error is so many times the median, and more than so many of the same pixels, is unsure, too. A zoomed photo
 has such an error where EXIF does not tell its focal length."""
-_ENOUGH_SURE = 20
-"""Unsure photos are left out if so many others remain. Measured (docs/lab/cameras.md): three unsure photos of 46
-made the shape a third worse."""
 _GAP = 60.0
 """Degrees around the object without a photo that deserve a warning"""
 _PATTERN = (
@@ -48,8 +45,6 @@ class FoundCameras:
     not_placed: list[Photo]
     object_center: np.ndarray = field(default_factory=lambda: np.zeros(3))
     object_radius: float = 1.0
-    left_out: list[Photo] = field(default_factory=list)
-    """Photos that were placed, but so that their cameras may be wrong"""
 
     @property
     def median_error(self) -> float:
@@ -68,21 +63,13 @@ def choose(photos: Sequence[Photo], groups: Sequence[Group]) -> FoundCameras:
         hint = _PATTERN if any(any(photo.camera) for photo in photos) else f"{_PATTERN} {_NO_EXIF}"
         why = "the photos share too few points, or were taken from one place"
         raise CaptureError(f"{few}: {why}", hint, "capture.cameras_not_found", placed=count)
-    best = _without_unsure(groups[0])
+    best = groups[0]
     turn = _upright([found.photo for found in best.placed], [found.camera.camera_to_world for found in best.placed])
     center, radius = sphere_from_cameras([moved(found.camera, turn, 1.0, np.zeros(3)) for found in best.placed])
     placed = [replace(found, camera=moved(found.camera, turn, 1 / radius, -center / radius)) for found in best.placed]
-    in_group, chosen = ({found.photo.path for found in group.placed} for group in (groups[0], best))
-    not_placed = [photo for photo in photos if photo.path not in in_group]
-    left_out = [found.photo for found in groups[0].placed if found.photo.path not in chosen]
-    return FoundCameras(placed, (best.points @ turn.T - center) / radius, not_placed, left_out=left_out)
-
-
-def _without_unsure(group: Group) -> Group:
-    """The group without the photos whose cameras may be wrong, if enough photos remain."""
-    unsure = _unsure(group.placed)
-    sure = [found for found in group.placed if found.photo.path.name not in unsure]
-    return replace(group, placed=sure) if unsure and len(sure) >= _ENOUGH_SURE else group
+    names = {found.photo.path for found in best.placed}
+    left = [photo for photo in photos if photo.path not in names]
+    return FoundCameras(placed, (best.points @ turn.T - center) / radius, left)
 
 
 def _upright(photos: Sequence[Photo], poses: Sequence[np.ndarray]) -> np.ndarray:
@@ -110,9 +97,9 @@ def _upright(photos: Sequence[Photo], poses: Sequence[np.ndarray]) -> np.ndarray
 
 def messages(found: FoundCameras, groups: Sequence[Group]) -> tuple[list[Message], list[Message]]:
     """(what was found, warnings) in words."""
-    total = len(found.placed) + len(found.left_out) + len(found.not_placed)
+    total = len(found.placed) + len(found.not_placed)
     said = [
-        Message("cameras.placed", {"count": total - len(found.not_placed), "photos": total, "error": found.median_error}),
+        Message("cameras.placed", {"count": len(found.placed), "photos": total, "error": found.median_error}),
     ]
     warnings = []
     if found.not_placed:
@@ -121,10 +108,7 @@ def messages(found: FoundCameras, groups: Sequence[Group]) -> tuple[list[Message
     others = [len(group.placed) for group in groups[1:] if len(group.placed) >= MINIMUM_VIEWS]
     if others and found.not_placed:
         warnings.append(Message("cameras.groups", {"count": len(others) + 1}))
-    if found.left_out:
-        names = [photo.path.name for photo in found.left_out]
-        warnings.append(Message("cameras.left_out", {"count": len(names), "names": names}))
-    unsure = [] if found.left_out else _unsure(found.placed)
+    unsure = _unsure(found.placed)
     if unsure:
         warnings.append(Message("cameras.unsure", {"count": len(unsure), "names": unsure}))
     gap, before, after = _largest_gap(found.placed)

@@ -3,7 +3,6 @@
 import io
 import json
 import shutil
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,16 +10,12 @@ from PIL import Image
 
 from benchmarks.scoring.cameras import errors
 from blender_nep.cameras.alignment import similarity
-from blender_nep.cameras.found_cameras import choose, messages
-from blender_nep.cameras.photo_folder import Photo
-from blender_nep.cameras.structure_from_motion import Group, PlacedPhoto
 from blender_nep.capture import load_capture
 from blender_nep.errors import CaptureError
 from blender_nep.fields.object_sphere import ObjectSphere
 from blender_nep.job import camera_search
 from blender_nep.job.camera_search import CameraSearch
 from blender_nep.job.events import Events
-from blender_nep.messages import Message
 from blender_nep.stop_request import StopRequest
 from support.printed_room import BALLS, FOCAL, LENS, camera, photograph, write_photos
 
@@ -210,27 +205,3 @@ def test_stopping_writes_nothing(photos, tmp_path):
 
     code = camera_search.run(CameraSearch(photos, tmp_path / "out"), StoppingEvents(io.StringIO()), stop)
     assert code == 7 and not (tmp_path / "out").exists()
-
-
-def placed(count, few_points):
-    """Photos around an object, of which the first `few_points` show 5 scene points only."""
-    photos = [Photo(Path(f"{n}.jpg"), 320, 240, None, ("A phone",)) for n in range(count)]
-    return photos, [PlacedPhoto(p, camera(n, count), 5 if n < few_points else 500, 0.2) for n, p in enumerate(photos)]
-
-
-def test_unsure_photos_are_left_out_where_enough_others_remain():
-    photos, group = placed(23, few_points=3)
-    chosen = choose(photos, [Group(group, np.zeros((0, 3)))])
-    said, warned = messages(chosen, [])
-    assert [kept.photo for kept in chosen.placed] == photos[3:] and chosen.left_out == photos[:3] and not chosen.not_placed
-    assert said[0].values["count"] == 23
-    assert warned[0] == Message("cameras.left_out", {"count": 3, "names": ["0.jpg", "1.jpg", "2.jpg"]})
-    assert "cameras.unsure" not in [line.code for line in warned]
-
-
-def test_unsure_photos_stay_where_too_few_others_remain():
-    photos, group = placed(22, few_points=3)
-    chosen = choose(photos, [Group(group, np.zeros((0, 3)))])
-    _, warned = messages(chosen, [])
-    assert len(chosen.placed) == 22 and not chosen.left_out
-    assert warned == [Message("cameras.unsure", {"count": 3, "names": ["0.jpg", "1.jpg", "2.jpg"]})]
