@@ -126,7 +126,7 @@ WORDS: dict[str, str] = {
     "cameras.groups": "the photos fall into {count} groups that share no points; the largest one is used. Take photos "
     "between the groups",
     "cameras.unsure": "the {count:place of this photo is|places of these photos are} unsure: {names}. Look whether "
-    "{count:it is|they are} blurred, or take more photos near {count:it|them}",
+    "{count:it is|they are} blurred, zoomed or cropped, or take more photos near {count:it|them}",
     "cameras.gap": "there is no photo within {degrees:.0f} degrees around the object, between {before} and {after}. Take "
     "some from there, if you can",
     "cameras.sphere": "looking for the object",
