@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import hashlib
+import shutil
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 from blender_nep.files import output_errors, write_atomically, write_text
@@ -62,9 +64,9 @@ def _share_viewer(shared: Path) -> None:
     with output_errors(shared):
         shared.mkdir(exist_ok=True)
         for source in VENDOR.iterdir():
-            target, content = shared / source.name, source.read_bytes()
-            if not target.is_file() or target.read_bytes() != content:
-                write_atomically(target, lambda temporary, content=content: temporary.write_bytes(content))
+            target = shared / source.name
+            if not target.is_file() or target.read_bytes() != source.read_bytes():
+                write_atomically(target, partial(shutil.copyfile, source))
 
 
 def _index(folder: Path, batch: Batch, cards: list[Card]) -> str:
