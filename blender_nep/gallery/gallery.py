@@ -11,7 +11,7 @@ from pathlib import Path
 from blender_nep.files import output_errors, write_atomically, write_text
 from blender_nep.gallery.asset_summary import AssetSummary, read_summary
 from blender_nep.gallery.batch_file import Batch, BatchObject, State, read_batch
-from blender_nep.gallery.pages import render, templates_digest
+from blender_nep.gallery.pages import GROUP_WORDS, render, templates_digest
 from blender_nep.gallery.pictures import Thumbnail, data_uri, thumbnail, viewer_light
 
 VENDOR = Path(__file__).with_name("vendor")
@@ -70,7 +70,7 @@ def _share_viewer(shared: Path) -> None:
 
 
 def _index(folder: Path, batch: Batch, cards: list[Card]) -> str:
-    groups = {group: [card for card in cards if card.group == group] for group in ("done", "failed", "left")}
+    groups = {group: [card for card in cards if card.group == group] for group in GROUP_WORDS}
     return render(
         "index.html",
         title=folder.resolve().name,

@@ -13,18 +13,11 @@ import jinja2
 from markupsafe import Markup
 
 from blender_nep import __version__
-from blender_nep.gallery.batch_file import State
 
 TEMPLATES = Path(__file__).with_name("templates")
 
-STATE_WORDS = {
-    State.DONE: "done",
-    State.FAILED: "failed",
-    State.STOPPED: "stopped",
-    State.RUNNING: "running",
-    State.WAITING: "waiting",
-}
-
+GROUP_WORDS = {"done": "done", "failed": "failed", "left": "not finished"}
+"""{part of index.html: its words}"""
 STAGE_WORDS = {
     "capture": "Reading the photos",
     "fields_learning": "Learning shape and light",
@@ -60,7 +53,7 @@ def _environment() -> jinja2.Environment:
         time=duration,
     )
     found.globals.update(
-        version=__version__, state_words=STATE_WORDS, stage_words=STAGE_WORDS, inline=_inline, digest=_digest
+        version=__version__, group_words=GROUP_WORDS, stage_words=STAGE_WORDS, inline=_inline, digest=_digest
     )
     return found
 

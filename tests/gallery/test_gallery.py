@@ -90,7 +90,9 @@ def index_of(folder: Path) -> Page:
 def test_a_finished_object(batch):
     folder, finished = batch
     page = index_of(write_batch(folder, [finished("vase 100% #2 é")]))
-    assert "museum & co" in page.text and "1 done 0 failed 0 left" in page.text and "2026-11-23 09:30 UTC" in page.text
+    assert (
+        "museum & co" in page.text and "1 done 0 failed 0 not finished" in page.text and "2026-11-23 09:30 UTC" in page.text
+    )
     for words in ("Metal, 75 %", "#ffbc00, roughness 0.05", "Not metal, 25 %", "#7c00ff, roughness 0.30"):
         assert words in page.text
     assert page.text.index("75 %") < page.text.index("25 %"), "the largest share comes first"
@@ -118,7 +120,7 @@ def test_objects_that_are_not_finished(batch):
     (folder / "lost").mkdir()
     (folder / "lost" / "log.txt").write_text("so it was", encoding="utf-8")
     page = index_of(write_batch(folder, objects))
-    assert "1 done 1 failed 3 left" in page.text
+    assert "1 done 1 failed 3 not finished" in page.text
     assert "Learning shape and light, about 1 min 34 s left" in page.text and "31 %" in page.text
     assert "2 photos are too few What to do: Take more." in page.text and "lost/log.txt" in page.links
     assert "Learning the materials. Start blender-nep batch again to go on." in page.text
