@@ -110,8 +110,10 @@ def _write_view(asset: Path, found: BatchObject, summary: AssetSummary) -> bool:
     target, made_from = asset / "view.html", _made_from(asset, found)
     if _stamp(target, len(made_from)) == made_from:
         return True
-    with output_errors(asset / "asset.glb"):
+    try:
         model = data_uri((asset / "asset.glb").read_bytes(), "model/gltf-binary")
+    except OSError:
+        return False
     page = render(
         "view.html",
         made_from=made_from,

@@ -114,19 +114,21 @@ def test_objects_that_are_not_finished(batch):
         {"name": "wait", "state": "waiting", "fraction": 0.0},
         {"name": "run", "state": "running", "stage": "fields_learning", "fraction": 0.31, "eta_s": 94},
         {"name": "lost", "state": "failed", "error": lost},
+        {"name": "new", "state": "running", "fraction": 0.0},
         {"name": "halt", "state": "stopped", "stage": "material_learning", "fraction": 0.74},
         finished("good"),
     ]
     (folder / "lost").mkdir()
     (folder / "lost" / "log.txt").write_text("so it was", encoding="utf-8")
     page = index_of(write_batch(folder, objects))
-    assert "1 done 1 failed 3 not finished" in page.text
-    assert "Learning shape and light, about 1 min 34 s left" in page.text and "31 %" in page.text
+    assert "1 done 1 failed 4 not finished" in page.text
+    assert "Learning shape and light (1 min 34 s left)" in page.text and "31 %" in page.text
+    assert "new running 0 % Starting" in page.text
     assert "2 photos are too few What to do: Take more." in page.text and "lost/log.txt" in page.links
-    assert "Learning the materials. Start blender-nep batch again to go on." in page.text
-    assert [bar["value"] for bar in page.all("progress")] == ["0.310", "0.740"]
+    assert "Learning the materials · Start blender-nep batch again to go on." in page.text
+    assert [bar["value"] for bar in page.all("progress")] == ["0.310", "0.000", "0.740"]
     groups = {card["data-name"]: card["data-group"] for card in page.all("article")}
-    assert groups == {"good": "done", "lost": "failed", "wait": "left", "run": "left", "halt": "left"}
+    assert groups == {"good": "done", "lost": "failed", "wait": "left", "run": "left", "new": "left", "halt": "left"}
     assert next(iter(groups)) == "good", "pictures come first"
     assert_links_hold(page)
 
