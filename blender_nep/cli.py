@@ -1,4 +1,4 @@
-"""The command line: `blender-nep info`, `cameras`, `reconstruct` and `materials`."""
+"""The command line: `blender-nep info`, `cameras`, `reconstruct`, `materials` and `gallery`."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def parser() -> argparse.ArgumentParser:
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     top.add_argument("--version", action="version", version=f"blender-nep {__version__}")
-    commands = top.add_subparsers(dest="command", required=True, metavar="{info,cameras,reconstruct,materials}")
+    commands = top.add_subparsers(dest="command", required=True, metavar="{info,cameras,reconstruct,materials,gallery}")
 
     info = commands.add_parser("info", help="say what a capture holds and what looks wrong")
     info.add_argument(
@@ -128,6 +128,8 @@ def parser() -> argparse.ArgumentParser:
         help="2:metallic=1 or 2:roughness=0.3; all other materials become as they were learned; may be repeated",
     )
     what.add_argument("--reset", action="store_true", help="make all materials as they were learned")
+    pages = commands.add_parser("gallery", help="write the pages of a batch anew: FOLDER/index.html")
+    pages.add_argument("folder", type=Path, metavar="FOLDER", help="folder of a batch")
     return top
 
 
@@ -201,7 +203,13 @@ def main(arguments: list[str] | None = None) -> int:
     options = top.parse_args(arguments)
     if options.command == "reconstruct" and (options.object_center is None) != (options.object_radius is None):
         top.error("--object-center and --object-radius work only together")
-    commands = {"info": _info, "cameras": _cameras, "reconstruct": _reconstruct, "materials": _materials}
+    commands = {
+        "info": _info,
+        "cameras": _cameras,
+        "reconstruct": _reconstruct,
+        "materials": _materials,
+        "gallery": _gallery,
+    }
     return commands[options.command](options)
 
 
@@ -317,4 +325,17 @@ def _list_materials(asset: Path) -> int:
         color = " ".join(f"{x:.3f}" for x in found["albedo"])
         metal = "yes" if found["metallic"] > 0.5 else "no"
         print(f"{number:6}  {found['share']:5.1%}  {found['roughness']:9.3f}  {metal:>5}  {color}")
+    return 0
+
+
+def _gallery(options: argparse.Namespace) -> int:
+    from blender_nep.errors import NepError
+    from blender_nep.gallery import write_gallery
+
+    try:
+        write_gallery(options.folder)
+    except NepError as error:
+        print(f"error: {error.message}" + (f"\n       {error.hint}" if error.hint else ""), file=sys.stderr)
+        return error.code
+    print(options.folder / "index.html")
     return 0
