@@ -74,6 +74,18 @@ def image_size(path: Path) -> tuple[int, int]:
         raise _unreadable(path, error) from error
 
 
+def is_linear(path: Path) -> bool:
+    """Whether the format alone says that the values are linear: OpenEXR, raw, and TIFF with floats and without a profile.
+
+    Raises CaptureError.
+    """
+    try:
+        kind = file_kind(path)
+        return kind in ("exr", "raw") or (kind == "tiff" and tiff_files.is_linear(path))
+    except _UNREADABLE as error:
+        raise _unreadable(path, error) from error
+
+
 def open_image(path: Path, color_space: str) -> Raster:
     """Open an image file; its values stay as stored. Raises CaptureError if it cannot be read as an image."""
     tagged = color_space != "linear"
