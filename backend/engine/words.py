@@ -271,7 +271,7 @@ ERRORS = {
     "stopped": ("Stopped. The checkpoint is written", "Resume goes on from there."),
     "stopped.input_closed": ("Stopped because Blender closed. The checkpoint is written", "Resume goes on from there."),
     "stopped.reading_photos": ("Stopped while the photos were read", "Resume starts again."),
-    "stopped.cameras": ("Stopped. No cameras were written", "Press Find Cameras again."),
+    "stopped.cameras": ("Stopped. No cameras were written", "Press the button again."),
     "stopped.interrupted": ("Interrupted", "Work since the last checkpoint is lost. Resume goes on from there."),
     "unexpected.no_memory": ("The memory is full", "Choose the preset Preview, or smaller photos."),
 }
@@ -288,11 +288,11 @@ CORRECTION_HINTS = {
 how to go on with a job."""
 
 CAMERA_HINTS = {
-    "output.disk_full": "Free some space, then press Find Cameras again.",
+    "output.disk_full": "Free some space, then press the button again.",
     "output.not_permitted": "Change its permissions, or copy the photos to another folder and choose that one.",
-    "output": "Look whether the folder can be written, then press Find Cameras again.",
-    "unexpected.no_memory": "Close other programs, or use smaller photos, then press Find Cameras again.",
-    "stopped.interrupted": "Press Find Cameras again.",
+    "output": "Look whether the folder can be written, then press the button again.",
+    "unexpected.no_memory": "Close other programs, or use smaller photos, then press the button again.",
+    "stopped.interrupted": "Press the button again.",
 }
 """Name of an error -> the hint while cameras are sought, as CORRECTION_HINTS."""
 

@@ -163,7 +163,7 @@ def check_failure(folder, mode):
     message, hint = {
         "fail": ("No photo could be placed", "Put the object on a sheet with a print"),
         "locked": ("may not be written (Permission denied)", "Change its permissions, or copy the photos"),
-        "crash": ("The engine was killed", "Press Find Cameras again."),
+        "crash": ("The engine was killed", "Press the button again."),
         "old": ("The installed engine is older", "Install the engine"),
     }[mode]
     bpy, addon, _settings = set_up(folder)
