@@ -14,10 +14,10 @@ HALVES = ("/left", "/right")  # added to the key of a picture: the names of its 
 _pictures: bpy.utils.previews.ImagePreviewCollection | None = None
 
 
-def load_picture(key: str, file: Path, *, height_part: float = 1.0) -> None:
+def load_picture(key: str, file: Path, *, rows: tuple[float, float] = (0.0, 1.0)) -> None:
     """Load a picture, in place of an earlier one with the same key.
 
-    `height_part`: so large a part of its height, from the top, is shown. An unreadable file gives no picture.
+    `rows`: from which to which part of its height, from the top, it is shown. An unreadable file gives no picture.
     """
     global _pictures
     if _pictures is None:
@@ -29,8 +29,9 @@ def load_picture(key: str, file: Path, *, height_part: float = 1.0) -> None:
         return
     pixels = np.empty(4 * width * height, np.float32)
     both.image_pixels_float.foreach_get(pixels)
-    first = round((1 - height_part) * height)  # row 0 is the lowest one
-    halves = np.split(pixels.reshape(height, width, 4)[first:, : width // 2 * 2], 2, axis=1)
+    top, bottom = (round(part * height) for part in rows)
+    shown = pixels.reshape(height, width, 4)[height - bottom : height - top]  # row 0 is the lowest one
+    halves = np.split(shown[:, : width // 2 * 2], 2, axis=1)
     for name, half in zip(HALVES, halves, strict=True):
         picture = _pictures.new(key + name)
         picture.image_size = half.shape[1], half.shape[0]

@@ -10,7 +10,7 @@ from typing import Any
 import bpy
 from bpy.app.handlers import persistent
 
-from ..backend.engine.capture_facts import DISCS_HEIGHT
+from ..backend.engine.capture_facts import DISCS_ROWS
 from ..backend.engine.capture_query import CaptureQuery
 from ..backend.engine.command import EngineError
 from . import clock
@@ -64,7 +64,7 @@ class PhotoCheck:
         current, _last = None, self
         forget_looks()
         if self.picture is not None:
-            load_picture(PICTURE, self.picture, height_part=DISCS_HEIGHT)
+            load_picture(PICTURE, self.picture, rows=DISCS_ROWS)
 
     def close(self) -> None:
         """Do not wait for the engine any more, and remove the picture's file."""

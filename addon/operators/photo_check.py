@@ -86,7 +86,7 @@ class NEP_OT_cancel_check_photos(bpy.types.Operator):
 class NEP_OT_show_coverage(bpy.types.Operator):
     bl_idname = "nep.show_coverage"
     bl_label = "Show Large"
-    bl_description = "Show from where the photos were taken, with their names, in an Image Editor: one that is open, or a window of its own"
+    bl_description = "Show the picture with the names of photos in an Image Editor: one that is open, or a window of its own"
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:

@@ -39,8 +39,9 @@ def draw_photo_check(layout: bpy.types.UILayout, context: bpy.types.Context) -> 
         draw_halves(box, context, photo_check.PICTURE, SIDES)
         draw_wrapped(box, context, SHADES)
         box.operator("nep.show_coverage", icon="IMAGE_DATA")
+    column = box.column(align=True)
     for line in facts_of(check.found, pgettext_iface):
-        draw_wrapped(box, context, line, "DOT")
+        draw_wrapped(column, context, line, "DOT")
     for warning in warnings:
         draw_wrapped(box, context, warning.words(pgettext_iface), "ERROR")
     if not warnings:

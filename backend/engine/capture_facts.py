@@ -13,8 +13,8 @@ EXPOSURE_UNKNOWN = "Exposure: not known"
 EXPOSURE_EQUAL = "Exposure: no clear difference between the photos"
 EXPOSURE_DIFFERS = "Exposure: up to {stops:.1f} stops apart, which is evened out"
 
-DISCS_HEIGHT = 0.84
-"""So large a part of the picture of the photos' directions, from its top, shows the discs; below is the legend."""
+DISCS_ROWS = (0.09, 0.86)
+"""From which to which part of its height the picture of the photos' directions shows the discs, between title and legend"""
 
 
 def texts() -> list[str]:

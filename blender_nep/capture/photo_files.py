@@ -9,7 +9,7 @@ that its decoder gives (heif_files.py). `exif` gives the orientation of the pixe
 
 A file's content says which format it has, because files with another format's ending are common; only OpenEXR and raw files
 go by their ending. Blender's Python lacks the packages of this file and cannot import it: backend/scene_io/image_size.py is
-its copy of `image_size` for OpenEXR, PNG and JPEG.
+its copy of `image_size` for the formats that Blender shows.
 """
 
 from __future__ import annotations

@@ -96,7 +96,12 @@ def check_found_capture(bpy, addon):
         assert Path(bpy.path.abspath(background.filepath)).is_file() and tuple(background.size) == camera_engine.SIZE
     first = np.array(collection.objects["photo_0"].matrix_world)
     np.testing.assert_allclose(first, camera_engine.cameras()["frames"][0]["transform_matrix"], atol=1e-6)
+    cube = bpy.data.objects.new("cube", None)
+    bpy.context.scene.collection.objects.link(cube)
+    cube.select_set(True)
     assert bpy.ops.nep.propose_bounds() == {"FINISHED"}
+    layer = bpy.context.view_layer
+    assert list(layer.objects.selected) == [layer.objects.active] == [bpy.context.scene.nep.bounds]
     given = addon.object_bounds.bounds_arguments(bpy.context.scene)
     assert [float(number) for number in (*given[1:4], given[5])] == [0, 0, 0, 1]
 

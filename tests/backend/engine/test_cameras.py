@@ -53,6 +53,8 @@ def test_the_library_understands_the_arguments():
     assert (found.command, str(found.photos), found.out, found.threads) == ("cameras", "photos", None, 2)
     assert found.overwrite and found.watch_stdin and found.features == "everywhere"
     assert cameras_arguments("photos") == ["cameras", "photos", "--watch-stdin"]
+    found = cli.parser().parse_args(cameras_arguments("photos", overwrite=True, improve=True, features="object"))
+    assert (found.improve, found.overwrite, found.features) == (True, True, "object")
 
 
 def test_what_was_found_is_told(engine, photos, tmp_path):
