@@ -7,13 +7,15 @@ The modules form layers. A module imports only modules of the layers below its o
     operators/                                                              what a button or a script calls
     running_jobs                                                            the jobs that this Blender follows
     bounds_estimate, camera_search, comparison_render, engine_setup,
-        imported_result, material_correction                                other work under way, and results
-    object_bounds, comparison_image, live_preview, imported_materials       objects and images in the .blend file
-    engine_paths, clock, editors, wrapped_text, swatches                    what Blender and the preferences offer
+        imported_result, material_correction, photo_check                       other work under way, and results
+    object_bounds, comparison_image, coverage_image, live_preview,
+        imported_materials                                                  objects and images in the .blend file
+    engine_errors, engine_paths, clock, editors, halved_pictures,
+        wrapped_text, swatches                                              what Blender and the preferences offer
     capture_folder, folders, properties                                     the settings, `scene.nep`, and their folders
-    output_changes                                                          who is told of a changed output folder
+    folder_changes                                                          who is told of a changed folder
 
-`register` puts `running_jobs.attach_job` among the callbacks of `output_changes`.
+`register` puts functions of the upper layers among the callbacks of `folder_changes`.
 Panels and `running_jobs` call operators by their names in Blender (`nep.import_result`), not by an import.
 What needs no sidebar is in backend/, below all of these layers: the engine's process, captures, assets, renders.
 """
@@ -28,11 +30,12 @@ from . import (
     clock,
     comparison_render,
     engine_setup,
-    live_preview,
+    folder_changes,
+    halved_pictures,
     material_correction,
     operators,
-    output_changes,
     panels,
+    photo_check,
     preferences,
     properties,
     running_jobs,
@@ -50,6 +53,7 @@ HANDLERS = (
     ("load_post", running_jobs.on_file_loaded),
     ("load_post", material_correction.on_file_loaded),
     ("load_post", camera_search.on_file_loaded),
+    ("load_post", photo_check.on_file_loaded),
     ("undo_post", material_correction.on_undone),
     ("redo_post", material_correction.on_undone),
 )
@@ -60,7 +64,8 @@ def register() -> None:
     for cls in CLASSES:
         bpy.utils.register_class(cls)
     bpy.types.Scene.nep = bpy.props.PointerProperty(type=properties.NepSettings)
-    output_changes.callbacks.append(running_jobs.attach_job)
+    folder_changes.output_callbacks.append(running_jobs.attach_job)
+    folder_changes.capture_callbacks.append(photo_check.on_capture_chosen)
     for event, handler in HANDLERS:
         getattr(bpy.app.handlers, event).append(handler)
     clock.call_until_false(_attach_jobs_once)  # later: in `register` bpy.data has no scenes
@@ -83,7 +88,8 @@ def _attach_jobs_once() -> bool:
 
 def _close_all() -> None:
     """Stop the timer, the handlers and all work under way. A timer or handler that is left makes Blender hang at its end."""
-    output_changes.callbacks.clear()
+    folder_changes.output_callbacks.clear()
+    folder_changes.capture_callbacks.clear()
     clock.stop()
     for event, handler in HANDLERS:
         if handler in getattr(bpy.app.handlers, event):
@@ -94,5 +100,6 @@ def _close_all() -> None:
     camera_search.close_all()
     comparison_render.close_all()
     material_correction.close_all()
-    live_preview.remove_all_pictures()
+    photo_check.close_all()
+    halved_pictures.remove_all_pictures()
     swatches.remove_all_swatches()

@@ -4,7 +4,8 @@ from pathlib import Path
 
 import bpy
 
-from ..backend.engine.bounds_query import BoundsQuery
+from ..backend.engine.capture_query import CaptureQuery
+from ..backend.engine.command import EngineError
 from . import clock
 from .folders import resolve_folder
 from .object_bounds import place_bounds
@@ -15,7 +16,7 @@ class BoundsEstimate:
 
     def __init__(self, scene: bpy.types.Scene, capture: Path, engine_python: str) -> None:
         self._scene_name, self._capture = scene.name, capture
-        self._query = BoundsQuery(capture, engine_python)
+        self._query = CaptureQuery(capture, engine_python)
 
     def poll(self) -> bool:
         """Whether the engine has answered."""
@@ -28,6 +29,7 @@ class BoundsEstimate:
         """Place the bounds. Nothing is placed where the scene is gone, or has another capture by now."""
         global current, last_error
         current, last_error = None, self._query.error
+        self._query.close()
         scene = bpy.data.scenes.get(self._scene_name)
         if self._query.sphere is None or scene is None or resolve_folder(scene.nep.capture) != self._capture:
             return
@@ -41,13 +43,13 @@ class BoundsEstimate:
 
 
 current: BoundsEstimate | None = None  # the estimate under way
-last_error = ""  # why the last estimate failed; empty where it did not
+last_error: EngineError | None = None  # why the last estimate failed; None where it did not
 
 
 def forget_last_error() -> None:
     """A new proposal begins: the panel no longer shows why the last one failed."""
     global last_error
-    last_error = ""
+    last_error = None
 
 
 def start_estimate(scene: bpy.types.Scene, capture: Path, engine_python: str, *, wait: bool) -> None:

@@ -21,14 +21,22 @@ AT_WORK = "The cameras of the photos in {folder} are being found: wait until tha
 class CameraSearch:
     """A search that is under way, or has ended; `clock.follow` follows it.
 
-    `failed` says why it failed. `replaces`: whether it replaces cameras that were there.
+    `failed` says why it failed. `replaces`: whether it replaces cameras that were there. `improves`: whether it begins with
+    these.
     """
 
     def __init__(
-        self, folder: Path, process: CameraProcess | None, *, replaces: bool = False, failed: CameraError | None = None
+        self,
+        folder: Path,
+        process: CameraProcess | None,
+        *,
+        replaces: bool = False,
+        improves: bool = False,
+        failed: CameraError | None = None,
     ) -> None:
         """`process` is None for a search that could not be started."""
-        self.folder, self.process, self.replaces, self.failed = folder, process, replaces, failed
+        self.folder, self.process, self.failed = folder, process, failed
+        self.replaces, self.improves = replaces, improves
 
     def poll(self) -> bool:
         """Whether the engine has ended."""
@@ -50,14 +58,24 @@ current: CameraSearch | None = None  # the search under way
 _last: CameraSearch | None = None  # the last one, or the one under way
 
 
-def start_search(python: str, folder: Path, *, threads: int | None, replace: bool, wait: bool) -> CameraSearch:
+def start_search(
+    python: str,
+    folder: Path,
+    *,
+    threads: int | None,
+    features: str = "everywhere",
+    replace: bool = False,
+    improve: bool = False,
+    wait: bool,
+) -> CameraSearch:
     """Find the cameras of the photos in the folder, and write them into it. `replace`: also where it has cameras.
 
-    With `wait` this function returns after that; else it returns at once. NoEngineError where the engine cannot be started.
+    `improve`: begin with the cameras that it has. `features`: as in `cameras_arguments`. With `wait` this function returns
+    after that; else it returns at once. NoEngineError where the engine cannot be started.
     """
     global current, _last
-    process = CameraProcess(python, folder, threads=threads, overwrite=replace)
-    search = current = _last = CameraSearch(folder, process, replaces=replace)
+    process = CameraProcess(python, folder, threads=threads, overwrite=replace, improve=improve, features=features)
+    search = current = _last = CameraSearch(folder, process, replaces=replace, improves=improve)
     clock.follow(search, wait=wait)
     return search
 

@@ -8,7 +8,13 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-from ..backend.engine.capture_contents import LEAST_PHOTOS, has_cameras, has_transforms, photo_count
+from ..backend.engine.capture_contents import (
+    LEAST_PHOTOS,
+    has_cameras,
+    has_masks,
+    photo_count,
+    transforms_time,
+)
 
 KEPT_S = 2.0
 """So long an answer is kept at least."""
@@ -24,8 +30,15 @@ class CaptureFolder:
     """Photos in the folder, or in its folder `images`"""
     has_cameras: bool = False
     """Whether the folder holds cameras, in any of the forms that the engine reads"""
-    has_transforms: bool = False
-    """Whether these cameras are in transforms.json"""
+    transforms_time: int = 0
+    """When transforms.json was last written, in nanoseconds; 0 where there is none"""
+    has_masks: bool = False
+    """Whether there is a folder with masks"""
+
+    @property
+    def has_transforms(self) -> bool:
+        """Whether the cameras are in transforms.json."""
+        return self.transforms_time > 0
 
     @property
     def lacks_cameras(self) -> bool:
@@ -43,7 +56,7 @@ _kept: dict[Path, tuple[float, CaptureFolder]] = {}  # folder -> (until when the
 
 def look_into(folder: Path) -> CaptureFolder:
     """What the folder holds now."""
-    return CaptureFolder(photo_count(folder), has_cameras(folder), has_transforms(folder))
+    return CaptureFolder(photo_count(folder), has_cameras(folder), transforms_time(folder), has_masks(folder))
 
 
 def last_look_into(folder: Path, clock: Callable[[], float] = time.monotonic) -> CaptureFolder:

@@ -28,14 +28,3 @@ def load_comparison(path: Path) -> bpy.types.Image:
                 area.spaces.active.image = image
                 area.tag_redraw()
     return image
-
-
-def fit_comparison_to_editors() -> bool:
-    """Zoom the Image Editors that show the comparison until all of it is seen. False: `clock` need not call again."""
-    for window in bpy.context.window_manager.windows:
-        for area in window.screen.areas:
-            if area.type == "IMAGE_EDITOR" and area.spaces.active.image == comparison_image():
-                region = next(region for region in area.regions if region.type == "WINDOW")
-                with bpy.context.temp_override(window=window, area=area, region=region):
-                    bpy.ops.image.view_all(fit_view=True)
-    return False

@@ -1,4 +1,4 @@
-"""What a running job has learned so far: a mesh in the viewport, and a picture in the panel.
+"""What a running job has learned so far, as a mesh in the viewport.
 
 Undo and File > New may remove the mesh at any moment. So it is found each time by its custom property JOB_PROPERTY.
 """
@@ -7,14 +7,10 @@ import zipfile
 from pathlib import Path
 
 import bpy
-import bpy.utils.previews
 import numpy as np
 
 NAME = "NeP preview"
 JOB_PROPERTY = "nep_preview_of"  # the key of the job whose preview the object is
-HALVES = ("/photo", "/learned")  # added to the key of the job: the names of a picture's left and right half
-
-_pictures: bpy.utils.previews.ImagePreviewCollection | None = None
 
 
 def show_mesh(scene: bpy.types.Scene, job_key: str, file: Path) -> None:
@@ -56,47 +52,3 @@ def remove_meshes(job_key: str) -> None:
 
 def _preview_object(scene: bpy.types.Scene, job_key: str) -> bpy.types.Object | None:
     return next((item for item in scene.objects if item.get(JOB_PROPERTY) == job_key and item.type == "MESH"), None)
-
-
-def load_picture(job_key: str, file: Path) -> None:
-    """Load the job's picture for the panel: its left half is a photo, its right half what was learned of it.
-
-    Blender shows a picture as a square. Two halves are then larger than the whole.
-    """
-    global _pictures
-    if _pictures is None:
-        _pictures = bpy.utils.previews.new()
-    remove_picture(job_key)
-    both = _pictures.load(job_key, str(file), "IMAGE", force_reload=True)
-    width, height = both.image_size
-    if not width:
-        return
-    pixels = np.empty(4 * width * height, np.float32)
-    both.image_pixels_float.foreach_get(pixels)
-    halves = np.split(pixels.reshape(height, width, 4)[:, : width // 2 * 2], 2, axis=1)
-    for name, half in zip(HALVES, halves, strict=True):
-        picture = _pictures.new(job_key + name)
-        picture.image_size = half.shape[1], height
-        picture.image_pixels_float.foreach_set(half.ravel())
-
-
-def picture_halves(job_key: str) -> list[bpy.types.ImagePreview]:
-    """The job's photo, and what was learned of it; an empty list where no picture is loaded."""
-    if _pictures is None or job_key + HALVES[-1] not in _pictures:
-        return []
-    return [_pictures[job_key + name] for name in HALVES]
-
-
-def remove_picture(job_key: str) -> None:
-    """Remove the job's picture, if there is one."""
-    if _pictures is not None:
-        for name in ("", *HALVES):
-            _pictures.pop(job_key + name, None)
-
-
-def remove_all_pictures() -> None:
-    """Blender or the add-on ends: give all pictures back to Blender."""
-    global _pictures
-    if _pictures is not None:
-        bpy.utils.previews.remove(_pictures)
-        _pictures = None

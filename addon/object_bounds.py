@@ -51,7 +51,7 @@ def _center_and_radii(item: bpy.types.Object) -> tuple[np.ndarray, np.ndarray]:
 
 
 def place_bounds(scene: bpy.types.Scene, capture: Path, center: Sequence[float], radius: float) -> bpy.types.Object:
-    """Move the scene's bounds to this sphere (world coordinates); make the empty where there is none. Returns the empty."""
+    """Move the scene's bounds to this sphere (world coordinates), and select them. Returns the empty, which may be new."""
     item = bounds_object(scene)
     if item is None:
         item = bpy.data.objects.new("NeP bounds", None)
@@ -61,4 +61,17 @@ def place_bounds(scene: bpy.types.Scene, capture: Path, center: Sequence[float],
         scene.nep.bounds = item
     item.name = NAME.format(capture.resolve().name)
     item.matrix_world = Matrix.LocRotScale(Vector(center), None, Vector([radius / item.empty_display_size] * 3))
+    _select_alone(scene, item)
     return item
+
+
+def _select_alone(scene: bpy.types.Scene, item: bpy.types.Object) -> None:
+    """Select the item and nothing else, so that the artist can move it at once. Nobody is thrown out of Edit Mode."""
+    layer = scene.view_layers[0]
+    active = layer.objects.active
+    if (active is not None and active.mode != "OBJECT") or layer.objects.get(item.name) != item:
+        return
+    for other in list(layer.objects.selected):
+        other.select_set(False, view_layer=layer)
+    item.select_set(True, view_layer=layer)
+    layer.objects.active = item

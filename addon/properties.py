@@ -2,7 +2,7 @@
 
 import bpy
 
-from . import output_changes
+from . import folder_changes
 
 PRESETS = (
     ("preview", "Preview", "A first look within minutes"),
@@ -13,6 +13,11 @@ DEVICES = (
     ("auto", "Automatic", "The graphics card where the engine can use it, else the processor"),
     ("cpu", "CPU", "The processor"),
     ("cuda", "CUDA", "An NVIDIA graphics card; the engine needs a CUDA build of torch"),
+)
+FEATURES = (  # the names are those of the engine's option --features
+    ("everywhere", "Everywhere", "In the whole photos; masks are not used"),
+    ("object", "On the Object", "Only on the object: for an object that turned on a turntable"),
+    ("surroundings", "In Its Surroundings", "Only beside the object: for mirrors, whose reflections mislead"),
 )
 METAL = (
     ("auto", "From the Photos", "Decided by what explains the photos better"),
@@ -77,16 +82,23 @@ class NepSettings(bpy.types.PropertyGroup):
         description="Folder with the photos of one object. Their cameras are there, too (transforms.json or a COLMAP "
         "project), or Find Cameras finds them",
         subtype="DIR_PATH",
+        update=folder_changes.tell_capture,
     )
     output: bpy.props.StringProperty(
         name="Output",
         description="Folder for the result; a job in it is found again when this file is opened",
         subtype="DIR_PATH",
-        update=output_changes.tell,
+        update=folder_changes.tell_output,
     )
     preset: bpy.props.EnumProperty(name="Preset", description="How much time to spend", items=PRESETS, default="balanced")
     use_masks: bpy.props.BoolProperty(
         name="Use Masks", description="Use the capture's object masks where it has them", default=True
+    )
+    features: bpy.props.EnumProperty(
+        name="Features",
+        description="Where in the photos Find Cameras looks for details; the masks say where the object is",
+        items=FEATURES,
+        default="everywhere",
     )
     device: bpy.props.EnumProperty(name="Device", description="What to compute on", items=DEVICES, default="auto")
     metal: bpy.props.EnumProperty(

@@ -15,7 +15,7 @@ from ..backend.engine.command import EngineError
 from ..backend.engine.engine import STOPPED, Engine
 from ..backend.engine.progress import Progress
 from ..backend.engine.words import Said
-from . import clock, engine_paths, live_preview
+from . import clock, engine_paths, halved_pictures, live_preview
 from .folders import folder_key, resolve_folder
 
 
@@ -147,7 +147,7 @@ def _show_previews(job: Job) -> None:
         return
     picture, mesh = job.previews.pop(".png", None), job.previews.pop(".npz", None)
     if picture is not None:
-        live_preview.load_picture(job.key, picture)
+        halved_pictures.load_picture(job.key, picture)
     scene = scene_of(job)
     if mesh is not None and scene is not None:
         live_preview.show_mesh(scene, job.key, mesh)
@@ -156,7 +156,7 @@ def _show_previews(job: Job) -> None:
 def on_job_ended(job: Job) -> None:
     """Remove the job's live preview, and remember how long a successful job took."""
     live_preview.remove_meshes(job.key)
-    live_preview.remove_picture(job.key)
+    halved_pictures.remove_picture(job.key)
     if job.failed is None:
         timings.remember(engine_paths.timings_file(), job.output)
 

@@ -49,6 +49,7 @@ def parser() -> argparse.ArgumentParser:
         help="folder with photos and their cameras: transforms.json, COLMAP, Metashape, Bundler and others",
     )
     info.add_argument("--json", action="store_true", help="as one JSON object")
+    _add_sphere(info)
     info.add_argument(
         "--picture",
         type=Path,
@@ -80,14 +81,7 @@ def parser() -> argparse.ArgumentParser:
     run.add_argument("--seed", type=_seed, default=0, metavar="N", help="the same seed gives the same asset (%(default)s)")
     run.add_argument("--masks", choices=("use", "ignore"), default="use", help="masks help, none are needed (%(default)s)")
     run.add_argument("--mesh", type=Path, metavar="FILE", help="learn materials on this mesh (capture coordinates)")
-    run.add_argument(
-        "--object-center",
-        type=_finite,
-        nargs=3,
-        metavar=("X", "Y", "Z"),
-        help="centre of the sphere that holds the object, capture coordinates (transforms.json, or estimated)",
-    )
-    run.add_argument("--object-radius", type=_positive, metavar="R", help="its radius; both or none")
+    _add_sphere(run)
     run.add_argument(
         "--metal",
         choices=("auto", "yes", "no"),
@@ -131,6 +125,24 @@ def parser() -> argparse.ArgumentParser:
     pages = commands.add_parser("gallery", help="write the pages of a batch anew: FOLDER/index.html")
     pages.add_argument("folder", type=Path, metavar="FOLDER", help="folder of a batch")
     return top
+
+
+def _add_sphere(command: argparse.ArgumentParser) -> None:
+    command.add_argument(
+        "--object-center",
+        type=_finite,
+        nargs=3,
+        metavar=("X", "Y", "Z"),
+        help="centre of the sphere that holds the object, capture coordinates (transforms.json, or estimated)",
+    )
+    command.add_argument("--object-radius", type=_positive, metavar="R", help="its radius; both or none")
+
+
+def _sphere(options: argparse.Namespace) -> tuple[tuple[float, float, float], float] | None:
+    if options.object_center is None:
+        return None
+    x, y, z = options.object_center
+    return (x, y, z), options.object_radius
 
 
 def _add_cameras(commands: argparse._SubParsersAction) -> None:
@@ -201,7 +213,7 @@ def main(arguments: list[str] | None = None) -> int:
     """Run the command line and return its exit code."""
     top = parser()
     options = top.parse_args(arguments)
-    if options.command == "reconstruct" and (options.object_center is None) != (options.object_radius is None):
+    if options.command in ("info", "reconstruct") and (options.object_center is None) != (options.object_radius is None):
         top.error("--object-center and --object-radius work only together")
     commands = {
         "info": _info,
@@ -219,7 +231,7 @@ def _info(options: argparse.Namespace) -> int:
     from blender_nep.files import jsonable
 
     try:
-        found = summarise(options.capture, options.picture)
+        found = summarise(options.capture, options.picture, _sphere(options))
     except NepError as error:
         if options.json:
             print(json.dumps({"error": jsonable(error.told())}, indent=1))
@@ -279,7 +291,7 @@ def _reconstruct(options: argparse.Namespace) -> int:
         seed=options.seed,
         use_masks=options.masks == "use",
         mesh=options.mesh,
-        sphere=None if options.object_center is None else (tuple(options.object_center), options.object_radius),
+        sphere=_sphere(options),
         resume=options.resume,
         overwrite=options.overwrite,
         clean=options.clean,

@@ -136,6 +136,7 @@ WORDS: dict[str, str] = {
     "improved",
     "cameras.improved": "the cameras were improved: their features agree within {after:.2f} pixels instead of "
     "{before:.2f}. They were turned by {degrees:.3f} degrees and moved by {percent:.2f} % of their distance (medians)",
+    "cameras.backup": "the cameras that were replaced are kept in {file}",
     "cameras.kept": "{count} {count:photo shows|photos show} too few points of the scene, and {count:keeps its|keep their} "
     "given {count:camera|cameras}: {names}",
     # warnings about a capture

@@ -1,6 +1,6 @@
 """The operators: what the buttons of the panels do, and the commands of scripts (`bpy.ops.nep.…`)."""
 
-from . import bounds, camera_search, cameras, comparison, engine, materials, reconstruct, result
+from . import bounds, camera_search, cameras, comparison, engine, materials, photo_check, reconstruct, result
 
 CLASSES = (
     *reconstruct.CLASSES,
@@ -8,6 +8,7 @@ CLASSES = (
     *cameras.CLASSES,
     *camera_search.CLASSES,
     *bounds.CLASSES,
+    *photo_check.CLASSES,
     *result.CLASSES,
     *materials.CLASSES,
     *comparison.CLASSES,

@@ -5,6 +5,7 @@ import bpy
 from ...backend.scene_io.capture_files import read_bounds
 from .. import bounds_estimate
 from ..camera_search import why_not_usable
+from ..engine_errors import error_text
 from ..engine_paths import engine_python
 from ..folders import SAVE_FILE_FIRST, resolve_folder
 from ..object_bounds import bounds_object, place_bounds
@@ -57,8 +58,8 @@ class NEP_OT_propose_bounds(bpy.types.Operator):
         bounds_estimate.start_estimate(scene, capture, engine_python(context), wait=wait)
         if not wait:
             return {"FINISHED"}
-        if bounds_estimate.last_error:
-            self.report({"ERROR"}, bounds_estimate.last_error)
+        if bounds_estimate.last_error is not None:
+            self.report({"ERROR"}, error_text(bounds_estimate.last_error))
             return {"CANCELLED"}
         self.report({"INFO"}, "Bounds estimated from the photos")
         return {"FINISHED"}

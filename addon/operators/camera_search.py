@@ -1,4 +1,4 @@
-"""The operators of the search for the cameras of photos: begin it, cancel it."""
+"""The operators of the search for the cameras of photos: begin it, improve cameras, cancel it."""
 
 import bpy
 from bpy.app.translations import pgettext_iface
@@ -6,13 +6,65 @@ from bpy.app.translations import pgettext_iface
 from ...backend.engine.camera_process import check_writable
 from ...backend.engine.command import EngineError, find_engine_python
 from .. import camera_search
-from ..capture_folder import look_into
+from ..capture_folder import last_look_into, look_into
+from ..engine_errors import error_text
 from ..engine_paths import engine_python
 from ..folders import SAVE_FILE_FIRST, resolve_folder
 from ..running_jobs import job_of
 
 
-class NEP_OT_find_cameras(bpy.types.Operator):
+class CameraOperator:
+    """What the operators that find and that improve cameras share."""
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        if camera_search.current is not None:
+            cls.poll_message_set("Cameras are being found")
+            return False
+        job = job_of(context.scene)
+        if job is not None and not job.ended:  # it could not be resumed with other cameras
+            cls.poll_message_set("A job is running in the output folder")
+            return False
+        if not context.scene.nep.capture:
+            cls.poll_message_set("Choose a folder with photos first")
+            return False
+        return True
+
+    def _find(self, context: bpy.types.Context, *, wait: bool, replace: bool, improve: bool = False) -> set[str]:
+        settings = context.scene.nep
+        folder = resolve_folder(settings.capture)
+        if folder is None:
+            self.report({"ERROR"}, SAVE_FILE_FIRST)
+            return {"CANCELLED"}
+        try:
+            check_writable(folder)
+            python = find_engine_python(configured=engine_python(context))
+            search = camera_search.start_search(
+                python,
+                folder,
+                threads=settings.threads or None,
+                features=settings.features if look_into(folder).has_masks else "everywhere",
+                replace=replace,
+                improve=improve,
+                wait=wait,
+            )
+        except EngineError as error:
+            return self._failed(camera_search.keep_failed_start(folder, error))
+        if not wait:
+            return {"FINISHED"}
+        if search.failed is not None:
+            return self._failed(search.failed)
+        for warning in search.process.warnings:
+            self.report({"WARNING"}, warning.words(pgettext_iface))
+        self.report({"INFO"}, "\n".join(said.words(pgettext_iface) for said in search.process.found))
+        return {"FINISHED"}
+
+    def _failed(self, error: EngineError) -> set[str]:
+        self.report({"ERROR"}, error_text(error))
+        return {"CANCELLED"}
+
+
+class NEP_OT_find_cameras(CameraOperator, bpy.types.Operator):
     bl_idname = "nep.find_cameras"
     bl_label = "Find Cameras"
     bl_description = (
@@ -30,20 +82,6 @@ class NEP_OT_find_cameras(bpy.types.Operator):
             return "Find the cameras of the photos anew, and replace those that the capture folder has"
         return cls.bl_description
 
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        if camera_search.current is not None:
-            cls.poll_message_set("Cameras are being found")
-            return False
-        job = job_of(context.scene)
-        if job is not None and not job.ended:  # it could not be resumed with other cameras
-            cls.poll_message_set("A job is running in the output folder")
-            return False
-        if not context.scene.nep.capture:
-            cls.poll_message_set("Choose a folder with photos first")
-            return False
-        return True
-
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         folder = resolve_folder(context.scene.nep.capture)
         if self.overwrite and folder is not None and look_into(folder).has_cameras:
@@ -52,43 +90,44 @@ class NEP_OT_find_cameras(bpy.types.Operator):
                 event,
                 title="Find Cameras Again",
                 confirm_text="Find Cameras Again",
-                message="This replaces the cameras in the capture folder. They cannot be brought back.",
+                message="This replaces the cameras in the capture folder. A copy of the present ones is kept there.",
             )
-        return self._find(context, wait=bpy.app.background)
+        return self._find(context, wait=bpy.app.background, replace=self.overwrite)
 
     def execute(self, context: bpy.types.Context) -> set[str]:
-        return self._find(context, wait=not self.options.is_invoke)  # is_invoke: the artist has confirmed the question
-
-    def _find(self, context: bpy.types.Context, wait: bool) -> set[str]:
-        settings = context.scene.nep
-        folder = resolve_folder(settings.capture)
-        if folder is None:
-            self.report({"ERROR"}, SAVE_FILE_FIRST)
-            return {"CANCELLED"}
-        try:
-            check_writable(folder)
-            python = find_engine_python(configured=engine_python(context))
-            search = camera_search.start_search(
-                python, folder, threads=settings.threads or None, replace=self.overwrite, wait=wait
-            )
-        except EngineError as error:
-            return self._failed(camera_search.keep_failed_start(folder, error))
-        if not wait:
-            return {"FINISHED"}
-        if search.failed is not None:
-            return self._failed(search.failed)
-        for warning in search.process.warnings:
-            self.report({"WARNING"}, warning.words(pgettext_iface))
-        self.report({"INFO"}, _joined(*(said.words(pgettext_iface) for said in search.process.found)))
-        return {"FINISHED"}
-
-    def _failed(self, error: EngineError) -> set[str]:
-        self.report({"ERROR"}, _joined(*error.words(pgettext_iface), error.log))
-        return {"CANCELLED"}
+        wait = not self.options.is_invoke  # is_invoke: the artist has confirmed the question
+        return self._find(context, wait=wait, replace=self.overwrite)
 
 
-def _joined(*texts: str) -> str:
-    return "\n".join(text for text in texts if text)
+class NEP_OT_improve_cameras(CameraOperator, bpy.types.Operator):
+    bl_idname = "nep.improve_cameras"
+    bl_label = "Improve Cameras"
+    bl_description = (
+        "Let the photos correct the cameras that the capture has, in the same frame and scale. "
+        "Cameras that cannot be improved stay as they are"
+    )
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        if not super().poll(context):
+            return False
+        folder = resolve_folder(context.scene.nep.capture)
+        if folder is None or not last_look_into(folder).has_cameras:
+            cls.poll_message_set("The capture has no cameras yet")
+            return False
+        return True
+
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        return context.window_manager.invoke_confirm(
+            self,
+            event,
+            title="Improve Cameras",
+            confirm_text="Improve Cameras",
+            message="Better cameras replace those of the capture. A copy of the present ones is kept in its folder.",
+        )
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        return self._find(context, wait=not self.options.is_invoke, replace=True, improve=True)
 
 
 class NEP_OT_cancel_find_cameras(bpy.types.Operator):
@@ -111,4 +150,4 @@ class NEP_OT_cancel_find_cameras(bpy.types.Operator):
         return {"FINISHED"}
 
 
-CLASSES = (NEP_OT_find_cameras, NEP_OT_cancel_find_cameras)
+CLASSES = (NEP_OT_find_cameras, NEP_OT_improve_cameras, NEP_OT_cancel_find_cameras)

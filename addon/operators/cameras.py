@@ -50,9 +50,15 @@ class NEP_OT_load_cameras(bpy.types.Operator):
         except (OSError, ValueError) as error:
             self.report({"ERROR"}, f"The capture cannot be read: {error}")
             return {"CANCELLED"}
-        cameras, missing = load_cameras(context.scene, folder, frames, match_render=self.match_render)
+        cameras, missing, not_shown = load_cameras(context.scene, folder, frames, match_render=self.match_render)
         if missing:
             self.report({"WARNING"}, f"{len(missing)} of {len(cameras)} photos are missing, the first: {missing[0]}")
+        elif not_shown:
+            self.report(
+                {"WARNING"},
+                f"{len(cameras)} cameras; Blender cannot show {len(not_shown)} of their photos (raw or HEIC), "
+                "but the engine uses them",
+            )
         elif self.match_render and len({(frame.width, frame.height) for frame in frames}) > 1:
             self.report(
                 {"WARNING"}, f"{len(cameras)} cameras; their photos have several sizes, the render size is that of the first"

@@ -1,14 +1,15 @@
 """The operators of the relit comparison: render it, cancel the render, show the picture."""
 
 import json
+from functools import partial
 from pathlib import Path
 
 import bpy
 
 from ...backend.scene_io.asset_import import check_asset
 from .. import clock, comparison_render
-from ..comparison_image import comparison_image, fit_comparison_to_editors
-from ..editors import open_editor
+from ..comparison_image import comparison_image
+from ..editors import fit_image, open_editor
 from ..folders import SAVE_FILE_FIRST, resolve_folder
 from ..properties import LIGHTS
 
@@ -164,7 +165,9 @@ class NEP_OT_show_comparison(bpy.types.Operator):
     def execute(self, context: bpy.types.Context) -> set[str]:
         if not bpy.app.background:
             open_editor(context, "IMAGE_EDITOR").image = comparison_image()
-            clock.call_until_false(fit_comparison_to_editors)  # one period later: a new window has no size yet
+            clock.call_until_false(
+                partial(fit_image, comparison_image().name)
+            )  # one period later: a new window has no size yet
         return {"FINISHED"}
 
 

@@ -1,7 +1,5 @@
 """The box below the capture folder, where its photos have no cameras yet, or where their cameras have just been found."""
 
-from pathlib import Path
-
 import bpy
 from bpy.app.translations import pgettext_iface
 
@@ -16,8 +14,10 @@ from ..wrapped_text import draw_wrapped
 NO_CAMERAS_YET = "{count} photos, no cameras yet"
 TOO_FEW = "Too few photos: {count} of at least {least}"
 NO_PHOTOS = "This folder holds no photos"
+LOAD_AGAIN = "Press Load Cameras again to see them."
 REPLACED = "They replace the earlier cameras: press Load Cameras and Propose Bounds again."
 STOPPING = "Stopping"
+IMPROVED = "cameras.improved"  # the engine's message that other cameras were written
 PROGRESS_LINES = 3  # always as many, so that the buttons below do not move while a search runs
 NEEDS_ENGINE = ("engine.missing", "unexpected.no_pycolmap")  # names of the errors that the preferences can mend
 
@@ -33,7 +33,7 @@ def draw_camera_search(layout: bpy.types.UILayout, context: bpy.types.Context) -
     holds, search = last_look_into(folder), camera_search.last_search(folder)
     if holds.lacks_cameras:
         box = layout.box()
-        _draw_offer(box, holds)
+        _draw_offer(box, context, holds)
         if search is not None and search.failed is not None:
             _draw_failure(box, context, search)
     elif search is not None:
@@ -46,11 +46,18 @@ def draw_camera_search(layout: bpy.types.UILayout, context: bpy.types.Context) -
         layout.label(text=NO_PHOTOS, icon="INFO")
 
 
-def _draw_offer(box: bpy.types.UILayout, holds: CaptureFolder) -> None:
+def _draw_offer(box: bpy.types.UILayout, context: bpy.types.Context, holds: CaptureFolder) -> None:
     text = NO_CAMERAS_YET if holds.has_enough_photos else TOO_FEW
     box.label(text=pgettext_iface(text).format(count=holds.photos, least=LEAST_PHOTOS), icon="CAMERA_DATA")
     if holds.has_enough_photos:
+        _draw_features(box, context, holds)
         box.operator("nep.find_cameras", icon="VIEWZOOM")
+
+
+def _draw_features(layout: bpy.types.UILayout, context: bpy.types.Context, holds: CaptureFolder) -> None:
+    """The choice where to look for details, for a folder with masks."""
+    if holds.has_masks:
+        layout.prop(context.scene.nep, "features")
 
 
 def _draw_progress(box: bpy.types.UILayout) -> None:
@@ -68,7 +75,10 @@ def _draw_progress(box: bpy.types.UILayout) -> None:
 
 def _draw_found(box: bpy.types.UILayout, context: bpy.types.Context, search: CameraSearch) -> None:
     texts = [said.words(pgettext_iface) for said in search.process.found]
-    if search.replaces:
+    if search.improves:
+        if any(said.code == IMPROVED for said in search.process.found):
+            texts.append(pgettext_iface(LOAD_AGAIN))
+    elif search.replaces:
         texts.append(pgettext_iface(REPLACED))
     draw_wrapped(box, context, "\n".join(texts), "CHECKMARK")
     for warning in search.process.warnings:
@@ -84,8 +94,13 @@ def _draw_failure(box: bpy.types.UILayout, context: bpy.types.Context, search: C
         box.operator("nep.open_preferences", icon="PREFERENCES")
 
 
-def draw_find_again(layout: bpy.types.UILayout, folder: Path | None) -> None:
-    """The button that replaces the cameras of a folder with photos. Nothing is drawn for other folders."""
+def draw_find_again(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
+    """The buttons that replace and that improve the cameras which a folder has. Nothing is drawn for other folders."""
+    folder = resolve_folder(context.scene.nep.capture)
     holds = CaptureFolder() if folder is None else last_look_into(folder)
+    if not holds.has_cameras:
+        return
+    _draw_features(layout, context, holds)
     if holds.has_transforms and holds.has_enough_photos:
         layout.operator("nep.find_cameras", text="Find Cameras Again", icon="FILE_REFRESH").overwrite = True
+    layout.operator("nep.improve_cameras", icon="MODIFIER")

@@ -7,15 +7,13 @@ from ...backend.engine.command import NoEngineError, engine_is_at_hand
 from ...backend.engine.job_files import has_checkpoint, is_asset
 from ...backend.engine.progress import duration
 from ...backend.engine.timings import expected_seconds
-from .. import live_preview
 from ..engine_paths import engine_python, timings_file
 from ..folders import resolve_folder
 from ..imported_result import has_new_result
 from ..running_jobs import Job, job_of
-from ..wrapped_text import draw_wrapped, panel_width
+from ..wrapped_text import draw_wrapped
 from .camera_search import draw_camera_search
-
-ROW_HEIGHT = 20  # in pixels at an interface scale of 1; template_icon counts in rows
+from .pictures import draw_halves
 
 
 class NEP_PT_reconstruct(bpy.types.Panel):
@@ -122,12 +120,7 @@ def _draw_scene_analysis(layout: bpy.types.UILayout, context: bpy.types.Context,
 
 def _draw_picture(layout: bpy.types.UILayout, context: bpy.types.Context, job: Job) -> None:
     """The photo beside what was learned of it, as wide as the sidebar allows."""
-    row = layout.row()
-    halves = live_preview.picture_halves(job.key)
-    for picture, title in zip(halves, ("Photo", "Learned so far"), strict=False):
-        column = row.column(align=True)
-        column.template_icon(picture.icon_id, scale=max(3, panel_width(context) / len(halves) / ROW_HEIGHT))
-        column.label(text=title)
+    draw_halves(layout, context, job.key, ("Photo", "Learned so far"))
 
 
 def _draw_end(layout: bpy.types.UILayout, context: bpy.types.Context, job: Job) -> None:

@@ -4,11 +4,12 @@ import bpy
 
 from .. import bounds_estimate, comparison_render
 from ..comparison_image import comparison_image
-from ..folders import resolve_folder
+from ..engine_errors import error_text
 from ..imported_result import is_recovered_light_used
 from ..object_bounds import bounds_object, bounds_warning
 from ..wrapped_text import draw_wrapped
 from .camera_search import draw_find_again
+from .photo_check import draw_photo_check
 
 
 class SubPanel:
@@ -31,7 +32,7 @@ class NEP_PT_cameras_and_bounds(SubPanel, bpy.types.Panel):
         row.operator("nep.load_cameras", icon="CAMERA_DATA")
         row.operator("nep.clear_cameras", text="", icon="X")
         column.operator("nep.capture_from_scene", icon="SCENE_DATA")
-        draw_find_again(column, resolve_folder(context.scene.nep.capture))
+        draw_find_again(column, context)
         column = self.layout.column(align=True)
         row = column.row(align=True)
         row.operator("nep.propose_bounds", icon="MESH_UVSPHERE")
@@ -41,9 +42,11 @@ class NEP_PT_cameras_and_bounds(SubPanel, bpy.types.Panel):
         elif bounds_object(context.scene) is None:
             column.label(text="Bounds: found automatically")
         else:
-            draw_wrapped(column, context, "Move and scale the sphere: the whole object inside, no camera inside")
+            draw_wrapped(column, context, "Move (G) and scale (S) the sphere: the whole object inside, no camera inside")
             draw_wrapped(column, context, bounds_warning(context.scene), "ERROR")
-        draw_wrapped(column, context, bounds_estimate.last_error, "ERROR")
+        if bounds_estimate.last_error is not None:
+            draw_wrapped(column, context, error_text(bounds_estimate.last_error), "ERROR")
+        draw_photo_check(self.layout.column(), context)
 
 
 class NEP_PT_result_and_light(SubPanel, bpy.types.Panel):

@@ -3,6 +3,7 @@
 import errno
 import tempfile
 from pathlib import Path
+from typing import Any
 
 from .command import EngineError, cameras_arguments
 from .exit_codes import OUTPUT_FAILED, STOPPED
@@ -25,13 +26,13 @@ class CameraProcess(ShortCommand):
     """
 
     error_type = CameraError
-    retry = "Press Find Cameras again."
+    retry = "Press the button again."
     outdated = "The installed engine is older than this add-on, and cannot find cameras."
 
-    def __init__(self, python: str, photos: Path, *, threads: int | None = None, overwrite: bool = False):
-        """Start the engine. `overwrite`: replace cameras that are there. Raises NoEngineError where it cannot be started."""
+    def __init__(self, python: str, photos: Path, **options: Any):
+        """Start the engine. `options`: those of `cameras_arguments`. Raises NoEngineError where it cannot be started."""
         self.stopping = False
-        super().__init__(python, cameras_arguments(photos, threads=threads, overwrite=overwrite), keep_going=False)
+        super().__init__(python, cameras_arguments(photos, **options), keep_going=False)
 
     def stop(self) -> None:
         """Ask the engine to end and to write nothing."""

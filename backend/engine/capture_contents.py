@@ -49,9 +49,21 @@ def _count(folder: Path) -> int:
     return len(plain) + len(others.difference(plain))
 
 
-def has_transforms(folder: Path) -> bool:
-    """Whether the folder's cameras are in transforms.json, which the search for cameras writes."""
-    return (folder / TRANSFORMS).is_file()
+def transforms_time(folder: Path) -> int:
+    """When transforms.json was last written, in nanoseconds; 0 where there is none."""
+    try:
+        return (folder / TRANSFORMS).stat().st_mtime_ns
+    except OSError:
+        return 0
+
+
+def has_masks(folder: Path) -> bool:
+    """Whether the folder's folder `masks` holds masks. Whether each photo has one, the engine says."""
+    try:
+        with os.scandir(folder / "masks") as entries:
+            return any(entry.name.lower().endswith(".png") and not entry.name.startswith(".") for entry in entries)
+    except OSError:
+        return False
 
 
 def has_cameras(folder: Path) -> bool:

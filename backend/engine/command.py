@@ -150,10 +150,30 @@ def materials_arguments(asset: Path | str, corrections: Mapping[int, Mapping[str
     return ["materials", str(asset), *(options or ["--reset"])]
 
 
-def cameras_arguments(photos: Path | str, *, threads: int | None = None, overwrite: bool = False) -> list[str]:
+def cameras_arguments(
+    photos: Path | str,
+    *,
+    threads: int | None = None,
+    overwrite: bool = False,
+    improve: bool = False,
+    features: str = "everywhere",
+) -> list[str]:
     """The engine's command line that finds the cameras of the photos in a folder, and writes them into the folder.
 
     The engine ends, and writes nothing, when its standard input is closed. overwrite: replace cameras that are there.
+    improve: begin with the cameras that are there. features: "everywhere", or, where the photos have masks, "object" or
+    "surroundings".
     """
     options = [] if threads is None else ["--threads", str(threads)]
-    return ["cameras", str(photos), "--watch-stdin", *options, *(["--overwrite"] if overwrite else [])]
+    options += [] if features == "everywhere" else ["--features", features]
+    flags = {"--improve": improve, "--overwrite": overwrite}
+    return ["cameras", str(photos), "--watch-stdin", *options, *(name for name, wanted in flags.items() if wanted)]
+
+
+def info_arguments(capture: Path | str, *, picture: Path | None = None, bounds: tuple[str, ...] = ()) -> list[str]:
+    """The engine's command line that says what it knows of a capture, as JSON.
+
+    picture: the file for a drawing of the photos' directions. bounds: arguments with the object's sphere.
+    """
+    drawing = [] if picture is None else ["--picture", str(picture)]
+    return ["info", str(capture), "--json", *drawing, *bounds]

@@ -58,6 +58,7 @@ MESSAGES = {
     "improved",
     "cameras.improved": "The cameras were improved: their features agree within {after:.2f} pixels instead of "
     "{before:.2f}. They were turned by {degrees:.3f} degrees and moved by {percent:.2f} % of their distance (medians)",
+    "cameras.backup": "The cameras that were replaced are kept in the folder, in {file}.",
     "cameras.kept": "{count} {count:photo shows|photos show} too few points of the scene, and {count:keeps its|keep their} "
     "given {count:camera|cameras}: {names}",
     # warnings about a capture
@@ -199,6 +200,30 @@ ERRORS = {
         "Put the object on a sheet with a print (a newspaper, a patterned cloth), let things stand around it, and take 40 "
         "photos or more that overlap by two thirds.",
     ),
+    "capture.photo_unreadable": (
+        "",
+        "Take {photo} out of the folder, or copy it there again. It may be damaged, or not copied to its end.",
+    ),
+    "capture.mask_size": (
+        "The mask {mask} has {mask_size} pixels, but its photo {photo} has {photo_size}",
+        "Save the mask with the size of its photo, as the photo's file stores it: not turned. Or take it out of the folder.",
+    ),
+    "capture.folder_unreadable": (
+        "{folder} cannot be read ({reason})",
+        "Change its permissions, or copy the photos to another folder and choose that one.",
+    ),
+    "capture.cameras_not_improved": (
+        "The cameras cannot be improved: only {placed} photos share details that fit them",
+        "The photos show too little, or the cameras are wrong. Press Find Cameras Again, which does not need them.",
+    ),
+    "capture.lens_not_improved": (
+        "The cameras have a lens model (k4) that cannot be improved",
+        "Use them as they are, or press Find Cameras Again.",
+    ),
+    "output.no_working_files": (
+        "The system's folder for temporary files cannot be written ({reason})",
+        "Change its permissions, or let the system's variable TMPDIR name another folder, and start Blender again.",
+    ),
     "capture.turntable": (
         "The object turned while the camera and the surroundings stood still, so no light fits the photos",
         "Mask the surroundings out (cut-outs with alpha), or photograph by walking around the object.",
@@ -244,7 +269,7 @@ ERRORS = {
     "stopped": ("Stopped. The checkpoint is written", "Resume goes on from there."),
     "stopped.input_closed": ("Stopped because Blender closed. The checkpoint is written", "Resume goes on from there."),
     "stopped.reading_photos": ("Stopped while the photos were read", "Resume starts again."),
-    "stopped.cameras": ("Stopped. No cameras were written", "Press Find Cameras again."),
+    "stopped.cameras": ("Stopped. No cameras were written", "Press the button again."),
     "stopped.interrupted": ("Interrupted", "Work since the last checkpoint is lost. Resume goes on from there."),
     "unexpected.no_memory": ("The memory is full", "Choose the preset Preview, or smaller photos."),
 }
@@ -261,11 +286,11 @@ CORRECTION_HINTS = {
 how to go on with a job."""
 
 CAMERA_HINTS = {
-    "output.disk_full": "Free some space, then press Find Cameras again.",
+    "output.disk_full": "Free some space, then press the button again.",
     "output.not_permitted": "Change its permissions, or copy the photos to another folder and choose that one.",
-    "output": "Look whether the folder can be written, then press Find Cameras again.",
-    "unexpected.no_memory": "Close other programs, or use smaller photos, then press Find Cameras again.",
-    "stopped.interrupted": "Press Find Cameras again.",
+    "output": "Look whether the folder can be written, then press the button again.",
+    "unexpected.no_memory": "Close other programs, or use smaller photos, then press the button again.",
+    "stopped.interrupted": "Press the button again.",
 }
 """Name of an error -> the hint while cameras are sought, as CORRECTION_HINTS."""
 

@@ -15,9 +15,9 @@ import numpy as np
 
 from .image_files import load_pixels
 from .image_size import image_size
+from .photo_formats import RAW, color_space
 from .srgb import srgb_to_linear
 
-SRGB_FILES = {".png", ".jpg", ".jpeg"}
 CAMERAS = "cameras.json"  # the engine writes it into every asset: blender_nep/asset/cameras_file.py
 GREY = 0.18  # radiance that is shown where a photo is transparent
 
@@ -42,6 +42,8 @@ class Frame:
 
         Raises OSError where the file cannot be read.
         """
+        if self.path.suffix.lower() in RAW:
+            raise OSError(f"Blender cannot develop the raw photo {self.path}")
         pixels = load_pixels(self.path)
         rgb, alpha = pixels[..., :3], pixels[..., 3:]
         if self.color_space == "srgb":
@@ -156,7 +158,7 @@ def _frame(folder: Path, meta: dict, entry: dict) -> Frame:
         width, height = image_size(path)
     angle = entry.get("camera_angle_x", meta.get("camera_angle_x"))
     fl_x = float(value("fl_x", None if angle is None else 0.5 * width / math.tan(0.5 * angle)))
-    space = meta.get("color_space") or ("srgb" if path.suffix.lower() in SRGB_FILES else "linear")
+    space = meta.get("color_space") or _color_space(path)
     return Frame(
         path,
         width,
@@ -168,6 +170,14 @@ def _frame(folder: Path, meta: dict, entry: dict) -> Frame:
         _matrix(value("transform_matrix"), path),
         space,
     )
+
+
+def _color_space(path: Path) -> str:
+    """The color space of a photo that its file alone tells; of a missing photo that which its name suggests."""
+    try:
+        return color_space(path)
+    except OSError:
+        return "srgb"
 
 
 def _matrix(rows: list, path: Path) -> np.ndarray:

@@ -7,12 +7,18 @@ here. The library uses the packages Pillow and OpenEXR (blender_nep/capture/phot
 import struct
 from pathlib import Path
 
+from .photo_formats import TiffHeader
+
 JPEG_FRAMES = {*range(0xC0, 0xD0)} - {0xC4, 0xC8, 0xCC}  # start-of-frame markers (ITU T.81, table B.1)
 HEADER_BYTES = 1 << 20
+TIFF_STARTS = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
 
 
 def image_size(path: Path) -> tuple[int, int]:
-    """(width, height) of a PNG, JPEG or OpenEXR file. Raises OSError where the file cannot be read or is none of these."""
+    """(width, height) of a PNG, JPEG, WebP, TIFF or OpenEXR file.
+
+    Raises OSError where the file cannot be read or is none of these.
+    """
     with open(path, "rb") as file:
         data = file.read(HEADER_BYTES)
     try:
@@ -23,9 +29,13 @@ def image_size(path: Path) -> tuple[int, int]:
             return x1 - x0 + 1, y1 - y0 + 1
         if data[:2] == b"\xff\xd8":
             return _jpeg_size(data)
+        if data[:4] == b"RIFF" and data[8:12] == b"WEBP":
+            return _webp_size(data)
     except (struct.error, ValueError, IndexError) as error:
         raise OSError(f"the header of {path} is damaged") from error
-    raise OSError(f"{path} is no PNG, JPEG or OpenEXR file")
+    if data[:4] in TIFF_STARTS:
+        return TiffHeader(path).size
+    raise OSError(f"{path} is no PNG, JPEG, WebP, TIFF or OpenEXR file")
 
 
 def _jpeg_size(data: bytes) -> tuple[int, int]:
@@ -34,3 +44,17 @@ def _jpeg_size(data: bytes) -> tuple[int, int]:
         position += 2 + struct.unpack_from(">H", data, position + 2)[0]
     height, width = struct.unpack_from(">HH", data, position + 5)
     return width, height
+
+
+def _webp_size(data: bytes) -> tuple[int, int]:
+    """The size in the first part of a WebP file (RFC 9649): lossy, lossless, or extended."""
+    kind = data[12:16]
+    if kind == b"VP8 ":
+        width, height = struct.unpack_from("<HH", data, 26)
+        return width & 0x3FFF, height & 0x3FFF
+    if kind == b"VP8L":
+        (bits,) = struct.unpack_from("<I", data, 21)
+        return (bits & 0x3FFF) + 1, (bits >> 14 & 0x3FFF) + 1
+    if kind == b"VP8X" and len(data) >= 30:
+        return int.from_bytes(data[24:27], "little") + 1, int.from_bytes(data[27:30], "little") + 1
+    raise ValueError(kind)

@@ -7,6 +7,8 @@ import numpy as np
 
 from .cameras import new_camera, pixel_aspect
 from .capture_files import Frame
+from .image_files import load_pixels
+from .photo_formats import HEIF, RAW
 
 COLLECTION_NAME = "NeP cameras: {}"
 CAPTURE_KEY = "nep_capture"  # custom property of the collection: the capture's folder
@@ -18,8 +20,8 @@ DISPLAY_SIZE = 0.06  # drawn size of a camera, relative to the median distance o
 
 def load_cameras(
     scene: bpy.types.Scene, capture: Path, frames: list[Frame], *, match_render: bool = True
-) -> tuple[list[bpy.types.Object], list[Path]]:
-    """Make a camera for each frame in `scene`, and return (cameras, paths of missing photos).
+) -> tuple[list[bpy.types.Object], list[Path], list[Path]]:
+    """Make a camera for each frame in `scene`; return (cameras, paths of missing photos, paths that Blender cannot show).
 
     The cameras of an earlier call are removed first. Blender reads a photo only when somebody looks through its camera, so
     hundreds of photos take no time here. With `match_render` the scene gets the first photo's size and pixel aspect, so that
@@ -31,13 +33,18 @@ def load_cameras(
     scene.collection.children.link(collection)
     positions = np.array([frame.matrix[:3, 3] for frame in frames])
     size = DISPLAY_SIZE * float(np.median(np.linalg.norm(positions - positions.mean(axis=0), axis=1))) or 0.1
-    cameras, missing = [], []
+    cameras, missing, not_shown = [], [], []
+    shows_heif = _shows_heif(frames)
     for frame in frames:
         camera = new_camera(frame, collection, frame.path.stem)
         camera[SIZE_KEY], camera[ASPECT_KEY] = [frame.width, frame.height], pixel_aspect(frame)
         camera.data.display_size = size
-        image = _photo(frame)
-        if image is None:
+        ending = frame.path.suffix.lower()
+        hidden = ending in RAW or (ending in HEIF and not shows_heif)
+        image = None if hidden else _photo(frame)
+        if hidden and frame.path.is_file():
+            not_shown.append(frame.path)
+        elif image is None:
             missing.append(frame.path)
         else:
             background = camera.data.background_images.new()
@@ -48,7 +55,7 @@ def load_cameras(
         scene.render.resolution_x, scene.render.resolution_y = frames[0].width, frames[0].height
         scene.render.pixel_aspect_x, scene.render.pixel_aspect_y = pixel_aspect(frames[0])
     scene.camera = scene.camera or cameras[0]
-    return cameras, missing
+    return cameras, missing, not_shown
 
 
 def remove_cameras(scene: bpy.types.Scene) -> int:
@@ -71,6 +78,15 @@ def remove_cameras(scene: bpy.types.Scene) -> int:
 def camera_collections(scene: bpy.types.Scene) -> list[bpy.types.Collection]:
     """The collections that `load_cameras` made in this scene."""
     return [collection for collection in scene.collection.children_recursive if CAPTURE_KEY in collection]
+
+
+def _shows_heif(frames: list[Frame]) -> bool:
+    """Whether this Blender can show the HEIF files among the photos. One of them is read to see it."""
+    paths = [frame.path for frame in frames if frame.path.suffix.lower() in HEIF and frame.path.is_file()]
+    try:
+        return bool(paths) and load_pixels(paths[0]).size > 0
+    except OSError:
+        return False
 
 
 def _photo(frame: Frame) -> bpy.types.Image | None:

@@ -10,10 +10,10 @@ from .cameras import intrinsics
 from .image_files import write_whole
 from .image_size import image_size
 from .photo_cameras import ASPECT_KEY, SIZE_KEY
+from .photo_formats import HEIF, RAW, SHOWN
 
 SOURCE = "Blender scene"  # marks a transforms.json that this file has written, and that it may therefore replace
 MINIMUM_PHOTOS = 3
-SUFFIXES = (".exr", ".png", ".jpg", ".jpeg")  # what the engine reads
 ASPECT_TOLERANCE = 0.01
 LINEAR_SPACES = ("Linear Rec.709", "Non-Color")
 
@@ -120,8 +120,13 @@ def _photo_file(camera: bpy.types.Object, folder: Path, packed: dict[str, bytes]
     """
     image = _photo(camera)
     path = Path(image.filepath_from_user())
-    if image.source != "FILE" or path.suffix.lower() not in SUFFIXES:
-        raise UnusableCamera(f"{camera.name}: {image.name} is no photo file ({', '.join(s[1:] for s in SUFFIXES)})")
+    if path.suffix.lower() in (*HEIF, *RAW):
+        raise UnusableCamera(
+            f"{camera.name}: {image.name} is a raw or HEIC photo, which not every Blender shows. Save the photos as TIFF, "
+            "PNG or JPEG, or use the folder of the photos as capture"
+        )
+    if image.source != "FILE" or path.suffix.lower() not in SHOWN:
+        raise UnusableCamera(f"{camera.name}: {image.name} is no photo file ({', '.join(s[1:] for s in SHOWN)})")
     if path.is_file():
         try:
             return Path(os.path.relpath(path, folder)).as_posix(), *image_size(path)

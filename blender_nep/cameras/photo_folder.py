@@ -71,7 +71,9 @@ def find_photos(folder: Path) -> list[Photo]:
     except OSError as error:
         reason = error.strerror or str(error)
         message = f"{folder} cannot be read ({reason})"
-        raise CaptureError(message, "Change its permissions.", "capture.folder_unreadable") from error
+        raise CaptureError(
+            message, "Change its permissions.", "capture.folder_unreadable", folder=folder, reason=reason
+        ) from error
     if len(paths) < MINIMUM_VIEWS:
         allowed = ", ".join(suffix[1:] for suffix in SUFFIXES)
         raise CaptureError(
@@ -119,7 +121,10 @@ def _photo(path: Path, folder: Path) -> Photo:
             f"the mask {mask.name} is {size[0]} x {size[1]} pixels, but {path.name} is {width} x {height}",
             "A mask needs the size of its photo, as the file stores it: EXIF's orientation is not applied.",
             "capture.mask_size",
-            mask=mask,
+            mask=mask.name,
+            photo=path.name,
+            mask_size=f"{size[0]} x {size[1]}",
+            photo_size=f"{width} x {height}",
         )
     try:
         tags = exif(path)
@@ -143,7 +148,7 @@ def _unreadable(path: Path, error: Exception) -> CaptureError:
         str(error) if known else f"{path.name} cannot be read as an image ({error})",
         "Take it out, or copy it again.",
         "capture.photo_unreadable",
-        photo=path,
+        photo=path.name,
     )
 
 

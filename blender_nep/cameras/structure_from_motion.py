@@ -103,7 +103,7 @@ def find_groups(
     """
     scale = {}
     for number, photo in enumerate(photos):
-        _stop_if_asked(stop)
+        stop_if_asked(stop)
         report("photos", number, len(photos))
         name, grey = f"{number:05d}.png", grey_copy(photo, LONGEST_SIDE)
         scale[name] = photo.width / grey.shape[1]
@@ -247,7 +247,7 @@ def _run(folder: Path, report: Report, stop: StopRequest) -> None:
         for pipe in (process.stdout, process.stderr):
             if pipe is not None:
                 pipe.close()
-    _stop_if_asked(stop)
+    stop_if_asked(stop)
     if process.returncode or not (folder / "result.json").is_file():
         raise _failure(b"".join(log).decode("utf-8", "replace"), process.returncode, folder)
 
@@ -314,7 +314,8 @@ def _failure(log: str, code: int, folder: Path) -> NepError:
     return NepError(f"pycolmap {how}", hint + last, "unexpected.pycolmap_failed")
 
 
-def _stop_if_asked(stop: StopRequest) -> None:
+def stop_if_asked(stop: StopRequest) -> None:
+    """Raises Stopped if a stop was asked for."""
     if stop.requested:
         raise Stopped(f"stopped ({stop.reason})", "Nothing was written.", "stopped.cameras")
 

@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import os
+import shutil
 import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 from blender_nep.cameras.found_cameras import FoundCameras
@@ -12,7 +16,7 @@ from blender_nep.cameras.structure_from_motion import PlacedPhoto
 from blender_nep.capture.camera import Camera
 from blender_nep.capture.formats import transforms
 from blender_nep.errors import OutputError
-from blender_nep.files import output_errors, write_text
+from blender_nep.files import output_errors, write_atomically, write_text
 
 
 def check_writable(folder: Path) -> None:
@@ -26,6 +30,21 @@ def check_writable(folder: Path) -> None:
         pass
 
 
+def keep_present_file(folder: Path) -> Path | None:
+    """Copy the folder's transforms.json to a file with a name of its own, and return its path; None where there is none.
+
+    Copies that are there stay as they are. Raises OutputError.
+    """
+    path = folder / transforms.FILE
+    if not path.is_file():
+        return None
+    names = (f"{path.stem}.before{number or ''}{path.suffix}" for number in itertools.chain([0], itertools.count(2)))
+    kept = next(folder / name for name in names if not os.path.lexists(folder / name))
+    with _without_resume():
+        write_atomically(kept, lambda temporary: shutil.copyfile(path, temporary))
+    return kept
+
+
 def write_capture(found: FoundCameras, folder: Path, color_space: str | None = None) -> Path:
     """Write `folder`/transforms.json, which names the photos where they are. Returns its path. Raises OutputError."""
     lenses = [_lens(placed.camera) for placed in found.placed]
@@ -37,16 +56,22 @@ def write_capture(found: FoundCameras, folder: Path, color_space: str | None = N
     color = {} if color_space is None else {"color_space": color_space}
     content = {**shared, **color, **sphere, "frames": frames}
     path = folder / transforms.FILE
-    try:
-        with output_errors(path):
-            folder.mkdir(parents=True, exist_ok=True)
+    with _without_resume(), output_errors(path):
+        folder.mkdir(parents=True, exist_ok=True)
         write_text(path, json.dumps(content, indent=1) + "\n")
+    return path
+
+
+@contextmanager
+def _without_resume() -> Iterator[None]:
+    """A context whose OutputError for a full disk does not speak of a job that can be resumed."""
+    try:
+        yield
     except OutputError as error:
         if error.name != "output.disk_full":
             raise
         hint = "Free some space, then run the command again."  # nothing can be resumed
         raise OutputError(error.message, hint, error.name, **error.values) from error
-    return path
 
 
 def _lens(camera: Camera) -> dict[str, float | str]:

@@ -12,6 +12,7 @@ from blender_nep.capture.bounds import check_sphere, sphere_from_cameras, sphere
 from blender_nep.capture.capture import Capture, View
 from blender_nep.capture.description import CaptureDescription
 from blender_nep.capture.formats import bundler, cameras_sphere, colmap, llff, metashape, nerf_synthetic, transforms
+from blender_nep.capture.photo_files import is_linear
 from blender_nep.errors import CaptureError
 from blender_nep.messages import Message
 
@@ -98,14 +99,17 @@ def _check_places(views: list[View], warnings: list[Message]) -> None:
 
 
 def _color_space(said: CaptureDescription, warnings: list[Message]) -> str:
-    exr = [v.image_path.suffix.lower() == ".exr" for v in said.views]
-    declared = ("linear" if all(exr) else "srgb") if said.color_space is None else said.color_space
+    """'linear' if the capture says so, or if the formats of all its photos do; else 'srgb'. Raises CaptureError."""
+    declared = "srgb" if said.color_space is None else said.color_space
     if declared not in ("linear", "srgb"):
         raise CaptureError(f"color_space {declared!r} is not known", "Use 'linear' or 'srgb'.")
-    if declared == "srgb" and any(exr):
+    if declared == "linear" or all(is_linear(v.image_path) for v in said.views):
+        space = "linear"
+    else:
+        space = "srgb"
+    if said.color_space == "srgb" and any(v.image_path.suffix.lower() == ".exr" for v in said.views):
         warnings.append(Message("capture.exr_is_linear"))
-        return "linear" if all(exr) else "srgb"
-    return declared
+    return space
 
 
 def _set_bounds(capture: Capture, said: CaptureDescription, use_masks: bool) -> None:

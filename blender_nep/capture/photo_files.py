@@ -9,7 +9,7 @@ that its decoder gives (heif_files.py). `exif` gives the orientation of the pixe
 
 A file's content says which format it has, because files with another format's ending are common; only OpenEXR and raw files
 go by their ending. Blender's Python lacks the packages of this file and cannot import it: backend/scene_io/image_size.py is
-its copy of `image_size` for OpenEXR, PNG and JPEG.
+its copy of `image_size` for the formats that Blender shows.
 """
 
 from __future__ import annotations
@@ -70,6 +70,18 @@ def image_size(path: Path) -> tuple[int, int]:
     sizes = {"exr": exr_files.size, "raw": raw_files.size, "tiff": tiff_files.size, "heif": heif_files.size}
     try:
         return sizes.get(file_kind(path), pillow_files.size)(path)
+    except _UNREADABLE as error:
+        raise _unreadable(path, error) from error
+
+
+def is_linear(path: Path) -> bool:
+    """Whether the format alone says that the values are linear: OpenEXR, raw, and TIFF with floats and without a profile.
+
+    Raises CaptureError.
+    """
+    try:
+        kind = file_kind(path)
+        return kind in ("exr", "raw") or (kind == "tiff" and tiff_files.is_linear(path))
     except _UNREADABLE as error:
         raise _unreadable(path, error) from error
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -25,12 +26,13 @@ MOST_CLIPPED = 0.02
 """Share of clipped pixels from which on an artist is told to expose less."""
 
 
-def summarise(folder: Path, picture: Path | None = None) -> dict:
+def summarise(folder: Path, picture: Path | None = None, sphere: tuple[Sequence[float], float] | None = None) -> dict:
     """Facts about a capture as plain values, ready for JSON. Every photo is read once.
 
-    picture: where a PNG of the directions of the photos is written. Raises CaptureError, BoundsError and OutputError.
+    picture: where a PNG of the directions of the photos is written. sphere: the object's (center [3], radius), which
+    then counts instead of the capture's. Raises CaptureError, BoundsError and OutputError.
     """
-    capture = load_capture(folder)
+    capture = load_capture(folder, sphere=sphere)
     coverage = Coverage.of(capture)
     if picture is not None:
         write_picture(coverage, picture)
@@ -40,7 +42,7 @@ def summarise(folder: Path, picture: Path | None = None) -> dict:
     angles = [math.degrees(2 * math.atan(0.5 * c.width / c.fl_x)) for c in cameras]
     sizes = Counter(f"{c.width} x {c.height}" for c in cameras)
     radiance = rays.radiance[rays.valid][:: max(1, rays.count // 1_000_000)].float()
-    sphere = SphereSize.of(capture)
+    size = SphereSize.of(capture)
     compared = compare_exposures(rays)
     still = still_share(rays)
     found: dict[str, Any] = {
@@ -61,8 +63,8 @@ def summarise(folder: Path, picture: Path | None = None) -> dict:
         "z_up": coverage.z_up,
         "largest_hole": coverage.largest_hole().message().told(),
         "sphere_pixels": round(len(rays.sphere) / rays.count, 4),
-        "sphere_width": round(sphere.pixels, 1),
-        "sphere_cut": round(sphere.cut, 4),
+        "sphere_width": round(size.pixels, 1),
+        "sphere_cut": round(size.cut, 4),
         "invalid_pixels": int((~rays.valid).sum()),
         "clipped": round(_clipped(rays), 4),
         "exposure_stops": _exposure_stops(compared),
@@ -74,7 +76,7 @@ def summarise(folder: Path, picture: Path | None = None) -> dict:
             "largest": round(rays.brightest, 4),
         },
     }
-    warnings = [*capture.warnings, *rays.warnings, *_turntable(still), *camera_outliers(capture), *sphere.messages()]
+    warnings = [*capture.warnings, *rays.warnings, *_turntable(still), *camera_outliers(capture), *size.messages()]
     warnings += [*_photo_outliers(capture, rays, compared), *_holes(coverage), *_doubts(found)]
     found["warnings"] = [warning.told() for warning in warnings]
     return found

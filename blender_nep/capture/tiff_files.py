@@ -39,6 +39,13 @@ def size(path: Path) -> tuple[int, int]:
         return page.imagewidth, page.imagelength
 
 
+def is_linear(path: Path) -> bool:
+    """Whether the first page has floats and no profile."""
+    with tifffile.TiffFile(path) as file:
+        page = _first_page(file)
+        return page.dtype is not None and page.dtype.kind == "f" and _ICC_PROFILE not in page.tags
+
+
 def tags(path: Path) -> dict[int, object]:
     """The tags of the first page and of EXIF, {tag: value}. The orientation is not applied by `read`."""
     exif = Image.Exif()

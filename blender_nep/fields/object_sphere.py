@@ -5,6 +5,7 @@ A sphere that is 1.3 times too large costs 13 % of the distance of the mesh, bec
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -40,15 +41,18 @@ class ObjectSphere:
     """False if no clear hull was found, or if the sphere from which the search began cuts it off"""
 
 
-def find_object_sphere(capture: Capture, seed: int = 0) -> ObjectSphere:
+def find_object_sphere(
+    capture: Capture, seed: int = 0, *, check: Callable[[int, int], None] = lambda done, all_of_them: None
+) -> ObjectSphere:
     """Look for the object within the capture's present sphere, and shrink the sphere around it. Masks are not used.
 
-    The photos are read once in each of at most three rounds; a round takes about 10 CPU seconds for 60 photos. Raises
+    The photos are read once in each of at most three rounds; a round takes about 10 CPU seconds for 60 photos.
+    check(done, all) is called after each photo and each step of a round, and may raise to end the search. Raises
     CaptureError and BoundsError as `PixelRays.from_capture` does.
     """
     center, radius, sure = capture.object_center, capture.object_radius, False
     for _ in range(_ROUNDS):
-        found = _hull_sphere(replace(capture, object_center=center, object_radius=radius, warnings=[]), seed)
+        found = _hull_sphere(replace(capture, object_center=center, object_radius=radius, warnings=[]), seed, check)
         if found is None:
             break
         sure = True
@@ -61,16 +65,17 @@ def find_object_sphere(capture: Capture, seed: int = 0) -> ObjectSphere:
     return ObjectSphere(center, radius, sure)
 
 
-def _hull_sphere(capture: Capture, seed: int) -> tuple[np.ndarray, float] | None:
+def _hull_sphere(capture: Capture, seed: int, check: Callable[[int, int], None]) -> tuple[np.ndarray, float] | None:
     """Center [3] and radius of a sphere around the hull, in the unit frame. None without a clear hull inside the sphere."""
     quick = preset("preview")
     quick = replace(quick, fields=replace(quick.fields, background_steps=_STEPS))
-    rays = PixelRays.from_capture(capture, _PIXELS, use_masks=False)
+    rays = PixelRays.from_capture(capture, _PIXELS, use_masks=False, progress=check)
     exposures = find_exposures(rays)
     rays = to_brightness(rays.with_gain(exposures.gain, exposures.vignetting), quick.brightness)
     learning = FieldsLearning(rays, quick, seed, torch.device("cpu"))
     while learning.schedule.learns_background:
         learning.learn_step()
+        check(learning.schedule.step, learning.schedule.background_steps)
     hull = learning.hull_without_masks() if learning.schedule.background_steps else None
     if hull is None or hull.contrast < quick.fields.least_contrast:
         return None

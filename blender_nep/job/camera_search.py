@@ -9,8 +9,8 @@ from pathlib import Path
 from blender_nep.cameras.found_cameras import FoundCameras, choose, messages
 from blender_nep.cameras.improved_cameras import take_over
 from blender_nep.cameras.photo_folder import Photo, find_photos, photos_of
-from blender_nep.cameras.structure_from_motion import find_groups, working_folder
-from blender_nep.cameras.written_capture import check_writable, write_capture
+from blender_nep.cameras.structure_from_motion import find_groups, stop_if_asked, working_folder
+from blender_nep.cameras.written_capture import check_writable, keep_present_file, write_capture
 from blender_nep.capture.formats import transforms
 from blender_nep.capture.loading import load_capture
 from blender_nep.errors import BoundsError, CaptureError, UsageError
@@ -58,25 +58,18 @@ def run(search: CameraSearch, events: Events, stop: StopRequest) -> int:
         given = None if capture is None else [view.camera for view in capture.views]
         with working_folder() as scratch:
             groups = find_groups(found, scratch, progress, stop, masked=masked, threads=search.threads, given=given)
-        if capture is None:
-            cameras = choose(found, groups)
-            said, warnings = messages(cameras, groups)
-            write_capture(cameras, folder)
-            progress("sphere", 0, 1)
-            written = load_capture(folder, use_masks=False)
-            try:
-                sphere = find_object_sphere(written)
-            except (BoundsError, CaptureError):  # the cameras are good all the same
-                sphere = ObjectSphere(cameras.object_center, cameras.object_radius, False)
-            write_capture(replace(cameras, object_center=sphere.center, object_radius=sphere.radius), folder)
-            if not sphere.sure:
-                warnings.append(Message("cameras.sphere_unsure"))
-        else:
+            if capture is None:
+                cameras = choose(found, groups)
+                said, warnings = messages(cameras, groups)
+                cameras = _with_sphere(cameras, scratch, progress, stop, warnings)
+        if capture is not None:
             improved = take_over(found, [view.camera for view in capture.views], groups[0], capture.object_center)
             said, warnings = improved.messages()
-            if improved.worthwhile or search.out is not None:
-                chosen = FoundCameras(improved.chosen, groups[0].points, [], capture.object_center, capture.object_radius)
-                write_capture(chosen, folder, capture.color_space)
+            cameras = FoundCameras(improved.chosen, groups[0].points, [], capture.object_center, capture.object_radius)
+        if capture is None or improved.worthwhile or search.out is not None:
+            stop_if_asked(stop)
+            said += _keep_present(folder)
+            write_capture(cameras, folder, None if capture is None else capture.color_space)
         for warning in warnings:
             events.warning(warning)
         events.scene(said)
@@ -86,6 +79,32 @@ def run(search: CameraSearch, events: Events, stop: StopRequest) -> int:
         events.done(folder)
 
     return exit_code(work, events, search.photos)
+
+
+def _with_sphere(
+    cameras: FoundCameras, scratch: Path, progress: _Progress, stop: StopRequest, warnings: list[Message]
+) -> FoundCameras:
+    """The cameras with the sphere of the object that the photos show. A warning is added where that is a guess.
+
+    `scratch`: a folder for temporary files. Raises Stopped on request.
+    """
+
+    progress("sphere", 0, 1)
+    write_capture(cameras, scratch / "capture")
+    try:
+        written = load_capture(scratch / "capture", use_masks=False)
+        sphere = find_object_sphere(written, check=lambda done, all_of_them: stop_if_asked(stop))
+    except (BoundsError, CaptureError):  # the cameras are good all the same
+        sphere = ObjectSphere(cameras.object_center, cameras.object_radius, False)
+    if not sphere.sure:
+        warnings.append(Message("cameras.sphere_unsure"))
+    return replace(cameras, object_center=sphere.center, object_radius=sphere.radius)
+
+
+def _keep_present(folder: Path) -> list[Message]:
+    """Copy cameras that are about to be replaced to another file of the folder, and say to which. Raises OutputError."""
+    kept = keep_present_file(folder)
+    return [] if kept is None else [Message("cameras.backup", {"file": kept.name})]
 
 
 def _masked(search: CameraSearch, photos: list[Photo]) -> bool | None:

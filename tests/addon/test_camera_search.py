@@ -96,7 +96,12 @@ def check_found_capture(bpy, addon):
         assert Path(bpy.path.abspath(background.filepath)).is_file() and tuple(background.size) == camera_engine.SIZE
     first = np.array(collection.objects["photo_0"].matrix_world)
     np.testing.assert_allclose(first, camera_engine.cameras()["frames"][0]["transform_matrix"], atol=1e-6)
+    cube = bpy.data.objects.new("cube", None)
+    bpy.context.scene.collection.objects.link(cube)
+    cube.select_set(True)
     assert bpy.ops.nep.propose_bounds() == {"FINISHED"}
+    layer = bpy.context.view_layer
+    assert list(layer.objects.selected) == [layer.objects.active] == [bpy.context.scene.nep.bounds]
     given = addon.object_bounds.bounds_arguments(bpy.context.scene)
     assert [float(number) for number in (*given[1:4], given[5])] == [0, 0, 0, 1]
 
@@ -163,7 +168,7 @@ def check_failure(folder, mode):
     message, hint = {
         "fail": ("No photo could be placed", "Put the object on a sheet with a print"),
         "locked": ("may not be written (Permission denied)", "Change its permissions, or copy the photos"),
-        "crash": ("The engine was killed", "Press Find Cameras again."),
+        "crash": ("The engine was killed", "Press the button again."),
         "old": ("The installed engine is older", "Install the engine"),
     }[mode]
     bpy, addon, _settings = set_up(folder)

@@ -112,7 +112,7 @@ def check_life_of_a_job(folder):
     rounds(addon, lambda: "NeP preview" in bpy.data.objects)
     preview = bpy.data.objects["NeP preview"]
     assert len(preview.data.polygons) == 320 and preview.hide_render
-    assert len(addon.live_preview.picture_halves(job.key)) == 2, "photo and what was learned"
+    assert len(addon.halved_pictures.picture_halves(job.key)) == 2, "photo and what was learned"
     bpy.data.objects.remove(preview)  # as undo does
     rounds(addon, lambda: job.progress.stage == "Learning the materials")
     bpy.ops.wm.read_factory_settings(use_empty=True)  # File > New, in the middle
@@ -251,7 +251,7 @@ def check_halves(folder):
     pair = Image.new("RGB", (64, 32), (255, 0, 0))
     pair.paste((0, 255, 0), (32, 0, 64, 32))
     pair.save(folder / "pair.png")
-    preview = addon.live_preview
+    preview = addon.halved_pictures
     for _ in range(2):  # the second takes the place of the first
         preview.load_picture("job", folder / "pair.png")
     assert preview.picture_halves("another job") == []

@@ -10,8 +10,11 @@ from PIL import Image
 
 from benchmarks.scoring.cameras import errors
 from blender_nep.cameras.alignment import similarity
+from blender_nep.cameras.photo_folder import find_photos
+from blender_nep.cameras.structure_from_motion import Group, PlacedPhoto
 from blender_nep.capture import load_capture
 from blender_nep.errors import CaptureError
+from blender_nep.fields import object_sphere
 from blender_nep.fields.object_sphere import ObjectSphere
 from blender_nep.job import camera_search
 from blender_nep.job.camera_search import CameraSearch
@@ -86,7 +89,7 @@ def test_the_sphere_that_was_found_is_written(photos, tmp_path, monkeypatch):
     for path in sorted(photos.iterdir())[:10]:
         shutil.copy(path, room)
     guess = ObjectSphere(np.array([0.1, 0.2, 0.3]), 0.7, sure=False)
-    monkeypatch.setattr(camera_search, "find_object_sphere", lambda capture: guess)
+    monkeypatch.setattr(camera_search, "find_object_sphere", lambda capture, check: guess)
     code, events = found(room, None)
     capture = load_capture(room)
     assert code == 0 and "cameras.sphere_unsure" in warnings(events)
@@ -205,3 +208,46 @@ def test_stopping_writes_nothing(photos, tmp_path):
 
     code = camera_search.run(CameraSearch(photos, tmp_path / "out"), StoppingEvents(io.StringIO()), stop)
     assert code == 7 and not (tmp_path / "out").exists()
+
+
+@pytest.fixture
+def known(photos, tmp_path, monkeypatch):
+    """A folder with five photos and a file of cameras. Structure from motion finds their true cameras at once."""
+    room = tmp_path / "photos"
+    room.mkdir()
+    for path in sorted(photos.iterdir())[:5]:
+        shutil.copy(path, room)
+    (room / "transforms.json").write_text("mine")
+    group = [PlacedPhoto(p, camera(n, COUNT), 500, 0.2) for n, p in enumerate(find_photos(room))]
+    monkeypatch.setattr(camera_search, "find_groups", lambda *_, **__: [Group(group, np.array([BALLS[0][0]]))])
+    return room
+
+
+def test_stopping_while_the_object_is_sought_writes_nothing(known, monkeypatch):
+    """The search ends after the next photo, long before anything is learned. The cameras that were there stay."""
+    stop = StopRequest()
+
+    class StoppingEvents(Events):
+        def progress(self, stage, step, steps, *rest, **more):
+            if rest[3].code == "cameras.sphere":
+                stop.request("test")
+
+    before = sorted(path.name for path in known.iterdir())
+    monkeypatch.setattr(camera_search, "find_object_sphere", object_sphere.find_object_sphere)  # conftest.py has another
+    monkeypatch.setattr(object_sphere, "FieldsLearning", lambda *_: pytest.fail("the stop was not heeded"))
+    said = io.StringIO()
+    assert camera_search.run(CameraSearch(known, overwrite=True), StoppingEvents(said), stop) == 7
+    assert "stopped.cameras" in said.getvalue()
+    assert (known / "transforms.json").read_text() == "mine" and sorted(path.name for path in known.iterdir()) == before
+
+
+def test_cameras_that_are_replaced_are_kept(known, monkeypatch):
+    guess = ObjectSphere(np.zeros(3), 0.7, sure=True)
+    monkeypatch.setattr(camera_search, "find_object_sphere", lambda capture, check: guess)
+    for kept in ("transforms.before.json", "transforms.before2.json"):
+        present = (known / "transforms.json").read_text()
+        code, events = found(known, None, overwrite=True)
+        told = {line["code"]: line["values"] for line in one(events, "scene")["lines"]}
+        assert code == 0 and told["cameras.backup"] == {"file": kept}
+        assert (known / kept).read_text() == present
+    assert (known / "transforms.before.json").read_text() == "mine" and len(load_capture(known).views) == 5

@@ -14,7 +14,7 @@ from blender_nep.capture import load_capture
 from blender_nep.capture.formats.photos import check_readable
 from blender_nep.capture.photo_files import SUFFIXES, MaskRaster, exif, image_size, open_image
 from blender_nep.errors import CaptureError
-from support.icc import DISPLAY_P3, SRGB_CURVE, rgb_profile
+from support.icc import DISPLAY_P3, SRGB, SRGB_CURVE, rgb_profile
 
 MAKE, ORIENTATION = 0x010F, 0x0112
 FLOAT32 = 2.4e-7
@@ -334,6 +334,28 @@ def test_captures_of_new_formats_load(make_capture, suffix):
     assert capture.color_space == "srgb" and capture.views[0].image_path.suffix == suffix
     radiance, _ = capture.load_photo(0)
     np.testing.assert_allclose(radiance[12, 12], linear(102 / 255), atol=0.02)
+
+
+@pytest.mark.parametrize("said", [None, "srgb"])
+@pytest.mark.parametrize(
+    ("kind", "profile", "space"),
+    [("float32", False, "linear"), ("float16", False, "linear"), ("float32", True, "srgb"), ("uint16", False, "srgb")],
+)
+def test_a_capture_of_tiff_files_is_linear_where_they_hold_radiance(make_capture, kind, profile, space, said):
+    """A profile says how even floats are encoded, and it would not count if the capture were linear."""
+    tiny = make_capture(suffix=".png")
+    icc = rgb_profile(SRGB, SRGB_CURVE)
+    extra = [(34675, 7, len(icc), icc, True)] if profile else []
+    for frame in tiny.meta["frames"]:
+        path = tiny.folder / frame["file_path"]
+        with Image.open(path) as image:
+            pixels = np.asarray(image.convert("RGB")) * (1 / 255 if kind[0] == "f" else 257)
+        tifffile.imwrite(path.with_suffix(".tif"), pixels.astype(kind), photometric="rgb", extratags=extra)
+        frame["file_path"] = frame["file_path"].replace(".png", ".tif")
+    if said is not None:
+        tiny.meta["color_space"] = said
+    capture = load_capture(tiny.save())
+    assert capture.color_space == space and not capture.warnings
 
 
 @pytest.mark.parametrize("suffix", [".png", ".tif", ".webp"])

@@ -45,6 +45,20 @@ def test_raw_photos_are_developed_linear(tmp_path, color_space):
 
 
 @needs_rawpy
+def test_a_capture_of_raw_photos_is_linear(make_capture):
+    tiny = make_capture(suffix=".png")
+    for frame in tiny.meta["frames"]:
+        path = (tiny.folder / frame["file_path"]).with_suffix(".dng")
+        write_dng(path, np.round(WHITE * halves((0.5, 0.5, 0.5), (0.1, 0.1, 0.1), (24, 24))))
+        frame["file_path"] = frame["file_path"].replace(".png", ".dng")
+    capture = load_capture(tiny.save())
+    assert capture.color_space == "linear" and not capture.warnings
+    first = tiny.meta["frames"][0]
+    first["file_path"] = first["file_path"].replace(".dng", ".png")
+    assert load_capture(tiny.save()).color_space == "srgb"
+
+
+@needs_rawpy
 def test_raw_photos_have_the_white_balance_of_the_camera(tmp_path):
     """A sensor that sees white as (0.5, 1, 0.8) shows a grey card grey."""
     neutral = np.array([0.5, 1.0, 0.8])

@@ -3,8 +3,10 @@
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
 from blender_nep.capture import load_capture
+from blender_nep.fields import object_sphere
 from blender_nep.fields.object_sphere import find_object_sphere
 from support.table_scene import BALL, CENTRE, write_table_scene
 
@@ -24,6 +26,26 @@ def test_the_sphere_shrinks_around_the_ball_in_any_units(tmp_path):
     far = find_object_sphere(replace(capture, views=views, object_center=shift, object_radius=scale))
     assert np.abs((far.center - shift) / scale - here.center).max() < 0.03
     assert abs(far.radius / scale - here.radius) < 0.03
+
+
+def test_the_search_can_be_ended_between_two_photos_and_between_two_steps(tmp_path):
+    capture = load_capture(write_table_scene(tmp_path / "ball", radius=0))
+    photos = len(capture.views)
+
+    class Ended(Exception):
+        pass
+
+    for last in (2, photos + 3):
+        calls = []
+
+        def check(done, of_all, calls=calls, last=last):
+            calls.append((done, of_all))
+            if len(calls) == last:
+                raise Ended
+
+        with pytest.raises(Ended):
+            find_object_sphere(capture, check=check)
+        assert calls[1] == (2, photos) and len(calls) == last and calls[-1] in ((2, photos), (3, object_sphere._STEPS))
 
 
 def test_a_sphere_that_cuts_the_object_is_kept_and_is_unsure(tmp_path):

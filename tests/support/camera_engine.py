@@ -2,6 +2,7 @@
 
 It writes its arguments to arguments.json beside itself. Then it does what the file `mode` beside it says: well (or no such
 file): it writes transforms.json into the folder of photos, and leaves the last photo out. sure: the same with all photos.
+improve: it says that it has improved the cameras.
 fail: it reports that no cameras were found. locked: it reports that the folder may not be written. old: it does not know
 the command. crash: it kills itself. slow: it waits until the file `go` is there, or until it is stopped; then it writes the
 file `stopped` with the reason. deaf: it does not know how to stop.
@@ -46,6 +47,11 @@ if mode == "fail":
 if mode == "locked":
     path = str(photos / "transforms.json")
     fail(5, "output.not_permitted", path + " may not be written", "--out", path=path, reason="Permission denied")
+if mode == "improve":
+    values = {"before": 0.9, "after": 0.3, "degrees": 0.1, "percent": 0.2}
+    say(event="scene", lines=[{"code": "cameras.improved", "values": values}])
+    say(event="done", asset=str(photos))
+    sys.exit()
 if (photos / "transforms.json").exists() and "--overwrite" not in sys.argv:
     fail(2, "usage.cameras_exist", "there are cameras", "--overwrite", folder=str(photos))
 found = json.loads((here / "transforms.json").read_text())

@@ -53,6 +53,8 @@ def test_the_library_understands_the_arguments():
     assert (found.command, str(found.photos), found.out, found.threads) == ("cameras", "photos", None, 2)
     assert found.overwrite and found.watch_stdin and found.features == "everywhere"
     assert cameras_arguments("photos") == ["cameras", "photos", "--watch-stdin"]
+    found = cli.parser().parse_args(cameras_arguments("photos", overwrite=True, improve=True, features="object"))
+    assert (found.improve, found.overwrite, found.features) == (True, True, "object")
 
 
 def test_what_was_found_is_told(engine, photos, tmp_path):
@@ -86,7 +88,7 @@ def test_cameras_that_are_there_are_replaced_only_on_demand(engine, photos):
             "{}/transforms.json may not be written (Permission denied)",
             "Change its permissions, or copy the photos",
         ),
-        ("crash", "The engine was killed", "Press Find Cameras again."),
+        ("crash", "The engine was killed", "Press the button again."),
         ("old", "The installed engine is older than this add-on, and cannot find cameras.", "Install the engine"),
     ],
 )
@@ -105,7 +107,7 @@ def test_a_search_is_stopped_through_its_input(engine, photos, tmp_path):
     wait_until(process.poll)
     assert json.loads((tmp_path / "stopped").read_text()) == {"cmd": "stop"}
     assert process.failed.code == STOPPED
-    assert process.failed.words() == ("Stopped. No cameras were written", "Press Find Cameras again.")
+    assert process.failed.words() == ("Stopped. No cameras were written", "Press the button again.")
     assert not (photos / "transforms.json").exists()
 
 
@@ -115,7 +117,7 @@ def test_an_engine_that_does_not_listen_is_terminated(engine, photos, tmp_path, 
     wait_until((tmp_path / "waiting").exists)
     process.stop()
     wait_until(process.poll)
-    assert process.failed.words() == ("Stopped. No cameras were written", "Press Find Cameras again.")
+    assert process.failed.words() == ("Stopped. No cameras were written", "Press the button again.")
 
 
 STARTER = """
