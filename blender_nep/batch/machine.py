@@ -50,9 +50,9 @@ def jobs_in(folder: Path) -> list[psutil.Process]:
     return found
 
 
-def wait_for_end(processes: list[psutil.Process], limit_s: float = _LONGEST_WAIT_S) -> None:
-    """Wait until all have ended. Those that are there after `limit_s` are killed: their checkpoints are fresh."""
-    _, alive = psutil.wait_procs(processes, timeout=limit_s)
+def wait_for_end(processes: list[psutil.Process]) -> None:
+    """Wait until all have ended. Those that are there after two minutes are killed: their checkpoints are fresh."""
+    _, alive = psutil.wait_procs(processes, timeout=_LONGEST_WAIT_S)
     for process in alive:
         with contextlib.suppress(psutil.Error):
             process.kill()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import shutil
 from pathlib import Path
@@ -122,7 +123,7 @@ class Batch:
             if self._stop.requested:
                 return
             note = Message("batch.looking", {"step": number + 1, "steps": len(left)})
-            self._events.progress(STAGE, 0, len(work), 0.0, 0.0, None, note)
+            self._events.progress(STAGE, 0, len(work), 0.0, math.nan, None, note)
             try:
                 size: Size = size_of(FoundCapture(Path(one.capture), one.photos_alone))
                 one.size, self._files[one.name] = size.told(), size.files

@@ -15,7 +15,6 @@ from blender_nep.batch.state import DONE, FAILED, RUNNING, STOPPED, WAITING, Obj
 from blender_nep.messages import Message
 from blender_nep.stop_request import StopRequest
 
-_POLL_S = 0.2
 _LOOK_AHEAD = 20
 """Objects that are looked at for one that fits into the memory that is left"""
 _MORE_MEMORY = 1.5
@@ -51,6 +50,9 @@ class Listener:
 class Scheduler:
     """Runs jobs for objects until none is left or a stop is asked for."""
 
+    poll_s = 0.2
+    """Seconds from one look at the jobs to the next"""
+
     def __init__(
         self,
         objects: list[ObjectState],
@@ -64,7 +66,7 @@ class Scheduler:
         """`make_job(object, threads, memory_mb)` gives the job of an object. `out`: the folder of the batch."""
         self._jobs, self._plan, self._needs, self._make_job = jobs, plan, needs, make_job
         self._listener, self._out = listener, out
-        self._waiting = sorted((one for one in objects if one.left), key=self._largest_first)
+        self._waiting = sorted((one for one in objects if one.state == WAITING), key=self._largest_first)
         self._objects = {one.name: one for one in objects}
         self._running: dict[str, Job] = {}
         self._tries: Counter[str] = Counter()
@@ -93,7 +95,7 @@ class Scheduler:
             self._listener.tick()
             if not self._running and (self._stopping or not self._waiting):
                 return
-            time.sleep(_POLL_S)
+            time.sleep(self.poll_s)
 
     def _start_more(self) -> None:
         """Start the waiting objects that fit, in their order.

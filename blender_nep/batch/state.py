@@ -52,11 +52,6 @@ class ObjectState:
     warnings: list[dict] = field(default_factory=list)
     error: dict | None = None
 
-    @property
-    def left(self) -> bool:
-        """Whether there is work to do for it."""
-        return self.state != DONE
-
     def told(self) -> dict[str, Any]:
         """The plain values for batch.json, with short numbers."""
         numbers = {name: round(getattr(self, name), 1) for name in ("seconds", "cpu_seconds", "peak_memory_mb")}
