@@ -8,7 +8,10 @@ a node is lost, Ray runs the task again on another one; if that one reaches the 
 from __future__ import annotations
 
 import platform
+import signal
+import socket
 import tempfile
+import threading
 import time
 from dataclasses import replace
 from pathlib import Path
@@ -25,6 +28,8 @@ from blender_nep.errors import UsageError
 _POLL_S = 0.5
 _RETRIES = 1
 """How often Ray runs a task again whose node or process was lost"""
+_CONNECT_S = 10.0
+"""Seconds after which a cluster counts as not there"""
 _QUEUED = 2
 """Tasks that are handed to Ray for each core of the cluster. The rest waits here, so that its needs are still corrected."""
 
@@ -87,18 +92,29 @@ def _follow(process: JobProcess, mailbox: ray.actor.ActorHandle) -> None:
             process.stop()
 
 
+def _join(address: str) -> None:
+    """Join the cluster. Raises UsageError if there is none."""
+    handlers = {number: signal.getsignal(number) for number in (signal.SIGTERM, signal.SIGINT)}
+    host, _, port = address.removeprefix("ray://").rpartition(":")
+    try:
+        if port.isdigit():
+            socket.create_connection((host, int(port)), timeout=_CONNECT_S).close()  # Ray itself would try for minutes
+        ray.init(address=address, log_to_driver=False, logging_level="error")
+    except (OSError, ValueError, RuntimeError) as error:
+        hint = "Start one with `ray start --head`, and name its address."
+        raise UsageError(f"there is no Ray cluster at {address}: {error}", hint, "usage.no_ray", address=address) from error
+    finally:
+        if threading.current_thread() is threading.main_thread():
+            for number, handler in handlers.items():  # Ray has put its own in their place, which end the process at once
+                signal.signal(number, handler)
+
+
 class RayJobs:
     """The jobs on a cluster. Ray decides where each one runs, and when."""
 
     def __init__(self, address: str, workers: int | None, ship: bool) -> None:
         """Join the cluster at `address` ('auto': the one of this machine). Raises UsageError if there is none."""
-        try:
-            ray.init(address=address, log_to_driver=False, logging_level="error")
-        except (ConnectionError, ValueError, RuntimeError) as error:
-            hint = "Start one with `ray start --head`, and name its address."
-            raise UsageError(
-                f"there is no Ray cluster at {address}: {error}", hint, "usage.no_ray", address=address
-            ) from error
+        _join(address)
         nodes = [node["Resources"] for node in ray.nodes() if node["Alive"]]
         self.cores = int(sum(node.get("CPU", 0) for node in nodes))
         self.workers = workers or self.cores
