@@ -105,7 +105,8 @@ def test_a_lost_node_costs_no_object(batch, cluster):
 
 def test_captures_assets_and_checkpoints_can_be_sent(batch, cluster):
     """The first attempt is killed. Its checkpoint comes back here, and is sent to the second one."""
-    batch.add("a", "crash 1")
+    meta = batch.add("a") / "transforms.json"
+    meta.write_text(json.dumps(json.loads(meta.read_text()) | {"plays": "crash 1"}))  # of a capture, only its files are sent
     code, events = batch.run(ray=cluster.address, ship=True, memory_mb=None)
     assert code == 0, events[-1]
     assert batch.steps("a") == WHOLE and batch.objects()["a"]["attempts"] == 2

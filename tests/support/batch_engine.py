@@ -1,6 +1,6 @@
 """A program that plays `blender-nep reconstruct` and `cameras` for tests of a batch, in milliseconds.
 
-What it does stands in the file `plays` in the capture: a word, or nothing to make an asset.
+What it does stands in the file `plays` in the capture, or under the key `plays` of transforms.json. Without, it makes an asset.
 
     refuse      reports an error of the capture
     crash N     kills itself at step 2 of the first N attempts
@@ -22,7 +22,11 @@ command, capture = sys.argv[1], pathlib.Path(sys.argv[2])
 out = pathlib.Path(sys.argv[sys.argv.index("--out") + 1])
 out.mkdir(parents=True, exist_ok=True)
 plays = capture / "plays"
-mode, *count = plays.read_text().split() if plays.exists() else ["well"]
+if plays.exists():
+    mode, *count = plays.read_text().split()
+else:
+    meta = json.loads((capture / "transforms.json").read_text()) if (capture / "transforms.json").exists() else {}
+    mode, *count = meta.get("plays", "well").split()
 tries = out / "tries"
 attempt = int(tries.read_text()) if tries.exists() else 0
 tries.write_text(str(attempt + 1))
