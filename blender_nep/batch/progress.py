@@ -107,7 +107,7 @@ class BatchProgress(Listener):
     def _result(self, one: ObjectState) -> str:
         if one.state == DONE:
             faces, materials = _made(self._out / one.name)
-            return f"{faces} faces, {materials} materials"
+            return f"{faces} faces, {materials} material{'s' if materials != 1 else ''}"
         if one.error is not None:
             return f"{one.error['message']}. {one.error['hint']}".replace("\n", " ")
         return "" if one.state == WAITING else "goes on from its checkpoint at the next start"
