@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable
 from pathlib import Path
 
 _LONGEST = 80
@@ -11,17 +10,17 @@ _TAKEN = {"gallery", "log", "con", "prn", "aux", "nul", *(f"{port}{n}" for port 
 """Names that mean something else: the gallery's own folder, and the devices of Windows"""
 
 
-def object_name(capture: Path, taken: Iterable[str]) -> str:
-    """A name for the object of `capture` that is none of `taken`: `vase`, or else `vase-2`, `vase-3` and so on.
+def object_name(capture: Path, taken: set[str]) -> str:
+    """A name for the object of `capture`: `vase`, or if that is taken `vase-2`, `vase-3` and so on. Adds it to `taken`.
 
-    Names that differ only in capitals count as equal, because they are on some file systems.
+    `taken` has names in small letters. Names that differ only in capitals count as equal, because some file systems think so.
     """
-    used = {name.lower() for name in taken}
     base = re.sub(r"[^\w.-]+", "_", capture.name)[:_LONGEST].strip("._-") or "object"
     if Path(base).stem.lower() in _TAKEN:
         base = f"object_{base}"
     name, number = base, 1
-    while name.lower() in used:
+    while name.lower() in taken:
         number += 1
         name = f"{base}-{number}"
+    taken.add(name.lower())
     return name

@@ -80,11 +80,10 @@ class BatchState:
     def take(self, captures: list[FoundCapture]) -> list[ObjectState]:
         """The objects of these captures. A capture that is new gets a name; a known one keeps its name and what was done."""
         known = {one.capture: one for one in self.objects}
-        names = {one.name for one in self.objects}
+        names = {one.name.lower() for one in self.objects}
         for capture in captures:
             if str(capture.path) not in known:
                 name = object_name(capture.path, names)
-                names.add(name)
                 known[str(capture.path)] = ObjectState(name, str(capture.path), capture.photos_alone)
                 self.objects.append(known[str(capture.path)])
         return [known[str(capture.path)] for capture in captures]

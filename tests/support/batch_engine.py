@@ -1,7 +1,7 @@
 """A program that plays `blender-nep reconstruct` and `cameras` for tests of a batch, in milliseconds.
 
-What it does stands in the file `plays` in the capture, or under the key `plays` of transforms.json. Without these it makes an
-asset.
+What it does stands in the file `plays` in the capture, or under the key `plays` of transforms.json. Without these it makes
+an asset.
 
     refuse      reports an error of the capture
     crash N     kills itself at step 2 of the first N attempts
