@@ -1,0 +1,122 @@
+"""A batch on a Ray cluster of two nodes, which are both on this machine. Skipped where ray is not installed."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import socket
+import subprocess
+import sys
+import tempfile
+import threading
+from pathlib import Path
+
+import psutil
+import pytest
+
+from blender_nep.batch.machine import jobs_in
+from support.paths import ROOT
+from support.waiting import wait_until
+
+pytest.importorskip("ray", reason="ray is not installed: it is only in the extra `cluster`, and 200 MB large")
+
+WHOLE = ["0", "1", "2", "3"]
+
+
+class Cluster:
+    """Nodes of one core each, started by `ray start`."""
+
+    def __init__(self, folder: str) -> None:
+        with socket.socket() as free:
+            free.bind(("127.0.0.1", 0))
+            self.address = f"127.0.0.1:{free.getsockname()[1]}"
+        self._folder = folder
+        self.nodes: list[set[psutil.Process]] = []
+
+    def add(self) -> None:
+        """Start a node; the first one is the head."""
+        where = [f"--address={self.address}"]
+        if not self.nodes:
+            where = [
+                "--head",
+                f"--port={self.address.split(':')[1]}",
+                "--include-dashboard=false",
+                f"--temp-dir={self._folder}",
+            ]
+        needs = ["--num-cpus=1", "--memory=4000000000", "--object-store-memory=80000000", "--node-ip-address=127.0.0.1"]
+        before = self._processes()
+        subprocess.run(
+            [sys.executable, "-m", "ray.scripts.scripts", "start", *where, *needs, "--disable-usage-stats"],
+            env=os.environ | {"PYTHONPATH": str(ROOT)},
+            capture_output=True,
+            check=True,
+            timeout=120,
+        )
+        self.nodes.append(self._processes() - before)
+
+    def _processes(self) -> set[psutil.Process]:
+        return {one for one in psutil.process_iter(["cmdline"]) if any(self._folder in x for x in one.info["cmdline"] or ())}
+
+    def lose(self, node: int) -> None:
+        """Kill a node's processes, and with them all that it has started."""
+        raylets = [one for one in self.nodes[node] if one.is_running() and "raylet" in one.name()]
+        for one in raylets or self.nodes[node]:
+            one.kill()
+
+    def close(self) -> None:
+        for one in self._processes():
+            one.kill()
+
+
+@pytest.fixture
+def cluster():
+    folder = tempfile.mkdtemp(prefix="ray_", dir="/tmp")  # sockets need a short path
+    made = Cluster(folder)
+    try:
+        made.add()
+        yield made
+    finally:
+        made.close()
+        shutil.rmtree(folder, ignore_errors=True)
+
+
+def test_a_lost_node_costs_no_object(batch, cluster):
+    cluster.add()
+    for name in ("a", "b", "c"):
+        batch.add(name, "slow")
+    batch.add("d", "refuse")
+    options = {"ray": cluster.address, "workers": None, "memory_mb": None}
+    thread = threading.Thread(target=batch.run, kwargs=options)
+    thread.start()
+    waiting = [batch.out / name / "waiting" for name in ("a", "b", "c")]
+    wait_until(lambda: sum(path.exists() for path in waiting) == 2)
+    cluster.lose(1)
+    wait_until(lambda: len(jobs_in(batch.out)) == 1)
+    for name in ("a", "b", "c"):
+        (batch.captures / name / "go").touch()
+    thread.join()
+    found = batch.objects()
+    assert {name: one["state"] for name, one in found.items()} == {"a": "done", "b": "done", "c": "done", "d": "failed"}
+    assert all(batch.steps(name) == WHOLE for name in ("a", "b", "c"))
+    assert sum(one["attempts"] for one in found.values()) == 5, "one of the three was started again"
+    assert ":" in found["a"]["worker"]
+
+
+def test_captures_assets_and_checkpoints_can_be_sent(batch, cluster):
+    """The first attempt is killed. Its checkpoint comes back here, and is sent to the second one."""
+    meta = batch.add("a") / "transforms.json"
+    meta.write_text(json.dumps(json.loads(meta.read_text()) | {"plays": "crash 1"}))  # of a capture, only its files are sent
+    code, events = batch.run(ray=cluster.address, ship=True, memory_mb=None)
+    assert code == 0, events[-1]
+    assert batch.steps("a") == WHOLE and batch.objects()["a"]["attempts"] == 2
+    command = json.loads((batch.out / "a/arguments.json").read_text())
+    there, out = Path(command[1]), Path(command[command.index("--out") + 1])
+    assert there != batch.captures / "a" and not there.exists(), "it has worked on a copy"
+    assert os.path.relpath(there, out) == os.path.relpath(batch.captures / "a", batch.out / "a")
+
+
+def test_no_cluster_is_told(batch):
+    batch.add("a")
+    code, events = batch.run(ray="127.0.0.1:1")
+    assert code == 2 and events[-1]["name"] == "usage.no_ray"
