@@ -219,6 +219,7 @@ WORDS: dict[str, str] = {
     "batch.put_back": "{name} is put back and waits for its turn, because another object needs more memory than expected",
     "batch.leftovers": "{count} {count:job|jobs} of a batch that was killed {count:is|are} still writing "
     "{count:its checkpoint|their checkpoints}: waiting for {count:its|their} end",
+    "batch.no_gallery": "the gallery cannot be written: {reason}. Write it later with blender-nep gallery",
     "batch.stopping": "stopping: {count} {count:job writes its checkpoint|jobs write their checkpoints}",
     # notes on progress
     "progress.warming_up": "warming up",

@@ -138,6 +138,7 @@ MESSAGES = {
     "Preview or smaller photos",
     "batch.put_back": "{name} waits for its turn again, because another object needs more memory than expected",
     "batch.leftovers": "{count} {count:job|jobs} of a batch that was killed {count:is|are} still ending",
+    "batch.no_gallery": "The gallery cannot be written: {reason}",
     "batch.stopping": "Stopping {count} {count:job|jobs}",
     # notes on progress
     "progress.warming_up": "Warming up",

@@ -7,6 +7,7 @@ from pathlib import Path
 
 from blender_nep.batch.needs import Needs
 from blender_nep.batch.outcome import read_report
+from blender_nep.batch.pages import GalleryPages
 from blender_nep.batch.scheduler import Listener, Plan
 from blender_nep.batch.state import DONE, FAILED, RUNNING, STOPPED, WAITING, BatchState, ObjectState
 from blender_nep.job.events import Events
@@ -29,7 +30,7 @@ class BatchProgress(Listener):
     ) -> None:
         """`work`: the objects of this start, among them those that are done."""
         self._state, self._work, self._needs, self._plan = state, work, needs, plan
-        self._events, self._out = events, out
+        self._events, self._out, self._pages = events, out, GalleryPages(out, events)
         self._pause, self._written, self._shown = 0.0, 0.0, 0.0
         self._changed = False
 
@@ -50,6 +51,13 @@ class BatchProgress(Listener):
             self._events.say(str(Message("batch.object_stopped", {"name": one.name})))
         self._changed = True
         self._write_if_due()
+        if one.state in (DONE, FAILED):
+            self._pages.write_if_due()
+
+    def end(self) -> None:
+        """Write batch.json and the gallery. Raises OutputError."""
+        self.write()
+        self._pages.write()
 
     def write(self) -> None:
         """Write batch.json. Raises OutputError."""

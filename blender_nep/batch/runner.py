@@ -81,7 +81,7 @@ class Batch:
                 scheduler.run(self._stop)
         finally:
             jobs.close()
-            progress.write()
+            progress.end()
         self._events.say(progress.table())
         self._tell_end(work)
 

@@ -43,6 +43,21 @@ def test_all_done_is_code_0(batch):
     assert batch.content()["format"] == 1 and batch.content()["preset"] == "preview"
 
 
+def test_the_gallery_shows_all_objects(batch):
+    for name in ("a", "b"):
+        batch.add(name, "refuse" if name == "b" else "")
+    batch.run()
+    page = (batch.out / "index.html").read_text(encoding="utf-8")
+    assert "the photos are no good" in page and "do something" in page and 'href="a/' in page
+
+
+def test_a_gallery_that_cannot_be_written_ends_no_batch(batch):
+    batch.add("a")
+    (batch.out / "index.html").mkdir(parents=True)
+    code, events = batch.run()
+    assert code == 0 and [event["code"] for event in events if event["event"] == "warning"].count("batch.no_gallery") == 1
+
+
 def test_a_broken_capture_fails_without_a_job(batch):
     (batch.add("a") / "images/003.png").unlink()
     assert batch.run()[0] == 9
