@@ -13,6 +13,7 @@ from ..wrapped_text import draw_wrapped
 
 NO_CAMERAS_YET = "{count} photos, no cameras yet"
 TOO_FEW = "Too few photos: {count} of at least {least}"
+FOUND = "What the Search Has Found"
 NO_PHOTOS = "This folder holds no photos"
 LOAD_AGAIN = "Press Load Cameras again to see them."
 REPLACED = "They replace the earlier cameras: press Load Cameras and Propose Bounds again."
@@ -36,12 +37,13 @@ def draw_camera_search(layout: bpy.types.UILayout, context: bpy.types.Context) -
         _draw_offer(box, context, holds)
         if search is not None and search.failed is not None:
             _draw_failure(box, context, search)
+    elif search is not None and search.failed is not None:
+        _draw_failure(layout.box(), context, search)
     elif search is not None:
-        box = layout.box()
-        if search.failed is None:
-            _draw_found(box, context, search)
-        else:
-            _draw_failure(box, context, search)
+        header, body = layout.panel("nep_cameras_found")  # an artist who has read the long text can fold it
+        header.label(text=FOUND)
+        if body is not None:
+            _draw_found(body.box(), context, search)
     elif not holds.photos and not holds.has_cameras and folder.is_dir():
         layout.label(text=NO_PHOTOS, icon="INFO")
 

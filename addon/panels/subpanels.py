@@ -42,7 +42,11 @@ class NEP_PT_cameras_and_bounds(SubPanel, bpy.types.Panel):
         elif bounds_object(context.scene) is None:
             column.label(text="Bounds: found automatically")
         else:
-            draw_wrapped(column, context, "Move (G) and scale (S) the sphere: the whole object inside, no camera inside")
+            draw_wrapped(
+                column,
+                context,
+                "Move (G) and scale (S) the sphere: the whole object inside, no camera inside. Look from two sides",
+            )
             draw_wrapped(column, context, bounds_warning(context.scene), "ERROR")
         if bounds_estimate.last_error is not None:
             draw_wrapped(column, context, error_text(bounds_estimate.last_error), "ERROR")

@@ -37,6 +37,10 @@ OPERATORS = {"reconstruct", "cancel", "open_log", "import_result", "use_recovere
     *(
         "find_cameras",
         "cancel_find_cameras",
+        "improve_cameras",
+        "check_photos",
+        "cancel_check_photos",
+        "show_coverage",
         "load_cameras",
         "clear_cameras",
         "capture_from_scene",

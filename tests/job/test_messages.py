@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from backend.engine import progress, words
+from backend.engine import capture_facts, progress, words
 from blender_nep import errors, messages
 from blender_nep.job.stage_names import CAMERA_SEARCH, StageName
 from blender_nep.messages import PARTS, WORDS, Message, Part
@@ -181,5 +181,9 @@ def test_errors_in_the_words_of_the_panel():
 
 
 def test_the_panel_speaks_of_no_command_line():
-    assert not [text for text in (*words.texts(), *progress.texts()) if "--" in text or "transforms.json" in text]
+    assert not [
+        text
+        for text in (*words.texts(), *progress.texts(), *capture_facts.texts())
+        if "--" in text or "transforms.json" in text
+    ]
     assert len(set(words.texts())) == len(words.texts())

@@ -44,6 +44,10 @@ def check_install(archive: str) -> None:
     for name in (
         "find_cameras",
         "cancel_find_cameras",
+        "improve_cameras",
+        "check_photos",
+        "cancel_check_photos",
+        "show_coverage",
         "clear_cameras",
         "capture_from_scene",
         "propose_bounds",

@@ -1,0 +1,94 @@
+"""Cameras whose photos have other formats than PNG, JPEG and OpenEXR: what Blender shows of them, and what it cannot."""
+
+import json
+import sys
+from pathlib import Path
+
+import numpy as np
+import pillow_heif
+import tifffile
+from PIL import Image
+
+from support.captures import look_at
+from support.own_process import in_blender
+from support.raw_photo import write_dng
+
+SIZE = (48, 32)
+NAMES = ("whole.tif", "float.tif", "a.webp", "b.jpg", "c.heic", "d.dng", "gone.tif")
+
+
+def write_capture(folder: Path) -> None:
+    """A capture without a color space, as Find Cameras writes it."""
+    grey = np.full((*SIZE[::-1], 3), 128, np.uint8)
+    image = Image.fromarray(grey)
+    tifffile.imwrite(folder / "whole.tif", grey.astype(np.uint16) * 257, photometric="rgb")
+    tifffile.imwrite(folder / "float.tif", np.full(grey.shape, 2.5, np.float32), photometric="rgb")
+    image.save(folder / "a.webp", lossless=True)
+    image.save(folder / "b.jpg")
+    pillow_heif.from_pillow(image).save(folder / "c.heic")
+    write_dng(folder / "d.dng", np.full(grey.shape, 5000.0))
+    frames = []
+    for number, name in enumerate(NAMES):
+        turn = 2 * np.pi * number / len(NAMES)
+        matrix = look_at(np.array([3 * np.cos(turn), 3 * np.sin(turn), 1.0]), np.zeros(3))
+        frames.append({"file_path": name, "transform_matrix": matrix.tolist()})
+    meta = {"w": SIZE[0], "h": SIZE[1], "fl_x": 50.0, "frames": frames}
+    (folder / "transforms.json").write_text(json.dumps(meta))
+
+
+def test_photos_of_all_formats(tmp_path):
+    write_capture(tmp_path)
+    in_blender(check_formats, tmp_path)
+
+
+def check_formats(folder):
+    import bpy
+
+    from backend.scene_io.capture_files import read_frames
+    from backend.scene_io.photo_cameras import load_cameras
+    from backend.scene_io.scene_capture import write_scene_capture
+
+    capture = Path(folder)
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    scene = bpy.context.scene
+    frames = {frame.path.name: frame for frame in read_frames(capture)}
+    spaces = {name: frame.color_space for name, frame in frames.items()}
+    assert spaces == dict.fromkeys(NAMES, "srgb") | {"float.tif": "linear", "d.dng": "linear"}
+    for name, expected in (("whole.tif", 0.2159), ("float.tif", 2.5), ("a.webp", 0.2159), ("b.jpg", 0.2159)):
+        np.testing.assert_allclose(frames[name].photo(), expected, atol=0.005)
+    try:
+        frames["d.dng"].photo()
+    except OSError as error:
+        assert "cannot develop the raw photo" in str(error)
+    else:
+        raise AssertionError("Blender would take the sensor's mosaic for a photo")
+
+    cameras, missing, not_shown = load_cameras(scene, capture, list(frames.values()))
+    shows_heif = len(not_shown) == 1  # it depends on how a Blender was built
+    assert [path.name for path in not_shown] == (["d.dng"] if shows_heif else ["c.heic", "d.dng"])
+    assert [path.name for path in missing] == ["gone.tif"] and len(cameras) == len(NAMES)
+    images = {image.name: image.colorspace_settings.name for image in bpy.data.images}
+    assert {images["float.tif"]} <= {"Non-Color", "Linear Rec.709"} and "d.dng" not in images
+    assert images["whole.tif"] == images["a.webp"] == images["b.jpg"] == "sRGB"
+
+    for camera in cameras:
+        if camera.name == "c":  # some Blenders show HEIC
+            camera.data.background_images.clear()
+    assert write_scene_capture(scene, capture / "made") == 4
+    made = {Path(frame["file_path"]).name: (frame["w"], frame["h"]) for frame in read(capture / "made")}
+    assert made == dict.fromkeys(("whole.tif", "float.tif", "a.webp", "b.jpg"), SIZE)
+    cameras[0].data.background_images[0].image.filepath = str(capture / "c.heic")
+    try:
+        write_scene_capture(scene, capture / "never")
+    except ValueError as error:
+        assert "is a raw or HEIC photo" in str(error) and "TIFF, PNG or JPEG" in str(error)
+    else:
+        raise AssertionError("a HEIC photo is not every Blender's")
+
+
+def read(folder: Path) -> list[dict]:
+    return json.loads((folder / "transforms.json").read_text())["frames"]
+
+
+if __name__ == "__main__":
+    globals()[sys.argv[1]](*sys.argv[2:])
