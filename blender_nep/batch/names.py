@@ -13,7 +13,7 @@ _TAKEN = {"gallery", "log", "con", "prn", "aux", "nul", *(f"{port}{n}" for port 
 def object_name(capture: Path, taken: set[str]) -> str:
     """A name for the object of `capture`: `vase`, or if that is taken `vase-2`, `vase-3` and so on. Adds it to `taken`.
 
-    `taken` has names in small letters. Names that differ only in capitals count as equal, as on some file systems.
+    `taken` has names in small letters, because to some file systems names that differ only in capitals are equal.
     """
     base = re.sub(r"[^\w.-]+", "_", capture.name)[:_LONGEST].strip("._-") or "object"
     if Path(base).stem.lower() in _TAKEN:

@@ -12,7 +12,7 @@ from blender_nep.presets import Preset
 
 _BASE_MB = {"preview": 1350.0, "balanced": 1950.0, "quality": 3000.0}
 """Memory of a job that hardly depends on its photos: libraries, kernels, fields, optimizers, samples. These are the largest
-peaks of jobs on 30 to 119 photos; 69 jobs were measured with preview and balanced, 4 with quality."""
+peaks of jobs on 30 to 119 photos; 75 jobs were measured with preview and balanced, 4 with quality."""
 _BYTES_A_PIXEL = 20.0
 """Memory of a pixel that a job keeps: color, flags, and the sets of pixels"""
 _READING_MB, _BYTES_A_DECODED_PIXEL = 600.0, 14.0
