@@ -7,6 +7,7 @@ a node is lost, Ray runs the task again on another one; if that one reaches the 
 
 from __future__ import annotations
 
+import contextlib
 import platform
 import signal
 import socket
@@ -28,8 +29,8 @@ from blender_nep.errors import UsageError
 _POLL_S = 0.5
 _RETRIES = 1
 """How often Ray runs a task again whose node or process was lost"""
-_CONNECT_S = 10.0
-"""Seconds after which a cluster counts as not there"""
+_CONNECT_S, _ANSWER_S = 10.0, 60.0
+"""Seconds after which a cluster counts as not there, and a driver as gone"""
 _QUEUED = 2
 """Tasks that are handed to Ray for each core of the cluster. The rest waits here, so that its needs are still corrected."""
 
@@ -81,15 +82,23 @@ def _below(root: Path, path: Path) -> Path:
 
 
 def _follow(process: JobProcess, mailbox: ray.actor.ActorHandle) -> None:
-    """Tell the mailbox everything. If it cannot be reached any more, the driver is gone and the job stops."""
+    """Tell the mailbox everything. If it cannot be reached any more, the driver is gone and the job stops.
+
+    Answers are awaited as futures: while a task waits in `ray.get`, Ray gives its cores to other tasks.
+    """
+    answer, asked = None, time.monotonic()
     while process.running:
         time.sleep(_POLL_S)
-        try:
-            stop = ray.get(mailbox.tell.remote(process.job.name, process.poll()), timeout=60)
-        except ray.exceptions.RayError:
-            stop = True
-        if stop:
+        if answer is None or answer.done():
+            if answer is not None and (answer.exception() is not None or answer.result()):
+                process.stop()
+            answer, asked = mailbox.tell.remote(process.job.name, process.poll()).future(), time.monotonic()
+        elif time.monotonic() - asked > _ANSWER_S:
             process.stop()
+            process.poll()
+    if answer is not None:
+        with contextlib.suppress(ray.exceptions.RayError, TimeoutError):
+            answer.result(_ANSWER_S)
 
 
 def _join(address: str) -> None:
