@@ -1,4 +1,4 @@
-"""The command line: `blender-nep info`, `cameras`, `reconstruct`, `materials` and `gallery`."""
+"""The command line: `blender-nep info`, `cameras`, `reconstruct`, `batch`, `materials` and `gallery`."""
 
 from __future__ import annotations
 
@@ -25,6 +25,7 @@ exit codes:
   5  the asset cannot be written (disk full, permissions, not a folder)
   6  learning failed (no surface was found, or it diverged)
   7  stopped on request, the checkpoint is written: go on with --resume
+  9  batch: some objects failed; the table and batch.json say why
 
 Events for programs are JSON lines on standard output (none when that is a terminal); text for people is on stderr.
 """
@@ -39,7 +40,9 @@ def parser() -> argparse.ArgumentParser:
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     top.add_argument("--version", action="version", version=f"blender-nep {__version__}")
-    commands = top.add_subparsers(dest="command", required=True, metavar="{info,cameras,reconstruct,materials,gallery}")
+    commands = top.add_subparsers(
+        dest="command", required=True, metavar="{info,cameras,reconstruct,batch,materials,gallery}"
+    )
 
     info = commands.add_parser("info", help="say what a capture holds and what looks wrong")
     info.add_argument(
@@ -112,6 +115,7 @@ def parser() -> argparse.ArgumentParser:
     run.add_argument(
         "--watch-stdin", action="store_true", help='stop at {"cmd": "stop"} on standard input, or when it is closed'
     )
+    _add_batch(commands)
     change = commands.add_parser(
         "materials",
         help="list the materials of an asset, or correct them",
@@ -154,6 +158,44 @@ def _add_cameras(commands: argparse._SubParsersAction) -> None:
     find.add_argument("--overwrite", action="store_true", help="replace cameras that are there")
     find.add_argument("--threads", type=_count, metavar="N", help="CPU threads (all cores)")
     find.add_argument(
+        "--watch-stdin", action="store_true", help='stop at {"cmd": "stop"} on standard input, or when it is closed'
+    )
+
+
+def _add_batch(commands: argparse._SubParsersAction) -> None:
+    batch = commands.add_parser(
+        "batch",
+        help="make assets of many captures",
+        epilog=EXIT_CODES,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    batch.add_argument(
+        "captures",
+        type=Path,
+        nargs="*",
+        metavar="CAPTURES",
+        help="capture folders, folders that hold captures or photos, or text files with one folder a line; none: those of "
+        "the last start",
+    )
+    batch.add_argument("--out", type=Path, required=True, metavar="FOLDER", help="folder of the assets and of batch.json")
+    batch.add_argument(
+        "--preset",
+        choices=("preview", "balanced", "quality"),
+        default="balanced",
+        help="time against error (%(default)s)",
+    )
+    batch.add_argument("--masks", choices=("use", "ignore"), default="use", help="(%(default)s)")
+    batch.add_argument("--metal", choices=("auto", "yes", "no"), default="auto", help="(%(default)s)")
+    batch.add_argument("--seed", type=_seed, default=0, metavar="N", help="(%(default)s)")
+    batch.add_argument("--device", choices=("auto", "cpu", "cuda"), default="auto", help="(%(default)s)")
+    batch.add_argument("--clean", action="store_true", help="remove the checkpoints of finished objects")
+    batch.add_argument("--overwrite", action="store_true", help="start all objects again")
+    batch.add_argument("--workers", type=_count, metavar="N", help="jobs at once (as many as there are cores)")
+    batch.add_argument("--threads", type=_count, metavar="N", help="CPU threads of each job (the cores are divided)")
+    batch.add_argument("--memory", type=_positive, metavar="MB", help="memory of all jobs together (what is free)")
+    batch.add_argument("--ray", metavar="ADDRESS", help="run the jobs on this Ray cluster; auto: the one of this machine")
+    batch.add_argument("--ship", action="store_true", help="with --ray: the nodes do not share the disk")
+    batch.add_argument(
         "--watch-stdin", action="store_true", help='stop at {"cmd": "stop"} on standard input, or when it is closed'
     )
 
@@ -203,10 +245,13 @@ def main(arguments: list[str] | None = None) -> int:
     options = top.parse_args(arguments)
     if options.command == "reconstruct" and (options.object_center is None) != (options.object_radius is None):
         top.error("--object-center and --object-radius work only together")
+    if options.command == "batch" and options.ship and options.ray is None:
+        top.error("--ship works only with --ray")
     commands = {
         "info": _info,
         "cameras": _cameras,
         "reconstruct": _reconstruct,
+        "batch": _batch,
         "materials": _materials,
         "gallery": _gallery,
     }
@@ -290,6 +335,40 @@ def _reconstruct(options: argparse.Namespace) -> int:
     )
     with stop.signals():
         return job.run(settings, events, stop)
+
+
+def _batch(options: argparse.Namespace) -> int:
+    from blender_nep.job.events import Events, open_protocol
+
+    terminal = sys.stdout.isatty()
+    protocol = open_protocol()
+    events = Events(None if terminal else protocol, sys.stderr)
+
+    from blender_nep.batch import runner as batch
+    from blender_nep.batch.settings import BatchSettings
+    from blender_nep.stop_request import StopRequest
+
+    stop = StopRequest()
+    if options.watch_stdin:
+        stop.watch()
+    settings = BatchSettings(
+        captures=tuple(options.captures),
+        out=options.out,
+        preset=options.preset,
+        masks=options.masks,
+        metal=options.metal,
+        seed=options.seed,
+        device=options.device,
+        clean=options.clean,
+        overwrite=options.overwrite,
+        workers=options.workers,
+        threads=options.threads,
+        memory_mb=options.memory,
+        ray=options.ray,
+        ship=options.ship,
+    )
+    with stop.signals():
+        return batch.run(settings, events, stop)
 
 
 def _materials(options: argparse.Namespace) -> int:

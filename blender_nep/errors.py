@@ -12,6 +12,9 @@ Exit codes of the command line and of the `error` event:
 | 5    | OutputError   | the asset cannot be written                                                        |
 | 6    | LearningError | learning failed: no surface was found, or the optimisation diverged                |
 | 7    | Stopped       | stopped on request; the checkpoint is written, `--resume` goes on                  |
+| 9    | ObjectsFailed | a batch has ended, and some of its objects failed                                  |
+
+Code 8 is Blender's: `backend/run.py` made the asset, but Blender's part failed.
 
 Blender's Python does not import this package. `backend/engine/exit_codes.py` repeats the codes that the add-on needs.
 """
@@ -83,3 +86,10 @@ class Stopped(NepError):
 
     code = 7
     name = "stopped"
+
+
+class ObjectsFailed(NepError):
+    """A batch has come to its end, but some of its objects have no asset."""
+
+    code = 9
+    name = "objects_failed"

@@ -206,6 +206,19 @@ WORDS: dict[str, str] = {
     "gradient was not finite",
     "job.metal_unclear": "the photos hardly show whether the object is metal: if the result is wrong, choose --metal yes "
     "or --metal no",
+    # what a batch says
+    "batch.looking": "looking at capture {step} of {steps}",
+    "batch.progress": "{done} of {objects} done, {running} running, {waiting} waiting, {failed} failed",
+    "batch.object_done": "{name}: done in {time}, {faces} faces, {materials} {materials:material|materials}",
+    "batch.object_failed": "{name}: failed: {reason}",
+    "batch.object_stopped": "{name}: stopped",
+    "batch.tried_again": "{name}: {reason}; it is tried again from its checkpoint",
+    "batch.alone": "{name} may need {needed} MB, and there are {memory} MB: it runs alone. If it fails, try --preset "
+    "preview or smaller photos",
+    "batch.put_back": "{name} is put back and waits for its turn, because another object needs more memory than expected",
+    "batch.leftovers": "{count} {count:job|jobs} of a batch that was killed {count:is|are} still writing "
+    "{count:its checkpoint|their checkpoints}: waiting for {count:its|their} end",
+    "batch.stopping": "stopping: {count} {count:job writes its checkpoint|jobs write their checkpoints}",
     # notes on progress
     "progress.warming_up": "warming up",
     # sentences about the scene

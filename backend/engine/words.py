@@ -126,6 +126,18 @@ MESSAGES = {
     "were not finite",
     "job.metal_unclear": "The photos hardly show whether the object is metal: if the result is wrong, choose it in "
     "Advanced > Material",
+    # what a batch says
+    "batch.looking": "Looking at capture {step} of {steps}",
+    "batch.progress": "{done} of {objects} objects are done, {running} running, {waiting} waiting, {failed} failed",
+    "batch.object_done": "{name} is done in {time}: {faces} faces, {materials} {materials:material|materials}",
+    "batch.object_failed": "{name} has failed: {reason}",
+    "batch.object_stopped": "{name} has stopped",
+    "batch.tried_again": "{name} is tried again from its checkpoint: {reason}",
+    "batch.alone": "{name} may need {needed} MB, and there are {memory} MB: it runs alone. If it fails, choose the preset "
+    "Preview or smaller photos",
+    "batch.put_back": "{name} waits for its turn again, because another object needs more memory than expected",
+    "batch.leftovers": "{count} {count:job|jobs} of a batch that was killed {count:is|are} still ending",
+    "batch.stopping": "Stopping {count} {count:job|jobs}",
     # notes on progress
     "progress.warming_up": "Warming up",
     # sentences about the scene

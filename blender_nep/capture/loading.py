@@ -17,6 +17,8 @@ from blender_nep.messages import Message
 
 MINIMUM_VIEWS = 3
 """With fewer photos, neither the shape nor the surroundings are determined: two views cannot even contradict each other."""
+_OTHER_FORMATS = (nerf_synthetic, colmap, llff, cameras_sphere, metashape, bundler)
+"""All formats but the first one, in the order in which they are asked"""
 
 
 def load_capture(
@@ -33,7 +35,7 @@ def load_capture(
     cameras alone. Raises CaptureError, BoundsError.
     """
     folder = Path(folder)
-    said = _describe(folder, file)
+    said = describe(folder, file)
     photos = len(said.views)
     if photos < MINIMUM_VIEWS:
         raise CaptureError(
@@ -54,8 +56,13 @@ def load_capture(
     return capture
 
 
-def _describe(folder: Path, file: str) -> CaptureDescription:
-    """What the folder's files say, read by the format that recognizes them."""
+def recognized(folder: Path) -> bool:
+    """Whether one of the formats recognizes the folder as a capture."""
+    return transforms.recognizes(folder) or any(other.recognizes(folder) for other in _OTHER_FORMATS)
+
+
+def describe(folder: Path, file: str = transforms.FILE) -> CaptureDescription:
+    """What the folder's files say, read by the format that recognizes them. Raises CaptureError, BoundsError."""
     if not folder.exists():
         raise CaptureError(f"there is no folder {folder}", "Check the path of the capture.")
     if not folder.is_dir():
@@ -63,7 +70,7 @@ def _describe(folder: Path, file: str) -> CaptureDescription:
     if transforms.recognizes(folder, file):
         return transforms.read(folder, file)
     if file == transforms.FILE:
-        for other in (nerf_synthetic, colmap, llff, cameras_sphere, metashape, bundler):
+        for other in _OTHER_FORMATS:
             if other.recognizes(folder):
                 return other.read(folder)
     state = "is empty" if not any(folder.iterdir()) else f"has no {file}"

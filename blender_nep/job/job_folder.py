@@ -59,7 +59,7 @@ class JobFolder:
         self.path = asset / FOLDER
         with output_errors(self.path):
             self.path.mkdir(parents=True, exist_ok=True)
-            self._lock = _lock(self.path / "lock", asset)
+            self._lock = lock_file(self.path / "lock", asset)
             for name in _FILES:
                 (self.path / name).unlink(missing_ok=True)
             self.journal = Journal(self.path / "events.jsonl")
@@ -104,14 +104,14 @@ def held(asset: Path) -> Iterator[None]:
         yield
         return
     with output_errors(path):
-        descriptor = _lock(path, asset)
+        descriptor = lock_file(path, asset)
     try:
         yield
     finally:
         os.close(descriptor)
 
 
-def _lock(path: Path, asset: Path) -> int:
+def lock_file(path: Path, asset: Path) -> int:
     """Lock the file `path` and return its descriptor. Raises UsageError while another run holds the lock, OutputError.
 
     A program that follows the run locks the file for an instant, to see whether the run lives. So the lock is tried again.

@@ -1,0 +1,52 @@
+"""Judges how a job has ended: whether it is tried again, and what is said about it."""
+
+from __future__ import annotations
+
+import json
+import signal
+from pathlib import Path
+from typing import Any
+
+from blender_nep.errors import NepError
+
+_NO_MEMORY = "unexpected.no_memory"
+
+
+def is_crash(code: int | None, error: dict | None) -> bool:
+    """Whether a job might end well if it is tried again: it was killed, it crashed, or memory was short.
+
+    A job that has said why it failed would say the same again: the capture, the seed and the disk are the same.
+    """
+    return code is None or code < 0 or error is None or error["name"] == _NO_MEMORY or error["name"].startswith("stopped")
+
+
+def lacked_memory(code: int | None, error: dict | None) -> bool:
+    """Whether the job may have ended because memory was short: the system ends processes by SIGKILL then."""
+    return code == -9 or (error is not None and error["name"] == _NO_MEMORY)
+
+
+def failure(code: int | None, error: dict | None, words: str) -> dict[str, Any]:
+    """The error of a job, in its own words if it has said any."""
+    if error is not None:
+        return error
+    hint = f"Its last words: {words}" if words else "Its log.txt may say more."
+    if code is None:
+        said = NepError("the computer that ran the job was lost", "Start the batch again.", "unexpected.computer_lost")
+    elif code < 0:
+        names = {one.value: one.name for one in signal.Signals}
+        name = names.get(-code, str(-code))
+        if code == -9:
+            hint = "If memory was short, try fewer --workers, a smaller --memory, or --preset preview."
+        said = NepError(f"the job was ended by {name}", hint, "unexpected.job_killed", signal=name)
+    else:
+        said = NepError(f"the job ended with exit code {code}", hint, "unexpected.job_crashed", exit_code=code)
+    return said.told()
+
+
+def read_report(asset: Path) -> dict[str, Any] | None:
+    """The asset's report.json; None if the asset is not complete."""
+    try:
+        content = json.loads((asset / "report.json").read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return None
+    return content if isinstance(content, dict) else None

@@ -1,0 +1,177 @@
+"""Runs a batch from its arguments to its exit code."""
+
+from __future__ import annotations
+
+import math
+import os
+import shutil
+from pathlib import Path
+
+from blender_nep.batch.captures import FoundCapture, Size, find_captures, size_of
+from blender_nep.batch.jobs import Job, Jobs
+from blender_nep.batch.local_jobs import LocalJobs
+from blender_nep.batch.machine import free_memory_mb, jobs_in, wait_for_end
+from blender_nep.batch.needs import Needs
+from blender_nep.batch.progress import STAGE, BatchProgress
+from blender_nep.batch.scheduler import Plan, Scheduler
+from blender_nep.batch.settings import BatchSettings
+from blender_nep.batch.state import DONE, FAILED, WAITING, BatchState, ObjectState, read_state, refuse_other_batch
+from blender_nep.errors import NepError, ObjectsFailed, OutputError, Stopped, UsageError
+from blender_nep.files import output_errors
+from blender_nep.job.device import choose_device, usable_cores
+from blender_nep.job.events import Events
+from blender_nep.job.exit_code import exit_code
+from blender_nep.job.job_folder import lock_file
+from blender_nep.messages import Message
+from blender_nep.presets import preset
+from blender_nep.stop_request import StopRequest
+
+_LOCK = "batch.lock"
+"""The file in the batch's folder that is locked as long as a batch is at work there"""
+
+
+def run(settings: BatchSettings, events: Events, stop: StopRequest) -> int:
+    """Run a batch to its end and return the exit code. An error becomes one `error` event."""
+    return exit_code(lambda: Batch(settings, events, stop).run(), events, settings.out)
+
+
+class Batch:
+    """One start of a batch."""
+
+    def __init__(self, settings: BatchSettings, events: Events, stop: StopRequest) -> None:
+        self._settings, self._events, self._stop = settings, events, stop
+        self._needs = Needs(preset(settings.preset))
+        self._files: dict[str, tuple[Path, ...]] = {}
+        """{object: all files that its job reads}, known for captures that were looked at in this start"""
+
+    def run(self) -> None:
+        """Make all assets. Raises UsageError, OutputError, Stopped, and ObjectsFailed where objects failed."""
+        s = self._settings
+        captures = find_captures(s.captures, s.out)
+        if s.out.exists() and not s.out.is_dir():
+            raise OutputError(f"{s.out} is a file, not a folder", "Choose another --out.", "output.is_a_file", path=s.out)
+        with output_errors(s.out):
+            s.out.mkdir(parents=True, exist_ok=True)
+            lock = lock_file(s.out / _LOCK, s.out)
+        try:
+            self._run(captures)
+        finally:
+            os.close(lock)
+
+    def _run(self, captures: list[FoundCapture]) -> None:
+        s = self._settings
+        state = self._state()
+        work = state.take(captures) if captures else state.objects
+        if not work:
+            hint = "Name captures: this folder holds no batch yet."
+            raise UsageError(f"there is no batch in {s.out}", hint, "usage.no_captures", path=s.out)
+        with output_errors(s.out):
+            self._events.open_log(s.out / "log.txt")
+        self._end_leftovers()
+        self._prepare(work)
+        jobs, plan = self._jobs()
+        state.machine = {"workers": plan.workers, "cores": plan.cores, "memory_mb": round(plan.memory_mb)}
+        progress = BatchProgress(state, work, self._needs, plan, self._events, s.out)
+        self._events.emit("batch", folder=str(s.out.resolve()), objects=len(work), **state.machine)
+        self._look(work, progress)
+        scheduler = Scheduler(work, jobs, plan, self._needs, self._job, progress, s.out)
+        try:
+            progress.write()
+            if not self._stop.requested:
+                scheduler.run(self._stop)
+        finally:
+            jobs.close()
+            progress.write()
+        self._events.say(progress.table())
+        self._tell_end(work)
+
+    def _state(self) -> BatchState:
+        """The state of the folder, or a new one. Raises UsageError where another batch is there."""
+        s = self._settings
+        before = None if s.overwrite else read_state(s.out)
+        if before is not None:
+            refuse_other_batch(s.out, before, s)
+        state = before or BatchState(s.identity())
+        state.arguments = s.arguments()
+        return state
+
+    def _end_leftovers(self) -> None:
+        """Wait for the jobs of a batch that was killed. They have noticed it, and are writing their checkpoints."""
+        left = jobs_in(self._settings.out)
+        if left:
+            self._events.say(str(Message("batch.leftovers", {"count": len(left)})))
+            wait_for_end(left)
+
+    def _prepare(self, work: list[ObjectState]) -> None:
+        """Let everything that is not done wait, and learn from what is done."""
+        for one in work:
+            out = self._settings.out / one.name
+            if self._settings.overwrite:
+                with output_errors(out):
+                    (out / "report.json").unlink(missing_ok=True)  # from here on the folder is no valid asset
+                    for made in ("checkpoints", "capture"):
+                        shutil.rmtree(out / made, ignore_errors=True)
+            if one.state == DONE and (out / "report.json").is_file():
+                self._needs.learn(one.size, one.photos_alone, one.peak_memory_mb, one.seconds)
+            else:
+                one.state, one.error, one.stage, one.eta_s, one.worker = WAITING, None, None, None, None
+
+    def _look(self, work: list[ObjectState], progress: BatchProgress) -> None:
+        """Find out how large the captures are. An object whose capture cannot be read has failed already."""
+        left = [one for one in work if one.state == WAITING and (one.size is None or self._settings.ship)]
+        for number, one in enumerate(left):
+            if self._stop.requested:
+                return
+            note = Message("batch.looking", {"step": number + 1, "steps": len(left)})
+            self._events.progress(STAGE, 0, len(work), 0.0, math.nan, None, note)
+            try:
+                size: Size = size_of(FoundCapture(Path(one.capture), one.photos_alone))
+                one.size, self._files[one.name] = size.told(), size.files
+            except NepError as error:
+                one.state, one.error = FAILED, error.told()
+                progress.changed(one)
+
+    def _jobs(self) -> tuple[Jobs, Plan]:
+        s = self._settings
+        if s.ray is not None:
+            from blender_nep.batch.ray_jobs import RayJobs
+
+            jobs = RayJobs(s.ray, s.workers, s.ship)
+            return jobs, Plan(jobs.cores, jobs.workers, s.memory_mb or jobs.largest_memory_mb, s.threads or 1)
+        choose_device(s.device)
+        cores = usable_cores()
+        plan = Plan(cores, min(s.workers or cores, cores), s.memory_mb or free_memory_mb(), s.threads)
+        return LocalJobs(plan.workers, plan.cores, plan.memory_mb), plan
+
+    def _job(self, one: ObjectState, threads: int, memory_mb: float) -> Job:
+        s = self._settings
+        options = ["--preset", s.preset, "--masks", s.masks, "--metal", s.metal, "--seed", str(s.seed)]
+        options += ["--device", s.device, *(["--clean"] if s.clean else [])]
+        return Job(
+            name=one.name,
+            capture=Path(one.capture),
+            out=s.out.resolve() / one.name,
+            photos_alone=one.photos_alone,
+            options=tuple(options),
+            engine=s.engine,
+            threads=threads,
+            memory_mb=memory_mb,
+            gpus=int(s.device == "cuda"),
+            files=self._files.get(one.name, ()),
+        )
+
+    def _tell_end(self, work: list[ObjectState]) -> None:
+        left = sum(one.state not in (DONE, FAILED) for one in work)
+        failed = [one.name for one in work if one.state == FAILED]
+        if left:
+            reason = self._stop.reason
+            hint = "Start it again with the same --out: it does only what is left."
+            raise Stopped(f"stopped ({reason}): {left} objects are left", hint, "stopped.batch", reason=reason, left=left)
+        if failed:
+            raise ObjectsFailed(
+                f"{len(failed)} of {len(work)} objects failed",
+                "The table says what to do. Start the batch again with the same --out: it tries only these.",
+                names=failed,
+                objects=len(work),
+            )
+        self._events.done(self._settings.out)

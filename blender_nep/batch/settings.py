@@ -1,0 +1,46 @@
+"""The options of a batch."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+
+ENGINE = (sys.executable, "-m", "blender_nep")
+"""The program that runs one job; the command and its options follow"""
+
+
+@dataclass(frozen=True)
+class BatchSettings:
+    """The options of one batch, as the user gave them (`blender_nep/cli.py`)."""
+
+    captures: tuple[Path, ...]
+    """Capture folders, folders that hold captures, and text files with one folder a line. None: those of the last start"""
+    out: Path
+    preset: str = "balanced"
+    masks: str = "use"
+    metal: str = "auto"
+    seed: int = 0
+    device: str = "auto"
+    clean: bool = False
+    """Remove the checkpoints of finished objects"""
+    overwrite: bool = False
+    workers: int | None = None
+    """Largest number of jobs at once. None: one for each core"""
+    threads: int | None = None
+    """CPU threads of each job. None: the cores are divided among the jobs"""
+    memory_mb: float | None = None
+    """What all jobs together may need [MB]. None: what is free now"""
+    ray: str | None = None
+    """Address of a Ray cluster, or 'auto'. None: this machine"""
+    ship: bool = False
+    """Send captures and assets through Ray, for nodes that do not share the disk"""
+    engine: tuple[str, ...] = ENGINE
+
+    def identity(self) -> dict[str, object]:
+        """The options that decide what the assets are. All starts in one folder must agree in them."""
+        return {"preset": self.preset, "masks": self.masks, "metal": self.metal, "seed": self.seed}
+
+    def arguments(self) -> dict[str, object]:
+        """The options that every job gets, `--preset` apart."""
+        return {"masks": self.masks, "metal": self.metal, "seed": self.seed, "device": self.device, "clean": self.clean}

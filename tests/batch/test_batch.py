@@ -1,0 +1,193 @@
+"""A whole batch, with jobs that are played: what ends how, what is tried again, and what a second start does."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import signal
+import subprocess
+import sys
+import threading
+
+import psutil
+import pytest
+
+from blender_nep.batch.machine import jobs_in
+from blender_nep.batch.scheduler import Scheduler
+from blender_nep.stop_request import StopRequest
+from support.paths import ROOT
+from support.waiting import wait_until
+
+WHOLE = ["0", "1", "2", "3"]
+
+
+def test_assets_of_all_and_one_failure_that_stops_nobody(batch):
+    for name in ("a", "b", "c"):
+        batch.add(name, "refuse" if name == "b" else "")
+    code, events = batch.run()
+    found = batch.objects()
+    assert code == 9 and {name: one["state"] for name, one in found.items()} == {"a": "done", "b": "failed", "c": "done"}
+    assert events[0]["event"] == "batch" and events[0]["objects"] == 3
+    assert events[-1]["code"] == 9 and events[-1]["values"] == {"names": ["b"], "objects": 3}
+    assert found["b"]["error"]["message"] == "the photos are no good" and found["b"]["attempts"] == 1
+    assert found["a"]["warnings"][0]["code"] == "capture.few_photos" and found["a"]["size"] == {"photos": 6, "pixels": 384}
+    assert "a       done" in batch.said and "80 faces, 2 materials" in batch.said and "do something" in batch.said
+    states = [(event["name"], event["state"]) for event in events if event["event"] == "object"]
+    assert {("a", "running"), ("a", "done"), ("b", "failed")} <= set(states)
+
+
+def test_all_done_is_code_0(batch):
+    batch.add("a")
+    code, events = batch.run()
+    assert code == 0 and events[-1] == {"event": "done", "asset": str(batch.out)}
+    assert batch.content()["format"] == 1 and batch.content()["preset"] == "preview"
+
+
+def test_a_broken_capture_fails_without_a_job(batch):
+    (batch.add("a") / "images/003.png").unlink()
+    assert batch.run()[0] == 9
+    one = batch.objects()["a"]
+    assert one["state"] == "failed" and "003.png" in one["error"]["message"] and one["attempts"] == 0
+    assert not (batch.out / "a").exists() and batch.said.count("a: failed") == 1
+
+
+@pytest.mark.parametrize(
+    ("plays", "state", "attempts"), [("crash 1", "done", 2), ("crash 9", "failed", 2), ("short 1", "done", 2)]
+)
+def test_a_killed_job_is_tried_again_once_from_its_checkpoint(batch, plays, state, attempts):
+    batch.add("a", plays)
+    batch.run()
+    one = batch.objects()["a"]
+    assert (one["state"], one["attempts"]) == (state, attempts)
+    assert batch.steps("a") == (WHOLE if state == "done" else WHOLE[:2])
+    assert (state == "done") or (one["error"]["name"] == "unexpected.job_killed" and "SIGKILL" in one["error"]["message"])
+
+
+def test_memory_that_was_short_is_promised_more(batch):
+    batch.add("a", "short 1")
+    _, events = batch.run()
+    promised = [
+        event["promised_memory_mb"] for event in events if event["event"] == "object" and event["state"] == "running"
+    ]
+    assert promised[1] == pytest.approx(1.5 * promised[0], rel=0.01)
+
+
+def test_a_second_start_does_only_what_is_left(batch):
+    batch.add("a")
+    bad = batch.add("b", "refuse")
+    assert batch.run()[0] == 9
+    (bad / "plays").unlink()
+    batch.add("c")
+    assert batch.run()[0] == 0  # the played engine fails if it is started for an asset that is complete
+    assert [batch.steps(name) for name in "abc"] == [WHOLE] * 3
+    assert batch.objects()["a"]["attempts"] == 1 and batch.objects()["b"]["attempts"] == 2
+    assert batch.run(captures=())[0] == 0
+
+
+def test_an_asset_that_was_removed_is_made_again(batch):
+    batch.add("a")
+    batch.run()
+    (batch.out / "a/report.json").unlink()
+    (batch.out / "a/checkpoints/step").unlink()
+    assert batch.run()[0] == 0 and batch.steps("a") == WHOLE * 2
+
+
+def test_a_stop_leaves_checkpoints_and_the_next_start_goes_on(batch):
+    slow, _ = batch.add("a", "slow"), batch.add("b", "slow")
+    stop = StopRequest()
+    timer = threading.Thread(target=lambda: (wait_until((batch.out / "a/waiting").exists), stop.request("test")))
+    timer.start()
+    code, events = batch.run(stop, workers=1)
+    timer.join()
+    found = batch.objects()
+    assert code == 7 and events[-1]["name"] == "stopped.batch" and events[-1]["values"]["left"] == 2
+    assert found["a"]["state"] == "stopped" and found["b"]["state"] == "waiting" and found["b"]["attempts"] == 0
+    (slow / "go").touch()
+    (batch.captures / "b/go").touch()
+    assert batch.run()[0] == 0 and batch.steps("a") == batch.steps("b") == WHOLE
+
+
+def test_a_deaf_job_is_killed(batch, monkeypatch):
+    monkeypatch.setattr("blender_nep.batch.job_process._LONGEST_STOP_S", 0.1)
+    batch.add("a", "deaf")
+    stop = StopRequest()
+    threading.Thread(target=lambda: (wait_until((batch.out / "a/waiting").exists), stop.request("test"))).start()
+    assert batch.run(stop)[0] == 7 and batch.objects()["a"]["state"] == "stopped"
+
+
+def test_other_settings_in_the_same_folder_are_refused(batch):
+    batch.add("a")
+    batch.run()
+    before = (batch.out / "batch.json").read_bytes()
+    code, events = batch.run(preset="balanced", seed=3)
+    assert code == 2 and events[-1]["name"] == "usage.other_batch" and "--preset preview" in events[-1]["message"]
+    assert (batch.out / "batch.json").read_bytes() == before
+    assert batch.run(preset="balanced", overwrite=True)[0] == 0
+    assert batch.steps("a") == WHOLE * 2 and batch.content()["preset"] == "balanced"
+
+
+def test_a_second_batch_in_one_folder_is_refused(batch):
+    slow = batch.add("a", "slow")
+    first = threading.Thread(target=batch.run)
+    first.start()
+    wait_until((batch.out / "a/waiting").exists)
+    code, events = batch.run()
+    (slow / "go").touch()
+    first.join()
+    assert code == 2 and events[-1]["name"] == "usage.folder_in_use"
+    assert batch.objects()["a"]["state"] == "done"
+
+
+@pytest.mark.parametrize("text", ["{", "[]", '{"format": 1}', '{"format": 9, "objects": []}'])
+def test_a_damaged_state_is_refused_and_kept(batch, text):
+    batch.add("a")
+    batch.out.mkdir()
+    (batch.out / "batch.json").write_text(text)
+    code, events = batch.run()
+    assert code == 2 and "--overwrite" in events[-1]["hint"] and (batch.out / "batch.json").read_text() == text
+    assert batch.run(overwrite=True)[0] == 0
+
+
+@pytest.mark.parametrize("plays", ["slow", "deaf"])
+def test_a_killed_batch_leaves_no_orphans_and_goes_on(batch, monkeypatch, plays):
+    monkeypatch.setattr("blender_nep.batch.machine._LONGEST_WAIT_S", 0.5)
+    for name in ("a", "b"):
+        batch.add(name, plays)
+    script = (
+        "from pathlib import Path; from blender_nep.batch import runner\n"
+        "from blender_nep.batch.settings import BatchSettings\n"
+        "from blender_nep.job.events import Events; from blender_nep.stop_request import StopRequest\n"
+        f"wanted = {{'preset': 'preview', 'workers': 1, 'threads': 1, 'memory_mb': 2e4, 'engine': {batch.engine!r}}}\n"
+        f"settings = BatchSettings((Path({str(batch.captures)!r}),), Path({str(batch.out)!r}), **wanted)\n"
+        "runner.run(settings, Events(), StopRequest())"
+    )
+    parent = subprocess.Popen([sys.executable, "-c", script], env=os.environ | {"PYTHONPATH": str(ROOT)})
+    try:
+        wait_until((batch.out / "a/waiting").exists)
+        parent.kill()
+        parent.wait()
+        if plays == "slow":
+            wait_until(lambda: not jobs_in(batch.out))
+        for name in ("a", "b"):
+            (batch.captures / name / "plays").unlink()
+        assert batch.run()[0] == 0
+        assert batch.steps("a") == batch.steps("b") == WHOLE
+        assert plays == "slow" or "1 job of a batch that was killed" in batch.said
+    finally:
+        for process in (parent, *jobs_in(batch.out)):
+            with contextlib.suppress(psutil.Error, ProcessLookupError):
+                os.kill(process.pid, signal.SIGKILL)
+
+
+def test_photos_alone_get_cameras_first(batch, make_capture):
+    make_capture(name="captures/shots", size=8, suffix=".png").folder.joinpath("transforms.json").unlink()
+    assert batch.run()[0] == 0
+    one = batch.objects()["shots"]
+    assert one["photos_alone"] and (batch.out / "shots/capture/transforms.json").is_file()
+    assert f'"{batch.out}/shots/capture"' in (batch.out / "shots/arguments.json").read_text()
+
+
+def test_a_program_that_cannot_be_started_is_told(batch):
+    batch.add("a")
+    code, events = batch.run(engine=("/no/such/python",))
+    assert code == 1 and "FileNotFoundError" in events[-1]["message"] and Scheduler.poll_s == 0.01
