@@ -71,6 +71,16 @@ class NepMaterial(bpy.types.PropertyGroup):
     )
 
 
+class NepShelfFolder(bpy.types.PropertyGroup):
+    """A folder with captures of a shelf."""
+
+    path: bpy.props.StringProperty(
+        name="Captures",
+        description="A capture, or a folder that holds captures or folders with photos",
+        subtype="DIR_PATH",
+    )
+
+
 class NepSettings(bpy.types.PropertyGroup):
     capture: bpy.props.StringProperty(
         name="Capture",
@@ -139,6 +149,14 @@ class NepSettings(bpy.types.PropertyGroup):
     )
     own_world: bpy.props.PointerProperty(
         name="Own World", description="The World to return to from the recovered light", type=bpy.types.World
+    )
+    shelf_captures: bpy.props.CollectionProperty(
+        name="Captures of the Shelf", description="Folders with captures", type=NepShelfFolder
+    )
+    shelf_output: bpy.props.StringProperty(
+        name="Shelf",
+        description="Folder for the results of many objects; also a folder that another program is filling",
+        subtype="DIR_PATH",
     )
     comparison_lights: bpy.props.EnumProperty(
         name="Lights",

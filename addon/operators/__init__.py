@@ -1,6 +1,6 @@
 """The operators: what the buttons of the panels do, and the commands of scripts (`bpy.ops.nep.…`)."""
 
-from . import bounds, camera_search, cameras, comparison, engine, materials, reconstruct, result
+from . import bounds, camera_search, cameras, comparison, engine, materials, reconstruct, result, shelf
 
 CLASSES = (
     *reconstruct.CLASSES,
@@ -11,4 +11,5 @@ CLASSES = (
     *result.CLASSES,
     *materials.CLASSES,
     *comparison.CLASSES,
+    *shelf.CLASSES,
 )

@@ -57,7 +57,7 @@ def _reconstruct(python: str, options: argparse.Namespace, stop: StopRequests) -
         workers=options.workers,
         overwrite=options.overwrite,
     )
-    last_said, warned = -SAY_EVERY_S, 0
+    last_said, shown, warned = -SAY_EVERY_S, None, 0
     try:
         while not process.poll():
             if stop.asked.is_set():
@@ -65,9 +65,9 @@ def _reconstruct(python: str, options: argparse.Namespace, stop: StopRequests) -
             for warning in process.warnings[warned:]:
                 say(f"warning: {warning.message}")
             warned = len(process.warnings)
-            if time.monotonic() - last_said > SAY_EVERY_S:
-                last_said = time.monotonic()
-                say("  ".join([f"{100 * process.progress.fraction:3.0f} %", *process.progress.lines()]))
+            if process.progress != shown and time.monotonic() - last_said > SAY_EVERY_S:
+                last_said, shown = time.monotonic(), process.progress
+                say("  ".join([f"{100 * shown.fraction:3.0f} %", *shown.lines()]))
             time.sleep(POLL_S)
     finally:
         process.close()

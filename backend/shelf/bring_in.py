@@ -8,7 +8,6 @@ from pathlib import Path
 import bpy
 
 from ..engine.batch_file import BatchFile, BatchObject
-from ..engine.job_files import is_asset
 from ..scene_io.asset_import import import_asset
 from .catalogs import Catalog, catalog_of
 from .marking import mark_as_asset
@@ -59,7 +58,7 @@ def bring_in(batch: BatchFile, scene: bpy.types.Scene, progress: Callable[[int, 
 def not_in_scene(batch: BatchFile, scene: bpy.types.Scene) -> list[BatchObject]:
     """The objects of the batch that are done, and are not in the scene yet."""
     there = {item.get(ASSET) for item in scene.objects}
-    return [one for one in batch.done if _key(one.folder) not in there and is_asset(one.folder)]
+    return [one for one in batch.done if _key(one.folder) not in there]
 
 
 def shelf_collection(folder: Path, scene: bpy.types.Scene) -> bpy.types.Collection | None:
