@@ -57,7 +57,7 @@ def _reconstruct(python: str, options: argparse.Namespace, stop: StopRequests) -
         workers=options.workers,
         overwrite=options.overwrite,
     )
-    last_said, shown, warned = -SAY_EVERY_S, None, 0
+    last_said, shown, warned = -SAY_EVERY_S, process.progress, 0
     try:
         while not process.poll():
             if stop.asked.is_set():
