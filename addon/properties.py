@@ -154,7 +154,7 @@ class NepSettings(bpy.types.PropertyGroup):
         name="Captures of the Shelf", description="Folders with captures", type=NepShelfFolder
     )
     shelf_output: bpy.props.StringProperty(
-        name="Shelf",
+        name="Results",
         description="Folder for the results of many objects; also a folder that another program is filling",
         subtype="DIR_PATH",
     )

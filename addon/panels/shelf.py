@@ -1,5 +1,7 @@
 """The sub-panel of a shelf: many captures, the batch that makes their assets, and the finished objects."""
 
+from dataclasses import replace
+
 import bpy
 from bpy.app.translations import pgettext_iface
 
@@ -18,6 +20,7 @@ ELSEWHERE = "Started elsewhere: it goes on when Blender closes"
 STOPPING = "Stopping: writing the checkpoints"
 READY = "New objects: {count}"
 UNSAVED = "Save the file: then the Asset Browser shows the objects in their catalog."
+COUNTED = "batch.progress"  # the code of the engine's note that counts the objects
 MOST_ROWS = 12
 AND_MORE = "and {count} more"
 ICONS = {WAITING: "TIME", RUNNING: "PLAY", DONE: "CHECKMARK", FAILED: "ERROR", STOPPED: "PAUSE"}
@@ -36,14 +39,16 @@ class NEP_PT_shelf(SubPanel, bpy.types.Panel):
         batch = None if folder is None else shelf_batch.batch_in(folder)
         running = batch is not None and batch.running
         _draw_captures(layout, scene.nep, enabled=not running)
-        layout.prop(scene.nep, "shelf_output", text="", placeholder="Folder for all results")
+        column = layout.column()
+        column.use_property_split, column.use_property_decorate = True, False
+        column.prop(scene.nep, "shelf_output", placeholder="Folder for all results")
         if not running:
-            layout.prop(scene.nep, "preset")
+            column.prop(scene.nep, "preset")
         if batch is None:
             layout.operator("nep.reconstruct_shelf", icon="PLAY")
             return
         if running:
-            _draw_progress(layout, batch)
+            _draw_progress(layout, context, batch)
         else:
             _draw_start(layout, batch)
             _draw_end(layout, context, batch)
@@ -71,19 +76,20 @@ def _draw_start(layout: bpy.types.UILayout, batch: ShelfBatch) -> None:
         row.operator("nep.reconstruct_shelf", text="", icon="FILE_REFRESH").overwrite = True
 
 
-def _draw_progress(layout: bpy.types.UILayout, batch: ShelfBatch) -> None:
+def _draw_progress(layout: bpy.types.UILayout, context: bpy.types.Context, batch: ShelfBatch) -> None:
     """The bar, with Stop beside it, and the time left. A batch that was started elsewhere does not tell the time left."""
     progress = None if batch.process is None else batch.process.progress
     fraction = progress.fraction if progress is not None else batch.file.fraction if batch.file is not None else 0.0
     row = layout.split(factor=0.7, align=True)
     row.progress(factor=fraction, text=f"{100 * fraction:.0f} %")
     row.operator("nep.stop_shelf")
-    column = layout.column(align=True)
     if batch.stopping:
-        column.label(text=STOPPING)
-        return
-    for line in [pgettext_iface(ELSEWHERE)] if progress is None else progress.lines(pgettext_iface)[1:]:
-        column.label(text=line)
+        layout.label(text=STOPPING)
+    elif progress is None:
+        draw_wrapped(layout, context, pgettext_iface(ELSEWHERE))
+    else:  # without what the list says
+        without = replace(progress, note=None, steps=0) if progress.note and progress.note.code == COUNTED else progress
+        draw_wrapped(layout, context, "\n".join(without.lines(pgettext_iface)))
 
 
 def _draw_end(layout: bpy.types.UILayout, context: bpy.types.Context, batch: ShelfBatch) -> None:
@@ -105,9 +111,8 @@ def _draw_objects(layout: bpy.types.UILayout, context: bpy.types.Context, batch:
     row = column.row()
     row.scale_y = 1.4
     row.operator("nep.bring_in_objects", icon="IMPORT")
-    row = column.row(align=True)
-    row.operator("nep.add_asset_library", icon="ASSET_MANAGER")
-    row.operator("nep.open_gallery", text="Open Gallery", icon="URL")
+    column.operator("nep.add_asset_library", icon="ASSET_MANAGER")
+    column.operator("nep.open_gallery", icon="URL")
     if missing:
         layout.label(text=pgettext_iface(READY).format(count=missing), icon="INFO")
     elif not bpy.data.is_saved and batch.file.done:
@@ -128,7 +133,7 @@ def _draw_object(layout: bpy.types.UILayout, context: bpy.types.Context, one: Ba
     row = layout.split(factor=0.55)
     row.label(text=one.name, icon=ICONS[one.state])
     if one.state == RUNNING:
-        row.label(text=f"{100 * one.fraction:.0f} %  {pgettext_iface(one.stage)}")
+        row.progress(factor=one.fraction, text=f"{100 * one.fraction:.0f} %")
         return
     row.label(text=WORDS[one.state])
     if one.state == FAILED and one.message:

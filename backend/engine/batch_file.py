@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 from .job_files import is_locked
-from .progress import STAGES
 
 FILE, LOCK, STOP_FILE = "batch.json", "batch.lock", "batch.stop"
 """In the folder of a batch: its state, what is locked as long as a batch is at work, and what asks that batch to stop"""
@@ -26,8 +25,6 @@ class BatchObject:
     capture: Path
     state: str
     fraction: float = 0.0
-    stage: str = ""
-    """What its job is doing, in the panel's words; empty where it is not at work"""
     message: str = ""
     """Why it has failed, and what to do, in the engine's own English"""
     hint: str = ""
@@ -100,14 +97,13 @@ def _object(folder: Path, told: dict[str, Any]) -> BatchObject:
     name, state = str(told["name"]), told["state"]
     if state not in STATES or Path(name).name != name:  # a name is a folder in the batch's folder, and nowhere else
         raise KeyError(name)
-    asset, error, stage = folder / name, told.get("error") or {}, str(told.get("stage") or "")
+    asset, error = folder / name, told.get("error") or {}
     return BatchObject(
         name,
         asset,
         asset / "capture" if told.get("photos_alone") else Path(str(told["capture"])),
         state,
         min(max(float(told.get("fraction") or 0), 0.0), 1.0),
-        STAGES.get(stage, stage.replace("_", " ")) if state == RUNNING else "",
         str(error.get("message", "")),
         str(error.get("hint", "")),
         str(error.get("name", "")),

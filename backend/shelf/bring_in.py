@@ -56,8 +56,11 @@ def bring_in(batch: BatchFile, scene: bpy.types.Scene, progress: Callable[[int, 
 
 
 def not_in_scene(batch: BatchFile, scene: bpy.types.Scene) -> list[BatchObject]:
-    """The objects of the batch that are done, and are not in the scene yet."""
-    there = {item.get(ASSET) for item in scene.objects}
+    """The objects of the batch that are done, and are not in the scene yet.
+
+    A copy that was taken from the Asset Browser, or made with Duplicate, does not count: Blender does not mark it as an asset.
+    """
+    there = {item.get(ASSET) for item in scene.objects if item.asset_data is not None}
     return [one for one in batch.done if _key(one.folder) not in there]
 
 

@@ -30,7 +30,7 @@ NAMESPACE = uuid.UUID("0f9b6a8e-5b0c-4c59-9a53-6f0c2d1d7a41")
 
 @dataclass(frozen=True)
 class Catalog:
-    """A catalog. `identifier`: its UUID. `path`: its place in the tree of catalogs, with `/` between the parts."""
+    """A catalog. `identifier`: its UUID. `path`: its name, or its place in the tree of catalogs."""
 
     identifier: str
     path: str
@@ -47,12 +47,11 @@ def catalog_of(batch: BatchFile) -> Catalog:
     A batch is known by its folder's name and by the time when it was started first. If the catalog file in its folder
     already has a catalog of this path, it is that one.
     """
-    name = re.sub(r"[\s/:\\]+", " ", batch.folder.resolve().name).strip() or "objects"
-    path = f"Shelves/{name}"
+    path = re.sub(r"[\s/:\\]+", " ", batch.folder.resolve().name).strip() or "objects"
     for found in _read(batch.folder / FILE):
         if found.path == path:
             return found
-    return Catalog(str(uuid.uuid5(NAMESPACE, f"{batch.started} {name}")), path)
+    return Catalog(str(uuid.uuid5(NAMESPACE, f"{batch.started} {path}")), path)
 
 
 def add_catalogs(folder: Path, catalogs: list[Catalog]) -> None:

@@ -74,7 +74,7 @@ def check_file(path):
     assert item.asset_data and item.name == "ant" and tuple(item.preview.image_size) == (160, 160)
     assert len(set(item.preview.image_pixels_float)) > 10
     catalogs = (Path(path).parent / "blender_assets.cats.txt").read_text()
-    assert f"\n{item.asset_data.catalog_id}:Shelves/shelf:" in catalogs
+    assert f"\n{item.asset_data.catalog_id}:shelf:shelf" in catalogs
     assert all(image.packed_file for image in bpy.data.images if image.source == "FILE") and bpy.context.scene.world
 
 

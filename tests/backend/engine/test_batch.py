@@ -30,7 +30,7 @@ def test_a_batch_is_read(tmp_path):
     batch = read_batch(write_batch(tmp_path / "shelf", objects))
     vase, cup, bowl = batch.objects
     assert batch.done == [vase] and vase.folder == tmp_path / "shelf" / "vase" and str(vase.capture) == "/c/vase"
-    assert cup.capture == tmp_path / "shelf" / "cup" / "capture" and cup.stage == "Making the mesh"
+    assert cup.capture == tmp_path / "shelf" / "cup" / "capture" and cup.fraction == 0.5
     assert (bowl.message, bowl.hint, bowl.error, bowl.values) == ("no photos", "Take some.", "capture", {"n": 1})
     assert batch.fraction == pytest.approx(2.5 / 3) and batch.count("done", "failed") == 2
     assert not is_batch_running(tmp_path / "shelf")

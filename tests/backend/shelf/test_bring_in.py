@@ -98,8 +98,9 @@ def check_row(folder):
     assert collection.name == "Shelf: my shelf" and len(shelf_objects(collection)) == 4
     boxes = check_no_overlap(bpy, [cup, bowl, vase, found.items[0]])
     assert boxes[3][0][0] > boxes[2][1][0]
+    scene.collection.objects.link(cup.copy())
     bpy.data.objects.remove(cup)
-    assert [item.name for item in bring_in(read_batch(folder), scene).items] == ["cup"], "what was deleted comes again"
+    assert [item.name for item in bring_in(read_batch(folder), scene).items] == ["cup.002"], "a copy is not it"
 
 
 def check_no_overlap(bpy, items):
@@ -124,10 +125,10 @@ def check_catalogs(folder, library):
     library.mkdir()
     batch = read_batch(folder)
     catalog = catalogs.catalog_of(batch)
-    assert catalog == catalogs.catalog_of(read_batch(folder)) and catalog.path == "Shelves/my shelf"
+    assert catalog == catalogs.catalog_of(read_batch(folder)) and catalog.path == "my shelf"
     catalogs.add_catalogs(library, [catalog])
     lines = [line for line in (library / catalogs.FILE).read_text().splitlines() if line and not line.startswith("#")]
-    assert lines == ["VERSION 1", f"{catalog.identifier}:Shelves/my shelf:Shelves-my shelf"]
+    assert lines == ["VERSION 1", f"{catalog.identifier}:my shelf:my shelf"]
     own = f"# mine\nVERSION 1\n{uuid.uuid4()}:Cups/Old:Cups-Old\n"
     (library / catalogs.FILE).write_text(own)
     catalogs.add_catalogs(library, [catalog])
@@ -145,7 +146,7 @@ def check_catalogs(folder, library):
             catalogs.add_catalogs(library, [catalog])
     assert (library / catalogs.FILE).read_text() == own and len(list(library.iterdir())) == 1
 
-    other = catalogs.Catalog(str(uuid.uuid4()), "Shelves/my shelf")
+    other = catalogs.Catalog(str(uuid.uuid4()), "my shelf")
     catalogs.add_catalogs(Path(folder), [other])
     assert catalogs.catalog_of(batch) == other, "a catalog of this name that is there is used"
 
