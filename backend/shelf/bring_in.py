@@ -30,15 +30,15 @@ class BroughtIn:
 def bring_in(batch: BatchFile, scene: bpy.types.Scene, progress: Callable[[int, int], None] | None = None) -> BroughtIn:
     """Import all objects of the batch that are done and not in the scene yet.
 
-    They go into a collection of the batch, to the right of those that are there. Images are packed. An asset that cannot be
-    imported is passed over. progress(number, count) is called before each import.
+    They go into a collection of the batch, to the right of all shelf objects of the scene. Images are packed. An asset that
+    cannot be imported is passed over. progress(number, count) is called before each import.
     """
     found, catalog = BroughtIn(), catalog_of(batch)
     missing = not_in_scene(batch, scene)
     if not missing:
         return found
     collection = _collection(batch, scene, catalog)
-    before = shelf_objects(collection)
+    before = shelf_objects(scene)
     for number, one in enumerate(missing):
         if progress:
             progress(number, len(missing))
@@ -58,9 +58,10 @@ def bring_in(batch: BatchFile, scene: bpy.types.Scene, progress: Callable[[int, 
 def not_in_scene(batch: BatchFile, scene: bpy.types.Scene) -> list[BatchObject]:
     """The objects of the batch that are done, and are not in the scene yet.
 
-    A copy that was taken from the Asset Browser, or made with Duplicate, does not count: Blender does not mark it as an asset.
+    A copy that was taken from the Asset Browser, or made with Duplicate, does not count: Blender does not mark it as an
+    asset.
     """
-    there = {item.get(ASSET) for item in scene.objects if item.asset_data is not None}
+    there = {item[ASSET] for item in shelf_objects(scene)}
     return [one for one in batch.done if _key(one.folder) not in there]
 
 
@@ -70,9 +71,9 @@ def shelf_collection(folder: Path, scene: bpy.types.Scene) -> bpy.types.Collecti
     return next((child for child in children if child.get(BATCH) == _key(folder)), None)
 
 
-def shelf_objects(collection: bpy.types.Collection) -> list[bpy.types.Object]:
-    """The objects of a batch in its collection, without what somebody else has put there."""
-    return [item for item in collection.objects if item.get(ASSET) and item.type == "MESH"]
+def shelf_objects(place: bpy.types.Collection | bpy.types.Scene) -> list[bpy.types.Object]:
+    """The objects of batches in a collection or a scene, without what somebody else has put there."""
+    return [item for item in place.objects if item.get(ASSET) and item.asset_data is not None]
 
 
 def catalog_of_collection(collection: bpy.types.Collection) -> Catalog | None:

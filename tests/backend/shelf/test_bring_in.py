@@ -101,6 +101,21 @@ def check_row(folder):
     scene.collection.objects.link(cup.copy())
     bpy.data.objects.remove(cup)
     assert [item.name for item in bring_in(read_batch(folder), scene).items] == ["cup.002"], "a copy is not it"
+    check_two_shelves(bpy, Path(folder), scene)
+
+
+def check_two_shelves(bpy, folder, scene):
+    """The objects of a second batch go on with the row, in a collection of their own."""
+    from backend.shelf.bring_in import bring_in, shelf_objects
+
+    before = shelf_objects(scene)
+    shutil.copytree(folder, folder.with_name("other"))
+    found = bring_in(read_batch(folder.with_name("other")), scene)
+    assert len(found.items) == 4 and found.items[0].users_collection[0].name == "Shelf: other"
+    bpy.context.view_layer.update()
+    right = max((item.matrix_world @ vertex.co).x for item in before for vertex in item.data.vertices)
+    assert check_no_overlap(bpy, found.items)[0][0][0] > right
+    assert len({item.asset_data.catalog_id for item in before + found.items}) == 2
 
 
 def check_no_overlap(bpy, items):
