@@ -7,7 +7,8 @@ The modules form layers. A module imports only modules of the layers below its o
     operators/                                                              what a button or a script calls
     running_jobs                                                            the jobs that this Blender follows
     bounds_estimate, camera_search, comparison_render, engine_setup,
-        imported_result, material_correction, photo_check                       other work under way, and results
+        imported_result, material_correction, photo_check, shelf_batch,
+        shelf_scene                                                         other work under way, and results
     object_bounds, comparison_image, coverage_image, live_preview,
         imported_materials                                                  objects and images in the .blend file
     engine_errors, engine_paths, clock, editors, halved_pictures,
@@ -39,12 +40,15 @@ from . import (
     preferences,
     properties,
     running_jobs,
+    shelf_batch,
+    shelf_scene,
     swatches,
 )
 
 CLASSES = (
     preferences.NepPreferences,
     properties.NepMaterial,
+    properties.NepShelfFolder,
     properties.NepSettings,
     *operators.CLASSES,
     *panels.CLASSES,
@@ -54,6 +58,7 @@ HANDLERS = (
     ("load_post", material_correction.on_file_loaded),
     ("load_post", camera_search.on_file_loaded),
     ("load_post", photo_check.on_file_loaded),
+    ("save_post", shelf_scene.on_file_saved),
     ("undo_post", material_correction.on_undone),
     ("redo_post", material_correction.on_undone),
 )
@@ -99,6 +104,7 @@ def _close_all() -> None:
     bounds_estimate.close_all()
     camera_search.close_all()
     comparison_render.close_all()
+    shelf_batch.close_all()
     material_correction.close_all()
     photo_check.close_all()
     halved_pictures.remove_all_pictures()

@@ -4,6 +4,8 @@ import bpy
 
 from . import folder_changes
 
+PATH_OPTIONS = {"ANIMATABLE"} | ({"PATH_SUPPORTS_BLEND_RELATIVE"} if bpy.app.version >= (5, 0, 0) else set())
+"""Of paths that may begin with `//`. Blender 5 draws them in red without the second option; older ones do not know it."""
 PRESETS = (
     ("preview", "Preview", "A first look within minutes"),
     ("balanced", "Balanced", "Good quality in reasonable time"),
@@ -76,18 +78,31 @@ class NepMaterial(bpy.types.PropertyGroup):
     )
 
 
+class NepShelfFolder(bpy.types.PropertyGroup):
+    """A folder with captures of a shelf."""
+
+    path: bpy.props.StringProperty(
+        name="Captures",
+        description="A capture, or a folder that holds captures or folders with photos",
+        subtype="DIR_PATH",
+        options=PATH_OPTIONS,
+    )
+
+
 class NepSettings(bpy.types.PropertyGroup):
     capture: bpy.props.StringProperty(
         name="Capture",
         description="Folder with the photos of one object. Their cameras are there, too (transforms.json or a COLMAP "
         "project), or Find Cameras finds them",
         subtype="DIR_PATH",
+        options=PATH_OPTIONS,
         update=folder_changes.tell_capture,
     )
     output: bpy.props.StringProperty(
         name="Output",
         description="Folder for the result; a job in it is found again when this file is opened",
         subtype="DIR_PATH",
+        options=PATH_OPTIONS,
         update=folder_changes.tell_output,
     )
     preset: bpy.props.EnumProperty(name="Preset", description="How much time to spend", items=PRESETS, default="balanced")
@@ -122,6 +137,7 @@ class NepSettings(bpy.types.PropertyGroup):
     mesh: bpy.props.StringProperty(
         name="Known Mesh",
         subtype="FILE_PATH",
+        options=PATH_OPTIONS,
         description="Mesh file of the object in the capture's coordinates: only its materials are learned",
     )
     imported_job: bpy.props.StringProperty(
@@ -139,7 +155,9 @@ class NepSettings(bpy.types.PropertyGroup):
             ("RELATIVE", "Relative", "In the asset folder, by a path relative to the saved .blend file"),
         ),
     )
-    asset: bpy.props.StringProperty(name="Asset", description="The result that was imported last", subtype="DIR_PATH")
+    asset: bpy.props.StringProperty(
+        name="Asset", description="The result that was imported last", subtype="DIR_PATH", options=PATH_OPTIONS
+    )
     materials: bpy.props.CollectionProperty(
         name="Materials", description="The materials of the imported result", type=NepMaterial
     )
@@ -152,6 +170,15 @@ class NepSettings(bpy.types.PropertyGroup):
     own_world: bpy.props.PointerProperty(
         name="Own World", description="The World to return to from the recovered light", type=bpy.types.World
     )
+    shelf_captures: bpy.props.CollectionProperty(
+        name="Captures of the Shelf", description="Folders with captures", type=NepShelfFolder
+    )
+    shelf_output: bpy.props.StringProperty(
+        name="Results",
+        description="Folder for the results of many objects; also a folder that another program is filling",
+        subtype="DIR_PATH",
+        options=PATH_OPTIONS,
+    )
     comparison_lights: bpy.props.EnumProperty(
         name="Lights",
         description="Lights that come with Blender; any number of them",
@@ -160,7 +187,10 @@ class NepSettings(bpy.types.PropertyGroup):
         default={"studio", "forest", "sunset"},
     )
     comparison_light_file: bpy.props.StringProperty(
-        name="Light File", description="Another light: an equirectangular .hdr or .exr file", subtype="FILE_PATH"
+        name="Light File",
+        description="Another light: an equirectangular .hdr or .exr file",
+        subtype="FILE_PATH",
+        options=PATH_OPTIONS,
     )
     comparison_photos: bpy.props.IntProperty(
         name="Photos", description="Photos to compare with, one row each", default=2, min=1, soft_max=6

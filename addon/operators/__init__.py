@@ -1,6 +1,6 @@
 """The operators: what the buttons of the panels do, and the commands of scripts (`bpy.ops.nep.…`)."""
 
-from . import bounds, camera_search, cameras, comparison, engine, materials, photo_check, reconstruct, result
+from . import bounds, camera_search, cameras, comparison, engine, materials, photo_check, reconstruct, result, shelf
 
 CLASSES = (
     *reconstruct.CLASSES,
@@ -12,4 +12,5 @@ CLASSES = (
     *result.CLASSES,
     *materials.CLASSES,
     *comparison.CLASSES,
+    *shelf.CLASSES,
 )

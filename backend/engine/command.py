@@ -3,7 +3,7 @@
 import os
 import subprocess
 import sys
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -177,3 +177,35 @@ def info_arguments(capture: Path | str, *, picture: Path | None = None, bounds: 
     """
     drawing = [] if picture is None else ["--picture", str(picture)]
     return ["info", str(capture), "--json", *drawing, *bounds]
+
+
+def batch_arguments(
+    captures: Sequence[Path | str],
+    out: Path | str,
+    *,
+    preset: str | None = None,
+    device: str = "auto",
+    seed: int | None = None,
+    masks: str | None = None,
+    metal: str | None = None,
+    workers: int | None = None,
+    overwrite: bool = False,
+    keep_going: bool = False,
+) -> list[str]:
+    """The engine's command line for a batch. No captures: those of the last start in the folder `out`.
+
+    keep_going: the engine goes on when this program ends. Otherwise its jobs write their checkpoints, and it ends when its
+    standard input is closed.
+    """
+    arguments = ["batch", *map(str, captures), "--out", str(out), "--device", device]
+    for name, value in (
+        ("--preset", preset),
+        ("--seed", seed),
+        ("--masks", masks),
+        ("--metal", metal),
+        ("--workers", workers),
+    ):
+        if value is not None:
+            arguments += [name, str(value)]
+    flags = {"--watch-stdin": not keep_going, "--overwrite": overwrite}
+    return [*arguments, *(name for name, wanted in flags.items() if wanted)]

@@ -60,6 +60,7 @@ class Engine:
         self.error: EngineError | None = None
         self.asset: str | None = None
         self._stop_asked: float | None = None
+        self._stop_grace_s = STOP_GRACE_S
         self._terminated = False
 
     @classmethod
@@ -113,13 +114,14 @@ class Engine:
             self._enforce_stop(time.monotonic() - self._stop_asked)
         return new, ended
 
-    def request_stop(self) -> None:
+    def request_stop(self, grace_s: float | None = None) -> None:
         """Ask the engine to write its checkpoint and to end.
 
-        If the engine does not end, later calls of `poll` terminate it, then kill it.
+        If the engine does not end within `grace_s` seconds, later calls of `poll` terminate it, then kill it.
         """
         if self._stop_asked is not None:
             return
+        self._stop_grace_s = STOP_GRACE_S if grace_s is None else grace_s
         self._stop_asked = time.monotonic()
         asked = self._process.ask_to_stop()
         if self._in_output:
@@ -132,9 +134,9 @@ class Engine:
             self._terminate()
 
     def _enforce_stop(self, waited: float) -> None:
-        if waited > STOP_GRACE_S + TERMINATE_GRACE_S:
+        if waited > self._stop_grace_s + TERMINATE_GRACE_S:
             self._process.send(kill=True)
-        elif waited > STOP_GRACE_S:
+        elif waited > self._stop_grace_s:
             self._terminate()
 
     def _terminate(self) -> None:

@@ -10,3 +10,5 @@ STOPPED = 7
 """The engine was stopped on request, and has written its checkpoint."""
 BLENDER_FAILED = 8
 """The engine made the asset, but Blender's part after it failed. The engine does not use this code."""
+OBJECTS_FAILED = 9
+"""A batch has come to its end, but some of its objects failed."""

@@ -39,8 +39,13 @@ def is_running(out: Path) -> bool:
 
     A running engine holds a lock on a file. The operating system releases the lock when the engine ends, for any reason.
     """
+    return is_locked(Path(out) / FOLDER / "lock")
+
+
+def is_locked(path: Path) -> bool:
+    """Whether a running engine holds the lock on this file. False where there is no such file."""
     try:
-        descriptor = os.open(Path(out) / FOLDER / "lock", os.O_RDWR)
+        descriptor = os.open(path, os.O_RDWR)
     except OSError:
         return False
     try:

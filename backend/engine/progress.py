@@ -12,6 +12,7 @@ STAGES = {
     "material_learning": "Learning the materials",
     "asset": "Writing the result",
     "finding_cameras": "Finding the cameras",
+    "batch": "Reconstructing the objects",
 }
 
 

@@ -265,6 +265,14 @@ ERRORS = {
         "The folder checkpoints of {folder} is not complete, so its materials cannot be corrected",
         "Reconstruct it again to correct its materials.",
     ),
+    "usage.no_captures": ("There are no captures in {path}", "Choose capture folders, or a folder that holds captures."),
+    "usage.no_list": ("{path} is no list of folders", "Choose capture folders, or a folder that holds captures."),
+    "usage.batch_damaged": ("{path} is damaged", "Choose another output folder, or Start All Again."),
+    "usage.other_batch": (
+        "The batch in {folder} was started with other settings: {different}",
+        "Use the same settings as then, choose another output folder, or Start All Again.",
+    ),
+    "objects_failed": ("Some objects failed: {names}", "The list says why. Reconstruct Shelf tries only these again."),
     "bounds": ("", "Press Propose Bounds. Then move and scale the sphere: the whole object inside, no camera inside."),
     "output.is_a_file": ("{path} is a file, not a folder", "Choose another output folder."),
     "output.disk_full": ("The disk is full: {path} cannot be written", "Free some space, then Resume."),
@@ -283,6 +291,7 @@ ERRORS = {
     "stopped.input_closed": ("Stopped because Blender closed. The checkpoint is written", "Resume goes on from there."),
     "stopped.reading_photos": ("Stopped while the photos were read", "Resume starts again."),
     "stopped.cameras": ("Stopped. No cameras were written", "Press the button again."),
+    "stopped.batch": ("Stopped. The checkpoints are written", "Reconstruct Shelf goes on with what is left."),
     "stopped.interrupted": ("Interrupted", "Work since the last checkpoint is lost. Resume goes on from there."),
     "unexpected.no_memory": ("The memory is full", "Choose the preset Preview, or smaller photos."),
 }
@@ -307,6 +316,15 @@ CAMERA_HINTS = {
 }
 """Name of an error -> the hint while cameras are sought, as CORRECTION_HINTS."""
 
+BATCH_HINTS = {
+    "usage.folder_in_use": "Wait for its end, or choose another output folder.",
+    "usage.other_version": "Choose another output folder, or Start All Again.",
+    "output.disk_full": "Free some space, then press Reconstruct Shelf again: it goes on with what is left.",
+    "unexpected.no_memory": "Close other programs, then press Reconstruct Shelf again: it goes on with what is left.",
+    "stopped.interrupted": "Reconstruct Shelf goes on with what is left.",
+}
+"""Name of an error -> the hint for a batch, as CORRECTION_HINTS."""
+
 AND_MORE = "{names} and {count} more"
 """How a list of more than MOST_NAMES names is written."""
 MOST_NAMES = 5
@@ -315,7 +333,7 @@ MOST_NAMES = 5
 def texts() -> list[str]:
     """All texts of these tables that a translator translates, each once."""
     errors = (text for pair in ERRORS.values() for text in pair)
-    hints = (*CORRECTION_HINTS.values(), *CAMERA_HINTS.values())
+    hints = (*CORRECTION_HINTS.values(), *CAMERA_HINTS.values(), *BATCH_HINTS.values())
     return list(dict.fromkeys(text for text in (*MESSAGES.values(), *PARTS.values(), *errors, *hints, AND_MORE) if text))
 
 

@@ -16,12 +16,11 @@ from ..scene_io.capture_files import Frame
 from ..scene_io.image_files import write_png
 from ..scene_io.srgb import linear_to_srgb
 from .contact_sheet import draw_sheet, strip_tile_size
+from .exposure import exposure
 from .relight import RelitScene
 from .turntable import turntable_frames
 
 TILE_RANGE = (320, 448)  # smallest and largest number of pixels of a tile's longer side
-EXPOSED = 0.65  # the exposure brings a tile's EXPOSED_PERCENTILE of luminance to this part of white
-EXPOSED_PERCENTILE = 90
 
 
 def compare(
@@ -83,16 +82,6 @@ def compare(
 def write_comparison(path: Path, sheet: np.ndarray) -> None:
     """Write the sheet as a PNG file, under a temporary name that is then changed to `path`."""
     write_png(path, sheet)
-
-
-def exposure(radiance: np.ndarray) -> float:
-    """The factor that brings the bright parts of the image to EXPOSED, just under white.
-
-    The bright parts are the EXPOSED_PERCENTILE of its luminance.
-    """
-    luminance = radiance @ np.array([0.2126, 0.7152, 0.0722])
-    bright = float(np.percentile(luminance, EXPOSED_PERCENTILE))
-    return float(np.clip(EXPOSED / max(bright, 1e-6), 1 / 64, 64))
 
 
 def resize(image: np.ndarray, width: int, height: int) -> np.ndarray:

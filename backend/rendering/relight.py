@@ -30,12 +30,26 @@ class RelitScene:
 
     def render(self, frame: Frame, world: bpy.types.World) -> np.ndarray:
         """Render the object under `world`, seen by the frame's camera: linear radiance [H,W,3] float32."""
+        return np.ascontiguousarray(self._rendered(frame, world, "RGB")[..., :3])
+
+    def render_cut_out(self, frame: Frame, world: bpy.types.World) -> np.ndarray:
+        """As `render`, but `world` is not seen behind the object: radiance and coverage [H,W,4], 0..1 in the last channel.
+
+        The radiance is that of the object alone: where half of a pixel shows the object, it is halved.
+        """
+        self.scene.render.film_transparent = True
+        try:
+            return self._rendered(frame, world, "RGBA")
+        finally:
+            self.scene.render.film_transparent = False
+
+    def _rendered(self, frame: Frame, world: bpy.types.World, channels: str) -> np.ndarray:
         camera = add_camera(frame, self.scene)
         try:
             self.scene.camera, self.scene.world = camera, world
             settings = self.scene.render.image_settings
             set_media_type(settings)
-            settings.file_format, settings.color_mode, settings.color_depth = "OPEN_EXR", "RGB", "32"
+            settings.file_format, settings.color_mode, settings.color_depth = "OPEN_EXR", channels, "32"
             settings.exr_codec = "ZIP"
             with tempfile.TemporaryDirectory() as folder:
                 path = Path(folder) / "render.exr"
@@ -46,7 +60,7 @@ class RelitScene:
             data = camera.data
             bpy.data.objects.remove(camera)
             bpy.data.cameras.remove(data)
-        return np.ascontiguousarray(pixels[..., :3])
+        return pixels
 
     def __enter__(self) -> "RelitScene":
         return self

@@ -1,17 +1,52 @@
-"""Places cameras on a circle around an object."""
+"""Places cameras on a circle around an object, and renders it from there."""
 
 import math
+from collections.abc import Callable
 from pathlib import Path
 
 import bpy
 import numpy as np
 
 from ..scene_io.capture_files import Frame
+from ..scene_io.srgb import linear_to_srgb
+from .exposure import exposure
+from .relight import RelitScene
 
+FILE = "turntable.png"
+"""In an asset's folder: FRAMES square frames of SIZE pixels, side by side"""
+FRAMES, SIZE, SAMPLES = 8, 160, 24
+BACKDROP = 0.07  # linear; a dark grey, before which bright and dark objects are seen
 FIELD_OF_VIEW = math.radians(30)
 ELEVATION = math.radians(18)
 MARGIN = 1.08  # the frames see a sphere that is larger than the object's by this factor
 LEVEL_DEGREES = 30.0  # Z is taken as up where the angle between Z and the photos' mean up direction is smaller than this
+
+
+def render_turntable(
+    item: bpy.types.Object,
+    frames: list[Frame],
+    world: bpy.types.World,
+    *,
+    seed: int = 0,
+    progress: Callable[[int, int], None] | None = None,
+) -> np.ndarray:
+    """Render FRAMES views around `item` before a grey backdrop: [SIZE, FRAMES * SIZE, 3] uint8, sRGB-encoded.
+
+    `world` lights the object. `frames` are the photos' cameras, which tell what is up. progress(done, total) is called after
+    every render.
+    """
+    views = turntable_frames(item, frames, FRAMES, SIZE)
+    with RelitScene(item, SIZE, SIZE, SAMPLES, seed) as relit:
+        tiles = []
+        for number, view in enumerate(views, start=1):
+            tiles.append(relit.render_cut_out(view, world))
+            if progress:
+                progress(number, FRAMES)
+    strip = np.concatenate(tiles, axis=1)
+    shown = strip[strip[..., 3] > 0.5]
+    gain = exposure(shown[:, :3]) if len(shown) else 1.0
+    coverage = np.clip(strip[..., 3:], 0, 1)
+    return np.round(255 * linear_to_srgb(strip[..., :3] * gain + (1 - coverage) * BACKDROP)).astype(np.uint8)
 
 
 def turntable_frames(item: bpy.types.Object, frames: list[Frame], count: int, size: int) -> list[Frame]:

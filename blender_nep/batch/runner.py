@@ -26,8 +26,8 @@ from blender_nep.messages import Message
 from blender_nep.presets import preset
 from blender_nep.stop_request import StopRequest
 
-_LOCK = "batch.lock"
-"""The file in the batch's folder that is locked as long as a batch is at work there"""
+_LOCK, _STOP = "batch.lock", "batch.stop"
+"""Files in the batch's folder: the first is locked as long as a batch is at work there, the second asks it to stop"""
 
 
 def run(settings: BatchSettings, events: Events, stop: StopRequest) -> int:
@@ -53,6 +53,8 @@ class Batch:
         with output_errors(s.out):
             s.out.mkdir(parents=True, exist_ok=True)
             lock = lock_file(s.out / _LOCK, s.out)
+            (s.out / _STOP).unlink(missing_ok=True)
+        self._stop.watch_file(s.out / _STOP)
         try:
             self._run(captures)
         finally:

@@ -122,6 +122,20 @@ def test_a_stop_leaves_checkpoints_and_the_next_start_goes_on(batch):
     assert batch.run()[0] == 0 and batch.steps("a") == batch.steps("b") == WHOLE
 
 
+def test_a_file_in_its_folder_stops_the_batch_and_not_the_next_start(batch):
+    slow = batch.add("a", "slow")
+
+    def ask() -> None:
+        wait_until((batch.out / "a/waiting").exists)
+        (batch.out / "batch.stop").touch()
+
+    threading.Thread(target=ask).start()
+    code, events = batch.run()
+    assert code == 7 and events[-1]["values"] == {"reason": "stop file", "left": 1}
+    (slow / "go").touch()
+    assert batch.run()[0] == 0 and batch.steps("a") == WHOLE
+
+
 def test_a_deaf_job_is_killed(batch, monkeypatch):
     monkeypatch.setattr("blender_nep.batch.job_process._LONGEST_STOP_S", 0.1)
     batch.add("a", "deaf")

@@ -10,6 +10,7 @@ import pytest
 
 from backend.engine import capture_facts, progress, words
 from blender_nep import errors, messages
+from blender_nep.batch.progress import STAGE as BATCH
 from blender_nep.job.stage_names import CAMERA_SEARCH, StageName
 from blender_nep.messages import PARTS, WORDS, Message, Part
 from support.paths import ROOT
@@ -121,7 +122,7 @@ def test_the_panel_has_words_for_no_error_that_cannot_be():
 
 
 def test_the_stages_have_the_same_names_on_both_sides():
-    assert list(progress.STAGES) == [*StageName, CAMERA_SEARCH]
+    assert list(progress.STAGES) == [*StageName, CAMERA_SEARCH, BATCH]
 
 
 def test_one_and_many():

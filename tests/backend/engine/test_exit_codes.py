@@ -7,6 +7,7 @@ from blender_nep import errors
 def test_the_codes_are_those_of_the_library():
     assert exit_codes.NO_ENGINE == errors.UsageError.code
     assert exit_codes.OUTPUT_FAILED == errors.OutputError.code
+    assert exit_codes.OBJECTS_FAILED == errors.ObjectsFailed.code
     assert exit_codes.STOPPED == install.CANCELLED == errors.Stopped.code
 
 

@@ -1,0 +1,186 @@
+"""A shelf in the sidebar, with an engine that only plays a batch. Each check is a process."""
+
+import json
+import os
+import shutil
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from support import shelf_engine
+from support.blender_checks import drawn_by, fails, register, rounds
+from support.own_process import run_file
+from support.waiting import wait_until
+
+LIMIT_S = 60
+
+
+@pytest.fixture
+def folder(package, monkeypatch):
+    """A folder with an engine, an asset for it, and an importable add-on."""
+    textures = package / "asset" / "textures"
+    textures.mkdir(parents=True)
+    mesh = "v 0 0 1\nv 1 0 1\nv 0 1 2\nvt 0 0\nvt 1 0\nvt 0 1\nf 1/1 2/2 3/3\n"
+    (package / "asset" / "mesh.obj").write_text(mesh)
+    for name in ("albedo", "roughness", "metallic", "confidence"):
+        Image.fromarray(np.full((4, 4, 3), 90, np.uint8)).save(textures / f"{name}.png")
+    Image.fromarray(np.full((8, 16, 3), 200, np.uint8)).save(package / "asset" / "preview.png")
+    (package / "asset" / "report.json").write_text("{}")
+    monkeypatch.setenv("NEP_ENGINE_PYTHON", shelf_engine.make(package))
+    return package
+
+
+def in_blender(function, folder: Path, *arguments: str) -> None:
+    """Run a function of this file in a Blender of its own."""
+    done = run_file(__file__, function.__name__, folder, *arguments, timeout=LIMIT_S)
+    assert done.returncode == 0, done.stdout[-2000:] + done.stderr[-4000:]
+    assert "Traceback" not in done.stderr, done.stderr
+
+
+def set_up(folder: Path, *captures: str):
+    """A new file whose scene names captures and the folder of the shelf; (bpy, the add-on's modules, settings)."""
+    import bpy
+
+    addon = register()
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    for name in captures:
+        bpy.ops.nep.add_shelf_captures(directory=str(folder / name))
+    bpy.context.scene.nep.shelf_output = str(folder / "shelf")
+    return bpy, addon, bpy.context.scene.nep
+
+
+def panel(bpy, addon) -> list[str]:
+    return drawn_by(bpy, addon.panels.shelf.NEP_PT_shelf)
+
+
+def begin(folder: Path, addon, *captures: str, keep_going: bool = False):
+    """Begin a batch as the button does, which does not wait for its end."""
+    python, named = os.environ["NEP_ENGINE_PYTHON"], [folder / name for name in captures]
+    return addon.shelf_batch.start_batch(python, named, folder / "shelf", keep_going=keep_going, wait=False)
+
+
+def test_a_shelf_is_made_and_brought_in(folder):
+    in_blender(check_shelf, folder)
+
+
+def check_shelf(folder):
+    bpy, addon, settings = set_up(folder)
+    assert not bpy.ops.nep.reconstruct_shelf.poll() and not bpy.ops.nep.bring_in_objects.poll()
+    for name in ("ant", "bad_bee", "no"):
+        bpy.ops.nep.add_shelf_captures(directory=str(folder / name))
+    assert bpy.ops.nep.remove_shelf_captures(index=2) == {"FINISHED"} and len(settings.shelf_captures) == 2
+    settings.preset, settings.metal = "preview", "yes"
+    fails(bpy.ops.nep.reconstruct_shelf, "Some objects failed: bad_bee")
+    given = json.loads((folder / "arguments.json").read_text())
+    assert given[:2] == [str(folder / "ant"), str(folder / "bad_bee")] and "--watch-stdin" in given
+    assert given[given.index("--preset") + 1] == "preview" and given[given.index("--metal") + 1] == "yes"
+    texts = panel(bpy, addon)
+    told = " ".join(texts)
+    assert "1 of 2 done, 1 failed" in texts and "The photos are no good. Take others." in told and "New objects: 1" in texts
+    assert "nep.reconstruct_shelf" in texts and "nep.stop_shelf" not in texts
+
+    fails(bpy.ops.nep.add_asset_library, "Press Bring In Objects first")
+    assert bpy.ops.nep.bring_in_objects() == {"FINISHED"} and bpy.ops.nep.bring_in_objects() == {"FINISHED"}
+    (item,) = (item for item in bpy.context.scene.objects if item.asset_data)
+    assert item.name == "ant" and tuple(item.preview.image_size) == (8, 8)
+    assert "New objects: 1" not in panel(bpy, addon) and "Save the file" in " ".join(panel(bpy, addon))
+    check_library(bpy, addon, folder, item)
+    assert bpy.ops.nep.open_gallery() == {"FINISHED"} and (folder / "shelf" / "index.html").is_file()
+    assert bpy.ops.nep.reconstruct_shelf.poll()
+    (folder / "shelf" / "batch.json").write_text("{")
+    fails(bpy.ops.nep.bring_in_objects, "batch.json is damaged")
+    addon.shelf_batch.batch_in(folder / "shelf").forget()
+    assert "is damaged. Start the batch again" in " ".join(panel(bpy, addon))
+
+
+def check_library(bpy, addon, folder, item):
+    """The catalog comes beside the saved file; shelf.blend and its catalog make the folder an asset library, once."""
+    (folder / "work").mkdir()
+    bpy.ops.wm.save_as_mainfile(filepath=str(folder / "work" / "scene.blend"))
+    assert item.asset_data.catalog_id in (folder / "work" / "blender_assets.cats.txt").read_text()
+    libraries = bpy.context.preferences.filepaths.asset_libraries
+    before = len(libraries)
+    assert bpy.ops.nep.add_asset_library() == {"FINISHED"} and bpy.ops.nep.add_asset_library() == {"FINISHED"}
+    assert len(libraries) == before + 1 and Path(libraries[-1].path) == folder / "shelf"
+    assert item.asset_data.catalog_id in (folder / "shelf" / "blender_assets.cats.txt").read_text()
+    with bpy.data.libraries.load(str(folder / "shelf" / "shelf.blend"), assets_only=True) as (there, _):
+        assert there.objects == ["ant"] and there.scenes == []
+    assert len(bpy.data.scenes) == 1 and not list((folder / "shelf").glob("partial*"))
+    (folder / "shelf" / "deep").mkdir()
+    (folder / "shelf" / "blender_assets.cats.txt").unlink()
+    bpy.ops.wm.save_as_mainfile(filepath=str(folder / "shelf" / "deep" / "scene.blend"))
+    assert (folder / "shelf" / "blender_assets.cats.txt").is_file(), "Blender looks at the top of the library"
+    assert not (folder / "shelf" / "deep" / "blender_assets.cats.txt").exists()
+
+
+def test_a_batch_runs_beside_blender_and_is_stopped(folder):
+    (folder / "mode").write_text("slow")
+    in_blender(check_beside, folder)
+
+
+def check_beside(folder):
+    bpy, addon, _settings = set_up(folder, "ant", "bee")
+    begin(folder, addon, "ant", "bee")
+    rounds(addon, lambda: "1 of 2 done, 0 failed" in panel(bpy, addon))
+    texts = panel(bpy, addon)
+    assert {"25 %", "40 %", "about 1 min 20 s left"} <= set(texts)
+    assert "nep.stop_shelf" in texts and "nep.reconstruct_shelf" not in texts
+    assert not bpy.ops.nep.reconstruct_shelf.poll() and bpy.ops.nep.bring_in_objects() == {"FINISHED"}
+    assert "ant" in bpy.data.objects, "while the batch is at work"
+    assert bpy.ops.nep.stop_shelf() == {"FINISHED"} and not bpy.ops.nep.stop_shelf.poll()
+    assert "Stopping: writing the checkpoints" in panel(bpy, addon)
+    rounds(addon, bpy.ops.nep.reconstruct_shelf.poll)
+    told = " ".join(panel(bpy, addon))
+    assert "Stopped. The checkpoints are written Reconstruct Shelf goes on" in told and "stopped" in told
+    (folder / "go").touch()
+    assert bpy.ops.nep.reconstruct_shelf() == {"FINISHED"} and bpy.ops.nep.bring_in_objects() == {"FINISHED"}
+    assert {"ant", "bee"} <= set(bpy.data.objects.keys()) and "ant.001" not in bpy.data.objects
+    assert addon.clock.tick() is None, "the timer rests"
+
+
+@pytest.mark.parametrize("closing", ["STOP", "KEEP"])
+def test_a_batch_ends_with_blender_or_is_found_again(folder, closing):
+    (folder / "mode").write_text("slow")
+    in_blender(check_close, folder, closing)
+    if closing == "STOP":
+        wait_until((folder / "stopped").exists)
+    else:
+        in_blender(check_found, folder)
+
+
+def check_close(folder, closing):
+    bpy, addon, _settings = set_up(folder)
+    begin(folder, addon, "ant", "bee", keep_going=closing == "KEEP")
+    rounds(addon, lambda: "1 of 2 done, 0 failed" in panel(bpy, addon))
+
+
+def check_found(folder):
+    bpy, addon, _settings = set_up(folder)
+    texts = panel(bpy, addon)
+    assert "Started elsewhere: it goes on when Blender closes" in " ".join(texts) and "70 %" in texts
+    assert bpy.ops.nep.stop_shelf() == {"FINISHED"}
+    rounds(addon, bpy.ops.nep.reconstruct_shelf.poll)
+    assert (folder / "stopped").exists() and "1 of 2 done, 0 failed" in panel(bpy, addon)
+
+
+@pytest.mark.parametrize("mode", ["crash", "old"])
+def test_what_the_engine_refuses_is_told_with_what_to_do(folder, mode):
+    (folder / "mode").write_text(mode)
+    in_blender(check_failure, folder, mode)
+
+
+def check_failure(folder, mode):
+    bpy, addon, _settings = set_up(folder, "ant")
+    message = {"crash": "The engine was killed", "old": "The installed engine is older"}[mode]
+    fails(bpy.ops.nep.reconstruct_shelf, message)
+    assert message in " ".join(panel(bpy, addon)) and bpy.ops.nep.reconstruct_shelf.poll()
+    shutil.rmtree(folder / "shelf", ignore_errors=True)
+
+
+if __name__ == "__main__":
+    function, place, *more = sys.argv[1:]
+    sys.path.insert(0, str(Path(place) / "package"))
+    globals()[function](Path(place), *more)
