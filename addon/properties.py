@@ -4,8 +4,8 @@ import bpy
 
 from . import folder_changes
 
-PATH_OPTIONS = {"ANIMATABLE"} | ({"PATH_SUPPORTS_BLEND_RELATIVE"} if bpy.app.version >= (5, 0, 0) else set())
-"""Of paths that may begin with `//`. Blender 5 draws them in red without the second option; older ones do not know it."""
+PATH_OPTIONS = {"ANIMATABLE"} | ({"PATH_SUPPORTS_BLEND_RELATIVE"} if bpy.app.version >= (4, 5, 0) else set())
+"""Of paths that may begin with `//`. Blender 5 draws them in red without the second option; 4.2 does not know it."""
 PRESETS = (
     ("preview", "Preview", "A first look within minutes"),
     ("balanced", "Balanced", "Good quality in reasonable time"),

@@ -14,7 +14,7 @@ from .relight import RelitScene
 
 FILE = "turntable.png"
 """In an asset's folder: FRAMES square frames of SIZE pixels, side by side"""
-FRAMES, SIZE, SAMPLES = 8, 160, 24
+FRAMES, SIZE, SAMPLES = 8, 160, 16
 BACKDROP = 0.07  # linear; a dark grey, before which bright and dark objects are seen
 FIELD_OF_VIEW = math.radians(30)
 ELEVATION = math.radians(18)

@@ -1,5 +1,6 @@
 """What an artist does with the extension, as a script in one Blender: install, cameras, bounds, job, result, light,
-comparison, remove. Run in a process of its own by addon/test_session.py (the wheel at hand) and blender_matrix.py (all).
+comparison, shelf, remove. Run in a process of its own by addon/test_session.py (the wheel at hand) and blender_matrix.py
+(all).
 
     python tests/support/blender_session.py ARCHIVE CAPTURE ASSET FOLDER      ASSET: finished, of CAPTURE, preset preview
 
@@ -54,6 +55,11 @@ def check_install(archive: str) -> None:
         "clear_bounds",
         "use_recovered_light",
         "correct_materials",
+        "reconstruct_shelf",
+        "stop_shelf",
+        "bring_in_objects",
+        "add_asset_library",
+        "open_gallery",
         "cancel_comparison",
         "show_comparison",
     ):
@@ -268,6 +274,26 @@ def check_comparison(asset: Path, folder: Path) -> None:
     assert addon("comparison_render").last_message == "Cancelled" and not (folder / "never.png").exists()
 
 
+def check_shelf(asset: Path, folder: Path) -> None:
+    """The object of a batch becomes an asset with a picture, once, and its folder an asset library."""
+    shelf = folder / "shelf"
+    shutil.copytree(asset, shelf / "thing")
+    backend("scene_io.image_files").write_png(shelf / "thing" / "turntable.png", np.full((16, 128, 3), 99, np.uint8))
+    told = {"name": "thing", "capture": nep().capture, "state": "done", "fraction": 1}
+    (shelf / "batch.json").write_text(json.dumps({"format": 1, "started": "", "preset": "preview", "objects": [told]}))
+    nep().shelf_output = str(shelf)
+    for _ in range(2):
+        assert bpy.ops.nep.bring_in_objects() == {"FINISHED"}
+    (item,) = (item for item in bpy.context.scene.objects if item.asset_data)
+    assert item.name == "thing" and tuple(item.preview.image_size) == (16, 16) and item.asset_data.description
+    bpy.context.view_layer.update()
+    assert abs(min((item.matrix_world @ vertex.co).z for vertex in item.data.vertices)) < 1e-4
+    assert bpy.ops.nep.add_asset_library() == {"FINISHED"}
+    assert item.asset_data.catalog_id in (shelf / "blender_assets.cats.txt").read_text()
+    with bpy.data.libraries.load(str(shelf / "shelf.blend"), assets_only=True) as (there, _):
+        assert there.objects == ["thing"]
+
+
 def check_removal() -> None:
     bpy.ops.preferences.addon_disable(module=NAME)
     assert not hasattr(bpy.types.Scene, "nep") and not hasattr(bpy.types, "NEP_PT_relit_comparison")
@@ -287,6 +313,7 @@ def main(archive: str, *folders: str) -> None:
     check_import(asset, folder)
     check_light()
     check_comparison(asset, folder)
+    check_shelf(asset, folder)
     check_removal()
     print(f"all of it works in Blender {bpy.app.version_string}")
 
