@@ -48,6 +48,8 @@ OPERATORS = {"reconstruct", "cancel", "open_log", "import_result", "use_recovere
         "clear_bounds",
     ),
     *("correct_materials", "render_comparison", "cancel_comparison", "show_comparison"),
+    *("add_shelf_captures", "remove_shelf_captures", "reconstruct_shelf", "stop_shelf", "bring_in_objects"),
+    *("add_asset_library", "open_gallery"),
     *("check_engine", "install_engine", "cancel_install", "open_preferences"),
 }
 SLOW = {"BALL_STEPS": "4000", "BALL_DELAY": "0.02"}
