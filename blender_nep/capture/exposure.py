@@ -100,9 +100,9 @@ class Exposures:
     gain: torch.Tensor | None
     """[views, 3]: how much brighter each photo was taken than the average. The geometric mean over the photos is 1 in every
     channel. None: all photos have one exposure, or the exposures cannot be found."""
+    warning: Message | None = None
     vignetting: Vignetting | None = None
     """None: photos are not darker towards their corners, or nobody can tell."""
-    warning: Message | None = None
 
 
 @dataclass(frozen=True)
@@ -142,13 +142,13 @@ class Comparison:
         """The gains, if the photos differ and the gains are known well enough, and the vignetting alike."""
         vignetting = self._vignetting()
         if math.sqrt((self.log**2).mean()) < LEAST_SPREAD or self.left > MOST_LEFT:
-            return Exposures(None, vignetting)
+            return Exposures(None, vignetting=vignetting)
         if np.median(self.error) > MOST_ERROR:
-            return Exposures(None, vignetting, Message("capture.exposure_unclear"))
+            return Exposures(None, Message("capture.exposure_unclear"), vignetting)
         gain = torch.from_numpy(np.exp(self.log).astype(np.float32)).to(device)
         doubtful = int(((self.error > DOUBTFUL) | (self.shared < FEW * np.median(self.shared))).sum())
         warning = Message("capture.exposure_guessed", {"count": doubtful}) if doubtful else None
-        return Exposures(gain, vignetting, warning)
+        return Exposures(gain, warning, vignetting)
 
     def _vignetting(self) -> Vignetting | None:
         corner = float(self.falloff.sum())

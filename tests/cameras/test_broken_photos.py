@@ -223,8 +223,8 @@ def run(shoot: Shoot, **options: object) -> tuple[int, list[dict]]:
 
 
 def contents(folder: Path) -> dict[Path, bytes]:
-    """All files below a folder."""
-    return {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+    """All files below a folder, without what Python keeps of a played pycolmap."""
+    return {path: path.read_bytes() for path in folder.rglob("*") if path.is_file() and path.parent.name != "__pycache__"}
 
 
 def named(events: list[dict]) -> dict[str, list[str]]:
