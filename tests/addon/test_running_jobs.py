@@ -304,7 +304,7 @@ def check_registration(folder):
     for _ in range(2):
         nep_addon.register()
         assert operators() == OPERATORS and hasattr(bpy.types, "NEP_PT_reconstruct")
-        assert sorted(set(handlers())) == ["on_file_loaded", "on_undone"]
+        assert sorted(set(handlers())) == ["on_file_loaded", "on_file_saved", "on_undone"]
         bpy.context.scene.nep.output = str(folder / "out")
         nep_addon.unregister()
         assert not operators() and not handlers()
