@@ -82,6 +82,7 @@ class Batch:
         finally:
             jobs.close()
             progress.write()
+        progress.show()
         self._events.say(progress.table())
         self._tell_end(work)
 
