@@ -73,9 +73,13 @@ class BatchProgress(Listener):
 
     def tick(self) -> None:
         """Show how far the batch is; write it if the last time was long enough ago."""
-        if time.monotonic() - self._shown < _SHOW_S:
-            return
-        self._shown = time.monotonic()
+        if time.monotonic() - self._shown >= _SHOW_S:
+            self._shown = time.monotonic()
+            self.show()
+            self._write_if_due()
+
+    def show(self) -> None:
+        """Show how far the batch is."""
         counts = self._counts()
         fraction, left = self.place()
         values = {
@@ -88,7 +92,6 @@ class BatchProgress(Listener):
         note = Message("batch.progress", values)
         ended = counts[DONE] + counts[FAILED]
         self._events.progress(STAGE, ended, len(self._work), fraction, left, None, note)
-        self._write_if_due()
 
     def _counts(self) -> dict[str, int]:
         counts = dict.fromkeys((WAITING, RUNNING, DONE, FAILED, STOPPED), 0)

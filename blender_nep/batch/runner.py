@@ -84,6 +84,7 @@ class Batch:
         finally:
             jobs.close()
             progress.end()
+        progress.show()
         self._events.say(progress.table())
         self._tell_end(work)
 

@@ -39,6 +39,8 @@ def test_assets_of_all_and_one_failure_that_stops_nobody(batch):
 def test_all_done_is_code_0(batch):
     batch.add("a")
     code, events = batch.run()
+    progress = [event for event in events if event["event"] == "progress"]
+    assert progress[-1]["fraction"] == 1 and progress[-1]["step"] == progress[-1]["steps"] == 1
     assert code == 0 and events[-1] == {"event": "done", "asset": str(batch.out)}
     assert batch.content()["format"] == 1 and batch.content()["preset"] == "preview"
 

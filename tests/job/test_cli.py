@@ -23,7 +23,7 @@ def test_help_documents_exit_codes(capsys):
         main(["--help"])
     text = capsys.readouterr().out
     assert ended.value.code == 0
-    for code in range(8):
+    for code in (*range(8), 9):
         assert f"\n  {code}  " in text
 
 
@@ -40,6 +40,9 @@ def test_help_documents_exit_codes(capsys):
         ["reconstruct", "x", "--out", "y", "--object-center", "0", "0", "0"],
         ["reconstruct", "x", "--out", "y", "--object-radius", "1"],
         ["reconstruct", "x", "--out", "y", "--object-center", "0", "0", "--object-radius", "1"],
+        ["batch", "x"],
+        ["batch", "x", "--out", "y", "--workers", "0"],
+        ["batch", "x", "--out", "y", "--ship"],
         ["reconstruct", "x", "--out", "y", "--object-center", "0", "-0.5", "nan", "--object-radius", "1"],
         ["reconstruct", "x", "--out", "y", "--object-center", "0", "-0.5", "1", "--object-radius", "0"],
     ],
