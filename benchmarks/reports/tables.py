@@ -22,6 +22,8 @@ SCORES = {
     "mse_albedo": ("albedo", 5),
     "psnr_mean": ("relit, dB", 1),
     "ssim_mean": ("SSIM", 3),
+    "psnr_rescaled": ("relit, albedo rescaled, dB", 1),
+    "ssim_rescaled": ("SSIM, rescaled", 3),
 }
 """Figure -> (heading of its column, digits after the point)."""
 COSTS = {"seconds": ("seconds", 0), "cpu_seconds": ("CPU s", 0), "peak_mb": ("MB", 0)}

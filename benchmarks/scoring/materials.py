@@ -32,15 +32,16 @@ def read_materials(asset: Path) -> Materials:
 
 def score(
     surface: Surface, materials: Materials, folder: Path, capture: Capture, test: Capture, picture: Path, shown: int = 3
-) -> dict[str, float]:
+) -> dict[str, float | list[float]]:
     """The mean squared errors of albedo, roughness and metallic, and the mean and deviation of the true roughness.
 
-    The pixels of the test views that show both surfaces count. The first `shown` test views are drawn into the file
-    `picture`, with the true values beside the learned ones.
+    `albedo_ratio` is, for each channel, the median of the true albedo divided by the learned one. The pixels of the test
+    views that show both surfaces count. The first `shown` test views are drawn into the file `picture`, with the true values
+    beside the learned ones.
     """
     ours, truth = Body(surface.vertices, surface.faces), true_mesh(folder, capture)
     errors: dict[str, list] = {name: [] for name in CHANNELS}
-    rows, roughness = [], []
+    rows, roughness, ratios = [], [], []
     for view in range(len(test.views)):
         origins, directions, size = camera_rays(test, view, 1)
         gt = read_channels(folder / "gt" / f"{view:03d}.exr")
@@ -57,6 +58,8 @@ def score(
             true = gt[name if name == "albedo" else f"{name}.V"].reshape(len(origins), -1)[:, :channels]
             found = look_up(getattr(materials, name), uv).reshape(len(uv), channels)
             errors[name].append(((found - true[ray]) ** 2).mean(1))
+            if name == "albedo":
+                ratios.append(true[ray] / found.clip(1e-6))
             for values, at in ((true[ray], ray), (found, ray)):
                 image = np.zeros((len(origins), 3), np.float32)
                 image[at] = linear_to_srgb(values) if name == "albedo" else values
@@ -68,6 +71,7 @@ def score(
     Image.fromarray((np.concatenate(rows).clip(0, 1) * 255).astype(np.uint8)).save(picture)
     known = np.concatenate(roughness)
     return {f"mse_{name}": float(np.concatenate(values).mean()) for name, values in errors.items()} | {
+        "albedo_ratio": [float(ratio) for ratio in np.median(np.concatenate(ratios), 0)],
         "true_roughness": float(known.mean()),
         "true_roughness_deviation": float(known.std()),
     }

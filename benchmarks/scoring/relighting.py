@@ -5,11 +5,16 @@ asset is the folder that `blender-nep reconstruct` wrote. The scores are PSNR (d
 object. Both renderings get the exposure that suits the true one, are clipped at white = 1 and are tone-mapped by
 log(1 + 4x) / log 5. The picture has a row for each view; for each light it shows the true object, then the asset. This file
 needs the extra `bpy`.
+
+The literature (NeRFactor, TensoIR) multiplies the albedo by one factor a channel before it renders, because photos alone do
+not tell a bright object in dim light from a dark object in bright light. Both scores are given: as the asset is, and with
+the factors. LPIPS is left out: every library that computes it downloads the weights of its network.
 """
 
 from __future__ import annotations
 
 import os
+from collections.abc import Sequence
 from pathlib import Path
 
 import bpy
@@ -78,6 +83,14 @@ def exposed(true: np.ndarray, ours: np.ndarray, inside: np.ndarray) -> tuple[np.
     return tone(gain * true), tone(gain * ours)
 
 
+def exposed_pairs(truth: np.ndarray, ours: np.ndarray, inside: np.ndarray) -> list[list[tuple[np.ndarray, np.ndarray]]]:
+    """The pairs [view][light] of `exposed` for renderings [view, light, H, W, 3] and pixels `inside` [view, H, W]."""
+    return [
+        [exposed(a, b, on) for a, b in zip(true, found, strict=True)]
+        for true, found, on in zip(truth, ours, inside, strict=True)
+    ]
+
+
 def agreement(pairs: list[list[tuple[np.ndarray, np.ndarray]]], inside: np.ndarray) -> tuple[list[float], list[float]]:
     """(PSNR in dB for each light, SSIM for each light) of tone-mapped pairs [view][light].
 
@@ -95,10 +108,27 @@ def agreement(pairs: list[list[tuple[np.ndarray, np.ndarray]]], inside: np.ndarr
     return psnr, ssim
 
 
-def compare(folder: Path, asset: Path, picture: Path, kept_truth: Path, threads: int) -> dict:
+def scale_base_color(item: bpy.types.Object, factors: Sequence[float]) -> None:
+    """Multiply what is linked to Base Color of the object's material by `factors` (red, green, blue; linear)."""
+    tree = item.active_material.node_tree
+    base = next(node for node in tree.nodes if node.type == "BSDF_PRINCIPLED").inputs["Base Color"]
+    source = base.links[0].from_socket
+    product = tree.nodes.new("ShaderNodeMix")
+    product.data_type, product.blend_type = "RGBA", "MULTIPLY"
+    factor, first, second = (product.inputs[name] for name in ("Factor_Float", "A_Color", "B_Color"))
+    factor.default_value = 1.0
+    second.default_value = (*factors, 1.0)
+    tree.links.new(source, first)
+    tree.links.new(product.outputs["Result_Color"], base)
+
+
+def compare(
+    folder: Path, asset: Path, picture: Path, kept_truth: Path, threads: int, albedo_ratio: Sequence[float] | None = None
+) -> dict:
     """PSNR and SSIM under each light and their means; {} where the capture has no `scene.blend`.
 
-    The renderings are drawn into the file `picture`.
+    The renderings are drawn into the file `picture`. With `albedo_ratio` (true albedo divided by the asset's, for each
+    channel), `psnr_rescaled` and `ssim_rescaled` are the means for the asset whose albedo is multiplied by it.
     """
     if not (folder / "scene.blend").is_file():
         return {}
@@ -107,18 +137,20 @@ def compare(folder: Path, asset: Path, picture: Path, kept_truth: Path, threads:
     lights = [build_world(path, name=path.stem) for path in blender_hdris()[:WORLDS]]
     size = (PIXELS, round(PIXELS * frames[0].height / frames[0].width))
     truth = rendered_truth(folder, frames, lights, size, threads, kept_truth)
-    ours = render(import_asset(asset, bpy.context.scene.collection), frames, lights, size, threads)
+    item = import_asset(asset, bpy.context.scene.collection)
     names, inside = [light.name for light in lights], np.array([mask(folder, frame, *size) for frame in frames])
-    pairs = [
-        [exposed(a, b, on) for a, b in zip(true, found, strict=True)]
-        for true, found, on in zip(truth, ours, inside, strict=True)
-    ]
+    pairs = exposed_pairs(truth, render(item, frames, lights, size, threads), inside)
     rows = [np.concatenate([linear_to_srgb(np.expm1(np.log(5) * x) / 4) for pair in row for x in pair], 1) for row in pairs]
     Image.fromarray(np.round(255 * np.concatenate(rows)).astype(np.uint8)).save(picture)
     psnr, ssim = agreement(pairs, inside)
-    return {
+    out = {
         "psnr": dict(zip(names, psnr, strict=True)),
         "ssim": dict(zip(names, ssim, strict=True)),
         "psnr_mean": float(np.mean(psnr)),
         "ssim_mean": float(np.mean(ssim)),
     }
+    if albedo_ratio is not None:
+        scale_base_color(item, albedo_ratio)
+        psnr, ssim = agreement(exposed_pairs(truth, render(item, frames, lights, size, threads), inside), inside)
+        out |= {"psnr_rescaled": float(np.mean(psnr)), "ssim_rescaled": float(np.mean(ssim))}
+    return out

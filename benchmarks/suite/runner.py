@@ -118,6 +118,7 @@ class Suite:
                 "settings": {"device": self.device, "threads": self.threads},
                 "variant": str(self.out / "captures" / f"{run.capture.name}_{run.views}_views"),
                 "stage_1": donor and str(self.out / "assets" / donor.name),
+                "albedo_ratio": read_row(self.out / "rows" / f"{run.name}.json").get("score", {}).get("albedo_ratio"),
                 "truth": str(self.out / "truth" / f"{run.capture.name}.npz"),
                 "picture": str(self.out / "pictures" / f"{run.name}.{step}.png"),
             },

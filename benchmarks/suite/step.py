@@ -153,7 +153,8 @@ def relight(run: Run, asset: Path, order: dict) -> dict:
     """The scores of the asset in Cycles, under lights that no photo showed."""
     from benchmarks.scoring.relighting import compare
 
-    return compare(run.capture, asset, Path(order["picture"]), Path(order["truth"]), order["settings"]["threads"])
+    picture, truth, threads = Path(order["picture"]), Path(order["truth"]), order["settings"]["threads"]
+    return compare(run.capture, asset, picture, truth, threads, order["albedo_ratio"])
 
 
 STEPS = {"learn": learn, "score": score, "relight": relight}

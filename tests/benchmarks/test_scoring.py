@@ -1,6 +1,7 @@
 """The scores of the benchmarks on bodies whose scores are known. Ablations change only the fields that they name."""
 
 from dataclasses import asdict
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -19,6 +20,7 @@ from blender_nep.errors import LearningError, Stopped
 from blender_nep.geometry.mesh import Surface
 from blender_nep.presets import preset
 from blender_nep.surface.mesh_file import load_surface
+from support.own_process import in_blender
 from support.paths import SUZANNE_SMALL
 
 
@@ -92,6 +94,7 @@ def test_an_asset_that_is_the_truth_scores_perfectly_except_for_an_error_that_is
     found = score_asset(SUZANNE_SMALL, asset, preset("preview"), "cpu", picture)
     assert found["cd_visible"] < 1e-5 and found["mask_iou"] > 0.999 and found["texture_rows"] == 8
     assert found["mse_albedo"] < 1e-5 and found["mse_metallic"] < 1e-5
+    assert found["albedo_ratio"] == pytest.approx([1, 1, 1], abs=0.01)
     assert found["mse_roughness"] == pytest.approx(0.01, rel=0.01) and found["true_roughness_deviation"] < 1e-3
     assert picture.is_file() and "background_psnr" not in found
     assert score_asset(tmp_path, asset, preset("preview"), "cpu", picture) == {}
@@ -136,3 +139,39 @@ def test_every_value_of_a_varied_size_changes_the_work_that_is_measured():
 
     for values, work, stages in scaling.FACTORS.values():
         assert len({work(Recorder(), value) for value in values}) == len(values) and stages
+
+
+def test_a_rescaled_albedo_scales_what_a_metal_reflects():
+    """A metal that faces the camera under a grey light reflects its albedo times the light."""
+    pytest.importorskip("bpy")
+    in_blender(check_rescaled_albedo)
+
+
+def check_rescaled_albedo():
+    import bpy
+
+    from backend.rendering.relight import RelitScene
+    from backend.scene_io.capture_files import Frame
+    from benchmarks.scoring.relighting import scale_base_color
+
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    bpy.ops.mesh.primitive_plane_add(size=20)  # it fills the picture
+    plane, factors = bpy.context.object, (0.5, 1.0, 1.5)
+    material = bpy.data.materials.new("metal")
+    material.use_nodes = True
+    nodes, links = material.node_tree.nodes, material.node_tree.links
+    nodes["Principled BSDF"].inputs["Metallic"].default_value = 1.0
+    albedo = nodes.new("ShaderNodeRGB")
+    albedo.outputs[0].default_value = (0.4, 0.4, 0.4, 1.0)
+    links.new(albedo.outputs[0], nodes["Principled BSDF"].inputs["Base Color"])
+    plane.data.materials.append(material)
+    above = np.eye(4)
+    above[2, 3] = 3.0
+    frame = Frame(Path("none.png"), 8, 8, 40.0, 40.0, 4.0, 4.0, above, "linear", (1.0, 1.0, 1.0))
+    with RelitScene(plane, 8, 8, 16) as scene:
+        world = bpy.data.worlds.new("grey")
+        before = scene.render(frame, world).mean((0, 1))
+        scale_base_color(plane, factors)
+        after = scene.render(frame, world).mean((0, 1))
+    assert before.min() > 0.01
+    np.testing.assert_allclose(after / before, factors, rtol=0.02)
