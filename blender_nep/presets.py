@@ -86,7 +86,12 @@ class FieldsPreset:
     transmittance_limit: float = 5e-3
     """Where the transmittance of the object is below this, F_e behind it is not rendered; this saves time."""
     sdf_rate: float = 0.003
-    """Learning rate of the SDF in object radii: the typical step of a touched spline coefficient."""
+    """Learning rate of the SDF in object radii: the typical step of a touched spline coefficient, in the level with 64
+    cells."""
+    sdf_rate_level_power: float = 1.5
+    """The learning rate of a level of the SDF is proportional to its cell width to this power. So coarse levels take large
+    steps, which move whole parts of the surface, and the noise of the finest level stays small. 0: one rate for all levels
+    (an ablation)."""
     sdf_rate_sharpness_power: float = 0.5
     """The SDF's learning rate is proportional to the sharpness to minus this power, because a sharper surface needs smaller
     steps. 0: it does not depend on the sharpness."""
@@ -95,13 +100,16 @@ class FieldsPreset:
     would remember most of all steps. But gradients change faster, because the surface becomes sharper."""
     head_rate: float = 5e-3
     """Learning rate of the color heads."""
+    head_rate_decay_from: float = 0.7
+    """Fraction from which on the learning rate of the color heads falls geometrically. The colors must follow the shape for
+    as long as the shape changes."""
     head_betas: tuple[float, float] = (0.9, 0.99)
     """Adam's decay rates for the color heads, as `sdf_betas`."""
     warm_up_steps: int = 50
     """Steps of both fields over which F_o's learning rates rise from 0, because Adam's first mean squares are means of few
     gradients."""
-    rate_decay_from: float = 0.3
-    """Fraction from which on F_o's learning rates fall geometrically."""
+    sdf_rate_decay_from: float = 0.3
+    """Fraction from which on the SDF's learning rate falls geometrically."""
     last_rate: float = 0.03
     """F_o's learning rates at the end, as a share of their full values."""
     eikonal: float = 0.02
@@ -395,7 +403,7 @@ PRESETS = {
         environment_height=128,
         fields=FieldsPreset(background_steps=200, steps=700, object_rays=1280, sphere_rays=768, outside_rays=768),
         environment=EnvironmentPreset(resolutions=((20, 32), (28, 64)), refine_at=(0.25,), detail_rows=256, steps=600),
-        surface=SurfacePreset(grid=144, faces=10_000, atlas_texels=512),
+        surface=SurfacePreset(grid=192, faces=20_000, atlas_texels=512),
         material=MaterialPreset(
             samples=12_000, label_pixels=60_000, terminal_steps=150, unseen_samples=4000, unseen_steps=60, most_texels=512
         ),

@@ -25,6 +25,9 @@ ALBEDO_OCTAVES, LIGHT_OCTAVES, VIEW_OCTAVES = 5, 1, 4
 """Octaves of the positional encodings: of the point for the albedo head, of the point for the light head, and of the view
 direction when the color is not decomposed. The light head has fewer, because light varies slowly from point to point."""
 
+REFERENCE_CELL = 2 / 64
+"""Cell width in object radii of the SDF level whose step size is the learning rate. Other levels' step sizes follow it."""
+
 
 @dataclass
 class Appearance:
@@ -147,9 +150,18 @@ class ObjectField(SurfaceColor):
         """The SDF in its present state."""
         return SplineShape(self.coefficients(), self.support)
 
-    def shape_optimiser(self, rate: float, betas: tuple[float, float]) -> torch.optim.Optimizer:
-        """Adam with one step size for each level, for the present parameters of the SDF."""
-        return UniformAdam(self.levels, lr=rate, betas=betas)
+    def shape_optimiser(self, rate: float, betas: tuple[float, float], level_power: float) -> torch.optim.Optimizer:
+        """Adam with one step size for each level, for the present parameters of the SDF.
+
+        A level whose cells are REFERENCE_CELL wide has the step size `rate`. The step size of another level is proportional
+        to its cell width to the power `level_power`.
+        """
+        cells = [2 / (level.shape[0] - 2) for level in self.levels]
+        groups = [
+            {"params": [level], "scale": (cell / REFERENCE_CELL) ** level_power}
+            for level, cell in zip(self.levels, cells, strict=True)
+        ]
+        return UniformAdam(groups, lr=rate, betas=betas)
 
     def add_level(self) -> None:
         """Add a level of half the cell size. It is zero everywhere, so that the SDF does not change."""

@@ -11,10 +11,14 @@ import torch
 
 
 class UniformAdam(torch.optim.Optimizer):
-    """Adam with one second moment for each tensor. `lr` is the typical step of a touched entry, in the parameter's units."""
+    """Adam with one second moment for each tensor.
+
+    The typical step of a touched entry is `lr` times `scale`, in the parameter's units. Each group of parameters may have a
+    `scale` of its own; its default is 1.
+    """
 
     def __init__(self, params, lr: float, betas: tuple[float, float] = (0.9, 0.99)) -> None:
-        super().__init__(params, {"lr": lr, "betas": betas})
+        super().__init__(params, {"lr": lr, "betas": betas, "scale": 1.0})
 
     @torch.no_grad()
     def step(self) -> None:  # type: ignore[override]  # no closure: the loss of a step is computed once
@@ -33,4 +37,4 @@ class UniformAdam(torch.optim.Optimizer):
                 square = p.grad.flatten().dot(p.grad.flatten()) / touched
                 state["square"].lerp_(square, 1 - b2)
                 scale = (state["square"] / (1 - b2 ** state["step"])).sqrt().clamp(min=1e-20)
-                p.sub_(state["mean"] * (group["lr"] / (1 - b1 ** state["step"]) / scale))
+                p.sub_(state["mean"] * (group["scale"] * group["lr"] / (1 - b1 ** state["step"]) / scale))

@@ -130,23 +130,23 @@ class Schedule:
         last = p.last_curvature / p.curvature if p.curvature > 0 else 1.0
         return p.curvature * geometric_decay(self.fraction, p.curvature_decay_from, last)
 
-    @property
-    def object_field_rate(self) -> float:
-        """Factor of both learning rates of F_o: it warms up from the first step of both fields on, and decays later."""
+    def _object_field_rate(self, decay_from: float) -> float:
+        """Factor of a learning rate of F_o: it warms up from the first step of both fields on, and decays later."""
         p = self.preset
         warm_up = min(1.0, (self.step - self.background_steps + 1) / p.warm_up_steps)
-        return warm_up * geometric_decay(self.fraction, p.rate_decay_from, p.last_rate)
+        return warm_up * geometric_decay(self.fraction, decay_from, p.last_rate)
 
     @property
     def sdf_rate(self) -> float:
         """Learning rate of the SDF in object radii. It falls as the sharpness rises: a sharp surface needs small steps."""
         p = self.preset
-        return p.sdf_rate * self.object_field_rate * (p.first_sharpness / self.sharpness) ** p.sdf_rate_sharpness_power
+        softer = (p.first_sharpness / self.sharpness) ** p.sdf_rate_sharpness_power
+        return p.sdf_rate * self._object_field_rate(p.sdf_rate_decay_from) * softer
 
     @property
     def head_rate(self) -> float:
         """Learning rate of the color heads."""
-        return self.preset.head_rate * self.object_field_rate
+        return self.preset.head_rate * self._object_field_rate(self.preset.head_rate_decay_from)
 
     @property
     def object_pixels_due(self) -> int:

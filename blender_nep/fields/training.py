@@ -45,7 +45,7 @@ class Optimisers:
 
     def __init__(self, object_field: ObjectField, environment: EnvironmentField, preset: Preset) -> None:
         self._object_field, self._environment, self._preset = object_field, environment, preset.fields
-        self.sdf = object_field.shape_optimiser(self._preset.sdf_rate, self._preset.sdf_betas)
+        self.restart_sdf()
         self.heads: torch.optim.Optimizer = torch.optim.Adam(
             object_field.color_parameters(), lr=self._preset.head_rate, betas=self._preset.head_betas, fused=True
         )
@@ -58,7 +58,8 @@ class Optimisers:
 
     def restart_sdf(self) -> None:
         """Make the SDF's optimiser anew, after the SDF got new parameters."""
-        self.sdf = self._object_field.shape_optimiser(self._preset.sdf_rate, self._preset.sdf_betas)
+        p = self._preset
+        self.sdf = self._object_field.shape_optimiser(p.sdf_rate, p.sdf_betas, p.sdf_rate_level_power)
 
     def restart_environment(self) -> None:
         """Make F_e's optimiser anew, after F_e got new parameters."""

@@ -81,7 +81,7 @@ def test_learning_rates_warm_up_and_decay_and_the_sdf_s_falls_with_the_sharpness
     p = PRESET
     assert schedule(0).head_rate == pytest.approx(p.head_rate / p.warm_up_steps)
     assert schedule(0).sdf_rate == pytest.approx(p.sdf_rate / p.warm_up_steps)
-    assert schedule(p.rate_decay_from).head_rate == pytest.approx(p.head_rate)
+    assert schedule(p.head_rate_decay_from).head_rate == pytest.approx(p.head_rate)
     assert schedule(1).head_rate == pytest.approx(p.head_rate * p.last_rate)
     softer = (p.first_sharpness / p.last_sharpness) ** 0.5
     assert schedule(1).sdf_rate == pytest.approx(p.sdf_rate * p.last_rate * softer)

@@ -246,3 +246,17 @@ def test_a_sphere_without_an_object_is_refused(rays):
             progress=no_progress,
             checkpoint=NoCheckpoint(),
         )
+
+
+def test_the_first_step_of_a_level_follows_its_cell_width():
+    """Adam's first step of an entry with the level's mean square gradient is the learning rate itself."""
+    field = ObjectField(16, 0.6)
+    field.add_level()
+    field.add_level()
+    optimiser = field.shape_optimiser(0.01, (0.9, 0.99), 1.5)
+    before = [level.detach().clone() for level in field.levels]
+    for level in field.levels:
+        level.grad = torch.full_like(level, 3.0)
+    optimiser.step()
+    steps = [float((old - level).detach().mean()) for old, level in zip(before, field.levels, strict=True)]
+    assert steps == pytest.approx([0.01 * 4**1.5, 0.01 * 2**1.5, 0.01], rel=1e-4)
