@@ -88,7 +88,7 @@ class FieldsPreset:
     sdf_rate: float = 0.003
     """Learning rate of the SDF in object radii: the typical step of a touched spline coefficient, in the level with 64
     cells."""
-    sdf_rate_level_power: float = 1.5
+    sdf_rate_level_power: float = 1.2
     """The learning rate of a level of the SDF is proportional to its cell width to this power. So coarse levels take large
     steps, which move whole parts of the surface, and the noise of the finest level stays small. 0: one rate for all levels
     (an ablation)."""
