@@ -12,9 +12,10 @@ from ..backend.engine.camera_process import CameraError, CameraProcess
 from ..backend.engine.command import EngineError
 from . import clock
 from .capture_folder import forget_looks, look_into
-from .folders import folder_key
+from .folders import SAVE_FILE_FIRST, folder_key, resolve_folder
 
 NO_CAMERAS = "{folder} holds photos, but no cameras yet: press Find Cameras first"
+CHOOSE_CAPTURE = "Choose a capture folder first"
 AT_WORK = "The cameras of the photos in {folder} are being found: wait until that has ended"
 
 
@@ -105,6 +106,16 @@ def why_not_usable(capture: Path) -> str:
     if look_into(capture).lacks_cameras:
         return pgettext_iface(NO_CAMERAS).format(folder=capture)
     return ""
+
+
+def usable_capture(named: str) -> Path:
+    """The capture folder that a setting names. Raises ValueError where it cannot be used yet; its text says what to do."""
+    folder = resolve_folder(named)
+    if folder is None:
+        raise ValueError(SAVE_FILE_FIRST if named else CHOOSE_CAPTURE)
+    if refused := why_not_usable(folder):
+        raise ValueError(refused)
+    return folder
 
 
 @persistent

@@ -90,8 +90,8 @@ class FieldsPreset:
     cells."""
     sdf_rate_level_power: float = 1.2
     """The learning rate of a level of the SDF is proportional to its cell width to this power. So coarse levels take large
-    steps, which move whole parts of the surface, and the noise of the finest level stays small. 0: one rate for all levels
-    (an ablation)."""
+    steps, which move whole parts of the surface, and the noise of the finest level stays small. 0: one rate for all
+    levels."""
     sdf_rate_sharpness_power: float = 0.5
     """The SDF's learning rate is proportional to the sharpness to minus this power, because a sharper surface needs smaller
     steps. 0: it does not depend on the sharpness."""

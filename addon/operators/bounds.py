@@ -4,10 +4,9 @@ import bpy
 
 from ...backend.scene_io.capture_files import read_bounds
 from .. import bounds_estimate
-from ..camera_search import why_not_usable
+from ..camera_search import CHOOSE_CAPTURE, usable_capture
 from ..engine_errors import error_text
 from ..engine_paths import engine_python
-from ..folders import SAVE_FILE_FIRST, resolve_folder
 from ..object_bounds import bounds_object, place_bounds
 
 
@@ -26,7 +25,7 @@ class NEP_OT_propose_bounds(bpy.types.Operator):
             cls.poll_message_set("The bounds are being estimated")
             return False
         if not context.scene.nep.capture:
-            cls.poll_message_set("Choose a capture folder first")
+            cls.poll_message_set(CHOOSE_CAPTURE)
             return False
         return True
 
@@ -39,12 +38,10 @@ class NEP_OT_propose_bounds(bpy.types.Operator):
     def _propose(self, context: bpy.types.Context, wait: bool) -> set[str]:
         scene = context.scene
         bounds_estimate.forget_last_error()
-        capture = resolve_folder(scene.nep.capture)
-        if capture is None:
-            self.report({"ERROR"}, SAVE_FILE_FIRST)
-            return {"CANCELLED"}
-        if refused := why_not_usable(capture):
-            self.report({"ERROR"}, refused)
+        try:
+            capture = usable_capture(scene.nep.capture)
+        except ValueError as error:
+            self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
         try:
             known = read_bounds(capture)

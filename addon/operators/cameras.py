@@ -7,8 +7,7 @@ import bpy
 from ...backend.scene_io.capture_files import read_frames
 from ...backend.scene_io.photo_cameras import camera_collections, load_cameras, remove_cameras
 from ...backend.scene_io.scene_capture import MINIMUM_PHOTOS, photo_cameras, write_scene_capture
-from ..camera_search import why_not_usable
-from ..folders import SAVE_FILE_FIRST, resolve_folder
+from ..camera_search import usable_capture
 
 
 class NEP_OT_load_cameras(bpy.types.Operator):
@@ -37,13 +36,10 @@ class NEP_OT_load_cameras(bpy.types.Operator):
         return True
 
     def execute(self, context: bpy.types.Context) -> set[str]:
-        capture = self.capture or context.scene.nep.capture
-        folder = resolve_folder(capture)
-        if folder is None:
-            self.report({"ERROR"}, SAVE_FILE_FIRST if capture else "Choose a capture folder first")
-            return {"CANCELLED"}
-        if refused := why_not_usable(folder):
-            self.report({"ERROR"}, refused)
+        try:
+            folder = usable_capture(self.capture or context.scene.nep.capture)
+        except ValueError as error:
+            self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
         try:
             frames = read_frames(folder)

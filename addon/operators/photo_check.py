@@ -7,12 +7,12 @@ from bpy.app.translations import pgettext_iface
 
 from ...backend.engine.capture_facts import facts_of, warnings_of
 from .. import clock, photo_check
-from ..camera_search import why_not_usable
+from ..camera_search import CHOOSE_CAPTURE, usable_capture
 from ..coverage_image import load_coverage
 from ..editors import fit_image, open_editor
 from ..engine_errors import error_text
 from ..engine_paths import engine_python
-from ..folders import SAVE_FILE_FIRST, resolve_folder
+from ..folders import resolve_folder
 from ..object_bounds import bounds_arguments
 
 
@@ -30,7 +30,7 @@ class NEP_OT_check_photos(bpy.types.Operator):
             cls.poll_message_set("Photos are being checked")
             return False
         if not context.scene.nep.capture:
-            cls.poll_message_set("Choose a capture folder first")
+            cls.poll_message_set(CHOOSE_CAPTURE)
             return False
         return True
 
@@ -41,14 +41,8 @@ class NEP_OT_check_photos(bpy.types.Operator):
         return self._check(context, wait=True)
 
     def _check(self, context: bpy.types.Context, wait: bool) -> set[str]:
-        capture = resolve_folder(context.scene.nep.capture)
-        if capture is None:
-            self.report({"ERROR"}, SAVE_FILE_FIRST)
-            return {"CANCELLED"}
-        if refused := why_not_usable(capture):
-            self.report({"ERROR"}, refused)
-            return {"CANCELLED"}
         try:
+            capture = usable_capture(context.scene.nep.capture)
             bounds = tuple(bounds_arguments(context.scene))
         except ValueError as error:
             self.report({"ERROR"}, str(error))

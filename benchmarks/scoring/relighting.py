@@ -8,7 +8,7 @@ needs the extra `bpy`.
 
 The literature (NeRFactor, TensoIR) multiplies the albedo by one factor a channel before it renders, because photos alone do
 not tell a bright object in dim light from a dark object in bright light. Both scores are given: as the asset is, and with
-the factors. LPIPS is left out: every library that computes it downloads the weights of its network.
+the factors. LPIPS is left out, because the libraries lpips, piq and torchmetrics download the weights of its network.
 """
 
 from __future__ import annotations

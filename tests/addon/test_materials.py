@@ -11,10 +11,8 @@ import pytest
 
 from support import correcting_engine
 from support.blender_checks import Drawn, drawn_by, fails, register, rounds
-from support.own_process import run_file
+from support.own_process import in_blender
 from support.played_python import bare_python
-
-LIMIT_S = 60
 
 
 @pytest.fixture
@@ -23,13 +21,6 @@ def folder(package, monkeypatch):
     correcting_engine.make_asset(package / "asset")
     monkeypatch.setenv("NEP_ENGINE_PYTHON", correcting_engine.make(package))
     return package
-
-
-def in_blender(function, folder: Path, *arguments: str) -> None:
-    """Run a function of this file in a Blender of its own."""
-    done = run_file(__file__, function.__name__, folder, *arguments, timeout=LIMIT_S)
-    assert done.returncode == 0, done.stdout[-2000:] + done.stderr[-4000:]
-    assert "Traceback" not in done.stderr, done.stderr
 
 
 def imported(folder: Path, images: str = "PACKED"):

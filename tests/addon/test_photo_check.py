@@ -10,9 +10,7 @@ import pytest
 
 from support import camera_engine, info_engine
 from support.blender_checks import drawn_by, fails, register, rounds
-from support.own_process import run_file
-
-LIMIT_S = 60
+from support.own_process import in_blender
 
 
 @pytest.fixture
@@ -22,13 +20,6 @@ def folder(package, monkeypatch):
     (package / "photos" / "transforms.json").write_text(json.dumps(camera_engine.cameras()))
     monkeypatch.setenv("NEP_ENGINE_PYTHON", info_engine.make(package))
     return package
-
-
-def in_blender(function, folder: Path, *arguments: str) -> None:
-    """Run a function of this file in a Blender of its own."""
-    done = run_file(__file__, function.__name__, folder, *arguments, timeout=LIMIT_S)
-    assert done.returncode == 0, done.stdout[-2000:] + done.stderr[-4000:]
-    assert "Traceback" not in done.stderr, done.stderr
 
 
 def set_up(folder: Path):

@@ -12,10 +12,8 @@ from PIL import Image
 
 from support import shelf_engine
 from support.blender_checks import drawn_by, fails, register, rounds
-from support.own_process import run_file
+from support.own_process import in_blender
 from support.waiting import wait_until
-
-LIMIT_S = 60
 
 
 @pytest.fixture
@@ -31,13 +29,6 @@ def folder(package, monkeypatch):
     (package / "asset" / "report.json").write_text("{}")
     monkeypatch.setenv("NEP_ENGINE_PYTHON", shelf_engine.make(package))
     return package
-
-
-def in_blender(function, folder: Path, *arguments: str) -> None:
-    """Run a function of this file in a Blender of its own."""
-    done = run_file(__file__, function.__name__, folder, *arguments, timeout=LIMIT_S)
-    assert done.returncode == 0, done.stdout[-2000:] + done.stderr[-4000:]
-    assert "Traceback" not in done.stderr, done.stderr
 
 
 def set_up(folder: Path, *captures: str):
