@@ -87,11 +87,8 @@ class FieldsPreset:
     """Where the transmittance of the object is below this, F_e behind it is not rendered; this saves time."""
     sdf_rate: float = 0.003
     """Learning rate of the SDF in object radii: the typical step of a touched spline coefficient, in the level with 64
-    cells."""
-    sdf_rate_level_power: float = 1.2
-    """The learning rate of a level of the SDF is proportional to its cell width to this power. So coarse levels take large
-    steps, which move whole parts of the surface, and the noise of the finest level stays small. 0: one rate for all
-    levels."""
+    cells. In other levels it is proportional to the cell width. So coarse levels take large steps, which move whole parts of
+    the surface, and the noise of the finest level stays small."""
     sdf_rate_sharpness_power: float = 0.5
     """The SDF's learning rate is proportional to the sharpness to minus this power, because a sharper surface needs smaller
     steps. 0: it does not depend on the sharpness."""
@@ -398,7 +395,7 @@ PRESETS = {
         name="preview",
         max_pixels_per_photo=40_000,
         fields_seconds=45,
-        surface_seconds=3,
+        surface_seconds=5,
         material_seconds=45,
         environment_height=128,
         fields=FieldsPreset(background_steps=200, steps=700, object_rays=1280, sphere_rays=768, outside_rays=768),

@@ -150,16 +150,15 @@ class ObjectField(SurfaceColor):
         """The SDF in its present state."""
         return SplineShape(self.coefficients(), self.support)
 
-    def shape_optimiser(self, rate: float, betas: tuple[float, float], level_power: float) -> torch.optim.Optimizer:
+    def shape_optimiser(self, rate: float, betas: tuple[float, float]) -> torch.optim.Optimizer:
         """Adam with one step size for each level, for the present parameters of the SDF.
 
         A level whose cells are REFERENCE_CELL wide has the step size `rate`. The step size of another level is proportional
-        to its cell width to the power `level_power`.
+        to its cell width.
         """
         cells = [2 / (level.shape[0] - 2) for level in self.levels]
         groups = [
-            {"params": [level], "scale": (cell / REFERENCE_CELL) ** level_power}
-            for level, cell in zip(self.levels, cells, strict=True)
+            {"params": [level], "scale": cell / REFERENCE_CELL} for level, cell in zip(self.levels, cells, strict=True)
         ]
         return UniformAdam(groups, lr=rate, betas=betas)
 

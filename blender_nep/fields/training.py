@@ -59,7 +59,7 @@ class Optimisers:
     def restart_sdf(self) -> None:
         """Make the SDF's optimiser anew, after the SDF got new parameters."""
         p = self._preset
-        self.sdf = self._object_field.shape_optimiser(p.sdf_rate, p.sdf_betas, p.sdf_rate_level_power)
+        self.sdf = self._object_field.shape_optimiser(p.sdf_rate, p.sdf_betas)
 
     def restart_environment(self) -> None:
         """Make F_e's optimiser anew, after F_e got new parameters."""

@@ -4,20 +4,14 @@ from __future__ import annotations
 
 import json
 import os
-import shutil
-import socket
-import subprocess
-import sys
-import tempfile
 import threading
 import time
 from pathlib import Path
 
-import psutil
 import pytest
 
+from benchmarks.studies.ray_nodes import RayNodes
 from blender_nep.batch.machine import jobs_in
-from support.paths import ROOT
 from support.waiting import wait_until
 
 pytest.importorskip("ray", reason="ray is not installed: it is only in the extra `cluster`, and 200 MB large")
@@ -25,65 +19,18 @@ pytest.importorskip("ray", reason="ray is not installed: it is only in the extra
 WHOLE = ["0", "1", "2", "3"]
 
 
-class Cluster:
-    """Nodes of one core each, started by `ray start`."""
-
-    def __init__(self, folder: str) -> None:
-        with socket.socket() as free:
-            free.bind(("127.0.0.1", 0))
-            self.address = f"127.0.0.1:{free.getsockname()[1]}"
-        self._folder = folder
-        self.nodes: list[set[psutil.Process]] = []
-
-    def add(self) -> None:
-        """Start a node; the first one is the head."""
-        where = [f"--address={self.address}"]
-        if not self.nodes:
-            where = [
-                "--head",
-                f"--port={self.address.split(':')[1]}",
-                "--include-dashboard=false",
-                f"--temp-dir={self._folder}",
-            ]
-        needs = ["--num-cpus=1", "--memory=4000000000", "--object-store-memory=80000000", "--node-ip-address=127.0.0.1"]
-        before = self._processes()
-        subprocess.run(
-            [sys.executable, "-m", "ray.scripts.scripts", "start", *where, *needs, "--disable-usage-stats"],
-            env=os.environ | {"PYTHONPATH": str(ROOT)},
-            capture_output=True,
-            check=True,
-            timeout=120,
-        )
-        self.nodes.append(self._processes() - before)
-
-    def _processes(self) -> set[psutil.Process]:
-        return {one for one in psutil.process_iter(["cmdline"]) if any(self._folder in x for x in one.info["cmdline"] or ())}
-
-    def lose(self, node: int) -> None:
-        """Kill a node's processes, and with them all that it has started."""
-        raylets = [one for one in self.nodes[node] if one.is_running() and "raylet" in one.name()]
-        for one in raylets or self.nodes[node]:
-            one.kill()
-
-    def close(self) -> None:
-        for one in self._processes():
-            one.kill()
-
-
 @pytest.fixture
 def cluster():
-    folder = tempfile.mkdtemp(prefix="ray_", dir="/tmp")  # sockets need a short path
-    made = Cluster(folder)
+    made = RayNodes()
     try:
-        made.add()
+        made.add(cores=1)
         yield made
     finally:
         made.close()
-        shutil.rmtree(folder, ignore_errors=True)
 
 
 def test_a_lost_node_costs_no_object(batch, cluster):
-    cluster.add()
+    cluster.add(cores=1)
     for name in ("a", "b", "c"):
         batch.add(name, "slow")
     batch.add("d", "refuse")
