@@ -1,5 +1,6 @@
 """The check and the installation of the engine. Both run in other processes, so that Blender never waits for them."""
 
+import shutil
 import sys
 from pathlib import Path
 
@@ -17,9 +18,10 @@ CANCEL_GRACE_PERIODS = 100  # of the clock: the time that a cancelled installati
 class Installation:
     """An installer process. `python` is the result of a success; `error` (message, hint) tells of a failure."""
 
-    def __init__(self, command: list[str]) -> None:
-        """Start `command`. OSError where the process cannot be started."""
+    def __init__(self, command: list[str], log: Path) -> None:
+        """Start `command`. OSError where the process cannot be started. `log`: where the log of a failure is kept."""
         self.process = StartedProcess(command)
+        self._log = log
         self._events = EventFile(self.process.folder / "events.jsonl")
         self.fraction, self.message = 0.0, "Starting"
         self.python = ""
@@ -46,12 +48,24 @@ class Installation:
                 last_line = last_lines(self.process.folder / "engine.log", 1)
                 hint = last_line or "Install again: the installation then starts from the beginning."
                 self.error = "The installation ended and gave no reason.", hint
+            if self.error is not None and not self.cancelling:
+                self._keep_log()
             self.process.close()
         elif self.cancelling:
             self._periods_since_cancel += 1
             if self._periods_since_cancel > CANCEL_GRACE_PERIODS:
                 self.process.send(kill=True)
         return ended
+
+    def _keep_log(self) -> None:
+        """Save what pip has printed, and add to the hint where it is: the process's own folder is removed."""
+        try:
+            self._log.parent.mkdir(parents=True, exist_ok=True)
+            shutil.copy(self.process.folder / "engine.log", self._log)
+        except OSError:
+            return  # for example, the disk is full; the message stands alone then
+        message, hint = self.error
+        self.error = message, f"{hint}\nLog: {self._log}".strip()
 
     def cancel(self) -> None:
         """Ask the installer to remove what it has made, and to end."""
@@ -64,6 +78,7 @@ check: EngineCheck | None = None  # the last check, or the one under way
 checking = False
 installation: Installation | None = None  # the last installation, or the one under way
 installing = False
+_displayed: tuple | None = None  # what the preferences show of these
 
 
 def start_check(python: str) -> None:
@@ -85,21 +100,24 @@ def start_installation(folder: Path, base_python: str, build: str) -> None:
     """Start a process that installs the engine into `folder`. OSError where the process cannot be started."""
     global installation, installing
     command = [sys.executable, "-I", installer.__file__, "--source", str(EXTENSION), "--folder", str(folder)]
-    installation = Installation([*command, "--python", base_python, "--build", build])
+    installation = Installation([*command, "--python", base_python, "--build", build], folder / f"{installer.NAME}.log")
     installing = True
     clock.call_until_false(_advance)
 
 
 def _advance() -> bool:
     """Follow the check and the installation, once every clock period; returns whether one of them still runs."""
-    global checking, installing
+    global checking, installing, _displayed
     if checking and check.poll():
         checking = False
     if installing and installation.poll():
         installing = False
         if installation.python:
             start_check(installation.python)
-    clock.redraw("PREFERENCES")
+    displayed = checking, installing, installation and (installation.fraction, installation.message)
+    if displayed != _displayed:  # drawing them in each period would take the processor from the engine
+        _displayed = displayed
+        clock.redraw("PREFERENCES")
     return checking or installing
 
 

@@ -8,9 +8,10 @@ import bpy
 from ..backend.engine.install import NAME
 from . import engine_setup
 from .engine_paths import EXTENSION_PACKAGE, engine_python
+from .wrapped_text import draw_wrapped
 
 BUILDS = (
-    ("cpu", "CPU", "For every computer; the smallest download (about 1 GB on the disk)"),
+    ("cpu", "CPU", "For every computer; the smallest download (about 1.7 GB on the disk)"),
     (
         "cuda",
         "CUDA",
@@ -42,7 +43,7 @@ class NepPreferences(bpy.types.AddonPreferences):
 
     def draw(self, context: bpy.types.Context) -> None:
         _draw_engine(self.layout.box(), context, self)
-        _draw_installation(self.layout.box(), self)
+        _draw_installation(self.layout.box(), context, self)
 
 
 def _draw_engine(box: bpy.types.UILayout, context: bpy.types.Context, preferences: NepPreferences) -> None:
@@ -65,12 +66,12 @@ def _draw_check(column: bpy.types.UILayout, context: bpy.types.Context) -> None:
             icon="QUESTION" if named else "ERROR",
         )
     else:
-        column.label(text=check.python, icon="CHECKMARK" if check.works else "ERROR")
+        draw_wrapped(column, context, check.python, "CHECKMARK" if check.works else "ERROR")
         for line in check.lines:
-            column.label(text=line, icon="BLANK1")
+            draw_wrapped(column, context, line, "BLANK1")
 
 
-def _draw_installation(box: bpy.types.UILayout, preferences: NepPreferences) -> None:
+def _draw_installation(box: bpy.types.UILayout, context: bpy.types.Context, preferences: NepPreferences) -> None:
     """The choices for an installation, its progress, and its failure."""
     installing, installation = engine_setup.installing, engine_setup.installation
     box.label(text="Installation", icon="IMPORT")
@@ -93,5 +94,4 @@ def _draw_installation(box: bpy.types.UILayout, preferences: NepPreferences) -> 
     box.operator("nep.install_engine", icon="IMPORT")
     if installation is not None and installation.error is not None:
         for text, icon in zip(installation.error, ("ERROR", "BLANK1"), strict=True):
-            if text:
-                box.label(text=text, icon=icon)
+            draw_wrapped(box, context, text, icon)

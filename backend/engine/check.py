@@ -61,7 +61,7 @@ class EngineCheck:
             if time.monotonic() - self._start < LIMIT_S:
                 return False
             self.close()
-            self.lines = [f"{self.python} did not answer within {LIMIT_S:.0f} s."]
+            self.lines = [f"It did not answer within {LIMIT_S:.0f} s.", "If the computer is busy, press Check again later."]
             return True
         code = self._process.returncode
         output, _ = self._process.communicate()

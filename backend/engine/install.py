@@ -22,7 +22,7 @@ from pathlib import Path
 NAME = "nep-engine"
 DONE, UNFINISHED = "engine.json", "unfinished"
 CPU_INDEX = "https://download.pytorch.org/whl/cpu"
-OLDEST = (3, 11)
+OLDEST, NEWEST = (3, 11), (3, 13)  # all parts of the engine have builds for these
 PINNED = (3, 11)  # the Python that constraints.txt was written for
 SOURCES = ("pyproject.toml", "README.md", "LICENSE", "constraints.txt", "blender_nep")
 PIP = ("-I", "-m", "pip", "install", "--no-input", "--progress-bar", "off", "--disable-pip-version-check")
@@ -143,10 +143,10 @@ def check_base(programs: ProgramRunner, python: str) -> tuple[int, int]:
     if version < OLDEST:
         raise InstallError(f"{python} is {name}; the engine needs 3.11 or newer.", "Choose another Base Python.")
     if code != 0:
+        package = "Debian and Ubuntu ship them apart: install the package python{}.{}-venv. ".format(*version)
         raise InstallError(
             f"{name} ({python}) cannot make environments: it lacks the module venv or ensurepip.",
-            "Debian and Ubuntu ship them apart: install the package python{}.{}-venv, or choose another Base Python, for "
-            "example one from python.org.".format(*version),
+            (package if version <= NEWEST else "") + "Choose another Base Python, for example 3.13 from python.org.",
         )
     return version
 
@@ -180,12 +180,15 @@ def pip_install(
         raise InstallError("The disk is full.", "Free some gigabytes, or choose another folder, and install again.")
     errors = [line for line in text.splitlines() if line.startswith("ERROR:")]
     missing = next((line for line in errors if "No matching distribution" in line), None)
+    if missing and "connection broken by" in text and "from versions: none" in text:
+        raise InstallError("The package index cannot be reached.", "Look at the network connection, and install again.")
     if missing:
         raise InstallError(
             f"There is no build of {missing.rpartition(' ')[2]} for this computer and Python {version[0]}.{version[1]}.",
             "Choose a Base Python 3.11, 3.12 or 3.13, and look at the network connection.",
         )
-    raise InstallError(f"pip failed: {errors[-1][7:] if errors else text[-300:]}", "The log has the details.")
+    hint = "Choose a Base Python 3.11, 3.12 or 3.13." if version > NEWEST else "The log has the details."
+    raise InstallError(f"pip failed: {errors[-1][7:] if errors else text[-300:]}", hint)
 
 
 def install(options: argparse.Namespace, programs: ProgramRunner) -> None:

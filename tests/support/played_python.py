@@ -10,8 +10,9 @@ import os, pathlib, shutil, sys, time
 mode = pathlib.Path({folder!r}, "mode").read_text()
 what = sys.argv[2:]
 if what[0] == "-c" and "version_info" in what[1]:
-    print("version", *mode.split()[1:] if mode.startswith("old") else (3, 12))
-    sys.exit("No module named 'ensurepip'" if mode == "no venv" else 0)
+    name, *version = mode.split()
+    print("version", *version if name in ("old", "new") else (3, 12))
+    sys.exit("No module named 'ensurepip'" if mode == "no venv" or name == "new" else 0)
 if what[0] == "-c":
     print("versions 2.9.9 0.1.0")
 elif what[:2] == ["-m", "venv"]:
@@ -26,6 +27,10 @@ elif what[:3] == ["-m", "pip", "install"]:
         pathlib.Path({folder!r}, "slow").touch()
         time.sleep(600)
     if mode == "no build" and "torch" in what:
+        sys.exit("ERROR: No matching distribution found for torch")
+    if mode == "no network":
+        print("WARNING: Retrying after connection broken by 'NewConnectionError': /simple/torch/", file=sys.stderr)
+        print("ERROR: Could not find a version that satisfies torch (from versions: none)", file=sys.stderr)
         sys.exit("ERROR: No matching distribution found for torch")
     if mode == "full":
         sys.exit("ERROR: Could not install packages due to an OSError: [Errno 28] No space left on device")

@@ -71,6 +71,8 @@ def test_an_installation_makes_an_engine_with_the_chosen_build(base, tmp_path):
     [
         ("old 3 10", "is Python 3.10; the engine needs 3.11", "Base Python"),
         ("no venv", "lacks the module venv", "python3.12-venv"),
+        ("new 3 14", "Python 3.14", "Choose another Base Python, for example 3.13"),
+        ("no network", "The package index cannot be reached", "network connection"),
         ("no build", "no build of torch for this computer and Python 3.12", "3.13"),
         ("full", "The disk is full", "Free some"),
     ],
