@@ -8,17 +8,21 @@ from pathlib import Path
 
 import torch
 
-from blender_nep.errors import NepError, Stopped
+from blender_nep.errors import NepError, ObjectsFailed, Stopped
 from blender_nep.job.events import Events
 
 
 def exit_code(work: Callable[[], None], events: Events, asset: Path) -> int:
-    """Do `work` and return the exit code. The traceback of an error goes to the log; `asset` is the folder of the log."""
+    """Do `work` and return the exit code. The traceback of an error goes to the log; `asset` is the folder of the log.
+
+    A stop, and the end of a batch in which objects failed, have none: their own logs say why.
+    """
     try:
         work()
         return 0
     except NepError as error:
-        events.log("".join(traceback.format_exception(error)))
+        if not isinstance(error, Stopped | ObjectsFailed):
+            events.log("".join(traceback.format_exception(error)))
         events.error(error)
         return error.code
     except KeyboardInterrupt:

@@ -27,6 +27,7 @@ def test_assets_of_all_and_one_failure_that_stops_nobody(batch):
     code, events = batch.run()
     found = batch.objects()
     assert code == 9 and {name: one["state"] for name, one in found.items()} == {"a": "done", "b": "failed", "c": "done"}
+    assert "Traceback" not in (batch.out / "log.txt").read_text(), "a failed object is no failure of the batch"
     assert events[0]["event"] == "batch" and events[0]["objects"] == 3
     assert events[-1]["code"] == 9 and events[-1]["values"] == {"names": ["b"], "objects": 3}
     assert found["b"]["error"]["message"] == "the photos are no good" and found["b"]["attempts"] == 1
