@@ -8,11 +8,10 @@ import sys
 import tomllib
 import zipfile
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 
-from support.blender_checks import Drawn, fails, rounds
+from support.blender_checks import drawn_by, fails, rounds
 from support.own_process import run_file
 from support.paths import ROOT
 from support.played_python import played_python
@@ -146,10 +145,7 @@ def set_engine_up(bpy, addon, folder: Path) -> None:
 
     def drawn() -> list[str]:
         """What the preferences show."""
-        layout = Drawn()
-        shown = SimpleNamespace(layout=layout, base_python=chosen.base_python)
-        addon.preferences.NepPreferences.draw(shown, bpy.context)
-        return layout.log
+        return drawn_by(bpy, addon.preferences.NepPreferences, base_python=chosen.base_python)
 
     default = paths.engine_folder(bpy.context)
     assert default.name == "blender_nep" and default.is_relative_to(folder / "user"), "the extension's own folder"
@@ -172,14 +168,14 @@ def set_engine_up(bpy, addon, folder: Path) -> None:
     assert Path(installed).is_relative_to(folder / "engines" / "nep-engine")
     assert (folder / "engines" / "nep-engine" / "engine.json").is_file()
     rounds(addon, bpy.ops.nep.check_engine.poll)
-    assert installed in drawn(), "what was installed is checked"
+    assert installed in "".join(drawn()), "what was installed is checked"
     chosen.engine_python = "/no/python"
     assert paths.engine_python(bpy.context) == "/no/python"
     engine = os.environ.pop("NEP_ENGINE_PYTHON")  # it would go before the preferences
     assert bpy.ops.nep.check_engine() == {"FINISHED"}
     os.environ["NEP_ENGINE_PYTHON"] = engine
     rounds(addon, bpy.ops.nep.check_engine.poll)
-    assert any(text.startswith("/no/python cannot be started") for text in drawn())
+    assert "/no/python cannot be started" in " ".join(drawn())
 
 
 if __name__ == "__main__":
