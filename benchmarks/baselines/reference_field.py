@@ -71,8 +71,8 @@ class ReferenceField(SurfaceColor):
         """The SDF as it is now: this field itself."""
         return self
 
-    def shape_optimiser(self, rate: float, betas: tuple[float, float], level_power: float) -> torch.optim.Optimizer:
-        """Adam for the parameters of the SDF's MLP. The MLP has no levels, so `level_power` has no effect."""
+    def shape_optimiser(self, rate: float, betas: tuple[float, float]) -> torch.optim.Optimizer:
+        """Adam for the parameters of the SDF's MLP, which has no levels."""
         return torch.optim.Adam(self.layers.parameters(), lr=rate, betas=betas)
 
     def values(self, points: Tensor) -> Tensor:
