@@ -103,10 +103,10 @@ def measure(nodes: int, cores: int, seconds: float, rounds: int) -> dict[str, fl
             with MailboxWatch() as mailbox:
                 code = runner.run(settings, Events(io.StringIO(), sys.stderr), StopRequest())
             wall, cpu = time.monotonic() - wall, time.process_time() - cpu
-            begun = json.loads((folder / "shelf" / "batch.json").read_text())["objects"]
+            objects = json.loads((folder / "shelf" / "batch.json").read_text())["objects"]
     finally:
         cluster.close()
-    done = sum(one["state"] == "done" for one in begun)
+    done = sum(one["state"] == "done" for one in objects)
     return {
         "code": code,
         "objects": count,

@@ -161,6 +161,12 @@ def set_engine_up(bpy, addon, folder: Path) -> None:
     assert bpy.ops.nep.cancel_install() == {"FINISHED"} and not bpy.ops.nep.cancel_install.poll()
     rounds(addon, install.poll)
     assert "The installation was cancelled." in drawn() and not paths.engine_python(bpy.context)
+    (folder / "mode").write_text("full")
+    assert install() == {"FINISHED"}
+    rounds(addon, install.poll)
+    log = folder / "engines" / "nep-engine.log"
+    assert "The disk is full." in drawn() and "No space left on device" in log.read_text(), "the log is kept"
+    assert str(log) in "".join(drawn())
     (folder / "mode").write_text("well")
     assert install() == {"FINISHED"}
     rounds(addon, install.poll)
