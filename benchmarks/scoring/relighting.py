@@ -115,11 +115,12 @@ def scale_base_color(item: bpy.types.Object, factors: Sequence[float]) -> None:
     source = base.links[0].from_socket
     product = tree.nodes.new("ShaderNodeMix")
     product.data_type, product.blend_type = "RGBA", "MULTIPLY"
-    factor, first, second = (product.inputs[name] for name in ("Factor_Float", "A_Color", "B_Color"))
-    factor.default_value = 1.0
-    second.default_value = (*factors, 1.0)
-    tree.links.new(source, first)
-    tree.links.new(product.outputs["Result_Color"], base)
+    # Sockets of several types have the same name, so they are told apart by their identifiers.
+    sockets = {socket.identifier: socket for socket in (*product.inputs, *product.outputs)}
+    sockets["Factor_Float"].default_value = 1.0
+    sockets["B_Color"].default_value = (*factors, 1.0)
+    tree.links.new(source, sockets["A_Color"])
+    tree.links.new(sockets["Result_Color"], base)
 
 
 def compare(

@@ -1,5 +1,6 @@
 """The scores of the benchmarks on bodies whose scores are known. Ablations change only the fields that they name."""
 
+import sys
 from dataclasses import asdict
 from pathlib import Path
 
@@ -161,6 +162,9 @@ def check_rescaled_albedo():
     material.use_nodes = True
     nodes, links = material.node_tree.nodes, material.node_tree.links
     nodes["Principled BSDF"].inputs["Metallic"].default_value = 1.0
+    nodes["Principled BSDF"].inputs[
+        "Roughness"
+    ].default_value = 0.0  # light that scatters twice would count the albedo twice
     albedo = nodes.new("ShaderNodeRGB")
     albedo.outputs[0].default_value = (0.4, 0.4, 0.4, 1.0)
     links.new(albedo.outputs[0], nodes["Principled BSDF"].inputs["Base Color"])
@@ -175,3 +179,7 @@ def check_rescaled_albedo():
         after = scene.render(frame, world).mean((0, 1))
     assert before.min() > 0.01
     np.testing.assert_allclose(after / before, factors, rtol=0.02)
+
+
+if __name__ == "__main__":
+    globals()[sys.argv[1]](*sys.argv[2:])
