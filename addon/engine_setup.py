@@ -83,10 +83,10 @@ _displayed: tuple | None = None  # what the preferences show of these
 
 def start_check(python: str) -> None:
     """Start a process that finds out which parts of the engine this Python has."""
-    global check, checking
+    global check, checking, _displayed
     if checking:
         check.close()
-    check, checking = EngineCheck(python), True
+    check, checking, _displayed = EngineCheck(python), True, None
     clock.call_until_false(_advance)
 
 
@@ -98,10 +98,10 @@ def forget_check() -> None:
 
 def start_installation(folder: Path, base_python: str, build: str) -> None:
     """Start a process that installs the engine into `folder`. OSError where the process cannot be started."""
-    global installation, installing
+    global installation, installing, _displayed
     command = [sys.executable, "-I", installer.__file__, "--source", str(EXTENSION), "--folder", str(folder)]
     installation = Installation([*command, "--python", base_python, "--build", build], folder / f"{installer.NAME}.log")
-    installing = True
+    installing, _displayed = True, None
     clock.call_until_false(_advance)
 
 

@@ -15,7 +15,7 @@ from blender_nep.job.events import Events
 def exit_code(work: Callable[[], None], events: Events, asset: Path) -> int:
     """Do `work` and return the exit code. The traceback of an error goes to the log; `asset` is the folder of the log.
 
-    A stop, and the end of a batch in which objects failed, have none: their own logs say why.
+    A stop, and the failed objects of a batch, have none: they are no fault of the program.
     """
     try:
         work()

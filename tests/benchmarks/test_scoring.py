@@ -161,13 +161,12 @@ def check_rescaled_albedo():
     material = bpy.data.materials.new("metal")
     material.use_nodes = True
     nodes, links = material.node_tree.nodes, material.node_tree.links
-    nodes["Principled BSDF"].inputs["Metallic"].default_value = 1.0
-    nodes["Principled BSDF"].inputs[
-        "Roughness"
-    ].default_value = 0.0  # light that scatters twice would count the albedo twice
+    bsdf = nodes["Principled BSDF"]
+    bsdf.inputs["Metallic"].default_value = 1.0
+    bsdf.inputs["Roughness"].default_value = 0.0  # light that scatters twice would count the albedo twice
     albedo = nodes.new("ShaderNodeRGB")
     albedo.outputs[0].default_value = (0.4, 0.4, 0.4, 1.0)
-    links.new(albedo.outputs[0], nodes["Principled BSDF"].inputs["Base Color"])
+    links.new(albedo.outputs[0], bsdf.inputs["Base Color"])
     plane.data.materials.append(material)
     above = np.eye(4)
     above[2, 3] = 3.0

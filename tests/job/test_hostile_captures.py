@@ -129,8 +129,8 @@ def test_one_thread_and_many_give_the_same_asset_within_rounding(plain_asset, tm
     assert all(np.shape(one[name]) == np.shape(other[name]) for name in one)
     assert not [name for name in one if np.abs(np.asarray(one[name]) - np.asarray(other[name])).max() > 1e-3]
     assert len(surface.mesh.vertices) == len(others.mesh.vertices)  # welded: another UV map has its seams elsewhere
-    far = max(a.distance(b.mesh.vertices).max() for a, b in ((surface, others), (others, surface)))
-    assert far < 1e-3
+    # The vertices themselves are 0.0010 apart where an edge was swapped; the surfaces are 0.0003 apart there.
+    assert max(a.distance(b.mesh.vertices).max() for a, b in ((surface, others), (others, surface))) < 5e-4
 
 
 def test_another_seed_gives_another_asset_of_the_same_thing(plain_asset, tmp_path):

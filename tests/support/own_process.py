@@ -30,7 +30,9 @@ def in_blender(function: Callable[..., None], *arguments: object) -> None:
     The file ends with: if __name__ == "__main__": globals()[sys.argv[1]](*sys.argv[2:]). Without that end nothing would be
     called, and the test could not fail.
     """
-    assert "__main__" in inspect.getsource(inspect.getmodule(function)), "the file does not call its functions"
+    assert 'if __name__ == "__main__":' in inspect.getsource(inspect.getmodule(function)), (
+        "the file does not call its functions"
+    )
     done = run_file(inspect.getfile(function), function.__name__, *arguments, timeout=LIMIT_S)
     assert done.returncode == 0, done.stdout[-2000:] + done.stderr[-4000:]
     assert "Traceback" not in done.stderr, done.stderr

@@ -31,6 +31,15 @@ def test_a_program_that_is_no_python_does_not_work():
         assert not found.works and found.lines[0].startswith(message)
 
 
+def test_a_python_that_does_not_answer_in_time_is_ended_and_the_message_says_what_to_do(monkeypatch):
+    monkeypatch.setattr("backend.engine.check.LIMIT_S", 0.0)
+    found = EngineCheck(sys.executable)  # its imports take longer than no time
+    process = found._process
+    assert found.poll() and not found.works
+    assert found.lines == ["It did not answer within 0 s.", "If the computer is busy, press Check again later."]
+    assert process.returncode is not None, "the process still runs"
+
+
 def test_a_python_with_the_engine_works_and_its_versions_are_named():
     found = answer(sys.executable)
     assert found.works, found.lines
