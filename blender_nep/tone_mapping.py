@@ -19,6 +19,11 @@ def tone_map(radiance: torch.Tensor) -> torch.Tensor:
     return torch.log1p(4 * radiance.clamp(min=0)) / _SCALE
 
 
+def inverse_tone_map(toned: torch.Tensor) -> torch.Tensor:
+    """The linear radiance x [...] of the values tone_map(x)."""
+    return torch.expm1(_SCALE * toned) / 4
+
+
 def tone_map_without_highlights(radiance: torch.Tensor, threshold: float) -> torch.Tensor:
     """`tone_map` up to `threshold`. Above it, the value rises by HIGHLIGHT * log(x / threshold).
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -29,6 +30,7 @@ from blender_nep.fields.rendering import FieldsRenderer, RayBundle, Rendering, R
 from blender_nep.fields.schedule import Schedule
 from blender_nep.fields.support_search import find_support_by_photos
 from blender_nep.fields.support_start import with_closed_foot
+from blender_nep.fields.support_texture import SupportTexture
 from blender_nep.fields.visual_hull import VisualHull, background_silhouettes, carve, excess, mask_silhouettes, score_cells
 from blender_nep.fields.volume_rendering import BAND
 from blender_nep.geometry.mesh import Surface
@@ -38,6 +40,10 @@ from blender_nep.messages import Message, Part
 from blender_nep.presets import Preset
 from blender_nep.profiling import profiled, section
 from blender_nep.tone_mapping import tone_map
+
+_CARVINGS, _LEAST_CARVED = 8, 0.02
+"""With the colors of the support plane, the visual hull is carved up to so many times, as long as it loses this share of its
+volume."""
 
 
 class Optimisers:
@@ -262,14 +268,32 @@ class FieldsLearning:
     def hull_without_masks(self) -> VisualHull | None:
         """The hull from the residuals of F_e, as it is now. None if F_e explains all.
 
-        If no support plane is known, one is looked for with the hull's help.
+        If no support plane is known, one is looked for with the hull's help. Then the hull is carved again with the colors
+        of the plane, which F_e does not know.
         """
-        score = score_cells(self.rays, background_silhouettes(self._environment_alone, self.rays), self._cells)
+        score = self._silhouette_scores(self._environment_alone)
         hull, field = carve(score), self.object_field
-        if hull is None or field.support is not None:
-            return hull
-        field.support = find_plain_support(self.rays, hull.sdf)
-        return carve(score, weak_foot=True)
+        if hull is None:
+            return None
+        weak_foot = field.support is None
+        if field.support is None:
+            field.support = find_plain_support(self.rays, hull.sdf)
+            hull = carve(score, weak_foot)
+        return hull if field.support is None else self._hull_before(field.support, hull, weak_foot)
+
+    def _hull_before(self, support: Support, hull: VisualHull | None, weak_foot: bool) -> VisualHull | None:
+        """The hull carved with the colors of the support plane, which are known better the smaller the hull is."""
+        for _ in range(_CARVINGS):
+            if hull is None:
+                break
+            texture, volume = SupportTexture.of(self.rays, support, hull.sdf), hull.volume
+            hull = carve(self._silhouette_scores(texture.before(self._environment_alone)), weak_foot)
+            if hull is not None and hull.volume > (1 - _LEAST_CARVED) * volume:
+                break
+        return hull
+
+    def _silhouette_scores(self, background: Callable[[RayBundle], Tensor]) -> np.ndarray:
+        return score_cells(self.rays, background_silhouettes(background, self.rays), self._cells)
 
     @torch.no_grad()
     def _environment_alone(self, rays: RayBundle) -> Tensor:
@@ -282,11 +306,14 @@ class FieldsLearning:
     def carve_again(self) -> None:
         """Take from the object what F_e and the support plane alone explain, now that both are known better."""
         field, shape = self.object_field, self.object_field.shape()
-        band = BAND / self.schedule.sharpness
+        band, sdf = BAND / self.schedule.sharpness, field.sdf_in_cells()
+        background: Callable[[RayBundle], Tensor] = self.renderer.background
+        if field.support is not None:
+            background = SupportTexture.of(self.rays, field.support, sdf).before(background)
         silhouettes = background_silhouettes(
-            self.renderer.background, self.rays, wanted=lambda rays: shape.near(rays.origins, rays.directions, band)
+            background, self.rays, wanted=lambda rays: shape.near(rays.origins, rays.directions, band)
         )
-        free = excess(self.rays, silhouettes, field.sdf_in_cells())
+        free = excess(self.rays, silhouettes, sdf)
         field.add(torch.from_numpy(free).to(self.generator.device))
 
     def update_object_pixels(self) -> None:

@@ -1,0 +1,90 @@
+"""The colors of the support plane in the object's sphere are found, and the object is not taken for the plane."""
+
+import numpy as np
+import pytest
+import torch
+
+from blender_nep.capture import PixelRays, load_capture
+from blender_nep.fields.rendering import RayBundle
+from blender_nep.fields.support_texture import SupportTexture
+from blender_nep.fields.visual_hull import background_silhouettes, carve, score_cells
+from blender_nep.geometry.support import Support
+from support.table_scene import BALL, CENTRE, HEIGHT, pattern, shadow, write_table_scene
+
+PLANE = Support(np.array([0.0, 0.0, 1.0]), HEIGHT)
+AXIS = (np.arange(64) + 0.5) / 64 * 2 - 1
+CELLS = np.stack(np.meshgrid(AXIS, AXIS, AXIS, indexing="ij"), -1)
+BALL_SDF = (np.linalg.norm(CELLS - CENTRE, axis=-1) - BALL).astype(np.float32)
+
+
+@pytest.fixture(params=["patterned", "plain"])
+def table(request, tmp_path):
+    """The pixels of a ball on a table, and the table's true colors."""
+    plain = request.param == "plain"
+    folder = write_table_scene(tmp_path / "capture", plain=plain)
+    return PixelRays.from_capture(load_capture(folder), 10_000, False, torch.device("cpu")), shadow if plain else pattern
+
+
+def texels(texture: SupportTexture) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Points [n, 3], colors [n, 3] and whether they are known [n], of all texels."""
+    axis = (np.arange(len(texture.known)) + 0.5) / len(texture.known) * 2 - 1
+    across, along = PLANE.axes()
+    points = axis[:, None, None] * across + axis[None, :, None] * along + HEIGHT * PLANE.normal
+    return points.reshape(-1, 3), texture.color.reshape(-1, 3).numpy(), texture.known.flatten().numpy()
+
+
+def test_known_colors_are_those_of_the_table_and_not_those_of_the_ball(table):
+    rays, true = table
+    points, color, known = texels(SupportTexture.of(rays, PLANE, BALL_SDF))
+    beside = np.hypot(*(points - CENTRE)[:, :2].T) > BALL
+    in_sphere = np.linalg.norm(points, axis=1) < 0.97
+    assert known[beside & in_sphere].mean() > 0.95
+    assert not known[np.linalg.norm(points, axis=1) > 1].any()
+    wrong = np.abs(color - true(points)).mean(1)
+    # where the ball hides the foot from all photos, it has a color that the patterned table has elsewhere
+    assert np.median(wrong[known]) < 0.01 and (wrong[known] > 0.05).mean() < 0.05
+
+
+def test_the_colors_are_shown_by_rays_that_meet_the_plane_in_the_sphere(table):
+    rays, true = table
+    texture = SupportTexture.of(rays, PLANE, BALL_SDF)
+    points = np.array([[-0.6, 0.1, HEIGHT], [-0.3, -0.55, HEIGHT], [0.0, -1.5, HEIGHT]])
+    origins = torch.tensor(points + np.array([-1.0, 0.5, 2.0]), dtype=torch.float32)
+    directions = torch.nn.functional.normalize(torch.tensor(points, dtype=torch.float32) - origins, dim=-1)
+    black = torch.zeros(3, 3)
+    shown = texture.shown(RayBundle(origins, directions, torch.zeros(3)), black).numpy()
+    np.testing.assert_allclose(shown[:2], true(points[:2]), atol=0.02)
+    assert (shown[2] == 0).all(), "the plane outside the sphere belongs to F_e"
+    upwards = RayBundle(origins, -directions, torch.zeros(3))
+    assert (texture.shown(upwards, black) == 0).all()
+
+
+def test_the_hull_loses_its_mound_and_keeps_the_ball(table):
+    """The background shows the table beside the sphere, and walls in its place in the sphere, as F_e does."""
+    rays, true = table
+
+    def walls(bundle: RayBundle) -> torch.Tensor:
+        origins, directions = bundle.origins.numpy(), bundle.directions.numpy()
+        color = 0.3 + 0.2 * np.sin(3 * directions)
+        points = origins + ((HEIGHT - origins[:, 2:]) / np.minimum(directions[:, 2:], -1e-6)) * directions
+        beside = (directions[:, 2] < 0) & (np.linalg.norm(points, axis=1) > 1)
+        color[beside] = true(points[beside])
+        return torch.from_numpy(color.astype(np.float32))
+
+    above, ball = PLANE.distance(CELLS) > 0, BALL_SDF < 0
+    sdf, overlap = None, []
+    for _ in range(9):
+        background = walls if sdf is None else SupportTexture.of(rays, PLANE, sdf).before(walls)
+        hull = carve(score_cells(rays, background_silhouettes(background, rays), 64))
+        sdf = hull.sdf
+        found = (sdf < 0) & above
+        overlap.append((found & ball).sum() / (found | ball).sum())
+    assert overlap[0] < 0.5 and overlap[-1] > 0.7, overlap
+    assert (sdf[BALL_SDF < -0.05] < 0).mean() > 0.99
+
+
+def test_nothing_is_known_if_the_photos_show_nothing_beside_the_object(tmp_path):
+    """A table as small as the foot: beside it are the walls, far below the plane."""
+    folder = write_table_scene(tmp_path / "capture", radius=0.2)
+    rays = PixelRays.from_capture(load_capture(folder), 10_000, False, torch.device("cpu"))
+    assert float(SupportTexture.of(rays, PLANE, BALL_SDF).known.float().mean()) < 0.02
