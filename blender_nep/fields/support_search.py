@@ -19,7 +19,7 @@ from torch.nn import functional
 from blender_nep.capture.pixel_rays import PixelRays
 from blender_nep.geometry.support import Support
 from blender_nep.profiling import profiled
-from blender_nep.tone_mapping import tone_map
+from blender_nep.tone_mapping import inverse_tone_map, tone_map
 
 STEP = 0.025
 """Step of the sweep over heights, in object radii."""
@@ -37,6 +37,15 @@ LEAST_CONTRAST = 1.3
 """By this factor the spread of the colors at the minimum must be below the spread REACH above and below it. Measured: 2.6
 for a patterned table; at most 1.04 for seven objects without one, with the photos from above only."""
 REACH = 0.08
+AGREES = 0.04
+"""Tone-mapped difference up to which two photos agree on a color."""
+INNER_CONTRAST = 1.1
+"""By this factor, the share of the photos that agree on the colors inside the sphere must be above that REACH above and
+below the plane. Measured: 1.16 for a patterned plate that ends in the sphere; at most 1.04 for nine objects without a
+support, with the photos from above only, and 1.06 at a wrong height over a glossy plate."""
+_SIDE = 50
+"""The plane inside the sphere is looked at in so many points along each side of the square around it."""
+_CHUNK = 512
 _POINTS, _FINE_POINTS = 400, 1600
 """Number of points of a ring: in the sweep, and when the plane is refined."""
 _VIEWS, _ROWS = 40, 200
@@ -57,7 +66,7 @@ def find_support_by_photos(rays: PixelRays) -> Support | None:
     planes = [Support(up, float(height)) for height in heights]
     best, contrast = max((_best_plane(photos, planes, width) for width in RINGS), key=lambda found: found[1])
     if contrast < LEAST_CONTRAST:
-        return None
+        return _inner_plane(photos, planes)
     width = next(w for w in sorted((REFINE_RING, *RINGS), reverse=True) if _contrast(photos, best, w) >= LEAST_CONTRAST)
     support = _refined(photos, best, width)
     positions = np.stack([rays.camera(view)[0].double().cpu().numpy() for view in range(rays.views)])
@@ -84,6 +93,35 @@ def _best_plane(photos: SmallPhotos, planes: list[Support], width: float) -> tup
         if contrast > most:
             best, most = planes[k], contrast
     return best, most
+
+
+def _inner_plane(photos: SmallPhotos, planes: list[Support]) -> Support | None:
+    """The plane on whose colors inside the sphere clearly more photos agree than REACH above and below; None without one.
+
+    This finds a patterned plate that ends in the sphere.
+    """
+    axis, apart = (np.arange(_SIDE) + 0.5) / _SIDE * 2 - 1, round(REACH / STEP)
+
+    def share(plane: Support) -> float:
+        points = plane_points(plane, axis).astype(np.float32)
+        inside = torch.from_numpy(points[np.linalg.norm(points, axis=-1) < 1]).to(photos.photos.device)
+        return float(photos.agreement(inside)[1].mean())
+
+    if len(planes) <= 2 * apart:
+        return None
+    shares = np.array([share(plane) for plane in planes])
+    contrast = shares[apart:-apart] / np.maximum(shares[: -2 * apart], shares[2 * apart :]).clip(1e-6)
+    if contrast.max() < INNER_CONTRAST:
+        return None
+    found = planes[int(contrast.argmax()) + apart]
+    return max((Support(found.normal, found.height + rise) for rise in np.linspace(-STEP, STEP, 9)), key=share)
+
+
+def plane_points(support: Support, axis: np.ndarray) -> np.ndarray:
+    """Points [n, n, 3] of the plane whose places along the support's two axes are those of axis [n]."""
+    across, along = support.axes()
+    square = axis[:, None, None] * across + axis[None, :, None] * along
+    return square + support.height * np.asarray(support.normal)
 
 
 def _contrast(photos: SmallPhotos, plane: Support, width: float) -> float:
@@ -131,6 +169,28 @@ class SmallPhotos:
         spread = self.spread(ring(support, inner, width, _POINTS))
         known = np.isfinite(spread)
         return float(np.median(spread[known])) if known.mean() >= 0.2 else float("inf")
+
+    def agreement(self, points: Tensor, counts: Tensor | None = None) -> tuple[Tensor, Tensor, Tensor]:
+        """The linear color [n, 3] of points [n, 3] on which most photos agree.
+
+        Also the share [n] of the photos that agree, and the number [n] of photos that count. Only photos that show a point
+        count; with counts [n, photos] bool, only those among them.
+        """
+        found = []
+        for k, part in enumerate(points.split(_CHUNK)):
+            seen = self.colors(part).transpose(0, 1)
+            counted = torch.isfinite(seen[..., 0])
+            if counts is not None:
+                counted &= counts[k * _CHUNK : (k + 1) * _CHUNK]
+            alike = (seen[:, :, None] - seen[:, None]).abs().mean(-1) < AGREES
+            alike &= counted[:, :, None] & counted[:, None]
+            most, best = alike.sum(2).max(1)
+            chosen = alike[torch.arange(len(part), device=part.device), best]
+            color = torch.where(chosen[..., None], seen, 0.0).sum(1) / most.clamp_min(1)[:, None]
+            count = counted.sum(1)
+            found.append((inverse_tone_map(color), most / count.clamp_min(1), count))
+        color, share, count = (torch.cat(values) for values in zip(*found, strict=True))
+        return color, share, count
 
     def colors(self, points: Tensor) -> Tensor:
         """Colors [views, n, 3] of points [n, 3]; NaN where a photo does not show the point."""

@@ -11,6 +11,7 @@ A part of the photos does not count for a point: those in which the inner part o
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
 import torch
@@ -19,13 +20,10 @@ from torch.nn import functional
 
 from blender_nep.capture.pixel_rays import PixelRays
 from blender_nep.fields.rendering import RayBundle
-from blender_nep.fields.support_search import SmallPhotos, ring
+from blender_nep.fields.support_search import REACH, SmallPhotos, plane_points, ring
 from blender_nep.geometry.support import Support
 from blender_nep.profiling import profiled
-from blender_nep.tone_mapping import inverse_tone_map
 
-AGREES = 0.04
-"""Tone-mapped difference up to which two photos agree on a color."""
 LEAST_SHARE = 0.4
 """A color is known if this share of the photos that count agree on it."""
 LEAST_VIEWS = 6
@@ -40,43 +38,55 @@ BRIGHTER = 1.5
 """A known color is at most so many times brighter than the plane beside the object. It may be darker: shadows."""
 _TEXELS = 84
 _BESIDE, _BESIDE_POINTS = 0.5, 400
-"""Width of the ring beside the object's sphere in which the plane's chromaticities are found, and number of its points."""
-_LEAST_BESIDE = 20
-"""Smallest number of points of that ring with a known color."""
+"""Width of the ring beside the object's sphere in which sure colors are looked for, and number of its points."""
+_SHARP_SHARE, _SHARP = 0.5, 0.6
+"""A color inside the sphere is sharp if more than _SHARP_SHARE of the photos agree on it, and fewer by the factor _SHARP at
+REACH above and below the plane."""
+_LEAST_SURE = 20
+"""Smallest number of points at which the plane's color is sure."""
 _FIRST, _LAST, _STEPS = 0.03, 1.9, 48
 """Whether the shape hides a point is asked at so many distances, between these, on the way to the camera."""
-_CHUNK = 512
 
 
-class SupportTexture:
-    """The plane's colors: a square of [n, n] texels that spans [-1, 1]^2 along the support's axes."""
+class SupportColors:
+    """Finds the colors of the support plane in the object's sphere, with what is known of the object's shape."""
 
-    def __init__(self, support: Support, color: Tensor, known: Tensor) -> None:
-        """color [n, n, 3]: linear radiance; known [n, n] bool. Both are on one device."""
-        self.support, self.color, self.known = support, color, known
-
-    @classmethod
     @profiled("support texture")
     @torch.no_grad()
-    def of(cls, rays: PixelRays, support: Support, sdf: np.ndarray) -> SupportTexture:
+    def __init__(self, rays: PixelRays, support: Support) -> None:
+        """Find colors that the plane surely has. Takes about a CPU second."""
+        self._support, self._photos = support, SmallPhotos(rays)
+        square = plane_points(support, (np.arange(_TEXELS) + 0.5) / _TEXELS * 2 - 1)
+        self._points = torch.from_numpy(square.astype(np.float32)).to(rays.radiance.device)
+        self._inside = self._points.norm(dim=-1) < 1
+        self._cameras = [rays.camera(view)[0].to(self._points) for view in self._photos.views]
+        self._sure = _surely_plane(self._photos, support, self._points[self._inside])
+
+    @profiled("support texture")
+    @torch.no_grad()
+    def texture(self, sdf: np.ndarray) -> SupportTexture:
         """The colors on which the photos agree. Takes about a CPU second.
 
         sdf [n, n, n]: the object's shape as it is known so far, at the centres of n^3 cells of [-1, 1]^3, negative inside.
         """
-        photos, device = SmallPhotos(rays), rays.radiance.device
-        axis = (np.arange(_TEXELS) + 0.5) / _TEXELS * 2 - 1
-        across, along = support.axes()
-        square = axis[:, None, None] * across + axis[None, :, None] * along + support.height * np.asarray(support.normal)
-        points = torch.from_numpy(square.reshape(-1, 3).astype(np.float32)).to(device)
-        inside = points.norm(dim=-1) < 1
-        color, share, count = _agreement(photos, points[inside], torch.from_numpy(sdf).to(device))
-        found = (share > LEAST_SHARE) & (count >= LEAST_VIEWS)
-        found &= _like_the_plane(color, _beside(photos, support, device))
-        known = torch.zeros(len(points), dtype=torch.bool, device=device)
-        known[inside] = found
-        colors = torch.zeros(len(points), 3, device=device)
-        colors[inside] = color
-        return cls(support, colors.reshape(_TEXELS, _TEXELS, 3), known.reshape(_TEXELS, _TEXELS))
+        points, shape = self._points[self._inside], torch.from_numpy(sdf).to(self._points)
+        counts = torch.stack([~_hidden(points, camera, shape) for camera in self._cameras], 1)
+        found, share, count = self._photos.agreement(points, counts)
+        color, known = torch.zeros_like(self._points), torch.zeros_like(self._inside)
+        color[self._inside] = found
+        known[self._inside] = (share > LEAST_SHARE) & (count >= LEAST_VIEWS) & _like_the_plane(found, self._sure)
+        return SupportTexture(self._support, color, known)
+
+
+@dataclass(frozen=True)
+class SupportTexture:
+    """The plane's colors: a square of [n, n] texels that spans [-1, 1]^2 along the support's axes."""
+
+    support: Support
+    color: Tensor
+    """[n, n, 3] linear radiance"""
+    known: Tensor
+    """[n, n] bool"""
 
     def before(self, background: Callable[[RayBundle], Tensor]) -> Callable[[RayBundle], Tensor]:
         """The background (its radiance [n, 3] for rays [n]) with the known part of the plane before it."""
@@ -98,29 +108,6 @@ class SupportTexture:
         return torch.where(use[:, None], found[:, :3], radiance)
 
 
-def _agreement(photos: SmallPhotos, points: Tensor, sdf: Tensor | None) -> tuple[Tensor, Tensor, Tensor]:
-    """For points [n, 3]: the linear color [n, 3] on which most photos agree, their share [n], and the photos [n] that count.
-
-    sdf: photos in which its core hides a point do not count; None: all count.
-    """
-    found = []
-    cameras = [photos.rays.camera(view)[0].to(points) for view in photos.views]
-    for part in points.split(_CHUNK):
-        seen = photos.colors(part).transpose(0, 1)
-        counts = torch.isfinite(seen[..., 0])
-        if sdf is not None:
-            counts &= ~torch.stack([_hidden(part, camera, sdf) for camera in cameras], 1)
-        alike = (seen[:, :, None] - seen[:, None]).abs().mean(-1) < AGREES
-        alike &= counts[:, :, None] & counts[:, None]
-        most, best = alike.sum(2).max(1)
-        chosen = alike[torch.arange(len(part), device=part.device), best]
-        color = torch.where(chosen[..., None], seen, 0.0).sum(1) / most.clamp_min(1)[:, None]
-        count = counts.sum(1)
-        found.append((inverse_tone_map(color), most / count.clamp_min(1), count))
-    color, share, count = (torch.cat(values) for values in zip(*found, strict=True))
-    return color, share, count
-
-
 def _hidden(points: Tensor, camera: Tensor, sdf: Tensor) -> Tensor:
     """Whether the core of the shape hides each point [n, 3] from the camera [3]: [n] bool."""
     way = torch.linspace(_FIRST, _LAST, _STEPS, device=points.device)
@@ -130,19 +117,27 @@ def _hidden(points: Tensor, camera: Tensor, sdf: Tensor) -> Tensor:
     return (depth.reshape(between.shape[:-1]) < -CORE).any(1)
 
 
-def _beside(photos: SmallPhotos, support: Support, device: torch.device) -> Tensor:
-    """Known colors [m, 3] of the plane in a ring beside the object's sphere."""
-    points = torch.from_numpy(ring(support, support.radius, _BESIDE, _BESIDE_POINTS).astype(np.float32)).to(device)
-    color, share, count = _agreement(photos, points, None)
-    return color[(share > LEAST_SHARE) & (count >= LEAST_VIEWS)]
+def _surely_plane(photos: SmallPhotos, support: Support, inside: Tensor) -> Tensor:
+    """Colors [m, 3] that the plane surely has: those beside the sphere, and the sharp ones among points [n, 3] inside.
+
+    A color is sharp if clearly fewer photos agree on it REACH above and below the plane. That of a plain object is not.
+    """
+    around = ring(support, support.radius, _BESIDE, _BESIDE_POINTS).astype(np.float32)
+    color, share, count = photos.agreement(torch.from_numpy(around).to(inside.device))
+    beside = color[(share > LEAST_SHARE) & (count >= LEAST_VIEWS)]
+    rise = REACH * torch.as_tensor(np.asarray(support.normal), dtype=inside.dtype, device=inside.device)
+    color, share, count = photos.agreement(inside)
+    elsewhere = torch.maximum(photos.agreement(inside - rise)[1], photos.agreement(inside + rise)[1])
+    sharp = (share > _SHARP_SHARE) & (elsewhere < _SHARP * share) & (count >= LEAST_VIEWS)
+    return torch.cat([beside, color[sharp]])
 
 
-def _like_the_plane(color: Tensor, beside: Tensor) -> Tensor:
-    """Whether colors [n, 3] may be colors of a plane that has the colors [m, 3] beside the object: [n] bool."""
-    if len(beside) < _LEAST_BESIDE:
+def _like_the_plane(color: Tensor, sure: Tensor) -> Tensor:
+    """Whether colors [n, 3] may be colors of a plane that surely has the colors [m, 3]: [n] bool."""
+    if len(sure) < _LEAST_SURE:
         return torch.zeros(len(color), dtype=torch.bool, device=color.device)
     hue, brightness = _chromaticity(color)
-    hues, brightnesses = _chromaticity(beside)
+    hues, brightnesses = _chromaticity(sure)
     alike = (hue[:, None] - hues).abs().amax(-1) < CHROMATICITY
     return (alike & (brightness[:, None] < BRIGHTER * brightnesses)).any(1)
 

@@ -30,7 +30,7 @@ from blender_nep.fields.rendering import FieldsRenderer, RayBundle, Rendering, R
 from blender_nep.fields.schedule import Schedule
 from blender_nep.fields.support_search import find_support_by_photos
 from blender_nep.fields.support_start import with_closed_foot
-from blender_nep.fields.support_texture import SupportTexture
+from blender_nep.fields.support_texture import SupportColors
 from blender_nep.fields.visual_hull import VisualHull, background_silhouettes, carve, excess, mask_silhouettes, score_cells
 from blender_nep.fields.volume_rendering import BAND
 from blender_nep.geometry.mesh import Surface
@@ -283,10 +283,11 @@ class FieldsLearning:
 
     def _hull_before(self, support: Support, hull: VisualHull | None, weak_foot: bool) -> VisualHull | None:
         """The hull carved with the colors of the support plane, which are known better the smaller the hull is."""
+        colors = SupportColors(self.rays, support)
         for _ in range(_CARVINGS):
             if hull is None:
                 break
-            texture, volume = SupportTexture.of(self.rays, support, hull.sdf), hull.volume
+            texture, volume = colors.texture(hull.sdf), hull.volume
             hull = carve(self._silhouette_scores(texture.before(self._environment_alone)), weak_foot)
             if hull is not None and hull.volume > (1 - _LEAST_CARVED) * volume:
                 break
@@ -309,7 +310,7 @@ class FieldsLearning:
         band, sdf = BAND / self.schedule.sharpness, field.sdf_in_cells()
         background: Callable[[RayBundle], Tensor] = self.renderer.background
         if field.support is not None:
-            background = SupportTexture.of(self.rays, field.support, sdf).before(background)
+            background = SupportColors(self.rays, field.support).texture(sdf).before(background)
         silhouettes = background_silhouettes(
             background, self.rays, wanted=lambda rays: shape.near(rays.origins, rays.directions, band)
         )

@@ -30,6 +30,11 @@ def test_a_plate_is_found_at_its_height_and_tilt_though_it_ends_soon(tmp_path):
     assert support.normal @ [0, 0, 1] > np.cos(np.radians(0.3))
 
 
+def test_a_patterned_plate_that_ends_in_the_sphere_is_found_at_its_height(tmp_path):
+    support = find_support_by_photos(rays_of(write_table_scene(tmp_path / "capture", radius=0.7)))
+    assert support is not None and support.height == pytest.approx(HEIGHT, abs=0.015)
+
+
 @pytest.mark.parametrize(
     "scene",
     [{"radius": 0.0}, {"elevations": (-40, 15, 35, 60)}],

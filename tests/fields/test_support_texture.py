@@ -6,7 +6,7 @@ import torch
 
 from blender_nep.capture import PixelRays, load_capture
 from blender_nep.fields.rendering import RayBundle
-from blender_nep.fields.support_texture import SupportTexture
+from blender_nep.fields.support_texture import SupportColors, SupportTexture
 from blender_nep.fields.visual_hull import background_silhouettes, carve, score_cells
 from blender_nep.geometry.support import Support
 from support.table_scene import BALL, CENTRE, HEIGHT, pattern, shadow, write_table_scene
@@ -35,7 +35,7 @@ def texels(texture: SupportTexture) -> tuple[np.ndarray, np.ndarray, np.ndarray]
 
 def test_known_colors_are_those_of_the_table_and_not_those_of_the_ball(table):
     rays, true = table
-    points, color, known = texels(SupportTexture.of(rays, PLANE, BALL_SDF))
+    points, color, known = texels(SupportColors(rays, PLANE).texture(BALL_SDF))
     beside = np.hypot(*(points - CENTRE)[:, :2].T) > BALL
     in_sphere = np.linalg.norm(points, axis=1) < 0.97
     assert known[beside & in_sphere].mean() > 0.95
@@ -47,7 +47,7 @@ def test_known_colors_are_those_of_the_table_and_not_those_of_the_ball(table):
 
 def test_the_colors_are_shown_by_rays_that_meet_the_plane_in_the_sphere(table):
     rays, true = table
-    texture = SupportTexture.of(rays, PLANE, BALL_SDF)
+    texture = SupportColors(rays, PLANE).texture(BALL_SDF)
     points = np.array([[-0.6, 0.1, HEIGHT], [-0.3, -0.55, HEIGHT], [0.0, -1.5, HEIGHT]])
     origins = torch.tensor(points + np.array([-1.0, 0.5, 2.0]), dtype=torch.float32)
     directions = torch.nn.functional.normalize(torch.tensor(points, dtype=torch.float32) - origins, dim=-1)
@@ -72,9 +72,9 @@ def test_the_hull_loses_its_mound_and_keeps_the_ball(table):
         return torch.from_numpy(color.astype(np.float32))
 
     above, ball = PLANE.distance(CELLS) > 0, BALL_SDF < 0
-    sdf, overlap = None, []
+    colors, sdf, overlap = SupportColors(rays, PLANE), None, []
     for _ in range(9):
-        background = walls if sdf is None else SupportTexture.of(rays, PLANE, sdf).before(walls)
+        background = walls if sdf is None else colors.texture(sdf).before(walls)
         hull = carve(score_cells(rays, background_silhouettes(background, rays), 64))
         sdf = hull.sdf
         found = (sdf < 0) & above
@@ -87,4 +87,4 @@ def test_nothing_is_known_if_the_photos_show_nothing_beside_the_object(tmp_path)
     """A table as small as the foot: beside it are the walls, far below the plane."""
     folder = write_table_scene(tmp_path / "capture", radius=0.2)
     rays = PixelRays.from_capture(load_capture(folder), 10_000, False, torch.device("cpu"))
-    assert float(SupportTexture.of(rays, PLANE, BALL_SDF).known.float().mean()) < 0.02
+    assert float(SupportColors(rays, PLANE).texture(BALL_SDF).known.float().mean()) < 0.02
