@@ -5,6 +5,9 @@ same color in all photos that show it; a point of a wrong plane falls on other p
 spread of the colors over the photos has a sharp minimum at the true plane (plane sweep, Collins 1996). The direction of the
 normal follows from the cameras: people and tripods hold cameras upright. Then height and tilt are refined.
 
+A plate may end in the sphere. Where nothing is found beside the sphere, the colors inside the sphere are compared. There the
+object hides the plane in many photos, so the share of the photos that agree counts.
+
 No photo of an object on a table can be taken from below the table. So a plane with a camera below it is not a support.
 """
 

@@ -279,17 +279,20 @@ class FieldsLearning:
         if field.support is None:
             field.support = find_plain_support(self.rays, hull.sdf)
             hull = carve(score, weak_foot)
-        return hull if field.support is None else self._hull_before(field.support, hull, weak_foot)
+        if hull is None or field.support is None:
+            return hull
+        return self._hull_before_support(hull, field.support, weak_foot)
 
-    def _hull_before(self, support: Support, hull: VisualHull | None, weak_foot: bool) -> VisualHull | None:
+    def _hull_before_support(self, hull: VisualHull, support: Support, weak_foot: bool) -> VisualHull:
         """The hull carved with the colors of the support plane, which are known better the smaller the hull is."""
         colors = SupportColors(self.rays, support)
         for _ in range(_CARVINGS):
-            if hull is None:
+            background = colors.texture(hull.sdf).before(self._environment_alone)
+            carved, before = carve(self._silhouette_scores(background), weak_foot), hull.volume
+            if carved is None:  # nothing would be left: the colors are not those of the plane
                 break
-            texture, volume = colors.texture(hull.sdf), hull.volume
-            hull = carve(self._silhouette_scores(texture.before(self._environment_alone)), weak_foot)
-            if hull is not None and hull.volume > (1 - _LEAST_CARVED) * volume:
+            hull = carved
+            if hull.volume > (1 - _LEAST_CARVED) * before:
                 break
         return hull
 

@@ -5,10 +5,13 @@ import pytest
 import torch
 
 from blender_nep.capture import PixelRays, load_capture
+from blender_nep.fields import training
 from blender_nep.fields.rendering import RayBundle
 from blender_nep.fields.support_texture import SupportColors, SupportTexture
+from blender_nep.fields.training import FieldsLearning
 from blender_nep.fields.visual_hull import background_silhouettes, carve, score_cells
 from blender_nep.geometry.support import Support
+from blender_nep.presets import PRESETS
 from support.table_scene import BALL, CENTRE, HEIGHT, pattern, shadow, write_table_scene
 
 PLANE = Support(np.array([0.0, 0.0, 1.0]), HEIGHT)
@@ -81,6 +84,28 @@ def test_the_hull_loses_its_mound_and_keeps_the_ball(table):
         overlap.append((found & ball).sum() / (found | ball).sum())
     assert overlap[0] < 0.5 and overlap[-1] > 0.7, overlap
     assert (sdf[BALL_SDF < -0.05] < 0).mean() > 0.99
+
+
+def test_the_object_is_carved_again_with_the_colors_of_the_table(table, monkeypatch):
+    """Without them, the background is that of an F_e and of color heads that have learned nothing."""
+    rays, true = table
+    learning, asked = FieldsLearning(rays, PRESETS["preview"], 0, torch.device("cpu")), []
+
+    def nothing(background, rays, wanted):
+        asked.append(background)
+        return [torch.zeros(size) for size in rays.size]
+
+    monkeypatch.setattr(training, "background_silhouettes", nothing)
+    learning.object_field.support = PLANE
+    learning.object_field.start_from(torch.from_numpy(BALL_SDF))
+    learning.carve_again()
+    index = torch.arange(rays.count)
+    bundle = RayBundle(*rays.rays(index))
+    points = bundle.origins + ((HEIGHT - bundle.origins[:, 2:]) / bundle.directions[:, 2:]) * bundle.directions
+    beside = (points[:, :2] - torch.tensor(CENTRE[:2])).norm(dim=-1) > BALL + 0.1
+    seen = (bundle.directions[:, 2] < 0) & (points.norm(dim=-1) < 0.9) & beside
+    shown = asked[0](bundle[seen]).numpy()
+    assert np.quantile(np.abs(shown - true(points[seen].numpy())), 0.95) < 0.05
 
 
 def test_nothing_is_known_if_the_photos_show_nothing_beside_the_object(tmp_path):
