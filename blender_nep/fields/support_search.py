@@ -44,7 +44,7 @@ AGREES = 0.04
 """Tone-mapped difference up to which two photos agree on a color."""
 INNER_CONTRAST = 1.1
 """By this factor, the share of the photos that agree on the colors inside the sphere must be above that REACH above and
-below the plane. Measured: 1.16 for a patterned plate that ends in the sphere; at most 1.04 for nine objects without a
+below the plane. Measured: 1.16 for a patterned plate that ends in the sphere; at most 1.03 for nine objects without a
 support, with the photos from above only, and 1.06 at a wrong height over a glossy plate."""
 _SIDE = 50
 """The plane inside the sphere is looked at in so many points along each side of the square around it."""

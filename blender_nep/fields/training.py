@@ -276,7 +276,7 @@ class FieldsLearning:
         if hull is None:
             return None
         weak_foot = field.support is None
-        if field.support is None:
+        if weak_foot:
             field.support = find_plain_support(self.rays, hull.sdf)
             hull = carve(score, weak_foot)
         if hull is None or field.support is None:
