@@ -38,6 +38,8 @@ class FieldsPreset:
     carve_again_at: tuple[float, ...] = (0.5, 0.75)
     """Fractions, rising, at which the object is carved again, with the silhouettes of an F_e that is known better. Empty:
     never."""
+    open_cavities_at: float = 0.5
+    """Fraction at which the cavities of the object are opened that no silhouette shows. inf: never (an ablation)."""
     held_out_every: int = 101
     """Pixels whose index is a multiple of this number are held out from learning; the validation error is measured on them.
     The number is prime, so that these pixels do not lie in the same columns of a photo."""

@@ -17,7 +17,8 @@ from torch import Tensor
 from torch.nn import functional
 
 from blender_nep.capture.pixel_rays import PixelRays
-from blender_nep.fields.support_search import STEP, SmallPhotos, possible_planes
+from blender_nep.fields.small_photos import SmallPhotos
+from blender_nep.fields.support_search import STEP, possible_planes
 from blender_nep.geometry.support import Support
 from blender_nep.profiling import profiled
 

@@ -34,6 +34,8 @@ class Schedule:
     """How often the object pixels were found."""
     carvings: int = 0
     """How often the object was carved again."""
+    cavities_opened: bool = False
+    """Whether the cavities of the object were opened."""
     validation_errors: list[float] = field(default_factory=list)
     """Photometric errors on held-out pixels so far, the oldest first."""
 
@@ -159,6 +161,11 @@ class Schedule:
         return sum(self.fraction >= at for at in self.preset.carve_again_at) if self.background_steps else 0
 
     @property
+    def cavities_due(self) -> bool:
+        """Whether the cavities must be opened now."""
+        return not self.cavities_opened and self.fraction >= self.preset.open_cavities_at
+
+    @property
     def validation_due(self) -> bool:
         """Whether the validation error must be measured now.
 
@@ -187,6 +194,7 @@ class Schedule:
             "learned": self.learned,
             "object_pixels_updates": self.object_pixels_updates,
             "carvings": self.carvings,
+            "cavities_opened": self.cavities_opened,
             "validation_errors": list(self.validation_errors),
         }
 
@@ -196,4 +204,5 @@ class Schedule:
         self.step, self.learned = state["step"], state["learned"]
         self.object_pixels_updates = state["object_pixels_updates"]
         self.carvings = state["carvings"]
+        self.cavities_opened = state["cavities_opened"]
         self.validation_errors = list(state["validation_errors"])

@@ -16,13 +16,11 @@ from __future__ import annotations
 import numpy as np
 import torch
 from scipy.optimize import minimize
-from torch import Tensor
-from torch.nn import functional
 
 from blender_nep.capture.pixel_rays import PixelRays
+from blender_nep.fields.small_photos import SmallPhotos
 from blender_nep.geometry.support import Support
 from blender_nep.profiling import profiled
-from blender_nep.tone_mapping import inverse_tone_map, tone_map
 
 STEP = 0.025
 """Step of the sweep over heights, in object radii."""
@@ -40,19 +38,14 @@ LEAST_CONTRAST = 1.3
 """By this factor the spread of the colors at the minimum must be below the spread REACH above and below it. Measured: 2.6
 for a patterned table; at most 1.04 for seven objects without one, with the photos from above only."""
 REACH = 0.08
-AGREES = 0.04
-"""Tone-mapped difference up to which two photos agree on a color."""
 INNER_CONTRAST = 1.1
 """By this factor, the share of the photos that agree on the colors inside the sphere must be above that REACH above and
 below the plane. Measured: 1.16 for a patterned plate that ends in the sphere; at most 1.03 for nine objects without a
 support, with the photos from above only, and 1.06 at a wrong height over a glossy plate."""
 _SIDE = 50
 """The plane inside the sphere is looked at in so many points along each side of the square around it."""
-_CHUNK = 512
 _POINTS, _FINE_POINTS = 400, 1600
 """Number of points of a ring: in the sweep, and when the plane is refined."""
-_VIEWS, _ROWS = 40, 200
-"""Largest number of photos that are compared, and the rows and columns to which they are resized."""
 
 
 @profiled("support plane")
@@ -88,7 +81,7 @@ def possible_planes(rays: PixelRays) -> tuple[np.ndarray, np.ndarray]:
 
 def _best_plane(photos: SmallPhotos, planes: list[Support], width: float) -> tuple[Support, float]:
     """The plane with the sharpest minimum of the spread in a ring of `width`, and its contrast."""
-    found = np.array([photos.ring_spread(plane, plane.radius, width) for plane in planes])
+    found = np.array([_ring_spread(photos, plane, plane.radius, width) for plane in planes])
     minima = 1 + np.flatnonzero((found[1:-1] <= found[:-2]) & (found[1:-1] <= found[2:]) & np.isfinite(found[1:-1]))
     best, most = planes[0], 0.0
     for k in minima.tolist():
@@ -127,10 +120,18 @@ def plane_points(support: Support, axis: np.ndarray) -> np.ndarray:
     return square + support.height * np.asarray(support.normal)
 
 
+def _ring_spread(photos: SmallPhotos, support: Support, inner: float, width: float) -> float:
+    """Median spread of the points of a ring between the radii `inner` and `inner` + `width`; inf if hardly seen."""
+    spread = photos.spread(ring(support, inner, width, _POINTS))
+    known = np.isfinite(spread)
+    return float(np.median(spread[known])) if known.mean() >= 0.2 else float("inf")
+
+
 def _contrast(photos: SmallPhotos, plane: Support, width: float) -> float:
     """How many times larger the spread of a ring of `width` is REACH above and below the plane than in the plane."""
     below, here, above = (
-        photos.ring_spread(Support(plane.normal, plane.height + rise), plane.radius, width) for rise in (-REACH, 0.0, REACH)
+        _ring_spread(photos, Support(plane.normal, plane.height + rise), plane.radius, width)
+        for rise in (-REACH, 0.0, REACH)
     )
     return min(below, above) / max(here, 1e-6)
 
@@ -144,64 +145,6 @@ def upward(rotations: np.ndarray) -> np.ndarray:
     right, above = rotations[:, :, 0], rotations[:, :, 1]
     up = np.linalg.svd(right, full_matrices=True)[2][2]
     return up if (above @ up).sum() > 0 else -up
-
-
-class SmallPhotos:
-    """Small tone-mapped photos, in which the colors of a plane's points are compared."""
-
-    def __init__(self, rays: PixelRays) -> None:
-        self.rays = rays
-        self.views = range(0, rays.views, max(1, -(-rays.views // _VIEWS)))
-        photos = []
-        for view in self.views:
-            height, width = rays.size[view]
-            index = torch.arange(rays.offset[view], rays.offset[view + 1], device=rays.radiance.device)
-            photo = tone_map(rays.photo(index)).reshape(1, height, width, 3).permute(0, 3, 1, 2)
-            photos.append(functional.adaptive_avg_pool2d(photo, (_ROWS, _ROWS)))
-        self.photos = torch.cat(photos)
-
-    def spread(self, points: np.ndarray) -> np.ndarray:
-        """Median absolute difference [n] of the colors of points [n, 3] from their medians; NaN where hardly seen."""
-        colors = self.colors(torch.from_numpy(points.astype(np.float32)).to(self.photos.device))
-        seen = torch.isfinite(colors[..., 0]).sum(0) >= max(4, len(self.photos) // 4)
-        spread = (colors - colors.nanmedian(0).values).abs().nanmedian(0).values.mean(-1)
-        return torch.where(seen, spread, torch.nan).double().cpu().numpy()
-
-    def ring_spread(self, support: Support, inner: float, width: float) -> float:
-        """Median spread of the points of a ring between the radii `inner` and `inner` + `width`; inf if hardly seen."""
-        spread = self.spread(ring(support, inner, width, _POINTS))
-        known = np.isfinite(spread)
-        return float(np.median(spread[known])) if known.mean() >= 0.2 else float("inf")
-
-    def agreement(self, points: Tensor, counts: Tensor | None = None) -> tuple[Tensor, Tensor, Tensor]:
-        """The linear color [n, 3] of points [n, 3] on which most photos agree.
-
-        Also the share [n] of the photos that agree, and the number [n] of photos that count. Only photos that show a point
-        count; with counts [n, photos] bool, only those among them.
-        """
-        found = []
-        for k, part in enumerate(points.split(_CHUNK)):
-            seen = self.colors(part).transpose(0, 1)
-            counted = torch.isfinite(seen[..., 0])
-            if counts is not None:
-                counted &= counts[k * _CHUNK : (k + 1) * _CHUNK]
-            alike = (seen[:, :, None] - seen[:, None]).abs().mean(-1) < AGREES
-            alike &= counted[:, :, None] & counted[:, None]
-            most, best = alike.sum(2).max(1)
-            chosen = alike[torch.arange(len(part), device=part.device), best]
-            color = torch.where(chosen[..., None], seen, 0.0).sum(1) / most.clamp_min(1)[:, None]
-            count = counted.sum(1)
-            found.append((inverse_tone_map(color), most / count.clamp_min(1), count))
-        color, share, count = (torch.cat(values) for values in zip(*found, strict=True))
-        return color, share, count
-
-    def colors(self, points: Tensor) -> Tensor:
-        """Colors [views, n, 3] of points [n, 3]; NaN where a photo does not show the point."""
-        found = [self.rays.project(view, points) for view in self.views]
-        place, ahead = (torch.stack(part) for part in zip(*found, strict=True))
-        colors = functional.grid_sample(self.photos, place[:, :, None], align_corners=False)[..., 0].transpose(1, 2)
-        seen = ahead & (place.abs() < 1).all(-1)
-        return torch.where(seen[..., None], colors, torch.nan)
 
 
 def ring(support: Support, inner: float, width: float, count: int) -> np.ndarray:

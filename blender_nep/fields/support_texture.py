@@ -20,7 +20,8 @@ from torch.nn import functional
 
 from blender_nep.capture.pixel_rays import PixelRays
 from blender_nep.fields.rendering import RayBundle
-from blender_nep.fields.support_search import REACH, SmallPhotos, plane_points, ring
+from blender_nep.fields.small_photos import SmallPhotos
+from blender_nep.fields.support_search import REACH, plane_points, ring
 from blender_nep.geometry.support import Support
 from blender_nep.profiling import profiled
 

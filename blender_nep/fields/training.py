@@ -19,6 +19,7 @@ from blender_nep.capture.pixel_set import PixelSet
 from blender_nep.checkpoints import Checkpoint
 from blender_nep.fields import environment_training
 from blender_nep.fields.environment_field import EnvironmentField
+from blender_nep.fields.cavities import open_cavities
 from blender_nep.fields.explanation import explanation_ratio, require_object
 from blender_nep.fields.fields import Fields, FieldsReport, HullReport, new_object_field
 from blender_nep.fields.losses import FieldsLosses
@@ -187,6 +188,9 @@ class FieldsLearning:
         if now.carvings_due > now.carvings and self.rays.mask is None:
             self.carve_again()
             now.carvings = now.carvings_due
+        if now.cavities_due:
+            open_cavities(self.object_field, self.rays)
+            now.cavities_opened = True
         if now.object_pixels_due > now.object_pixels_updates:
             self.update_object_pixels()
             now.object_pixels_updates = now.object_pixels_due

@@ -1,5 +1,6 @@
 """The schedule of stage 1, by hand-made states: it needs no fields and no photos."""
 
+import math
 from dataclasses import replace
 
 import pytest
@@ -139,6 +140,14 @@ def test_a_schedule_goes_on_from_its_state():
     assert other == now
     now.validation_errors.append(0.5)
     assert other != now, "nothing is shared"
+
+
+def test_the_cavities_are_opened_once():
+    assert [schedule(f).cavities_due for f in (PRESET.open_cavities_at - 0.01, PRESET.open_cavities_at)] == [False, True]
+    assert not schedule(1.0, replace(PRESET, open_cavities_at=math.inf)).cavities_due
+    resumed = schedule(0.0)
+    resumed.load(schedule(0.7, cavities_opened=True).state())
+    assert resumed.cavities_opened and not resumed.cavities_due
 
 
 def test_the_object_is_carved_again_at_its_fractions_if_f_e_was_learned_alone():

@@ -212,6 +212,7 @@ def test_what_the_schedule_wants_done_is_done(rays):
         assert (learning.object_pixels is whole) != looked and bool(len(learning.validation_pixels)) == looked
         assert bool(learning.schedule.validation_errors) == looked
     assert learning.schedule.object_pixels_updates == 3 and learning.schedule.carvings == 2
+    assert learning.schedule.cavities_opened
     assert len(learning.object_pixels) < len(whole)
     held_out = learning.validation_pixels
     assert (held_out % p.held_out_every == 0).all()

@@ -1,0 +1,239 @@
+"""Opens cavities that the visual hull cannot show, such as the inside of a pot.
+
+No ray through the opening of a pot meets the background. So the hull closes the opening by a lid, and the color heads paint
+the inside onto the lid. But the photos disagree on the colors of a lid that is not there. They agree on those of the inside.
+
+So the parts of the surface on which the photos disagree are tried as lids. The hypothesis is that the object behind the lid
+is a vessel: a wall of one thickness, and nothing within. It is kept if the photos agree on its inside, and much better than
+on the lid. They do not agree on what is behind a mirror.
+
+The wall need not be exactly right, because learning goes on afterwards.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from scipy import ndimage
+from skimage.measure import marching_cubes
+from torch import Tensor
+from torch.nn import functional
+
+from blender_nep.capture.pixel_rays import PixelRays
+from blender_nep.fields.object_field import ObjectField
+from blender_nep.fields.small_photos import SmallPhotos
+from blender_nep.geometry.ray_tracing import RayTracer
+from blender_nep.profiling import profiled
+
+DISAGREE = 1.6
+"""A part of the surface may be a lid if the photos differ there by so many times the median of the whole surface."""
+LEAST_LID, MOST_LIDS = 0.03, 4
+"""Smallest area of a lid in squared object radii (a disc of 0.1 radii), and largest number of lids that are tried."""
+CLOSE = 0.1
+"""Gaps of a lid up to twice this width belong to it, in object radii: photos happen to agree in some places of a lid."""
+WALLS = (0.04, 0.08, 0.16)
+"""Thicknesses of the wall that are tried first, in object radii."""
+FINER = (0.75, 1.25)
+"""Then, the best thickness is changed by these factors as long as that helps."""
+RIM = 0.9
+"""Share of a lid's cells that lie below its rim, along its mean normal."""
+LEAST_VIEWS = 4
+"""A color of the surface is known if at least so many photos show it."""
+LEAST_GAIN = 0.7
+"""The photos must differ from the colors of the inside by less than this share of what they differ from the lid's."""
+MOST_DIFFERENCE = 0.1
+"""And by less than this (tone-mapped)."""
+LEAST_KNOWN, LEAST_MOVED = 0.3, 0.25
+"""Share of the pixels behind the lid whose inside is seen by enough photos; share of the lid's pixels that see the inside."""
+_FACING = 0.15
+"""A photo shows a point of the surface if the cosine of the viewing angle is at least this."""
+_PIXELS = 2000
+_CELLS = 64
+"""The vessels are traced as meshes from at most so many cells along a side."""
+
+
+@profiled("cavities")
+@torch.no_grad()
+def open_cavities(field: ObjectField, rays: PixelRays) -> None:
+    """Open the cavities of an object whose outside is known. Takes 1 to 3 CPU seconds."""
+    difference = cavities(rays, field.sdf_in_cells())
+    field.add(torch.from_numpy(difference).to(rays.radiance.device))
+
+
+def cavities(rays: PixelRays, sdf: np.ndarray) -> np.ndarray:
+    """What must be added to an object's SDF [n, n, n] so that its cavities are open; 0 elsewhere.
+
+    sdf and the result belong to the centres of n^3 cells of [-1, 1]^3, in radii of the object's sphere.
+    """
+    photos, opened = _SurfacePhotos(rays), sdf
+    for lid in _lids(photos, sdf):
+        opened = np.maximum(opened, _inside_behind(lid, photos, opened))
+    return opened - sdf
+
+
+class _SurfacePhotos:
+    """What the photos show of points on a surface."""
+
+    def __init__(self, rays: PixelRays) -> None:
+        self._photos, self._device = SmallPhotos(rays), rays.radiance.device
+        self.cameras = torch.stack([rays.camera(view)[0].float().cpu() for view in self._photos.views])
+
+    def colors(self, points: Tensor, normals: Tensor, shape: RayTracer, cell: float) -> Tensor:
+        """Tone-mapped colors [views, n, 3] of surface points [n, 3]; NaN where a photo does not show the point.
+
+        cell: how inexact the surface is.
+        """
+        colors = self._photos.colors(points.to(self._device)).cpu()
+        start = points + cell * normals
+        for view, camera in enumerate(self.cameras):
+            towards = functional.normalize(camera - start, dim=-1)
+            hidden = torch.from_numpy(shape.occluded(start.numpy(), towards.numpy()))
+            hidden |= (towards * normals).sum(-1) < _FACING
+            colors[view, hidden] = torch.nan
+        return colors
+
+
+@dataclass
+class _Lid:
+    """A part of the surface that may cover a cavity, and the pixels [k] that show it."""
+
+    cells: np.ndarray
+    """[n, n, n] bool: cells of the surface that belong to the lid"""
+    above: np.ndarray
+    """[n, n, n] bool: cells that lie above the lid, and not beside the object. A wall has no thickness towards them."""
+    origins: Tensor
+    """[k, 3] the cameras"""
+    directions: Tensor
+    """[k, 3] unit vectors"""
+    distance: Tensor
+    """[k] from the camera to the lid"""
+    colors: Tensor
+    """[k, 3] tone-mapped colors of the pixels"""
+    difference: Tensor
+    """[k] how much the pixels differ from the color of the lid"""
+
+
+def _lids(photos: _SurfacePhotos, sdf: np.ndarray) -> list[_Lid]:
+    """The parts of the surface on whose colors the photos disagree, largest first."""
+    cell, solid = 2 / len(sdf), sdf < 0
+    surface = solid & ndimage.binary_dilation(~solid)
+    place = np.stack(np.nonzero(surface), -1)
+    normals = _normals(sdf, place)
+    points = torch.from_numpy(((place + 0.5) * cell - 1 - normals * sdf[surface][:, None]).astype(np.float32))
+    colors = photos.colors(points, torch.from_numpy(normals), _mesh(sdf), cell)
+    median, spread, known = _agreement(colors)
+    if not known.any():
+        return []
+    disagree = np.zeros_like(solid)
+    disagree[tuple(place[(known & (spread > DISAGREE * spread[known].median())).numpy()].T)] = True
+    labels, count = ndimage.label(ndimage.binary_dilation(disagree))
+    areas = np.bincount((labels * disagree).ravel(), minlength=count + 1)[1:] * cell**2
+    nearest = ndimage.distance_transform_edt(~surface, return_distances=False, return_indices=True)
+    lids = []
+    for label in (1 + np.argsort(-areas, kind="stable"))[:MOST_LIDS]:
+        if areas[label - 1] < LEAST_LID:
+            break
+        cells = ndimage.binary_closing(labels == label, iterations=round(CLOSE / cell)) & surface
+        row = torch.from_numpy(np.flatnonzero(cells[surface]))
+        view, each = torch.isfinite(colors[:, row, 0]).nonzero().T
+        chosen = torch.randperm(len(view), generator=torch.Generator().manual_seed(0))[:_PIXELS]
+        view, each = view[chosen], row[each[chosen]]
+        color, towards = colors[view, each], points[each] - photos.cameras[view]
+        distance = towards.norm(dim=-1)
+        difference = (color - median[each]).abs().mean(-1)
+        directions = towards / distance[:, None]
+        lids.append(
+            _Lid(
+                cells,
+                cells[tuple(nearest)] | _above(cells, normals[row.numpy()]),
+                photos.cameras[view],
+                directions,
+                distance,
+                color,
+                difference,
+            )
+        )
+    return lids
+
+
+def _above(cells: np.ndarray, normals: np.ndarray) -> np.ndarray:
+    """The cells [n, n, n] above the plane through the rim of a lid with cells [n, n, n] and normals [k, 3]: its highest cells.
+
+    The rim of a thick wall is no part of the lid, but what lies above it lies above the lid.
+    """
+    up, n = normals.mean(0), len(cells)
+    axis = np.arange(n)
+    height = up[0] * axis[:, None, None] + up[1] * axis[:, None] + up[2] * axis
+    return height > np.quantile(height[cells], RIM)
+
+
+def _inside_behind(lid: _Lid, photos: _SurfacePhotos, sdf: np.ndarray) -> np.ndarray:
+    """How far the cells [n, n, n] are inside of the best vessel behind the lid; -inf if there is none.
+
+    Positive inside. With what lies above the lid, because the lid would stay as a thin sheet else.
+    """
+    cell, solid = 2 / len(sdf), sdf < 0
+    depth = (ndimage.distance_transform_edt(solid | lid.above) - 0.5) * cell
+    errors: dict[float, float] = {}
+
+    def error(wall: float) -> float:
+        if wall not in errors:
+            errors[wall] = _error(lid, photos, np.maximum(sdf, depth - wall))
+        return errors[wall]
+
+    wall = min(WALLS, key=error)
+    while np.isfinite(error(wall)):
+        better = min((wall * factor for factor in FINER), key=error)
+        if error(better) >= error(wall):
+            break
+        wall = better
+    if not np.isfinite(error(wall)):
+        return np.full(sdf.shape, -np.inf, np.float32)
+    labels, _ = ndimage.label(depth > wall)
+    inside = np.isin(labels, np.unique(labels[lid.cells & (labels > 0)]))
+    return np.where(inside, ndimage.gaussian_filter(depth, 1.0) - wall, -np.inf).astype(np.float32)
+
+
+def _error(lid: _Lid, photos: _SurfacePhotos, vessel: np.ndarray) -> float:
+    """Mean difference of the lid's pixels from the colors of a vessel (SDF [n, n, n]); infinity if they do not agree."""
+    shape = _mesh(vessel)
+    distance, face, _ = shape.intersect(lid.origins.numpy(), lid.directions.numpy())
+    distance, cell = torch.from_numpy(distance), 2 / len(vessel)
+    moved = distance.isfinite() & (distance > lid.distance + 1.5 * cell)
+    if moved.float().mean() < LEAST_MOVED:
+        return float("inf")
+    points = (lid.origins + distance[:, None] * lid.directions)[moved]
+    normals = torch.from_numpy(shape.face_normals[face[moved.numpy()]])
+    normals = normals * -torch.sign((normals * lid.directions[moved]).sum(-1, keepdim=True))
+    median, _, known = _agreement(photos.colors(points, normals, shape, cell))
+    before, after = lid.difference[moved][known], (lid.colors[moved] - median).abs().mean(-1)[known]
+    agrees = after.mean() < min(LEAST_GAIN * before.mean(), MOST_DIFFERENCE)
+    if known.float().mean() < LEAST_KNOWN or not agrees:
+        return float("inf")
+    left = lid.difference.clone()
+    left[moved.nonzero().squeeze(1)[known]] = after
+    return float(left.mean())
+
+
+def _mesh(sdf: np.ndarray) -> RayTracer:
+    """The surface of an SDF [n, n, n]."""
+    cells = min(_CELLS, len(sdf))
+    small = functional.interpolate(torch.from_numpy(sdf)[None, None].float(), (cells,) * 3, mode="area")[0, 0].numpy()
+    small = np.pad(small, 1, constant_values=1.0)
+    vertices, faces, _, _ = marching_cubes(small, 0.0)
+    return RayTracer(((vertices - 0.5) * (2 / cells) - 1).astype(np.float32), faces)
+
+
+def _agreement(colors: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """Median color [n, 3] of colors [views, n, 3], their median difference from it [n], and whether enough are known [n]."""
+    median = colors.nanmedian(0).values
+    spread = (colors - median).abs().mean(-1).nanmedian(0).values
+    return median, spread, torch.isfinite(colors[..., 0]).sum(0) >= LEAST_VIEWS
+
+
+def _normals(sdf: np.ndarray, place: np.ndarray) -> np.ndarray:
+    """Unit normals [n, 3] float32 of cells [n, 3] of an SDF [N, N, N]."""
+    gradient = np.stack([part[tuple(place.T)] for part in np.gradient(sdf)], -1)
+    return (gradient / np.linalg.norm(gradient, axis=-1, keepdims=True).clip(1e-9)).astype(np.float32)

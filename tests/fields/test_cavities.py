@@ -1,0 +1,52 @@
+"""A pot whose opening is closed by a lid is opened, and nothing else is."""
+
+import numpy as np
+import pytest
+import torch
+
+from blender_nep.capture import PixelRays, load_capture
+from blender_nep.fields.cavities import cavities, open_cavities
+from blender_nep.fields.object_field import ObjectField
+from support.pot_scene import block, in_cells, pot, write_pot_scene
+
+CLOSED = in_cells(block)
+
+
+def pixels(folder) -> PixelRays:
+    return PixelRays.from_capture(load_capture(folder), 10_000, False, torch.device("cpu"))
+
+
+def of_thickness(wall: float):
+    return lambda points: pot(points, wall)
+
+
+@pytest.mark.parametrize("wall", [0.06, 0.1, 0.18])
+def test_a_painted_pot_is_opened_down_to_its_wall(tmp_path, wall):
+    true = in_cells(of_thickness(wall))
+    opened = CLOSED + cavities(pixels(write_pot_scene(tmp_path / "pot", of_thickness(wall))), CLOSED)
+    cavity, body = (CLOSED < 0) & (true > 0), true < 0
+    found = (CLOSED < 0) & (opened > 0)
+    assert (found & cavity).sum() / (found | cavity).sum() > 0.85
+    assert (opened[body & (true < -0.02)] < 0).mean() > 0.98
+    assert np.abs(opened - true)[np.abs(true) < 0.05].mean() < 0.02
+    assert (opened[CLOSED > 0.1] == CLOSED[CLOSED > 0.1]).mean() > 0.8
+
+
+@pytest.mark.parametrize("mirror", [False, True])
+def test_a_solid_body_stays_as_it_is(tmp_path, mirror):
+    assert not cavities(pixels(write_pot_scene(tmp_path / "block", block, mirror=mirror)), CLOSED).any()
+
+
+def test_a_mirroring_pot_stays_closed(tmp_path):
+    """Photos do not agree on the inside of a mirror."""
+    assert not cavities(pixels(write_pot_scene(tmp_path / "pot", of_thickness(0.1), mirror=True)), CLOSED).any()
+
+
+def test_the_object_field_is_opened(tmp_path):
+    rays = pixels(write_pot_scene(tmp_path / "pot", of_thickness(0.1)))
+    field = ObjectField(64, 0.6)
+    field.start_from(torch.from_numpy(CLOSED))
+    open_cavities(field, rays)
+    axis = torch.tensor([[0.0, 0.0, z] for z in (-0.3, 0.0, 0.3, 0.6)])
+    assert (field.sdf(axis) > 0.05).all()
+    assert (field.sdf(torch.tensor([[0.5, 0.0, 0.0], [0.0, -0.5, 0.3], [0.0, 0.0, -0.55]])) < 0).all()
