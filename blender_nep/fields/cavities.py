@@ -35,8 +35,8 @@ CLOSE = 0.1
 """Gaps of a lid up to twice this width belong to it, in object radii: photos happen to agree in some places of a lid."""
 WALLS = (0.04, 0.08, 0.16)
 """Thicknesses of the wall that are tried first, in object radii."""
-FINER = (0.75, 1.25)
-"""Then, the best thickness is changed by these factors as long as that helps."""
+FINER, THINNEST = (0.75, 1.25), 0.02
+"""Then, the best thickness is changed by these factors as long as that helps, down to THINNEST."""
 RIM = 0.9
 """Share of a lid's cells that lie below its rim, along its mean normal."""
 LEAST_VIEWS = 4
@@ -46,7 +46,7 @@ LEAST_GAIN = 0.7
 MOST_DIFFERENCE = 0.1
 """And by less than this (tone-mapped)."""
 LEAST_KNOWN, LEAST_MOVED = 0.3, 0.25
-"""Share of the pixels behind the lid whose inside is seen by enough photos; share of the lid's pixels that see the inside."""
+"""Share of the pixels behind the lid whose color is known, and share of the lid's pixels that see what is behind it."""
 _FACING = 0.15
 """A photo shows a point of the surface if the cosine of the viewing angle is at least this."""
 _PIXELS = 2000
@@ -122,7 +122,10 @@ def _lids(photos: _SurfacePhotos, sdf: np.ndarray) -> list[_Lid]:
     place = np.stack(np.nonzero(surface), -1)
     normals = _normals(sdf, place)
     points = torch.from_numpy(((place + 0.5) * cell - 1 - normals * sdf[surface][:, None]).astype(np.float32))
-    colors = photos.colors(points, torch.from_numpy(normals), _mesh(sdf), cell)
+    shape = _mesh(sdf)
+    if shape is None:
+        return []
+    colors = photos.colors(points, torch.from_numpy(normals), shape, cell)
     median, spread, known = _agreement(colors)
     if not known.any():
         return []
@@ -159,7 +162,7 @@ def _lids(photos: _SurfacePhotos, sdf: np.ndarray) -> list[_Lid]:
 
 
 def _above(cells: np.ndarray, normals: np.ndarray) -> np.ndarray:
-    """The cells [n, n, n] above the plane through the rim of a lid with cells [n, n, n] and normals [k, 3]: its highest cells.
+    """The cells [n, n, n] above the rim of a lid with cells [n, n, n] and normals [k, 3]: above its highest cells.
 
     The rim of a thick wall is no part of the lid, but what lies above it lies above the lid.
     """
@@ -185,7 +188,7 @@ def _inside_behind(lid: _Lid, photos: _SurfacePhotos, sdf: np.ndarray) -> np.nda
 
     wall = min(WALLS, key=error)
     while np.isfinite(error(wall)):
-        better = min((wall * factor for factor in FINER), key=error)
+        better = min((max(wall * factor, THINNEST) for factor in FINER), key=error)
         if error(better) >= error(wall):
             break
         wall = better
@@ -199,6 +202,8 @@ def _inside_behind(lid: _Lid, photos: _SurfacePhotos, sdf: np.ndarray) -> np.nda
 def _error(lid: _Lid, photos: _SurfacePhotos, vessel: np.ndarray) -> float:
     """Mean difference of the lid's pixels from the colors of a vessel (SDF [n, n, n]); infinity if they do not agree."""
     shape = _mesh(vessel)
+    if shape is None:
+        return float("inf")
     distance, face, _ = shape.intersect(lid.origins.numpy(), lid.directions.numpy())
     distance, cell = torch.from_numpy(distance), 2 / len(vessel)
     moved = distance.isfinite() & (distance > lid.distance + 1.5 * cell)
@@ -209,7 +214,7 @@ def _error(lid: _Lid, photos: _SurfacePhotos, vessel: np.ndarray) -> float:
     normals = normals * -torch.sign((normals * lid.directions[moved]).sum(-1, keepdim=True))
     median, _, known = _agreement(photos.colors(points, normals, shape, cell))
     before, after = lid.difference[moved][known], (lid.colors[moved] - median).abs().mean(-1)[known]
-    agrees = after.mean() < min(LEAST_GAIN * before.mean(), MOST_DIFFERENCE)
+    agrees = float(after.mean()) < min(LEAST_GAIN * float(before.mean()), MOST_DIFFERENCE)
     if known.float().mean() < LEAST_KNOWN or not agrees:
         return float("inf")
     left = lid.difference.clone()
@@ -217,10 +222,12 @@ def _error(lid: _Lid, photos: _SurfacePhotos, vessel: np.ndarray) -> float:
     return float(left.mean())
 
 
-def _mesh(sdf: np.ndarray) -> RayTracer:
-    """The surface of an SDF [n, n, n]."""
+def _mesh(sdf: np.ndarray) -> RayTracer | None:
+    """The surface of an SDF [n, n, n]; None if nothing is inside."""
     cells = min(_CELLS, len(sdf))
     small = functional.interpolate(torch.from_numpy(sdf)[None, None].float(), (cells,) * 3, mode="area")[0, 0].numpy()
+    if not (small < 0).any():
+        return None
     small = np.pad(small, 1, constant_values=1.0)
     vertices, faces, _, _ = marching_cubes(small, 0.0)
     return RayTracer(((vertices - 0.5) * (2 / cells) - 1).astype(np.float32), faces)

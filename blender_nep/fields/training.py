@@ -18,8 +18,8 @@ from blender_nep.capture.pixel_rays import PixelRays
 from blender_nep.capture.pixel_set import PixelSet
 from blender_nep.checkpoints import Checkpoint
 from blender_nep.fields import environment_training
-from blender_nep.fields.environment_field import EnvironmentField
 from blender_nep.fields.cavities import open_cavities
+from blender_nep.fields.environment_field import EnvironmentField
 from blender_nep.fields.explanation import explanation_ratio, require_object
 from blender_nep.fields.fields import Fields, FieldsReport, HullReport, new_object_field
 from blender_nep.fields.losses import FieldsLosses

@@ -50,3 +50,9 @@ def test_the_object_field_is_opened(tmp_path):
     axis = torch.tensor([[0.0, 0.0, z] for z in (-0.3, 0.0, 0.3, 0.6)])
     assert (field.sdf(axis) > 0.05).all()
     assert (field.sdf(torch.tensor([[0.5, 0.0, 0.0], [0.0, -0.5, 0.3], [0.0, 0.0, -0.55]])) < 0).all()
+
+
+@pytest.mark.parametrize("sdf", [1.0, -1.0])
+def test_nothing_and_everything_have_no_cavity(tmp_path, sdf):
+    rays = pixels(write_pot_scene(tmp_path / "block", block))
+    assert not cavities(rays, np.full(CLOSED.shape, sdf, np.float32)).any()
