@@ -32,6 +32,16 @@ def test_a_painted_pot_is_opened_down_to_its_wall(tmp_path, wall):
     assert (opened[CLOSED > 0.1] == CLOSED[CLOSED > 0.1]).mean() > 0.8
 
 
+def test_a_pot_that_ends_at_the_border_of_the_grid_is_opened(tmp_path):
+    def raised(distance):
+        return lambda points: distance(points - np.array([0.0, 0.0, 0.38]))
+
+    whole, true = in_cells(raised(block)), in_cells(raised(of_thickness(0.1)))
+    opened = whole + cavities(pixels(write_pot_scene(tmp_path / "pot", raised(of_thickness(0.1)))), whole)
+    cavity, found = (whole < 0) & (true > 0), (whole < 0) & (opened > 0)
+    assert (found & cavity).sum() / (found | cavity).sum() > 0.8
+
+
 @pytest.mark.parametrize("mirror", [False, True])
 def test_a_solid_body_stays_as_it_is(tmp_path, mirror):
     assert not cavities(pixels(write_pot_scene(tmp_path / "block", block, mirror=mirror)), CLOSED).any()

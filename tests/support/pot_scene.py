@@ -9,7 +9,7 @@ import numpy as np
 from skimage.measure import marching_cubes
 
 from blender_nep.geometry.ray_tracing import RayTracer
-from support.captures import look_at, write_exr
+from support.captures import camera_ring, write_exr
 
 RADIUS, BOTTOM, TOP = 0.55, -0.6, 0.6
 SIZE, FOCAL = 96, 120.0
@@ -48,15 +48,9 @@ def write_pot_scene(folder: Path, distance, *, mirror: bool = False) -> Path:
     vertices, faces, _, _ = marching_cubes(distance(np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), -1)), 0.0)
     tracer = RayTracer((vertices / 48 - 1).astype(np.float32), faces)
     (folder / "images").mkdir(parents=True)
-    row, column = np.mgrid[:SIZE, :SIZE] + 0.5
-    local = np.stack([(column - SIZE / 2) / FOCAL, (SIZE / 2 - row) / FOCAL, -np.ones_like(row)], -1).reshape(-1, 3)
-    local /= np.linalg.norm(local, axis=1, keepdims=True)
     frames = []
-    for k in range(24):
-        around, up = 2.4 * k, np.radians((20, 45, 65)[k % 3])
-        position = 3.2 * np.array([np.cos(around) * np.cos(up), np.sin(around) * np.cos(up), np.sin(up)])
-        matrix = look_at(position, np.zeros(3))
-        directions = (local @ matrix[:3, :3].T).astype(np.float32)
+    for k, (position, matrix, directions) in enumerate(camera_ring(24, (20, 45, 65), SIZE, FOCAL)):
+        directions = directions.astype(np.float32)
         origins = np.broadcast_to(position.astype(np.float32), directions.shape)
         t, face, _ = tracer.intersect(origins, directions)
         hit, normals = face >= 0, tracer.face_normals[face]

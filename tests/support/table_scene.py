@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from support.captures import look_at, write_exr
+from support.captures import camera_ring, write_exr
 
 HEIGHT, BALL = -0.6, 0.45
 """Height of the table, and radius of the ball that touches it"""
@@ -58,15 +58,9 @@ def write_table_scene(
     radius: that of the table, in object radii; 0 for none. elevations: those of the rings of cameras, in degrees.
     """
     (folder / "images").mkdir(parents=True)
-    row, column = np.mgrid[:SIZE, :SIZE] + 0.5
-    local = np.stack([(column - SIZE / 2) / FOCAL, (SIZE / 2 - row) / FOCAL, -np.ones_like(row)], -1).reshape(-1, 3)
-    local /= np.linalg.norm(local, axis=1, keepdims=True)
     frames = []
-    for k in range(24):
-        around, up = 2.4 * k, np.radians(elevations[k % len(elevations)])
-        position = 3.2 * np.array([np.cos(around) * np.cos(up), np.sin(around) * np.cos(up), np.sin(up)])
-        matrix = look_at(position, np.zeros(3))
-        photo = colors(position, local @ matrix[:3, :3].T, radius, plain)
+    for k, (position, matrix, directions) in enumerate(camera_ring(24, elevations, SIZE, FOCAL)):
+        photo = colors(position, directions, radius, plain)
         write_exr(folder / "images" / f"{k}.exr", photo.reshape(SIZE, SIZE, 3))
         matrix[:3] = turn(tilt) @ matrix[:3]
         frames.append({"file_path": f"images/{k}.exr", "transform_matrix": matrix.tolist()})
