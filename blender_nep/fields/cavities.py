@@ -5,7 +5,7 @@ the inside onto the lid. But the photos disagree on the colors of a lid that is 
 
 So the parts of the surface on which the photos disagree are tried as lids. The hypothesis is that the object behind the lid
 is a vessel: a wall of one thickness, and nothing within. It is kept if the photos agree on its inside, and much better than
-on the lid. They do not agree on what is behind a mirror.
+the same photos do on the lid. They do not agree on what is behind a mirror.
 
 The wall need not be exactly right, because learning goes on afterwards.
 """
@@ -113,6 +113,8 @@ class _Lid:
     """[k] from the camera to the lid"""
     colors: Tensor
     """[k, 3] tone-mapped colors of the pixels"""
+    shown: Tensor
+    """[views, k, 3] tone-mapped colors of the lid's points in all photos; NaN where a photo does not show the point"""
     difference: Tensor
     """[k] how much the pixels differ from the color of the lid"""
 
@@ -157,6 +159,7 @@ def _lids(photos: _SurfacePhotos, sdf: np.ndarray) -> list[_Lid]:
                 directions,
                 distance,
                 color,
+                colors[:, each],
                 difference,
             )
         )
@@ -227,8 +230,11 @@ def _trial(lid: _Lid, photos: _SurfacePhotos, vessel: np.ndarray) -> _Trial:
     points = (lid.origins + distance[:, None] * lid.directions)[moved]
     normals = torch.from_numpy(shape.face_normals[face[moved.numpy()]])
     normals = normals * -torch.sign((normals * lid.directions[moved]).sum(-1, keepdim=True))
-    median, _, known = _agreement(photos.colors(points, normals, shape, cell))
-    before, after = lid.difference[moved][known], (lid.colors[moved] - median).abs().mean(-1)[known]
+    inside, outside = photos.colors(points, normals, shape, cell), lid.shown[:, moved]
+    both = torch.isfinite(inside + outside)  # Few photos show the inside. Fewer photos agree better on any colors.
+    inside, _, known = _agreement(torch.where(both, inside, torch.nan))
+    outside, _, _ = _agreement(torch.where(both, outside, torch.nan))
+    before, after = ((lid.colors[moved] - color).abs().mean(-1)[known] for color in (outside, inside))
     agrees = float(after.mean()) < min(LEAST_GAIN * float(before.mean()), MOST_DIFFERENCE)
     left = lid.difference.clone()
     left[moved.nonzero().squeeze(1)[known]] = after

@@ -5,9 +5,10 @@ import pytest
 import torch
 
 from blender_nep.capture import PixelRays, load_capture
+from blender_nep.fields import cavities as cavity_search
 from blender_nep.fields.cavities import cavities, open_cavities
 from blender_nep.fields.object_field import ObjectField
-from support.pot_scene import block, in_cells, pot, write_pot_scene
+from support.pot_scene import TOP, block, in_cells, pot, write_pot_scene
 
 CLOSED = in_cells(block)
 
@@ -66,3 +67,29 @@ def test_the_object_field_is_opened(tmp_path):
 def test_nothing_and_everything_have_no_cavity(tmp_path, sdf):
     rays = pixels(write_pot_scene(tmp_path / "block", block))
     assert not cavities(rays, np.full(CLOSED.shape, sdf, np.float32)).any()
+
+
+@pytest.mark.parametrize("on_the_lid, opens", [(0.6, True), (0.2, False)])
+def test_lid_and_inside_are_compared_in_the_same_photos(on_the_lid, opens):
+    """Four of eight photos show the inside and agree on it. It is a cavity only if these four disagree on the lid."""
+    shown = torch.full((8, 20, 3), torch.nan)
+    shown[:4], shown[4:] = torch.tensor([0.2, on_the_lid, on_the_lid, on_the_lid])[:, None, None], 0.6
+    inside = shown.clone()
+    inside[:4], inside[4:] = 0.2, torch.nan
+
+    class Photos:
+        def colors(self, points, normals, shape, cell):
+            return inside[:, : len(points)]
+
+    down = torch.tensor([[0.0, 0.0, -1.0]]).expand(20, 3)
+    lid = cavity_search._Lid(
+        cells=CLOSED < 0,
+        above=CLOSED > 0,
+        origins=torch.stack([torch.linspace(-0.3, 0.3, 20), torch.zeros(20), torch.full((20,), 2.0)], 1),
+        directions=down,
+        distance=torch.full((20,), 2.0 - TOP),
+        colors=torch.full((20, 3), 0.2),
+        shown=shown,
+        difference=torch.full((20,), 0.4),
+    )
+    assert cavity_search._trial(lid, Photos(), in_cells(of_thickness(0.1))).agrees == opens
