@@ -13,6 +13,7 @@ from blender_nep.cameras.photo_folder import Photo
 from blender_nep.cameras.structure_from_motion import LONGEST_SIDE, Group, PlacedPhoto
 from blender_nep.capture.bounds import sphere_from_cameras
 from blender_nep.capture.loading import MINIMUM_VIEWS
+from blender_nep.capture.upright import upward
 from blender_nep.errors import CaptureError
 from blender_nep.messages import Message
 
@@ -73,23 +74,15 @@ def choose(photos: Sequence[Photo], groups: Sequence[Group]) -> FoundCameras:
 
 
 def _upright(photos: Sequence[Photo], poses: Sequence[np.ndarray]) -> np.ndarray:
-    """The rotation [3, 3] that turns the photos' common upward direction to +z.
-
-    People hold a camera level, so the upward direction is the one to which the horizontal axes of all cameras are most
-    perpendicular. The mean of the cameras' own upward axes gives its sign. That mean alone serves where all cameras look
-    along one line.
-    """
+    """The rotation [3, 3] that turns the photos' common upward direction to +z."""
     axes = []
     for photo, pose in zip(photos, poses, strict=True):
         right, up = pose[:3, 0], pose[:3, 1]
         for _ in range(photo.quarter_turns):  # the stored image is turned clockwise to stand upright
             right, up = up, -right
         axes.append((right, up))
-    rights, mean = np.stack([right for right, _ in axes]), np.mean([up for _, up in axes], axis=0)
-    values, vectors = np.linalg.eigh(rights.T @ rights / len(rights))
-    up = vectors[:, 0] if values[1] > 4 * values[0] else mean
-    up = up * (np.sign(up @ mean) or 1.0)
-    z = up / max(float(np.linalg.norm(up)), 1e-12)
+    rights, above = (np.stack(part) for part in zip(*axes, strict=True))
+    z = upward(rights, above)
     x = rights[0] - z * (rights[0] @ z)
     x = x / max(float(np.linalg.norm(x)), 1e-12)
     return np.stack([x, np.cross(z, x), z])

@@ -1,9 +1,10 @@
 """Finds the exposure and white balance of each photo, where an automatic camera has changed them.
 
 Many photos show the same surroundings. If one photo shows the same surroundings brighter than the other photos do, the ratio
-is its gain. How far the surroundings are is unknown. So several spheres around the object are tried at once: one of them is
-about as far as what a pixel shows. Each photo is projected onto the cells of every sphere. Cells that agree between the
-photos are then compared. (F_e cannot find the gains: from photos that differ, F_e learns fog in front of the cameras.)
+is its gain. How far the surroundings are is unknown. So several spheres around the object are tried at once, and several
+horizontal planes below the cameras: one of them is about as far as what a pixel shows. The planes serve tables and floors.
+Each photo is projected onto the cells of every sphere and plane. Cells that agree between the photos are then compared.
+(F_e cannot find the gains: from photos that differ, F_e learns fog in front of the cameras.)
 """
 
 from __future__ import annotations
@@ -18,13 +19,19 @@ from scipy import sparse
 from torch.nn import functional
 
 from blender_nep.capture.pixel_rays import BRIGHTEST_CLIPPED, SATURATED, PixelRays
+from blender_nep.capture.upright import upward
 from blender_nep.capture.vignetting import TERMS, Vignetting, falloff_terms
 from blender_nep.messages import Message
 
 SPHERES = (0.8, 1.2, 1.7, 2.4, 3.4, 5.0, 10.0, 1e4)
 """Radii of the spheres, as multiples of the cameras' median distance from the object's centre."""
+PLANES = (-0.1, -0.2, -0.3, -0.4, -0.5, -0.6, -0.7, -0.8, -0.9, -1.0, -1.3, -1.7, -2.2, -3.0, -4.0, -6.0)
+"""Heights of the horizontal planes over the object's centre, in object radii. None above the lowest camera is tried."""
+LEAST_FALL = 0.05
+"""Rays that fall by less than this per unit of their length are not compared in the planes, which they meet too far away."""
 ROWS = 64
-"""Rows of cells on a sphere; there are twice as many columns."""
+"""Rows of cells on a sphere; there are twice as many columns. A point of a plane lies in the cell of its direction as seen
+from the object's centre."""
 BLOCKS = 2500
 """Means over square blocks of pixels are compared. A photo has about `BLOCKS` of them. With many photos each has fewer, so
 that all photos together have about `MOST_BLOCKS`, but never fewer than about 64 a photo."""
@@ -198,6 +205,7 @@ def _cells(rays: PixelRays) -> _Entries:
     """One entry for each photo and each cell that it shows."""
     device = rays.radiance.device
     distance = float(rays.rays(torch.tensor(rays.offset[:-1], device=device))[0].norm(dim=-1).median())
+    planes = _Planes.of(rays)
     ends = rays.brightest <= BRIGHTEST_CLIPPED
     blocks = min(BLOCKS, max(64, MOST_BLOCKS // rays.views))
     found, brightness = [], np.full(rays.views, np.nan)
@@ -227,7 +235,7 @@ def _cells(rays: PixelRays) -> _Entries:
         good &= (along <= 0) | ((origins + along[:, None] * directions).square().sum(-1) >= 1)  # beside the object's sphere
         value = mean[good].log().double().cpu().numpy()
         terms = falloff_terms(rays.from_middle(middle[good])).double().cpu().numpy()
-        cell, of = _on_spheres(origins[good], directions[good], distance)
+        cell, of = _on_surfaces(origins[good], directions[good], distance, planes)
         cells, inverse, count = np.unique(cell, return_inverse=True, return_counts=True)
         of_cells = np.concatenate([value, terms], 1)[of]
         means = np.stack([np.bincount(inverse, column, len(cells)) for column in of_cells.T], 1) / count[:, None]
@@ -239,12 +247,40 @@ def _cells(rays: PixelRays) -> _Entries:
     return _Entries(view, cell, value, terms, count, brightness)
 
 
-def _on_spheres(origins: torch.Tensor, directions: torch.Tensor, distance: float) -> tuple[np.ndarray, np.ndarray]:
-    """The cells [m] at which rays [n, 3] leave the spheres, and the index [m] of the ray that leaves there."""
+@dataclass(frozen=True)
+class _Planes:
+    """The horizontal planes below the lowest camera."""
+
+    up: torch.Tensor
+    """[3]"""
+    heights: tuple[float, ...]
+
+    @classmethod
+    def of(cls, rays: PixelRays) -> _Planes:
+        positions, rotations = (
+            torch.stack(part).double() for part in zip(*map(rays.camera, range(rays.views)), strict=True)
+        )
+        axes = rotations.cpu().numpy()
+        up = torch.from_numpy(upward(axes[:, :, 0], axes[:, :, 1])).to(positions.device)
+        lowest = float((positions @ up).min())
+        return cls(up.float(), tuple(height for height in PLANES if height < lowest))
+
+    def along(self, origins: torch.Tensor, directions: torch.Tensor) -> list[torch.Tensor]:
+        """How far [n] along rays [n, 3] each plane lies; NaN for rays that do not fall steeply enough."""
+        rise = directions @ self.up
+        rise = torch.where(rise < -LEAST_FALL, rise, torch.nan)
+        return [(height - origins @ self.up) / rise for height in self.heights]
+
+
+def _on_surfaces(
+    origins: torch.Tensor, directions: torch.Tensor, distance: float, planes: _Planes
+) -> tuple[np.ndarray, np.ndarray]:
+    """The cells [m] at which rays [n, 3] leave the spheres or meet the planes, and the index [m] of the ray at each."""
     along = (origins * directions).sum(-1)
+    root = along**2 - origins.square().sum(-1)
+    leaves = [(root + (radius * distance) ** 2).sqrt() - along for radius in SPHERES]  # NaN where a sphere is missed
     cells, whose = [], []
-    for k, radius in enumerate(SPHERES):
-        t = -along + (along**2 - origins.square().sum(-1) + (radius * distance) ** 2).sqrt()  # NaN where it is missed
+    for k, t in enumerate([*leaves, *planes.along(origins, directions)]):
         ray = (t > 0).nonzero()[:, 0]
         point = functional.normalize(origins[ray] + t[ray, None] * directions[ray], dim=-1)
         row = ((torch.asin(point[:, 2].clamp(-1, 1)) / math.pi + 0.5) * ROWS).long().clamp(0, ROWS - 1)
@@ -271,7 +307,7 @@ def _solve(entries: _Entries) -> _Solution:
     cells' means are eliminated from the equations. The gains and the vignetting are solved for in turn: they hardly depend
     on each other, because every photo shows cells at all distances from its middle.
     """
-    cells, brightness = len(SPHERES) * ROWS * 2 * ROWS, entries.brightness
+    cells, brightness = (len(SPHERES) + len(PLANES)) * ROWS * 2 * ROWS, entries.brightness
     views = len(brightness)
     entries = entries.where(np.bincount(entries.cell, minlength=cells)[entries.cell] > 1)
     view, cell, value, terms, base = entries.view, entries.cell, entries.value, entries.terms, np.sqrt(entries.count)

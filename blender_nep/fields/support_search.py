@@ -18,6 +18,7 @@ import torch
 from scipy.optimize import minimize
 
 from blender_nep.capture.pixel_rays import PixelRays
+from blender_nep.capture.upright import upward
 from blender_nep.fields.small_photos import SmallPhotos
 from blender_nep.geometry.support import Support
 from blender_nep.profiling import profiled
@@ -74,7 +75,7 @@ def possible_planes(rays: PixelRays) -> tuple[np.ndarray, np.ndarray]:
     if the photos do not show the surroundings."""
     cameras = [[part.double().cpu().numpy() for part in rays.camera(view)] for view in range(rays.views)]
     positions, rotations = (np.stack(part) for part in zip(*cameras, strict=True))
-    up = upward(rotations)
+    up = upward(rotations[:, :, 0], rotations[:, :, 1])
     lowest = float((positions @ up).min()) if rays.background else LOWEST
     return up, np.arange(LOWEST, min(HIGHEST, lowest), STEP)
 
@@ -134,17 +135,6 @@ def _contrast(photos: SmallPhotos, plane: Support, width: float) -> float:
         for rise in (-REACH, 0.0, REACH)
     )
     return min(below, above) / max(here, 1e-6)
-
-
-def upward(rotations: np.ndarray) -> np.ndarray:
-    """The upward direction [3] of cameras that are held upright, from their camera-to-world rotations [n, 3, 3].
-
-    The horizontal axes of upright photos are horizontal, so the upward direction is the one that is most nearly
-    orthogonal to all of them.
-    """
-    right, above = rotations[:, :, 0], rotations[:, :, 1]
-    up = np.linalg.svd(right, full_matrices=True)[2][2]
-    return up if (above @ up).sum() > 0 else -up
 
 
 def ring(support: Support, inner: float, width: float, count: int) -> np.ndarray:

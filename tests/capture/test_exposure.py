@@ -19,6 +19,7 @@ from blender_nep.messages import Message
 from blender_nep.presets import preset
 from blender_nep.surface.mesh_file import load_surface
 from support.paths import SUZANNE_SMALL
+from support.table_scene import write_table_scene
 
 TENTH_OF_A_STOP = 0.07
 """ln 2 / 10"""
@@ -71,6 +72,18 @@ def test_exposures_of_rendered_photos_are_found_within_a_tenth_of_a_stop(deviati
     rays = PixelRays.from_capture(load_capture(SUZANNE_SMALL), 40_000, False)
     true = gains(rays.views, deviation, 4)
     assert difference(find_exposures(taken_with(rays, true)).gain, true) < TENTH_OF_A_STOP
+
+
+@pytest.mark.parametrize("tilt", [0.0, 0.3])
+def test_exposures_are_found_above_a_table_too(tmp_path, monkeypatch, tilt):
+    folder = write_table_scene(tmp_path / "capture", tilt=tilt, elevations=(10, 15, 60))
+    table = PixelRays.from_capture(load_capture(folder), 40_000, False)
+    assert find_exposures(table).gain is None
+    true = gains(table.views, 0.4, 1)
+    with_planes = difference(find_exposures(taken_with(table, true)).gain, true)
+    monkeypatch.setattr(exposure, "PLANES", ())
+    spheres_alone = find_exposures(taken_with(table, true)).gain
+    assert with_planes < min(TENTH_OF_A_STOP, 0.7 * difference(spheres_alone, true))
 
 
 def test_white_balance_alone_is_found_too(in_a_ball):
