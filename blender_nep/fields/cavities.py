@@ -12,6 +12,7 @@ The wall need not be exactly right, because learning goes on afterwards.
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -30,8 +31,13 @@ from blender_nep.profiling import profiled
 
 DISAGREE = 1.6
 """A part of the surface may be a lid if the photos differ there by so many times the median of the whole surface."""
-LEAST_LID, MOST_LIDS = 0.03, 4
+LEAST_LID, MOST_LIDS = 0.03, 6
 """Smallest area of a lid in squared object radii (a disc of 0.1 radii), and largest number of lids that are tried."""
+FACING_ONE_WAY = 0.55
+"""A part of a surface faces along an axis if the cosine between its normal and the axis is at least this. It is less than
+1 / sqrt(3), so that every normal faces along an axis."""
+SAME = 0.8
+"""A part of the surface that shares this much with a larger one is not tried again."""
 CLOSE = 0.1
 """Gaps of a lid up to twice this width belong to it, in object radii: photos happen to agree in some places of a lid."""
 WALLS = (0.04, 0.08, 0.16)
@@ -133,16 +139,11 @@ def _lids(photos: _SurfacePhotos, sdf: np.ndarray) -> list[_Lid]:
     median, spread, known = _agreement(colors)
     if not known.any():
         return []
-    disagree = np.zeros_like(solid)
-    disagree[tuple(place[(known & (spread > DISAGREE * spread[known].median())).numpy()].T)] = True
-    labels, count = ndimage.label(ndimage.binary_dilation(disagree))
-    areas = np.bincount((labels * disagree).ravel(), minlength=count + 1)[1:] * cell**2
+    disagree = (known & (spread > DISAGREE * spread[known].median())).numpy()
     nearest = ndimage.distance_transform_edt(~surface, return_distances=False, return_indices=True)
     lids = []
-    for label in (1 + np.argsort(-areas, kind="stable"))[:MOST_LIDS]:
-        if areas[label - 1] < LEAST_LID:
-            break
-        cells = _closed(labels == label, round(CLOSE / cell)) & surface
+    for part in _parts(place[disagree], normals[disagree], len(sdf)):
+        cells = _closed(part, round(CLOSE / cell)) & surface
         row = torch.from_numpy(np.flatnonzero(cells[surface]))
         view, each = torch.isfinite(colors[:, row, 0]).nonzero().T
         chosen = torch.randperm(len(view), generator=torch.Generator().manual_seed(0))[:_PIXELS]
@@ -164,6 +165,28 @@ def _lids(photos: _SurfacePhotos, sdf: np.ndarray) -> list[_Lid]:
             )
         )
     return lids
+
+
+def _parts(place: np.ndarray, normals: np.ndarray, n: int) -> list[np.ndarray]:
+    """Connected parts [n, n, n] bool of the cells place [k, 3] that face one way, largest first, at most MOST_LIDS.
+
+    An opening faces one way. So what photos disagree on beside the lid, such as gold leaf on the outside of a pot, is not
+    joined to the lid. A part may be in two of the list, because the six ways overlap.
+    """
+    found = []
+    for axis, sign in itertools.product(range(3), (1, -1)):
+        cells = np.zeros((n, n, n), bool)
+        cells[tuple(place[sign * normals[:, axis] > FACING_ONE_WAY].T)] = True
+        labels, count = ndimage.label(ndimage.binary_dilation(cells))
+        areas = np.bincount((labels * cells).ravel(), minlength=count + 1) * (2 / n) ** 2
+        areas[0] = 0
+        found += [(area, labels == label) for label, area in enumerate(areas) if area >= LEAST_LID]
+    found.sort(key=lambda part: -part[0])
+    parts: list[np.ndarray] = []
+    for _, cells in found:
+        if len(parts) < MOST_LIDS and not any((cells & part).sum() > SAME * cells.sum() for part in parts):
+            parts.append(cells)
+    return parts
 
 
 def _closed(cells: np.ndarray, by: int) -> np.ndarray:
@@ -196,14 +219,14 @@ def _inside_behind(lid: _Lid, photos: _SurfacePhotos, sdf: np.ndarray) -> np.nda
             trials[wall] = _trial(lid, photos, np.maximum(sdf, depth - wall))
         return trials[wall].error
 
+    nothing = np.full(sdf.shape, -np.inf, np.float32)
     wall = min(WALLS, key=error)
-    while True:
-        better = min((max(wall * factor, THINNEST) for factor in FINER), key=error)
-        if error(better) >= error(wall):
-            break
+    if error(wall) >= float(lid.difference.mean()):
+        return nothing
+    while error(better := min((max(wall * factor, THINNEST) for factor in FINER), key=error)) < error(wall):
         wall = better
     if not trials[wall].agrees:
-        return np.full(sdf.shape, -np.inf, np.float32)
+        return nothing
     labels, _ = ndimage.label(depth > wall)
     inside = np.isin(labels, np.unique(labels[lid.cells & (labels > 0)]))
     return np.where(inside, ndimage.gaussian_filter(depth, 1.0) - wall, -np.inf).astype(np.float32)

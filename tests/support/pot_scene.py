@@ -42,8 +42,19 @@ def paint(points: np.ndarray) -> np.ndarray:
     return np.stack([0.4 + 0.3 * np.sin(x), 0.4 + 0.3 * np.cos(y + z), 0.3 + 0.25 * np.sin(z - x)], 1)
 
 
-def write_pot_scene(folder: Path, distance, *, mirror: bool = False) -> Path:
-    """Write the capture of the body with this distance function, painted or a mirror. Returns its folder."""
+def everywhere(points: np.ndarray) -> np.ndarray:
+    return np.ones(len(points), bool)
+
+
+def nowhere(points: np.ndarray) -> np.ndarray:
+    return np.zeros(len(points), bool)
+
+
+def write_pot_scene(folder: Path, distance, *, mirror=nowhere) -> Path:
+    """Write the capture of the body with this distance function. Returns its folder.
+
+    mirror: tells of surface points [n, 3] whether they are a mirror [n] bool; else, they are painted.
+    """
     axis = np.linspace(-1, 1, 97)
     vertices, faces, _, _ = marching_cubes(distance(np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), -1)), 0.0)
     tracer = RayTracer((vertices / 48 - 1).astype(np.float32), faces)
@@ -55,7 +66,8 @@ def write_pot_scene(folder: Path, distance, *, mirror: bool = False) -> Path:
         t, face, _ = tracer.intersect(origins, directions)
         hit, normals = face >= 0, tracer.face_normals[face]
         mirrored = directions - 2 * (directions * normals).sum(1, keepdims=True) * normals
-        seen = paint(1.5 * mirrored if mirror else origins + np.where(hit, t, 0)[:, None] * directions)
+        points = origins + np.where(hit, t, 0)[:, None] * directions
+        seen = paint(np.where(mirror(points)[:, None], 1.5 * mirrored, points))
         color = np.where(hit[:, None], seen, 0.3 + 0.2 * np.sin(3 * directions))
         write_exr(folder / "images" / f"{k}.exr", color.reshape(SIZE, SIZE, 3))
         frames.append({"file_path": f"images/{k}.exr", "transform_matrix": matrix.tolist()})
