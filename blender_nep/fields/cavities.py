@@ -143,7 +143,7 @@ def _lids(photos: _SurfacePhotos, sdf: np.ndarray) -> list[_Lid]:
     nearest = ndimage.distance_transform_edt(~surface, return_distances=False, return_indices=True)
     lids = []
     for part in _parts(place[disagree], normals[disagree], len(sdf)):
-        cells = _closed(part, round(CLOSE / cell)) & surface
+        cells = _without_holes(_closed(part, round(CLOSE / cell)) & surface, surface)
         row = torch.from_numpy(np.flatnonzero(cells[surface]))
         view, each = torch.isfinite(colors[:, row, 0]).nonzero().T
         chosen = torch.randperm(len(view), generator=torch.Generator().manual_seed(0))[:_PIXELS]
@@ -194,6 +194,16 @@ def _closed(cells: np.ndarray, by: int) -> np.ndarray:
     return ndimage.binary_closing(np.pad(cells, by), iterations=by)[(slice(by, -by),) * 3]
 
 
+def _without_holes(cells: np.ndarray, surface: np.ndarray) -> np.ndarray:
+    """A lid [n, n, n] and the parts of the surface [n, n, n] that it encloses, where the photos happen to agree."""
+    rest, _ = ndimage.label(surface & ~cells, np.ones((3, 3, 3)))
+    sizes = np.bincount(rest.ravel())
+    sizes[0] = 0
+    touched = np.unique(rest[ndimage.binary_dilation(cells)])
+    holes = touched[(touched > 0) & (touched != sizes.argmax()) & (sizes[touched] < cells.sum())]
+    return cells | np.isin(rest, holes)
+
+
 def _above(cells: np.ndarray, normals: np.ndarray) -> np.ndarray:
     """The cells [n, n, n] above the rim of a lid with cells [n, n, n] and normals [k, 3]: above its highest cells.
 
@@ -211,7 +221,8 @@ def _inside_behind(lid: _Lid, photos: _SurfacePhotos, sdf: np.ndarray) -> np.nda
     Positive inside. With what lies above the lid, because the lid would stay as a thin sheet else.
     """
     cell, solid = 2 / len(sdf), sdf < 0
-    depth = (ndimage.distance_transform_edt(solid | lid.above) - 0.5) * cell
+    depth, box = np.full(sdf.shape, -0.5 * cell), _bounding_box(solid)
+    depth[box] = (ndimage.distance_transform_edt((solid | lid.above)[box]) - 0.5) * cell
     trials: dict[float, _Trial] = {}
 
     def error(wall: float) -> float:
@@ -230,6 +241,13 @@ def _inside_behind(lid: _Lid, photos: _SurfacePhotos, sdf: np.ndarray) -> np.nda
     labels, _ = ndimage.label(depth > wall)
     inside = np.isin(labels, np.unique(labels[lid.cells & (labels > 0)]))
     return np.where(inside, ndimage.gaussian_filter(depth, 1.0) - wall, -np.inf).astype(np.float32)
+
+
+def _bounding_box(cells: np.ndarray, margin: int = 4) -> tuple[slice, ...]:
+    """The block of a grid that holds the cells [n, n, n] bool, and `margin` cells around it."""
+    return tuple(
+        slice(max(0, part.start - margin), part.stop + margin) for part in ndimage.find_objects(cells.astype(np.uint8))[0]
+    )
 
 
 class _Trial(NamedTuple):

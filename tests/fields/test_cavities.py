@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 import torch
+from scipy import ndimage
 
 from blender_nep.capture import PixelRays, load_capture
 from blender_nep.fields import cavities as cavity_search
@@ -106,3 +107,13 @@ def test_lid_and_inside_are_compared_in_the_same_photos(on_the_lid, opens):
         difference=torch.full((20,), 0.4),
     )
     assert cavity_search._trial(lid, Photos(), in_cells(of_thickness(0.1))).agrees == opens
+
+
+def test_a_place_of_the_lid_on_which_photos_agree_belongs_to_the_lid():
+    surface = (CLOSED < 0) & ndimage.binary_dilation(CLOSED >= 0)
+    x, y, z = (in_cells(lambda points, k=k: points[..., k]) for k in range(3))
+    top = surface & (z > TOP - 0.05) & (np.hypot(x, y) < 0.45)
+    ring = top & (np.hypot(x - 0.1, y) > 0.2)
+    np.testing.assert_array_equal(cavity_search._without_holes(ring, surface), top)
+    beside = top & (x > -0.2)  # not enclosed by the lid
+    np.testing.assert_array_equal(cavity_search._without_holes(beside, surface), beside)
