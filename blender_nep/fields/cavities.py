@@ -19,14 +19,11 @@ from typing import NamedTuple
 import numpy as np
 import torch
 from scipy import ndimage
-from skimage.measure import marching_cubes
 from torch import Tensor
-from torch.nn import functional
 
 from blender_nep.capture.pixel_rays import PixelRays
 from blender_nep.fields.object_field import ObjectField
-from blender_nep.fields.small_photos import SmallPhotos
-from blender_nep.geometry.ray_tracing import RayTracer
+from blender_nep.fields.surface_photos import SurfacePhotos, agreement, normals_of_cells, traced_mesh
 from blender_nep.profiling import profiled
 
 DISAGREE = 1.6
@@ -46,20 +43,14 @@ FINER, THINNEST = (0.75, 1.25), 0.02
 """Then, the best thickness is changed by these factors as long as that helps, down to THINNEST."""
 RIM = 0.9
 """Share of a lid's cells that lie below its rim, along its mean normal."""
-LEAST_VIEWS = 4
-"""A color of the surface is known if at least so many photos show it."""
 LEAST_GAIN = 0.7
 """The photos must differ from the colors of the inside by less than this share of what they differ from the lid's."""
 MOST_DIFFERENCE = 0.1
 """And by less than this (tone-mapped)."""
 LEAST_KNOWN, LEAST_MOVED = 0.3, 0.25
 """Share of the pixels behind the lid whose color is known, and share of the lid's pixels that see what is behind it."""
-_FACING = 0.15
-"""A photo shows a point of the surface if the cosine of the viewing angle is at least this."""
 _PIXELS = 2000
 """Largest number of a lid's pixels that are compared."""
-_CELLS = 64
-"""The vessels are traced as meshes from at most so many cells along a side."""
 
 
 @profiled("cavities")
@@ -75,32 +66,10 @@ def cavities(rays: PixelRays, sdf: np.ndarray) -> np.ndarray:
 
     sdf and the result belong to the centres of n^3 cells of [-1, 1]^3, in radii of the object's sphere.
     """
-    photos, opened = _SurfacePhotos(rays), sdf
+    photos, opened = SurfacePhotos(rays), sdf
     for lid in _lids(photos, sdf):
         opened = np.maximum(opened, _inside_behind(lid, photos, opened))
     return opened - sdf
-
-
-class _SurfacePhotos:
-    """What the photos show of points on a surface."""
-
-    def __init__(self, rays: PixelRays) -> None:
-        self._photos, self._device = SmallPhotos(rays), rays.radiance.device
-        self.cameras = torch.stack([rays.camera(view)[0].float().cpu() for view in self._photos.views])
-
-    def colors(self, points: Tensor, normals: Tensor, shape: RayTracer, cell: float) -> Tensor:
-        """Tone-mapped colors [views, n, 3] of surface points [n, 3]; NaN where a photo does not show the point.
-
-        cell: how inexact the surface is.
-        """
-        colors = self._photos.colors(points.to(self._device)).cpu()
-        start = points + cell * normals
-        for view, camera in enumerate(self.cameras):
-            towards = functional.normalize(camera - start, dim=-1)
-            hidden = torch.from_numpy(shape.occluded(start.numpy(), towards.numpy()))
-            hidden |= (towards * normals).sum(-1) < _FACING
-            colors[view, hidden] = torch.nan
-        return colors
 
 
 @dataclass
@@ -125,18 +94,18 @@ class _Lid:
     """[k] how much the pixels differ from the color of the lid"""
 
 
-def _lids(photos: _SurfacePhotos, sdf: np.ndarray) -> list[_Lid]:
+def _lids(photos: SurfacePhotos, sdf: np.ndarray) -> list[_Lid]:
     """The parts of the surface on whose colors the photos disagree, largest first."""
     cell, solid = 2 / len(sdf), sdf < 0
     surface = solid & ndimage.binary_dilation(~solid)
     place = np.stack(np.nonzero(surface), -1)
-    normals = _normals(sdf, place)
+    normals = normals_of_cells(sdf, place)
     points = torch.from_numpy(((place + 0.5) * cell - 1 - normals * sdf[surface][:, None]).astype(np.float32))
-    shape = _mesh(sdf)
+    shape = traced_mesh(sdf)
     if shape is None:
         return []
     colors = photos.colors(points, torch.from_numpy(normals), shape, cell)
-    median, spread, known = _agreement(colors)
+    median, spread, known = agreement(colors)
     if not known.any():
         return []
     disagree = (known & (spread > DISAGREE * spread[known].median())).numpy()
@@ -215,7 +184,7 @@ def _above(cells: np.ndarray, normals: np.ndarray) -> np.ndarray:
     return height > np.quantile(height[cells], RIM)
 
 
-def _inside_behind(lid: _Lid, photos: _SurfacePhotos, sdf: np.ndarray) -> np.ndarray:
+def _inside_behind(lid: _Lid, photos: SurfacePhotos, sdf: np.ndarray) -> np.ndarray:
     """How far the cells [n, n, n] are inside of the best vessel behind the lid; -inf if there is none.
 
     Positive inside. With what lies above the lid, because the lid would stay as a thin sheet else.
@@ -257,10 +226,10 @@ class _Trial(NamedTuple):
     """Whether the photos agree on the inside"""
 
 
-def _trial(lid: _Lid, photos: _SurfacePhotos, vessel: np.ndarray) -> _Trial:
+def _trial(lid: _Lid, photos: SurfacePhotos, vessel: np.ndarray) -> _Trial:
     """Try a vessel (SDF [n, n, n]) behind the lid."""
     nothing = _Trial(float("inf"), False)
-    shape = _mesh(vessel)
+    shape = traced_mesh(vessel)
     if shape is None:
         return nothing
     distance, face, _ = shape.intersect(lid.origins.numpy(), lid.directions.numpy())
@@ -273,34 +242,10 @@ def _trial(lid: _Lid, photos: _SurfacePhotos, vessel: np.ndarray) -> _Trial:
     normals = normals * -torch.sign((normals * lid.directions[moved]).sum(-1, keepdim=True))
     inside, outside = photos.colors(points, normals, shape, cell), lid.shown[:, moved]
     both = torch.isfinite(inside + outside)  # Few photos show the inside. Fewer photos agree better on any colors.
-    inside, _, known = _agreement(torch.where(both, inside, torch.nan))
-    outside, _, _ = _agreement(torch.where(both, outside, torch.nan))
+    inside, _, known = agreement(torch.where(both, inside, torch.nan))
+    outside, _, _ = agreement(torch.where(both, outside, torch.nan))
     before, after = ((lid.colors[moved] - color).abs().mean(-1)[known] for color in (outside, inside))
     agrees = float(after.mean()) < min(LEAST_GAIN * float(before.mean()), MOST_DIFFERENCE)
     left = lid.difference.clone()
     left[moved.nonzero().squeeze(1)[known]] = after
     return _Trial(float(left.mean()), agrees and float(known.float().mean()) >= LEAST_KNOWN)
-
-
-def _mesh(sdf: np.ndarray) -> RayTracer | None:
-    """The surface of an SDF [n, n, n]; None if nothing is inside."""
-    cells = min(_CELLS, len(sdf))
-    small = functional.interpolate(torch.from_numpy(sdf)[None, None].float(), (cells,) * 3, mode="area")[0, 0].numpy()
-    if not (small < 0).any():
-        return None
-    small = np.pad(small, 1, constant_values=1.0)
-    vertices, faces, _, _ = marching_cubes(small, 0.0)
-    return RayTracer(((vertices - 0.5) * (2 / cells) - 1).astype(np.float32), faces)
-
-
-def _agreement(colors: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """Median color [n, 3] of colors [views, n, 3], their median difference from it [n], and whether enough are known [n]."""
-    median = colors.nanmedian(0).values
-    spread = (colors - median).abs().mean(-1).nanmedian(0).values
-    return median, spread, torch.isfinite(colors[..., 0]).sum(0) >= LEAST_VIEWS
-
-
-def _normals(sdf: np.ndarray, place: np.ndarray) -> np.ndarray:
-    """Unit normals [n, 3] float32 of cells [n, 3] of an SDF [N, N, N]."""
-    gradient = np.stack([part[tuple(place.T)] for part in np.gradient(sdf)], -1)
-    return (gradient / np.linalg.norm(gradient, axis=-1, keepdims=True).clip(1e-9)).astype(np.float32)

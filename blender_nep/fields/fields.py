@@ -40,9 +40,12 @@ class FieldsReport:
     """Number of steps that were left out because their loss or gradient was not finite"""
     hull: HullReport | None
     """None where the SDF started from a sphere"""
+    fine_paint: float | None
+    """How far two halves of the photos agree on fine colors (`fine_paint.fine_paint`). None where the SDF started from a
+    sphere"""
 
     def as_dict(self) -> dict:
-        """The report as plain values, rounded, for report.json. `hull` None and `steps_not_finite` 0 are left out."""
+        """The report as plain values, rounded, for report.json. None and `steps_not_finite` 0 are left out."""
         found = asdict(self)
         found["held_out_error"] = [round(error, 4) for error in self.held_out_error]
         found["explanation_ratio"] = round(self.explanation_ratio, 3)
@@ -52,6 +55,10 @@ class FieldsReport:
             del found["hull"]
         else:
             found["hull"] = {"volume": round(self.hull.volume, 4), "contrast": round(self.hull.contrast, 2)}
+        if self.fine_paint is None:
+            del found["fine_paint"]
+        else:
+            found["fine_paint"] = round(self.fine_paint, 3)
         return found
 
 
@@ -72,6 +79,7 @@ class Fields:
         objects = None
         if self.object_field is not None:
             objects = {"levels": self.object_field.level_count, "weights": self.object_field.state_dict()}
+            objects["albedo_detail"] = self.object_field.albedo_detail is not None
         support = None if self.support is None else self.support.state()
         return {"object": objects, "environment": self.environment.state_dict(), "report": self.report, "support": support}
 
@@ -86,6 +94,8 @@ class Fields:
             field = new_object_field(preset, device)
             for _ in range(state["object"]["levels"] - 1):
                 field.add_level()
+            if state["object"]["albedo_detail"]:
+                field.add_albedo_detail()
             field.load_state_dict(state["object"]["weights"])
             field.support = support
         return cls(field, environment, state["report"], support)

@@ -13,6 +13,7 @@ import numpy as np
 import torch
 from torch import nn
 
+from blender_nep.fields.albedo_detail import AlbedoDetail
 from blender_nep.fields.encodings import encoding_size, integrated_directional_encoding, positional_encoding
 from blender_nep.fields.optimiser import UniformAdam
 from blender_nep.fields.volume_rendering import SurfaceSamples, render_surface, sphere_interval
@@ -63,11 +64,16 @@ class SurfaceColor(nn.Module):
         directional = encoding_size(4) if decomposed else 3 + 6 * VIEW_OCTAVES
         light_inputs = FEATURES + directional + 3 + 3 + 6 * LIGHT_OCTAVES
         self.light_head = _mlp(light_inputs, width, 3, hidden)
+        self.albedo_detail: AlbedoDetail | None = None
+        """Paint that is finer than what the MLPs can paint; None if the object has none."""
 
     def appearance(self, points: torch.Tensor, normals: torch.Tensor, directions: torch.Tensor) -> Appearance:
         """Color of surface points [n, 3] with unit normals, seen along unit view directions [n, 3] (camera to point)."""
         raw = self.surface_head(positional_encoding(points, ALBEDO_OCTAVES))
-        albedo, roughness, feature = raw[:, :3].sigmoid(), raw[:, 3:4].sigmoid(), raw[:, 4:]
+        logits, roughness, feature = raw[:, :3], raw[:, 3:4].sigmoid(), raw[:, 4:]
+        if self.albedo_detail is not None:
+            logits = logits + self.albedo_detail(points)
+        albedo = logits.sigmoid()
         if self.decomposed:
             cosine = (directions * normals).sum(-1, keepdim=True)
             directional = integrated_directional_encoding(directions - 2 * cosine * normals, roughness)
@@ -77,8 +83,9 @@ class SurfaceColor(nn.Module):
         return Appearance(albedo, nn.functional.softplus(light), roughness)
 
     def color_parameters(self) -> list[nn.Parameter]:
-        """The parameters of both MLPs."""
-        return [*self.surface_head.parameters(), *self.light_head.parameters()]
+        """The parameters of both MLPs and of the albedo's detail."""
+        detail = [] if self.albedo_detail is None else [*self.albedo_detail.parameters()]
+        return [*self.surface_head.parameters(), *self.light_head.parameters(), *detail]
 
 
 @dataclass
@@ -167,6 +174,11 @@ class ObjectField(SurfaceColor):
         n = 2 * self.levels[-1].shape[0] - 2
         device = self.levels[-1].device
         self.levels.append(nn.Parameter(torch.zeros(n, n, n, device=device)))
+
+    def add_albedo_detail(self) -> None:
+        """Add a grid of fine paint, which is zero everywhere, so that no color changes."""
+        if self.albedo_detail is None:
+            self.albedo_detail = AlbedoDetail().to(self.levels[0].device)
 
     @torch.no_grad()
     def start_from(self, sdf: torch.Tensor) -> None:

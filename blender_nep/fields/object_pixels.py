@@ -9,6 +9,8 @@ from torch.nn import functional
 from blender_nep.capture.pixel_rays import PixelRays
 from blender_nep.capture.pixel_set import GrowingPixelSet, PixelSet
 from blender_nep.fields.object_field import SplineShape
+from blender_nep.geometry.mesh import Surface
+from blender_nep.geometry.ray_tracing import RayTracer
 from blender_nep.profiling import profiled
 
 
@@ -57,3 +59,14 @@ def draw_pixels(pool: PixelSet | Tensor, count: int, every: int, generator: torc
     index = pool[torch.randint(len(pool), (count,), generator=generator, device=generator.device)]
     learned = index[~held_out(index, every)]
     return learned if len(learned) else index
+
+
+def pixels_beside(surface: Surface, rays: PixelRays, chunk: int = 1 << 18) -> PixelSet:
+    """The valid pixels whose rays miss the mesh."""
+    tracer = RayTracer(surface.vertices, surface.faces)
+    beside = [rays.outside]
+    for index in rays.sphere.split(chunk):
+        origins, directions, _ = rays.rays(index)
+        hit = tracer.occluded(origins.cpu().numpy(), directions.cpu().numpy())
+        beside.append(PixelSet.of(index[torch.from_numpy(~hit).to(index.device)]))
+    return PixelSet.joined(beside)

@@ -21,11 +21,13 @@ from blender_nep.fields import environment_training
 from blender_nep.fields.cavities import open_cavities
 from blender_nep.fields.environment_field import EnvironmentField
 from blender_nep.fields.explanation import explanation_ratio, require_object
+from blender_nep.fields.field_optimisers import Optimisers
 from blender_nep.fields.fields import Fields, FieldsReport, HullReport, new_object_field
+from blender_nep.fields.fine_paint import fine_paint
 from blender_nep.fields.losses import FieldsLosses
 from blender_nep.fields.non_finite_monitor import NonFiniteMonitor, usable_gradients, usable_loss
 from blender_nep.fields.object_field import ObjectField
-from blender_nep.fields.object_pixels import draw_pixels, find_object_pixels, held_out_pixels
+from blender_nep.fields.object_pixels import draw_pixels, find_object_pixels, held_out_pixels, pixels_beside
 from blender_nep.fields.plain_support import find_plain_support
 from blender_nep.fields.rendering import FieldsRenderer, RayBundle, Rendering, RenderSettings
 from blender_nep.fields.schedule import Schedule
@@ -35,7 +37,6 @@ from blender_nep.fields.support_texture import SupportColors
 from blender_nep.fields.visual_hull import VisualHull, background_silhouettes, carve, excess, mask_silhouettes, score_cells
 from blender_nep.fields.volume_rendering import BAND
 from blender_nep.geometry.mesh import Surface
-from blender_nep.geometry.ray_tracing import RayTracer
 from blender_nep.geometry.support import Support
 from blender_nep.messages import Message, Part
 from blender_nep.presets import Preset
@@ -45,54 +46,6 @@ from blender_nep.tone_mapping import tone_map
 _CARVINGS, _LEAST_CARVED = 8, 0.02
 """With the colors of the support plane, the visual hull is carved up to so many times, as long as it loses this share of its
 volume."""
-
-
-class Optimisers:
-    """The Adam optimisers of the SDF, the color heads and F_e. Each of the three has its own learning rate."""
-
-    def __init__(self, object_field: ObjectField, environment: EnvironmentField, preset: Preset) -> None:
-        self._object_field, self._environment, self._preset = object_field, environment, preset.fields
-        self.restart_sdf()
-        self.heads: torch.optim.Optimizer = torch.optim.Adam(
-            object_field.color_parameters(), lr=self._preset.head_rate, betas=self._preset.head_betas, fused=True
-        )
-        self.environment = environment_training.optimiser(environment)
-
-    @property
-    def all(self) -> tuple[torch.optim.Optimizer, ...]:
-        """The optimisers of the SDF, of the color heads and of F_e."""
-        return self.sdf, self.heads, self.environment
-
-    def restart_sdf(self) -> None:
-        """Make the SDF's optimiser anew, after the SDF got new parameters."""
-        p = self._preset
-        self.sdf = self._object_field.shape_optimiser(p.sdf_rate, p.sdf_betas)
-
-    def restart_environment(self) -> None:
-        """Make F_e's optimiser anew, after F_e got new parameters."""
-        self.environment = environment_training.optimiser(self._environment)
-
-    def set_rates(self, schedule: Schedule) -> None:
-        """Set the learning rates of all optimisers that are due now."""
-        for optimiser, rate in ((self.sdf, schedule.sdf_rate), (self.heads, schedule.head_rate)):
-            for group in optimiser.param_groups:
-                group["lr"] = rate
-        self.set_environment_rate(schedule)
-
-    def set_environment_rate(self, schedule: Schedule) -> None:
-        """Set the learning rate of F_e's optimiser that is due now."""
-        environment_training.set_learning_rate(self.environment, self._environment.preset, schedule.environment_fraction)
-
-    def state(self) -> dict:
-        """The states of all optimisers, for a checkpoint."""
-        return {name: getattr(self, name).state_dict() for name in ("sdf", "heads", "environment")}
-
-    def load(self, state: dict) -> None:
-        """Go on from `state`. The fields must be loaded before."""
-        self.restart_sdf()
-        self.restart_environment()
-        for name, values in state.items():
-            getattr(self, name).load_state_dict(values)
 
 
 class FieldsLearning:
@@ -118,6 +71,8 @@ class FieldsLearning:
         self.monitor = NonFiniteMonitor()
         self.hull: HullReport | None = None
         """The visual hull from which the SDF started, or None."""
+        self.fine_paint: float | None = None
+        """How far two halves of the photos agree on fine colors of the hull; None without a hull."""
         self.object_pixels = rays.sphere
         """The object pixels. Until they are first found, all pixels that see the object's sphere."""
         self.validation_pixels = rays.sphere[:0]
@@ -263,6 +218,10 @@ class FieldsLearning:
             sdf = with_closed_foot(sdf, support)
         self.object_field.start_from(torch.from_numpy(sdf).to(self.generator.device))
         self.schedule.start_from_hull()
+        self.fine_paint = fine_paint(self.rays, sdf)
+        if self.fine_paint >= self.preset.least_fine_paint:
+            self.object_field.add_albedo_detail()
+            self.optimisers.restart_heads()
 
     @property
     def _cells(self) -> int:
@@ -354,6 +313,7 @@ class FieldsLearning:
             explanation_ratio=ratio,
             steps_not_finite=self.monitor.left_out,
             hull=self.hull,
+            fine_paint=self.fine_paint,
         )
 
     def state(self) -> dict:
@@ -362,6 +322,8 @@ class FieldsLearning:
             "schedule": self.schedule.state(),
             "loss": self.loss,
             "levels": self.object_field.level_count,
+            "albedo_detail": self.object_field.albedo_detail is not None,
+            "fine_paint": self.fine_paint,
             "object": self.object_field.state_dict(),
             "environment": self.environment.state_dict(),
             "optimisers": self.optimisers.state(),
@@ -379,6 +341,9 @@ class FieldsLearning:
         self.schedule.load(state["schedule"])
         self.loss = state["loss"]
         self._add_levels(state["levels"])
+        self.fine_paint = state["fine_paint"]
+        if state["albedo_detail"]:
+            self.object_field.add_albedo_detail()
         self.object_field.load_state_dict(state["object"])
         self.environment.load_state_dict(state["environment"])
         self.optimisers.load(state["optimisers"])
@@ -410,7 +375,7 @@ def learn_fields(
     or stop. Raises LearningError when too many steps are not finite or the object's sphere is empty, and Stopped on request.
     """
     if surface is not None:
-        background = _pixels_beside(surface, rays)
+        background = pixels_beside(surface, rays)
         environment, report = environment_training.learn_environment(
             rays, background, preset.environment, seed=seed, device=device, progress=progress, checkpoint=checkpoint
         )
@@ -437,14 +402,3 @@ def learn_fields(
     field = learning.object_field
     skipped = environment_training.skipped_detail(learning.environment)
     return Fields(field, learning.environment, {"skipped": skipped, **learning.report(ratio).as_dict()}, field.support)
-
-
-def _pixels_beside(surface: Surface, rays: PixelRays, chunk: int = 1 << 18) -> PixelSet:
-    """The valid pixels whose rays miss the mesh."""
-    tracer = RayTracer(surface.vertices, surface.faces)
-    beside = [rays.outside]
-    for index in rays.sphere.split(chunk):
-        origins, directions, _ = rays.rays(index)
-        hit = tracer.occluded(origins.cpu().numpy(), directions.cpu().numpy())
-        beside.append(PixelSet.of(index[torch.from_numpy(~hit).to(index.device)]))
-    return PixelSet.joined(beside)

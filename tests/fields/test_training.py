@@ -58,18 +58,24 @@ def test_a_short_learning_with_masks_comes_nearer_to_the_truth(masked_rays):
     )
 
 
+@pytest.mark.parametrize("paint", [-1.0, 2.0], ids=["with fine paint", "without"])
 @pytest.mark.parametrize("stop", [4, 16], ids=["while F_e is learned alone", "with both fields"])
-def test_a_resumed_run_gives_the_same_fields(rays, stop):
+def test_a_resumed_run_gives_the_same_fields(masked_rays, rays, stop, paint):
+    # masks give a hull, without which there is no fine paint
+    rays, chosen = (masked_rays, brief_preset(least_fine_paint=paint)) if paint < 1 else (rays, brief_preset())
+
     def advance(learning, steps):
         for _ in range(steps):
             learning.learn_step()
         return learning
 
-    whole = advance(FieldsLearning(rays, brief_preset(), 3, CPU), 24)
-    half = advance(FieldsLearning(rays, brief_preset(), 3, CPU), stop)
-    resumed = FieldsLearning(rays, brief_preset(), 3, CPU)
+    whole = advance(FieldsLearning(rays, chosen, 3, CPU), 24)
+    half = advance(FieldsLearning(rays, chosen, 3, CPU), stop)
+    resumed = FieldsLearning(rays, chosen, 3, CPU)
     resumed.load(half.state())
     advance(resumed, 24 - stop)
+    detail = whole.object_field.albedo_detail
+    assert detail.logits.any() if paint < 1 else detail is None
     assert resumed.step == whole.step and resumed.loss == whole.loss
     for a, b in zip(whole.object_field.parameters(), resumed.object_field.parameters(), strict=True):
         assert torch.equal(a, b)
@@ -222,11 +228,12 @@ def test_what_the_schedule_wants_done_is_done(rays):
 
 
 def test_the_report_says_how_it_went_in_plain_values():
-    report = FieldsReport(20, 30, [0.123456, 0.1], 0.25, 1.23456, 0, None)
+    report = FieldsReport(20, 30, [0.123456, 0.1], 0.25, 1.23456, 0, None, None)
     plain = {"steps": 20, "of_steps": 30, "held_out_error": [0.1235, 0.1], "loss": 0.25, "explanation_ratio": 1.235}
     assert report.as_dict() == plain
-    hull = replace(report, hull=HullReport(0.123456, 12.3456), steps_not_finite=2)
-    assert hull.as_dict() == plain | {"steps_not_finite": 2, "hull": {"volume": 0.1235, "contrast": 12.35}}
+    hull = replace(report, hull=HullReport(0.123456, 12.3456), fine_paint=0.12345, steps_not_finite=2)
+    found = {"hull": {"volume": 0.1235, "contrast": 12.35}, "fine_paint": 0.123}
+    assert hull.as_dict() == plain | {"steps_not_finite": 2} | found
 
 
 def test_without_decomposition_the_color_is_one_radiance_of_the_view_direction():
@@ -235,6 +242,17 @@ def test_without_decomposition_the_color_is_one_radiance_of_the_view_direction()
     normal = torch.tensor([[1.0, 0, 0]]).expand(2, 3)
     seen = field.appearance(points, normal, torch.tensor([[-1.0, 0, 0], [-0.6, 0.8, 0]]))
     assert (seen.albedo == 1).all() and not torch.equal(seen.color[0], seen.color[1])
+
+
+@pytest.mark.parametrize("least", [-1.0, 2.0])
+def test_kept_fields_have_the_fine_paint_that_was_learned(masked_rays, least):
+    chosen = brief_preset(least_fine_paint=least, least_explanation_ratio=0.0)
+    learned = learn_fields(masked_rays, chosen, seed=0, device=CPU, progress=no_progress, checkpoint=NoCheckpoint())
+    assert (learned.object_field.albedo_detail is not None) == (least < 1) and -1 <= learned.report["fine_paint"] <= 1
+    copy = Fields.from_state(learned.state(), chosen, CPU).object_field
+    points = torch.rand(50, 3) - 0.5
+    colors = [field.appearance(points, points, points).color for field in (learned.object_field, copy)]
+    assert torch.equal(*colors)
 
 
 def test_a_sphere_without_an_object_is_refused(rays):

@@ -1,0 +1,64 @@
+"""The optimisers of fields learning."""
+
+from __future__ import annotations
+
+import torch
+
+from blender_nep.fields import environment_training
+from blender_nep.fields.environment_field import EnvironmentField
+from blender_nep.fields.object_field import ObjectField
+from blender_nep.fields.schedule import Schedule
+from blender_nep.presets import Preset
+
+
+class Optimisers:
+    """The Adam optimisers of the SDF, the color heads and F_e. Each of the three has its own learning rate."""
+
+    def __init__(self, object_field: ObjectField, environment: EnvironmentField, preset: Preset) -> None:
+        self._object_field, self._environment, self._preset = object_field, environment, preset.fields
+        self.restart_sdf()
+        self.restart_heads()
+        self.environment = environment_training.optimiser(environment)
+
+    @property
+    def all(self) -> tuple[torch.optim.Optimizer, ...]:
+        """The optimisers of the SDF, of the color heads and of F_e."""
+        return self.sdf, self.heads, self.environment
+
+    def restart_sdf(self) -> None:
+        """Make the SDF's optimiser anew, after the SDF got new parameters."""
+        p = self._preset
+        self.sdf = self._object_field.shape_optimiser(p.sdf_rate, p.sdf_betas)
+
+    def restart_heads(self) -> None:
+        """Make the optimiser of the color heads anew, after they got new parameters."""
+        p = self._preset
+        colors = self._object_field.color_parameters()
+        self.heads: torch.optim.Optimizer = torch.optim.Adam(colors, lr=p.head_rate, betas=p.head_betas, fused=True)
+
+    def restart_environment(self) -> None:
+        """Make F_e's optimiser anew, after F_e got new parameters."""
+        self.environment = environment_training.optimiser(self._environment)
+
+    def set_rates(self, schedule: Schedule) -> None:
+        """Set the learning rates of all optimisers that are due now."""
+        for optimiser, rate in ((self.sdf, schedule.sdf_rate), (self.heads, schedule.head_rate)):
+            for group in optimiser.param_groups:
+                group["lr"] = rate
+        self.set_environment_rate(schedule)
+
+    def set_environment_rate(self, schedule: Schedule) -> None:
+        """Set the learning rate of F_e's optimiser that is due now."""
+        environment_training.set_learning_rate(self.environment, self._environment.preset, schedule.environment_fraction)
+
+    def state(self) -> dict:
+        """The states of all optimisers, for a checkpoint."""
+        return {name: getattr(self, name).state_dict() for name in ("sdf", "heads", "environment")}
+
+    def load(self, state: dict) -> None:
+        """Go on from `state`. The fields must be loaded before."""
+        self.restart_sdf()
+        self.restart_heads()
+        self.restart_environment()
+        for name, values in state.items():
+            getattr(self, name).load_state_dict(values)
