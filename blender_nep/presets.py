@@ -38,9 +38,9 @@ class FieldsPreset:
     carve_again_at: tuple[float, ...] = (0.5, 0.75)
     """Fractions, rising, at which the object is carved again, with the silhouettes of an F_e that is known better. Empty:
     never."""
-    least_fine_paint: float = 0.25
-    """The albedo gets a grid of fine paint if two halves of the photos agree on the fine colors of the hull with at least
-    this correlation (`fields.fine_paint`). Above 1: never (an ablation)."""
+    least_fine_paint: float = 0.17
+    """The albedo gets a grid of fine paint if photos from above and from below agree on the fine colors of the hull with at
+    least this correlation (`fields.fine_paint`). Above 1: never (an ablation)."""
     open_cavities_at: float = 0.5
     """Fraction at which the cavities of the object are opened that no silhouette shows. inf: never (an ablation)."""
     held_out_every: int = 101

@@ -41,8 +41,8 @@ class FieldsReport:
     hull: HullReport | None
     """None where the SDF started from a sphere"""
     fine_paint: float | None
-    """How far two halves of the photos agree on fine colors (`fine_paint.fine_paint`). None where the SDF started from a
-    sphere"""
+    """How far photos from above and from below agree on fine colors (`fine_paint.fine_paint`). None where the SDF started
+    from a sphere"""
 
     def as_dict(self) -> dict:
         """The report as plain values, rounded, for report.json. None and `steps_not_finite` 0 are left out."""

@@ -9,6 +9,7 @@ from torch import Tensor
 from torch.nn import functional
 
 from blender_nep.capture.pixel_rays import PixelRays
+from blender_nep.capture.upright import upward
 from blender_nep.fields.small_photos import SmallPhotos
 from blender_nep.geometry.ray_tracing import RayTracer
 
@@ -25,7 +26,12 @@ class SurfacePhotos:
 
     def __init__(self, rays: PixelRays) -> None:
         self._photos, self._device = SmallPhotos(rays), rays.radiance.device
-        self.cameras = torch.stack([rays.camera(view)[0].float().cpu() for view in self._photos.views])
+        positions, rotations = zip(*(rays.camera(view) for view in self._photos.views), strict=True)
+        self.cameras = torch.stack(positions).float().cpu()
+        """[views, 3] positions"""
+        axes = torch.stack(rotations).double().cpu().numpy()
+        self.up = torch.from_numpy(upward(axes[:, :, 0], axes[:, :, 1])).float()
+        """[3], the upward direction"""
 
     def colors(self, points: Tensor, normals: Tensor, shape: RayTracer, cell: float) -> Tensor:
         """Tone-mapped colors [views, n, 3] of surface points [n, 3]; NaN where a photo does not show the point.

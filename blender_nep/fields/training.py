@@ -72,7 +72,7 @@ class FieldsLearning:
         self.hull: HullReport | None = None
         """The visual hull from which the SDF started, or None."""
         self.fine_paint: float | None = None
-        """How far two halves of the photos agree on fine colors of the hull; None without a hull."""
+        """How far photos from above and from below agree on fine colors of the hull; None without a hull."""
         self.object_pixels = rays.sphere
         """The object pixels. Until they are first found, all pixels that see the object's sphere."""
         self.validation_pixels = rays.sphere[:0]

@@ -50,11 +50,11 @@ def nowhere(points: np.ndarray) -> np.ndarray:
     return np.zeros(len(points), bool)
 
 
-def write_pot_scene(folder: Path, distance, *, mirror=nowhere, painted=paint) -> Path:
+def write_pot_scene(folder: Path, distance, *, mirror=nowhere, painted=paint, mirrored=paint) -> Path:
     """Write the capture of the body with this distance function. Returns its folder.
 
     mirror: tells of surface points [n, 3] whether they are a mirror [n] bool; else, they are painted. painted: the linear
-    radiance [n, 3] of painted points [n, 3].
+    radiance [n, 3] of painted points [n, 3]. mirrored: that of mirrored directions [n, 3], scaled by 1.5.
     """
     axis = np.linspace(-1, 1, 97)
     vertices, faces, _, _ = marching_cubes(distance(np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), -1)), 0.0)
@@ -66,9 +66,9 @@ def write_pot_scene(folder: Path, distance, *, mirror=nowhere, painted=paint) ->
         origins = np.broadcast_to(position.astype(np.float32), directions.shape)
         t, face, _ = tracer.intersect(origins, directions)
         hit, normals = face >= 0, tracer.face_normals[face]
-        mirrored = directions - 2 * (directions * normals).sum(1, keepdims=True) * normals
+        reflected = directions - 2 * (directions * normals).sum(1, keepdims=True) * normals
         points = origins + np.where(hit, t, 0)[:, None] * directions
-        seen = np.where(mirror(points)[:, None], paint(1.5 * mirrored), painted(points))
+        seen = np.where(mirror(points)[:, None], mirrored(1.5 * reflected), painted(points))
         color = np.where(hit[:, None], seen, 0.3 + 0.2 * np.sin(3 * directions))
         write_exr(folder / "images" / f"{k}.exr", color.reshape(SIZE, SIZE, 3))
         frames.append({"file_path": f"images/{k}.exr", "transform_matrix": matrix.tolist()})
