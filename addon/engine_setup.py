@@ -105,6 +105,13 @@ def start_installation(folder: Path, base_python: str, build: str) -> None:
     clock.call_until_false(_advance)
 
 
+def forget_failure() -> None:
+    """Show no failure of the last installation."""
+    global installation
+    if not installing:
+        installation = None
+
+
 def _advance() -> bool:
     """Follow the check and the installation, once every clock period; returns whether one of them still runs."""
     global checking, installing, _displayed

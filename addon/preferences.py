@@ -21,6 +21,11 @@ BUILDS = (
 )
 
 
+def _forget_failure(preferences: "NepPreferences", context: bpy.types.Context) -> None:
+    """What was chosen for the installation has changed, so that the failure of the last one no longer concerns it."""
+    engine_setup.forget_failure()
+
+
 class NepPreferences(bpy.types.AddonPreferences):
     bl_idname = EXTENSION_PACKAGE
 
@@ -33,13 +38,17 @@ class NepPreferences(bpy.types.AddonPreferences):
         name="Install Into",
         subtype="DIR_PATH",
         description=f"The engine is installed into its subfolder {NAME}. Empty: the extension's own user folder",
+        update=_forget_failure,
     )
     base_python: bpy.props.StringProperty(
         name="Base Python",
         subtype="FILE_PATH",
         description="The Python 3.11 or newer that makes the engine's environment. Empty: Blender's own",
+        update=_forget_failure,
     )
-    build: bpy.props.EnumProperty(name="Build of Torch", description="What the engine can compute on", items=BUILDS)
+    build: bpy.props.EnumProperty(
+        name="Build of Torch", description="What the engine can compute on", items=BUILDS, update=_forget_failure
+    )
 
     def draw(self, context: bpy.types.Context) -> None:
         _draw_engine(self.layout.box(), context, self)

@@ -167,6 +167,9 @@ def set_engine_up(bpy, addon, folder: Path) -> None:
     log = folder / "engines" / "nep-engine.log"
     assert "The disk is full." in drawn() and "No space left on device" in log.read_text(), "the log is kept"
     assert str(log) in "".join(drawn())
+    chosen.base_python = ""
+    assert "The disk is full." not in drawn(), "another Base Python is chosen"
+    chosen.base_python = str(folder / "base-python")
     (folder / "mode").write_text("well")
     assert install() == {"FINISHED"}
     rounds(addon, install.poll)
