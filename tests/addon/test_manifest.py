@@ -1,5 +1,6 @@
 """The extension: its manifest keeps Blender's rules, and it installs, works and goes away again."""
 
+import importlib
 import os
 import re
 import stat
@@ -176,10 +177,12 @@ def set_engine_up(bpy, addon, folder: Path) -> None:
     installed = paths.engine_python(bpy.context)
     assert Path(installed).is_relative_to(folder / "engines" / "nep-engine")
     assert (folder / "engines" / "nep-engine" / "engine.json").is_file()
+    headless = importlib.import_module(f"{paths.EXTENSION_PACKAGE}.backend.headless.configured_python")
+    assert headless.configured_python() == installed, "backend/run.py finds the installed engine"
     rounds(addon, bpy.ops.nep.check_engine.poll)
     assert installed in "".join(drawn()), "what was installed is checked"
     chosen.engine_python = "/no/python"
-    assert paths.engine_python(bpy.context) == "/no/python"
+    assert paths.engine_python(bpy.context) == headless.configured_python() == "/no/python"
     engine = os.environ.pop("NEP_ENGINE_PYTHON")  # it would go before the preferences
     assert bpy.ops.nep.check_engine() == {"FINISHED"}
     os.environ["NEP_ENGINE_PYTHON"] = engine
