@@ -92,8 +92,8 @@ class NepShelfFolder(bpy.types.PropertyGroup):
 class NepSettings(bpy.types.PropertyGroup):
     capture: bpy.props.StringProperty(
         name="Capture",
-        description="Folder with the photos of one object. Their cameras are there, too (transforms.json or a COLMAP "
-        "project), or Find Cameras finds them",
+        description="Folder with the photos of one object. Their cameras are there, too (transforms.json, or a "
+        "project of COLMAP, Metashape or RealityScan), or Find Cameras finds them",
         subtype="DIR_PATH",
         options=PATH_OPTIONS,
         update=folder_changes.tell_capture,

@@ -137,7 +137,7 @@ def _add_sphere(command: argparse.ArgumentParser) -> None:
         type=_finite,
         nargs=3,
         metavar=("X", "Y", "Z"),
-        help="centre of the sphere that holds the object, capture coordinates (transforms.json, or estimated)",
+        help="center of the sphere that holds the object, capture coordinates (transforms.json, or estimated)",
     )
     command.add_argument("--object-radius", type=_positive, metavar="R", help="its radius; both or none")
 

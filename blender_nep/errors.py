@@ -6,7 +6,7 @@ Exit codes of the command line and of the `error` event:
 |------|---------------|------------------------------------------------------------------------------------|
 | 0    |               | done                                                                               |
 | 1    | NepError      | unexpected: a bug, or out of memory; the traceback is in the asset's `log.txt`      |
-| 2    | UsageError    | wrong arguments, or a resume whose settings differ from the run it continues        |
+| 2    | UsageError    | wrong arguments, an asset that is there already, or a resume with other settings    |
 | 3    | CaptureError  | the capture cannot be read or is not usable                                        |
 | 4    | BoundsError   | the object's bounding sphere cannot be right                                       |
 | 5    | OutputError   | the asset cannot be written                                                        |
@@ -14,7 +14,7 @@ Exit codes of the command line and of the `error` event:
 | 7    | Stopped       | stopped on request; the checkpoint is written, `--resume` goes on                  |
 | 9    | ObjectsFailed | a batch has ended, and some of its objects failed                                  |
 
-Code 8 is Blender's: `backend/run.py` made the asset, but Blender's part failed.
+Code 8 is Blender's: in `backend/run.py` and `backend/render_comparison.py`, Blender's part failed.
 
 Blender's Python does not import this package. `backend/engine/exit_codes.py` repeats the codes that the add-on needs.
 """

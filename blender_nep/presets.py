@@ -40,9 +40,9 @@ class FieldsPreset:
     never."""
     least_fine_paint: float = 0.17
     """The albedo gets a grid of fine paint if photos from above and from below agree on the fine colors of the hull with at
-    least this correlation (`fields.fine_paint`). Above 1: never (an ablation)."""
+    least this correlation (`fields.fine_paint`). Above 1: never."""
     open_cavities_at: float = 0.5
-    """Fraction at which the cavities of the object are opened that no silhouette shows. inf: never (an ablation)."""
+    """Fraction at which the cavities of the object are opened that no silhouette shows. inf: never."""
     held_out_every: int = 101
     """Pixels whose index is a multiple of this number are held out from learning; the validation error is measured on them.
     The number is prime, so that these pixels do not lie in the same columns of a photo."""

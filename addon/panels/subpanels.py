@@ -1,4 +1,4 @@
-"""The folded parts of the sidebar panel: cameras and bounds, result and light, relit comparison."""
+"""The sub-panels of the sidebar panel: cameras and bounds, result and light, relit comparison."""
 
 import bpy
 

@@ -1,4 +1,4 @@
-"""Runs a command of the engine that takes seconds or minutes and keeps no checkpoint. No bpy in this file."""
+"""Runs a command of the engine other than `reconstruct`, and follows it. No bpy in this file."""
 
 from collections.abc import Mapping
 from typing import ClassVar, Self

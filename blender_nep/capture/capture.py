@@ -34,7 +34,7 @@ class Capture:
     object_center: np.ndarray
     object_radius: float
     bounds_source: str
-    """Where the sphere comes from: 'options', 'transforms.json', 'masks' or 'cameras'."""
+    """Where the sphere comes from: 'options', 'masks', 'cameras', or the name of the file that says it."""
     warnings: list[Message] = field(default_factory=list)
     files: tuple[Path, ...] = ()
     """The files that describe the capture, without photos and masks."""

@@ -1,4 +1,4 @@
-"""Reads batch.json, the state of a batch (docs/gallery.md names the keys that count here)."""
+"""Reads batch.json, the state of a batch (docs/conventions.md has its keys)."""
 
 from __future__ import annotations
 
