@@ -13,8 +13,8 @@ written last, so a folder that has one is complete.
 photos are exposed and stored. What was drawn is written as scene.json. The photos may be PNG files.
 
 `--snapshots` writes photos as a phone takes them, to DIR/photos: JPEG files, a lens with distortion, an exposure that varies
-by up to half a stop up or down, and nothing that tells the cameras. The surroundings have prints. DIR/with_cameras is a capture of the same
-photos with the true cameras, test views, and ground truth.
+by up to half a stop up or down, and nothing that tells the cameras. The surroundings have prints. DIR/with_cameras is a
+capture of the same photos with the true cameras, test views, and ground truth.
 
 The same arguments give the same capture in the same version of Blender, except for the last digits of the photos, because
 Cycles adds in no fixed order. Blender 5 draws other Voronoi cells for the pattern `patches` than Blender 4.
