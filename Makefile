@@ -3,7 +3,8 @@
 # make lint   checks style (ruff), the directions of imports (import-linter) and types (mypy)
 # make stress CASES=500 SEED=1   runs whole small jobs on hostile captures (docs/stress.md). The same command continues a
 #             campaign that was stopped.
-# make bench  runs the suite, the peer and the study of skipping, and writes docs/benchmarks.md and docs/peer.md. Many hours. These variables make it shorter:
+# make bench  runs the suite, the peer and the study of skipping, and writes docs/benchmarks.md and docs/peer.md. This takes
+#             many hours. These variables make it shorter:
 #             CAPTURES="a b" PLAN=presets SEEDS=0 JOBS=2, RENDER="--views 24 --size 160 --samples 8"
 # make test-blender   tests the extension in Blender 4.2, 4.5, 5.0 and 5.2 (bpy wheels, 4 GB; needs Python 3.13 too)
 # make wheels  says which dependencies of the engine have a wheel, for each system and Python (needs the package index)

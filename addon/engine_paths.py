@@ -5,7 +5,7 @@ from pathlib import Path
 
 import bpy
 
-from ..backend.engine.install import installed_python
+from ..backend import engine_choice
 
 EXTENSION_PACKAGE = __package__.rpartition(".")[0]  # the name by which Blender lists the extension
 
@@ -16,25 +16,16 @@ def addon_preferences(context: bpy.types.Context) -> bpy.types.AddonPreferences 
     return addon.preferences if addon else None
 
 
-def extension_folder() -> Path | None:
-    """The folder for the extension's own files; None where the add-on is not installed as an extension."""
-    try:
-        return Path(bpy.utils.extension_path_user(EXTENSION_PACKAGE))
-    except ValueError:
-        return None
-
-
 def timings_file() -> Path:
     """The file that remembers how long the last jobs took."""
-    return (extension_folder() or Path(bpy.utils.user_resource("CONFIG"))) / "nep_timings.json"
+    return (
+        engine_choice.extension_folder(EXTENSION_PACKAGE) or Path(bpy.utils.user_resource("CONFIG"))
+    ) / "nep_timings.json"
 
 
 def engine_folder(context: bpy.types.Context) -> Path | None:
     """The folder where the engine is installed, or would be; None where there is none."""
-    preferences = addon_preferences(context)
-    if preferences is not None and preferences.engine_folder:
-        return Path(bpy.path.abspath(preferences.engine_folder))
-    return extension_folder()
+    return engine_choice.engine_folder(addon_preferences(context), EXTENSION_PACKAGE)
 
 
 def base_python(context: bpy.types.Context) -> str:
@@ -53,8 +44,4 @@ def torch_build(context: bpy.types.Context) -> str:
 
 def engine_python(context: bpy.types.Context) -> str:
     """The Python that the artist has chosen, else the Python of the installed engine, else an empty string."""
-    preferences = addon_preferences(context)
-    if preferences is not None and preferences.engine_python:
-        return bpy.path.abspath(preferences.engine_python)
-    folder = engine_folder(context)
-    return installed_python(folder) if folder is not None else ""
+    return engine_choice.engine_python(addon_preferences(context), EXTENSION_PACKAGE)

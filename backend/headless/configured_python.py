@@ -1,8 +1,4 @@
-"""Which Python the add-on's preferences name for the engine, or where the add-on has installed one."""
-
-from pathlib import Path
-
-from ..engine.install import installed_python
+"""Which Python runs the engine, according to the add-on's preferences."""
 
 
 def configured_python() -> str:
@@ -12,14 +8,9 @@ def configured_python() -> str:
     """
     import bpy
 
+    from ..engine_choice import engine_python
+
     for name, addon in bpy.context.preferences.addons.items():
-        if name.rpartition(".")[2] != "blender_nep":
-            continue
-        if python := getattr(addon.preferences, "engine_python", ""):
-            return bpy.path.abspath(python)
-        folder = getattr(addon.preferences, "engine_folder", "")
-        try:
-            return installed_python(Path(bpy.path.abspath(folder) if folder else bpy.utils.extension_path_user(name)))
-        except ValueError:  # the add-on is not installed as an extension
-            return ""
+        if name.rpartition(".")[2] == "blender_nep":
+            return engine_python(addon.preferences, name)
     return ""
