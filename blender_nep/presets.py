@@ -239,8 +239,13 @@ class SurfacePreset:
 
     grid: int = 224
     """Marching-cubes samples along each side of [-1, 1]^3."""
-    faces: int = 24_000
-    """Largest number of faces, about, after decimation. xatlas takes about 3 s for 20,000 faces and 14 s for 60,000."""
+    unwrapped_faces: int = 12_000
+    """Largest number of faces, about, after decimation, when the UV atlas is made. xatlas takes about 3 s for 20,000 faces
+    and 14 s for 60,000."""
+    faces: int = 80_000
+    """Largest number of faces of the mesh, after its edges are halved where the surface bends."""
+    chord_error: float = 2.5e-4
+    """Edges that are farther from the surface than this, in object radii, are halved (`surface.subdivision`)."""
     atlas_texels: int = 1024
     """Side of the UV atlas in texels while it is packed; `padding_texels` are such texels."""
     padding_texels: int = 3
@@ -405,7 +410,7 @@ PRESETS = {
         environment_height=128,
         fields=FieldsPreset(background_steps=200, steps=700, object_rays=1280, sphere_rays=768, outside_rays=768),
         environment=EnvironmentPreset(resolutions=((20, 32), (28, 64)), refine_at=(0.25,), detail_rows=256, steps=600),
-        surface=SurfacePreset(grid=192, faces=20_000, atlas_texels=512),
+        surface=SurfacePreset(grid=192, unwrapped_faces=8_000, faces=60_000, chord_error=3.5e-4, atlas_texels=512),
         material=MaterialPreset(
             samples=12_000, label_pixels=60_000, terminal_steps=150, unseen_samples=4000, unseen_steps=60, most_texels=512
         ),
@@ -420,7 +425,7 @@ PRESETS = {
         environment_height=512,
         fields=FieldsPreset(background_steps=400, steps=4500, object_rays=2048, last_sharpness=400),
         environment=EnvironmentPreset(steps=4000),
-        surface=SurfacePreset(grid=288, faces=60_000, atlas_texels=2048),
+        surface=SurfacePreset(grid=288, unwrapped_faces=20_000, faces=150_000, chord_error=2e-4, atlas_texels=2048),
         material=MaterialPreset(samples=80_000, label_pixels=600_000, unseen_samples=16_000, most_texels=2048),
     ),
 }

@@ -122,7 +122,7 @@ def tiny_preset() -> Preset:
             rays_per_step=256,
             steps=30,
         ),
-        surface=replace(SurfacePreset(), grid=40, faces=500, atlas_texels=128, padding_texels=2),
+        surface=replace(SurfacePreset(), grid=40, unwrapped_faces=300, faces=600, atlas_texels=128, padding_texels=2),
         material=replace(
             MaterialPreset(),
             samples=250,

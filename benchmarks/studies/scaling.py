@@ -124,7 +124,7 @@ class Bench:
 def base(**changes: dict) -> Preset:
     """The preset that is varied: `preview` with a short stage 2, and with the fields that `changes` gives."""
     short = {"rounds": 1, "most_materials": 1, "residual": False, "samples": 3000, "terminal_steps": 20, "most_texels": 256}
-    parts = {"material": short, "surface": {"grid": 96, "faces": 6000, "atlas_texels": 512}}
+    parts = {"material": short, "surface": {"grid": 96, "unwrapped_faces": 6000, "faces": 6000, "atlas_texels": 512}}
     for part, values in changes.items():
         parts[part] = parts.get(part, {}) | values
     return with_changes(PRESETS["preview"], parts)
@@ -160,12 +160,12 @@ FACTORS: dict[str, tuple[tuple[int, ...], Callable, dict[str, float]]] = {
     ),
     "faces": (
         (2000, 4000, 8000, 16000),
-        lambda b, n: b.materials(base(surface={"grid": 160, "faces": n})),
+        lambda b, n: b.materials(base(surface={"grid": 160, "unwrapped_faces": n, "faces": n})),
         {"select samples": 1, "gather light": 1, "textures": 1},
     ),
     "faces of the atlas": (
         (2000, 4000, 8000, 16000),
-        lambda b, n: b.surface(base(surface={"grid": 160, "faces": n})),
+        lambda b, n: b.surface(base(surface={"grid": 160, "unwrapped_faces": n, "faces": n})),
         {"decimation": 1, "UV atlas": 1},
     ),
     "material samples": (

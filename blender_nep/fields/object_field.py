@@ -222,6 +222,12 @@ class ObjectField(SurfaceColor):
         gradient = bspline.sample(self.coefficients(), points.clamp(-1, 1))[:, 1:4]
         return nn.functional.normalize(gradient, dim=-1)
 
+    @torch.no_grad()
+    def sdf_and_gradient(self, points: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        """Signed distance [n], negative inside, and its gradient [n, 3] at points [n, 3]."""
+        sampled = bspline.sample(self.coefficients(), points.clamp(-1, 1))
+        return sampled[:, 0], sampled[:, 1:4]
+
     def sdf_in_cells(self) -> np.ndarray:
         """SDF [n, n, n] at the centres of the finest level's cells; float32.
 

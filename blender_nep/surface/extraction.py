@@ -15,6 +15,7 @@ from blender_nep.errors import LearningError
 from blender_nep.geometry.mesh import Surface, area_normals, normalized, weld
 from blender_nep.geometry.support import Support
 from blender_nep.profiling import profiled, section
+from blender_nep.surface.subdivision import subdivide
 from blender_nep.surface.support_plane import MARGIN, find_support
 from blender_nep.surface.unwrap import unwrap
 
@@ -27,7 +28,9 @@ _BORDER = 0.995
 
 
 def extract_surface(object_field: ObjectField, preset: SurfacePreset) -> tuple[Surface, dict]:
-    """Make one clean, decimated, unwrapped mesh of the SDF's zero level inside the unit sphere. Also returns a report.
+    """Make one clean, unwrapped mesh of the SDF's zero level inside the unit sphere. Also returns a report.
+
+    The mesh of marching cubes is decimated and unwrapped, and then made finer where the surface bends.
 
     An object on a support plane is cut off there, and its foot is closed flat. The plane is the object field's, if the
     photos showed one; else it is looked for in the mesh.
@@ -45,15 +48,18 @@ def extract_surface(object_field: ObjectField, preset: SurfacePreset) -> tuple[S
     if support is not None:
         report["cut_support_plane"] = support.state()
     report["faces_marching_cubes"] = len(faces)
-    if len(faces) > preset.faces:
-        vertices, faces = _decimate(vertices, faces, preset.faces)
+    if len(faces) > preset.unwrapped_faces:
+        vertices, faces = _decimate(vertices, faces, preset.unwrapped_faces)
         # decimation may move a vertex a little outside the sphere at which the surface was cropped
         vertices *= np.minimum(1, _BORDER / np.maximum(np.linalg.norm(vertices, axis=1, keepdims=True), 1e-9))
     vertices, faces = weld(vertices, faces)
-    report["faces"] = len(faces)
+    report["faces_unwrapped"] = len(faces)
     report["watertight"] = bool(trimesh.Trimesh(vertices, faces, process=False).is_watertight)
     normals = _field_normals(object_field, vertices, faces)
-    return unwrap(Surface(vertices, faces, normals), preset), report
+    surface = unwrap(Surface(vertices, faces, normals), preset)
+    surface = subdivide(surface, object_field, preset, _BORDER, support)
+    report["faces"] = len(surface.faces)
+    return surface, report
 
 
 @profiled("keep the object")

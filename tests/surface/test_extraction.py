@@ -12,39 +12,9 @@ from blender_nep.geometry.uv_raster import nearest_known, rasterise
 from blender_nep.presets import SurfacePreset
 from blender_nep.surface.extraction import extract_surface
 from blender_nep.surface.mesh_file import load_surface
+from tests.support.analytic_field import AnalyticField, ball, union
 
-PRESET = SurfacePreset(grid=72, faces=1500, atlas_texels=256)
-
-
-class AnalyticField(torch.nn.Module):
-    """An SDF given as a function of points [n,3]."""
-
-    def __init__(self, function):
-        super().__init__()
-        self.function = function
-        self.anchor = torch.nn.Parameter(torch.zeros(1))
-        self.support = None
-
-    def sdf(self, points):
-        return self.function(points)
-
-    def normal(self, points):
-        points = points.detach().clone().requires_grad_(True)
-        (gradient,) = torch.autograd.grad(self.function(points).sum(), points)
-        return torch.nn.functional.normalize(gradient, dim=-1)
-
-    def sdf_grid(self, n):
-        axis = torch.linspace(-1, 1, n)
-        grid = torch.stack(torch.meshgrid(axis, axis, axis, indexing="ij"), -1).reshape(-1, 3)
-        return self.function(grid).reshape(n, n, n).numpy()
-
-
-def ball(centre, radius):
-    return lambda p: (p - torch.tensor(centre, dtype=p.dtype)).norm(dim=-1) - radius
-
-
-def union(*parts):
-    return lambda p: torch.stack([part(p) for part in parts]).amin(0)
+PRESET = SurfacePreset(grid=72, unwrapped_faces=1500, faces=1500, atlas_texels=256)
 
 
 @dataclass
@@ -82,7 +52,7 @@ def test_object_cut_by_the_sphere_is_capped():
 
 
 def test_decimation_leaves_no_vertex_outside_of_the_sphere():
-    few = SurfacePreset(grid=40, faces=300, atlas_texels=128)
+    few = SurfacePreset(grid=40, unwrapped_faces=300, faces=300, atlas_texels=128)
     surface, _ = extract_surface(AnalyticField(ball([0.5, 0.0, 0.0], 0.8)), few)
     assert 0.98 < np.linalg.norm(surface.vertices, axis=1).max() < 0.995 + 1e-6
 

@@ -15,7 +15,7 @@ AXIS = np.linspace(-1, 1, N)
 GRID = np.stack(np.meshgrid(AXIS, AXIS, AXIS, indexing="ij"), -1)
 BALL = np.linalg.norm(GRID - [0, 0, 0.05], axis=-1) - 0.5
 UP = np.array([0.0, 0.0, 1.0])
-PRESET = SurfacePreset(grid=N, faces=100_000)
+PRESET = SurfacePreset(grid=N, unwrapped_faces=100_000)
 
 
 def table(normal, height):
@@ -45,6 +45,9 @@ class Analytic:
 
     def normal(self, points):
         return torch.full_like(points, float("nan"))
+
+    def sdf_and_gradient(self, points):
+        return torch.full_like(points[:, 0], float("nan")), torch.full_like(points, float("nan"))
 
 
 def extracted(sdf, support=None):
