@@ -15,6 +15,7 @@ SCORES = {
     "cd_full": ("cd full", 4),
     "fscore_005": ("F 0.005", 2),
     "normal_deg": ("normals, °", 1),
+    "shading_normal_deg": ("shading normals, °", 1),
     "mask_iou": ("IoU", 3),
     "background_psnr": ("F_e, dB", 1),
     "mse_roughness": ("roughness", 5),

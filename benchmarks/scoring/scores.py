@@ -8,7 +8,7 @@ import numpy as np
 import torch
 
 from benchmarks.scoring import environment as fields
-from benchmarks.scoring import geometry, materials
+from benchmarks.scoring import geometry, materials, shading_normals
 from benchmarks.suite.harness import read_row
 from blender_nep.capture import PixelRays, load_capture
 from blender_nep.capture.capture import Capture
@@ -35,6 +35,7 @@ def score_asset(folder: Path, asset: Path, preset: Preset, device: str, picture:
     surface, learned = load_surface(asset / "mesh.obj", capture, preset.surface), materials.read_materials(asset)
     out = {"faces": len(surface.faces), "texture_rows": len(learned.albedo)}
     out |= geometry.score(surface, folder, capture, test)
+    out |= shading_normals.score(surface, folder, capture, test)
     out |= materials.score(surface, learned, folder, capture, test, picture)
     kept = asset / "checkpoints" / f"{StageName.FIELDS_LEARNING}.done.pt"
     if kept.is_file():

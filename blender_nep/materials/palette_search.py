@@ -105,14 +105,15 @@ class PaletteSearch:
     def drop_superfluous(self) -> None:
         """Drop the materials that explain hardly more than the other materials and their blends.
 
-        Such materials come from soft boundaries between two materials.
+        Such materials come from soft boundaries between two materials, and from gradual changes of one into another.
         """
+        gain = self.preset.gain if len(self.palette) == 2 else self.preset.blended_gain
         for k in self.shares().argsort().tolist():
             if len(self.palette) == 1:
                 return
             others = self.palette.pick([j for j in range(len(self.palette)) if j != k])
             with_it, without = (self._left_out(palette.with_blends()) for palette in (self.palette, others))
-            if without <= (1 + self.preset.gain) * with_it:
+            if without <= (1 + gain) * with_it:
                 self.palette = others
                 self.assign()
                 self.drop_superfluous()

@@ -94,6 +94,8 @@ def test_an_asset_that_is_the_truth_scores_perfectly_except_for_an_error_that_is
     write_obj(asset / "mesh.obj", TexturedMesh(vertices, surface.faces, surface.normals, surface.uv, {}))
     found = score_asset(SUZANNE_SMALL, asset, preset("preview"), "cpu", picture)
     assert found["cd_visible"] < 1e-5 and found["mask_iou"] > 0.999 and found["texture_rows"] == 8
+    # the photos show interpolated normals, the true mesh has flat faces
+    assert found["shading_normal_deg"] < 0.5 * found["normal_floor_deg"] and found["normal_floor_deg"] > 1
     assert found["mse_albedo"] < 1e-5 and found["mse_metallic"] < 1e-5
     assert found["albedo_ratio"] == pytest.approx([1, 1, 1], abs=0.01)
     assert found["mse_roughness"] == pytest.approx(0.01, rel=0.01) and found["true_roughness_deviation"] < 1e-3

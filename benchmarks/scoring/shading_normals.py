@@ -1,0 +1,60 @@
+"""Scores the normals that a renderer shades with, against the normals of a capture's `gt/NNN.exr` (Normal.XYZ, mask.V).
+
+Photos of a smoothly shaded object show its interpolated normals, and not those of the true mesh's faces. A mesh that follows
+the photos exactly is off the true faces by as much as the true mesh bends within a face.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import trimesh
+
+from benchmarks.scoring.geometry import Body, camera_rays, true_mesh
+from benchmarks.scoring.materials import read_channels
+from blender_nep.capture.capture import Capture
+from blender_nep.geometry.mesh import Surface, area_normals, normalized
+
+
+def score(surface: Surface, folder: Path, capture: Capture, test: Capture) -> dict[str, float]:
+    """The errors of shading normals in the test views, in degrees; {} for a capture whose ground truth has no normals.
+
+    shading_normal_deg: mean angle between our interpolated normals and the rendered ones. normal_floor_deg: mean angle
+    between the true mesh's face normals and the rendered ones, which `normal_deg` of an exact copy of the photos would have.
+    """
+    ours, truth = Body(surface.vertices, surface.faces), true_mesh(folder, capture)
+    normals = area_normals(surface.vertices, surface.faces)
+    found: list[np.ndarray] = []
+    floor: list[np.ndarray] = []
+    for view in range(len(test.views)):
+        gt = read_channels(folder / "gt" / f"{view:03d}.exr")
+        if "Normal.X" not in gt:
+            return {}
+        rendered = normalized(np.stack([gt[f"Normal.{axis}"].ravel() for axis in "XYZ"], 1))
+        origins, directions, _ = camera_rays(test, view, 1)
+        inner = _inner(gt["mask.V"] > 0.99).ravel()
+        point, ray, face = truth.first_hits(origins, directions)
+        on_truth = np.zeros(len(origins), bool)
+        on_truth[ray] = True
+        floor.append(_angles(truth.mesh.face_normals[face], rendered[ray])[inner[ray]])
+        point, ray, face = ours.first_hits(origins, directions)
+        barycentric = trimesh.triangles.points_to_barycentric(surface.vertices[surface.faces[face]], point)
+        smooth = (normals[surface.faces[face]] * barycentric[..., None]).sum(1)
+        found.append(_angles(normalized(smooth), rendered[ray])[(inner & on_truth)[ray]])
+    return {
+        "shading_normal_deg": float(np.concatenate(found).mean()),
+        "normal_floor_deg": float(np.concatenate(floor).mean()),
+    }
+
+
+def _inner(mask: np.ndarray) -> np.ndarray:
+    """The pixels of mask [H, W] whose four neighbors belong to it, too."""
+    inner = np.zeros_like(mask)
+    inner[1:-1, 1:-1] = mask[1:-1, 1:-1] & mask[:-2, 1:-1] & mask[2:, 1:-1] & mask[1:-1, :-2] & mask[1:-1, 2:]
+    return inner
+
+
+def _angles(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Angles [n] in degrees between unit vectors [n, 3], whatever their signs."""
+    return np.degrees(np.arccos(np.abs((a * b).sum(1)).clip(0, 1)))

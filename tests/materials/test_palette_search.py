@@ -1,0 +1,46 @@
+"""When a material of the palette is dropped, for residuals that are given."""
+
+from types import SimpleNamespace
+
+import pytest
+import torch
+
+from blender_nep.materials.palette import Palette
+from blender_nep.materials.palette_search import PaletteSearch
+from blender_nep.presets import MaterialPreset
+
+PRESET = MaterialPreset()
+
+
+def dropped(materials, raised):
+    """How many of `materials` are left, if every material less raises the left-out residual by the share `raised`."""
+
+    def left_out(palette):
+        return (1 + raised) ** (materials - (len(palette) - palette.blends))
+
+    one = torch.linspace(0.1, 0.9, materials)
+    search = SimpleNamespace(
+        palette=Palette(one[:, None].expand(-1, 3), one, one),
+        preset=PRESET,
+        shares=lambda: torch.full((len(search.palette),), 1 / len(search.palette)),
+        assign=lambda: None,
+        _left_out=left_out,
+        drop_superfluous=lambda: PaletteSearch.drop_superfluous(search),
+    )
+    search.drop_superfluous()
+    return len(search.palette)
+
+
+@pytest.mark.parametrize(
+    ("materials", "raised", "left"),
+    [
+        (2, 0.08, 2),  # one material has no blends: it must explain all by itself
+        (2, 0.04, 1),
+        (3, 0.08, 2),  # blends of the other two can stand in the third one's place
+        (3, 0.15, 3),
+        (5, 0.08, 2),
+    ],
+)
+def test_a_material_that_blends_can_replace_must_explain_more_than_one_that_they_cannot(materials, raised, left):
+    assert PRESET.gain == 0.05 and 0.08 < PRESET.blended_gain < 0.15
+    assert dropped(materials, raised) == left
