@@ -2,6 +2,7 @@
 
 import bpy
 
+from ..backend.engine.command import LEAST_FACES
 from . import folder_changes
 
 PATH_OPTIONS = {"ANIMATABLE"} | ({"PATH_SUPPORTS_BLEND_RELATIVE"} if bpy.app.version >= (4, 5, 0) else set())
@@ -89,6 +90,11 @@ class NepShelfFolder(bpy.types.PropertyGroup):
     )
 
 
+def _enough_faces(settings: "NepSettings", context: bpy.types.Context) -> None:
+    if 0 < settings.faces < LEAST_FACES:
+        settings.faces = LEAST_FACES
+
+
 class NepSettings(bpy.types.PropertyGroup):
     capture: bpy.props.StringProperty(
         name="Capture",
@@ -121,6 +127,14 @@ class NepSettings(bpy.types.PropertyGroup):
         description="Whether the object is metal, where you know it and the photos do not tell",
         items=METAL,
         default="auto",
+    )
+    faces: bpy.props.IntProperty(
+        name="Faces",
+        description="Largest number of faces of the mesh; a normal map carries the shape that so few faces lack. "
+        "0: as many as the preset makes, without a normal map. Not used with a known mesh",
+        min=0,
+        max=1_000_000,
+        update=_enough_faces,
     )
     closing: bpy.props.EnumProperty(
         name="When Blender Closes", description="What happens to a running job", items=CLOSINGS, default="STOP"

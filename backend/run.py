@@ -55,6 +55,9 @@ def parse(arguments: list[str]) -> argparse.Namespace:
     parser.add_argument("--engine-python", help="the Python that has blender-nep and torch")
     parser.add_argument("--masks", choices=("use", "ignore"))
     parser.add_argument("--metal", choices=("auto", "yes", "no"), help="whether it is metal, where photos do not tell")
+    parser.add_argument(
+        "--faces", type=int, metavar="N", help="largest number of faces of the mesh; the rest is a normal map"
+    )
     parser.add_argument("--device", default="auto", choices=("auto", "cpu", "cuda"), help="of the engine")
     parser.add_argument("--mesh", help="learn materials on this mesh, in capture coordinates; only with --capture")
     parser.add_argument(

@@ -15,6 +15,9 @@ from blender_nep import __version__
 if TYPE_CHECKING:
     from blender_nep.presets import Preset
 
+LEAST_FACES = 2000
+"""Smallest --faces. With fewer, the mesh is no longer near enough to the surface for a normal map."""
+
 EXIT_CODES = """\
 exit codes:
   0  done
@@ -91,6 +94,7 @@ def parser() -> argparse.ArgumentParser:
         default="auto",
         help="whether the object is metal, where photos alone cannot tell (%(default)s)",
     )
+    _add_faces(run)
     run.add_argument("--resume", action="store_true", help="go on with the run in ASSET that was stopped or killed")
     run.add_argument("--overwrite", action="store_true", help="replace an asset or a run in ASSET")
     run.add_argument("--clean", action="store_true", help="remove the checkpoints when the asset is written")
@@ -140,6 +144,15 @@ def _add_sphere(command: argparse.ArgumentParser) -> None:
         help="center of the sphere that holds the object, capture coordinates (transforms.json, or estimated)",
     )
     command.add_argument("--object-radius", type=_positive, metavar="R", help="its radius; both or none")
+
+
+def _add_faces(command: argparse.ArgumentParser) -> None:
+    command.add_argument(
+        "--faces",
+        type=_faces,
+        metavar="N",
+        help="largest number of faces of the mesh; a normal map carries the shape that so few faces lack (the preset's)",
+    )
 
 
 def _sphere(options: argparse.Namespace) -> tuple[tuple[float, float, float], float] | None:
@@ -198,6 +211,7 @@ def _add_batch(commands: argparse._SubParsersAction) -> None:
     )
     batch.add_argument("--masks", choices=("use", "ignore"), default="use", help="(%(default)s)")
     batch.add_argument("--metal", choices=("auto", "yes", "no"), default="auto", help="(%(default)s)")
+    _add_faces(batch)
     batch.add_argument("--seed", type=_seed, default=0, metavar="N", help="(%(default)s)")
     batch.add_argument("--device", choices=("auto", "cpu", "cuda"), default="auto", help="(%(default)s)")
     batch.add_argument("--clean", action="store_true", help="remove the checkpoints of finished objects")
@@ -237,6 +251,13 @@ def _count(text: str) -> int:
     return value
 
 
+def _faces(text: str) -> int:
+    value = int(text)
+    if value < LEAST_FACES:
+        raise argparse.ArgumentTypeError(f"must be at least {LEAST_FACES}")
+    return value
+
+
 def _finite(text: str) -> float:
     value = float(text)
     if not math.isfinite(value):
@@ -257,6 +278,8 @@ def main(arguments: list[str] | None = None) -> int:
     options = top.parse_args(arguments)
     if options.command in ("info", "reconstruct") and (options.object_center is None) != (options.object_radius is None):
         top.error("--object-center and --object-radius work only together")
+    if options.command == "reconstruct" and options.mesh is not None and options.faces is not None:
+        top.error("--faces does not work with --mesh: the asset has the given mesh")
     if options.command == "batch" and options.ship and options.ray is None:
         top.error("--ship works only with --ray")
     commands = {
@@ -310,6 +333,8 @@ def _chosen_preset(options: argparse.Namespace) -> Preset:
     from blender_nep.presets import preset
 
     chosen = preset(options.preset)
+    if options.faces is not None:
+        chosen = replace(chosen, surface=replace(chosen.surface, asset_faces=options.faces))
     if options.metal == "auto":
         return chosen
     return replace(chosen, material=replace(chosen.material, metallic=(float(options.metal == "yes"),)))
@@ -369,6 +394,7 @@ def _batch(options: argparse.Namespace) -> int:
         preset=options.preset,
         masks=options.masks,
         metal=options.metal,
+        faces=options.faces,
         seed=options.seed,
         device=options.device,
         clean=options.clean,

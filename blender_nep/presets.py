@@ -246,6 +246,11 @@ class SurfacePreset:
     """Largest number of faces of the mesh, after its edges are halved where the surface bends."""
     chord_error: float = 2.5e-4
     """Edges that are farther from the surface than this, in object radii, are halved (`surface.subdivision`)."""
+    asset_faces: int = 0
+    """Largest number of faces of the asset's mesh (--faces). If it is smaller than `faces`, the asset gets a normal map that
+    carries the difference. 0: the asset has the mesh on which materials are learned."""
+    normal_texels: int = 2048
+    """Side of the normal map in texels."""
     atlas_texels: int = 1024
     """Side of the UV atlas in texels while it is packed; `padding_texels` are such texels."""
     padding_texels: int = 3
@@ -413,7 +418,9 @@ PRESETS = {
         environment_height=128,
         fields=FieldsPreset(background_steps=200, steps=700, object_rays=1280, sphere_rays=768, outside_rays=768),
         environment=EnvironmentPreset(resolutions=((20, 32), (28, 64)), refine_at=(0.25,), detail_rows=256, steps=600),
-        surface=SurfacePreset(grid=192, unwrapped_faces=8_000, faces=60_000, chord_error=3.5e-4, atlas_texels=512),
+        surface=SurfacePreset(
+            grid=192, unwrapped_faces=8_000, faces=60_000, chord_error=3.5e-4, normal_texels=1024, atlas_texels=512
+        ),
         material=MaterialPreset(
             samples=12_000, label_pixels=60_000, terminal_steps=150, unseen_samples=4000, unseen_steps=60, most_texels=512
         ),

@@ -135,6 +135,7 @@ class NEP_OT_reconstruct(bpy.types.Operator):
             seed=settings.seed,
             masks="use" if settings.use_masks else "ignore",
             metal=settings.metal,
+            faces=(settings.faces or None) if not settings.mesh else None,
             mesh=bpy.path.abspath(settings.mesh) if settings.mesh else None,
             threads=settings.threads or None,
             resume=self.resume,

@@ -112,6 +112,7 @@ class NEP_OT_reconstruct_shelf(bpy.types.Operator):
                 seed=settings.seed,
                 masks="use" if settings.use_masks else "ignore",
                 metal=settings.metal,
+                faces=settings.faces or None,
                 overwrite=self.overwrite,
             )
         except EngineError as error:

@@ -14,6 +14,8 @@ from .words import Translate, error_words
 ENGINE_PYTHON_VARIABLE = "NEP_ENGINE_PYTHON"
 ENGINE_MODULE = "blender_nep"
 CHECK_LIMIT_S = 60.0
+LEAST_FACES = 2000
+"""Smallest number of faces that the engine takes: a second copy of that in blender_nep/cli.py. A test compares the two."""
 
 
 class EngineError(Exception):
@@ -111,6 +113,7 @@ def reconstruct_arguments(
     seed: int | None = None,
     masks: str | None = None,
     metal: str | None = None,
+    faces: int | None = None,
     mesh: str | None = None,
     threads: int | None = None,
     resume: bool = False,
@@ -130,6 +133,7 @@ def reconstruct_arguments(
         ("--seed", seed),
         ("--masks", masks),
         ("--metal", metal),
+        ("--faces", faces),
         ("--mesh", mesh),
         ("--threads", threads),
     ):
@@ -188,6 +192,7 @@ def batch_arguments(
     seed: int | None = None,
     masks: str | None = None,
     metal: str | None = None,
+    faces: int | None = None,
     workers: int | None = None,
     overwrite: bool = False,
     keep_going: bool = False,
@@ -203,6 +208,7 @@ def batch_arguments(
         ("--seed", seed),
         ("--masks", masks),
         ("--metal", metal),
+        ("--faces", faces),
         ("--workers", workers),
     ):
         if value is not None:

@@ -44,6 +44,7 @@ def _reconstruct(options: argparse.Namespace, stop: StopRequests) -> None:
             seed=options.seed,
             masks=options.masks,
             metal=options.metal,
+            faces=options.faces,
             mesh=options.mesh,
             resume=options.resume,
             overwrite=options.overwrite,

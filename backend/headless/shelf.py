@@ -54,6 +54,7 @@ def _reconstruct(python: str, options: argparse.Namespace, stop: StopRequests) -
         seed=options.seed,
         masks=options.masks,
         metal=options.metal,
+        faces=options.faces,
         workers=options.workers,
         overwrite=options.overwrite,
     )

@@ -28,6 +28,7 @@ class Texture:
 # material.
 CONFIDENCE = "confidence"
 FILE_OF_TEXTURE = "nep_file"  # an image's property: the absolute path of the asset's file that it shows
+NORMAL_MAP = Texture("normal", "Normal", False, "normal map")  # only assets with few faces have it
 TEXTURES = (
     Texture("albedo", "Base Color", True, "albedo"),
     Texture("roughness", "Roughness", False, "roughness"),
@@ -91,7 +92,8 @@ def removed_on_error() -> Iterator[None]:
 def build_material(name: str, textures: Path, *, pack: bool = True) -> bpy.types.Material:
     """Make a material: a Principled BSDF whose Base Color, Roughness and Metallic come from the folder `textures`.
 
-    The material also holds an image node with the confidence, which is not connected.
+    If the folder has a normal map, it goes through a Normal Map node. The material also holds an image node with the
+    confidence, which is not connected.
     """
     material = bpy.data.materials.new(name)
     if not material.use_nodes:
@@ -105,6 +107,15 @@ def build_material(name: str, textures: Path, *, pack: bool = True) -> bpy.types
         node.image = _texture_image(textures, texture, pack)
         if texture.socket:
             links.new(node.outputs["Color"], principled.inputs[texture.socket])
+    if any((textures / f"{NORMAL_MAP.name}{suffix}").is_file() for suffix in (".png", ".exr")):
+        node = nodes.new("ShaderNodeTexImage")
+        node.name, node.label = NORMAL_MAP.name, NORMAL_MAP.label
+        node.location = (-420, 320 - 290 * len(TEXTURES))
+        node.image = _texture_image(textures, NORMAL_MAP, pack)
+        tilt = nodes.new("ShaderNodeNormalMap")
+        tilt.location = (-120, node.location.y)
+        links.new(node.outputs["Color"], tilt.inputs["Color"])
+        links.new(tilt.outputs["Normal"], principled.inputs[NORMAL_MAP.socket])
     return material
 
 
@@ -138,7 +149,8 @@ def reload_textures(folder: Path) -> int:
     An image also knows its file by the property FILE_OF_TEXTURE. The reason: Blender makes the paths of images relative when
     it saves, and a .blend with packed images may be moved.
     """
-    files = {_path_key(folder / "textures" / (texture.name + end)) for texture in TEXTURES for end in (".png", ".exr")}
+    every, ends = (*TEXTURES, NORMAL_MAP), (".png", ".exr")
+    files = {_path_key(folder / "textures" / (texture.name + end)) for texture in every for end in ends}
     count = 0
     for image in bpy.data.images:
         path = bpy.path.abspath(image.filepath, library=image.library)

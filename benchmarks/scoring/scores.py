@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +11,7 @@ import torch
 from benchmarks.scoring import environment as fields
 from benchmarks.scoring import geometry, materials, shading_normals
 from benchmarks.suite.harness import read_row
+from blender_nep.asset.export import NORMAL_MAP
 from blender_nep.capture import PixelRays, load_capture
 from blender_nep.capture.capture import Capture
 from blender_nep.checkpoints import load_state
@@ -35,12 +37,21 @@ def score_asset(folder: Path, asset: Path, preset: Preset, device: str, picture:
     surface, learned = load_surface(asset / "mesh.obj", capture, preset.surface), materials.read_materials(asset)
     out = {"faces": len(surface.faces), "texture_rows": len(learned.albedo)}
     out |= geometry.score(surface, folder, capture, test)
-    out |= shading_normals.score(surface, folder, capture, test)
+    map_file = asset / "textures" / f"{NORMAL_MAP}.exr"
+    normal_map = next(iter(materials.read_channels(map_file).values())) if map_file.is_file() else None
+    shaded = replace(surface, normals=_file_normals(asset / "mesh.obj"))
+    out |= shading_normals.score(shaded, folder, capture, test, normal_map)
     out |= materials.score(surface, learned, folder, capture, test, picture)
     kept = asset / "checkpoints" / f"{StageName.FIELDS_LEARNING}.done.pt"
     if kept.is_file():
         out["background_psnr"] = _background_psnr(folder, asset, kept, capture, test, preset, choose_device(device))
     return out
+
+
+def _file_normals(path: Path) -> np.ndarray:
+    """The normals [V, 3] of an asset's mesh.obj, whose vertices and normals have the same order."""
+    with open(path, encoding="utf-8") as file:
+        return np.loadtxt([line[3:] for line in file if line.startswith("vn ")])
 
 
 def _background_psnr(

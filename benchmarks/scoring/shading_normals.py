@@ -14,17 +14,23 @@ import trimesh
 from benchmarks.scoring.geometry import Body, camera_rays, true_mesh
 from benchmarks.scoring.materials import read_channels
 from blender_nep.capture.capture import Capture
-from blender_nep.geometry.mesh import Surface, area_normals, normalized
+from blender_nep.geometry.mesh import Surface, normalized
+from blender_nep.geometry.uv_raster import look_up
+from blender_nep.surface.normal_map import tangent_frames
 
 
-def score(surface: Surface, folder: Path, capture: Capture, test: Capture) -> dict[str, float]:
+def score(
+    surface: Surface, folder: Path, capture: Capture, test: Capture, normal_map: np.ndarray | None = None
+) -> dict[str, float]:
     """The errors of shading normals in the test views, in degrees; {} for a capture whose ground truth has no normals.
 
-    shading_normal_deg: mean angle between our interpolated normals and the rendered ones. normal_floor_deg: mean angle
-    between the true mesh's face normals and the rendered ones, which `normal_deg` of an exact copy of the photos would have.
+    shading_normal_deg: mean angle between the surface's interpolated normals and the rendered ones. If there is a normal map
+    [S, S, 3], it tilts the surface's normals. normal_floor_deg: mean angle between the true mesh's face normals and the
+    rendered ones, which `normal_deg` of an exact copy of the photos would have.
     """
     ours, truth = Body(surface.vertices, surface.faces), true_mesh(folder, capture)
-    normals = area_normals(surface.vertices, surface.faces)
+    normals = surface.normals
+    tangents, handedness = (None, None) if normal_map is None else tangent_frames(surface)
     found: list[np.ndarray] = []
     floor: list[np.ndarray] = []
     for view in range(len(test.views)):
@@ -40,7 +46,14 @@ def score(surface: Surface, folder: Path, capture: Capture, test: Capture) -> di
         floor.append(_angles(truth.mesh.face_normals[face], rendered[ray])[inner[ray]])
         point, ray, face = ours.first_hits(origins, directions)
         barycentric = trimesh.triangles.points_to_barycentric(surface.vertices[surface.faces[face]], point)
-        smooth = (normals[surface.faces[face]] * barycentric[..., None]).sum(1)
+        corners = surface.faces[face]
+        smooth = (normals[corners] * barycentric[..., None]).sum(1)
+        if normal_map is not None and tangents is not None and handedness is not None:
+            tangent = (tangents[corners] * barycentric[..., None]).sum(1)
+            bitangent = handedness[corners[:, :1]] * np.cross(smooth, tangent)
+            uv = (surface.atlas[corners] * barycentric[..., None]).sum(1)
+            red, green, blue = 2 * look_up(normal_map, uv).T[..., None] - 1
+            smooth = red * tangent + green * bitangent + blue * smooth
         found.append(_angles(normalized(smooth), rendered[ray])[(inner & on_truth)[ray]])
     return {
         "shading_normal_deg": float(np.concatenate(found).mean()),

@@ -25,6 +25,8 @@ from blender_nep.geometry.mesh import Surface
 
 TEXTURES = ("albedo", "roughness", "metallic", "confidence")
 """Every texture of an asset. `TEXTURE_NAMES` in backend/engine/job_files.py repeats them for Blender's Python."""
+NORMAL_MAP = "normal"
+"""The texture that only some assets have: a tangent-space normal map (`surface.normal_map`)."""
 SRGB_TEXTURES = ("albedo",)
 """Textures that are colors. Their 8-bit files are sRGB-encoded: `is_color` in backend/scene_io/asset_import.py."""
 
@@ -101,9 +103,14 @@ def write_asset(
 
 
 def _move(partial: Path, folder: Path) -> None:
-    """Flush the files to the disk and move them into the folder. report.json is removed first and moved last."""
+    """Flush the files to the disk and move them into the folder. report.json is removed first and moved last.
+
+    The normal map of an earlier asset is removed, too: it does not fit this mesh.
+    """
     (folder / "report.json").unlink(missing_ok=True)
     (folder / "textures").mkdir(exist_ok=True)
+    for suffix in (".exr", ".png"):
+        (folder / "textures" / f"{NORMAL_MAP}{suffix}").unlink(missing_ok=True)
     files = sorted((p for p in partial.rglob("*") if p.is_file()), key=lambda p: (p.name == "report.json", p))
     for file in files:
         with open(file, "rb+") as opened:
@@ -131,7 +138,7 @@ def write_png(path: Path, pixels: np.ndarray, *, srgb: bool) -> None:
 
 
 def write_obj(path: Path, mesh: TexturedMesh) -> None:
-    """Write a Wavefront OBJ with normals and UVs, and its MTL with a material of the PBR extension (Pm, Pr).
+    """Write a Wavefront OBJ with normals and UVs, and its MTL with a material of the PBR extension (Pm, Pr, norm).
 
     Position, normal and UV of a corner have the same index.
     """
@@ -144,6 +151,8 @@ def write_obj(path: Path, mesh: TexturedMesh) -> None:
         "map_Pr textures/roughness.png",
         "map_Pm textures/metallic.png",
     ]
+    if NORMAL_MAP in mesh.textures:
+        material.append(f"norm textures/{NORMAL_MAP}.png")
     path.with_suffix(".mtl").write_text("\n".join(material) + "\n", encoding="utf-8")
     with open(path, "w", encoding="utf-8") as file:
         file.write(f"mtllib {path.stem}.mtl\no nep\nusemtl nep\n")
@@ -167,10 +176,12 @@ def write_glb(path: Path, mesh: TexturedMesh) -> None:
     """
     y_up = np.array([[1, 0, 0], [0, 0, 1], [0, -1, 0]], np.float64)
     rough, metal = to_bytes(mesh.textures["roughness"]), to_bytes(mesh.textures["metallic"])
+    normal_map = mesh.textures.get(NORMAL_MAP)
     material = trimesh.visual.material.PBRMaterial(
         name="nep",
         baseColorTexture=Image.fromarray(to_bytes(linear_to_srgb(mesh.textures["albedo"]))),
         metallicRoughnessTexture=Image.fromarray(np.stack([np.zeros_like(rough), rough, metal], -1)),
+        normalTexture=None if normal_map is None else Image.fromarray(to_bytes(normal_map)),
         metallicFactor=1.0,
         roughnessFactor=1.0,
     )

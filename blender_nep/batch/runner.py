@@ -149,6 +149,7 @@ class Batch:
     def _job(self, one: ObjectState, threads: int, memory_mb: float) -> Job:
         s = self._settings
         options = ["--preset", s.preset, "--masks", s.masks, "--metal", s.metal, "--seed", str(s.seed)]
+        options += [] if s.faces is None else ["--faces", str(s.faces)]
         options += ["--device", s.device, *(["--clean"] if s.clean else [])]
         return Job(
             name=one.name,

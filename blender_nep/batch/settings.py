@@ -20,6 +20,8 @@ class BatchSettings:
     preset: str = "balanced"
     masks: str = "use"
     metal: str = "auto"
+    faces: int | None = None
+    """Largest number of faces of the meshes. None: the preset's"""
     seed: int = 0
     device: str = "auto"
     clean: bool = False
@@ -39,8 +41,15 @@ class BatchSettings:
 
     def identity(self) -> dict[str, object]:
         """The options that decide what the assets are. All starts in one folder must agree in them."""
-        return {"preset": self.preset, "masks": self.masks, "metal": self.metal, "seed": self.seed}
+        return {
+            "preset": self.preset,
+            "masks": self.masks,
+            "metal": self.metal,
+            "faces": self.faces,
+            "seed": self.seed,
+        }
 
     def arguments(self) -> dict[str, object]:
         """The options that every job gets, `--preset` apart."""
-        return {"masks": self.masks, "metal": self.metal, "seed": self.seed, "device": self.device, "clean": self.clean}
+        decisive = {name: value for name, value in self.identity().items() if name != "preset"}
+        return decisive | {"device": self.device, "clean": self.clean}

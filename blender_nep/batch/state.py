@@ -119,6 +119,7 @@ def read_state(folder: Path) -> BatchState | None:
             raise UsageError(message, hint, "usage.other_version", folder=folder)
         arguments = dict(content["arguments"])
         identity = {"preset": content["preset"], **{key: arguments[key] for key in ("masks", "metal", "seed")}}
+        identity["faces"] = arguments.get("faces")
         objects = [ObjectState.from_told(told) for told in content["objects"]]
         return BatchState(identity, arguments, content["started"], objects=objects)
     except (OSError, ValueError, KeyError, TypeError) as error:

@@ -14,12 +14,12 @@ from blender_nep.asset.export import TEXTURES, Placement, write_asset
 from blender_nep.asset.preview import PreviewView
 from blender_nep.errors import UsageError
 from blender_nep.files import output_errors
-from blender_nep.geometry.mesh import Surface
 from blender_nep.job.events import Events
 from blender_nep.job.exit_code import exit_code
 from blender_nep.job.job_folder import held
 from blender_nep.job.run_folder import FORMAT, PREVIEW, RunFolder
 from blender_nep.job.stage_names import StageName
+from blender_nep.job.stages import SurfaceResult, surface_result
 from blender_nep.materials.corrections import Correction, KeptMaterials
 from blender_nep.presets import preset
 from blender_nep.stop_request import StopRequest
@@ -32,7 +32,7 @@ class _Finished:
     """What an asset folder holds of its job."""
 
     kept: KeptMaterials
-    surface: Surface
+    shape: SurfaceResult
     view: PreviewView
     light: np.ndarray
 
@@ -60,12 +60,13 @@ def _correct(asset: Path, corrections: Mapping[int, Correction], events: Events,
     _progress(events, 0)
     found = _load(asset, events, stop)
     _progress(events, 1)
-    baked, materials = found.kept.bake(found.surface, corrections, preset(report["preset"]).material)
+    baked, materials = found.kept.bake(found.shape.surface, corrections, preset(report["preset"]).material)
     textures = dict(zip(TEXTURES, baked, strict=True))
     _progress(events, 2)
-    picture = found.view.render(found.surface, textures, found.light)
+    picture = found.view.render(found.shape.surface, textures, found.light)
     capture = report["capture"]
-    mesh = Placement(np.array(capture["object_center"]), capture["object_radius"]).mesh(found.surface, textures)
+    place = Placement(np.array(capture["object_center"]), capture["object_radius"])
+    mesh = place.mesh(found.shape.of_asset, textures | found.shape.textures)
     corrected = report | {"materials": materials, "corrections": _told(corrections)}
     write_asset(asset, mesh, picture, None, None, lambda: corrected)
     _progress(events, _STEPS)
@@ -124,7 +125,7 @@ def _load(asset: Path, events: Events, stop: StopRequest) -> _Finished:
     state = preview[0]
     return _Finished(
         KeptMaterials.from_state(materials[0]["kept"]),
-        Surface(**surface[0]["arrays"]),
+        surface_result(surface[0]),
         PreviewView(**state["view"]),
         state["light"],
     )

@@ -254,14 +254,14 @@ class Job:
             self._tracker.seconds[name] = time.monotonic() - start
             return job_report.content()
 
-        surface, capture, rays = learned.surface.surface, prepared.capture, prepared.rays
+        capture, rays = prepared.capture, prepared.rays
         with section(name), section("preview picture"):
-            view = PreviewView.best(rays, surface)
+            view = PreviewView.best(rays, learned.surface.surface)
         radiance = light.detach().float().cpu().numpy()
         if not s.clean:
             prepared.folder.save_result(PREVIEW, {"view": vars(view), "light": radiance}, 0.0)
         place = Placement(capture.object_center, capture.object_radius)
-        given = AssetInput(s.out, capture, place, surface, learned.materials, radiance, rays.exposure, view, report)
+        given = AssetInput(s.out, capture, place, learned.surface, learned.materials, radiance, rays.exposure, view, report)
         with section(name):
             self._stages.asset.run(given)
         if s.clean:

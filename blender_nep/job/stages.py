@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from blender_nep.geometry.support import Support
     from blender_nep.materials.training import Materials
     from blender_nep.presets import MaterialPreset, Preset, SurfacePreset
+    from blender_nep.surface.normal_map import LeanMesh
 
 Given = TypeVar("Given", contravariant=True)
 Result = TypeVar("Result")
@@ -126,7 +127,22 @@ class SurfaceResult:
     """The mesh, and a report on how it was made."""
 
     surface: Surface
+    """The mesh on which materials are learned"""
     report: dict = field(default_factory=dict)
+    lean: LeanMesh | None = None
+    """The mesh of the asset, if it is to have fewer faces"""
+
+    @property
+    def of_asset(self) -> Surface:
+        """The mesh of the asset. It has the UV map of `surface`."""
+        return self.surface if self.lean is None else self.lean.surface
+
+    @property
+    def textures(self) -> dict[str, np.ndarray]:
+        """The textures that belong to the shape of the asset's mesh: the normal map, if there is one."""
+        from blender_nep.asset.export import NORMAL_MAP
+
+        return {} if self.lean is None else {NORMAL_MAP: self.lean.normal_map}
 
     @property
     def support(self) -> Support | None:
@@ -156,13 +172,24 @@ class SurfaceStage:
         return SurfaceResult(*extract_surface(given.object_field, given.preset))
 
     def pack(self, result: SurfaceResult) -> dict:
-        arrays = {k: getattr(result.surface, k) for k in ("vertices", "faces", "normals", "uv")}
-        return {"arrays": arrays, "report": result.report}
+        lean = None
+        if result.lean is not None:
+            lean = {"arrays": vars(result.lean.surface), "normal_map": result.lean.normal_map}
+        return {"arrays": vars(result.surface), "report": result.report, "lean": lean}
 
     def unpack(self, state: dict, given: SurfaceInput) -> SurfaceResult:
-        from blender_nep.geometry.mesh import Surface
+        return surface_result(state)
 
-        return SurfaceResult(Surface(**state["arrays"]), state["report"])
+
+def surface_result(state: dict) -> SurfaceResult:
+    """The result of the surface stage from its packed form."""
+    from blender_nep.geometry.mesh import Surface
+    from blender_nep.surface.normal_map import LeanMesh
+
+    lean = state["lean"]
+    if lean is not None:
+        lean = LeanMesh(Surface(**lean["arrays"]), lean["normal_map"])
+    return SurfaceResult(Surface(**state["arrays"]), state["report"], lean)
 
 
 @dataclass(frozen=True)
@@ -227,7 +254,7 @@ class AssetInput:
     folder: Path
     capture: Capture
     place: Placement
-    surface: Surface
+    surface: SurfaceResult
     materials: Materials
     light: np.ndarray
     """[H, 2H, 3] radiance of the environment map, as bright as the engine sees it"""
@@ -251,8 +278,8 @@ class AssetStage:
 
         textures = {name: np.asarray(getattr(given.materials, name), np.float32) for name in TEXTURES}
         with section("preview picture"):
-            picture = given.view.render(given.surface, textures, given.light)
-        mesh = given.place.mesh(given.surface, textures)
+            picture = given.view.render(given.surface.surface, textures, given.light)
+        mesh = given.place.mesh(given.surface.of_asset, textures | given.surface.textures)
         cameras = cameras_content(given.capture, given.folder)
         write_asset(given.folder, mesh, picture, given.light / given.exposure, cameras, given.report)
 

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from dataclasses import replace
+from typing import TYPE_CHECKING, NamedTuple
 
 import fast_simplification
 import numpy as np
@@ -15,6 +16,7 @@ from blender_nep.errors import LearningError
 from blender_nep.geometry.mesh import Surface, area_normals, normalized, weld
 from blender_nep.geometry.support import Support
 from blender_nep.profiling import profiled, section
+from blender_nep.surface.normal_map import LeanMesh, lean_mesh
 from blender_nep.surface.subdivision import subdivide
 from blender_nep.surface.support_plane import MARGIN, find_support
 from blender_nep.surface.unwrap import unwrap
@@ -27,8 +29,18 @@ _BORDER = 0.995
 """The surface is cropped and capped at this radius. It lies just inside the unit sphere, the border between F_o and F_e."""
 
 
-def extract_surface(object_field: ObjectField, preset: SurfacePreset) -> tuple[Surface, dict]:
-    """Make one clean, unwrapped mesh of the SDF's zero level inside the unit sphere. Also returns a report.
+class Extracted(NamedTuple):
+    """The mesh of an object field."""
+
+    surface: Surface
+    """The mesh on which materials are learned"""
+    report: dict
+    lean: LeanMesh | None
+    """The mesh of the asset, if it is to have fewer faces"""
+
+
+def extract_surface(object_field: ObjectField, preset: SurfacePreset) -> Extracted:
+    """Make one clean, unwrapped mesh of the SDF's zero level inside the unit sphere.
 
     The mesh of marching cubes is decimated and unwrapped, and then made finer where the surface bends.
 
@@ -48,18 +60,24 @@ def extract_surface(object_field: ObjectField, preset: SurfacePreset) -> tuple[S
     if support is not None:
         report["cut_support_plane"] = support.state()
     report["faces_marching_cubes"] = len(faces)
-    if len(faces) > preset.unwrapped_faces:
-        vertices, faces = _decimate(vertices, faces, preset.unwrapped_faces)
+    unwrapped_faces = min(preset.unwrapped_faces, preset.asset_faces or preset.unwrapped_faces)
+    if len(faces) > unwrapped_faces:
+        vertices, faces = _decimate(vertices, faces, unwrapped_faces)
         # decimation may move a vertex a little outside the sphere at which the surface was cropped
         vertices *= np.minimum(1, _BORDER / np.maximum(np.linalg.norm(vertices, axis=1, keepdims=True), 1e-9))
     vertices, faces = weld(vertices, faces)
     report["faces_unwrapped"] = len(faces)
     report["watertight"] = bool(trimesh.Trimesh(vertices, faces, process=False).is_watertight)
     normals = _field_normals(object_field, vertices, faces)
-    surface = unwrap(Surface(vertices, faces, normals), preset)
-    surface = subdivide(surface, object_field, preset, _BORDER, support)
+    unwrapped = unwrap(Surface(vertices, faces, normals), preset)
+    surface = subdivide(unwrapped, object_field, preset, _BORDER, support)
     report["faces"] = len(surface.faces)
-    return surface, report
+    lean = None
+    if 0 < preset.asset_faces < len(surface.faces):
+        few = subdivide(unwrapped, object_field, replace(preset, faces=preset.asset_faces), _BORDER, support)
+        lean, error = lean_mesh(few, surface, preset.normal_texels)
+        report["lean"] = {"faces": len(few.faces), "normals_without_map_deg": round(error, 2)}
+    return Extracted(surface, report, lean)
 
 
 @profiled("keep the object")

@@ -14,7 +14,8 @@ from blender_nep.asset import export as asset
 from blender_nep.asset.preview import PreviewView, Pyramid, shade
 from blender_nep.capture import PixelRays, load_capture
 from blender_nep.errors import OutputError
-from blender_nep.job.stages import AssetInput, AssetStage
+from blender_nep.job.stages import AssetInput, AssetStage, SurfaceResult, SurfaceStage
+from blender_nep.surface.normal_map import LeanMesh
 from support.ball_stages import GreyLight, ball_surface, ball_textures
 from support.captures import CENTER, RADIUS
 
@@ -34,11 +35,12 @@ def write(make_capture, tmp_path):
     folder = tmp_path / "asset"
     folder.mkdir()
 
-    def run(light=None, report=lambda: {"seed": 3}, center=CENTER, exposure=1.0):
+    def run(light=None, report=lambda: {"seed": 3}, center=CENTER, exposure=1.0, lean=None):
         surface, radiance = ball_surface(), light if light is not None else GreyLight().equirect(16)[0].numpy()
         view = PreviewView.best(seen.with_exposure(exposure), surface)
         place = asset.Placement(np.asarray(center), capture.object_radius)
-        AssetStage().run(AssetInput(folder, capture, place, surface, Textures(), radiance, exposure, view, report))
+        shape = SurfaceResult(surface, lean=lean)
+        AssetStage().run(AssetInput(folder, capture, place, shape, Textures(), radiance, exposure, view, report))
         return folder
 
     return run
@@ -51,6 +53,38 @@ def test_the_folder_holds_what_the_format_names(write):
     others = {"mesh.obj", "mesh.mtl", "asset.glb", "environment.exr", "preview.png", "cameras.json", "report.json"}
     assert found == textures | others
     assert json.loads((folder / "report.json").read_text()) == {"seed": 3}
+
+
+def lean_ball():
+    """A ball of 20 faces, with a normal map that holds the same tilt everywhere."""
+    few = ball_surface(0)
+    return LeanMesh(few, np.full((16, 16, 3), (0.75, 0.25, 0.9), np.float32))
+
+
+def test_a_lean_mesh_brings_its_normal_map(write):
+    folder = write(lean=lean_ball())
+    mesh = trimesh.load(folder / "mesh.obj", process=False, maintain_order=True, force="mesh")
+    assert len(mesh.faces) == 20
+    assert "norm textures/normal.png" in (folder / "mesh.mtl").read_text().splitlines()
+    linear = OpenEXR.File(str(folder / "textures/normal.exr")).channels()["RGB"].pixels
+    np.testing.assert_allclose(linear, np.broadcast_to((0.75, 0.25, 0.9), (16, 16, 3)), atol=1e-3)
+    eight_bit = np.asarray(Image.open(folder / "textures/normal.png"))
+    np.testing.assert_array_equal(eight_bit[3, 4], (191, 64, 230))  # linear, not sRGB-encoded
+    material = next(iter(trimesh.load(folder / "asset.glb").geometry.values())).visual.material
+    np.testing.assert_array_equal(np.asarray(material.normalTexture)[3, 4], (191, 64, 230))
+    write()
+    assert not list((folder / "textures").glob("normal.*")), "the map of the lean mesh does not fit another mesh"
+    assert "norm " not in (folder / "mesh.mtl").read_text()
+    assert next(iter(trimesh.load(folder / "asset.glb").geometry.values())).visual.material.normalTexture is None
+
+
+def test_a_lean_mesh_is_kept_on_the_disk_with_its_map():
+    before = SurfaceResult(ball_surface(), {"faces": 320}, lean_ball())
+    after = SurfaceStage().unpack(SurfaceStage().pack(before), None)
+    np.testing.assert_array_equal(after.of_asset.faces, before.lean.surface.faces)
+    np.testing.assert_array_equal(after.textures["normal"], before.lean.normal_map)
+    alone = SurfaceStage().unpack(SurfaceStage().pack(SurfaceResult(ball_surface())), None)
+    assert alone.lean is None and alone.of_asset is alone.surface and alone.textures == {}
 
 
 def test_obj_is_the_surface_in_capture_coordinates(write):

@@ -102,9 +102,9 @@ class GreyLight:
         return torch.full((height, 2 * height, 3), 0.5), torch.full((height, 2 * height), self.coverage)
 
 
-def ball_surface() -> Surface:
+def ball_surface(subdivisions: int = 2) -> Surface:
     """A ball of radius 0.5 / RADIUS in the unit frame, with UVs that its x and y give."""
-    mesh = trimesh.creation.icosphere(2, 0.5 / RADIUS)
+    mesh = trimesh.creation.icosphere(subdivisions, 0.5 / RADIUS)
     unit = np.asarray(mesh.vertices) / (0.5 / RADIUS)
     uv = 0.5 + 0.4 * unit[:, :2]
     return Surface(np.asarray(mesh.vertices), np.asarray(mesh.faces, np.int64), unit, uv)

@@ -12,7 +12,7 @@ from blender_nep.geometry.uv_raster import nearest_known, rasterise
 from blender_nep.presets import SurfacePreset
 from blender_nep.surface.extraction import extract_surface
 from blender_nep.surface.mesh_file import load_surface
-from tests.support.analytic_field import AnalyticField, ball, union
+from support.analytic_field import AnalyticField, ball, union
 
 PRESET = SurfacePreset(grid=72, unwrapped_faces=1500, faces=1500, atlas_texels=256)
 
@@ -27,7 +27,7 @@ def as_mesh(surface):
 
 
 def test_sphere_position_normals_orientation():
-    surface, report = extract_surface(AnalyticField(ball([0.1, 0.0, -0.05], 0.6)), PRESET)
+    surface, report, _ = extract_surface(AnalyticField(ball([0.1, 0.0, -0.05], 0.6)), PRESET)
     offset = surface.vertices - [0.1, 0.0, -0.05]
     assert np.abs(np.linalg.norm(offset, axis=1) - 0.6).max() < 0.01
     cosine = (offset / 0.6 * surface.normals).sum(1)
@@ -39,26 +39,26 @@ def test_sphere_position_normals_orientation():
 def test_floaters_and_inner_shells_are_dropped_and_counted():
     solid = union(ball([0, 0, 0], 0.5), ball([0.8, 0, 0], 0.1))
     hollow = AnalyticField(lambda p: torch.maximum(solid(p), -ball([0, 0, 0], 0.3)(p)))
-    surface, report = extract_surface(hollow, PRESET)
+    surface, report, _ = extract_surface(hollow, PRESET)
     assert report["components"] == 3
     assert report["dropped_inner_shells"] == 1 and report["dropped_floaters"] == 1
     assert np.linalg.norm(surface.vertices, axis=1).min() > 0.48
 
 
 def test_object_cut_by_the_sphere_is_capped():
-    surface, report = extract_surface(AnalyticField(ball([0.6, 0, 0], 0.7)), PRESET)
+    surface, report, _ = extract_surface(AnalyticField(ball([0.6, 0, 0], 0.7)), PRESET)
     assert report["watertight"]
     assert np.linalg.norm(surface.vertices, axis=1).max() < 1.0
 
 
 def test_decimation_leaves_no_vertex_outside_of_the_sphere():
     few = SurfacePreset(grid=40, unwrapped_faces=300, faces=300, atlas_texels=128)
-    surface, _ = extract_surface(AnalyticField(ball([0.5, 0.0, 0.0], 0.8)), few)
+    surface, *_ = extract_surface(AnalyticField(ball([0.5, 0.0, 0.0], 0.8)), few)
     assert 0.98 < np.linalg.norm(surface.vertices, axis=1).max() < 0.995 + 1e-6
 
 
 def test_uv_atlas_covers_every_face_without_overlap():
-    surface, _ = extract_surface(AnalyticField(ball([0, 0, 0], 0.6)), PRESET)
+    surface, *_ = extract_surface(AnalyticField(ball([0, 0, 0], 0.6)), PRESET)
     assert surface.uv.min() >= 0 and surface.uv.max() <= 1
     a, b, c = (surface.uv[surface.faces[:, k]] for k in range(3))
     area = 0.5 * np.abs((b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0])

@@ -10,7 +10,7 @@ import trimesh
 from blender_nep.geometry.support import Support
 from blender_nep.presets import SurfacePreset
 from blender_nep.surface.extraction import extract_surface
-from tests.support.analytic_field import AnalyticField, ball
+from support.analytic_field import AnalyticField, ball
 
 CENTRE, RADIUS = np.array([0.1, 0.0, -0.05]), 0.6
 COARSE = SurfacePreset(grid=72, unwrapped_faces=1000, faces=1000, atlas_texels=256)
@@ -39,7 +39,7 @@ def uv_areas(surface):
 
 def test_edges_of_a_ball_are_halved_until_their_chords_are_good_enough():
     tolerance = 1e-3
-    surface, report = extract_surface(BALL, replace(COARSE, faces=100_000, chord_error=tolerance))
+    surface, report, _ = extract_surface(BALL, replace(COARSE, faces=100_000, chord_error=tolerance))
     distance = np.linalg.norm(surface.vertices - CENTRE, axis=1)
     assert np.abs(distance - RADIUS).max() < 1e-5
     a, b = (welded(surface).vertices[welded(surface).edges_unique[:, k]] for k in range(2))
@@ -51,8 +51,8 @@ def test_edges_of_a_ball_are_halved_until_their_chords_are_good_enough():
 
 
 def test_face_normals_become_better_as_edges_become_shorter():
-    coarse, _ = extract_surface(BALL, COARSE)
-    fine, _ = extract_surface(BALL, replace(COARSE, faces=16_000, chord_error=0.0))
+    coarse, *_ = extract_surface(BALL, COARSE)
+    fine, *_ = extract_surface(BALL, replace(COARSE, faces=16_000, chord_error=0.0))
     assert 12_000 < len(fine.faces) <= 16_000
     # sixteen times as many faces have a quarter of the edge length, and the angle within a face is proportional to it
     assert angles_to_ball(fine).mean() < 0.4 * angles_to_ball(coarse).mean()
@@ -60,8 +60,8 @@ def test_face_normals_become_better_as_edges_become_shorter():
 
 
 def test_no_cracks_open_and_the_uv_map_stays_the_same_map():
-    coarse, _ = extract_surface(BALL, COARSE)
-    fine, _ = extract_surface(BALL, replace(COARSE, faces=7001, chord_error=0.0))
+    coarse, *_ = extract_surface(BALL, COARSE)
+    fine, *_ = extract_surface(BALL, replace(COARSE, faces=7001, chord_error=0.0))
     assert welded(coarse).is_watertight and welded(fine).is_watertight
     assert len(fine.vertices) > len(welded(fine).vertices)  # there are seams at which a crack could open
     assert np.array_equal(fine.uv[: len(coarse.uv)], coarse.uv)
@@ -88,7 +88,7 @@ def test_faces_become_no_thinner_where_the_surface_bends_in_one_direction():
 
 
 def test_flat_sides_get_no_more_faces_than_their_rims_need():
-    surface, _ = extract_surface(AnalyticField(cylinder), replace(COARSE, faces=20_000, chord_error=3e-4))
+    surface, *_ = extract_surface(AnalyticField(cylinder), replace(COARSE, faces=20_000, chord_error=3e-4))
     mesh = welded(surface)
     flat = np.abs(mesh.face_normals[:, 2]) > 0.99
     inside = np.linalg.norm(mesh.triangles_center[:, :2], axis=1) < 0.4
@@ -99,7 +99,7 @@ def test_cuts_stay_where_they_are():
     """The cap at the sphere's border, and the foot on the support plane, are not zero levels of the SDF."""
     plane = Support(np.array([0.0, 0.0, 1.0]), -0.3)
     field = AnalyticField(ball([0.6, 0.0, 0.0], 0.7), plane)
-    surface, report = extract_surface(field, replace(COARSE, faces=8000, chord_error=1e-4))
+    surface, report, _ = extract_surface(field, replace(COARSE, faces=8000, chord_error=1e-4))
     assert report["faces"] > 4000 and welded(surface).is_watertight
     assert np.linalg.norm(surface.vertices, axis=1).max() < 1
     assert surface.vertices[:, 2].min() > -0.32
@@ -116,5 +116,5 @@ def test_a_field_that_is_not_finite_leaves_the_mesh_as_it_is():
         def sdf_and_gradient(self, points):
             return torch.full_like(points[:, 0], float("nan")), torch.full_like(points, float("nan"))
 
-    surface, report = extract_surface(Broken(BALL.function), replace(COARSE, faces=20_000))
+    surface, report, _ = extract_surface(Broken(BALL.function), replace(COARSE, faces=20_000))
     assert report["faces"] == report["faces_unwrapped"] and np.isfinite(surface.vertices).all()

@@ -4,6 +4,7 @@ import pytest
 
 from backend.engine.command import (
     ENGINE_PYTHON_VARIABLE,
+    LEAST_FACES,
     engine_environment,
     engine_is_at_hand,
     find_engine_python,
@@ -50,7 +51,7 @@ def test_the_engine_understands_every_argument():
             seed=3,
             masks="ignore",
             metal="no",
-            mesh="known.obj",
+            faces=5000,
             threads=2,
             resume=True,
             overwrite=True,
@@ -58,5 +59,18 @@ def test_the_engine_understands_every_argument():
         )
     )
     assert (found.preset, found.device, found.seed, found.masks, found.metal) == ("quality", "cpu", 3, "ignore", "no")
-    assert str(found.mesh) == "known.obj" and found.threads == 2
+    assert found.faces == 5000 and found.threads == 2
     assert found.resume and found.overwrite and found.preview and found.watch_stdin and found.job_files
+    known = cli.parser().parse_args(reconstruct_arguments("photos", "out", mesh="known.obj"))
+    assert str(known.mesh) == "known.obj" and known.faces is None
+
+
+def test_both_sides_know_the_smallest_number_of_faces(capsys):
+    assert LEAST_FACES == cli.LEAST_FACES
+    few = reconstruct_arguments("photos", "out", faces=LEAST_FACES - 1)
+    with pytest.raises(SystemExit) as refused:
+        cli.parser().parse_args(few)
+    assert refused.value.code == 2 and f"at least {LEAST_FACES}" in capsys.readouterr().err
+    with pytest.raises(SystemExit) as refused:
+        cli.main(reconstruct_arguments("photos", "out", faces=LEAST_FACES, mesh="known.obj"))
+    assert refused.value.code == 2 and "--faces does not work with --mesh" in capsys.readouterr().err

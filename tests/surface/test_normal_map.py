@@ -1,0 +1,186 @@
+"""The normal map of a lean, bumpy ball, whose normals are known; Blender's tangents and Cycles are the references."""
+
+import sys
+import tempfile
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from blender_nep.asset.export import NORMAL_MAP, TEXTURES, TexturedMesh, write_exr, write_obj, write_png
+from blender_nep.geometry.uv_raster import look_up
+from blender_nep.presets import SurfacePreset
+from blender_nep.surface.extraction import extract_surface
+from blender_nep.surface.normal_map import tangent_frames
+from support.analytic_field import AnalyticField
+from support.own_process import in_blender
+
+RADIUS, BUMPS, SIZE = 0.6, 14.0, 128
+PRESET = SurfacePreset(
+    grid=96, unwrapped_faces=4000, faces=30_000, chord_error=1e-4, asset_faces=1000, normal_texels=512, atlas_texels=256
+)
+
+
+def bumpy(p):
+    return p.norm(dim=-1) - RADIUS - 0.03 * torch.sin(BUMPS * p).prod(-1)
+
+
+FIELD = AnalyticField(bumpy)
+
+
+@pytest.fixture(scope="module")
+def extracted():
+    return extract_surface(FIELD, PRESET)
+
+
+def true_normals(points):
+    """The normals [n, 3] of the bumpy ball where the rays from its centre through points [n, 3] leave it."""
+    direction = torch.nn.functional.normalize(torch.as_tensor(points, dtype=torch.float32), dim=-1)
+    reach = torch.full((len(points), 1), RADIUS)
+    for _ in range(20):
+        reach -= FIELD.sdf_and_gradient(reach * direction)[0][:, None]
+    return FIELD.normal(reach * direction).numpy()
+
+
+def seen_from_x(size):
+    """What an orthographic camera of width 2 at +x sees: normals [m, 3], and which pixels [size, size] see them."""
+    at = torch.linspace(-1, 1, size + 1)[:-1] + 1 / size
+    z, y = torch.meshgrid(-at, at, indexing="ij")
+    inside = y**2 + z**2 < (0.8 * RADIUS) ** 2
+    place = torch.stack([torch.ones(int(inside.sum())), y[inside], z[inside]], 1)
+    for _ in range(200):
+        place[:, 0] -= 0.5 * FIELD.sdf_and_gradient(place)[0]
+    return FIELD.normal(place).numpy(), inside.numpy()
+
+
+def angles(a, b):
+    """Angles [n] in degrees between vectors [n, 3]."""
+    cosine = (a * b).sum(1) / np.linalg.norm(a, axis=1) / np.linalg.norm(b, axis=1)
+    return np.degrees(np.arccos(cosine.clip(-1, 1)))
+
+
+def test_a_lean_mesh_has_few_faces_and_the_uv_map_of_the_fine_one(extracted):
+    surface, report, lean = extracted
+    assert len(lean.surface.faces) == report["lean"]["faces"] <= 1000 < len(surface.faces) == report["faces"]
+    np.testing.assert_array_equal(surface.uv[: len(lean.surface.uv)], lean.surface.uv)
+    assert lean.normal_map.shape == (512, 512, 3) and 0 <= lean.normal_map.min() <= lean.normal_map.max() <= 1
+    assert extract_surface(FIELD, replace(PRESET, asset_faces=0)).lean is None
+    assert extract_surface(FIELD, replace(PRESET, asset_faces=10**6)).lean is None
+
+
+def test_the_map_turns_the_lean_normals_into_those_of_the_ball(extracted):
+    lean, corners = extracted.lean.surface, extracted.lean.surface.faces
+    weight = np.random.default_rng(0).dirichlet((2, 2, 2), len(corners))
+    point, uv, normal = ((values[corners] * weight[..., None]).sum(1) for values in (lean.vertices, lean.uv, lean.normals))
+    frames, handedness = tangent_frames(lean)
+    tangent = (frames[corners] * weight[..., None]).sum(1)
+    bitangent = handedness[corners[:, :1]] * np.cross(normal, tangent)
+    red, green, blue = 2 * look_up(extracted.lean.normal_map, uv).T[..., None] - 1
+    true = true_normals(point)
+    mapped = red * tangent + green * bitangent + blue * normal
+    assert angles(normal, true).mean() > 2 and angles(mapped, true).mean() < 0.25 * angles(normal, true).mean()
+
+
+def test_the_report_says_how_wrong_the_normals_are_without_the_map(extracted):
+    said = extracted.report["lean"]["normals_without_map_deg"]
+    lean = extracted.lean.surface
+    middle = lean.vertices[lean.faces].mean(1)
+    assert said == pytest.approx(angles(lean.normals[lean.faces].sum(1), true_normals(middle)).mean(), rel=0.4)
+    more = extract_surface(FIELD, replace(PRESET, asset_faces=4000)).report["lean"]["normals_without_map_deg"]
+    assert more < 0.5 * said
+
+
+def test_the_tangents_are_those_of_blender(extracted, tmp_path):
+    pytest.importorskip("bpy")
+    lean = extracted.lean.surface
+    tangents, handedness = tangent_frames(lean)
+    arrays = {"vertices": lean.vertices, "faces": lean.faces, "normals": lean.normals, "uv": lean.uv}
+    np.savez(tmp_path / "mesh.npz", **arrays, tangents=tangents, handedness=handedness)
+    in_blender(check_tangents, tmp_path / "mesh.npz")
+
+
+def check_tangents(file):
+    import bpy
+
+    data = np.load(file)
+    mesh = bpy.data.meshes.new("lean")
+    mesh.from_pydata(data["vertices"].tolist(), [], data["faces"].tolist())
+    mesh.uv_layers.new().data.foreach_set("uv", data["uv"][data["faces"].ravel()].astype(np.float32).ravel())
+    mesh.polygons.foreach_set("use_smooth", np.ones(len(data["faces"]), bool))
+    mesh.normals_split_custom_set_from_vertices(data["normals"].tolist())
+    mesh.calc_tangents()
+    tangents, signs = np.empty((len(mesh.loops), 3), np.float32), np.empty(len(mesh.loops), np.float32)
+    mesh.loops.foreach_get("tangent", tangents.ravel())
+    mesh.loops.foreach_get("bitangent_sign", signs)
+    corner = data["faces"].ravel()
+    assert {-1.0, 1.0} == set(signs)  # some charts are mirrored
+    assert (signs == data["handedness"][corner]).all()
+    assert np.quantile(angles(tangents, data["tangents"][corner]), 0.99) < 0.5
+
+
+def test_cycles_shades_an_imported_lean_ball_as_a_ball(extracted, tmp_path):
+    pytest.importorskip("bpy")
+    lean = extracted.lean
+    textures = {name: np.full((8, 8, 3) if name == "albedo" else (8, 8), 0.5, np.float32) for name in TEXTURES}
+    textures[NORMAL_MAP] = lean.normal_map
+    (tmp_path / "textures").mkdir()
+    for name, texture in textures.items():
+        write_exr(tmp_path / "textures" / f"{name}.exr", texture)
+        write_png(tmp_path / "textures" / f"{name}.png", texture, srgb=name == "albedo")
+    mesh = lean.surface
+    write_obj(tmp_path / "mesh.obj", TexturedMesh(mesh.vertices, mesh.faces, mesh.normals, mesh.uv, textures))
+    normals, inside = seen_from_x(SIZE)
+    np.savez(tmp_path / "truth.npz", normals=normals, inside=inside)
+    in_blender(check_cycles, tmp_path)
+
+
+def check_cycles(folder):
+    """Shows the normals of the material and of the mesh as emitted color, before an orthographic camera at +x."""
+    import bpy
+
+    from backend.scene_io.asset_import import import_asset
+    from backend.scene_io.image_files import load_pixels
+
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    scene = bpy.context.scene
+    item = import_asset(Path(folder), scene.collection)
+    tree = item.data.materials[0].node_tree
+    principled = next(node for node in tree.nodes if node.type == "BSDF_PRINCIPLED")
+    (link,) = principled.inputs["Normal"].links
+    assert link.from_node.type == "NORMAL_MAP"
+    (image,) = link.from_node.inputs["Color"].links
+    assert image.from_node.image.colorspace_settings.name == "Non-Color"
+    output = next(node for node in tree.nodes if node.type == "OUTPUT_MATERIAL")
+    scaled, emission = tree.nodes.new("ShaderNodeVectorMath"), tree.nodes.new("ShaderNodeEmission")
+    scaled.operation = "MULTIPLY_ADD"
+    scaled.inputs[1].default_value = scaled.inputs[2].default_value = (0.5, 0.5, 0.5)
+    tree.links.new(scaled.outputs[0], emission.inputs["Color"])
+    tree.links.new(emission.outputs[0], output.inputs["Surface"])
+    camera = bpy.data.cameras.new("camera")
+    camera.type, camera.ortho_scale = "ORTHO", 2.0
+    eye = bpy.data.objects.new("camera", camera)
+    eye.location, eye.rotation_euler = (5, 0, 0), (np.pi / 2, 0, np.pi / 2)
+    scene.collection.objects.link(eye)
+    scene.camera, truth = eye, np.load(Path(folder) / "truth.npz")
+    scene.render.engine, scene.cycles.device, scene.cycles.samples = "CYCLES", "CPU", 1
+    scene.cycles.filter_width, scene.cycles.use_denoising, scene.render.film_transparent = 0.01, False, True
+    scene.render.resolution_x = scene.render.resolution_y = SIZE
+    settings = scene.render.image_settings
+    settings.file_format, settings.color_mode, settings.color_depth = "OPEN_EXR", "RGBA", "32"
+    geometry = tree.nodes.new("ShaderNodeNewGeometry")
+    found = []
+    for normal in (geometry.outputs["Normal"], link.from_node.outputs["Normal"]):
+        tree.links.new(normal, scaled.inputs[0])
+        with tempfile.TemporaryDirectory() as pictures:
+            scene.render.filepath = str(Path(pictures) / "normals.exr")
+            bpy.ops.render.render(write_still=True)
+            shown = load_pixels(Path(scene.render.filepath))[..., :3]
+        found.append(angles(2 * shown[truth["inside"]] - 1, truth["normals"]).mean())
+    without, mapped = found
+    assert without > 2 and mapped < 0.35 * without, found
+
+
+if __name__ == "__main__":
+    globals()[sys.argv[1]](*sys.argv[2:])
