@@ -76,7 +76,8 @@ def extract_surface(object_field: ObjectField, preset: SurfacePreset) -> Extract
     if 0 < preset.asset_faces < len(surface.faces):
         few = subdivide(unwrapped, object_field, replace(preset, faces=preset.asset_faces), _BORDER, support)
         lean, error = lean_mesh(few, surface, preset.normal_texels)
-        report["lean"] = {"faces": len(few.faces), "normals_without_map_deg": round(error, 2)}
+        report |= {"faces": len(few.faces), "faces_learned_on": len(surface.faces)}
+        report["normals_without_map_deg"] = round(error, 2)
     return Extracted(surface, report, lean)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import json
 import os
 import signal
 import subprocess
@@ -156,6 +157,19 @@ def test_other_settings_in_the_same_folder_are_refused(batch):
     assert (batch.out / "batch.json").read_bytes() == before
     assert batch.run(preset="balanced", overwrite=True)[0] == 0
     assert batch.steps("a") == WHOLE * 2 and batch.content()["preset"] == "balanced"
+
+
+def test_every_job_gets_the_number_of_faces_and_a_batch_keeps_to_it(batch):
+    batch.add("a")
+    assert batch.run(faces=5000)[0] == 0
+    given = json.loads((batch.out / "a" / "arguments.json").read_text())
+    assert given[given.index("--faces") + 1] == "5000"
+    assert batch.run(faces=5000)[0] == 0 and batch.run()[1][-1]["name"] == "usage.other_batch"
+    content = batch.content()
+    del content["arguments"]["faces"]  # as in a batch of an older version, which had no such option
+    (batch.out / "batch.json").write_text(json.dumps(content))
+    assert batch.run()[0] == 0
+    assert batch.run(faces=5000)[1][-1]["name"] == "usage.other_batch"
 
 
 def test_a_second_batch_in_one_folder_is_refused(batch):

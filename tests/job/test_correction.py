@@ -7,18 +7,21 @@ import numpy as np
 import OpenEXR
 import pytest
 import torch
+import trimesh
 
 from blender_nep.cli import main
 from blender_nep.job import correction
 from blender_nep.job.events import Events
 from blender_nep.job.job_folder import JobFolder
+from blender_nep.job.stages import SurfaceResult
 from blender_nep.materials.blending import BlendedPoints
 from blender_nep.materials.corrections import CorrectablePalette, Correction, KeptMaterials
 from blender_nep.materials.palette import Palette
 from blender_nep.materials.training import Materials
 from blender_nep.shading.light_moments import LightMoments
 from blender_nep.stop_request import StopRequest
-from support.ball_stages import BallStages, ball_surface
+from blender_nep.surface.normal_map import LeanMesh
+from support.ball_stages import BallStages, BallSurface, ball_surface
 
 SHARE = round(float((ball_surface().normals[:, 2] <= 0).mean()), 4)
 """Share of the points that show the metal of `two_materials`"""
@@ -106,6 +109,25 @@ def test_a_correction_rewrites_the_asset_and_taking_it_back_restores_every_byte(
     assert changed == {"asset.glb", "preview.png", "report.json", "textures/roughness.exr"}
     assert correct(asset, {})[0] == 0
     assert contents(asset) == before
+
+
+def test_a_correction_keeps_a_lean_mesh_and_its_normal_map(start):
+    """The textures change; the mesh of few faces and its map stay."""
+
+    class Lean(BallSurface):
+        def run(self, given, progress, checkpoint):
+            few = LeanMesh(ball_surface(0), np.full((8, 8, 3), (0.75, 0.25, 0.9), np.float32))
+            return SurfaceResult(ball_surface(), {"faces": 20}, few)
+
+    stages = KeepingStages()
+    stages.surface = Lean(stages)
+    assert start(stages)[0] == 0
+    kept = ("mesh.obj", "mesh.mtl", "textures/normal.exr", "textures/normal.png")
+    before = {name: (start.out / name).read_bytes() for name in kept}
+    assert correct(start.out, {1: Correction(roughness=0.3)})[0] == 0
+    assert {name: (start.out / name).read_bytes() for name in kept} == before
+    shown = next(iter(trimesh.load(start.out / "asset.glb").geometry.values()))
+    assert len(shown.faces) == 20 and shown.visual.material.normalTexture is not None
 
 
 def test_each_correction_begins_with_what_was_learned(asset):

@@ -63,7 +63,7 @@ def angles(a, b):
 
 def test_a_lean_mesh_has_few_faces_and_the_uv_map_of_the_fine_one(extracted):
     surface, report, lean = extracted
-    assert len(lean.surface.faces) == report["lean"]["faces"] <= 1000 < len(surface.faces) == report["faces"]
+    assert len(lean.surface.faces) == report["faces"] <= 1000 < len(surface.faces) == report["faces_learned_on"]
     np.testing.assert_array_equal(surface.uv[: len(lean.surface.uv)], lean.surface.uv)
     assert lean.normal_map.shape == (512, 512, 3) and 0 <= lean.normal_map.min() <= lean.normal_map.max() <= 1
     assert extract_surface(FIELD, replace(PRESET, asset_faces=0)).lean is None
@@ -84,11 +84,11 @@ def test_the_map_turns_the_lean_normals_into_those_of_the_ball(extracted):
 
 
 def test_the_report_says_how_wrong_the_normals_are_without_the_map(extracted):
-    said = extracted.report["lean"]["normals_without_map_deg"]
+    said = extracted.report["normals_without_map_deg"]
     lean = extracted.lean.surface
     middle = lean.vertices[lean.faces].mean(1)
     assert said == pytest.approx(angles(lean.normals[lean.faces].sum(1), true_normals(middle)).mean(), rel=0.4)
-    more = extract_surface(FIELD, replace(PRESET, asset_faces=4000)).report["lean"]["normals_without_map_deg"]
+    more = extract_surface(FIELD, replace(PRESET, asset_faces=4000)).report["normals_without_map_deg"]
     assert more < 0.5 * said
 
 
