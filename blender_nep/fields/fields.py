@@ -43,14 +43,18 @@ class FieldsReport:
     fine_paint: float | None
     """How far photos from above and from below agree on fine colors (`fine_paint.fine_paint`). None where the SDF started
     from a sphere"""
+    hidden_pixels: int = 0
+    """Number of pixels whose masks do not show the object because something stands before it (`hidden_object`)"""
 
     def as_dict(self) -> dict:
-        """The report as plain values, rounded, for report.json. None and `steps_not_finite` 0 are left out."""
+        """The report as plain values, rounded, for report.json. None and counts of 0 are left out."""
         found = asdict(self)
         found["held_out_error"] = [round(error, 4) for error in self.held_out_error]
         found["explanation_ratio"] = round(self.explanation_ratio, 3)
         if not self.steps_not_finite:
             del found["steps_not_finite"]
+        if not self.hidden_pixels:
+            del found["hidden_pixels"]
         if self.hull is None:
             del found["hull"]
         else:

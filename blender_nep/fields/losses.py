@@ -55,12 +55,22 @@ class FieldsLosses:
         """L_c (eq. 5), scalar: the mean of w_l |rendering - photo|, tone-mapped."""
         return (out.weight * self.difference(out, photo)).mean()
 
-    def total(self, photometric: Tensor, out: Rendering, curvature_weight: float, mask: Tensor | None) -> Tensor:
-        """The photometric loss plus all priors, scalar. mask [n] is the object's coverage of each pixel, 0..1, or None."""
+    def total(
+        self,
+        photometric: Tensor,
+        out: Rendering,
+        curvature_weight: float,
+        mask: Tensor | None,
+        says: Tensor | None = None,
+    ) -> Tensor:
+        """The photometric loss plus all priors, scalar. mask [n] is the object's coverage of each pixel, 0..1, or None.
+
+        says [n] is 1 where the mask says something about the object, and 0 where something stands before it; None: 1.
+        """
         p = self.preset
         loss = photometric + p.eikonal * out.eikonal + curvature_weight * out.curvature
         loss = loss + self.foreground_opacity * out.foreground_opacity
         if mask is not None and p.mask > 0:
             # 1e-4: the logarithm of an opacity of exactly 0 or 1 is not finite
-            loss = loss + p.mask * functional.binary_cross_entropy(out.opacity.clamp(1e-4, 1 - 1e-4), mask)
+            loss = loss + p.mask * functional.binary_cross_entropy(out.opacity.clamp(1e-4, 1 - 1e-4), mask, says)
         return loss

@@ -24,6 +24,7 @@ from blender_nep.fields.explanation import explanation_ratio, require_object
 from blender_nep.fields.field_optimisers import Optimisers
 from blender_nep.fields.fields import Fields, FieldsReport, HullReport, new_object_field
 from blender_nep.fields.fine_paint import fine_paint
+from blender_nep.fields.hidden_object import hidden_pixels
 from blender_nep.fields.losses import FieldsLosses
 from blender_nep.fields.non_finite_monitor import NonFiniteMonitor, usable_gradients, usable_loss
 from blender_nep.fields.object_field import ObjectField
@@ -77,6 +78,8 @@ class FieldsLearning:
         """The object pixels. Until they are first found, all pixels that see the object's sphere."""
         self.validation_pixels = rays.sphere[:0]
         """[n] int64: held-out pixels among the first object pixels. Empty until the object pixels are first found."""
+        self.hidden_pixels = rays.sphere[:0]
+        """[m] int64, rising: pixels whose masks do not show the object because something stands before it."""
         self.loss = float("nan")
         """Photometric loss of the last step."""
 
@@ -163,7 +166,8 @@ class FieldsLearning:
         out = self._render(rays, self.generator)
         photometric = self.losses.photometric(out, photo)
         mask = None if self.rays.mask is None else self.rays.mask[index].float() / 255
-        loss = self.losses.total(photometric, out, self.schedule.curvature_weight, mask)
+        says = (~torch.isin(index, self.hidden_pixels)).float() if len(self.hidden_pixels) else None
+        loss = self.losses.total(photometric, out, self.schedule.curvature_weight, mask, says)
         self.optimisers.set_rates(self.schedule)
         optimisers = self.optimisers.all
         for optimiser in optimisers:
@@ -213,6 +217,8 @@ class FieldsLearning:
         if hull is None or hull.contrast < self.preset.least_contrast:
             return
         self.hull = HullReport(hull.volume, hull.contrast)
+        if self.rays.mask is not None and self.schedule.background_steps:
+            self.hidden_pixels = hidden_pixels(self.rays, hull.sdf, self._unexplained_by_environment())
         sdf, support = hull.sdf, self.object_field.support
         if support is not None:
             sdf = with_closed_foot(sdf, support)
@@ -261,6 +267,24 @@ class FieldsLearning:
 
     def _silhouette_scores(self, background: Callable[[RayBundle], Tensor]) -> np.ndarray:
         return score_cells(self.rays, background_silhouettes(background, self.rays), self._cells)
+
+    def _unexplained_by_environment(self) -> Callable[[Tensor], Tensor]:
+        """A function of pixels [k] that gives the error [k] of F_e behind the object's sphere.
+
+        It is a multiple of the mean error beside the sphere.
+        """
+
+        def error(index: Tensor) -> Tensor:
+            rays = RayBundle(*self.rays.rays(index))
+            _, leave, _ = self.object_field.shape().interval(rays.origins, rays.directions)
+            start = leave.clamp(min=self.environment.preset.camera_near)
+            end = torch.full_like(start, torch.inf)
+            with torch.no_grad():
+                behind = self.environment.render(rays.origins, rays.directions, start, end, rays.half_angle)[0]
+            return (tone_map(behind) - tone_map(self.rays.photo(index))).abs().mean(-1)
+
+        typical = float(error(self._draw(self.rays.outside, self.preset.validation_pixels)).mean())
+        return lambda index: error(index) / max(typical, 1e-6)
 
     @torch.no_grad()
     def _environment_alone(self, rays: RayBundle) -> Tensor:
@@ -314,6 +338,7 @@ class FieldsLearning:
             steps_not_finite=self.monitor.left_out,
             hull=self.hull,
             fine_paint=self.fine_paint,
+            hidden_pixels=len(self.hidden_pixels),
         )
 
     def state(self) -> dict:
@@ -330,6 +355,7 @@ class FieldsLearning:
             "generator": self.generator.get_state(),
             "object_pixels": self.object_pixels.state(),
             "validation_pixels": self.validation_pixels,
+            "hidden_pixels": self.hidden_pixels,
             "hull": None if self.hull is None else {"volume": self.hull.volume, "contrast": self.hull.contrast},
             "monitor": self.monitor.state(),
             "support": None if self.object_field.support is None else self.object_field.support.state(),
@@ -350,6 +376,7 @@ class FieldsLearning:
         self.generator.set_state(state["generator"])
         self.object_pixels = PixelSet.from_state(state["object_pixels"]).to(device)
         self.validation_pixels = state["validation_pixels"].to(device)
+        self.hidden_pixels = state["hidden_pixels"].to(device)
         self.hull = None if state["hull"] is None else HullReport(**state["hull"])
         self.monitor.load(state["monitor"])
         self.object_field.support = None if state["support"] is None else Support.from_state(state["support"])

@@ -82,12 +82,16 @@ def background_silhouettes(
     return maps
 
 
-def mask_silhouettes(rays: PixelRays, block: int = 4) -> list[torch.Tensor]:
-    """For each view [H / block, W / block]: the mean of the object mask, 0..1. Raises ValueError for rays without masks."""
+def mask_silhouettes(rays: PixelRays, block: int = 4, views: list[int] | None = None) -> list[torch.Tensor]:
+    """For each of the views (None: all) [H / block, W / block]: the mean of the object mask, 0..1.
+
+    Raises ValueError for rays without masks.
+    """
     if rays.mask is None:
         raise ValueError("silhouettes by masks need masks")
     maps = []
-    for view, (height, width) in enumerate(rays.size):
+    for view in range(rays.views) if views is None else views:
+        height, width = rays.size[view]
         mask = rays.mask[rays.offset[view] : rays.offset[view + 1]].float().reshape(1, height, width) / 255
         maps.append(functional.adaptive_avg_pool2d(mask, (max(height // block, 1), max(width // block, 1)))[0])
     return maps
