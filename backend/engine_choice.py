@@ -17,14 +17,15 @@ def extension_folder(package: str) -> Path | None:
 
 def engine_folder(preferences: bpy.types.AddonPreferences | None, package: str) -> Path | None:
     """The folder where *Install Engine* installs the engine; None where there is none."""
-    if preferences is not None and preferences.engine_folder:
-        return Path(bpy.path.abspath(preferences.engine_folder))
+    # an older version of the add-on may lack these preferences
+    if folder := getattr(preferences, "engine_folder", ""):
+        return Path(bpy.path.abspath(folder))
     return extension_folder(package)
 
 
 def engine_python(preferences: bpy.types.AddonPreferences | None, package: str) -> str:
     """The Python that the artist has chosen, else the Python of the installed engine, else an empty string."""
-    if preferences is not None and preferences.engine_python:
-        return bpy.path.abspath(preferences.engine_python)
+    if python := getattr(preferences, "engine_python", ""):
+        return bpy.path.abspath(python)
     folder = engine_folder(preferences, package)
     return installed_python(folder) if folder is not None else ""

@@ -25,7 +25,7 @@ if __package__ in (None, ""):
     sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 from backend.arguments import script_arguments
-from backend.engine.command import EngineError
+from backend.engine.command import LEAST_FACES, EngineError
 from backend.engine.exit_codes import BLENDER_FAILED
 from backend.engine.timings import EXPECTED_SECONDS
 from backend.headless.one_object import reconstruct_object
@@ -70,6 +70,10 @@ def parse(arguments: list[str]) -> argparse.Namespace:
     options = parser.parse_args(arguments)
     if options.captures is not None and options.mesh is not None:
         parser.error("--mesh is the mesh of one object: it works only with --capture")
+    if options.mesh is not None and options.faces is not None:
+        parser.error("--faces does not work with --mesh: the asset has the given mesh")
+    if options.faces is not None and options.faces < LEAST_FACES:
+        parser.error(f"--faces must be at least {LEAST_FACES}")
     if options.captures is not None and options.resume:
         parser.error("--resume works only with --capture: a shelf always goes on with what is left")
     if options.capture is not None and options.workers is not None:

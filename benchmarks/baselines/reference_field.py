@@ -108,6 +108,12 @@ class ReferenceField(SurfaceColor):
         gradients = torch.cat([self.values_and_gradients(part)[1] for part in points.split(CHUNK)])
         return nn.functional.normalize(gradients, dim=-1)
 
+    @torch.no_grad()
+    def sdf_and_gradient(self, points: Tensor) -> tuple[Tensor, Tensor]:
+        """Signed distances [n], negative inside, and their gradients [n, 3] at points [n, 3]."""
+        parts = [self.values_and_gradients(part) for part in points.split(CHUNK)]
+        return torch.cat([values for values, _ in parts]), torch.cat([gradients for _, gradients in parts])
+
     def sdf_grid(self, n: int) -> np.ndarray:
         """The SDF on n^3 points that span [-1, 1]^3: float32, index order x, y, z."""
         return self._grid(torch.linspace(-1, 1, n)).cpu().numpy()

@@ -151,8 +151,8 @@ def run(scene: Scene, preset: Preset, seed: int, threads: int, kept: Path, pictu
     return {
         "cpu": cpu,
         "seconds": seconds,
-        **geometry.score(asset.given.surface, scene.folder, capture, test),
-        **materials.score(asset.given.surface, asset.given.materials, scene.folder, capture, test, picture),
+        **geometry.score(asset.given.surface.surface, scene.folder, capture, test),
+        **materials.score(asset.given.surface.surface, asset.given.materials, scene.folder, capture, test, picture),
         "skipped": asset.report["skipped"],
         "skipped_seconds": asset.report["skipped_seconds"],
         "scene": asset.report["scene"],

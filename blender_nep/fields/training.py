@@ -166,8 +166,7 @@ class FieldsLearning:
         out = self._render(rays, self.generator)
         photometric = self.losses.photometric(out, photo)
         mask = None if self.rays.mask is None else self.rays.mask[index].float() / 255
-        says = (~torch.isin(index, self.hidden_pixels)).float() if len(self.hidden_pixels) else None
-        loss = self.losses.total(photometric, out, self.schedule.curvature_weight, mask, says)
+        loss = self.losses.total(photometric, out, self.schedule.curvature_weight, mask, self._mask_says(index))
         self.optimisers.set_rates(self.schedule)
         optimisers = self.optimisers.all
         for optimiser in optimisers:
@@ -183,6 +182,13 @@ class FieldsLearning:
                 for optimiser in optimisers:
                     optimiser.step()
         return float(photometric.detach())
+
+    def _mask_says(self, index: Tensor) -> Tensor | None:
+        """1 [n] where the masks of pixels [n] say something about the object, 0 at hidden pixels; None if there are none."""
+        hidden = self.hidden_pixels
+        if not len(hidden):
+            return None
+        return (hidden[torch.searchsorted(hidden, index).clamp(max=len(hidden) - 1)] != index).float()
 
     def _draw(self, pool: PixelSet, count: int) -> Tensor:
         return draw_pixels(pool, count, self.preset.held_out_every, self.generator)
@@ -269,9 +275,10 @@ class FieldsLearning:
         return score_cells(self.rays, background_silhouettes(background, self.rays), self._cells)
 
     def _unexplained_by_environment(self) -> Callable[[Tensor], Tensor]:
-        """A function of pixels [k] that gives the error [k] of F_e behind the object's sphere.
+        """A function of pixels [k] that gives the error [k] of F_e behind the place of the object.
 
-        It is a multiple of the mean error beside the sphere.
+        That is behind the object's sphere, or from the support plane on. The error is relative to the mean error beside the
+        sphere.
         """
 
         def error(index: Tensor) -> Tensor:

@@ -44,7 +44,8 @@ def fingerprint(
     paths = [p for v in capture.views for p in (v.image_path, v.mask_path) if p is not None]
     photos = "\n".join(f"{os.path.relpath(p, capture.folder)} {p.stat().st_size}" for p in paths)
     settings = dataclasses.asdict(preset)
-    metallic = settings["material"].pop("metallic")  # an option of the user: so the fingerprint names it separately
+    # options of the user: so the fingerprint names them separately
+    metallic, faces = settings["material"].pop("metallic"), settings["surface"].pop("asset_faces")
     what = {
         "format": FORMAT,
         "capture": _digest(b"".join(file.read_bytes() for file in capture.files) + photos.encode()),
@@ -52,6 +53,7 @@ def fingerprint(
         "seed": seed,
         "masks": "use" if masks else "ignore",
         "choice of metal or not": list(metallic),
+        "faces": faces,
         "mesh": "" if mesh is None else _digest(mesh.read_bytes()),
     }
     return what if sphere is None else what | {"object bounds": [*map(float, sphere[0]), float(sphere[1])]}

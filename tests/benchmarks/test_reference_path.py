@@ -1,6 +1,7 @@
 """The reference's object field: a sphere at the start, normals against differences, samples at the surface, learning."""
 
 from copy import deepcopy
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -14,6 +15,7 @@ from benchmarks.suite.harness import with_changes
 from blender_nep.capture import PixelRays, load_capture
 from blender_nep.fields.training import FieldsLearning
 from blender_nep.presets import preset
+from blender_nep.surface.extraction import extract_surface
 from support.paths import SUZANNE_SMALL
 
 
@@ -122,3 +124,6 @@ def test_it_takes_the_place_of_the_object_field_and_a_resumed_learning_goes_on_t
     assert [first.learn_step() for _ in range(3)] == [other.learn_step() for _ in range(3)]
     assert np.abs(first.object_field.sdf_grid(8) - before).max() > 1e-3
     assert np.isfinite(first.explanation_ratio(256))
+    few = replace(settings.surface, grid=24, unwrapped_faces=200, faces=400, atlas_texels=64)
+    surface = extract_surface(first.object_field, few).surface
+    assert 200 < len(surface.faces) <= 400 and np.isfinite(surface.vertices).all()

@@ -8,6 +8,7 @@ import torch
 
 from blender_nep.capture import PixelRays, load_capture
 from blender_nep.fields.hidden_object import UNEXPLAINED, hidden_pixels
+from blender_nep.fields.losses import FieldsLosses
 from blender_nep.fields.training import FieldsLearning
 from blender_nep.fields.visual_hull import carve, mask_silhouettes, score_cells
 from support.brief_preset import brief_preset
@@ -78,9 +79,29 @@ def test_learning_does_not_hold_the_object_back_there(rays, monkeypatch):
     resumed.load(learning.state())
     assert torch.equal(resumed.hidden_pixels, hidden)
     assert learning.report(2.0).as_dict()["hidden_pixels"] == len(hidden)
-    out = learning.render(hidden[:200])
-    weights = {}
-    for name, says in (("all count", None), ("hidden", torch.zeros(len(out.opacity)))):
-        loss = learning.losses.total(torch.zeros(()), out, 0.0, torch.zeros(len(out.opacity)), says)
-        weights[name] = torch.autograd.grad(loss, out.opacity, retain_graph=True)[0].abs().sum()
-    assert weights["all count"] > 0 and weights["hidden"] == 0
+    batch = torch.cat([hidden[:200], masked.outside[:200], masked.sphere[::37]])
+    handed, total = {}, FieldsLosses.total
+
+    def spy(losses, photometric, out, curvature_weight, mask, says):
+        loss = total(losses, photometric, out, curvature_weight, mask, says)
+        handed["says"] = says
+        handed["gradient"] = torch.autograd.grad(loss - photometric, out.opacity, retain_graph=True)[0]
+        return loss
+
+    monkeypatch.setattr(FieldsLosses, "total", spy)
+    monkeypatch.setattr(resumed, "_draw_batch", lambda: batch)
+    resumed.learn_step()
+    is_hidden = np.isin(batch, hidden)
+    np.testing.assert_array_equal(handed["says"] == 0, is_hidden)
+    assert (handed["gradient"][is_hidden] == 0).all() and (handed["gradient"][~is_hidden] != 0).any()
+
+
+def test_the_error_of_f_e_is_measured_against_that_beside_the_object(rays):
+    """A short F_e alone: about 1 beside the sphere, and larger where the object stands."""
+    learning = FieldsLearning(rays, brief_preset(background_steps=60), 0, CPU)
+    while learning.schedule.learns_background:
+        learning.learn_step()
+    error = learning._unexplained_by_environment()
+    beside, on_object = error(rays.outside[::7]), error(torch.nonzero(rays.mask > 250)[::7, 0])
+    assert torch.isfinite(beside).all() and beside.mean() == pytest.approx(1, rel=0.1)
+    assert on_object.mean() > 1.3
