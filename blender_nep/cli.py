@@ -6,6 +6,7 @@ import argparse
 import json
 import math
 import sys
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -13,6 +14,7 @@ from typing import TYPE_CHECKING
 from blender_nep import __version__
 
 if TYPE_CHECKING:
+    from blender_nep.job.events import Events
     from blender_nep.presets import Preset
 
 LEAST_FACES = 2000
@@ -98,7 +100,7 @@ def parser() -> argparse.ArgumentParser:
     run.add_argument("--resume", action="store_true", help="go on with the run in ASSET that was stopped or killed")
     run.add_argument("--overwrite", action="store_true", help="replace an asset or a run in ASSET")
     run.add_argument("--clean", action="store_true", help="remove the checkpoints when the asset is written")
-    run.add_argument("--threads", type=_count, metavar="N", help="CPU threads (all cores)")
+    run.add_argument("--threads", type=_at_least(1), metavar="N", help="CPU threads (all cores)")
     run.add_argument(
         "--job-files",
         action="store_true",
@@ -149,7 +151,7 @@ def _add_sphere(command: argparse.ArgumentParser) -> None:
 def _add_faces(command: argparse.ArgumentParser) -> None:
     command.add_argument(
         "--faces",
-        type=_faces,
+        type=_at_least(LEAST_FACES),
         metavar="N",
         help="largest number of faces of the mesh; a normal map carries the shape that so few faces lack (the preset's)",
     )
@@ -181,7 +183,7 @@ def _add_cameras(commands: argparse._SubParsersAction) -> None:
         "--improve", action="store_true", help="PHOTOS has cameras: improve them by the photos, in the same frame"
     )
     find.add_argument("--overwrite", action="store_true", help="replace cameras that are there")
-    find.add_argument("--threads", type=_count, metavar="N", help="CPU threads (all cores)")
+    find.add_argument("--threads", type=_at_least(1), metavar="N", help="CPU threads (all cores)")
     find.add_argument(
         "--watch-stdin", action="store_true", help='stop at {"cmd": "stop"} on standard input, or when it is closed'
     )
@@ -216,8 +218,8 @@ def _add_batch(commands: argparse._SubParsersAction) -> None:
     batch.add_argument("--device", choices=("auto", "cpu", "cuda"), default="auto", help="(%(default)s)")
     batch.add_argument("--clean", action="store_true", help="remove the checkpoints of finished objects")
     batch.add_argument("--overwrite", action="store_true", help="start all objects again")
-    batch.add_argument("--workers", type=_count, metavar="N", help="jobs at once (as many as there are cores)")
-    batch.add_argument("--threads", type=_count, metavar="N", help="CPU threads of each job (the cores are divided)")
+    batch.add_argument("--workers", type=_at_least(1), metavar="N", help="jobs at once (as many as there are cores)")
+    batch.add_argument("--threads", type=_at_least(1), metavar="N", help="CPU threads of each job (the cores are divided)")
     batch.add_argument("--memory", type=_positive, metavar="MB", help="memory of all jobs together (what is free)")
     batch.add_argument("--ray", metavar="ADDRESS", help="run the jobs on this Ray cluster; auto: the one of this machine")
     batch.add_argument("--ship", action="store_true", help="with --ray: the nodes do not share the disk")
@@ -244,18 +246,14 @@ def _seed(text: str) -> int:
     return value
 
 
-def _count(text: str) -> int:
-    value = int(text)
-    if value < 1:
-        raise argparse.ArgumentTypeError("must be at least 1")
-    return value
+def _at_least(least: int) -> Callable[[str], int]:
+    def whole_number(text: str) -> int:
+        value = int(text)
+        if value < least:
+            raise argparse.ArgumentTypeError(f"must be at least {least}")
+        return value
 
-
-def _faces(text: str) -> int:
-    value = int(text)
-    if value < LEAST_FACES:
-        raise argparse.ArgumentTypeError(f"must be at least {LEAST_FACES}")
-    return value
+    return whole_number
 
 
 def _finite(text: str) -> float:
@@ -309,12 +307,17 @@ def _info(options: argparse.Namespace) -> int:
     return 0
 
 
-def _cameras(options: argparse.Namespace) -> int:
+def _events() -> Events:
+    """Events for programs on standard output, if it is no terminal, and text for people on stderr."""
     from blender_nep.job.events import Events, open_protocol
 
-    terminal = sys.stdout.isatty()
+    terminal = sys.stdout.isatty()  # asked before open_protocol takes standard output
     protocol = open_protocol()
-    events = Events(None if terminal else protocol, sys.stderr)
+    return Events(None if terminal else protocol, sys.stderr)
+
+
+def _cameras(options: argparse.Namespace) -> int:
+    events = _events()
 
     from blender_nep.job import camera_search
     from blender_nep.stop_request import StopRequest
@@ -341,11 +344,7 @@ def _chosen_preset(options: argparse.Namespace) -> Preset:
 
 
 def _reconstruct(options: argparse.Namespace) -> int:
-    from blender_nep.job.events import Events, open_protocol
-
-    terminal = sys.stdout.isatty()
-    protocol = open_protocol()
-    events = Events(None if terminal else protocol, sys.stderr)
+    events = _events()
 
     from blender_nep.job import runner as job
     from blender_nep.stop_request import StopRequest
@@ -375,11 +374,7 @@ def _reconstruct(options: argparse.Namespace) -> int:
 
 
 def _batch(options: argparse.Namespace) -> int:
-    from blender_nep.job.events import Events, open_protocol
-
-    terminal = sys.stdout.isatty()
-    protocol = open_protocol()
-    events = Events(None if terminal else protocol, sys.stderr)
+    events = _events()
 
     from blender_nep.batch import runner as batch
     from blender_nep.batch.settings import BatchSettings
@@ -412,11 +407,7 @@ def _batch(options: argparse.Namespace) -> int:
 def _materials(options: argparse.Namespace) -> int:
     if options.set is None and not options.reset:
         return _list_materials(options.asset)
-    from blender_nep.job.events import Events, open_protocol
-
-    terminal = sys.stdout.isatty()
-    protocol = open_protocol()
-    events = Events(None if terminal else protocol, sys.stderr)
+    events = _events()
 
     from blender_nep.job import correction
     from blender_nep.materials.corrections import Correction
