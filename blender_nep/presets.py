@@ -69,6 +69,11 @@ class FieldsPreset:
     """Levels of the SDF grid from `refine_at` on. The finest has coarsest_cells * 2^(last_levels - 1) cells on an axis."""
     refine_at: float = 0.45
     """Fraction at which the SDF grid gets its last levels."""
+    relief_at: tuple[float, ...] = ()
+    """Fractions, rising, at which relief is searched that is finer than the SDF's grid (`fields.relief`). Empty: never."""
+    relief_pixels: float = 0.25
+    """Relief is searched only if the photos' pixels, at the object's distance, are at most this share of the SDF's finest
+    cells wide."""
     initial_radius: float = 0.6
     """Radius of the sphere from which the SDF starts if there is no hull. With 0.9, the color of the sphere learned to show
     the background, and the sphere stayed."""
@@ -433,7 +438,7 @@ PRESETS = {
         surface_seconds=20,
         material_seconds=200,
         environment_height=512,
-        fields=FieldsPreset(background_steps=400, steps=4500, object_rays=2048, last_sharpness=400),
+        fields=FieldsPreset(background_steps=400, steps=4500, object_rays=2048, last_sharpness=400, relief_at=(0.8, 0.92)),
         environment=EnvironmentPreset(steps=4000),
         surface=SurfacePreset(grid=288, unwrapped_faces=20_000, faces=150_000, chord_error=2e-4, atlas_texels=2048),
         material=MaterialPreset(samples=80_000, label_pixels=600_000, unseen_samples=16_000, most_texels=2048),

@@ -63,6 +63,16 @@ class ReferenceField(SurfaceColor):
     support: Support | None = None
     """The plane on which the object stands, if the photos show one"""
 
+    def add_levels(self, count: int) -> None:
+        """Do nothing: the MLP has no levels."""
+
+    def structure(self) -> dict:
+        """Nothing that `grow` must know."""
+        return {}
+
+    def grow(self, structure: dict) -> None:
+        """Do nothing: all fields of this kind have the same parameters."""
+
     def interval(self, origins: Tensor, directions: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """Where rays [n, 3] can meet the object: see `SplineShape.interval`."""
         return SplineShape(self.layers[-1].bias, self.support).interval(origins, directions)

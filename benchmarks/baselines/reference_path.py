@@ -56,6 +56,7 @@ SIZES = {
 """Sizes of the MLP and of a step. Half of the rays that meet the sphere go to object pixels, as in our own presets."""
 REFERENCE = {
     "fields": {
+        "relief_at": (),
         "sdf_rate": 5e-4,
         "sdf_betas": (0.9, 0.999),
         "head_rate": 5e-4,

@@ -8,6 +8,7 @@ import torch
 
 from blender_nep.fields.environment_field import EnvironmentField
 from blender_nep.fields.object_field import ObjectField
+from blender_nep.fields.relief import Relief
 from blender_nep.geometry.support import Support
 from blender_nep.presets import Preset
 
@@ -46,6 +47,9 @@ class FieldsReport:
     hidden_pixels: int = 0
     """Number of pixels whose masks do not show the object because something stands before it (`hidden_object`)"""
 
+    relief: Relief | None = None
+    """The relief that was found last, finer than the SDF's grid (`relief.find_relief`)"""
+
     def as_dict(self) -> dict:
         """The report as plain values, rounded, for report.json. None and counts of 0 are left out."""
         found = asdict(self)
@@ -55,6 +59,10 @@ class FieldsReport:
             del found["steps_not_finite"]
         if not self.hidden_pixels:
             del found["hidden_pixels"]
+        if self.relief is None:
+            del found["relief"]
+        else:
+            found["relief"] = {"share": round(self.relief.share, 3), "tilt_deg": round(self.relief.tilt_deg, 2)}
         if self.hull is None:
             del found["hull"]
         else:
@@ -82,8 +90,7 @@ class Fields:
         """The result as a dict of tensors and numbers, as it is saved on the disk."""
         objects = None
         if self.object_field is not None:
-            objects = {"levels": self.object_field.level_count, "weights": self.object_field.state_dict()}
-            objects["albedo_detail"] = self.object_field.albedo_detail is not None
+            objects = {"structure": self.object_field.structure(), "weights": self.object_field.state_dict()}
         support = None if self.support is None else self.support.state()
         return {"object": objects, "environment": self.environment.state_dict(), "report": self.report, "support": support}
 
@@ -96,10 +103,7 @@ class Fields:
         field = None
         if state["object"] is not None:
             field = new_object_field(preset, device)
-            for _ in range(state["object"]["levels"] - 1):
-                field.add_level()
-            if state["object"]["albedo_detail"]:
-                field.add_albedo_detail()
+            field.grow(state["object"]["structure"])
             field.load_state_dict(state["object"]["weights"])
             field.support = support
         return cls(field, environment, state["report"], support)

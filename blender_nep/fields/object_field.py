@@ -8,6 +8,7 @@ reflections. The color is evaluated once for each ray, at the composited surface
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -15,10 +16,13 @@ from torch import nn
 
 from blender_nep.fields.albedo_detail import AlbedoDetail
 from blender_nep.fields.encodings import encoding_size, integrated_directional_encoding, positional_encoding
+from blender_nep.fields.fine_level import FineLevel
 from blender_nep.fields.optimiser import UniformAdam
 from blender_nep.fields.volume_rendering import SurfaceSamples, render_surface, sphere_interval
 from blender_nep.geometry.support import Support
 from blender_nep.ops import bspline
+from blender_nep.ops.bspline_bricks import Bricks, sample_bricks
+from blender_nep.ops.bspline_march import march
 
 FEATURES = 16
 """Number of values that the albedo head passes to the light head."""
@@ -42,6 +46,17 @@ class Appearance:
     def color(self) -> torch.Tensor:
         """c_o = c_a * c_l (eq. 3), linear radiance."""
         return self.albedo * self.light
+
+
+class Paint(NamedTuple):
+    """What of a surface point's color depends neither on the normal nor on the view."""
+
+    albedo: torch.Tensor
+    """[n, 3] in 0..1"""
+    roughness: torch.Tensor
+    """[n, 1] in 0..1"""
+    feature: torch.Tensor
+    """[n, FEATURES], for the light head"""
 
 
 def _mlp(inputs: int, width: int, outputs: int, hidden: int) -> nn.Sequential:
@@ -69,11 +84,19 @@ class SurfaceColor(nn.Module):
 
     def appearance(self, points: torch.Tensor, normals: torch.Tensor, directions: torch.Tensor) -> Appearance:
         """Color of surface points [n, 3] with unit normals, seen along unit view directions [n, 3] (camera to point)."""
+        return self.lit(self.paint(points), points, normals, directions)
+
+    def paint(self, points: torch.Tensor) -> Paint:
+        """What does not depend on normal and view at points [n, 3]."""
         raw = self.surface_head(positional_encoding(points, ALBEDO_OCTAVES))
         logits, roughness, feature = raw[:, :3], raw[:, 3:4].sigmoid(), raw[:, 4:]
         if self.albedo_detail is not None:
             logits = logits + self.albedo_detail(points)
-        albedo = logits.sigmoid()
+        return Paint(logits.sigmoid(), roughness, feature)
+
+    def lit(self, paint: Paint, points: torch.Tensor, normals: torch.Tensor, directions: torch.Tensor) -> Appearance:
+        """The appearance of points [n, 3] of that paint, as `appearance`."""
+        albedo, roughness, feature = paint
         if self.decomposed:
             cosine = (directions * normals).sum(-1, keepdim=True)
             directional = integrated_directional_encoding(directions - 2 * cosine * normals, roughness)
@@ -95,6 +118,23 @@ class SplineShape:
     coefficients: torch.Tensor
     support: Support | None = None
     """The plane on which the object stands. It hides what the SDF is below it."""
+    fine: Bricks | None = None
+    """What the fine level adds to the SDF near the surface, if there is such a level."""
+
+    @property
+    def cell(self) -> float:
+        """Width of the finest cells in the unit frame."""
+        return 2.0 / (self.coefficients.shape[0] - 2 if self.fine is None else self.fine.cells)
+
+    def sample(self, points: torch.Tensor, hessian: bool = False) -> torch.Tensor:
+        """Value and derivatives of the SDF at points [n, 3], which get no gradient: as `bspline.sample`."""
+        points = points.detach().clamp(-1, 1)
+        sampled = bspline.sample(self.coefficients, points, hessian)
+        return sampled if self.fine is None else sampled + sample_bricks(self.fine, points, hessian)
+
+    def march(self, origins, directions, entry, leave, band: float, step: float) -> tuple[torch.Tensor, torch.Tensor]:
+        """The spans of rays in which |SDF| < band: as `bspline_march.march`."""
+        return march(self.coefficients, origins, directions, entry, leave, band, step, fine=self.fine)
 
     def interval(self, origins: torch.Tensor, directions: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
         """Where rays [n, 3] are in the part of the unit sphere that can hold the object.
@@ -121,17 +161,17 @@ class SplineShape:
     ) -> SurfaceSamples:
         """The surface composited along rays [n, 3]. Rays that meet no surface are left out. See `render_surface`."""
         interval = self.interval(origins, directions)[:2]
-        return render_surface(self.coefficients, origins, directions, sharpness, samples, generator, interval)
+        return render_surface(self, origins, directions, sharpness, samples, generator, interval)
 
     def bending(self, points: torch.Tensor) -> torch.Tensor:
         """Squared norm [n] of the SDF's Hessian at points [n, 3]. The points get no gradient."""
-        hessian = bspline.sample(self.coefficients, points.detach().clamp(-1, 1), hessian=True)[:, 4:]
+        hessian = self.sample(points, hessian=True)[:, 4:]
         return (hessian[:, :3] ** 2).sum(1) + 2 * (hessian[:, 3:] ** 2).sum(1)
 
     def near(self, origins: torch.Tensor, directions: torch.Tensor, band: float) -> torch.Tensor:
         """Whether each ray [n, 3] comes nearer to the surface than `band` (unit frame): [n] bool."""
         entry, leave, _ = self.interval(origins, directions)
-        return bspline.march(self.coefficients, origins, directions, entry, leave, band, 0.5 * band)[1] > 0
+        return self.march(origins, directions, entry, leave, band, 0.5 * band)[1] > 0
 
 
 class ObjectField(SurfaceColor):
@@ -145,6 +185,8 @@ class ObjectField(SurfaceColor):
         centre = (torch.arange(cells + 2) - 0.5) / cells * 2 - 1
         x, y, z = torch.meshgrid(centre, centre, centre, indexing="ij")
         self.levels = nn.ParameterList([nn.Parameter((x * x + y * y + z * z).sqrt() - initial_radius)])
+        self.fine: FineLevel | None = None
+        """A finer level where relief was found (`relief.find_relief`); None if none was found."""
         self.support: Support | None = None
         """The plane on which the object stands, if the photos show one."""
 
@@ -155,7 +197,7 @@ class ObjectField(SurfaceColor):
 
     def shape(self) -> SplineShape:
         """The SDF in its present state."""
-        return SplineShape(self.coefficients(), self.support)
+        return SplineShape(self.coefficients(), self.support, None if self.fine is None else self.fine.bricks)
 
     def shape_optimiser(self, rate: float, betas: tuple[float, float]) -> torch.optim.Optimizer:
         """Adam with one step size for each level, for the present parameters of the SDF.
@@ -163,10 +205,10 @@ class ObjectField(SurfaceColor):
         A level whose cells are REFERENCE_CELL wide has the step size `rate`. The step size of another level is proportional
         to its cell width.
         """
-        cells = [2 / (level.shape[0] - 2) for level in self.levels]
-        groups = [
-            {"params": [level], "scale": cell / REFERENCE_CELL} for level, cell in zip(self.levels, cells, strict=True)
-        ]
+        levels = [(level, 2 / (level.shape[0] - 2)) for level in self.levels]
+        if self.fine is not None:
+            levels.append((self.fine.coefficients, 2 / self.fine.cells))
+        groups = [{"params": [level], "scale": cell / REFERENCE_CELL} for level, cell in levels]
         return UniformAdam(groups, lr=rate, betas=betas)
 
     def add_level(self) -> None:
@@ -174,6 +216,27 @@ class ObjectField(SurfaceColor):
         n = 2 * self.levels[-1].shape[0] - 2
         device = self.levels[-1].device
         self.levels.append(nn.Parameter(torch.zeros(n, n, n, device=device)))
+
+    def add_levels(self, count: int) -> None:
+        """Add levels until there are `count`."""
+        while self.level_count < count:
+            self.add_level()
+
+    def structure(self) -> dict:
+        """Which parameters this field has, for `grow`."""
+        return {
+            "levels": self.level_count,
+            "fine": None if self.fine is None else {"cells": self.fine.cells, "bricks": len(self.fine.coefficients)},
+            "albedo_detail": self.albedo_detail is not None,
+        }
+
+    def grow(self, structure: dict) -> None:
+        """Get the parameters of a field of that `structure`, so that its state can be loaded."""
+        self.add_levels(structure["levels"])
+        if structure["fine"] is not None:
+            self.fine = FineLevel(**structure["fine"], device=self.levels[0].device)
+        if structure["albedo_detail"]:
+            self.add_albedo_detail()
 
     def add_albedo_detail(self) -> None:
         """Add a grid of fine paint, which is zero everywhere, so that no color changes."""
@@ -214,18 +277,18 @@ class ObjectField(SurfaceColor):
     @torch.no_grad()
     def sdf(self, points: torch.Tensor) -> torch.Tensor:
         """Signed distance, negative inside: [n, 3] -> [n]."""
-        return bspline.sample(self.coefficients(), points.clamp(-1, 1))[:, 0]
+        return self.shape().sample(points)[:, 0]
 
     @torch.no_grad()
     def normal(self, points: torch.Tensor) -> torch.Tensor:
         """Unit normals, outward: [n, 3] -> [n, 3]."""
-        gradient = bspline.sample(self.coefficients(), points.clamp(-1, 1))[:, 1:4]
+        gradient = self.shape().sample(points)[:, 1:4]
         return nn.functional.normalize(gradient, dim=-1)
 
     @torch.no_grad()
     def sdf_and_gradient(self, points: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
         """Signed distance [n], negative inside, and its gradient [n, 3] at points [n, 3]."""
-        sampled = bspline.sample(self.coefficients(), points.clamp(-1, 1))
+        sampled = self.shape().sample(points)
         return sampled[:, 0], sampled[:, 1:4]
 
     def sdf_in_cells(self) -> np.ndarray:
@@ -249,10 +312,10 @@ class ObjectField(SurfaceColor):
     @torch.no_grad()
     def _sdf_on(self, axis: torch.Tensor) -> np.ndarray:
         """SDF [n, n, n] on the grid whose x, y and z are those of `axis` [n]."""
-        axis, coefficients = axis.to(self.levels[0].device), self.coefficients()
+        axis, shape = axis.to(self.levels[0].device), self.shape()
         planes = []
         for x in axis:
             y, z = torch.meshgrid(axis, axis, indexing="ij")
             points = torch.stack([x.expand_as(y), y, z], -1).reshape(-1, 3)
-            planes.append(bspline.sample(coefficients, points)[:, 0].reshape(y.shape).cpu().numpy())
+            planes.append(shape.sample(points)[:, 0].reshape(y.shape).cpu().numpy())
         return np.stack(planes)

@@ -34,6 +34,8 @@ class Schedule:
     """How often the object pixels were found."""
     carvings: int = 0
     """How often the object was carved again."""
+    relief_searches: int = 0
+    """How often relief was searched."""
     cavities_opened: bool = False
     """Whether the cavities of the object were opened."""
     validation_errors: list[float] = field(default_factory=list)
@@ -166,6 +168,11 @@ class Schedule:
         return not self.cavities_opened and self.fraction >= self.preset.open_cavities_at
 
     @property
+    def relief_searches_due(self) -> int:
+        """How often relief should have been searched by now."""
+        return sum(self.fraction >= at for at in self.preset.relief_at)
+
+    @property
     def validation_due(self) -> bool:
         """Whether the validation error must be measured now.
 
@@ -194,6 +201,7 @@ class Schedule:
             "learned": self.learned,
             "object_pixels_updates": self.object_pixels_updates,
             "carvings": self.carvings,
+            "relief_searches": self.relief_searches,
             "cavities_opened": self.cavities_opened,
             "validation_errors": list(self.validation_errors),
         }
@@ -204,5 +212,6 @@ class Schedule:
         self.step, self.learned = state["step"], state["learned"]
         self.object_pixels_updates = state["object_pixels_updates"]
         self.carvings = state["carvings"]
+        self.relief_searches = state["relief_searches"]
         self.cavities_opened = state["cavities_opened"]
         self.validation_errors = list(state["validation_errors"])

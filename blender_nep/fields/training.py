@@ -9,6 +9,7 @@ its start.
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import asdict
 
 import numpy as np
 import torch
@@ -30,6 +31,7 @@ from blender_nep.fields.non_finite_monitor import NonFiniteMonitor, usable_gradi
 from blender_nep.fields.object_field import ObjectField
 from blender_nep.fields.object_pixels import draw_pixels, find_object_pixels, held_out_pixels, pixels_beside
 from blender_nep.fields.plain_support import find_plain_support
+from blender_nep.fields.relief import Relief, find_relief
 from blender_nep.fields.rendering import FieldsRenderer, RayBundle, Rendering, RenderSettings
 from blender_nep.fields.schedule import Schedule
 from blender_nep.fields.support_search import find_support_by_photos
@@ -66,12 +68,14 @@ class FieldsLearning:
         self.losses = FieldsLosses.of(preset, rays)
         self.object_field = object_field or new_object_field(preset, device)
         self.schedule = Schedule.at_start(preset.fields, len(rays.outside), rays.count)
-        self._add_levels(self.schedule.levels)
+        self.object_field.add_levels(self.schedule.levels)
         self.renderer = FieldsRenderer(self.object_field, self.environment, preset.fields)
         self.optimisers = Optimisers(self.object_field, self.environment, preset)
         self.monitor = NonFiniteMonitor()
         self.hull: HullReport | None = None
         """The visual hull from which the SDF started, or None."""
+        self.relief: Relief | None = None
+        """The relief that was found last; None if none was found."""
         self.fine_paint: float | None = None
         """How far photos from above and from below agree on fine colors of the hull; None without a hull."""
         self.object_pixels = rays.sphere
@@ -141,7 +145,7 @@ class FieldsLearning:
         if now.joint_learning_begins:
             self.start_from_hull()
         if self.object_field.level_count < now.levels:
-            self._add_levels(now.levels)
+            self.object_field.add_levels(now.levels)
             self.optimisers.restart_sdf()
         if now.carvings_due > now.carvings and self.rays.mask is None:
             self.carve_again()
@@ -149,6 +153,9 @@ class FieldsLearning:
         if now.cavities_due:
             open_cavities(self.object_field, self.rays)
             now.cavities_opened = True
+        if now.relief_searches_due > now.relief_searches:
+            self.find_relief()
+            now.relief_searches = now.relief_searches_due
         if now.object_pixels_due > now.object_pixels_updates:
             self.update_object_pixels()
             now.object_pixels_updates = now.object_pixels_due
@@ -202,10 +209,6 @@ class FieldsLearning:
             (self.rays.outside, p.outside_rays),
         )
         return torch.cat([self._draw(pool, count) for pool, count in pools if len(pool)])
-
-    def _add_levels(self, count: int) -> None:
-        while self.object_field.level_count < count:
-            self.object_field.add_level()
 
     def _refine_environment(self) -> None:
         if environment_training.refine(self.environment, self.rays, self.background, self.schedule.environment_fraction):
@@ -314,6 +317,13 @@ class FieldsLearning:
         free = excess(self.rays, silhouettes, sdf)
         field.add(torch.from_numpy(free).to(self.generator.device))
 
+    def find_relief(self) -> None:
+        """Give the SDF the relief that the photos show, if its grid is too coarse for it (`relief.find_relief`)."""
+        found = find_relief(self.object_field, self.rays, self.preset.relief_pixels)
+        if found is not None:
+            self.relief = found
+            self.optimisers.restart_sdf()
+
     def update_object_pixels(self) -> None:
         """Find the object pixels with the present SDF. The first time, also choose the validation pixels."""
         self.object_pixels = find_object_pixels(self.rays, self.object_field.shape(), BAND / self.schedule.sharpness)
@@ -346,6 +356,7 @@ class FieldsLearning:
             hull=self.hull,
             fine_paint=self.fine_paint,
             hidden_pixels=len(self.hidden_pixels),
+            relief=self.relief,
         )
 
     def state(self) -> dict:
@@ -353,8 +364,7 @@ class FieldsLearning:
         return {
             "schedule": self.schedule.state(),
             "loss": self.loss,
-            "levels": self.object_field.level_count,
-            "albedo_detail": self.object_field.albedo_detail is not None,
+            "structure": self.object_field.structure(),
             "fine_paint": self.fine_paint,
             "object": self.object_field.state_dict(),
             "environment": self.environment.state_dict(),
@@ -363,7 +373,8 @@ class FieldsLearning:
             "object_pixels": self.object_pixels.state(),
             "validation_pixels": self.validation_pixels,
             "hidden_pixels": self.hidden_pixels,
-            "hull": None if self.hull is None else {"volume": self.hull.volume, "contrast": self.hull.contrast},
+            "hull": None if self.hull is None else asdict(self.hull),
+            "relief": None if self.relief is None else asdict(self.relief),
             "monitor": self.monitor.state(),
             "support": None if self.object_field.support is None else self.object_field.support.state(),
         }
@@ -373,10 +384,8 @@ class FieldsLearning:
         device = self.generator.device
         self.schedule.load(state["schedule"])
         self.loss = state["loss"]
-        self._add_levels(state["levels"])
+        self.object_field.grow(state["structure"])
         self.fine_paint = state["fine_paint"]
-        if state["albedo_detail"]:
-            self.object_field.add_albedo_detail()
         self.object_field.load_state_dict(state["object"])
         self.environment.load_state_dict(state["environment"])
         self.optimisers.load(state["optimisers"])
@@ -385,6 +394,7 @@ class FieldsLearning:
         self.validation_pixels = state["validation_pixels"].to(device)
         self.hidden_pixels = state["hidden_pixels"].to(device)
         self.hull = None if state["hull"] is None else HullReport(**state["hull"])
+        self.relief = None if state["relief"] is None else Relief(**state["relief"])
         self.monitor.load(state["monitor"])
         self.object_field.support = None if state["support"] is None else Support.from_state(state["support"])
 

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import torch
 
-from blender_nep.ops import bspline
 from blender_nep.profiling import profiled, section
+
+if TYPE_CHECKING:
+    from blender_nep.fields.object_field import SplineShape
 
 BAND = 6.0
 """Samples are placed where |sharpness * sdf| < BAND. The opacity that is left out is sigmoid(-6) = 0.0025."""
@@ -75,7 +78,7 @@ def place_samples(spans: torch.Tensor, count: torch.Tensor, samples: int, jitter
 
 @profiled("object field")
 def render_surface(
-    coefficients: torch.Tensor,
+    shape: SplineShape,
     origins: torch.Tensor,
     directions: torch.Tensor,
     sharpness: float,
@@ -89,9 +92,9 @@ def render_surface(
     are the distances [n] between which the surface is looked for; by default, those between which a ray is in the sphere.
     """
     entry, leave = interval or sphere_interval(origins, directions)
-    step = max(0.5 * 2.0 / (coefficients.shape[0] - 2), 0.25 * BAND / sharpness)
+    step = max(0.5 * shape.cell, 0.25 * BAND / sharpness)
     with section("march"):
-        spans, count = bspline.march(coefficients, origins, directions, entry, leave, BAND / sharpness, step)
+        spans, count = shape.march(origins, directions, entry, leave, BAND / sharpness, step)
     ray = count.nonzero()[:, 0]
     jitter = (
         torch.full((len(ray),), 0.5, device=origins.device)
@@ -100,7 +103,7 @@ def render_surface(
     )
     t = place_samples(spans[ray], count[ray], samples, jitter)
     points = origins[ray, None] + t[..., None] * directions[ray, None]
-    field = bspline.sample(coefficients, points.clamp(-1, 1).reshape(-1, 3)).reshape(len(ray), samples + 1, 4)
+    field = shape.sample(points.reshape(-1, 3)).reshape(len(ray), samples + 1, 4)
     weights = neus_weights(field[..., 0], sharpness)
     opacity = weights.sum(1)
     # gradient and distance of a section are the means of its two ends

@@ -9,8 +9,6 @@ Reference: de Boor, A Practical Guide to Splines. The rule of `refine` is Chaiki
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numba
 import numpy as np
 import torch
@@ -20,7 +18,7 @@ from blender_nep.ops.precision import at_least_float32
 
 
 @njit(cache=True, inline="always")
-def _axis(x, cells, w, dw, ddw):
+def axis_taps(x, cells, w, dw, ddw):
     """Index of the first of three taps at x in [-1, 1]. Fills their weights w and derivatives dw, ddw with respect to x."""
     p = (x * 0.5 + 0.5) * cells
     i = int(np.floor(p))
@@ -52,9 +50,9 @@ def _forward(coef, points, out, threads):
         d = np.empty((3, 3), coef.dtype)
         e = np.empty((3, 3), coef.dtype)
         for k in range(b * n // blocks, (b + 1) * n // blocks):
-            i = _axis(points[k, 0], cells, w[0], d[0], e[0])
-            j = _axis(points[k, 1], cells, w[1], d[1], e[1])
-            m = _axis(points[k, 2], cells, w[2], d[2], e[2])
+            i = axis_taps(points[k, 0], cells, w[0], d[0], e[0])
+            j = axis_taps(points[k, 1], cells, w[1], d[1], e[1])
+            m = axis_taps(points[k, 2], cells, w[2], d[2], e[2])
             v = gx = gy = gz = hxx = hyy = hzz = hxy = hxz = hyz = coef[0, 0, 0] * 0
             for a in range(3):
                 for c in range(3):
@@ -105,9 +103,9 @@ def _backward(points, grad, coef_grad, threads):
             first = int(np.floor((points[k, 0] * 0.5 + 0.5) * cells))
             if first + 3 < low or first - 1 >= high:
                 continue
-            i = _axis(points[k, 0], cells, w[0], d[0], e[0])
-            j = _axis(points[k, 1], cells, w[1], d[1], e[1])
-            m = _axis(points[k, 2], cells, w[2], d[2], e[2])
+            i = axis_taps(points[k, 0], cells, w[0], d[0], e[0])
+            j = axis_taps(points[k, 1], cells, w[1], d[1], e[1])
+            m = axis_taps(points[k, 2], cells, w[2], d[2], e[2])
             for a in range(3):
                 if i + a < low or i + a >= high:
                     continue
@@ -143,20 +141,21 @@ class _Sample(torch.autograd.Function):
         return coef_grad, None, None
 
 
-def sample_torch(coef: torch.Tensor, points: torch.Tensor, hessian: bool = False) -> torch.Tensor:
-    """The body of `sample` in plain torch, for any device and any float type."""
-    cells = coef.shape[0] - 2
+def taps_torch(points: torch.Tensor, cells: int) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]:
+    """For points [n, 3]: the first of three taps along each axis [n, 3] int64, and their weights [n, 3, 3], with the first
+    and second derivatives of the weights. The last axis is the tap."""
     p = (points * 0.5 + 0.5) * cells
     i = p.detach().floor().clamp(0, cells - 1)
     f = p - i
-    i = i.long()
     s = cells * 0.5
-    w = torch.stack([0.5 * (1 - f) ** 2, 0.5 + f * (1 - f), 0.5 * f * f], -1)  # [n, axis, tap]
+    w = torch.stack([0.5 * (1 - f) ** 2, 0.5 + f * (1 - f), 0.5 * f * f], -1)
     d = torch.stack([-(1 - f), 1 - 2 * f, f], -1) * s
-    e = torch.tensor([1.0, -2.0, 1.0], dtype=coef.dtype, device=coef.device).expand_as(w) * s * s
-    tap = torch.arange(3, device=coef.device)
-    x, y, z = (i[:, a, None] + tap for a in range(3))
-    c = coef[x[:, :, None, None], y[:, None, :, None], z[:, None, None, :]]
+    e = torch.tensor([1.0, -2.0, 1.0], dtype=points.dtype, device=points.device).expand_as(w) * s * s
+    return i.long(), w, d, e
+
+
+def contract_torch(c: torch.Tensor, w: torch.Tensor, d: torch.Tensor, e: torch.Tensor, hessian: bool) -> torch.Tensor:
+    """Value and derivatives [n, 4 or 10] from the 27 coefficients [n, 3, 3, 3] and the weights of `taps_torch`."""
 
     def contract(a, b, g):
         return torch.einsum("nxyz,nx,ny,nz->n", c, a[:, 0], b[:, 1], g[:, 2])
@@ -172,6 +171,14 @@ def sample_torch(coef: torch.Tensor, points: torch.Tensor, hessian: bool = False
             contract(w, d, d),
         ]
     return torch.stack(rows, -1)
+
+
+def sample_torch(coef: torch.Tensor, points: torch.Tensor, hessian: bool = False) -> torch.Tensor:
+    """The body of `sample` in plain torch, for any device and any float type."""
+    i, w, d, e = taps_torch(points, coef.shape[0] - 2)
+    tap = torch.arange(3, device=coef.device)
+    x, y, z = (i[:, a, None] + tap for a in range(3))
+    return contract_torch(coef[x[:, :, None, None], y[:, None, :, None], z[:, None, None, :]], w, d, e, hessian)
 
 
 def sample(coef: torch.Tensor, points: torch.Tensor, hessian: bool = False) -> torch.Tensor:
@@ -266,130 +273,3 @@ def refine(coef: torch.Tensor) -> torch.Tensor:
     """
     (coef,) = at_least_float32(coef)
     return _Refine.apply(coef) if coef.device.type == "cpu" else refine_torch(coef)
-
-
-@njit(cache=True, inline="always")
-def _value(coef, x, y, z, w, d, e):
-    cells = coef.shape[0] - 2
-    i = _axis(x, cells, w[0], d[0], e[0])
-    j = _axis(y, cells, w[1], d[1], e[1])
-    m = _axis(z, cells, w[2], d[2], e[2])
-    v = coef[0, 0, 0] * 0
-    for a in range(3):
-        for c in range(3):
-            row = coef[i + a, j + c]
-            v += w[0, a] * w[1, c] * (row[m] * w[2, 0] + row[m + 1] * w[2, 1] + row[m + 2] * w[2, 2])
-    return v
-
-
-class _Rays(NamedTuple):
-    """n rays: origins, directions [n, 3], and the distances t_near, t_far [n] at which they enter and leave the volume."""
-
-    origins: np.ndarray
-    directions: np.ndarray
-    t_near: np.ndarray
-    t_far: np.ndarray
-
-
-@njit(cache=True, parallel=True, fastmath=True)
-def _march(coef, rays, band, step, spans, count, threads):
-    """Fill spans [n, most, 2] and count [n]; see `march`. The threads share the rays in blocks."""
-    origins, directions, t_near, t_far = rays
-    n, most = origins.shape[0], spans.shape[1]
-    blocks = threads * 8
-    for b in prange(blocks):
-        w = np.empty((3, 3), coef.dtype)
-        d = np.empty((3, 3), coef.dtype)
-        e = np.empty((3, 3), coef.dtype)
-        for k in range(b * n // blocks, (b + 1) * n // blocks):
-            t, spans_here, inside, start = t_near[k], 0, False, t_near[k]
-            while t < t_far[k]:
-                v = _value(
-                    coef,
-                    origins[k, 0] + t * directions[k, 0],
-                    origins[k, 1] + t * directions[k, 1],
-                    origins[k, 2] + t * directions[k, 2],
-                    w,
-                    d,
-                    e,
-                )
-                near = v < band and v > -band
-                if near and not inside:
-                    start = max(t - step, t_near[k])
-                    inside = True
-                elif inside and not near:
-                    spans[k, spans_here, 0] = start
-                    spans[k, spans_here, 1] = t
-                    spans_here += 1
-                    inside = False
-                if v <= -band:
-                    if spans_here == 0:  # the ray starts inside the surface, or a step jumped over the band
-                        spans[k, 0, 0] = max(t - step, t_near[k])
-                        spans[k, 0, 1] = t
-                        spans_here = 1
-                    break
-                if spans_here == most:
-                    break
-                # Outside the band, the SDF limits the step. The factor is 0.7, because a learned SDF is not exact.
-                t += step if near else max(step, 0.7 * (v - band))
-            if inside and spans_here < most:
-                spans[k, spans_here, 0] = start
-                spans[k, spans_here, 1] = min(t, t_far[k])
-                spans_here += 1
-            count[k] = spans_here
-
-
-def march(coef, origins, directions, t_near, t_far, band: float, step: float, most: int = 4):
-    """Find the spans of each ray in which |spline| < band, up to the first place where the spline falls below -band.
-
-    origins, directions [n, 3]; t_near, t_far [n]; `step` is the smallest step (about half a cell). Returns spans [n, most,
-    2] (start and end as distances along the ray) and count [n], the number of spans. If a ray has no span before it falls
-    below -band, it gets one there. There is no gradient. Works on the CPU and on any other torch device.
-    """
-    coef, origins, directions, t_near, t_far = at_least_float32(coef.detach(), origins, directions, t_near, t_far)
-    if coef.device.type == "cpu":
-        spans = np.zeros((origins.shape[0], most, 2), np.float32)
-        count = np.zeros(origins.shape[0], np.int32)
-        _march(
-            coef.numpy(),
-            _Rays(*(part.numpy() for part in (origins, directions, t_near, t_far))),
-            np.float32(band),
-            np.float32(step),
-            spans,
-            count,
-            numba.get_num_threads(),
-        )
-        return torch.from_numpy(spans), torch.from_numpy(count)
-    return march_torch(coef, origins, directions, t_near, t_far, band, step, most)
-
-
-def march_torch(coef, origins, directions, t_near, t_far, band: float, step: float, most: int = 4):
-    """The body of `march` in plain torch, for any device and any float type."""
-    n, device = origins.shape[0], origins.device
-    spans = torch.zeros(n, most, 2, device=device)
-    count = torch.zeros(n, dtype=torch.int32, device=device)
-    t, start = t_near.clone(), t_near.clone()
-    inside = torch.zeros(n, dtype=torch.bool, device=device)
-    alive = t < t_far
-    while bool(alive.any()):
-        k = alive.nonzero()[:, 0]
-        tk = t[k]
-        v = sample_torch(coef, (origins[k] + tk[:, None] * directions[k]).clamp(-1, 1))[:, 0]
-        near = v.abs() < band
-        enter, leave = near & ~inside[k], inside[k] & ~near
-        back = torch.maximum(tk - step, t_near[k])
-        start[k] = torch.where(enter, back, start[k])
-        jumped = (v <= -band) & (count[k] == 0) & ~leave
-        begin = torch.where(jumped, back, start[k])
-        close = leave | jumped
-        kc = k[close]
-        spans[kc, count[kc].long()] = torch.stack([begin[close], tk[close]], -1)
-        count[kc] += 1
-        inside[k] = near
-        alive[k] = (v > -band) & (count[k] < most)
-        t[k] = tk + torch.where(near, torch.full_like(v, step), (0.7 * (v - band)).clamp(min=step))
-        alive &= t < t_far
-    k = (inside & (count < most)).nonzero()[:, 0]
-    spans[k, count[k].long()] = torch.stack([start[k], torch.minimum(t[k], t_far[k])], -1)
-    count[k] += 1
-    return spans, count

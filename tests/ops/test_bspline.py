@@ -4,6 +4,7 @@ import pytest
 import torch
 
 from blender_nep.ops import bspline
+from blender_nep.ops.bspline_march import march, march_torch
 
 
 @pytest.fixture
@@ -84,13 +85,13 @@ def test_march_brackets_a_sphere():
     b = (origins * directions).sum(-1)
     off_axis = ((origins * origins).sum(-1) - b * b).sqrt()
     near, far = -b - (1 - off_axis**2).clamp(min=0).sqrt(), -b + (1 - off_axis**2).clamp(min=0).sqrt()
-    spans, count = bspline.march(coefficients, origins, directions, near, far, band, step)
+    spans, count = march(coefficients, origins, directions, near, far, band, step)
     hits, misses = off_axis < 0.55, off_axis > 0.65
     assert hits.any() and misses.any()
     assert (count[hits] == 1).all() and (count[misses] == 0).all()
     surface = -b[hits] - (0.36 - off_axis[hits] ** 2).sqrt()
     assert (spans[hits, 0, 0] < surface).all() and (spans[hits, 0, 1] > surface).all()
-    torch_spans, torch_count = bspline.march_torch(coefficients, origins, directions, near, far, band, step, 4)
+    torch_spans, torch_count = march_torch(coefficients, origins, directions, near, far, band, step, 4)
     assert torch.equal(torch_count, count)
     torch.testing.assert_close(torch_spans, spans, atol=2e-3, rtol=0)
 

@@ -13,10 +13,12 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from blender_nep.fields.environment_field import EnvironmentField
+from blender_nep.fields.object_field import SplineShape
 from blender_nep.fields.volume_rendering import neus_weights, place_samples, render_surface, sphere_interval
 from blender_nep.materials.fitting import fit_groups
 from blender_nep.materials.palette import best_of
 from blender_nep.ops import bspline
+from blender_nep.ops.bspline_march import march
 from blender_nep.ops.environment_rendering import EnvironmentVolume, render_environment
 from blender_nep.ops.environment_segments import RaySegments
 from blender_nep.ops.environment_smoothness import total_variation
@@ -134,7 +136,7 @@ def test_surfaces_of_extreme_fields_composite_finitely(seed, sharpness, size, sh
     generator = torch.Generator().manual_seed(seed)
     coefficients = (shift + size * torch.randn(10, 10, 10, generator=generator)).requires_grad_()
     origins, directions = rays_from(distance, 40, seed)
-    found = render_surface(coefficients, origins, directions, sharpness, 8, torch.Generator().manual_seed(seed))
+    found = render_surface(SplineShape(coefficients), origins, directions, sharpness, 8, torch.Generator().manual_seed(seed))
     for values in (found.opacity, found.point, found.gradient, found.sdf_gradient, found.depth):
         assert torch.isfinite(values).all()
     assert (found.opacity >= 0).all() and (found.opacity <= 1 + 1e-5).all()
@@ -255,7 +257,7 @@ def test_kernels_take_low_precision_and_compute_in_float32(dtype):
             bspline.refine(c),
             render_environment(r, e, RaySegments(o, d, n, f), volume)[0],
             total_variation(r, (1.0,) * 4, 0.1),
-            *bspline.march(c, o, d, n, n + 4, 0.3, 0.1)[:1],
+            *march(c, o, d, n, n + 4, 0.3, 0.1)[:1],
         ]
 
     detail = torch.randn(12, 24, 3, generator=generator).to(dtype)
