@@ -440,7 +440,7 @@ PRESETS = {
         environment_height=512,
         fields=FieldsPreset(background_steps=400, steps=4500, object_rays=2048, last_sharpness=400, relief_at=(0.8, 0.92)),
         environment=EnvironmentPreset(steps=4000),
-        surface=SurfacePreset(grid=288, unwrapped_faces=20_000, faces=150_000, chord_error=2e-4, atlas_texels=2048),
+        surface=SurfacePreset(grid=288, unwrapped_faces=20_000, faces=300_000, chord_error=2e-4, atlas_texels=2048),
         material=MaterialPreset(samples=80_000, label_pixels=600_000, unseen_samples=16_000, most_texels=2048),
     ),
 }
