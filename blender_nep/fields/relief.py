@@ -35,7 +35,7 @@ LARGEST_ERROR = 0.25
 """Tone-mapped; larger differences count as this, because something else is wrong there."""
 AGREE_FROM, AGREE = 0.15, 0.3
 """Correlation of the tilts from both halves of the photos: up to the first they are noise, from the second on they count in
-full. Measured on objects whose relief is known: 0.43 where the grid lacks relief, 0.05 to 0.15 where it lacks none."""
+full. Measured on objects whose relief is known: 0.43 where the grid lacks relief, 0.02 to 0.15 where it lacks none."""
 PROMISING = 0.05
 """Blocks in which a sample of the places agrees less are not searched."""
 LEAST_SHARE = 0.03
