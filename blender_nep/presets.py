@@ -72,8 +72,7 @@ class FieldsPreset:
     relief_at: tuple[float, ...] = ()
     """Fractions, rising, at which relief is searched that is finer than the SDF's grid (`fields.relief`). Empty: never."""
     relief_pixels: float = 0.25
-    """Relief is searched only if the photos' pixels, at the object's distance, are at most this share of the SDF's finest
-    cells wide."""
+    """Largest width of the photos' pixels, at the object's distance, for that search, as a share of the SDF's cells."""
     initial_radius: float = 0.6
     """Radius of the sphere from which the SDF starts if there is no hull. With 0.9, the color of the sphere learned to show
     the background, and the sphere stayed."""

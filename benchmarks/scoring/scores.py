@@ -39,7 +39,7 @@ def score_asset(folder: Path, asset: Path, preset: Preset, device: str, picture:
     out |= geometry.score(surface, folder, capture, test)
     map_file = asset / "textures" / f"{NORMAL_MAP}.exr"
     normal_map = next(iter(materials.read_channels(map_file).values())) if map_file.is_file() else None
-    shaded = replace(surface, normals=_file_normals(asset / "mesh.obj"))
+    shaded = replace(surface, normals=file_normals(asset / "mesh.obj"))
     out |= shading_normals.score(shaded, folder, capture, test, normal_map)
     out |= materials.score(surface, learned, folder, capture, test, picture)
     kept = asset / "checkpoints" / f"{StageName.FIELDS_LEARNING}.done.pt"
@@ -48,7 +48,7 @@ def score_asset(folder: Path, asset: Path, preset: Preset, device: str, picture:
     return out
 
 
-def _file_normals(path: Path) -> np.ndarray:
+def file_normals(path: Path) -> np.ndarray:
     """The normals [V, 3] of an asset's mesh.obj, whose vertices and normals have the same order."""
     with open(path, encoding="utf-8") as file:
         return np.loadtxt([line[3:] for line in file if line.startswith("vn ")])

@@ -2,7 +2,7 @@
 
     python -m benchmarks.studies.relief ball ball.ply
     python backend/synthetic.py --scene ball.ply --material gold --views 42 --test-views 4 --size 640 --samples 6 --seed 3 \
-        --out ball                                        # about 11 CPU minutes a core
+        --out ball                                        # about 11 minutes on two cores
     blender-nep reconstruct ball --preset quality --masks ignore --out asset
     python -m benchmarks.studies.relief score asset ball ball.ply
 
@@ -12,13 +12,19 @@ The score is the mean angle in degrees between the normals that a renderer shade
 from __future__ import annotations
 
 import argparse
+from dataclasses import replace
 from pathlib import Path
 
 import igl
 import numpy as np
 import trimesh
 
+from benchmarks.scoring.geometry import true_mesh
+from benchmarks.scoring.scores import file_normals
 from blender_nep.capture import load_capture
+from blender_nep.geometry.mesh import Surface, normalized
+from blender_nep.presets import preset
+from blender_nep.surface.mesh_file import load_surface
 
 BANDS = {0.16: (28, 58), 0.08: (58, 84), 0.04: (84, 108), 0.02: (108, 130)}
 """{length of the waves: polar angles in degrees at which the band begins and ends}. Lengths are about in object radii."""
@@ -46,26 +52,28 @@ def ball(subdivisions: int = 8) -> trimesh.Trimesh:
     return trimesh.Trimesh(direction * radius[:, None], sphere.faces, process=False)
 
 
-def score(asset: trimesh.Trimesh, truth: trimesh.Trimesh, polar: np.ndarray) -> dict[str, float]:
-    """Mean angle in degrees between interpolated normals of both meshes for each band. polar [V]: degrees, of the truth's
-    vertices."""
+def score(asset: Surface, truth: trimesh.Trimesh, polar: np.ndarray) -> dict[str, float]:
+    """Mean angle in degrees between interpolated normals of asset and truth for each band. Both are in the unit frame.
+
+    polar [V]: polar angles in degrees of the truth's vertices, by which the bands are told apart.
+    """
     points, face = trimesh.sample.sample_surface(truth, _POINTS, seed=0)
     at = trimesh.triangles.points_to_barycentric(truth.triangles[face], points)
     angle = (polar[truth.faces[face]] * at).sum(1)
-    _, nearest, place = igl.point_mesh_squared_distance(
-        np.ascontiguousarray(points), np.asarray(asset.vertices, np.float64), np.asarray(asset.faces, np.int64)
-    )
-    ours = _interpolated(asset, nearest, trimesh.triangles.points_to_barycentric(asset.triangles[nearest], place))
-    cosine = (_interpolated(truth, face, at) * ours).sum(1)
+    faces = np.asarray(asset.faces, np.int64)
+    _, nearest, place = igl.point_mesh_squared_distance(np.ascontiguousarray(points), asset.vertices, faces)
+    there = trimesh.triangles.points_to_barycentric(asset.vertices[faces[nearest]], place)
+    ours = _interpolated(asset.normals, faces[nearest], there)
+    cosine = (_interpolated(truth.vertex_normals, truth.faces[face], at) * ours).sum(1)
     error = np.degrees(np.arccos(cosine.clip(-1, 1)))
     bands = {f"{length:g}": (begin + _INNER, end - _INNER) for length, (begin, end) in BANDS.items()}
     bands["smooth"] = (0, BANDS[0.16][0] - _INNER)
     return {name: float(error[(angle > begin) & (angle < end)].mean()) for name, (begin, end) in bands.items()}
 
 
-def _interpolated(mesh: trimesh.Trimesh, face: np.ndarray, barycentric: np.ndarray) -> np.ndarray:
-    normal = (mesh.vertex_normals[mesh.faces[face]] * barycentric[..., None]).sum(1)
-    return normal / np.linalg.norm(normal, axis=1, keepdims=True)
+def _interpolated(normals: np.ndarray, corners: np.ndarray, barycentric: np.ndarray) -> np.ndarray:
+    """Unit normals [n, 3] from normals [V, 3] at the corners [n, 3] of faces."""
+    return normalized((normals[corners] * barycentric[..., None]).sum(1))
 
 
 def main() -> None:
@@ -80,11 +88,9 @@ def main() -> None:
         ball().export(options.file)
         return
     capture = load_capture(options.capture)
-    made = trimesh.load(options.ball, process=False)
-    meshes = [options.asset / "mesh.obj", options.capture / "gt_mesh.ply"]
-    asset, truth = (trimesh.load(file, process=False, force="mesh") for file in meshes)
-    for mesh in (asset, truth):
-        mesh.apply_transform(np.asarray(capture.to_unit, np.float64))
+    made, truth = trimesh.load(options.ball, process=False), true_mesh(options.capture, capture).mesh
+    mesh = options.asset / "mesh.obj"
+    asset = replace(load_surface(mesh, capture, preset("quality").surface), normals=file_normals(mesh))
     if len(made.vertices) != len(truth.vertices):
         raise SystemExit(f"{options.ball} is not the mesh from which {options.capture} was rendered")
     polar = np.degrees(np.arccos(made.vertices[:, 2] / np.linalg.norm(made.vertices, axis=1)))

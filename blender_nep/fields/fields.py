@@ -46,7 +46,6 @@ class FieldsReport:
     from a sphere"""
     hidden_pixels: int = 0
     """Number of pixels whose masks do not show the object because something stands before it (`hidden_object`)"""
-
     relief: Relief | None = None
     """The relief that was found last, finer than the SDF's grid (`relief.find_relief`)"""
 

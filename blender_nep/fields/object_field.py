@@ -291,12 +291,12 @@ class ObjectField(SurfaceColor):
         sampled = self.shape().sample(points)
         return sampled[:, 0], sampled[:, 1:4]
 
-    def sdf_in_cells(self) -> np.ndarray:
-        """SDF [n, n, n] at the centres of the finest level's cells; float32.
+    def sdf_in_cells(self, n: int | None = None) -> np.ndarray:
+        """SDF [n, n, n] at the centres of n^3 cells, by default of the cells of `levels[-1]`; float32.
 
         It is 1 where no object can be: outside the sphere, and below the support plane.
         """
-        n = round(2 / self.cell)
+        n = n or round(2 / self.cell)
         axis = (torch.arange(n) + 0.5) / n * 2 - 1
         sdf = self._sdf_on(axis)
         place = np.stack(np.meshgrid(*[axis.numpy()] * 3, indexing="ij"), -1)

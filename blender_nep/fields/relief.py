@@ -14,6 +14,7 @@ import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
+import numpy as np
 import torch
 from torch import Tensor
 from torch.nn import functional
@@ -153,18 +154,9 @@ def _promising(field: ObjectField, rays: PixelRays, places: _Places, width: floa
 @profiled("places")
 def _surface_places(field: ObjectField, width: float) -> _Places:
     """The places of the zero level: one for each cell of that width through which it passes."""
-    shape, count = field.shape(), round(2 / width)
-    axis = (torch.arange(count, device=field.levels[0].device) + 0.5) * width - 1
-    planes = []
-    for x in axis:
-        y, z = torch.meshgrid(axis, axis, indexing="ij")
-        plane = torch.stack([x.expand_as(y), y, z], -1).reshape(-1, 3)
-        planes.append(plane[shape.sample(plane)[:, 0].abs() < 0.5 * width])
-    near = torch.cat(planes)
-    near = near[near.norm(dim=-1) < 1]
-    if field.support is not None:
-        above = near @ torch.as_tensor(field.support.normal, dtype=near.dtype, device=near.device)
-        near = near[above > field.support.height + width]
+    shape = field.shape()
+    cells = np.stack(np.nonzero(np.abs(field.sdf_in_cells(round(2 / width))) < 0.5 * width), 1)
+    near = torch.from_numpy(((cells + 0.5) * width - 1).astype(np.float32)).to(field.levels[0].device)
     for _ in range(2):
         sampled = shape.sample(near)
         square = sampled[:, 1:4].square().sum(-1, keepdim=True).clamp(min=0.1)
@@ -197,10 +189,9 @@ def _hypotheses(like: Tensor) -> Tensor:
     tilts = [(0.0, 0.0)]
     for angle, count in RINGS:
         slope = math.tan(math.radians(angle))
-        tilts += [
-            (slope * math.cos(2 * math.pi * k / count + angle), slope * math.sin(2 * math.pi * k / count + angle))
-            for k in range(count)
-        ]
+        # each ring is turned by another angle, so that the directions of two rings do not coincide
+        directions = [2 * math.pi * k / count + angle for k in range(count)]
+        tilts += [(slope * math.cos(direction), slope * math.sin(direction)) for direction in directions]
     return torch.tensor(tilts, dtype=like.dtype, device=like.device)
 
 

@@ -85,6 +85,20 @@ def _forward(coef, points, out, threads):
                 out[k, 9] = hyz
 
 
+@njit(cache=True, inline="always")
+def row_adjoint(grad, k, w, d, e, a, c, hessian):
+    """What grad[k] [4 or 10] of point k gives to the row of taps (a, c): the factors of w[2], d[2] and e[2]."""
+    ww, wd, dw = w[0, a] * w[1, c], w[0, a] * d[1, c], d[0, a] * w[1, c]
+    a0 = grad[k, 0] * ww + grad[k, 1] * dw + grad[k, 2] * wd
+    a1 = grad[k, 3] * ww
+    a2 = a1 * 0
+    if hessian:
+        a0 += grad[k, 4] * e[0, a] * w[1, c] + grad[k, 5] * w[0, a] * e[1, c] + grad[k, 7] * d[0, a] * d[1, c]
+        a1 += grad[k, 8] * dw + grad[k, 9] * wd
+        a2 = grad[k, 6] * ww
+    return a0, a1, a2
+
+
 @njit(cache=True, parallel=True, fastmath=True)
 def _backward(points, grad, coef_grad, threads):
     """Add the adjoint of `_forward` to coef_grad. Each thread has its own slab of the first axis, so threads never race."""
@@ -110,16 +124,7 @@ def _backward(points, grad, coef_grad, threads):
                 if i + a < low or i + a >= high:
                     continue
                 for c in range(3):
-                    ww, wd, dw = w[0, a] * w[1, c], w[0, a] * d[1, c], d[0, a] * w[1, c]
-                    a0 = grad[k, 0] * ww + grad[k, 1] * dw + grad[k, 2] * wd
-                    a1 = grad[k, 3] * ww
-                    a2 = a1 * 0
-                    if hessian:
-                        a0 += (
-                            grad[k, 4] * e[0, a] * w[1, c] + grad[k, 5] * w[0, a] * e[1, c] + grad[k, 7] * d[0, a] * d[1, c]
-                        )
-                        a1 += grad[k, 8] * dw + grad[k, 9] * wd
-                        a2 = grad[k, 6] * ww
+                    a0, a1, a2 = row_adjoint(grad, k, w, d, e, a, c, hessian)
                     for q in range(3):
                         coef_grad[i + a, j + c, m + q] += a0 * w[2, q] + a1 * d[2, q] + a2 * e[2, q]
 

@@ -14,7 +14,7 @@ import torch
 from numba import njit, prange
 from torch import Tensor
 
-from blender_nep.ops.bspline import axis_taps, contract_torch, taps_torch
+from blender_nep.ops.bspline import axis_taps, contract_torch, row_adjoint, taps_torch
 from blender_nep.ops.precision import at_least_float32
 
 BRICK = 4
@@ -127,16 +127,7 @@ def _backward(slot, cells, points, grad, coef_grad, threads):
                 continue
             for a in range(3):
                 for c in range(3):
-                    ww, wd, dw = w[0, a] * w[1, c], w[0, a] * d[1, c], d[0, a] * w[1, c]
-                    a0 = grad[k, 0] * ww + grad[k, 1] * dw + grad[k, 2] * wd
-                    a1 = grad[k, 3] * ww
-                    a2 = a1 * 0
-                    if hessian:
-                        a0 += (
-                            grad[k, 4] * e[0, a] * w[1, c] + grad[k, 5] * w[0, a] * e[1, c] + grad[k, 7] * d[0, a] * d[1, c]
-                        )
-                        a1 += grad[k, 8] * dw + grad[k, 9] * wd
-                        a2 = grad[k, 6] * ww
+                    a0, a1, a2 = row_adjoint(grad, k, w, d, e, a, c, hessian)
                     for q in range(3):
                         s = slot[(i + a) // BRICK, (j + c) // BRICK, (m + q) // BRICK]
                         if low <= s < high:
