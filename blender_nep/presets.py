@@ -55,8 +55,7 @@ class FieldsPreset:
     least_gain: float = 0.005
     """Share by which the validation error must fall within `patience` measurements."""
     plateau_step_multiplier: int = 4
-    """While the validation error is on a plateau, one step counts as this many, so that learning ends early. 1: no early
-    end."""
+    """While the validation error is on a plateau, one step counts as this many: learning ends early. 1: no early end."""
     sphere_rays: int = 1024
     """Rays of a step through any pixels that see the object's sphere."""
     outside_rays: int = 1024
@@ -69,13 +68,12 @@ class FieldsPreset:
     """Levels of the SDF grid from `refine_at` on. The finest has coarsest_cells * 2^(last_levels - 1) cells on an axis."""
     refine_at: float = 0.45
     """Fraction at which the SDF grid gets its last levels."""
-    relief_at: tuple[float, ...] = ()
+    relief_at: tuple[float, ...] = (0.8, 0.92)
     """Fractions, rising, at which relief is searched that is finer than the SDF's grid (`fields.relief`). Empty: never."""
     relief_pixels: float = 0.25
     """Largest width of the photos' pixels, at the object's distance, for that search, as a share of the SDF's cells."""
     initial_radius: float = 0.6
-    """Radius of the sphere from which the SDF starts if there is no hull. With 0.9, the color of the sphere learned to show
-    the background, and the sphere stayed."""
+    """Radius of the sphere from which the SDF starts without a hull. With 0.9, it stayed: it showed the background."""
     head_width: int = 64
     """Neurons in each hidden layer of the color heads."""
     first_sharpness: float = 12.0
@@ -248,6 +246,8 @@ class SurfacePreset:
     and 14 s for 60,000."""
     faces: int = 80_000
     """Largest number of faces of the mesh, after its edges are halved where the surface bends."""
+    relief_faces: int = 300_000
+    """The same where the SDF has relief that is finer than its grid."""
     chord_error: float = 2.5e-4
     """Edges that are farther from the surface than this, in object radii, are halved (`surface.subdivision`)."""
     asset_faces: int = 0
@@ -321,12 +321,12 @@ class MaterialPreset:
     metallic: tuple[float, ...] = (0.0, 1.0)
     """Values of metallic that are tried."""
     metal_margin: float = -0.03
-    """Share by which the residual of a metal must be lower than that of a dielectric. Below 0, it may be higher. This prior
-    decides where the photos do not; 0 turns it off. Measured on rendered objects: the residual of the wrong class was 18 to
-    48 % higher at the end, and 1 to 6 % higher in the first round, before the light was found."""
+    """Share by which the residual of a metal must be lower than that of a dielectric; below 0: may be higher. This prior
+    decides where the photos do not. On rendered objects, the residual of the wrong class is 18 to 48 % higher."""
+    hue_margin: float = 0.15
+    """By so much, the hue of what differs between photos raises or lowers `metal_margin` (`materials.dichromatic`)."""
     sure_margin: float = 0.15
-    """If every material's residual is higher by this share in the other class (metal or dielectric), the other class is not
-    tried again. inf: it is tried every time."""
+    """Where all residuals are higher by this share in the other class, that class is not tried again. inf: never sure."""
     least_roughness: float = 0.03
     """Smallest roughness (Principled's) that a material may have."""
     clip: float = 0.25
@@ -437,9 +437,9 @@ PRESETS = {
         surface_seconds=20,
         material_seconds=200,
         environment_height=512,
-        fields=FieldsPreset(background_steps=400, steps=4500, object_rays=2048, last_sharpness=400, relief_at=(0.8, 0.92)),
+        fields=FieldsPreset(background_steps=400, steps=4500, object_rays=2048, last_sharpness=400),
         environment=EnvironmentPreset(steps=4000),
-        surface=SurfacePreset(grid=288, unwrapped_faces=20_000, faces=300_000, chord_error=2e-4, atlas_texels=2048),
+        surface=SurfacePreset(grid=288, unwrapped_faces=20_000, faces=150_000, chord_error=2e-4, atlas_texels=2048),
         material=MaterialPreset(samples=80_000, label_pixels=600_000, unseen_samples=16_000, most_texels=2048),
     ),
 }

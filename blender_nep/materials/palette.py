@@ -100,16 +100,16 @@ def error(light: LightMoments, target: Tensor, weight: Tensor, material: Materia
 
 
 def best_of(
-    cost: Tensor, albedo: Tensor, least_roughness: float, hypotheses: tuple[float, ...], metal_margin: float
+    cost: Tensor, albedo: Tensor, least_roughness: float, hypotheses: tuple[float, ...], metal_factor: float | Tensor
 ) -> Palette:
     """The best hypothesis of each group, from cost [M, R, groups] and albedo [M, R, groups, 3] of `fit_groups`.
 
-    The roughness is refined to a fraction of a step (`place_of_least`). The residual of a metal must be
-    lower than that of a dielectric by the share `metal_margin`, because most things are not metal.
+    The roughness is refined to a fraction of a step (`place_of_least`). The residual of a metal is multiplied by
+    metal_factor, a number or [groups].
     """
     scan = roughness_scan(least_roughness, cost.device)
-    prior = torch.tensor([1 + metal_margin * m for m in hypotheses], device=cost.device)
-    i = (cost.amin(1) * prior[:, None]).argmin(0)
+    prior = 1 + torch.tensor(hypotheses, device=cost.device)[:, None] * (metal_factor - 1)
+    i = (cost.amin(1) * prior).argmin(0)
     each = torch.arange(cost.shape[2], device=cost.device)
     place = place_of_least(cost[i, :, each].T)
     return Palette(

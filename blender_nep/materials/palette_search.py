@@ -16,6 +16,7 @@ from scipy.spatial import cKDTree
 from torch import Tensor
 
 from blender_nep.materials.baking import NEIGHBOURS, labels_at, neighbours, vote, weighted_mean
+from blender_nep.materials.dichromatic import evidence_of_metal, places
 from blender_nep.materials.fitting import fit_groups, roughness_scan
 from blender_nep.materials.palette import Palette, best_of, between, choose, error, place_of_least, same_material
 from blender_nep.materials.roughness import (
@@ -54,6 +55,7 @@ class PaletteSearch:
         """Number of materials that the last merge has removed"""
         self._tree = cKDTree(samples.position)
         self._around = neighbours(self._tree, samples.position, 2 * NEIGHBOURS)
+        self._place = places(samples.position, light.points.normal.cpu().numpy())
         self.palette = self._fit(self.label, 1)
 
     def fit_one(self) -> None:
@@ -65,10 +67,17 @@ class PaletteSearch:
         p, swapped = self.preset, self.palette
         cost, albedo = self._scan(self.label, len(self.palette))
         for i, metallic in enumerate(p.metallic):
-            found = best_of(cost[i : i + 1], albedo[i : i + 1], p.least_roughness, (metallic,), 0.0)
+            found = best_of(cost[i : i + 1], albedo[i : i + 1], p.least_roughness, (metallic,), 1.0)
             for k in (self.palette.metallic != metallic).nonzero().squeeze(-1).tolist():
                 swapped = swapped.with_one(k, found)
         return swapped
+
+    def metal_by_hue(self) -> Tensor:
+        """What the hues of each material's samples say: from -1 (dielectric) to 1 (metal), [K].
+
+        It is right only once the palette is: where samples of a metal are among those of a dielectric, these say metal.
+        """
+        return evidence_of_metal(self.light, self.target, self._place, self.label, len(self.palette))
 
     def grow(self, after_choice: Callable[[], None]) -> None:
         """Choose materials among candidates from small regions of the surface, and give every sample its material.
@@ -119,8 +128,11 @@ class PaletteSearch:
                 self.drop_superfluous()
                 return
 
-    def merge_shades(self) -> None:
-        """Merge materials of one hue: a difference in brightness alone more likely comes from F_e than from the object."""
+    def merge_shades(self, by_hue: bool = False) -> None:
+        """Merge materials of one hue: a difference in brightness alone more likely comes from F_e than from the object.
+
+        Then each material is fitted again. With `by_hue`, what its hues say counts for its class (`metal_by_hue`).
+        """
         into = same_material(self.palette, self.shares(), self.preset.merge_hue, self.preset.merge_roughness)
         kept = sorted(set(into))
         if len(kept) < len(self.palette):
@@ -128,7 +140,9 @@ class PaletteSearch:
             self.label = torch.tensor([kept.index(k) for k in into], device=self.device)[self.label]
         p = self.preset
         cost, albedos = self._scan(self.label, len(kept))
-        self.palette = best_of(cost, albedos, p.least_roughness, p.metallic, p.metal_margin)
+        self.palette = self.palette.pick(kept)
+        prior = 1 - p.hue_margin * self.metal_by_hue() if by_hue else 1.0
+        self.palette = best_of(cost, albedos, p.least_roughness, p.metallic, (1 + p.metal_margin) * prior)
         self._find_roughness(cost, albedos)
 
     def blend(self) -> None:
@@ -286,7 +300,7 @@ class PaletteSearch:
 
     def _fit(self, group: Tensor, groups: int, most_diffuse: float = 1.0) -> Palette:
         p = self.preset
-        return best_of(*self._scan(group, groups, most_diffuse), p.least_roughness, p.metallic, p.metal_margin)
+        return best_of(*self._scan(group, groups, most_diffuse), p.least_roughness, p.metallic, 1 + p.metal_margin)
 
     def _error(self, palette: Palette, k: int) -> Tensor:
         one = torch.tensor([k], device=self.device)

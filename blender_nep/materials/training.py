@@ -143,8 +143,9 @@ class _MaterialLearner:
         """Learn the palette, label the points of the surface, and bake the textures. Raises LearningError and Stopped."""
         single = self._learn_palette()
         seen, search, shares = self.seen, self.search, self.search.shares().tolist()
+        by_hue = search.metal_by_hue().tolist()
         search.blend()
-        self._finish_report(single, shares)
+        self._finish_report(single, shares, by_hue)
         varied = self._varied_materials()
         self.progress.phase_ended("materials")
         wanted = texture_size(seen.surface, seen.footprint, self.preset.most_texels)
@@ -184,8 +185,8 @@ class _MaterialLearner:
             self.progress.step(75 + 5 * k)
         self._reflect_itself()
         for k in range(preset.rounds):
-            self._find_unseen_light()
-            search.merge_shades()
+            self._find_unseen_light(by_hue=True)
+            search.merge_shades(by_hue=True)
             search.drop_superfluous()
             search.assign()
             self.progress.step(85 + 5 * k)
@@ -224,8 +225,11 @@ class _MaterialLearner:
         f_p.unseen = self.light.unseen
         self.report.unseen_light_radius = round(self.light.unseen.radius, 3)
 
-    def _find_unseen_light(self) -> None:
-        """Learn the light that no photo shows, and improve the palette with it. The first time, set its distance, too."""
+    def _find_unseen_light(self, by_hue: bool = False) -> None:
+        """Learn the light that no photo shows, and improve the palette with it. The first time, set its distance, too.
+
+        With `by_hue`, what the hues of each material say counts for its class.
+        """
         p, light, search = self.preset, self.light, self.search
         uncovered = float(1 - light.coverage.mean())
         self.report.light_not_in_photos = round(uncovered, 4)
@@ -242,8 +246,9 @@ class _MaterialLearner:
 
         others = self._metallic_swapped()
         scan = time.monotonic() - start
+        said = search.metal_by_hue() if by_hue else torch.zeros_like(search.palette.metallic)
         light.unseen, search.palette, margins = learn_unseen_light(
-            light, search.palette, others, search.label, search.target, p, self.generator, tried
+            light, search.palette, others, search.label, search.target, said, p, self.generator, tried
         )
         if margins:
             self.report.metal_or_not_margin = round(min(margins), 4)
@@ -301,11 +306,11 @@ class _MaterialLearner:
         palette = search.palette.pick(list(range(count)))
         return CorrectablePalette(LightMoments(**self.light.moments_state()), search.target, label, palette, points)
 
-    def _finish_report(self, single: float, shares: list[float]) -> None:
-        """Report what was learned; shares [K] are those of the palette's materials before they were blended."""
+    def _finish_report(self, single: float, shares: list[float], by_hue: list[float]) -> None:
+        """Report what was learned; shares [K] and by_hue [K] are of the palette's materials before they were blended."""
         report, palette = self.report, self.search.palette
         report.merged_shades = self.search.merged
-        report.tell_materials(palette.pick(list(range(len(shares)))), shares)
+        report.tell_materials(palette.pick(list(range(len(shares)))), shares, by_hue)
         report.residual_one_material, report.residual = round(single, 5), round(self._residual(), 5)
         report.cones_traced = self.light.traced.rays
         report.self_reflection_rays = hits = len(self.light.traced.hit_index)

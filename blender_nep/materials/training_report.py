@@ -28,11 +28,12 @@ class MaterialReport:
     light_not_in_photos: float | None = None
     """Share of the light that no photo shows"""
     metal_or_not_margin: float | None = None
-    """Share by which the error grows if the least certain material changes its class (metal or dielectric)"""
+    """Share by which the error grows if the least certain material changes its class (metal or dielectric). It counts
+    what the hues say, too."""
     merged_shades: int = 0
     """Number of materials that were merged into another material of their hue"""
     materials: list[dict[str, Any]] = field(default_factory=list)
-    """For each material: share of the samples, albedo, roughness, metallic"""
+    """For each material: share of the samples, albedo, roughness, metallic, and what its hues say (`dichromatic`)"""
     residual_one_material: float | None = None
     """Mean tone-mapped error with one material for all samples"""
     residual: float | None = None
@@ -55,17 +56,18 @@ class MaterialReport:
     seconds_saved: dict[str, float] = field(default_factory=dict)
     """{part that was left out: seconds that this saved, estimated}"""
 
-    def tell_materials(self, palette: Palette, shares: list[float]) -> None:
-        """Fill `materials` from the palette; shares [K] are the shares of the samples."""
+    def tell_materials(self, palette: Palette, shares: list[float], by_hue: list[float]) -> None:
+        """Fill `materials` from the palette; shares [K] are the shares of the samples, by_hue [K] are in -1..1."""
         self.materials = [
             {
                 "share": round(share, 4),
                 "albedo": [round(x, 4) for x in albedo],
                 "roughness": round(roughness, 4),
                 "metallic": metallic,
+                "metal_by_hue": round(said, 3),
             }
-            for share, albedo, roughness, metallic in zip(
-                shares, palette.albedo.tolist(), palette.roughness.tolist(), palette.metallic.tolist(), strict=True
+            for share, albedo, roughness, metallic, said in zip(
+                shares, palette.albedo.tolist(), palette.roughness.tolist(), palette.metallic.tolist(), by_hue, strict=True
             )
         ]
 

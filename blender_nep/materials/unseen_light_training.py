@@ -34,6 +34,7 @@ def learn_unseen_light(
     swapped: Palette | None,
     label: Tensor,
     target: Tensor,
+    metal_by_hue: Tensor,
     preset: MaterialPreset,
     generator: torch.Generator,
     after_trial: Callable[[], None],
@@ -44,10 +45,11 @@ def learn_unseen_light(
     yellow light, and a sharp lamp in a rough surface looks like a soft lamp in a smooth surface. So each material is tried
     as in `swapped`, where metals and dielectrics are swapped (None: the classes are known). Then its roughness is lowered
     or raised by a quarter, as long as that helps. The light is learned anew in each trial, and after_trial() is called.
+    `preset.metal_margin` and what the hues of each material say, metal_by_hue [K] in -1..1, favor one of the classes.
 
     Returns the light, the palette, and for each material the share by which the error grows if the material changes its
-    class. 0 means that both classes explain the photos equally well; below 0 the prior decided. The list is empty without
-    `swapped`. Raises ValueError without `light.unseen`.
+    class, with what its hues say. 0 means that both classes explain the photos equally well; below 0 the prior decided. The
+    list is empty without `swapped`. Raises ValueError without `light.unseen`.
     """
     rows = _unexplained_samples(light, palette, label, target, preset.unseen_samples, generator)
     start = light.unseen
@@ -65,10 +67,11 @@ def learn_unseen_light(
         for k in range(len(palette)):
             other = palette.with_one(k, swapped)
             fit = solve(other, preset.unseen_steps, start)
-            prior = 1 + preset.metal_margin * float(other.metallic[k] - palette.metallic[k])
-            if prior * fit.error < best.error:
-                best, fit, palette = fit, best, other
-            margins.append(fit.error / best.error - 1)
+            change = float(other.metallic[k] - palette.metallic[k])
+            prior, by_hue = 1 + preset.metal_margin * change, 1 - preset.hue_margin * float(metal_by_hue[k]) * change
+            if by_hue * prior * fit.error < best.error:
+                best, fit, palette, by_hue = fit, best, other, 1 / by_hue
+            margins.append(by_hue * fit.error / best.error - 1)
     for k in range(len(palette)):
         for factor in preset.unseen_roughness_factors:
             first = best

@@ -234,7 +234,7 @@ def test_the_fit_of_materials_survives_any_light_and_any_photo(seed, light, targ
     group = torch.arange(n) % 4 - 1  # one in four in no group; group 3 stays empty
     weight = torch.rand(n, generator=generator)
     cost, albedo = fit_groups(roughness_levels, photo, weight, group, 4, least_roughness=0.02, clip=0.25)
-    palette = best_of(cost, albedo, 0.02, (0.0, 1.0), -0.03)
+    palette = best_of(cost, albedo, 0.02, (0.0, 1.0), 0.97)
     for values in (cost, albedo, palette.albedo, palette.roughness):
         assert torch.isfinite(values).all() and (values >= 0).all()
     assert palette.albedo.max() <= 1 and palette.roughness.max() <= 1.0001 and palette.roughness.min() >= 0.0199

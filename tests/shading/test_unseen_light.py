@@ -192,7 +192,9 @@ def test_metal_is_told_from_paint_together_with_the_lamp_that_no_photo_shows(bal
     ball.unseen = UnseenLight(16, 4.0, "cpu")
     ball.update(None, torch.Generator())
     preset = replace(MaterialPreset(), unseen_samples=2000)
-    _, found, margins = learn_unseen_light(ball, taken_for, real, label, target, preset, torch.Generator(), lambda: None)
+    _, found, margins = learn_unseen_light(
+        ball, taken_for, real, label, target, torch.zeros(1), preset, torch.Generator(), lambda: None
+    )
     assert found.metallic.tolist() == [truth] and margins[0] > 0.1
     ball.unseen = None
     ball.update(None, torch.Generator())
