@@ -38,9 +38,9 @@ def render(name: str, folder: Path, views: int, size: int, samples: int, threads
         scenes.MATERIALS[name] = pattern, (scenes.Substance(gold.color, float(name[5:]), gold.metallic),)
     build = scenes.build_scene
 
-    def build_and_keep(*arguments):
+    def build_and_keep(*arguments, **named):
         bpy.context.scene.render.threads_mode, bpy.context.scene.render.threads = "FIXED", threads
-        target, obstacles = build(*arguments)
+        target, obstacles = build(*arguments, **named)
         target.name = OBJECT
         folder.mkdir(parents=True, exist_ok=True)
         bpy.ops.wm.save_as_mainfile(filepath=str(folder.resolve() / "scene.blend"))

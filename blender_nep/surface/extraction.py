@@ -42,7 +42,8 @@ class Extracted(NamedTuple):
 def extract_surface(object_field: ObjectField, preset: SurfacePreset) -> Extracted:
     """Make one clean, unwrapped mesh of the SDF's zero level inside the unit sphere.
 
-    The mesh of marching cubes is decimated and unwrapped, and then made finer where the surface bends.
+    The mesh of marching cubes is decimated and unwrapped, and then made finer where the surface bends. It may have
+    `relief_faces` if the SDF has relief that is finer than its grid.
 
     An object on a support plane is cut off there, and its foot is closed flat. The plane is the object field's, if the
     photos showed one; else it is looked for in the mesh.
@@ -50,6 +51,8 @@ def extract_surface(object_field: ObjectField, preset: SurfacePreset) -> Extract
     Raises LearningError when the field has no surface in the sphere, or is not finite.
     """
     known = object_field.support
+    if object_field.fine is not None:
+        preset = replace(preset, faces=preset.relief_faces)
     with section("SDF grid"):
         sdf = object_field.sdf_grid(preset.grid)
     vertices, faces = zero_level(sdf if known is None else _above(sdf, known))

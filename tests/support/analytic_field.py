@@ -6,11 +6,12 @@ import torch
 class AnalyticField(torch.nn.Module):
     """An SDF given as a function of points [n, 3]."""
 
-    def __init__(self, function, support=None):
+    def __init__(self, function, support=None, fine=None):
         super().__init__()
         self.function = function
         self.anchor = torch.nn.Parameter(torch.zeros(1))
         self.support = support
+        self.fine = fine
 
     def sdf_and_gradient(self, points):
         points = points.detach().clone().requires_grad_(True)

@@ -76,6 +76,12 @@ def cylinder(p):
     return torch.maximum(torch.hypot(p[:, 0], p[:, 1]) - 0.5, p[:, 2].abs() - 0.4)
 
 
+def test_relief_may_have_more_faces():
+    limits = replace(COARSE, faces=2000, relief_faces=6000, chord_error=0.0)
+    plain, fine = (extract_surface(AnalyticField(BALL.function, fine=level), limits)[0] for level in (None, "a level"))
+    assert 1900 < len(plain.faces) <= 2000 and 5900 < len(fine.faces) <= 6000
+
+
 def test_faces_become_no_thinner_where_the_surface_bends_in_one_direction():
     """Halving longest edges, too, keeps every angle above half of the least one (Rivara 1984)."""
 

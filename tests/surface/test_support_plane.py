@@ -35,7 +35,7 @@ class Analytic:
     """Stands for an object field whose SDF is known."""
 
     def __init__(self, sdf, support=None):
-        self.values, self.support = sdf.astype(np.float32), support
+        self.values, self.support, self.fine = sdf.astype(np.float32), support, None
 
     def sdf_grid(self, n):
         return self.values
