@@ -36,8 +36,7 @@ class FieldsPreset:
     object_pixels_at: tuple[float, ...] = (0.25, 0.5, 0.75)
     """Fractions, rising, at which the object pixels are found."""
     carve_again_at: tuple[float, ...] = (0.5, 0.75)
-    """Fractions, rising, at which the object is carved again, with the silhouettes of an F_e that is known better. Empty:
-    never."""
+    """Fractions, rising, at which the object is carved again, when F_e knows the silhouettes better. Empty: never."""
     least_fine_paint: float = 0.17
     """The albedo gets a grid of fine paint if photos from above and from below agree on the fine colors of the hull with at
     least this correlation (`fields.fine_paint`). Above 1: never."""
@@ -350,6 +349,8 @@ class MaterialPreset:
     """Two metals of one chromaticity are merged if they differ by less than this in roughness."""
     roughness_margin: float = 0.03
     """Dielectrics share one roughness if that raises the residual of none of them by more than this share."""
+    hue_residual_margin: float = 0.1
+    """As `spread_margin`, for a colored dielectric. Among these values, the third moment of its reflected light decides."""
     spread_margin: float = 0.03
     """For a metal, roughness values are possible whose residual is up to this share above the least. Among these, the spread
     of the reflected light decides."""
@@ -361,8 +362,7 @@ class MaterialPreset:
     """Materials may vary from place to place if that lowers the residual of held-out photos by this share. inf: never.
     Measured: 0.34 to 0.55 for a vase in forty paints; -0.20 to 0.16 for seven objects that a palette explains."""
     segment_metal_margin: float = 0.1
-    """As `metal_margin`, for the segments of an object whose materials vary: few samples tell less, and most things are not
-    metal."""
+    """As `metal_margin`, for the segments of an object whose materials vary. Most things are not metal."""
     segment_prior: float = 0.8
     """Weight of the residuals of the whole object beside those around a segment, when the segment's roughness is chosen. 0
     turns this prior off."""

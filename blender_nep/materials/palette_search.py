@@ -17,10 +17,11 @@ from torch import Tensor
 
 from blender_nep.materials.baking import NEIGHBOURS, labels_at, neighbours, vote, weighted_mean
 from blender_nep.materials.dichromatic import evidence_of_metal, places
+from blender_nep.materials.diffuse_free import place_of_colored
 from blender_nep.materials.fitting import fit_groups, roughness_scan
 from blender_nep.materials.palette import Palette, best_of, between, choose, error, place_of_least, same_material
 from blender_nep.materials.roughness import (
-    place_by_spread,
+    place_where_equal,
     residual_of_reflections,
     share_roughness,
     spread,
@@ -204,14 +205,21 @@ class PaletteSearch:
 
         cost [M, R, K] and albedos [M, R, K, 3] are those of the hypotheses for all samples of each material.
         """
-        p, palette, k = self.preset, self.palette, len(self.palette)
+        p, palette = self.preset, self.palette
         dielectric = palette.metallic < 0.5
-        place, found = torch.zeros(k, device=self.device), ~dielectric
+        place, found = torch.zeros(len(palette), device=self.device), ~dielectric
         if dielectric.any():
             label = torch.where(dielectric[self.label], self.label, -1)
-            residual, weight = residual_of_reflections(self.light, self.target, self.samples.position, label, k, p)
+            residual, weight = residual_of_reflections(
+                self.light, self.target, self.samples.position, label, len(palette), p
+            )
             place = place_of_least(share_roughness(residual, weight, p.roughness_margin))
             found = weight > 0
+            for k in dielectric.nonzero().squeeze(-1).tolist():
+                own = (label == k).nonzero().squeeze(-1)
+                of_colored = place_of_colored(self.light, self.target, self.samples.position, own, palette.albedo[k], p)
+                if of_colored is not None:
+                    place[k], found[k] = of_colored, True
         for metal in (~dielectric).nonzero().squeeze(-1).tolist():
             place[metal] = self._place_of_metal(metal, cost[p.metallic.index(1.0), :, metal])
             found[metal] = True
@@ -235,7 +243,7 @@ class PaletteSearch:
             ).mean(-1)
             return spread(shown + darkest, weight, region) - of_photo
 
-        return place_by_spread(residual, p.spread_margin, excess)
+        return place_where_equal(residual, p.spread_margin, excess)
 
     def assign(self) -> None:
         """Give every sample the material for which its neighbours vote."""

@@ -1,13 +1,15 @@
 """Finds the roughness of materials from what tells it.
 
 **Dielectrics.** How much of a dielectric's light comes from below its coat depends on the albedo and on the irradiance, and
-small errors of the irradiance are as strong as the whole reflection. So three things are done:
+small errors of the irradiance are as strong as the whole reflection. So four things are done:
 
 - Each material has an albedo of its own in each small region of the surface. What is left to compare between the photos of a
   region is the reflection. These albedos are not used for anything else.
 - A sample counts as far as its reflected light is in the photos. The unseen light is too coarse to tell a roughness.
 - Dielectrics that the photos hardly tell apart in roughness share one: a bright glaze hides its reflections in the light
   from below, and a dark one shows them.
+
+- Where the hue of a paint differs from that of the light, its reflections can be seen alone: see `diffuse_free`.
 
 **Metals.** Normals are a little wrong, so reflections are misplaced. A misplaced reflection agrees best with a blurred one,
 and the residual is least at a roughness that is too high. For mirrors the residual hardly changes there. How far the
@@ -119,11 +121,11 @@ def spread(radiance: Tensor, weight: Tensor, region: Tensor) -> float:
     return float((share * (values - mean[region])[used].abs()).sum())
 
 
-def place_by_spread(residual: Tensor, margin: float, excess: Callable[[int], float]) -> float:
-    """The place 0 .. R - 1 of a metal's roughness in `roughness_scan`.
+def place_where_equal(residual: Tensor, margin: float, excess: Callable[[int], float]) -> float:
+    """The place 0 .. R - 1 of a roughness in `roughness_scan`.
 
     residual [R]; all rows around the least one whose residual is at most 1 + `margin` times the least are possible.
-    excess(row) is how much more the prediction spreads than the photos; it falls with the roughness. The place is where it
+    excess(row) is how much more the prediction varies than the photos; it falls with the roughness. The place is where it
     vanishes, or the end of the range that is nearest to that.
     """
     best, limit = int(residual.argmin()), float(residual.min()) * (1 + margin)

@@ -8,7 +8,7 @@ import torch
 
 from blender_nep.materials.fitting import fit_groups, roughness_scan
 from blender_nep.materials.palette import Palette, between, place_of_least
-from blender_nep.materials.roughness import place_by_spread, residual_of_reflections, share_roughness, spread
+from blender_nep.materials.roughness import place_where_equal, residual_of_reflections, share_roughness, spread
 from blender_nep.presets import MaterialPreset
 from blender_nep.shading.light_moments import LightMoments
 from blender_nep.shading.plenoptic import Material, reflected
@@ -136,7 +136,7 @@ def test_spread_is_the_deviation_of_the_logarithm_within_regions():
 def test_the_spread_decides_within_what_the_residual_allows(zero, expected):
     row = torch.arange(28.0)
     residual = 0.05 * (1 + 0.03 * ((row - 5) / 3) ** 2)
-    assert place_by_spread(residual, 0.0301, lambda r: 0.1 * (zero - r)) == pytest.approx(expected, abs=1e-4)
+    assert place_where_equal(residual, 0.0301, lambda r: 0.1 * (zero - r)) == pytest.approx(expected, abs=1e-4)
 
 
 def test_a_mirror_whose_reflections_are_misplaced_stays_sharp():
@@ -156,5 +156,5 @@ def test_a_mirror_whose_reflections_are_misplaced_stays_sharp():
         shown = reflected(Material(albedo.expand(n, 3), r, torch.ones(n)), light.moments(r), light.diffuse, light.cos_v)
         return spread(shown.mean(-1), torch.ones(n), region) - spread(photo.mean(-1), torch.ones(n), region)
 
-    place = place_by_spread(cost[0, :, 0], 10.0, excess)
+    place = place_where_equal(cost[0, :, 0], 10.0, excess)
     assert float(between(SCAN.sqrt()[:, None], torch.tensor([place])) ** 2) == pytest.approx(0.1, abs=0.01)

@@ -1,0 +1,122 @@
+"""Finds the roughness of a colored dielectric from the part of the photos in which its diffuse light does not show.
+
+A dielectric reflects light in the hue of the light, and its diffuse light has the hue of its albedo. So the radiance is
+projected on the hue of the light, at right angles to the hue of the diffuse light (as in Mallick et al., Beyond Lambert,
+CVPR 2005). What remains is reflected light alone. Errors of the irradiance and of the shape change the brightness of the
+diffuse light, which hides the reflections elsewhere. Here, they hardly show.
+
+Two things tell the roughness in this channel. The residual is least where the predicted reflections fit. But reflections
+are never quite in place, so the residual favors blur. The third moment of the reflected light does not depend on where the
+reflections are, and symmetric noise adds nothing to it. So the residual gives a range. Within it, the third moment decides.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from blender_nep.materials.fitting import roughness_scan
+from blender_nep.materials.roughness import place_where_equal, weight_of_known_light
+from blender_nep.profiling import profiled
+from blender_nep.shading.plenoptic import Material, affine_in_albedo
+
+if TYPE_CHECKING:
+    from blender_nep.presets import MaterialPreset
+    from blender_nep.shading.light_moments import LightMoments
+
+_LEAST_SAMPLES = 8
+"""Least number of samples in a region."""
+_LEAST_OF_MATERIAL = 100
+"""Least number of samples of a material, in regions that are large enough."""
+_LEAST_HUE = 0.15
+"""Least sine of the angle between the hues of the light and of the diffuse light. A white or grey paint has less."""
+_LOBE = 0.3
+"""Roughness of the lobe whose light tells the hue of the light."""
+_ITERATIONS = 4
+"""Iterations of the reweighted least squares."""
+_SMALLEST = 0.01
+"""Smaller residuals count quadratically, larger ones linearly."""
+_TAIL = 0.005
+"""This share of the largest and of the smallest values is clipped before third powers are taken."""
+
+
+@profiled("roughness by hue")
+def place_of_colored(
+    light: LightMoments, target: Tensor, position: np.ndarray, samples: Tensor, albedo: Tensor, preset: MaterialPreset
+) -> float | None:
+    """The place of a dielectric's roughness in `roughness_scan`, from its `samples` [m] (indices). None if it is grey.
+
+    target [n, 3] linear; position [n, 3] in the unit frame; albedo [3]. None, too, if there are too few samples.
+    """
+    voxel = np.floor(position[samples.cpu().numpy()] / preset.region).astype(np.int64)
+    _, inverse, count = np.unique(voxel, axis=0, return_inverse=True, return_counts=True)
+    inverse = inverse.ravel()
+    large = np.flatnonzero(count[inverse] >= _LEAST_SAMPLES)
+    if len(large) < _LEAST_OF_MATERIAL:
+        return None
+    samples = samples[torch.from_numpy(large).to(samples.device)]
+    region = torch.from_numpy(np.unique(inverse[large], return_inverse=True)[1].ravel()).to(samples.device)
+    channel = _DiffuseFree(light, target[samples], samples, albedo, region)
+    if channel.hue < _LEAST_HUE:
+        return None
+    scan = roughness_scan(preset.least_roughness, target.device)
+    reflected = [channel.reflected(roughness) for roughness in scan]
+    residual = torch.stack([channel.residual(each, preset.clip) for each in reflected])
+    photo = channel.third_moment(channel.shown)
+    return place_where_equal(residual, preset.hue_residual_margin, lambda row: channel.third_moment(reflected[row]) - photo)
+
+
+class _DiffuseFree:
+    """The channel of m samples in `region` [m] in which their diffuse light is 0."""
+
+    def __init__(self, light: LightMoments, target: Tensor, samples: Tensor, albedo: Tensor, region: Tensor) -> None:
+        self.light, self.samples, self.region = light, samples, region
+        self.weight = weight_of_known_light(light)[samples]
+        self.slope = 1 / (1 + 4 * target.mean(-1))
+        """[m] how much a difference in radiance counts, as in the tone mapping"""
+        diffuse = light.diffuse[samples] * albedo
+        own = torch.nn.functional.normalize(diffuse, dim=-1)
+        lobe = light.moments(torch.full((len(samples),), _LOBE, device=target.device), samples)
+        of_light = torch.nn.functional.normalize(lobe.full, dim=-1)
+        across = of_light - (of_light * own).sum(-1, keepdim=True) * own
+        self.hue = float(across.norm(dim=-1).median())
+        """Median sine of the angle between the hues of the light and of the diffuse light"""
+        self.direction = torch.nn.functional.normalize(across, dim=-1)
+        self.brightness = diffuse.norm(dim=-1)
+        self.shown = (target * self.direction).sum(-1)
+        """[m] what the photos show in the channel"""
+
+    def reflected(self, roughness: Tensor) -> Tensor:
+        """The reflected light [m] in the channel, with a scalar roughness."""
+        one = torch.ones(len(self.samples), device=roughness.device)
+        material = Material(torch.zeros(len(one), 3, device=one.device), roughness * one, 0 * one)
+        moments = self.light.moments(material.roughness, self.samples)
+        light, _ = affine_in_albedo(material, moments, self.light.diffuse[self.samples], self.light.cos_v[self.samples])
+        return (light * self.direction).sum(-1)
+
+    def residual(self, reflected: Tensor, clip: float) -> Tensor:
+        """Mean absolute difference from the photos, if each region may have diffuse light of a slightly other hue."""
+        left = self.shown - reflected
+        share, weight = torch.zeros_like(left), self.weight * self.slope
+        for _ in range(_ITERATIONS):
+            robust = weight * self.slope / ((left - share * self.brightness).abs() * self.slope).clamp_min(_SMALLEST)
+            above = self._by_region(robust * left * self.brightness)
+            share = (above / self._by_region(robust * self.brightness**2).clamp_min(1e-12))[self.region]
+        error = ((left - share * self.brightness).abs() * self.slope).clamp_max(clip)
+        return (error * self.weight).sum() / self.weight.sum()
+
+    def third_moment(self, values: Tensor) -> float:
+        """Cube root of the third central moment of values [m] within the regions."""
+        values = values * self.slope
+        mean = self._by_region(self.weight * values) / self._by_region(self.weight)
+        values = values - mean[self.region]
+        ends = torch.tensor([_TAIL, 1 - _TAIL], device=values.device, dtype=values.dtype)
+        low, high = torch.from_numpy(np.quantile(values.cpu().numpy(), ends.cpu().numpy())).to(values)
+        moment = (values.clamp(low, high) ** 3 * self.weight).sum() / self.weight.sum()
+        return float(np.cbrt(float(moment)))
+
+    def _by_region(self, values: Tensor) -> Tensor:
+        return torch.zeros(int(self.region.max()) + 1, device=values.device).index_add_(0, self.region, values)

@@ -1,0 +1,67 @@
+"""The roughness of a colored paint, from the channel in which its diffuse light does not show."""
+
+import numpy as np
+import pytest
+import torch
+
+from blender_nep.materials.diffuse_free import place_of_colored
+from blender_nep.materials.fitting import roughness_at
+from blender_nep.presets import MaterialPreset
+from blender_nep.shading.light_moments import LightMoments
+from blender_nep.shading.plenoptic import Material, reflected
+
+PRESET = MaterialPreset()
+LEVELS = torch.tensor(PRESET.roughness_levels)
+N, DIRECTIONS = 6000, 720
+RED = torch.tensor([0.6, 0.2, 0.1])
+ALL = torch.arange(N)
+
+
+def lamps() -> torch.Tensor:
+    """Light from directions on a circle: some lamps and a dim, uneven room, [DIRECTIONS]."""
+    generator = np.random.default_rng(0)
+    room = 0.3 + 0.2 * np.sin(np.linspace(0, 6 * np.pi, DIRECTIONS))
+    for at in generator.integers(0, DIRECTIONS, 9):
+        room[at : at + 12] += 12
+    return torch.from_numpy(room.astype(np.float32))
+
+
+def light(angle: torch.Tensor, noise: torch.Tensor) -> LightMoments:
+    """The light of samples that mirror the direction `angle` [n]; a lobe blurs by a Gaussian that widens with the roughness.
+
+    noise [n] are factors of the irradiance.
+    """
+    across = torch.arange(DIRECTIONS) * 2 * np.pi / DIRECTIONS
+    apart = torch.remainder(across[:, None] - across[None] + np.pi, 2 * np.pi) - np.pi
+    levels = []
+    for roughness in LEVELS:
+        kernel = torch.exp(-0.5 * (apart / (1.2 * roughness**1.5 + 0.02)) ** 2)
+        levels.append((kernel / kernel.sum(1, keepdim=True)) @ lamps())
+    place = torch.remainder(angle / (2 * np.pi) * DIRECTIONS, DIRECTIONS).long().clamp(0, DIRECTIONS - 1)
+    full = torch.stack(levels, 1)[place][:, :, None].expand(-1, -1, 3)
+    specular = torch.stack([full, 0.1 * full, 0.045 * full], 2).contiguous()
+    diffuse = (0.8 * noise)[:, None].expand(-1, 3).contiguous()
+    return LightMoments(specular, diffuse, torch.ones(len(angle), len(LEVELS)), torch.full((len(angle),), 0.8), LEVELS)
+
+
+def found(roughness: float, albedo: torch.Tensor = RED, samples: torch.Tensor = ALL) -> float | None:
+    """The roughness that is found if normals are wrong by 1 degree and the irradiance by 25 %."""
+    generator = torch.Generator().manual_seed(1)
+    angle = torch.rand(N, generator=generator) * 2 * np.pi
+    wrong = angle + torch.deg2rad(2 * torch.randn(N, generator=generator))
+    real, one = light(angle, torch.exp(0.25 * torch.randn(N, generator=generator))), torch.ones(N)
+    material = Material(albedo.expand(N, 3), roughness * one, 0 * one)
+    photos = reflected(material, real.moments(material.roughness), real.diffuse, real.cos_v)
+    position = torch.rand(N, 3, generator=generator).numpy() * 0.5
+    place = place_of_colored(light(wrong, one), photos, position, samples, albedo, PRESET)
+    return None if place is None else float(roughness_at(torch.tensor(place), PRESET.least_roughness))
+
+
+@pytest.mark.parametrize("roughness", [0.08, 0.15, 0.3, 0.5, 0.7])
+def test_the_roughness_of_a_paint_is_found_though_its_reflections_are_misplaced(roughness):
+    assert found(roughness) == pytest.approx(roughness, rel=0.2, abs=0.02)
+
+
+def test_a_grey_paint_and_few_samples_say_nothing():
+    assert found(0.3, torch.tensor([0.5, 0.48, 0.46])) is None
+    assert found(0.3, samples=ALL[:90]) is None
