@@ -44,13 +44,22 @@ def light(angle: torch.Tensor, noise: torch.Tensor) -> LightMoments:
     return LightMoments(specular, diffuse, torch.ones(len(angle), len(LEVELS)), torch.full((len(angle),), 0.8), LEVELS)
 
 
-def found(roughness: float, albedo: torch.Tensor = RED, samples: torch.Tensor = ALL) -> float | None:
-    """The roughness that is found if normals are wrong by 1 degree and the irradiance by 25 %."""
+def found(
+    roughness: float,
+    albedo: torch.Tensor = RED,
+    samples: torch.Tensor = ALL,
+    paint: torch.Tensor | None = None,
+    wrong_by: float = 1.0,
+) -> float | None:
+    """The roughness that is found if normals are wrong by `wrong_by` degrees, and the irradiance by 25 %.
+
+    `paint` [N, 3] is the true albedo, if it is not the one that is known.
+    """
     generator = torch.Generator().manual_seed(1)
     angle = torch.rand(N, generator=generator) * 2 * np.pi
-    wrong = angle + torch.deg2rad(2 * torch.randn(N, generator=generator))
+    wrong = angle + torch.deg2rad(2 * wrong_by * torch.randn(N, generator=generator))
     real, one = light(angle, torch.exp(0.25 * torch.randn(N, generator=generator))), torch.ones(N)
-    material = Material(albedo.expand(N, 3), roughness * one, 0 * one)
+    material = Material((albedo if paint is None else paint).expand(N, 3), roughness * one, 0 * one)
     photos = reflected(material, real.moments(material.roughness), real.diffuse, real.cos_v)
     position = torch.rand(N, 3, generator=generator).numpy() * 0.5
     place = place_of_colored(light(wrong, one), photos, position, samples, albedo, PRESET)
@@ -65,3 +74,13 @@ def test_the_roughness_of_a_paint_is_found_though_its_reflections_are_misplaced(
 def test_a_grey_paint_and_few_samples_say_nothing():
     assert found(0.3, torch.tensor([0.5, 0.48, 0.46])) is None
     assert found(0.3, samples=ALL[:90]) is None
+
+
+def test_reflections_that_are_not_where_they_are_predicted_at_all_say_nothing():
+    assert found(0.2, wrong_by=90.0) is None
+
+
+def test_many_paints_that_were_taken_for_one_say_nothing():
+    generator = torch.Generator().manual_seed(3)
+    paints = RED * torch.exp(0.8 * torch.randn(N, 3, generator=generator))
+    assert found(0.2) is not None and found(0.2, paint=paints.clamp(0, 1)) is None
