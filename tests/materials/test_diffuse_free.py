@@ -1,5 +1,7 @@
 """The roughness of a colored paint, from the channel in which its diffuse light does not show."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
@@ -50,6 +52,7 @@ def found(
     samples: torch.Tensor = ALL,
     paint: torch.Tensor | None = None,
     wrong_by: float = 1.0,
+    preset: MaterialPreset = PRESET,
 ) -> float | None:
     """The roughness that is found if normals are wrong by `wrong_by` degrees, and the irradiance by 25 %.
 
@@ -62,13 +65,19 @@ def found(
     material = Material((albedo if paint is None else paint).expand(N, 3), roughness * one, 0 * one)
     photos = reflected(material, real.moments(material.roughness), real.diffuse, real.cos_v)
     position = torch.rand(N, 3, generator=generator).numpy() * 0.5
-    place = place_of_colored(light(wrong, one), photos, position, samples, albedo, PRESET)
+    place = place_of_colored(light(wrong, one), photos, position, samples, albedo, preset)
     return None if place is None else float(roughness_at(torch.tensor(place), PRESET.least_roughness))
 
 
 @pytest.mark.parametrize("roughness", [0.08, 0.15, 0.3, 0.5, 0.7])
 def test_the_roughness_of_a_paint_is_found_though_its_reflections_are_misplaced(roughness):
     assert found(roughness) == pytest.approx(roughness, rel=0.2, abs=0.02)
+
+
+def test_the_third_moment_takes_back_the_blur_that_misplaced_reflections_favor():
+    by_residual = replace(PRESET, hue_residual_margin=0.0)
+    assert found(0.15, wrong_by=6.0, preset=by_residual) > 0.27
+    assert found(0.15, wrong_by=6.0) == pytest.approx(0.15, abs=0.07)
 
 
 def test_a_grey_paint_and_few_samples_say_nothing():
