@@ -80,6 +80,12 @@ def test_the_third_moment_takes_back_the_blur_that_misplaced_reflections_favor()
     assert found(0.15, wrong_by=6.0) == pytest.approx(0.15, abs=0.07)
 
 
+@pytest.mark.parametrize("roughness", [0.3, 0.5, 0.7])
+def test_the_third_moment_alone_tells_the_roughness_wherever_the_reflections_are(roughness):
+    anything_goes = replace(PRESET, hue_residual_margin=1.0)
+    assert found(roughness, wrong_by=6.0, preset=anything_goes) == pytest.approx(roughness, rel=0.15)
+
+
 def test_a_grey_paint_and_few_samples_say_nothing():
     assert found(0.3, torch.tensor([0.5, 0.48, 0.46])) is None
     assert found(0.3, samples=ALL[:90]) is None
