@@ -129,9 +129,8 @@ class _DiffuseFree:
         values = values * self.slope
         mean = self._by_region(self.weight * values) / self._by_region(self.weight)
         values = values - mean[self.region]
-        ends = torch.tensor([_TAIL, 1 - _TAIL], device=values.device, dtype=values.dtype)
-        low, high = torch.from_numpy(np.quantile(values.cpu().numpy(), ends.cpu().numpy())).to(values)
-        moment = (values.clamp(low, high) ** 3 * self.weight).sum() / self.weight.sum()
+        low, high = np.quantile(values.cpu().numpy(), [_TAIL, 1 - _TAIL])
+        moment = (values.clamp(float(low), float(high)) ** 3 * self.weight).sum() / self.weight.sum()
         return float(np.cbrt(float(moment)))
 
     def _by_region(self, values: Tensor) -> Tensor:
