@@ -63,6 +63,9 @@ class ReferenceField(SurfaceColor):
     support: Support | None = None
     """The plane on which the object stands, if the photos show one"""
 
+    fine: None = None
+    """An MLP has no finer level."""
+
     def add_levels(self, count: int) -> None:
         """Do nothing: the MLP has no levels."""
 
