@@ -323,7 +323,7 @@ class MaterialPreset:
     """Share by which the residual of a metal must be lower than that of a dielectric; below 0: may be higher. This prior
     decides where the photos do not. On rendered objects, the residual of the wrong class is 18 to 48 % higher."""
     hue_margin: float = 0.15
-    """By so much, the hue of what differs between photos raises or lowers `metal_margin` (`materials.dichromatic`)."""
+    """Largest share by which the hue of what differs between photos changes a metal's residual (`materials.dichromatic`)."""
     sure_margin: float = 0.15
     """Where all residuals are higher by this share in the other class, that class is not tried again. inf: never sure."""
     least_roughness: float = 0.03
@@ -349,11 +349,11 @@ class MaterialPreset:
     """Two metals of one chromaticity are merged if they differ by less than this in roughness."""
     roughness_margin: float = 0.03
     """Dielectrics share one roughness if that raises the residual of none of them by more than this share."""
-    hue_residual_margin: float = 0.1
-    """As `spread_margin`, for a colored dielectric. Among these values, the third moment of its reflected light decides."""
     spread_margin: float = 0.03
     """For a metal, roughness values are possible whose residual is up to this share above the least. Among these, the spread
     of the reflected light decides."""
+    hue_residual_margin: float = 0.1
+    """The same for a colored dielectric, whose third moment of reflected light decides (`materials.diffuse_free`)."""
     blend_margin: float = 0.05
     """Share by which a mixture of two materials must be better than one material alone."""
     inner_blend_margin: float = 0.25

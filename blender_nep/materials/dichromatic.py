@@ -31,7 +31,7 @@ _LOBE = 0.28
 """Roughness of the lobe in which the light of the samples is compared. The hue hardly depends on it."""
 _UNCLEAR, _CLEAR = 0.3, 0.5
 """Standard deviation of the photos of a place, relative to their mean. Above _CLEAR, the differences are reflections. Below
-_UNCLEAR, they may come from a wrong shape, and then have the hue of the object, and cannot say metal.
+_UNCLEAR, they may come from a wrong shape. Then they have the hue of the object, whatever its class, and cannot say metal.
 Measured: 0.1 to 0.25 for dull paints, 0.5 to 0.9 for metals of roughness up to 0.3, 0.65 for embossed gold."""
 _HUE_NOISE = 0.15
 """Standard deviation of the error of a hue, in log radiance. White metals and white paints differ by less than this."""
@@ -51,8 +51,8 @@ def evidence_of_metal(light: LightMoments, target: Tensor, place: np.ndarray, gr
     do not tell, because the group is grey or dull, or has too few places.
 
     Both the mean radiance and the differences between photos are divided by those of the reflected light, so that colored
-    light does not count as a color of the object. It is half the log-likelihood ratio of the two classes: the hue of the
-    differences is that of the light (0), or that of the mean.
+    light does not count as a color of the object. The evidence is the log-likelihood ratio of the two classes, averaged over
+    the channels: on a dielectric, the hue of the differences is that of the light (0), on a metal that of the mean.
     """
     member = group.cpu().numpy()
     used = np.flatnonzero(member >= 0)

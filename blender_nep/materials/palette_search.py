@@ -217,7 +217,8 @@ class PaletteSearch:
             found = weight > 0
             for k in dielectric.nonzero().squeeze(-1).tolist():
                 own = (label == k).nonzero().squeeze(-1)
-                of_colored = place_of_colored(self.light, self.target, self.samples.position, own, palette.albedo[k], p)
+                region, _ = self._regions(self.samples.position[own.cpu().numpy()])
+                of_colored = place_of_colored(self.light, self.target, own, region, palette.albedo[k], p)
                 if of_colored is not None:
                     place[k], found[k] = of_colored, True
         for metal in (~dielectric).nonzero().squeeze(-1).tolist():

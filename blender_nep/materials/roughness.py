@@ -8,7 +8,6 @@ small errors of the irradiance are as strong as the whole reflection. So four th
 - A sample counts as far as its reflected light is in the photos. The unseen light is too coarse to tell a roughness.
 - Dielectrics that the photos hardly tell apart in roughness share one: a bright glaze hides its reflections in the light
   from below, and a dark one shows them.
-
 - Where the hue of a paint differs from that of the light, its reflections can be seen alone: see `diffuse_free`.
 
 **Metals.** Normals are a little wrong, so reflections are misplaced. A misplaced reflection agrees best with a blurred one,

@@ -70,7 +70,7 @@ def learn_unseen_light(
             change = float(other.metallic[k] - palette.metallic[k])
             prior, by_hue = 1 + preset.metal_margin * change, 1 - preset.hue_margin * float(metal_by_hue[k]) * change
             if by_hue * prior * fit.error < best.error:
-                best, fit, palette, by_hue = fit, best, other, 1 / by_hue
+                best, fit, palette, by_hue = fit, best, other, 1 / by_hue  # by_hue is for `fit`, which is now the other
             margins.append(by_hue * fit.error / best.error - 1)
     for k in range(len(palette)):
         for factor in preset.unseen_roughness_factors:

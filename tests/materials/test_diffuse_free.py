@@ -64,8 +64,8 @@ def found(
     real, one = light(angle, torch.exp(0.25 * torch.randn(N, generator=generator))), torch.ones(N)
     material = Material((albedo if paint is None else paint).expand(N, 3), roughness * one, 0 * one)
     photos = reflected(material, real.moments(material.roughness), real.diffuse, real.cos_v)
-    position = torch.rand(N, 3, generator=generator).numpy() * 0.5
-    place = place_of_colored(light(wrong, one), photos, position, samples, albedo, preset)
+    region = torch.randint(64, (N,), generator=generator)
+    place = place_of_colored(light(wrong, one), photos, samples, region[samples], albedo, preset)
     return None if place is None else float(roughness_at(torch.tensor(place), PRESET.least_roughness))
 
 
