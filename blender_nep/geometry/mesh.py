@@ -38,15 +38,21 @@ def weld(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarra
     return np.asarray(mesh.vertices, np.float64), np.asarray(mesh.faces, np.int64)
 
 
-def area_normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    """Area-weighted unit normals [V, 3]. Vertices at the same place have the same normal, so that UV seams do not show."""
-    _, place = np.unique(np.round(vertices / max(np.abs(vertices).max(), 1e-20) * 1e7), axis=0, return_inverse=True)
+def angle_normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    """Unit normals [V, 3]: means of the faces' normals, weighted by the angle that a face has at the vertex.
+
+    Blender shades smooth meshes with these normals (Thuermer and Wuethrich 1998). Vertices at the same place have the same
+    normal, so that UV seams do not show.
+    """
+    vertices = vertices / max(np.abs(vertices).max(), 1e-20)
+    _, place = np.unique(np.round(vertices * 1e7), axis=0, return_inverse=True)
     place = place.ravel()
     corner = vertices[faces]
-    face_normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
+    face_normal = normalized(np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]))
+    angle = trimesh.triangles.angles(corner)
     total = np.zeros((place.max() + 1, 3))
     for k in range(3):
-        np.add.at(total, place[faces[:, k]], face_normal)
+        np.add.at(total, place[faces[:, k]], angle[:, k, None] * face_normal)
     return normalized(total)[place]
 
 

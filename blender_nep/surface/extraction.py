@@ -13,7 +13,7 @@ from scipy.ndimage import map_coordinates
 from skimage import measure
 
 from blender_nep.errors import LearningError
-from blender_nep.geometry.mesh import Surface, area_normals, normalized, weld
+from blender_nep.geometry.mesh import Surface, angle_normals, normalized, weld
 from blender_nep.geometry.support import Support
 from blender_nep.profiling import profiled, section
 from blender_nep.surface.normal_map import LeanMesh, lean_mesh
@@ -184,6 +184,6 @@ def _field_normals(object_field: ObjectField, vertices: np.ndarray, faces: np.nd
     """
     device = next(object_field.parameters()).device
     field = object_field.normal(torch.as_tensor(vertices, dtype=torch.float32, device=device)).double().cpu().numpy()
-    mesh = area_normals(vertices, faces)
+    mesh = angle_normals(vertices, faces)
     agree = np.isfinite(field).all(1) & (np.einsum("ij,ij->i", np.nan_to_num(field), mesh) > 0.5)
     return normalized(np.where(agree[:, None], field, mesh))

@@ -9,7 +9,7 @@ import numpy as np
 import trimesh
 
 from blender_nep.errors import CaptureError
-from blender_nep.geometry.mesh import Surface, area_normals, weld
+from blender_nep.geometry.mesh import Surface, angle_normals, weld
 from blender_nep.surface.unwrap import unwrap
 
 if TYPE_CHECKING:
@@ -44,6 +44,6 @@ def load_surface(mesh_path: Path, capture: Capture, preset: SurfacePreset) -> Su
     faces = np.asarray(mesh.faces, np.int64)
     uv = getattr(mesh.visual, "uv", None)
     if uv is not None and len(uv) == len(vertices) and np.ptp(uv, axis=0).min() > 0 and uv.min() >= 0 and uv.max() <= 1:
-        return Surface(vertices, faces, area_normals(vertices, faces), np.asarray(uv, np.float64))
+        return Surface(vertices, faces, angle_normals(vertices, faces), np.asarray(uv, np.float64))
     vertices, faces = weld(vertices, faces)
-    return unwrap(Surface(vertices, faces, area_normals(vertices, faces)), preset)
+    return unwrap(Surface(vertices, faces, angle_normals(vertices, faces)), preset)
