@@ -9,10 +9,11 @@ import trimesh
 from blender_nep.geometry.mesh import angle_normals
 
 
-def test_normals_of_a_long_box_point_along_its_diagonals():
+@pytest.mark.parametrize("scale", [1e-9, 1.0])
+def test_normals_of_a_long_box_point_along_its_diagonals(scale):
     """Three right angles meet at each corner, however large the faces are and wherever their diagonals lie."""
     box = trimesh.creation.box(extents=(1, 2, 5))
-    normals = angle_normals(np.asarray(box.vertices), np.asarray(box.faces))
+    normals = angle_normals(np.asarray(box.vertices) * scale, np.asarray(box.faces))
     np.testing.assert_allclose(normals, np.sign(box.vertices) / np.sqrt(3), atol=1e-9)
 
 
