@@ -50,10 +50,8 @@ def angle_normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
     corner = vertices[faces]
     face_normal = normalized(np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]))
     angle = trimesh.triangles.angles(corner)
-    total = np.zeros((place.max() + 1, 3))
-    for k in range(3):
-        np.add.at(total, place[faces[:, k]], angle[:, k, None] * face_normal)
-    return normalized(total)[place]
+    weighted = trimesh.geometry.weighted_vertex_normals(place.max() + 1, place[faces], face_normal, angle)
+    return normalized(weighted)[place]
 
 
 def normalized(vectors: np.ndarray) -> np.ndarray:
