@@ -11,6 +11,7 @@ import math
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -59,6 +60,7 @@ if TYPE_CHECKING:
     from blender_nep.capture.pixel_rays import PixelRays
     from blender_nep.fields.environment_field import EnvironmentField
     from blender_nep.geometry.support import Support
+    from blender_nep.materials.photo_samples import PhotoSamples
     from blender_nep.presets import MaterialPreset
 
 
@@ -271,9 +273,15 @@ class _MaterialLearner:
         if gain < p.varied_gain:
             self._skip(Part.VARIED_MATERIALS, Message("reason.palette_explains"))
             return None
+        segments = segments_of(search.samples, self.seed, self._label_pixels)
         label = torch.from_numpy(segments.label).to(self.seen.device)
         self.report.segments = len(segments)
         return VariedMaterials(segments, fit_segments(search.light, search.target, label, segments, p))
+
+    @cached_property
+    def _label_pixels(self) -> PhotoSamples:
+        seen = self.seen
+        return select_label_pixels(seen.rays, seen.f_p.tracer, seen.surface.normals, self.preset, self.seed)
 
     def _correctable(self, varied: VariedMaterials | None) -> Correctable:
         """The materials, and the points of the surface that show them: label pixels, or only the photo samples.
@@ -292,7 +300,7 @@ class _MaterialLearner:
         if not predicted:
             self._skip(Part.VOTES, Message("reason.light_changes_fast"))
         if varied is not None:
-            chosen = select_label_pixels(rays, tracer, normals, self.preset, self.seed) if predicted else self.seen.samples
+            chosen = self._label_pixels if predicted else self.seen.samples
             pixels = PlacedPixels.of(surfels(chosen, tracer, normals), chosen.radiance, samples)
             light = LightMoments(**self.light.moments_state())
             return CorrectableSegments(light, search.target, varied, groups_of_segments(varied), pixels)

@@ -38,8 +38,8 @@ _SAMPLES_OF_SEGMENT = 50
 """Mean number of samples in a segment."""
 _FEW_PIXELS = 8
 """Samples around a sample whose median is its color. Samples lie far apart, so more would be of other paint."""
-_MANY_PIXELS = 24
-"""Label pixels around a label pixel whose median is its color."""
+_MANY_PIXELS = 12
+"""Label pixels around a point whose median is its color. More would give thin outlines the color of their surroundings."""
 _ROUGHNESS_SEGMENTS, _ROUGHNESS_REACH = 48, 3.3
 """Number of the near segments whose residuals tell the roughness, and the distance at which their weight falls to 1/e."""
 _CLASS_SEGMENTS, _CLASS_REACH = 12, 1.5
@@ -84,9 +84,13 @@ class VariedMaterials:
         return Material(nearest.albedo.clamp(0, 1), torch.from_numpy(roughness).to(nearest.roughness), nearest.metallic)
 
 
-def segments_of(samples: PhotoSamples, seed: int) -> Segments:
-    """The segments of the photo samples."""
-    color = median_color(cKDTree(samples.position), samples.radiance.cpu().numpy(), samples.position, _FEW_PIXELS)
+def segments_of(samples: PhotoSamples, seed: int, pixels: PhotoSamples | None = None) -> Segments:
+    """The segments of the photo samples.
+
+    The label pixels `pixels` lie closer together than the samples. With them, thin outlines have their own color.
+    """
+    shown, count = (samples, _FEW_PIXELS) if pixels is None else (pixels, _MANY_PIXELS)
+    color = median_color(cKDTree(shown.position), shown.radiance.cpu().numpy(), samples.position, count)
     return Segments.of(samples.position, color, max(1, len(samples) // _SAMPLES_OF_SEGMENT), seed)
 
 

@@ -8,8 +8,9 @@ import pytest
 import torch
 
 from blender_nep.geometry.uv_raster import rasterise
+from blender_nep.materials.photo_samples import PhotoSamples
 from blender_nep.materials.pixel_votes import Surfels
-from blender_nep.materials.varied_materials import PlacedPixels
+from blender_nep.materials.varied_materials import PlacedPixels, segments_of
 from support.lit_ball import PRESET, RADIUS, learn, make_photos
 
 MORE = replace(PRESET, samples=5000, label_pixels=9000)
@@ -127,3 +128,31 @@ def test_a_uniform_object_stays_uniform(ball, metallic):
     result = learn(ball, make_photos(uniform, views=16, side=48, rays=64), MORE)
     assert result.report["skipped"]["materials that vary from place to place"]["code"] == "reason.palette_explains"
     assert np.ptp(result.albedo, axis=(0, 1)).max() < 1e-3 and np.ptp(result.roughness) < 1e-3
+
+
+def shown_at(position, radiance):
+    """Photo samples at positions [n, 3] with radiance [n, 3]; nothing else of them counts here."""
+    n = len(position)
+    unused, photo = torch.zeros(n, 3), torch.zeros(n, dtype=torch.int64)
+    return PhotoSamples(np.zeros(n, int), np.zeros((n, 3)), position, unused, photo, radiance, {})
+
+
+def test_a_thin_outline_gets_segments_of_its_own_by_the_color_of_label_pixels():
+    """The outline is narrower than the distance between samples, and wider than that between label pixels."""
+    random = np.random.default_rng(3)
+
+    def seen(count):
+        position = np.concatenate([random.uniform(-0.5, 0.5, (count, 2)), np.zeros((count, 1))], 1).astype(np.float32)
+        on_line = np.abs(position[:, 0]) < 0.008
+        return shown_at(position, torch.from_numpy(np.where(on_line[:, None], 0.03, 0.6)).expand(-1, 3)), on_line
+
+    samples, on_line = seen(4000)
+    pixels, _ = seen(60_000)
+
+    def pure(segments):
+        """Share of the outline's samples whose segment shows the outline alone."""
+        share = np.bincount(segments.label, on_line) / np.bincount(segments.label)
+        return float((share[segments.label[on_line]] > 0.9).mean())
+
+    assert pure(segments_of(samples, 0, pixels)) > 0.8
+    assert pure(segments_of(samples, 0)) < 0.2
