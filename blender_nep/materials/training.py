@@ -280,6 +280,7 @@ class _MaterialLearner:
 
     @cached_property
     def _label_pixels(self) -> PhotoSamples:
+        """The label pixels of an object whose materials vary. They are selected once."""
         seen = self.seen
         return select_label_pixels(seen.rays, seen.f_p.tracer, seen.surface.normals, self.preset, self.seed)
 

@@ -8,6 +8,7 @@ import pytest
 import torch
 
 from blender_nep.geometry.uv_raster import rasterise
+from blender_nep.materials import training
 from blender_nep.materials.photo_samples import PhotoSamples
 from blender_nep.materials.pixel_votes import Surfels
 from blender_nep.materials.varied_materials import PlacedPixels, segments_of
@@ -156,3 +157,16 @@ def test_a_thin_outline_gets_segments_of_its_own_by_the_color_of_label_pixels():
 
     assert pure(segments_of(samples, 0, pixels)) > 0.8
     assert pure(segments_of(samples, 0)) < 0.2
+
+
+def test_label_pixels_color_the_segments_that_are_kept(ball, photos_of_paints, monkeypatch):
+    """The first segments only measure the gain; samples are enough for that."""
+    colored_by = []
+
+    def watched(samples, seed, pixels=None):
+        colored_by.append(None if pixels is None else len(pixels))
+        return segments_of(samples, seed, pixels)
+
+    monkeypatch.setattr(training, "segments_of", watched)
+    learn(ball, photos_of_paints, MORE)
+    assert colored_by == [None, MORE.label_pixels]

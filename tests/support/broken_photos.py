@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import os
 import shutil
@@ -355,6 +356,8 @@ def name_that_is_no_unicode(shoot: Shoot) -> None:
     try:
         shoot.move(2, shoot.folder / os.fsdecode(b"photo_\xff\xe9.jpg"))
     except OSError as error:
+        if error.errno not in (errno.EILSEQ, errno.EINVAL):
+            raise
         pytest.skip(f"this file system has only names that are Unicode ({error})")
 
 
