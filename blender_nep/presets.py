@@ -268,7 +268,7 @@ class MaterialPreset:
     """
 
     samples: int = 30_000
-    """Number of photo pixels from which the materials are learned."""
+    """Number of photo pixels from which the materials are learned. There are twice as many if the materials vary."""
     least_cosine: float = 0.25
     """Smallest cosine between normal and view direction; pixels at more grazing angles are left out."""
     roughness_levels: tuple[float, ...] = (0.03, 0.06, 0.1, 0.13, 0.17, 0.22, 0.28, 0.36, 0.46, 0.6, 0.78, 1.0)
@@ -316,7 +316,7 @@ class MaterialPreset:
     """Cost of the share of the map's flux that is not grey. It is needed because colored light on a grey object looks like
     white light on a colored object."""
     label_pixels: int = 240_000
-    """Number of label pixels: pixels that show which material lies where. Their light is that of the nearest samples."""
+    """Number of pixels that show which material lies where, with the light of near samples; thrice as many if it varies."""
     metallic: tuple[float, ...] = (0.0, 1.0)
     """Values of metallic that are tried."""
     metal_margin: float = -0.03
@@ -363,7 +363,7 @@ class MaterialPreset:
     Measured: 0.34 to 0.55 for a vase in forty paints; -0.20 to 0.16 for seven objects that a palette explains."""
     segment_metal_margin: float = 0.1
     """As `metal_margin`, for the segments of an object whose materials vary. Most things are not metal."""
-    segment_prior: float = 0.8
+    segment_prior: float = 0.2
     """Weight of the residuals of the whole object beside those around a segment, when the segment's roughness is chosen. 0
     turns this prior off."""
     rounds: int = 2

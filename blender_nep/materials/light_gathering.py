@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -15,7 +16,8 @@ from blender_nep.materials.photo_samples import PhotoSamples, select_samples
 from blender_nep.materials.training_report import TrainingProgress
 from blender_nep.profiling import profiled
 from blender_nep.shading.incoming_light import IncomingLight, TracedLight
-from blender_nep.shading.plenoptic import PlenopticFunction, PlenopticSettings, SurfacePoints, TerminalRadiance
+from blender_nep.shading.light_moments import LightMoments
+from blender_nep.shading.plenoptic import Material, PlenopticFunction, PlenopticSettings, SurfacePoints, TerminalRadiance
 
 if TYPE_CHECKING:
     from blender_nep.capture.pixel_rays import PixelRays
@@ -102,6 +104,44 @@ def gathered_light(
     progress.step(70)
     progress.phase_ended("light")
     return light
+
+
+@dataclass(frozen=True)
+class LitSamples:
+    """n photo samples, and the light at the points that they see."""
+
+    samples: PhotoSamples
+    light: LightMoments
+
+
+@profiled("light of more samples")
+def with_more_samples(
+    seen: Observations,
+    light: IncomingLight,
+    materials_at: Callable[[SurfacePoints], Material],
+    preset: MaterialPreset,
+    seed: int,
+    generator: torch.Generator,
+    progress: Callable[[float], None],
+) -> LitSamples:
+    """The samples of `seen` with their `light`, and about as many more.
+
+    The object reflects light to itself as with `materials_at`, and the unseen light is that of `light`. progress(share that
+    is done, 0..1) is called after each chunk.
+    """
+    more = select_samples(
+        seen.rays,
+        seen.f_p.tracer,
+        seen.surface.normals,
+        count=preset.samples,
+        least_cosine=preset.least_cosine,
+        generator=np.random.default_rng([seed, 1]),
+    )
+    points = seen.f_p.points(more.face, more.barycentric, more.view)
+    of_more = IncomingLight.gathered(seen.f_p, points, preset.roughness_levels, preset.irradiance_cones, generator, progress)
+    of_more.unseen = light.unseen
+    of_more.update(materials_at, generator)
+    return LitSamples(PhotoSamples.joined(seen.samples, more), LightMoments.joined(light, of_more))
 
 
 @profiled("terminal MLP")

@@ -47,6 +47,19 @@ class PhotoSamples:
     def __len__(self) -> int:
         return len(self.face)
 
+    @classmethod
+    def joined(cls, first: PhotoSamples, second: PhotoSamples) -> PhotoSamples:
+        """The samples of both. `skipped` is that of the first."""
+        return cls(
+            np.concatenate([first.face, second.face]),
+            np.concatenate([first.barycentric, second.barycentric]),
+            np.concatenate([first.position, second.position]),
+            torch.cat([first.view, second.view]),
+            torch.cat([first.photo, second.photo]),
+            torch.cat([first.radiance, second.radiance]),
+            first.skipped,
+        )
+
 
 @profiled("select samples")
 def select_samples(

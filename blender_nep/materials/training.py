@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING
 
@@ -37,7 +37,7 @@ from blender_nep.materials.labelled_points import (
     select_label_pixels,
     surfels,
 )
-from blender_nep.materials.light_gathering import Observations, gathered_light
+from blender_nep.materials.light_gathering import LitSamples, Observations, gathered_light, with_more_samples
 from blender_nep.materials.palette import Palette
 from blender_nep.materials.palette_search import PaletteSearch
 from blender_nep.materials.shown_faces import shown_faces
@@ -66,6 +66,8 @@ if TYPE_CHECKING:
 
 _NO_LIGHT = 0.02
 """If the photos show less than this share of the light, they count as showing none of it."""
+_PIXELS_OF_VARIED = 3
+"""An object whose materials vary gets this many times the preset's label pixels. They make its outlines sharp."""
 
 
 @dataclass
@@ -140,6 +142,8 @@ class _MaterialLearner:
         if preset.residual and float(light.coverage.mean()) < _NO_LIGHT:
             self._begin_with_grey_light()
         self.search = PaletteSearch(seen.samples, light, preset, seen.device)
+        self.dense: LitSamples | None = None
+        """The samples of an object whose materials vary"""
 
     def run(self) -> Materials:
         """Learn the palette, label the points of the surface, and bake the textures. Raises LearningError and Stopped."""
@@ -273,16 +277,25 @@ class _MaterialLearner:
         if gain < p.varied_gain:
             self._skip(Part.VARIED_MATERIALS, Message("reason.palette_explains"))
             return None
-        segments = segments_of(search.samples, self.seed, self._label_pixels)
+        self.dense = dense = with_more_samples(
+            self.seen,
+            self.light,
+            search.materials_at,
+            p,
+            self.seed,
+            self.generator,
+            lambda _: self.progress.step(self.progress.done),
+        )
+        segments = segments_of(dense.samples, self.seed, self._label_pixels)
         label = torch.from_numpy(segments.label).to(self.seen.device)
-        self.report.segments = len(segments)
-        return VariedMaterials(segments, fit_segments(search.light, search.target, label, segments, p))
+        self.report.samples, self.report.segments = len(dense.samples), len(segments)
+        return VariedMaterials(segments, fit_segments(dense.light, dense.samples.radiance, label, segments, p))
 
     @cached_property
     def _label_pixels(self) -> PhotoSamples:
         """The label pixels of an object whose materials vary. They are selected once."""
-        seen = self.seen
-        return select_label_pixels(seen.rays, seen.f_p.tracer, seen.surface.normals, self.preset, self.seed)
+        seen, preset = self.seen, replace(self.preset, label_pixels=_PIXELS_OF_VARIED * self.preset.label_pixels)
+        return select_label_pixels(seen.rays, seen.f_p.tracer, seen.surface.normals, preset, self.seed)
 
     def _correctable(self, varied: VariedMaterials | None) -> Correctable:
         """The materials, and the points of the surface that show them: label pixels, or only the photo samples.
@@ -300,11 +313,11 @@ class _MaterialLearner:
         predicted = error <= np.median(of_samples.residual)
         if not predicted:
             self._skip(Part.VOTES, Message("reason.light_changes_fast"))
-        if varied is not None:
-            chosen = self._label_pixels if predicted else self.seen.samples
-            pixels = PlacedPixels.of(surfels(chosen, tracer, normals), chosen.radiance, samples)
-            light = LightMoments(**self.light.moments_state())
-            return CorrectableSegments(light, search.target, varied, groups_of_segments(varied), pixels)
+        if varied is not None and self.dense is not None:
+            lit = self.dense.samples
+            chosen = self._label_pixels if predicted else lit
+            pixels = PlacedPixels.of(surfels(chosen, tracer, normals), chosen.radiance, surfels(lit, tracer, normals))
+            return CorrectableSegments(self.dense.light, lit.radiance, varied, groups_of_segments(varied), pixels)
         if predicted:
             return self._correctable_palette(labelled_pixels(search, samples, shown, rays, tracer, normals, self.seed))
         return self._correctable_palette(of_samples)

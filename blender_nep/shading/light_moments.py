@@ -25,6 +25,13 @@ class LightMoments:
         self.roughness_levels = roughness_levels
         """[R]"""
 
+    @classmethod
+    def joined(cls, first: LightMoments, second: LightMoments) -> LightMoments:
+        """The light of the points of both. Their roughness levels are the same."""
+        parts = (first.moments_state(), second.moments_state())
+        per_point = {name: torch.cat([part[name] for part in parts]) for name in cls._TENSORS if name != "roughness_levels"}
+        return cls(**per_point, roughness_levels=first.roughness_levels)
+
     def moments(self, roughness: Tensor, rows: Tensor | slice = slice(None)) -> SpecularMoments:
         """Moments of the points `rows` [m] at roughness [m] (or a scalar tensor), interpolated between the levels."""
         return self.between_levels(self.specular, roughness, rows)

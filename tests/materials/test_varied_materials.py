@@ -168,5 +168,5 @@ def test_label_pixels_color_the_segments_that_are_kept(ball, photos_of_paints, m
         return segments_of(samples, seed, pixels)
 
     monkeypatch.setattr(training, "segments_of", watched)
-    learn(ball, photos_of_paints, MORE)
-    assert colored_by == [None, MORE.label_pixels]
+    learn(ball, photos_of_paints, replace(MORE, label_pixels=3000))
+    assert colored_by == [None, training._PIXELS_OF_VARIED * 3000]

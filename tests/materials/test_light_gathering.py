@@ -1,0 +1,73 @@
+"""The light of more samples must be like that of the first: the seen, the unseen, and what the object reflects to itself."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+import trimesh
+from scipy.spatial import cKDTree
+
+from blender_nep.geometry.mesh import Surface
+from blender_nep.materials.light_gathering import Observations, with_more_samples
+from blender_nep.shading import brdf
+from blender_nep.shading.incoming_light import IncomingLight
+from blender_nep.shading.plenoptic import Material
+from blender_nep.shading.unseen_light import UnseenLight
+from support.lit_ball import PRESET, HalfSeen, SyntheticRays
+
+LIT = replace(PRESET, samples=4000)
+
+
+def white_metal(points):
+    n = len(points.position)
+    return Material(torch.ones(n, 3), torch.full((n,), 0.3), torch.ones(n))
+
+
+@pytest.fixture(scope="module")
+def two_balls():
+    """Two spheres that nearly touch, so that they reflect each other, as seen from all around."""
+    mesh = trimesh.util.concatenate(
+        [trimesh.creation.icosphere(subdivisions=3, radius=0.33).apply_translation([x, 0, 0]) for x in (-0.35, 0.35)]
+    )
+    vertices = np.asarray(mesh.vertices)
+    normals = vertices - np.sign(vertices[:, :1]) * [[0.35, 0, 0]]
+    surface = Surface(vertices, np.asarray(mesh.faces), normals / np.linalg.norm(normals, axis=1, keepdims=True))
+    generator = torch.Generator().manual_seed(11)
+    eye = torch.nn.functional.normalize(torch.randn(12, 3, generator=generator), dim=-1) * 3
+    u = (torch.arange(60) + 0.5) / 60 * 0.5 - 0.25
+    x, y = torch.meshgrid(u, u, indexing="ij")
+    frame = brdf.frame(torch.nn.functional.normalize(-eye, dim=-1))
+    local = torch.nn.functional.normalize(torch.stack([x, y, torch.ones_like(x)], -1).reshape(-1, 3), dim=-1)
+    direction = torch.einsum("vij,nj->vni", frame, local).reshape(-1, 3)
+    view = torch.arange(12).repeat_interleave(len(local))
+    rays = SyntheticRays(torch.full_like(direction, 0.5), eye[view], direction, view)
+    seen = Observations.of(surface, HalfSeen(), rays, LIT, 0, torch.device("cpu"))
+    light = IncomingLight.gathered(
+        seen.f_p, seen.points, LIT.roughness_levels, LIT.irradiance_cones, torch.Generator().manual_seed(1), lambda _: None
+    )
+    light.unseen = UnseenLight(LIT.unseen_rows, 4.0, "cpu")
+    light.unseen.radiance += 2.0
+    light.update(white_metal, torch.Generator().manual_seed(2))
+    return seen, light
+
+
+def test_more_samples_have_the_same_light_as_their_neighbours(two_balls):
+    seen, light = two_balls
+    done = []
+    lit = with_more_samples(seen, light, white_metal, LIT, 0, torch.Generator().manual_seed(3), done.append)
+    first, total = len(seen.samples), len(lit.samples)
+    assert total == len(lit.light.diffuse) == 2 * first and done[-1] == 1
+    assert np.array_equal(lit.samples.position[:first], seen.samples.position)
+    assert torch.equal(lit.light.specular[:first], light.specular)
+    more = lit.samples.position[first:]
+    assert (cKDTree(seen.samples.position).query(more)[0] > 1e-6).mean() > 0.5  # they are other pixels
+    _, near = cKDTree(seen.samples.position).query(more, 8)
+    facing = np.abs(more[:, 0]) < 0.2  # the other sphere is seen from here
+    above = more[:, 2] > 0.15  # the unseen light comes from above
+    assert facing.sum() > 200 and above.sum() > 200
+    for values in (lit.light.diffuse, lit.light.specular[:, 5, 0]):
+        expected = values[:first].numpy()[near].mean(1)
+        for place in (facing, above, ~facing & ~above):
+            found = values[first:].numpy()[place].mean()
+            assert found == pytest.approx(expected[place].mean(), rel=0.04)
