@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -18,6 +18,7 @@ from blender_nep.profiling import profiled
 from blender_nep.shading.incoming_light import IncomingLight, TracedLight
 from blender_nep.shading.light_moments import LightMoments
 from blender_nep.shading.plenoptic import Material, PlenopticFunction, PlenopticSettings, SurfacePoints, TerminalRadiance
+from blender_nep.shading.smooth_irradiance import IrradianceMean
 
 if TYPE_CHECKING:
     from blender_nep.capture.pixel_rays import PixelRays
@@ -112,6 +113,22 @@ class LitSamples:
 
     samples: PhotoSamples
     light: LightMoments
+    known: LightMoments
+    """The light without the unseen light"""
+
+    def with_unseen(self, gain: float) -> LitSamples:
+        """The same with `gain` times the unseen light."""
+        known, light = self.known, self.light
+        return replace(
+            self,
+            light=LightMoments(
+                torch.lerp(known.specular, light.specular, gain),
+                torch.lerp(known.diffuse, light.diffuse, gain),
+                light.coverage,
+                light.cos_v,
+                light.roughness_levels,
+            ),
+        )
 
 
 @profiled("light of more samples")
@@ -126,8 +143,9 @@ def with_more_samples(
 ) -> LitSamples:
     """The samples of `seen` with their `light`, and about as many more.
 
-    The object reflects light to itself as with `materials_at`, and the unseen light is that of `light`. progress(share that
-    is done, 0..1) is called after each chunk.
+    The object reflects light to itself as with `materials_at`, and the unseen light is that of `light`. Its irradiance is a
+    mean over neighbouring samples, because the few cones of one sample make it noisy. progress(share that is done, 0..1) is
+    called after each chunk.
     """
     more = select_samples(
         seen.rays,
@@ -141,7 +159,11 @@ def with_more_samples(
     of_more = IncomingLight.gathered(seen.f_p, points, preset.roughness_levels, preset.irradiance_cones, generator, progress)
     of_more.unseen = light.unseen
     of_more.update(materials_at, generator)
-    return LitSamples(PhotoSamples.joined(seen.samples, more), LightMoments.joined(light, of_more))
+    both = LightMoments.joined(light, of_more)
+    known = LightMoments.joined(light.without_unseen(), of_more.without_unseen())
+    position, normal = torch.cat([light.points.position, points.position]), torch.cat([light.points.normal, points.normal])
+    both.diffuse = known.diffuse + IrradianceMean(position, normal)(both.diffuse - known.diffuse)
+    return LitSamples(PhotoSamples.joined(seen.samples, more), both, known)
 
 
 @profiled("terminal MLP")

@@ -48,6 +48,7 @@ from blender_nep.materials.varied_materials import (
     VariedMaterials,
     fit_segments,
     gain_of_segments,
+    gain_of_unseen_light,
     segments_of,
 )
 from blender_nep.messages import Message, Part
@@ -277,7 +278,7 @@ class _MaterialLearner:
         if gain < p.varied_gain:
             self._skip(Part.VARIED_MATERIALS, Message("reason.palette_explains"))
             return None
-        self.dense = dense = with_more_samples(
+        dense = with_more_samples(
             self.seen,
             self.light,
             search.materials_at,
@@ -288,6 +289,13 @@ class _MaterialLearner:
         )
         segments = segments_of(dense.samples, self.seed, self._label_pixels)
         label = torch.from_numpy(segments.label).to(self.seen.device)
+        if self.light.unseen is not None:
+            gain = gain_of_unseen_light(dense, label, segments, p)
+            self.report.unseen_light_gain = round(gain, 3)
+            self.light.unseen.radiance *= gain
+            self.light.add_unseen()
+            dense = dense.with_unseen(gain)
+        self.dense = dense
         self.report.samples, self.report.segments = len(dense.samples), len(segments)
         return VariedMaterials(segments, fit_segments(dense.light, dense.samples.radiance, label, segments, p))
 

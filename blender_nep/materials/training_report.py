@@ -25,6 +25,8 @@ class MaterialReport:
     """{phase: seconds}"""
     unseen_light_radius: float | None = None
     """Radius of the sphere on which the unseen light lies, in the unit frame"""
+    unseen_light_gain: float | None = None
+    """Factor by which materials that vary have changed the unseen light"""
     light_not_in_photos: float | None = None
     """Share of the light that no photo shows"""
     metal_or_not_margin: float | None = None

@@ -29,6 +29,7 @@ from blender_nep.profiling import profiled
 from blender_nep.shading.plenoptic import Material, affine_in_albedo
 
 if TYPE_CHECKING:
+    from blender_nep.materials.light_gathering import LitSamples
     from blender_nep.materials.palette_search import PaletteSearch
     from blender_nep.materials.photo_samples import PhotoSamples
     from blender_nep.presets import MaterialPreset
@@ -50,6 +51,8 @@ _OTHER_CLASS = 1e-3
 """Weight of segments of the other class when the roughness is chosen. It is not 0, for a segment may be alone."""
 _HELD_OUT = 4
 """One photo of this many is held out while the gain is measured."""
+_UNSEEN_GAINS = (0.6, 0.75, 0.9, 1.05, 1.2)
+"""Factors of the unseen light that are tried."""
 _ALBEDO_PIXELS = 8
 """Label pixels around a label pixel, itself among them, that share one albedo. More would blur thin outlines."""
 _ITERATIONS = 6
@@ -171,6 +174,24 @@ def fit_segments(
 def _averaged(values: np.ndarray, weight: np.ndarray, index: np.ndarray) -> np.ndarray:
     """Weighted means of values [..., K] over the segments index [..., near], with weight [..., near]."""
     return (values[..., index] * weight).sum(-1) / np.maximum(weight.sum(-1), 1e-9)
+
+
+@profiled("varied materials")
+def gain_of_unseen_light(lit: LitSamples, label: Tensor, segments: Segments, preset: MaterialPreset) -> float:
+    """The factor of the unseen light with which the segments explain the photos best. label [n] int64: their segments.
+
+    The unseen light was found with few materials, so it takes part in what they explain badly. The brightness of paint that
+    it lights from one side and not from the other tells its strength. The classes are those without a factor.
+    """
+    target, even = lit.samples.radiance, torch.ones(len(lit.samples), device=label.device)
+    metallic = fit_segments(lit.light, target, label, segments, preset).metallic
+    residual = []
+    for gain in _UNSEEN_GAINS:
+        light = lit.with_unseen(gain).light
+        found = fit_segments(light, target, label, segments, preset, metallic)
+        residual.append(error(light, target, even, found.at(label), preset.clip).mean())
+    place = float(place_of_least(torch.stack(residual)[:, None]))
+    return float(np.interp(place, np.arange(len(_UNSEEN_GAINS)), _UNSEEN_GAINS))
 
 
 @dataclass

@@ -179,6 +179,10 @@ class IncomingLight(LightMoments):
             share = cones.weight[:, 1:, None, None] * terms[:, None, :, None] * light[:, None, None, :]
             specular.index_add_(0, cones.row, share)
 
+    def without_unseen(self) -> LightMoments:
+        """The known light alone."""
+        return LightMoments(self.known_specular, self.known_diffuse, self.coverage, self.cos_v, self.roughness_levels)
+
     def uncovered_cones(self, rows: Tensor) -> UncoveredCones:
         """The uncovered cones of the points `rows` [m] int64. Their `row` counts these points: 0..m-1."""
         place = torch.full((len(self.points),), -1, device=rows.device)

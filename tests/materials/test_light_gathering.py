@@ -10,9 +10,12 @@ from scipy.spatial import cKDTree
 
 from blender_nep.geometry.mesh import Surface
 from blender_nep.materials.light_gathering import Observations, with_more_samples
+from blender_nep.materials.segments import Segments
+from blender_nep.materials.varied_materials import gain_of_unseen_light
 from blender_nep.shading import brdf
 from blender_nep.shading.incoming_light import IncomingLight
-from blender_nep.shading.plenoptic import Material
+from blender_nep.shading.light_moments import LightMoments
+from blender_nep.shading.plenoptic import Material, reflected
 from blender_nep.shading.unseen_light import UnseenLight
 from support.lit_ball import PRESET, HalfSeen, SyntheticRays
 
@@ -47,17 +50,46 @@ def two_balls():
         seen.f_p, seen.points, LIT.roughness_levels, LIT.irradiance_cones, torch.Generator().manual_seed(1), lambda _: None
     )
     light.unseen = UnseenLight(LIT.unseen_rows, 4.0, "cpu")
-    light.unseen.radiance += 2.0
+    light.unseen.radiance += 0.5
+    light.unseen.radiance[1:5, :10] += 20  # a lamp
     light.update(white_metal, torch.Generator().manual_seed(2))
     return seen, light
 
 
-def test_more_samples_have_the_same_light_as_their_neighbours(two_balls):
+@pytest.fixture(scope="module")
+def lit(two_balls):
     seen, light = two_balls
-    done = []
-    lit = with_more_samples(seen, light, white_metal, LIT, 0, torch.Generator().manual_seed(3), done.append)
+    return with_more_samples(seen, light, white_metal, LIT, 0, torch.Generator().manual_seed(3), lambda _: None)
+
+
+@pytest.mark.parametrize("true_gain", [0.8, 1.1])
+def test_many_paints_tell_how_bright_the_unseen_light_is(lit, true_gain):
+    """Photos are made with another brightness of the light that no photo shows."""
+    position, generator = torch.from_numpy(lit.samples.position), torch.Generator().manual_seed(4)
+    centres = position[torch.randperm(len(position), generator=generator)[:30]]
+    field = torch.cdist(position, centres).argmin(1)
+    albedo = 0.2 + 0.6 * torch.rand(30, 3, generator=generator)
+    paint = Material(albedo[field], torch.full((len(field),), 0.3), torch.zeros(len(field)))
+    known, both = lit.known, lit.light
+    true = LightMoments(
+        known.specular + true_gain * (both.specular - known.specular),
+        known.diffuse + true_gain * (both.diffuse - known.diffuse),
+        both.coverage,
+        both.cos_v,
+        both.roughness_levels,
+    )
+    torch.testing.assert_close(lit.with_unseen(true_gain).light.moments_state(), true.moments_state())
+    radiance = reflected(paint, true.moments(paint.roughness), true.diffuse, true.cos_v)
+    photographed = replace(lit, samples=replace(lit.samples, radiance=radiance))
+    segments = Segments.of(lit.samples.position, albedo[field].log().numpy(), 60, 0)
+    found = gain_of_unseen_light(photographed, torch.from_numpy(segments.label), segments, LIT)
+    assert found == pytest.approx(true_gain, abs=0.06)
+
+
+def test_more_samples_have_the_same_light_as_their_neighbours(two_balls, lit):
+    seen, light = two_balls
     first, total = len(seen.samples), len(lit.samples)
-    assert total == len(lit.light.diffuse) == 2 * first and done[-1] == 1
+    assert total == len(lit.light.diffuse) == 2 * first
     assert np.array_equal(lit.samples.position[:first], seen.samples.position)
     assert torch.equal(lit.light.specular[:first], light.specular)
     more = lit.samples.position[first:]
@@ -66,7 +98,11 @@ def test_more_samples_have_the_same_light_as_their_neighbours(two_balls):
     facing = np.abs(more[:, 0]) < 0.2  # the other sphere is seen from here
     above = more[:, 2] > 0.15  # the unseen light comes from above
     assert facing.sum() > 200 and above.sum() > 200
-    for values in (lit.light.diffuse, lit.light.specular[:, 5, 0]):
+    noisy = light.diffuse - light.known_diffuse
+    even = lit.light.diffuse[:first] - light.known_diffuse
+    _, around = cKDTree(seen.samples.position).query(seen.samples.position[seen.samples.position[:, 2] > 0.15], 8)
+    assert even.numpy()[around].std(1).mean() < 0.75 * noisy.numpy()[around].std(1).mean()
+    for values in (lit.light.diffuse, lit.light.specular[:, -1, 0], lit.known.diffuse, lit.known.specular[:, -1, 0]):
         expected = values[:first].numpy()[near].mean(1)
         for place in (facing, above, ~facing & ~above):
             found = values[first:].numpy()[place].mean()
