@@ -84,6 +84,10 @@ def test_many_paints_tell_how_bright_the_unseen_light_is(lit, true_gain):
     segments = Segments.of(lit.samples.position, albedo[field].log().numpy(), 60, 0)
     found = gain_of_unseen_light(photographed, torch.from_numpy(segments.label), segments, LIT)
     assert found == pytest.approx(true_gain, abs=0.06)
+    light = lit.light
+    cut_out = LightMoments(light.specular, light.diffuse, 0 * light.coverage, light.cos_v, light.roughness_levels)
+    label = torch.from_numpy(segments.label)
+    assert gain_of_unseen_light(replace(photographed, light=cut_out), label, segments, LIT) == 1
 
 
 def test_more_samples_have_the_same_light_as_their_neighbours(two_balls, lit):
