@@ -316,7 +316,8 @@ class MaterialPreset:
     """Cost of the share of the map's flux that is not grey. It is needed because colored light on a grey object looks like
     white light on a colored object."""
     label_pixels: int = 240_000
-    """Number of pixels that show which material lies where, with the light of near samples; thrice as many if it varies."""
+    """Number of label pixels: pixels that show which material lies where. Their light is that of the nearest samples. There
+    are three times as many if the materials vary."""
     metallic: tuple[float, ...] = (0.0, 1.0)
     """Values of metallic that are tried."""
     metal_margin: float = -0.03
@@ -364,8 +365,7 @@ class MaterialPreset:
     segment_metal_margin: float = 0.1
     """As `metal_margin`, for the segments of an object whose materials vary. Most things are not metal."""
     segment_prior: float = 0.2
-    """Weight of the residuals of the whole object beside those around a segment, when the segment's roughness is chosen. 0
-    turns this prior off."""
+    """Weight of the whole object's residuals beside those around a segment when its roughness is chosen. 0 turns it off."""
     rounds: int = 2
     """Rounds of learning the unseen light and choosing the palette anew; afterwards as many rounds without new materials."""
     most_texels: int = 1024

@@ -53,14 +53,7 @@ class Observations:
     ) -> Observations:
         """Select the samples and set up f_p. Raises LearningError when no photo shows the surface well enough."""
         tracer = RayTracer(surface.vertices, surface.faces)
-        samples = select_samples(
-            rays,
-            tracer,
-            surface.normals,
-            count=preset.samples,
-            least_cosine=preset.least_cosine,
-            generator=np.random.default_rng(seed),
-        )
+        samples = _selected(rays, tracer, surface.normals, preset, np.random.default_rng(seed))
         settings = PlenopticSettings(
             levels=preset.levels,
             diffuse=preset.diffuse_cones,
@@ -71,6 +64,13 @@ class Observations:
         f_p = PlenopticFunction(tracer, surface.normals, environment, terminal, settings, device)
         points = f_p.points(samples.face, samples.barycentric, samples.view)
         return cls(surface, rays, samples, points, f_p, pixel_footprint(rays), device)
+
+
+def _selected(
+    rays: PixelRays, tracer: RayTracer, normals: np.ndarray, preset: MaterialPreset, generator: np.random.Generator
+) -> PhotoSamples:
+    """At most `preset.samples` photo samples."""
+    return select_samples(rays, tracer, normals, count=preset.samples, least_cosine=preset.least_cosine, generator=generator)
 
 
 def gathered_light(
@@ -147,14 +147,7 @@ def with_more_samples(
     mean over neighbouring samples, because the few cones of one sample make it noisy. progress(share that is done, 0..1) is
     called after each chunk.
     """
-    more = select_samples(
-        seen.rays,
-        seen.f_p.tracer,
-        seen.surface.normals,
-        count=preset.samples,
-        least_cosine=preset.least_cosine,
-        generator=np.random.default_rng([seed, 1]),
-    )
+    more = _selected(seen.rays, seen.f_p.tracer, seen.surface.normals, preset, np.random.default_rng([seed, 1]))
     points = seen.f_p.points(more.face, more.barycentric, more.view)
     of_more = IncomingLight.gathered(seen.f_p, points, preset.roughness_levels, preset.irradiance_cones, generator, progress)
     of_more.unseen = light.unseen

@@ -65,8 +65,6 @@ if TYPE_CHECKING:
     from blender_nep.presets import MaterialPreset
 
 
-_NO_LIGHT = 0.02
-"""If the photos show less than this share of the light, they count as showing none of it."""
 _PIXELS_OF_VARIED = 3
 """An object whose materials vary gets this many times the preset's label pixels. They make its outlines sharp."""
 
@@ -140,11 +138,9 @@ class _MaterialLearner:
         """[K] metallic of the palette's materials. None if the photos have not decided it clearly."""
         self.trial_seconds = 0.0
         """Seconds that the last trial of every material as the other class (metal or dielectric) took"""
-        if preset.residual and float(light.coverage.mean()) < _NO_LIGHT:
+        if preset.residual and not light.in_photos:
             self._begin_with_grey_light()
         self.search = PaletteSearch(seen.samples, light, preset, seen.device)
-        self.dense: LitSamples | None = None
-        """The samples of an object whose materials vary"""
 
     def run(self) -> Materials:
         """Learn the palette, label the points of the surface, and bake the textures. Raises LearningError and Stopped."""
@@ -266,8 +262,11 @@ class _MaterialLearner:
         self._residual()
         search.weight = torch.ones_like(search.weight)
 
-    def _varied_materials(self) -> VariedMaterials | None:
-        """Materials that vary from place to place, if they explain held-out photos much better than the palette does."""
+    def _varied_materials(self) -> tuple[VariedMaterials, LitSamples] | None:
+        """Materials that vary from place to place, if they explain held-out photos much better than the palette does.
+
+        With them come the samples to which they were fitted. The unseen light gets another brightness.
+        """
         search, p = self.search, self.preset
         if math.isinf(p.varied_gain):
             self._skip(Part.VARIED_MATERIALS, Message("reason.preset"))
@@ -278,7 +277,7 @@ class _MaterialLearner:
         if gain < p.varied_gain:
             self._skip(Part.VARIED_MATERIALS, Message("reason.palette_explains"))
             return None
-        dense = with_more_samples(
+        lit = with_more_samples(
             self.seen,
             self.light,
             search.materials_at,
@@ -287,17 +286,16 @@ class _MaterialLearner:
             self.generator,
             lambda _: self.progress.step(self.progress.done),
         )
-        segments = segments_of(dense.samples, self.seed, self._label_pixels)
+        segments = segments_of(lit.samples, self.seed, self._label_pixels)
         label = torch.from_numpy(segments.label).to(self.seen.device)
         if self.light.unseen is not None:
-            gain = gain_of_unseen_light(dense, label, segments, p)
+            gain = gain_of_unseen_light(lit, label, segments, p)
             self.report.unseen_light_gain = round(gain, 3)
             self.light.unseen.radiance *= gain
             self.light.add_unseen()
-            dense = dense.with_unseen(gain)
-        self.dense = dense
-        self.report.samples, self.report.segments = len(dense.samples), len(segments)
-        return VariedMaterials(segments, fit_segments(dense.light, dense.samples.radiance, label, segments, p))
+            lit = lit.with_unseen(gain)
+        self.report.samples, self.report.segments = len(lit.samples), len(segments)
+        return VariedMaterials(segments, fit_segments(lit.light, lit.samples.radiance, label, segments, p)), lit
 
     @cached_property
     def _label_pixels(self) -> PhotoSamples:
@@ -305,7 +303,7 @@ class _MaterialLearner:
         seen, preset = self.seen, replace(self.preset, label_pixels=_PIXELS_OF_VARIED * self.preset.label_pixels)
         return select_label_pixels(seen.rays, seen.f_p.tracer, seen.surface.normals, preset, self.seed)
 
-    def _correctable(self, varied: VariedMaterials | None) -> Correctable:
+    def _correctable(self, varied: tuple[VariedMaterials, LitSamples] | None) -> Correctable:
         """The materials, and the points of the surface that show them: label pixels, or only the photo samples.
 
         They are label pixels if the light of the samples predicts the light of label pixels.
@@ -321,11 +319,12 @@ class _MaterialLearner:
         predicted = error <= np.median(of_samples.residual)
         if not predicted:
             self._skip(Part.VOTES, Message("reason.light_changes_fast"))
-        if varied is not None and self.dense is not None:
-            lit = self.dense.samples
-            chosen = self._label_pixels if predicted else lit
-            pixels = PlacedPixels.of(surfels(chosen, tracer, normals), chosen.radiance, surfels(lit, tracer, normals))
-            return CorrectableSegments(self.dense.light, lit.radiance, varied, groups_of_segments(varied), pixels)
+        if varied is not None:
+            materials, lit = varied
+            chosen = self._label_pixels if predicted else lit.samples
+            near = surfels(lit.samples, tracer, normals)
+            pixels = PlacedPixels.of(surfels(chosen, tracer, normals), chosen.radiance, near)
+            return CorrectableSegments(lit.light, lit.samples.radiance, materials, groups_of_segments(materials), pixels)
         if predicted:
             return self._correctable_palette(labelled_pixels(search, samples, shown, rays, tracer, normals, self.seed))
         return self._correctable_palette(of_samples)

@@ -53,8 +53,6 @@ _HELD_OUT = 4
 """One photo of this many is held out while the gain is measured."""
 _UNSEEN_GAINS = (0.6, 0.75, 0.9, 1.05, 1.2)
 """Factors of the unseen light that are tried."""
-_LEAST_SEEN = 0.02
-"""If the photos show less than this share of the light, there is nothing to compare the unseen light with."""
 _ALBEDO_PIXELS = 8
 """Label pixels around a label pixel, itself among them, that share one albedo. More would blur thin outlines."""
 _ITERATIONS = 6
@@ -184,9 +182,9 @@ def gain_of_unseen_light(lit: LitSamples, label: Tensor, segments: Segments, pre
 
     The unseen light was found with few materials, so it takes part in what they explain badly. The brightness of paint that
     it lights from one side and not from the other tells its strength. The classes are those without a factor. It is 1 if the
-    photos show hardly any light.
+    photos show no light, for then there is nothing to compare the unseen light with.
     """
-    if float(lit.light.coverage.mean()) < _LEAST_SEEN:
+    if not lit.light.in_photos:
         return 1.0
     target, even = lit.samples.radiance, torch.ones(len(lit.samples), device=label.device)
     metallic = fit_segments(lit.light, target, label, segments, preset).metallic

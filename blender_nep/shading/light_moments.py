@@ -8,6 +8,8 @@ from torch import Tensor
 from blender_nep.shading.plenoptic import SpecularMoments
 
 _FULL, _EDGE, _DIELECTRIC = range(3)
+_NO_LIGHT = 0.02
+"""If the photos show less than this share of the light, they count as showing none of it."""
 
 
 class LightMoments:
@@ -24,6 +26,11 @@ class LightMoments:
         """[n] cosine between the normal and the direction to the camera"""
         self.roughness_levels = roughness_levels
         """[R]"""
+
+    @property
+    def in_photos(self) -> bool:
+        """Whether the photos show any of the light. They show none if the object is cut out."""
+        return float(self.coverage.mean()) >= _NO_LIGHT
 
     @classmethod
     def joined(cls, first: LightMoments, second: LightMoments) -> LightMoments:

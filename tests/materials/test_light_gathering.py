@@ -62,9 +62,8 @@ def lit(two_balls):
     return with_more_samples(seen, light, white_metal, LIT, 0, torch.Generator().manual_seed(3), lambda _: None)
 
 
-@pytest.mark.parametrize("true_gain", [0.8, 1.1])
-def test_many_paints_tell_how_bright_the_unseen_light_is(lit, true_gain):
-    """Photos are made with another brightness of the light that no photo shows."""
+def painted(lit, true_gain):
+    """The samples as a body of 30 paints shows them in `true_gain` times the unseen light, their segments, and the light."""
     position, generator = torch.from_numpy(lit.samples.position), torch.Generator().manual_seed(4)
     centres = position[torch.randperm(len(position), generator=generator)[:30]]
     field = torch.cdist(position, centres).argmin(1)
@@ -78,15 +77,25 @@ def test_many_paints_tell_how_bright_the_unseen_light_is(lit, true_gain):
         both.cos_v,
         both.roughness_levels,
     )
-    torch.testing.assert_close(lit.with_unseen(true_gain).light.moments_state(), true.moments_state())
     radiance = reflected(paint, true.moments(paint.roughness), true.diffuse, true.cos_v)
     photographed = replace(lit, samples=replace(lit.samples, radiance=radiance))
     segments = Segments.of(lit.samples.position, albedo[field].log().numpy(), 60, 0)
-    found = gain_of_unseen_light(photographed, torch.from_numpy(segments.label), segments, LIT)
+    return photographed, torch.from_numpy(segments.label), segments, true
+
+
+@pytest.mark.parametrize("true_gain", [0.8, 1.1])
+def test_many_paints_tell_how_bright_the_unseen_light_is(lit, true_gain):
+    photographed, label, segments, true = painted(lit, true_gain)
+    torch.testing.assert_close(lit.with_unseen(true_gain).light.moments_state(), true.moments_state())
+    found = gain_of_unseen_light(photographed, label, segments, LIT)
     assert found == pytest.approx(true_gain, abs=0.06)
+
+
+def test_cut_outs_do_not_tell_it(lit):
+    """All their light is unseen, so there is nothing to compare its brightness with."""
+    photographed, label, segments, _ = painted(lit, 0.8)
     light = lit.light
     cut_out = LightMoments(light.specular, light.diffuse, 0 * light.coverage, light.cos_v, light.roughness_levels)
-    label = torch.from_numpy(segments.label)
     assert gain_of_unseen_light(replace(photographed, light=cut_out), label, segments, LIT) == 1
 
 
