@@ -67,6 +67,8 @@ if TYPE_CHECKING:
 
 _PIXELS_OF_VARIED = 3
 """An object whose materials vary gets this many times the preset's label pixels. They make its outlines sharp."""
+_TEXELS_OF_VARIED = 2
+"""Its texels are this many times as narrow as those of another object, for the same reason."""
 
 
 @dataclass
@@ -151,8 +153,9 @@ class _MaterialLearner:
         self._finish_report(single, shares, by_hue)
         varied = self._varied_materials()
         self.progress.phase_ended("materials")
-        wanted = texture_size(seen.surface, seen.footprint, self.preset.most_texels)
         uniform = len(search.palette) == 1 and varied is None
+        finer = 1 if varied is None else _TEXELS_OF_VARIED
+        wanted = texture_size(seen.surface, seen.footprint / finer, finer * self.preset.most_texels)
         self.report.texture_texels = size = min(wanted, self.preset.uniform_texels) if uniform else wanted
         shown = shown_faces(seen.surface, seen.f_p.tracer, seen.rays)
         kept = KeptMaterials(self._correctable(varied), size, shown)

@@ -45,6 +45,8 @@ _ROUGHNESS_SEGMENTS, _ROUGHNESS_REACH = 48, 3.3
 """Number of the near segments whose residuals tell the roughness, and the distance at which their weight falls to 1/e."""
 _CLASS_SEGMENTS, _CLASS_REACH = 12, 1.5
 """The same for the class: metal or dielectric."""
+_LEAST_RESIDUAL = 1e-3
+"""It is added to residuals before a logarithm is taken, so that samples without any error do not decide all."""
 _BLEND_SEGMENTS, _BLEND_REACH = 8, 1.5
 """The same for the roughness between the centers of segments."""
 _OTHER_CLASS = 1e-3
@@ -127,9 +129,13 @@ def fit_segments(
 
     metallic [K] are the classes, if they are known. Else the photos decide between those of the preset.
 
-    Residuals are averaged over near segments. The mean over the whole object is added with the weight
-    `preset.segment_prior`: it decides the roughness where the photos of a place hardly tell it. Segments whose samples do
-    not count get the roughness and the class of their neighbors, and no sensible albedo.
+    Residuals are averaged over near segments. The class has the least mean logarithm of the residuals, each at the
+    segment's own best roughness: a roughness that suits its neighbors may hide what it is. The mean logarithm is the
+    likelihood of errors with a Laplace distribution whose scale differs from segment to segment.
+
+    For the roughness, the mean over the whole object is added with the weight `preset.segment_prior`: it decides where the
+    photos of a place hardly tell the roughness. Segments whose samples do not count get the roughness and the class of their
+    neighbors, and no sensible albedo.
     """
     p, count = preset, len(segments)
     classes = p.metallic if metallic is None else (0.0, 1.0)
@@ -147,16 +153,15 @@ def fit_segments(
     mass = torch.bincount(label.clamp_min(0), weight * (label >= 0), minlength=count).cpu().numpy()
     scan, cost = roughness_scan(p.least_roughness, light.cos_v.device), residual.cpu().numpy()
     distance, index = segments.near(segments.centre, _ROUGHNESS_SEGMENTS)
-    near = mass[index] * np.exp(-((distance / _ROUGHNESS_REACH) ** 2))
-    everywhere = p.segment_prior * _averaged(cost, mass, np.arange(count))[..., None]
-    row = (_averaged(cost, near, index) + everywhere).argmin(1)  # the best roughness of each class
-    of_class = np.take_along_axis(cost, row[:, None], 1)[:, 0]
-    close = mass[index] * np.exp(-((distance / _CLASS_REACH) ** 2)) * (np.arange(index.shape[1]) < _CLASS_SEGMENTS)
-    margin = np.array([1 + p.segment_metal_margin * m for m in classes])
-    chosen = (_averaged(of_class, close, index) * margin[:, None]).argmin(0)
-    if metallic is not None:
+    if metallic is None:
+        close = mass[index] * np.exp(-((distance / _CLASS_REACH) ** 2)) * (np.arange(index.shape[1]) < _CLASS_SEGMENTS)
+        margin = np.array([1 + p.segment_metal_margin * m for m in classes])
+        own = np.log(margin[:, None] * (cost.min(1) + _LEAST_RESIDUAL))
+        chosen = _averaged(own, close, index).argmin(0)
+    else:
         chosen = (metallic > 0.5).long().cpu().numpy()
-    # now that the classes are known, the roughness again, from segments of the same class
+    # the roughness, from segments of the same class
+    near = mass[index] * np.exp(-((distance / _ROUGHNESS_REACH) ** 2))
     same = near * np.where(chosen[index] == chosen[:, None], 1, _OTHER_CLASS)
     each = np.arange(count)
     curve = _averaged(cost, same, index)[chosen, :, each]

@@ -10,8 +10,8 @@ from scipy.spatial import cKDTree
 
 from blender_nep.geometry.mesh import Surface
 from blender_nep.materials.light_gathering import Observations, with_more_samples
-from blender_nep.materials.segments import Segments
-from blender_nep.materials.varied_materials import gain_of_unseen_light
+from blender_nep.materials.segments import Segments, features
+from blender_nep.materials.varied_materials import fit_segments, gain_of_unseen_light
 from blender_nep.shading import brdf
 from blender_nep.shading.incoming_light import IncomingLight
 from blender_nep.shading.light_moments import LightMoments
@@ -97,6 +97,25 @@ def test_cut_outs_do_not_tell_it(lit):
     light = lit.light
     cut_out = LightMoments(light.specular, light.diffuse, 0 * light.coverage, light.cos_v, light.roughness_levels)
     assert gain_of_unseen_light(replace(photographed, light=cut_out), label, segments, LIT) == 1
+
+
+def test_a_speck_of_gold_is_not_outvoted_by_the_paint_around_it(lit):
+    """Its class must not be judged at the roughness that suits the motley paint around it."""
+    position = torch.from_numpy(lit.samples.position)
+    gold = (position - position[0]).norm(dim=-1) < 0.12
+    n = len(gold)
+    motley = 0.3 + 0.6 * torch.rand(n, 3, generator=torch.Generator().manual_seed(6))
+    albedo = torch.where(gold[:, None], torch.tensor([0.95, 0.7, 0.35]), motley)
+    shown = Material(albedo, torch.full((n,), 0.3), gold.float())
+    radiance = reflected(shown, lit.light.moments(shown.roughness), lit.light.diffuse, lit.light.cos_v)
+    of_paint = Segments.of(position[~gold].numpy(), np.zeros((int((~gold).sum()), 3)), 200, 0)
+    label = torch.zeros(n, dtype=torch.int64)
+    label[~gold] = 1 + torch.from_numpy(of_paint.label)
+    centre = features(position[gold].mean(0, keepdim=True).numpy(), np.zeros((1, 3)))  # no color tells them apart
+    segments = Segments(np.concatenate([centre, of_paint.centre]), label.numpy())
+    found = fit_segments(lit.light, radiance, label, segments, LIT)
+    assert found.metallic[0] == 1
+    assert float(found.metallic[1:].mean()) < 0.03
 
 
 def test_more_samples_have_the_same_light_as_their_neighbours(two_balls, lit):
