@@ -326,7 +326,7 @@ class _MaterialLearner:
             materials, lit = varied
             chosen = self._label_pixels if predicted else lit.samples
             near = surfels(lit.samples, tracer, normals)
-            pixels = PlacedPixels.of(surfels(chosen, tracer, normals), chosen.radiance, near)
+            pixels = PlacedPixels.of(surfels(chosen, tracer, normals), chosen.radiance, near, self.seen.footprint)
             return CorrectableSegments(lit.light, lit.samples.radiance, materials, groups_of_segments(materials), pixels)
         if predicted:
             return self._correctable_palette(labelled_pixels(search, samples, shown, rays, tracer, normals, self.seed))

@@ -49,6 +49,9 @@ _LEAST_RESIDUAL = 1e-3
 """It is added to residuals before a logarithm is taken, so that samples without any error do not decide all."""
 _BLEND_SEGMENTS, _BLEND_REACH = 8, 1.5
 """The same for the roughness between the centers of segments."""
+_VOTERS, _VOTE_REACH = 33, 3.0
+"""Number of the label pixels nearest to a label pixel, itself among them, whose majority is its class, and the largest
+distance of the farthest one, in pixels of a photo. Farther ones would outvote thin outlines."""
 _OTHER_CLASS = 1e-3
 """Weight of segments of the other class when the roughness is chosen. It is not 0, for a segment may be alone."""
 _HELD_OUT = 4
@@ -57,6 +60,8 @@ _UNSEEN_GAINS = (0.6, 0.75, 0.9, 1.05, 1.2)
 """Factors of the unseen light that are tried."""
 _ALBEDO_PIXELS = 8
 """Label pixels around a label pixel, itself among them, that share one albedo. More would blur thin outlines."""
+_BLOCK = 1 << 16
+"""Points that vote at a time. This bounds the memory."""
 _ITERATIONS = 6
 """Iterations of the reweighted least squares of a pixel's albedo."""
 
@@ -72,21 +77,39 @@ class VariedMaterials:
     """[K] bool: segments whose roughness an artist has set, so that it is not interpolated. None: no segment"""
 
     @profiled("varied materials")
-    def at(self, position: np.ndarray, color: np.ndarray) -> Material:
-        """The materials of m points at position [m, 3] with median log color [m, 3].
+    def at(self, places: cKDTree, color: np.ndarray, width: float) -> Material:
+        """The materials of m points at `places` [m, 3] with median log color [m, 3]. A pixel has this width there.
 
-        Albedo and metallic are those of the nearest segment. The roughness is interpolated between near segments of the
-        same class.
+        The albedo is that of the nearest segment. The class is that of the majority of the points around, each with the
+        class of its nearest segment; or only that of the nearest segment, where the points lie far apart. The roughness is
+        interpolated between near segments of this class.
         """
-        distance, index = self.segments.near(features(position, color), _BLEND_SEGMENTS)
+        distance, index = self.segments.near(features(places.data, color), _BLEND_SEGMENTS)
         nearest = self.palette.at(torch.from_numpy(index[:, 0]).to(self.palette.roughness.device))
         metallic, root = self.palette.metallic.cpu().numpy(), self.palette.roughness.sqrt().cpu().numpy()
-        weight = np.exp(-((distance / _BLEND_REACH) ** 2)) * (metallic[index] == metallic[index[:, :1]])
-        weight[:, 0] += 1e-9  # a point far from all segments takes the nearest one's
+        voted = majority(places, metallic[index[:, 0]] > 0.5, _VOTE_REACH * width)
+        same = (metallic[index] > 0.5) == voted[:, None]
+        same[~same.any(1)] = True
+        weight = same * (np.exp(-((distance / _BLEND_REACH) ** 2)) + 1e-9)  # far from all segments, it must not be 0
         roughness = ((root[index] * weight).sum(1) / weight.sum(1)) ** 2
         if self.exact is not None:
             roughness = np.where(self.exact[index[:, 0]], root[index[:, 0]] ** 2, roughness)
-        return Material(nearest.albedo.clamp(0, 1), torch.from_numpy(roughness).to(nearest.roughness), nearest.metallic)
+        of_points = [torch.from_numpy(x).to(nearest.roughness) for x in (roughness, voted)]
+        return Material(nearest.albedo.clamp(0, 1), *of_points)
+
+
+def majority(places: cKDTree, yes: np.ndarray, reach: float) -> np.ndarray:
+    """What most of the _VOTERS points around each of m `places`, itself among them, say, of `yes` [m] bool.
+
+    Where they do not all lie within `reach`, a point says it alone.
+    """
+    out = yes.copy()
+    for start in range(0, len(yes), _BLOCK):
+        part = slice(start, start + _BLOCK)
+        distance, index = neighbours(places, places.data[part], _VOTERS)
+        near = distance[:, -1] <= reach
+        out[part][near] = yes[index[near]].mean(1) > 0.5
+    return out
 
 
 def segments_of(samples: PhotoSamples, seed: int, pixels: PhotoSamples | None = None) -> Segments:
@@ -216,14 +239,16 @@ class PlacedPixels:
     """[m, S] int64, indices of samples of the same photo whose light is averaged"""
     share: np.ndarray
     """[m, S] weights of these samples; they add up to 1"""
+    width: float
+    """Median width of a pixel on the surface, unit frame"""
 
     @classmethod
-    def of(cls, pixels: Surfels, radiance: Tensor, samples: Surfels) -> PlacedPixels:
+    def of(cls, pixels: Surfels, radiance: Tensor, samples: Surfels, width: float) -> PlacedPixels:
         """The pixels with the light of their nearest samples. Pixels of a photo without samples are left out."""
         sample, share = nearest_samples(samples, pixels)
         lit = np.flatnonzero(share.any(1))
         rows = torch.from_numpy(lit).to(radiance.device)
-        return cls(pixels.position[lit], pixels.photo[lit], radiance[rows], sample[lit], share[lit])
+        return cls(pixels.position[lit], pixels.photo[lit], radiance[rows], sample[lit], share[lit], width)
 
 
 def varied_points(
@@ -233,7 +258,7 @@ def varied_points(
     tree = cKDTree(pixels.position)
     radiance = pixels.radiance.float().cpu().numpy()
     color = median_color(tree, radiance, pixels.position, _MANY_PIXELS)
-    material = materials.at(pixels.position, color)
+    material = materials.at(tree, color, pixels.width)
     offset, slope = _affine_of_pixels(material, light, pixels)
     distance, index = neighbours(tree, pixels.position, _ALBEDO_PIXELS)
     albedo, residual = np.empty_like(radiance), np.empty(len(radiance), np.float32)

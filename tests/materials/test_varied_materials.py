@@ -6,12 +6,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from scipy.spatial import cKDTree
 
 from blender_nep.geometry.uv_raster import rasterise
 from blender_nep.materials import training
 from blender_nep.materials.photo_samples import PhotoSamples
 from blender_nep.materials.pixel_votes import Surfels
-from blender_nep.materials.varied_materials import PlacedPixels, segments_of
+from blender_nep.materials.varied_materials import PlacedPixels, majority, segments_of
 from support.lit_ball import PRESET, RADIUS, learn, make_photos
 
 MORE = replace(PRESET, samples=5000, label_pixels=9000)
@@ -106,10 +107,21 @@ def test_pixels_of_a_photo_without_samples_are_left_out():
     at = np.array([[0.0, 0, 0.7], [0.1, 0, 0.69], [0.2, 0, 0.67]])
     pixels = Surfels(at, at / RADIUS, np.array([0, 3, 1]))
     samples = Surfels(at[[0, 2]], at[[0, 2]] / RADIUS, np.array([0, 1]))
-    placed = PlacedPixels.of(pixels, torch.arange(9.0).reshape(3, 3), samples)
+    placed = PlacedPixels.of(pixels, torch.arange(9.0).reshape(3, 3), samples, 0.01)
     assert placed.photo.tolist() == [0, 1] and placed.position.tolist() == at[[0, 2]].tolist()
     assert placed.radiance.tolist() == [[0, 1, 2], [6, 7, 8]]
     assert placed.sample[:, 0].tolist() == [0, 1] and placed.share.sum(1) == pytest.approx(1)
+
+
+def test_a_speck_takes_the_class_of_the_pixels_around_it_but_a_stripe_keeps_its_own():
+    """Label pixels a fifth of a photo's pixel apart; the stripe is three pixels wide."""
+    x, y = (a.ravel() for a in np.meshgrid(np.arange(60) / 5, np.arange(60) / 5))
+    places = cKDTree(np.stack([x, y, 0 * x], 1))
+    stripe = (x > 5.9) & (x < 8.9)
+    speck = np.hypot(x - 3, y - 6) < 0.3
+    assert speck.sum() == 9
+    assert np.array_equal(majority(places, stripe | speck, 3.0), stripe)
+    assert np.array_equal(majority(places, stripe | speck, 0.4), stripe | speck)  # no vote where points lie far apart
 
 
 def test_a_gradual_patina_is_blended_from_unblended_materials(ball):
