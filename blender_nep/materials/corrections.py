@@ -187,7 +187,9 @@ class CorrectableSegments:
         for k, correction in enumerate(wanted):
             if correction.roughness is not None:
                 roughness[k], exact[k] = correction.roughness, True
-        return replace(self, varied=replace(self.varied, palette=replace(palette, roughness=roughness), exact=exact))
+        learned = self.varied.palette.metallic.cpu().numpy() > 0.5
+        corrected = VariedMaterials(self.varied.segments, replace(palette, roughness=roughness), exact, learned)
+        return replace(self, varied=corrected)
 
     def listed(self) -> list[ListedMaterial]:
         p, count = self.varied.palette, np.bincount(self.varied.segments.label, minlength=len(self.group)).astype(np.float64)

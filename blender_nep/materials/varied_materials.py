@@ -75,27 +75,30 @@ class VariedMaterials:
     """The material of each segment"""
     exact: np.ndarray | None = None
     """[K] bool: segments whose roughness an artist has set, so that it is not interpolated. None: no segment"""
+    learned: np.ndarray | None = None
+    """[K] bool: segments that were learned as metal, whatever an artist says. None: those of the palette"""
 
     @profiled("varied materials")
     def at(self, places: cKDTree, color: np.ndarray, width: float) -> Material:
         """The materials of m points at `places` [m, 3] with median log color [m, 3]. A pixel has this width there.
 
-        The albedo is that of the nearest segment. The class is that of the majority of the points around, each with the
-        class of its nearest segment; or only that of the nearest segment, where the points lie far apart. The roughness is
+        Each point belongs to a segment, which gives it albedo and metallic: to the nearest segment of the class that the
+        majority of the points around has, or to the nearest of all, where the points lie far apart. The roughness is
         interpolated between near segments of this class.
         """
         distance, index = self.segments.near(features(places.data, color), _BLEND_SEGMENTS)
-        nearest = self.palette.at(torch.from_numpy(index[:, 0]).to(self.palette.roughness.device))
         metallic, root = self.palette.metallic.cpu().numpy(), self.palette.roughness.sqrt().cpu().numpy()
-        voted = majority(places, metallic[index[:, 0]] > 0.5, _VOTE_REACH * width)
-        same = (metallic[index] > 0.5) == voted[:, None]
-        same[~same.any(1)] = True
-        weight = same * (np.exp(-((distance / _BLEND_REACH) ** 2)) + 1e-9)  # far from all segments, it must not be 0
+        learned = metallic > 0.5 if self.learned is None else self.learned
+        voted = majority(places, learned[index[:, 0]], _VOTE_REACH * width)
+        place = (learned[index] == voted[:, None]).argmax(1)  # 0, the nearest, if no near segment has this class
+        own = np.take_along_axis(index, place[:, None], 1)
+        weight = (np.exp(-((distance / _BLEND_REACH) ** 2)) + 1e-9) * (metallic[index] == metallic[own])
         roughness = ((root[index] * weight).sum(1) / weight.sum(1)) ** 2
+        own = own[:, 0]
         if self.exact is not None:
-            roughness = np.where(self.exact[index[:, 0]], root[index[:, 0]] ** 2, roughness)
-        of_points = [torch.from_numpy(x).to(nearest.roughness) for x in (roughness, voted)]
-        return Material(nearest.albedo.clamp(0, 1), *of_points)
+            roughness = np.where(self.exact[own], root[own] ** 2, roughness)
+        found = self.palette.at(torch.from_numpy(own).to(self.palette.roughness.device))
+        return Material(found.albedo.clamp(0, 1), torch.from_numpy(roughness).to(found.roughness), found.metallic)
 
 
 def majority(places: cKDTree, yes: np.ndarray, reach: float) -> np.ndarray:
