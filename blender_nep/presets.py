@@ -369,7 +369,7 @@ class MaterialPreset:
     rounds: int = 2
     """Rounds of learning the unseen light and choosing the palette anew; afterwards as many rounds without new materials."""
     most_texels: int = 1024
-    """Largest side of the textures in texels. The width of the photos' pixels on the surface may make it smaller."""
+    """Largest side of the textures in texels, twice as large if the materials vary. Wide pixels on the surface lower it."""
     uniform_texels: int = 128
     """Largest side of the textures in texels if one material explains the photos."""
 

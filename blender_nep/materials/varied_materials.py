@@ -80,11 +80,11 @@ class VariedMaterials:
 
     @profiled("varied materials")
     def at(self, places: cKDTree, color: np.ndarray, width: float) -> Material:
-        """The materials of m points at `places` [m, 3] with median log color [m, 3]. A pixel has this width there.
+        """The materials of m points at `places` [m, 3] with median log color [m, 3]; width: that of a pixel on the surface.
 
-        Each point belongs to a segment, which gives it albedo and metallic: to the nearest segment of the class that the
-        majority of the points around has, or to the nearest of all, where the points lie far apart. The roughness is
-        interpolated between near segments of this class.
+        Each point belongs to a segment, which gives it albedo and metallic. This is the nearest segment of the class that
+        the majority of the points around has. Where the points lie far apart, it is the nearest of all segments. The
+        roughness is interpolated between near segments of the same class.
         """
         distance, index = self.segments.near(features(places.data, color), _BLEND_SEGMENTS)
         metallic, root = self.palette.metallic.cpu().numpy(), self.palette.roughness.sqrt().cpu().numpy()
@@ -102,9 +102,9 @@ class VariedMaterials:
 
 
 def majority(places: cKDTree, yes: np.ndarray, reach: float) -> np.ndarray:
-    """What most of the _VOTERS points around each of m `places`, itself among them, say, of `yes` [m] bool.
+    """The values yes [m] bool of m points at `places`, each replaced by that of most of its _VOTERS nearest points.
 
-    Where they do not all lie within `reach`, a point says it alone.
+    A point is one of its own nearest points. It keeps its value if they do not all lie within `reach`.
     """
     out = yes.copy()
     for start in range(0, len(yes), _BLOCK):
@@ -182,8 +182,8 @@ def fit_segments(
     if metallic is None:
         close = mass[index] * np.exp(-((distance / _CLASS_REACH) ** 2)) * (np.arange(index.shape[1]) < _CLASS_SEGMENTS)
         margin = np.array([1 + p.segment_metal_margin * m for m in classes])
-        own = np.log(margin[:, None] * (cost.min(1) + _LEAST_RESIDUAL))
-        chosen = _averaged(own, close, index).argmin(0)
+        log_residual = np.log(margin[:, None] * (cost.min(1) + _LEAST_RESIDUAL))
+        chosen = _averaged(log_residual, close, index).argmin(0)
     else:
         chosen = (metallic > 0.5).long().cpu().numpy()
     # the roughness, from segments of the same class
