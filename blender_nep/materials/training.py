@@ -69,6 +69,8 @@ _PIXELS_OF_VARIED = 3
 """An object whose materials vary gets this many times the preset's label pixels. They make its outlines sharp."""
 _TEXELS_OF_VARIED = 2
 """Its texels are this many times as narrow as those of another object, for the same reason."""
+_FIRST_TRIALS, _LATER_TRIALS = 6, 1
+"""How often a roughness is lowered or raised each time that the unseen light is learned: in the first rounds, and later."""
 
 
 @dataclass
@@ -234,7 +236,8 @@ class _MaterialLearner:
     def _find_unseen_light(self, by_hue: bool = False) -> None:
         """Learn the light that no photo shows, and improve the palette with it. The first time, set its distance, too.
 
-        With `by_hue`, what the hues of each material say counts for its class.
+        With `by_hue`, what the hues of each material say counts for its class, and a roughness goes one step at most. The
+        fits of the palette, which follow, took longer walks back.
         """
         p, light, search = self.preset, self.light, self.search
         uncovered = float(1 - light.coverage.mean())
@@ -253,8 +256,9 @@ class _MaterialLearner:
         others = self._metallic_swapped()
         scan = time.monotonic() - start
         said = search.metal_by_hue() if by_hue else torch.zeros_like(search.palette.metallic)
+        most_trials = _LATER_TRIALS if by_hue else _FIRST_TRIALS
         light.unseen, search.palette, margins = learn_unseen_light(
-            light, search.palette, others, search.label, search.target, said, p, self.generator, tried
+            light, search.palette, others, search.label, search.target, said, most_trials, p, self.generator, tried
         )
         if margins:
             self.report.metal_or_not_margin = round(min(margins), 4)

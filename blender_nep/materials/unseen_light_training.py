@@ -23,8 +23,6 @@ _DARKEST, _BRIGHTEST = math.log(1e-3), math.log(1e3)
 """Limits of the map's log radiance."""
 _LEAST_START = 0.005
 """Darker texels start from this radiance, because the gradient of the log radiance vanishes at black."""
-_MOST_TRIALS = 6
-"""Largest number of trials with a lower roughness; the same number holds for a higher roughness."""
 
 
 @profiled("unseen light")
@@ -35,6 +33,7 @@ def learn_unseen_light(
     label: Tensor,
     target: Tensor,
     metal_by_hue: Tensor,
+    most_trials: int,
     preset: MaterialPreset,
     generator: torch.Generator,
     after_trial: Callable[[], None],
@@ -44,8 +43,9 @@ def learn_unseen_light(
     Material and light cannot be found one after the other: a gold thing in white light looks much like a yellow pot in
     yellow light, and a sharp lamp in a rough surface looks like a soft lamp in a smooth surface. So each material is tried
     as in `swapped`, where metals and dielectrics are swapped (None: the classes are known). Then its roughness is lowered
-    or raised by a quarter, as long as that helps. The light is learned anew in each trial, and after_trial() is called.
-    `preset.metal_margin` and what the hues of each material say, metal_by_hue [K] in -1..1, favor one of the classes.
+    or raised by a quarter, as long as that helps, at most `most_trials` times. The light is learned anew in each trial, and
+    after_trial() is called. `preset.metal_margin` and what the hues of each material say, metal_by_hue [K] in -1..1, favor
+    one of the classes.
 
     Returns the light, the palette, and for each material the share by which the error grows if the material changes its
     class, with what its hues say. 0 means that both classes explain the photos equally well; below 0 the prior decided. The
@@ -75,9 +75,11 @@ def learn_unseen_light(
     for k in range(len(palette)):
         for factor in preset.unseen_roughness_factors:
             first = best
-            for _ in range(_MOST_TRIALS):
+            for _ in range(most_trials):
                 roughness = palette.roughness.clone()
                 roughness[k] = (roughness[k] * factor).clamp(preset.least_roughness, 1)
+                if roughness[k] == palette.roughness[k]:  # it is at its limit
+                    break
                 other = Palette(best.albedo, roughness, palette.metallic)
                 fit = solve(other, preset.unseen_steps // 2, best.light)
                 if fit.error >= best.error:

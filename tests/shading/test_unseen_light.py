@@ -193,11 +193,48 @@ def test_metal_is_told_from_paint_together_with_the_lamp_that_no_photo_shows(bal
     ball.update(None, torch.Generator())
     preset = replace(MaterialPreset(), unseen_samples=2000)
     _, found, margins = learn_unseen_light(
-        ball, taken_for, real, label, target, torch.zeros(1), preset, torch.Generator(), lambda: None
+        ball, taken_for, real, label, target, torch.zeros(1), 6, preset, torch.Generator(), lambda: None
     )
     assert found.metallic.tolist() == [truth] and margins[0] > 0.1
     ball.unseen = None
     ball.update(None, torch.Generator())
+
+
+def test_a_wrong_roughness_comes_nearer_with_every_trial_that_is_allowed(ball):
+    label = torch.zeros(4000, dtype=torch.int64)
+    gold = Palette(torch.tensor([[0.8, 0.5, 0.2]]), torch.tensor([0.25]), torch.ones(1))
+    too_rough = replace(gold, roughness=torch.tensor([0.4]))
+    material = gold.at(label)
+    ball.unseen = lamp(16)
+    ball.update(None, torch.Generator())
+    target = reflected(material, ball.moments(material.roughness), ball.diffuse, ball.cos_v)
+    ball.unseen = UnseenLight(16, 4.0, "cpu")
+    ball.update(None, torch.Generator())
+    preset = replace(MaterialPreset(), unseen_samples=2000)
+    found = []
+    for most_trials in (0, 1, 6):
+        fitted = learn_unseen_light(
+            ball, too_rough, None, label, target, torch.zeros(1), most_trials, preset, torch.Generator(), lambda: None
+        )[1]
+        found.append(float(fitted.roughness))
+    ball.unseen = None
+    ball.update(None, torch.Generator())
+    assert found[:2] == pytest.approx([0.4, 0.32]), "no trial, and one trial"
+    assert found[2] == pytest.approx(0.25, rel=0.2)
+
+
+def test_a_roughness_at_its_limit_is_not_tried_again(ball):
+    label = torch.zeros(4000, dtype=torch.int64)
+    preset = replace(MaterialPreset(), unseen_samples=1000, unseen_roughness_factors=(0.8,))
+    smoothest = Palette(torch.full((1, 3), 0.5), torch.tensor([preset.least_roughness]), torch.ones(1))
+    trials = []
+    ball.unseen = UnseenLight(16, 4.0, "cpu")
+    target = torch.full((4000, 3), 0.3)
+    learn_unseen_light(
+        ball, smoothest, None, label, target, torch.zeros(1), 6, preset, torch.Generator(), lambda: trials.append(1)
+    )
+    ball.unseen = None
+    assert len(trials) == 1, "only the light of the palette as it is"
 
 
 @pytest.mark.parametrize("metallic", [0.0, 1.0])
