@@ -4,6 +4,7 @@ from collections.abc import Callable
 
 import blf
 import bpy
+from bpy.app.translations import pgettext_iface
 
 MARGINS = 64  # of a panel in a sidebar, with the sidebar's tabs; in pixels at an interface scale of 1
 ICON = 20  # width of an icon, in the same pixels
@@ -20,13 +21,13 @@ def panel_width(context: bpy.types.Context) -> float:
 def draw_wrapped(layout: bpy.types.UILayout, context: bpy.types.Context, text: str, icon: str = "NONE") -> None:
     """Draw a text in as many lines as the sidebar's width needs, with the icon before the first line.
 
-    An empty text draws nothing.
+    An empty text draws nothing. Blender translates the lines of labels only, so the whole text is translated before.
     """
     blf.size(0, context.preferences.ui_styles[0].widget.points)
     column = layout.column(align=True)
     column.scale_y = 0.8
     limit = panel_width(context) - (ICON if icon != "NONE" else 0)
-    for index, line in enumerate(wrap(text, limit, lambda words: blf.dimensions(0, words)[0])):
+    for index, line in enumerate(wrap(pgettext_iface(text), limit, lambda words: blf.dimensions(0, words)[0])):
         column.label(text=line, icon=icon if index == 0 else "BLANK1" if icon != "NONE" else "NONE")
 
 

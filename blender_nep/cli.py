@@ -4,270 +4,17 @@ from __future__ import annotations
 
 import argparse
 import json
-import math
 import sys
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from blender_nep import __version__
+from blender_nep.command_line import parser, sphere
 
 if TYPE_CHECKING:
+    from blender_nep.errors import NepError
     from blender_nep.job.events import Events
     from blender_nep.presets import Preset
-
-LEAST_FACES = 2000
-"""Smallest --faces. With fewer, the mesh is no longer near enough to the surface for a normal map."""
-
-EXIT_CODES = """\
-exit codes:
-  0  done
-  1  unexpected: a bug, or out of memory (the traceback is in ASSET/log.txt)
-  2  wrong arguments, an asset that is already there, or a resume with other settings
-  3  the capture cannot be read or is not usable (a missing image, an empty folder, too few photos, NaN, sizes)
-  4  the object's sphere cannot be right (a camera inside it, nothing in it, no photo sees it)
-  5  the asset cannot be written (disk full, permissions, not a folder)
-  6  learning failed (no surface was found, or it diverged)
-  7  stopped on request, the checkpoint is written: go on with --resume
-  9  batch: some objects failed; the table and batch.json say why
-
-Events for programs are JSON lines on standard output (none when that is a terminal); text for people is on stderr.
-"""
-
-
-def parser() -> argparse.ArgumentParser:
-    """The parser of the command line's arguments."""
-    top = argparse.ArgumentParser(
-        prog="blender-nep",
-        description="Photos of a glossy object to a relightable mesh (NeP, CVPR 2024).",
-        epilog=EXIT_CODES,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
-    top.add_argument("--version", action="version", version=f"blender-nep {__version__}")
-    commands = top.add_subparsers(
-        dest="command", required=True, metavar="{info,cameras,reconstruct,batch,materials,gallery}"
-    )
-
-    info = commands.add_parser("info", help="say what a capture holds and what looks wrong")
-    info.add_argument(
-        "capture",
-        type=Path,
-        metavar="CAPTURE",
-        help="folder with photos and their cameras: transforms.json, COLMAP, Metashape, Bundler and others",
-    )
-    info.add_argument("--json", action="store_true", help="as one JSON object")
-    _add_sphere(info)
-    info.add_argument(
-        "--picture",
-        type=Path,
-        metavar="FILE.png",
-        help="draw from which directions photos were taken, and where they are missing",
-    )
-
-    _add_cameras(commands)
-    run = commands.add_parser(
-        "reconstruct",
-        help="make an asset of a capture",
-        epilog=EXIT_CODES,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
-    run.add_argument(
-        "capture",
-        type=Path,
-        metavar="CAPTURE",
-        help="folder with photos and their cameras: transforms.json, COLMAP, Metashape, Bundler and others",
-    )
-    run.add_argument("--out", type=Path, required=True, metavar="ASSET", help="folder of the asset")
-    run.add_argument(
-        "--preset",
-        choices=("preview", "balanced", "quality"),
-        default="balanced",
-        help="time against error (%(default)s)",
-    )
-    run.add_argument("--device", choices=("auto", "cpu", "cuda"), default="auto", help="(%(default)s)")
-    run.add_argument("--seed", type=_seed, default=0, metavar="N", help="the same seed gives the same asset (%(default)s)")
-    run.add_argument("--masks", choices=("use", "ignore"), default="use", help="masks help, none are needed (%(default)s)")
-    run.add_argument("--mesh", type=Path, metavar="FILE", help="learn materials on this mesh (capture coordinates)")
-    _add_sphere(run)
-    run.add_argument(
-        "--metal",
-        choices=("auto", "yes", "no"),
-        default="auto",
-        help="whether the object is metal, where photos alone cannot tell (%(default)s)",
-    )
-    _add_faces(run)
-    run.add_argument("--resume", action="store_true", help="go on with the run in ASSET that was stopped or killed")
-    run.add_argument("--overwrite", action="store_true", help="replace an asset or a run in ASSET")
-    run.add_argument("--clean", action="store_true", help="remove the checkpoints when the asset is written")
-    run.add_argument("--threads", type=_at_least(1), metavar="N", help="CPU threads (all cores)")
-    run.add_argument(
-        "--job-files",
-        action="store_true",
-        help="keep ASSET/job, by which other programs follow this run, find it again and stop it",
-    )
-    run.add_argument("--preview", action="store_true", help="show in ASSET/job what has been learned so far")
-    run.add_argument(
-        "--profile",
-        action="store_true",
-        help="say where the time went: a table on stderr and in report.json, and ASSET/profile.json for speedscope.app",
-    )
-    run.add_argument(
-        "--watch-stdin", action="store_true", help='stop at {"cmd": "stop"} on standard input, or when it is closed'
-    )
-    _add_batch(commands)
-    change = commands.add_parser(
-        "materials",
-        help="list the materials of an asset, or correct them",
-        epilog=EXIT_CODES,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
-    change.add_argument("asset", type=Path, metavar="ASSET", help="folder of the asset")
-    what = change.add_mutually_exclusive_group()
-    what.add_argument(
-        "--set",
-        type=_correction,
-        action="append",
-        metavar="NUMBER:WHAT=VALUE",
-        help="2:metallic=1 or 2:roughness=0.3; all other materials become as they were learned; may be repeated",
-    )
-    what.add_argument("--reset", action="store_true", help="make all materials as they were learned")
-    pages = commands.add_parser("gallery", help="write the pages of a batch anew: FOLDER/index.html")
-    pages.add_argument("folder", type=Path, metavar="FOLDER", help="folder of a batch")
-    return top
-
-
-def _add_sphere(command: argparse.ArgumentParser) -> None:
-    command.add_argument(
-        "--object-center",
-        type=_finite,
-        nargs=3,
-        metavar=("X", "Y", "Z"),
-        help="center of the sphere that holds the object, capture coordinates (transforms.json, or estimated)",
-    )
-    command.add_argument("--object-radius", type=_positive, metavar="R", help="its radius; both or none")
-
-
-def _add_faces(command: argparse.ArgumentParser) -> None:
-    command.add_argument(
-        "--faces",
-        type=_at_least(LEAST_FACES),
-        metavar="N",
-        help="largest number of faces of the mesh; a normal map carries the shape that so few faces lack (the preset's)",
-    )
-
-
-def _sphere(options: argparse.Namespace) -> tuple[tuple[float, float, float], float] | None:
-    if options.object_center is None:
-        return None
-    x, y, z = options.object_center
-    return (x, y, z), options.object_radius
-
-
-def _add_cameras(commands: argparse._SubParsersAction) -> None:
-    find = commands.add_parser(
-        "cameras",
-        help="find the cameras of photos, so that they become a capture",
-        epilog=EXIT_CODES,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
-    find.add_argument("photos", type=Path, metavar="PHOTOS", help="folder with photos")
-    find.add_argument("--out", type=Path, metavar="CAPTURE", help="folder of the capture (the folder of the photos)")
-    find.add_argument(
-        "--features",
-        choices=("everywhere", "object", "surroundings"),
-        default="everywhere",
-        help="where to look for points, if PHOTOS/masks shows the object: on a turntable, only on the object (%(default)s)",
-    )
-    find.add_argument(
-        "--improve", action="store_true", help="PHOTOS has cameras: improve them by the photos, in the same frame"
-    )
-    find.add_argument("--overwrite", action="store_true", help="replace cameras that are there")
-    find.add_argument("--threads", type=_at_least(1), metavar="N", help="CPU threads (all cores)")
-    find.add_argument(
-        "--watch-stdin", action="store_true", help='stop at {"cmd": "stop"} on standard input, or when it is closed'
-    )
-
-
-def _add_batch(commands: argparse._SubParsersAction) -> None:
-    batch = commands.add_parser(
-        "batch",
-        help="make assets of many captures",
-        epilog=EXIT_CODES,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
-    batch.add_argument(
-        "captures",
-        type=Path,
-        nargs="*",
-        metavar="CAPTURES",
-        help="capture folders, folders that hold captures or photos, or text files with one folder a line; none: those of "
-        "the last start",
-    )
-    batch.add_argument("--out", type=Path, required=True, metavar="FOLDER", help="folder of the assets and of batch.json")
-    batch.add_argument(
-        "--preset",
-        choices=("preview", "balanced", "quality"),
-        default="balanced",
-        help="time against error (%(default)s)",
-    )
-    batch.add_argument("--masks", choices=("use", "ignore"), default="use", help="(%(default)s)")
-    batch.add_argument("--metal", choices=("auto", "yes", "no"), default="auto", help="(%(default)s)")
-    _add_faces(batch)
-    batch.add_argument("--seed", type=_seed, default=0, metavar="N", help="(%(default)s)")
-    batch.add_argument("--device", choices=("auto", "cpu", "cuda"), default="auto", help="(%(default)s)")
-    batch.add_argument("--clean", action="store_true", help="remove the checkpoints of finished objects")
-    batch.add_argument("--overwrite", action="store_true", help="start all objects again")
-    batch.add_argument("--workers", type=_at_least(1), metavar="N", help="jobs at once (as many as there are cores)")
-    batch.add_argument("--threads", type=_at_least(1), metavar="N", help="CPU threads of each job (the cores are divided)")
-    batch.add_argument("--memory", type=_positive, metavar="MB", help="memory of all jobs together (what is free)")
-    batch.add_argument("--ray", metavar="ADDRESS", help="run the jobs on this Ray cluster; auto: the one of this machine")
-    batch.add_argument("--ship", action="store_true", help="with --ray: the nodes do not share the disk")
-    batch.add_argument(
-        "--watch-stdin", action="store_true", help='stop at {"cmd": "stop"} on standard input, or when it is closed'
-    )
-
-
-def _correction(text: str) -> tuple[int, str, float]:
-    number, _, rest = text.partition(":")
-    name, _, value = rest.partition("=")
-    if name not in ("metallic", "roughness"):
-        raise argparse.ArgumentTypeError("must be NUMBER:metallic=VALUE or NUMBER:roughness=VALUE")
-    wanted = float(value)
-    if not 0 <= wanted <= 1 or (name == "metallic" and wanted not in (0, 1)):
-        raise argparse.ArgumentTypeError("metallic must be 0 or 1, roughness between 0 and 1")
-    return int(number), name, wanted
-
-
-def _seed(text: str) -> int:
-    value = int(text)
-    if not 0 <= value < 2**31:
-        raise argparse.ArgumentTypeError("must be between 0 and 2147483647")
-    return value
-
-
-def _at_least(least: int) -> Callable[[str], int]:
-    def whole_number(text: str) -> int:
-        value = int(text)
-        if value < least:
-            raise argparse.ArgumentTypeError(f"must be at least {least}")
-        return value
-
-    return whole_number
-
-
-def _finite(text: str) -> float:
-    value = float(text)
-    if not math.isfinite(value):
-        raise argparse.ArgumentTypeError("must be a finite number")
-    return value
-
-
-def _positive(text: str) -> float:
-    value = _finite(text)
-    if value <= 0:
-        raise argparse.ArgumentTypeError("must be positive")
-    return value
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -291,18 +38,23 @@ def main(arguments: list[str] | None = None) -> int:
     return commands[options.command](options)
 
 
+def _told(error: NepError) -> int:
+    """Tell a person the error, and return its exit code."""
+    print(f"error: {error.message}" + (f"\n       {error.hint}" if error.hint else ""), file=sys.stderr)
+    return error.code
+
+
 def _info(options: argparse.Namespace) -> int:
     from blender_nep.capture.summary import describe, summarise
     from blender_nep.errors import NepError
     from blender_nep.files import jsonable
 
     try:
-        found = summarise(options.capture, options.picture, _sphere(options))
+        found = summarise(options.capture, options.picture, sphere(options))
     except NepError as error:
         if options.json:
             print(json.dumps({"error": jsonable(error.told())}, indent=1))
-        print(f"error: {error.message}" + (f"\n       {error.hint}" if error.hint else ""), file=sys.stderr)
-        return error.code
+        return _told(error)
     print(json.dumps(found, indent=1) if options.json else describe(found))
     return 0
 
@@ -360,7 +112,7 @@ def _reconstruct(options: argparse.Namespace) -> int:
         seed=options.seed,
         use_masks=options.masks == "use",
         mesh=options.mesh,
-        sphere=_sphere(options),
+        sphere=sphere(options),
         resume=options.resume,
         overwrite=options.overwrite,
         clean=options.clean,
@@ -411,12 +163,11 @@ def _materials(options: argparse.Namespace) -> int:
 
     from blender_nep.job import correction
     from blender_nep.materials.corrections import Correction
-    from blender_nep.stop_request import StopRequest
 
     wanted: dict[int, dict[str, float]] = {}
     for number, name, value in options.set or ():
         wanted.setdefault(number, {})[name] = value
-    return correction.run(options.asset, {k: Correction(**values) for k, values in wanted.items()}, events, StopRequest())
+    return correction.run(options.asset, {k: Correction(**values) for k, values in wanted.items()}, events)
 
 
 def _list_materials(asset: Path) -> int:
@@ -426,8 +177,7 @@ def _list_materials(asset: Path) -> int:
     try:
         materials = read_report(asset)["materials"]
     except NepError as error:
-        print(f"error: {error.message}" + (f"\n       {error.hint}" if error.hint else ""), file=sys.stderr)
-        return error.code
+        return _told(error)
     print("number  share  roughness  metal  albedo (linear)")
     for number, found in enumerate(materials):
         color = " ".join(f"{x:.3f}" for x in found["albedo"])
@@ -443,7 +193,6 @@ def _gallery(options: argparse.Namespace) -> int:
     try:
         write_gallery(options.folder)
     except NepError as error:
-        print(f"error: {error.message}" + (f"\n       {error.hint}" if error.hint else ""), file=sys.stderr)
-        return error.code
+        return _told(error)
     print(options.folder / "index.html")
     return 0

@@ -183,7 +183,7 @@ WORDS: dict[str, str] = {
     "{names}. Develop all photos with one exposure, or leave {count:it|them} out",
     "capture.sphere_clipped": "{percent:g} % of the pixels around the object are burnt out (clipped): expose less, or take "
     "photos with a larger range (raw, OpenEXR)",
-    "capture.cameras_look_away": "the object's centre is not in the picture of {count} {count:photo|photos}: {names}. Look "
+    "capture.cameras_look_away": "the object's center is not in the picture of {count} {count:photo|photos}: {names}. Look "
     "whether {count:its camera is|their cameras are} right",
     "capture.cameras_near": "{count} {count:camera stands|cameras stand} much nearer to the object than the others: "
     "{names}. Look whether {count:its place is|their places are} right",

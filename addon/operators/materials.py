@@ -9,6 +9,7 @@ from ...backend.engine.command import EngineError, find_engine_python
 from ...backend.engine.exit_codes import OUTPUT_FAILED
 from ...backend.engine.job_files import has_checkpoint, is_asset, is_running
 from .. import material_correction
+from ..engine_errors import error_text
 from ..engine_paths import engine_python
 from ..folders import SAVE_FILE_FIRST, resolve_folder
 from ..imported_materials import chosen_corrections, is_list_of
@@ -68,7 +69,7 @@ class NEP_OT_correct_materials(bpy.types.Operator):
         return {"FINISHED"}
 
     def _failed(self, error: EngineError) -> set[str]:
-        self.report({"ERROR"}, "\n".join(text for text in (*error.words(pgettext_iface), error.log) if text))
+        self.report({"ERROR"}, error_text(error))
         return {"CANCELLED"}
 
 

@@ -3,13 +3,13 @@
 from pathlib import Path
 
 import bpy
-from bpy.app.translations import pgettext_iface
 
 from ...backend.engine.batch_file import BatchFile, has_batch, read_batch
 from ...backend.engine.command import EngineError, find_engine_python
 from ...backend.engine.gallery_process import GalleryProcess
 from ...backend.shelf.bring_in import bring_in
 from .. import clock, shelf_batch, shelf_scene
+from ..engine_errors import error_text
 from ..engine_paths import engine_python
 from ..folders import SAVE_FILE_FIRST, resolve_folder
 
@@ -120,7 +120,7 @@ class NEP_OT_reconstruct_shelf(bpy.types.Operator):
         return {"FINISHED"} if batch.failed is None else self._failed(batch.failed)
 
     def _failed(self, error: EngineError) -> set[str]:
-        self.report({"ERROR"}, "\n".join(text for text in (*error.words(pgettext_iface), error.log) if text))
+        self.report({"ERROR"}, error_text(error))
         return {"CANCELLED"}
 
 

@@ -15,7 +15,7 @@ ENGINE_PYTHON_VARIABLE = "NEP_ENGINE_PYTHON"
 ENGINE_MODULE = "blender_nep"
 CHECK_LIMIT_S = 60.0
 LEAST_FACES = 2000
-"""Smallest number of faces that the engine takes: a second copy of that in blender_nep/cli.py. A test compares the two."""
+"""Smallest number of faces that the engine takes: as in blender_nep/command_line.py. A test compares the two."""
 
 
 class EngineError(Exception):

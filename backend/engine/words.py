@@ -69,7 +69,7 @@ MESSAGES = {
     "capture.same_place": "{count} {count:photo was|photos were} taken from the same place in the same direction as others "
     "and {count:adds|add} nothing to the shape: {names}",
     "capture.exr_is_linear": "OpenEXR photos are taken as linear, although the capture says sRGB",
-    "capture.half_a_sphere": "The capture names only a centre or only a radius of the object's sphere: it is ignored",
+    "capture.half_a_sphere": "The capture names only a center or only a radius of the object's sphere: it is ignored",
     "capture.masks_disagree": "The masks contradict each other: the object's sphere is estimated from the cameras",
     "capture.sphere_not_seen": "{count} of {photos} photos {count:does|do} not see the object's sphere: {names}",
     "capture.cameras_far": "The cameras are {radii:.0f} object radii away: the object covers few pixels. Are the bounds too "
@@ -103,7 +103,7 @@ MESSAGES = {
     "{names}. Develop all photos with one exposure, or leave {count:it|them} out",
     "capture.sphere_clipped": "{percent:g} % of the pixels around the object are burnt out: expose less, or take photos "
     "with a larger range (raw, OpenEXR)",
-    "capture.cameras_look_away": "The object's centre is not in the picture of {count} {count:photo|photos}: {names}. Look "
+    "capture.cameras_look_away": "The object's center is not in the picture of {count} {count:photo|photos}: {names}. Look "
     "whether {count:its camera is|their cameras are} right",
     "capture.cameras_near": "{count} {count:camera stands|cameras stand} much nearer to the object than the others: "
     "{names}. Look whether {count:its place is|their places are} right",

@@ -15,7 +15,16 @@ from blender_nep.batch.needs import Needs
 from blender_nep.batch.progress import STAGE, BatchProgress
 from blender_nep.batch.scheduler import Plan, Scheduler
 from blender_nep.batch.settings import BatchSettings
-from blender_nep.batch.state import DONE, FAILED, WAITING, BatchState, ObjectState, read_state, refuse_other_batch
+from blender_nep.batch.state import (
+    DONE,
+    FAILED,
+    WAITING,
+    BatchState,
+    ObjectState,
+    captures_before,
+    read_state,
+    refuse_other_batch,
+)
 from blender_nep.errors import NepError, ObjectsFailed, OutputError, Stopped, UsageError
 from blender_nep.files import output_errors
 from blender_nep.job.device import choose_device, usable_cores
@@ -62,6 +71,8 @@ class Batch:
 
     def _run(self, captures: list[FoundCapture]) -> None:
         s = self._settings
+        if s.overwrite and not captures:
+            captures = captures_before(s.out)
         state = self._state()
         work = state.take(captures) if captures else state.objects
         if not work:
@@ -140,7 +151,7 @@ class Batch:
             from blender_nep.batch.ray_jobs import RayJobs
 
             jobs = RayJobs(s.ray, s.workers, s.ship)
-            return jobs, Plan(jobs.cores, jobs.workers, s.memory_mb or jobs.largest_memory_mb, s.threads or 1)
+            return jobs, Plan(jobs.cores, jobs.workers, jobs.largest_memory_mb, s.threads or 1)
         choose_device(s.device)
         cores = usable_cores()
         plan = Plan(cores, min(s.workers or cores, cores), s.memory_mb or free_memory_mb(), s.threads)

@@ -111,7 +111,7 @@ def read_state(folder: Path) -> BatchState | None:
     path = folder / FILE
     if not path.is_file():
         return None
-    hint = "Choose another --out, or start again with --overwrite."
+    hint = "Choose another --out, or name all captures and start again with --overwrite."
     try:
         content = json.loads(path.read_text(encoding="utf-8"))
         if content["format"] != FORMAT:
@@ -124,6 +124,12 @@ def read_state(folder: Path) -> BatchState | None:
         return BatchState(identity, arguments, content["started"], objects=objects)
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise UsageError(f"{path} is damaged", hint, "usage.batch_damaged", path=path) from error
+
+
+def captures_before(folder: Path) -> list[FoundCapture]:
+    """The captures of the batch in `folder`; none if there is no batch. Raises UsageError as `read_state`."""
+    state = read_state(folder)
+    return [] if state is None else [FoundCapture(Path(one.capture), one.photos_alone) for one in state.objects]
 
 
 def refuse_other_batch(folder: Path, before: BatchState, settings: BatchSettings) -> None:

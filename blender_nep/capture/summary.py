@@ -165,7 +165,7 @@ def describe(found: dict) -> str:
         f"{found['radiance']['99_9_percent']}, largest {found['radiance']['largest']}",
         f"  exposure       {exposure}; {found['clipped']:.1%} of the pixels around the object are clipped",
         f"  field of view  {found['field_of_view_deg'][0]} to {found['field_of_view_deg'][1]} degrees",
-        f"  object         centre {found['object_center']}, radius {found['object_radius']} (from {found['bounds_source']})",
+        f"  object         center {found['object_center']}, radius {found['object_radius']} (from {found['bounds_source']})",
         f"  cameras        {found['camera_distance_radii'][0]} to {found['camera_distance_radii'][1]} radii away, "
         f"{found['directions_covered']:.0%} of directions within 30 degrees of a camera",
         f"  largest hole   {found['largest_hole']['message']}" + ("" if found["z_up"] else " (up as in the photos, not z)"),

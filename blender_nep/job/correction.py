@@ -37,28 +37,28 @@ class _Finished:
     light: np.ndarray
 
 
-def run(asset: Path, corrections: Mapping[int, Correction], events: Events, stop: StopRequest) -> int:
+def run(asset: Path, corrections: Mapping[int, Correction], events: Events) -> int:
     """Correct the materials of the asset in the folder `asset`, and return the exit code.
 
     `corrections` {number of the material: correction} is complete: a material that it does not name becomes as it was
-    learned. Stops only before the files are written.
+    learned. It takes seconds, and nothing stops it.
     """
 
     def work() -> None:
         with held(asset):
-            _correct(asset, corrections, events, stop)
+            _correct(asset, corrections, events)
 
     return exit_code(work, events, asset)
 
 
-def _correct(asset: Path, corrections: Mapping[int, Correction], events: Events, stop: StopRequest) -> None:
+def _correct(asset: Path, corrections: Mapping[int, Correction], events: Events) -> None:
     report = read_report(asset)
     _refuse_unknown(report, corrections)
     with output_errors(asset):
         events.open_log(asset / "log.txt")
     events.log(f"correction: {_told(corrections)}")
     _progress(events, 0)
-    found = _load(asset, events, stop)
+    found = _load(asset, events)
     _progress(events, 1)
     baked, materials = found.kept.bake(found.shape.surface, corrections, preset(report["preset"]).material)
     textures = dict(zip(TEXTURES, baked, strict=True))
@@ -109,9 +109,9 @@ def _refuse_unknown(report: dict[str, Any], corrections: Mapping[int, Correction
             )
 
 
-def _load(asset: Path, events: Events, stop: StopRequest) -> _Finished:
+def _load(asset: Path, events: Events) -> _Finished:
     """What the job has kept. Raises UsageError where it was removed or is damaged."""
-    folder = RunFolder(asset, stop, events.warning)
+    folder = RunFolder(asset, StopRequest(), events.warning)
     surface, materials, preview = (
         folder.load_result(name) for name in (StageName.SURFACE, StageName.MATERIAL_LEARNING, PREVIEW)
     )

@@ -159,6 +159,14 @@ def test_other_settings_in_the_same_folder_are_refused(batch):
     assert batch.steps("a") == WHOLE * 2 and batch.content()["preset"] == "balanced"
 
 
+def test_all_starts_again_without_the_captures_named_again(batch):
+    for name in ("a", "b"):
+        batch.add(name)
+    batch.run()
+    assert batch.run(captures=[], overwrite=True)[0] == 0
+    assert batch.steps("a") == batch.steps("b") == WHOLE * 2
+
+
 def test_every_job_gets_the_number_of_faces_and_a_batch_keeps_to_it(batch):
     batch.add("a")
     assert batch.run(faces=5000)[0] == 0

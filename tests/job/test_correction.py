@@ -19,7 +19,6 @@ from blender_nep.materials.corrections import CorrectablePalette, Correction, Ke
 from blender_nep.materials.palette import Palette
 from blender_nep.materials.training import Materials
 from blender_nep.shading.light_moments import LightMoments
-from blender_nep.stop_request import StopRequest
 from blender_nep.surface.normal_map import LeanMesh
 from support.ball_stages import BallStages, BallSurface, ball_surface
 
@@ -69,7 +68,7 @@ def contents(asset) -> dict[str, bytes]:
 
 def correct(asset, corrections):
     protocol = io.StringIO()
-    code = correction.run(asset, corrections, Events(protocol, io.StringIO()), StopRequest())
+    code = correction.run(asset, corrections, Events(protocol, io.StringIO()))
     return code, [json.loads(line) for line in protocol.getvalue().splitlines()]
 
 

@@ -13,7 +13,7 @@ from backend.engine import engine as engine_module
 from backend.engine.camera_process import CameraError, CameraProcess, check_writable
 from backend.engine.command import NoEngineError, cameras_arguments
 from backend.engine.exit_codes import OUTPUT_FAILED, STOPPED
-from blender_nep import cli
+from blender_nep import command_line
 from support import camera_engine
 from support.own_process import LIMIT_S
 from support.paths import ROOT
@@ -49,11 +49,11 @@ def has_begun(process: CameraProcess) -> bool:
 
 
 def test_the_library_understands_the_arguments():
-    found = cli.parser().parse_args(cameras_arguments("photos", threads=2, overwrite=True))
+    found = command_line.parser().parse_args(cameras_arguments("photos", threads=2, overwrite=True))
     assert (found.command, str(found.photos), found.out, found.threads) == ("cameras", "photos", None, 2)
     assert found.overwrite and found.watch_stdin and found.features == "everywhere"
     assert cameras_arguments("photos") == ["cameras", "photos", "--watch-stdin"]
-    found = cli.parser().parse_args(cameras_arguments("photos", overwrite=True, improve=True, features="object"))
+    found = command_line.parser().parse_args(cameras_arguments("photos", overwrite=True, improve=True, features="object"))
     assert (found.improve, found.overwrite, found.features) == (True, True, "object")
 
 

@@ -7,7 +7,7 @@ import pytest
 from backend.engine import capture_facts
 from backend.engine.capture_query import CaptureQuery
 from backend.engine.command import NoEngineError, info_arguments
-from blender_nep import cli
+from blender_nep import command_line
 from blender_nep.capture import coverage_picture
 from support import info_engine
 from support.waiting import wait_until
@@ -35,9 +35,9 @@ def asked(python: str, tmp_path, **options) -> CaptureQuery:
 
 
 def test_the_library_understands_the_arguments(tmp_path):
-    found = cli.parser().parse_args(info_arguments("photos", picture=tmp_path / "a.png", bounds=BOUNDS))
+    found = command_line.parser().parse_args(info_arguments("photos", picture=tmp_path / "a.png", bounds=BOUNDS))
     assert (found.command, str(found.capture), found.json, found.picture) == ("info", "photos", True, tmp_path / "a.png")
-    assert cli._sphere(found) == ((-1.0, 2.0, 3.0), 0.5)
+    assert command_line.sphere(found) == ((-1.0, 2.0, 3.0), 0.5)
     assert info_arguments("photos") == ["info", "photos", "--json"]
 
 

@@ -10,7 +10,7 @@ from backend.engine.command import (
     find_engine_python,
     reconstruct_arguments,
 )
-from blender_nep import cli
+from blender_nep import cli, command_line
 
 
 def test_a_python_that_is_named_is_taken_in_order(monkeypatch):
@@ -42,7 +42,7 @@ def test_only_what_was_chosen_is_handed_on(keep_going):
 
 
 def test_the_engine_understands_every_argument():
-    found = cli.parser().parse_args(
+    found = command_line.parser().parse_args(
         reconstruct_arguments(
             "photos",
             "out",
@@ -61,15 +61,15 @@ def test_the_engine_understands_every_argument():
     assert (found.preset, found.device, found.seed, found.masks, found.metal) == ("quality", "cpu", 3, "ignore", "no")
     assert found.faces == 5000 and found.threads == 2
     assert found.resume and found.overwrite and found.preview and found.watch_stdin and found.job_files
-    known = cli.parser().parse_args(reconstruct_arguments("photos", "out", mesh="known.obj"))
+    known = command_line.parser().parse_args(reconstruct_arguments("photos", "out", mesh="known.obj"))
     assert str(known.mesh) == "known.obj" and known.faces is None
 
 
 def test_both_sides_know_the_smallest_number_of_faces(capsys):
-    assert LEAST_FACES == cli.LEAST_FACES
+    assert LEAST_FACES == command_line.LEAST_FACES
     few = reconstruct_arguments("photos", "out", faces=LEAST_FACES - 1)
     with pytest.raises(SystemExit) as refused:
-        cli.parser().parse_args(few)
+        command_line.parser().parse_args(few)
     assert refused.value.code == 2 and f"at least {LEAST_FACES}" in capsys.readouterr().err
     with pytest.raises(SystemExit) as refused:
         cli.main(reconstruct_arguments("photos", "out", faces=LEAST_FACES, mesh="known.obj"))

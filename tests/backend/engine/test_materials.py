@@ -9,7 +9,7 @@ from backend.engine import words
 from backend.engine.asset_materials import AssetMaterial, read_materials
 from backend.engine.command import NoEngineError, materials_arguments
 from backend.engine.correction_process import CorrectionProcess
-from blender_nep import cli
+from blender_nep import command_line
 from blender_nep.materials.corrections import ListedMaterial
 from support import correcting_engine
 from support.played_python import bare_python
@@ -63,9 +63,9 @@ def test_a_report_of_the_library_is_understood(tmp_path):
 
 
 def test_the_library_understands_the_arguments():
-    found = cli.parser().parse_args(materials_arguments("asset", {1: {"metallic": 1.0}, 11: {"roughness": 1e-5}}))
+    found = command_line.parser().parse_args(materials_arguments("asset", {1: {"metallic": 1.0}, 11: {"roughness": 1e-5}}))
     assert found.set == [(1, "metallic", 1.0), (11, "roughness", 1e-5)] and not found.reset
-    assert cli.parser().parse_args(materials_arguments("asset", {})).reset
+    assert command_line.parser().parse_args(materials_arguments("asset", {})).reset
 
 
 def test_the_arguments_name_all_corrections_or_take_all_back():
