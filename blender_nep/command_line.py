@@ -67,12 +67,7 @@ def _add_info(commands: argparse._SubParsersAction) -> None:
 
 
 def _add_cameras(commands: argparse._SubParsersAction) -> None:
-    find = commands.add_parser(
-        "cameras",
-        help="find the cameras of photos, so that they become a capture",
-        epilog=EXIT_CODES,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
+    find = _command_with_exit_codes(commands, "cameras", "find the cameras of photos, so that they become a capture")
     find.add_argument("photos", type=Path, metavar="PHOTOS", help="folder with photos")
     find.add_argument("--out", type=Path, metavar="CAPTURE", help="folder of the capture (the folder of the photos)")
     find.add_argument(
@@ -86,26 +81,14 @@ def _add_cameras(commands: argparse._SubParsersAction) -> None:
     )
     find.add_argument("--overwrite", action="store_true", help="replace cameras that are there")
     find.add_argument("--threads", type=_at_least(1), metavar="N", help="CPU threads (all cores)")
-    find.add_argument(
-        "--watch-stdin", action="store_true", help='stop at {"cmd": "stop"} on standard input, or when it is closed'
-    )
+    _add_watch_stdin(find)
 
 
 def _add_reconstruct(commands: argparse._SubParsersAction) -> None:
-    run = commands.add_parser(
-        "reconstruct",
-        help="make an asset of a capture",
-        epilog=EXIT_CODES,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
+    run = _command_with_exit_codes(commands, "reconstruct", "make an asset of a capture")
     _add_capture(run)
     run.add_argument("--out", type=Path, required=True, metavar="ASSET", help="folder of the asset")
-    run.add_argument(
-        "--preset",
-        choices=("preview", "balanced", "quality"),
-        default="balanced",
-        help="time against error (%(default)s)",
-    )
+    _add_preset(run)
     run.add_argument("--device", choices=("auto", "cpu", "cuda"), default="auto", help="(%(default)s)")
     run.add_argument("--seed", type=_seed, default=0, metavar="N", help="the same seed gives the same asset (%(default)s)")
     run.add_argument("--masks", choices=("use", "ignore"), default="use", help="masks help, none are needed (%(default)s)")
@@ -133,18 +116,11 @@ def _add_reconstruct(commands: argparse._SubParsersAction) -> None:
         action="store_true",
         help="say where the time went: a table on stderr and in report.json, and ASSET/profile.json for speedscope.app",
     )
-    run.add_argument(
-        "--watch-stdin", action="store_true", help='stop at {"cmd": "stop"} on standard input, or when it is closed'
-    )
+    _add_watch_stdin(run)
 
 
 def _add_batch(commands: argparse._SubParsersAction) -> None:
-    batch = commands.add_parser(
-        "batch",
-        help="make assets of many captures",
-        epilog=EXIT_CODES,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
+    batch = _command_with_exit_codes(commands, "batch", "make assets of many captures")
     batch.add_argument(
         "captures",
         type=Path,
@@ -154,12 +130,7 @@ def _add_batch(commands: argparse._SubParsersAction) -> None:
         "the last start",
     )
     batch.add_argument("--out", type=Path, required=True, metavar="FOLDER", help="folder of the assets and of batch.json")
-    batch.add_argument(
-        "--preset",
-        choices=("preview", "balanced", "quality"),
-        default="balanced",
-        help="time against error (%(default)s)",
-    )
+    _add_preset(batch)
     batch.add_argument("--masks", choices=("use", "ignore"), default="use", help="(%(default)s)")
     batch.add_argument("--metal", choices=("auto", "yes", "no"), default="auto", help="(%(default)s)")
     _add_faces(batch)
@@ -172,18 +143,11 @@ def _add_batch(commands: argparse._SubParsersAction) -> None:
     batch.add_argument("--memory", type=_positive, metavar="MB", help="memory of all jobs together (what is free)")
     batch.add_argument("--ray", metavar="ADDRESS", help="run the jobs on this Ray cluster; auto: the one of this machine")
     batch.add_argument("--ship", action="store_true", help="with --ray: the nodes do not share the disk")
-    batch.add_argument(
-        "--watch-stdin", action="store_true", help='stop at {"cmd": "stop"} on standard input, or when it is closed'
-    )
+    _add_watch_stdin(batch)
 
 
 def _add_materials(commands: argparse._SubParsersAction) -> None:
-    change = commands.add_parser(
-        "materials",
-        help="list the materials of an asset, or correct them",
-        epilog=EXIT_CODES,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
+    change = _command_with_exit_codes(commands, "materials", "list the materials of an asset, or correct them")
     change.add_argument("asset", type=Path, metavar="ASSET", help="folder of the asset")
     what = change.add_mutually_exclusive_group()
     what.add_argument(
@@ -199,6 +163,26 @@ def _add_materials(commands: argparse._SubParsersAction) -> None:
 def _add_gallery(commands: argparse._SubParsersAction) -> None:
     pages = commands.add_parser("gallery", help="write the pages of a batch anew: FOLDER/index.html")
     pages.add_argument("folder", type=Path, metavar="FOLDER", help="folder of a batch")
+
+
+def _command_with_exit_codes(commands: argparse._SubParsersAction, name: str, text: str) -> argparse.ArgumentParser:
+    """Add a command whose help ends with the exit codes."""
+    return commands.add_parser(name, help=text, epilog=EXIT_CODES, formatter_class=argparse.RawDescriptionHelpFormatter)
+
+
+def _add_preset(command: argparse.ArgumentParser) -> None:
+    command.add_argument(
+        "--preset",
+        choices=("preview", "balanced", "quality"),
+        default="balanced",
+        help="time against error (%(default)s)",
+    )
+
+
+def _add_watch_stdin(command: argparse.ArgumentParser) -> None:
+    command.add_argument(
+        "--watch-stdin", action="store_true", help='stop at {"cmd": "stop"} on standard input, or when it is closed'
+    )
 
 
 def _add_capture(command: argparse.ArgumentParser) -> None:

@@ -267,7 +267,10 @@ ERRORS = {
     ),
     "usage.no_captures": ("There are no captures in {path}", "Choose capture folders, or a folder that holds captures."),
     "usage.no_list": ("{path} is no list of folders", "Choose capture folders, or a folder that holds captures."),
-    "usage.batch_damaged": ("{path} is damaged", "Choose another output folder, or Start All Again."),
+    "usage.batch_damaged": (
+        "{path} is damaged",
+        "Choose another output folder, or choose all captures and Start All Again.",
+    ),
     "usage.other_batch": (
         "The batch in {folder} was started with other settings: {different}",
         "Use the same settings as then, choose another output folder, or Start All Again.",
@@ -318,7 +321,7 @@ CAMERA_HINTS = {
 
 BATCH_HINTS = {
     "usage.folder_in_use": "Wait for its end, or choose another output folder.",
-    "usage.other_version": "Choose another output folder, or Start All Again.",
+    "usage.other_version": "Choose another output folder, or choose all captures and Start All Again.",
     "output.disk_full": "Free some space, then press Reconstruct Shelf again: it goes on with what is left.",
     "unexpected.no_memory": "Close other programs, then press Reconstruct Shelf again: it goes on with what is left.",
     "stopped.interrupted": "Reconstruct Shelf goes on with what is left.",

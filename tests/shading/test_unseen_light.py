@@ -137,6 +137,16 @@ def lamp(rows: int) -> UnseenLight:
     return light
 
 
+def photographed_under_a_lamp(ball, material):
+    """What 4000 samples of this material send to the eye under lamp(16), which no photo shows. The ball then has no lamp."""
+    ball.unseen = lamp(16)
+    ball.update(None, torch.Generator())
+    target = reflected(material, ball.moments(material.roughness), ball.diffuse, ball.cos_v)
+    ball.unseen = None
+    ball.update(None, torch.Generator())
+    return target
+
+
 def test_the_transport_is_what_the_cones_receive_and_its_adjoint_fits(ball):
     palette = Palette(torch.tensor([[0.8, 0.5, 0.2]]), torch.tensor([0.3]), torch.tensor([0.4]))
     material = palette.at(torch.zeros(4000, dtype=torch.int64))
@@ -185,12 +195,8 @@ def test_metal_is_told_from_paint_together_with_the_lamp_that_no_photo_shows(bal
     label = torch.zeros(4000, dtype=torch.int64)
     painted, gold = (Palette(torch.tensor([[0.8, 0.5, 0.2]]), torch.tensor([0.25]), torch.tensor([m])) for m in (0.0, 1.0))
     real, taken_for = (gold, painted) if truth else (painted, gold)
-    material = real.at(label)
-    ball.unseen = lamp(16)
-    ball.update(None, torch.Generator())
-    target = reflected(material, ball.moments(material.roughness), ball.diffuse, ball.cos_v)
+    target = photographed_under_a_lamp(ball, real.at(label))
     ball.unseen = UnseenLight(16, 4.0, "cpu")
-    ball.update(None, torch.Generator())
     preset = replace(MaterialPreset(), unseen_samples=2000)
     _, found, margins = learn_unseen_light(
         ball, taken_for, real, label, target, torch.zeros(1), 6, preset, torch.Generator(), lambda: None
@@ -204,12 +210,8 @@ def test_a_wrong_roughness_comes_nearer_with_every_trial_that_is_allowed(ball):
     label = torch.zeros(4000, dtype=torch.int64)
     gold = Palette(torch.tensor([[0.8, 0.5, 0.2]]), torch.tensor([0.25]), torch.ones(1))
     too_rough = replace(gold, roughness=torch.tensor([0.4]))
-    material = gold.at(label)
-    ball.unseen = lamp(16)
-    ball.update(None, torch.Generator())
-    target = reflected(material, ball.moments(material.roughness), ball.diffuse, ball.cos_v)
+    target = photographed_under_a_lamp(ball, gold.at(label))
     ball.unseen = UnseenLight(16, 4.0, "cpu")
-    ball.update(None, torch.Generator())
     preset = replace(MaterialPreset(), unseen_samples=2000)
     found = []
     for most_trials in (0, 1, 6):
@@ -241,13 +243,8 @@ def test_a_roughness_at_its_limit_is_not_tried_again(ball):
 def test_reflections_reveal_a_lamp_that_no_photo_shows(ball, metallic):
     palette = Palette(torch.tensor([[0.7, 0.4, 0.2]]), torch.tensor([0.2]), torch.tensor([metallic]))
     label = torch.zeros(4000, dtype=torch.int64)
-    material = palette.at(label)
     truth = lamp(16)
-    ball.unseen = truth
-    ball.update(None, torch.Generator())
-    target = reflected(material, ball.moments(material.roughness), ball.diffuse, ball.cos_v)
-    ball.unseen = None
-    ball.update(None, torch.Generator())
+    target = photographed_under_a_lamp(ball, palette.at(label))
     wrong = replace(palette, albedo=torch.full((1, 3), 0.5))
     start = UnseenLight(16, 4.0, "cpu")
     fit = UnseenLightProblem(ball, 16, 4.0, label, target, torch.arange(4000), MaterialPreset()).solve(wrong, start, 150)
