@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from blender_nep.cameras.alignment import angle, moved, similarity
+from blender_nep.cameras.held_camera import Spread, held, off
 from blender_nep.cameras.photo_folder import Photo
 from blender_nep.cameras.structure_from_motion import Group, PlacedPhoto
 from blender_nep.capture.camera import Camera
@@ -21,6 +22,8 @@ _GAIN = 0.1
 _FAR = 0.1
 """A camera that was turned by more radians, or moved by more of its distance, was given wrongly. Hardly any feature of its
 photo agreed before, so the gain does not show that."""
+_MEDIAN_2D, _MEDIAN_3D = 1.177, 1.538
+"""Median length of a vector of two or three normal numbers, in standard deviations"""
 _OUTLIER, _CLOSE = 3.0, 0.01
 """A camera that moved by more than so many times the median, and by more than `_CLOSE`, does not count for the frame."""
 
@@ -85,8 +88,7 @@ def take_over(photos: Sequence[Photo], cameras: Sequence[Camera], group: Group, 
             placed=len(supported),
         )
     before = [given[found.photo.path] for found in supported]
-    carry = _frame([found.camera for found in supported], before, center)
-    placed = [replace(found, camera=moved(found.camera, *carry)) for found in supported]
+    placed = _held(supported, before, center)
     changes = [_change(a, b.camera, center) for a, b in zip(before, placed, strict=True)]
     improved = {found.photo.path: found for found in placed}
     as_given = [PlacedPhoto(photo, given[photo.path], 0, 0.0) for photo in photos]
@@ -101,6 +103,22 @@ def take_over(photos: Sequence[Photo], cameras: Sequence[Camera], group: Group, 
         float(np.median([shifted for _, shifted in changes])),
         max(_size(change) for change in changes),
     )
+
+
+def _held(found: Sequence[PlacedPhoto], given: Sequence[Camera], center: np.ndarray) -> list[PlacedPhoto]:
+    """The found cameras in the frame of the given ones, each held near its given camera."""
+    turn, scale, shift = _frame([one.camera for one in found], given, center)
+    cameras = [moved(one.camera, turn, scale, shift) for one in found]
+    turned, shifted = np.median([_change(a, b, center) for a, b in zip(given, cameras, strict=True)], axis=0)
+    error, placed = float(np.median([one.error for one in found])) / _MEDIAN_2D, []
+    for one, camera, before in zip(found, cameras, given, strict=True):
+        seen = one.seen.copy()
+        seen[:, 2:] = scale * seen[:, 2:] @ turn.T + shift
+        away = float(np.linalg.norm(before.position - center))
+        spread = Spread(float(np.radians(turned)) / _MEDIAN_3D, float(shifted) * away / _MEDIAN_3D, error)
+        best = held(before, camera, seen, spread)
+        placed.append(replace(one, camera=best, error=float(np.median(np.linalg.norm(off(best, seen), axis=1)))))
+    return placed
 
 
 def _frame(found: Sequence[Camera], given: Sequence[Camera], center: np.ndarray) -> tuple[np.ndarray, float, np.ndarray]:

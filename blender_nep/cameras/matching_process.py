@@ -230,6 +230,10 @@ def _improve(pycolmap: Any, folder: Path, settings: dict) -> None:
         pycolmap.bundle_adjustment(model, adjustment)
     _say("places", _ROUNDS, _ROUNDS)
     _write(folder, [(model, {"before": before})])
+    for i in model.reg_image_ids():
+        image = model.images[i]
+        seen = [(*p.xy, *model.points3D[p.point3D_id].xyz) for p in image.points2D if p.has_point3D()]
+        np.save(folder / "sparse" / "0" / f"{image.name}.npy", np.array(seen).reshape(-1, 5))
 
 
 def _given_model(pycolmap: Any, folder: Path, settings: dict) -> Any:

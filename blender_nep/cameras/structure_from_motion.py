@@ -71,6 +71,8 @@ class PlacedPhoto:
     """Number of scene points that it shows"""
     error: float
     """Median distance [pixels of the full photo] between its features and the projections of their scene points"""
+    seen: np.ndarray | None = None
+    """[n, 5] places of these features [pixels of the full photo] and their scene points; None where no camera was given"""
 
 
 @dataclass(frozen=True)
@@ -326,11 +328,14 @@ def _read(folder: Path, photos: Sequence[Photo], scale: dict[str, float]) -> lis
     groups = []
     for model in json.loads((folder / "result.json").read_text(encoding="utf-8")):
         placed = []
-        for name, camera in colmap.read_cameras(folder / "sparse" / model["folder"]).items():
-            said, photo = model["photos"].get(name), by_name[name]
+        sparse = folder / "sparse" / model["folder"]
+        for name, camera in colmap.read_cameras(sparse).items():
+            said, photo, seen = model["photos"].get(name), by_name[name], None
             if said is not None and math.isfinite(said["error"]):
                 full = camera.scaled(photo.width, photo.height)
-                placed.append(PlacedPhoto(photo, full, said["points"], said["error"] * scale[name]))
+                if "before" in model:
+                    seen = np.load(sparse / f"{name}.npy") * [scale[name], scale[name], 1, 1, 1]
+                placed.append(PlacedPhoto(photo, full, said["points"], said["error"] * scale[name], seen))
         points = np.load(folder / f"points_{model['folder']}.npy")
         before = [scale[name] * said["error"] for name, said in model.get("before", {}).items() if said["points"]]
         error = float(np.median(before)) if before else None

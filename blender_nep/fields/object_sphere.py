@@ -15,7 +15,9 @@ from blender_nep.capture.brightness import to_brightness
 from blender_nep.capture.capture import Capture
 from blender_nep.capture.exposure import find_exposures
 from blender_nep.capture.pixel_rays import PixelRays
+from blender_nep.fields.surface_photos import traced_mesh
 from blender_nep.fields.training import FieldsLearning
+from blender_nep.fields.visual_hull import LOWEST_SHARE, VisualHull
 from blender_nep.presets import preset
 
 _PIXELS, _STEPS = 10_000, 150
@@ -23,7 +25,9 @@ _PIXELS, _STEPS = 10_000, 150
 _MARGIN = 1.08
 """The sphere is so much larger than the hull's, because thin parts may be missing in a quick hull."""
 _BORDER, _MOST_AT_BORDER = 0.95, 0.005
-"""The hull is cut off by the sphere if more than this share of it lies beyond 0.95 of the radius."""
+"""The sphere cuts the hull off if more than this share of its seen surface lies beyond 0.95 of the radius."""
+_FACING = 0.05
+"""A photo shows a place of the hull if the cosine of the viewing angle is at least this."""
 _WORTHWHILE = 0.95
 """A sphere is replaced only by one that is smaller by this factor."""
 _AGAIN, _ROUNDS = 0.6, 3
@@ -46,27 +50,46 @@ def find_object_sphere(
 ) -> ObjectSphere:
     """Look for the object within the capture's present sphere, and shrink the sphere around it. Masks are not used.
 
-    The photos are read once in each of at most three rounds; a round takes about 10 CPU seconds for 60 photos.
-    check(done, all) is called after each photo and each step of a round, and may raise to end the search. Raises
-    CaptureError and BoundsError as `PixelRays.from_capture` does.
+    If the sphere cuts the object off, and is large enough for it, it is moved first. The photos are read once in each of at
+    most three rounds; a round takes about 10 CPU seconds for 60 photos. check(done, all) is called after each photo and each
+    step of a round, and may raise to end the search. Raises CaptureError and BoundsError as `PixelRays.from_capture` does.
     """
     center, radius, sure = capture.object_center, capture.object_radius, False
+    moved = np.zeros(3)
     for _ in range(_ROUNDS):
-        found = _hull_sphere(replace(capture, object_center=center, object_radius=radius, warnings=[]), seed, check)
+        around = replace(capture, object_center=center + moved, object_radius=radius, warnings=[])
+        found = _hull_sphere(around, seed, check)
         if found is None:
             break
-        sure = True
-        away, size = found[0], _MARGIN * found[1]
-        if size > _WORTHWHILE:
+        size = _MARGIN * found.reach
+        if found.cut and size > 1:  # the hull is larger than the sphere
             break
-        center, radius = center + radius * away, radius * size
+        if found.cut:
+            moved = moved + radius * found.middle
+            continue
+        sure = True
+        if size > _WORTHWHILE and not moved.any():
+            break
+        center, moved, radius = center + moved + radius * found.middle, np.zeros(3), radius * size
         if size > _AGAIN:
             break
     return ObjectSphere(center, radius, sure)
 
 
-def _hull_sphere(capture: Capture, seed: int, check: Callable[[int, int], None]) -> tuple[np.ndarray, float] | None:
-    """Center [3] and radius of a sphere around the hull, in the unit frame. None without a clear hull inside the sphere."""
+@dataclass(frozen=True)
+class _HullSphere:
+    """A sphere around the seen surface of a hull, in the unit frame."""
+
+    middle: np.ndarray
+    """[3]"""
+    reach: float
+    """Its radius"""
+    cut: bool
+    """Whether the unit sphere cuts the hull off where photos see it"""
+
+
+def _hull_sphere(capture: Capture, seed: int, check: Callable[[int, int], None]) -> _HullSphere | None:
+    """The sphere around the hull that the photos show in the capture's sphere. None without a clear hull."""
     quick = preset("preview")
     quick = replace(quick, fields=replace(quick.fields, background_steps=_STEPS))
     rays = PixelRays.from_capture(capture, _PIXELS, use_masks=False, progress=check)
@@ -79,8 +102,30 @@ def _hull_sphere(capture: Capture, seed: int, check: Callable[[int, int], None])
     hull = learning.hull_without_masks() if learning.schedule.background_steps else None
     if hull is None or hull.contrast < quick.fields.least_contrast:
         return None
-    inside = np.argwhere(hull.sdf < 0) / (len(hull.sdf) - 1) * 2 - 1
-    if not len(inside) or (np.linalg.norm(inside, axis=1) > _BORDER).mean() > _MOST_AT_BORDER:
+    seen = _seen_surface(hull, rays)
+    if not len(seen):
         return None
-    middle = (inside.min(0) + inside.max(0)) / 2
-    return middle, float(np.linalg.norm(inside - middle, axis=1).max())
+    middle = (seen.min(0) + seen.max(0)) / 2
+    cut = (np.linalg.norm(seen, axis=1) > _BORDER).mean() > _MOST_AT_BORDER
+    return _HullSphere(middle, float(np.linalg.norm(seen - middle, axis=1).max()), bool(cut))
+
+
+def _seen_surface(hull: VisualHull, rays: PixelRays) -> np.ndarray:
+    """Points [n, 3] of the hull's surface, in the unit frame: those that more photos show than the carving forgives.
+
+    Under an object that few photos show from below, the hull may reach the end of the sphere. Photos show that part of its
+    surface at a grazing angle only.
+    """
+    shape = traced_mesh(hull.sdf)
+    if shape is None:
+        return np.zeros((0, 3))
+    points, cell = shape.vertices[shape.faces].mean(1), 2 / len(hull.sdf)
+    photos = np.zeros(len(points), np.int64)
+    for view in range(rays.views):
+        towards = rays.camera(view)[0].cpu().numpy() - points
+        towards /= np.linalg.norm(towards, axis=1, keepdims=True)
+        place, ahead = rays.project(view, torch.from_numpy(points).to(rays.radiance.device))
+        framed = (ahead & (place.abs() < 1).all(-1)).cpu().numpy()
+        framed &= np.abs((towards * shape.face_normals).sum(1)) > _FACING
+        photos += framed & ~shape.occluded(points + cell * towards, towards)
+    return points[photos > 1 + LOWEST_SHARE * rays.views]

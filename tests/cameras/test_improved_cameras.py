@@ -10,6 +10,7 @@ from PIL import Image
 from scipy.spatial.transform import Rotation
 
 from benchmarks.scoring.cameras import errors
+from blender_nep.cameras.alignment import angle
 from blender_nep.cameras.found_cameras import FoundCameras
 from blender_nep.cameras.photo_folder import find_photos
 from blender_nep.cameras.structure_from_motion import PlacedPhoto
@@ -22,6 +23,8 @@ from blender_nep.stop_request import StopRequest
 from support.printed_room import BALLS, camera, write_photos
 
 COUNT = 16
+CORNER = 120
+"""Pixels"""
 CENTER, RADIUS = np.array(BALLS[0][0]), 0.8
 TRUE = [camera(number, COUNT) for number in range(COUNT)]
 
@@ -88,13 +91,25 @@ def test_exact_cameras_are_kept_to_the_last_digit(photos, tmp_path):
         assert view.camera.lens == true.lens and view.camera.fl_x == true.fl_x
 
 
-def test_a_photo_without_shared_points_keeps_its_camera(photos, tmp_path):
-    blank = tmp_path / "blank.png"
+def test_a_photo_that_shows_little_keeps_its_camera_or_hardly_changes_it(photos, tmp_path):
+    """Photo 5 is blank. Photo 8 is blank but for one corner with a few dozen points, which alone turn its camera away."""
+    blank, corner = tmp_path / "blank.png", tmp_path / "corner.png"
     Image.new("L", (TRUE[0].width, TRUE[0].height), 120).save(blank)
+    grey = np.full((TRUE[0].height, TRUE[0].width), 120, np.uint8)
+    grey[-CORNER:, -CORNER:] = np.asarray(Image.open(photos[8].path).convert("L"))[-CORNER:, -CORNER:]
+    Image.fromarray(grey).save(corner)
     given = shaken(0.3, 0.01)
-    changed = [*photos[:5], replace(photos[5], path=blank), *photos[6:]]
+    changed = [*photos[:5], replace(photos[5], path=blank), *photos[6:8], replace(photos[8], path=corner), *photos[9:]]
     capture, events = improved(capture_with(changed, given, tmp_path / "given"), tmp_path / "out")
     warned = next(event for event in events if event["event"] == "warning")
     assert (warned["code"], warned["values"]["names"]) == ("cameras.kept", ["blank.png"])
     assert np.abs(capture.views[5].camera.camera_to_world - given[5].camera_to_world).max() < 1e-9
     assert np.abs(capture.views[6].camera.camera_to_world - given[6].camera_to_world).max() > 1e-4
+    before, after = (_away(one, TRUE[8]) for one in (given[8], capture.views[8].camera))
+    assert (after < 0.8 * before).all()
+
+
+def _away(found, true):
+    """Turn [degrees] and distance between two cameras."""
+    turn = angle(found.camera_to_world[:3, :3].T @ true.camera_to_world[:3, :3])
+    return np.array([turn, np.linalg.norm(found.position - true.position)])

@@ -6,8 +6,10 @@ import numpy as np
 import pytest
 
 from blender_nep.capture import load_capture
+from blender_nep.capture.pixel_rays import PixelRays
 from blender_nep.fields import object_sphere
 from blender_nep.fields.object_sphere import find_object_sphere
+from blender_nep.fields.visual_hull import VisualHull
 from support.table_scene import BALL, CENTRE, write_table_scene
 
 
@@ -26,6 +28,39 @@ def test_the_sphere_shrinks_around_the_ball_in_any_units(tmp_path):
     far = find_object_sphere(replace(capture, views=views, object_center=shift, object_radius=scale))
     assert np.abs((far.center - shift) / scale - here.center).max() < 0.03
     assert abs(far.radius / scale - here.radius) < 0.03
+
+
+def test_what_no_photo_shows_below_the_ball_does_not_count(tmp_path):
+    """From above, the silhouettes leave a cone under the ball. Its tip is 1.05 below the sphere's center."""
+    elevations = (60, 75)
+    capture = load_capture(write_table_scene(tmp_path / "ball", radius=0, elevations=elevations))
+    cells = (np.arange(64) + 0.5) / 32 - 1
+    x, y, z = np.meshgrid(*(cells - middle for middle in CENTRE), indexing="ij")
+    lowest = np.radians(elevations[0])
+    cone = np.hypot(x, y) * np.sin(lowest) - z * np.cos(lowest) - BALL
+    under = np.where(z < -BALL * np.cos(lowest), cone, np.inf)
+    hull = VisualHull(np.minimum(np.sqrt(x**2 + y**2 + z**2) - BALL, under).astype(np.float32), 0.1, 5.0)
+    assert (hull.sdf[..., 0] < 0).any(), "the sphere cuts the cone off"
+    seen = object_sphere._seen_surface(hull, PixelRays.from_capture(capture, 10_000, use_masks=False))
+    assert seen[:, 2].max() > CENTRE[2] + 0.95 * BALL
+    assert CENTRE[2] - 0.5 * BALL < seen[:, 2].min() < CENTRE[2] - 0.25 * BALL
+
+
+def test_a_sphere_that_cuts_the_object_is_moved_if_it_is_large_enough(tmp_path, monkeypatch):
+    """The object is a ball of radius 0.5 around (0.7, 0, 0). What is seen of it is what lies in the sphere."""
+    capture = load_capture(write_table_scene(tmp_path / "ball", radius=0))
+
+    def hull_sphere(capture, seed, check):
+        place = (np.array([0.7, 0, 0]) - capture.object_center) / capture.object_radius
+        size = 0.5 / capture.object_radius
+        right = min(place[0] + size, 1.0)
+        middle = np.array([(right + place[0] - size) / 2, 0, 0])
+        return object_sphere._HullSphere(middle, size, bool(place[0] + size > 1))
+
+    monkeypatch.setattr(object_sphere, "_hull_sphere", hull_sphere)
+    found = find_object_sphere(capture)
+    assert found.sure and abs(found.radius - 1.08 * 0.5) < 1e-9
+    assert np.abs(found.center - [0.7, 0, 0]).max() < 1e-9
 
 
 def test_the_search_can_be_ended_between_two_photos_and_between_two_steps(tmp_path):
