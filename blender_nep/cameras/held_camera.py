@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 from blender_nep.capture.camera import Camera
 
 _INEXACT_POINTS = 3.0
-"""Errors of features count as so much larger than they look. They depend on each other, and scene points have errors, too."""
+"""Errors of features count as so much larger than they look: they are not independent, and scene points err, too."""
 _FAR = 2.0
 """Differences beyond so many standard deviations count linearly, and not by their square."""
 _BEHIND = 1e4

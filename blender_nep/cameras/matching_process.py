@@ -29,6 +29,13 @@ _LEAST_MATCHES_OF_GIVEN = 8
 _WIDE, _ROUNDS = 12.0, 3
 """Largest distance [pixels] between a feature and its scene point in the first round of improving given cameras, and the
 number of rounds. The last round has pycolmap's own limit of 4 pixels."""
+_INEXACT = 5.0
+"""Errors of features count as so many times larger than they look, beside the given positions: features of one place err in
+the same way in many photos."""
+_ALIGNED = 20.0
+"""The given positions count for the frame up to so many standard deviations."""
+_MEDIAN_2D, _MEDIAN_3D = 1.177, 1.538
+"""Median length of a vector of two or three normal numbers, in standard deviations"""
 _GUESSED_FOCAL = 1.2
 """Focal length in longest sides of a photo, as COLMAP guesses it"""
 _RATIO = 0.85
@@ -228,12 +235,41 @@ def _improve(pycolmap: Any, folder: Path, settings: dict) -> None:
         if number == 0:
             before = {model.images[i].name: _support(model, model.images[i]) for i in model.reg_image_ids()}
         pycolmap.bundle_adjustment(model, adjustment)
+    _adjust_held(pycolmap, model, adjustment, settings["given"])
     _say("places", _ROUNDS, _ROUNDS)
     _write(folder, [(model, {"before": before})])
     for i in model.reg_image_ids():
         image = model.images[i]
         seen = [(*p.xy, *model.points3D[p.point3D_id].xyz) for p in image.points2D if p.has_point3D()]
         np.save(folder / "sparse" / "0" / f"{image.name}.npy", np.array(seen).reshape(-1, 5))
+
+
+def _adjust_held(pycolmap: Any, model: Any, adjustment: Any, given: dict) -> None:
+    """Adjust cameras and points to the features once more, now with the given positions as a prior.
+
+    Photos from below show few points, and mostly points that other such photos show. Without the prior, all of them leave
+    their places together. How inexact the given positions are is told by how far the cameras have moved.
+    """
+    photos = [model.images[i] for i in model.reg_image_ids()]
+    positions = np.array([given[image.name]["position"] for image in photos])
+    found = np.array([image.projection_center() for image in photos])
+    carry = pycolmap.estimate_sim3d(found, positions) if len(photos) >= 3 else None
+    if carry is None:
+        return
+    moved = np.linalg.norm(np.array([carry * place for place in found]) - positions, axis=1)
+    spread = max(float(np.median(moved)) / _MEDIAN_3D, 1e-9 * float(np.ptp(positions)))
+    error = float(np.nanmedian([_support(model, image)["error"] for image in photos])) / _MEDIAN_2D
+    configuration, priors = pycolmap.BundleAdjustmentConfig(), []
+    for image, position in zip(photos, positions, strict=True):
+        configuration.add_image(image.image_id)
+        prior = pycolmap.PosePrior(pose_prior_id=image.image_id, corr_data_id=image.data_id, position=position)
+        prior.position_covariance = np.eye(3) * (spread / max(_INEXACT * error, 1e-6)) ** 2  # a pixel has a variance of 1
+        prior.coordinate_system = pycolmap.PosePriorCoordinateSystem.CARTESIAN
+        priors.append(prior)
+    options = pycolmap.PosePriorBundleAdjustmentOptions()
+    options.alignment_ransac.random_seed, options.alignment_ransac.max_error = _SEED, _ALIGNED * spread
+    options.ceres.prior_position_loss_function_type = pycolmap.LossFunctionType.CAUCHY
+    pycolmap.create_pose_prior_bundle_adjuster(adjustment, options, configuration, priors, model).solve()
 
 
 def _given_model(pycolmap: Any, folder: Path, settings: dict) -> Any:
