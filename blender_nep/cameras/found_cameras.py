@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -67,7 +67,7 @@ def choose(photos: Sequence[Photo], groups: Sequence[Group]) -> FoundCameras:
     best = groups[0]
     turn = _upright([found.photo for found in best.placed], [found.camera.camera_to_world for found in best.placed])
     center, radius = sphere_from_cameras([moved(found.camera, turn, 1.0, np.zeros(3)) for found in best.placed])
-    placed = [replace(found, camera=moved(found.camera, turn, 1 / radius, -center / radius)) for found in best.placed]
+    placed = [found.moved(turn, 1 / radius, -center / radius) for found in best.placed]
     names = {found.photo.path for found in best.placed}
     left = [photo for photo in photos if photo.path not in names]
     return FoundCameras(placed, (best.points @ turn.T - center) / radius, left)

@@ -106,18 +106,17 @@ def take_over(photos: Sequence[Photo], cameras: Sequence[Camera], group: Group, 
 
 
 def _held(found: Sequence[PlacedPhoto], given: Sequence[Camera], center: np.ndarray) -> list[PlacedPhoto]:
-    """The found cameras in the frame of the given ones, each held near its given camera."""
-    turn, scale, shift = _frame([one.camera for one in found], given, center)
-    cameras = [moved(one.camera, turn, scale, shift) for one in found]
-    turned, shifted = np.median([_change(a, b, center) for a, b in zip(given, cameras, strict=True)], axis=0)
+    """The found cameras in the frame of the given ones, each held near its given camera, unless that was given wrongly."""
+    carry = _frame([one.camera for one in found], given, center)
+    found = [one.moved(*carry) for one in found]
+    turned, shifted = np.median([_change(a, b.camera, center) for a, b in zip(given, found, strict=True)], axis=0)
     error, placed = float(np.median([one.error for one in found])) / _MEDIAN_2D, []
-    for one, camera, before in zip(found, cameras, given, strict=True):
-        seen = one.seen.copy()
-        seen[:, 2:] = scale * seen[:, 2:] @ turn.T + shift
+    for one, before in zip(found, given, strict=True):
         away = float(np.linalg.norm(before.position - center))
         spread = Spread(float(np.radians(turned)) / _MEDIAN_3D, float(shifted) * away / _MEDIAN_3D, error)
-        best = held(before, camera, seen, spread)
-        placed.append(replace(one, camera=best, error=float(np.median(np.linalg.norm(off(best, seen), axis=1)))))
+        wrong = _size(_change(before, one.camera, center)) > _FAR
+        best = one.camera if wrong else held(before, one.camera, one.seen, spread)
+        placed.append(replace(one, camera=best, error=float(np.median(np.linalg.norm(off(best, one.seen), axis=1)))))
     return placed
 
 

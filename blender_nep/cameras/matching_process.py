@@ -26,12 +26,14 @@ _COARSE_FEATURES = 400
 """Features of each photo that choose the pairs: the largest ones, which are seen from many places."""
 _LEAST_MATCHES_OF_GIVEN = 8
 """Matches that a pair of photos must have where the cameras are given. These reject most wrong matches."""
-_WIDE, _ROUNDS = 12.0, 3
+_WIDE, _ROUNDS = 12.0, 4
 """Largest distance [pixels] between a feature and its scene point in the first round of improving given cameras, and the
 number of rounds. The last round has pycolmap's own limit of 4 pixels."""
 _INEXACT = 5.0
 """Errors of features count as so many times larger than they look, beside the given positions: features of one place err in
 the same way in many photos."""
+_AS_GOOD = 1.05
+"""The lens stays as given if the features then agree as well, up to this factor."""
 _ALIGNED = 20.0
 """The given positions count for the frame up to so many standard deviations."""
 _MEDIAN_2D, _MEDIAN_3D = 1.177, 1.538
@@ -206,7 +208,11 @@ def _write(folder: Path, models: list[tuple[Any, dict]]) -> None:
         target = folder / "sparse" / str(number)
         target.mkdir(parents=True, exist_ok=True)
         model.write_binary(str(target))
-        photos = {model.images[i].name: _support(model, model.images[i]) for i in model.reg_image_ids()}
+        images = [model.images[i] for i in model.reg_image_ids()]
+        photos = {image.name: _support(model, image) for image in images}
+        for image in images:
+            seen = [(*p.xy, *model.points3D[p.point3D_id].xyz) for p in image.points2D if p.has_point3D()]
+            np.save(target / f"{image.name}.npy", np.array(seen).reshape(-1, 5))
         told.append({"folder": str(number), "photos": photos} | more)
         points = [point.xyz for point in model.points3D.values() if point.track.length() >= 3]
         np.save(folder / f"points_{number}.npy", np.array(points).reshape(-1, 3))
@@ -214,7 +220,10 @@ def _write(folder: Path, models: list[tuple[Any, dict]]) -> None:
 
 
 def _improve(pycolmap: Any, folder: Path, settings: dict) -> None:
-    """Improve given cameras: find scene points with them, and adjust cameras and points to the features; several rounds."""
+    """Improve given cameras: find scene points with them, and adjust cameras and points to the features; several rounds.
+
+    The lens is adjusted, too. It is as given in the end if the features agree as well then.
+    """
     model = _given_model(pycolmap, folder, settings)
     options = pycolmap.IncrementalPipelineOptions()
     options.num_threads, options.random_seed, options.extract_colors = settings["threads"], _SEED, False
@@ -224,7 +233,7 @@ def _improve(pycolmap: Any, folder: Path, settings: dict) -> None:
     adjustment.ceres.loss_function_type = pycolmap.LossFunctionType.SOFT_L1
     adjustment.ceres.solver_options.num_threads = settings["threads"]
     (folder / "round").mkdir()
-    before = {}
+    before, lenses = {}, {number: camera.params.copy() for number, camera in model.cameras.items()}
     for number in range(_ROUNDS):
         _say("places", number, _ROUNDS)
         limit = _WIDE if number == 0 else 4.0
@@ -235,17 +244,18 @@ def _improve(pycolmap: Any, folder: Path, settings: dict) -> None:
         if number == 0:
             before = {model.images[i].name: _support(model, model.images[i]) for i in model.reg_image_ids()}
         pycolmap.bundle_adjustment(model, adjustment)
-    _adjust_held(pycolmap, model, adjustment, settings["given"])
+    refined = _adjust_held(pycolmap, model, adjustment, settings["given"])
+    for camera in model.cameras.values():
+        camera.params = lenses[camera.camera_id]
+    adjustment.refine_focal_length = adjustment.refine_extra_params = False
+    as_given = _adjust_held(pycolmap, model, adjustment, settings["given"])
+    model = as_given if _agreement(as_given) < _AS_GOOD * _agreement(refined) else refined
     _say("places", _ROUNDS, _ROUNDS)
     _write(folder, [(model, {"before": before})])
-    for i in model.reg_image_ids():
-        image = model.images[i]
-        seen = [(*p.xy, *model.points3D[p.point3D_id].xyz) for p in image.points2D if p.has_point3D()]
-        np.save(folder / "sparse" / "0" / f"{image.name}.npy", np.array(seen).reshape(-1, 5))
 
 
-def _adjust_held(pycolmap: Any, model: Any, adjustment: Any, given: dict) -> None:
-    """Adjust cameras and points to the features once more, now with the given positions as a prior.
+def _adjust_held(pycolmap: Any, model: Any, adjustment: Any, given: dict) -> Any:
+    """The model after another adjustment to the features, with the given positions as a prior.
 
     Photos from below show few points, and mostly points that other such photos show. Without the prior, all of them leave
     their places together. How inexact the given positions are is told by how far the cameras have moved.
@@ -255,21 +265,27 @@ def _adjust_held(pycolmap: Any, model: Any, adjustment: Any, given: dict) -> Non
     found = np.array([image.projection_center() for image in photos])
     carry = pycolmap.estimate_sim3d(found, positions) if len(photos) >= 3 else None
     if carry is None:
-        return
+        return model
     moved = np.linalg.norm(np.array([carry * place for place in found]) - positions, axis=1)
     spread = max(float(np.median(moved)) / _MEDIAN_3D, 1e-9 * float(np.ptp(positions)))
-    error = float(np.nanmedian([_support(model, image)["error"] for image in photos])) / _MEDIAN_2D
     configuration, priors = pycolmap.BundleAdjustmentConfig(), []
     for image, position in zip(photos, positions, strict=True):
         configuration.add_image(image.image_id)
         prior = pycolmap.PosePrior(pose_prior_id=image.image_id, corr_data_id=image.data_id, position=position)
-        prior.position_covariance = np.eye(3) * (spread / max(_INEXACT * error, 1e-6)) ** 2  # a pixel has a variance of 1
+        prior.position_covariance = np.eye(3) * (spread / max(_INEXACT * _agreement(model), 1e-6)) ** 2  # of a pixel: 1
         prior.coordinate_system = pycolmap.PosePriorCoordinateSystem.CARTESIAN
         priors.append(prior)
     options = pycolmap.PosePriorBundleAdjustmentOptions()
     options.alignment_ransac.random_seed, options.alignment_ransac.max_error = _SEED, _ALIGNED * spread
     options.ceres.prior_position_loss_function_type = pycolmap.LossFunctionType.CAUCHY
-    pycolmap.create_pose_prior_bundle_adjuster(adjustment, options, configuration, priors, model).solve()
+    adjusted = pycolmap.Reconstruction(model)
+    pycolmap.create_pose_prior_bundle_adjuster(adjustment, options, configuration, priors, adjusted).solve()
+    return adjusted
+
+
+def _agreement(model: Any) -> float:
+    """Standard deviation [pixels] of the places of features, in the median over the photos."""
+    return float(np.nanmedian([_support(model, model.images[i])["error"] for i in model.reg_image_ids()])) / _MEDIAN_2D
 
 
 def _given_model(pycolmap: Any, folder: Path, settings: dict) -> Any:

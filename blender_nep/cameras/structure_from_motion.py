@@ -18,13 +18,14 @@ import time
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing, contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
 from PIL import Image
 from scipy.spatial.transform import Rotation
 
+from blender_nep.cameras.alignment import moved
 from blender_nep.cameras.photo_folder import Photo, grey_copy, mask_copy
 from blender_nep.capture.camera import Camera
 from blender_nep.capture.formats import colmap
@@ -71,8 +72,13 @@ class PlacedPhoto:
     """Number of scene points that it shows"""
     error: float
     """Median distance [pixels of the full photo] between its features and the projections of their scene points"""
-    seen: np.ndarray | None = None
-    """[n, 5] places of these features [pixels of the full photo] and their scene points; None where no camera was given"""
+    seen: np.ndarray = field(default_factory=lambda: np.zeros((0, 5)))
+    """[n, 5] places of these features [pixels of the full photo], and their scene points"""
+
+    def moved(self, turn: np.ndarray, scale: float, shift: np.ndarray) -> PlacedPhoto:
+        """The photo with its camera and its scene points after the similarity x -> scale * turn @ x + shift."""
+        seen = np.column_stack([self.seen[:, :2], scale * self.seen[:, 2:] @ turn.T + shift])
+        return replace(self, camera=moved(self.camera, turn, scale, shift), seen=seen)
 
 
 @dataclass(frozen=True)
@@ -330,11 +336,10 @@ def _read(folder: Path, photos: Sequence[Photo], scale: dict[str, float]) -> lis
         placed = []
         sparse = folder / "sparse" / model["folder"]
         for name, camera in colmap.read_cameras(sparse).items():
-            said, photo, seen = model["photos"].get(name), by_name[name], None
+            said, photo = model["photos"].get(name), by_name[name]
             if said is not None and math.isfinite(said["error"]):
                 full = camera.scaled(photo.width, photo.height)
-                if "before" in model:
-                    seen = np.load(sparse / f"{name}.npy") * [scale[name], scale[name], 1, 1, 1]
+                seen = np.load(sparse / f"{name}.npy") * [scale[name], scale[name], 1, 1, 1]
                 placed.append(PlacedPhoto(photo, full, said["points"], said["error"] * scale[name], seen))
         points = np.load(folder / f"points_{model['folder']}.npy")
         before = [scale[name] * said["error"] for name, said in model.get("before", {}).items() if said["points"]]

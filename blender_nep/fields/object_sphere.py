@@ -10,14 +10,16 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
+from trimesh.nsphere import minimum_nsphere
 
 from blender_nep.capture.brightness import to_brightness
 from blender_nep.capture.capture import Capture
 from blender_nep.capture.exposure import find_exposures
 from blender_nep.capture.pixel_rays import PixelRays
+from blender_nep.fields.seen_through import Sightlines, seen_through, without_free_space
 from blender_nep.fields.surface_photos import traced_mesh
 from blender_nep.fields.training import FieldsLearning
-from blender_nep.fields.visual_hull import LOWEST_SHARE, VisualHull
+from blender_nep.fields.visual_hull import LOWEST_SHARE
 from blender_nep.presets import preset
 
 _PIXELS, _STEPS = 10_000, 150
@@ -46,19 +48,24 @@ class ObjectSphere:
 
 
 def find_object_sphere(
-    capture: Capture, seed: int = 0, *, check: Callable[[int, int], None] = lambda done, all_of_them: None
+    capture: Capture,
+    lines: Sightlines = (),
+    *,
+    seed: int = 0,
+    check: Callable[[int, int], None] = lambda done, all_of_them: None,
 ) -> ObjectSphere:
     """Look for the object within the capture's present sphere, and shrink the sphere around it. Masks are not used.
 
-    If the sphere cuts the object off, and is large enough for it, it is moved first. The photos are read once in each of at
-    most three rounds; a round takes about 10 CPU seconds for 60 photos. check(done, all) is called after each photo and each
-    step of a round, and may raise to end the search. Raises CaptureError and BoundsError as `PixelRays.from_capture` does.
+    `lines`, in the capture's frame, tell where space is free. If the sphere cuts the object off, and is large enough for it,
+    it is moved first. The photos are read once in each of at most three rounds; a round takes about 10 CPU seconds for 60
+    photos. check(done, all) is called after each photo and each step of a round, and may raise to end the search. Raises
+    CaptureError and BoundsError as `PixelRays.from_capture` does.
     """
     center, radius, sure = capture.object_center, capture.object_radius, False
     moved = np.zeros(3)
     for _ in range(_ROUNDS):
         around = replace(capture, object_center=center + moved, object_radius=radius, warnings=[])
-        found = _hull_sphere(around, seed, check)
+        found = _hull_sphere(around, lines, seed, check)
         if found is None:
             break
         size = _MARGIN * found.reach
@@ -78,7 +85,7 @@ def find_object_sphere(
 
 @dataclass(frozen=True)
 class _HullSphere:
-    """A sphere around the seen surface of a hull, in the unit frame."""
+    """The smallest sphere around the seen surface of a hull, in the unit frame."""
 
     middle: np.ndarray
     """[3]"""
@@ -88,7 +95,7 @@ class _HullSphere:
     """Whether the unit sphere cuts the hull off where photos see it"""
 
 
-def _hull_sphere(capture: Capture, seed: int, check: Callable[[int, int], None]) -> _HullSphere | None:
+def _hull_sphere(capture: Capture, lines: Sightlines, seed: int, check: Callable[[int, int], None]) -> _HullSphere | None:
     """The sphere around the hull that the photos show in the capture's sphere. None without a clear hull."""
     quick = preset("preview")
     quick = replace(quick, fields=replace(quick.fields, background_steps=_STEPS))
@@ -102,24 +109,26 @@ def _hull_sphere(capture: Capture, seed: int, check: Callable[[int, int], None])
     hull = learning.hull_without_masks() if learning.schedule.background_steps else None
     if hull is None or hull.contrast < quick.fields.least_contrast:
         return None
-    seen = _seen_surface(hull, rays)
+    free = seen_through(lines, capture.object_center, capture.object_radius)
+    seen = _seen_surface(without_free_space(hull.sdf, free), rays)
     if not len(seen):
         return None
-    middle = (seen.min(0) + seen.max(0)) / 2
+    middle, reach = minimum_nsphere(seen)
     cut = (np.linalg.norm(seen, axis=1) > _BORDER).mean() > _MOST_AT_BORDER
-    return _HullSphere(middle, float(np.linalg.norm(seen - middle, axis=1).max()), bool(cut))
+    return _HullSphere(middle, float(reach), bool(cut))
 
 
-def _seen_surface(hull: VisualHull, rays: PixelRays) -> np.ndarray:
-    """Points [n, 3] of the hull's surface, in the unit frame: those that more photos show than the carving forgives.
+def _seen_surface(hull: np.ndarray, rays: PixelRays) -> np.ndarray:
+    """Points [n, 3] of the surface of a hull, in the unit frame: those that more photos show than the carving forgives.
 
+    hull: [n, n, n], negative inside.
     Under an object that few photos show from below, the hull may reach the end of the sphere. Photos show that part of its
     surface at a grazing angle only.
     """
-    shape = traced_mesh(hull.sdf)
+    shape = traced_mesh(hull)
     if shape is None:
         return np.zeros((0, 3))
-    points, cell = shape.vertices[shape.faces].mean(1), 2 / len(hull.sdf)
+    points, cell = shape.vertices[shape.faces].mean(1), 2 / len(hull)
     photos = np.zeros(len(points), np.int64)
     for view in range(rays.views):
         towards = rays.camera(view)[0].cpu().numpy() - points

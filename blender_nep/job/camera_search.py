@@ -93,7 +93,8 @@ def _with_sphere(
     write_capture(cameras, scratch / "capture")
     try:
         written = load_capture(scratch / "capture", use_masks=False)
-        sphere = find_object_sphere(written, check=lambda done, all_of_them: stop_if_asked(stop))
+        lines = [(found.camera.position, found.seen[:, 2:]) for found in cameras.placed]
+        sphere = find_object_sphere(written, lines, check=lambda done, all_of_them: stop_if_asked(stop))
     except (BoundsError, CaptureError):  # the cameras are good all the same
         sphere = ObjectSphere(cameras.object_center, cameras.object_radius, False)
     if not sphere.sure:

@@ -31,6 +31,6 @@ def no_search_for_the_sphere():
         patch.setattr(
             camera_search,
             "find_object_sphere",
-            lambda capture, check: ObjectSphere(capture.object_center, capture.object_radius, True),
+            lambda capture, lines, check: ObjectSphere(capture.object_center, capture.object_radius, True),
         )
         yield

@@ -30,6 +30,7 @@ from blender_nep.capture import Capture, load_capture
 from blender_nep.capture.lens import Lens
 from blender_nep.errors import BoundsError
 from blender_nep.fields.object_sphere import ObjectSphere
+from blender_nep.fields.seen_through import Sightlines
 from blender_nep.job import camera_search
 from blender_nep.job.camera_search import CameraSearch
 from blender_nep.job.events import Events
@@ -195,7 +196,7 @@ def shoot(room, tmp_path, monkeypatch):
     return made
 
 
-def sphere_of_cameras(capture: Capture, check: Callable[[int, int], None]) -> ObjectSphere:
+def sphere_of_cameras(capture: Capture, lines: Sightlines, check: Callable[[int, int], None]) -> ObjectSphere:
     """The sphere that the cameras suggest. The search for a better one takes longer than all else of a case."""
     return ObjectSphere(capture.object_center, capture.object_radius, True)
 
@@ -295,7 +296,7 @@ def test_every_lens_is_written_as_it_is(shoot, lens):
 def test_no_sphere_around_the_object(shoot, monkeypatch):
     """The cameras are good all the same."""
 
-    def refuse(capture, check):
+    def refuse(capture, lines, check):
         raise BoundsError("no photo sees the object's sphere")
 
     monkeypatch.setattr(camera_search, "find_object_sphere", refuse)

@@ -89,7 +89,7 @@ def test_the_sphere_that_was_found_is_written(photos, tmp_path, monkeypatch):
     for path in sorted(photos.iterdir())[:10]:
         shutil.copy(path, room)
     guess = ObjectSphere(np.array([0.1, 0.2, 0.3]), 0.7, sure=False)
-    monkeypatch.setattr(camera_search, "find_object_sphere", lambda capture, check: guess)
+    monkeypatch.setattr(camera_search, "find_object_sphere", lambda capture, lines, check: guess)
     code, events = found(room, None)
     capture = load_capture(room)
     assert code == 0 and "cameras.sphere_unsure" in warnings(events)
@@ -243,7 +243,7 @@ def test_stopping_while_the_object_is_sought_writes_nothing(known, monkeypatch):
 
 def test_cameras_that_are_replaced_are_kept(known, monkeypatch):
     guess = ObjectSphere(np.zeros(3), 0.7, sure=True)
-    monkeypatch.setattr(camera_search, "find_object_sphere", lambda capture, check: guess)
+    monkeypatch.setattr(camera_search, "find_object_sphere", lambda capture, lines, check: guess)
     for kept in ("transforms.before.json", "transforms.before2.json"):
         present = (known / "transforms.json").read_text()
         code, events = found(known, None, overwrite=True)

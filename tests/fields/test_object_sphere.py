@@ -9,7 +9,6 @@ from blender_nep.capture import load_capture
 from blender_nep.capture.pixel_rays import PixelRays
 from blender_nep.fields import object_sphere
 from blender_nep.fields.object_sphere import find_object_sphere
-from blender_nep.fields.visual_hull import VisualHull
 from support.table_scene import BALL, CENTRE, write_table_scene
 
 
@@ -39,8 +38,8 @@ def test_what_no_photo_shows_below_the_ball_does_not_count(tmp_path):
     lowest = np.radians(elevations[0])
     cone = np.hypot(x, y) * np.sin(lowest) - z * np.cos(lowest) - BALL
     under = np.where(z < -BALL * np.cos(lowest), cone, np.inf)
-    hull = VisualHull(np.minimum(np.sqrt(x**2 + y**2 + z**2) - BALL, under).astype(np.float32), 0.1, 5.0)
-    assert (hull.sdf[..., 0] < 0).any(), "the sphere cuts the cone off"
+    hull = np.minimum(np.sqrt(x**2 + y**2 + z**2) - BALL, under).astype(np.float32)
+    assert (hull[..., 0] < 0).any(), "the sphere cuts the cone off"
     seen = object_sphere._seen_surface(hull, PixelRays.from_capture(capture, 10_000, use_masks=False))
     assert seen[:, 2].max() > CENTRE[2] + 0.95 * BALL
     assert CENTRE[2] - 0.5 * BALL < seen[:, 2].min() < CENTRE[2] - 0.25 * BALL
@@ -50,7 +49,7 @@ def test_a_sphere_that_cuts_the_object_is_moved_if_it_is_large_enough(tmp_path, 
     """The object is a ball of radius 0.5 around (0.7, 0, 0). What is seen of it is what lies in the sphere."""
     capture = load_capture(write_table_scene(tmp_path / "ball", radius=0))
 
-    def hull_sphere(capture, seed, check):
+    def hull_sphere(capture, lines, seed, check):
         place = (np.array([0.7, 0, 0]) - capture.object_center) / capture.object_radius
         size = 0.5 / capture.object_radius
         right = min(place[0] + size, 1.0)
