@@ -30,6 +30,8 @@ _BORDER, _MOST_AT_BORDER = 0.95, 0.005
 """The sphere cuts the hull off if more than this share of its seen surface lies beyond 0.95 of the radius."""
 _FACING = 0.05
 """A photo shows a place of the hull if the cosine of the viewing angle is at least this."""
+_LEAST_SEEN = 100
+"""Faces of the hull that photos must show. With fewer, there may be no sphere around them."""
 _WORTHWHILE = 0.95
 """A sphere is replaced only by one that is smaller by this factor."""
 _AGAIN, _ROUNDS = 0.6, 3
@@ -111,7 +113,7 @@ def _hull_sphere(capture: Capture, lines: Sightlines, seed: int, check: Callable
         return None
     free = seen_through(lines, capture.object_center, capture.object_radius)
     seen = _seen_surface(without_free_space(hull.sdf, free), rays)
-    if not len(seen):
+    if len(seen) < _LEAST_SEEN:
         return None
     middle, reach = minimum_nsphere(seen)
     cut = (np.linalg.norm(seen, axis=1) > _BORDER).mean() > _MOST_AT_BORDER
