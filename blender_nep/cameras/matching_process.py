@@ -37,7 +37,8 @@ _AS_GOOD = 1.05
 _ALIGNED = 20.0
 """The given positions count for the frame up to so many standard deviations."""
 _MEDIAN_2D, _MEDIAN_3D = 1.177, 1.538
-"""Median length of a vector of two or three normal numbers, in standard deviations"""
+"""Median length of a vector of two or three normal numbers, in standard deviations; as in `improved_cameras`, which this
+process must not import"""
 _GUESSED_FOCAL = 1.2
 """Focal length in longest sides of a photo, as COLMAP guesses it"""
 _RATIO = 0.85
@@ -268,11 +269,12 @@ def _adjust_held(pycolmap: Any, model: Any, adjustment: Any, given: dict) -> Any
         return model
     moved = np.linalg.norm(np.array([carry * place for place in found]) - positions, axis=1)
     spread = max(float(np.median(moved)) / _MEDIAN_3D, 1e-9 * float(np.ptp(positions)))
+    in_pixels = spread / max(_INEXACT * _agreement(model), 1e-6)  # beside features whose places have a deviation of 1 pixel
     configuration, priors = pycolmap.BundleAdjustmentConfig(), []
     for image, position in zip(photos, positions, strict=True):
         configuration.add_image(image.image_id)
         prior = pycolmap.PosePrior(pose_prior_id=image.image_id, corr_data_id=image.data_id, position=position)
-        prior.position_covariance = np.eye(3) * (spread / max(_INEXACT * _agreement(model), 1e-6)) ** 2  # of a pixel: 1
+        prior.position_covariance = np.eye(3) * in_pixels**2
         prior.coordinate_system = pycolmap.PosePriorCoordinateSystem.CARTESIAN
         priors.append(prior)
     options = pycolmap.PosePriorBundleAdjustmentOptions()
