@@ -9,6 +9,8 @@ Reference: de Boor, A Practical Guide to Splines. The rule of `refine` is Chaiki
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numba
 import numpy as np
 import torch
@@ -146,11 +148,15 @@ class _Sample(torch.autograd.Function):
         return coef_grad, None, None
 
 
+_ORDERS = ((0, 0, 0), (1, 0, 0), (0, 1, 0), (0, 0, 1), (2, 0, 0), (0, 2, 0), (0, 0, 2), (1, 1, 0), (1, 0, 1), (0, 1, 1))
+"""The orders of the derivatives in x, y and z that `sample` returns."""
+
+
 def taps_torch(points: torch.Tensor, cells: int) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]:
     """For points [n, 3]: the first of three taps along each axis [n, 3] int64, and their weights [n, 3, 3], with the first
     and second derivatives of the weights. The last axis is the tap."""
     p = (points * 0.5 + 0.5) * cells
-    i = p.detach().floor().clamp(0, cells - 1)
+    i = p.detach().floor().clamp(0, cells - 1).nan_to_num(0)  # a NaN stays one in the weights; as an index it has no place
     f = p - i
     s = cells * 0.5
     w = torch.stack([0.5 * (1 - f) ** 2, 0.5 + f * (1 - f), 0.5 * f * f], -1)
@@ -160,22 +166,24 @@ def taps_torch(points: torch.Tensor, cells: int) -> tuple[torch.Tensor, torch.Te
 
 
 def contract_torch(c: torch.Tensor, w: torch.Tensor, d: torch.Tensor, e: torch.Tensor, hessian: bool) -> torch.Tensor:
-    """Value and derivatives [n, 4 or 10] from the 27 coefficients [n, 3, 3, 3] and the weights of `taps_torch`."""
+    """Value and derivatives [n, 4 or 10] from the 27 coefficients [n, 3, 3, 3] and the weights of `taps_torch`.
 
-    def contract(a, b, g):
-        return torch.einsum("nxyz,nx,ny,nz->n", c, a[:, 0], b[:, 1], g[:, 2])
+    The axes are contracted one after the other, z first, each with the weights of all orders of derivative.
+    """
+    n = len(c)
+    orders = torch.stack([w, d, e] if hessian else [w, d], -2)  # [n, axis, order, tap]
+    k = orders.shape[2]
+    along_z = c.reshape(n, 9, 3) @ orders[:, 2].mT  # [n, x y, order in z]
+    along_y = orders[:, 1, None] @ along_z.reshape(n, 3, 3, k)  # [n, x, order in y, order in z]
+    all_orders = orders[:, 0] @ along_y.reshape(n, 3, k * k)
+    return all_orders.reshape(n, k**3).index_select(1, _wanted_orders(k, c.device))
 
-    rows = [contract(w, w, w), contract(d, w, w), contract(w, d, w), contract(w, w, d)]
-    if hessian:
-        rows += [
-            contract(e, w, w),
-            contract(w, e, w),
-            contract(w, w, e),
-            contract(d, d, w),
-            contract(d, w, d),
-            contract(w, d, d),
-        ]
-    return torch.stack(rows, -1)
+
+@lru_cache
+def _wanted_orders(k: int, device: torch.device) -> torch.Tensor:
+    """The places of `_ORDERS` in the flat list of k^3 orders."""
+    wanted = _ORDERS if k == 3 else _ORDERS[:4]
+    return torch.tensor([(x * k + y) * k + z for x, y, z in wanted]).to(device)
 
 
 def sample_torch(coef: torch.Tensor, points: torch.Tensor, hessian: bool = False) -> torch.Tensor:
@@ -183,7 +191,10 @@ def sample_torch(coef: torch.Tensor, points: torch.Tensor, hessian: bool = False
     i, w, d, e = taps_torch(points, coef.shape[0] - 2)
     tap = torch.arange(3, device=coef.device)
     x, y, z = (i[:, a, None] + tap for a in range(3))
-    return contract_torch(coef[x[:, :, None, None], y[:, None, :, None], z[:, None, None, :]], w, d, e, hessian)
+    row = (x[:, :, None] * coef.shape[1] + y[:, None, :])[..., None] * coef.shape[2]
+    # the gradient of index_select adds up without sorting the indices, unlike that of coef[x, y, z]
+    c = coef.reshape(-1).index_select(0, (row + z[:, None, None, :]).reshape(-1))
+    return contract_torch(c.reshape(-1, 3, 3, 3), w, d, e, hessian)
 
 
 def sample(coef: torch.Tensor, points: torch.Tensor, hessian: bool = False) -> torch.Tensor:

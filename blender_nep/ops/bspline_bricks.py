@@ -155,18 +155,22 @@ class _Sample(torch.autograd.Function):
         return coef_grad, None, None, None, None
 
 
+def _on_grid(at: list[Tensor], size: int) -> Tensor:
+    """Flat indices [n * 27] into a grid of size^3 for places [n, 3] along each of the three axes."""
+    x, y, z = at
+    return ((x[:, :, None, None] * size + y[:, None, :, None]) * size + z[:, None, None, :]).reshape(-1)
+
+
 def sample_bricks_torch(bricks: Bricks, points: Tensor, hessian: bool = False) -> Tensor:
     """The body of `sample_bricks` in plain torch, for any device and any float type."""
     slot, coef, cells = bricks
     i, w, d, e = taps_torch(points, cells)
     tap = torch.arange(3, device=coef.device)
     at = [i[:, a, None] + tap for a in range(3)]
-    shape = ((slice(None), slice(None), None, None), (slice(None), None, slice(None), None), (slice(None), None, None))
-    brick = [(x // BRICK)[s] for x, s in zip(at, shape, strict=True)]
-    place = [(x % BRICK)[s] for x, s in zip(at, shape, strict=True)]
-    row = slot[brick[0], brick[1], brick[2]].long()
-    c = coef[row.clamp(min=0), place[0], place[1], place[2]] * (row >= 0)
-    return contract_torch(c, w, d, e, hessian)
+    brick, place = _on_grid([x // BRICK for x in at], slot.shape[0]), _on_grid([x % BRICK for x in at], BRICK)
+    row = slot.reshape(-1).index_select(0, brick).long()
+    c = coef.reshape(-1).index_select(0, row.clamp(min=0) * BRICK**3 + place) * (row >= 0)
+    return contract_torch(c.reshape(-1, 3, 3, 3), w, d, e, hessian)
 
 
 def sample_bricks(bricks: Bricks, points: Tensor, hessian: bool = False) -> Tensor:

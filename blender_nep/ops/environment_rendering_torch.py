@@ -27,23 +27,25 @@ def interpolate(raw: Tensor, points: Tensor, shell: Tensor) -> Tensor:
     shells, rows, columns, channels = raw.shape
     x, y, z = points.unbind(-1)
     k_real = shell.clamp(0.0, shells - 1.0)
-    k = k_real.floor().long().clamp_max(shells - 2)
+    k = k_real.floor().long().clamp(0, shells - 2)  # below 0 for a NaN
     v = torch.atan2(torch.hypot(x, y), z) * (rows / math.pi) + 0.5
     j = v.floor().long().clamp(0, rows)
     u = (torch.atan2(y, x) * (0.5 / math.pi) + 0.5) * columns + (columns - 0.5)
     c = u.floor().long()
     fk, fj, fc = (k_real - k).to(raw.dtype), (v - j).to(raw.dtype), (u - c).to(raw.dtype)
-    flat = raw.reshape(-1, channels)
-    result = torch.zeros((*points.shape[:-1], channels), dtype=raw.dtype, device=raw.device)
+    places, weights = [], []
     for row, row_weight in ((j - 1, 1 - fj), (j, fj)):
         across_pole = (row < 0) | (row >= rows)
         inside = row.clamp(0, rows - 1)
         for column, column_weight in ((c, 1 - fc), (c + 1, fc)):
             turned = (column + across_pole * (columns // 2)) % columns
             for shell, shell_weight in ((k, 1 - fk), (k + 1, fk)):
-                weight = row_weight * column_weight * shell_weight
-                result = result + weight[..., None] * flat[(shell * rows + inside) * columns + turned]
-    return result
+                places.append((shell * rows + inside) * columns + turned)
+                weights.append(row_weight * column_weight * shell_weight)
+    # the gradient of index_select adds up without sorting the indices
+    nodes = raw.reshape(-1, channels).index_select(0, torch.stack(places).reshape(-1))
+    weight = torch.stack(weights)
+    return (nodes.reshape(*weight.shape, channels) * weight[..., None]).sum(0)
 
 
 def render(raw: Tensor, detail: Tensor, rays: RaySamples, medium: Medium) -> tuple[Tensor, Tensor]:

@@ -76,24 +76,63 @@ def test_refinement_is_exact(spline):
     torch.testing.assert_close(bspline.sample(fine, points), bspline.sample(coefficients, points))
 
 
-def test_march_brackets_a_sphere():
-    coefficients = greville(48, lambda x, y, z: (x * x + y * y + z * z).sqrt() - 0.6).float()
+def rays_at(distance, count, spread):
+    """Rays from a sphere of that radius to places near the centre, and where they enter and leave the unit sphere."""
     generator = torch.Generator().manual_seed(3)
-    origins = torch.nn.functional.normalize(torch.randn(200, 3, generator=generator), dim=-1) * 3
-    directions = torch.nn.functional.normalize(torch.randn(200, 3, generator=generator) * 0.35 - origins, dim=-1)
+    origins = torch.nn.functional.normalize(torch.randn(count, 3, generator=generator), dim=-1) * distance
+    aim = torch.randn(count, 3, generator=generator) * spread
+    directions = torch.nn.functional.normalize(aim - origins, dim=-1)
+    along = -(origins * directions).sum(-1)
+    root = (1 - ((origins * origins).sum(-1) - along**2)).clamp(min=0).sqrt()
+    return origins, directions, along - root, along + root
+
+
+@pytest.mark.parametrize("body", [march, march_torch])
+def test_march_brackets_a_sphere(body):
+    coefficients = greville(48, lambda x, y, z: (x * x + y * y + z * z).sqrt() - 0.6).float()
+    origins, directions, near, far = rays_at(3, 200, 0.35)
     band, step = 0.03, 0.01
-    b = (origins * directions).sum(-1)
-    off_axis = ((origins * origins).sum(-1) - b * b).sqrt()
-    near, far = -b - (1 - off_axis**2).clamp(min=0).sqrt(), -b + (1 - off_axis**2).clamp(min=0).sqrt()
-    spans, count = march(coefficients, origins, directions, near, far, band, step)
+    along = -(origins * directions).sum(-1)
+    off_axis = ((origins * origins).sum(-1) - along**2).sqrt()
+    spans, count = body(coefficients, origins, directions, near, far, band, step)
     hits, misses = off_axis < 0.55, off_axis > 0.65
     assert hits.any() and misses.any()
     assert (count[hits] == 1).all() and (count[misses] == 0).all()
-    surface = -b[hits] - (0.36 - off_axis[hits] ** 2).sqrt()
-    assert (spans[hits, 0, 0] < surface).all() and (spans[hits, 0, 1] > surface).all()
-    torch_spans, torch_count = march_torch(coefficients, origins, directions, near, far, band, step, 4)
-    assert torch.equal(torch_count, count)
-    torch.testing.assert_close(torch_spans, spans, atol=2e-3, rtol=0)
+    enters, leaves = (along[hits] - ((0.6 + side) ** 2 - off_axis[hits] ** 2).sqrt() for side in (band, -band))
+    start, end = spans[hits, 0].unbind(-1)
+    little = 3e-3  # the spline is not quite a sphere
+    assert (start < enters + little).all() and (start > enters - step - little).all()
+    assert (end > leaves - little).all() and (end < leaves + step + little).all()
+
+
+@pytest.mark.parametrize("body", [march, march_torch])
+@pytest.mark.parametrize("most", [4, 1])
+def test_spans_hold_all_of_the_band_before_the_inside(body, most):
+    """Brute force on rays that pass by some balls before they enter another, or none."""
+    balls = torch.tensor([[0.5, 0.1, 0.0], [-0.4, 0.3, 0.2], [0.0, -0.5, 0.3], [0.1, 0.2, -0.6]])
+
+    def sdf(x, y, z):
+        place = torch.stack([x, y, z], -1).float()
+        return (place[..., None, :] - balls).norm(dim=-1).amin(-1) - 0.18
+
+    coefficients = greville(64, sdf)
+    origins, directions, near, far = rays_at(3, 400, 0.5)
+    band, step = 0.08, 0.01
+    spans, count = body(coefficients, origins, directions, near, far, band, step, most)
+    t = near[:, None] + torch.arange(2200) * 0.001
+    points = origins[:, None] + t[..., None] * directions[:, None]
+    value = bspline.sample(coefficients, points.clamp(-1, 1).reshape(-1, 3))[:, 0].reshape(t.shape)
+    deep = (value <= -band) | (t >= far[:, None])
+    wanted = (value.abs() < band - 0.002) & (deep.cumsum(1) == 0)
+    used = torch.arange(most) < count[:, None]
+    held = ((t[..., None] >= spans[:, None, :, 0]) & (t[..., None] <= spans[:, None, :, 1]) & used[:, None]).any(-1)
+    whole = count < most
+    assert whole.any() and (count > 1).any() == (most == 4) and (~whole).any() == (most == 1)
+    assert (held | ~wanted)[whole].all()
+    last = torch.where(used, spans[..., 1], 0).amax(1)
+    assert (held | ~wanted | (t > last[:, None]))[~whole].all()  # all up to the last span
+    too_much = held & (value.abs() > band + 1.5 * step)
+    assert not too_much.any()
 
 
 def test_refinement_bodies_agree_and_pass_gradcheck():
