@@ -156,7 +156,7 @@ def taps_torch(points: torch.Tensor, cells: int) -> tuple[torch.Tensor, torch.Te
     """For points [n, 3]: the first of three taps along each axis [n, 3] int64, and their weights [n, 3, 3], with the first
     and second derivatives of the weights. The last axis is the tap."""
     p = (points * 0.5 + 0.5) * cells
-    i = p.detach().floor().clamp(0, cells - 1).nan_to_num(0)  # a NaN stays one in the weights; as an index it has no place
+    i = p.detach().floor().clamp(0, cells - 1).nan_to_num(0)  # a NaN cannot be an index; the weights keep it
     f = p - i
     s = cells * 0.5
     w = torch.stack([0.5 * (1 - f) ** 2, 0.5 + f * (1 - f), 0.5 * f * f], -1)

@@ -97,9 +97,10 @@ def _march(coef, fine, rays, band, step, spans, count, threads):
 def march(coef, origins, directions, t_near, t_far, band: float, step: float, most: int = 4, fine: Bricks | None = None):
     """Find the spans of each ray in which |spline| < band, up to the first place where the spline falls below -band.
 
-    origins, directions [n, 3]; t_near, t_far [n]; `step` is the smallest step (about half a cell). Returns spans [n, most,
-    2] (start and end as distances along the ray) and count [n], the number of spans. If a ray has no span before it falls
-    below -band, it gets one there. There is no gradient. Works on the CPU and on any other torch device.
+    origins, directions [n, 3]; t_near, t_far [n]; `step` is the smallest step (about half a cell); in the torch body, it is
+    the only one. Returns spans [n, most, 2] (start and end as distances along the ray) and count [n], their number. If
+    a ray has no span before it falls below -band, it gets one there. There is no gradient. Works on the CPU and on any other
+    torch device.
     """
     coef, origins, directions, t_near, t_far = at_least_float32(coef.detach(), origins, directions, t_near, t_far)
     if coef.device.type == "cpu":
@@ -142,7 +143,7 @@ _BLOCK = 8
 
 
 def _march_some(coef, fine, band, step, most, origins, directions, t_near, t_far):
-    """Spans [n, most, 2] and count [n] of n rays, as `march`."""
+    """What `march` returns, for some of its rays."""
     n, device = len(origins), origins.device
     longest = float((t_far - t_near).nan_to_num(0).amax()) if n else 0.0
     blocks = max(1, math.ceil(longest / (step * _BLOCK)))
@@ -157,7 +158,8 @@ def _march_some(coef, fine, band, step, most, origins, directions, t_near, t_far
     begin = t_near[:, None] + torch.arange(blocks, device=device) * (step * _BLOCK)
     ray, block = (begin < t_far[:, None]).nonzero().unbind(1)
     # Outside the band, the SDF limits the step. The factor is 0.7, because a learned SDF is not exact.
-    looked = 0.7 * (value(ray, begin[ray, block] + 0.5 * step * _BLOCK) - band) < 0.5 * step * _BLOCK
+    half = 0.5 * (t_far[ray] - begin[ray, block]).clamp(max=step * _BLOCK)
+    looked = 0.7 * (value(ray, begin[ray, block] + half) - band) < half
     ray, block = ray[looked], block[looked]
     t = begin[ray, block, None] + torch.arange(_BLOCK, device=device) * step
     v = value(ray.repeat_interleave(_BLOCK), t.reshape(-1)).reshape(t.shape)

@@ -34,5 +34,5 @@ def test_fields_are_those_of_the_cpu(monkeypatch, make_capture, use_masks):
         resumed.load(learning.state())
         sdf = resumed.object_field.sdf_in_cells(32)
     assert found[:4] == pytest.approx(losses[:4], rel=1e-5)  # of F_e alone
-    assert found == pytest.approx(losses, rel=0.02)  # a march that begins elsewhere puts the samples elsewhere
-    assert abs(sdf - expected.object_field.sdf_in_cells(32)).mean() < 2e-4
+    assert found == pytest.approx(losses, rel=0.02)  # spans that begin elsewhere put the samples elsewhere
+    assert abs(sdf - expected.object_field.sdf_in_cells(32)).mean() < 5e-5

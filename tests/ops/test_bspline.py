@@ -1,5 +1,7 @@
 """The quadratic B-spline volume against closed forms, its plain torch body and finite differences."""
 
+import math
+
 import pytest
 import torch
 
@@ -89,7 +91,7 @@ def rays_at(distance, count, spread):
 
 @pytest.mark.parametrize("body", [march, march_torch])
 def test_march_brackets_a_sphere(body):
-    coefficients = greville(48, lambda x, y, z: (x * x + y * y + z * z).sqrt() - 0.6).float()
+    coefficients = sphere_coefficients()
     origins, directions, near, far = rays_at(3, 200, 0.35)
     band, step = 0.03, 0.01
     along = -(origins * directions).sum(-1)
@@ -100,9 +102,56 @@ def test_march_brackets_a_sphere(body):
     assert (count[hits] == 1).all() and (count[misses] == 0).all()
     enters, leaves = (along[hits] - ((0.6 + side) ** 2 - off_axis[hits] ** 2).sqrt() for side in (band, -band))
     start, end = spans[hits, 0].unbind(-1)
-    little = 3e-3  # the spline is not quite a sphere
-    assert (start < enters + little).all() and (start > enters - step - little).all()
-    assert (end > leaves - little).all() and (end < leaves + step + little).all()
+    spline_error = 3e-3  # the spline is not quite a sphere
+    assert (start < enters + spline_error).all() and (start > enters - step - spline_error).all()
+    assert (end > leaves - spline_error).all() and (end < leaves + step + spline_error).all()
+
+
+def sphere_coefficients():
+    return greville(48, lambda x, y, z: (x * x + y * y + z * z).sqrt() - 0.6).float()
+
+
+@pytest.mark.parametrize("body", [march, march_torch])
+def test_a_ray_that_starts_inside_gets_a_span_there(body):
+    generator = torch.Generator().manual_seed(5)
+    directions = torch.nn.functional.normalize(torch.randn(20, 3, generator=generator), dim=-1)
+    near, far = torch.full((20,), 0.1), torch.ones(20)
+    spans, count = body(sphere_coefficients(), 0.1 * directions, directions, near, far, 0.03, 0.01)
+    assert (count == 1).all() and torch.equal(spans[:, 0], torch.stack([near, near], -1))
+
+
+@pytest.mark.parametrize("body", [march, march_torch])
+def test_a_step_over_the_whole_band_gets_a_span(body):
+    origins, directions, near, far = rays_at(3, 50, 0.2)
+    along = -(origins * directions).sum(-1)
+    surface = along - (0.36 - ((origins * origins).sum(-1) - along**2)).sqrt()
+    spans, count = body(sphere_coefficients(), origins, directions, near, far, 0.002, 0.05)
+    assert (count == 1).all()
+    start, end = spans[:, 0].unbind(-1)
+    assert (start < surface + 3e-3).all() and (end > surface - 3e-3).all() and (end - start < 0.11).all()
+
+
+@pytest.mark.parametrize("body", [march, march_torch])
+def test_no_rays_and_empty_intervals_have_no_spans(body):
+    origins, directions, near, far = rays_at(3, 50, 0.2)
+    for some, end in ((slice(0, 0), far), (slice(None), near), (slice(None), near - 1)):
+        rays = [part[some] for part in (origins, directions, near, end)]
+        spans, count = body(sphere_coefficients(), *rays, 0.03, 0.01)
+        assert spans.shape == (len(rays[0]), 4, 2) and not count.any()
+
+
+def test_the_torch_march_in_parts_is_the_march(monkeypatch):
+    rays = rays_at(3, 50, 0.2)
+    whole = march_torch(sphere_coefficients(), *rays, 0.03, 0.01)
+    monkeypatch.setattr("blender_nep.ops.bspline_march._RAYS", 7)
+    parts = march_torch(sphere_coefficients(), *rays, 0.03, 0.01)
+    assert whole[1].any() and all(map(torch.equal, whole, parts))
+
+
+def test_a_point_that_is_not_a_number_has_no_value():
+    points = torch.tensor([[0.1, math.nan, 0.2], [0.1, 0.2, 0.3]])
+    for sampled in (bspline.sample(sphere_coefficients(), points), bspline.sample_torch(sphere_coefficients(), points)):
+        assert sampled[0].isnan().all() and sampled[1].isfinite().all()
 
 
 @pytest.mark.parametrize("body", [march, march_torch])

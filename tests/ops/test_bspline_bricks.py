@@ -5,7 +5,7 @@ import torch
 
 from blender_nep.ops import bspline
 from blender_nep.ops.bspline_bricks import BRICK, Bricks, bricks_along_axis, sample_bricks, sample_bricks_torch
-from blender_nep.ops.bspline_march import march
+from blender_nep.ops.bspline_march import march, march_torch
 
 CELLS = 21
 
@@ -72,7 +72,8 @@ def test_every_number_of_threads_gives_the_same_gradient(bricks, points):
         torch.testing.assert_close(gradient, gradients[0])
 
 
-def test_rays_stop_at_the_sum_of_a_dense_volume_and_bricks(bricks):
+@pytest.mark.parametrize("body", [march, march_torch])
+def test_rays_stop_at_the_sum_of_a_dense_volume_and_bricks(bricks, body):
     x = (torch.arange(CELLS + 2) - 0.5) / CELLS * 2 - 1
     axes = torch.meshgrid(x, x, x, indexing="ij")
     ball = (axes[0] ** 2 + axes[1] ** 2 + axes[2] ** 2).sqrt() - 0.6
@@ -82,8 +83,8 @@ def test_rays_stop_at_the_sum_of_a_dense_volume_and_bricks(bricks):
     directions = torch.nn.functional.normalize(torch.randn(300, 3, generator=generator) * 0.35 - origins, dim=-1)
     near, far = torch.full((300,), 2.0), torch.full((300,), 4.0)
     arguments = (origins, directions, near, far, 0.03, 0.01)
-    spans, count = march(ball, *arguments, fine=fine)
-    expected_spans, expected_count = march(ball + dense(fine), *arguments)
+    spans, count = body(ball, *arguments, fine=fine)
+    expected_spans, expected_count = body(ball + dense(fine), *arguments)
     assert torch.equal(count, expected_count)
     torch.testing.assert_close(spans, expected_spans, rtol=0, atol=1e-4)
-    assert not torch.allclose(spans, march(ball, *arguments)[0], atol=1e-2), "the bricks matter here"
+    assert not torch.allclose(spans, body(ball, *arguments)[0], atol=1e-2), "the bricks matter here"

@@ -1,9 +1,9 @@
 """A torch device that behaves like a graphics card, for machines that have none.
 
-Its tensors lie in ordinary memory, but torch refuses what it refuses for a graphics card: an operation on tensors of both
-devices, and a NumPy array of such a tensor. So a forgotten `.cpu()` or `device=` fails here as it would fail there. Kernels
-of the CPU refuse the tensors too, because Numba wants arrays. What remains for a real graphics card to show is speed, and
-the rounding of its kernels.
+Its tensors lie in ordinary memory, but torch refuses most of what it refuses for a graphics card: an operation on tensors of
+both devices, a random generator of the other device, and a NumPy array of such a tensor. So a forgotten `.cpu()` or a
+forgotten `device=` fails here as it would fail there. Kernels of the CPU refuse the tensors too, because Numba wants arrays.
+What remains for a real graphics card to show is speed, and the rounding of its kernels.
 
 The device is called `meta`, because torch accepts no invented name; torch's own `meta` tensors, which have no values, are
 not used here.
@@ -12,6 +12,7 @@ not used here.
 from __future__ import annotations
 
 import sys
+from collections.abc import Sequence
 from contextlib import contextmanager
 from typing import Any
 
@@ -26,16 +27,17 @@ DEVICE = torch.device("meta")
 _COPIES = {torch.ops.aten.copy_.default, torch.ops.aten._to_copy.default}
 _INDEXED = {torch.ops.aten.index.Tensor, torch.ops.aten.index_put.default, torch.ops.aten.index_put_.default}
 """A tensor of the graphics card may be copied from and to the CPU, and may be indexed by tensors of the CPU."""
+_JOINS = {torch.ops.aten.cat.default, torch.ops.aten.stack.default}
 
 
-class Held(torch.Tensor):
+class CardTensor(torch.Tensor):
     """A tensor of the device; `inner` holds its values."""
 
     inner: torch.Tensor
     __torch_function__ = torch._C._disabled_torch_function_impl  # type: ignore[assignment]  # operations are enough
 
     @staticmethod
-    def __new__(cls, inner: torch.Tensor) -> Held:
+    def __new__(cls, inner: torch.Tensor) -> CardTensor:
         return torch.Tensor._make_wrapper_subclass(  # type: ignore[attr-defined]  # torch documents it for subclasses
             cls,
             inner.size(),
@@ -73,7 +75,9 @@ class _Mode(TorchDispatchMode):
         return _do(operation, arguments, dict(keywords or {}))
 
 
-_PLAIN, _generators = torch.Generator, []  # an operation gets the same generator as another object
+_PLAIN = torch.Generator
+_generators: list[torch.Generator] = []
+"""All generators of the device. torch hands an operation a new Python object of a generator, so `_cdata` is compared."""
 
 
 class _Generator(_PLAIN):
@@ -92,11 +96,11 @@ class _Generator(_PLAIN):
 def _do(operation, arguments, keywords):
     """Do the operation with the values, and hold the result if it belongs to the device."""
     tensors = [value for value in tree_iter((arguments, keywords)) if isinstance(value, torch.Tensor)]
-    held = [value for value in tensors if isinstance(value, Held)]
+    held = [value for value in tensors if isinstance(value, CardTensor)]
     device = keywords.get("device")
     on_device = bool(held) if device is None else device.type == DEVICE.type
     if operation not in _COPIES:
-        _refuse_both_devices(operation, tensors, held)
+        _refuse_both_devices(operation, arguments, tensors, held)
     generator = keywords.get("generator")
     if generator is not None and any(own._cdata == generator._cdata for own in _generators) != on_device:
         raise RuntimeError(f"{operation}: expected a generator of the tensor's device")
@@ -106,8 +110,6 @@ def _do(operation, arguments, keywords):
     result = operation(*inner_arguments, **inner_keywords)
     if operation is torch.ops.aten.copy_.default:
         return arguments[0]
-    if operation is torch.ops.aten._to_copy.default and result is inner_arguments[0]:
-        result = result.clone()
     if not on_device:
         return result
     result = tree_map(_held, result)
@@ -115,22 +117,25 @@ def _do(operation, arguments, keywords):
 
 
 def _inner(value: Any) -> Any:
-    return value.inner if isinstance(value, Held) else value
+    return value.inner if isinstance(value, CardTensor) else value
 
 
 def _held(value: Any) -> Any:
-    return Held(value) if isinstance(value, torch.Tensor) else value
+    return CardTensor(value) if isinstance(value, torch.Tensor) else value
 
 
-def _refuse_both_devices(operation, tensors: list[torch.Tensor], held: list[torch.Tensor]) -> None:
-    """Raises RuntimeError for an operation on tensors of both devices. A single number of the CPU may take part."""
-    if any(value.device == DEVICE and not isinstance(value, Held) for value in tensors):
+def _refuse_both_devices(operation, arguments: Sequence, tensors: list[torch.Tensor], held: list[torch.Tensor]) -> None:
+    """Raises RuntimeError for an operation on tensors of both devices. A single number of the CPU may take part, but not be
+    joined to tensors. Raises NotImplementedError for a tensor of torch's own `meta` device.
+    """
+    if any(value.device == DEVICE and not isinstance(value, CardTensor) for value in tensors):
         raise NotImplementedError(f"{operation}: torch has made a tensor without values behind the pretended device's back")
     if not held:
         return
-    if operation in _INDEXED and isinstance(tensors[0], Held):
-        tensors = [value for value in tensors if value.dtype not in (torch.int64, torch.bool)]
-    if any(not isinstance(value, Held) and value.dim() > 0 for value in tensors):
+    if operation in _INDEXED and isinstance(arguments[0], CardTensor):
+        tensors = [value for value in tree_iter((arguments[0], arguments[2:])) if isinstance(value, torch.Tensor)]
+    least = 0 if operation in _JOINS else 1
+    if any(not isinstance(value, CardTensor) and value.dim() >= least for value in tensors):
         raise RuntimeError(f"{operation}: expected all tensors to be on the same device, but found {DEVICE} and cpu")
 
 
@@ -140,7 +145,7 @@ def _made_on_the_cpu_first(make):
     def made(data, dtype=None, device=None):
         if device is None or torch.device(device).type != DEVICE.type:
             return make(data, dtype=dtype, device=device)
-        return make(data, dtype=dtype, device=None if isinstance(data, Held) else "cpu").to(DEVICE)
+        return make(data, dtype=dtype, device=None if isinstance(data, CardTensor) else "cpu").to(DEVICE)
 
     return made
 
