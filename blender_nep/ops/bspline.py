@@ -183,7 +183,7 @@ def contract_torch(c: torch.Tensor, w: torch.Tensor, d: torch.Tensor, e: torch.T
 def _wanted_orders(k: int, device: torch.device) -> torch.Tensor:
     """The places of `_ORDERS` in the flat list of k^3 orders."""
     wanted = _ORDERS if k == 3 else _ORDERS[:4]
-    return torch.tensor([(x * k + y) * k + z for x, y, z in wanted]).to(device)
+    return torch.tensor([(x * k + y) * k + z for x, y, z in wanted], device=device)
 
 
 def sample_torch(coef: torch.Tensor, points: torch.Tensor, hessian: bool = False) -> torch.Tensor:

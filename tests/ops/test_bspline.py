@@ -78,6 +78,11 @@ def test_refinement_is_exact(spline):
     torch.testing.assert_close(bspline.sample(fine, points), bspline.sample(coefficients, points))
 
 
+def sphere_coefficients():
+    """The SDF of a ball of radius 0.6."""
+    return greville(48, lambda x, y, z: (x * x + y * y + z * z).sqrt() - 0.6).float()
+
+
 def rays_at(distance, count, spread):
     """Rays from a sphere of that radius to places near the centre, and where they enter and leave the unit sphere."""
     generator = torch.Generator().manual_seed(3)
@@ -105,10 +110,6 @@ def test_march_brackets_a_sphere(body):
     spline_error = 3e-3  # the spline is not quite a sphere
     assert (start < enters + spline_error).all() and (start > enters - step - spline_error).all()
     assert (end > leaves - spline_error).all() and (end < leaves + step + spline_error).all()
-
-
-def sphere_coefficients():
-    return greville(48, lambda x, y, z: (x * x + y * y + z * z).sqrt() - 0.6).float()
 
 
 @pytest.mark.parametrize("body", [march, march_torch])

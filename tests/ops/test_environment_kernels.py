@@ -238,6 +238,12 @@ def test_color_detail_multiplies_what_is_far_and_nothing_near(body):
     torch.testing.assert_close(wall, torch.ones_like(wall), rtol=1e-6, atol=0)
 
 
+def test_what_is_not_a_number_has_no_value_and_ends_nothing():
+    points = torch.tensor([[0.1, 0.2, 0.3], [0.1, math.nan, 0.3], [0.1, 0.2, 0.3]], dtype=torch.float64)
+    found = interpolate(random_grid(4, 8, 1), points, torch.tensor([math.nan, 1.0, 1.0], dtype=torch.float64))
+    assert found[:2].isnan().all() and found[2].isfinite().all()
+
+
 def test_interpolation_is_smooth_over_pole_and_seam():
     """z is smooth on the sphere: a cell-centred grid of it interpolates to z everywhere, also across pole and seam."""
     rows = 64

@@ -28,6 +28,7 @@ _COPIES = {torch.ops.aten.copy_.default, torch.ops.aten._to_copy.default}
 _INDEXED = {torch.ops.aten.index.Tensor, torch.ops.aten.index_put.default, torch.ops.aten.index_put_.default}
 """A tensor of the graphics card may be copied from and to the CPU, and may be indexed by tensors of the CPU."""
 _JOINS = {torch.ops.aten.cat.default, torch.ops.aten.stack.default}
+"""These do not take a single number of the CPU either."""
 
 
 class CardTensor(torch.Tensor):
