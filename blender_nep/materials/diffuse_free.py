@@ -8,10 +8,15 @@ diffuse light, which hides the reflections elsewhere. Here, they hardly show.
 Two things tell the roughness in this channel. The residual is least where the predicted reflections fit. But reflections
 are never quite in place, so the residual favors blur. The third moment of the reflected light does not depend on where the
 reflections are, and symmetric noise adds nothing to it. So the residual gives a range. Within it, the third moment decides.
+
+Errors of F_e change the third moment by a fifth or so, in other directions for other parts of the object. So paints share a
+roughness if their third moments are near those of the photos with a common one.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -45,16 +50,62 @@ _SMALLEST = 0.01
 """Smaller residuals count quadratically, larger ones linearly."""
 _TAIL = 0.005
 """This share of the largest and of the smallest values is clipped before third powers are taken."""
+_LEAST_MOMENT = 1e-6
+"""Smaller cube roots of third moments, and negative ones, count as this."""
+_APART = 0.3
+"""Paints have a roughness of their own if the log of (predicted third moment / that of the photos) is farther from 0 than
+this with a common one. Measured with the true roughness: -0.2 to 0.2 for four paints."""
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """What tells the roughness of one paint, at the R values of `roughness_scan`."""
+
+    residual: Tensor
+    """[R] mean absolute difference between prediction and photos"""
+    moment: list[float]
+    """[R] log of the ratio of the predicted third moment to that of the photos (of their cube roots)"""
+
+
+def places(evidence: Sequence[Evidence], margin: float) -> list[float]:
+    """The place of each paint's roughness in `roughness_scan`. Paints that are not told apart share one.
+
+    A residual may be up to the share `margin` above its least. Within this range the third moment decides, or the mean of
+    the logs of the third moments' ratios where paints share a roughness.
+    """
+    found = [place_where_equal(own.residual, margin, own.moment.__getitem__) for own in evidence]
+    shared = list(range(len(evidence)))
+    while len(shared) > 1:
+        common, leaves = _common_place([evidence[k] for k in shared], margin)
+        if leaves is None:
+            for k in shared:
+                found[k] = common
+            break
+        del shared[leaves]
+    return found
+
+
+def _common_place(evidence: list[Evidence], margin: float) -> tuple[float, int | None]:
+    """A place for several paints, and the index of the paint that it fits least; None if it fits all."""
+    raised = torch.stack([own.residual / own.residual.min() for own in evidence])
+    worst = raised.amax(0)
+    best = int(worst.argmin())
+    if float(worst[best]) > 1 + margin:
+        return float(best), int(raised[:, best].argmax())
+    moment = np.mean([own.moment for own in evidence], 0)
+    common = place_where_equal(worst, (1 + margin) / float(worst[best]) - 1, lambda row: float(moment[row]))
+    apart = [abs(float(np.interp(common, np.arange(len(moment)), own.moment))) for own in evidence]
+    return common, int(np.argmax(apart)) if max(apart) > _APART else None
 
 
 @profiled("roughness by hue")
-def place_of_colored(
+def evidence_of_colored(
     light: LightMoments, target: Tensor, samples: Tensor, region: Tensor, albedo: Tensor, preset: MaterialPreset
-) -> float | None:
-    """The place of a dielectric's roughness in `roughness_scan`, from its `samples` [m] (indices). None if it is not told.
+) -> Evidence | None:
+    """What tells a dielectric's roughness, from its `samples` [m] (indices). None if nothing does.
 
-    It is not told if the material is grey, dull, or painted in several colors, or if there are too few samples. target
-    [n, 3] linear; region [m] int64, the region of the surface in which each of the samples lies; albedo [3].
+    Nothing does if the material is grey, dull, or painted in several colors, or if there are too few samples. target [n, 3]
+    linear; region [m] int64, the region of the surface in which each of the samples lies; albedo [3].
     """
     large = torch.bincount(region)[region] >= _LEAST_SAMPLES
     if int(large.sum()) < _LEAST_OF_MATERIAL:
@@ -69,7 +120,7 @@ def place_of_colored(
     if residual.min() >= channel.residual(torch.zeros_like(channel.shown), preset.clip):
         return None  # the predicted reflections explain nothing
     photo = channel.third_moment(channel.shown)
-    return place_where_equal(residual, preset.hue_residual_margin, lambda row: channel.third_moment(reflected[row]) - photo)
+    return Evidence(residual, [float(np.log(channel.third_moment(each) / photo)) for each in reflected])
 
 
 class _DiffuseFree:
@@ -81,6 +132,9 @@ class _DiffuseFree:
         self.slope = 1 / (1 + 4 * target.mean(-1))
         """[m] how much a difference in radiance counts, as in the tone mapping"""
         diffuse = light.diffuse[samples] * albedo
+        self.even_slope = 1 / (1 + 4 * diffuse.mean(-1))
+        """[m] the same for the third moments. `slope` is small where the photo shows a highlight, and not where a misplaced
+        one is predicted, so it would make the predicted moment too large"""
         own = torch.nn.functional.normalize(diffuse, dim=-1)
         lobe = light.moments(torch.full((len(samples),), _LOBE, device=target.device), samples)
         of_light = torch.nn.functional.normalize(lobe.full, dim=-1)
@@ -121,13 +175,13 @@ class _DiffuseFree:
         return (error * self.weight).sum() / self.weight.sum()
 
     def third_moment(self, values: Tensor) -> float:
-        """Cube root of the third central moment of values [m] within the regions."""
-        values = values * self.slope
+        """Cube root of the third central moment of values [m] within the regions; at least _LEAST_MOMENT."""
+        values = values * self.even_slope
         mean = self._by_region(self.weight * values) / self._by_region(self.weight)
         values = values - mean[self.region]
         low, high = np.quantile(values.cpu().numpy(), [_TAIL, 1 - _TAIL])
         moment = (values.clamp(float(low), float(high)) ** 3 * self.weight).sum() / self.weight.sum()
-        return float(np.cbrt(float(moment)))
+        return max(float(np.cbrt(float(moment))), _LEAST_MOMENT)
 
     def _by_region(self, values: Tensor) -> Tensor:
         return torch.zeros(int(self.region.max()) + 1, device=values.device).index_add_(0, self.region, values)

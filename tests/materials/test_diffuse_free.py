@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 import torch
 
-from blender_nep.materials.diffuse_free import place_of_colored
-from blender_nep.materials.fitting import roughness_at
+from blender_nep.materials.diffuse_free import Evidence, evidence_of_colored, places
+from blender_nep.materials.fitting import roughness_at, roughness_scan
 from blender_nep.presets import MaterialPreset
 from blender_nep.shading.light_moments import LightMoments
 from blender_nep.shading.plenoptic import Material, reflected
@@ -65,8 +65,12 @@ def found(
     material = Material((albedo if paint is None else paint).expand(N, 3), roughness * one, 0 * one)
     photos = reflected(material, real.moments(material.roughness), real.diffuse, real.cos_v)
     region = torch.randint(64, (N,), generator=generator)
-    place = place_of_colored(light(wrong, one), photos, samples, region[samples], albedo, preset)
-    return None if place is None else float(roughness_at(torch.tensor(place), PRESET.least_roughness))
+    told = evidence_of_colored(light(wrong, one), photos, samples, region[samples], albedo, preset)
+    return None if told is None else roughness_of([told], preset.hue_residual_margin)[0]
+
+
+def roughness_of(evidence: list[Evidence], margin: float = PRESET.hue_residual_margin) -> list[float]:
+    return roughness_at(torch.tensor(places(evidence, margin)), PRESET.least_roughness).tolist()
 
 
 @pytest.mark.parametrize("roughness", [0.08, 0.15, 0.3, 0.5, 0.7])
@@ -80,10 +84,38 @@ def test_the_third_moment_takes_back_the_blur_that_misplaced_reflections_favor()
     assert found(0.15, wrong_by=6.0) == pytest.approx(0.15, abs=0.07)
 
 
-@pytest.mark.parametrize("roughness", [0.3, 0.5, 0.7])
-def test_the_third_moment_alone_tells_the_roughness_wherever_the_reflections_are(roughness):
+@pytest.mark.parametrize(
+    ("roughness", "wrong_by"), [(0.08, 3.0), (0.15, 3.0), (0.15, 6.0), (0.3, 6.0), (0.5, 6.0), (0.7, 6.0)]
+)
+def test_the_third_moment_alone_tells_the_roughness_wherever_the_reflections_are(roughness, wrong_by):
     anything_goes = replace(PRESET, hue_residual_margin=1.0)
-    assert found(roughness, wrong_by=6.0, preset=anything_goes) == pytest.approx(roughness, rel=0.15)
+    assert found(roughness, wrong_by=wrong_by, preset=anything_goes) == pytest.approx(roughness, rel=0.05)
+
+
+def told(third_moment: float, least_residual_at: float) -> Evidence:
+    """A paint whose third moment is that of the photos at one roughness, and whose residual is least at another."""
+    scan = roughness_scan(PRESET.least_roughness, torch.device("cpu"))
+    log = torch.log(scan)
+    residual = 1 + 0.1 * (log - np.log(least_residual_at)) ** 2
+    return Evidence(residual, (0.5 * (np.log(third_moment) - log)).tolist())
+
+
+def test_paints_whose_third_moments_are_nearly_right_at_a_common_roughness_share_it():
+    first, second = told(0.1, 0.15), told(0.2, 0.15)
+    assert roughness_of([first]) == pytest.approx([0.1], rel=0.03)
+    assert roughness_of([first, second]) == pytest.approx([0.1414, 0.1414], rel=0.03)
+
+
+def test_paints_whose_third_moments_or_residuals_say_otherwise_keep_their_own_roughness():
+    apart = [told(0.07, 0.1), told(0.3, 0.2)]
+    assert roughness_of(apart) == pytest.approx([0.07, 0.3], rel=0.05)
+    by_residual = [told(0.15, 0.04), told(0.2, 0.9)]
+    assert roughness_of(by_residual) == pytest.approx([0.11, 0.34], rel=0.1)
+
+
+def test_one_paint_that_is_apart_leaves_the_others_together():
+    common = roughness_of([told(0.12, 0.15), told(0.16, 0.15), told(0.6, 0.4)])
+    assert common == pytest.approx([0.1386, 0.1386, 0.6], rel=0.05)
 
 
 def test_a_grey_paint_and_few_samples_say_nothing():
