@@ -6,18 +6,23 @@ the rays.
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 
 import igl
 import numpy as np
+import torch
 import trimesh
 from trimesh.ray.ray_pyembree import RayMeshIntersector
 
 from blender_nep.capture import Capture, load_capture
 from blender_nep.geometry.mesh import Surface
+from blender_nep.shading import brdf
 
 VOXEL = 0.01
 """Width of a voxel in object radii. One point is kept in each voxel, so that places seen by many pixels do not dominate."""
+_OFFSET = 1e-3
+"""Rays that ask for the visibility of the sky begin so far above the surface, in object radii."""
 
 
 class Body:
@@ -35,6 +40,21 @@ class Body:
         """Distances [n] of points [n, 3] to the surface."""
         v, f = np.asarray(self.mesh.vertices, np.float64), np.asarray(self.mesh.faces, np.int64)
         return np.sqrt(igl.point_mesh_squared_distance(np.ascontiguousarray(points, np.float64), v, f)[0])
+
+    def sky_visibility(self, points: np.ndarray, normals: np.ndarray, rays: int = 64) -> np.ndarray:
+        """The share [n] of the cosine-weighted hemisphere from which points [n, 3] on the mesh see its surroundings.
+
+        `normals` [n, 3] of unit length point outward. It is 1 on a convex body, and less in its hollows. All points have the
+        same `rays` directions in their frames.
+        """
+        share = (np.arange(rays) + 0.5) / rays
+        azimuth = np.arange(rays) * math.pi * (3 - math.sqrt(5))
+        radius = np.sqrt(share)
+        local = np.stack([radius * np.cos(azimuth), radius * np.sin(azimuth), np.sqrt(1 - share)], 1)
+        frames = brdf.frame(torch.from_numpy(np.asarray(normals, np.float32))).numpy()
+        directions = np.einsum("nij,rj->nri", frames, local).reshape(-1, 3)
+        hit = self.caster.intersects_any(np.repeat(points + _OFFSET * normals, rays, 0), directions)
+        return 1 - hit.reshape(-1, rays).mean(1)
 
     def visible(self, cameras: list[tuple[np.ndarray, np.ndarray]], most: int, rng: np.random.Generator) -> np.ndarray:
         """At most `most` of the points [m, 3] that the cameras' rays meet first, one in each voxel.

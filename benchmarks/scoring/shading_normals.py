@@ -18,6 +18,11 @@ from blender_nep.geometry.mesh import Surface, normalized
 from blender_nep.geometry.uv_raster import look_up
 from blender_nep.surface.normal_map import tangent_frames
 
+HOLLOW = 0.7
+"""A place lies in a hollow if the true mesh lets it see less of the sky than this share."""
+_HOLLOW_PIXELS = 4
+"""One of so many pixels is asked whether it shows a hollow."""
+
 
 def score(
     surface: Surface, folder: Path, capture: Capture, test: Capture, normal_map: np.ndarray | None = None
@@ -25,13 +30,15 @@ def score(
     """The errors of shading normals in the test views, in degrees; {} for a capture whose ground truth has no normals.
 
     shading_normal_deg: mean angle between the surface's interpolated normals and the rendered ones. If there is a normal map
-    [S, S, 3], it tilts the surface's normals. normal_floor_deg: mean angle between the true mesh's face normals and the
-    rendered ones, which `normal_deg` of an exact copy of the photos would have.
+    [S, S, 3], it tilts the surface's normals. hollow_normal_deg: the same where the true mesh has a hollow; it is missing if
+    there is none. normal_floor_deg: mean angle between the true mesh's face normals and the rendered ones, which
+    `normal_deg` of an exact copy of the photos would have.
     """
     ours, truth = Body(surface.vertices, surface.faces), true_mesh(folder, capture)
     normals = surface.normals
     tangents, handedness = (None, None) if normal_map is None else tangent_frames(surface)
     found: list[np.ndarray] = []
+    in_hollows: list[np.ndarray] = []
     floor: list[np.ndarray] = []
     for view in range(len(test.views)):
         gt = read_channels(folder / "gt" / f"{view:03d}.exr")
@@ -44,6 +51,9 @@ def score(
         on_truth = np.zeros(len(origins), bool)
         on_truth[ray] = True
         floor.append(_angles(truth.mesh.face_normals[face], rendered[ray])[inner[ray]])
+        some = slice(None, None, _HOLLOW_PIXELS)
+        hollow = np.zeros(len(origins), bool)
+        hollow[ray[some]] = truth.sky_visibility(point[some], rendered[ray[some]]) < HOLLOW
         point, ray, face = ours.first_hits(origins, directions)
         barycentric = trimesh.triangles.points_to_barycentric(surface.vertices[surface.faces[face]], point)
         corners = surface.faces[face]
@@ -54,11 +64,11 @@ def score(
             uv = (surface.atlas[corners] * barycentric[..., None]).sum(1)
             red, green, blue = 2 * look_up(normal_map, uv).T[..., None] - 1
             smooth = red * tangent + green * bitangent + blue * smooth
-        found.append(_angles(normalized(smooth), rendered[ray])[(inner & on_truth)[ray]])
-    return {
-        "shading_normal_deg": float(np.concatenate(found).mean()),
-        "normal_floor_deg": float(np.concatenate(floor).mean()),
-    }
+        angles = _angles(normalized(smooth), rendered[ray])
+        found.append(angles[(inner & on_truth)[ray]])
+        in_hollows.append(angles[(inner & on_truth & hollow)[ray]])
+    scores = {"shading_normal_deg": found, "hollow_normal_deg": in_hollows, "normal_floor_deg": floor}
+    return {name: float(np.concatenate(each).mean()) for name, each in scores.items() if sum(map(len, each))}
 
 
 def _inner(mask: np.ndarray) -> np.ndarray:

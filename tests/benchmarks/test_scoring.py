@@ -44,6 +44,20 @@ def test_distances_between_concentric_balls_are_the_difference_of_their_radii():
     assert distance == pytest.approx(0.1, abs=2e-3)
 
 
+@pytest.mark.parametrize("depth", [0.3, 0.6, 1.0])
+def test_the_sky_is_seen_from_a_round_hollow_as_from_every_place_of_a_sphere(depth):
+    # A point of a sphere sees each part of it with a share that is that part's share of the whole area.
+    ball = trimesh.creation.icosphere(subdivisions=6)
+    bowl = ball.submesh([ball.triangles_center[:, 2] < depth - 1], append=True)
+    deepest = np.asarray(bowl.triangles_center)
+    deepest = deepest[deepest[:, 2] < 0.5 * depth - 1][::7]
+    found = Body(bowl.vertices, bowl.faces).sky_visibility(
+        deepest, -deepest / np.linalg.norm(deepest, axis=1, keepdims=True)
+    )
+    assert found.mean() == pytest.approx(1 - depth / 2, abs=0.01)
+    assert found == pytest.approx(np.full(len(found), 1 - depth / 2), abs=0.08)
+
+
 @pytest.mark.parametrize("changes", ABLATIONS.values())
 def test_an_ablation_changes_the_fields_it_names_and_no_others(changes):
     expected, found = asdict(preset("balanced")), asdict(with_changes(preset("balanced"), changes))
@@ -96,6 +110,7 @@ def test_an_asset_that_is_the_truth_scores_perfectly_except_for_an_error_that_is
     assert found["cd_visible"] < 1e-5 and found["mask_iou"] > 0.999 and found["texture_rows"] == 8
     # the photos show interpolated normals, the true mesh has flat faces
     assert found["shading_normal_deg"] < 0.5 * found["normal_floor_deg"] and found["normal_floor_deg"] > 1
+    assert found["shading_normal_deg"] < found["hollow_normal_deg"] < 3 * found["normal_floor_deg"]
     assert found["mse_albedo"] < 1e-5 and found["mse_metallic"] < 1e-5
     assert found["albedo_ratio"] == pytest.approx([1, 1, 1], abs=0.01)
     assert found["mse_roughness"] == pytest.approx(0.01, rel=0.01) and found["true_roughness_deviation"] < 1e-3
