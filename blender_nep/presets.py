@@ -354,7 +354,7 @@ class MaterialPreset:
     """For a metal, roughness values are possible whose residual is up to this share above the least. Among these, the spread
     of the reflected light decides."""
     hue_residual_margin: float = 0.1
-    """The same for a colored dielectric, whose third moment of reflected light decides (`materials.diffuse_free`)."""
+    """The same for colored dielectrics, whose third moments of reflected light decide (`materials.diffuse_free`)."""
     blend_margin: float = 0.05
     """Share by which a mixture of two materials must be better than one material alone."""
     inner_blend_margin: float = 0.25

@@ -16,7 +16,7 @@ SCORES = {
     "fscore_005": ("F 0.005", 2),
     "normal_deg": ("normals, °", 1),
     "shading_normal_deg": ("shading normals, °", 1),
-    "hollow_normal_deg": ("in hollows, °", 1),
+    "hollow_normal_deg": ("shading normals in hollows, °", 1),
     "mask_iou": ("IoU", 3),
     "background_psnr": ("F_e, dB", 1),
     "mse_roughness": ("roughness", 5),

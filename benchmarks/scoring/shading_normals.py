@@ -51,7 +51,7 @@ def score(
         on_truth = np.zeros(len(origins), bool)
         on_truth[ray] = True
         floor.append(_angles(truth.mesh.face_normals[face], rendered[ray])[inner[ray]])
-        some = slice(None, None, _HOLLOW_PIXELS)
+        some = np.flatnonzero(inner[ray])[::_HOLLOW_PIXELS]
         hollow = np.zeros(len(origins), bool)
         hollow[ray[some]] = truth.sky_visibility(point[some], rendered[ray[some]]) < HOLLOW
         point, ray, face = ours.first_hits(origins, directions)
@@ -66,9 +66,11 @@ def score(
             smooth = red * tangent + green * bitangent + blue * smooth
         angles = _angles(normalized(smooth), rendered[ray])
         found.append(angles[(inner & on_truth)[ray]])
-        in_hollows.append(angles[(inner & on_truth & hollow)[ray]])
-    scores = {"shading_normal_deg": found, "hollow_normal_deg": in_hollows, "normal_floor_deg": floor}
-    return {name: float(np.concatenate(each).mean()) for name, each in scores.items() if sum(map(len, each))}
+        in_hollows.append(angles[hollow[ray]])
+    scores = {"shading_normal_deg": found, "normal_floor_deg": floor}
+    if any(map(len, in_hollows)):
+        scores["hollow_normal_deg"] = in_hollows
+    return {name: float(np.concatenate(each).mean()) for name, each in scores.items()}
 
 
 def _inner(mask: np.ndarray) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""Finds the roughness of a colored dielectric from the part of the photos in which its diffuse light does not show.
+"""Finds the roughness of colored dielectrics from the part of the photos in which its diffuse light does not show.
 
 A dielectric reflects light in the hue of the light, and its diffuse light has the hue of its albedo. So the radiance is
 projected on the hue of the light, at right angles to the hue of the diffuse light (as in Mallick et al., Beyond Lambert,
@@ -9,8 +9,9 @@ Two things tell the roughness in this channel. The residual is least where the p
 are never quite in place, so the residual favors blur. The third moment of the reflected light does not depend on where the
 reflections are, and symmetric noise adds nothing to it. So the residual gives a range. Within it, the third moment decides.
 
-Errors of F_e change the third moment by a fifth or so, in other directions for other parts of the object. So paints share a
-roughness if their third moments are near those of the photos with a common one.
+With the true roughness, the predicted third moment is still wrong by up to a fifth, probably because of errors of F_e. It is
+too large for some paints, and too small for others. So the paints of an object share a roughness, except those whose third
+moment is far from that of the photos with a common one.
 """
 
 from __future__ import annotations
@@ -51,7 +52,9 @@ _SMALLEST = 0.01
 _TAIL = 0.005
 """This share of the largest and of the smallest values is clipped before third powers are taken."""
 _LEAST_MOMENT = 1e-6
-"""Smaller cube roots of third moments, and negative ones, count as this."""
+"""Smaller cube roots of third moments, and negative ones, count as this. They tell nothing."""
+_MOST_LOG = 1.0
+"""Logs of ratios of third moments are limited to this, so that one paint does not outweigh all others in a mean."""
 _APART = 0.3
 """Paints have a roughness of their own if the log of (predicted third moment / that of the photos) is farther from 0 than
 this with a common one. Measured with the true roughness: -0.2 to 0.2 for four paints."""
@@ -64,14 +67,15 @@ class Evidence:
     residual: Tensor
     """[R] mean absolute difference between prediction and photos"""
     moment: list[float]
-    """[R] log of the ratio of the predicted third moment to that of the photos (of their cube roots)"""
+    """[R] log of the ratio of the predicted third moment to that of the photos (of their cube roots), -1 .. 1"""
 
 
-def places(evidence: Sequence[Evidence], margin: float) -> list[float]:
-    """The place of each paint's roughness in `roughness_scan`. Paints that are not told apart share one.
+def places_of_colored(evidence: Sequence[Evidence], margin: float) -> list[float]:
+    """The place of each paint's roughness in `roughness_scan`.
 
-    A residual may be up to the share `margin` above its least. Within this range the third moment decides, or the mean of
-    the logs of the third moments' ratios where paints share a roughness.
+    All paints share one, except those that are far apart from the others; these keep their own. A residual may be up to the
+    share `margin` above its least. Within this range the third moment decides, or the mean of the logs of the third moments'
+    ratios where paints share a roughness.
     """
     found = [place_where_equal(own.residual, margin, own.moment.__getitem__) for own in evidence]
     shared = list(range(len(evidence)))
@@ -87,7 +91,7 @@ def places(evidence: Sequence[Evidence], margin: float) -> list[float]:
 
 def _common_place(evidence: list[Evidence], margin: float) -> tuple[float, int | None]:
     """A place for several paints, and the index of the paint that it fits least; None if it fits all."""
-    raised = torch.stack([own.residual / own.residual.min() for own in evidence])
+    raised = torch.stack([own.residual / own.residual.min().clamp_min(1e-9) for own in evidence])
     worst = raised.amax(0)
     best = int(worst.argmin())
     if float(worst[best]) > 1 + margin:
@@ -120,7 +124,10 @@ def evidence_of_colored(
     if residual.min() >= channel.residual(torch.zeros_like(channel.shown), preset.clip):
         return None  # the predicted reflections explain nothing
     photo = channel.third_moment(channel.shown)
-    return Evidence(residual, [float(np.log(channel.third_moment(each) / photo)) for each in reflected])
+    if photo <= _LEAST_MOMENT:
+        return None  # what the photos show is not the light of lamps
+    log_ratio = np.log([channel.third_moment(each) / photo for each in reflected])
+    return Evidence(residual, log_ratio.clip(-_MOST_LOG, _MOST_LOG).tolist())
 
 
 class _DiffuseFree:

@@ -15,9 +15,9 @@ import torch
 from scipy.spatial import cKDTree
 from torch import Tensor
 
-from blender_nep.materials import diffuse_free
 from blender_nep.materials.baking import NEIGHBOURS, labels_at, neighbours, vote, weighted_mean
 from blender_nep.materials.dichromatic import evidence_of_metal, places
+from blender_nep.materials.diffuse_free import Evidence, evidence_of_colored, places_of_colored
 from blender_nep.materials.fitting import fit_groups, roughness_scan
 from blender_nep.materials.palette import Palette, best_of, between, choose, error, place_of_least, same_material
 from blender_nep.materials.roughness import (
@@ -216,22 +216,20 @@ class PaletteSearch:
             place = place_of_least(share_roughness(residual, weight, p.roughness_margin))
             found = weight > 0
             colored = self._evidence_of_colored(dielectric)
-            for k, own in zip(colored, diffuse_free.places([*colored.values()], p.hue_residual_margin), strict=True):
+            for k, own in zip(colored, places_of_colored([*colored.values()], p.hue_residual_margin), strict=True):
                 place[k], found[k] = own, True
         for metal in (~dielectric).nonzero().squeeze(-1).tolist():
             place[metal] = self._place_of_metal(metal, cost[p.metallic.index(1.0), :, metal])
             found[metal] = True
         self._set(place, found, albedos)
 
-    def _evidence_of_colored(self, dielectric: Tensor) -> dict[int, diffuse_free.Evidence]:
+    def _evidence_of_colored(self, dielectric: Tensor) -> dict[int, Evidence]:
         """What the hue of their reflections tells of the dielectrics, by their indices. `dielectric` [K] says which are."""
         found = {}
         for k in dielectric.nonzero().squeeze(-1).tolist():
             own = (self.label == k).nonzero().squeeze(-1)
             region, _ = self._regions(self.samples.position[own.cpu().numpy()])
-            evidence = diffuse_free.evidence_of_colored(
-                self.light, self.target, own, region, self.palette.albedo[k], self.preset
-            )
+            evidence = evidence_of_colored(self.light, self.target, own, region, self.palette.albedo[k], self.preset)
             if evidence is not None:
                 found[k] = evidence
         return found

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from blender_nep.materials.diffuse_free import Evidence, evidence_of_colored, places
+from blender_nep.materials.diffuse_free import _LEAST_MOMENT, Evidence, _DiffuseFree, evidence_of_colored, places_of_colored
 from blender_nep.materials.fitting import roughness_at, roughness_scan
 from blender_nep.presets import MaterialPreset
 from blender_nep.shading.light_moments import LightMoments
@@ -70,7 +70,7 @@ def found(
 
 
 def roughness_of(evidence: list[Evidence], margin: float = PRESET.hue_residual_margin) -> list[float]:
-    return roughness_at(torch.tensor(places(evidence, margin)), PRESET.least_roughness).tolist()
+    return roughness_at(torch.tensor(places_of_colored(evidence, margin)), PRESET.least_roughness).tolist()
 
 
 @pytest.mark.parametrize("roughness", [0.08, 0.15, 0.3, 0.5, 0.7])
@@ -125,6 +125,11 @@ def test_a_grey_paint_and_few_samples_say_nothing():
 
 def test_reflections_that_are_not_where_they_are_predicted_at_all_say_nothing():
     assert found(0.2, wrong_by=90.0) is None
+
+
+def test_photos_without_bright_reflections_say_nothing(monkeypatch):
+    monkeypatch.setattr(_DiffuseFree, "third_moment", lambda self, values: _LEAST_MOMENT if values is self.shown else 0.1)
+    assert found(0.3) is None
 
 
 def test_many_paints_that_were_taken_for_one_say_nothing():
