@@ -6,7 +6,6 @@ the rays.
 
 from __future__ import annotations
 
-import math
 from pathlib import Path
 
 import igl
@@ -18,6 +17,7 @@ from trimesh.ray.ray_pyembree import RayMeshIntersector
 from blender_nep.capture import Capture, load_capture
 from blender_nep.geometry.mesh import Surface
 from blender_nep.shading import brdf
+from blender_nep.shading.cones import spiral
 
 VOXEL = 0.01
 """Width of a voxel in object radii. One point is kept in each voxel, so that places seen by many pixels do not dominate."""
@@ -47,12 +47,9 @@ class Body:
         `normals` [n, 3] of unit length point outward. It is 1 on a convex body, and less in its hollows. All points have the
         same `rays` directions in their frames.
         """
-        share = (np.arange(rays) + 0.5) / rays
-        azimuth = np.arange(rays) * math.pi * (3 - math.sqrt(5))
-        radius = np.sqrt(share)
-        local = np.stack([radius * np.cos(azimuth), radius * np.sin(azimuth), np.sqrt(1 - share)], 1)
-        frames = brdf.frame(torch.from_numpy(np.asarray(normals, np.float32))).numpy()
-        directions = np.einsum("nij,rj->nri", frames, local).reshape(-1, 3)
+        even = torch.stack(spiral(rays, torch.tensor([0.5 / rays, 0.0])), -1)
+        frames = brdf.frame(torch.from_numpy(np.asarray(normals, np.float32)))
+        directions = torch.einsum("nij,rj->nri", frames, brdf.sample_cosine(even)[0]).reshape(-1, 3).numpy()
         hit = self.caster.intersects_any(np.repeat(points + _OFFSET * normals, rays, 0), directions)
         return 1 - hit.reshape(-1, rays).mean(1)
 
