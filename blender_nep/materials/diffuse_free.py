@@ -1,4 +1,4 @@
-"""Finds the roughness of colored dielectrics from the part of the photos in which its diffuse light does not show.
+"""Finds the roughness of colored dielectrics from the part of the photos in which their diffuse light does not show.
 
 A dielectric reflects light in the hue of the light, and its diffuse light has the hue of its albedo. So the radiance is
 projected on the hue of the light, at right angles to the hue of the diffuse light (as in Mallick et al., Beyond Lambert,
