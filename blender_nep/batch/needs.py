@@ -13,6 +13,8 @@ from blender_nep.presets import Preset
 _BASE_MB = {"preview": 1350.0, "balanced": 1950.0, "quality": 3000.0}
 """Memory of a job that hardly depends on its photos: libraries, kernels, fields, optimizers, samples. These are the largest
 peaks of jobs on 30 to 119 photos; 75 jobs were measured with preview and balanced, 4 with quality."""
+_CARD_MB = 1100.0
+"""What a job with CUDA needs more of the memory of the CPU, for CUDA's libraries and context; four jobs were measured."""
 _BYTES_A_PIXEL = 20.0
 """Memory of a pixel that a job keeps: color, flags, and the sets of pixels"""
 _READING_MB, _BYTES_A_DECODED_PIXEL = 600.0, 14.0
@@ -36,6 +38,8 @@ class Needs:
     """Predictions for the jobs of one preset."""
 
     preset: Preset
+    on_card: bool = False
+    """Whether the jobs use a graphics card"""
     _memory_ratios: list[float] = field(default_factory=list)
     """Measured peak / prediction, of each finished object"""
     _seconds: float = 0.0
@@ -53,7 +57,7 @@ class Needs:
 
     def _predicted_mb(self, size: Size | dict[str, int] | None, photos_alone: bool) -> float:
         photos, pixels = _counts(size)
-        base = _BASE_MB[self.preset.name]
+        base = _BASE_MB[self.preset.name] + (_CARD_MB if self.on_card else 0.0)
         kept = min(pixels, photos * self.preset.max_pixels_per_photo, self.preset.pixels_in_memory)
         decoded = max(min(_DECODED_AT_ONCE, pixels), pixels / max(photos, 1))
         working = base + _BYTES_A_PIXEL * kept / 1e6

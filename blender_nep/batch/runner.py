@@ -44,12 +44,20 @@ def run(settings: BatchSettings, events: Events, stop: StopRequest) -> int:
     return exit_code(lambda: Batch(settings, events, stop).run(), events, settings.out)
 
 
+def _on_card(settings: BatchSettings) -> bool:
+    """Whether the jobs use a graphics card. Of the nodes of a Ray cluster this is known only with `--device cuda`.
+
+    Raises UsageError when the device is cuda, and this machine has none, and the jobs run here.
+    """
+    return settings.device == "cuda" if settings.ray is not None else choose_device(settings.device).type == "cuda"
+
+
 class Batch:
     """One start of a batch."""
 
     def __init__(self, settings: BatchSettings, events: Events, stop: StopRequest) -> None:
         self._settings, self._events, self._stop = settings, events, stop
-        self._needs = Needs(preset(settings.preset))
+        self._needs = Needs(preset(settings.preset), _on_card(settings))
         self._files: dict[str, tuple[Path, ...]] = {}
         """{object: all files that its job reads}, known for captures that were looked at in this start"""
 
@@ -152,7 +160,6 @@ class Batch:
 
             jobs = RayJobs(s.ray, s.workers, s.ship)
             return jobs, Plan(jobs.cores, jobs.workers, jobs.largest_memory_mb, s.threads or 1)
-        choose_device(s.device)
         cores = usable_cores()
         plan = Plan(cores, min(s.workers or cores, cores), s.memory_mb or free_memory_mb(), s.threads)
         return LocalJobs(plan.workers, plan.cores, plan.memory_mb), plan

@@ -91,6 +91,23 @@ def test_memory_that_was_short_is_promised_more(batch):
     assert promised[1] == pytest.approx(1.5 * promised[0], rel=0.01)
 
 
+def test_jobs_on_a_graphics_card_are_promised_more(batch, monkeypatch):
+    batch.add("vase")
+    batch.run(device="cpu")
+    promised = batch.objects()["vase"]["promised_memory_mb"]
+    monkeypatch.setattr("torch.cuda.is_available", lambda: True)
+    for device, more in (("auto", True), ("cuda", True), ("cpu", False)):
+        assert batch.run(device=device, overwrite=True)[0] == 0
+        assert (batch.objects()["vase"]["promised_memory_mb"] > promised + 1000) == more
+
+
+def test_a_graphics_card_that_is_missing_is_told_before_any_job(batch, monkeypatch):
+    batch.add("vase")
+    monkeypatch.setattr("torch.cuda.is_available", lambda: False)
+    code, events = batch.run(device="cuda")
+    assert code == 2 and events[-1]["name"] == "usage.no_cuda" and not batch.out.exists()
+
+
 def test_a_second_start_does_only_what_is_left(batch):
     batch.add("a")
     bad = batch.add("b", "refuse")

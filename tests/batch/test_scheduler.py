@@ -138,6 +138,15 @@ def test_the_promise_covers_what_was_measured_and_learns(name, most):
     assert needs.memory_mb(size, False) > 2 * first
 
 
+@pytest.mark.parametrize(("name", "most"), [("preview", 2629), ("balanced", 3040)])
+def test_the_promise_covers_what_was_measured_with_a_graphics_card(name, most):
+    """The largest peaks of jobs with CUDA (docs/batch.md)."""
+    size = {"photos": 60, "pixels": 9_600_000}
+    promised = Needs(preset(name), on_card=True).memory_mb(size, False)
+    assert most < promised < 1.5 * most
+    assert promised > Needs(preset(name)).memory_mb(size, False)
+
+
 def test_many_small_jobs_lower_the_promise_and_times_are_learned():
     needs, size = Needs(preset("preview")), {"photos": 60, "pixels": 2_400_000}
     first, guess = needs.memory_mb(size, False), needs.seconds(size, False)
