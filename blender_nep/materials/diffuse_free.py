@@ -11,7 +11,8 @@ reflections are, and symmetric noise adds nothing to it. So the residual gives a
 
 With the true roughness, the predicted third moment is still wrong by up to a fifth, probably because of errors of F_e. It is
 too large for some paints, and too small for others. So the paints of an object share a roughness, except those whose third
-moment is far from that of the photos with a common one.
+moment is far from that of the photos with a common one. And no paint is taken for a mirror only because its third moment is
+larger than any that can be predicted.
 """
 
 from __future__ import annotations
@@ -59,6 +60,10 @@ _APART = 0.3
 """Paints have a roughness of their own if the log of (predicted third moment / that of the photos) is farther from 0 than
 this with a common one. Measured with the true roughness: -0.2 to 0.2 for four paints."""
 
+_DOUBTFUL = 0.1
+"""If the log of that ratio is below 0 by this, even for a mirror, the third moment tells nothing. It is half of what the log
+is wrong by with the true roughness."""
+
 
 @dataclass(frozen=True)
 class Evidence:
@@ -77,7 +82,7 @@ def places_of_colored(evidence: Sequence[Evidence], margin: float) -> list[float
     share `margin` above its least. Within this range the third moment decides, or the mean of the logs of the third moments'
     ratios where paints share a roughness.
     """
-    found = [place_where_equal(own.residual, margin, own.moment.__getitem__) for own in evidence]
+    found = [_place(own.residual, margin, own.moment) for own in evidence]
     shared = list(range(len(evidence)))
     while len(shared) > 1:
         common, leaves = _common_place([evidence[k] for k in shared], margin)
@@ -97,9 +102,25 @@ def _common_place(evidence: list[Evidence], margin: float) -> tuple[float, int |
     if float(worst[best]) > 1 + margin:
         return float(best), int(raised[:, best].argmax())
     moment = np.mean([own.moment for own in evidence], 0)
-    common = place_where_equal(worst, (1 + margin) / float(worst[best]) - 1, lambda row: float(moment[row]))
+    common = _place(worst, (1 + margin) / float(worst[best]) - 1, moment.tolist())
     apart = [abs(float(np.interp(common, np.arange(len(moment)), own.moment))) for own in evidence]
     return common, int(np.argmax(apart)) if max(apart) > _APART else None
+
+
+def _place(residual: Tensor, margin: float, moment: Sequence[float]) -> float:
+    """The place where the third moment decides, within the range that the residual [R] leaves.
+
+    It may be that the residual does not exclude a mirror, and that the photos' third moment is larger than that of every
+    roughness. Then the third moment is more wrong than what it could tell, and the roughness lies somewhere between that of
+    a mirror and that of the least residual. So the middle is taken, and not the mirror. Both conditions fade out: the place
+    moves from the middle to the mirror as the third moment becomes right, or as the residual begins to exclude the mirror.
+    """
+    place = place_where_equal(residual, margin, moment.__getitem__)
+    if place > 0:
+        return place
+    rise = float(residual[0] / residual.min().clamp_min(1e-9)) - 1
+    doubt = min(-moment[0] / _DOUBTFUL, 1.0) * min(2 * (1 - rise / margin), 1.0) if margin > 0 else 0.0
+    return 0.5 * doubt * int(residual.argmin())
 
 
 @profiled("roughness by hue")

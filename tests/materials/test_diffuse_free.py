@@ -118,6 +118,26 @@ def test_one_paint_that_is_apart_leaves_the_others_together():
     assert common == pytest.approx([0.1386, 0.1386, 0.6], rel=0.05)
 
 
+@pytest.mark.parametrize("paints", [1, 2])
+@pytest.mark.parametrize(
+    ("rise", "log_of_mirror", "expected"),
+    [
+        (0.04, -0.3, 0.096),  # the middle, in the scan, of a mirror and of the least residual
+        (0.04, -0.05, 0.059),
+        (0.04, -0.001, 0.03),
+        (0.09, -0.3, 0.041),
+        (0.0999, -0.3, 0.03),  # the residual nearly excludes the mirror
+        (0.101, -0.3, 0.042),  # and now it does: the end of its range
+    ],
+)
+def test_third_moments_that_no_roughness_has_do_not_make_a_mirror(rise, log_of_mirror, expected, paints):
+    """Paints whose residual is least at 0.2, and higher by `rise` for a mirror."""
+    scan = roughness_scan(PRESET.least_roughness, torch.device("cpu"))
+    away = torch.log(scan / 0.2)
+    told = Evidence(1 + rise * (away / away[0]) ** 2, (log_of_mirror - torch.log(scan / scan[0])).tolist())
+    assert roughness_of([told] * paints) == pytest.approx([expected] * paints, abs=0.003)
+
+
 def test_a_grey_paint_and_few_samples_say_nothing():
     assert found(0.3, torch.tensor([0.5, 0.48, 0.46])) is None
     assert found(0.3, samples=ALL[:90]) is None
