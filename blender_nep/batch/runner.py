@@ -12,6 +12,7 @@ from blender_nep.batch.jobs import Job, Jobs
 from blender_nep.batch.local_jobs import LocalJobs
 from blender_nep.batch.machine import free_memory_mb, jobs_in, wait_for_end
 from blender_nep.batch.needs import Needs
+from blender_nep.batch.outcome import read_report
 from blender_nep.batch.progress import STAGE, BatchProgress
 from blender_nep.batch.scheduler import Plan, Scheduler
 from blender_nep.batch.settings import BatchSettings
@@ -45,11 +46,10 @@ def run(settings: BatchSettings, events: Events, stop: StopRequest) -> int:
 
 
 def _on_card(settings: BatchSettings) -> bool:
-    """Whether the jobs use a graphics card. Of the nodes of a Ray cluster this is known only with `--device cuda`.
-
-    Raises UsageError when the device is cuda, and this machine has none, and the jobs run here.
-    """
-    return settings.device == "cuda" if settings.ray is not None else choose_device(settings.device).type == "cuda"
+    """Whether the jobs use a graphics card. Raises UsageError when they must, and run on this machine, which has none."""
+    if settings.ray is not None:
+        return settings.device == "cuda"  # what the nodes have is not known here
+    return choose_device(settings.device).type == "cuda"
 
 
 class Batch:
@@ -133,8 +133,10 @@ class Batch:
                     (out / "report.json").unlink(missing_ok=True)  # from here on the folder is no valid asset
                     for made in ("checkpoints", "capture"):
                         shutil.rmtree(out / made, ignore_errors=True)
-            if one.state == DONE and (out / "report.json").is_file():
-                self._needs.learn(one.size, one.photos_alone, one.peak_memory_mb, one.seconds)
+            report = read_report(out) if one.state == DONE else None
+            if report is not None:
+                if (report.get("device") != "cpu") == self._needs.on_card:
+                    self._needs.learn(one.size, one.photos_alone, one.peak_memory_mb, one.seconds)
             else:
                 one.state, one.error, one.stage, one.eta_s, one.worker = WAITING, None, None, None, None
 
@@ -168,7 +170,9 @@ class Batch:
         s = self._settings
         options = ["--preset", s.preset, "--masks", s.masks, "--metal", s.metal, "--seed", str(s.seed)]
         options += [] if s.faces is None else ["--faces", str(s.faces)]
-        options += ["--device", s.device, *(["--clean"] if s.clean else [])]
+        # a task of Ray may use the cards of its node without being counted, if it has asked for none
+        device = "cpu" if s.ray is not None and s.device == "auto" else s.device
+        options += ["--device", device, *(["--clean"] if s.clean else [])]
         return Job(
             name=one.name,
             capture=Path(one.capture),

@@ -9,10 +9,10 @@ Two things tell the roughness in this channel. The residual is least where the p
 are never quite in place, so the residual favors blur. The third moment of the reflected light does not depend on where the
 reflections are, and symmetric noise adds nothing to it. So the residual gives a range. Within it, the third moment decides.
 
-With the true roughness, the predicted third moment is still wrong by up to a fifth, probably because of errors of F_e. It is
-too large for some paints, and too small for others. So the paints of an object share a roughness, except those whose third
-moment is far from that of the photos with a common one. And no paint is taken for a mirror only because its third moment is
-larger than any that can be predicted.
+With the true roughness, the predicted third moment is still wrong, by up to a fifth in `balanced` jobs and by up to a third in
+`preview` jobs, probably because of errors of the light. It is too large for some paints, and too small for others. So the
+paints of an object share a roughness, except those whose third moment is far from that of the photos with a common one. And
+no paint is taken for a mirror only because its third moment is larger than that of a mirror.
 """
 
 from __future__ import annotations
@@ -58,7 +58,8 @@ _MOST_LOG = 1.0
 """Logs of ratios of third moments are limited to this, so that one paint does not outweigh all others in a mean."""
 _APART = 0.3
 """Paints have a roughness of their own if the log of (predicted third moment / that of the photos) is farther from 0 than
-this with a common one. Measured with the true roughness: -0.2 to 0.2 for four paints."""
+this with a common one. Measured with the true roughness: -0.2 to 0.2 for four paints (`balanced`), and -0.42 to 0.33 for
+six (`preview`)."""
 
 _DOUBTFUL = 0.1
 """If the log of that ratio is below 0 by this, even for a mirror, the third moment tells nothing. It is half of what the log
@@ -110,17 +111,20 @@ def _common_place(evidence: list[Evidence], margin: float) -> tuple[float, int |
 def _place(residual: Tensor, margin: float, moment: Sequence[float]) -> float:
     """The place where the third moment decides, within the range that the residual [R] leaves.
 
-    It may be that the residual does not exclude a mirror, and that the photos' third moment is larger than that of every
-    roughness. Then the third moment is more wrong than what it could tell, and the roughness lies somewhere between that of
-    a mirror and that of the least residual. So the middle is taken, and not the mirror. Both conditions fade out: the place
-    moves from the middle to the mirror as the third moment becomes right, or as the residual begins to exclude the mirror.
+    It may be that the residual does not exclude a mirror, and that the photos' third moment is larger than that of a mirror.
+    Then the third moment is more wrong than what it could tell, and the roughness lies somewhere between that of a mirror and
+    that of the least residual. So the middle is taken, and not the mirror.
+
+    Both conditions fade out. As the third moment becomes right, the place moves to the mirror. It also does so as the
+    residual gets steeper: a steep residual means that reflections are misplaced, and then its least is far too rough, and the
+    sharp end of its range is the better guess.
     """
     place = place_where_equal(residual, margin, moment.__getitem__)
     if place > 0:
         return place
     rise = float(residual[0] / residual.min().clamp_min(1e-9)) - 1
-    doubt = min(-moment[0] / _DOUBTFUL, 1.0) * min(2 * (1 - rise / margin), 1.0) if margin > 0 else 0.0
-    return 0.5 * doubt * int(residual.argmin())
+    flat = min(max(2 * (1 - rise / margin), 0.0), 1.0) if margin > 0 else 0.0
+    return 0.5 * min(-moment[0] / _DOUBTFUL, 1.0) * flat * int(residual.argmin())
 
 
 @profiled("roughness by hue")

@@ -14,7 +14,13 @@ import psutil
 import pytest
 
 from blender_nep.batch.machine import jobs_in
+from blender_nep.batch.needs import Needs
+from blender_nep.batch.runner import Batch
 from blender_nep.batch.scheduler import Scheduler
+from blender_nep.batch.settings import BatchSettings
+from blender_nep.batch.state import ObjectState
+from blender_nep.job.events import Events
+from blender_nep.presets import preset
 from blender_nep.stop_request import StopRequest
 from support.paths import ROOT
 from support.waiting import wait_until
@@ -99,6 +105,29 @@ def test_jobs_on_a_graphics_card_are_promised_more(batch, monkeypatch):
     for device, more in (("auto", True), ("cuda", True), ("cpu", False)):
         assert batch.run(device=device, overwrite=True)[0] == 0
         assert (batch.objects()["vase"]["promised_memory_mb"] > promised + 1000) == more
+
+
+@pytest.mark.parametrize("played", ["cpu", "cuda"])
+def test_objects_of_another_device_do_not_correct_the_promises(batch, monkeypatch, played):
+    """The played jobs need less memory than predicted; eight of them make the promises smaller, if the device is the same."""
+    monkeypatch.setenv("NEP_PLAYED_DEVICE", played)
+    for k in range(8):
+        batch.add(f"vase{k}")
+    batch.run(device="cpu")
+    batch.add("last")
+    monkeypatch.setattr("torch.cuda.is_available", lambda: True)
+    batch.run(device="cuda")
+    fresh = Needs(preset("preview"), on_card=True).memory_mb(batch.objects()["last"]["size"], False)
+    assert (batch.objects()["last"]["promised_memory_mb"] < 0.9 * fresh) == (played == "cuda")
+
+
+def test_on_a_cluster_auto_is_the_cpu(batch):
+    """What a task of Ray has not asked for, other tasks may use, too."""
+    for ray, device, handed in ((None, "auto", "auto"), ("auto", "auto", "cpu"), ("auto", "cuda", "cuda")):
+        settings = BatchSettings((), batch.out, device=device, ray=ray)
+        job = Batch(settings, Events(), StopRequest())._job(ObjectState("vase", "vase", False), 1, 100.0)
+        assert job.options[job.options.index("--device") + 1] == handed
+        assert job.gpus == (device == "cuda")
 
 
 def test_a_graphics_card_that_is_missing_is_told_before_any_job(batch, monkeypatch):

@@ -73,7 +73,7 @@ def roughness_of(evidence: list[Evidence], margin: float = PRESET.hue_residual_m
     return roughness_at(torch.tensor(places_of_colored(evidence, margin)), PRESET.least_roughness).tolist()
 
 
-@pytest.mark.parametrize("roughness", [0.08, 0.15, 0.3, 0.5, 0.7])
+@pytest.mark.parametrize("roughness", [0.03, 0.04, 0.08, 0.15, 0.3, 0.5, 0.7])
 def test_the_roughness_of_a_paint_is_found_though_its_reflections_are_misplaced(roughness):
     assert found(roughness) == pytest.approx(roughness, rel=0.2, abs=0.02)
 
@@ -134,8 +134,14 @@ def test_third_moments_that_no_roughness_has_do_not_make_a_mirror(rise, log_of_m
     """Paints whose residual is least at 0.2, and higher by `rise` for a mirror."""
     scan = roughness_scan(PRESET.least_roughness, torch.device("cpu"))
     away = torch.log(scan / 0.2)
-    told = Evidence(1 + rise * (away / away[0]) ** 2, (log_of_mirror - torch.log(scan / scan[0])).tolist())
-    assert roughness_of([told] * paints) == pytest.approx([expected] * paints, abs=0.003)
+    paint = Evidence(1 + rise * (away / away[0]) ** 2, (log_of_mirror - torch.log(scan / scan[0])).tolist())
+    assert roughness_of([paint] * paints) == pytest.approx([expected] * paints, abs=0.003)
+
+
+def test_a_least_residual_at_the_mirror_and_no_margin_give_the_mirror():
+    rising = Evidence(torch.linspace(1, 2, 32), [-0.3] * 32)
+    assert roughness_of([rising]) == pytest.approx([0.03])
+    assert roughness_of([rising], margin=0.0) == pytest.approx([0.03])
 
 
 def test_a_grey_paint_and_few_samples_say_nothing():

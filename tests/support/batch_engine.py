@@ -75,6 +75,7 @@ for step in range(done, 4):
         steps.write(f"{step}\\n")
     checkpoint.write_text(str(step + 1))
 report = {"stages": {"surface": {"faces": 80}}, "materials": [{}, {}], "peak_memory_mb": 300.0}
+report["device"] = os.environ.get("NEP_PLAYED_DEVICE", "cpu")
 (out / "report.json").write_text(json.dumps(report))
 say(event="done", asset=str(out))
 """
