@@ -9,10 +9,10 @@ Two things tell the roughness in this channel. The residual is least where the p
 are never quite in place, so the residual favors blur. The third moment of the reflected light does not depend on where the
 reflections are, and symmetric noise adds nothing to it. So the residual gives a range. Within it, the third moment decides.
 
-With the true roughness, the predicted third moment is still wrong, by up to a fifth in `balanced` jobs and by up to a third in
-`preview` jobs, probably because of errors of the light. It is too large for some paints, and too small for others. So the
+With the true roughness, the predicted third moment is still wrong, by up to a fifth in `balanced` jobs and by up to a third
+in `preview` jobs, probably because of errors of the light. It is too large for some paints, and too small for others. So the
 paints of an object share a roughness, except those whose third moment is far from that of the photos with a common one. And
-no paint is taken for a mirror only because its third moment is larger than that of a mirror.
+no paint is taken for a mirror only because the photos' third moment is larger than that of a mirror.
 """
 
 from __future__ import annotations
@@ -112,11 +112,11 @@ def _place(residual: Tensor, margin: float, moment: Sequence[float]) -> float:
     """The place where the third moment decides, within the range that the residual [R] leaves.
 
     It may be that the residual does not exclude a mirror, and that the photos' third moment is larger than that of a mirror.
-    Then the third moment is more wrong than what it could tell, and the roughness lies somewhere between that of a mirror and
-    that of the least residual. So the middle is taken, and not the mirror.
+    Then the third moment is more wrong than what it could tell, and the roughness lies somewhere between that of a mirror
+    and that of the least residual. So the middle is taken, and not the mirror.
 
     Both conditions fade out. As the third moment becomes right, the place moves to the mirror. It also does so as the
-    residual gets steeper: a steep residual means that reflections are misplaced, and then its least is far too rough, and the
+    residual gets steeper: a steep residual means that reflections are misplaced. Then its least is far too rough, and the
     sharp end of its range is the better guess.
     """
     place = place_where_equal(residual, margin, moment.__getitem__)
