@@ -109,7 +109,7 @@ def test_jobs_on_a_graphics_card_are_promised_more(batch, monkeypatch):
 
 @pytest.mark.parametrize("played", ["cpu", "cuda"])
 def test_objects_of_another_device_do_not_correct_the_promises(batch, monkeypatch, played):
-    """The played jobs need less memory than predicted; eight of them make the promises smaller, if the device is the same."""
+    """The played jobs need less memory than predicted. Eight of them lower the promises, if the device is the same."""
     monkeypatch.setenv("NEP_PLAYED_DEVICE", played)
     for k in range(8):
         batch.add(f"vase{k}")
