@@ -10,9 +10,9 @@ from dataclasses import dataclass, field
 from blender_nep.batch.captures import Size
 from blender_nep.presets import Preset
 
-_BASE_MB = {"preview": 1350.0, "balanced": 1950.0, "quality": 3400.0}
+_BASE_MB = {"preview": 1350.0, "balanced": 2150.0, "quality": 3400.0}
 """Memory of a job that hardly depends on its photos: libraries, kernels, fields, optimizers, samples. These are the largest
-peaks of jobs on 30 to 119 photos; 75 jobs were measured with preview and balanced, 8 with quality."""
+peaks of jobs on 30 to 119 photos; 97 jobs were measured with preview and balanced, 9 with quality."""
 _CARD_MB = 1300.0
 """What a job with CUDA needs more of the memory of the CPU, for CUDA's libraries and context. Four jobs were measured:
 490 to 1,120 MB more than without CUDA, on the same machine."""

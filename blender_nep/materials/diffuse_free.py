@@ -9,8 +9,8 @@ Two things tell the roughness in this channel. The residual is least where the p
 are never quite in place, so the residual favors blur. The third moment of the reflected light does not depend on where the
 reflections are, and symmetric noise adds nothing to it. So the residual gives a range. Within it, the third moment decides.
 
-With the true roughness, the predicted third moment is still wrong, by up to a fifth in `balanced` jobs and by up to a third
-in `preview` jobs, probably because of errors of the light. It is too large for some paints, and too small for others. So the
+With the true roughness, the predicted third moment is still wrong, by up to 20 % in `balanced` jobs and by up to 40 % in
+`preview` jobs. The reason is not known. It is too large for some paints, and too small for others. So the
 paints of an object share a roughness, except those whose third moment is far from that of the photos with a common one. And
 no paint is taken for a mirror only because the photos' third moment is larger than that of a mirror.
 """
@@ -58,12 +58,11 @@ _MOST_LOG = 1.0
 """Logs of ratios of third moments are limited to this, so that one paint does not outweigh all others in a mean."""
 _APART = 0.3
 """Paints have a roughness of their own if the log of (predicted third moment / that of the photos) is farther from 0 than
-this with a common one. Measured with the true roughness: -0.2 to 0.2 for four paints (`balanced`), and -0.42 to 0.33 for
+this with a common one. Measured with the true roughness: -0.2 to 0.2 for four paints (`balanced`), and -0.44 to 0.33 for
 six (`preview`)."""
-
 _DOUBTFUL = 0.1
 """If the log of that ratio is below 0 by this, even for a mirror, the third moment tells nothing. It is half of what the log
-is wrong by with the true roughness."""
+is wrong by with the true roughness, in `balanced` jobs."""
 
 
 @dataclass(frozen=True)
