@@ -12,7 +12,7 @@ reflections are, and symmetric noise adds nothing to it. So the residual gives a
 With the true roughness, the predicted third moment is still wrong, by up to 20 % in `balanced` jobs and by up to 40 % in
 `preview` jobs. The reason is not known. It is too large for some paints, and too small for others. So the
 paints of an object share a roughness, except those whose third moment is far from that of the photos with a common one. And
-no paint is taken for a mirror only because the photos' third moment is larger than that of a mirror.
+among lobes so sharp that their third moments hardly differ, the residual decides.
 """
 
 from __future__ import annotations
@@ -60,9 +60,10 @@ _APART = 0.3
 """Paints have a roughness of their own if the log of (predicted third moment / that of the photos) is farther from 0 than
 this with a common one. Measured with the true roughness: -0.2 to 0.2 for four paints (`balanced`), and -0.44 to 0.33 for
 six (`preview`)."""
-_DOUBTFUL = 0.1
-"""If the log of that ratio is below 0 by this, even for a mirror, the third moment tells nothing. It is half of what the log
-is wrong by with the true roughness, in `balanced` jobs."""
+_ALIKE = 0.05
+"""Logs of these ratios that differ by less are not told apart. With the true roughness they are wrong by more."""
+_PLACES = 8
+"""Places that are tried between two neighbouring values of `roughness_scan`."""
 
 
 @dataclass(frozen=True)
@@ -110,20 +111,18 @@ def _common_place(evidence: list[Evidence], margin: float) -> tuple[float, int |
 def _place(residual: Tensor, margin: float, moment: Sequence[float]) -> float:
     """The place where the third moment decides, within the range that the residual [R] leaves.
 
-    It may be that the residual does not exclude a mirror, and that the photos' third moment is larger than that of a mirror.
-    Then the third moment is more wrong than what it could tell, and the roughness lies somewhere between that of a mirror
-    and that of the least residual. So the middle is taken, and not the mirror.
-
-    Both conditions fade out. As the third moment becomes right, the place moves to the mirror. It also does so as the
-    residual gets steeper: a steep residual means that reflections are misplaced. Then its least is far too rough, and the
-    sharp end of its range is the better guess.
+    Lobes that are sharper than the light have the third moment of a mirror. Third moments do not tell them apart, so the
+    residual does.
     """
     place = place_where_equal(residual, margin, moment.__getitem__)
-    if place > 0:
+    rows, errors = np.arange(len(moment)), residual.cpu().numpy()
+    places = np.append(np.linspace(0, rows[-1], _PLACES * rows[-1] + 1), place)
+    error, log_ratio = np.interp(places, rows, errors), np.interp(places, rows, moment)
+    sharp = moment[0] - log_ratio <= _ALIKE
+    if not sharp[-1]:
         return place
-    rise = float(residual[0] / residual.min().clamp_min(1e-9)) - 1
-    flat = min(max(2 * (1 - rise / margin), 0.0), 1.0) if margin > 0 else 0.0
-    return 0.5 * min(-moment[0] / _DOUBTFUL, 1.0) * flat * int(residual.argmin())
+    possible = sharp & (error <= max(errors.min() * (1 + margin), error[-1]))
+    return float(places[possible][error[possible].argmin()])
 
 
 @profiled("roughness by hue")

@@ -96,6 +96,7 @@ def gathered_light(
             preset.irradiance_cones,
             generator,
             lambda share: progress.step(10 + int(60 * share)),
+            seen.samples.reflection_variance,
         )
     progress.state = {
         "terminal": f_p.terminal.state_dict(),
@@ -149,7 +150,9 @@ def with_more_samples(
     """
     more = _selected(seen.rays, seen.f_p.tracer, seen.surface.normals, preset, np.random.default_rng([seed, 1]))
     points = seen.f_p.points(more.face, more.barycentric, more.view)
-    of_more = IncomingLight.gathered(seen.f_p, points, preset.roughness_levels, preset.irradiance_cones, generator, progress)
+    of_more = IncomingLight.gathered(
+        seen.f_p, points, preset.roughness_levels, preset.irradiance_cones, generator, progress, more.reflection_variance
+    )
     of_more.unseen = light.unseen
     of_more.update(materials_at, generator)
     both = LightMoments.joined(light, of_more)

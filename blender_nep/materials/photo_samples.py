@@ -41,6 +41,8 @@ class PhotoSamples:
     """[n] int64, index of the photo"""
     radiance: Tensor
     """[n, 3] linear, as if all photos had one exposure"""
+    reflection_variance: Tensor
+    """[n] radians^2, variance of the mirrored direction within the pixel, along each of two axes"""
     skipped: dict
     """{reason: share of the tried pixels that were left out for it}; pixels that miss the mesh are not counted"""
 
@@ -57,6 +59,7 @@ class PhotoSamples:
             torch.cat([first.view, second.view]),
             torch.cat([first.photo, second.photo]),
             torch.cat([first.radiance, second.radiance]),
+            torch.cat([first.reflection_variance, second.reflection_variance]),
             first.skipped,
         )
 
@@ -98,7 +101,8 @@ def select_samples(
     cosine = -np.einsum("ij,ij->i", tracer.face_normals[np.maximum(face, 0)], d)
     cosine = np.minimum(np.abs(cosine), -np.einsum("ij,ij->i", smooth, d) * np.sign(cosine))
     leave_out("grazing", cosine < least_cosine)
-    leave_out("edge", on & _edges(tracer, o, d, t, angle, cosine, on))
+    edge, variance = _across_pixels(tracer, normals, o, d, t, angle, cosine, on)
+    leave_out("edge", on & edge)
     if rays.brightest <= BRIGHTEST_CLIPPED:
         leave_out("saturated", (rays.radiance[index].amax(-1) > SATURATED).cpu().numpy())
     chosen = np.flatnonzero(on)
@@ -120,30 +124,46 @@ def select_samples(
         -torch.from_numpy(d[chosen]).to(device),
         rays.view_of(index[at]),
         rays.photo(index[at]),
+        torch.from_numpy(variance[chosen]).float().to(device),
         skipped,
     )
 
 
-def _edges(
-    tracer: RayTracer, o: np.ndarray, d: np.ndarray, t: np.ndarray, angle: np.ndarray, cosine: np.ndarray, on: np.ndarray
-) -> np.ndarray:
-    """Whether the surface is not continuous around each pixel [n] bool.
+def _across_pixels(
+    tracer: RayTracer,
+    normals: np.ndarray,
+    o: np.ndarray,
+    d: np.ndarray,
+    t: np.ndarray,
+    angle: np.ndarray,
+    cosine: np.ndarray,
+    on: np.ndarray,
+) -> tuple[np.ndarray, np.ndarray]:
+    """What the neighbours of the pixels [n] show: whether there is an edge [n] bool, and the reflection's variance [n].
 
-    That is so where a neighbouring ray misses the mesh, or meets it far from the plane of the pixel's surface point.
+    There is an edge if the surface is not continuous around the pixel. That is so where a neighbouring ray misses the mesh,
+    or meets it far from the plane of the pixel's surface point. The variance is that of a mirrored direction that changes
+    evenly over a square pixel, in radians^2 along each axis: the mean of (change across the pixel)^2 / 12 along rows and
+    along columns. The change is that between the neighbours (ray differentials, Igehy 1999).
     """
     rows = np.flatnonzero(on)
-    out = np.zeros(len(o), bool)
+    edge, variance = np.zeros(len(o), bool), np.zeros(len(o))
     side = np.cross(d[rows], np.where(np.abs(d[rows, 2:]) < 0.9, [[0, 0, 1.0]], [[1.0, 0, 0]]))
     side /= np.linalg.norm(side, axis=1, keepdims=True)
-    up = np.cross(side, d[rows])
     reach = _EDGE_PIXELS * pixel_width(angle[rows, None])
-    for step in (side, -side, up, -up):
-        neighbour = d[rows] + reach * step
-        neighbour /= np.linalg.norm(neighbour, axis=1, keepdims=True)
-        near = tracer.intersect(o[rows], neighbour)[0]
-        allowed = 4 * reach[:, 0] * t[rows] / np.maximum(cosine[rows], 0.05)
-        out[rows] |= ~(np.abs(near - t[rows]) < allowed)
-    return out
+    for along in (side, np.cross(side, d[rows])):
+        mirrored = []
+        for step in (along, -along):
+            neighbour = d[rows] + reach * step
+            neighbour /= np.linalg.norm(neighbour, axis=1, keepdims=True)
+            near, face, barycentric = tracer.intersect(o[rows], neighbour)
+            allowed = 4 * reach[:, 0] * t[rows] / np.maximum(cosine[rows], 0.05)
+            edge[rows] |= ~(np.abs(near - t[rows]) < allowed)
+            normal = tracer.smooth_normals(normals, np.maximum(face, 0), barycentric)
+            mirrored.append(neighbour - 2 * (neighbour * normal).sum(1, keepdims=True) * normal)
+        change = (mirrored[0] - mirrored[1]) / (2 * _EDGE_PIXELS)
+        variance[rows] += (change**2).sum(1) / 24
+    return edge, variance
 
 
 def _spread(position: np.ndarray, count: int, generator: np.random.Generator) -> np.ndarray:

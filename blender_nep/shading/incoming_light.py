@@ -135,17 +135,20 @@ class IncomingLight(LightMoments):
         irradiance: int,
         generator: torch.Generator,
         progress: Callable[[float], None],
+        reflection_variance: Tensor | None = None,
     ) -> IncomingLight:
         """Trace every cone once; a point has `irradiance` cones for the diffuse lobe.
 
-        progress(share that is done, 0..1) is called after each chunk.
+        progress(share that is done, 0..1) is called after each chunk. reflection_variance [n] radians^2 is that of the
+        mirrored direction along each axis within the pixel that shows the point (None: 0).
         """
         device, n = points.position.device, len(points)
         levels = torch.tensor(roughness_levels, device=device)
         cones = irradiance + len(levels) * plenoptic.settings.specular
         parts = []
+        variance = torch.zeros(n, device=device) if reflection_variance is None else reflection_variance
         for rows in torch.arange(n, device=device).split(max(1, _CHUNK // cones)):
-            parts.append(_trace(plenoptic, points[rows], int(rows[0]), levels, irradiance, generator))
+            parts.append(_trace(plenoptic, points[rows], variance[rows], int(rows[0]), levels, irradiance, generator))
             progress((int(rows[-1]) + 1) / n)
         return cls(plenoptic, points, roughness_levels, TracedLight.joined(parts))
 
@@ -213,6 +216,7 @@ class IncomingLight(LightMoments):
 def _trace(
     plenoptic: PlenopticFunction,
     points: SurfacePoints,
+    reflection_variance: Tensor,
     first: int,
     roughness_levels: Tensor,
     irradiance: int,
@@ -223,6 +227,8 @@ def _trace(
     frame = brdf.frame(points.normal)
     v = torch.einsum("nij,ni->nj", frame, points.view)
     direction, angle, weight = lobe_cones(v, roughness_levels, irradiance, plenoptic.settings.specular, generator)
+    # A disc of half angle a has the variance a^2 / 4 along each axis.
+    angle[:, irradiance:] = (angle[:, irradiance:] ** 2 + 4 * reflection_variance[:, None]).sqrt()
     # A cone of no weight (below the horizon) need not be traced.
     live = (weight[..., _FULL].amax(-1) > 0).reshape(-1).nonzero().squeeze(-1)
     each = live // direction.shape[1]

@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from blender_nep.materials.diffuse_free import _LEAST_MOMENT, Evidence, _DiffuseFree, evidence_of_colored, places_of_colored
-from blender_nep.materials.fitting import roughness_at, roughness_scan
+from blender_nep.materials.fitting import place_in_scan, roughness_at, roughness_scan
 from blender_nep.presets import MaterialPreset
 from blender_nep.shading.light_moments import LightMoments
 from blender_nep.shading.plenoptic import Material, reflected
@@ -46,15 +46,21 @@ def light(angle: torch.Tensor, noise: torch.Tensor) -> LightMoments:
     return LightMoments(specular, diffuse, torch.ones(len(angle), len(LEVELS)), torch.full((len(angle),), 0.8), LEVELS)
 
 
-def found(
+def found(roughness: float, *args, preset: MaterialPreset = PRESET, **kwargs) -> float | None:
+    """The roughness that is found; the arguments are those of `evidence`."""
+    told = evidence(roughness, *args, preset=preset, **kwargs)
+    return None if told is None else roughness_of([told], preset.hue_residual_margin)[0]
+
+
+def evidence(
     roughness: float,
     albedo: torch.Tensor = RED,
     samples: torch.Tensor = ALL,
     paint: torch.Tensor | None = None,
     wrong_by: float = 1.0,
     preset: MaterialPreset = PRESET,
-) -> float | None:
-    """The roughness that is found if normals are wrong by `wrong_by` degrees, and the irradiance by 25 %.
+) -> Evidence | None:
+    """What tells the roughness if normals are wrong by `wrong_by` degrees, and the irradiance by 25 %.
 
     `paint` [N, 3] is the true albedo, if it is not the one that is known.
     """
@@ -65,8 +71,7 @@ def found(
     material = Material((albedo if paint is None else paint).expand(N, 3), roughness * one, 0 * one)
     photos = reflected(material, real.moments(material.roughness), real.diffuse, real.cos_v)
     region = torch.randint(64, (N,), generator=generator)
-    told = evidence_of_colored(light(wrong, one), photos, samples, region[samples], albedo, preset)
-    return None if told is None else roughness_of([told], preset.hue_residual_margin)[0]
+    return evidence_of_colored(light(wrong, one), photos, samples, region[samples], albedo, preset)
 
 
 def roughness_of(evidence: list[Evidence], margin: float = PRESET.hue_residual_margin) -> list[float]:
@@ -87,9 +92,10 @@ def test_the_third_moment_takes_back_the_blur_that_misplaced_reflections_favor()
 @pytest.mark.parametrize(
     ("roughness", "wrong_by"), [(0.08, 3.0), (0.15, 3.0), (0.15, 6.0), (0.3, 6.0), (0.5, 6.0), (0.7, 6.0)]
 )
-def test_the_third_moment_alone_tells_the_roughness_wherever_the_reflections_are(roughness, wrong_by):
-    anything_goes = replace(PRESET, hue_residual_margin=1.0)
-    assert found(roughness, wrong_by=wrong_by, preset=anything_goes) == pytest.approx(roughness, rel=0.05)
+def test_the_third_moment_is_that_of_the_photos_wherever_the_reflections_are(roughness, wrong_by):
+    place = float(place_in_scan(torch.tensor(roughness), PRESET.least_roughness))
+    moment = evidence(roughness, wrong_by=wrong_by).moment
+    assert np.interp(place, range(len(moment)), moment) == pytest.approx(0, abs=0.03)
 
 
 def told(third_moment: float, least_residual_at: float) -> Evidence:
@@ -118,24 +124,26 @@ def test_one_paint_that_is_apart_leaves_the_others_together():
     assert common == pytest.approx([0.1386, 0.1386, 0.6], rel=0.05)
 
 
-@pytest.mark.parametrize("paints", [1, 2])
-@pytest.mark.parametrize(
-    ("rise", "log_of_mirror", "expected"),
-    [
-        (0.04, -0.3, 0.096),  # the middle, in the scan, of a mirror and of the least residual
-        (0.04, -0.05, 0.059),
-        (0.04, -0.001, 0.03),
-        (0.09, -0.3, 0.041),
-        (0.0999, -0.3, 0.03),  # the residual nearly excludes the mirror
-        (0.101, -0.3, 0.042),  # and now it does: the end of its range
-    ],
-)
-def test_third_moments_that_no_roughness_has_do_not_make_a_mirror(rise, log_of_mirror, expected, paints):
-    """Paints whose residual is least at 0.2, and higher by `rise` for a mirror."""
+def alike_below(sharp: float, rise: float, least_residual_at: float, log_of_mirror: float) -> Evidence:
+    """A paint with the third moment of a mirror below a roughness of `sharp`; a mirror's residual is higher by `rise`."""
     scan = roughness_scan(PRESET.least_roughness, torch.device("cpu"))
-    away = torch.log(scan / 0.2)
-    paint = Evidence(1 + rise * (away / away[0]) ** 2, (log_of_mirror - torch.log(scan / scan[0])).tolist())
-    assert roughness_of([paint] * paints) == pytest.approx([expected] * paints, abs=0.003)
+    away = torch.log(scan / least_residual_at)
+    moment = log_of_mirror - torch.log(scan / sharp).clamp_min(0)
+    return Evidence(1 + rise * (away / away[0]) ** 2, moment.tolist())
+
+
+@pytest.mark.parametrize("paints", [1, 2])
+@pytest.mark.parametrize("rise", [0.04, 0.11])  # the mirror is in the residual's range, and it is not
+@pytest.mark.parametrize("log_of_mirror", [-0.3, 0.001])  # of the third moment: larger in the photos, and alike
+def test_lobes_as_sharp_as_a_mirror_are_told_apart_by_the_residual(log_of_mirror, rise, paints):
+    beyond = alike_below(0.1, rise, 0.2, log_of_mirror)  # so the roughest of them is taken
+    assert roughness_of([beyond] * paints) == pytest.approx([0.1 * np.exp(0.05)] * paints, abs=0.006)
+    among = alike_below(0.25, rise, 0.15, log_of_mirror)
+    assert roughness_of([among] * paints) == pytest.approx([0.15] * paints, abs=0.003)
+
+
+def test_third_moments_that_are_told_apart_are_not_overruled():
+    assert roughness_of([alike_below(0.06, 0.04, 0.25, 0.5)]) == pytest.approx([0.06 * np.exp(0.5)], rel=0.03)
 
 
 def test_a_least_residual_at_the_mirror_and_no_margin_give_the_mirror():

@@ -148,7 +148,7 @@ def shown_at(position, radiance):
     """Photo samples at positions [n, 3] with radiance [n, 3]; nothing else of them counts here."""
     n = len(position)
     unused, photo = torch.zeros(n, 3), torch.zeros(n, dtype=torch.int64)
-    return PhotoSamples(np.zeros(n, int), np.zeros((n, 3)), position, unused, photo, radiance, {})
+    return PhotoSamples(np.zeros(n, int), np.zeros((n, 3)), position, unused, photo, radiance, torch.zeros(n), {})
 
 
 def test_a_thin_outline_gets_segments_of_its_own_by_the_color_of_label_pixels():

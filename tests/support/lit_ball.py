@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 
 import torch
 
+from blender_nep.capture.pixel_width import pixel_width
 from blender_nep.materials.training import learn_materials
 from blender_nep.presets import MaterialPreset
 from blender_nep.shading import brdf
@@ -20,6 +21,8 @@ PRESET = replace(
     candidates=10,
 )
 RADIUS = 0.7
+HALF_ANGLE = 0.004
+"""Of a pixel's cone [radians]"""
 
 
 class AnalyticEnvironment:
@@ -86,7 +89,7 @@ class SyntheticRays:
         self.brightest = float(self.radiance.max())
 
     def rays(self, index):
-        return self.origin[index], self.direction[index], torch.full((len(index),), 0.004)
+        return self.origin[index], self.direction[index], torch.full((len(index),), HALF_ANGLE)
 
     def view_of(self, index):
         return self.view[index]
@@ -127,27 +130,32 @@ def make_photos(materials, views=10, side=32, rays=160, environment=None):
     squared = along**2 - (origin**2).sum(-1) + RADIUS**2
     hit = squared > 0
     t = along - squared.clamp_min(0).sqrt()
-    points = origin[hit] + direction[hit] * t[hit, None]
-    normal, view = points / RADIUS, -direction[hit]
-    albedo, roughness, metallic = materials(points)
-    f = brdf.frame(normal)
-    v = torch.einsum("nij,ni->nj", f, view)
-    n = len(points)
+    albedo, roughness, metallic = materials(origin[hit] + direction[hit] * t[hit, None])
+    n = len(albedo)
     uniform = torch.rand(n, rays, 2, generator=generator)
+    # A pixel shows a piece of the surface, so its rays are spread over it. It shows one material, that of its middle.
+    eyes = origin[hit][:, None].expand(n, rays, 3)
+    across = brdf.frame(direction[hit])[..., :2]
+    offset = (torch.rand(n, rays, 2, generator=generator) - 0.5) * pixel_width(HALF_ANGLE)
+    spread = torch.nn.functional.normalize(direction[hit][:, None] + torch.einsum("nij,nkj->nki", across, offset), dim=-1)
+    along = (eyes * spread).sum(-1)
+    t = -along - (along**2 - (eyes**2).sum(-1) + RADIUS**2).clamp_min(0).sqrt()
+    f = brdf.frame(torch.nn.functional.normalize(eyes + spread * t[..., None], dim=-1))
+    v = torch.einsum("nkij,nki->nkj", f, -spread)
 
     def incoming(to_light):
-        d = torch.einsum("nij,nkj->nki", f, to_light).reshape(-1, 3)
+        d = torch.einsum("nkij,nkj->nki", f, to_light).reshape(-1, 3)
         return AnalyticEnvironment.query_cone(environment, d, d, torch.zeros(len(d)))[0].reshape(n, rays, 3)
 
     # Balance heuristic between the two samplers: an estimator that shares nothing with the cones.
-    each = [x[:, None].expand(n, rays, *x.shape[1:]) for x in (v, albedo, roughness, metallic)]
-    alpha = brdf.alpha_of(each[2])
-    h, _ = brdf.sample_vndf(each[0], alpha, uniform)
+    each = [x[:, None].expand(n, rays, *x.shape[1:]) for x in (albedo, roughness, metallic)]
+    alpha = brdf.alpha_of(each[1])
+    h, _ = brdf.sample_vndf(v, alpha, uniform)
     total = torch.zeros(n, 3)
-    for to_light in (brdf.reflect(each[0], h), brdf.sample_cosine(uniform.flip(-1))[0]):
-        half = torch.nn.functional.normalize(each[0] + to_light, dim=-1)
-        pdf = brdf.vndf_pdf(each[0][..., 2], half[..., 2], alpha) + to_light[..., 2].clamp_min(0) / math.pi
-        value = brdf.evaluate(each[0], to_light, *each[1:]) * to_light[..., 2:].clamp_min(0)
+    for to_light in (brdf.reflect(v, h), brdf.sample_cosine(uniform.flip(-1))[0]):
+        half = torch.nn.functional.normalize(v + to_light, dim=-1)
+        pdf = brdf.vndf_pdf(v[..., 2], half[..., 2], alpha) + to_light[..., 2].clamp_min(0) / math.pi
+        value = brdf.evaluate(v, to_light, *each) * to_light[..., 2:].clamp_min(0)
         total += (value * incoming(to_light) / pdf[..., None].clamp_min(1e-9)).mean(1)
     radiance = torch.zeros(len(origin), 3)
     radiance[hit] = total
