@@ -25,7 +25,7 @@ _CANDIDATES = 3
 """Pixels that are tried for each label pixel. Nearly all pixels that show the surface become label pixels, so few are
 enough."""
 _WIDER, _STRIDE = 32, 4
-"""The wider surroundings of a label pixel: every fourth of its nearest ones, so many of them. Their costs are means over
+"""The wider surroundings of a label pixel: so many of its nearest ones among every fourth. Their costs are means over
 neighbors themselves."""
 
 
@@ -89,7 +89,7 @@ def shows_one_material(cost: np.ndarray, blended: np.ndarray, tree: cKDTree) -> 
     """
     if not blended.any():
         return np.zeros(len(cost), bool)
-    around = neighbours(tree, tree.data, _WIDER * _STRIDE)[1][:, ::_STRIDE]
+    around = neighbours(cKDTree(tree.data[::_STRIDE]), tree.data, _WIDER)[1] * _STRIDE
     return ~blended[np.stack([column[around].mean(1) for column in cost.T], 1).argmin(1)]
 
 

@@ -14,6 +14,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from blender_nep.ops.lobe_sums import add_to_lobes
 from blender_nep.profiling import profiled
 from blender_nep.shading import brdf
 from blender_nep.shading.cones import diffuse_cones, half_angle_of_density, specular_cones
@@ -33,6 +34,8 @@ _FULL, _EDGE, _DIELECTRIC = range(3)
 
 _CHUNK = 1 << 17
 """Number of cones that are traced at a time."""
+_UNSEEN_CHUNK = 1 << 16
+"""Number of cones that are looked up in the unseen light at a time."""
 _LEAST_SHARE = 0.02
 """Cones whose missing coverage is at most this share are not kept as uncovered cones."""
 
@@ -172,15 +175,19 @@ class IncomingLight(LightMoments):
         self.specular, self.diffuse = self.known_specular, self.known_diffuse
         if self.unseen is None:
             return
-        self.specular, self.diffuse = specular, diffuse = self.known_specular.clone(), self.known_diffuse.clone()
-        far = self.traced.uncovered
-        for part in torch.arange(len(far), device=diffuse.device).split(1 << 16):
-            cones = far[part]
-            light = self.unseen(self.points.position[cones.row], cones.direction, cones.half_angle) * cones.share[:, None]
-            diffuse.index_add_(0, cones.row, cones.weight[:, :1] * light)
-            terms = torch.cat([torch.ones_like(light[:, :1]), cones.fresnel], 1)
-            share = cones.weight[:, 1:, None, None] * terms[:, None, :, None] * light[:, None, None, :]
-            specular.index_add_(0, cones.row, share)
+        far, position = self.traced.uncovered, self.points.position
+        parts = torch.arange(len(far), device=position.device).split(_UNSEEN_CHUNK)
+        light = torch.cat([self._unseen_light(far[part]) for part in parts]) if parts else position.new_zeros(0, 3)
+        starts = torch.searchsorted(far.row, torch.arange(len(position) + 1, device=far.row.device))
+        specular, diffuse = self.known_specular.cpu().numpy().copy(), self.known_diffuse.cpu().numpy().copy()
+        starts, weight, fresnel, light = (x.contiguous().cpu() for x in (starts, far.weight, far.fresnel, light))
+        add_to_lobes(starts.numpy(), weight.numpy(), fresnel.numpy(), light.numpy(), diffuse, specular)
+        self.specular, self.diffuse = (torch.from_numpy(x).to(position.device) for x in (specular, diffuse))
+
+    def _unseen_light(self, cones: UncoveredCones) -> Tensor:
+        """The unseen light [k, 3] in k cones that left the object, as far as the photos do not show theirs."""
+        assert self.unseen is not None
+        return self.unseen(self.points.position[cones.row], cones.direction, cones.half_angle) * cones.share[:, None]
 
     def without_unseen(self) -> LightMoments:
         """The known light alone."""
