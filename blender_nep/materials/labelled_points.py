@@ -25,8 +25,8 @@ _CANDIDATES = 3
 """Pixels that are tried for each label pixel. Nearly all pixels that show the surface become label pixels, so few are
 enough."""
 _WIDER, _STRIDE = 32, 4
-"""The wider surroundings of a label pixel: so many of its nearest ones among every fourth. Their costs are means over
-neighbors themselves."""
+"""The wider surroundings of a label pixel: of every fourth label pixel, the 32 nearest. Each cost is already a mean over
+neighbors, so fewer pixels are enough."""
 
 
 def labelled_samples(search: PaletteSearch) -> BlendedPoints:

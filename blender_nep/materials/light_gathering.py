@@ -94,9 +94,9 @@ def gathered_light(
             seen.points,
             preset.roughness_levels,
             preset.irradiance_cones,
+            seen.samples.reflection_variance,
             generator,
             lambda share: progress.step(10 + int(60 * share)),
-            seen.samples.reflection_variance,
         )
     progress.state = {
         "terminal": f_p.terminal.state_dict(),
@@ -151,7 +151,7 @@ def with_more_samples(
     more = _selected(seen.rays, seen.f_p.tracer, seen.surface.normals, preset, np.random.default_rng([seed, 1]))
     points = seen.f_p.points(more.face, more.barycentric, more.view)
     of_more = IncomingLight.gathered(
-        seen.f_p, points, preset.roughness_levels, preset.irradiance_cones, generator, progress, more.reflection_variance
+        seen.f_p, points, preset.roughness_levels, preset.irradiance_cones, more.reflection_variance, generator, progress
     )
     of_more.unseen = light.unseen
     of_more.update(materials_at, generator)

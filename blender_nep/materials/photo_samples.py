@@ -22,7 +22,10 @@ _CANDIDATES_PER_SAMPLE = 12
 _VOXEL = 0.05
 """Width of the voxels over which samples are spread, in the unit frame."""
 _EDGE_PIXELS = 2.0
-"""A pixel counts as an edge if the surface is not continuous within this many pixels around it."""
+"""A pixel counts as an edge if the surface is not continuous within this many pixels around it. The neighbours that tell the
+variance of the reflection are as far away."""
+_MOST_UNEVEN = 1.5
+"""The change of the mirrored direction counts up to so many times the change to the neighbour with the smaller change."""
 
 
 @dataclass
@@ -42,7 +45,7 @@ class PhotoSamples:
     radiance: Tensor
     """[n, 3] linear, as if all photos had one exposure"""
     reflection_variance: Tensor
-    """[n] radians^2, variance of the mirrored direction within the pixel, along each of two axes"""
+    """[n] radians^2, variance of the mirrored direction within the pixel: the mean over two perpendicular axes"""
     skipped: dict
     """{reason: share of the tried pixels that were left out for it}; pixels that miss the mesh are not counted"""
 
@@ -101,7 +104,7 @@ def select_samples(
     cosine = -np.einsum("ij,ij->i", tracer.face_normals[np.maximum(face, 0)], d)
     cosine = np.minimum(np.abs(cosine), -np.einsum("ij,ij->i", smooth, d) * np.sign(cosine))
     leave_out("grazing", cosine < least_cosine)
-    edge, variance = _across_pixels(tracer, normals, o, d, t, angle, cosine, on)
+    edge, variance = _edges_and_reflection_variance(tracer, normals, o, d, t, angle, smooth, cosine, on)
     leave_out("edge", on & edge)
     if rays.brightest <= BRIGHTEST_CLIPPED:
         leave_out("saturated", (rays.radiance[index].amax(-1) > SATURATED).cpu().numpy())
@@ -129,28 +132,33 @@ def select_samples(
     )
 
 
-def _across_pixels(
+def _edges_and_reflection_variance(
     tracer: RayTracer,
     normals: np.ndarray,
     o: np.ndarray,
     d: np.ndarray,
     t: np.ndarray,
     angle: np.ndarray,
+    smooth: np.ndarray,
     cosine: np.ndarray,
     on: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray]:
     """What the neighbours of the pixels [n] show: whether there is an edge [n] bool, and the reflection's variance [n].
 
     There is an edge if the surface is not continuous around the pixel. That is so where a neighbouring ray misses the mesh,
-    or meets it far from the plane of the pixel's surface point. The variance is that of a mirrored direction that changes
-    evenly over a square pixel, in radians^2 along each axis: the mean of (change across the pixel)^2 / 12 along rows and
-    along columns. The change is that between the neighbours (ray differentials, Igehy 1999).
+    or meets it far from the plane of the pixel's surface point.
+
+    The variance is in radians^2. The mirrored direction is taken to change evenly over a square pixel. Then its variance is
+    (change across the pixel)^2 / 12 along an axis of the pixel. The covariance of a square is the same along all axes, so
+    any two perpendicular axes serve; the result is half the sum over both. The change is that between the two neighbours
+    along the axis (ray differentials: Igehy 1999). Where a neighbour lies beyond a crease, the other one limits it.
     """
     rows = np.flatnonzero(on)
     edge, variance = np.zeros(len(o), bool), np.zeros(len(o))
     side = np.cross(d[rows], np.where(np.abs(d[rows, 2:]) < 0.9, [[0, 0, 1.0]], [[1.0, 0, 0]]))
     side /= np.linalg.norm(side, axis=1, keepdims=True)
     reach = _EDGE_PIXELS * pixel_width(angle[rows, None])
+    own = _mirrored(d[rows], smooth[rows])
     for along in (side, np.cross(side, d[rows])):
         mirrored = []
         for step in (along, -along):
@@ -159,11 +167,17 @@ def _across_pixels(
             near, face, barycentric = tracer.intersect(o[rows], neighbour)
             allowed = 4 * reach[:, 0] * t[rows] / np.maximum(cosine[rows], 0.05)
             edge[rows] |= ~(np.abs(near - t[rows]) < allowed)
-            normal = tracer.smooth_normals(normals, np.maximum(face, 0), barycentric)
-            mirrored.append(neighbour - 2 * (neighbour * normal).sum(1, keepdims=True) * normal)
-        change = (mirrored[0] - mirrored[1]) / (2 * _EDGE_PIXELS)
-        variance[rows] += (change**2).sum(1) / 24
+            mirrored.append(_mirrored(neighbour, tracer.smooth_normals(normals, np.maximum(face, 0), barycentric)))
+        to_each = [np.linalg.norm(there - own, axis=1) for there in mirrored]
+        between = np.linalg.norm(mirrored[0] - mirrored[1], axis=1)
+        change = np.minimum(between / 2, _MOST_UNEVEN * np.minimum(*to_each)) / _EDGE_PIXELS
+        variance[rows] += change**2 / 24
     return edge, variance
+
+
+def _mirrored(direction: np.ndarray, normal: np.ndarray) -> np.ndarray:
+    """The directions [n, 3] of rays that a mirror with normals [n, 3] sends on."""
+    return direction - 2 * (direction * normal).sum(1, keepdims=True) * normal
 
 
 def _spread(position: np.ndarray, count: int, generator: np.random.Generator) -> np.ndarray:

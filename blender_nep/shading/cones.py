@@ -1,7 +1,8 @@
 """Material-aware cones: the directions and widths of the cones for the lobes of a material (paper, section 3.3).
 
 For the pixels of photos, the width is `half_angle_of_density`, of all samples of all roughness levels together
-(`lobe_cones` in incoming_light.py). For what a reflected ray meets, it is the half angle of `specular_cones`.
+(`lobe_cones` in incoming_light.py), and wider by the blur of the pixel (`_trace`). For what a reflected ray meets, it is the
+half angle of `specular_cones`.
 
 Widths are half-angles or solid angles, not tangents: the tangent of a doubled angle is negative above 45 degrees.
 """

@@ -1,8 +1,9 @@
 """The prefiltered incoming light of surface points at several roughness levels.
 
 The mesh and F_e do not change while materials are learned. So the light through the GGX lobe of each roughness level, and
-the diffuse irradiance, are gathered once by cones. Between the levels, the light is interpolated. Only cones that meet the
-object again depend on the materials. They are kept in a list, and their light is updated from time to time.
+the diffuse irradiance, are gathered once by cones. A pixel blurs the reflection that it shows. So the specular cones are
+wider by the variance of the mirrored direction within the pixel. Between the levels, the light is interpolated. Only cones
+that meet the object again depend on the materials. They are kept in a list, and their light is updated from time to time.
 """
 
 from __future__ import annotations
@@ -136,22 +137,22 @@ class IncomingLight(LightMoments):
         points: SurfacePoints,
         roughness_levels: tuple[float, ...],
         irradiance: int,
+        reflection_variance: Tensor,
         generator: torch.Generator,
         progress: Callable[[float], None],
-        reflection_variance: Tensor | None = None,
     ) -> IncomingLight:
         """Trace every cone once; a point has `irradiance` cones for the diffuse lobe.
 
-        progress(share that is done, 0..1) is called after each chunk. reflection_variance [n] radians^2 is that of the
-        mirrored direction along each axis within the pixel that shows the point (None: 0).
+        reflection_variance [n] radians^2 is that of the mirrored direction within the pixel that shows the point. It
+        widens the specular cones. progress(share that is done, 0..1) is called after each chunk.
         """
         device, n = points.position.device, len(points)
         levels = torch.tensor(roughness_levels, device=device)
         cones = irradiance + len(levels) * plenoptic.settings.specular
         parts = []
-        variance = torch.zeros(n, device=device) if reflection_variance is None else reflection_variance
         for rows in torch.arange(n, device=device).split(max(1, _CHUNK // cones)):
-            parts.append(_trace(plenoptic, points[rows], variance[rows], int(rows[0]), levels, irradiance, generator))
+            own = points[rows], reflection_variance[rows]
+            parts.append(_trace(plenoptic, *own, int(rows[0]), levels, irradiance, generator))
             progress((int(rows[-1]) + 1) / n)
         return cls(plenoptic, points, roughness_levels, TracedLight.joined(parts))
 
@@ -177,7 +178,8 @@ class IncomingLight(LightMoments):
             return
         far, position = self.traced.uncovered, self.points.position
         parts = torch.arange(len(far), device=position.device).split(_UNSEEN_CHUNK)
-        light = torch.cat([self._unseen_light(far[part]) for part in parts]) if parts else position.new_zeros(0, 3)
+        light = torch.cat([self._unseen_light(far[part]) for part in parts])
+        # `row` is ascending, so the cones of a point lie together.
         starts = torch.searchsorted(far.row, torch.arange(len(position) + 1, device=far.row.device))
         specular, diffuse = self.known_specular.cpu().numpy().copy(), self.known_diffuse.cpu().numpy().copy()
         starts, weight, fresnel, light = (x.contiguous().cpu() for x in (starts, far.weight, far.fresnel, light))
@@ -185,7 +187,7 @@ class IncomingLight(LightMoments):
         self.specular, self.diffuse = (torch.from_numpy(x).to(position.device) for x in (specular, diffuse))
 
     def _unseen_light(self, cones: UncoveredCones) -> Tensor:
-        """The unseen light [k, 3] in k cones that left the object, as far as the photos do not show theirs."""
+        """The unseen light [k, 3] in k cones, times the share of each cone that the photos do not show."""
         assert self.unseen is not None
         return self.unseen(self.points.position[cones.row], cones.direction, cones.half_angle) * cones.share[:, None]
 

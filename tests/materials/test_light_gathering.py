@@ -47,7 +47,13 @@ def two_balls():
     rays = SyntheticRays(torch.full_like(direction, 0.5), eye[view], direction, view)
     seen = Observations.of(surface, HalfSeen(), rays, LIT, 0, torch.device("cpu"))
     light = IncomingLight.gathered(
-        seen.f_p, seen.points, LIT.roughness_levels, LIT.irradiance_cones, torch.Generator().manual_seed(1), lambda _: None
+        seen.f_p,
+        seen.points,
+        LIT.roughness_levels,
+        LIT.irradiance_cones,
+        seen.samples.reflection_variance,
+        torch.Generator().manual_seed(1),
+        lambda _: None,
     )
     light.unseen = UnseenLight(LIT.unseen_rows, 4.0, "cpu")
     light.unseen.radiance += 0.5

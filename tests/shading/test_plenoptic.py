@@ -81,7 +81,9 @@ def test_white_furnace_with_self_reflection(two_balls, levels, metallic, diffuse
 
 def test_without_indirect_light_what_the_object_sees_of_itself_is_black(two_balls):
     f_p, points = scene(two_balls, 0)
-    light = IncomingLight.gathered(f_p, points, (0.1, 0.5, 1.0), 32, torch.Generator().manual_seed(3), lambda _: None)
+    light = IncomingLight.gathered(
+        f_p, points, (0.1, 0.5, 1.0), 32, torch.zeros(len(points)), torch.Generator().manual_seed(3), lambda _: None
+    )
     light.update(white(1.0), torch.Generator())
     assert len(light.traced.hit_index) > 0
     assert 0.5 < light.diffuse.mean().item() < 0.99
@@ -89,7 +91,9 @@ def test_without_indirect_light_what_the_object_sees_of_itself_is_black(two_ball
 
 def test_prefiltered_light_is_exact_in_a_furnace(two_balls):
     f_p, points = scene(two_balls, 1)
-    light = IncomingLight.gathered(f_p, points, (0.1, 0.3, 0.6, 1.0), 32, torch.Generator().manual_seed(4), lambda _: None)
+    light = IncomingLight.gathered(
+        f_p, points, (0.1, 0.3, 0.6, 1.0), 32, torch.zeros(len(points)), torch.Generator().manual_seed(4), lambda _: None
+    )
     light.update(white(1.0), torch.Generator().manual_seed(5))
     for roughness in (0.1, 0.2, 0.6, 1.0):
         r = torch.full((len(points),), roughness)

@@ -126,7 +126,9 @@ def ball():
     view = torch.nn.functional.normalize(normal + 0.5 * directions(4000, 5), dim=-1)
     points = f_p.points(face, barycentric, view)
     roughness_levels = (0.1, 0.2, 0.4, 1.0)
-    light = IncomingLight.gathered(f_p, points, roughness_levels, 32, torch.Generator().manual_seed(6), lambda _: None)
+    light = IncomingLight.gathered(
+        f_p, points, roughness_levels, 32, torch.zeros(len(points)), torch.Generator().manual_seed(6), lambda _: None
+    )
     light.update(None, torch.Generator())
     return light
 
