@@ -99,10 +99,13 @@ def test_the_third_moment_is_that_of_the_photos_wherever_the_reflections_are(rou
 
 
 def told(third_moment: float, least_residual_at: float) -> Evidence:
-    """A paint whose third moment is that of the photos at one roughness, and whose residual is least at another."""
+    """A paint whose third moment is that of the photos at one roughness, and whose residual is least at another.
+
+    The residual allows values up to e times as rough and as sharp.
+    """
     scan = roughness_scan(PRESET.least_roughness, torch.device("cpu"))
     log = torch.log(scan)
-    residual = 1 + 0.1 * (log - np.log(least_residual_at)) ** 2
+    residual = 1 + PRESET.hue_residual_margin * (log - np.log(least_residual_at)) ** 2
     return Evidence(residual, (0.5 * (np.log(third_moment) - log)).tolist())
 
 
@@ -155,7 +158,8 @@ def test_what_the_residual_says_fades_out():
 
 def test_third_moments_that_ask_for_a_rougher_paint_are_not_taken_for_alike():
     scan = roughness_scan(PRESET.least_roughness, torch.device("cpu"))
-    dull = Evidence(1 + 0.1 * torch.log(scan / 0.08) ** 2, (-1.2 * torch.log(scan / 0.7)).tolist())
+    residual = 1 + PRESET.hue_residual_margin * torch.log(scan / 0.08) ** 2
+    dull = Evidence(residual, (-1.2 * torch.log(scan / 0.7)).tolist())
     assert roughness_of([dull]) == pytest.approx([0.201], abs=0.003)  # the rough end of the residual's range
 
 

@@ -82,7 +82,7 @@ def test_predicted_reflections_are_as_blurred_as_those_in_photos(monkeypatch):
     monkeypatch.setattr(lit_ball, "HALF_ANGLE", 0.012)
     environment = lit_ball.AnalyticEnvironment()
     environment.sharpness = environment.sharpness * 20
-    photos = lit_ball.make_photos(lit_ball.constant((1.0, 1.0, 1.0), 0.05, 1.0), 4, rays=1000, environment=environment)
+    photos = lit_ball.make_photos(lit_ball.constant((1.0, 1.0, 1.0), 0.05, 1.0), 4, rays=400, environment=environment)
     mesh = trimesh.creation.icosphere(subdivisions=5, radius=lit_ball.RADIUS)
     vertices = np.asarray(mesh.vertices)
     surface = Surface(vertices, np.asarray(mesh.faces), vertices / lit_ball.RADIUS)
