@@ -353,7 +353,7 @@ class MaterialPreset:
     spread_margin: float = 0.03
     """For a metal, roughness values are possible whose residual is up to this share above the least. Among these, the spread
     of the reflected light decides."""
-    hue_residual_margin: float = 0.2
+    hue_residual_margin: float = 0.1
     """The same for colored dielectrics, whose third moments of reflected light decide (`materials.diffuse_free`)."""
     blend_margin: float = 0.05
     """Share by which a mixture of two materials must be better than one material alone."""
