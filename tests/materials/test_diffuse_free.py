@@ -89,6 +89,12 @@ def test_the_third_moment_takes_back_the_blur_that_misplaced_reflections_favor()
     assert found(0.15, wrong_by=6.0) == pytest.approx(0.15, abs=0.07)
 
 
+def test_the_range_of_the_residual_is_wider_where_reflections_explain_much(monkeypatch):
+    assert found(0.3, wrong_by=8.0) == pytest.approx(0.3, abs=0.01)
+    monkeypatch.setattr("blender_nep.materials.diffuse_free._WELL_EXPLAINED", np.inf)
+    assert found(0.3, wrong_by=8.0) > 0.32
+
+
 @pytest.mark.parametrize(
     ("roughness", "wrong_by"), [(0.08, 3.0), (0.15, 3.0), (0.15, 6.0), (0.3, 6.0), (0.5, 6.0), (0.7, 6.0)]
 )
