@@ -133,7 +133,7 @@ def make_photos(materials, views=10, side=32, rays=160, environment=None):
     albedo, roughness, metallic = materials(origin[hit] + direction[hit] * t[hit, None])
     n = len(albedo)
     uniform = torch.rand(n, rays, 2, generator=generator)
-    # A pixel shows a piece of the surface, so its rays are spread over it. It shows one material, that of its middle.
+    # A pixel shows a piece of the surface, so its rays are spread over it. The whole pixel has the material of its middle.
     eyes = origin[hit][:, None].expand(n, rays, 3)
     across = brdf.frame(direction[hit])[..., :2]
     offset = (torch.rand(n, rays, 2, generator=generator) - 0.5) * pixel_width(HALF_ANGLE)
