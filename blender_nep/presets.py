@@ -18,22 +18,22 @@ class FieldsPreset:
 
     background_steps: int = 300
     """Steps of F_e alone, before both fields are learned. Then the SDF starts from a visual hull. 0: no such steps."""
-    steps: int = 1500
+    steps: int = 1100
     """Steps of both fields together."""
     least_outside: float = 0.05
     """F_e is learned first if the rays of at least this share of the photos' pixels miss the object's sphere. With fewer,
     there is nothing from which to learn F_e."""
     least_contrast: float = 2.0
     """Smallest contrast of a usable visual hull: mean silhouette value inside divided by that outside. With less, the SDF
-    starts from a sphere. inf: always from a sphere (an ablation). The poorest hull that helped had 2.1."""
+    starts from a sphere. inf: always so (an ablation). The poorest hull that helped had 2.1."""
     environment_gradient_scale: float = 0.1
     """Scale of F_e's gradients from pixels that see the object's sphere. With a small scale, the other pixels decide what
     the surroundings are, before the object is known. 1: no scaling (an ablation)."""
     environment_gradient_scale_until: float = 0.5
     """Fraction until which `environment_gradient_scale` holds."""
-    object_rays: int = 1536
-    """Rays of a step through object pixels. Until these are first found, the rays go through the object's sphere."""
-    object_pixels_at: tuple[float, ...] = (0.25, 0.5, 0.75)
+    object_rays: int = 6144
+    """Rays of a step through object pixels. Most of the error of the shape is noise of steps with too few such rays."""
+    object_pixels_at: tuple[float, ...] = (0.0, 0.25, 0.5, 0.75)
     """Fractions, rising, at which the object pixels are found."""
     carve_again_at: tuple[float, ...] = (0.5, 0.75)
     """Fractions, rising, at which the object is carved again, when F_e knows the silhouettes better. Empty: never."""
@@ -43,21 +43,22 @@ class FieldsPreset:
     open_cavities_at: float = 0.5
     """Fraction at which the cavities of the object are opened that no silhouette shows. inf: never."""
     held_out_every: int = 101
-    """Pixels whose index is a multiple of this number are held out from learning; the validation error is measured on them.
-    The number is prime, so that these pixels do not lie in the same columns of a photo."""
+    """One of so many pixels is held out for the validation error. A prime, so that these lie in all columns of a photo."""
     validation_pixels: int = 4096
     """Approximate number of held-out pixels on which the validation error is measured."""
+    validate_from: float = 0.25
+    """Fraction at which the validation error is first measured."""
     validate_every: float = 0.05
-    """Fraction from one measurement of the validation error to the next. The first is at object_pixels_at[0]."""
+    """Fraction from one measurement of the validation error to the next."""
     patience: int = 3
     """If the validation error falls by less than `least_gain` within this many measurements, it is on a plateau."""
     least_gain: float = 0.005
     """Share by which the validation error must fall within `patience` measurements."""
     plateau_step_multiplier: int = 4
     """While the validation error is on a plateau, one step counts as this many: learning ends early. 1: no early end."""
-    sphere_rays: int = 1024
+    sphere_rays: int = 512
     """Rays of a step through any pixels that see the object's sphere."""
-    outside_rays: int = 1024
+    outside_rays: int = 768
     """Rays of a step through all other pixels."""
     coarsest_cells: int = 16
     """Cells of the coarsest SDF grid along an axis. Each further level halves the cell."""
@@ -83,15 +84,15 @@ class FieldsPreset:
     """NeuS sharpness at the end, 1 / object radius. With 500, a dent grew in a test object."""
     sharpness_until: float = 0.85
     """Fraction until which the sharpness rises."""
-    first_samples: int = 32
+    first_samples: int = 16
     """Samples of the object field on each ray until `first_samples_until`, while the surface is soft and its band wide."""
     first_samples_until: float = 0.2
     """Fraction from which on a ray has `samples` samples."""
-    samples: int = 16
-    """Samples of the object field on each ray."""
+    samples: int = 8
+    """Samples of the object field on each ray. Many rays with few samples are better than few rays with many samples."""
     transmittance_limit: float = 5e-3
     """Where the transmittance of the object is below this, F_e behind it is not rendered; this saves time."""
-    sdf_rate: float = 0.003
+    sdf_rate: float = 0.005
     """Learning rate of the SDF in object radii: the typical step of a touched spline coefficient, in the level with 64
     cells. In other levels it is proportional to the cell width. So coarse levels take large steps, which move whole parts of
     the surface, and the noise of the finest level stays small."""
@@ -99,8 +100,7 @@ class FieldsPreset:
     """The SDF's learning rate is proportional to the sharpness to minus this power, because a sharper surface needs smaller
     steps. 0: it does not depend on the sharpness."""
     sdf_betas: tuple[float, float] = (0.9, 0.99)
-    """Adam's decay rates of the SDF's mean gradient and of its mean square. With Adam's default of 0.999, the mean square
-    would remember most of all steps. But gradients change faster, because the surface becomes sharper."""
+    """Adam's decay rates of the SDF's mean gradient and mean square. The default of 0.999 would remember most steps."""
     head_rate: float = 5e-3
     """Learning rate of the color heads."""
     head_rate_decay_from: float = 0.7
@@ -128,12 +128,10 @@ class FieldsPreset:
     mask: float = 0.5
     """Weight of the binary cross entropy between the object's opacity and the masks, if there are masks."""
     highlight_threshold: float = 3.0
-    """Radiance above which an object pixel is a highlight, as a multiple of the typical radiance of the photos
-    (`fields.losses.highlight_threshold`). Highlights count little: they move with the camera, say little about the shape,
-    and would dominate the error. inf: they count in full (an ablation)."""
+    """Radiance above which an object pixel is a highlight, as a multiple of the photos' typical radiance. Highlights count
+    little: they move with the camera and would dominate the error. inf: they count in full (an ablation)."""
     dynamic_weight: str = "none"
-    """Kind of the weight w_s: none, paper (eq. 4 as printed) or scaled, see `fields.rendering.dynamic_weight`.
-    docs/benchmarks.md compares the three."""
+    """Kind of the weight w_s: none, paper (eq. 4 as printed) or scaled, see `fields.rendering.dynamic_weight`."""
     dynamic_weight_cap: float = 1.5
     """u of eq. 4: the largest w_s. The paper's value."""
     decomposition: bool = True
@@ -229,7 +227,7 @@ class EnvironmentPreset:
     coverage_rays: int = 200_000
     """Number of camera rays with which the coverage is measured, after F_e is learned."""
     rays_per_step: int = 4096
-    """Rays of a step if only F_e is learned, with a given mesh."""
+    """Rays of a step of F_e alone."""
     steps: int = 2000
     """Number of steps if only F_e is learned, with a given mesh."""
 
@@ -420,8 +418,10 @@ PRESETS = {
         surface_seconds=5,
         material_seconds=45,
         environment_height=128,
-        fields=FieldsPreset(background_steps=200, steps=700, object_rays=1280, sphere_rays=768, outside_rays=768),
-        environment=EnvironmentPreset(resolutions=((20, 32), (28, 64)), refine_at=(0.25,), detail_rows=256, steps=600),
+        fields=FieldsPreset(background_steps=200, steps=700, object_rays=4096, sphere_rays=384, outside_rays=512),
+        environment=EnvironmentPreset(
+            resolutions=((20, 32), (28, 64)), refine_at=(0.25,), detail_rows=256, rays_per_step=3072, steps=600
+        ),
         surface=SurfacePreset(
             grid=192, unwrapped_faces=8_000, faces=60_000, chord_error=3.5e-4, normal_texels=1024, atlas_texels=512
         ),
@@ -437,7 +437,7 @@ PRESETS = {
         surface_seconds=20,
         material_seconds=200,
         environment_height=512,
-        fields=FieldsPreset(background_steps=400, steps=4500, object_rays=2048, last_sharpness=400),
+        fields=FieldsPreset(background_steps=400, steps=4000, object_rays=8192, last_sharpness=400),
         environment=EnvironmentPreset(steps=4000),
         surface=SurfacePreset(grid=288, unwrapped_faces=20_000, faces=150_000, chord_error=2e-4, atlas_texels=2048),
         material=MaterialPreset(samples=80_000, label_pixels=600_000, unseen_samples=16_000, most_texels=2048),

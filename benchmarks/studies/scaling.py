@@ -140,7 +140,12 @@ FACTORS: dict[str, tuple[tuple[int, ...], Callable, dict[str, float]]] = {
     "pixels a photo": ((2304, 9216, 36864), lambda b, n: b.learn(base(), pixels=n), READ | STEP | PASS),
     "rays a step": (
         (704, 1408, 2816, 5632),
-        lambda b, n: b.learn(base(fields={"object_rays": n // 2, "sphere_rays": n // 4, "outside_rays": n // 4})),
+        lambda b, n: b.learn(
+            base(
+                fields={"object_rays": n // 2, "sphere_rays": n // 4, "outside_rays": n // 4},
+                environment={"rays_per_step": n},
+            )
+        ),
         STEP,
     ),
     "samples a ray": (

@@ -49,6 +49,10 @@ class PixelSet:
             whole.add(part)
         return whole.finished()
 
+    def empty(self) -> PixelSet:
+        """A set of no pixels, on the same device."""
+        return PixelSet(self._first[:0], self._length[:0])
+
     def state(self) -> Tensor:
         """First indices and lengths of the runs, [2, R] int64, as they are saved on the disk."""
         return torch.stack([self._first, self._length])

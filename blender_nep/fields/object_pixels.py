@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
 import torch
 from torch import Tensor
 from torch.nn import functional
@@ -13,29 +17,81 @@ from blender_nep.geometry.mesh import Surface
 from blender_nep.geometry.ray_tracing import RayTracer
 from blender_nep.profiling import profiled
 
+_CLEAR = 0.97
+"""F_e does not count in front of a pixel if its transmittance there is at least this."""
+
+
+@dataclass(frozen=True)
+class ObjectPixels:
+    """The object pixels, in two sets."""
+
+    clear: PixelSet
+    """Pixels in front of which F_e is clear: nothing stands between the camera and the object's sphere"""
+    veiled: PixelSet
+    """All other object pixels"""
+
+    def __len__(self) -> int:
+        return len(self.clear) + len(self.veiled)
+
+    def joined(self) -> PixelSet:
+        """All object pixels in one set."""
+        return PixelSet.joined([self.veiled, self.clear])
+
+    def draw(self, count: int, every: int, generator: torch.Generator) -> tuple[Tensor, Tensor]:
+        """About `count` random pixels, as `draw_pixels`: the clear ones [c] and the veiled ones [v], in their proportion."""
+        clear = round(count * len(self.clear) / max(1, len(self)))
+        parts = ((self.clear, clear), (self.veiled, count - clear))
+        nothing = torch.empty(0, dtype=torch.int64, device=generator.device)
+        drawn = [draw_pixels(pool, n, every, generator) if n and len(pool) else nothing for pool, n in parts]
+        return drawn[0], drawn[1]
+
+    def state(self) -> dict:
+        """Both sets, as they are saved on the disk."""
+        return {"clear": self.clear.state(), "veiled": self.veiled.state()}
+
+    @classmethod
+    def from_state(cls, state: dict, device: torch.device) -> ObjectPixels:
+        """The inverse of `state`."""
+        return cls(*(PixelSet.from_state(state[name]).to(device) for name in ("clear", "veiled")))
+
 
 @profiled("object pixels")
 @torch.no_grad()
-def find_object_pixels(rays: PixelRays, shape: SplineShape, band: float, block: int = 4) -> PixelSet:
+def find_object_pixels(
+    rays: PixelRays, shape: SplineShape, band: float, transmittance: Callable[[Tensor, Tensor], Tensor], block: int = 4
+) -> ObjectPixels:
     """The object pixels: valid pixels whose rays come nearer to the surface than `band` (unit frame), and some around them.
 
-    One ray for each block of `block` x `block` pixels is tried. A block is taken if its ray or the ray of a neighbouring
-    block is near. If there are no such pixels, the result is all pixels that see the object's sphere.
+    One ray for each block of `block` x `block` pixels is tried. A block is taken if its ray comes so near that the ray of
+    one of its pixels may be near. It is clear if F_e lets through nearly all light along its ray and its neighbors' rays:
+    transmittance(origins [n, 3], directions [n, 3]) gives the share [n]. If there are no object pixels, all pixels that see
+    the object's sphere are taken for veiled ones.
     """
     device = rays.valid.device
-    found = GrowingPixelSet(device)
+    clear, veiled = GrowingPixelSet(device), GrowingPixelSet(device)
     for view, (height, width) in enumerate(rays.size):
         row = torch.arange(0, height, block, device=device).add(block // 2).clamp(max=height - 1)
         column = torch.arange(0, width, block, device=device).add(block // 2).clamp(max=width - 1)
         index = (rays.offset[view] + row[:, None] * width + column).flatten()
-        origins, directions, _ = rays.rays(index)
-        seen = shape.near(origins, directions, band).float().reshape(1, 1, len(row), len(column))
-        seen = functional.max_pool2d(seen, 3, 1, 1)
-        seen = seen[0, 0].repeat_interleave(block, 0)[:height].repeat_interleave(block, 1)[:, :width] > 0
+        origins, directions, half_angle = rays.rays(index)
+        corner = math.sqrt(2) * block * float((half_angle * origins.norm(dim=1)).mean())  # from a block's center, unit frame
+        seen = shape.near(origins, directions, band + corner)
+        veil = torch.zeros_like(seen)
+        veil[seen] = transmittance(origins[seen], directions[seen]) < _CLEAR
+        veil = _around(veil, len(row), len(column))
         valid = rays.valid[rays.offset[view] : rays.offset[view + 1]]
-        found.add(PixelSet.where(seen.flatten() & valid, rays.offset[view]))
-    pixels = found.finished()
-    return pixels if len(pixels) else rays.sphere
+        for blocks, found in ((seen & ~veil, clear), (seen & veil, veiled)):
+            pixels = blocks.reshape(len(row), len(column)).repeat_interleave(block, 0)[:height]
+            pixels = pixels.repeat_interleave(block, 1)[:, :width]
+            found.add(PixelSet.where(pixels.flatten() & valid, rays.offset[view]))
+    both = ObjectPixels(clear.finished(), veiled.finished())
+    return both if len(both) else ObjectPixels(both.clear, rays.sphere)
+
+
+def _around(flags: Tensor, rows: int, columns: int) -> Tensor:
+    """Whether each block or one of its eight neighbors is flagged; flags and result [rows * columns] bool."""
+    grid = flags.float().reshape(1, 1, rows, columns)
+    return functional.max_pool2d(grid, 3, 1, 1).flatten() > 0
 
 
 def held_out(index: Tensor, every: int) -> Tensor:

@@ -20,6 +20,9 @@ from blender_nep.presets import FieldsPreset
 from blender_nep.profiling import profiled, section
 from blender_nep.tone_mapping import tone_map
 
+_LEAST_OPACITY = 0.01
+"""Rays that are there for the object alone count from this opacity of the object on."""
+
 
 @dataclass(frozen=True)
 class RayBundle:
@@ -57,7 +60,7 @@ class Rendering:
     opacity: Tensor
     """[n] opacity of the object, 0..1"""
     weight: Tensor
-    """[n, 1] loss weight, the paper's w_l: w_s accumulated along the ray"""
+    """[n, 1] loss weight, the paper's w_l: w_s accumulated along the ray; 0 if nothing was rendered"""
     eikonal: Tensor
     """Scalar: mean of (|gradient of the SDF| - 1)^2 over all samples"""
     curvature: Tensor
@@ -129,8 +132,14 @@ class FieldsRenderer:
     preset: FieldsPreset
 
     @profiled("render")
-    def render(self, rays: RayBundle, settings: RenderSettings, generator: torch.Generator | None) -> Rendering:
-        """Render rays, whether they meet the sphere or not. With a generator (for learning), samples are jittered."""
+    def render(
+        self, rays: RayBundle, settings: RenderSettings, generator: torch.Generator | None, clear_rays: int = 0
+    ) -> Rendering:
+        """Render rays, whether they meet the sphere or not. With a generator (for learning), samples are jittered.
+
+        The first `clear_rays` rays are there for the object alone. F_e is known to be clear in front of them, and is not
+        rendered there. Those that the object hardly covers get the weight 0, and nothing is rendered behind it.
+        """
         p, n, device = self.preset, len(rays), rays.origins.device
         shape = self.object_field.shape()
         hits = SphereHits.of(rays, shape)
@@ -143,10 +152,13 @@ class FieldsRenderer:
             appearance = self.object_field.appearance(surface.point, normal, rays.directions[ray])
         opacity = surface.opacity.clamp(max=1)
         clear = torch.ones(len(meets), device=device).index_add(0, surface.ray, -opacity)
-        behind = (clear.detach() > p.transmittance_limit).nonzero()[:, 0]
+        idle = torch.zeros(n, dtype=torch.bool, device=device)
+        idle[:clear_rays] = True
+        idle[meets] &= clear.detach() > 1 - _LEAST_OPACITY
+        behind = ((clear.detach() > p.transmittance_limit) & ~idle[meets]).nonzero()[:, 0]
         on_support = hits.on_support[meets[behind]]
         below, behind = behind[on_support], behind[~on_support]
-        parts = self._render_environment(rays, hits, meets[behind], settings, generator)
+        parts = self._render_environment(rays, hits, meets[behind], settings, generator, clear_rays)
         inside = torch.zeros(len(meets), 3, device=device)
         inside = inside.index_add(0, surface.ray, opacity[:, None] * appearance.color)
         inside = inside.index_add(0, behind, clear[behind, None] * parts.back)
@@ -157,6 +169,7 @@ class FieldsRenderer:
         opacities = torch.zeros(n, device=device).index_add(0, ray, opacity)
         w_s = dynamic_weight(appearance, p.dynamic_weight if p.decomposition else "none", p.dynamic_weight_cap)
         weight = torch.ones(n, 1, device=device).index_add(0, ray, opacity.detach()[:, None] * (w_s - 1))
+        weight = weight * ~idle[:, None]
         nothing = radiance.sum() * 0
         eikonal = ((surface.sdf_gradient.norm(dim=-1) - 1) ** 2).mean() if len(ray) else nothing
         with section("curvature"):
@@ -182,6 +195,13 @@ class FieldsRenderer:
         normal = torch.as_tensor(self.object_field.support.normal, dtype=point.dtype, device=point.device)
         return self.object_field.appearance(point, normal.expand_as(point), rays.directions).color
 
+    @torch.no_grad()
+    def front_transmittance(self, origins: Tensor, directions: Tensor) -> Tensor:
+        """Transmittance [n] of F_e in front of the object's sphere, along rays [n, 3]; 0 where a ray misses the sphere."""
+        entry, leave, _ = self.object_field.shape().interval(origins, directions)
+        near = torch.full_like(entry, self.environment.preset.camera_near)
+        return self.environment.render(origins, directions, near, entry)[1] * (leave > entry)
+
     def _render_environment(
         self,
         rays: RayBundle,
@@ -189,25 +209,30 @@ class FieldsRenderer:
         behind: Tensor,
         settings: RenderSettings,
         generator: torch.Generator | None,
+        clear_rays: int,
     ) -> EnvironmentParts:
-        """Render F_e in front of the sphere for all rays, and behind it for the rays `behind` [k] int64.
+        """Render F_e in front of the sphere for all rays but the clear ones, and behind it for the rays `behind` [k] int64.
 
         One call of the kernel renders both.
         """
         n, device = len(rays), rays.origins.device
+        front = torch.arange(clear_rays, n, device=device)
         near = torch.full_like(hits.entry, self.environment.preset.camera_near)
         infinity = torch.full_like(hits.entry, torch.inf)
-        index = torch.cat([torch.arange(n, device=device), behind])
+        index = torch.cat([front, behind])
         part = rays[index]
-        start = torch.cat([near, hits.leave[behind]])
-        end = torch.cat([torch.where(hits.leave > hits.entry, hits.entry, infinity), infinity[behind]])
+        start = torch.cat([near[front], hits.leave[behind]])
+        end = torch.cat([torch.where(hits.leave > hits.entry, hits.entry, infinity)[front], infinity[behind]])
         radiance, transmittance = self.environment.render(
             part.origins, part.directions, start, end, part.half_angle, generator
         )
-        foreground_opacity = (1 - transmittance[:n][hits.rays]).mean() if len(hits.rays) else radiance.sum() * 0
+        k, everywhere = len(front), torch.ones(n, device=device)
+        lit = everywhere.index_copy(0, front, transmittance[:k])
+        foreground_opacity = (1 - lit[hits.rays]).mean() if len(hits.rays) else radiance.sum() * 0
         if settings.environment_gradient_scale != 1:
             # F_e shall follow the pixels beside the object, and not change so that the object's error becomes small
-            scale = torch.ones(n, device=device).index_fill(0, hits.rays, settings.environment_gradient_scale)[index]
+            scale = everywhere.index_fill(0, hits.rays, settings.environment_gradient_scale)[index]
             radiance = torch.lerp(radiance.detach(), radiance, scale[:, None])
-            transmittance = torch.lerp(transmittance.detach(), transmittance, scale)
-        return EnvironmentParts(radiance[:n], transmittance[:n], radiance[n:], foreground_opacity)
+            lit = everywhere.index_copy(0, front, torch.lerp(transmittance.detach(), transmittance, scale)[:k])
+        before = torch.zeros(n, 3, device=device).index_copy(0, front, radiance[:k])
+        return EnvironmentParts(before, lit, radiance[k:], foreground_opacity)

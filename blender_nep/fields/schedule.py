@@ -87,7 +87,7 @@ class Schedule:
         if len(errors) <= p.patience:
             return False
         # 1e-6: a check that is due at exactly the fraction of the refinement still sees the coarse grid
-        first = math.floor((p.refine_at - p.object_pixels_at[0]) / p.validate_every + 1e-6) + 1
+        first = math.floor((p.refine_at - p.validate_from) / p.validate_every + 1e-6) + 1
         errors = errors[max(0, first) :]
         return len(errors) > p.patience and min(errors[-p.patience :]) > (1 - p.least_gain) * min(errors[: -p.patience])
 
@@ -176,12 +176,12 @@ class Schedule:
     def validation_due(self) -> bool:
         """Whether the validation error must be measured now.
 
-        It is measured every `validate_every` of the fraction, after the object pixels were found for the first time.
+        It is measured every `validate_every` of the fraction, if the object pixels were found.
         """
         p = self.preset
         if not self.object_pixels_updates:
             return False
-        return self.fraction >= p.object_pixels_at[0] + p.validate_every * len(self.validation_errors)
+        return self.fraction >= p.validate_from + p.validate_every * len(self.validation_errors)
 
     def start_from_hull(self) -> None:
         """Note that the SDF starts from a visual hull. The surface may then start sharper than that of a sphere."""

@@ -29,7 +29,7 @@ from blender_nep.fields.hidden_object import hidden_pixels
 from blender_nep.fields.losses import FieldsLosses
 from blender_nep.fields.non_finite_monitor import NonFiniteMonitor, usable_gradients, usable_loss
 from blender_nep.fields.object_field import ObjectField
-from blender_nep.fields.object_pixels import draw_pixels, find_object_pixels, held_out_pixels, pixels_beside
+from blender_nep.fields.object_pixels import ObjectPixels, draw_pixels, find_object_pixels, held_out_pixels, pixels_beside
 from blender_nep.fields.plain_support import find_plain_support
 from blender_nep.fields.relief import Relief, find_relief
 from blender_nep.fields.rendering import FieldsRenderer, RayBundle, Rendering, RenderSettings
@@ -78,10 +78,10 @@ class FieldsLearning:
         """The relief that was found last; None if none was found."""
         self.fine_paint: float | None = None
         """How far photos from above and from below agree on fine colors of the hull; None without a hull."""
-        self.object_pixels = rays.sphere
+        self.object_pixels = ObjectPixels(rays.sphere.empty(), rays.sphere)
         """The object pixels. Until they are first found, all pixels that see the object's sphere."""
         self.validation_pixels = rays.sphere[:0]
-        """[n] int64: held-out pixels among the first object pixels. Empty until the object pixels are first found."""
+        """[n] int64: held-out pixels among the object pixels. Empty until the object pixels are first found."""
         self.hidden_pixels = rays.sphere[:0]
         """[m] int64, rising: pixels whose masks do not show the object because something stands before it."""
         self.loss = float("nan")
@@ -112,10 +112,10 @@ class FieldsLearning:
         random."""
         return self._render(RayBundle(*self.rays.rays(index)), generator)
 
-    def _render(self, rays: RayBundle, generator: torch.Generator | None) -> Rendering:
+    def _render(self, rays: RayBundle, generator: torch.Generator | None, clear_rays: int = 0) -> Rendering:
         now = self.schedule
         settings = RenderSettings(now.sharpness, now.samples, now.environment_gradient_scale)
-        return self.renderer.render(rays, settings, generator)
+        return self.renderer.render(rays, settings, generator, clear_rays)
 
     def learn_step(self) -> float:
         """Take one step and return its photometric loss. Raises LearningError when too many steps were not finite."""
@@ -129,9 +129,8 @@ class FieldsLearning:
     @profiled("steps of F_e alone")
     def _learn_background_step(self) -> float:
         """Take a step of F_e alone, on pixels whose rays miss the object's sphere."""
-        p = self.preset
         self._refine_environment()
-        index = self._draw(self.rays.outside, p.object_rays + p.sphere_rays + p.outside_rays)
+        index = self._draw(self.rays.outside, self.environment.preset.rays_per_step)
         self.optimisers.set_environment_rate(self.schedule)
         loss = environment_training.learn_step(
             self.environment, self.optimisers.environment, self.rays, index, self.generator
@@ -166,11 +165,11 @@ class FieldsLearning:
     @profiled("steps of both fields")
     def _learn_joint_step(self) -> float:
         self._prepare_joint_step()
-        index = self._draw_batch()
+        index, clear = self._draw_batch()
         with section("rays and photo values"):
             rays = RayBundle(*self.rays.rays(index))
             photo = self.rays.photo(index)
-        out = self._render(rays, self.generator)
+        out = self._render(rays, self.generator, clear)
         photometric = self.losses.photometric(out, photo)
         mask = None if self.rays.mask is None else self.rays.mask[index].float() / 255
         loss = self.losses.total(photometric, out, self.schedule.curvature_weight, mask, self._mask_says(index))
@@ -200,15 +199,13 @@ class FieldsLearning:
     def _draw(self, pool: PixelSet, count: int) -> Tensor:
         return draw_pixels(pool, count, self.preset.held_out_every, self.generator)
 
-    def _draw_batch(self) -> Tensor:
-        """The random pixels [n] int64 of a step of both fields."""
+    def _draw_batch(self) -> tuple[Tensor, int]:
+        """The random pixels [n] int64 of a step of both fields. In front of so many, the first ones, F_e is clear."""
         p = self.preset
-        pools = (
-            (self.object_pixels, p.object_rays),
-            (self.rays.sphere, p.sphere_rays),
-            (self.rays.outside, p.outside_rays),
-        )
-        return torch.cat([self._draw(pool, count) for pool, count in pools if len(pool)])
+        clear, veiled = self.object_pixels.draw(p.object_rays, p.held_out_every, self.generator)
+        pools = ((self.rays.sphere, p.sphere_rays), (self.rays.outside, p.outside_rays))
+        others = [self._draw(pool, count) for pool, count in pools if len(pool)]
+        return torch.cat([clear, veiled, *others]), len(clear)
 
     def _refine_environment(self) -> None:
         if environment_training.refine(self.environment, self.rays, self.background, self.schedule.environment_fraction):
@@ -325,11 +322,12 @@ class FieldsLearning:
             self.optimisers.restart_sdf()
 
     def update_object_pixels(self) -> None:
-        """Find the object pixels with the present SDF. The first time, also choose the validation pixels."""
-        self.object_pixels = find_object_pixels(self.rays, self.object_field.shape(), BAND / self.schedule.sharpness)
-        if not self.schedule.object_pixels_updates:
+        """Find the object pixels with the present SDF. Before the first validation, also choose the validation pixels."""
+        band, shape = BAND / self.schedule.sharpness, self.object_field.shape()
+        self.object_pixels = find_object_pixels(self.rays, shape, band, self.renderer.front_transmittance)
+        if not self.schedule.validation_errors:
             p = self.preset
-            self.validation_pixels = held_out_pixels(self.object_pixels, p.held_out_every, p.validation_pixels)
+            self.validation_pixels = held_out_pixels(self.object_pixels.joined(), p.held_out_every, p.validation_pixels)
 
     @profiled("held-out error")
     @torch.no_grad()
@@ -390,7 +388,7 @@ class FieldsLearning:
         self.environment.load_state_dict(state["environment"])
         self.optimisers.load(state["optimisers"])
         self.generator.set_state(state["generator"])
-        self.object_pixels = PixelSet.from_state(state["object_pixels"]).to(device)
+        self.object_pixels = ObjectPixels.from_state(state["object_pixels"], device)
         self.validation_pixels = state["validation_pixels"].to(device)
         self.hidden_pixels = state["hidden_pixels"].to(device)
         self.hull = None if state["hull"] is None else HullReport(**state["hull"])

@@ -89,7 +89,7 @@ def test_learning_does_not_hold_the_object_back_there(rays, monkeypatch):
         return loss
 
     monkeypatch.setattr(FieldsLosses, "total", spy)
-    monkeypatch.setattr(resumed, "_draw_batch", lambda: batch)
+    monkeypatch.setattr(resumed, "_draw_batch", lambda: (batch, 0))
     resumed.learn_step()
     is_hidden = np.isin(batch, hidden)
     np.testing.assert_array_equal(handed["says"] == 0, is_hidden)

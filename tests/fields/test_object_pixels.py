@@ -6,7 +6,7 @@ import torch
 from blender_nep.capture import PixelRays, load_capture
 from blender_nep.capture.pixel_set import PixelSet
 from blender_nep.fields.object_field import ObjectField
-from blender_nep.fields.object_pixels import draw_pixels, find_object_pixels, held_out_pixels
+from blender_nep.fields.object_pixels import ObjectPixels, draw_pixels, find_object_pixels, held_out_pixels
 from support.paths import SUZANNE_SMALL
 
 
@@ -15,16 +15,38 @@ def rays():
     return PixelRays.from_capture(load_capture(SUZANNE_SMALL), 10_000, False)
 
 
+def clear_above(origins, directions):
+    """Transmittances of a veil that hides the object from all cameras below its center."""
+    return torch.where(origins[:, 2] > 0, 1.0, 0.5)
+
+
 def test_the_object_is_found_in_the_pixels_that_show_it(rays):
     radius = 0.6
-    pixels = find_object_pixels(rays, ObjectField(64, radius).shape(), 0.06)
+    pixels = find_object_pixels(rays, ObjectField(64, radius).shape(), 0.06, clear_above)
     shown = torch.cat([rays.sphere.tensor(), rays.outside.tensor()])
     origins, directions, _ = rays.rays(shown)
     off_axis = torch.linalg.cross(origins, directions).norm(dim=-1)
     found = torch.zeros(rays.count, dtype=torch.bool)
-    found[pixels.tensor()] = True
+    found[pixels.joined().tensor()] = True
     found = found[shown]
     assert found[off_axis < radius].all() and not found[off_axis > radius + 0.45].any()
+
+
+def test_pixels_behind_a_veil_are_told_from_clear_ones(rays):
+    pixels = find_object_pixels(rays, ObjectField(64, 0.6).shape(), 0.06, clear_above)
+    for part, clear in ((pixels.clear, True), (pixels.veiled, False)):
+        origins, _, _ = rays.rays(part.tensor())
+        assert len(part) > 100 and ((origins[:, 2] > 0) == clear).all()
+
+
+def test_pixels_beside_a_veil_are_veiled_too(rays):
+    """One ray in 16 is asked, so the border of what stands before the object lies somewhere between two rays."""
+    band = 0.02
+    whole = find_object_pixels(rays, ObjectField(64, 0.6).shape(), band, lambda o, d: torch.ones(len(o)))
+    half = find_object_pixels(rays, ObjectField(64, 0.6).shape(), band, lambda o, d: (d[:, 2] < 0).float())
+    assert len(whole.veiled) == 0 and len(half) == len(whole)
+    _, directions, _ = rays.rays(half.clear.tensor())
+    assert (directions[:, 2] < 0).all(), "no pixel of a clear block looks through the veil"
 
 
 def test_an_object_that_is_nowhere_may_be_anywhere_in_its_sphere(rays):
@@ -32,7 +54,19 @@ def test_an_object_that_is_nowhere_may_be_anywhere_in_its_sphere(rays):
         def near(self, origins, directions, band):
             return torch.zeros(len(origins), dtype=torch.bool)
 
-    assert find_object_pixels(rays, Nothing(), 0.06) is rays.sphere
+    pixels = find_object_pixels(rays, Nothing(), 0.06, clear_above)
+    assert pixels.veiled is rays.sphere and not len(pixels.clear)
+
+
+def test_clear_and_veiled_pixels_are_drawn_in_their_proportion():
+    flags = torch.ones(500, dtype=torch.bool)
+    pixels = ObjectPixels(PixelSet.where(flags, 1), PixelSet.where(flags[:100], 501))
+    clear, veiled = pixels.draw(600, 1 << 40, torch.Generator().manual_seed(0))
+    assert (len(clear), len(veiled)) == (500, 100) and (clear <= 500).all() and (veiled > 500).all()
+    clear, veiled = ObjectPixels(pixels.clear.empty(), pixels.veiled).draw(7, 1 << 40, torch.Generator().manual_seed(0))
+    assert (len(clear), len(veiled)) == (0, 7)
+    again = ObjectPixels.from_state(pixels.state(), torch.device("cpu"))
+    assert torch.equal(again.joined().tensor(), pixels.joined().tensor()) and len(again.clear) == 500
 
 
 def test_held_out_pixels_are_thinned_evenly():

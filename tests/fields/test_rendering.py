@@ -92,6 +92,43 @@ def test_a_ray_sees_the_environment_the_object_or_both():
     torch.testing.assert_close(out.foreground_opacity, (1 - clear[:2]).mean())
 
 
+def test_rays_for_the_object_alone_have_nothing_in_front_and_do_not_count_beside_it():
+    fields, seen = renderer(brief_preset()), rays([0.0, 0.8, 1.5, 0.0, 0.8])
+    full, out = fields.render(seen, SHARP, None), fields.render(seen, SHARP, None, clear_rays=3)
+    color = fields.object_field.appearance(
+        torch.tensor([[0.0, 0.0, 0.6]]), torch.tensor([[0.0, 0.0, 1.0]]), seen.directions[:1]
+    ).color
+    torch.testing.assert_close(out.radiance[0], color[0], rtol=0.02, atol=0)
+    assert out.weight[:, 0].tolist() == [1, 0, 0, 1, 1], "the second ray passes the object, the third one its sphere"
+    torch.testing.assert_close(out.radiance[3:], full.radiance[3:])
+    torch.testing.assert_close(out.opacity, full.opacity)
+    opacity = 1 - fields.front_transmittance(seen.origins, seen.directions)
+    assert opacity[2] == 1, "a ray that misses the sphere is never clear"
+    torch.testing.assert_close(full.foreground_opacity, opacity[[0, 1, 3, 4]].mean())
+    torch.testing.assert_close(out.foreground_opacity, opacity[[3, 4]].sum() / 4)
+
+
+def test_behind_the_border_of_the_object_the_environment_is_rendered():
+    fields, seen = renderer(brief_preset()), rays([0.601])
+    out = fields.render(seen, SHARP, None, clear_rays=1)
+    assert 0.1 < out.opacity < 0.9 and out.weight == 1
+    full = fields.render(seen, SHARP, None)
+    _, clear = fields.environment.render(seen.origins, seen.directions, torch.tensor([0.6]), torch.tensor([3 - 0.799]))
+    before, _ = fields.environment.render(seen.origins, seen.directions, torch.tensor([0.6]), torch.tensor([3 - 0.799]))
+    torch.testing.assert_close(before + clear[:, None] * out.radiance, full.radiance, rtol=1e-3, atol=0)
+
+
+def test_the_prior_on_opacity_in_front_is_not_scaled_down_with_the_pixels_of_the_object():
+    gradients = []
+    for scale in (1.0, 0.1):
+        fields = renderer(brief_preset())
+        settings = replace(SHARP, environment_gradient_scale=scale)
+        fields.render(rays([0.0, 0.8]), settings, None, clear_rays=1).foreground_opacity.backward()
+        gradients.append(fields.environment.raw.grad)
+    torch.testing.assert_close(gradients[1], gradients[0])
+    assert gradients[0].abs().max() > 0
+
+
 def test_nothing_is_nearer_to_a_camera_than_camera_near():
     opacity = []
     for near in (0.6, 1.2):

@@ -214,10 +214,9 @@ def test_what_the_schedule_wants_done_is_done(rays):
         learning.learn_step()
         joint = learning.schedule.learned > 0
         assert learning.object_field.level_count == (p.last_levels if joint and before >= p.refine_at else p.first_levels)
-        looked = joint and before >= p.object_pixels_at[0]
-        assert (learning.object_pixels is whole) != looked and bool(len(learning.validation_pixels)) == looked
-        assert bool(learning.schedule.validation_errors) == looked
-    assert learning.schedule.object_pixels_updates == 3 and learning.schedule.carvings == 2
+        assert (learning.object_pixels is whole) != joint and bool(len(learning.validation_pixels)) == joint
+        assert bool(learning.schedule.validation_errors) == (joint and before >= p.validate_from)
+    assert learning.schedule.object_pixels_updates == 4 and learning.schedule.carvings == 2
     assert learning.schedule.cavities_opened
     assert len(learning.object_pixels) < len(whole)
     held_out = learning.validation_pixels
