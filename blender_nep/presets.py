@@ -32,7 +32,8 @@ class FieldsPreset:
     environment_gradient_scale_until: float = 0.5
     """Fraction until which `environment_gradient_scale` holds."""
     object_rays: int = 6144
-    """Rays of a step through object pixels. Most of the error of the shape is noise of steps with too few such rays."""
+    """Rays of a step through object pixels. Until these are first found, the rays go through the object's sphere. With few
+    such rays, the noise of the steps is a large part of the error of the shape."""
     object_pixels_at: tuple[float, ...] = (0.0, 0.25, 0.5, 0.75)
     """Fractions, rising, at which the object pixels are found."""
     carve_again_at: tuple[float, ...] = (0.5, 0.75)
@@ -419,9 +420,7 @@ PRESETS = {
         material_seconds=45,
         environment_height=128,
         fields=FieldsPreset(background_steps=200, steps=700, object_rays=4096, sphere_rays=384, outside_rays=512),
-        environment=EnvironmentPreset(
-            resolutions=((20, 32), (28, 64)), refine_at=(0.25,), detail_rows=256, rays_per_step=3072, steps=600
-        ),
+        environment=EnvironmentPreset(resolutions=((20, 32), (28, 64)), refine_at=(0.25,), detail_rows=256, steps=600),
         surface=SurfacePreset(
             grid=192, unwrapped_faces=8_000, faces=60_000, chord_error=3.5e-4, normal_texels=1024, atlas_texels=512
         ),

@@ -46,14 +46,16 @@ SIZES = {
         "width": 256,
         "layers": 8,
         "fields": {"object_rays": 256, "sphere_rays": 256, "outside_rays": 512, "first_samples": 128, "samples": 128},
+        "environment": {"rays_per_step": 1024},
     },
     "small": {
         "width": 128,
         "layers": 4,
         "fields": {"object_rays": 128, "sphere_rays": 128, "outside_rays": 256, "first_samples": 64, "samples": 64},
+        "environment": {"rays_per_step": 512},
     },
 }
-"""Sizes of the MLP and of a step. Half of the rays that meet the sphere go to object pixels, as in our own presets."""
+"""Sizes of the MLP and of a step. Half of the rays that meet the sphere go to object pixels."""
 REFERENCE = {
     "fields": {
         "relief_at": (),
@@ -112,7 +114,7 @@ def run(folder: Path, size: str, hours: float, steps: int | None, seed: int, kep
     test = geometry.load_test_views(folder, capture)
     device = torch.device("cpu")
     settings = with_changes(replace(preset("balanced"), name="reference"), REFERENCE)
-    settings = with_changes(settings, {"fields": SIZES[size]["fields"]})
+    settings = with_changes(settings, {part: SIZES[size][part] for part in ("fields", "environment")})
     rays = PixelRays.from_capture(capture, settings.max_pixels_per_photo, False, device)
     plan = planned(kept / "plan.json", rays, settings, size, hours, steps, seed)
     settings = with_changes(settings, {"fields": {"steps": plan["steps"]}})

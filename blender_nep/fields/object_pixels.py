@@ -38,12 +38,11 @@ class ObjectPixels:
         return PixelSet.joined([self.veiled, self.clear])
 
     def draw(self, count: int, every: int, generator: torch.Generator) -> tuple[Tensor, Tensor]:
-        """About `count` random pixels, as `draw_pixels`: the clear ones [c] and the veiled ones [v], in their proportion."""
-        clear = round(count * len(self.clear) / max(1, len(self)))
-        parts = ((self.clear, clear), (self.veiled, count - clear))
-        nothing = torch.empty(0, dtype=torch.int64, device=generator.device)
-        drawn = [draw_pixels(pool, n, every, generator) if n and len(pool) else nothing for pool, n in parts]
-        return drawn[0], drawn[1]
+        """About `count` random pixels that are not held out: the clear ones [c] and the veiled ones [v], in int64."""
+        place = torch.randint(len(self), (count,), generator=generator, device=generator.device)
+        clear, veiled = place[place < len(self.clear)], place[place >= len(self.clear)] - len(self.clear)
+        clear, veiled = self.clear[clear], self.veiled[veiled]
+        return clear[~held_out(clear, every)], veiled[~held_out(veiled, every)]
 
     def state(self) -> dict:
         """Both sets, as they are saved on the disk."""
@@ -58,14 +57,18 @@ class ObjectPixels:
 @profiled("object pixels")
 @torch.no_grad()
 def find_object_pixels(
-    rays: PixelRays, shape: SplineShape, band: float, transmittance: Callable[[Tensor, Tensor], Tensor], block: int = 4
+    rays: PixelRays,
+    shape: SplineShape,
+    band: float,
+    transmittance: Callable[[Tensor, Tensor], Tensor] | None,
+    block: int = 4,
 ) -> ObjectPixels:
     """The object pixels: valid pixels whose rays come nearer to the surface than `band` (unit frame), and some around them.
 
     One ray for each block of `block` x `block` pixels is tried. A block is taken if its ray comes so near that the ray of
-    one of its pixels may be near. It is clear if F_e lets through nearly all light along its ray and its neighbors' rays:
-    transmittance(origins [n, 3], directions [n, 3]) gives the share [n]. If there are no object pixels, all pixels that see
-    the object's sphere are taken for veiled ones.
+    one of its pixels may be near; rays that miss the sphere do not count. It is clear if F_e lets through nearly all light
+    along its ray and its neighbors' rays: transmittance(origins [n, 3], directions [n, 3]) gives the share [n]; None: no
+    block is clear. If there are no object pixels, all pixels that see the object's sphere are taken for veiled ones.
     """
     device = rays.valid.device
     clear, veiled = GrowingPixelSet(device), GrowingPixelSet(device)
@@ -74,10 +77,12 @@ def find_object_pixels(
         column = torch.arange(0, width, block, device=device).add(block // 2).clamp(max=width - 1)
         index = (rays.offset[view] + row[:, None] * width + column).flatten()
         origins, directions, half_angle = rays.rays(index)
-        corner = math.sqrt(2) * block * float((half_angle * origins.norm(dim=1)).mean())  # from a block's center, unit frame
+        far = origins[0].norm() + 1  # the far side of the sphere, where pixels are widest
+        corner = math.sqrt(2) * block * float(half_angle.max() * far)
         seen = shape.near(origins, directions, band + corner)
-        veil = torch.zeros_like(seen)
-        veil[seen] = transmittance(origins[seen], directions[seen]) < _CLEAR
+        veil = seen.clone()
+        if transmittance is not None and seen.any():
+            veil[seen] = transmittance(origins[seen], directions[seen]) < _CLEAR
         veil = _around(veil, len(row), len(column))
         valid = rays.valid[rays.offset[view] : rays.offset[view + 1]]
         for blocks, found in ((seen & ~veil, clear), (seen & veil, veiled)):

@@ -8,6 +8,7 @@ heads, as that of the object's surface. A ray that meets the plane before the sp
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import torch
@@ -60,13 +61,14 @@ class Rendering:
     opacity: Tensor
     """[n] opacity of the object, 0..1"""
     weight: Tensor
-    """[n, 1] loss weight, the paper's w_l: w_s accumulated along the ray; 0 if nothing was rendered"""
+    """[n, 1] loss weight, the paper's w_l: w_s accumulated along the ray.
+    It is 0 for rays for the object alone that the object hardly covers"""
     eikonal: Tensor
     """Scalar: mean of (|gradient of the SDF| - 1)^2 over all samples"""
     curvature: Tensor
     """Scalar: mean of sqrt(|Hessian of the SDF|^2 + 1) over surface points; 0 if the curvature loss has no weight"""
     foreground_opacity: Tensor
-    """Scalar: mean opacity of F_e between the cameras and the object's sphere"""
+    """Scalar: mean opacity of F_e between the cameras and the object's sphere. Rays for the object alone count as 0"""
 
 
 @dataclass(frozen=True)
@@ -91,16 +93,16 @@ class SphereHits:
 
 @dataclass(frozen=True)
 class EnvironmentParts:
-    """F_e's part of n rays: in front of the sphere for all rays, and behind the sphere for k of the rays."""
+    """F_e's part of n rays: in front of the sphere, and behind the sphere for k of the rays."""
 
     front: Tensor
-    """[n, 3] radiance in front of the sphere; for a ray that misses the sphere, radiance of the whole ray"""
+    """[n, 3] radiance in front of the sphere; of the whole ray if it misses the sphere; 0 of rays for the object alone"""
     transmittance: Tensor
-    """[n] transmittance of F_e up to the sphere"""
+    """[n] transmittance of F_e up to the sphere; 1 for rays for the object alone"""
     back: Tensor
     """[k, 3] radiance behind the sphere"""
     foreground_opacity: Tensor
-    """Scalar: mean opacity of F_e between the cameras and the object's sphere"""
+    """Scalar, as in `Rendering`"""
 
 
 def dynamic_weight(appearance: Appearance, kind: str, cap: float, epsilon: float = 1e-3) -> Tensor:
@@ -195,12 +197,17 @@ class FieldsRenderer:
         normal = torch.as_tensor(self.object_field.support.normal, dtype=point.dtype, device=point.device)
         return self.object_field.appearance(point, normal.expand_as(point), rays.directions).color
 
-    @torch.no_grad()
-    def front_transmittance(self, origins: Tensor, directions: Tensor) -> Tensor:
-        """Transmittance [n] of F_e in front of the object's sphere, along rays [n, 3]; 0 where a ray misses the sphere."""
-        entry, leave, _ = self.object_field.shape().interval(origins, directions)
-        near = torch.full_like(entry, self.environment.preset.camera_near)
-        return self.environment.render(origins, directions, near, entry)[1] * (leave > entry)
+    def front(self, shape: SplineShape) -> Callable[[Tensor, Tensor], Tensor]:
+        """A function of origins and directions [n, 3] of rays that meet the sphere. It gives the transmittance [n] of F_e
+        in front of the sphere, or in front of the support plane of `shape`."""
+
+        def transmittance(origins: Tensor, directions: Tensor) -> Tensor:
+            entry = shape.interval(origins, directions)[0]
+            near = torch.full_like(entry, self.environment.preset.camera_near)
+            with torch.no_grad():
+                return self.environment.render(origins, directions, near, entry)[1]
+
+        return transmittance
 
     def _render_environment(
         self,

@@ -176,7 +176,7 @@ class Schedule:
     def validation_due(self) -> bool:
         """Whether the validation error must be measured now.
 
-        It is measured every `validate_every` of the fraction, if the object pixels were found.
+        It is measured from `validate_from` on, every `validate_every` of the fraction, if the object pixels were found.
         """
         p = self.preset
         if not self.object_pixels_updates:

@@ -200,7 +200,7 @@ class FieldsLearning:
         return draw_pixels(pool, count, self.preset.held_out_every, self.generator)
 
     def _draw_batch(self) -> tuple[Tensor, int]:
-        """The random pixels [n] int64 of a step of both fields. In front of so many, the first ones, F_e is clear."""
+        """The random pixels [n] int64 of a step of both fields, and how many of the first ones have a clear F_e in front."""
         p = self.preset
         clear, veiled = self.object_pixels.draw(p.object_rays, p.held_out_every, self.generator)
         pools = ((self.rays.sphere, p.sphere_rays), (self.rays.outside, p.outside_rays))
@@ -322,9 +322,13 @@ class FieldsLearning:
             self.optimisers.restart_sdf()
 
     def update_object_pixels(self) -> None:
-        """Find the object pixels with the present SDF. Before the first validation, also choose the validation pixels."""
+        """Find the object pixels with the present SDF. Before the first validation, also choose the validation pixels.
+
+        The first time, none of them counts as clear: F_e has not learned yet what stands in front of the object.
+        """
         band, shape = BAND / self.schedule.sharpness, self.object_field.shape()
-        self.object_pixels = find_object_pixels(self.rays, shape, band, self.renderer.front_transmittance)
+        front = self.renderer.front(shape) if self.schedule.object_pixels_updates else None
+        self.object_pixels = find_object_pixels(self.rays, shape, band, front)
         if not self.schedule.validation_errors:
             p = self.preset
             self.validation_pixels = held_out_pixels(self.object_pixels.joined(), p.held_out_every, p.validation_pixels)

@@ -109,7 +109,7 @@ def test_it_takes_the_place_of_the_object_field_and_a_resumed_learning_goes_on_t
         "samples": 16,
         "object_pixels_at": (0.2,),
     }
-    settings = with_changes(settings, {"fields": short})
+    settings = with_changes(settings, {"fields": short, "environment": {"rays_per_step": 192}})
 
     def learning(seed: int) -> FieldsLearning:
         torch.manual_seed(seed)

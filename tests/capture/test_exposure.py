@@ -170,6 +170,7 @@ def test_no_result_depends_on_the_exposures_of_the_photos(tmp_path):
     p = preset("preview")
     p = replace(
         p,
+        environment=replace(p.environment, rays_per_step=384),
         fields=replace(
             p.fields,
             background_steps=8,

@@ -1,6 +1,7 @@
 """Stage 1 on the capture in the repository: what is learned, determinism, resume, ablations."""
 
 import math
+from copy import deepcopy
 from dataclasses import replace
 
 import numpy as np
@@ -16,6 +17,7 @@ from blender_nep.errors import LearningError
 from blender_nep.fields import training
 from blender_nep.fields.fields import Fields, FieldsReport, HullReport
 from blender_nep.fields.object_field import ObjectField
+from blender_nep.fields.rendering import FieldsRenderer
 from blender_nep.fields.training import FieldsLearning, learn_fields
 from blender_nep.geometry.mesh import Surface
 from blender_nep.geometry.ray_tracing import RayTracer
@@ -224,6 +226,27 @@ def test_what_the_schedule_wants_done_is_done(rays):
     # the error that is measured is that of what is rendered
     difference = tone_map(learning.render(held_out).radiance) - tone_map(rays.photo(held_out))
     assert learning.validation_error() == pytest.approx(difference.abs().mean().item())
+
+
+def test_rays_for_clear_pixels_come_first_once_f_e_has_learned_what_is_in_front(rays, monkeypatch):
+    clear_rays, render = [], FieldsRenderer.render
+
+    def spy(renderer, bundle, settings, generator, clear=0):
+        clear_rays.append(clear)
+        return render(renderer, bundle, settings, generator, clear)
+
+    monkeypatch.setattr(FieldsRenderer, "render", spy)
+    brief = brief_preset(background_steps=2, steps=12, first_sharpness=100.0, validate_from=2.0)
+    preset = with_changes(brief, {"environment": {"initial_raw_density": -9.0}})  # F_e is clear
+    learning = FieldsLearning(rays, preset, 0, CPU)
+    while learning.fraction < 0.5:
+        learning.learn_step()
+    assert clear_rays[:3] == [0, 0, 0] and min(clear_rays[3:]) > 200, "at a quarter of the learning F_e is asked first"
+    index, clear = learning._draw_batch()
+    assert clear > 200 and np.isin(index[:clear], learning.object_pixels.clear.tensor()).all()
+    resumed = FieldsLearning(rays, preset, 0, CPU)
+    resumed.load(deepcopy(learning.state()))
+    assert [learning.learn_step() for _ in range(3)] == [resumed.learn_step() for _ in range(3)]
 
 
 def test_the_report_says_how_it_went_in_plain_values():

@@ -10,6 +10,7 @@ def brief_preset(**fields) -> Preset:
     p = preset("preview")
     return replace(
         p,
+        environment=replace(p.environment, rays_per_step=768),
         fields=replace(
             p.fields,
             **{"background_steps": 6, "steps": 24, "object_rays": 256, "sphere_rays": 256, "outside_rays": 256, **fields},
