@@ -33,7 +33,7 @@ class FieldsPreset:
     """Fraction until which `environment_gradient_scale` holds."""
     object_rays: int = 6144
     """Rays of a step through object pixels. Until these are first found, the rays go through the object's sphere. With few
-    such rays, the noise of the steps is a large part of the error of the shape."""
+    such rays, steps are noisy, and the priors outweigh the photos."""
     object_pixels_at: tuple[float, ...] = (0.0, 0.25, 0.5, 0.75)
     """Fractions, rising, at which the object pixels are found."""
     carve_again_at: tuple[float, ...] = (0.5, 0.75)

@@ -234,12 +234,12 @@ class FieldsRenderer:
             part.origins, part.directions, start, end, part.half_angle, generator
         )
         k, everywhere = len(front), torch.ones(n, device=device)
-        lit = everywhere.index_copy(0, front, transmittance[:k])
-        foreground_opacity = (1 - lit[hits.rays]).mean() if len(hits.rays) else radiance.sum() * 0
+        passed = everywhere.index_copy(0, front, transmittance[:k])
+        foreground_opacity = (1 - passed[hits.rays]).mean() if len(hits.rays) else radiance.sum() * 0
         if settings.environment_gradient_scale != 1:
             # F_e shall follow the pixels beside the object, and not change so that the object's error becomes small
             scale = everywhere.index_fill(0, hits.rays, settings.environment_gradient_scale)[index]
             radiance = torch.lerp(radiance.detach(), radiance, scale[:, None])
-            lit = everywhere.index_copy(0, front, torch.lerp(transmittance.detach(), transmittance, scale)[:k])
+            passed = everywhere.index_copy(0, front, torch.lerp(transmittance.detach(), transmittance, scale)[:k])
         before = torch.zeros(n, 3, device=device).index_copy(0, front, radiance[:k])
-        return EnvironmentParts(before, lit, radiance[k:], foreground_opacity)
+        return EnvironmentParts(before, passed, radiance[k:], foreground_opacity)
