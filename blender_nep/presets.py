@@ -81,9 +81,9 @@ class FieldsPreset:
     """NeuS sharpness at the start if the SDF starts from a sphere, 1 / object radius."""
     hull_sharpness: float = 40.0
     """NeuS sharpness at the start if the SDF starts from a visual hull, 1 / object radius."""
-    last_sharpness: float = 300.0
-    """NeuS sharpness at the end, 1 / object radius. With 500, a dent grew in a test object."""
-    sharpness_until: float = 0.85
+    last_sharpness: float = 500.0
+    """NeuS sharpness at the end, 1 / object radius. While the surface is soft, hollows are filled."""
+    sharpness_until: float = 0.5
     """Fraction until which the sharpness rises."""
     first_samples: int = 16
     """Samples of the object field on each ray until `first_samples_until`, while the surface is soft and its band wide."""
@@ -436,7 +436,7 @@ PRESETS = {
         surface_seconds=20,
         material_seconds=200,
         environment_height=512,
-        fields=FieldsPreset(background_steps=400, steps=4000, object_rays=8192, last_sharpness=400),
+        fields=FieldsPreset(background_steps=400, steps=4000, object_rays=8192),
         environment=EnvironmentPreset(steps=4000),
         surface=SurfacePreset(grid=288, unwrapped_faces=20_000, faces=150_000, chord_error=2e-4, atlas_texels=2048),
         material=MaterialPreset(samples=80_000, label_pixels=600_000, unseen_samples=16_000, most_texels=2048),

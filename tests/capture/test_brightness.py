@@ -56,7 +56,7 @@ def test_dark_photos_give_the_same_object_as_bright_ones(rays):
     """Before, a loss on dark photos was small beside the priors."""
 
     def learned(photos):
-        learning = FieldsLearning(photos, brief_preset(), 0, torch.device("cpu"))
+        learning = FieldsLearning(photos, brief_preset(coarsest_cells=16), 0, torch.device("cpu"))
         for _ in range(25):
             learning.learn_step()
         return learning.object_field.coefficients().detach()

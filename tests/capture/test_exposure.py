@@ -1,5 +1,6 @@
 """Exposures of photos: known ones are found again, and none are found where photos cannot tell."""
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -178,6 +179,8 @@ def test_no_result_depends_on_the_exposures_of_the_photos(tmp_path):
             object_rays=128,
             sphere_rays=128,
             outside_rays=128,
+            coarsest_cells=8,
+            open_cavities_at=math.inf,
             least_explanation_ratio=0,
         ),
     )

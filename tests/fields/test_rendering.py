@@ -108,7 +108,7 @@ def test_rays_for_the_object_alone_have_nothing_in_front_and_do_not_count_beside
 
 
 def test_behind_the_border_of_the_object_the_environment_is_rendered():
-    fields, seen = renderer(brief_preset()), rays([0.601])
+    fields, seen = renderer(brief_preset(coarsest_cells=16)), rays([0.601])
     out = fields.render(seen, SHARP, None, clear_rays=1)
     assert 0.1 < out.opacity < 0.9 and out.weight == 1
     full = fields.render(seen, SHARP, None)

@@ -172,7 +172,8 @@ def test_f_e_is_learned_alone_for_as_many_steps_as_the_preset_says(rays, steps):
 def test_the_sdf_starts_from_a_hull_only_where_that_tells_the_object_from_its_surroundings(
     masked_rays, least_contrast, from_hull
 ):
-    learning = FieldsLearning(masked_rays, brief_preset(background_steps=0, least_contrast=least_contrast), 0, CPU)
+    chosen = brief_preset(background_steps=0, coarsest_cells=16, least_contrast=least_contrast)
+    learning = FieldsLearning(masked_rays, chosen, 0, CPU)
     points = 0.6 * torch.nn.functional.normalize(torch.randn(100, 3, generator=torch.Generator().manual_seed(0)), dim=-1)
     learning.start_from_hull()
     is_sphere = bool((learning.object_field.sdf(points).abs() < 0.02).all())
@@ -207,8 +208,9 @@ def test_the_environment_is_the_one_of_the_preset(rays):
 
 
 def test_what_the_schedule_wants_done_is_done(rays):
-    """Levels, object pixels and the validation error, each when it is due."""
-    learning = FieldsLearning(rays, brief_preset(background_steps=1, steps=12, first_sharpness=100.0), 0, CPU)
+    """Levels, object pixels, cavities and the validation error, each when it is due."""
+    chosen = brief_preset(background_steps=1, steps=12, first_sharpness=100.0, open_cavities_at=0.5)
+    learning = FieldsLearning(rays, chosen, 0, CPU)
     p, whole = learning.preset, learning.object_pixels
     assert learning.validation_error() == math.inf, "no pixels have been chosen yet"
     while learning.fraction < 1:
