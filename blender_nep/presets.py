@@ -242,11 +242,11 @@ class SurfacePreset:
     unwrapped_faces: int = 12_000
     """Largest number of faces, about, after decimation, when the UV atlas is made. xatlas takes about 3 s for 20,000 faces
     and 14 s for 60,000."""
-    faces: int = 80_000
+    faces: int = 120_000
     """Largest number of faces of the mesh, after its edges are halved where the surface bends."""
     relief_faces: int = 300_000
     """The same where the SDF has relief that is finer than its grid."""
-    chord_error: float = 2.5e-4
+    chord_error: float = 1.5e-4
     """Edges that are farther from the surface than this, in object radii, are halved (`surface.subdivision`)."""
     asset_faces: int = 0
     """Largest number of faces of the asset's mesh (--faces). If it is smaller than `faces`, the asset gets a normal map that
@@ -422,7 +422,7 @@ PRESETS = {
         fields=FieldsPreset(background_steps=200, steps=700, object_rays=4096, sphere_rays=384, outside_rays=512),
         environment=EnvironmentPreset(resolutions=((20, 32), (28, 64)), refine_at=(0.25,), detail_rows=256, steps=600),
         surface=SurfacePreset(
-            grid=192, unwrapped_faces=8_000, faces=60_000, chord_error=3.5e-4, normal_texels=1024, atlas_texels=512
+            grid=192, unwrapped_faces=8_000, faces=80_000, chord_error=2.5e-4, normal_texels=1024, atlas_texels=512
         ),
         material=MaterialPreset(
             samples=12_000, label_pixels=60_000, terminal_steps=150, unseen_samples=4000, unseen_steps=60, most_texels=512
@@ -438,7 +438,7 @@ PRESETS = {
         environment_height=512,
         fields=FieldsPreset(background_steps=400, steps=4000, object_rays=8192),
         environment=EnvironmentPreset(steps=4000),
-        surface=SurfacePreset(grid=288, unwrapped_faces=20_000, faces=150_000, chord_error=2e-4, atlas_texels=2048),
+        surface=SurfacePreset(grid=288, unwrapped_faces=20_000, faces=240_000, chord_error=1.2e-4, atlas_texels=2048),
         material=MaterialPreset(samples=80_000, label_pixels=600_000, unseen_samples=16_000, most_texels=2048),
     ),
 }
