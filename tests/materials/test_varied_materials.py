@@ -79,9 +79,7 @@ def test_paint_does_not_follow_the_light(ball, varied):
     known = face >= 0
     points = torch.from_numpy(np.einsum("nc,nck->nk", barycentric[known], ball.vertices[ball.faces[face[known]]])).float()
     true, _, metal = many_paints(points)
-    white = make_photos(
-        lambda at: (torch.ones(len(at), 3), torch.ones(len(at)), torch.zeros(len(at))), views=16, side=48, rays=64
-    )
+    white = make_photos(lambda at: (torch.ones(len(at), 3), torch.ones(len(at)), torch.zeros(len(at))), views=16, side=48)
     lit = white.radiance.sum(1) > 0
     place = white.origin[lit] + white.direction[lit] * ray_lengths(white.origin[lit], white.direction[lit])[:, None]
     near = torch.cdist(points[::7], place).argmin(1)
