@@ -1,6 +1,5 @@
 """Exposures of photos: known ones are found again, and none are found where photos cannot tell."""
 
-import math
 from dataclasses import replace
 
 import numpy as np
@@ -19,6 +18,7 @@ from blender_nep.materials.photo_samples import select_samples
 from blender_nep.messages import Message
 from blender_nep.presets import preset
 from blender_nep.surface.mesh_file import load_surface
+from support.brief_preset import brief_preset
 from support.paths import SUZANNE_SMALL
 from support.table_scene import write_table_scene
 
@@ -168,22 +168,8 @@ def test_no_result_depends_on_the_exposures_of_the_photos(tmp_path):
     other = taken_with(rays, true).with_gain(true)
     surface = load_surface(SUZANNE_SMALL / "gt_mesh.ply", load_capture(SUZANNE_SMALL), preset("preview").surface)
     tracer = RayTracer(surface.vertices, surface.faces)
-    p = preset("preview")
-    p = replace(
-        p,
-        environment=replace(p.environment, rays_per_step=384),
-        fields=replace(
-            p.fields,
-            background_steps=8,
-            steps=24,
-            object_rays=128,
-            sphere_rays=128,
-            outside_rays=128,
-            coarsest_cells=8,
-            open_cavities_at=math.inf,
-            least_explanation_ratio=0,
-        ),
-    )
+    rays_per_step = {"object_rays": 128, "sphere_rays": 128, "outside_rays": 128}
+    p = brief_preset(background_steps=8, least_explanation_ratio=0, **rays_per_step)
 
     def all_of(photos: PixelRays) -> list:
         fields = learn_fields(
