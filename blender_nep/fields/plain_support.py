@@ -25,8 +25,9 @@ from blender_nep.profiling import profiled
 MOST_SPREAD = 0.035
 """Largest tone-mapped spread of a support's colors. Measured: 0.007 to 0.019 on tables and plates (0.038 under a mirror on a
 plain plate); at least 0.05 at all heights where the object floats."""
-NEAR_LEAST = 1.25
-"""The spread of the plane is at most this multiple of the least spread of all lower planes."""
+NEAR_LEAST, LOW_SHARE = 1.25, 0.1
+"""The spread of the plane is at most NEAR_LEAST times that of the lower planes that agree best. That is the LOW_SHARE
+quantile of their spreads. It is not the least, because few points of the lowest planes are seen."""
 RISE, LEAST_RISE = 0.1, 1.4
 """RISE above the plane, in object radii, the spread must have grown by the factor LEAST_RISE."""
 NEAREST, FARTHEST = 0.03, 0.35
@@ -54,7 +55,7 @@ def find_plain_support(rays: PixelRays, hull_sdf: np.ndarray) -> Support | None:
     near_foot = _NearFoot(rays, hull_sdf, up)
     spread = np.array([near_foot.spread(float(height)) for height in heights])
     for k in range(len(spread) - 1 - round(RISE / STEP), -1, -1):
-        agrees = spread[k] <= MOST_SPREAD and spread[k] <= NEAR_LEAST * np.nanmin(spread[: k + 1])
+        agrees = spread[k] <= MOST_SPREAD and spread[k] <= NEAR_LEAST * np.nanquantile(spread[: k + 1], LOW_SHARE)
         if agrees and spread[k + round(RISE / STEP)] >= LEAST_RISE * spread[k]:
             return Support(up, float(heights[k]))
     return None

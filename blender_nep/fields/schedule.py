@@ -1,7 +1,8 @@
 """The schedule of fields learning: numbers that change while the fields are learned. It holds no tensors.
 
-Fields learning first learns F_e alone for `background_steps` steps, and then both fields together. While both are learned,
-the numbers depend on `fraction`: how much of that learning is done.
+Fields learning first learns F_e alone for `background_steps` steps. If the SDF starts from a visual hull, steps of the
+colors alone follow: F_e and the color heads are learned, and the SDF stays as it is. Then both fields are learned together,
+and the numbers depend on `fraction`: how much of that learning is done.
 """
 
 from __future__ import annotations
@@ -23,13 +24,13 @@ class Schedule:
 
     preset: FieldsPreset
     background_steps: int
-    """Number of steps of F_e alone, before both fields are learned together."""
-    start_sharpness: float
-    """NeuS sharpness at the start, 1 / object radius."""
+    """Number of steps of F_e alone, the first ones."""
     step: int = 0
-    """Number of steps that were taken, with the steps of F_e alone."""
+    """Number of steps that were taken, of each kind."""
     learned: int = 0
     """Number of steps of both fields, each counted `step_multiplier` times; 0 .. preset.steps."""
+    from_hull: bool = False
+    """Whether the SDF started from a visual hull. If not, it started from a sphere."""
     object_pixels_updates: int = 0
     """How often the object pixels were found."""
     carvings: int = 0
@@ -48,7 +49,7 @@ class Schedule:
         If these are too few, F_e is not learned alone first. Then the visual hull comes from masks, or there is none.
         """
         known = outside >= preset.least_outside * pixels
-        return cls(preset, preset.background_steps if known else 0, preset.first_sharpness)
+        return cls(preset, preset.background_steps if known else 0)
 
     @property
     def learns_background(self) -> bool:
@@ -56,9 +57,19 @@ class Schedule:
         return self.step < self.background_steps
 
     @property
-    def joint_learning_begins(self) -> bool:
-        """Whether the next step is the first step of both fields."""
+    def hull_due(self) -> bool:
+        """Whether the SDF must be started from a visual hull now."""
         return self.step == self.background_steps
+
+    @property
+    def first_step_of_shape(self) -> int:
+        """The step that is the first one of both fields together."""
+        return self.background_steps + (self.preset.colors_first_steps if self.from_hull else 0)
+
+    @property
+    def learns_shape(self) -> bool:
+        """Whether the next step changes the SDF."""
+        return self.step >= self.first_step_of_shape
 
     @property
     def fraction(self) -> float:
@@ -67,9 +78,9 @@ class Schedule:
 
     @property
     def total_steps(self) -> int:
-        """Number of all steps, of F_e alone and of both fields, as expected now. A plateau makes it smaller."""
-        if self.learns_background:
-            return self.background_steps + self.preset.steps
+        """Number of all steps, of each kind, as expected now. A start from a sphere and a plateau make it smaller."""
+        if self.step <= self.background_steps or not self.learns_shape:
+            return self.background_steps + self.preset.colors_first_steps + self.preset.steps
         return self.step + math.ceil((self.preset.steps - self.learned) / self.step_multiplier)
 
     @property
@@ -103,8 +114,9 @@ class Schedule:
     def sharpness(self) -> float:
         """NeuS sharpness, 1 / object radius. It rises geometrically until the fraction `sharpness_until`, then it stays."""
         p = self.preset
+        start = p.hull_sharpness if self.from_hull else p.first_sharpness
         rise = min(self.fraction / p.sharpness_until, 1.0)
-        return self.start_sharpness * (p.last_sharpness / self.start_sharpness) ** rise
+        return start * (p.last_sharpness / start) ** rise
 
     @property
     def samples(self) -> int:
@@ -134,10 +146,10 @@ class Schedule:
         last = p.last_curvature / p.curvature if p.curvature > 0 else 1.0
         return p.curvature * geometric_decay(self.fraction, p.curvature_decay_from, last)
 
-    def _object_field_rate(self, decay_from: float) -> float:
-        """Factor of a learning rate of F_o: it warms up from the first step of both fields on, and decays later."""
+    def _object_field_rate(self, first_step: int, decay_from: float) -> float:
+        """Factor of a learning rate of F_o: it warms up from `first_step` on, and decays later."""
         p = self.preset
-        warm_up = min(1.0, (self.step - self.background_steps + 1) / p.warm_up_steps)
+        warm_up = min(1.0, max(0, self.step - first_step + 1) / p.warm_up_steps)
         return warm_up * geometric_decay(self.fraction, decay_from, p.last_rate)
 
     @property
@@ -145,12 +157,13 @@ class Schedule:
         """Learning rate of the SDF in object radii. It falls as the sharpness rises: a sharp surface needs small steps."""
         p = self.preset
         softer = (p.first_sharpness / self.sharpness) ** p.sdf_rate_sharpness_power
-        return p.sdf_rate * self._object_field_rate(p.sdf_rate_decay_from) * softer
+        return p.sdf_rate * self._object_field_rate(self.first_step_of_shape, p.sdf_rate_decay_from) * softer
 
     @property
     def head_rate(self) -> float:
         """Learning rate of the color heads."""
-        return self.preset.head_rate * self._object_field_rate(self.preset.head_rate_decay_from)
+        p = self.preset
+        return p.head_rate * self._object_field_rate(self.background_steps, p.head_rate_decay_from)
 
     @property
     def object_pixels_due(self) -> int:
@@ -184,21 +197,22 @@ class Schedule:
         return self.fraction >= p.validate_from + p.validate_every * len(self.validation_errors)
 
     def start_from_hull(self) -> None:
-        """Note that the SDF starts from a visual hull. The surface may then start sharper than that of a sphere."""
-        self.start_sharpness = self.preset.hull_sharpness
+        """Note that the SDF starts from a visual hull. Then the surface starts sharper than that of a sphere, and the colors
+        are learned before it."""
+        self.from_hull = True
 
     def advance(self) -> None:
         """Count a step that was taken."""
-        if not self.learns_background:
+        if self.learns_shape:
             self.learned = min(self.learned + self.step_multiplier, self.preset.steps)
         self.step += 1
 
     def state(self) -> dict:
         """How far the learning is, for a checkpoint."""
         return {
-            "start_sharpness": self.start_sharpness,
             "step": self.step,
             "learned": self.learned,
+            "from_hull": self.from_hull,
             "object_pixels_updates": self.object_pixels_updates,
             "carvings": self.carvings,
             "relief_searches": self.relief_searches,
@@ -208,8 +222,7 @@ class Schedule:
 
     def load(self, state: dict) -> None:
         """Go on from `state`."""
-        self.start_sharpness = state["start_sharpness"]
-        self.step, self.learned = state["step"], state["learned"]
+        self.step, self.learned, self.from_hull = state["step"], state["learned"], state["from_hull"]
         self.object_pixels_updates = state["object_pixels_updates"]
         self.carvings = state["carvings"]
         self.relief_searches = state["relief_searches"]

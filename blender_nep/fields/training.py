@@ -141,7 +141,7 @@ class FieldsLearning:
     def _prepare_joint_step(self) -> None:
         """Do what the schedule demands before the next step of both fields."""
         now = self.schedule
-        if now.joint_learning_begins:
+        if now.hull_due:
             self.start_from_hull()
         if self.object_field.level_count < now.levels:
             self.object_field.add_levels(now.levels)
@@ -161,6 +161,7 @@ class FieldsLearning:
         if now.validation_due:
             now.validation_errors.append(self.validation_error())
         self._refine_environment()
+        self.optimisers.set_rates(now)
 
     @profiled("steps of both fields")
     def _learn_joint_step(self) -> float:
@@ -173,7 +174,6 @@ class FieldsLearning:
         photometric = self.losses.photometric(out, photo)
         mask = None if self.rays.mask is None else self.rays.mask[index].float() / 255
         loss = self.losses.total(photometric, out, self.schedule.curvature_weight, mask, self._mask_says(index))
-        self.optimisers.set_rates(self.schedule)
         optimisers = self.optimisers.all
         for optimiser in optimisers:
             optimiser.zero_grad()
@@ -350,7 +350,7 @@ class FieldsLearning:
         """The report on the learning so far; `ratio` is the explanation ratio."""
         return FieldsReport(
             steps=self.step,
-            of_steps=self.schedule.background_steps + self.preset.steps,
+            of_steps=self.schedule.first_step_of_shape + self.preset.steps,
             held_out_error=list(self.schedule.validation_errors),
             loss=self.loss,
             explanation_ratio=ratio,

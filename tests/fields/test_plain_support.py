@@ -5,6 +5,7 @@ import pytest
 import torch
 
 from blender_nep.capture import PixelRays, load_capture
+from blender_nep.fields import plain_support
 from blender_nep.fields.plain_support import find_plain_support
 from support.table_scene import BALL, CENTRE, HEIGHT, turn, write_table_scene
 
@@ -45,3 +46,14 @@ def test_nothing_is_found_where_nothing_can_support_the_object(tmp_path, scene):
 
 def test_nothing_is_found_without_an_object(tmp_path):
     assert find_plain_support(rays_of(write_table_scene(tmp_path / "capture", plain=True)), np.ones((16, 16, 16))) is None
+
+
+def test_a_lowest_plane_that_agrees_better_does_not_hide_the_table(tmp_path, monkeypatch):
+    """Few points of the lowest plane are seen, so its spread may be small by chance."""
+
+    def spread(near_foot, height):
+        return 0.008 if height < -0.97 else 0.012 * (1 + 15 * max(0.0, height - HEIGHT))
+
+    monkeypatch.setattr(plain_support._NearFoot, "spread", spread)
+    support = find_plain_support(rays_of(write_table_scene(tmp_path / "capture", plain=True)), ball())
+    assert support is not None and support.height == pytest.approx(HEIGHT, abs=0.04)

@@ -37,8 +37,8 @@ def test_steps_of_f_e_alone_come_first_and_are_no_learning_of_both_fields():
     now, joint = Schedule.at_start(PRESET, 50, 100), []
     while now.fraction < 1:
         joint.append(not now.learns_background)
-        assert now.joint_learning_begins == (now.step == 10)
-        assert now.total_steps == 210
+        assert now.hull_due == (now.step == 10)
+        assert now.total_steps == (210 if now.step > 10 else 210 + PRESET.colors_first_steps), "a hull is expected at first"
         now.advance()
     assert joint == [False] * 10 + [True] * 200
     assert now.step == 210 == now.total_steps and now.environment_fraction == 1
@@ -88,6 +88,32 @@ def test_learning_rates_warm_up_and_decay_and_the_sdf_s_falls_with_the_sharpness
     assert schedule(1).sdf_rate == pytest.approx(p.sdf_rate * p.last_rate * softer)
     even = replace(p, sdf_rate_sharpness_power=0.0)
     assert schedule(1, even).sdf_rate == pytest.approx(p.sdf_rate * p.last_rate)
+
+
+def test_from_a_hull_the_colors_are_learned_first_and_then_the_sdf_warms_up():
+    p = replace(PRESET, colors_first_steps=30, warm_up_steps=20)
+    now, rates, heads, expected = Schedule.at_start(p, 50, 100), [], [], []
+    while now.fraction < 1:
+        if now.hull_due:
+            now.start_from_hull()
+        if not now.learns_background:
+            rates.append(now.sdf_rate / replace(now, step=10**6).sdf_rate)
+            heads.append(now.head_rate / replace(now, step=10**6).head_rate)
+        assert now.learns_shape == (now.step >= 40)
+        assert now.learns_shape or now.fraction == 0, "the sharpness waits, too"
+        expected.append(now.total_steps)
+        now.advance()
+    up = [k / 20 for k in range(1, 21)]
+    assert rates == pytest.approx([0] * 30 + up + [1] * 180)
+    assert heads == pytest.approx(up + [1] * 210)
+    assert now.step == 240 and set(expected) == {240}
+
+
+def test_a_sphere_does_not_wait_for_the_colors():
+    now = schedule(preset=replace(PRESET, colors_first_steps=30))
+    assert now.learns_shape and now.sdf_rate > 0
+    now.advance()
+    assert now.learned == 1 and now.total_steps == 210
 
 
 def test_object_pixels_and_validation_errors_are_due_at_their_fractions():

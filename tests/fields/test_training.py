@@ -182,6 +182,18 @@ def test_the_sdf_starts_from_a_hull_only_where_that_tells_the_object_from_its_su
     assert learning.schedule.sharpness == (p.hull_sharpness if from_hull else p.first_sharpness)
 
 
+def test_from_a_hull_the_colors_are_learned_before_the_shape(masked_rays):
+    learning = FieldsLearning(masked_rays, brief_preset(background_steps=0, colors_first_steps=3), 0, CPU)
+    field = learning.object_field
+    learning.learn_step()
+    assert learning.hull is not None
+    for step in range(1, 6):
+        shape, colors = ([p.detach().clone() for p in part] for part in (field.levels, field.color_parameters()))
+        learning.learn_step()
+        assert same(shape, list(field.levels)) == (step < 3), step
+        assert not same(colors, field.color_parameters())
+
+
 def test_carving_again_takes_what_the_background_explains(rays, monkeypatch):
     """The background differs from the photos only where a ball is seen; the SDF is a sphere around that ball."""
 

@@ -12,7 +12,7 @@ def brief_preset(**fields) -> Preset:
     `fields` changes its FieldsPreset. The visual hull and the cavities would take longer than the steps.
     """
     p = preset("preview")
-    brief = {"background_steps": 6, "steps": 24, "coarsest_cells": 8, "open_cavities_at": math.inf}
+    brief = {"background_steps": 6, "steps": 24, "colors_first_steps": 1, "coarsest_cells": 8, "open_cavities_at": math.inf}
     few_rays = {"object_rays": 256, "sphere_rays": 256, "outside_rays": 256}
     return replace(
         p,
