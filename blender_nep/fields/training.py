@@ -250,20 +250,16 @@ class FieldsLearning:
         hull, field = carve(score), self.object_field
         if hull is None:
             return None
-        weak_foot = field.support is None
-        if weak_foot:
+        if field.support is None:
             field.support = find_plain_support(self.rays, hull.sdf)
-            hull = carve(score, weak_foot)
-        if hull is None or field.support is None:
-            return hull
-        return self._hull_before_support(hull, field.support, weak_foot)
+        return hull if field.support is None else self._hull_on_support(carve(score, True) or hull, field.support)
 
-    def _hull_before_support(self, hull: VisualHull, support: Support, weak_foot: bool) -> VisualHull:
+    def _hull_on_support(self, hull: VisualHull, support: Support) -> VisualHull:
         """The hull carved with the colors of the support plane, which are known better the smaller the hull is."""
         colors = SupportColors(self.rays, support)
         for _ in range(_CARVINGS):
             background = colors.texture(hull.sdf).before(self._environment_alone)
-            carved, before = carve(self._silhouette_scores(background), weak_foot), hull.volume
+            carved, before = carve(self._silhouette_scores(background), True), hull.volume
             if carved is None:  # nothing would be left: the colors are not those of the plane
                 break
             hull = carved

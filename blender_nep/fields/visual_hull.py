@@ -29,9 +29,9 @@ LOWEST_SHARE = 0.05
 agree."""
 LEAST_COMPONENT = 0.02
 """Connected components smaller than this share of the largest one are dropped."""
-QUIET_BACKGROUND = 0.74
-"""If the threshold between the square roots of the scores is below this share of that between the scores, the background is
-much quieter than the object, and the lower threshold is used."""
+ON_SUPPORT = 0.6
+"""For an object on a support plane, the threshold of the scores is this share of Otsu's. A mirror there reflects the plane,
+so some of its parts have low scores. Without a plane, the lower threshold would close the holes of mirrors."""
 EXCESS_SHARE = 0.25
 """A cell of the object is free space if its score is below this share of the median score of the object's cells."""
 LEAST_EXCESS = 27
@@ -111,15 +111,15 @@ def score_cells(rays: PixelRays, silhouettes: list[torch.Tensor], cells: int) ->
     return score
 
 
-def carve(score: np.ndarray, weak_foot: bool = False) -> VisualHull | None:
+def carve(score: np.ndarray, on_support: bool = False) -> VisualHull | None:
     """The visual hull of cells with scores [n, n, n] (`score_cells`), or None if the scores show no object.
 
-    weak_foot: the silhouettes may be weak near the foot, because the object may mirror an unknown support.
+    on_support: whether the object stands on a support plane, which it may mirror.
     """
     cells, known = len(score), np.isfinite(score)
     if not known.any() or np.ptp(score[known]) < 1e-6:
         return None
-    solid = np.nan_to_num(score) > _threshold(score[known], weak_foot)
+    solid = np.nan_to_num(score) > threshold_otsu(score[known]) * (ON_SUPPORT if on_support else 1)
     labels, count = ndimage.label(solid)
     if count == 0:
         return None
@@ -135,18 +135,6 @@ def carve(score: np.ndarray, weak_foot: bool = False) -> VisualHull | None:
     distance = ndimage.distance_transform_edt(~solid) - ndimage.distance_transform_edt(solid)
     distance = (distance - np.sign(distance) * 0.5) * (2 / cells)
     return VisualHull(ndimage.gaussian_filter(distance, 1.0).astype(np.float32), float(volume), contrast)
-
-
-def _threshold(score: np.ndarray, weak_foot: bool) -> float:
-    """The score [n] above which a cell belongs to the object.
-
-    Otsu's threshold expects that both classes scatter alike. Over a plain table, the background scatters much less, and a
-    mirror that reflects the table has low scores. Square roots make the classes more alike. Where the background is not
-    quiet, the lower threshold would add much that is free.
-    """
-    level = threshold_otsu(score)
-    lower = threshold_otsu(np.sqrt(score)) ** 2
-    return lower if weak_foot and lower < QUIET_BACKGROUND * level else level
 
 
 def excess(rays: PixelRays, silhouettes: list[torch.Tensor], sdf: np.ndarray) -> np.ndarray:
