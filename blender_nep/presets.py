@@ -112,7 +112,7 @@ class FieldsPreset:
     warm_up_steps: int = 50
     """Steps over which F_o's learning rates rise from 0, because Adam's first mean squares are means of few gradients."""
     colors_first_steps: int = 50
-    """Steps of F_e and the colors alone, once there is a hull. Led by the first colors, the SDF would lose parts of it."""
+    """Steps of F_e and the colors alone after a hull. Led by the first colors, the SDF would lose parts of the hull."""
     sdf_rate_decay_from: float = 0.3
     """Fraction from which on the SDF's learning rate falls geometrically."""
     last_rate: float = 0.03

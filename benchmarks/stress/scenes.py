@@ -102,6 +102,7 @@ def tiny_preset() -> Preset:
             FieldsPreset(),
             background_steps=6,
             steps=24,
+            colors_first_steps=2,
             object_rays=160,
             sphere_rays=96,
             outside_rays=96,

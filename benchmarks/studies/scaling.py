@@ -65,7 +65,8 @@ class Bench:
         profile = Profile()
         with profile.recording():
             rays = self.rays(views, pixels)
-        learning = FieldsLearning(rays, replace(preset, fields=replace(preset.fields, background_steps=2 * STEPS)), 0, CPU)
+        fields = replace(preset.fields, background_steps=2 * STEPS, colors_first_steps=0)
+        learning = FieldsLearning(rays, replace(preset, fields=fields), 0, CPU)
         for _ in range(STEPS):
             learning.learn_step()
         with profile.recording():

@@ -42,7 +42,9 @@ class Optimisers:
 
     def set_rates(self, schedule: Schedule) -> None:
         """Set the learning rates of all optimisers that are due now. The SDF gets gradients only if it is learned now."""
-        self._object_field.levels.requires_grad_(schedule.learns_shape)
+        for group in self.sdf.param_groups:
+            for parameter in group["params"]:
+                parameter.requires_grad_(schedule.learns_shape)
         for optimiser, rate in ((self.sdf, schedule.sdf_rate), (self.heads, schedule.head_rate)):
             for group in optimiser.param_groups:
                 group["lr"] = rate

@@ -28,7 +28,7 @@ class FieldsReport:
     """The report on the learning of both fields."""
 
     steps: int
-    """Number of steps that were taken, with the steps of F_e alone"""
+    """Number of steps that were taken, with those of F_e alone and of the colors"""
     of_steps: int
     """Number of steps that would have been taken if the validation error had not stopped falling"""
     held_out_error: list[float]

@@ -26,8 +26,8 @@ MOST_SPREAD = 0.035
 """Largest tone-mapped spread of a support's colors. Measured: 0.007 to 0.019 on tables and plates (0.038 under a mirror on a
 plain plate); at least 0.05 at all heights where the object floats."""
 NEAR_LEAST, LOW_SHARE = 1.25, 0.1
-"""The spread of the plane is at most NEAR_LEAST times that of the lower planes that agree best. That is the LOW_SHARE
-quantile of their spreads. It is not the least, because few points of the lowest planes are seen."""
+"""The spread of the plane is at most NEAR_LEAST times the LOW_SHARE quantile of all spreads up to its height. The least of
+them may be small by chance, because few points of the lowest planes are seen."""
 RISE, LEAST_RISE = 0.1, 1.4
 """RISE above the plane, in object radii, the spread must have grown by the factor LEAST_RISE."""
 NEAREST, FARTHEST = 0.03, 0.35

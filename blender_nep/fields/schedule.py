@@ -28,7 +28,7 @@ class Schedule:
     step: int = 0
     """Number of steps that were taken, of each kind."""
     learned: int = 0
-    """Number of steps of both fields, each counted `step_multiplier` times; 0 .. preset.steps."""
+    """Number of steps that could change the SDF, each counted `step_multiplier` times; 0 .. preset.steps."""
     from_hull: bool = False
     """Whether the SDF started from a visual hull. If not, it started from a sphere."""
     object_pixels_updates: int = 0
@@ -63,7 +63,7 @@ class Schedule:
 
     @property
     def first_step_of_shape(self) -> int:
-        """The step that is the first one of both fields together."""
+        """The first step that changes the SDF."""
         return self.background_steps + (self.preset.colors_first_steps if self.from_hull else 0)
 
     @property

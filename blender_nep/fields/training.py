@@ -243,8 +243,8 @@ class FieldsLearning:
     def hull_without_masks(self) -> VisualHull | None:
         """The hull from the residuals of F_e, as it is now. None if F_e explains all.
 
-        If no support plane is known, one is looked for with the hull's help. Then the hull is carved again with the colors
-        of the plane, which F_e does not know.
+        If no support plane is known, one is looked for with the hull's help. On a plane, the hull is carved again: with a
+        lower threshold, and with the colors of the plane, which F_e does not know.
         """
         score = self._silhouette_scores(self._environment_alone)
         hull, field = carve(score), self.object_field
@@ -252,15 +252,17 @@ class FieldsLearning:
             return None
         if field.support is None:
             field.support = find_plain_support(self.rays, hull.sdf)
-        return hull if field.support is None else self._hull_on_support(carve(score, True) or hull, field.support)
+        if field.support is None:
+            return hull
+        return self._hull_on_support(carve(score, on_support=True) or hull, field.support)
 
     def _hull_on_support(self, hull: VisualHull, support: Support) -> VisualHull:
         """The hull carved with the colors of the support plane, which are known better the smaller the hull is."""
         colors = SupportColors(self.rays, support)
         for _ in range(_CARVINGS):
             background = colors.texture(hull.sdf).before(self._environment_alone)
-            carved, before = carve(self._silhouette_scores(background), True), hull.volume
-            if carved is None:  # nothing would be left: the colors are not those of the plane
+            carved, before = carve(self._silhouette_scores(background), on_support=True), hull.volume
+            if carved is None:  # no usable hull would be left: the colors are not those of the plane
                 break
             hull = carved
             if hull.volume > (1 - _LEAST_CARVED) * before:

@@ -61,10 +61,11 @@ def test_a_short_learning_with_masks_comes_nearer_to_the_truth(masked_rays):
 
 
 @pytest.mark.parametrize("paint", [-1.0, 2.0], ids=["with fine paint", "without"])
-@pytest.mark.parametrize("stop", [4, 16], ids=["while F_e is learned alone", "with both fields"])
+@pytest.mark.parametrize("stop", [4, 6, 8, 16], ids=["while F_e is learned alone", "before the hull", "colors", "both fields"])
 def test_a_resumed_run_gives_the_same_fields(masked_rays, rays, stop, paint):
     # masks give a hull, without which there is no fine paint
     rays, chosen = (masked_rays, brief_preset(least_fine_paint=paint)) if paint < 1 else (rays, brief_preset())
+    chosen = replace(chosen, fields=replace(chosen.fields, colors_first_steps=4))
 
     def advance(learning, steps):
         for _ in range(steps):
@@ -189,9 +190,11 @@ def test_from_a_hull_the_colors_are_learned_before_the_shape(masked_rays):
     assert learning.hull is not None
     for step in range(1, 6):
         shape, colors = ([p.detach().clone() for p in part] for part in (field.levels, field.color_parameters()))
+        surroundings = learning.environment.raw.detach().clone()
         learning.learn_step()
         assert same(shape, list(field.levels)) == (step < 3), step
-        assert not same(colors, field.color_parameters())
+        assert all(level.grad is None for level in field.levels) == (step < 3), "a gradient for nothing takes time"
+        assert not same(colors, field.color_parameters()) and not torch.equal(surroundings, learning.environment.raw)
 
 
 def test_carving_again_takes_what_the_background_explains(rays, monkeypatch):
