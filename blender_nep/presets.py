@@ -311,7 +311,7 @@ class MaterialPreset:
     unseen_roughness_factors: tuple[float, ...] = (0.8, 1.25)
     """Factors by which a lower and a higher roughness are tried while the unseen light is learned."""
     unseen_prior: float = 1e-2
-    """Cost of the map's mean, so that unseen light is added only if it explains the photos better."""
+    """Cost of the map's deviation from the expected one, so that it changes only if that explains the photos better."""
     unseen_color: float = 0.01
     """Cost of the share of the map's flux that is not grey. It is needed because colored light on a grey object looks like
     white light on a colored object."""

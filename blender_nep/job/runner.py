@@ -241,8 +241,7 @@ class Job:
         start = time.monotonic()
         light, coverage = learned.fields.environment.equirect(s.preset.environment_height)
         if learned.materials.unseen is not None:
-            more = learned.materials.unseen.equirect(s.preset.environment_height).to(light.device)
-            light = light + more * (1 - coverage)[..., None]
+            light = learned.materials.unseen.completed(light, coverage)
         reports = learned.reports()
         for part in reports.values():
             self._scene.skip(part.skipped, part.seconds_saved)

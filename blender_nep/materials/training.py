@@ -142,7 +142,9 @@ class _MaterialLearner:
         """[K] metallic of the palette's materials. None if the photos have not decided it clearly."""
         self.trial_seconds = 0.0
         """Seconds that the last trial of every material as the other class (metal or dielectric) took"""
-        if preset.residual and not light.in_photos:
+        if light.in_photos:
+            self._add_unseen_light(UnseenLight.expected_beside(seen.f_p.environment, preset.unseen_rows))
+        elif preset.residual:
             self._begin_with_grey_light()
         self.search = PaletteSearch(seen.samples, light, preset, seen.device)
 
@@ -223,18 +225,16 @@ class _MaterialLearner:
 
     def _begin_with_grey_light(self) -> None:
         """Begin with a grey unseen light if the photos show no light (cut-outs). Without light, all materials look alike."""
-        self._add_unseen_light(2 * float(self.seen.samples.radiance.mean(-1).median()))
+        unseen = UnseenLight(self.preset.unseen_rows, self.seen.f_p.environment.typical_distance(), self.seen.device)
+        unseen.radiance += 2 * float(self.seen.samples.radiance.mean(-1).median())
+        self._add_unseen_light(unseen)
+
+    def _add_unseen_light(self, unseen: UnseenLight) -> None:
+        self.light.unseen = self.seen.f_p.unseen = unseen
         self.light.add_unseen()
 
-    def _add_unseen_light(self, radiance: float) -> None:
-        f_p = self.seen.f_p
-        self.light.unseen = UnseenLight(self.preset.unseen_rows, f_p.environment.typical_distance(), self.seen.device)
-        self.light.unseen.radiance += radiance
-        f_p.unseen = self.light.unseen
-        self.report.unseen_light_radius = round(self.light.unseen.radius, 3)
-
     def _find_unseen_light(self, by_hue: bool = False) -> None:
-        """Learn the light that no photo shows, and improve the palette with it. The first time, set its distance, too.
+        """Learn the light that no photo shows, and improve the palette with it.
 
         With `by_hue`, what the hues of each material say counts for its class, and a roughness goes one step at most. The
         fits of the palette, which follow, took longer walks back.
@@ -245,8 +245,8 @@ class _MaterialLearner:
         if not p.residual or uncovered < 0.005:
             self._skip(Part.RESIDUAL, Message("reason.light_seen") if p.residual else Message("reason.preset"))
             return
-        if light.unseen is None:
-            self._add_unseen_light(0.0)
+        assert light.unseen is not None  # it was added before the first fit
+        self.report.unseen_light_radius = round(light.unseen.radius, 3)
         trials, start = [], time.monotonic()
 
         def tried() -> None:

@@ -55,7 +55,7 @@ def learn_unseen_light(
     start = light.unseen
     if start is None:
         raise ValueError("light.unseen must hold the map to go on from")
-    problem = UnseenLightProblem(light, len(start.radiance), start.radius, label, target, rows, preset)
+    problem = UnseenLightProblem(light, start.expected, start.radius, label, target, rows, preset)
 
     def solve(tried: Palette, steps: int, start: UnseenLight) -> UnseenFit:
         fit = problem.solve(tried, start, steps)
@@ -118,34 +118,34 @@ class UnseenFit:
 class UnseenLightProblem:
     """Some photo samples [m] and the known light on them. `solve` finds the unseen light.
 
-    map_rows and radius describe the map of the unseen light; samples [m] are indices into `light`; label [n] and target
-    [n, 3] are those of all samples.
+    expected [rows, 2 rows, 3] and radius describe the map of the unseen light (`UnseenLight`); samples [m] are indices into
+    `light`; label [n] and target [n, 3] are those of all samples.
     """
 
     def __init__(
         self,
         light: IncomingLight,
-        map_rows: int,
+        expected: Tensor,
         radius: float,
         label: Tensor,
         target: Tensor,
         samples: Tensor,
         preset: MaterialPreset,
     ) -> None:
-        self.light, self.map_rows, self.radius, self.preset = light, map_rows, radius, preset
+        self.light, self.expected, self.radius, self.preset = light, expected, radius, preset
         self.samples, self.label, self.goal = samples, label[samples], tone_map(target[samples])
         self.cones = light.uncovered_cones(samples)
-        self.transport = UnseenTransport(map_rows, radius, self.cones, light.points.position[samples])
+        self.transport = UnseenTransport(len(expected), radius, self.cones, light.points.position[samples])
 
     def solve(self, palette: Palette, start: UnseenLight, steps: int) -> UnseenFit:
         """Find the map and the albedos that explain the photos best, with the palette's roughness and metallic.
 
         Adam starts from `start`; its texels darker than _LEAST_START are raised to that radiance. There are three priors on
-        the map: the total variation and the mean of its tone-mapped radiance, and its color. The prior on the mean makes a
-        few lamps more likely than a bright sky. The prior on the color is needed because colored light on a grey object
-        looks like grey light on a colored object.
+        the map: the total variation of its tone-mapped radiance, the mean deviation of that from the expected one, and its
+        color. The prior on the deviation makes a few lamps more likely than a bright sky. The prior on the color is needed
+        because colored light on a grey object looks like grey light on a colored object.
         """
-        p, device, light, rows, samples = self.preset, self.goal.device, self.light, self.map_rows, self.samples
+        p, device, light, rows, samples = self.preset, self.goal.device, self.light, len(self.expected), self.samples
         material = palette.at(self.label)
         moments = light.known_moments(material.roughness, samples)
         offset, slope = affine_in_albedo(material, moments, light.known_diffuse[samples], light.cos_v[samples])
@@ -155,6 +155,7 @@ class UnseenLightProblem:
         optimiser = torch.optim.Adam([{"params": [raw]}, {"params": [logit]}])
         area = torch.sin((torch.arange(rows, device=device) + 0.5) * math.pi / rows)[:, None, None]
         area = area / area.mean()
+        expected = tone_map(self.expected)
         error = float("nan")
         for k in range(steps):
             for group, rate in zip(optimiser.param_groups, (p.unseen_rate, p.unseen_albedo_rate), strict=True):
@@ -177,12 +178,13 @@ class UnseenLightProblem:
             prior = p.unseen_smoothness * (
                 (area[1:] * (down**2 + soft).sqrt()).mean() + (area * (across**2 + soft).sqrt()).mean()
             )
-            prior = prior + p.unseen_prior * (area * brightness).mean()
+            prior = prior + p.unseen_prior * (area * (brightness - expected).abs()).mean()
             colored = (area * (radiance - radiance.mean(-1, keepdim=True)).abs()).mean()
             prior = prior + p.unseen_color * colored / (area * radiance).mean()
             error = float(photometric.detach() + prior.detach())
             ((levels * torch.from_numpy(gradient).to(device)).sum() + prior).backward()
             optimiser.step()
         unseen = UnseenLight(rows, self.radius, device)
+        unseen.expected = self.expected
         unseen.radiance = raw.detach().clamp(_DARKEST, _BRIGHTEST).exp()
         return UnseenFit(unseen, torch.sigmoid(logit).detach(), error)

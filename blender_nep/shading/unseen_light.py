@@ -4,6 +4,10 @@ Photos of an object in a room show the walls behind it. They show the lamps on t
 no coverage. Without that light, the albedo would come out too bright, and paint would be taken for metal. So a map of
 radiance is added to F_e, weighted by the missing coverage.
 
+Where photos show nothing, F_e still holds some radiance: what it began with, and what its smoothness drew there. That may be
+brighter than the true light, and the map could only add to it. So F_e counts less there (`share_of_field`), and the map
+begins with what F_e holds (`UnseenLight.expected`).
+
 The map is equirectangular (Blender's orientation, row 0 is +z) on a sphere of finite radius around the object's centre, so
 that near lamps keep their parallax. For fixed materials, the light in the photos is linear in the map: a sparse matrix times
 the map (`unseen_transport`).
@@ -14,9 +18,21 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import torch
 from torch import Tensor
+
+if TYPE_CHECKING:
+    from blender_nep.shading.plenoptic import Environment
+
+LEAST_COVERAGE = 0.2
+"""From this coverage on, the radiance of F_e counts in full."""
+
+
+def share_of_field(coverage: Tensor) -> Tensor:
+    """How much the radiance of F_e counts in cones of some coverage [...]: 0..1, and 0 where no photo shows anything."""
+    return (coverage / LEAST_COVERAGE).clamp(0, 1)
 
 
 class UnseenLight:
@@ -25,6 +41,17 @@ class UnseenLight:
     def __init__(self, rows: int, radius: float, device: torch.device | str) -> None:
         self.radius = radius
         self.radiance = torch.zeros(rows, 2 * rows, 3, device=device)
+        self.expected = torch.zeros_like(self.radiance)
+        """The radiance that is likely before the object's reflections are known. Only the learning needs it."""
+
+    @classmethod
+    def expected_beside(cls, environment: Environment, rows: int) -> UnseenLight:
+        """The map that gives back what `share_of_field` takes from F_e, as seen from the centre."""
+        radiance, coverage = environment.equirect(rows)
+        light = cls(rows, environment.typical_distance(), radiance.device)
+        light.expected = radiance * (1 - share_of_field(coverage))[..., None]
+        light.radiance = light.expected.clone()
+        return light
 
     def __call__(self, origins: Tensor, directions: Tensor, half_angle: Tensor) -> Tensor:
         """Mean radiance [n, 3] in cones from origins [n, 3] along unit directions [n, 3] with half_angle [n] radians."""
@@ -51,6 +78,11 @@ class UnseenLight:
         )
         border = (fine.shape[3] - 2 * height) // 2
         return fine[0, :, :, border : border + 2 * height].permute(1, 2, 0)
+
+    def completed(self, radiance: Tensor, coverage: Tensor) -> Tensor:
+        """The whole light [h, 2 h, 3] from the centre: that of F_e, radiance [h, 2 h, 3] and coverage [h, 2 h], and this."""
+        more = self.equirect(len(radiance)).to(radiance.device)
+        return radiance * share_of_field(coverage)[..., None] + more * (1 - coverage)[..., None]
 
 
 def level_sizes(rows: int) -> list[int]:

@@ -1,5 +1,7 @@
 """f_p in a furnace: in uniform light a white object shines like the light, however often it reflects itself."""
 
+import math
+
 import numpy as np
 import pytest
 import torch
@@ -8,6 +10,7 @@ import trimesh
 from blender_nep.geometry.ray_tracing import RayTracer
 from blender_nep.shading.incoming_light import IncomingLight
 from blender_nep.shading.plenoptic import Material, PlenopticFunction, PlenopticSettings, TerminalRadiance, reflected
+from blender_nep.shading.unseen_light import UnseenLight
 
 
 class UniformLight:
@@ -16,6 +19,12 @@ class UniformLight:
 
     def query_cone(self, origins, directions, half_angle):
         return torch.ones_like(origins), torch.full((len(origins),), self.coverage)
+
+    def equirect(self, height):
+        return torch.ones(height, 2 * height, 3), torch.full((height, 2 * height), self.coverage)
+
+    def typical_distance(self):
+        return math.inf
 
 
 class UniformTerminal(TerminalRadiance):
@@ -77,6 +86,21 @@ def test_white_furnace_with_self_reflection(two_balls, levels, metallic, diffuse
     f_p, points = scene(two_balls, levels, diffuse=diffuse)
     out = f_p.outgoing(points, white(metallic), 1, torch.Generator().manual_seed(2))
     assert out.mean().item() == pytest.approx(1, abs=0.02)
+
+
+@pytest.mark.parametrize("coverage", [0.0, 0.2, 1.0])
+def test_the_furnace_stays_white_where_the_unseen_light_takes_the_place_of_the_field(two_balls, coverage):
+    f_p, points = scene(two_balls, 1, coverage)
+    f_p.unseen = UnseenLight.expected_beside(f_p.environment, 32)
+    out = f_p.outgoing(points, white(0.0), 1, torch.Generator().manual_seed(2))
+    assert out.mean().item() == pytest.approx(1, abs=0.02)
+    whole = f_p.unseen.completed(*f_p.environment.equirect(16))
+    torch.testing.assert_close(whole, torch.ones_like(whole))
+
+
+def test_what_the_field_holds_where_no_photo_looks_does_not_count(two_balls):
+    f_p, points = scene(two_balls, 1, coverage=0.0)
+    assert not f_p.trace(points, points.normal, torch.full((len(points),), 0.1)).radiance.any()
 
 
 def test_without_indirect_light_what_the_object_sees_of_itself_is_black(two_balls):

@@ -249,7 +249,9 @@ def test_reflections_reveal_a_lamp_that_no_photo_shows(ball, metallic):
     target = photographed_under_a_lamp(ball, palette.at(label))
     wrong = replace(palette, albedo=torch.full((1, 3), 0.5))
     start = UnseenLight(16, 4.0, "cpu")
-    fit = UnseenLightProblem(ball, 16, 4.0, label, target, torch.arange(4000), MaterialPreset()).solve(wrong, start, 150)
+    fit = UnseenLightProblem(ball, start.expected, 4.0, label, target, torch.arange(4000), MaterialPreset()).solve(
+        wrong, start, 150
+    )
     area = torch.sin((torch.arange(16) + 0.5) * math.pi / 16)[:, None, None]
     bright = truth.radiance > 1
     flux = [float((light.radiance * area)[bright].sum()) for light in (truth, fit.light)]
@@ -280,7 +282,7 @@ def test_many_samples_on_many_threads_are_solved_the_same_each_time():
     palette = Palette(random(2, 3), torch.full((2,), 0.3), torch.tensor([0.0, 1.0]))
     label, target = torch.arange(n) % 2, random(n, 3)
     start = UnseenLight(8, 4.0, "cpu")
-    problem = UnseenLightProblem(light, 8, 4.0, label, target, torch.arange(n), MaterialPreset())
+    problem = UnseenLightProblem(light, start.expected, 4.0, label, target, torch.arange(n), MaterialPreset())
     threads = torch.get_num_threads()
     try:
         torch.set_num_threads(4)

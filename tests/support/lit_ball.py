@@ -40,6 +40,18 @@ class AnalyticEnvironment:
         lobes = gain * torch.exp((directions @ self.axis.T - 1) / variance)
         return 0.15 + lobes @ self.color, torch.ones(len(directions))
 
+    def equirect(self, height):
+        polar = (torch.arange(height) + 0.5) * math.pi / height
+        around = math.pi - (torch.arange(2 * height) + 0.5) * math.pi / height
+        polar, around = torch.meshgrid(polar, around, indexing="ij")
+        direction = torch.stack([polar.sin() * around.cos(), polar.sin() * around.sin(), polar.cos()], -1).reshape(-1, 3)
+        angle = torch.full((len(direction),), 0.5 * math.pi / height)
+        radiance, coverage = self.query_cone(torch.zeros_like(direction), direction, angle)
+        return radiance.reshape(height, 2 * height, 3), coverage.reshape(height, 2 * height)
+
+    def typical_distance(self):
+        return math.inf
+
 
 class HalfSeen(AnalyticEnvironment):
     """The same light, of which no photo shows the upper part: there F_e is black and without coverage."""
@@ -49,8 +61,13 @@ class HalfSeen(AnalyticEnvironment):
         seen = (directions[:, 2] < 0.3).float()
         return radiance * seen[:, None], seen
 
-    def typical_distance(self):
-        return math.inf
+
+class Misled(HalfSeen):
+    """The same, but F_e holds a bright radiance where no photo shows anything, as it may after its learning."""
+
+    def query_cone(self, origins, directions, half_angle):
+        radiance, seen = super().query_cone(origins, directions, half_angle)
+        return radiance + 3 * (1 - seen)[:, None], seen
 
 
 class Counting(AnalyticEnvironment):
