@@ -5,8 +5,11 @@ A point of a dull surface has the same color in all photos that show it. A wrong
 
 from __future__ import annotations
 
+import copy
+
 import numpy as np
 import torch
+from scipy.ndimage import gaussian_filter
 from torch import Tensor
 from torch.nn import functional
 
@@ -18,6 +21,8 @@ AGREES = 0.04
 _CHUNK = 512
 _VIEWS, _ROWS = 40, 200
 """Largest number of photos that are compared, and the rows and columns to which they are resized."""
+_SMOOTH = 10.0
+"""Standard deviation, in rows of the small photos, of the blur that `SmallPhotos.details` takes away."""
 
 
 class SmallPhotos:
@@ -33,6 +38,16 @@ class SmallPhotos:
             photo = tone_map(rays.photo(index)).reshape(1, height, width, 3).permute(0, 3, 1, 2)
             photos.append(functional.adaptive_avg_pool2d(photo, (_ROWS, _ROWS)))
         self.photos = torch.cat(photos)
+
+    def details(self) -> SmallPhotos:
+        """The same photos without what changes slowly over them. What is left has both signs, and mean 0.
+
+        A glossy table mirrors other surroundings for each camera. That changes slowly, and the table's pattern does not.
+        """
+        other = copy.copy(self)
+        blurred = gaussian_filter(self.photos.cpu().numpy(), (0, 0, _SMOOTH, _SMOOTH), mode="nearest")
+        other.photos = self.photos - torch.from_numpy(blurred).to(self.photos.device)
+        return other
 
     def spread(self, points: np.ndarray) -> np.ndarray:
         """Median absolute difference [n] of the colors of points [n, 3] from their medians; NaN where hardly seen."""

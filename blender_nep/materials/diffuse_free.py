@@ -26,7 +26,7 @@ import torch
 from torch import Tensor
 
 from blender_nep.materials.fitting import roughness_scan
-from blender_nep.materials.roughness import place_where_equal, weight_of_known_light
+from blender_nep.materials.roughness import place_by_both, weight_of_known_light
 from blender_nep.profiling import profiled
 from blender_nep.shading.plenoptic import Material, affine_in_albedo
 
@@ -61,13 +61,11 @@ _APART = 0.3
 this with a common one. Measured with the true roughness: -0.26 to 0.13 for four paints (`balanced`, three seeds of three of
 them), and -0.48 to 0.28 for six (`preview`)."""
 _ALIKE = 0.05
-"""Logs of these ratios that differ by less are not told apart. With the true roughness they are wrong by more."""
+"""Third moments whose logs differ by less are not told apart. With the true roughness they are wrong by more."""
 _WELL_EXPLAINED = 0.3
 """How much higher the residual is without reflections, as a share of the least residual. Where it is higher by more, the
 range of the residual is wider in proportion, because then the third moment is that of reflections. Measured: 0.4 to 0.9 for
 paints whose third moment helps, and 0.01 to 0.25 for four paints whose third moment misleads."""
-_PLACES = 8
-"""Places between two neighbouring values of `roughness_scan`, so that the end of the lobes that are alike is found."""
 
 
 @dataclass(frozen=True)
@@ -88,7 +86,7 @@ def places_of_colored(evidence: Sequence[Evidence], margin: float) -> list[float
     share `margin` above its least. Within this range the third moment decides, or the mean of the logs of the third moments'
     ratios where paints share a roughness.
     """
-    found = [_place(own.residual, margin, own.moment) for own in evidence]
+    found = [place_by_both(own.residual, margin, own.moment, _ALIKE) for own in evidence]
     shared = list(range(len(evidence)))
     while len(shared) > 1:
         common, leaves = _common_place([evidence[k] for k in shared], margin)
@@ -108,26 +106,9 @@ def _common_place(evidence: list[Evidence], margin: float) -> tuple[float, int |
     if float(worst[best]) > 1 + margin:
         return float(best), int(raised[:, best].argmax())
     moment = np.mean([np.clip(own.moment, -_MOST_LOG, _MOST_LOG) for own in evidence], 0)
-    common = _place(worst, (1 + margin) / float(worst[best]) - 1, moment.tolist())
+    common = place_by_both(worst, (1 + margin) / float(worst[best]) - 1, moment.tolist(), _ALIKE)
     apart = [abs(float(np.interp(common, np.arange(len(moment)), own.moment))) for own in evidence]
     return common, int(np.argmax(apart)) if max(apart) > _APART else None
-
-
-def _place(residual: Tensor, margin: float, moment: Sequence[float]) -> float:
-    """The place where the third moment decides, within the range that the residual [R] leaves.
-
-    Lobes that are sharper than the light have the third moment of a mirror. Third moments do not tell them apart, so the
-    residual does. What the residual says fades out where the third moment falls below that of a mirror.
-    """
-    place = place_where_equal(residual, margin, moment.__getitem__)
-    rows = np.arange(len(moment))
-    places = np.append(np.linspace(0, rows[-1], _PLACES * rows[-1] + 1), place)
-    drop = (moment[0] - np.interp(places, rows, moment)) / _ALIKE
-    sharp = drop <= 1
-    if not sharp[-1]:
-        return place
-    by_residual = places[sharp][np.interp(places, rows, residual.cpu().numpy())[sharp].argmin()]
-    return float(place + min(2 - 2 * drop[-1], 1.0) * (by_residual - place))
 
 
 @profiled("roughness by hue")

@@ -21,7 +21,7 @@ from blender_nep.materials.diffuse_free import Evidence, evidence_of_colored, pl
 from blender_nep.materials.fitting import fit_groups, roughness_scan
 from blender_nep.materials.palette import Palette, best_of, between, choose, error, place_of_least, same_material
 from blender_nep.materials.roughness import (
-    place_where_equal,
+    place_by_both,
     residual_of_reflections,
     share_roughness,
     spread,
@@ -38,6 +38,10 @@ if TYPE_CHECKING:
 
 _MOST_REFITS = 4
 """Largest number of fits to the samples that show one material alone."""
+_ALIKE = 0.02
+"""Spreads whose logs differ by less are not told apart."""
+_LEAST_SPREAD = 1e-6
+"""Smallest spread of the log radiance. It stands for 0, where no region has enough samples."""
 _SHADES = 2.5
 """Largest albedo of a dielectric until shades of one hue are merged. It is above 1, because F_e may be too dark."""
 
@@ -242,17 +246,18 @@ class PaletteSearch:
         weight = weight_of_known_light(self.light)[own]
         photo = self.target[own].mean(-1)
         darkest = 0.1 * photo.median().clamp_min(1e-6)  # what is darker says more about noise than about the light
-        of_photo = spread(photo + darkest, weight, region)
+        of_photo = max(spread(photo + darkest, weight, region), _LEAST_SPREAD)
 
-        def excess(row: int) -> float:
-            roughness = scan[row].expand(len(own))
+        def of_prediction(value: Tensor) -> float:
+            roughness = value.expand(len(own))
             material = Material(self.palette.albedo[k].expand(len(own), 3), roughness, torch.ones_like(roughness))
             shown = reflected(
                 material, self.light.moments(roughness, own), self.light.diffuse[own], self.light.cos_v[own]
             ).mean(-1)
-            return spread(shown + darkest, weight, region) - of_photo
+            return spread(shown + darkest, weight, region)
 
-        return place_where_equal(residual, p.spread_margin, excess)
+        spreads = np.array([of_prediction(value) for value in scan]).clip(_LEAST_SPREAD)
+        return place_by_both(residual, p.spread_margin, np.log(spreads / of_photo).tolist(), _ALIKE)
 
     def assign(self) -> None:
         """Give every sample the material for which its neighbours vote."""

@@ -13,12 +13,13 @@ small errors of the irradiance are as strong as the whole reflection. So four th
 **Metals.** Normals are a little wrong, so reflections are misplaced. A misplaced reflection agrees best with a blurred one,
 and the residual is least at a roughness that is too high. For mirrors the residual hardly changes there. How far the
 radiance spreads about its mean does not depend on where the reflections are. So the residual gives a range of roughness
-values, and within the range the spread decides.
+values, and within the range the spread decides. Lobes that are sharper than the light all have the spread of a mirror; among
+these, the residual decides.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -34,6 +35,8 @@ if TYPE_CHECKING:
 
 _LEAST_SAMPLES = 8
 """Least number of samples in a region. With fewer, its three albedos would follow the noise."""
+_PLACES = 8
+"""Places between two neighbouring values of `roughness_scan`, so that the end of the lobes that are alike is found."""
 _NO_LIMIT = 2.5
 """Largest regional albedo. It is above 1, because F_e may be too dark in a region."""
 
@@ -142,3 +145,22 @@ def place_where_equal(residual: Tensor, margin: float, excess: Callable[[int], f
             return row - after / (after - before)
         before = after
     return float(high)
+
+
+def place_by_both(residual: Tensor, margin: float, log_ratio: Sequence[float], alike: float) -> float:
+    """The place 0 .. R - 1 of a roughness in `roughness_scan`, by the residual [R] and by another measure.
+
+    log_ratio [R] is the log of (the measure of the prediction / that of the photos); it falls with the roughness. Within the
+    range that the residual leaves, it decides (`place_where_equal`). Lobes that are sharper than the light have the measure
+    of a mirror, which cannot tell them apart. So the residual does. What the residual says fades out where the measure falls
+    below that of a mirror: half of it counts where the log is 0.75 `alike` lower, nothing where it is `alike` lower.
+    """
+    place = place_where_equal(residual, margin, log_ratio.__getitem__)
+    rows = np.arange(len(log_ratio))
+    places = np.append(np.linspace(0, rows[-1], _PLACES * rows[-1] + 1), place)
+    drop = (log_ratio[0] - np.interp(places, rows, log_ratio)) / alike
+    sharp = drop <= 1
+    if not sharp[-1]:
+        return place
+    by_residual = places[sharp][np.interp(places, rows, residual.cpu().numpy())[sharp].argmin()]
+    return float(place + min(2 - 2 * drop[-1], 1.0) * (by_residual - place))

@@ -5,6 +5,7 @@ import pytest
 import torch
 
 from blender_nep.capture import PixelRays, load_capture
+from blender_nep.fields.small_photos import SmallPhotos
 from blender_nep.fields.support_search import find_support_by_photos
 from blender_nep.fields.support_start import FOOT, with_closed_foot
 from blender_nep.geometry.support import Support
@@ -21,6 +22,14 @@ def test_a_patterned_table_is_found_at_its_height_and_tilt(tmp_path, tilt):
     assert support is not None
     assert support.height == pytest.approx(HEIGHT, abs=0.01)
     assert support.normal @ (turn(tilt) @ [0, 0, 1]) > np.cos(np.radians(1))
+
+
+def test_a_glossy_table_is_found_by_its_pattern(tmp_path, monkeypatch):
+    rays = rays_of(write_table_scene(tmp_path / "capture", glossy=True))
+    support = find_support_by_photos(rays)
+    assert support is not None and support.height == pytest.approx(HEIGHT, abs=0.01)
+    monkeypatch.setattr(SmallPhotos, "details", lambda photos: photos)
+    assert find_support_by_photos(rays) is None, "its colors change too much from photo to photo"
 
 
 def test_a_plate_is_found_at_its_height_and_tilt_though_it_ends_soon(tmp_path):

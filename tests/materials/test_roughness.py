@@ -8,7 +8,13 @@ import torch
 
 from blender_nep.materials.fitting import fit_groups, roughness_scan
 from blender_nep.materials.palette import Palette, between, place_of_least
-from blender_nep.materials.roughness import place_where_equal, residual_of_reflections, share_roughness, spread
+from blender_nep.materials.roughness import (
+    place_by_both,
+    place_where_equal,
+    residual_of_reflections,
+    share_roughness,
+    spread,
+)
 from blender_nep.presets import MaterialPreset
 from blender_nep.shading.light_moments import LightMoments
 from blender_nep.shading.plenoptic import Material, reflected
@@ -137,6 +143,21 @@ def test_the_spread_decides_within_what_the_residual_allows(zero, expected):
     row = torch.arange(28.0)
     residual = 0.05 * (1 + 0.03 * ((row - 5) / 3) ** 2)
     assert place_where_equal(residual, 0.0301, lambda r: 0.1 * (zero - r)) == pytest.approx(expected, abs=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("fall", "of_mirror", "expected"),
+    [
+        (0.005, -0.03, 4.0),  # the rows 0 to 4 are as sharp as a mirror, and the residual falls until row 5
+        (0.05, -0.03, 0.375),  # only the first 0.4 rows are (in steps of an eighth of a row)
+        (0.05, 0.3, 6.0),  # no mirror: the measure is that of the photos at row 6
+    ],
+)
+def test_among_lobes_as_sharp_as_a_mirror_the_residual_decides(fall, of_mirror, expected):
+    row = torch.arange(28.0)
+    residual = 0.05 * (1 + 0.03 * ((row - 5) / 5) ** 2)
+    log_ratio = (of_mirror - fall * row).tolist()
+    assert place_by_both(residual, 0.0301, log_ratio, 0.02) == pytest.approx(expected, abs=0.01)
 
 
 def test_a_mirror_whose_reflections_are_misplaced_stays_sharp():

@@ -27,18 +27,26 @@ def shadow(points: np.ndarray) -> np.ndarray:
     return np.array([0.2, 0.3, 0.35]) * (1 - 0.8 * np.exp(-((away / 0.4) ** 2)))[:, None]
 
 
+def glossy_checkers(points: np.ndarray, directions: np.ndarray) -> np.ndarray:
+    """Linear radiance [n, 3] of points [n, 3] of a checkered table that mirrors soft lights; directions [n, 3] see it."""
+    even = (np.floor(points[:, :1] / 0.3) + np.floor(points[:, 1:2] / 0.3)) % 2
+    lamps = np.array([[0.8, 0.0, 0.6], [-0.5, 0.6, 0.62], [-0.4, -0.7, 0.59]])
+    lights = np.exp(6 * (directions * [1, 1, -1] @ lamps.T - 1)).sum(1)
+    return np.where(even == 1, [0.1, 0.2, 0.18], [0.2, 0.1, 0.16]) + lights[:, None] * [1.0, 0.9, 0.7]
+
+
 def turn(tilt: float) -> np.ndarray:
     """A rotation [3, 3] about the y axis by `tilt` radians."""
     c, s = np.cos(tilt), np.sin(tilt)
     return np.array([[c, 0, s], [0, 1, 0], [-s, 0, c]])
 
 
-def colors(origin: np.ndarray, directions: np.ndarray, radius: float, plain: bool) -> np.ndarray:
+def colors(origin: np.ndarray, directions: np.ndarray, radius: float, plain: bool, glossy: bool) -> np.ndarray:
     """What rays from `origin` [3] along directions [n, 3] see: the ball, the round table, or walls far away."""
     color = 0.3 + 0.2 * np.sin(3 * directions)
     points = origin + ((HEIGHT - origin[2]) / np.minimum(directions[:, 2], -1e-6))[:, None] * directions
     met = (directions[:, 2] < 0) & (np.hypot(points[:, 0], points[:, 1]) < radius)
-    color[met] = (shadow if plain else pattern)(points[met])
+    color[met] = glossy_checkers(points[met], directions[met]) if glossy else (shadow if plain else pattern)(points[met])
     along = directions @ (CENTRE - origin)
     away = np.linalg.norm(origin + along[:, None] * directions - CENTRE, axis=1)
     color[away < BALL] = [0.1, 0.5, 0.2]
@@ -50,6 +58,7 @@ def write_table_scene(
     *,
     radius: float = np.inf,
     plain: bool = False,
+    glossy: bool = False,
     tilt: float = 0.0,
     elevations: tuple[float, ...] = (15, 35, 60),
 ) -> Path:
@@ -60,7 +69,7 @@ def write_table_scene(
     (folder / "images").mkdir(parents=True)
     frames = []
     for k, (position, matrix, directions) in enumerate(camera_ring(24, elevations, SIZE, FOCAL)):
-        photo = colors(position, directions, radius, plain)
+        photo = colors(position, directions, radius, plain, glossy)
         write_exr(folder / "images" / f"{k}.exr", photo.reshape(SIZE, SIZE, 3))
         matrix[:3] = turn(tilt) @ matrix[:3]
         frames.append({"file_path": f"images/{k}.exr", "transform_matrix": matrix.tolist()})
