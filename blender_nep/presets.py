@@ -352,7 +352,7 @@ class MaterialPreset:
     """Dielectrics share one roughness if that raises the residual of none of them by more than this share."""
     spread_margin: float = 0.03
     """For a metal, roughness values are possible whose residual is up to this share above the least. Among these, the spread
-    of the reflected light decides."""
+    of the reflected light decides, except among lobes as sharp as a mirror (`materials.roughness`)."""
     hue_residual_margin: float = 0.1
     """The same for colored dielectrics, whose third moments of reflected light decide (`materials.diffuse_free`)."""
     blend_margin: float = 0.05

@@ -40,7 +40,7 @@ class SmallPhotos:
         self.photos = torch.cat(photos)
 
     def details(self) -> SmallPhotos:
-        """The same photos without what changes slowly over them. What is left has both signs, and mean 0.
+        """The same photos without what changes slowly over them. What is left has both signs.
 
         A glossy table mirrors other surroundings for each camera. That changes slowly, and the table's pattern does not.
         """

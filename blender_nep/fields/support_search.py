@@ -47,6 +47,8 @@ INNER_CONTRAST = 1.1
 """By this factor, the share of the photos that agree on the colors inside the sphere must be above that REACH above and
 below the plane. Measured: 1.16 for a patterned plate that ends in the sphere; at most 1.03 for nine objects without a
 support, with the photos from above only, and 1.06 at a wrong height over a glossy plate."""
+_NOISE = 0.002
+"""A spread below this is noise, as in the details of a plain wall."""
 _SIDE = 50
 """The plane inside the sphere is looked at in so many points along each side of the square around it."""
 _POINTS, _FINE_POINTS = 400, 1600
@@ -145,7 +147,7 @@ def _contrast(photos: SmallPhotos, plane: Support, width: float) -> float:
         _ring_spread(photos, Support(plane.normal, plane.height + rise), plane.radius, width)
         for rise in (-REACH, 0.0, REACH)
     )
-    return min(below, above) / max(here, 1e-6)
+    return min(below, above) / max(here, _NOISE)
 
 
 def ring(support: Support, inner: float, width: float, count: int) -> np.ndarray:

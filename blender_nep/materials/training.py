@@ -86,7 +86,7 @@ class Materials:
     confidence: np.ndarray
     """[H, W] 0..1: 1 where the photos decided"""
     unseen: UnseenLight | None = None
-    """Light that no photo shows. It is added to F_e's radiance where F_e has no coverage."""
+    """Light that no photo shows. It takes the place of F_e where F_e has no coverage (`UnseenLight.completed`)."""
     report: dict = field(default_factory=dict)
     """`MaterialReport.as_dict`"""
     kept: KeptMaterials | None = None
@@ -142,10 +142,12 @@ class _MaterialLearner:
         """[K] metallic of the palette's materials. None if the photos have not decided it clearly."""
         self.trial_seconds = 0.0
         """Seconds that the last trial of every material as the other class (metal or dielectric) took"""
-        if light.in_photos:
-            self._add_unseen_light(UnseenLight.expected_beside(seen.f_p.environment, preset.unseen_rows))
-        elif preset.residual:
+        self.unseen_learned = False
+        """Whether the unseen light is more than what F_e holds where no photo looks"""
+        if preset.residual and not light.in_photos:
             self._begin_with_grey_light()
+        else:
+            self._add_unseen_light(UnseenLight.expected_beside(seen.f_p.environment, preset.unseen_rows))
         self.search = PaletteSearch(seen.samples, light, preset, seen.device)
 
     def run(self) -> Materials:
@@ -246,6 +248,7 @@ class _MaterialLearner:
             self._skip(Part.RESIDUAL, Message("reason.light_seen") if p.residual else Message("reason.preset"))
             return
         assert light.unseen is not None  # it was added before the first fit
+        self.unseen_learned = True
         self.report.unseen_light_radius = round(light.unseen.radius, 3)
         trials, start = [], time.monotonic()
 
@@ -295,7 +298,7 @@ class _MaterialLearner:
         )
         segments = segments_of(lit.samples, self.seed, self._label_pixels)
         label = torch.from_numpy(segments.label).to(self.seen.device)
-        if self.light.unseen is not None:
+        if self.light.unseen is not None and self.unseen_learned:
             gain = gain_of_unseen_light(lit, label, segments, p)
             self.report.unseen_light_gain = round(gain, 3)
             self.light.unseen.radiance *= gain

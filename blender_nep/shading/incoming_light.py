@@ -46,9 +46,10 @@ class TracedLight:
     """The trace result of the cones of n surface points. It does not depend on the materials."""
 
     specular: Tensor
-    """[n, R, 3, 3] light of F_e through the specular lobe of R roughness levels: three moments with three colors each"""
+    """[n, R, 3, 3] light of F_e, as far as it counts, through the specular lobe of R roughness levels: three moments with
+    three colors each"""
     diffuse: Tensor
-    """[n, 3] irradiance from F_e, divided by pi"""
+    """[n, 3] irradiance from F_e, as far as it counts, divided by pi"""
     coverage: Tensor
     """[n, R] in 0..1: share of the specular lobe whose light the photos show"""
     hit_index: Tensor

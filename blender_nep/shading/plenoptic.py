@@ -1,6 +1,6 @@
 """The neural plenoptic function f_p(x, d): the light that arrives at a surface point x from direction d (paper, eq. 6).
 
-A ray that leaves the object gets the radiance of the environment field F_e in a cone, plus the unseen light where no photo
+A ray that leaves the object gets the radiance of the environment field F_e in a cone, or the unseen light where no photo
 shows the environment. A ray that meets the mesh again gets the radiance that the mesh reflects there. That radiance comes
 from the rendering equation down to N levels, and below that from the terminal MLP.
 """
@@ -156,7 +156,7 @@ class PlenopticFunction:
         self.settings = settings
         self.device = torch.device(device)
         self.unseen: UnseenLight | None = None
-        """Light that no photo shows. None until it is learned."""
+        """Light that no photo shows. None: there is none."""
         self.support_light: SupportLight | None = None
         """The light of the plane on which the object stands. None if it stands on none."""
 

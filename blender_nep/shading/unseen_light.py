@@ -4,9 +4,9 @@ Photos of an object in a room show the walls behind it. They show the lamps on t
 no coverage. Without that light, the albedo would come out too bright, and paint would be taken for metal. So a map of
 radiance is added to F_e, weighted by the missing coverage.
 
-Where photos show nothing, F_e still holds some radiance: what it began with, and what its smoothness drew there. That may be
-brighter than the true light, and the map could only add to it. So F_e counts less there (`share_of_field`), and the map
-begins with what F_e holds (`UnseenLight.expected`).
+Where photos show nothing, F_e still holds some radiance: what it began with, and what its smoothness prior filled in. That
+may be brighter than the true light, and the map could only add to it. So F_e counts less there (`share_of_field`), and the
+map begins with what F_e holds (`UnseenLight.expected`).
 
 The map is equirectangular (Blender's orientation, row 0 is +z) on a sphere of finite radius around the object's centre, so
 that near lamps keep their parallax. For fixed materials, the light in the photos is linear in the map: a sparse matrix times

@@ -46,10 +46,10 @@ def test_a_patterned_plate_that_ends_in_the_sphere_is_found_at_its_height(tmp_pa
 
 @pytest.mark.parametrize(
     "scene",
-    [{"radius": 0.0}, {"elevations": (-40, 15, 35, 60)}],
-    ids=["no table", "a table that some photos are taken from below"],
+    [{"radius": 0.0}, {"elevations": (-40, 15, 35, 60)}, {"plain": True}],
+    ids=["no table", "a table that some photos are taken from below", "a plain table"],
 )
-def test_nothing_is_found_where_nothing_can_support_the_object(tmp_path, scene):
+def test_nothing_is_found_where_the_photos_show_no_support(tmp_path, scene):
     assert find_support_by_photos(rays_of(write_table_scene(tmp_path / "capture", **scene))) is None
 
 

@@ -1,5 +1,6 @@
 """The roughness of materials from their reflections: photos made with known materials, under light that is known wrongly."""
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -172,10 +173,12 @@ def test_a_mirror_whose_reflections_are_misplaced_stays_sharp():
     cost, _ = fit_groups(light, photo, torch.ones(n), group, 1, least_roughness=0.05, clip=0.25, hypotheses=(1.0,))
     assert float(SCAN[cost[0, :, 0].argmin()]) > 0.3, "a blur agrees best with what is misplaced"
 
-    def excess(row: int) -> float:
-        r = SCAN[row].expand(n)
+    def of_prediction(r: torch.Tensor) -> float:
+        r = r.expand(n)
         shown = reflected(Material(albedo.expand(n, 3), r, torch.ones(n)), light.moments(r), light.diffuse, light.cos_v)
-        return spread(shown.mean(-1), torch.ones(n), region) - spread(photo.mean(-1), torch.ones(n), region)
+        return spread(shown.mean(-1), torch.ones(n), region)
 
-    place = place_where_equal(cost[0, :, 0], 10.0, excess)
+    of_photo = spread(photo.mean(-1), torch.ones(n), region)
+    log_ratio = [math.log(of_prediction(r) / of_photo) for r in SCAN]
+    place = place_by_both(cost[0, :, 0], 10.0, log_ratio, 0.02)
     assert float(between(SCAN.sqrt()[:, None], torch.tensor([place])) ** 2) == pytest.approx(0.1, abs=0.01)

@@ -66,6 +66,7 @@ def test_many_paints_and_gold_leaf_get_materials_of_their_own(ball, photos_of_pa
     few = learn(ball, photos_of_paints, FEW)
     assert varied.report["segments"] > 50 and "segments" not in few.report
     assert few.report["skipped"]["materials that vary from place to place"]["code"] == "reason.preset"
+    assert "unseen_light_gain" not in varied.report, "the photos show all light, so none was learned"
     albedo, roughness, metallic = errors(ball, varied, many_paints)
     assert albedo < 0.01 and roughness < 0.006 and metallic < 0.06
     worse = errors(ball, few, many_paints)
