@@ -40,8 +40,8 @@ TILT_GAIN = 0.97
 """By this factor the spread must fall before the plane is tilted against the upward direction of the cameras."""
 LEAST_CONTRAST = 1.3
 """By this factor the spread of the colors at the minimum must be below the spread REACH above and below it. Measured: 2.6
-for a patterned table; at most 1.04 for seven objects without one, with the photos from above only. By the
-photos' details: 1.32 for a glossy patterned table, at most 1.04 for the same seven, 1.15 at a wrong height over a plate."""
+for a patterned table; at most 1.04 for seven objects without one, with the photos from above only. By the photos' details:
+1.32 for a glossy patterned table, at most 1.04 for the same seven, 1.15 at a wrong height over a plate."""
 REACH = 0.08
 INNER_CONTRAST = 1.1
 """By this factor, the share of the photos that agree on the colors inside the sphere must be above that REACH above and

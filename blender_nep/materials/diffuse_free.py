@@ -86,7 +86,7 @@ def places_of_colored(evidence: Sequence[Evidence], margin: float) -> list[float
     share `margin` above its least. Within this range the third moment decides, or the mean of the logs of the third moments'
     ratios where paints share a roughness.
     """
-    found = [place_by_both(own.residual, margin, own.moment, _ALIKE) for own in evidence]
+    found = [place_by_both(own.residual, margin, own.moment.__getitem__, _ALIKE) for own in evidence]
     shared = list(range(len(evidence)))
     while len(shared) > 1:
         common, leaves = _common_place([evidence[k] for k in shared], margin)
@@ -106,7 +106,7 @@ def _common_place(evidence: list[Evidence], margin: float) -> tuple[float, int |
     if float(worst[best]) > 1 + margin:
         return float(best), int(raised[:, best].argmax())
     moment = np.mean([np.clip(own.moment, -_MOST_LOG, _MOST_LOG) for own in evidence], 0)
-    common = place_by_both(worst, (1 + margin) / float(worst[best]) - 1, moment.tolist(), _ALIKE)
+    common = place_by_both(worst, (1 + margin) / float(worst[best]) - 1, moment.tolist().__getitem__, _ALIKE)
     apart = [abs(float(np.interp(common, np.arange(len(moment)), own.moment))) for own in evidence]
     return common, int(np.argmax(apart)) if max(apart) > _APART else None
 

@@ -7,6 +7,7 @@ merged into one material. A material that blends of others explain as well is dr
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
@@ -248,16 +249,15 @@ class PaletteSearch:
         darkest = 0.1 * photo.median().clamp_min(1e-6)  # what is darker says more about noise than about the light
         of_photo = max(spread(photo + darkest, weight, region), _LEAST_SPREAD)
 
-        def of_prediction(value: Tensor) -> float:
-            roughness = value.expand(len(own))
+        def log_ratio(row: int) -> float:
+            roughness = scan[row].expand(len(own))
             material = Material(self.palette.albedo[k].expand(len(own), 3), roughness, torch.ones_like(roughness))
             shown = reflected(
                 material, self.light.moments(roughness, own), self.light.diffuse[own], self.light.cos_v[own]
             ).mean(-1)
-            return spread(shown + darkest, weight, region)
+            return math.log(max(spread(shown + darkest, weight, region), _LEAST_SPREAD) / of_photo)
 
-        spreads = np.array([of_prediction(value) for value in scan]).clip(_LEAST_SPREAD)
-        return place_by_both(residual, p.spread_margin, np.log(spreads / of_photo).tolist(), _ALIKE)
+        return place_by_both(residual, p.spread_margin, log_ratio, _ALIKE)
 
     def assign(self) -> None:
         """Give every sample the material for which its neighbours vote."""

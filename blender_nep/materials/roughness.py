@@ -19,7 +19,8 @@ these, the residual decides.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
+from functools import cache
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -147,20 +148,22 @@ def place_where_equal(residual: Tensor, margin: float, excess: Callable[[int], f
     return float(high)
 
 
-def place_by_both(residual: Tensor, margin: float, log_ratio: Sequence[float], alike: float) -> float:
+def place_by_both(residual: Tensor, margin: float, log_ratio: Callable[[int], float], alike: float) -> float:
     """The place 0 .. R - 1 of a roughness in `roughness_scan`, by the residual [R] and by another measure.
 
-    log_ratio [R] is the log of (the measure of the prediction / that of the photos); it falls with the roughness. Within the
-    range that the residual leaves, it decides (`place_where_equal`). Lobes that are sharper than the light have the measure
-    of a mirror, which cannot tell them apart. So the residual does. What the residual says fades out where the measure falls
-    below that of a mirror: half of it counts where the log is 0.75 `alike` lower, nothing where it is `alike` lower.
+    log_ratio(row) is the log of (the measure of the prediction / that of the photos); it falls with the roughness. Within
+    the range that the residual leaves, it decides (`place_where_equal`). Lobes that are sharper than the light have the
+    measure of a mirror, which cannot tell them apart. So the residual does. What the residual says fades out where the
+    measure falls below that of a mirror: half of it counts where the log is 0.75 `alike` lower, nothing where it is `alike`
+    lower.
     """
-    place = place_where_equal(residual, margin, log_ratio.__getitem__)
-    rows = np.arange(len(log_ratio))
-    places = np.append(np.linspace(0, rows[-1], _PLACES * rows[-1] + 1), place)
-    drop = (log_ratio[0] - np.interp(places, rows, log_ratio)) / alike
-    sharp = drop <= 1
-    if not sharp[-1]:
+    known = cache(log_ratio)  # it may be slow, and most materials need few rows
+    place, rows = place_where_equal(residual, margin, known), np.arange(len(residual))
+    beside = [int(place), min(int(place) + 1, len(rows) - 1)]
+    drop = (known(0) - np.interp(place, beside, [known(row) for row in beside])) / alike
+    if drop > 1:
         return place
+    places = np.append(np.linspace(0, rows[-1], _PLACES * rows[-1] + 1), place)
+    sharp = known(0) - np.interp(places, rows, [known(row) for row in rows.tolist()]) <= alike
     by_residual = places[sharp][np.interp(places, rows, residual.cpu().numpy())[sharp].argmin()]
-    return float(place + min(2 - 2 * drop[-1], 1.0) * (by_residual - place))
+    return float(place + min(2 - 2 * drop, 1.0) * (by_residual - place))

@@ -46,7 +46,10 @@ class UnseenLight:
 
     @classmethod
     def expected_beside(cls, environment: Environment, rows: int) -> UnseenLight:
-        """The map that gives back what `share_of_field` takes from F_e, as seen from the centre."""
+        """The map that gives back what `share_of_field` takes from F_e in narrow cones, as seen from the centre.
+
+        A wide cone that photos cover in part gets more than that.
+        """
         radiance, coverage = environment.equirect(rows)
         light = cls(rows, environment.typical_distance(), radiance.device)
         light.expected = radiance * (1 - share_of_field(coverage))[..., None]

@@ -158,7 +158,7 @@ def test_among_lobes_as_sharp_as_a_mirror_the_residual_decides(fall, of_mirror, 
     row = torch.arange(28.0)
     residual = 0.05 * (1 + 0.03 * ((row - 5) / 5) ** 2)
     log_ratio = (of_mirror - fall * row).tolist()
-    assert place_by_both(residual, 0.0301, log_ratio, 0.02) == pytest.approx(expected, abs=0.01)
+    assert place_by_both(residual, 0.0301, log_ratio.__getitem__, 0.02) == pytest.approx(expected, abs=0.01)
 
 
 def test_a_mirror_whose_reflections_are_misplaced_stays_sharp():
@@ -180,5 +180,5 @@ def test_a_mirror_whose_reflections_are_misplaced_stays_sharp():
 
     of_photo = spread(photo.mean(-1), torch.ones(n), region)
     log_ratio = [math.log(of_prediction(r) / of_photo) for r in SCAN]
-    place = place_by_both(cost[0, :, 0], 10.0, log_ratio, 0.02)
+    place = place_by_both(cost[0, :, 0], 10.0, log_ratio.__getitem__, 0.02)
     assert float(between(SCAN.sqrt()[:, None], torch.tensor([place])) ** 2) == pytest.approx(0.1, abs=0.01)
