@@ -224,7 +224,7 @@ class EnvironmentPreset:
     shells took as long as the rendering."""
     regularised_detail: float = 0.1
     """Share of the rows of the color detail for which a step computes the prior. The rows are drawn anew in each step."""
-    coverage_weight: float = 0.3
+    coverage_weight: float = 0.015
     """A node has full coverage if the weights with which `coverage_rays` camera rays see it add up to this."""
     coverage_rays: int = 200_000
     """Number of camera rays with which the coverage is measured, after F_e is learned."""

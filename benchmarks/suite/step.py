@@ -32,6 +32,17 @@ class NoLight:
         """(radiance [n, 3], coverage [n]), both 0 everywhere."""
         return origins * 0, origins[:, 0] * 0
 
+    def equirect(self, height):
+        """(radiance [height, 2 height, 3], coverage [height, 2 height]), both 0 everywhere."""
+        radiance = self.extrapolated(height)
+        return radiance, radiance[..., 0]
+
+    def extrapolated(self, height):
+        """Radiance [height, 2 height, 3], 0 everywhere."""
+        import torch
+
+        return torch.zeros(height, 2 * height, 3)
+
     def typical_distance(self) -> float:
         """The distance, in object radii, at which stage 2 puts the light that no photo has seen."""
         return self.distance

@@ -224,7 +224,7 @@ class EnvironmentField(nn.Module):
         """End the learning: measure `coverage` with camera rays [n, 3], so that cones can be queried.
 
         The coverage of a node is the summed weight with which the rays see it, divided by `preset.coverage_weight`, at
-        most 1.
+        most 1. That weight is low, because what photos show is known better than what only the object reflects.
         """
         if not self.known:
             return
@@ -254,6 +254,8 @@ class EnvironmentField(nn.Module):
         t_near: torch.Tensor | None = None,
     ) -> tuple[torch.Tensor, torch.Tensor]:
         """Mean radiance [n, 3] in cones from points in the unit sphere, and the coverage [n] by the photos in 0..1.
+
+        Each node's radiance counts as far as the photos show the node: a cone's radiance is 0 where they show nothing.
 
         origins, unit directions [n, 3]; half_angle [n] or one number, radians, 0 .. pi / 2; t_near [n]: the distance at
         which the environment begins, by default the border |x| = 1.
@@ -294,18 +296,23 @@ class EnvironmentField(nn.Module):
         return float(distance.median())
 
     def equirect(self, height: int) -> tuple[torch.Tensor, torch.Tensor]:
-        """The light seen from the object's centre, as a map for Blender's World.
+        """The light that the photos show, as seen from the object's centre: a map for Blender's World.
 
         Returns radiance [height, 2 height, 3] and coverage [height, 2 height] in 0..1. Cycles maps a direction to u = 0.5 -
         atan2(y, x) / (2 pi), v = 0.5 + atan2(z, hypot(x, y)) / pi; row 0 is +z.
         """
-        device = self.raw.device
-        theta = (torch.arange(height, device=device) + 0.5) * math.pi / height
-        phi = (0.5 - (torch.arange(2 * height, device=device) + 0.5) / (2 * height)) * 2 * math.pi
-        theta, phi = torch.meshgrid(theta, phi, indexing="ij")
-        direction = torch.stack([theta.sin() * phi.cos(), theta.sin() * phi.sin(), theta.cos()], -1).reshape(-1, 3)
+        direction = _equirect_directions(height, self.raw.device)
         radiance, coverage = self.query_cone(torch.zeros_like(direction), direction, 0.5 * math.pi / height)
         return radiance.reshape(height, 2 * height, 3), coverage.reshape(height, 2 * height)
+
+    @torch.no_grad()
+    def extrapolated(self, height: int) -> torch.Tensor:
+        """All radiance that the field holds, shown by photos or not: a map [height, 2 height, 3] as that of `equirect`."""
+        fine = 4 * height
+        direction = _equirect_directions(fine, self.raw.device)
+        near = torch.ones_like(direction[:, 0])
+        radiance, _ = self.render(torch.zeros_like(direction), direction, near, near * torch.inf)
+        return radiance.reshape(height, 4, 2 * height, 4, 3).mean((1, 3))
 
     def parameter_groups(self) -> list[dict]:
         """The parameters with their learning rate and settings, for torch.optim.Adam."""
@@ -322,3 +329,11 @@ class EnvironmentField(nn.Module):
             self.detail = nn.Parameter(self.detail.new_empty(detail.shape))
         self._prefiltered = None
         super()._load_from_state_dict(state_dict, prefix, *arguments)
+
+
+def _equirect_directions(height: int, device: torch.device) -> torch.Tensor:
+    """Unit directions [2 height^2, 3] of the texels of an equirectangular map, row by row."""
+    theta = (torch.arange(height, device=device) + 0.5) * math.pi / height
+    phi = (0.5 - (torch.arange(2 * height, device=device) + 0.5) / (2 * height)) * 2 * math.pi
+    theta, phi = torch.meshgrid(theta, phi, indexing="ij")
+    return torch.stack([theta.sin() * phi.cos(), theta.sin() * phi.sin(), theta.cos()], -1).reshape(-1, 3)

@@ -80,7 +80,7 @@ def _add_detail(values: torch.Tensor, detail: torch.Tensor, far: torch.Tensor) -
 
 
 class PrefilteredEnvironment:
-    """A learned environment field that can be queried with cones.
+    """A learned environment field, as far as photos show it, that can be queried with cones.
 
     raw [K, H, W, 4] is raw density and log radiance; coverage [K, H, W] is in 0..1; detail [D, 2 D, 3] is added to the log
     radiance of all shells, D a multiple of FINER_ROWS H, or 0. The levels are kept on the CPU.
@@ -101,6 +101,8 @@ class PrefilteredEnvironment:
         if not len(detail):
             self.far = torch.zeros_like(self.far)
         values = weights_from_centre(raw, coverage, density_gain, spacing, FINER_ROWS * raw.shape[1])
+        # Where no photo shows a node, it holds what it began with, and what the smoothness prior filled in.
+        values[..., :3] *= values[..., 4:] / values[..., 3:4].clamp_min(1e-9)
         self.detail = _add_detail(values, detail, self.far)
         # a shell that is nowhere visible from the centre needs no lookup
         self.occupied = values[..., 3].amax((1, 2)) > 1e-4

@@ -55,7 +55,7 @@ def learn_unseen_light(
     start = light.unseen
     if start is None:
         raise ValueError("light.unseen must hold the map to go on from")
-    problem = UnseenLightProblem(light, start.expected, start.radius, label, target, rows, preset)
+    problem = UnseenLightProblem(light, start, label, target, rows, preset)
 
     def solve(tried: Palette, steps: int, start: UnseenLight) -> UnseenFit:
         fit = problem.solve(tried, start, steps)
@@ -118,24 +118,23 @@ class UnseenFit:
 class UnseenLightProblem:
     """Some photo samples [m] and the known light on them. `solve` finds the unseen light.
 
-    expected [rows, 2 rows, 3] and radius describe the map of the unseen light (`UnseenLight`); samples [m] are indices into
-    `light`; label [n] and target [n, 3] are those of all samples.
+    `unseen` describes the map of the unseen light; samples [m] are indices into `light`; label [n] and target [n, 3] are
+    those of all samples.
     """
 
     def __init__(
         self,
         light: IncomingLight,
-        expected: Tensor,
-        radius: float,
+        unseen: UnseenLight,
         label: Tensor,
         target: Tensor,
         samples: Tensor,
         preset: MaterialPreset,
     ) -> None:
-        self.light, self.expected, self.radius, self.preset = light, expected, radius, preset
+        self.light, self.unseen, self.preset = light, unseen, preset
         self.samples, self.label, self.goal = samples, label[samples], tone_map(target[samples])
         self.cones = light.uncovered_cones(samples)
-        self.transport = UnseenTransport(len(expected), radius, self.cones, light.points.position[samples])
+        self.transport = UnseenTransport(unseen.missing, unseen.radius, self.cones, light.points.position[samples])
 
     def solve(self, palette: Palette, start: UnseenLight, steps: int) -> UnseenFit:
         """Find the map and the albedos that explain the photos best, with the palette's roughness and metallic.
@@ -145,7 +144,8 @@ class UnseenLightProblem:
         color. The prior on the deviation makes a few lamps more likely than a bright sky. The prior on the color is needed
         because colored light on a grey object looks like grey light on a colored object.
         """
-        p, device, light, rows, samples = self.preset, self.goal.device, self.light, len(self.expected), self.samples
+        p, device, light, samples = self.preset, self.goal.device, self.light, self.samples
+        missing, rows = self.unseen.missing, len(self.unseen.missing)
         material = palette.at(self.label)
         moments = light.known_moments(material.roughness, samples)
         offset, slope = affine_in_albedo(material, moments, light.known_diffuse[samples], light.cos_v[samples])
@@ -155,13 +155,13 @@ class UnseenLightProblem:
         optimiser = torch.optim.Adam([{"params": [raw]}, {"params": [logit]}])
         area = torch.sin((torch.arange(rows, device=device) + 0.5) * math.pi / rows)[:, None, None]
         area = area / area.mean()
-        expected = tone_map(self.expected)
+        expected = tone_map(self.unseen.expected)
         error = float("nan")
         for k in range(steps):
             for group, rate in zip(optimiser.param_groups, (p.unseen_rate, p.unseen_albedo_rate), strict=True):
                 group["lr"] = rate * 0.1 ** (k / steps)
             radiance = raw.clamp(_DARKEST, _BRIGHTEST).exp()
-            levels = pyramid(radiance)
+            levels = pyramid(radiance, missing)
             image = levels.detach().cpu().numpy().astype(np.float32)
             sent = torch.from_numpy(self.transport.sent(response, image)).to(device).requires_grad_()
             # Not [self.label]: several threads would sum its gradient in any order, and a job must be repeatable.
@@ -184,7 +184,7 @@ class UnseenLightProblem:
             error = float(photometric.detach() + prior.detach())
             ((levels * torch.from_numpy(gradient).to(device)).sum() + prior).backward()
             optimiser.step()
-        unseen = UnseenLight(rows, self.radius, device)
-        unseen.expected = self.expected
+        unseen = UnseenLight(rows, self.unseen.radius, device)
+        unseen.expected, unseen.missing = self.unseen.expected, missing
         unseen.radiance = raw.detach().clamp(_DARKEST, _BRIGHTEST).exp()
         return UnseenFit(unseen, torch.sigmoid(logit).detach(), error)

@@ -19,7 +19,7 @@ from blender_nep.geometry.ray_tracing import RayTracer
 from blender_nep.shading import brdf
 from blender_nep.shading.cones import diffuse_cones, specular_cones
 from blender_nep.shading.support_light import SupportLight
-from blender_nep.shading.unseen_light import UnseenLight, share_of_field
+from blender_nep.shading.unseen_light import UnseenLight
 
 _CHUNK = 1 << 16
 
@@ -28,11 +28,15 @@ class Environment(Protocol):
     """The methods of F_e that f_p needs."""
 
     def query_cone(self, origins: Tensor, directions: Tensor, half_angle: Tensor) -> tuple[Tensor, Tensor]:
-        """Mean radiance [n, 3] in cones, and their coverage [n] by the photos in 0..1."""
+        """Mean radiance [n, 3] in cones of what the photos show, and their coverage [n] by the photos in 0..1."""
         ...
 
     def equirect(self, height: int) -> tuple[Tensor, Tensor]:
-        """Radiance [height, 2 height, 3] and coverage [height, 2 height] as seen from the object's centre."""
+        """The same as seen from the centre: radiance [height, 2 height, 3] and coverage [height, 2 height]."""
+        ...
+
+    def extrapolated(self, height: int) -> Tensor:
+        """The radiance [height, 2 height, 3] that the field holds, shown by photos or not."""
         ...
 
     def typical_distance(self) -> float:
@@ -85,7 +89,7 @@ class TraceResult:
     """The trace result of n rays from surface points: F_e's light for rays that leave, surface points for rays that hit."""
 
     radiance: Tensor
-    """[n, 3] radiance of F_e, less where photos do not show it (`share_of_field`); 0 where the ray hits the mesh"""
+    """[n, 3] radiance of F_e, as far as photos show it; 0 where the ray hits the mesh"""
     coverage: Tensor
     """[n] coverage of that light by the photos, 0..1; 1 where the ray hits the mesh"""
     row: Tensor
@@ -195,17 +199,12 @@ class PlenopticFunction:
     def _surroundings(self, origins: Tensor, directions: Tensor, half_angle: Tensor) -> tuple[Tensor, Tensor]:
         """Mean radiance [n, 3] and coverage [n] of cones that leave the object: of the support plane, or of F_e."""
         if self.support_light is None:
-            return self._field(origins, directions, half_angle)
+            return self.environment.query_cone(origins, directions, half_angle)
         radiance, meets = self.support_light.query_cone(origins, directions, half_angle)
         coverage = torch.ones_like(radiance[:, 0])
         far = (~meets).nonzero()[:, 0]
-        radiance[far], coverage[far] = self._field(origins[far], directions[far], half_angle[far])
+        radiance[far], coverage[far] = self.environment.query_cone(origins[far], directions[far], half_angle[far])
         return radiance, coverage
-
-    def _field(self, origins: Tensor, directions: Tensor, half_angle: Tensor) -> tuple[Tensor, Tensor]:
-        """Mean radiance [n, 3] of F_e in cones, as much as it counts, and their coverage [n]."""
-        radiance, coverage = self.environment.query_cone(origins, directions, half_angle)
-        return radiance * share_of_field(coverage)[:, None], coverage
 
     @torch.no_grad()
     def outgoing(

@@ -2,11 +2,11 @@
 
 Photos of an object in a room show the walls behind it. They show the lamps on the ceiling only as highlights. There F_e has
 no coverage. Without that light, the albedo would come out too bright, and paint would be taken for metal. So a map of
-radiance is added to F_e, weighted by the missing coverage.
+radiance takes the place of F_e there. In between, both count: F_e in proportion to its coverage, the map in proportion to
+what is missing.
 
 Where photos show nothing, F_e still holds some radiance: what it began with, and what its smoothness prior filled in. That
-may be brighter than the true light, and the map could only add to it. So F_e counts less there (`share_of_field`), and the
-map begins with what F_e holds (`UnseenLight.expected`).
+does not count as light, but it is what the map begins with (`UnseenLight.expected`).
 
 The map is equirectangular (Blender's orientation, row 0 is +z) on a sphere of finite radius around the object's centre, so
 that near lamps keep their parallax. For fixed materials, the light in the photos is linear in the map: a sparse matrix times
@@ -26,13 +26,8 @@ from torch import Tensor
 if TYPE_CHECKING:
     from blender_nep.shading.plenoptic import Environment
 
-LEAST_COVERAGE = 0.2
-"""From this coverage on, the radiance of F_e counts in full."""
-
-
-def share_of_field(coverage: Tensor) -> Tensor:
-    """How much the radiance of F_e counts in cones of some coverage [...]: 0..1, and 0 where no photo shows anything."""
-    return (coverage / LEAST_COVERAGE).clamp(0, 1)
+_LEAST_MISSING = 1e-3
+"""Smallest weight of a texel, so that every cone has a mean."""
 
 
 class UnseenLight:
@@ -41,51 +36,53 @@ class UnseenLight:
     def __init__(self, rows: int, radius: float, device: torch.device | str) -> None:
         self.radius = radius
         self.radiance = torch.zeros(rows, 2 * rows, 3, device=device)
+        self.missing = torch.ones(rows, 2 * rows, device=device)
+        """[rows, 2 rows] share of each texel that no photo shows, 1e-3 to 1. Means over several texels are weighted by it"""
         self.expected = torch.zeros_like(self.radiance)
         """The radiance that is likely before the object's reflections are known. Only the learning needs it."""
 
     @classmethod
     def expected_beside(cls, environment: Environment, rows: int) -> UnseenLight:
-        """The map that gives back what `share_of_field` takes from F_e in narrow cones, as seen from the centre.
-
-        A wide cone that photos cover in part gets more than that.
-        """
-        radiance, coverage = environment.equirect(rows)
-        light = cls(rows, environment.typical_distance(), radiance.device)
-        light.expected = radiance * (1 - share_of_field(coverage))[..., None]
+        """The map of all radiance that F_e holds, shown by photos or not, as seen from the centre."""
+        _, coverage = environment.equirect(rows)
+        light = cls(rows, environment.typical_distance(), coverage.device)
+        light.expected = environment.extrapolated(rows)
+        light.missing = (1 - coverage).clamp(_LEAST_MISSING, 1)
         light.radiance = light.expected.clone()
         return light
 
     def __call__(self, origins: Tensor, directions: Tensor, half_angle: Tensor) -> Tensor:
         """Mean radiance [n, 3] in cones from origins [n, 3] along unit directions [n, 3] with half_angle [n] radians."""
-        index, weight = taps(len(self.radiance), self.radius, origins, directions, half_angle)
-        return (pyramid(self.radiance)[index] * weight[..., None]).sum(1)
+        index, weight = taps(self.missing, self.radius, origins, directions, half_angle)
+        return (pyramid(self.radiance, self.missing)[index] * weight[..., None]).sum(1)
 
     def state(self) -> dict:
         """The light as a dict of tensors and numbers, for a checkpoint."""
-        return {"radius": self.radius, "radiance": self.radiance}
+        return {"radius": self.radius, "radiance": self.radiance, "missing": self.missing}
 
     @classmethod
     def from_state(cls, state: dict) -> UnseenLight:
         """The inverse of `state`."""
         light = cls(len(state["radiance"]), state["radius"], state["radiance"].device)
-        light.radiance = state["radiance"]
+        light.radiance, light.missing = state["radiance"], state["missing"]
         return light
 
     def equirect(self, height: int) -> Tensor:
         """The map at another resolution: radiance [height, 2 height, 3] as seen from the centre."""
-        fine = torch.nn.functional.pad(self.radiance.permute(2, 0, 1)[None], (1, 1, 0, 0), mode="circular")
+        weighted = torch.cat([self.radiance * self.missing[..., None], self.missing[..., None]], -1)
+        fine = torch.nn.functional.pad(weighted.permute(2, 0, 1)[None], (1, 1, 0, 0), mode="circular")
         rows = len(self.radiance)
         fine = torch.nn.functional.interpolate(
             fine, (height, round((2 * rows + 2) * height / rows)), mode="bilinear", align_corners=False
         )
         border = (fine.shape[3] - 2 * height) // 2
-        return fine[0, :, :, border : border + 2 * height].permute(1, 2, 0)
+        fine = fine[0, :, :, border : border + 2 * height].permute(1, 2, 0)
+        return fine[..., :3] / fine[..., 3:]
 
     def completed(self, radiance: Tensor, coverage: Tensor) -> Tensor:
         """The whole light [h, 2 h, 3] from the centre: that of F_e, radiance [h, 2 h, 3] and coverage [h, 2 h], and this."""
         more = self.equirect(len(radiance)).to(radiance.device)
-        return radiance * share_of_field(coverage)[..., None] + more * (1 - coverage)[..., None]
+        return radiance + more * (1 - coverage)[..., None]
 
 
 def level_sizes(rows: int) -> list[int]:
@@ -96,22 +93,27 @@ def level_sizes(rows: int) -> list[int]:
     return sizes
 
 
-def pyramid(radiance: Tensor) -> Tensor:
-    """All levels of a map [rows, 2 rows, 3] in one list [texels, 3]. Each level holds means, weighted by solid angle."""
-    levels = [radiance]
-    for rows in level_sizes(len(radiance))[1:]:
-        last = levels[-1]
-        sine = torch.sin((torch.arange(2 * rows, device=last.device) + 0.5) * math.pi / (2 * rows))
-        pair = (last * sine[:, None, None]).reshape(rows, 2, rows * 2, 2, 3).sum((1, 3))
-        levels.append(pair / (2 * sine.reshape(rows, 2).sum(1))[:, None, None])
-    return torch.cat([level.reshape(-1, 3) for level in levels])
+def pyramid(values: Tensor, weight: Tensor) -> Tensor:
+    """All levels of a map [rows, 2 rows, C] in one list [texels, C].
 
-
-def taps(rows: int, radius: float, origins: Tensor, directions: Tensor, half_angle: Tensor) -> tuple[Tensor, Tensor]:
-    """The four texels at which each cone meets the map: indices into `pyramid` [n, 4] and bilinear weights [n, 4].
-
-    They are on the level whose texels are about as wide as the cone.
+    Each level holds means, weighted by solid angle and by weight [rows, 2 rows] > 0.
     """
+    levels, finest, channels = [values], len(values), values.shape[-1]
+    mass = weight * torch.sin((torch.arange(finest, device=values.device) + 0.5) * math.pi / finest)[:, None]
+    for rows in level_sizes(finest)[1:]:
+        summed = (levels[-1] * mass[..., None]).reshape(rows, 2, 2 * rows, 2, channels).sum((1, 3))
+        mass = mass.reshape(rows, 2, 2 * rows, 2).sum((1, 3))
+        levels.append(summed / mass[..., None])
+    return torch.cat([level.reshape(-1, channels) for level in levels])
+
+
+def taps(missing: Tensor, radius: float, origins: Tensor, directions: Tensor, half_angle: Tensor) -> tuple[Tensor, Tensor]:
+    """The four texels at which each cone meets the map: indices into `pyramid` [n, 4] and weights [n, 4].
+
+    They are on the level whose texels are about as wide as the cone. The weights are bilinear, times what is `missing` of
+    the texels, [rows, 2 rows]. They add up to 1.
+    """
+    rows = len(missing)
     if math.isfinite(radius):
         along = (origins * directions).sum(-1, keepdim=True)
         square = (origins * origins).sum(-1, keepdim=True)
@@ -137,7 +139,9 @@ def taps(rows: int, radius: float, origins: Tensor, directions: Tensor, half_ang
     index = first[:, None] + torch.stack(
         [top * width + left, top * width + right, bottom * width + left, bottom * width + right], 1
     )
-    return index, torch.stack([(1 - fy) * (1 - fx), (1 - fy) * fx, fy * (1 - fx), fy * fx], 1)
+    weight = torch.stack([(1 - fy) * (1 - fx), (1 - fy) * fx, fy * (1 - fx), fy * fx], 1)
+    weight = weight * pyramid(missing[..., None], torch.ones_like(missing))[index, 0]
+    return index, weight / weight.sum(1, keepdim=True)
 
 
 @dataclass

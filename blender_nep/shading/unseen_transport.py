@@ -18,14 +18,15 @@ _PARTS = 32
 
 
 class UnseenTransport:
-    """Transports the light of a map with `rows` rows at `radius` to n surface points, through their uncovered cones.
+    """Transports the light of a map to n surface points, through their uncovered cones.
 
-    position [n, 3] are the points. The work is done on the CPU, whatever the device of the cones.
+    The map lies at `radius`; photos do not show `missing` [rows, 2 rows] of its texels. position [n, 3] are the points. The
+    work is done on the CPU, whatever the device of the cones.
     """
 
-    def __init__(self, rows: int, radius: float, cones: UncoveredCones, position: Tensor) -> None:
-        index, weight = taps(rows, radius, position[cones.row], cones.direction, cones.half_angle)
-        self.texels = sum(2 * size * size for size in level_sizes(rows))
+    def __init__(self, missing: Tensor, radius: float, cones: UncoveredCones, position: Tensor) -> None:
+        index, weight = taps(missing, radius, position[cones.row], cones.direction, cones.half_angle)
+        self.texels = sum(2 * size * size for size in level_sizes(len(missing)))
         self._texel = index.int().cpu().numpy()
         self._weight = (weight * cones.share[:, None]).float().cpu().numpy()
         ends = torch.bincount(cones.row, minlength=len(position)).cumsum(0).cpu().numpy()

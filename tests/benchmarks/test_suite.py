@@ -17,11 +17,12 @@ from benchmarks.suite.fewer_views import spread, with_fewer_views
 from benchmarks.suite.harness import Children, read_row, write_row
 from benchmarks.suite.plan import ABLATIONS, AS_TAKEN, PLANS, WITHOUT_F_E, Run, expand
 from benchmarks.suite.runner import Suite, failure
-from benchmarks.suite.step import STAGE_1, learn, take_stage_1
+from benchmarks.suite.step import STAGE_1, NoLight, learn, take_stage_1
 from blender_nep.capture import load_capture
 from blender_nep.checkpoints import save_state
 from blender_nep.job.run_folder import RunFolder, fingerprint
 from blender_nep.presets import PRESETS, preset
+from blender_nep.shading.unseen_light import UnseenLight
 from blender_nep.stop_request import StopRequest
 from support.paths import SUZANNE_SMALL
 
@@ -226,3 +227,8 @@ def test_a_run_without_f_e_in_stage_2_has_the_same_mesh_from_the_same_stage_1_an
     assert (whole / "mesh.obj").read_bytes() == (other / "mesh.obj").read_bytes()
     one, two = (read_materials(asset) for asset in (whole, other))
     assert np.abs(one.albedo - two.albedo).mean() > 1e-3, "the ablation has changed nothing"
+
+
+def test_without_f_e_all_light_is_unseen_light_that_begins_black():
+    light = UnseenLight.expected_beside(NoLight(5.0), 8)
+    assert light.radius == 5.0 and (light.missing == 1).all() and not light.expected.any()

@@ -37,6 +37,7 @@ def box_field(size: float = 6.0) -> EnvironmentField:
         inside = (wall[None, ..., None].log() - at_shell) / length * (shells - 1)
         field.raw[..., :1] = (-10 * inside).clamp(-12, 4)
         field.raw[..., 1:] = color.log()
+    field.coverage.fill_(1)
     return field
 
 
@@ -84,6 +85,7 @@ def test_cones_are_means_of_rays(room, degrees, distance):
 @pytest.mark.parametrize("degrees", [0.3, 5.0, 15.0, 30.0, 60.0, 90.0])
 def test_constant_environment_gives_the_constant(degrees):
     field = EnvironmentField(PRESET, mean_radiance=3.0)
+    field.coverage.fill_(1)
     with torch.no_grad():
         field.raw[..., 0] = torch.randn(field.raw.shape[:3], generator=torch.Generator().manual_seed(0))
     origins, directions = 0.7 * random_directions(50, 4), random_directions(50, 5)
@@ -107,6 +109,7 @@ def test_cone_starts_at_the_border_for_points_on_it(room):
 def test_equirect_is_oriented_as_blenders_world():
     """Checked in Cycles: u = 0.5 - atan2(y, x) / (2 pi), v = 0.5 + elevation / pi, row 0 at the top (+z)."""
     field = EnvironmentField(PRESET, mean_radiance=0.1)
+    field.coverage.fill_(1)
     rows = field.raw.shape[1]
     elevation, azimuth = math.radians(36), math.radians(70)
     with torch.no_grad():
@@ -134,6 +137,19 @@ def test_coverage_is_high_only_where_cameras_looked():
         _, coverage = field.query_cone(torch.zeros_like(directions), directions, math.radians(5))
         assert ((coverage >= 0) & (coverage <= 1)).all()
         assert (coverage > 0.6).all() if seen else (coverage < 0.1).all()
+
+
+def test_what_no_photo_shows_does_not_count_in_a_cone_and_is_extrapolated():
+    field = EnvironmentField(PRESET, mean_radiance=3.0)
+    rows = field.raw.shape[1]
+    field.coverage[:, rows // 2 :] = 1  # below the horizon
+    across = torch.tensor([[1.0, 0.0, 0.0], [0.6, -0.8, 0.0]])
+    directions = torch.cat([across, torch.tensor([[0.0, 0.0, -1.0], [0.0, 0.0, 1.0]])])
+    radiance, coverage = field.query_cone(torch.zeros(4, 3), directions, 0.7)
+    torch.testing.assert_close(coverage, torch.tensor([0.5, 0.5, 1.0, 0.0]), atol=0.03, rtol=0)
+    torch.testing.assert_close(radiance, 3 * coverage[:, None].expand(4, 3), atol=0.1, rtol=0)
+    whole = field.extrapolated(8)
+    torch.testing.assert_close(whole, torch.full((8, 16, 3), 3.0), atol=0.02, rtol=0)
 
 
 def test_refining_keeps_the_field():
@@ -298,6 +314,7 @@ def sky() -> EnvironmentField:
     theta = ((torch.arange(rows) + 0.5) * math.pi / rows)[:, None].expand(rows, 2 * rows)
     with torch.no_grad():
         field.raw[..., 1:] = theta.cos()[None, ..., None]
+    field.coverage.fill_(1)
     return field
 
 

@@ -20,12 +20,6 @@ class UniformLight:
     def query_cone(self, origins, directions, half_angle):
         return torch.ones_like(origins), torch.full((len(origins),), self.coverage)
 
-    def equirect(self, height):
-        return torch.ones(height, 2 * height, 3), torch.full((height, 2 * height), self.coverage)
-
-    def typical_distance(self):
-        return math.inf
-
 
 class UniformTerminal(TerminalRadiance):
     def forward(self, points):
@@ -88,19 +82,46 @@ def test_white_furnace_with_self_reflection(two_balls, levels, metallic, diffuse
     assert out.mean().item() == pytest.approx(1, abs=0.02)
 
 
-@pytest.mark.parametrize("coverage", [0.0, 0.2, 1.0])
-def test_the_furnace_stays_white_where_the_unseen_light_takes_the_place_of_the_field(two_balls, coverage):
-    f_p, points = scene(two_balls, 1, coverage)
+class HalfSky:
+    """A sky of radiance 1, of which photos show what lies below the horizon."""
+
+    def query_cone(self, origins, directions, half_angle):
+        generator = torch.Generator().manual_seed(0)
+        u = torch.rand(300, 2, generator=generator)
+        first = torch.nn.functional.normalize(torch.linalg.cross(directions, directions.roll(1, -1) + 0.1), dim=-1)
+        second = torch.linalg.cross(directions, first)
+        cosine = 1 - u[:, :1] * (1 - half_angle.cos())
+        turn, flat = 2 * math.pi * u[:, 1:], (1 - cosine**2).sqrt()
+        around = flat[..., None] * (turn.cos()[..., None] * first + turn.sin()[..., None] * second)
+        coverage = ((cosine[..., None] * directions + around)[..., 2] < 0).float().mean(0)
+        return coverage[:, None].expand(-1, 3).contiguous(), coverage
+
+    def equirect(self, height):
+        shown = (torch.arange(height) >= height // 2).float()[:, None].expand(height, 2 * height)
+        return shown[..., None].expand(-1, -1, 3).contiguous(), shown
+
+    def extrapolated(self, height):
+        return torch.ones(height, 2 * height, 3)
+
+    def typical_distance(self):
+        return math.inf
+
+
+@pytest.mark.parametrize("half_angle", [0.05, 0.5, 1.2])
+def test_field_and_unseen_light_together_are_the_whole_sky_also_at_the_border_of_what_photos_show(two_balls, half_angle):
+    f_p, points = scene(two_balls, 1)
+    f_p.environment = HalfSky()
     f_p.unseen = UnseenLight.expected_beside(f_p.environment, 32)
-    out = f_p.outgoing(points, white(0.0), 1, torch.Generator().manual_seed(2))
-    assert out.mean().item() == pytest.approx(1, abs=0.02)
+    outward = torch.nn.functional.normalize(points.normal + 0.3 * points.view, dim=-1)
+    angle = torch.full((len(points),), half_angle)
+    traced = f_p.trace(points, outward, angle)
+    free = torch.ones(len(points), dtype=torch.bool)
+    free[traced.row] = False
+    light = traced.radiance + f_p.unseen(points.position, outward, angle) * (1 - traced.coverage)[:, None]
+    assert free.any() and ((traced.coverage[free] > 0.2) & (traced.coverage[free] < 0.8)).any()
+    torch.testing.assert_close(light[free], torch.ones_like(light[free]), atol=0.02, rtol=0)
     whole = f_p.unseen.completed(*f_p.environment.equirect(16))
-    torch.testing.assert_close(whole, torch.ones_like(whole))
-
-
-def test_what_the_field_holds_where_no_photo_looks_does_not_count(two_balls):
-    f_p, points = scene(two_balls, 1, coverage=0.0)
-    assert not f_p.trace(points, points.normal, torch.full((len(points),), 0.1)).radiance.any()
+    torch.testing.assert_close(whole, torch.ones_like(whole), atol=0.02, rtol=0)
 
 
 def test_without_indirect_light_what_the_object_sees_of_itself_is_black(two_balls):

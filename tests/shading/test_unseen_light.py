@@ -39,7 +39,7 @@ def smooth(d: torch.Tensor) -> torch.Tensor:
 
 def test_levels_keep_the_flux_of_the_map():
     radiance = torch.rand(32, 64, 3, generator=torch.Generator().manual_seed(0))
-    levels, start = pyramid(radiance), 0
+    levels, start = pyramid(radiance, torch.ones(32, 64)), 0
     flux = []
     for rows in level_sizes(32):
         level = levels[start : start + 2 * rows * rows].reshape(rows, 2 * rows, 3)
@@ -86,6 +86,20 @@ def test_a_near_lamp_is_seen_where_it_is_from_off_the_centre():
     far = UnseenLight(rows, math.inf, "cpu")
     far.radiance = light.radiance
     assert (far(origin, lamp.expand(50, 3), angle) > 0.9).all()
+
+
+@pytest.mark.parametrize("half_angle", [0.02, 0.3, 0.9])
+def test_what_photos_show_does_not_count_in_the_mean_over_a_cone(half_angle):
+    light = UnseenLight(32, math.inf, "cpu")
+    shown = centres(32)[..., 2] < 0
+    light.radiance = torch.where(shown, 7.0, 2.0)[..., None].expand(-1, -1, 3).contiguous()
+    light.missing = torch.where(shown, 1e-3, 1.0)
+    axis = directions(300, 9)
+    axis = axis[axis[:, 2] > 0.1]
+    found = light(torch.zeros_like(axis), axis, torch.full((len(axis),), half_angle))
+    torch.testing.assert_close(found, torch.full_like(found, 2.0), atol=0.05, rtol=0)
+    again = UnseenLight.from_state(light.state())
+    torch.testing.assert_close(again.equirect(64)[:31], torch.full((31, 128, 3), 2.0), atol=0.05, rtol=0)
 
 
 def test_seen_from_the_centre_it_is_the_map():
@@ -156,9 +170,9 @@ def test_the_transport_is_what_the_cones_receive_and_its_adjoint_fits(ball):
     light = lamp(16)
     cones = ball.uncovered_cones(rows)
     offset, slope = ball.uncovered_response(cones, rows, palette.at(torch.zeros(len(rows), dtype=torch.int64)))
-    transport = UnseenTransport(16, light.radius, cones, ball.points.position[rows])
+    transport = UnseenTransport(light.missing, light.radius, cones, ball.points.position[rows])
     response = torch.stack([offset, slope], 1).numpy()
-    lines = transport.sent(response, pyramid(light.radiance).numpy())
+    lines = transport.sent(response, pyramid(light.radiance, light.missing).numpy())
     sent = lines[:, 0] + lines[:, 1] * palette.albedo.numpy()
     before = reflected(material, ball.moments(material.roughness), ball.diffuse, ball.cos_v)
     ball.unseen = light
@@ -166,7 +180,7 @@ def test_the_transport_is_what_the_cones_receive_and_its_adjoint_fits(ball):
     after = reflected(material, ball.moments(material.roughness), ball.diffuse, ball.cos_v)
     np.testing.assert_allclose(sent, (after - before)[rows].numpy(), rtol=2e-3, atol=2e-4)
     other = np.random.default_rng(1).normal(size=lines.shape).astype(np.float32)
-    levels = np.random.default_rng(2).normal(size=(len(pyramid(light.radiance)), 3)).astype(np.float32)
+    levels = np.random.default_rng(2).normal(size=(len(pyramid(light.radiance, light.missing)), 3)).astype(np.float32)
     assert (transport.sent(response, levels) * other).sum() == pytest.approx(
         (transport.adjoint(response, other) * levels).sum(), rel=1e-3
     )
@@ -249,9 +263,7 @@ def test_reflections_reveal_a_lamp_that_no_photo_shows(ball, metallic):
     target = photographed_under_a_lamp(ball, palette.at(label))
     wrong = replace(palette, albedo=torch.full((1, 3), 0.5))
     start = UnseenLight(16, 4.0, "cpu")
-    fit = UnseenLightProblem(ball, start.expected, 4.0, label, target, torch.arange(4000), MaterialPreset()).solve(
-        wrong, start, 150
-    )
+    fit = UnseenLightProblem(ball, start, label, target, torch.arange(4000), MaterialPreset()).solve(wrong, start, 150)
     area = torch.sin((torch.arange(16) + 0.5) * math.pi / 16)[:, None, None]
     bright = truth.radiance > 1
     flux = [float((light.radiance * area)[bright].sum()) for light in (truth, fit.light)]
@@ -282,7 +294,7 @@ def test_many_samples_on_many_threads_are_solved_the_same_each_time():
     palette = Palette(random(2, 3), torch.full((2,), 0.3), torch.tensor([0.0, 1.0]))
     label, target = torch.arange(n) % 2, random(n, 3)
     start = UnseenLight(8, 4.0, "cpu")
-    problem = UnseenLightProblem(light, start.expected, 4.0, label, target, torch.arange(n), MaterialPreset())
+    problem = UnseenLightProblem(light, start, label, target, torch.arange(n), MaterialPreset())
     threads = torch.get_num_threads()
     try:
         torch.set_num_threads(4)

@@ -49,6 +49,9 @@ class AnalyticEnvironment:
         radiance, coverage = self.query_cone(torch.zeros_like(direction), direction, angle)
         return radiance.reshape(height, 2 * height, 3), coverage.reshape(height, 2 * height)
 
+    def extrapolated(self, height):
+        return self.equirect(height)[0]
+
     def typical_distance(self):
         return math.inf
 
@@ -65,9 +68,9 @@ class HalfSeen(AnalyticEnvironment):
 class Misled(HalfSeen):
     """The same, but F_e holds a bright radiance where no photo shows anything, as it may after its learning."""
 
-    def query_cone(self, origins, directions, half_angle):
-        radiance, seen = super().query_cone(origins, directions, half_angle)
-        return radiance + 3 * (1 - seen)[:, None], seen
+    def extrapolated(self, height):
+        radiance, seen = self.equirect(height)
+        return radiance + 3 * (1 - seen)[..., None]
 
 
 class Counting(AnalyticEnvironment):
@@ -78,6 +81,9 @@ class Counting(AnalyticEnvironment):
     def query_cone(self, origins, directions, half_angle):
         self.cones += len(origins)
         return super().query_cone(origins, directions, half_angle)
+
+    def extrapolated(self, height):
+        return AnalyticEnvironment().equirect(height)[0]  # needs no cones
 
 
 @dataclass
