@@ -21,6 +21,10 @@ from blender_nep.tone_mapping import tone_map
 
 _DARKEST, _BRIGHTEST = math.log(1e-3), math.log(1e3)
 """Limits of the map's log radiance."""
+_GAINS = (1.0, 2.0, 4.0, 8.0, 16.0, 32.0)
+"""Factors by which the map may be too dark when its learning begins. A sky can be 20 times as bright as the forest."""
+_ALBEDOS = tuple(0.02 * k for k in range(1, 50))
+"""Albedos that are tried with each factor."""
 _LEAST_START = 0.005
 """Darker texels start from this radiance, because the gradient of the log radiance vanishes at black."""
 
@@ -139,10 +143,10 @@ class UnseenLightProblem:
     def solve(self, palette: Palette, start: UnseenLight, steps: int) -> UnseenFit:
         """Find the map and the albedos that explain the photos best, with the palette's roughness and metallic.
 
-        Adam starts from `start`; its texels darker than _LEAST_START are raised to that radiance. There are three priors on
-        the map: the total variation of its tone-mapped radiance, the mean deviation of that from the expected one, and its
-        color. The prior on the deviation makes a few lamps more likely than a bright sky. The prior on the color is needed
-        because colored light on a grey object looks like grey light on a colored object.
+        Adam starts from `start`, brightened if that helps; texels darker than _LEAST_START are raised to that radiance.
+        There are three priors on the map: the total variation of its tone-mapped radiance, the mean deviation of that from
+        the expected one, and its color. The prior on the deviation makes a few lamps more likely than a bright sky. The one
+        on the color is needed because colored light on a grey object looks like grey light on a colored object.
         """
         p, device, light, samples = self.preset, self.goal.device, self.light, self.samples
         missing, rows = self.unseen.missing, len(self.unseen.missing)
@@ -150,12 +154,9 @@ class UnseenLightProblem:
         moments = light.known_moments(material.roughness, samples)
         offset, slope = affine_in_albedo(material, moments, light.known_diffuse[samples], light.cos_v[samples])
         response = torch.stack(light.uncovered_response(self.cones, samples, material), 1).float().cpu().numpy()
-        raw = start.radiance.clamp_min(_LEAST_START).log().requires_grad_()
-        logit = torch.logit(palette.albedo.clamp(0.01, 0.99)).requires_grad_()
+        first, albedo = self._brightened(start.radiance.clamp_min(_LEAST_START), offset, slope, response, len(palette))
+        raw, logit = first.log().requires_grad_(), torch.logit(albedo).requires_grad_()
         optimiser = torch.optim.Adam([{"params": [raw]}, {"params": [logit]}])
-        area = torch.sin((torch.arange(rows, device=device) + 0.5) * math.pi / rows)[:, None, None]
-        area = area / area.mean()
-        expected = tone_map(self.unseen.expected)
         error = float("nan")
         for k in range(steps):
             for group, rate in zip(optimiser.param_groups, (p.unseen_rate, p.unseen_albedo_rate), strict=True):
@@ -172,15 +173,7 @@ class UnseenLightProblem:
             photometric.backward()
             assert sent.grad is not None  # backward has just filled it
             gradient = self.transport.adjoint(response, sent.grad.cpu().numpy())
-            brightness = tone_map(radiance)
-            down, across = brightness[:-1] - brightness[1:], brightness - brightness.roll(-1, 1)
-            soft = p.unseen_softness**2
-            prior = p.unseen_smoothness * (
-                (area[1:] * (down**2 + soft).sqrt()).mean() + (area * (across**2 + soft).sqrt()).mean()
-            )
-            prior = prior + p.unseen_prior * (area * (brightness - expected).abs()).mean()
-            colored = (area * (radiance - radiance.mean(-1, keepdim=True)).abs()).mean()
-            prior = prior + p.unseen_color * colored / (area * radiance).mean()
+            prior = self._prior(radiance)
             error = float(photometric.detach() + prior.detach())
             ((levels * torch.from_numpy(gradient).to(device)).sum() + prior).backward()
             optimiser.step()
@@ -188,3 +181,43 @@ class UnseenLightProblem:
         unseen.expected, unseen.missing = self.unseen.expected, missing
         unseen.radiance = raw.detach().clamp(_DARKEST, _BRIGHTEST).exp()
         return UnseenFit(unseen, torch.sigmoid(logit).detach(), error)
+
+    def _prior(self, radiance: Tensor) -> Tensor:
+        """The cost of a map [rows, 2 rows, 3], whatever it explains."""
+        p, rows = self.preset, len(radiance)
+        area = torch.sin((torch.arange(rows, device=radiance.device) + 0.5) * math.pi / rows)[:, None, None]
+        area = area / area.mean()
+        brightness, soft = tone_map(radiance), p.unseen_softness**2
+        down, across = brightness[:-1] - brightness[1:], brightness - brightness.roll(-1, 1)
+        variation = (area[1:] * (down**2 + soft).sqrt()).mean() + (area * (across**2 + soft).sqrt()).mean()
+        deviation = (area * (brightness - tone_map(self.unseen.expected)).abs()).mean()
+        colored = (area * (radiance - radiance.mean(-1, keepdim=True)).abs()).mean() / (area * radiance).mean()
+        return p.unseen_smoothness * variation + p.unseen_prior * deviation + p.unseen_color * colored
+
+    def _brightened(
+        self, radiance: Tensor, offset: Tensor, slope: Tensor, response: np.ndarray, materials: int
+    ) -> tuple[Tensor, Tensor]:
+        """A map [rows, 2 rows, 3], its unseen part times the factor that explains the photos best, and the albedos [K, 3].
+
+        Adam alone stops on its way there: a brighter map with darker albedos changes the photos little at each step. offset,
+        slope and response are those of `solve`.
+        """
+        missing = self.unseen.missing[..., None]
+
+        def sent(part: Tensor) -> Tensor:
+            levels = pyramid(part, self.unseen.missing).cpu().numpy().astype(np.float32)
+            return torch.from_numpy(self.transport.sent(response, levels)).to(offset.device)
+
+        shown, hidden = sent(radiance * (1 - missing)), sent(radiance * missing)
+        albedos = torch.tensor(_ALBEDOS, device=offset.device)
+        least, best = math.inf, (radiance, albedos.new_full((materials, 3), 0.5))
+        for gain in _GAINS:
+            light = shown + gain * hidden
+            errors = [(tone_map(offset + light[:, 0] + a * (slope + light[:, 1])) - self.goal).abs() for a in _ALBEDOS]
+            of_material = torch.zeros(len(albedos), materials, 3, device=offset.device)
+            lowest, place = of_material.index_add_(1, self.label, torch.stack(errors)).min(0)
+            brightened = radiance * (1 + (gain - 1) * missing)
+            cost = float(lowest.sum()) / self.goal.numel() + float(self._prior(brightened))
+            if cost < least:
+                least, best = cost, (brightened, albedos[place])
+        return best

@@ -272,6 +272,25 @@ def test_reflections_reveal_a_lamp_that_no_photo_shows(ball, metallic):
     torch.testing.assert_close(fit.albedo, palette.albedo, rtol=0.1, atol=0.02)
 
 
+def test_paint_that_is_far_too_bright_under_a_sky_that_is_far_too_dark_is_found_in_few_steps(ball):
+    palette = Palette(torch.tensor([[0.4, 0.3, 0.2]]), torch.tensor([0.3]), torch.zeros(1))
+    label = torch.zeros(4000, dtype=torch.int64)
+    sky = UnseenLight(16, 4.0, "cpu")
+    sky.radiance += 4.0
+    ball.unseen = sky
+    ball.update(None, torch.Generator())
+    material = palette.at(label)
+    target = reflected(material, ball.moments(material.roughness), ball.diffuse, ball.cos_v)
+    ball.unseen = None
+    ball.update(None, torch.Generator())
+    dark = UnseenLight(16, 4.0, "cpu")
+    dark.expected += 0.2
+    dark.radiance += 0.2
+    bright = replace(palette, albedo=torch.full((1, 3), 0.98))
+    fit = UnseenLightProblem(ball, dark, label, target, torch.arange(4000), MaterialPreset()).solve(bright, dark, 30)
+    torch.testing.assert_close(fit.albedo, palette.albedo, rtol=0.2, atol=0.0)
+
+
 def test_many_samples_on_many_threads_are_solved_the_same_each_time():
     """From 32,768 numbers on, torch sums the gradient of x[index] with atomic additions of all threads, in any order."""
     n, generator = 40_000, torch.Generator().manual_seed(0)
