@@ -101,7 +101,7 @@ class PrefilteredEnvironment:
         if not len(detail):
             self.far = torch.zeros_like(self.far)
         values = weights_from_centre(raw, coverage, density_gain, spacing, FINER_ROWS * raw.shape[1])
-        # Where no photo shows a node, it holds what it began with, and what the smoothness prior filled in.
+        # A node that no photo shows holds no light of the scene: it began so, or the smoothness prior filled it in.
         values[..., :3] *= values[..., 4:] / values[..., 3:4].clamp_min(1e-9)
         self.detail = _add_detail(values, detail, self.far)
         # a shell that is nowhere visible from the centre needs no lookup

@@ -139,6 +139,9 @@ class UnseenLightProblem:
         self.samples, self.label, self.goal = samples, label[samples], tone_map(target[samples])
         self.cones = light.uncovered_cones(samples)
         self.transport = UnseenTransport(unseen.missing, unseen.radius, self.cones, light.points.position[samples])
+        rows = len(unseen.missing)
+        area = torch.sin((torch.arange(rows, device=self.goal.device) + 0.5) * math.pi / rows)[:, None, None]
+        self._area, self._expected = area / area.mean(), tone_map(unseen.expected)
 
     def solve(self, palette: Palette, start: UnseenLight, steps: int) -> UnseenFit:
         """Find the map and the albedos that explain the photos best, with the palette's roughness and metallic.
@@ -184,13 +187,11 @@ class UnseenLightProblem:
 
     def _prior(self, radiance: Tensor) -> Tensor:
         """The cost of a map [rows, 2 rows, 3], whatever it explains."""
-        p, rows = self.preset, len(radiance)
-        area = torch.sin((torch.arange(rows, device=radiance.device) + 0.5) * math.pi / rows)[:, None, None]
-        area = area / area.mean()
+        p, area = self.preset, self._area
         brightness, soft = tone_map(radiance), p.unseen_softness**2
         down, across = brightness[:-1] - brightness[1:], brightness - brightness.roll(-1, 1)
         variation = (area[1:] * (down**2 + soft).sqrt()).mean() + (area * (across**2 + soft).sqrt()).mean()
-        deviation = (area * (brightness - tone_map(self.unseen.expected)).abs()).mean()
+        deviation = (area * (brightness - self._expected).abs()).mean()
         colored = (area * (radiance - radiance.mean(-1, keepdim=True)).abs()).mean() / (area * radiance).mean()
         return p.unseen_smoothness * variation + p.unseen_prior * deviation + p.unseen_color * colored
 
