@@ -22,7 +22,7 @@ from blender_nep.materials.diffuse_free import Evidence, evidence_of_colored, pl
 from blender_nep.materials.fitting import fit_groups, roughness_scan
 from blender_nep.materials.palette import Palette, best_of, between, choose, error, place_of_least, same_material
 from blender_nep.materials.roughness import (
-    place_by_both,
+    place_of_metal,
     residual_of_reflections,
     share_roughness,
     spread,
@@ -39,8 +39,6 @@ if TYPE_CHECKING:
 
 _MOST_REFITS = 4
 """Largest number of fits to the samples that show one material alone."""
-_ALIKE = 0.02
-"""Spreads whose logs differ by less are not told apart."""
 _LEAST_SPREAD = 1e-6
 """Smallest spread of the log radiance. It stands for 0, where no region has enough samples."""
 _SHADES = 2.5
@@ -257,7 +255,7 @@ class PaletteSearch:
             ).mean(-1)
             return math.log(max(spread(shown + darkest, weight, region), _LEAST_SPREAD) / of_photo)
 
-        return place_by_both(residual, p.spread_margin, log_ratio, _ALIKE)
+        return place_of_metal(residual, p.spread_margin, log_ratio)
 
     def assign(self) -> None:
         """Give every sample the material for which its neighbours vote."""

@@ -14,7 +14,9 @@ small errors of the irradiance are as strong as the whole reflection. So four th
 and the residual is least at a roughness that is too high. For mirrors the residual hardly changes there. How far the
 radiance spreads about its mean does not depend on where the reflections are. So the residual gives a range of roughness
 values, and within the range the spread decides. Lobes that are sharper than the light all have the spread of a mirror; among
-these, the residual decides.
+these, the residual decides. If the photos vary more than a mirror would, the light or the shape lacks something that the
+photos show, and the spread tells less: the residual then decides among lobes whose spreads differ by less than what is
+missing.
 """
 
 from __future__ import annotations
@@ -38,6 +40,8 @@ _LEAST_SAMPLES = 8
 """Least number of samples in a region. With fewer, its three albedos would follow the noise."""
 _PLACES = 8
 """Places between two neighbouring values of `roughness_scan`, so that the end of the lobes that are alike is found."""
+_ALIKE = 0.02
+"""Spreads whose logs differ by less are not told apart."""
 _NO_LIMIT = 2.5
 """Largest regional albedo. It is above 1, because F_e may be too dark in a region."""
 
@@ -167,3 +171,14 @@ def place_by_both(residual: Tensor, margin: float, log_ratio: Callable[[int], fl
     sharp = known(0) - np.interp(places, rows, [known(row) for row in rows.tolist()]) <= alike
     by_residual = places[sharp][np.interp(places, rows, residual.cpu().numpy())[sharp].argmin()]
     return float(place + min(2 - 2 * drop, 1.0) * (by_residual - place))
+
+
+def place_of_metal(residual: Tensor, margin: float, log_ratio: Callable[[int], float]) -> float:
+    """The place 0 .. R - 1 of a metal's roughness in `roughness_scan`, by the residual [R] and the spread (`place_by_both`).
+
+    log_ratio(row) is the log of (spread of the prediction / spread of the photos). Where it is below 0 for a mirror, no lobe
+    varies as much as the photos: fine relief or fine light is missing. Spreads are then wrong by that much at least, so
+    spreads whose logs differ by less are not told apart.
+    """
+    known = cache(log_ratio)
+    return place_by_both(residual, margin, known, max(_ALIKE, -known(0)))

@@ -11,6 +11,7 @@ from blender_nep.materials.fitting import fit_groups, roughness_scan
 from blender_nep.materials.palette import Palette, between, place_of_least
 from blender_nep.materials.roughness import (
     place_by_both,
+    place_of_metal,
     place_where_equal,
     residual_of_reflections,
     share_roughness,
@@ -182,3 +183,17 @@ def test_a_mirror_whose_reflections_are_misplaced_stays_sharp():
     log_ratio = [math.log(of_prediction(r) / of_photo) for r in SCAN]
     place = place_by_both(cost[0, :, 0], 10.0, log_ratio.__getitem__, 0.02)
     assert float(between(SCAN.sqrt()[:, None], torch.tensor([place])) ** 2) == pytest.approx(0.1, abs=0.01)
+
+
+@pytest.mark.parametrize(
+    ("fall", "of_mirror", "expected"),
+    [
+        (0.05, -0.2, 4.0),  # the photos vary more than a mirror, so the spreads of the rows 0 to 4 are not told apart
+        (0.05, -0.01, 0.375),  # a mirror varies nearly as much as they do: spreads differ from the first row on
+        (0.05, 0.3, 6.0),  # no mirror: the spread is that of the photos at row 6
+    ],
+)
+def test_the_spread_tells_less_where_the_photos_vary_more_than_a_mirror(fall, of_mirror, expected):
+    row = torch.arange(28.0)
+    residual = 0.05 * (1 + 0.03 * ((row - 5) / 5) ** 2)
+    assert place_of_metal(residual, 0.0301, lambda r: of_mirror - fall * r) == pytest.approx(expected, abs=0.01)
