@@ -9,7 +9,6 @@ the old file or the new file, even if the process is killed.
 from __future__ import annotations
 
 import os
-import pickle
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -35,7 +34,9 @@ def load_state(path: Path) -> dict:
     """Read a file of `save_state`; its tensors are on the CPU. No code of the file is run. Raises ValueError if damaged."""
     try:
         return _unpack(torch.load(path, map_location="cpu", weights_only=True))
-    except (RuntimeError, EOFError, pickle.UnpicklingError, KeyError, OSError, ValueError, TypeError) as error:
+    except MemoryError:
+        raise
+    except Exception as error:  # the unpickler raises nearly anything on damaged bytes
         raise ValueError(f"{path.name} is damaged ({type(error).__name__})") from error
 
 
@@ -107,6 +108,11 @@ class Checkpoint:
         self._saved = self._clock()
         self._wait = min(max(self.interval, 20 * (self._saved - start)), 25.0)
         self._saved_for_stop |= stopping
+
+    def keep(self) -> None:
+        """Count the last save as one of now: the state is the same, so it is not written again."""
+        self._saved = self._clock()
+        self._saved_for_stop |= self.stopping
 
     def load(self) -> dict | None:
         """The newest readable state. None if there is none: then the stage starts from its beginning."""

@@ -265,6 +265,10 @@ ERRORS = {
         "The folder checkpoints of {folder} is not complete, so its materials cannot be corrected",
         "Reconstruct it again to correct its materials.",
     ),
+    "usage.told_to_be_metal": (
+        "The job was told that the object is metal, so it has not gathered the light that other materials need",
+        "Set Material to From the Photos or Not Metal, and press Start Again.",
+    ),
     "usage.no_captures": ("There are no captures in {path}", "Choose capture folders, or a folder that holds captures."),
     "usage.no_list": ("{path} is no list of folders", "Choose capture folders, or a folder that holds captures."),
     "usage.batch_damaged": (
@@ -306,6 +310,7 @@ CORRECTION_HINTS = {
     "output.not_permitted": "Change its permissions, then press Apply again.",
     "output": "Look whether the folder can be written, then press Apply again.",
     "unexpected.no_memory": "Close other programs, then press Apply again.",
+    "stopped.interrupted": "Press Apply again.",
 }
 """Name of an error -> the hint while materials are corrected. These stand in the place of the hints of ERRORS, which tell
 how to go on with a job."""

@@ -78,7 +78,7 @@ def run(search: CameraSearch, events: Events, stop: StopRequest) -> int:
         progress.end()
         events.done(folder)
 
-    return exit_code(work, events, search.photos)
+    return exit_code(work, events, search.photos, "Start it again.")
 
 
 def _with_sphere(

@@ -41,14 +41,14 @@ def run(asset: Path, corrections: Mapping[int, Correction], events: Events) -> i
     """Correct the materials of the asset in the folder `asset`, and return the exit code.
 
     `corrections` {number of the material: correction} is complete: a material that it does not name becomes as it was
-    learned. It takes seconds, and nothing stops it.
+    learned. It takes seconds, and nothing stops it but a second Ctrl-C.
     """
 
     def work() -> None:
-        with held(asset):
+        with held(asset), StopRequest().signals():  # nobody asks for the stop
             _correct(asset, corrections, events)
 
-    return exit_code(work, events, asset)
+    return exit_code(work, events, asset, "Correct it again. If it then is no finished asset, reconstruct it again.")
 
 
 def _correct(asset: Path, corrections: Mapping[int, Correction], events: Events) -> None:
@@ -59,6 +59,7 @@ def _correct(asset: Path, corrections: Mapping[int, Correction], events: Events)
     events.log(f"correction: {_told(corrections)}")
     _progress(events, 0)
     found = _load(asset, events)
+    _refuse_paint_without_irradiance(found.kept, corrections)
     _progress(events, 1)
     baked, materials = found.kept.bake(found.shape.surface, corrections, preset(report["preset"]).material)
     textures = dict(zip(TEXTURES, baked, strict=True))
@@ -107,6 +108,16 @@ def _refuse_unknown(report: dict[str, Any], corrections: Mapping[int, Correction
                 number=number,
                 count=count,
             )
+
+
+def _refuse_paint_without_irradiance(kept: KeptMaterials, corrections: Mapping[int, Correction]) -> None:
+    """Raise UsageError where a material is to be a dielectric and the light for that was not gathered (--metal yes)."""
+    if not kept.irradiance_known and any(correction.metallic == 0 for correction in corrections.values()):
+        raise UsageError(
+            "the job was told that the object is metal, so it has not gathered the light that a dielectric needs",
+            "Reconstruct it again with --metal auto or --metal no.",
+            "usage.told_to_be_metal",
+        )
 
 
 def _load(asset: Path, events: Events) -> _Finished:

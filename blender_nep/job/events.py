@@ -96,13 +96,13 @@ class Events:
             print(text, file=self._human, flush=True)
 
     def emit(self, event: str, **content: Any) -> None:
-        """Send one JSON line to programs. If the reader has closed the pipe, nothing more is sent."""
+        """Send one JSON line to programs. If the pipe is closed, or the disk of a file is full, nothing more is sent."""
         if self._protocol is None:
             return
         try:
             self._protocol.write(json.dumps({"event": event, **jsonable(content)}) + "\n")
             self._protocol.flush()
-        except (BrokenPipeError, ValueError):
+        except (OSError, ValueError):
             self._protocol = None
 
     def progress(

@@ -11,11 +11,15 @@ import torch
 from blender_nep.errors import NepError, ObjectsFailed, Stopped
 from blender_nep.job.events import Events
 
+RESUMABLE = "Work since the last checkpoint is lost; --resume goes on from there."
+"""The hint after a second Ctrl-C, for a command that has checkpoints."""
 
-def exit_code(work: Callable[[], None], events: Events, asset: Path) -> int:
+
+def exit_code(work: Callable[[], None], events: Events, asset: Path, interrupted_hint: str = RESUMABLE) -> int:
     """Do `work` and return the exit code. The traceback of an error goes to the log; `asset` is the folder of the log.
 
-    A stop, and the failed objects of a batch, have none: they are no fault of the program.
+    A stop, and the failed objects of a batch, have no traceback: they are no fault of the program. interrupted_hint says
+    what to do after a second Ctrl-C.
     """
     try:
         work()
@@ -26,8 +30,7 @@ def exit_code(work: Callable[[], None], events: Events, asset: Path) -> int:
         events.error(error)
         return error.code
     except KeyboardInterrupt:
-        hint = "Work since the last checkpoint is lost; --resume goes on from there."
-        interrupted = Stopped("interrupted", hint, "stopped.interrupted")
+        interrupted = Stopped("interrupted", interrupted_hint, "stopped.interrupted")
         events.error(interrupted)
         return interrupted.code
     except Exception as error:  # a bug, or no memory

@@ -72,6 +72,8 @@ class ListedMaterial:
 class Correctable(Protocol):
     """Materials that can be corrected, and the points of the surface that show them."""
 
+    light: LightMoments
+
     def corrected(self, corrections: Mapping[int, Correction], preset: MaterialPreset) -> Any:
         """The same with these corrections, {number of the entry: correction}."""
         ...
@@ -108,8 +110,12 @@ class CorrectablePalette:
         return replace(self, palette=palette)
 
     def _fitted(self, k: int, correction: Correction, preset: MaterialPreset) -> Palette:
-        """This palette, in which material k obeys the correction. A material that no sample shows alone keeps its albedo."""
+        """This palette, in which material k obeys the correction.
+
+        A material that no sample shows alone keeps its albedo, and its roughness where the correction gives none.
+        """
         metallic = float(self.palette.metallic[k]) if correction.metallic is None else correction.metallic
+        alone = bool((self.label == k).any())
         cost, albedo = fit_groups(
             self.light,
             self.target,
@@ -121,14 +127,14 @@ class CorrectablePalette:
             hypotheses=(metallic,),
         )
         place = place_of_least(cost[0])
-        if correction.roughness is not None or metallic == float(self.palette.metallic[k]):
+        if correction.roughness is not None or metallic == float(self.palette.metallic[k]) or not alone:
             wanted = self.palette.roughness[k] if correction.roughness is None else correction.roughness
             place = place_in_scan(torch.as_tensor(wanted).reshape(1).to(cost), preset.least_roughness)
         roughness = correction.roughness
         if roughness is None:
-            roughness = float(roughness_at(place, preset.least_roughness)[0])
+            roughness = float(roughness_at(place, preset.least_roughness)[0] if alone else self.palette.roughness[k])
         values = Palette(self.palette.albedo.clone(), self.palette.roughness.clone(), self.palette.metallic.clone())
-        if bool((self.label == k).any()):
+        if alone:
             values.albedo[k] = between(albedo[0], place)[0].clamp(0, 1)
         values.roughness[k], values.metallic[k] = roughness, metallic
         return values
@@ -169,27 +175,24 @@ class CorrectableSegments:
     pixels: PlacedPixels
 
     def corrected(self, corrections: Mapping[int, Correction], preset: MaterialPreset) -> CorrectableSegments:
-        palette = self.varied.palette
-        exact = np.zeros(len(self.group), bool)
+        learned = self.varied.palette
         wanted = [corrections.get(int(g), Correction()) for g in self.group]
-        metallic = torch.tensor([torch.nan if c.metallic is None else c.metallic for c in wanted]).to(palette.metallic)
-        changed = ~metallic.isnan() & (metallic != palette.metallic)
+        metallic, roughness = (
+            torch.tensor([torch.nan if value is None else value for value in values]).to(learned.metallic)
+            for values in ([c.metallic for c in wanted], [c.roughness for c in wanted])
+        )
+        other, exact = ~metallic.isnan() & (metallic != learned.metallic), ~roughness.isnan()
+        changed, palette = other | exact, learned
         if bool(changed.any()):
-            label = torch.from_numpy(self.varied.segments.label).to(palette.metallic.device)
-            classes = torch.where(changed, metallic, palette.metallic)
-            fitted = fit_segments(self.light, self.target, label, self.varied.segments, preset, classes)
+            label = torch.from_numpy(self.varied.segments.label).to(learned.metallic.device)
+            classes = torch.where(other, metallic, learned.metallic)
+            fitted = fit_segments(self.light, self.target, label, self.varied.segments, preset, classes, roughness)
             palette = Palette(
-                torch.where(changed[:, None], fitted.albedo, palette.albedo),
-                torch.where(changed, fitted.roughness, palette.roughness),
+                torch.where(changed[:, None], fitted.albedo, learned.albedo),
+                torch.where(changed, fitted.roughness, learned.roughness),
                 classes,
             )
-        roughness = palette.roughness.clone()
-        for k, correction in enumerate(wanted):
-            if correction.roughness is not None:
-                roughness[k], exact[k] = correction.roughness, True
-        learned = self.varied.palette.metallic.cpu().numpy() > 0.5
-        corrected = VariedMaterials(self.varied.segments, replace(palette, roughness=roughness), exact, learned)
-        return replace(self, varied=corrected)
+        return replace(self, varied=VariedMaterials(self.varied.segments, palette, exact.cpu().numpy(), learned))
 
     def listed(self) -> list[ListedMaterial]:
         p, count = self.varied.palette, np.bincount(self.varied.segments.label, minlength=len(self.group)).astype(np.float64)
@@ -240,6 +243,11 @@ class KeptMaterials:
         """The inverse of `state`, on the CPU."""
         return cls(_KINDS[state["kind"]].from_state(state["materials"]), state["texels"], state["shown"])
 
+    @property
+    def irradiance_known(self) -> bool:
+        """Whether the job has gathered the light of the hemisphere. It has not where it was told that all is metal."""
+        return bool(self.materials.light.diffuse.any())
+
     def listed(self) -> list[dict[str, Any]]:
         """The materials as they were learned, for report.json."""
         return [entry.told(entry) for entry in self.materials.listed()]
@@ -247,7 +255,12 @@ class KeptMaterials:
     def bake(
         self, surface: Surface, corrections: Mapping[int, Correction], preset: MaterialPreset
     ) -> tuple[tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray], list[dict[str, Any]]]:
-        """The textures with these corrections, as `baking.bake` gives them, and the materials for report.json."""
+        """The textures with these corrections, as `baking.bake` gives them, and the materials for report.json.
+
+        The light of a matte object was gathered in wide lobes alone, so no narrower ones are tried.
+        """
+        narrowest = float(self.materials.light.roughness_levels[0])
+        preset = replace(preset, least_roughness=max(preset.least_roughness, narrowest))
         corrected = self.materials.corrected(corrections, preset)
         entries = zip(corrected.listed(), self.materials.listed(), strict=True)
         textures = bake(surface, corrected.labelled(preset), self.texels, self.shown)

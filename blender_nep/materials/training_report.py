@@ -93,15 +93,21 @@ class TrainingProgress:
         `start` is the start of the first phase, as `time.monotonic` gives it.
         """
         self.callback, self.checkpoint, self.seconds = callback, checkpoint, seconds
-        self.done, self.loss, self.start = 0, float("nan"), start
+        self.done, self.start = 0, start
+        self.loss: float | None = None
+        """Nothing has been learned yet"""
         self.state: dict = {}
         """The content of the checkpoint. It is empty until the light is gathered: a resumed job repeats all other work."""
+        self._saved: dict | None = None
 
     def step(self, step: int) -> None:
         """Report that `step` of 100 steps is reached, and save the checkpoint if it is due."""
         self.done = step
-        if self.checkpoint.due():
+        if self.checkpoint.due() and self._saved is self.state:
+            self.checkpoint.keep()
+        elif self.checkpoint.due():
             self.checkpoint.save(self.state)
+            self._saved = self.state
         self.callback(step, _STEPS, self.loss)
 
     def phase_ended(self, name: str) -> None:

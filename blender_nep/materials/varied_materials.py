@@ -19,7 +19,7 @@ from scipy.spatial import cKDTree
 from torch import Tensor
 
 from blender_nep.materials.baking import LabelledPoints, kernel, neighbours
-from blender_nep.materials.fitting import fit_groups, roughness_scan
+from blender_nep.materials.fitting import fit_groups, place_in_scan, roughness_scan
 from blender_nep.materials.palette import Palette, between, error, place_of_least
 from blender_nep.materials.pixel_votes import Surfels, nearest_samples
 from blender_nep.materials.roughness import weight_of_known_light
@@ -75,8 +75,8 @@ class VariedMaterials:
     """The material of each segment"""
     exact: np.ndarray | None = None
     """[K] bool: segments whose roughness an artist has set, so that it is not interpolated. None: no segment"""
-    learned: np.ndarray | None = None
-    """[K] bool: segments that were learned as metal, whatever an artist says. None: those of the palette"""
+    learned: Palette | None = None
+    """The palette before an artist's corrections. None: there are none"""
 
     @profiled("varied materials")
     def at(self, places: cKDTree, color: np.ndarray, width: float) -> Material:
@@ -84,21 +84,32 @@ class VariedMaterials:
 
         Each point belongs to a segment, which gives it albedo and metallic. This is the nearest segment of the class that
         the majority of the points around has. Where the points lie far apart, it is the nearest of all segments. The
-        roughness is interpolated between near segments of the same class.
+        roughness is interpolated between near segments of the same class. Where an artist has corrected neither class nor
+        roughness of the own segment, the neighbours count as they were learned.
         """
         distance, index = self.segments.near(features(places.data, color), _BLEND_SEGMENTS)
-        metallic, root = self.palette.metallic.cpu().numpy(), self.palette.roughness.sqrt().cpu().numpy()
-        learned = metallic > 0.5 if self.learned is None else self.learned
-        voted = majority(places, learned[index[:, 0]], _VOTE_REACH * width)
-        place = (learned[index] == voted[:, None]).argmax(1)  # 0, the nearest, if no near segment has this class
+        learned = self.palette if self.learned is None else self.learned
+        metal = learned.metallic.cpu().numpy() > 0.5
+        voted = majority(places, metal[index[:, 0]], _VOTE_REACH * width)
+        place = (metal[index] == voted[:, None]).argmax(1)  # 0, the nearest, if no near segment has this class
         own = np.take_along_axis(index, place[:, None], 1)
-        weight = (np.exp(-((distance / _BLEND_REACH) ** 2)) + 1e-9) * (metallic[index] == metallic[own])
-        roughness = ((root[index] * weight).sum(1) / weight.sum(1)) ** 2
+        weight = np.exp(-((distance / _BLEND_REACH) ** 2)) + 1e-9
+        roughness = _interpolated_roughness(learned, index, own, weight)
         own = own[:, 0]
+        if self.learned is not None:
+            other = (self.palette.metallic != learned.metallic).cpu().numpy()[own]
+            roughness = np.where(other, _interpolated_roughness(self.palette, index, own[:, None], weight), roughness)
         if self.exact is not None:
-            roughness = np.where(self.exact[own], root[own] ** 2, roughness)
+            roughness = np.where(self.exact[own], self.palette.roughness.cpu().numpy()[own], roughness)
         found = self.palette.at(torch.from_numpy(own).to(self.palette.roughness.device))
         return Material(found.albedo.clamp(0, 1), torch.from_numpy(roughness).to(found.roughness), found.metallic)
+
+
+def _interpolated_roughness(palette: Palette, index: np.ndarray, own: np.ndarray, weight: np.ndarray) -> np.ndarray:
+    """Means [m] of the roughness of segments index [m, S] with the class of segment own [m, 1], with weight [m, S]."""
+    metallic, root = palette.metallic.cpu().numpy(), palette.roughness.sqrt().cpu().numpy()
+    weight = weight * (metallic[index] == metallic[own])
+    return ((root[index] * weight).sum(1) / weight.sum(1)) ** 2
 
 
 def majority(places: cKDTree, yes: np.ndarray, reach: float) -> np.ndarray:
@@ -150,10 +161,12 @@ def fit_segments(
     segments: Segments,
     preset: MaterialPreset,
     metallic: Tensor | None = None,
+    roughness: Tensor | None = None,
 ) -> Palette:
     """The material of each of K segments. label [n] int64 is that of the samples, -1 for those that do not count.
 
-    metallic [K] are the classes, if they are known. Else the photos decide between those of the preset.
+    metallic [K] are the classes, if they are known. Else the photos decide between those of the preset. roughness [K] are
+    values that are given; NaN, and None for all of them, where the photos decide.
 
     Residuals are averaged over near segments. The class has the least mean logarithm of the residuals, each at the
     segment's own best roughness: a roughness that suits its neighbors may hide what it is. The mean logarithm is the
@@ -195,9 +208,13 @@ def fit_segments(
         members = np.flatnonzero(chosen == k)
         curve[members] += p.segment_prior * _averaged(cost[k], mass[members], members)
     place = place_of_least(torch.from_numpy(curve.T).to(residual))
+    found = between(scan.sqrt()[:, None].expand(-1, count), place) ** 2
+    if roughness is not None:
+        place = torch.where(roughness.isnan(), place, place_in_scan(roughness, p.least_roughness))
+        found = torch.where(roughness.isnan(), found, roughness)
     return Palette(
         between(albedo[torch.from_numpy(chosen), :, torch.from_numpy(each)].transpose(0, 1), place),
-        between(scan.sqrt()[:, None].expand(-1, count), place) ** 2,
+        found,
         torch.tensor(classes, device=residual.device)[torch.from_numpy(chosen)],
     )
 

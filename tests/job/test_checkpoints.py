@@ -10,6 +10,7 @@ import torch
 
 from blender_nep.checkpoints import Checkpoint, load_state, save_state
 from blender_nep.errors import Stopped
+from blender_nep.materials.training_report import TrainingProgress
 from blender_nep.stop_request import StopRequest
 
 
@@ -52,6 +53,43 @@ def test_a_torn_checkpoint_falls_back_to_the_one_before(tmp_path):
     assert warnings[0].values["file"] == "stage.pt" and "damaged" in warnings[0].values["reason"]
     first.previous.write_bytes(b"")
     assert Checkpoint(tmp_path, "stage", StopRequest(), warnings.append).load() is None
+
+
+def test_whatever_the_unpickler_raises_the_file_counts_as_damaged(tmp_path, monkeypatch):
+    first = Checkpoint(tmp_path, "stage", StopRequest(), [].append)
+    first.save({"step": 1})
+    first.save({"step": 2})
+    whole = torch.load
+
+    def load(path, **options):
+        if path == first.path:
+            raise IndexError("pop from empty list")
+        return whole(path, **options)
+
+    monkeypatch.setattr(torch, "load", load)
+    with pytest.raises(ValueError, match=r"stage\.pt is damaged \(IndexError\)"):
+        load_state(first.path)
+    assert Checkpoint(tmp_path, "stage", StopRequest(), [].append).load() == {"step": 1}
+
+
+def test_a_state_that_has_not_changed_is_not_written_again(tmp_path):
+    now, stop, seen = [0.0], StopRequest(), []
+    checkpoint = Checkpoint(tmp_path, "stage", stop, print, clock=lambda: now[0])
+    progress = TrainingProgress(lambda *told: seen.append(told), checkpoint, {}, 0.0)
+    now[0] = 16.0
+    progress.step(10)
+    progress.state = {"light": 1}
+    now[0] = 40.0
+    progress.step(70)
+    assert seen[-1] == (70, 100, None), "nothing has been learned, so there is no loss"
+    written = checkpoint.path.stat().st_mtime_ns
+    now[0] = 80.0
+    progress.step(75)
+    stop.request("SIGTERM")
+    progress.step(80)
+    assert checkpoint.path.stat().st_mtime_ns == written and checkpoint.load() == {"light": 1}
+    with pytest.raises(Stopped):
+        checkpoint.raise_if_stopped(saves=True)
 
 
 def test_a_checkpoint_is_due_every_fifteen_seconds_and_counts_time(tmp_path):

@@ -183,6 +183,27 @@ def test_an_unknown_material_is_refused(asset):
     assert events[-1]["values"] == {"number": 2, "count": 2}
 
 
+def test_paint_is_refused_where_the_light_for_it_was_not_gathered(start, monkeypatch):
+    kept = two_materials()
+    light = kept.materials.light
+    light.diffuse = torch.zeros_like(light.diffuse)  # as after --metal yes
+    monkeypatch.setattr(f"{__name__}.two_materials", lambda: kept)
+    assert start(KeepingStages())[0] == 0
+    before = contents(start.out)
+    code, events = correct(start.out, {0: Correction(metallic=0.0)})
+    assert code == 2 and events[-1]["name"] == "usage.told_to_be_metal" and contents(start.out) == before
+    assert correct(start.out, {0: Correction(roughness=0.4)})[0] == 0
+
+
+def test_an_interrupted_correction_says_what_to_do(asset, monkeypatch):
+    def interrupted(*_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(correction, "_correct", interrupted)
+    code, events = correct(asset, {})
+    assert code == 7 and events[-1]["hint"].startswith("Correct it again")
+
+
 def test_a_folder_without_an_asset_is_refused(tmp_path):
     code, events = correct(tmp_path / "nothing", {})
     assert code == 2 and events[-1]["name"] == "usage.no_asset"

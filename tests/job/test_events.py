@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import io
 import json
 import os
@@ -25,6 +26,19 @@ def test_a_log_that_cannot_be_written_does_not_hide_the_error():
     events.error(OutputError("the disk is full", "Free some space."))
     events.close()
     assert human.getvalue() == "error: the disk is full\n       Free some space.\n"
+
+
+def test_events_that_cannot_be_written_do_not_hide_the_error():
+    class FullDisk(io.StringIO):
+        def flush(self):
+            raise OSError(errno.ENOSPC, "No space left on device")
+
+    human = io.StringIO()
+    events = Events(FullDisk(), human)
+    events.progress("r", 1, 10, 0.1, 2.0, None)
+    events.error(OutputError("the disk is full", "Free some space."))
+    events.close()
+    assert human.getvalue().endswith("error: the disk is full\n       Free some space.\n")
 
 
 def test_events_are_json_whatever_they_hold():

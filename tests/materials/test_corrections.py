@@ -6,7 +6,9 @@ import numpy as np
 import pytest
 import torch
 
+from blender_nep.checkpoints import load_state, save_state
 from blender_nep.materials.corrections import Correction, KeptMaterials
+from blender_nep.shading.light_moments import LightMoments
 from support.lit_ball import PRESET, RADIUS, learn, make_photos
 
 MORE = replace(PRESET, samples=3000, label_pixels=6000)
@@ -60,10 +62,13 @@ def test_without_corrections_the_textures_are_those_that_were_learned(ball, lear
     assert all(entry["learned"] == {k: entry[k] for k in ("roughness", "metallic")} for entry in listed)
 
 
-def test_what_is_kept_survives_the_disk(ball, learned):
-    restored = KeptMaterials.from_state(learned.kept.state())
+@pytest.mark.parametrize("name", ["learned", "varied"])
+def test_what_is_kept_survives_the_disk(ball, request, name, tmp_path):
+    kept = request.getfixturevalue(name).kept
+    save_state(tmp_path / "kept.pt", kept.state())
+    restored = KeptMaterials.from_state(load_state(tmp_path / "kept.pt"))
     wanted = {0: Correction(metallic=1.0, roughness=0.3)}
-    for one, other in zip(restored.bake(ball, wanted, MORE)[0], learned.kept.bake(ball, wanted, MORE)[0], strict=True):
+    for one, other in zip(restored.bake(ball, wanted, MORE)[0], kept.bake(ball, wanted, MORE)[0], strict=True):
         np.testing.assert_array_equal(one, other)
 
 
@@ -92,6 +97,28 @@ def test_a_given_roughness_is_taken_exactly_and_nothing_else_changes(ball, learn
         assert paint.mean() > 0.3 and np.array_equal(before[paint], now[paint])
     np.testing.assert_allclose(metallic, learned.metallic, atol=1e-6)
     assert listed[1 - k] == learned.kept.listed()[1 - k]
+
+
+def test_a_material_that_only_blends_show_keeps_albedo_and_roughness(learned):
+    materials = learned.kept.materials
+    k = number_of(learned, RED)
+    blended = replace(materials, label=torch.where(materials.label == k, -1, materials.label))
+    palette = blended.corrected({k: Correction(metallic=1.0)}, MORE).palette
+    assert palette.metallic[k] == 1 and palette.roughness[k] == materials.palette.roughness[k]
+    assert torch.equal(palette.albedo[k], materials.palette.albedo[k])
+
+
+def test_a_correction_tries_no_lobes_that_the_job_has_not_gathered(ball, without_metal):
+    """The light of matte objects is gathered in wide lobes alone."""
+    kept, k = without_metal.kept, number_of(without_metal, GOLD)
+    light = kept.materials.light
+    wide = LightMoments(
+        light.specular[:, 6:], light.diffuse, light.coverage[:, 6:], light.cos_v, roughness_levels=light.roughness_levels[6:]
+    )
+    least = float(wide.roughness_levels[0])
+    matte = replace(kept, materials=replace(kept.materials, light=wide))
+    assert kept.bake(ball, {k: Correction(metallic=1.0)}, MORE)[1][k]["roughness"] < least - 0.02
+    assert matte.bake(ball, {k: Correction(metallic=1.0)}, MORE)[1][k]["roughness"] >= least - 1e-4
 
 
 def test_the_learned_class_and_roughness_give_the_learned_albedo(ball, learned):
@@ -138,3 +165,27 @@ def test_a_group_of_segments_is_corrected_and_the_others_stay(ball, varied):
         assert corrected[k] == listed[k]
     others = (varied.metallic < 0.01) & (np.abs(roughness - 0.7) > 0.1)
     assert np.abs(metallic - varied.metallic)[others].max() < 0.01
+
+
+@pytest.mark.parametrize(
+    ("metal", "correction"), [(0, Correction(roughness=0.9)), (1, Correction(metallic=0.0)), (1, Correction(0.0, 0.9))]
+)
+def test_segments_that_are_not_named_keep_their_roughness(varied, metal, correction):
+    materials = varied.kept.materials
+    number = next(k for k, entry in enumerate(materials.listed()) if entry.metallic == metal)
+    corrected = materials.corrected({number: correction}, MORE)
+    before, after = materials.labelled(MORE), corrected.labelled(MORE)
+    named = after.metallic != before.metallic if correction.roughness is None else np.abs(after.roughness - 0.9) < 1e-5
+    assert 0.02 < named.mean() < 0.5
+    np.testing.assert_array_equal(after.roughness[~named], before.roughness[~named])
+    np.testing.assert_array_equal(after.metallic[~named], before.metallic[~named])
+
+
+def test_the_list_has_the_albedo_of_a_corrected_roughness(varied):
+    materials = varied.kept.materials
+    gold = next(k for k, entry in enumerate(materials.listed()) if entry.metallic == 1)
+    corrected = materials.corrected({gold: Correction(roughness=0.9)}, MORE)
+    points = corrected.labelled(MORE)
+    shown = points.albedo[np.abs(points.roughness - 0.9) < 1e-5].mean(0)
+    learned, listed = (np.array(each.listed()[gold].albedo) for each in (materials, corrected))
+    assert np.abs(listed - shown).max() < 0.3 * np.abs(learned - shown).max()

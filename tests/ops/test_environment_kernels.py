@@ -94,7 +94,7 @@ def test_gradient_does_not_depend_on_the_number_of_threads():
     gradients = []
     threads = numba.get_num_threads()
     try:
-        for count in {1, threads}:
+        for count in (1, 4):
             numba.set_num_threads(count)
             raw, detail = random_grid(6, 8, 1).float().requires_grad_(), random_detail(16, 2).float().requires_grad_()
             render(raw, rays, detail=detail)[0].sum().backward()

@@ -188,7 +188,7 @@ def test_the_transport_is_what_the_cones_receive_and_its_adjoint_fits(ball):
     ball.update(None, torch.Generator())
     found, threads = [], numba.get_num_threads()
     try:
-        for count in {1, threads}:
+        for count in (1, 4):
             numba.set_num_threads(count)
             found.append((transport.sent(response, levels), transport.adjoint(response, other)))
     finally:
