@@ -13,12 +13,15 @@ from .imported_materials import fill_materials
 def place_result(scene: bpy.types.Scene, folder: Path) -> bpy.types.Object:
     """Import the asset in `folder` into the scene and select its object; returns the object.
 
-    The light becomes `scene.nep.recovered_world`; the scene's own World stays in use. `scene.nep.materials` lists the
-    result's materials.
+    The light becomes `scene.nep.recovered_world`. The scene's own World stays in use; where the recovered light of an older
+    result is in use, the new one takes its place. `scene.nep.materials` lists the result's materials.
     OSError where a file of the asset is missing or cannot be read.
     """
     settings = scene.nep
+    lit_by_earlier = is_recovered_light_used(scene)
     item, world = import_result(folder, scene.collection, pack=settings.images == "PACKED")
+    if lit_by_earlier:
+        scene.world = world
     settings.recovered_world, settings.asset = world, str(folder)
     fill_materials(settings, folder)
     settings.imported_job = _last_job_identifier(folder)

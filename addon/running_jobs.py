@@ -75,6 +75,11 @@ def job_of(scene: bpy.types.Scene) -> Job | None:
     return _jobs.get(folder_key(output)) if output is not None else None
 
 
+def any_at_work() -> bool:
+    """Whether a job of this Blender has not ended."""
+    return any(not job.ended for job in _jobs.values())
+
+
 def scene_of(job: Job) -> bpy.types.Scene | None:
     """A scene of this file whose output folder is the job's; None where another file is open."""
     return next((scene for scene in bpy.data.scenes if job_of(scene) is job), None)

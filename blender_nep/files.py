@@ -31,8 +31,8 @@ def write_atomically(path: Path, write: Callable[[Path], object]) -> None:
 
 
 def write_text(path: Path, text: str) -> None:
-    """Write a text file (UTF-8) by `write_atomically`. Raises OutputError."""
-    write_atomically(path, lambda temporary: temporary.write_bytes(text.encode()))
+    """Write a text file by `write_atomically`. It is UTF-8; names of files that are not are escaped. Raises OutputError."""
+    write_atomically(path, lambda temporary: temporary.write_bytes(text.encode("utf-8", "backslashreplace")))
 
 
 @contextmanager

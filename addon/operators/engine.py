@@ -3,7 +3,7 @@
 import bpy
 
 from ...backend.engine.command import EngineError, find_engine_python
-from .. import engine_paths, engine_setup
+from .. import engine_paths, engine_setup, running_jobs
 
 
 class NEP_OT_check_engine(bpy.types.Operator):
@@ -36,6 +36,9 @@ class NEP_OT_install_engine(bpy.types.Operator):
     def poll(cls, context: bpy.types.Context) -> bool:
         if engine_setup.installing:
             cls.poll_message_set("It is being installed")
+            return False
+        if running_jobs.any_at_work():
+            cls.poll_message_set("A job uses the engine: wait for its end, or cancel it")
             return False
         if not bpy.app.online_access:
             cls.poll_message_set(engine_setup.ALLOW_ONLINE_ACCESS)

@@ -29,17 +29,29 @@ class NEP_OT_reconstruct(bpy.types.Operator):
     bl_label = "Reconstruct Glossy Object"
     bl_description = "Make a mesh with materials, and the light around it, from the photos of the capture folder"
 
-    capture: bpy.props.StringProperty(name="Capture", description="Capture folder; empty: the scene's setting")
-    output: bpy.props.StringProperty(name="Output", description="Result folder; empty: the scene's setting")
+    # SKIP_SAVE: a button must not begin with what another button of this operator has set
+    capture: bpy.props.StringProperty(
+        name="Capture", description="Capture folder; empty: the scene's setting", options={"SKIP_SAVE"}
+    )
+    output: bpy.props.StringProperty(
+        name="Output", description="Result folder; empty: the scene's setting", options={"SKIP_SAVE"}
+    )
     preset: bpy.props.EnumProperty(
         name="Preset",
         description="How much time to spend",
         default="SCENE",
         items=(("SCENE", "As in the scene", "The scene's setting"), *PRESETS),
+        options={"SKIP_SAVE"},
     )
-    resume: bpy.props.BoolProperty(name="Resume", description="Go on from the checkpoint in the output folder")
-    overwrite: bpy.props.BoolProperty(name="Overwrite", description="Replace what is in the output folder")
-    wait: bpy.props.BoolProperty(name="Wait", description="In a script: return when the object is there", default=True)
+    resume: bpy.props.BoolProperty(
+        name="Resume", description="Go on from the checkpoint in the output folder", options={"SKIP_SAVE"}
+    )
+    overwrite: bpy.props.BoolProperty(
+        name="Overwrite", description="Replace what is in the output folder", options={"SKIP_SAVE"}
+    )
+    wait: bpy.props.BoolProperty(
+        name="Wait", description="In a script: return when the object is there", default=True, options={"SKIP_SAVE"}
+    )
 
     @classmethod
     def description(cls, context: bpy.types.Context, properties: bpy.types.OperatorProperties) -> str:

@@ -4,9 +4,11 @@ The add-on starts this file as a separate program, so that Blender does not wait
 of this package. The program prints JSON lines (progress, done, error) on standard output; what pip prints goes to standard
 error. When standard input is closed, the program stops and removes what it has made. The environment is DIR/nep-engine. Its
 file engine.json is written last. An environment without engine.json counts as not installed, and the next run replaces it.
+An engine that works is set aside meanwhile, and comes back if the run fails.
 """
 
 import argparse
+import contextlib
 import json
 import os
 import shutil
@@ -202,7 +204,7 @@ def install(options: argparse.Namespace, programs: ProgramRunner) -> None:
         and not any((environment / name).exists() for name in (DONE, UNFINISHED))
     ):
         raise InstallError(f"{environment} is there already and is no engine.", "Delete it, or choose another folder.")
-    remove(environment)
+    set_aside(environment)
     environment.mkdir(parents=True)
     (environment / UNFINISHED).touch()
     tell("progress", fraction=0.02, message="Making the environment")
@@ -238,7 +240,33 @@ def install(options: argparse.Namespace, programs: ProgramRunner) -> None:
     partial.write_text(json.dumps(about, indent=1), encoding="utf-8")
     (environment / UNFINISHED).unlink()
     os.replace(partial, environment / DONE)
+    shutil.rmtree(_aside(environment), ignore_errors=True)
     tell("done", python=str(python), **{k: v for k, v in about.items() if k != "python"})
+
+
+def _aside(environment: Path) -> Path:
+    """Where an engine waits that works, while another one is made in its place."""
+    return environment.with_name(f"{environment.name}.before")
+
+
+def set_aside(environment: Path) -> None:
+    """Put a complete engine aside, so that it can come back, and remove what an unfinished run has left."""
+    bring_back(environment)  # of a run that was killed
+    if (environment / DONE).is_file():
+        os.replace(environment, _aside(environment))
+    else:
+        remove(environment)
+
+
+def bring_back(environment: Path) -> None:
+    """Put the engine that was set aside to its place again, if there is one and no complete one is there."""
+    if not _aside(environment).is_dir():
+        return
+    if (environment / DONE).is_file():
+        shutil.rmtree(_aside(environment))
+    else:
+        remove(environment)
+        os.replace(_aside(environment), environment)
 
 
 def remove(environment: Path) -> None:
@@ -275,6 +303,8 @@ def main() -> int:
     environment = options.folder / NAME
     if (environment / UNFINISHED).exists():
         shutil.rmtree(environment, ignore_errors=True)
+    with contextlib.suppress(OSError):
+        bring_back(environment)
     tell("error", code=code, message=message, hint=hint)
     return code
 

@@ -9,6 +9,8 @@ from pathlib import Path
 import bpy
 import numpy as np
 
+from .image_files import relative_path
+
 
 @dataclass(frozen=True)
 class Texture:
@@ -83,7 +85,7 @@ def removed_on_error() -> Iterator[None]:
     before = [set(kind) for kind in kinds]
     try:
         yield
-    except OSError:
+    except Exception:
         for kind, known in zip(kinds, before, strict=True):
             bpy.data.batch_remove([block for block in kind if block not in known])
         raise
@@ -136,7 +138,7 @@ def load_image(path: Path, *, color_space: str, pack: bool) -> bpy.types.Image:
     if pack:
         image.pack()
     elif bpy.data.is_saved:
-        image.filepath = bpy.path.relpath(str(path))
+        image.filepath = relative_path(path)
     return image
 
 

@@ -158,7 +158,8 @@ def _frame(folder: Path, meta: dict, entry: dict) -> Frame:
         width, height = image_size(path)
     angle = entry.get("camera_angle_x", meta.get("camera_angle_x"))
     fl_x = float(value("fl_x", None if angle is None else 0.5 * width / math.tan(0.5 * angle)))
-    space = meta.get("color_space") or _color_space(path)
+    # As in the engine, OpenEXR is linear, whatever the capture says of its other photos.
+    space = "linear" if path.suffix.lower() == ".exr" else meta.get("color_space") or _color_space(path)
     return Frame(
         path,
         width,

@@ -110,3 +110,11 @@ def write_whole(path: Path, data: bytes) -> None:
 def _partial(path: Path) -> Path:
     path = Path(path)
     return path.with_name(path.name + ".partial")
+
+
+def relative_path(path: Path) -> str:
+    """The path relative to the .blend file; the whole path where none is, from one drive of Windows to another."""
+    try:
+        return bpy.path.relpath(str(path))
+    except ValueError:
+        return str(path)

@@ -7,7 +7,7 @@ import numpy as np
 
 from .cameras import new_camera, pixel_aspect
 from .capture_files import Frame
-from .image_files import load_pixels
+from .image_files import load_pixels, relative_path
 from .photo_formats import HEIF, RAW
 
 COLLECTION_NAME = "NeP cameras: {}"
@@ -104,5 +104,5 @@ def _photo(frame: Frame) -> bpy.types.Image | None:
         if frame.color_space == "linear" and frame.path.suffix.lower() != ".exr":
             image.colorspace_settings.name = "Non-Color"
         if bpy.data.is_saved:
-            image.filepath = bpy.path.relpath(image.filepath)
+            image.filepath = relative_path(frame.path.resolve())
     return image

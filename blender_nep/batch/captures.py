@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -90,7 +91,7 @@ def _in_folder(folder: Path, out: Path) -> Iterator[FoundCapture]:
         yield FoundCapture(folder.resolve(), False)
     elif _photo_count(folder) >= MINIMUM_VIEWS:
         yield FoundCapture(folder.resolve(), True)
-    else:
+    elif os.access(folder, os.R_OK | os.X_OK):
         for inner in sorted(folder.iterdir()):
             wanted = inner.is_dir() and not inner.name.startswith(".") and inner.name not in _PARTS
             if not wanted or inner.resolve() == out.resolve():
@@ -102,8 +103,11 @@ def _in_folder(folder: Path, out: Path) -> Iterator[FoundCapture]:
 
 
 def _photo_count(folder: Path) -> int:
-    """The larger one of the numbers of photos in a folder and in its folder `images`."""
-    return max(len(photos_in(place)) for place in (folder, folder / "images"))
+    """The larger one of the numbers of photos in a folder and in its folder `images`; 0 if they may not be read."""
+    try:
+        return max(len(photos_in(place)) for place in (folder, folder / "images"))
+    except PermissionError:
+        return 0
 
 
 def size_of(capture: FoundCapture) -> Size:

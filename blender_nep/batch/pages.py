@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+import traceback
 from pathlib import Path
 
 from blender_nep.errors import NepError
@@ -31,9 +32,11 @@ class GalleryPages:
         began = time.monotonic()
         try:
             write_gallery(self._folder)
-        except NepError as error:
+        except Exception as error:  # also what nobody foresaw: the gallery is no reason to stop the jobs
+            self._events.log("".join(traceback.format_exception(error)))
             if not self._warned:
                 self._warned = True
-                self._events.warning(Message("batch.no_gallery", {"reason": error.message}))
+                reason = error.message if isinstance(error, NepError) else str(error)
+                self._events.warning(Message("batch.no_gallery", {"reason": reason}))
         ended = time.monotonic()
         self._next = ended + (ended - began) / _SHARE

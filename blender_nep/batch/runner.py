@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import os
 import shutil
+import traceback
 from pathlib import Path
 
 from blender_nep.batch.captures import FoundCapture, Size, find_captures, size_of
@@ -30,7 +31,7 @@ from blender_nep.errors import NepError, ObjectsFailed, OutputError, Stopped, Us
 from blender_nep.files import output_errors
 from blender_nep.job.device import choose_device, usable_cores
 from blender_nep.job.events import Events
-from blender_nep.job.exit_code import exit_code
+from blender_nep.job.exit_code import exit_code, unexpected
 from blender_nep.job.job_folder import lock_file
 from blender_nep.messages import Message
 from blender_nep.presets import preset
@@ -153,6 +154,10 @@ class Batch:
                 one.size, self._files[one.name] = size.told(), size.files
             except NepError as error:
                 one.state, one.error = FAILED, error.told()
+                progress.changed(one)
+            except Exception as error:  # what nobody foresaw in one capture stops no other one
+                self._events.log("".join(traceback.format_exception(error)))
+                one.state, one.error = FAILED, unexpected(error, "The details are in log.txt.").told()
                 progress.changed(one)
 
     def _jobs(self) -> tuple[Jobs, Plan]:

@@ -78,7 +78,10 @@ class BatchState:
     objects: list[ObjectState] = field(default_factory=list)
 
     def take(self, captures: list[FoundCapture]) -> list[ObjectState]:
-        """The objects of these captures. A capture that is new gets a name; a known one keeps its name and what was done."""
+        """The objects of these captures. A capture that is new gets a name; a known one keeps its name and what was done.
+
+        The cameras of a folder of photos may have been found since, by its user.
+        """
         known = {one.capture: one for one in self.objects}
         names = {one.name.lower() for one in self.objects}
         for capture in captures:
@@ -86,6 +89,9 @@ class BatchState:
                 name = object_name(capture.path, names)
                 known[str(capture.path)] = ObjectState(name, str(capture.path), capture.photos_alone)
                 self.objects.append(known[str(capture.path)])
+            one = known[str(capture.path)]
+            if one.state != DONE and one.photos_alone != capture.photos_alone:
+                one.photos_alone, one.size = capture.photos_alone, None
         return [known[str(capture.path)] for capture in captures]
 
     def write(self, folder: Path) -> None:

@@ -12,7 +12,7 @@ from PIL import Image
 
 from blender_nep.capture.capture import Capture
 from blender_nep.capture.loading import MINIMUM_VIEWS
-from blender_nep.capture.photo_files import SUFFIXES, exif, file_kind, image_size, open_image
+from blender_nep.capture.photo_files import SUFFIXES, MaskRaster, exif, file_kind, image_size, open_image
 from blender_nep.color import linear_to_srgb, to_bytes
 from blender_nep.errors import CaptureError
 
@@ -199,8 +199,9 @@ def mask_copy(photo: Photo, size: tuple[int, int]) -> np.ndarray | None:
     if photo.mask is None:
         return None
     try:
-        with Image.open(photo.mask) as image:
-            grey = image.getchannel("A") if "A" in image.getbands() else image.convert("L")
-            return np.asarray(grey.resize(size, Image.Resampling.BOX)) > 127
-    except _DAMAGED as error:
+        mask = MaskRaster.of(photo.mask)
+        starts = range(0, mask.size[0], _STRIP)
+        grey = np.concatenate([to_bytes(mask.rows(start, start + _STRIP)) for start in starts])
+    except (CaptureError, *_DAMAGED) as error:
         raise _unreadable(photo.mask, error) from error
+    return np.asarray(Image.fromarray(grey).resize(size, Image.Resampling.BOX)) > 127

@@ -96,8 +96,12 @@ def _frame(placed: PlacedPhoto, folder: Path) -> dict:
 
 
 def _relative(path: Path, folder: Path) -> str:
-    """The path as seen from the capture's folder; the whole path where both are on different drives."""
+    """The path as seen from the capture's folder; the whole path where both are on different drives.
+
+    A link to a photo stays one: what it leads to may have a name that is no photo's.
+    """
+    whole = Path(os.path.abspath(path.parent.resolve() / path.name))
     try:
-        return Path(os.path.relpath(path.resolve(), folder.resolve())).as_posix()
+        return Path(os.path.relpath(whole, folder.resolve())).as_posix()
     except ValueError:
-        return path.resolve().as_posix()
+        return whole.as_posix()

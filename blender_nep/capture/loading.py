@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -58,8 +59,11 @@ def load_capture(
 
 
 def recognized(folder: Path) -> bool:
-    """Whether one of the formats recognizes the folder as a capture."""
-    return transforms.recognizes(folder) or any(other.recognizes(folder) for other in _OTHER_FORMATS)
+    """Whether one of the formats recognizes the folder as a capture. A folder that may not be read is none."""
+    try:
+        return transforms.recognizes(folder) or any(other.recognizes(folder) for other in _OTHER_FORMATS)
+    except PermissionError:
+        return False
 
 
 def describe(folder: Path, file: str = transforms.FILE) -> CaptureDescription:
@@ -68,6 +72,8 @@ def describe(folder: Path, file: str = transforms.FILE) -> CaptureDescription:
         raise CaptureError(f"there is no folder {folder}", "Check the path of the capture.")
     if not folder.is_dir():
         raise CaptureError(f"{folder} is not a folder", "A capture is a folder with photos and their cameras.")
+    if not os.access(folder, os.R_OK | os.X_OK):
+        raise CaptureError(f"{folder} may not be read", "Change its permissions.")
     if transforms.recognizes(folder, file):
         return transforms.read(folder, file)
     if file == transforms.FILE:
@@ -154,6 +160,9 @@ def _may_have_masks(capture: Capture) -> bool:
 
 
 def _coarse(mask: np.ndarray | None) -> np.ndarray | None:
-    """Every n-th pixel of the mask, so that 200 to 400 are left along the longer side. None stays None."""
+    """Every n-th pixel of the mask, so that 200 to 400 are left along the longer side. None stays None.
+
+    It is a copy, so that the whole mask does not stay in memory.
+    """
     step = 1 if mask is None else max(1, max(mask.shape) // 200)
-    return None if mask is None else mask[step // 2 :: step, step // 2 :: step]
+    return None if mask is None else mask[step // 2 :: step, step // 2 :: step].copy()

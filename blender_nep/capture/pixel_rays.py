@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import os
 from collections import deque
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -320,7 +319,7 @@ def _factor(height: int, width: int, most: int) -> int:
 def _loaded(capture: Capture, factors: list[int], use_masks: bool) -> Iterator[_Photo]:
     """The photos in their order. As many are decoded at the same time as `_DECODED_PIXELS` allows."""
     largest = max(v.camera.height * v.camera.width for v in capture.views)
-    workers = max(1, min(os.cpu_count() or 1, _DECODED_PIXELS // largest))
+    workers = max(1, min(torch.get_num_threads(), _DECODED_PIXELS // largest))
     with ThreadPoolExecutor(workers) as pool:
         ahead: deque = deque()
         try:

@@ -55,13 +55,18 @@ def _summary(report: Mapping[str, Any]) -> AssetSummary:
     errors = [error for error in fields.get("held_out_error") or () if error is not None]
     return AssetSummary(
         materials=tuple(sorted(map(_material, report.get("materials") or ()), key=lambda found: -found.share)),
-        faces=surface.get("faces"),
-        seconds=report.get("seconds_total"),
-        peak_memory_mb=report.get("peak_memory_mb"),
-        held_out_error=errors[-1] if errors else None,
-        material_residual=materials.get("residual"),
+        faces=None if (faces := _number(surface.get("faces"))) is None else int(faces),
+        seconds=_number(report.get("seconds_total")),
+        peak_memory_mb=_number(report.get("peak_memory_mb")),
+        held_out_error=_number(errors[-1]) if errors else None,
+        material_residual=_number(materials.get("residual")),
         warnings=tuple(str(warning["message"]) for warning in report.get("warnings") or ()),
     )
+
+
+def _number(told: float | None) -> float | None:
+    """The number that the report has at a place. Raises ValueError, TypeError where it has something else."""
+    return None if told is None else float(told)
 
 
 def _material(told: Mapping[str, Any]) -> Material:

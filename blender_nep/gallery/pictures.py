@@ -34,7 +34,7 @@ def thumbnail(path: Path, width: int) -> Thumbnail | None:
     try:
         state = path.stat()
         return _thumbnail(path, width, state.st_mtime_ns, state.st_size)
-    except (OSError, ValueError):
+    except (OSError, ValueError, SyntaxError, Image.DecompressionBombError):  # Pillow's, for damaged files
         return None
 
 
@@ -71,7 +71,7 @@ def viewer_light(path: Path) -> ViewerLight | None:
     """
     try:
         light = np.asarray(OpenEXR.File(str(path)).channels()["RGB"].pixels, np.float32)
-    except (OSError, RuntimeError, KeyError):
+    except (OSError, RuntimeError, KeyError, ValueError, TypeError):  # OpenEXR's, for damaged files
         return None
     light = np.ascontiguousarray(np.clip(np.nan_to_num(light), 0, 65504))
     area = np.sin((np.arange(len(light)) + 0.5) * np.pi / len(light))

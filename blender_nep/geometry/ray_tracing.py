@@ -6,10 +6,10 @@ precision, so the offset from the surface scales with the mesh.
 
 from __future__ import annotations
 
-import os
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
+import torch
 from embreex import rtcore_scene
 from embreex.mesh_construction import TriangleMesh
 
@@ -45,7 +45,7 @@ class RayTracer:
         self._mesh = TriangleMesh(scene=self._scene, vertices=vertices, indices=faces)
         # Embree builds its tree at the first query. This query does it before several threads ask at once.
         self._scene.run(np.zeros((1, 3), np.float32), np.array([[0, 0, 1]], np.float32))
-        self._threads = os.cpu_count() or 1
+        self._threads = torch.get_num_threads()
 
     @profiled("ray tracing")
     def intersect(self, origins: np.ndarray, directions: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -54,7 +54,7 @@ class Events:
 
     def open_log(self, path: Path) -> None:
         """Open the log file and write what was said before. From now on everything is appended to it."""
-        self._log = open(path, "a", encoding="utf-8")
+        self._log = open(path, "a", encoding="utf-8", errors="backslashreplace")  # names of files may be no UTF-8
         for line in self._pending:
             self._log.write(line)
         self._pending.clear()

@@ -38,15 +38,15 @@ def exit_code(work: Callable[[], None], events: Events, asset: Path, interrupted
         where = f"The details are in {asset / 'log.txt'}."
         if not events.has_log:
             where = "".join(traceback.format_exception(error))
-        unexpected = _unexpected(error, where)
-        events.error(unexpected)
-        return unexpected.code
+        told = unexpected(error, where)
+        events.error(told)
+        return told.code
     finally:
         events.close()
 
 
-def _unexpected(error: Exception, where: str) -> NepError:
-    """The error for an exception that nobody foresaw. `where` is a sentence that says where the traceback is."""
+def unexpected(error: Exception, where: str) -> NepError:
+    """The error for an exception that nobody foresaw, for a user. `where` is a sentence that says where the traceback is."""
     if isinstance(error, MemoryError | torch.OutOfMemoryError) or "allocate memory" in str(error):
         return NepError("out of memory", f"Try --preset preview, or smaller photos. {where}", "unexpected.no_memory")
     text = " ".join(str(error).split())

@@ -26,6 +26,7 @@ from blender_nep.job.stage_names import StageName
 from blender_nep.job.tracker import Tracker
 from blender_nep.profiling import profiled, section
 from blender_nep.stop_request import StopRequest
+from blender_nep.surface.mesh_file import read_mesh
 
 
 @dataclass(frozen=True)
@@ -96,6 +97,8 @@ class Preparation:
         """
         s = self._settings
         capture = self._load_capture()
+        if s.mesh is not None:
+            read_mesh(s.mesh, capture)  # to refuse one that is not usable before the light is learned
         what = fingerprint(capture, s.preset, s.seed, s.use_masks, s.mesh, s.sphere)
         if s.resume and (s.out / "report.json").is_file():
             self._finish_complete(what)

@@ -115,6 +115,7 @@ def check_life_of_a_job(folder):
     job = start(bpy, addon)
     assert not bpy.ops.nep.reconstruct.poll() and bpy.ops.nep.cancel.poll()
     assert not bpy.ops.nep.find_cameras.poll(), "other cameras would keep the job from being resumed"
+    assert not bpy.ops.nep.install_engine.poll(), "the job needs the engine that is there"
     rounds(addon, lambda: "NeP preview" in bpy.data.objects)
     preview = bpy.data.objects["NeP preview"]
     assert len(preview.data.polygons) == 320 and preview.hide_render
@@ -222,6 +223,48 @@ def check_cancel_and_crash(folder):
     assert "cannot be started" in addon.running_jobs.job_of(bpy.context.scene).failed.message
     settings.output = "//beside"
     fails(bpy.ops.nep.reconstruct, "Save the file first")
+
+
+def test_a_button_does_not_begin_with_what_another_button_has_set(folders):
+    in_blender(check_forgotten_options, folders, **BRISK)
+
+
+def check_forgotten_options(folder):
+    bpy, addon, _settings = set_up(folder)
+    begun = []
+    operators = addon.operators.reconstruct
+    whole = operators.reconstruct_arguments
+    operators.reconstruct_arguments = lambda *a, **k: begun.append(whole(*a, **k)) or begun[-1]
+    ended = addon.running_jobs.import_job_result
+
+    def press(**options):
+        """As a button does: Blender then remembers the options of an operator."""
+        assert bpy.ops.nep.reconstruct("EXEC_DEFAULT", True, **options) == {"FINISHED"}
+        return {"--resume", "--overwrite"} & set(begun[-1])
+
+    assert press() == set() and ended
+    assert press(overwrite=True) == {"--overwrite"}
+    assert press(resume=True) == {"--resume"}
+    assert press(overwrite=True) == {"--overwrite"}
+    bpy.context.scene.nep.output = str(folder / "another")
+    assert press() == set()
+
+
+def test_the_artists_world_outlives_a_second_result(folders):
+    in_blender(check_own_world, folders, **BRISK)
+
+
+def check_own_world(folder):
+    bpy, _addon, settings = set_up(folder)
+    own = bpy.data.worlds.new("the artist's")
+    bpy.context.scene.world = own
+    assert bpy.ops.nep.reconstruct() == {"FINISHED"}
+    assert bpy.ops.nep.use_recovered_light() == {"FINISHED"}
+    first = bpy.context.scene.world
+    assert first is settings.recovered_world and settings.own_world is own
+    assert bpy.ops.nep.import_result() == {"FINISHED"}
+    assert bpy.context.scene.world is settings.recovered_world and settings.recovered_world is not first
+    assert bpy.ops.nep.use_recovered_light() == {"FINISHED"} and bpy.context.scene.world is own
 
 
 def test_two_scenes_have_two_jobs(folders):

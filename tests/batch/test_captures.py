@@ -42,6 +42,20 @@ def test_a_folder_that_holds_captures(shelf):
     assert found(shelf, out=shelf / "out") == {"camera": True, "phone": True, "vase": False}
 
 
+def test_a_folder_that_may_not_be_read_is_passed_over(shelf, monkeypatch):
+    """As a drive's `lost+found`. The tests may run as root, who may read all, so the refusal is played."""
+    locked, whole = shelf / "lost+found", Path.is_file
+    locked.mkdir()
+
+    def is_file(path):
+        if path.parent == locked:
+            raise PermissionError(13, "Permission denied", str(path))
+        return whole(path)
+
+    monkeypatch.setattr(Path, "is_file", is_file)
+    assert found(shelf, out=shelf / "out") == {"camera": True, "phone": True, "vase": False}
+
+
 def test_folders_one_by_one_and_each_only_once(shelf):
     assert found(shelf / "vase", shelf / "phone", shelf / "vase", shelf / "camera") == {
         "vase": False,
@@ -96,6 +110,15 @@ def test_a_name_is_kept_although_other_captures_come_first():
     assert [one.name for one in state.take(captures)] == ["vase", "vase-2", "cup"]
     again = state.take([FoundCapture(Path("/0/vase"), False), *reversed(captures)])
     assert [one.name for one in again] == ["vase-3", "cup", "vase-2", "vase"]
+
+
+@pytest.mark.parametrize("state", ["failed", "done"])
+def test_cameras_that_were_found_since_the_last_start_are_used(state):
+    before = BatchState(BatchSettings((), Path("out")).identity())
+    (one,) = before.take([FoundCapture(Path("/1/vase"), True)])
+    one.state, one.size = state, {"photos": 9, "pixels": 9}
+    (again,) = before.take([FoundCapture(Path("/1/vase"), False)])
+    assert again is one and one.photos_alone == (state == "done") and (one.size is None) == (state == "failed")
 
 
 def test_an_object_survives_the_disk():

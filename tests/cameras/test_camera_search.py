@@ -10,8 +10,10 @@ from PIL import Image
 
 from benchmarks.scoring.cameras import errors
 from blender_nep.cameras.alignment import similarity
-from blender_nep.cameras.photo_folder import find_photos
+from blender_nep.cameras.found_cameras import FoundCameras
+from blender_nep.cameras.photo_folder import Photo, find_photos, mask_copy
 from blender_nep.cameras.structure_from_motion import Group, PlacedPhoto
+from blender_nep.cameras.written_capture import write_capture
 from blender_nep.capture import load_capture
 from blender_nep.errors import CaptureError
 from blender_nep.fields import object_sphere
@@ -46,6 +48,35 @@ def photos(tmp_path_factory):
     folder = tmp_path_factory.mktemp("room")
     write_photos(folder, COUNT)
     return folder
+
+
+@pytest.mark.parametrize("kind", ["grey", "opaque RGBA", "alpha", "16 bits"])
+def test_a_mask_for_features_is_read_as_that_of_a_capture(tmp_path, kind):
+    shown = np.zeros((40, 60), np.uint8)
+    shown[10:30, 20:50] = 255
+    if kind == "opaque RGBA":
+        image = Image.fromarray(np.dstack([shown, shown, shown, np.full_like(shown, 255)]))
+    elif kind == "alpha":
+        image = Image.fromarray(np.dstack([np.zeros((40, 60, 3), np.uint8), shown]))
+    else:
+        image = Image.fromarray(shown if kind == "grey" else np.where(shown > 0, 65535, 3000).astype(np.uint16))
+    image.save(tmp_path / "mask.png")
+    found = mask_copy(Photo(tmp_path / "photo.jpg", 60, 40, None, (), mask=tmp_path / "mask.png"), (60, 40))
+    np.testing.assert_array_equal(found, shown > 0)
+
+
+def test_links_to_photos_stay_links(tmp_path):
+    store, folder = tmp_path / "store", tmp_path / "photos"
+    store.mkdir()
+    folder.mkdir()
+    for number in range(4):
+        Image.new("RGB", (32, 24), (40 * number, 9, 9)).save(store / "photo.jpg")
+        (store / "photo.jpg").rename(store / f"00abab{number}")  # as a store that names files by their content
+        (folder / f"IMG_{number}.jpg").symlink_to(store / f"00abab{number}")
+    placed = [PlacedPhoto(photo, camera(n, 4), 0, 0.0) for n, photo in enumerate(find_photos(folder))]
+    write_capture(FoundCameras(placed, np.zeros((0, 3)), [], np.zeros(3), 1.0), folder)
+    frames = json.loads((folder / "transforms.json").read_text())["frames"]
+    assert [frame["file_path"] for frame in frames] == [f"IMG_{number}.jpg" for number in range(4)]
 
 
 @pytest.fixture(scope="module")

@@ -12,7 +12,7 @@ import pytest
 import torch
 from PIL import Image
 
-from blender_nep.capture import Camera, PixelRays, load_capture
+from blender_nep.capture import Camera, PixelRays, load_capture, loading
 from blender_nep.capture.bounds import sphere_from_cameras
 from blender_nep.capture.photo_files import open_image
 from blender_nep.capture.pixel_width import pixel_footprint, pixel_width
@@ -193,6 +193,12 @@ def test_sphere_from_masks_holds_the_object(make_capture):
     assert 0 <= slack < 0.2
     ignored = load_capture(tiny.folder, use_masks=False)
     assert ignored.bounds_source == "cameras" and ignored.object_radius > 0.6
+
+
+def test_coarse_masks_do_not_keep_whole_ones_in_memory():
+    whole = np.zeros((600, 900), np.float32)
+    coarse = loading._coarse(whole)
+    assert coarse.shape == (150, 225) and not np.shares_memory(coarse, whole)
 
 
 def test_alpha_is_the_mask_and_knows_no_background(make_capture):

@@ -3,6 +3,7 @@
 import struct
 import subprocess
 import sys
+import zlib
 
 import numpy as np
 import pillow_heif
@@ -400,3 +401,17 @@ def test_memory_of_a_photo_of_24_megapixels(tmp_path, name):
             )
     command = [sys.executable, "-c", MEASURE, str(tmp_path / "small" / name), str(tmp_path / "large" / name)]
     assert float(subprocess.run(command, capture_output=True, text=True, check=True).stdout) < 4
+
+
+def test_an_interlaced_png_of_16_bits_of_grey_is_not_clipped(tmp_path):
+    """Interlacing one pixel changes nothing, so the file is easily made."""
+
+    def chunk(name: bytes, content: bytes) -> bytes:
+        return len(content).to_bytes(4, "big") + name + content + zlib.crc32(name + content).to_bytes(4, "big")
+
+    header = (1).to_bytes(4, "big") * 2 + bytes([16, 0, 0, 0, 1])
+    pixel = zlib.compress(b"\0" + (30000).to_bytes(2, "big"))
+    whole = b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", header) + chunk(b"IDAT", pixel) + chunk(b"IEND", b"")
+    (tmp_path / "a.png").write_bytes(whole)
+    color, _ = open_image(tmp_path / "a.png", "linear").rows(0, 1)
+    np.testing.assert_allclose(color, 30000 / 65535, atol=1e-5)

@@ -6,6 +6,7 @@ import errno
 import json
 import os
 import shutil
+import zlib
 from html.parser import HTMLParser
 from pathlib import Path
 from urllib.parse import unquote
@@ -182,6 +183,32 @@ def test_damaged_files_leave_gaps(batch):
     page = index_of(write_batch(folder, [entry]))
     assert "No picture" in page.text and "report.json is missing or damaged" in page.text
     assert "The recovered light is missing or damaged" in Page(folder / "ball" / "view.html").text
+
+
+def half_a_png(whole: bytes) -> bytes:
+    """A PNG file whose pixels are in two chunks, of which the second one is damaged."""
+    place = whole.index(b"IDAT")
+    size = int.from_bytes(whole[place - 4 : place], "big") // 2
+    first = whole[place : place + 4 + size]
+    damaged = size.to_bytes(4, "big") + bytes(8) + whole[place + 4 + size :]
+    return whole[: place - 4] + size.to_bytes(4, "big") + first + zlib.crc32(first).to_bytes(4, "big") + damaged
+
+
+@pytest.mark.parametrize(
+    ("name", "spoil", "said"),
+    [
+        ("environment.exr", lambda whole: whole[:400], "The recovered light is missing or damaged"),
+        ("preview.png", half_a_png, "No picture"),
+        ("report.json", lambda whole: b'{"stages": {"surface": {"faces": "many"}}}', "report.json is missing or damaged"),
+    ],
+)
+def test_files_that_are_damaged_behind_their_header_leave_gaps(batch, name, spoil, said):
+    folder, finished = batch
+    entry = finished("ball")
+    path = folder / "ball" / name
+    path.write_bytes(spoil(path.read_bytes()))
+    page = index_of(write_batch(folder, [entry]))
+    assert said in page.text + Page(folder / "ball" / "view.html").text
 
 
 def test_comparison_and_turntable(batch):

@@ -251,6 +251,13 @@ def test_out_that_is_a_file_or_below_one(make_capture, tmp_path):
     assert (tmp_path / "file").read_text() == "mine"
 
 
+def test_a_mesh_that_is_not_usable_is_refused_before_anything_is_learned(make_capture, tmp_path):
+    (tmp_path / "flat.obj").write_text("v 0 0 0\nv 0.5 0 0\nv 0.2 0 0\nf 1 2 3\n")
+    code, events, _ = reconstruct(make_capture().folder, tmp_path / "asset", mesh=tmp_path / "flat.obj")
+    assert code == 3 and "flat.obj" in events[-1]["message"]
+    assert {event["stage"] for event in events if event["event"] == "progress"} <= {"capture"}
+
+
 def test_a_missing_mesh(make_capture, tmp_path):
     code, events, _ = reconstruct(make_capture().folder, tmp_path / "asset", mesh=tmp_path / "no.obj")
     assert code == 2 and "no.obj" in events[-1]["message"] and not (tmp_path / "asset").exists()

@@ -69,7 +69,11 @@ def test_whatever_the_unpickler_raises_the_file_counts_as_damaged(tmp_path, monk
     monkeypatch.setattr(torch, "load", load)
     with pytest.raises(ValueError, match=r"stage\.pt is damaged \(IndexError\)"):
         load_state(first.path)
-    assert Checkpoint(tmp_path, "stage", StopRequest(), [].append).load() == {"step": 1}
+    resumed = Checkpoint(tmp_path, "stage", StopRequest(), [].append)
+    assert resumed.load() == {"step": 1} and not first.path.exists(), "it must not take the place of the good one"
+    resumed.save({"step": 3})
+    monkeypatch.undo()
+    assert load_state(resumed.path)["state"] == {"step": 3} and load_state(resumed.previous)["state"] == {"step": 1}
 
 
 def test_a_state_that_has_not_changed_is_not_written_again(tmp_path):

@@ -12,7 +12,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from blender_nep.errors import OutputError
+from blender_nep.errors import CaptureError, OutputError
+from blender_nep.files import write_text
 from blender_nep.job.events import Events
 from blender_nep.messages import Message
 from blender_nep.stop_request import StopRequest
@@ -39,6 +40,17 @@ def test_events_that_cannot_be_written_do_not_hide_the_error():
     events.error(OutputError("the disk is full", "Free some space."))
     events.close()
     assert human.getvalue().endswith("error: the disk is full\n       Free some space.\n")
+
+
+def test_names_that_are_no_utf_8_are_told(tmp_path):
+    events = Events(io.StringIO(), io.StringIO())
+    events.open_log(tmp_path / "log.txt")
+    events.log("photo_\udcfc.jpg is dark")
+    events.error(CaptureError("photo_\udcfc.jpg cannot be read"))
+    events.close()
+    assert "photo_\\udcfc.jpg is dark" in (tmp_path / "log.txt").read_text()
+    write_text(tmp_path / "page.html", "photo_\udcfc.jpg")
+    assert (tmp_path / "page.html").read_text() == "photo_\\udcfc.jpg"
 
 
 def test_events_are_json_whatever_they_hold():

@@ -86,9 +86,13 @@ def _number(frame: dict, meta: dict, key: str, name: str) -> float | None:
     value = frame.get(key, meta.get(key))
     if value is None:
         return None
-    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+    try:
+        number = math.nan if isinstance(value, bool) or not isinstance(value, int | float) else float(value)
+    except OverflowError:  # a whole number of hundreds of digits
+        number = math.nan
+    if not math.isfinite(number):
         raise CaptureError(f"{name}: {key} is not a number")
-    return float(value)
+    return number
 
 
 def _view(folder: Path, file: str, meta: dict, frame: dict, n: int, rescaled: list[str]) -> View:
@@ -121,7 +125,7 @@ def _camera(meta: dict, frame: dict, name: str, image: Path) -> Camera:
         fl_x = 0.5 * width / math.tan(0.5 * angle)
     fl_y, cx, cy = (_number(frame, meta, k, name) for k in ("fl_y", "cx", "cy"))
     fl_y, cx, cy = fl_y or fl_x, width / 2 if cx is None else cx, height / 2 if cy is None else cy
-    if min(fl_x, fl_y, width, height) <= 0:
+    if min(fl_x, fl_y) <= 0 or min(round(width), round(height)) < 1:
         raise CaptureError(f"{name}: focal length and size must be positive")
     return Camera(round(width), round(height), fl_x, fl_y, cx, cy, _matrix(frame, name), _lens(meta, frame, name))
 
@@ -133,7 +137,7 @@ def _matrix(frame: dict, name: str) -> np.ndarray:
     """
     try:
         matrix = np.array(frame.get("transform_matrix"), np.float64)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         matrix = np.zeros(0)
     if matrix.shape == (3, 4):
         matrix = np.concatenate([matrix, [[0.0, 0.0, 0.0, 1.0]]])

@@ -123,3 +123,31 @@ def test_somebody_elses_folder_is_not_touched(base):
     theirs.write_text("years of work")
     code, told = end(begin(base))
     assert code == 1 and "is no engine" in told[-1]["message"] and theirs.read_text() == "years of work"
+
+
+@pytest.mark.parametrize("mode", ["no network", "full", "slow"])
+def test_a_working_engine_comes_back_where_its_replacement_fails(base, tmp_path, mode):
+    code, told = end(begin(base))
+    assert code == 0
+    base(mode)
+    process = begin(base)
+    if mode == "slow":
+        wait_until((tmp_path / "slow").exists)
+        process.stdin.close()
+    assert end(process)[0] != 0
+    assert installed_python(base.folder) == told[-1]["python"]
+    assert [path.name for path in base.folder.iterdir()] == ["nep-engine"]
+
+
+def test_a_working_engine_comes_back_after_its_replacement_was_killed(base, tmp_path):
+    code, told = end(begin(base))
+    assert code == 0
+    base("slow")
+    process = begin(base)
+    wait_until((tmp_path / "slow").exists)
+    process.send_signal(signal.SIGKILL)
+    process.communicate()
+    base("no network")
+    assert end(begin(base))[0] == 1 and installed_python(base.folder) == told[-1]["python"]
+    base("well")
+    assert end(begin(base))[0] == 0 and [path.name for path in base.folder.iterdir()] == ["nep-engine"]
