@@ -59,6 +59,8 @@ HANDLERS = (
     ("load_post", camera_search.on_file_loaded),
     ("load_post", photo_check.on_file_loaded),
     ("save_post", shelf_scene.on_file_saved),
+    ("undo_post", running_jobs.on_undone),
+    ("redo_post", running_jobs.on_undone),
     ("undo_post", material_correction.on_undone),
     ("redo_post", material_correction.on_undone),
 )

@@ -4,6 +4,7 @@ Undo and File > New may remove the mesh at any moment. So it is found each time 
 """
 
 import zipfile
+from collections.abc import Collection
 from pathlib import Path
 
 import bpy
@@ -42,11 +43,13 @@ def _replace_geometry(mesh: bpy.types.Mesh, vertices: np.ndarray, faces: np.ndar
     mesh.shade_smooth()
 
 
-def remove_meshes(job_key: str) -> None:
-    """Remove the job's preview mesh from all scenes."""
-    for scene in bpy.data.scenes:
-        item = _preview_object(scene, job_key)
-        if item is not None:
+def remove_meshes_except(job_keys: Collection[str]) -> None:
+    """Remove the preview meshes of all jobs but these from the file.
+
+    A mesh may come from a job that ended while the file was closed, or from an undo step.
+    """
+    for item in [item for item in bpy.data.objects if item.get(JOB_PROPERTY, "") not in {"", *job_keys}]:
+        if item.type == "MESH":
             bpy.data.meshes.remove(item.data)  # this removes the object too
 
 

@@ -129,6 +129,7 @@ def on_file_loaded(*_: object) -> None:
     for ended in [job for job in _jobs.values() if job.ended]:
         del _jobs[ended.key]
     attach_jobs_of_all_scenes()
+    remove_old_previews()
 
 
 def advance_jobs() -> bool:
@@ -160,10 +161,22 @@ def _show_previews(job: Job) -> None:
 
 def on_job_ended(job: Job) -> None:
     """Remove the job's live preview, and remember how long a successful job took."""
-    live_preview.remove_meshes(job.key)
+    remove_old_previews()
     halved_pictures.remove_picture(job.key)
     if job.failed is None:
         timings.remember(engine_paths.timings_file(), job.output)
+
+
+def remove_old_previews() -> bool:
+    """Remove the preview meshes of jobs that do not run. Returns False: one call is enough."""
+    live_preview.remove_meshes_except([job.key for job in _jobs.values() if not job.ended])
+    return False
+
+
+@persistent
+def on_undone(*_: object) -> None:
+    """Blender's handler after undo and redo, which may bring an old preview back. It is removed a little later."""
+    clock.call_until_false(remove_old_previews)
 
 
 def _import_if_possible(job: Job) -> bool:
@@ -198,3 +211,4 @@ def close_all() -> None:
         if job.engine is not None:
             job.engine.close()
     _jobs.clear()
+    remove_old_previews()

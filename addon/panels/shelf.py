@@ -8,7 +8,7 @@ from bpy.app.translations import pgettext_iface
 from ...backend.engine.batch_file import DONE, FAILED, RUNNING, STOPPED, WAITING, BatchObject
 from ...backend.engine.command import NoEngineError
 from ...backend.engine.exit_codes import STOPPED as STOPPED_CODE
-from ...backend.engine.words import error_words
+from ...backend.engine.words import BATCH_HINTS, error_words
 from .. import shelf_batch, shelf_scene
 from ..folders import resolve_folder
 from ..shelf_batch import ShelfBatch
@@ -137,7 +137,7 @@ def _draw_object(layout: bpy.types.UILayout, context: bpy.types.Context, one: Ba
         return
     row.label(text=WORDS[one.state])
     if one.state == FAILED and one.message:
-        message, hint = error_words(one.error, one.values or {}, one.message, one.hint, pgettext_iface)
+        message, hint = error_words(one.error, one.values or {}, one.message, one.hint, pgettext_iface, BATCH_HINTS)
         draw_wrapped(layout, context, f"{message}. {hint}", "BLANK1")
 
 

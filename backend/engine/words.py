@@ -9,8 +9,9 @@ draws. Values are put in the place of `{...}` after the translation. docs/transl
 """
 
 import string
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from types import MappingProxyType
 from typing import Any
 
 Translate = Callable[[str], str]
@@ -301,6 +302,12 @@ ERRORS = {
     "stopped.batch": ("Stopped. The checkpoints are written", "Reconstruct Shelf goes on with what is left."),
     "stopped.interrupted": ("Interrupted", "Work since the last checkpoint is lost. Resume goes on from there."),
     "unexpected.no_memory": ("The memory is full", "Choose the preset Preview, or smaller photos."),
+    "unexpected.job_killed": (
+        "The job was ended by {signal}",
+        "Press Reconstruct Shelf again. If the memory was full, choose the preset Preview, or smaller photos.",
+    ),
+    "unexpected.job_crashed": ("The job ended with exit code {exit_code}", "Its log.txt may say why."),
+    "unexpected.computer_lost": ("The computer that ran the job was lost", "Press Reconstruct Shelf again."),
 }
 """Name of an error -> the panel's (message, hint). Where a text is empty, the panel shows the engine's own."""
 
@@ -329,6 +336,9 @@ BATCH_HINTS = {
     "usage.other_version": "Choose another output folder, or choose all captures and Start All Again.",
     "output.disk_full": "Free some space, then press Reconstruct Shelf again: it goes on with what is left.",
     "unexpected.no_memory": "Close other programs, then press Reconstruct Shelf again: it goes on with what is left.",
+    "output.not_permitted": "Change its permissions, then press Reconstruct Shelf again.",
+    "output": "Look whether the folder can be written, then press Reconstruct Shelf again.",
+    "bounds": "Reconstruct this object alone, with bounds of the scene.",
     "stopped.interrupted": "Reconstruct Shelf goes on with what is left.",
 }
 """Name of an error -> the hint for a batch, as CORRECTION_HINTS."""
@@ -372,12 +382,21 @@ class Said:
         return _filled(MESSAGES.get(self.code, ""), self.values, translate)
 
 
-def error_words(name: str, values: dict[str, Any], message: str, hint: str, translate: Translate = str) -> tuple[str, str]:
+def error_words(
+    name: str,
+    values: dict[str, Any],
+    message: str,
+    hint: str,
+    translate: Translate = str,
+    hints: Mapping[str, str] = MappingProxyType({}),
+) -> tuple[str, str]:
     """(message, hint) that the panel shows for the error `name`.
 
-    `message` and `hint` are the engine's own texts. The panel shows them where it has no words of its own.
+    `message` and `hint` are the engine's own texts. The panel shows them where it has no words of its own. `hints`, such as
+    BATCH_HINTS, stand in the place of the panel's general hints.
     """
     own = ERRORS.get(name, ("", ""))
+    own = (own[0], hints.get(name, own[1]))
     filled = (_filled(text, values, translate) for text in own)
     first, second = (
         _capitalised(translate(said)) if text is None else text for text, said in zip(filled, (message, hint), strict=True)

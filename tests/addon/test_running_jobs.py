@@ -153,6 +153,8 @@ def check_close(folder):
     bpy, addon, settings = set_up(folder)
     settings.closing = os.environ["CLOSING"]
     job = start(bpy, addon)
+    if settings.closing == "KEEP":
+        rounds(addon, lambda: "NeP preview" in bpy.data.objects)  # it is in the file, then
     bpy.ops.wm.save_as_mainfile(filepath=str(folder / "scene.blend"))
     rounds(addon, (folder / "out" / "checkpoints" / "fields_learning.pt").exists)
     assert not job.ended
@@ -183,6 +185,14 @@ def check_kept(folder):
     assert again is not None and again.ended and again.failed is None
     addon.clock.tick()
     assert meshes(bpy) == [] and addon.imported_result.has_new_result(bpy.context.scene)
+    # an undo step may hold a preview
+    preview = bpy.data.objects.new("NeP preview", bpy.data.meshes.new("NeP preview"))
+    preview[addon.live_preview.JOB_PROPERTY] = again.key
+    bpy.context.scene.collection.objects.link(preview)
+    for handler in bpy.app.handlers.undo_post:
+        handler(bpy.context.scene, None)
+    addon.clock.tick()
+    assert meshes(bpy) == []
 
 
 def check_stopped(folder):

@@ -92,6 +92,15 @@ def test_an_engine_that_was_killed_or_knows_no_batches_is_reported(tmp_path):
     assert set(words.BATCH_HINTS.values()) <= set(words.texts())
 
 
+def test_the_hints_of_a_failed_object_do_not_speak_of_a_single_job():
+    told = words.error_words("output.disk_full", {"path": "/out"}, "m", "h", hints=words.BATCH_HINTS)
+    assert "Reconstruct Shelf" in told[1] and "Resume" not in told[1]
+    told = words.error_words(
+        "unexpected.job_killed", {"signal": "SIGKILL"}, "m", "try fewer --workers", hints=words.BATCH_HINTS
+    )
+    assert told[0] == "The job was ended by SIGKILL" and "--" not in told[1]
+
+
 def test_an_asset_is_described_by_what_its_surface_is(tmp_path):
     learned = {"roughness": 0.3, "metallic": 0.0}
     materials = [
