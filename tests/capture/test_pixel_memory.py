@@ -114,7 +114,7 @@ def test_no_more_photos_are_decoded_at_once_than_memory_allows(make_capture, mon
 
     monkeypatch.setattr(Capture, "open_photo", counting)
     monkeypatch.setattr(rays_module, "_DECODED_PIXELS", most_pixels)
-    monkeypatch.setattr("os.cpu_count", lambda: 4)
+    monkeypatch.setattr(torch, "get_num_threads", lambda: 4)
     assert PixelRays.from_capture(capture, 100, False).views == 8 and most == at_once
 
 
