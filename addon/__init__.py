@@ -83,6 +83,7 @@ def unregister() -> None:
     """Undo `register`. Jobs that were started to keep going go on."""
     atexit.unregister(_close_all)
     _close_all()
+    running_jobs.remove_old_previews()  # not in `_close_all`: at Blender's very end there are no data-blocks any more
     del bpy.types.Scene.nep
     for cls in reversed(CLASSES):
         bpy.utils.unregister_class(cls)

@@ -211,4 +211,3 @@ def close_all() -> None:
         if job.engine is not None:
             job.engine.close()
     _jobs.clear()
-    remove_old_previews()

@@ -97,6 +97,11 @@ def batch_in(folder: Path) -> ShelfBatch:
     return batch
 
 
+def any_at_work() -> bool:
+    """Whether a batch that this Blender knows is at work."""
+    return any(batch.running for batch in _batches.values())
+
+
 def start_batch(
     python: str, captures: Sequence[Path], folder: Path, *, keep_going: bool, wait: bool, **options: object
 ) -> ShelfBatch:

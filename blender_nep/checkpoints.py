@@ -124,7 +124,8 @@ class Checkpoint:
                 self.seconds_before, state = float(saved["seconds"]), saved["state"]
                 self.loaded = True
                 if path == self.previous:  # else the next save would put the damaged one in its place
-                    self.path.unlink(missing_ok=True)
+                    with output_errors(self.path):
+                        self.path.unlink(missing_ok=True)
                 return state
             except (ValueError, KeyError, TypeError) as error:
                 self._warn(Message("job.checkpoint_damaged", {"file": path.name, "reason": str(error)}))

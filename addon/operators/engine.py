@@ -3,7 +3,13 @@
 import bpy
 
 from ...backend.engine.command import EngineError, find_engine_python
-from .. import engine_paths, engine_setup, running_jobs
+from .. import camera_search, engine_paths, engine_setup, material_correction, running_jobs, shelf_batch
+
+
+def engine_at_work() -> bool:
+    """Whether a job, a batch, a search for cameras or a correction uses the engine, so that it must stay where it is."""
+    searched, corrected = camera_search.current, material_correction.current
+    return running_jobs.any_at_work() or shelf_batch.any_at_work() or searched is not None or corrected is not None
 
 
 class NEP_OT_check_engine(bpy.types.Operator):
@@ -37,8 +43,8 @@ class NEP_OT_install_engine(bpy.types.Operator):
         if engine_setup.installing:
             cls.poll_message_set("It is being installed")
             return False
-        if running_jobs.any_at_work():
-            cls.poll_message_set("A job uses the engine: wait for its end, or cancel it")
+        if engine_at_work():
+            cls.poll_message_set("The engine is at work: wait for its end, or cancel it")
             return False
         if not bpy.app.online_access:
             cls.poll_message_set(engine_setup.ALLOW_ONLINE_ACCESS)

@@ -33,9 +33,9 @@ class GalleryPages:
         try:
             write_gallery(self._folder)
         except Exception as error:  # also what nobody foresaw: the gallery is no reason to stop the jobs
-            self._events.log("".join(traceback.format_exception(error)))
             if not self._warned:
                 self._warned = True
+                self._events.log("".join(traceback.format_exception(error)))
                 reason = error.message if isinstance(error, NepError) else str(error)
                 self._events.warning(Message("batch.no_gallery", {"reason": reason}))
         ended = time.monotonic()

@@ -152,12 +152,11 @@ class Batch:
             try:
                 size: Size = size_of(FoundCapture(Path(one.capture), one.photos_alone))
                 one.size, self._files[one.name] = size.told(), size.files
-            except NepError as error:
+            except Exception as error:  # whatever is wrong with one capture stops no other one
+                if not isinstance(error, NepError):
+                    self._events.log("".join(traceback.format_exception(error)))
+                    error = unexpected(error, "The details are in log.txt.")
                 one.state, one.error = FAILED, error.told()
-                progress.changed(one)
-            except Exception as error:  # what nobody foresaw in one capture stops no other one
-                self._events.log("".join(traceback.format_exception(error)))
-                one.state, one.error = FAILED, unexpected(error, "The details are in log.txt.").told()
                 progress.changed(one)
 
     def _jobs(self) -> tuple[Jobs, Plan]:

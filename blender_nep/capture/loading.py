@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import math
 import os
 from collections.abc import Sequence
@@ -73,7 +74,14 @@ def describe(folder: Path, file: str = transforms.FILE) -> CaptureDescription:
     if not folder.is_dir():
         raise CaptureError(f"{folder} is not a folder", "A capture is a folder with photos and their cameras.")
     if not os.access(folder, os.R_OK | os.X_OK):
-        raise CaptureError(f"{folder} may not be read", "Change its permissions.")
+        reason = os.strerror(errno.EACCES)
+        raise CaptureError(
+            f"{folder} cannot be read ({reason})",
+            "Change its permissions.",
+            "capture.folder_unreadable",
+            folder=folder,
+            reason=reason,
+        )
     if transforms.recognizes(folder, file):
         return transforms.read(folder, file)
     if file == transforms.FILE:

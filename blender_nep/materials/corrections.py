@@ -115,7 +115,12 @@ class CorrectablePalette:
         A material that no sample shows alone keeps its albedo, and its roughness where the correction gives none.
         """
         metallic = float(self.palette.metallic[k]) if correction.metallic is None else correction.metallic
-        alone = bool((self.label == k).any())
+        values = Palette(self.palette.albedo.clone(), self.palette.roughness.clone(), self.palette.metallic.clone())
+        values.metallic[k] = metallic
+        if correction.roughness is not None:
+            values.roughness[k] = correction.roughness
+        if not bool((self.label == k).any()):
+            return values
         cost, albedo = fit_groups(
             self.light,
             self.target,
@@ -127,16 +132,11 @@ class CorrectablePalette:
             hypotheses=(metallic,),
         )
         place = place_of_least(cost[0])
-        if correction.roughness is not None or metallic == float(self.palette.metallic[k]) or not alone:
-            wanted = self.palette.roughness[k] if correction.roughness is None else correction.roughness
-            place = place_in_scan(torch.as_tensor(wanted).reshape(1).to(cost), preset.least_roughness)
-        roughness = correction.roughness
-        if roughness is None:
-            roughness = float(roughness_at(place, preset.least_roughness)[0] if alone else self.palette.roughness[k])
-        values = Palette(self.palette.albedo.clone(), self.palette.roughness.clone(), self.palette.metallic.clone())
-        if alone:
-            values.albedo[k] = between(albedo[0], place)[0].clamp(0, 1)
-        values.roughness[k], values.metallic[k] = roughness, metallic
+        if correction.roughness is not None or metallic == float(self.palette.metallic[k]):
+            place = place_in_scan(values.roughness[k].reshape(1).to(cost), preset.least_roughness)
+        if correction.roughness is None:
+            values.roughness[k] = roughness_at(place, preset.least_roughness)[0]
+        values.albedo[k] = between(albedo[0], place)[0].clamp(0, 1)
         return values
 
     def listed(self) -> list[ListedMaterial]:

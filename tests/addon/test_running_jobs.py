@@ -115,7 +115,7 @@ def check_life_of_a_job(folder):
     job = start(bpy, addon)
     assert not bpy.ops.nep.reconstruct.poll() and bpy.ops.nep.cancel.poll()
     assert not bpy.ops.nep.find_cameras.poll(), "other cameras would keep the job from being resumed"
-    assert not bpy.ops.nep.install_engine.poll(), "the job needs the engine that is there"
+    assert addon.operators.engine.engine_at_work(), "it is not installed anew meanwhile"
     rounds(addon, lambda: "NeP preview" in bpy.data.objects)
     preview = bpy.data.objects["NeP preview"]
     assert len(preview.data.polygons) == 320 and preview.hide_render
@@ -128,7 +128,7 @@ def check_life_of_a_job(folder):
     assert addon.running_jobs.job_of(bpy.context.scene) is job and not job.ended
     rounds(addon, lambda: job.ended and not job.import_when_ended)
     assert job.failed is None and meshes(bpy) == ["out"] and not addon.imported_result.has_new_result(bpy.context.scene)
-    assert addon.clock.tick() is None, "the timer rests"
+    assert addon.clock.tick() is None and not addon.operators.engine.engine_at_work(), "the timer rests"
     assert Said("scene.masks_used", {}, "Masks are there and are used.") in job.scene_analysis
     assert job.scene_analysis[-1].code == "scene.left_out" and "Left out: " in job.scene_analysis[-1].words()
     assert "stage fields_learning" in log(bpy)
