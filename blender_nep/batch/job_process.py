@@ -13,7 +13,7 @@ from collections import deque
 from pathlib import Path
 
 from blender_nep.batch.jobs import Heard, Job
-from blender_nep.batch.machine import Meter, kill
+from blender_nep.batch.machine import OUT_OF_JOB, Meter, kill
 
 CAPTURE = "capture"
 """The folder in an asset that holds the cameras of photos alone"""
@@ -65,6 +65,7 @@ class JobProcess:
         # Ctrl-C in a terminal reaches a whole group of processes. A group of its own leaves it to us to stop the job.
         self._process = subprocess.Popen(
             self._command(),
+            env=os.environ | {OUT_OF_JOB: str(self.job.out)},
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,

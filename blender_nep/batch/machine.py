@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import contextlib
-import os
 import time
 from pathlib import Path
 
 import psutil
+
+from blender_nep.stop_request import StopRequest
+
+OUT_OF_JOB = "BLENDER_NEP_JOB_OUT"
+"""The environment variable by which a process says that a batch has started it, and for which asset folder"""
 
 _LIMIT, _TAKEN = Path("/sys/fs/cgroup/memory.max"), Path("/sys/fs/cgroup/memory.current")
 """Files by which Linux says how much memory a container may have, and how much it has taken"""
@@ -37,22 +41,27 @@ def usage(process: psutil.Process) -> tuple[float, float]:
 
 
 def jobs_in(folder: Path) -> list[psutil.Process]:
-    """The processes of this machine that write an asset or cameras into `folder`, or into a folder below it."""
+    """The processes that a batch has started on this machine, for an asset in `folder` or in a folder below it.
+
+    Jobs that somebody else has started there are not among them.
+    """
     found = []
     for process in psutil.process_iter():
-        with contextlib.suppress(psutil.Error, ValueError, IndexError):
-            command = process.cmdline()
-            if process.pid == os.getpid() or not {"reconstruct", "cameras"} & set(command):
-                continue
-            out = Path(process.cwd(), command[command.index("--out") + 1])
-            if folder.resolve() in (out.resolve(), *out.resolve().parents):
+        with contextlib.suppress(psutil.Error, OSError, KeyError):  # the variables of other users are not readable
+            out = Path(process.environ()[OUT_OF_JOB]).resolve()
+            if folder.resolve() in (out, *out.parents):
                 found.append(process)
     return found
 
 
-def wait_for_end(processes: list[psutil.Process]) -> None:
-    """Wait until all have ended. Those that are there after two minutes are killed: their checkpoints are fresh."""
-    _, alive = psutil.wait_procs(processes, timeout=_LONGEST_WAIT_S)
+def wait_for_end(processes: list[psutil.Process], stop: StopRequest | None = None) -> None:
+    """Wait until all have ended, or until `stop`. After two minutes the rest is killed: the checkpoints are fresh."""
+    until = time.monotonic() + _LONGEST_WAIT_S
+    alive = processes
+    while alive and time.monotonic() < until:
+        if stop is not None and stop.requested:
+            return
+        _, alive = psutil.wait_procs(alive, timeout=0.2)
     for process in alive:
         with contextlib.suppress(psutil.Error):
             process.kill()

@@ -123,7 +123,7 @@ class Batch:
         left = jobs_in(self._settings.out)
         if left:
             self._events.say(str(Message("batch.leftovers", {"count": len(left)})))
-            wait_for_end(left)
+            wait_for_end(left, self._stop)
 
     def _prepare(self, work: list[ObjectState]) -> None:
         """Let everything that is not done wait, and learn from what is done."""

@@ -13,7 +13,7 @@ import threading
 import psutil
 import pytest
 
-from blender_nep.batch.machine import jobs_in
+from blender_nep.batch.machine import OUT_OF_JOB, jobs_in
 from blender_nep.batch.needs import Needs
 from blender_nep.batch.runner import Batch
 from blender_nep.batch.scheduler import Scheduler
@@ -277,6 +277,41 @@ def test_a_killed_batch_leaves_no_orphans_and_goes_on(batch, monkeypatch, plays)
         for process in (parent, *jobs_in(batch.out)):
             with contextlib.suppress(psutil.Error, ProcessLookupError):
                 os.kill(process.pid, signal.SIGKILL)
+
+
+@pytest.fixture
+def deaf_job(batch):
+    """Starts a job that never ends, in the batch's folder; as a batch would, or as somebody else."""
+    started = []
+
+    def start(name: str, *, by_batch: bool) -> subprocess.Popen:
+        out = batch.out / name
+        command = [*batch.engine, "reconstruct", str(batch.add(name, "deaf")), "--out", str(out), "--resume", "--watch-stdin"]
+        env = os.environ | ({OUT_OF_JOB: str(out)} if by_batch else {})
+        started.append(subprocess.Popen(command, stdin=subprocess.PIPE, env=env))
+        wait_until((out / "waiting").exists)
+        return started[-1]
+
+    yield start
+    for process in started:
+        process.kill()
+        process.communicate()
+
+
+def test_a_job_that_somebody_else_has_started_in_the_folder_goes_on(batch, deaf_job, monkeypatch):
+    monkeypatch.setattr("blender_nep.batch.machine._LONGEST_WAIT_S", 0.2)
+    process = deaf_job("theirs", by_batch=False)
+    other = batch.add("ours")
+    assert batch.run(captures=[other])[0] == 0
+    assert process.poll() is None
+
+
+def test_a_batch_that_waits_for_old_jobs_can_be_stopped(batch, deaf_job):
+    process = deaf_job("left", by_batch=True)
+    stop = StopRequest()
+    threading.Timer(0.5, stop.request, ["test"]).start()
+    assert batch.run(stop)[0] == 7
+    assert process.poll() is None, "the batch did not wait for two minutes, after which it kills"
 
 
 def test_photos_alone_get_cameras_first(batch, make_capture):
