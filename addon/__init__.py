@@ -13,8 +13,9 @@ The modules form layers. A module imports only modules of the layers below its o
         imported_materials                                                  objects and images in the .blend file
     engine_errors, engine_paths, clock, editors, halved_pictures,
         wrapped_text, swatches                                              what Blender and the preferences offer
+    saved_elsewhere                                                         the settings' paths after Save As
     capture_folder, folders, properties                                     the settings, `scene.nep`, and their folders
-    folder_changes                                                          who is told of a changed folder
+    folder_changes, opened_file                                             who is told of a changed folder or file
 
 `register` puts functions of the upper layers among the callbacks of `folder_changes`.
 Panels and `running_jobs` call operators by their names in Blender (`nep.import_result`), not by an import.
@@ -34,12 +35,14 @@ from . import (
     folder_changes,
     halved_pictures,
     material_correction,
+    opened_file,
     operators,
     panels,
     photo_check,
     preferences,
     properties,
     running_jobs,
+    saved_elsewhere,
     shelf_batch,
     shelf_scene,
     swatches,
@@ -54,10 +57,16 @@ CLASSES = (
     *panels.CLASSES,
 )
 HANDLERS = (
+    ("load_post", opened_file.on_file_loaded),
+    ("load_post", bounds_estimate.on_file_loaded),
+    ("load_post", comparison_render.on_file_loaded),
     ("load_post", running_jobs.on_file_loaded),
     ("load_post", material_correction.on_file_loaded),
     ("load_post", camera_search.on_file_loaded),
     ("load_post", photo_check.on_file_loaded),
+    ("save_pre", saved_elsewhere.on_save_begins),
+    ("save_post", saved_elsewhere.on_save_ended),
+    ("save_post_fail", saved_elsewhere.on_save_ended),
     ("save_post", shelf_scene.on_file_saved),
     ("undo_post", running_jobs.on_undone),
     ("redo_post", running_jobs.on_undone),

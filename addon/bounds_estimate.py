@@ -3,19 +3,21 @@
 from pathlib import Path
 
 import bpy
+from bpy.app.handlers import persistent
 
 from ..backend.engine.capture_query import CaptureQuery
 from ..backend.engine.command import EngineError
 from . import clock
 from .folders import resolve_folder
 from .object_bounds import place_bounds
+from .opened_file import opened_file
 
 
 class BoundsEstimate:
     """An estimate that is under way; `clock.follow` follows it. When it comes, it is placed in its scene."""
 
     def __init__(self, scene: bpy.types.Scene, capture: Path, engine_python: str) -> None:
-        self._scene_name, self._capture = scene.name, capture
+        self._file, self._scene_name, self._capture = opened_file(), scene.name, capture
         self._query = CaptureQuery(capture, engine_python)
 
     def poll(self) -> bool:
@@ -28,8 +30,11 @@ class BoundsEstimate:
     def finish(self) -> None:
         """Place the bounds. Nothing is placed where the scene is gone, or has another capture by now."""
         global current, last_error
-        current, last_error = None, self._query.error
+        current = None
         self._query.close()
+        if opened_file() != self._file:
+            return
+        last_error = self._query.error
         scene = bpy.data.scenes.get(self._scene_name)
         if self._query.sphere is None or scene is None or resolve_folder(scene.nep.capture) != self._capture:
             return
@@ -50,6 +55,12 @@ def forget_last_error() -> None:
     """A new proposal begins: the panel no longer shows why the last one failed."""
     global last_error
     last_error = None
+
+
+@persistent
+def on_file_loaded(*_: object) -> None:
+    """Blender's handler after another file was opened: the error is one of the file before."""
+    forget_last_error()
 
 
 def start_estimate(scene: bpy.types.Scene, capture: Path, engine_python: str, *, wait: bool) -> None:

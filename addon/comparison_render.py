@@ -1,10 +1,11 @@
 """The render of the relit comparison. A second Blender renders it from the asset folder; this Blender shows it."""
 
-import bpy
+from bpy.app.handlers import persistent
 
 from ..backend.rendering.comparison_process import ComparisonProcess
 from . import clock
 from .comparison_image import load_comparison
+from .opened_file import opened_file
 
 
 class ComparisonRender:
@@ -13,7 +14,7 @@ class ComparisonRender:
     def __init__(self, arguments: list[str]) -> None:
         """OSError where the second Blender cannot be started."""
         self.process = ComparisonProcess(arguments)
-        self._file = bpy.data.filepath
+        self._file = opened_file()
 
     def poll(self) -> bool:
         """Whether the render has ended."""
@@ -32,7 +33,7 @@ class ComparisonRender:
             last_message = self.process.error
             return
         last_message = f"Written: {self.process.path}"
-        if bpy.data.filepath == self._file:
+        if opened_file() == self._file:
             load_comparison(self.process.path)
 
     def close(self) -> None:
@@ -48,6 +49,12 @@ def show_message(message: str) -> None:
     """Make the panel show this message, in place of how the last render ended."""
     global last_message
     last_message = message
+
+
+@persistent
+def on_file_loaded(*_: object) -> None:
+    """Blender's handler after another file was opened: the message is about a picture of the file before."""
+    show_message("")
 
 
 def start_render(arguments: list[str], *, wait: bool) -> ComparisonRender:

@@ -22,9 +22,12 @@ from .folders import folder_key, resolve_folder
 class Job:
     """A job in the folder `output`. It runs, or has `ended`: with an asset, or with `failed`, which says why."""
 
-    def __init__(self, output: Path, engine: Engine | None, failed: EngineError | None = None) -> None:
-        """`engine` is None for a job that could not be started."""
+    def __init__(
+        self, output: Path, scene: bpy.types.Scene, engine: Engine | None, failed: EngineError | None = None
+    ) -> None:
+        """A job that `scene` has started or found. `engine` is None for a job that could not be started."""
         self.output, self.engine, self.failed = output, engine, failed
+        self.scene_name = scene.name
         self.key = folder_key(output)
         self.progress = Progress()
         self.warnings: list[Said] = []
@@ -81,8 +84,12 @@ def any_at_work() -> bool:
 
 
 def scene_of(job: Job) -> bpy.types.Scene | None:
-    """A scene of this file whose output folder is the job's; None where another file is open."""
-    return next((scene for scene in bpy.data.scenes if job_of(scene) is job), None)
+    """The scene of this file whose output folder is the job's; None where another file is open.
+
+    Of several such scenes it is the one that has started the job.
+    """
+    scenes = [scene for scene in bpy.data.scenes if job_of(scene) is job]
+    return next((scene for scene in scenes if scene.name == job.scene_name), scenes[0] if scenes else None)
 
 
 def follow_job(job: Job) -> None:
@@ -91,9 +98,9 @@ def follow_job(job: Job) -> None:
     clock.call_until_false(advance_jobs)
 
 
-def keep_failed_start(output: Path, error: EngineError) -> None:
+def keep_failed_start(output: Path, scene: bpy.types.Scene, error: EngineError) -> None:
     """Keep, for the panel, why a job in this folder could not be started."""
-    job = Job(output, None, error)
+    job = Job(output, scene, None, error)
     _jobs[job.key] = job
 
 
@@ -105,7 +112,7 @@ def attach_job(scene: bpy.types.Scene) -> None:
     engine = Engine.attach(output)
     if engine is None:
         return
-    job = Job(output, engine)
+    job = Job(output, scene, engine)
     job.advance()
     if job.ended:
         job.import_when_ended = False  # it ended unseen: the artist decides about its result

@@ -127,12 +127,12 @@ class NEP_OT_reconstruct(bpy.types.Operator):
             self.report({"ERROR"}, str(error))
             return None
         except EngineError as error:
-            running_jobs.keep_failed_start(output, error)
+            running_jobs.keep_failed_start(output, scene, error)
             self.report({"ERROR"}, str(error))
             return None
         if bounds_warning(scene):
             self.report({"WARNING"}, bounds_warning(scene))
-        job = Job(output, engine)
+        job = Job(output, scene, engine)
         running_jobs.follow_job(job)
         return job
 

@@ -323,7 +323,7 @@ def _given_model(pycolmap: Any, folder: Path, settings: dict) -> Any:
     cameras, poses = {}, []
     for name, pose in settings["given"].items():
         lens, image = lens_of[name], images[name]
-        size = f"{round(lens['width'])} {round(lens['height'])}"
+        size = f"{lens['width']} {lens['height']}"
         cameras[image.camera_id] = f"{lens['model']} {size} " + " ".join(map(repr, lens["params"]))
         numbers = " ".join(map(repr, (*pose["quaternion"], *pose["translation"])))
         poses.append(f"{image.image_id} {numbers} {image.camera_id} {name}\n\n")

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
+from blender_nep.cameras.reduction import Reduction
 from blender_nep.capture.capture import Capture
 from blender_nep.capture.loading import MINIMUM_VIEWS
 from blender_nep.capture.photo_files import SUFFIXES, MaskRaster, exif, file_kind, image_size, open_image
@@ -161,8 +162,8 @@ def _focal_length(tags: dict[int, object], width: int, height: int) -> float | N
     return film / _FILM_DIAGONAL * float(np.hypot(width, height)) if 5 < film < 1000 else None
 
 
-def grey_copy(photo: Photo, longest: int) -> np.ndarray:
-    """The photo as grey sRGB values [h, w] uint8, scaled down so that no side is longer than `longest`.
+def grey_copy(photo: Photo, reduction: Reduction) -> np.ndarray:
+    """The photo's copy as grey sRGB values [h, w] uint8.
 
     Photos with radiance get an exposure that shows their median at half of white. Raises CaptureError.
     """
@@ -170,10 +171,7 @@ def grey_copy(photo: Photo, longest: int) -> np.ndarray:
         image = _opened(photo.path) if file_kind(photo.path) == "pillow" else Image.fromarray(_grey(photo.path))
     except (*_DAMAGED, CaptureError) as error:
         raise _unreadable(photo.path, error) from error
-    factor = longest / max(image.size)
-    if factor < 1:
-        image = image.resize((round(image.width * factor), round(image.height * factor)), Image.Resampling.LANCZOS)
-    return np.asarray(image)
+    return np.asarray(reduction.copy(image, Image.Resampling.LANCZOS))
 
 
 def _grey(path: Path) -> np.ndarray:
@@ -194,8 +192,8 @@ def _opened(path: Path) -> Image.Image:
         return image.convert("L")
 
 
-def mask_copy(photo: Photo, size: tuple[int, int]) -> np.ndarray | None:
-    """Where the mask shows the object, [h, w] bool, at `size` (width, height); None without a mask. Raises CaptureError."""
+def mask_copy(photo: Photo, reduction: Reduction) -> np.ndarray | None:
+    """Where the mask shows the object in the photo's copy, [h, w] bool; None without a mask. Raises CaptureError."""
     if photo.mask is None:
         return None
     try:
@@ -204,4 +202,4 @@ def mask_copy(photo: Photo, size: tuple[int, int]) -> np.ndarray | None:
         grey = np.concatenate([to_bytes(mask.rows(start, start + _STRIP)) for start in starts])
     except (CaptureError, *_DAMAGED) as error:
         raise _unreadable(photo.mask, error) from error
-    return np.asarray(Image.fromarray(grey).resize(size, Image.Resampling.BOX)) > 127
+    return np.asarray(reduction.copy(Image.fromarray(grey), Image.Resampling.BOX)) > 127

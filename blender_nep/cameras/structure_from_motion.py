@@ -27,6 +27,7 @@ from scipy.spatial.transform import Rotation
 
 from blender_nep.cameras.alignment import moved
 from blender_nep.cameras.photo_folder import Photo, grey_copy, mask_copy
+from blender_nep.cameras.reduction import Reduction
 from blender_nep.capture.camera import Camera
 from blender_nep.capture.formats import colmap
 from blender_nep.errors import CaptureError, NepError, OutputError, Stopped
@@ -109,16 +110,16 @@ def find_groups(
     CaptureError where a photo cannot be read, OutputError where the disk is full, Stopped on request, and NepError where
     pycolmap fails.
     """
-    scale = {}
+    reductions = {}
     for number, photo in enumerate(photos):
         stop_if_asked(stop)
         report("photos", number, len(photos))
-        name, grey = f"{number:05d}.png", grey_copy(photo, LONGEST_SIDE)
-        scale[name] = photo.width / grey.shape[1]
-        _save(grey, folder / "images" / name)
-        if masked is not None and (mask := mask_copy(photo, (grey.shape[1], grey.shape[0]))) is not None:
+        name, reduction = f"{number:05d}.png", Reduction.of(photo.width, photo.height, LONGEST_SIDE)
+        reductions[name] = reduction
+        _save(grey_copy(photo, reduction), folder / "images" / name)
+        if masked is not None and (mask := mask_copy(photo, reduction)) is not None:
             _save(np.uint8(255) * (mask == masked), folder / "masks" / f"{name}.png")
-    settings = _settings(photos, scale, given) | {
+    settings = _settings(photos, reductions, given) | {
         "masked": masked is not None,
         "threads": threads or os.cpu_count() or 1,
     }
@@ -126,7 +127,7 @@ def find_groups(
         (folder / "settings.json").write_text(json.dumps(settings), encoding="utf-8")
     report("photos", len(photos), len(photos))
     _run(folder, report, stop)
-    return _read(folder, photos, scale)
+    return _read(folder, photos, reductions)
 
 
 @contextmanager
@@ -173,38 +174,39 @@ def _disk_full(folder: Path) -> OutputError:
     )
 
 
-def _settings(photos: Sequence[Photo], scale: dict[str, float], given: Sequence[Camera] | None) -> dict:
+def _settings(photos: Sequence[Photo], reductions: dict[str, Reduction], given: Sequence[Camera] | None) -> dict:
     """The file settings.json of `matching_process`. Photos of one lens share a camera."""
     lenses: dict[tuple, dict] = {}
-    for number, (name, photo) in enumerate(zip(scale, photos, strict=True)):
+    for number, ((name, reduction), photo) in enumerate(zip(reductions.items(), photos, strict=True)):
         if given is None:
-            lens = lenses.setdefault(photo.lens, _unknown_lens(photo, scale[name]))
+            lens = lenses.setdefault(photo.lens, _unknown_lens(photo, reduction))
         else:
             camera = given[number]
             intrinsics = (camera.width, camera.height, camera.fl_x, camera.fl_y, camera.cx, camera.cy, camera.lens)
-            lens = lenses.setdefault(intrinsics, _given_lens(camera, scale[name]))
+            lens = lenses.setdefault(intrinsics, _given_lens(reduction.in_copy(camera)))
         lens["names"].append(name)
-    longest = max(max(photo.width, photo.height) / factor for photo, factor in zip(photos, scale.values(), strict=True))
+    longest = max(max(reduction.width, reduction.height) for reduction in reductions.values())
     return {
         "lenses": list(lenses.values()),
-        "given": {} if given is None else {name: _pose(camera) for name, camera in zip(scale, given, strict=True)},
+        "given": {} if given is None else {name: _pose(camera) for name, camera in zip(reductions, given, strict=True)},
         "features": _FEATURES,
         "first_octave": -1 if longest < _SMALL else 0,
         "partners": _PARTNERS,
     }
 
 
-def _unknown_lens(photo: Photo, scale: float) -> dict:
+def _unknown_lens(photo: Photo, reduction: Reduction) -> dict:
     """A lens whose focal length EXIF may tell."""
-    width, height = photo.width / scale, photo.height / scale
-    params = [photo.focal_length / scale, width / 2, height / 2, 0.0, 0.0] if photo.focal_length else None
-    return {"model": "RADIAL", "params": params, "width": width, "height": height, "refined": True, "names": []}
+    size = {"width": reduction.width, "height": reduction.height}
+    center = [reduction.width / 2, reduction.height / 2]
+    params = [photo.focal_length / reduction.scale, *center, 0.0, 0.0] if photo.focal_length else None
+    return {"model": "RADIAL", "params": params, "refined": True, "names": []} | size
 
 
-def _given_lens(camera: Camera, scale: float) -> dict:
-    """A lens with COLMAP's model that has the fewest parameters for it. k3 of FULL_OPENCV is not refined."""
-    k, center = camera.lens, [camera.cx / scale, camera.cy / scale]
-    focal, refined = [camera.fl_x / scale, camera.fl_y / scale], True
+def _given_lens(camera: Camera) -> dict:
+    """The lens of a copy, with COLMAP's model that has the fewest parameters for it. k3 of FULL_OPENCV is not refined."""
+    k, center = camera.lens, [camera.cx, camera.cy]
+    focal, refined = [camera.fl_x, camera.fl_y], True
     if k.fisheye:
         model, params = "OPENCV_FISHEYE", [*focal, *center, k.k1, k.k2, k.k3, k.k4]
     elif k.k4:
@@ -217,7 +219,7 @@ def _given_lens(camera: Camera, scale: float) -> dict:
         model, params = "OPENCV", [*focal, *center, k.k1, k.k2, k.p1, k.p2]
     else:
         model, params = "RADIAL", [focal[0], *center, k.k1, k.k2]
-    size = {"width": camera.width / scale, "height": camera.height / scale}
+    size = {"width": camera.width, "height": camera.height}
     return {"model": model, "params": params, "refined": refined, "names": []} | size
 
 
@@ -328,21 +330,21 @@ def stop_if_asked(stop: StopRequest) -> None:
         raise Stopped(f"stopped ({stop.reason})", "Nothing was written.", "stopped.cameras")
 
 
-def _read(folder: Path, photos: Sequence[Photo], scale: dict[str, float]) -> list[Group]:
+def _read(folder: Path, photos: Sequence[Photo], reductions: dict[str, Reduction]) -> list[Group]:
     """The groups that `matching_process` has written."""
-    by_name = dict(zip(scale, photos, strict=True))
+    by_name = dict(zip(reductions, photos, strict=True))
     groups = []
     for model in json.loads((folder / "result.json").read_text(encoding="utf-8")):
         placed = []
         sparse = folder / "sparse" / model["folder"]
         for name, camera in colmap.read_cameras(sparse).items():
-            said, photo = model["photos"].get(name), by_name[name]
+            said, photo, reduction = model["photos"].get(name), by_name[name], reductions[name]
             if said is not None and math.isfinite(said["error"]):
-                full = camera.scaled(photo.width, photo.height)
-                seen = np.load(sparse / f"{name}.npy") * [scale[name], scale[name], 1, 1, 1]
-                placed.append(PlacedPhoto(photo, full, said["points"], said["error"] * scale[name], seen))
+                full, scale = reduction.in_photo(camera, photo.width, photo.height), reduction.scale
+                seen = np.load(sparse / f"{name}.npy") * [scale, scale, 1, 1, 1] + [reduction.left, reduction.top, 0, 0, 0]
+                placed.append(PlacedPhoto(photo, full, said["points"], said["error"] * scale, seen))
         points = np.load(folder / f"points_{model['folder']}.npy")
-        before = [scale[name] * said["error"] for name, said in model.get("before", {}).items() if said["points"]]
+        before = [reductions[name].scale * said["error"] for name, said in model.get("before", {}).items() if said["points"]]
         error = float(np.median(before)) if before else None
         groups.append(Group(sorted(placed, key=lambda found: found.photo.path.name), points, error))
     return sorted(groups, key=lambda group: -len(group.placed))

@@ -299,6 +299,58 @@ def check_two_jobs(folder):
     assert "out" not in scene.objects and "two" not in bpy.data.scenes[0].objects
 
 
+def test_of_two_scenes_with_one_folder_the_one_that_began_gets_the_result(folders):
+    in_blender(check_shared_folder, folders, **BRISK)
+
+
+def check_shared_folder(folder):
+    bpy, addon, _settings = set_up(folder)
+    scene = bpy.data.scenes.new("a scene with an earlier name")
+    scene.nep.capture, scene.nep.output, scene.nep.preset = str(folder / "capture"), str(folder / "out"), "preview"
+    bpy.context.window.scene = bpy.data.scenes["Scene"]
+    job = start(bpy, addon)
+    rounds(addon, lambda: job.ended and not job.import_when_ended)
+    assert job.failed is None and not [item for item in scene.objects if item.type == "MESH"]
+    assert [item.name for item in bpy.data.scenes["Scene"].objects if item.type == "MESH"] == ["out"]
+
+
+def test_save_as_into_another_folder_keeps_the_job_and_all_paths(folders):
+    in_blender(check_save_as, folders, **BRISK)
+
+
+def check_save_as(folder):
+    bpy, addon, settings = set_up(folder)
+    for name in ("one", "two/deep", "copies"):
+        (folder / name).mkdir(parents=True)
+    save = bpy.ops.wm.save_as_mainfile
+    save(filepath=str(folder / "one/scene.blend"))
+    settings.capture, settings.output, settings.comparison_light_file = "//../capture", "//out", "//light.exr"
+    settings.asset = str(folder / "an absolute path stays")
+    settings.shelf_captures.add().path = "//"
+    named = {"capture": folder / "capture", "output": folder / "one/out", "comparison_light_file": folder / "one/light.exr"}
+
+    def right() -> bool:
+        same = all(Path(bpy.path.abspath(getattr(settings, name))).resolve() == path for name, path in named.items())
+        shelf = Path(bpy.path.abspath(settings.shelf_captures[0].path)).resolve()
+        relative = all(getattr(settings, name).startswith("//") for name in named)
+        return same and relative and shelf == folder / "one" and settings.asset == str(folder / "an absolute path stays")
+
+    job = start(bpy, addon)
+    assert bpy.ops.nep.check_photos() == {"FINISHED"} and addon.photo_check.last_check(folder / "capture") is not None
+    save(filepath=str(folder / "two/deep/scene.blend"))
+    assert right() and addon.running_jobs.job_of(bpy.context.scene) is job
+    assert addon.photo_check.last_check(folder / "capture") is not None, "it is the same capture"
+    save(filepath=str(folder / "copies/scene.blend"), copy=True)
+    fails(lambda: save(filepath=str(folder / "not there/scene.blend")), "Cannot open file")
+    assert right(), "the open file is where it was"
+    rounds(addon, lambda: job.ended and not job.import_when_ended)
+    assert meshes(bpy) == ["out"]
+    for file in ("copies/scene.blend", "two/deep/scene.blend"):
+        bpy.ops.wm.open_mainfile(filepath=str(folder / file))
+        settings = bpy.context.scene.nep
+        assert right(), file
+
+
 def test_a_picture_is_shown_in_two_halves(folders):
     in_blender(check_halves, folders)
 
@@ -357,7 +409,7 @@ def check_registration(folder):
     for _ in range(2):
         nep_addon.register()
         assert operators() == OPERATORS and hasattr(bpy.types, "NEP_PT_reconstruct")
-        assert sorted(set(handlers())) == ["on_file_loaded", "on_file_saved", "on_undone"]
+        assert sorted(set(handlers())) == ["on_file_loaded", "on_file_saved", "on_save_begins", "on_save_ended", "on_undone"]
         bpy.context.scene.nep.output = str(folder / "out")
         nep_addon.unregister()
         assert not operators() and not handlers()

@@ -286,7 +286,8 @@ def deaf_job(batch):
 
     def start(name: str, *, by_batch: bool) -> subprocess.Popen:
         out = batch.out / name
-        command = [*batch.engine, "reconstruct", str(batch.add(name, "deaf")), "--out", str(out), "--resume", "--watch-stdin"]
+        capture, options = batch.add(name, "deaf"), ("--out", str(out), "--resume", "--watch-stdin")
+        command = [*batch.engine, "reconstruct", str(capture), *options]
         env = os.environ | ({OUT_OF_JOB: str(out)} if by_batch else {})
         started.append(subprocess.Popen(command, stdin=subprocess.PIPE, env=env))
         wait_until((out / "waiting").exists)

@@ -12,6 +12,7 @@ from benchmarks.scoring.cameras import errors
 from blender_nep.cameras.alignment import similarity
 from blender_nep.cameras.found_cameras import FoundCameras
 from blender_nep.cameras.photo_folder import Photo, find_photos, mask_copy
+from blender_nep.cameras.reduction import Reduction
 from blender_nep.cameras.structure_from_motion import Group, PlacedPhoto
 from blender_nep.cameras.written_capture import write_capture
 from blender_nep.capture import load_capture
@@ -61,7 +62,7 @@ def test_a_mask_for_features_is_read_as_that_of_a_capture(tmp_path, kind):
     else:
         image = Image.fromarray(shown if kind == "grey" else np.where(shown > 0, 65535, 3000).astype(np.uint16))
     image.save(tmp_path / "mask.png")
-    found = mask_copy(Photo(tmp_path / "photo.jpg", 60, 40, None, (), mask=tmp_path / "mask.png"), (60, 40))
+    found = mask_copy(Photo(tmp_path / "photo.jpg", 60, 40, None, (), mask=tmp_path / "mask.png"), Reduction.of(60, 40, 60))
     np.testing.assert_array_equal(found, shown > 0)
 
 

@@ -12,6 +12,7 @@ import tifffile
 from PIL import Image
 
 from blender_nep.cameras.photo_folder import find_photos, grey_copy
+from blender_nep.cameras.reduction import Reduction
 from blender_nep.capture import load_capture
 from blender_nep.capture.photo_files import exif, image_size, open_image
 from blender_nep.errors import CaptureError
@@ -175,7 +176,7 @@ def test_pixels_are_as_stored_and_exif_says_which_way_is_up(tmp_path, suffix, or
         assert photo.focal_length == pytest.approx(50 / 43.2666 * np.hypot(80, 48), rel=1e-4)
         color, _ = open_image(photo.path, "srgb").rows()
         assert color.shape == (48, 80, 3) and color[:, :32].min() > 0.5 > 0.2 > color[:, 48:].max()
-        grey = grey_copy(photo, 40)
+        grey = grey_copy(photo, Reduction.of(80, 48, 40))
         assert grey.shape == (24, 40) and grey.dtype == np.uint8 and grey[:, :16].min() > grey[:, 24:].max() + 100
 
 
@@ -191,7 +192,8 @@ def test_heic_is_turned_by_its_decoder_and_needs_no_turn(tmp_path, orientation):
         assert photo.camera[0] == "Camera" and photo.focal_length is not None
         raster = open_image(photo.path, "srgb")
         assert raster.size == upright.shape[:2] and np.abs(raster.stored.astype(int) - upright).max() <= 2
-        assert np.abs(grey_copy(photo, 80).astype(int) - upright.mean(-1)).max() <= 6
+        grey = grey_copy(photo, Reduction.of(photo.width, photo.height, 80))
+        assert np.abs(grey.astype(int) - upright.mean(-1)).max() <= 6
 
 
 def test_a_photo_that_is_there_twice_counts_once(tmp_path):
@@ -207,4 +209,4 @@ def test_grey_copies_of_floats_are_exposed(tmp_path):
     """Like those of OpenEXR photos: the median is at half of white, whatever the unit of radiance."""
     for number in range(3):
         tifffile.imwrite(tmp_path / f"{number}.tif", np.full((20, 30, 3), 1e-3, np.float32), photometric="rgb")
-    assert (grey_copy(find_photos(tmp_path)[0], 100) == 124).all()
+    assert (grey_copy(find_photos(tmp_path)[0], Reduction.of(30, 20, 100)) == 124).all()

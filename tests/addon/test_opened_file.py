@@ -1,0 +1,82 @@
+"""Work that ends after another .blend file was opened, or after Save As. What answers is played."""
+
+import sys
+from pathlib import Path
+from types import SimpleNamespace
+
+from PIL import Image
+
+from support.blender_checks import register, rounds
+from support.own_process import in_blender
+
+ERROR = "the photos show no object"
+
+
+def test_bounds_are_placed_in_the_file_that_asked_for_them(package):
+    in_blender(check_bounds, package)
+
+
+def check_bounds(folder):
+    import bpy
+
+    addon = register()
+    answer = SimpleNamespace(sphere=((0.0, 0.0, 0.0), 1.0), error=None, poll=lambda: True, close=lambda: None)
+    addon.bounds_estimate.CaptureQuery = lambda *_: answer
+
+    def ask() -> None:
+        bpy.context.scene.nep.capture = str(folder)
+        addon.bounds_estimate.start_estimate(bpy.context.scene, folder, sys.executable, wait=False)
+
+    def bounds() -> object:
+        rounds(addon, lambda: addon.bounds_estimate.current is None)
+        return addon.object_bounds.bounds_object(bpy.context.scene)
+
+    ask()
+    bpy.ops.wm.save_as_mainfile(filepath=str(folder / "saved.blend"))
+    assert bounds() is not None, "Save As is no other file"
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    ask()
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    bpy.context.scene.nep.capture = str(folder)
+    assert bounds() is None
+    answer.sphere, answer.error = None, ERROR
+    ask()
+    assert bounds() is None and addon.bounds_estimate.last_error == ERROR
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    assert addon.bounds_estimate.last_error is None, "an error of the file before"
+    ask()
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    assert bounds() is None and addon.bounds_estimate.last_error is None
+
+
+def test_a_comparison_is_shown_in_the_file_that_asked_for_it(package):
+    Image.new("RGB", (16, 8), (200, 100, 50)).save(package / "comparison.png")
+    in_blender(check_comparison, package)
+
+
+def check_comparison(folder):
+    import bpy
+
+    addon = register()
+    picture = folder / "comparison.png"
+    state = {"path": picture, "error": "", "done": 1, "total": 1, "cancelled": False}
+    process = SimpleNamespace(**state, poll=lambda: True, close=lambda: None)
+    addon.comparison_render.ComparisonProcess = lambda *_: process
+
+    def shown() -> bool:
+        rounds(addon, lambda: addon.comparison_render.current is None)
+        return addon.comparison_image.comparison_image() is not None
+
+    addon.comparison_render.start_render([], wait=False)
+    bpy.ops.wm.save_as_mainfile(filepath=str(folder / "saved.blend"))
+    assert shown() and addon.comparison_render.last_message == f"Written: {picture}"
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    assert not addon.comparison_render.last_message, "a message of the file before"
+    addon.comparison_render.start_render([], wait=False)
+    bpy.ops.wm.read_factory_settings(use_empty=True)  # neither of both files has a path
+    assert not shown()
+
+
+if __name__ == "__main__":
+    sys.path.insert(0, str(Path(sys.argv[2]) / "package"))
+    globals()[sys.argv[1]](Path(sys.argv[2]))
