@@ -79,7 +79,7 @@ def _reconstruct(options: argparse.Namespace, stop: StopRequests) -> None:
 
 
 def _blender_work(options: argparse.Namespace, stop: StopRequests) -> None:
-    """Import the asset, render comparison.png and save asset.blend."""
+    """Import the asset, save asset.blend and render comparison.png."""
     import bpy
 
     from ..rendering.relight import add_camera
@@ -94,10 +94,10 @@ def _blender_work(options: argparse.Namespace, stop: StopRequests) -> None:
         if stop.asked.is_set():
             raise EngineError(STOPPED, "Stopped while rendering the comparison; the asset is complete.")
 
-    write_relit_comparison(relit, options.out, effort, progress)
     scene, frames = bpy.context.scene, relit.compared
     for frame in frames:
         camera = add_camera(frame, scene, name=frame.path.stem)
         scene.camera = scene.camera or camera
     scene.render.resolution_x, scene.render.resolution_y = frames[0].width, frames[0].height
-    save_packed(options.out / "asset.blend")
+    save_packed(options.out / "asset.blend")  # first: whatever becomes of the comparison, the asset can be opened
+    write_relit_comparison(relit, options.out, effort, progress)

@@ -3,7 +3,8 @@
 Each row shows a photo, the same view rendered under the recovered light, and the same view under each of the other lights.
 A turntable below the rows, if one is asked for, shows the object under one light. The tiles are sRGB-encoded, as by
 Blender's view transform Standard, which changes no hue. A photo and its re-rendering share one exposure and white balance;
-where those differ from photo to photo, these are the photo's own. Every other light has its own exposure.
+where those differ from photo to photo, these are the photo's own. Every other light has its own exposure. In place of a photo
+whose format Blender does not show, the sheet has its name.
 """
 
 from collections.abc import Callable
@@ -12,10 +13,10 @@ from pathlib import Path
 import bpy
 import numpy as np
 
-from ..scene_io.capture_files import Frame
+from ..scene_io.capture_files import Frame, UnshownPhoto
 from ..scene_io.image_files import write_png
 from ..scene_io.srgb import linear_to_srgb
-from .contact_sheet import draw_sheet, strip_tile_size
+from .contact_sheet import draw_sheet, empty_tile, in_cell, strip_tile_size
 from .exposure import exposure
 from .relight import RelitScene
 from .turntable import turntable_frames
@@ -41,7 +42,8 @@ def compare(
     `worlds` is empty. `samples` is the number of Cycles samples a pixel. progress(done, total) is called after every render.
     Raises OSError where a photo cannot be read.
     """
-    width, height = _tile_size(frames[0])
+    sizes = [_tile_size(frame) for frame in frames]
+    width, height = max(width for width, _ in sizes), max(height for _, height in sizes)
     columns, done, total = 2 + len(worlds), 0, len(frames) * (1 + len(worlds)) + turntable
 
     def rendered(relit: RelitScene, frame: Frame, world: bpy.types.World) -> np.ndarray:
@@ -54,14 +56,14 @@ def compare(
 
     rows, gains = [], []
     with RelitScene(item, width, height, samples, seed) as relit:
-        for frame in frames:
-            photo = resize(frame.photo(), width, height)
-            gain = 1.0 if frame.color_space == "srgb" else exposure(photo)
-            tiles = [photo * gain, rendered(relit, frame, recovered) * (gain * np.array(frame.gain))]
-            for world in worlds:
-                radiance = rendered(relit, frame, world)
-                tiles.append(radiance * exposure(radiance))
-            rows.append([linear_to_srgb(tile) for tile in tiles])
+        for frame, size in zip(frames, sizes, strict=True):
+            relit.set_size(*size)
+            photo, again = _photo(frame, *size), rendered(relit, frame, recovered) * np.array(frame.gain)
+            gain = 1.0 if frame.color_space == "srgb" else exposure(again if photo is None else photo)
+            others = [rendered(relit, frame, world) for world in worlds]
+            tiles = [linear_to_srgb(again * gain), *(linear_to_srgb(tile * exposure(tile)) for tile in others)]
+            first = empty_tile(*size, f"{frame.path.name} is not shown") if photo is None else linear_to_srgb(photo * gain)
+            rows.append([in_cell(tile, width, height) for tile in (first, *tiles)])
             gains.append(gain)
     strip: list[np.ndarray] = []
     light = (worlds or [recovered])[0]
@@ -107,6 +109,14 @@ def _resize_rows(image: np.ndarray, size: int) -> np.ndarray:
     low = np.minimum(centre.astype(int), max(count - 2, 0))
     part = (centre - low).reshape(-1, *[1] * (image.ndim - 1))
     return image[low] * (1 - part) + image[np.minimum(low + 1, count - 1)] * part
+
+
+def _photo(frame: Frame, width: int, height: int) -> np.ndarray | None:
+    """The photo as linear radiance at this size; None where Blender does not show its format."""
+    try:
+        return resize(frame.photo(), width, height)
+    except UnshownPhoto:
+        return None
 
 
 def _tile_size(frame: Frame) -> tuple[int, int]:

@@ -19,6 +19,20 @@ def strip_tile_size(columns: int, width: int, height: int, count: int) -> int:
     return max(1, min((columns * (width + GAP) - count * GAP) // count, height))
 
 
+def empty_tile(width: int, height: int, text: str) -> np.ndarray:
+    """A tile [height,width,3] in the colour of the sheet, with a text in its middle."""
+    tile = np.full((height, width, 3), BACKGROUND)
+    _write(tile, [(GAP, height / 2, SMALL, shortened(text, width - 2 * GAP, SMALL))])
+    return tile
+
+
+def in_cell(tile: np.ndarray, width: int, height: int) -> np.ndarray:
+    """The tile in the middle of a cell [height,width,3] of the sheet's colour, which is at least as large."""
+    cell = np.full((height, width, 3), BACKGROUND)
+    _paste(cell, tile, (height - tile.shape[0]) // 2, (width - tile.shape[1]) // 2)
+    return cell
+
+
 def draw_sheet(
     rows: list[list[np.ndarray]], titles: list[str], subtitle: str, strip: Sequence[np.ndarray] = (), strip_title: str = ""
 ) -> np.ndarray:

@@ -24,9 +24,13 @@ class RelitScene:
         self.scene.collection.objects.link(item)
         use_cycles(self.scene, samples * (1 if has_denoiser() else SAMPLES_FACTOR_WITHOUT_DENOISER), seed)
         self.scene.render.use_persistent_data = True
-        self.scene.render.resolution_x, self.scene.render.resolution_y = width, height
         self.scene.render.resolution_percentage = 100
         self.scene.view_settings.view_transform = "Standard"
+        self.set_size(width, height)
+
+    def set_size(self, width: int, height: int) -> None:
+        """Set the size of the pictures, in pixels. It needs the aspect of the frames that are rendered."""
+        self.scene.render.resolution_x, self.scene.render.resolution_y = width, height
 
     def render(self, frame: Frame, world: bpy.types.World) -> np.ndarray:
         """Render the object under `world`, seen by the frame's camera: linear radiance [H,W,3] float32."""

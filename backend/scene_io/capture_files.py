@@ -15,11 +15,15 @@ import numpy as np
 
 from .image_files import load_pixels
 from .image_size import image_size
-from .photo_formats import RAW, color_space
+from .photo_formats import HEIF, RAW, color_space
 from .srgb import srgb_to_linear
 
 CAMERAS = "cameras.json"  # the engine writes it into every asset: blender_nep/asset/cameras_file.py
 GREY = 0.18  # radiance that is shown where a photo is transparent
+
+
+class UnshownPhoto(OSError):
+    """This Blender shows no photos of this format."""
 
 
 @dataclass(frozen=True)
@@ -40,11 +44,16 @@ class Frame:
     def photo(self) -> np.ndarray:
         """The photo as linear radiance [H,W,3], over GREY where the file is transparent.
 
-        Raises OSError where the file cannot be read.
+        Raises OSError where the file cannot be read, UnshownPhoto where this Blender does not show its format.
         """
         if self.path.suffix.lower() in RAW:
-            raise OSError(f"Blender cannot develop the raw photo {self.path}")
-        pixels = load_pixels(self.path)
+            raise UnshownPhoto(f"Blender cannot develop the raw photo {self.path}")
+        try:
+            pixels = load_pixels(self.path)
+        except OSError as error:
+            if self.path.suffix.lower() in HEIF and self.path.is_file():
+                raise UnshownPhoto(f"This Blender does not show the photo {self.path}") from error
+            raise
         rgb, alpha = pixels[..., :3], pixels[..., 3:]
         if self.color_space == "srgb":
             rgb = srgb_to_linear(rgb)

@@ -51,6 +51,53 @@ def check_exposure(folder, color_space):
         assert np.ptp(photos) < 20, "linear photos are exposed alike"
 
 
+def test_photos_of_two_shapes_and_one_that_blender_does_not_show(tmp_path):
+    """A ball stays round in the renderings of a wide and a high photo. The raw photo's row has the renderings."""
+    write_exr(tmp_path / "grey.exr", np.full((4, 8, 3), GREY))
+    in_blender(check_shapes, tmp_path)
+
+
+def check_shapes(folder):
+    import bpy
+
+    from backend.rendering.comparison import TILE_RANGE, compare
+    from backend.rendering.contact_sheet import BACKGROUND, GAP, HEADER
+    from backend.scene_io.capture_files import Frame
+    from backend.scene_io.image_files import write_png
+    from backend.scene_io.world import build_world
+
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    bpy.ops.mesh.primitive_uv_sphere_add(radius=0.4, location=(0, 0, -3))
+    ball = bpy.context.object
+    ball.data.materials.append(bpy.data.materials.new("black"))
+    ball.data.materials[0].use_nodes = True
+    ball.data.materials[0].node_tree.nodes.clear()  # it shines and reflects nothing
+    world = build_world(Path(folder) / "grey.exr", name="grey")
+    frames = []
+    for number, (width, height) in enumerate(((448, 224), (224, 448), (224, 448))):
+        path = Path(folder) / ("raw.dng" if number == 2 else f"{number}.png")
+        write_png(path, np.full((height, width, 3), 137, np.uint8))
+        frames.append(Frame(path, width, height, 400.0, 400.0, width / 2, height / 2, np.eye(4), "srgb"))
+    sheet, gains = compare(ball, frames, world, [], samples=1)
+    side = TILE_RANGE[1]
+    assert len(gains) == 3 and len(sheet) == HEADER + 3 * (side + GAP)
+    background = round(255 * BACKGROUND)
+    for row in range(3):
+        for column in range(2):
+            cell = sheet[HEADER + row * (side + GAP) :, GAP + column * (side + GAP) :][:side, :side].astype(int)
+            middle = cell[:, 112:336] if row else cell[112:336]
+            outside = cell[:, [*range(111), *range(338, side)]] if row else cell[[*range(111), *range(338, side)]]
+            assert (outside == background).all(), "the rest of the cell is empty"
+            if column:
+                dark = (cell.max(-1) < 15).nonzero()
+                high, wide = (int(np.ptp(place)) for place in dark)
+                assert abs(high - wide) <= 3 and abs(wide - 2 * 400 * 0.4 / 3) < 6
+            elif row < 2:
+                np.testing.assert_allclose(middle, 137, atol=1)
+            else:
+                assert (middle == background).mean() > 0.8 and middle.max() > 150, "its name stands there"
+
+
 def test_resize_keeps_means_and_ramps():
     in_blender(check_resize)
 
