@@ -9,6 +9,7 @@ import bpy
 from ..rendering.comparison import compare, write_comparison
 from ..scene_io.asset_import import import_asset
 from ..scene_io.capture_files import Frame, read_frames_of, spread_frames, with_exposures
+from ..scene_io.color_spaces import use_standard_view
 from ..scene_io.world import blender_hdris, build_world
 from .stop_requests import say
 
@@ -45,7 +46,7 @@ def import_for_relighting(asset: Path, capture: Path, effort: Effort) -> RelitAs
     bpy.ops.wm.read_factory_settings(use_empty=True)
     scene = bpy.context.scene
     scene.render.engine = "CYCLES"
-    scene.view_settings.view_transform = "Standard"
+    use_standard_view(scene)
     item = import_asset(asset, scene.collection)
     scene.world = recovered = build_world(asset / "environment.exr", name="recovered light")
     hdris = blender_hdris()[: effort.relight]

@@ -38,11 +38,12 @@ class ComparisonProcess:
         self._events: queue.SimpleQueue[dict] = queue.SimpleQueue()
         self._log: deque[str] = deque(maxlen=LOG_LINES)
         self._scratch = tempfile.TemporaryDirectory(prefix="nep_comparison_", ignore_cleanup_errors=True)
+        # Its pictures are those of Blender's own color management, also where a studio uses another one in `OCIO`.
         # The process puts its temporary files into this folder. `close` removes the files that the process leaves behind.
         temporary = dict.fromkeys(("TMPDIR", "TEMP", "TMP"), self._scratch.name)
         self.process = subprocess.Popen(
             [*_blender(), *arguments],
-            env=os.environ | temporary,
+            env={name: value for name, value in os.environ.items() if name != "OCIO"} | temporary,
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=subprocess.STDOUT,

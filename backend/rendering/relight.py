@@ -9,6 +9,7 @@ import numpy as np
 
 from ..scene_io.cameras import new_camera, pixel_aspect
 from ..scene_io.capture_files import Frame
+from ..scene_io.color_spaces import use_standard_view
 from ..scene_io.image_files import load_pixels, set_media_type
 from .cycles_settings import has_denoiser, use_cycles
 
@@ -25,7 +26,7 @@ class RelitScene:
         use_cycles(self.scene, samples * (1 if has_denoiser() else SAMPLES_FACTOR_WITHOUT_DENOISER), seed)
         self.scene.render.use_persistent_data = True
         self.scene.render.resolution_percentage = 100
-        self.scene.view_settings.view_transform = "Standard"
+        use_standard_view(self.scene)
         self.set_size(width, height)
 
     def set_size(self, width: int, height: int) -> None:

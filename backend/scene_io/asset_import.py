@@ -9,6 +9,7 @@ from pathlib import Path
 import bpy
 import numpy as np
 
+from .color_spaces import DATA, LINEAR, SRGB, set_color_space
 from .image_files import relative_path
 
 
@@ -134,7 +135,7 @@ def load_image(path: Path, *, color_space: str, pack: bool) -> bpy.types.Image:
     if not image.size[0]:  # Blender reads the pixels only when asked, and does not report a damaged file
         bpy.data.images.remove(image)
         raise OSError(f"Blender cannot read the image {path}")
-    image.colorspace_settings.name = color_space
+    set_color_space(image, color_space)
     if pack:
         image.pack()
     elif bpy.data.is_saved:
@@ -177,10 +178,10 @@ def _texture_image(folder: Path, texture: Texture, pack: bool) -> bpy.types.Imag
     The PNG file has a quarter of the size, and it is the file that other programs read.
     """
     path = folder / f"{texture.name}.png"
-    space = "sRGB" if texture.is_color else "Non-Color"
+    space = SRGB if texture.is_color else DATA
     if not path.is_file():
         path = folder / f"{texture.name}.exr"
-        space = "Linear Rec.709" if texture.is_color else "Non-Color"
+        space = LINEAR if texture.is_color else DATA
     image = load_image(path, color_space=space, pack=pack)
     image[FILE_OF_TEXTURE] = os.path.abspath(path)
     return image

@@ -7,6 +7,7 @@ import numpy as np
 
 from .cameras import new_camera, pixel_aspect
 from .capture_files import Frame
+from .color_spaces import DATA, set_color_space
 from .image_files import load_pixels, relative_path
 from .photo_formats import HEIF, RAW
 
@@ -102,7 +103,7 @@ def _photo(frame: Frame) -> bpy.types.Image | None:
     if len(bpy.data.images) > known:  # otherwise the artist had already loaded this image, and it stays as it is
         image[PHOTO_KEY] = True
         if frame.color_space == "linear" and frame.path.suffix.lower() != ".exr":
-            image.colorspace_settings.name = "Non-Color"
+            set_color_space(image, DATA)
         if bpy.data.is_saved:
             image.filepath = relative_path(frame.path.resolve())
     return image

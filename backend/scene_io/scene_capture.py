@@ -7,6 +7,7 @@ from pathlib import Path
 import bpy
 
 from .cameras import intrinsics
+from .color_spaces import is_linear
 from .image_files import write_whole
 from .image_size import image_size
 from .photo_cameras import ASPECT_KEY, SIZE_KEY
@@ -15,7 +16,6 @@ from .photo_formats import HEIF, RAW, SHOWN
 SOURCE = "Blender scene"  # marks a transforms.json that this file has written, and that it may therefore replace
 MINIMUM_PHOTOS = 3
 ASPECT_TOLERANCE = 0.01
-LINEAR_SPACES = ("Linear Rec.709", "Non-Color")
 
 
 class UnusableCamera(ValueError):
@@ -55,7 +55,7 @@ def write_scene_capture(scene: bpy.types.Scene, folder: Path) -> int:
     if problems:
         more = f" (and {len(problems) - 3} more)" if len(problems) > 3 else ""
         raise ValueError("; ".join(problems[:3]) + more)
-    spaces = {_photo(camera).colorspace_settings.name in LINEAR_SPACES for camera in cameras}
+    spaces = {is_linear(_photo(camera)) for camera in cameras}
     meta = {
         "camera_model": "PINHOLE",
         "source": SOURCE,

@@ -9,8 +9,8 @@ from pathlib import Path
 import bpy
 
 from .asset_import import load_image
+from .color_spaces import LINEAR
 
-COLOR_SPACE = "Linear Rec.709"
 # The order is such that the first few HDRIs differ most from each other.
 HDRI_ORDER = ("studio", "forest", "sunset", "interior", "city", "courtyard", "sunrise", "night")
 
@@ -20,7 +20,7 @@ def build_world(path: Path, *, name: str, pack: bool = True) -> bpy.types.World:
 
     Raises OSError where the image cannot be read.
     """
-    image = load_image(path, color_space=COLOR_SPACE, pack=pack)
+    image = load_image(path, color_space=LINEAR, pack=pack)
     world = bpy.data.worlds.new(name)
     if not world.use_nodes:
         world.use_nodes = True
