@@ -78,7 +78,7 @@ def check_asset(folder: Path) -> None:
 
 @contextmanager
 def removed_on_error() -> Iterator[None]:
-    """Where an OSError leaves the `with` block, remove the data-blocks that the block has made.
+    """Where an error leaves the `with` block, remove the data-blocks that the block has made.
 
     These are objects, meshes, materials, images and worlds.
     """

@@ -13,6 +13,7 @@ import threading
 import psutil
 import pytest
 
+from blender_nep.batch import runner
 from blender_nep.batch.machine import OUT_OF_JOB, jobs_in
 from blender_nep.batch.needs import Needs
 from blender_nep.batch.runner import Batch
@@ -277,6 +278,36 @@ def test_a_killed_batch_leaves_no_orphans_and_goes_on(batch, monkeypatch, plays)
         for process in (parent, *jobs_in(batch.out)):
             with contextlib.suppress(psutil.Error, ProcessLookupError):
                 os.kill(process.pid, signal.SIGKILL)
+
+
+def test_an_unforeseen_error_in_one_capture_stops_no_other(batch, monkeypatch):
+    size_of = runner.size_of
+
+    def size_or_crash(found):
+        if found.path.name == "odd":
+            raise ZeroDivisionError("a bug")
+        return size_of(found)
+
+    monkeypatch.setattr(runner, "size_of", size_or_crash)
+    for name in ("good", "odd"):
+        batch.add(name)
+    assert batch.run()[0] == 9
+    found = batch.objects()
+    assert found["good"]["state"] == "done" and found["odd"]["state"] == "failed"
+    assert found["odd"]["error"]["code"] == 1 and "a bug" in found["odd"]["error"]["message"]
+    assert "ZeroDivisionError" in (batch.out / "log.txt").read_text(), "for who mends it"
+
+
+def test_an_unforeseen_error_in_the_gallery_ends_no_batch(batch, monkeypatch):
+    def crash(_folder):
+        raise ZeroDivisionError("a bug")
+
+    monkeypatch.setattr("blender_nep.batch.pages.write_gallery", crash)
+    batch.add("a")
+    code, events = batch.run()
+    warned = [event["code"] for event in events if event["event"] == "warning"]
+    assert code == 0 and warned.count("batch.no_gallery") == 1
+    assert (batch.out / "log.txt").read_text().count("ZeroDivisionError: a bug") == 1
 
 
 @pytest.fixture

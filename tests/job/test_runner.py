@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 
+import numba
 import numpy as np
 import OpenEXR
 import pytest
@@ -43,6 +44,23 @@ def test_a_job_ends_with_an_asset_and_tells_how_far_it_is(start):
     convex = {"code": "reason.convex", "values": {}, "message": "the object is convex"}
     assert report["skipped"] == {"votes of all pixels": {**ONE_MATERIAL, "message": str(WHY)}, "indirect light": convex}
     assert report["losses"]["fields_learning"] == pytest.approx(0.25)
+
+
+def test_threads_are_those_that_were_asked_for(start):
+    class Counting(BallStages):
+        def learn_fields(self, *arguments, **keywords):
+            found.append((torch.get_num_threads(), numba.get_num_threads()))
+            return super().learn_fields(*arguments, **keywords)
+
+    found, before = [], (torch.get_num_threads(), numba.get_num_threads())
+    try:
+        for threads in (1, 2):
+            assert start(Counting(), threads=threads, overwrite=True)[0] == 0
+        most = numba.config.NUMBA_NUM_THREADS
+        assert found == [(1, 1), (2, min(2, most))]
+    finally:
+        torch.set_num_threads(before[0])
+        numba.set_num_threads(before[1])
 
 
 def test_what_the_scene_needs_is_told_before_it_is_done_and_stands_in_the_report(start):

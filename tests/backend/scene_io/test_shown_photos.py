@@ -9,7 +9,7 @@ import pillow_heif
 import tifffile
 from PIL import Image
 
-from support.captures import look_at
+from support.captures import look_at, write_exr
 from support.own_process import in_blender
 from support.raw_photo import write_dng
 
@@ -84,6 +84,25 @@ def check_formats(folder):
         assert "is a raw or HEIC photo" in str(error) and "TIFF, PNG or JPEG" in str(error)
     else:
         raise AssertionError("a HEIC photo is not every Blender's")
+
+
+def test_exr_photos_are_linear_also_in_a_capture_that_is_srgb(tmp_path):
+    """So takes the engine them: see `color_space` in docs/conventions.md."""
+    write_exr(tmp_path / "linear.exr", np.full((*SIZE[::-1], 3), 0.5))
+    Image.fromarray(np.full((*SIZE[::-1], 3), 188, np.uint8)).save(tmp_path / "encoded.png")
+    frames = [{"file_path": name, "transform_matrix": np.eye(4).tolist()} for name in ("linear.exr", "encoded.png")]
+    meta = {"w": SIZE[0], "h": SIZE[1], "fl_x": 50.0, "color_space": "srgb", "frames": frames}
+    (tmp_path / "transforms.json").write_text(json.dumps(meta))
+    in_blender(check_exr, tmp_path)
+
+
+def check_exr(folder):
+    from backend.scene_io.capture_files import read_frames
+
+    linear, encoded = read_frames(Path(folder))
+    assert (linear.color_space, encoded.color_space) == ("linear", "srgb")
+    np.testing.assert_allclose(linear.photo(), 0.5, atol=1e-3)
+    np.testing.assert_allclose(encoded.photo(), 0.5, atol=0.005)
 
 
 def read(folder: Path) -> list[dict]:
