@@ -13,7 +13,7 @@ from support import ball_engine
 from support.blender_checks import drawn_by, fails, register, rounds
 from support.own_process import run_file
 
-LIMIT_S = 60
+LIMIT_S = 180
 
 
 @pytest.fixture
@@ -236,7 +236,7 @@ def check_cancel_and_crash(folder):
 
 
 def test_a_button_does_not_begin_with_what_another_button_has_set(folders):
-    in_blender(check_forgotten_options, folders, **BRISK)
+    in_blender(check_forgotten_options, folders, BALL_STEPS="4", BALL_DELAY="0")
 
 
 def check_forgotten_options(folder):
@@ -245,14 +245,13 @@ def check_forgotten_options(folder):
     operators = addon.operators.reconstruct
     whole = operators.reconstruct_arguments
     operators.reconstruct_arguments = lambda *a, **k: begun.append(whole(*a, **k)) or begun[-1]
-    ended = addon.running_jobs.import_job_result
 
     def press(**options):
         """As a button does: Blender then remembers the options of an operator."""
         assert bpy.ops.nep.reconstruct("EXEC_DEFAULT", True, **options) == {"FINISHED"}
         return {"--resume", "--overwrite"} & set(begun[-1])
 
-    assert press() == set() and ended
+    assert press() == set()
     assert press(overwrite=True) == {"--overwrite"}
     assert press(resume=True) == {"--resume"}
     assert press(overwrite=True) == {"--overwrite"}
