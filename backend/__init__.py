@@ -5,6 +5,5 @@ The scripts `run.py`, `render_comparison.py` and `synthetic.py` use this package
 only bpy, numpy and the standard library. Blender's own Python has no torch, so the engine runs in another process
 (`engine/`).
 
-Conventions: Blender's world axes are the capture's axes (Z up). Cameras look down -z, with x to the right and y up. Images
-are numpy arrays whose row 0 is the top row. Radiance is linear Rec.709.
+docs/conventions.md has the conventions of axes, cameras, images and radiance.
 """

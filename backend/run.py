@@ -10,9 +10,8 @@ folder. With --captures the engine makes a batch of assets. Blender then renders
 and writes FOLDER/shelf.blend: all objects in a row, marked as assets, with their catalog beside the file. Then the engine
 writes the gallery. The same command goes on with what is left.
 
-SIGTERM or Ctrl-C stops the engine, which writes its checkpoint. The exit code is the engine's (0 done, 2 wrong
-arguments or no engine, 3 capture, 4 bounds, 5 output, 6 learning, 7 stopped, 9 some objects failed, 128 + N where signal N
-ended it), or 8 where Blender's part failed.
+SIGTERM or Ctrl-C stops the engine, which writes its checkpoint. The exit code is the engine's, 2 where there is
+no engine, or 8 where Blender's part failed (docs/conventions.md#exit-codes).
 """
 
 import argparse

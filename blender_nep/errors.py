@@ -1,20 +1,6 @@
 """Errors with an exit code, one clear message, and a hint on what to do.
 
-Exit codes of the command line and of the `error` event:
-
-| code | class         | meaning                                                                            |
-|------|---------------|------------------------------------------------------------------------------------|
-| 0    |               | done                                                                               |
-| 1    | NepError      | unexpected: a bug, or out of memory; the traceback is in the asset's `log.txt`      |
-| 2    | UsageError    | wrong arguments, an asset that is there already, or a resume with other settings    |
-| 3    | CaptureError  | the capture cannot be read or is not usable                                        |
-| 4    | BoundsError   | the object's bounding sphere cannot be right                                       |
-| 5    | OutputError   | the asset cannot be written                                                        |
-| 6    | LearningError | learning failed: no surface was found, or the optimisation diverged                |
-| 7    | Stopped       | stopped on request; the checkpoint is written, `--resume` goes on                  |
-| 9    | ObjectsFailed | a batch has ended, and some of its objects failed                                  |
-
-Code 8 is Blender's: in `backend/run.py` and `backend/render_comparison.py`, Blender's part failed.
+docs/conventions.md#exit-codes says what each code means. Code 8 is missing here: it is of Blender's part.
 
 Blender's Python does not import this package. `backend/engine/exit_codes.py` repeats the codes that the add-on needs.
 """

@@ -20,6 +20,7 @@ from blender_nep.batch.settings import BatchSettings
 from blender_nep.batch.state import (
     DONE,
     FAILED,
+    FILE,
     WAITING,
     BatchState,
     ObjectState,
@@ -46,6 +47,11 @@ def run(settings: BatchSettings, events: Events, stop: StopRequest) -> int:
     return exit_code(lambda: Batch(settings, events, stop).run(), events, settings.out)
 
 
+def _no_batch(out: Path) -> UsageError:
+    hint = "Name captures: this folder holds no batch yet."
+    return UsageError(f"there is no batch in {out}", hint, "usage.no_captures", path=out)
+
+
 def _on_card(settings: BatchSettings) -> bool:
     """Whether the jobs use a graphics card. Raises UsageError when they must, and run on this machine, which has none."""
     if settings.ray is not None:
@@ -68,6 +74,8 @@ class Batch:
         captures = find_captures(s.captures, s.out)
         if s.out.exists() and not s.out.is_dir():
             raise OutputError(f"{s.out} is a file, not a folder", "Choose another --out.", "output.is_a_file", path=s.out)
+        if not captures and not (s.out / FILE).is_file():
+            raise _no_batch(s.out)
         with output_errors(s.out):
             s.out.mkdir(parents=True, exist_ok=True)
             lock = lock_file(s.out / _LOCK, s.out)
@@ -85,8 +93,7 @@ class Batch:
         state = self._state()
         work = state.take(captures) if captures else state.objects
         if not work:
-            hint = "Name captures: this folder holds no batch yet."
-            raise UsageError(f"there is no batch in {s.out}", hint, "usage.no_captures", path=s.out)
+            raise _no_batch(s.out)
         with output_errors(s.out):
             self._events.open_log(s.out / "log.txt")
         self._end_leftovers()
