@@ -110,7 +110,8 @@ def _add_reconstruct(commands: argparse._SubParsersAction) -> None:
         action="store_true",
         help="keep ASSET/job, by which other programs follow this run, find it again and stop it",
     )
-    run.add_argument("--preview", action="store_true", help="show in ASSET/job what has been learned so far (not with --mesh)")
+    preview = "show in ASSET/job what has been learned so far (not with --mesh)"
+    run.add_argument("--preview", action="store_true", help=preview)
     run.add_argument(
         "--profile",
         action="store_true",

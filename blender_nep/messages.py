@@ -167,6 +167,8 @@ WORDS: dict[str, str] = {
     "capture.photos_reduced": "there are {photos} photos: each is scaled down to {pixels} pixels, because all photos "
     "together may have {limit}",
     "capture.masks_missing": "masks are not used: {count} {count:photo has|photos have} none ({names})",
+    "capture.masks_empty": "{count} {count:photo is|photos are} left out: {count:its mask shows|their masks show} nothing "
+    "({names})",
     "capture.cut_outs_need_masks": "the photos are cut-outs (alpha) and their surroundings are black; results need the "
     "masks",
     "capture.few_photos": "only {photos} photos: 20 and more give a better shape",

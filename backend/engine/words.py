@@ -89,6 +89,8 @@ MESSAGES = {
     "capture.photos_black": "{count} {count:photo is|photos are} black and {count:is|are} left out: {names}",
     "capture.photos_reduced": "There are {photos} photos, so each is scaled down to {pixels} pixels",
     "capture.masks_missing": "Masks are not used: {count} {count:photo has|photos have} none ({names})",
+    "capture.masks_empty": "{count} {count:photo is|photos are} left out: {count:its mask shows|their masks show} nothing "
+    "({names})",
     "capture.cut_outs_need_masks": "The photos are cut-outs and their surroundings are black: results need the masks",
     "capture.few_photos": "Only {photos} photos: 20 and more give a better shape",
     "capture.few_directions": "The cameras cover few directions: what no photo shows will be guessed",

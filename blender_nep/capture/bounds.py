@@ -49,7 +49,8 @@ def sphere_from_masks(
 
     The first grid covers the cube of half side 1.5 `radius` around `center`; the second grid covers the voxels that the
     first one kept. A voxel is kept when at least half of the cameras have it in their frame, and in 95 % of those photos
-    the mask covers it. It is not 100 %, because masks may have errors. `masks` [h, w] are in 0..1, of any resolution.
+    the mask covers it. It is not 100 %, because masks may have errors. Masks that show nothing do not count. `masks` [h, w]
+    are in 0..1, of any resolution.
     """
     low, high = center - 1.5 * radius, center + 1.5 * radius
     for _ in range(2):
@@ -66,8 +67,9 @@ def sphere_from_masks(
 
 
 def _carve(cameras: list[Camera], masks: list[np.ndarray], points: np.ndarray) -> np.ndarray:
+    shown = [(camera, mask) for camera, mask in zip(cameras, masks, strict=True) if (mask > 0.5).any()]
     framed, covered = np.zeros(len(points)), np.zeros(len(points))
-    for camera, mask in zip(cameras, masks, strict=True):
+    for camera, mask in shown:
         x, y, depth = camera.project(points)
         with np.errstate(invalid="ignore"):
             row = np.floor(y * mask.shape[0] / camera.height).astype(np.int64)
@@ -75,7 +77,7 @@ def _carve(cameras: list[Camera], masks: list[np.ndarray], points: np.ndarray) -
         ok = (depth > 0) & (row >= 0) & (row < mask.shape[0]) & (column >= 0) & (column < mask.shape[1])
         framed += ok
         covered[ok] += mask[row[ok], column[ok]] > 0.5
-    return (framed >= 0.5 * len(cameras)) & (covered >= 0.95 * framed)
+    return (framed >= 0.5 * max(1, len(shown))) & (covered >= 0.95 * framed)
 
 
 def check_sphere(names: list[str], cameras: list[Camera], center: np.ndarray, radius: float) -> list[Message]:

@@ -216,6 +216,10 @@ class PixelRays:
                 "the masks are empty: no pixel belongs to the object",
                 "Check mask_path and the masks' polarity (white is object).",
             )
+        empty = [i for i, p in enumerate(facts) if masked and not p.covered and _sees_center(capture, cameras[i])]
+        if empty:
+            names = [capture.views[i].name for i in empty]
+            warnings.append(Message("capture.masks_empty", {"count": len(empty), "names": names}))
         intrinsics = [(c.fl_x / f, c.fl_y / f, c.cx / f, c.cy / f) for c, f in zip(cameras, factors, strict=True)]
         origins = [(c.position - capture.object_center) / capture.object_radius for c in cameras]
 
@@ -224,6 +228,8 @@ class PixelRays:
 
         nothing = PixelSet.of(torch.zeros(0, dtype=torch.int64, device=device))
         radiance, valid, mask = stores.finished()
+        for i in empty:  # where the object is in such a photo is not known
+            valid[offset[i] : offset[i + 1]] = False
         rays = cls(
             radiance=radiance,
             valid=valid,
@@ -404,6 +410,11 @@ def _box(pixels: np.ndarray, factor: int) -> np.ndarray:
         for j in range(factor):
             total += pixels[i : height * factor : factor, j : width * factor : factor]
     return total / factor**2
+
+
+def _sees_center(capture: Capture, camera: Camera) -> bool:
+    """Whether the middle of the object's sphere lies in the camera's picture."""
+    return bool(camera.side_distances(capture.object_center).min() > 0)
 
 
 def _judge(capture: Capture, photos: list[_Facts]) -> list[Message]:

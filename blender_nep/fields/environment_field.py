@@ -121,7 +121,8 @@ class EnvironmentField(nn.Module):
             generator: with a generator (learning), samples are jittered; with None, they lie in the middle of each step.
 
         Returns:
-            radiance [n, 3] premultiplied linear, transmittance [n] (0 where t_far is inf).
+            radiance [n, 3] premultiplied linear, transmittance [n] (at most
+            `preset.transmittance_limit` where t_far is inf).
         """
         if not self.known:
             return torch.zeros_like(origins), torch.isfinite(t_far).to(origins.dtype)

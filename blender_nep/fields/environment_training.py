@@ -15,7 +15,7 @@ import torch
 from blender_nep.capture.pixel_rays import PixelRays
 from blender_nep.capture.pixel_set import PixelSet
 from blender_nep.checkpoints import Checkpoint
-from blender_nep.errors import Stopped
+from blender_nep.errors import LearningError
 from blender_nep.fields.environment_field import EnvironmentField
 from blender_nep.fields.non_finite_monitor import NonFiniteMonitor, usable_gradients, usable_loss
 from blender_nep.fields.schedule import geometric_decay
@@ -92,8 +92,7 @@ def save_if_due(checkpoint: Checkpoint, state: Callable[[], dict]) -> None:
     """Save state() if the checkpoint is due or a stop was asked for. In the latter case, raises Stopped after saving."""
     if checkpoint.stopping or checkpoint.due():
         checkpoint.save(state())
-        if checkpoint.stopping:
-            raise Stopped("Stopped during fields learning; the checkpoint is written.", "Go on with --resume.")
+        checkpoint.raise_if_stopped(saves=True)
 
 
 def learn_step(
@@ -146,12 +145,18 @@ def learn_environment(
 ) -> tuple[EnvironmentField, EnvironmentReport]:
     """Learn F_e from the pixels `background` (indices) only. progress(step, steps, loss) is called after every step.
 
-    Raises LearningError when too many steps are not finite, and Stopped on request, after the checkpoint is written.
+    Raises LearningError when there are no such pixels, or too many steps are not finite, and Stopped on request, after the
+    checkpoint is written.
     """
     generator = torch.Generator(device).manual_seed(seed)
     environment = EnvironmentField(preset, geometric_mean(rays)).to(device)
     if not environment.known:
         return environment, EnvironmentReport()
+    if not len(background):
+        raise LearningError(
+            "The mesh covers all pixels of all photos, so nothing shows the light around the object.",
+            "Give --mesh the object alone, without the floor and the walls.",
+        )
     adam, step, monitor = optimiser(environment), 0, NonFiniteMonitor()
 
     def present_state() -> dict:

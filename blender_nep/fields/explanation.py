@@ -45,9 +45,12 @@ def explanation_ratio(
 
 def require_object(ratio: float, least: float) -> None:
     """Raises LearningError if the explanation ratio is below `least`: then the sphere is empty."""
-    if ratio < least:
-        raise LearningError(
-            f"The object's sphere seems to contain nothing: the surroundings explain its pixels almost as well as an object"
-            f" does (ratio {ratio:.2f}, needed {least}).",
-            "Set object_center and object_radius in transforms.json so that the sphere holds the object closely.",
-        )
+    if ratio >= least:
+        return
+    found = f"the surroundings explain its pixels almost as well as an object does (ratio {ratio:.2f}, needed {least})"
+    if ratio == 0:
+        found = "hardly any pixel shows an opaque surface in it"
+    raise LearningError(
+        f"The object's sphere seems to contain nothing: {found}.",
+        "Set object_center and object_radius in transforms.json so that the sphere holds the object closely.",
+    )

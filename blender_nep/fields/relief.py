@@ -22,7 +22,7 @@ from torch.nn import functional
 from blender_nep.capture.pixel_rays import PixelRays
 from blender_nep.capture.pixel_width import pixel_footprint
 from blender_nep.fields.fine_level import FineLevel
-from blender_nep.fields.object_field import ObjectField, Paint
+from blender_nep.fields.object_field import ObjectField, Paint, SplineShape
 from blender_nep.profiling import profiled, section
 from blender_nep.tone_mapping import tone_map
 
@@ -292,13 +292,14 @@ def _fit(field: ObjectField, places: _Places, target: Tensor, weight: Tensor) ->
     generator = torch.Generator(places.points.device).manual_seed(0)
     parameter, weight = field.fine.coefficients, (weight / weight.mean())[:, None]
     cell = 2 / field.fine.cells
+    coarse = SplineShape(field.coefficients().detach(), field.support, field.fine.bricks)
     optimiser = torch.optim.Adam([parameter], lr=_FIT_RATE * cell)
     with section("fit"):
         for step in range(_FIT_STEPS):
             for group in optimiser.param_groups:
                 group["lr"] = _FIT_RATE * cell * (1 if step < 0.7 * _FIT_STEPS else 0.2)
             off = (torch.rand(len(target), 1, generator=generator, device=target.device) - 0.5) * cell
-            found = field.shape().sample(places.points + off * places.normals)
+            found = coarse.sample(places.points + off * places.normals)
             slant = (weight * (found[:, 1:4] - target).square()).sum(-1).mean()
             moved = ((found[:, :1] - off) / (0.5 * cell)).square().mean()
             optimiser.zero_grad()

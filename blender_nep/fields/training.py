@@ -99,8 +99,9 @@ class FieldsLearning:
 
     @property
     def background(self) -> PixelSet:
-        """The pixels whose rays miss the object's sphere. If there are none, all pixels that see it."""
-        return self.rays.outside if len(self.rays.outside) else self.rays.sphere
+        """The pixels whose rays miss the object's sphere. If they are too few to learn F_e from, all pixels that see it."""
+        enough = len(self.rays.outside) >= self.preset.least_outside * self.rays.count
+        return self.rays.outside if enough else self.rays.sphere
 
     @property
     def fraction(self) -> float:

@@ -85,14 +85,16 @@ def background_silhouettes(
 def mask_silhouettes(rays: PixelRays, block: int = 4, views: list[int] | None = None) -> list[torch.Tensor]:
     """For each of the views (None: all) [H / block, W / block]: the mean of the object mask, 0..1.
 
-    Raises ValueError for rays without masks.
+    NaN for a view that is left out as a whole, so that it does not vote. Raises ValueError for rays without masks.
     """
     if rays.mask is None:
         raise ValueError("silhouettes by masks need masks")
     maps = []
     for view in range(rays.views) if views is None else views:
-        height, width = rays.size[view]
-        mask = rays.mask[rays.offset[view] : rays.offset[view + 1]].float().reshape(1, height, width) / 255
+        (height, width), pixels = rays.size[view], slice(rays.offset[view], rays.offset[view + 1])
+        mask = rays.mask[pixels].float().reshape(1, height, width) / 255
+        if not rays.valid[pixels].any():
+            mask.fill_(torch.nan)
         maps.append(functional.adaptive_avg_pool2d(mask, (max(height // block, 1), max(width // block, 1)))[0])
     return maps
 

@@ -19,6 +19,7 @@ from blender_nep.capture.pixel_width import pixel_footprint, pixel_width
 from blender_nep.capture.summary import describe, summarise
 from blender_nep.color import linear_to_srgb, srgb_to_linear
 from blender_nep.errors import CaptureError
+from blender_nep.fields.visual_hull import carve, mask_silhouettes, score_cells
 from blender_nep.job.run_folder import fingerprint
 from blender_nep.messages import Message
 from blender_nep.presets import preset
@@ -193,6 +194,28 @@ def test_sphere_from_masks_holds_the_object(make_capture):
     assert 0 <= slack < 0.2
     ignored = load_capture(tiny.folder, use_masks=False)
     assert ignored.bounds_source == "cameras" and ignored.object_radius > 0.6
+
+
+@pytest.mark.parametrize("bounds", [True, False])
+def test_photos_whose_masks_show_nothing_are_left_out(make_capture, bounds):
+    """A program that makes masks sometimes finds no object. One in six would make the hull empty, and the sphere, too."""
+    tiny = make_capture(views=18, size=48, masks=True, bounds=bounds)
+    failed = [2, 7, 11]
+    for number in failed:
+        Image.new("L", (48, 48)).save(tiny.folder / f"masks/{number:03d}.png")
+    capture = load_capture(tiny.folder)
+    assert bounds or capture.bounds_source == "masks"
+    np.testing.assert_allclose(capture.object_center, CENTER, atol=0.06)
+    rays = PixelRays.from_capture(capture, 10**6, use_masks=True)
+    (warning,) = (message for message in rays.warnings if message.code == "capture.masks_empty")
+    assert warning.values == {"count": 3, "names": [capture.views[number].name for number in failed]}
+    assert "3 photos are left out: their masks show nothing" in str(warning)
+    valid = [bool(rays.valid[rays.offset[i] : rays.offset[i + 1]].any()) for i in range(18)]
+    assert [number for number in range(18) if not valid[number]] == failed
+    assert not set(failed) & set(rays.view_of(rays.sphere[:]).tolist())
+    hull = carve(score_cells(rays, mask_silhouettes(rays), 24))
+    assert hull is not None and hull.volume == pytest.approx(0.5**3 / capture.object_radius**3, rel=0.3)
+    assert len(PixelRays.from_capture(capture, 10**6, use_masks=False).sphere) > len(rays.sphere)
 
 
 def test_coarse_masks_do_not_keep_whole_ones_in_memory():

@@ -85,6 +85,7 @@ def test_relief_is_found_where_it_is(rays):
     assert found.share > 0.2 and 3 < found.tilt_deg < 25
     assert error(field, SLOPE, True) < 0.5 * before[True]
     assert error(field, SLOPE, False) < before[False] + 0.3, "the smooth half stays smooth"
+    assert all(level.grad is None for level in field.levels), "the coarse levels took no part"
 
 
 def test_a_smooth_ball_stays_as_it_is(rays):

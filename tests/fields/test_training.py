@@ -12,15 +12,18 @@ import trimesh
 from benchmarks.suite.harness import with_changes
 from benchmarks.suite.plan import ABLATIONS
 from blender_nep.capture import PixelRays, load_capture
-from blender_nep.checkpoints import NoCheckpoint
-from blender_nep.errors import LearningError
+from blender_nep.capture.pixel_set import PixelSet
+from blender_nep.checkpoints import Checkpoint, NoCheckpoint
+from blender_nep.errors import LearningError, Stopped
 from blender_nep.fields import training
+from blender_nep.fields.explanation import require_object
 from blender_nep.fields.fields import Fields, FieldsReport, HullReport
 from blender_nep.fields.object_field import ObjectField
 from blender_nep.fields.rendering import FieldsRenderer
 from blender_nep.fields.training import FieldsLearning, learn_fields
 from blender_nep.geometry.mesh import Surface
 from blender_nep.geometry.ray_tracing import RayTracer
+from blender_nep.stop_request import INPUT_CLOSED, StopRequest
 from blender_nep.tone_mapping import tone_map
 from support.brief_preset import brief_preset
 from support.paths import SUZANNE_SMALL
@@ -96,6 +99,45 @@ def test_with_a_mesh_the_environment_learns_from_the_pixels_beside_it(rays):
     hit = RayTracer(surface.vertices, surface.faces).occluded(origins.numpy(), directions.numpy())
     off_axis = torch.linalg.cross(origins, directions).norm(dim=-1).numpy()
     assert (hit[off_axis < 0.68]).all() and not hit[off_axis > 0.7].any()
+
+
+def test_a_mesh_that_covers_all_pixels_is_refused(rays):
+    room = trimesh.creation.icosphere(subdivisions=3, radius=20)
+    surface = Surface(np.asarray(room.vertices), np.asarray(room.faces), np.asarray(room.vertex_normals))
+    near = replace(rays, outside=PixelSet.of(rays.outside[:0]))
+    with pytest.raises(LearningError, match="covers all pixels") as error:
+        learn_fields(
+            near, brief_preset(), seed=0, device=CPU, progress=no_progress, checkpoint=NoCheckpoint(), surface=surface
+        )
+    assert "without the floor" in error.value.hint
+
+
+def test_few_pixels_beside_the_sphere_do_not_decide_what_the_photos_show(rays):
+    """Rays beside the sphere decide on F_e's coverage. A few of them would say that hardly any light is known."""
+    few = replace(rays, outside=PixelSet.of(rays.outside[:20]))
+    assert FieldsLearning(few, brief_preset(), 0, CPU).background is few.sphere
+    assert FieldsLearning(rays, brief_preset(), 0, CPU).background is rays.outside
+
+
+def test_a_stop_tells_its_reason(rays, tmp_path):
+    stop = StopRequest()
+    checkpoint = Checkpoint(tmp_path, "fields_learning", stop, warn=pytest.fail)
+
+    def stop_at_once(*_):
+        stop.request(INPUT_CLOSED)
+
+    with pytest.raises(Stopped) as stopped:
+        learn_fields(rays, brief_preset(), seed=0, device=CPU, progress=stop_at_once, checkpoint=checkpoint)
+    assert stopped.value.name == "stopped.input_closed" and stopped.value.values["reason"] == INPUT_CLOSED
+    assert checkpoint.path.is_file()
+
+
+def test_what_is_said_where_no_surface_was_found():
+    with pytest.raises(LearningError, match="hardly any pixel shows an opaque surface"):
+        require_object(0.0, 1.4)
+    with pytest.raises(LearningError, match=r"ratio 1.20, needed 1.4"):
+        require_object(1.2, 1.4)
+    require_object(1.5, 1.4)
 
 
 def test_a_loss_that_is_not_finite_is_given_up_with_a_message(rays):
