@@ -7,6 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 import trimesh
 
+_CANCELLED = 1e-3
+"""Length of a sum of unit normals, each weighted by an angle in radians, that says no direction"""
+
 
 @dataclass
 class Surface:
@@ -29,29 +32,52 @@ class Surface:
         return self.uv
 
 
-def weld(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Merge coincident vertices, and drop degenerate and duplicate faces. Returns vertices [V, 3] and faces [F, 3]."""
-    mesh = trimesh.Trimesh(vertices, faces, process=False)
-    mesh.merge_vertices(merge_tex=True, merge_norm=True)
+def weld(
+    vertices: np.ndarray, faces: np.ndarray, normals: np.ndarray | None = None
+) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
+    """Merge coincident vertices, and drop degenerate and duplicate faces. Returns vertices [V, 3], faces [F, 3], normals.
+
+    With normals [V, 3], vertices are merged only where they agree.
+    """
+    if normals is None:
+        mesh = trimesh.Trimesh(vertices, faces, process=False)
+        mesh.merge_vertices(merge_tex=True, merge_norm=True)
+    else:
+        place = same_places(vertices)[1]
+        key = np.concatenate([place[:, None], np.round(1e3 * normals)], 1)
+        _, first, merged = np.unique(key, axis=0, return_index=True, return_inverse=True)
+        mesh = trimesh.Trimesh(vertices[first], merged.ravel()[faces], process=False)
+        mesh.vertex_attributes["normal"] = normals[first]
     mesh.update_faces(mesh.nondegenerate_faces(height=1e-9) & mesh.unique_faces())
     mesh.remove_unreferenced_vertices()
-    return np.asarray(mesh.vertices, np.float64), np.asarray(mesh.faces, np.int64)
+    kept = None if normals is None else np.asarray(mesh.vertex_attributes["normal"], np.float64)
+    return np.asarray(mesh.vertices, np.float64), np.asarray(mesh.faces, np.int64), kept
+
+
+def same_places(vertices: np.ndarray) -> tuple[int, np.ndarray]:
+    """The number of different places of vertices [V, 3], and the number [V] int64 of each vertex's place."""
+    scaled = vertices / max(np.abs(vertices).max(), 1e-20)
+    places, place = np.unique(np.round(scaled * 1e7), axis=0, return_inverse=True)
+    return len(places), place.ravel()
 
 
 def angle_normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
     """Unit normals [V, 3]: means of the faces' normals, weighted by the angle that a face has at the vertex.
 
     Blender shades smooth meshes with these normals (Thuermer and Wuethrich 1998). Vertices at the same place have the same
-    normal, so that UV seams do not show.
+    normal, so that UV seams do not show. Where the faces at a place cancel, as those of the two sides of a sheet do, each
+    vertex has the normal of its own faces.
     """
-    vertices = vertices / max(np.abs(vertices).max(), 1e-20)
-    _, place = np.unique(np.round(vertices * 1e7), axis=0, return_inverse=True)
-    place = place.ravel()
-    corner = vertices[faces]
+    count, place = same_places(vertices)
+    corner = vertices[faces] / max(np.abs(vertices).max(), 1e-20)
     face_normal = normalized(np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]))
     angle = trimesh.triangles.angles(corner)
-    weighted = trimesh.geometry.weighted_vertex_normals(place.max() + 1, place[faces], face_normal, angle)
-    return normalized(weighted)[place]
+    weighted = trimesh.geometry.weighted_vertex_normals(count, place[faces], face_normal, angle)[place]
+    cancelled = np.linalg.norm(weighted, axis=1) < _CANCELLED
+    if cancelled.any():
+        own = trimesh.geometry.weighted_vertex_normals(len(vertices), faces, face_normal, angle)
+        weighted[cancelled] = own[cancelled]
+    return normalized(weighted)
 
 
 def normalized(vectors: np.ndarray) -> np.ndarray:

@@ -165,7 +165,7 @@ class SurfaceStage:
         if given.mesh is not None:
             from blender_nep.surface.mesh_file import load_surface
 
-            return SurfaceResult(load_surface(given.mesh, given.capture, given.preset))
+            return SurfaceResult(*load_surface(given.mesh, given.capture, given.preset))
         from blender_nep.surface.extraction import extract_surface
 
         assert given.object_field is not None, "a stage 1 without a given mesh learns the object field"

@@ -25,6 +25,8 @@ if TYPE_CHECKING:
     from blender_nep.fields.object_field import ObjectField
     from blender_nep.presets import SurfacePreset
 
+_LEAST_PART = 0.05
+"""A component with this share of the largest one's area is a part of the object, and no floater."""
 _BORDER = 0.995
 """The surface is cropped and capped at this radius. It lies just inside the unit sphere, the border between F_o and F_e."""
 
@@ -68,7 +70,7 @@ def extract_surface(object_field: ObjectField, preset: SurfacePreset) -> Extract
         vertices, faces = _decimate(vertices, faces, unwrapped_faces)
         # decimation may move a vertex a little outside the sphere at which the surface was cropped
         vertices *= np.minimum(1, _BORDER / np.maximum(np.linalg.norm(vertices, axis=1, keepdims=True), 1e-9))
-    vertices, faces = weld(vertices, faces)
+    vertices, faces, _ = weld(vertices, faces)
     report["faces_unwrapped"] = len(faces)
     report["watertight"] = bool(trimesh.Trimesh(vertices, faces, process=False).is_watertight)
     normals = _field_normals(object_field, vertices, faces)
@@ -86,9 +88,10 @@ def extract_surface(object_field: ObjectField, preset: SurfacePreset) -> Extract
 
 @profiled("keep the object")
 def keep_object(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray, dict]:
-    """Keep only the connected component with the largest area, and turn its faces outward.
+    """Keep the connected component with the largest area and other large ones, and turn their faces outward.
 
-    Inner shells and floaters are dropped. vertices [V, 3], faces [F, 3]. The report says how much was dropped.
+    A cup beside its saucer are two components. Inner shells and floaters are dropped. vertices [V, 3], faces [F, 3]. The
+    report says how much was dropped.
     """
     mesh = trimesh.Trimesh(vertices, faces, process=False)
     labels = trimesh.graph.connected_component_labels(mesh.face_adjacency, node_count=len(faces))
@@ -97,14 +100,16 @@ def keep_object(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np
     corner = vertices[faces]
     volume = np.bincount(labels, weights=np.einsum("ij,ij->i", corner[:, 0], np.cross(corner[:, 1], corner[:, 2])) / 6)
     best = int(area.argmax())
-    faces = faces[labels == best]
+    inner = np.sign(volume) != np.sign(volume[best])
+    kept = ~inner & (area >= _LEAST_PART * area[best])
+    faces = faces[kept[labels]]
     if volume[best] < 0:
         faces = faces[:, ::-1]
     used, inverse = np.unique(faces, return_inverse=True)
-    others = np.arange(len(area)) != best
-    inner = others & (np.sign(volume) != np.sign(volume[best]))
+    others = ~kept
     report = {
         "components": len(area),
+        "parts": int(kept.sum()),
         "dropped_inner_shells": int(inner.sum()),
         "dropped_floaters": int((others & ~inner).sum()),
         "dropped_area_fraction": round(float(area[others].sum() / area.sum()), 4),

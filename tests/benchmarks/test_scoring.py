@@ -62,7 +62,7 @@ def test_the_sky_is_seen_from_a_round_hollow_as_from_every_place_of_a_sphere(dep
 def test_normals_that_are_wrong_in_hollows_alone_are_scored_there(monkeypatch):
     capture = load_capture(SUZANNE_SMALL)
     test = load_test_views(SUZANNE_SMALL, capture)
-    surface = load_surface(SUZANNE_SMALL / "gt_mesh.ply", capture, preset("preview").surface)
+    surface, _ = load_surface(SUZANNE_SMALL / "gt_mesh.ply", capture, preset("preview").surface)
     sky = Body(surface.vertices, surface.faces).sky_visibility(surface.vertices, surface.normals)
     turned = np.cross(surface.normals, [0.6, 0.0, 0.8])
     wrong = np.where((sky < shading_normals.HOLLOW)[:, None], turned, surface.normals)
@@ -121,7 +121,7 @@ def test_an_asset_that_is_the_truth_scores_perfectly_except_for_an_error_that_is
         assert gold[name][inside].std(0).max() < 0.01  # one material
         write_exr(asset / "textures" / f"{name}.exr", np.full((8, 8, *np.shape(value)), value, np.float32) + wrong)
     capture = load_capture(SUZANNE_SMALL)
-    surface = load_surface(SUZANNE_SMALL / "gt_mesh.ply", capture, preset("preview").surface)
+    surface, _ = load_surface(SUZANNE_SMALL / "gt_mesh.ply", capture, preset("preview").surface)
     vertices = surface.vertices * capture.object_radius + capture.object_center
     write_obj(asset / "mesh.obj", TexturedMesh(vertices, surface.faces, surface.normals, surface.uv, {}))
     found = score_asset(SUZANNE_SMALL, asset, preset("preview"), "cpu", picture)

@@ -166,7 +166,7 @@ def test_no_result_depends_on_the_exposures_of_the_photos(tmp_path):
     rays = PixelRays.from_capture(load_capture(SUZANNE_SMALL), 2500, True)
     true = 2.0 ** torch.randint(-2, 3, (rays.views, 1), generator=torch.Generator().manual_seed(3)).expand(-1, 3).float()
     other = taken_with(rays, true).with_gain(true)
-    surface = load_surface(SUZANNE_SMALL / "gt_mesh.ply", load_capture(SUZANNE_SMALL), preset("preview").surface)
+    surface, _ = load_surface(SUZANNE_SMALL / "gt_mesh.ply", load_capture(SUZANNE_SMALL), preset("preview").surface)
     tracer = RayTracer(surface.vertices, surface.faces)
     rays_per_step = {"object_rays": 128, "sphere_rays": 128, "outside_rays": 128}
     p = brief_preset(background_steps=8, least_explanation_ratio=0, **rays_per_step)

@@ -1,26 +1,17 @@
 """Surface extraction against spheres whose SDF, area and normals are known in closed form."""
 
-import re
-from dataclasses import dataclass
-
 import numpy as np
 import pytest
 import torch
 import trimesh
 
-from blender_nep.errors import CaptureError, LearningError
+from blender_nep.errors import LearningError
 from blender_nep.geometry.uv_raster import nearest_known, rasterise
 from blender_nep.presets import SurfacePreset
 from blender_nep.surface.extraction import extract_surface
-from blender_nep.surface.mesh_file import load_surface
 from support.analytic_field import AnalyticField, ball, union
 
 PRESET = SurfacePreset(grid=72, unwrapped_faces=1500, faces=1500, atlas_texels=256)
-
-
-@dataclass
-class UnitCapture:
-    to_unit: np.ndarray
 
 
 def as_mesh(surface):
@@ -44,6 +35,14 @@ def test_floaters_and_inner_shells_are_dropped_and_counted():
     assert report["components"] == 3
     assert report["dropped_inner_shells"] == 1 and report["dropped_floaters"] == 1
     assert np.linalg.norm(surface.vertices, axis=1).min() > 0.48
+
+
+def test_a_cup_and_its_saucer_are_both_kept():
+    two = union(ball([0.45, 0, 0], 0.4), ball([-0.5, 0, 0], 0.2))
+    surface, report, _ = extract_surface(AnalyticField(union(two, ball([0, 0.9, 0], 0.04))), PRESET)
+    assert report["components"] == 3 and report["parts"] == 2 and report["dropped_floaters"] == 1
+    volume = 4 / 3 * np.pi * (0.4**3 + 0.2**3)
+    assert as_mesh(surface).volume == pytest.approx(volume, rel=0.05)
 
 
 def test_object_cut_by_the_sphere_is_capped():
@@ -107,39 +106,3 @@ def test_dilation_takes_the_nearest_known_texel():
     assert (filled[:, :4] == 1).all() and (filled[:, 5:] == 2).all()
     nothing = np.zeros((3, 4), bool)
     assert np.array_equal(nearest_known(nothing), np.indices((3, 4)))
-
-
-def test_loaded_mesh_comes_to_the_unit_frame(tmp_path):
-    mesh = trimesh.creation.icosphere(subdivisions=2, radius=3)
-    mesh.apply_translation([5, 0, 0])
-    mesh.export(tmp_path / "ball.ply")
-    to_unit = np.diag([0.25, 0.25, 0.25, 1.0])
-    to_unit[0, 3] = -1.25
-    surface = load_surface(tmp_path / "ball.ply", UnitCapture(to_unit), PRESET)
-    assert np.abs(np.linalg.norm(surface.vertices, axis=1) - 0.75).max() < 1e-6
-    assert (surface.normals * surface.vertices).sum(1).min() > 0.74
-    assert surface.uv is not None
-
-
-@pytest.mark.parametrize(
-    ("name", "message", "hint"),
-    [
-        ("missing.ply", "there is no mesh file .*missing.ply", "--mesh"),
-        ("bad.ply", "the mesh bad.ply cannot be read", "OBJ, PLY, STL or glTF"),
-        ("points.ply", "points.ply holds no usable triangle", "a triangle mesh"),
-        ("far.ply", "far.ply lies outside the object's bounding sphere", "coordinates"),
-        ("beyond.obj", "the mesh beyond.obj (holds no usable triangle|cannot be read)", "triangle|OBJ"),
-        ("flat.obj", "flat.obj holds no usable triangle", "a triangle mesh"),
-        ("other.dae", "the mesh other.dae cannot be read", "OBJ, PLY, STL or glTF"),
-    ],
-)
-def test_an_unusable_mesh_file_is_refused_with_its_reason(tmp_path, name, message, hint):
-    (tmp_path / "bad.ply").write_text("no mesh")
-    (tmp_path / "beyond.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 9\n")
-    (tmp_path / "flat.obj").write_text("v 0 0 0\nv 0.5 0 0\nv 0.2 0 0\nf 1 2 3\n")
-    (tmp_path / "other.dae").write_text("<COLLADA/>")
-    trimesh.PointCloud(np.eye(3)).export(tmp_path / "points.ply")
-    trimesh.creation.icosphere(radius=0.1).apply_translation([9, 0, 0]).export(tmp_path / "far.ply")
-    with pytest.raises(CaptureError, match=message) as error:
-        load_surface(tmp_path / name, UnitCapture(np.eye(4)), PRESET)
-    assert re.search(hint, error.value.hint)
