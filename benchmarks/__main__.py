@@ -18,12 +18,12 @@ from pathlib import Path
 from benchmarks.suite.harness import Children
 from benchmarks.suite.plan import ABLATIONS, CHOICES, PLANS, Run, expand
 from benchmarks.suite.render import RANDOM, SETS
-from benchmarks.suite.runner import Suite
+from benchmarks.suite.runner import OtherRowsError, Suite
 from blender_nep.presets import PRESETS
 
 SCENES = range(1, 13)
 """The seeds of the random scenes. Odd seeds are for working, even seeds are only reported."""
-INTERRUPTED = 130
+INTERRUPTED, REFUSED = 130, 2
 
 
 def _count(text: str) -> int | None:
@@ -66,7 +66,7 @@ def parser() -> argparse.ArgumentParser:
         command.add_argument("--jobs", type=int, default=1, help="at once (%(default)s)")
         command.add_argument("--device", choices=("auto", "cpu", "cuda"), default="auto")
         command.add_argument("--limit", type=float, default=7200, help="seconds after which a step is killed (%(default)s)")
-        command.add_argument("--retry", action="store_true", help="do failed steps again")
+        command.add_argument("--retry", action="store_true", help="do failed steps, and rows of another capture, again")
     report = commands.add_parser("report", help="tables and plots of what was run (needs matplotlib)")
     report.add_argument("--write", type=Path, default=Path("docs/benchmarks.md"), help="the document (%(default)s)")
     for command in (run, render, drawn, report):
@@ -103,7 +103,7 @@ def random_scenes(options: argparse.Namespace) -> int:
     rendered = [captures / name for name in names if (captures / name / "transforms.json").is_file()]
     runs = expand(["random"], rendered, {"preset": (options.preset,)} if options.preset else {})
     ended = run_all(options, runs)
-    if ended != INTERRUPTED:
+    if ended not in (INTERRUPTED, REFUSED):
         missing = write_random_report(options.out, captures, options.scenes, runs, options.write)
         for marker in missing:
             print(f"{options.write} has no marker {marker!r}", file=sys.stderr)
@@ -111,7 +111,11 @@ def random_scenes(options: argparse.Namespace) -> int:
 
 
 def run_all(options: argparse.Namespace, runs: list[Run], relight: bool = False) -> int:
-    """Run these runs. Returns 1 where a run failed, INTERRUPTED where the command was interrupted, otherwise 0."""
+    """Run these runs.
+
+    Returns 1 where a run failed, INTERRUPTED where the command was interrupted, REFUSED where rows of another capture or
+    preset are in the way, otherwise 0.
+    """
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     suite = Suite(options.out, options.threads, options.device, options.limit, relight, options.retry)
     try:
@@ -119,6 +123,9 @@ def run_all(options: argparse.Namespace, runs: list[Run], relight: bool = False)
     except KeyboardInterrupt:
         print("interrupted; the same command goes on", file=sys.stderr)
         return INTERRUPTED
+    except OtherRowsError as error:
+        print(error, file=sys.stderr)
+        return REFUSED
 
 
 def report(out: Path, document: Path) -> int:
@@ -142,7 +149,7 @@ def report(out: Path, document: Path) -> int:
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Run the command. Returns 0; 1 where a run failed; 130 where the command was interrupted."""
+    """Run the command. Returns 0; 1 where a run failed; 2 where it was refused; 130 where it was interrupted."""
     top = parser()
     options = top.parse_args(arguments)
     if options.command == "render":

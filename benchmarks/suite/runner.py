@@ -1,11 +1,14 @@
 """Runs the runs of a plan. Each run is learned, scored and relit; each of these steps is a separate process.
 
-    OUT/rows/NAME.json     the run's row: {"run": ..., "machine": ..., "learn": ..., "score": ..., "relight": ...}
+    OUT/rows/NAME.json     the run's row: {"run": ..., "made_from": ..., "machine": ..., "learn": ..., "score": ...,
+                           "relight": ...}
     OUT/assets/NAME/       the asset; a run without ablation keeps the checkpoints of its stage 1
     OUT/pictures/          materials and relit objects beside the true ones
     OUT/logs/              what the steps printed
 
-A step that is in the row is not done again. A step that failed is in the row too, with its message.
+A step that is in the row is not done again. A step that failed is in the row too, with its message. `made_from` tells the
+capture and the preset (see identity.py). Rows of another capture or preset are refused, or done again with `retry`. Older
+rows without `made_from` are taken as they are.
 """
 
 from __future__ import annotations
@@ -27,6 +30,10 @@ from benchmarks.suite.plan import Run
 from benchmarks.suite.step import STAGE_1
 
 
+class OtherRowsError(Exception):
+    """Rows of another capture or preset are in the way. The message says what to do."""
+
+
 @dataclass
 class Suite:
     """Runs the steps of runs, and writes their results into `out`."""
@@ -39,11 +46,18 @@ class Suite:
     relight: bool = False
     """Whether whole jobs, as a user would run them (`Run.is_plain`), are scored in Cycles too."""
     retry: bool = False
-    """Whether steps that failed are done again."""
+    """Whether steps that failed, and rows of another capture or preset, are done again."""
     children: Children = field(default_factory=Children)
+    made_from: dict[str, dict] = field(default_factory=dict)
+    """Name of a run -> what it is made from now. `run_all` fills it."""
 
     def run_all(self, runs: Sequence[Run], jobs: int) -> int:
-        """Run all runs in their order, `jobs` of them at once. Returns how many have failed."""
+        """Run all runs in their order, `jobs` of them at once. Returns how many have failed.
+
+        Raises OtherRowsError, before anything runs, where there are rows of another capture or preset.
+        """
+        self.made_from = self.identify(runs)
+        self._refuse_other_rows(runs)
         failed = 0
         with ThreadPoolExecutor(jobs) as pool:
             started: dict[str, Future] = {}
@@ -79,8 +93,12 @@ class Suite:
             return self._run_steps(run)
 
     def _run_steps(self, run: Run) -> dict:
-        file, asset = self.out / "rows" / f"{run.name}.json", self.out / "assets" / run.name
-        row = read_row(file) or {"run": run.as_row()}
+        self._refuse_other_rows([run])  # another runner may have made a row since `run_all` has looked
+        file, asset = self._row_file(run), self.out / "assets" / run.name
+        row = {} if self._differing(run) else read_row(file)
+        if not row:
+            made_from = self.made_from.get(run.name)
+            row = {"run": run.as_row()} | ({"made_from": made_from} if made_from else {})
         steps = ["learn", "score", *(["relight"] if self.relight and run.is_plain else [])]
         for step in steps:
             if step in row and not (self.retry and "error" in row[step]):
@@ -103,6 +121,40 @@ class Suite:
                 _drop_checkpoints(asset, keep=STAGE_1 if run.ablation == "full" else ())
         return row
 
+    def identify(self, runs: Sequence[Run]) -> dict[str, dict]:
+        """Name -> what each run is made from now (`identity.made_from`). Raises OSError where that cannot be found out."""
+        (self.out / "logs").mkdir(parents=True, exist_ok=True)
+        log = self.out / "logs" / "identity.log"
+        order, result = (self.out / "logs" / f"identity.{os.getpid()}.{kind}.json" for kind in ("order", "result"))
+        write_row(order, {run.name: run.as_json() for run in runs})
+        command = [sys.executable, "-m", "benchmarks.suite.identity", str(order), str(result)]
+        ended = self.children.run(command, log, self.threads, self.limit)
+        found = read_row(result)
+        for file in (order, result):
+            file.unlink(missing_ok=True)
+        if ended.code:
+            raise OSError(f"the captures could not be looked at (code {ended.code}): {last_line(log)}")
+        return found
+
+    def _row_file(self, run: Run) -> Path:
+        return self.out / "rows" / f"{run.name}.json"
+
+    def _differing(self, run: Run) -> list[str]:
+        """The parts of the run's row that say that it was made from something else than the run is made from now."""
+        now, then = self.made_from.get(run.name), read_row(self._row_file(run)).get("made_from")
+        return [part for part in now if now[part] != then.get(part)] if now and then else []
+
+    def _refuse_other_rows(self, runs: Sequence[Run]) -> None:
+        """Raises OtherRowsError where rows of another capture or preset are there and are not to be done again."""
+        others = {run.name: differing for run in runs if (differing := self._differing(run))}
+        if others and not self.retry:
+            name, differing = next(iter(others.items()))
+            more = f" (and {len(others) - 1} more)" if len(others) > 1 else ""
+            raise OtherRowsError(
+                f"the row {name}{more} in {self.out} was made from another {', '.join(differing)}. Give another --out, or "
+                "--retry to do such rows again."
+            )
+
     def run_step(self, step: str, run: Run, asset: Path) -> dict:
         """Do one step of one run in a separate process, and return what belongs into the row."""
         folder = self.out / "logs"
@@ -118,7 +170,7 @@ class Suite:
                 "settings": {"device": self.device, "threads": self.threads},
                 "variant": str(self.out / "captures" / f"{run.capture.name}_{run.views}_views"),
                 "stage_1": donor and str(self.out / "assets" / donor.name),
-                "albedo_ratio": read_row(self.out / "rows" / f"{run.name}.json").get("score", {}).get("albedo_ratio"),
+                "albedo_ratio": read_row(self._row_file(run)).get("score", {}).get("albedo_ratio"),
                 "truth": str(self.out / "truth" / f"{run.capture.name}.npz"),
                 "picture": str(self.out / "pictures" / f"{run.name}.{step}.png"),
             },

@@ -169,6 +169,7 @@ def test_the_command_renders_what_is_missing_and_reports_a_render_that_fails(tmp
 
     monkeypatch.setattr(command, "Children", FakeChildren)
     monkeypatch.setattr(Suite, "run_step", run_step)
+    monkeypatch.setattr(Suite, "identify", lambda suite, runs: {})
     monkeypatch.setattr("benchmarks.reports.random_scenes.draw", lambda *_: False)
     arguments = ["random", "--scenes", "1", "2", "3", "--out", str(out), "--write", str(document), "--size", "64"]
     assert command.main(arguments) == 1

@@ -1,6 +1,7 @@
 """The suite's plans, its runner (with steps that learn nothing) and its captures with fewer photos."""
 
 import json
+import shutil
 import subprocess
 import sys
 import threading
@@ -16,7 +17,7 @@ from benchmarks.__main__ import main
 from benchmarks.suite.fewer_views import spread, with_fewer_views
 from benchmarks.suite.harness import Children, read_row, write_row
 from benchmarks.suite.plan import ABLATIONS, AS_TAKEN, PLANS, WITHOUT_F_E, Run, expand
-from benchmarks.suite.runner import Suite, failure
+from benchmarks.suite.runner import OtherRowsError, Suite, failure
 from benchmarks.suite.step import STAGE_1, NoLight, learn, take_stage_1
 from blender_nep.capture import load_capture
 from blender_nep.checkpoints import save_state
@@ -32,7 +33,10 @@ class FakeSuite(Suite):
 
     def __init__(self, *arguments, **keywords):
         super().__init__(*arguments, **keywords)
-        self.done = []
+        self.done, self.now = [], {"capture": "a1", "preset": "preview b2"}
+
+    def identify(self, runs):
+        return {run.name: self.now for run in runs}
 
     def run_step(self, step, run, asset):
         self.done.append((step, run.name))
@@ -126,6 +130,50 @@ def test_a_step_that_is_done_is_not_done_again_and_a_failed_run_is_a_row(tmp_pat
     retried = FakeSuite(tmp_path, retry=True)
     retried.run_all(runs, 1)
     assert retried.done == [("learn", runs[1].name)]
+
+
+@pytest.mark.parametrize("changed", ["capture", "preset"])
+def test_a_row_of_another_capture_or_preset_is_refused_before_anything_runs_and_done_again_with_retry(changed, tmp_path):
+    runs = [Run(SUZANNE_SMALL, "preview", seed=seed) for seed in (2, 3)]
+    FakeSuite(tmp_path, relight=True).run_all(runs[1:], 1)
+    before = read_row(tmp_path / "rows" / f"{runs[1].name}.json")
+    other = FakeSuite(tmp_path, relight=True)
+    assert before["made_from"] == other.now
+    other.now = other.now | {changed: "c3"}
+    with pytest.raises(OtherRowsError, match=f"{runs[1].name} in .* another {changed}. Give another --out, or --retry"):
+        other.run_all(runs, 1)
+    assert not other.done and read_row(tmp_path / "rows" / f"{runs[1].name}.json") == before
+    other.retry = True
+    assert other.run_all(runs, 1) == 0
+    assert other.done == [(step, run.name) for run in runs for step in ("learn", "score", "relight")]
+    assert read_row(tmp_path / "rows" / f"{runs[1].name}.json")["made_from"] == other.now
+
+
+def test_a_row_that_does_not_say_what_it_was_made_from_is_taken_as_it_is(tmp_path):
+    run = Run(SUZANNE_SMALL, "preview")
+    older = {"run": run.as_row(), "machine": {}, "learn": {"figure": 2.0}, "score": {"figure": 3.0}}
+    write_row(tmp_path / "rows" / f"{run.name}.json", older)
+    suite = FakeSuite(tmp_path)
+    suite.run_all([run], 1)
+    assert not suite.done and read_row(tmp_path / "rows" / f"{run.name}.json") == older
+
+
+def test_the_command_tells_of_a_row_of_a_rendered_again_capture_of_the_same_name(tmp_path, capsys):
+    runs = [Run(SUZANNE_SMALL, "preview"), Run(SUZANNE_SMALL, "preview", "no cones")]
+    found = Suite(tmp_path).identify([*runs, Run(tmp_path / "nothing")])
+    assert found[runs[0].name]["capture"] == found[runs[1].name]["capture"], "one capture"
+    assert found[runs[0].name]["preset"] != found[runs[1].name]["preset"], "the ablation changes the preset"
+    assert found[Run(tmp_path / "nothing").name] == {}
+    row = {"run": runs[0].as_row(), "made_from": found[runs[0].name], "learn": {}, "score": {}}
+    write_row(tmp_path / "rows" / f"{runs[0].name}.json", row)
+    again = tmp_path / "again" / SUZANNE_SMALL.name
+    shutil.copytree(SUZANNE_SMALL, again)
+    photo = min((again / "images").iterdir())
+    photo.write_bytes(photo.read_bytes() + b"\0")
+    command = ["run", "--preset", "preview", "--ablation", "full", "--out", str(tmp_path)]
+    assert main([*command, str(SUZANNE_SMALL)]) == 0
+    assert main([*command, str(again)]) == 2
+    assert "was made from another capture. Give another --out, or --retry" in capsys.readouterr().err
 
 
 def test_two_runners_do_not_do_the_same_run(tmp_path):

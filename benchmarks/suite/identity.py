@@ -1,0 +1,43 @@
+"""Says what runs are made from: `python -m benchmarks.suite.identity ORDER RESULT`, both JSON files.
+
+The order holds runs by their names, the result holds `made_from` by the same names. This is a process of its own, because
+the suite's runner must stay small (see harness.py).
+"""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+from benchmarks.suite.harness import read_row, write_row
+from benchmarks.suite.plan import Run
+
+PARTS = ("capture", "preset", "choice of metal or not", "faces", "mesh")
+"""The parts of a job's fingerprint that tell the capture and the preset. The seed is in the run's name."""
+
+
+def made_from(run: Run) -> dict[str, object]:
+    """{part: value} of the fingerprint that tells the whole capture and the changed preset of a run.
+
+    It is {} where the capture cannot be read: the step `learn` then says why.
+    """
+    from blender_nep.capture import load_capture
+    from blender_nep.errors import NepError
+    from blender_nep.job.run_folder import fingerprint
+
+    try:
+        capture = load_capture(run.capture, use_masks=False)
+        mesh = run.capture / "gt_mesh.ply" if run.geometry == "true" else None
+        whole = fingerprint(capture, run.changed_preset, run.seed, False, mesh)
+    except (NepError, OSError):
+        return {}
+    return {part: whole[part] for part in PARTS}
+
+
+def main() -> None:
+    order = read_row(Path(sys.argv[1]))
+    write_row(Path(sys.argv[2]), {name: made_from(Run.from_json(run)) for name, run in order.items()})
+
+
+if __name__ == "__main__":
+    main()
