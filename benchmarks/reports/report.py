@@ -24,19 +24,29 @@ def head(rows: list[dict]) -> str:
         """All different values of `key` in the part `part` of the rows, sorted."""
         return ", ".join(sorted({str(row[part][key]) for row in rows if key in row.get(part, {})}))
 
+    commits = sorted({commit for row in rows for commit in commits_of(row)})
     days = sorted(row["machine"]["date"] for row in rows if "machine" in row)
     versions = [row["learn"]["versions"] for row in rows if "versions" in row.get("learn", {})]
     found = {name: sorted({v[name] for v in versions if name in v}) for v in versions[:1] for name in v}
     return "\n".join(
         [
-            f"- {len(rows)} runs, {' to '.join(dict.fromkeys([days[0], days[-1]])) if days else 'no date'}, of commits "
-            + each("machine", "commit"),
+            f"- {len(rows)} runs, {' to '.join(dict.fromkeys([days[0], days[-1]])) if days else 'no date'}, of "
+            f"commit{'s' if len(commits) > 1 else ''} {', '.join(commits) or 'unknown'}",
             f"- {each('machine', 'system')}, {each('machine', 'processor')}, {each('machine', 'cores')} cores, "
             f"{each('machine', 'memory_gb')} GB; "
             f"device {each('learn', 'device')}, {each('learn', 'threads')} thread(s) a run",
             "- " + ", ".join(f"{name} {' and '.join(values)}" for name, values in found.items()),
         ]
     )
+
+
+def commits_of(row: dict) -> set[str]:
+    """The commits of a row's steps, with 7 digits as everywhere in the documents, and "-dirty" where they have that.
+
+    Older rows know only the commit of the step `learn`, as a part of the machine.
+    """
+    found = {*row.get("commits", {}).values(), row.get("machine", {}).get("commit", "")}
+    return {re.sub(r"^([0-9a-f]{7})[0-9a-f]*", r"\1", commit) for commit in found if commit}
 
 
 TABLES: dict[str, Callable[[Results], str]] = {

@@ -32,7 +32,7 @@ from benchmarks.reports.report import fill
 from benchmarks.scoring import geometry, materials
 from benchmarks.suite.derived_captures import VARIANTS, derive
 from benchmarks.suite.harness import markdown, resumed, use_threads
-from benchmarks.suite.runner import machine
+from benchmarks.suite.runner import commit_now
 from benchmarks.suite.step import Timed
 from blender_nep.capture import load_capture
 from blender_nep.checkpoints import Checkpoint, load_state, save_state
@@ -135,7 +135,7 @@ def run(scene: Scene, preset: Preset, seed: int, threads: int, kept: Path, pictu
     """Run one job, and return its seconds, its scores and what it skipped."""
     capture = load_capture(scene.folder, use_masks=scene.masks)
     photos = fingerprint(capture, preset, seed, scene.masks, None)["capture"]
-    stage_1, asset, cpu = FieldsOnce(scene, kept, f"{photos} {machine(threads)['commit']}"), KeptAsset(), {}
+    stage_1, asset, cpu = FieldsOnce(scene, kept, f"{photos} {commit_now()}"), KeptAsset(), {}
     stages = Stages(Timed(stage_1, cpu), Timed(SurfaceStage(), cpu), Timed(MaterialsStage(), cpu), asset)
     start = time.process_time()
     with tempfile.TemporaryDirectory() as out:

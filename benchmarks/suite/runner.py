@@ -1,7 +1,7 @@
 """Runs the runs of a plan. Each run is learned, scored and relit; each of these steps is a separate process.
 
-    OUT/rows/NAME.json     the run's row: {"run": ..., "made_from": ..., "machine": ..., "learn": ..., "score": ...,
-                           "relight": ...}
+    OUT/rows/NAME.json     the run's row: {"run": ..., "made_from": ..., "machine": ..., "commits": {step: commit},
+                           "learn": ..., "score": ..., "relight": ...}
     OUT/assets/NAME/       the asset; a run without ablation keeps the checkpoints of its stage 1
     OUT/pictures/          materials and relit objects beside the true ones
     OUT/logs/              what the steps printed
@@ -107,13 +107,16 @@ class Suite:
                 continue
             if self.children.stopped:
                 break
+            commit = commit_now()  # before the step, because the code may change while it runs
             result = self.run_step(step, run, asset)
             if self.children.stopped:
                 break
             if step == "learn":
                 row |= {"machine": machine(self.threads)}
-                row.pop("score", None), row.pop("relight", None)
+                for old in ("score", "relight", "commits"):
+                    row.pop(old, None)
             row[step] = result
+            row["commits"] = row.get("commits", {}) | {step: commit}
             write_row(file, row)
             if step == "learn" and "error" in result:
                 break
@@ -214,22 +217,24 @@ def _drop_checkpoints(asset: Path, keep: Sequence[str]) -> None:
         shutil.rmtree(asset / "checkpoints", ignore_errors=True)
 
 
+def commit_now() -> str:
+    """The commit of this code, with 8 digits and "-dirty" where files differ from it; empty where git does not know it."""
+    git = ["git", "-C", str(Path(__file__).parent), "describe", "--always", "--dirty", "--abbrev=8", "--exclude=*"]
+    return subprocess.run(git, capture_output=True, text=True, check=False).stdout.strip()
+
+
 def machine(threads: int) -> dict:
-    """The computer that the runs ran on, without its name, and the commit and the date."""
+    """The computer that a run learned on, without its name, and the date."""
     processor = platform.processor() or platform.machine()
     if Path("/proc/cpuinfo").is_file():
         lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
         processor = next((line.split(":", 1)[1].strip() for line in lines if line.startswith("model name")), processor)
     memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") / 2**30
-    here = Path(__file__).parent
-    git = ["git", "-C", str(here), "describe", "--always", "--dirty", "--abbrev=8", "--exclude=*"]
-    commit = subprocess.run(git, capture_output=True, text=True, check=False).stdout.strip()
     return {
         "system": platform.system(),
         "processor": processor,
         "cores": os.cpu_count(),
         "memory_gb": round(memory, 1),
         "threads": threads,
-        "commit": commit,
         "date": datetime.now().date().isoformat(),
     }

@@ -113,7 +113,7 @@ def test_the_report_fills_the_document_and_draws_the_worst(out, tmp_path):
     write_obj(out / "assets" / run_of(4).name / "mesh.obj")
     assert write_random_report(out, captures, list(ERRORS), runs, document) == []
     text = document.read_text()
-    assert "Not run." not in text and "4 runs, 2026-11-22" in text and "random-scenes/4.png" in text
+    assert "Not run." not in text and "4 runs, 2026-11-22, of commit 1234abc\n" in text and "random-scenes/4.png" in text
     odd, even = (text.split(f"<!-- {name} -->")[1].split("<!-- end")[0] for name in ("odd", "even"))
     assert "scene 3" in odd and "scene 3" not in even and "scene 2" in even
     assert Image.open(tmp_path / "random-scenes" / "4.png").size == (9 * 160, 160)

@@ -9,7 +9,7 @@ import pytest
 pytest.importorskip("igl")
 from benchmarks.baselines.peer_mitsuba import our_cells
 from benchmarks.reports import tables
-from benchmarks.reports.report import write_report
+from benchmarks.reports.report import head, write_report
 from benchmarks.reports.rows import Results, failures, load
 from benchmarks.suite.harness import read_row, write_row
 from benchmarks.suite.plan import Run
@@ -167,10 +167,17 @@ def test_a_report_replaces_only_the_text_between_its_markers(out, tmp_path):
     text = document.read_text()
     assert text.startswith("before\n<!-- presets -->\n| capture") and "\nafter\n" in text and "old" not in text
     assert "failures" in missing and "presets" not in missing
-    assert "1234abcd" in text and "2026-11-20 to 2026-11-21" in text and "torch 2.13.0" in text
+    assert "of commit 1234abc\n" in text and "2026-11-20 to 2026-11-21" in text and "torch 2.13.0" in text
     write_report(rows, Results(rows), document)
     assert document.read_text() == text
     assert write_report(rows, Results(rows), Path(shutil.copy(DOCUMENT, tmp_path))) == []
+
+
+def test_the_head_lists_the_commits_of_all_steps_with_seven_digits():
+    older = {"machine": {"commit": "1234abcd", "date": "2026-11-21"}}
+    newer = {"machine": {"date": "2026-11-22"}, "commits": {"learn": "1234abcd", "score": "99ff00aa-dirty"}}
+    assert head([older]).startswith("- 1 runs, 2026-11-21, of commit 1234abc\n")
+    assert head([older, newer]).startswith("- 2 runs, 2026-11-21 to 2026-11-22, of commits 1234abc, 99ff00a-dirty\n")
 
 
 def test_every_plot_of_the_report_is_drawn_as_a_small_picture(out, tmp_path):

@@ -14,6 +14,7 @@ import pytest
 
 pytest.importorskip("fcntl", reason="the suite runs on POSIX systems")
 from benchmarks.__main__ import main
+from benchmarks.suite import runner
 from benchmarks.suite.fewer_views import spread, with_fewer_views
 from benchmarks.suite.harness import Children, read_row, write_row
 from benchmarks.suite.plan import ABLATIONS, AS_TAKEN, PLANS, WITHOUT_F_E, Run, expand
@@ -147,6 +148,16 @@ def test_a_row_of_another_capture_or_preset_is_refused_before_anything_runs_and_
     assert other.run_all(runs, 1) == 0
     assert other.done == [(step, run.name) for run in runs for step in ("learn", "score", "relight")]
     assert read_row(tmp_path / "rows" / f"{runs[1].name}.json")["made_from"] == other.now
+
+
+def test_each_step_has_its_own_commit(tmp_path, monkeypatch):
+    run, commits = Run(SUZANNE_SMALL, "preview"), {}
+    for commit, relight in (("aaaaaaaa", False), ("bbbbbbbb", True)):
+        monkeypatch.setattr(runner, "commit_now", lambda commit=commit: commit)
+        FakeSuite(tmp_path, relight=relight).run_all([run], 1)
+        commits[commit] = read_row(tmp_path / "rows" / f"{run.name}.json")["commits"]
+    assert commits["aaaaaaaa"] == {"learn": "aaaaaaaa", "score": "aaaaaaaa"}
+    assert commits["bbbbbbbb"] == commits["aaaaaaaa"] | {"relight": "bbbbbbbb"}
 
 
 def test_a_row_that_does_not_say_what_it_was_made_from_is_taken_as_it_is(tmp_path):
