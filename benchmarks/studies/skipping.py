@@ -32,7 +32,7 @@ from benchmarks.reports.report import fill
 from benchmarks.scoring import geometry, materials
 from benchmarks.suite.derived_captures import VARIANTS, derive
 from benchmarks.suite.harness import markdown, resumed, use_threads
-from benchmarks.suite.runner import commit_now
+from benchmarks.suite.runner import commit_now, is_same_code
 from benchmarks.suite.step import Timed
 from blender_nep.capture import load_capture
 from blender_nep.checkpoints import Checkpoint, load_state, save_state
@@ -84,21 +84,25 @@ def without_skipping(preset: Preset) -> Preset:
 
 
 class FieldsOnce(FieldsStage):
-    """Stage 1 that is learned once for the same capture, seed, settings and version of the code.
+    """Stage 1 that is learned once for the same capture, seed, settings and commit.
 
-    The learned fields are stored in the folder `kept`, and the next run takes them from there.
+    The learned fields are stored in the folder `kept`, and the next run takes them from there. Nothing is stored or taken
+    where no commit holds the code.
     """
 
-    def __init__(self, scene: Scene, kept: Path, made_by: str) -> None:
-        self.scene, self.kept, self.made_by = scene, kept, made_by
+    def __init__(self, scene: Scene, kept: Path, photos: str, commit: str) -> None:
+        self.scene, self.kept, self.photos, self.commit = scene, kept, photos, commit
         self.taken_over: float | None = None
         """The CPU seconds of the stored stage 1 that this run has taken; None where this run has learned its own."""
 
     def run(self, given: FieldsInput, progress: Progress, checkpoint: Checkpoint) -> Fields:
+        if not is_same_code(self.commit, self.commit):
+            return super().run(given, progress, checkpoint)
         preset = given.preset
         same = repr(
             (
-                self.made_by,
+                self.photos,
+                self.commit,
                 self.scene.masks,
                 given.seed,
                 preset.fields,
@@ -135,7 +139,7 @@ def run(scene: Scene, preset: Preset, seed: int, threads: int, kept: Path, pictu
     """Run one job, and return its seconds, its scores and what it skipped."""
     capture = load_capture(scene.folder, use_masks=scene.masks)
     photos = fingerprint(capture, preset, seed, scene.masks, None)["capture"]
-    stage_1, asset, cpu = FieldsOnce(scene, kept, f"{photos} {commit_now()}"), KeptAsset(), {}
+    stage_1, asset, cpu = FieldsOnce(scene, kept, photos, commit_now()), KeptAsset(), {}
     stages = Stages(Timed(stage_1, cpu), Timed(SurfaceStage(), cpu), Timed(MaterialsStage(), cpu), asset)
     start = time.process_time()
     with tempfile.TemporaryDirectory() as out:

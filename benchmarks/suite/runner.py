@@ -139,6 +139,14 @@ class Suite:
             raise OSError(f"the captures could not be looked at (code {ended.code}): {last_line(log)}")
         return found
 
+    def _donor(self, run: Run) -> Run | None:
+        """The run whose stage 1 this run can take over: it must have learned with exactly the present code."""
+        donor = run.same_stage_1
+        if donor is None:
+            return None
+        learned_with = read_row(self._row_file(donor)).get("commits", {}).get("learn", "")
+        return donor if is_same_code(learned_with, commit_now()) else None
+
     def _row_file(self, run: Run) -> Path:
         return self.out / "rows" / f"{run.name}.json"
 
@@ -163,7 +171,7 @@ class Suite:
         folder = self.out / "logs"
         order, result = (folder / f"{run.name}.{step}.{kind}" for kind in ("order.json", "result.json"))
         result.unlink(missing_ok=True)
-        donor = run.same_stage_1
+        donor = self._donor(run)
         write_row(
             order,
             {
@@ -221,6 +229,11 @@ def commit_now() -> str:
     """The commit of this code, with 8 digits and "-dirty" where files differ from it; empty where git does not know it."""
     git = ["git", "-C", str(Path(__file__).parent), "describe", "--always", "--dirty", "--abbrev=8", "--exclude=*"]
     return subprocess.run(git, capture_output=True, text=True, check=False).stdout.strip()
+
+
+def is_same_code(one: str, other: str) -> bool:
+    """Whether two commits of `commit_now` stand for the same code. Code that no commit holds may be any code."""
+    return one == other != "" and not one.endswith("-dirty")
 
 
 def machine(threads: int) -> dict:

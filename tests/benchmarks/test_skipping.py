@@ -1,12 +1,15 @@
 """The study of skipping: variants of captures have the properties of their names, and the table shows only differences."""
 
+from types import SimpleNamespace
+
 import pytest
 import torch
 
 pytest.importorskip("igl")
-from benchmarks.studies.skipping import Scene, line, without_skipping
+from benchmarks.studies.skipping import FieldsOnce, Scene, line, without_skipping
 from blender_nep.capture import PixelRays, load_capture
 from blender_nep.job.scene_analysis import SceneAnalysis
+from blender_nep.job.stages import FieldsStage
 from blender_nep.presets import preset
 from support.paths import SUZANNE_SMALL
 
@@ -43,6 +46,19 @@ def test_the_table_names_only_what_the_run_without_skipping_did():
     name, left_out, seconds, saved, *_ = line("ball", rows)
     assert (name, left_out, seconds, saved) == ("ball", "indirect light", "2 ± 1 / 4", "50 %")
     assert line("ball", rows | {False: [{"error": "no surface"}]}) == ["ball", "no surface"]
+
+
+@pytest.mark.parametrize(("commit", "learned"), [("aaaaaaaa", 1), ("aaaaaaaa-dirty", 2), ("", 2)])
+def test_a_stage_1_is_learned_once_where_a_commit_holds_the_code(commit, learned, tmp_path, monkeypatch):
+    done = []
+    monkeypatch.setattr(FieldsStage, "run", lambda *_: done.append("learned"))
+    monkeypatch.setattr(FieldsOnce, "pack", lambda *_: {"steps": 7})
+    monkeypatch.setattr(FieldsOnce, "unpack", lambda *_: done.append("taken"))
+    given = SimpleNamespace(preset=preset("preview"), seed=0)
+    for _ in range(2):
+        scene = Scene(SUZANNE_SMALL, "small", masks=False, metal=False)
+        FieldsOnce(scene, tmp_path, "photos", commit).run(given, None, None)
+    assert done == ["learned"] * learned + ["taken"] * (2 - learned)
 
 
 def test_without_skipping_turns_every_way_of_skipping_off():

@@ -16,7 +16,7 @@ pytest.importorskip("fcntl", reason="the suite runs on POSIX systems")
 from benchmarks.__main__ import main
 from benchmarks.suite import runner
 from benchmarks.suite.fewer_views import spread, with_fewer_views
-from benchmarks.suite.harness import Children, read_row, write_row
+from benchmarks.suite.harness import Children, Ended, read_row, write_row
 from benchmarks.suite.plan import ABLATIONS, AS_TAKEN, PLANS, WITHOUT_F_E, Run, expand
 from benchmarks.suite.runner import OtherRowsError, Suite, failure
 from benchmarks.suite.step import STAGE_1, NoLight, learn, take_stage_1
@@ -110,6 +110,36 @@ def test_a_job_resumes_from_a_stage_1_that_was_taken_over(tmp_path):
     folder = RunFolder(tmp_path / "asset", StopRequest(), print)
     assert folder.can_be_resumed(fingerprint(load_capture(SUZANNE_SMALL), run.changed_preset, 3, False, None))
     assert folder.load_result("fields_learning") == ({"steps": 7}, 12.0) and folder.load_result("material_learning") is None
+
+
+@pytest.mark.parametrize(
+    ("learned", "now", "taken"),
+    [
+        ("aaaaaaaa", "aaaaaaaa", True),
+        ("aaaaaaaa", "bbbbbbbb", False),
+        ("aaaaaaaa", "aaaaaaaa-dirty", False),
+        ("aaaaaaaa-dirty", "aaaaaaaa-dirty", False),
+        ("", "", False),
+        (None, "aaaaaaaa", False),
+    ],
+)
+def test_a_stage_1_of_other_code_is_not_taken_over(learned, now, taken, tmp_path, monkeypatch):
+    """The row of the donor says with which commit it has learned. An older row does not."""
+    run, orders = Run(SUZANNE_SMALL, "preview", "no cones"), []
+
+    class Recorder(Children):
+        def run(self, command, log, threads, limit):
+            orders.append(read_row(Path(command[3])))
+            write_row(Path(command[4]), {"resumed_stages": ["fields_learning"] if orders[-1]["stage_1"] else []})
+            return Ended(0, 1.0, 1.0, 1.0, False)
+
+    monkeypatch.setattr(runner, "commit_now", lambda: now)
+    row = {"learn": {}} | ({} if learned is None else {"commits": {"learn": learned}})
+    write_row(tmp_path / "rows" / f"{run.same_stage_1.name}.json", row)
+    (tmp_path / "logs").mkdir()
+    found = Suite(tmp_path, children=Recorder()).run_step("learn", run, tmp_path / "asset")
+    donor = str(tmp_path / "assets" / run.same_stage_1.name)
+    assert orders[0]["stage_1"] == (donor if taken else None) and ("stage_1_of" in found) == taken
 
 
 def test_a_changed_preset_has_the_image_size_and_the_ablation():
