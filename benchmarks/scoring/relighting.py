@@ -13,6 +13,7 @@ the factors. LPIPS is left out, because the libraries lpips, piq and torchmetric
 
 from __future__ import annotations
 
+import hashlib
 import os
 from collections.abc import Sequence
 from pathlib import Path
@@ -61,13 +62,22 @@ def render(item, frames: list[Frame], lights: list, size: tuple[int, int], threa
         return np.array([[relit.render(frame, light) for light in lights] for frame in frames], np.float32)
 
 
+def truth_file(folder: Path, kept: Path) -> Path:
+    """`kept` with a digest in its name: of the true object, the test cameras, and the numbers of lights, views and samples."""
+    digest = hashlib.sha256(repr((WORLDS, VIEWS, PIXELS, SAMPLES)).encode())
+    for name in ("scene.blend", "transforms_test.json"):
+        digest.update((folder / name).read_bytes())
+    return kept.with_name(f"{kept.stem}-{digest.hexdigest()[:8]}{kept.suffix}")
+
+
 def rendered_truth(
     folder: Path, frames: list[Frame], lights: list, size: tuple[int, int], threads: int, kept: Path
 ) -> np.ndarray:
     """What `render` returns for the true object.
 
-    The result is stored in the file `kept`, because all assets of a capture need it.
+    The result is stored in the file `truth_file(folder, kept)`, because all assets of a capture need it.
     """
+    kept = truth_file(folder, kept)
     if not kept.is_file():
         images = render(true_object(folder / "scene.blend"), frames, lights, size, threads)
         kept.parent.mkdir(parents=True, exist_ok=True)

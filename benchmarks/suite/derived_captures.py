@@ -14,8 +14,11 @@ import numpy as np
 import OpenEXR
 from PIL import Image
 
+from benchmarks.suite.harness import MADE_FROM, is_made_from, link
 from blender_nep.capture import load_capture
 from blender_nep.color import linear_to_srgb
+from blender_nep.job.run_folder import fingerprint
+from blender_nep.presets import PRESETS
 
 _SMALLER = 4
 """The width and height of the photos of `distant` are divided by this number."""
@@ -51,16 +54,21 @@ VARIANTS: dict[str, tuple[Callable, str]] = {
 
 
 def derive(source: Path, variant: str, out: Path) -> Path:
-    """Make the variant of the capture `source` in the folder `out`, unless it is there already. Returns `out`."""
+    """Make the variant of the capture `source` in the folder `out`, unless it is there already. Returns `out`.
+
+    It is made again where `source` is another folder, or has other cameras or photos, than when it was made.
+    """
     write, suffix = VARIANTS[variant]
-    if (out / "transforms.json").is_file():
-        return out
     capture = load_capture(source)
+    # any preset will do: the part "capture" depends on the capture alone
+    made_from = f"{source.resolve()}\n{fingerprint(capture, PRESETS['preview'], 0, True, None)['capture']}"
+    if is_made_from(out, made_from):
+        return out
+    (out / "transforms.json").unlink(missing_ok=True)
     meta = json.loads((source / "transforms.json").read_text(encoding="utf-8"))
     for name in ("gt_mesh.ply", "transforms_test.json", "gt", "test", "test_masks"):
-        if not (out / name).exists():
-            out.mkdir(parents=True, exist_ok=True)
-            (out / name).symlink_to((source / name).resolve())
+        out.mkdir(parents=True, exist_ok=True)
+        link(out / name, source / name)
     (out / "images").mkdir(exist_ok=True)
     shutil.rmtree(out / "masks", ignore_errors=True)
     (out / "masks").mkdir()
@@ -84,6 +92,7 @@ def derive(source: Path, variant: str, out: Path) -> Path:
                 if name in place:
                     place[name] = place[name] / _SMALLER
     meta["color_space"] = "srgb" if suffix == ".png" else "linear"
+    (out / MADE_FROM).write_text(made_from, encoding="utf-8")
     (out / "transforms.json").write_text(json.dumps(meta, indent=1), encoding="utf-8")
     return out
 

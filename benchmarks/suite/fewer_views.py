@@ -5,12 +5,14 @@ Such a capture is a folder with its own transforms.json and links to the files o
 
 from __future__ import annotations
 
-import contextlib
+import hashlib
 import json
 import os
 from pathlib import Path
 
 import numpy as np
+
+from benchmarks.suite.harness import MADE_FROM, is_made_from, link
 
 
 def spread(positions: np.ndarray, count: int) -> list[int]:
@@ -28,18 +30,24 @@ def spread(positions: np.ndarray, count: int) -> list[int]:
 
 
 def with_fewer_views(capture: Path, count: int, folder: Path) -> Path:
-    """Write a capture with `count` photos of `capture` into `folder`, unless it is there already. Returns `folder`."""
-    if (folder / "transforms.json").is_file():
+    """Write a capture with `count` photos of `capture` into `folder`, unless it is there already. Returns `folder`.
+
+    It is made again where `capture` is another folder, or has other cameras, than when it was made. The photos are links.
+    """
+    text = (capture / "transforms.json").read_text(encoding="utf-8")
+    source = f"{capture.resolve()}\n{hashlib.sha256(text.encode()).hexdigest()}"
+    if is_made_from(folder, source):
         return folder
-    meta = json.loads((capture / "transforms.json").read_text(encoding="utf-8"))
+    meta = json.loads(text)
     positions = np.array([frame["transform_matrix"] for frame in meta["frames"]])[:, :3, 3]
     kept = sorted(spread(positions, count))
     folder.mkdir(parents=True, exist_ok=True)
     for entry in capture.iterdir():
-        if entry.name != "transforms.json":
-            with contextlib.suppress(FileExistsError):  # another run may be making the same links
-                (folder / entry.name).symlink_to(entry.resolve())
+        if entry.name not in ("transforms.json", MADE_FROM):
+            link(folder / entry.name, entry)
     part = folder / f"transforms.{os.getpid()}.part"
     part.write_text(json.dumps(meta | {"frames": [meta["frames"][k] for k in kept]}, indent=1), encoding="utf-8")
     part.replace(folder / "transforms.json")
+    part.write_text(source, encoding="utf-8")
+    part.replace(folder / MADE_FROM)
     return folder

@@ -120,6 +120,26 @@ def read_row(file: Path) -> dict:
     return json.loads(file.read_text(encoding="utf-8")) if file.is_file() else {}
 
 
+MADE_FROM = "made_from.txt"
+"""File in the folder of a capture that was made from another one. It holds what tells the source."""
+
+
+def is_made_from(folder: Path, source: str) -> bool:
+    """Whether the capture in `folder` is complete and was made from what the text `source` tells."""
+    file = folder / MADE_FROM
+    return (folder / "transforms.json").is_file() and file.is_file() and file.read_text(encoding="utf-8") == source
+
+
+def link(place: Path, target: Path) -> None:
+    """Make `place` a symbolic link to `target`. A link that is there is replaced at once, and a file stays as it is."""
+    if place.exists() and not place.is_symlink():
+        return
+    part = place.with_name(f"{place.name}.{os.getpid()}.part")
+    part.unlink(missing_ok=True)
+    part.symlink_to(target.resolve())
+    part.replace(place)
+
+
 def markdown(header: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
     """A Markdown table. Floating-point numbers have four significant digits."""
     lines = ["| " + " | ".join(header) + " |", "|---" * len(header) + "|"]

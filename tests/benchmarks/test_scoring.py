@@ -135,6 +135,35 @@ def test_an_asset_that_is_the_truth_scores_perfectly_except_for_an_error_that_is
     assert score_asset(tmp_path, asset, preset("preview"), "cpu", picture) == {}
 
 
+def test_the_rendered_truth_is_kept_under_a_name_that_tells_its_scene_cameras_and_settings(tmp_path, monkeypatch):
+    pytest.importorskip("bpy")
+    from benchmarks.scoring import relighting
+
+    rendered = []
+
+    def render(item, frames, *_):
+        rendered.append(item)
+        return np.full((1, 1, 2, 2, 3), len(rendered), np.float32)
+
+    monkeypatch.setattr(relighting, "render", render)
+    monkeypatch.setattr(relighting, "true_object", lambda blend: blend.read_text())
+    (tmp_path / "scene.blend").write_text("gold")
+    (tmp_path / "transforms_test.json").write_text("{}")
+
+    def truth() -> float:
+        kept = tmp_path / "truth" / "gold_0.05.npz"
+        return relighting.rendered_truth(tmp_path, [], [], (2, 2), 1, kept).max()
+
+    assert truth() == truth() == 1
+    (tmp_path / "scene.blend").write_text("blue")
+    assert truth() == 2 and rendered == ["gold", "blue"]
+    (tmp_path / "transforms_test.json").write_text("{} ")
+    assert truth() == 3
+    monkeypatch.setattr(relighting, "SAMPLES", 8)
+    assert truth() == 4
+    assert all(file.name.startswith("gold_0.05-") for file in (tmp_path / "truth").iterdir())
+
+
 def test_relit_pictures_that_differ_by_a_tenth_have_a_psnr_of_20_over_the_object_alone():
     pytest.importorskip("bpy")
     from benchmarks.scoring.relighting import agreement, exposed

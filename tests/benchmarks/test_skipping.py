@@ -1,5 +1,6 @@
 """The study of skipping: variants of captures have the properties of their names, and the table shows only differences."""
 
+import shutil
 from types import SimpleNamespace
 
 import pytest
@@ -7,6 +8,7 @@ import torch
 
 pytest.importorskip("igl")
 from benchmarks.studies.skipping import FieldsOnce, Scene, line, without_skipping
+from benchmarks.suite.derived_captures import derive
 from blender_nep.capture import PixelRays, load_capture
 from blender_nep.job.scene_analysis import SceneAnalysis
 from blender_nep.job.stages import FieldsStage
@@ -28,6 +30,18 @@ def test_a_variant_of_a_capture_has_the_properties_of_its_name(tmp_path):
     assert far.pixels_across == pytest.approx(plain.pixels_across / 4, rel=0.02)
     for made in (cut, white, far):
         assert made.object_share == pytest.approx(plain.object_share, rel=0.05)
+
+
+def test_a_variant_follows_a_source_that_was_rendered_again(tmp_path):
+    source, made = tmp_path / "source", tmp_path / "made"
+    shutil.copytree(SUZANNE_SMALL, source)
+    before = {file.name: file.read_bytes() for file in (derive(source, "clipped", made) / "images").iterdir()}
+    stamp = (made / "transforms.json").stat().st_mtime_ns
+    assert (derive(source, "clipped", made) / "transforms.json").stat().st_mtime_ns == stamp, "it is not made twice"
+    first, second, *_ = sorted((source / "images").iterdir())
+    shutil.copy(second, first)  # the same cameras, another photo
+    photo = first.with_suffix(".png").name
+    assert (derive(source, "clipped", made) / "images" / photo).read_bytes() != before[photo]
 
 
 def test_a_scene_is_parsed_and_an_unknown_word_is_refused(tmp_path):

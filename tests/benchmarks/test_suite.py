@@ -300,6 +300,23 @@ def test_a_capture_with_fewer_views_is_a_capture_of_the_same_object(tmp_path):
     assert str(SUZANNE_SMALL) not in json.dumps((tmp_path / "few" / "transforms.json").read_text())
 
 
+def test_a_capture_with_fewer_views_follows_a_source_that_was_rendered_again(tmp_path):
+    source, few = tmp_path / "source", tmp_path / "few"
+    shutil.copytree(SUZANNE_SMALL, source)
+    made = (with_fewer_views(source, 4, few) / "transforms.json").read_text()
+    before = (few / "transforms.json").stat().st_mtime_ns
+    assert (with_fewer_views(source, 4, few) / "transforms.json").stat().st_mtime_ns == before, "it is not made twice"
+    meta = json.loads((source / "transforms.json").read_text())
+    meta["frames"] = meta["frames"][::-1]
+    (source / "transforms.json").write_text(json.dumps(meta))
+    other = json.loads((with_fewer_views(source, 4, few) / "transforms.json").read_text())
+    assert other["frames"] != json.loads(made)["frames"] and all(frame in meta["frames"] for frame in other["frames"])
+    elsewhere = tmp_path / "elsewhere" / "source"
+    shutil.copytree(source, elsewhere)
+    with_fewer_views(elsewhere, 4, few)
+    assert (few / "images").resolve() == elsewhere / "images"
+
+
 def test_a_run_without_f_e_in_stage_2_has_the_same_mesh_from_the_same_stage_1_and_other_light(tmp_path, monkeypatch):
     from benchmarks.scoring.materials import read_materials
     from benchmarks.stress.scenes import Case, tiny_preset, write_capture
