@@ -27,7 +27,7 @@ import torch
 
 from benchmarks.baselines.reference_field import ReferenceField
 from benchmarks.scoring import geometry, materials
-from benchmarks.scoring.environment import background_psnr
+from benchmarks.scoring.environment import background_psnr, exposures_differ
 from benchmarks.scoring.scores import BACKGROUND_PIXELS
 from benchmarks.suite.harness import markdown, resumed, use_threads, with_changes, write_row
 from blender_nep.capture import PixelRays, load_capture
@@ -156,7 +156,9 @@ def run(folder: Path, size: str, hours: float, steps: int | None, seed: int, kep
     out = plan | {"seconds": state["seconds"], "fields": state["report"]}
     out |= geometry.score(surface, folder, capture, test)
     test_rays = PixelRays.from_capture(test, BACKGROUND_PIXELS, False, device)
-    out["background_psnr"] = background_psnr(environment, test_rays, geometry.true_mesh(folder, capture))
+    out["background_psnr"] = background_psnr(
+        environment, test_rays, geometry.true_mesh(folder, capture), exposures_differ(folder)
+    )
     start = time.process_time()
     learned = learn_materials(
         surface,

@@ -2,32 +2,53 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import torch
 
 from benchmarks.scoring.geometry import Body
+from benchmarks.suite.harness import read_row
 from blender_nep.capture import PixelRays
 from blender_nep.fields.environment_field import EnvironmentField
 from blender_nep.geometry.ray_tracing import RayTracer
 from blender_nep.tone_mapping import tone_map
 
 
-def background_psnr(environment: EnvironmentField, test_rays: PixelRays, truth: Body) -> float:
+def exposures_differ(folder: Path) -> bool:
+    """Whether the photos of a capture, the test photos too, were taken with automatic exposure, as its scene.json says."""
+    return bool(read_row(folder / "scene.json").get("photography", {}).get("auto_exposure"))
+
+
+def background_psnr(environment: EnvironmentField, test_rays: PixelRays, truth: Body, own_exposures: bool = False) -> float:
     """PSNR (dB) of F_e in tone-mapped space, over the pixels of the test views whose rays miss the true mesh.
 
-    The exposure of `test_rays` is that of the photos from which F_e was learned.
+    The exposure of `test_rays` is that of the photos from which F_e was learned. With `own_exposures`, each test photo also
+    has its own, which no file tells: F_e is brightened or darkened to suit each photo.
     """
     tracer = RayTracer(np.asarray(truth.mesh.vertices), np.asarray(truth.mesh.faces))
     sphere = test_rays.sphere.tensor()
     origins, directions, _ = test_rays.rays(sphere)
     hit = torch.from_numpy(tracer.occluded(origins.cpu().numpy(), directions.cpu().numpy()))
     beside = sphere[~hit.to(sphere.device)]
-    errors = []
-    for index in torch.cat([test_rays.outside.tensor(), beside]).split(1 << 16):
+    scored, rendered = torch.cat([test_rays.outside.tensor(), beside]), []
+    for index in scored.split(1 << 16):
         origins, directions, half_angle = test_rays.rays(index)
         near = torch.full_like(half_angle, environment.preset.camera_near)
         with torch.no_grad():
             radiance, _ = environment.render(origins, directions, near, torch.full_like(near, torch.inf), half_angle)
-        photo, radiance = test_rays.radiance[index].float(), radiance / test_rays.exposure
-        errors.append((tone_map(radiance).clamp(0, 1) - tone_map(photo).clamp(0, 1)).square().mean(1))
-    return float(-10 * torch.log10(torch.cat(errors).mean()))
+        rendered.append(radiance / test_rays.exposure)
+    photo, radiance = test_rays.radiance[scored].float(), torch.cat(rendered)
+    if own_exposures:
+        radiance = radiance * _gains(photo, radiance, test_rays.view_of(scored), test_rays.views)
+    errors = (tone_map(radiance).clamp(0, 1) - tone_map(photo).clamp(0, 1)).square().mean(1)
+    return float(-10 * torch.log10(errors.mean()))
+
+
+def _gains(photo: torch.Tensor, radiance: torch.Tensor, view: torch.Tensor, views: int) -> torch.Tensor:
+    """The gain [n, 1] of each pixel's photo: the median ratio of its pixels `photo` [n, 3] to the rendered `radiance`."""
+    ratio = photo.sum(1) / radiance.sum(1).clamp(min=1e-6)
+    gain = torch.ones(views, device=ratio.device)
+    for shown in view.unique():
+        gain[shown] = ratio[view == shown].median()
+    return gain[view, None]

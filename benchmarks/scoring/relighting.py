@@ -63,7 +63,7 @@ def render(item, frames: list[Frame], lights: list, size: tuple[int, int], threa
 
 
 def truth_file(folder: Path, kept: Path) -> Path:
-    """`kept` with a digest in its name: of the true object, the test cameras, and the numbers of lights, views and samples."""
+    """`kept` with a digest in its name: of the true object, the test cameras, the numbers of lights, views and samples."""
     digest = hashlib.sha256(repr((WORLDS, VIEWS, PIXELS, SAMPLES)).encode())
     for name in ("scene.blend", "transforms_test.json"):
         digest.update((folder / name).read_bytes())

@@ -62,4 +62,4 @@ def _background_psnr(
     for one in (capture, test):
         one.object_center, one.object_radius = np.array(learned["object_center"]), learned["object_radius"]
     rays = PixelRays.from_capture(test, BACKGROUND_PIXELS, False, device).with_exposure(learned["exposure"])
-    return fields.background_psnr(environment, rays, geometry.true_mesh(folder, capture))
+    return fields.background_psnr(environment, rays, geometry.true_mesh(folder, capture), fields.exposures_differ(folder))

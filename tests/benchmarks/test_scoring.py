@@ -3,25 +3,30 @@
 import sys
 from dataclasses import asdict, replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
+import torch
 import trimesh
 
 pytest.importorskip("igl")
+from backend.synthetic_capture.random_scene import draw_scene
 from benchmarks.scoring import shading_normals
-from benchmarks.scoring.geometry import Body, load_test_views, score
+from benchmarks.scoring.environment import background_psnr, exposures_differ
+from benchmarks.scoring.geometry import Body, load_test_views, score, true_mesh
 from benchmarks.scoring.materials import read_channels
 from benchmarks.scoring.scores import score_asset
 from benchmarks.studies import scaling
-from benchmarks.suite.harness import resumed, with_changes
+from benchmarks.suite.harness import resumed, with_changes, write_row
 from benchmarks.suite.plan import ABLATIONS
 from blender_nep.asset.export import TexturedMesh, write_exr, write_obj
-from blender_nep.capture import load_capture
+from blender_nep.capture import PixelRays, load_capture
 from blender_nep.errors import LearningError, Stopped
 from blender_nep.geometry.mesh import Surface
 from blender_nep.presets import preset
 from blender_nep.surface.mesh_file import load_surface
+from blender_nep.tone_mapping import tone_map
 from support.own_process import in_blender
 from support.paths import SUZANNE_SMALL
 
@@ -162,6 +167,43 @@ def test_the_rendered_truth_is_kept_under_a_name_that_tells_its_scene_cameras_an
     monkeypatch.setattr(relighting, "SAMPLES", 8)
     assert truth() == 4
     assert all(file.name.startswith("gold_0.05-") for file in (tmp_path / "truth").iterdir())
+
+
+def test_f_e_is_scored_without_the_exposure_that_each_test_photo_has_of_its_own():
+    """A field of one radiance, test photos that show it with known gains, and a little more light in one pixel of ten."""
+    capture = load_capture(SUZANNE_SMALL)
+    rays = PixelRays.from_capture(load_test_views(SUZANNE_SMALL, capture), 900, False).with_exposure(2.0)
+    truth = true_mesh(SUZANNE_SMALL, capture)
+    color = torch.tensor([0.2, 0.3, 0.1])
+    constant = SimpleNamespace(
+        preset=SimpleNamespace(camera_near=0.1), render=lambda origins, *_: (2.0 * color.expand(len(origins), 3), None)
+    )
+    view = rays.view_of(torch.arange(rays.count))
+    gains = torch.linspace(0.7, 1.4, rays.views)[view, None]
+    brighter = torch.where(torch.arange(rays.count) % 10 == 0, 1.2, 1.0)[:, None]
+    exact, plain, exposed = (
+        replace(rays, radiance=color * factor) for factor in (gains * torch.ones(1), brighter, gains * brighter)
+    )
+    assert background_psnr(constant, exact, truth, True) > 80
+    without = background_psnr(constant, plain, truth)
+    assert background_psnr(constant, plain, truth, True) == without, "a gain of 1 changes nothing"
+    assert background_psnr(constant, exposed, truth, True) == pytest.approx(without, abs=1.0)
+    assert background_psnr(constant, exposed, truth) < without - 5
+    error = tone_map(1.2 * color) - tone_map(color)
+    assert without == pytest.approx(float(-10 * torch.log10(0.1 * error.square().mean())), abs=0.2)
+
+
+def test_only_a_scene_that_tells_of_automatic_exposure_has_test_photos_of_differing_exposure(tmp_path):
+    assert not exposures_differ(SUZANNE_SMALL)
+    for auto in (False, True):
+        write_row(tmp_path / "scene.json", draw_scene_with(auto_exposure=auto))
+        assert exposures_differ(tmp_path) == auto
+
+
+def draw_scene_with(auto_exposure: bool) -> dict:
+    """The scene.json of the first random scene whose photos are exposed so."""
+    scenes = (draw_scene(seed) for seed in range(100))
+    return next(scene.as_json() for scene in scenes if scene.photography.auto_exposure == auto_exposure)
 
 
 def test_relit_pictures_that_differ_by_a_tenth_have_a_psnr_of_20_over_the_object_alone():
