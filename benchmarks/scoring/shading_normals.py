@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import trimesh
 
-from benchmarks.scoring.geometry import Body, camera_rays, true_mesh
+from benchmarks.scoring.geometry import Body, angles_between, camera_rays, inner, seen_from_front, true_mesh
 from benchmarks.scoring.materials import read_channels
 from blender_nep.capture.capture import Capture
 from blender_nep.geometry.mesh import Surface, normalized
@@ -46,12 +46,14 @@ def score(
             return {}
         rendered = normalized(np.stack([gt[f"Normal.{axis}"].ravel() for axis in "XYZ"], 1))
         origins, directions, _ = camera_rays(test, view, 1)
-        inner = _inner(gt["mask.V"] > 0.99).ravel()
+        whole = inner(gt["mask.V"] > 0.99).ravel()
         point, ray, face = truth.first_hits(origins, directions)
         on_truth = np.zeros(len(origins), bool)
         on_truth[ray] = True
-        floor.append(_angles(truth.mesh.face_normals[face], rendered[ray])[inner[ray]])
-        some = np.flatnonzero(inner[ray])[::_HOLLOW_PIXELS]
+        front = np.zeros(len(origins), bool)
+        front[ray] = seen_from_front(truth.mesh.face_normals[face], directions[ray])
+        floor.append(angles_between(truth.mesh.face_normals[face], rendered[ray], front[ray])[whole[ray]])
+        some = np.flatnonzero(whole[ray])[::_HOLLOW_PIXELS]
         hollow = np.zeros(len(origins), bool)
         hollow[ray[some]] = truth.sky_visibility(point[some], rendered[ray[some]]) < HOLLOW
         point, ray, face = ours.first_hits(origins, directions)
@@ -64,22 +66,10 @@ def score(
             uv = (surface.atlas[corners] * barycentric[..., None]).sum(1)
             red, green, blue = 2 * look_up(normal_map, uv).T[..., None] - 1
             smooth = red * tangent + green * bitangent + blue * smooth
-        angles = _angles(normalized(smooth), rendered[ray])
-        found.append(angles[(inner & on_truth)[ray]])
+        angles = angles_between(normalized(smooth), rendered[ray], front[ray])
+        found.append(angles[(whole & on_truth)[ray]])
         in_hollows.append(angles[hollow[ray]])
     scores = {"shading_normal_deg": found, "normal_floor_deg": floor}
     if any(map(len, in_hollows)):
         scores["hollow_normal_deg"] = in_hollows
     return {name: float(np.concatenate(each).mean()) for name, each in scores.items()}
-
-
-def _inner(mask: np.ndarray) -> np.ndarray:
-    """The pixels of mask [H, W] whose four neighbors belong to it, too."""
-    inner = np.zeros_like(mask)
-    inner[1:-1, 1:-1] = mask[1:-1, 1:-1] & mask[:-2, 1:-1] & mask[2:, 1:-1] & mask[1:-1, :-2] & mask[1:-1, 2:]
-    return inner
-
-
-def _angles(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Angles [n] in degrees between unit vectors [n, 3], whatever their signs."""
-    return np.degrees(np.arccos(np.abs((a * b).sum(1)).clip(0, 1)))

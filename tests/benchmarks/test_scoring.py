@@ -14,7 +14,7 @@ pytest.importorskip("igl")
 from backend.synthetic_capture.random_scene import draw_scene
 from benchmarks.scoring import shading_normals
 from benchmarks.scoring.environment import background_psnr, exposures_differ
-from benchmarks.scoring.geometry import Body, load_test_views, score, true_mesh
+from benchmarks.scoring.geometry import Body, inner, load_test_views, score, true_mesh
 from benchmarks.scoring.materials import read_channels
 from benchmarks.scoring.scores import score_asset
 from benchmarks.studies import scaling
@@ -40,6 +40,9 @@ def test_the_truth_scores_perfectly_and_a_moved_copy_by_its_shift():
     same = score(Surface(vertices, faces, np.zeros_like(vertices)), SUZANNE_SMALL, capture, test)
     assert same["cd_visible"] < 1e-6 and same["cd_full"] < 1e-6 and same["normal_deg"] < 1e-3
     assert same["mask_iou"] == 1 and same["fscore_005"] == 1
+    turned = score(Surface(vertices, faces[:, ::-1], np.zeros_like(vertices)), SUZANNE_SMALL, capture, test)
+    assert turned["normal_deg"] == pytest.approx(180, abs=0.1), "a surface that is inside out has wrong normals"
+    assert turned["mask_iou"] == 1 and turned["cd_visible"] < 1e-6
     moved = score(Surface(vertices + np.array([0, 0, 0.02]), faces, np.zeros_like(vertices)), SUZANNE_SMALL, capture, test)
     assert 0.002 < moved["cd_visible"] < 0.02 and 0.8 < moved["mask_iou"] < 0.99
 
@@ -62,6 +65,28 @@ def test_the_sky_is_seen_from_a_round_hollow_as_from_every_place_of_a_sphere(dep
     )
     assert found.mean() == pytest.approx(1 - depth / 2, abs=0.01)
     assert found == pytest.approx(np.full(len(found), 1 - depth / 2), abs=0.08)
+
+
+def test_shading_normals_that_point_inward_are_wrong():
+    capture = load_capture(SUZANNE_SMALL)
+    test = load_test_views(SUZANNE_SMALL, capture)
+    surface = load_surface(SUZANNE_SMALL / "gt_mesh.ply", capture, preset("preview").surface)
+    right, inward = (
+        shading_normals.score(replace(surface, normals=sign * surface.normals), SUZANNE_SMALL, capture, test)
+        for sign in (1, -1)
+    )
+    assert right["shading_normal_deg"] < right["normal_floor_deg"] < 10
+    assert inward["shading_normal_deg"] == pytest.approx(180 - right["shading_normal_deg"], abs=0.1)
+    assert inward["normal_floor_deg"] == right["normal_floor_deg"]
+
+
+def test_a_silhouette_has_no_inner_pixels_at_the_border_of_the_picture():
+    mask = np.ones((5, 6), bool)
+    mask[2, 3] = False
+    expected = np.zeros_like(mask)
+    expected[1:4, 1] = expected[1, 2] = expected[3, 2] = expected[1, 4] = expected[3, 4] = True
+    expected[1, 3] = expected[3, 3] = expected[2, 2] = expected[2, 4] = False
+    assert (inner(mask) == expected).all()
 
 
 def test_normals_that_are_wrong_in_hollows_alone_are_scored_there(monkeypatch):
