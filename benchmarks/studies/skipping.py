@@ -176,18 +176,22 @@ ERRORS = {
 def line(name: str, rows: dict[bool, list[dict]]) -> list[str]:
     """The table's line of one scene. `rows` holds the rows of the runs with skipping (True) and without it (False).
 
-    The line shows what only the runs with skipping left out, the seconds of both, the time saved in percent, and the errors
-    of both. Numbers are means over the seeds ± their deviation.
+    The line shows the number of seeds, what only the runs with skipping left out, the seconds of both, the time saved in
+    percent, and the errors of both. Numbers are means over the seeds ± their deviation. Only the seeds whose runs did not
+    fail on either side count.
     """
-    good = {skip: [row for row in found if "error" not in row] for skip, found in rows.items()}
-    if not all(good.values()):
-        return [name, next(row["error"] for found in rows.values() for row in found if "error" in row)]
+    failed = {row["seed"]: row["error"] for found in rows.values() for row in found if "error" in row}
+    tried = {row["seed"] for found in rows.values() for row in found}
+    if not tried - set(failed):
+        return [name, f"0 of {len(tried)}", next(iter(failed.values()))]
+    good = {skip: [row for row in found if row["seed"] not in failed] for skip, found in rows.items()}
     left_out = {what for row in good[True] for what in row["skipped"]} - {w for row in good[False] for w in row["skipped"]}
-    cells = [name, ", ".join(sorted(left_out)) or "nothing"]
+    seeds = f"{len(tried) - len(failed)} of {len(tried)}" if failed else str(len(tried))
+    cells = [name, seeds, ", ".join(sorted(left_out)) or "nothing"]
     for key in ("seconds", *ERRORS):
         cells.append(" / ".join(_spread([row[key] for row in good[skip]]) for skip in (True, False)))
     spent, whole = (np.mean([row["seconds"] for row in good[skip]]) for skip in (True, False))
-    cells.insert(3, f"{100 * (1 - spent / whole):.0f} %")
+    cells.insert(4, f"{100 * (1 - spent / whole):.0f} %")
     return cells
 
 
@@ -230,7 +234,7 @@ def main() -> None:
             rows[skip].append(resumed(arguments.out / f"{name}.json", row, work))
             print(name, {k: rows[skip][-1].get(k) for k in ("error", "seconds", *ERRORS, "skipped")}, flush=True)
         table.append(line(scene.name, rows))
-    text = markdown(["scene", "left out", "CPU s with / without", "saved", *ERRORS.values()], table)
+    text = markdown(["scene", "seeds", "left out", "CPU s with / without", "saved", *ERRORS.values()], table)
     print("\n" + text)
     if arguments.write:
         fill(arguments.write, {"skipping": text})

@@ -54,12 +54,27 @@ def test_a_scene_is_parsed_and_an_unknown_word_is_refused(tmp_path):
 def test_the_table_names_only_what_the_run_without_skipping_did():
     scores = {"cd_visible": 0.5, "normal_deg": 1.0, "mse_roughness": 0.0, "mse_metallic": 0.0, "mse_albedo": 0.0}
     rows = {
-        True: [scores | {"seconds": s, "skipped": {"mask term": "", "indirect light": ""}} for s in (1.0, 3.0)],
-        False: [scores | {"seconds": 4.0, "skipped": {"mask term": ""}}],
+        True: [
+            scores | {"seed": k, "seconds": s, "skipped": {"mask term": "", "indirect light": ""}}
+            for k, s in enumerate((1.0, 3.0))
+        ],
+        False: [scores | {"seed": k, "seconds": 4.0, "skipped": {"mask term": ""}} for k in (0, 1)],
     }
-    name, left_out, seconds, saved, *_ = line("ball", rows)
-    assert (name, left_out, seconds, saved) == ("ball", "indirect light", "2 ± 1 / 4", "50 %")
-    assert line("ball", rows | {False: [{"error": "no surface"}]}) == ["ball", "no surface"]
+    name, seeds, left_out, seconds, saved, *_ = line("ball", rows)
+    assert (name, seeds, left_out, seconds, saved) == ("ball", "2", "indirect light", "2 ± 1 / 4 ± 0", "50 %")
+    none = {True: rows[True], False: [{"seed": k, "error": "no surface"} for k in (0, 1)]}
+    assert line("ball", none) == ["ball", "0 of 2", "no surface"]
+
+
+def test_a_seed_that_failed_on_one_side_counts_on_neither():
+    """Seed 1 takes ten times as long as the others. It must not make skipping look slow where it failed without."""
+    scores = {"cd_visible": 0.5, "normal_deg": 1.0, "mse_roughness": 0.0, "mse_metallic": 0.0, "mse_albedo": 0.0}
+    rows = {
+        skip: [scores | {"seed": k, "seconds": s * slow, "skipped": {}} for k, slow in enumerate((1, 10, 1))]
+        for skip, s in ((True, 3.0), (False, 4.0))
+    }
+    rows[False][1] = {"seed": 1, "error": "no surface"}
+    assert line("ball", rows)[:5] == ["ball", "2 of 3", "nothing", "3 ± 0 / 4 ± 0", "25 %"]
 
 
 @pytest.mark.parametrize(("commit", "learned"), [("aaaaaaaa", 1), ("aaaaaaaa-dirty", 2), ("", 2)])
