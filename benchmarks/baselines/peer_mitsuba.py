@@ -29,7 +29,7 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from benchmarks.reports.report import fill
+from benchmarks.reports.report import fill, require_markers
 from benchmarks.reports.rows import Results, load
 from benchmarks.reports.tables import presets_of
 from benchmarks.scoring.geometry import load_test_views
@@ -102,6 +102,7 @@ def main() -> None:
     parser.add_argument("--beside", type=Path, help="a suite's folder: its runs on the true meshes stand in the table")
     parser.add_argument("--write", type=Path, help="a document with the marker `peer`")
     arguments = parser.parse_args()
+    require_markers(parser, arguments.write, "peer")
     try:
         import drjit
 

@@ -24,9 +24,14 @@ ERRORS = {
 MARKS = {"preview": "v", "balanced": "o", "quality": "^"}
 
 
+def _scored(results: Results) -> list[str]:
+    """The scores that any run has. Without scores there is nothing to draw."""
+    return [name for name in ERRORS if results.figure(name)]
+
+
 def _figure(results: Results, title: str) -> tuple[plt.Figure, dict[str, plt.Axes]]:
-    """A figure with a panel for each score that any run has."""
-    names = [name for name in ERRORS if results.figure(name)]
+    """A figure with a panel for each score that any run has. There must be such a score."""
+    names = _scored(results)
     figure, panels = plt.subplots(1, len(names), figsize=(3.1 * len(names), 3.1), layout="constrained", squeeze=False)
     figure.suptitle(title, fontsize=10)
     panels = dict(zip(names, panels[0], strict=True))
@@ -91,10 +96,15 @@ def _curves(
 
 
 def error_against_time(results: Results, file: Path) -> None:
-    """Draw the errors against the time of a job. A preset is a point of the curve."""
+    """Draw the errors against the time of a job. A preset is a point of the curve.
+
+    No file is written where no run without ablation is scored.
+    """
     full = results.whole(ablation="full")
     captures = main_captures(results)
     full = full.where(capture=captures.__contains__)
+    if not _scored(full):
+        return
     points = [(preset, full.where(preset=preset)) for preset in presets_of(full)]
     figure, panels = _figure(full, "Error against run time: preview (v), balanced (o), quality (^)")
     _curves(panels, captures, points, x_of=lambda _, at: at.figure("cpu_seconds").mean)
@@ -105,7 +115,7 @@ def error_against_time(results: Results, file: Path) -> None:
 def error_against_sweep(results: Results, key: str, file: Path) -> None:
     """Draw the errors against the number of photos (`key` is "views"), or against the pixels of a photo ("pixels").
 
-    No file is written where no run varies that number.
+    No file is written where no scored run varies that number.
     """
     label = {"views": "photos", "pixels": "pixels of a photo"}[key]
     found = sweeps(results, key)
@@ -113,6 +123,8 @@ def error_against_sweep(results: Results, key: str, file: Path) -> None:
         return
     # Only the runs on all photos and pixels are relit, and one point is no curve. So the panels are those of the other runs.
     bounded = found[0][2].where(**{key: lambda value: value is not None})
+    if not _scored(bounded):
+        return
     figure, panels = _figure(bounded, f"Error against {label}")
     ticks = {}
     for place, (preset, values, chosen) in enumerate(found):
@@ -131,9 +143,9 @@ def error_against_sweep(results: Results, key: str, file: Path) -> None:
 
 
 def error_against_roughness(results: Results, file: Path) -> None:
-    """Draw the errors on the captures gold_R against their roughness R. No file is written where there are none."""
+    """Draw the errors on the captures gold_R against their roughness R. No file is written where none is scored."""
     found = golds(results)
-    if not found:
+    if not found or not _scored(found[0][2]):
         return
     figure, panels = _figure(found[0][2], "Error against the true roughness of a gold Suzanne")
     for name, panel in panels.items():

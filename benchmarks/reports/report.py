@@ -7,6 +7,7 @@ The text between the markers of the document is replaced. The rest of the docume
 
 from __future__ import annotations
 
+import argparse
 import re
 from collections.abc import Callable
 from pathlib import Path
@@ -79,6 +80,21 @@ def write_report(rows: list[dict], results: Results, document: Path) -> list[str
         elif name in PICTURES:
             parts[name] = f"![{PICTURES[name]}]({document.stem}/{name}.png)\n\n{parts[name]}"
     return fill(document, parts)
+
+
+def require_markers(parser: argparse.ArgumentParser, document: Path | None, *names: str) -> None:
+    """End the command with the parser's error where `document` is no file, or lacks a marker. None is no document to fill.
+
+    A command asks this before its hours of work.
+    """
+    if document is None:
+        return
+    if not document.is_file():
+        parser.error(f"{document} is no file: give a document with the markers {', '.join(names)}")
+    text = document.read_text(encoding="utf-8")
+    for name in names:
+        if not re.search(MARKED.format(re.escape(name)), text, re.DOTALL):
+            parser.error(f"{document} has no marker {name!r}")
 
 
 def fill(document: Path, parts: dict[str, str]) -> list[str]:

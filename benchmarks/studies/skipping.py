@@ -20,15 +20,17 @@ import hashlib
 import io
 import itertools
 import math
+import sys
 import tempfile
 import time
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 
 import numpy as np
 
-from benchmarks.reports.report import fill
+from benchmarks.reports.report import fill, require_markers
 from benchmarks.scoring import geometry, materials
 from benchmarks.suite.derived_captures import VARIANTS, derive
 from benchmarks.suite.harness import markdown, resumed, use_threads
@@ -36,6 +38,7 @@ from benchmarks.suite.runner import commit_now, is_same_code
 from benchmarks.suite.step import Timed
 from blender_nep.capture import load_capture
 from blender_nep.checkpoints import Checkpoint, load_state, save_state
+from blender_nep.errors import CaptureError, NepError
 from blender_nep.fields.training import Fields
 from blender_nep.job.events import Events
 from blender_nep.job.run_folder import fingerprint
@@ -65,16 +68,32 @@ class Scene:
 
     @classmethod
     def parse(cls, text: str, out: Path) -> Scene:
-        """The scene that the text `FOLDER[:word,word]` describes. A variant of the capture is made in `out`."""
+        """The scene that the text `FOLDER[:word,word]` describes. A variant of the capture is made in `out`.
+
+        Raises CaptureError where there is no usable capture, and SystemExit for a word that is unknown.
+        """
         path, _, words = text.partition(":")
         folder, told = Path(path), [word for word in words.split(",") if word]
         name = "-".join([folder.name, *told])
-        for variant in set(told) & set(VARIANTS):
-            folder = derive(folder, variant, out / "captures" / f"{folder.name}-{variant}")
         unknown = set(told) - set(VARIANTS) - {"masks", "metal"}
         if unknown:
             raise SystemExit(f"unknown: {', '.join(unknown)}")
+        if not (folder / "transforms.json").is_file():
+            raise CaptureError(f"{folder} is no capture: it has no transforms.json")
+        for variant in set(told) & set(VARIANTS):
+            folder = derive(folder, variant, out / "captures" / f"{folder.name}-{variant}")
         return cls(folder, name, bool(set(told) & ({"masks"} | set(VARIANTS))), "metal" in told)
+
+
+def found_scenes(texts: Iterable[str], out: Path) -> list[Scene]:
+    """The scenes that the texts describe. A scene whose capture cannot be read is left out, with a message."""
+    scenes = []
+    for text in texts:
+        try:
+            scenes.append(Scene.parse(text, out))
+        except NepError as error:
+            print(f"{text} is left out: {error}", file=sys.stderr, flush=True)
+    return scenes
 
 
 def without_skipping(preset: Preset) -> Preset:
@@ -209,8 +228,11 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=Path("out/benchmarks/skipping"))
     parser.add_argument("--write", type=Path, help="a document with the marker `skipping`")
     arguments = parser.parse_args()
+    require_markers(parser, arguments.write, "skipping")
     use_threads(arguments.threads)
-    table, scenes = [], [Scene.parse(text, arguments.out) for text in arguments.scenes]
+    table, scenes = [], found_scenes(arguments.scenes, arguments.out)
+    if not scenes:
+        parser.error("no capture can be studied")
     if len({scene.name for scene in scenes}) < len(scenes):
         parser.error("two scenes have the same name, and rows are told apart by it")
     for scene in scenes:

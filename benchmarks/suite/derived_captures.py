@@ -17,6 +17,7 @@ from PIL import Image
 from benchmarks.suite.harness import MADE_FROM, is_made_from, link
 from blender_nep.capture import load_capture
 from blender_nep.color import linear_to_srgb
+from blender_nep.errors import CaptureError
 from blender_nep.job.run_folder import fingerprint
 from blender_nep.presets import PRESETS
 
@@ -57,6 +58,7 @@ def derive(source: Path, variant: str, out: Path) -> Path:
     """Make the variant of the capture `source` in the folder `out`, unless it is there already. Returns `out`.
 
     It is made again where `source` is another folder, or has other cameras or photos, than when it was made.
+    Raises CaptureError where `source` cannot be read, or has photos without masks.
     """
     write, suffix = VARIANTS[variant]
     capture = load_capture(source)
@@ -74,7 +76,7 @@ def derive(source: Path, variant: str, out: Path) -> Path:
     (out / "masks").mkdir()
     photos = [(capture.load_photo(i)[0], capture.load_mask(i)) for i in range(len(meta["frames"]))]
     if any(mask is None for _, mask in photos):
-        raise SystemExit(f"{source}: nothing can be derived from photos without masks of the object")
+        raise CaptureError(f"{source}: nothing can be derived from photos without masks of the object")
     shown = [photo[mask > 0.5].max(-1) for photo, mask in photos]
     white = float(np.quantile(np.concatenate(shown), 0.98))  # a fiftieth of the object's pixels are white or brighter
     for i, (frame, (photo, mask)) in enumerate(zip(meta["frames"], photos, strict=True)):

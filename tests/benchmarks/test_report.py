@@ -191,6 +191,33 @@ def test_every_plot_of_the_report_is_drawn_as_a_small_picture(out, tmp_path):
     assert set(re.findall(r"\(benchmarks/(\w+)\.png\)", document.read_text())) == set(PLOTS)
 
 
+@pytest.mark.parametrize("unscored", [{"error": "killed after 7200 s"}, {}])
+def test_a_report_without_any_scored_run_is_written_without_plots_of_scores(unscored, out, tmp_path, capsys):
+    pytest.importorskip("matplotlib", reason="the extra `bench`")
+    from benchmarks.__main__ import main
+
+    for file in (out / "rows").glob("*.json"):
+        row = read_row(file)
+        write_row(file, {key: value for key, value in row.items() if key != "relight"} | {"score": unscored})
+    document = Path(shutil.copy(DOCUMENT, tmp_path))
+    assert main(["report", "--out", str(out), "--write", str(document)]) == 0
+    assert "of commit 1234abc" in document.read_text()
+    assert [file.name for file in document.with_suffix("").iterdir()] == ["size.png"]
+
+
+def test_a_document_that_cannot_be_filled_ends_the_command_before_its_work(tmp_path, monkeypatch, capsys):
+    from benchmarks.baselines import peer_mitsuba
+    from benchmarks.studies import skipping
+
+    (tmp_path / "other.md").write_text("<!-- skip -->\n<!-- end of skip -->\n")
+    for command, marker in ((peer_mitsuba, "peer"), (skipping, "skipping")):
+        for name, message in (("missing.md", "is no file"), ("other.md", f"has no marker '{marker}'")):
+            monkeypatch.setattr("sys.argv", ["command", str(tmp_path / "capture"), "--write", str(tmp_path / name)])
+            with pytest.raises(SystemExit) as ended:
+                command.main()
+            assert ended.value.code == 2 and f"{name} {message}" in capsys.readouterr().err
+
+
 def test_the_document_shows_only_pictures_that_are_there():
     for name in re.findall(r"\((benchmarks/\w+\.png)\)", DOCUMENT.read_text()):
         assert (DOCUMENT.parent / name).is_file()

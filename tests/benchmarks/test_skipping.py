@@ -7,7 +7,7 @@ import pytest
 import torch
 
 pytest.importorskip("igl")
-from benchmarks.studies.skipping import FieldsOnce, Scene, line, without_skipping
+from benchmarks.studies.skipping import FieldsOnce, Scene, found_scenes, line, main, without_skipping
 from benchmarks.suite.derived_captures import derive
 from blender_nep.capture import PixelRays, load_capture
 from blender_nep.job.scene_analysis import SceneAnalysis
@@ -49,6 +49,19 @@ def test_a_scene_is_parsed_and_an_unknown_word_is_refused(tmp_path):
     assert told == Scene(SUZANNE_SMALL, "suzanne_small-metal", masks=False, metal=True)
     with pytest.raises(SystemExit, match="unknown: glas"):
         Scene.parse(f"{SUZANNE_SMALL}:glas", tmp_path)
+
+
+def test_a_missing_capture_is_left_out_with_a_message_and_the_others_are_studied(tmp_path, monkeypatch, capsys):
+    gone = tmp_path / "gone"
+    for word in ("", ":masks", ":clipped"):
+        assert found_scenes([f"{gone}{word}", f"{SUZANNE_SMALL}"], tmp_path) == [
+            Scene(SUZANNE_SMALL, "suzanne_small", masks=False, metal=False)
+        ]
+        assert f"{gone}{word} is left out: {gone} is no capture" in capsys.readouterr().err
+    monkeypatch.setattr("sys.argv", ["skipping", str(gone), "--out", str(tmp_path)])
+    with pytest.raises(SystemExit) as ended:
+        main()
+    assert ended.value.code == 2 and "no capture can be studied" in capsys.readouterr().err
 
 
 def test_the_table_names_only_what_the_run_without_skipping_did():
