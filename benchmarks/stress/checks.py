@@ -27,6 +27,8 @@ FILES = (
     "report.json",
     *(f"textures/{name}{suffix}" for name in TEXTURES for suffix in (".exr", ".png")),
 )
+ROUNDING = 1e-9
+"""Signed volume, in cubic radii, that rounding may give a flat mesh."""
 REPAIRS = {
     "nan": "capture.pixels_not_finite",
     "inf": "capture.pixels_not_finite",
@@ -97,18 +99,21 @@ def check_asset(case, out: Path) -> list[str]:
 
 
 def check_mesh(out: Path, center: np.ndarray, radius: float, report: dict) -> list[str]:
-    """The failures of the mesh: mesh.obj must lie in the object's sphere, and asset.glb must be the same mesh."""
+    """The failures of the mesh: mesh.obj must lie in the object's sphere and face outward, and asset.glb must equal it."""
     failures = []
-    vertices, normals = [], []
+    vertices, normals, faces = [], [], []
     for line in (out / "mesh.obj").read_text().splitlines():
         key, *rest = line.split(" ")
         if key in ("v", "vn"):
             (vertices if key == "v" else normals).append([float(x) for x in rest])
+        elif key == "f":
+            faces.append([int(corner.split("/")[0]) - 1 for corner in rest])
     unit, normals = (np.array(vertices) - center) / radius, np.array(normals)
     if not len(unit) or not np.isfinite(unit).all() or not np.isfinite(normals).all():
         return ["bad mesh: empty or not finite"]
     if np.abs(np.linalg.norm(normals, axis=1) - 1).max() > 1e-3:
         failures.append("bad mesh: a normal is not of unit length")
+    failures += check_outward(unit, np.array(faces))
     given = "surface extraction" in report["skipped"]
     if np.linalg.norm(unit, axis=1).max() > (2.0 if given else 1.001):
         failures.append(f"bad mesh: reaches {np.linalg.norm(unit, axis=1).max():.4f} radii")
@@ -135,6 +140,22 @@ def check_mesh(out: Path, center: np.ndarray, radius: float, report: dict) -> li
     if distinct < 4:
         failures.append(f"bad mesh: {distinct} places")
     return failures
+
+
+def check_outward(vertices: np.ndarray, faces: np.ndarray) -> list[str]:
+    """The failure of a closed mesh (vertices [V, 3], faces [F, 3]) that is inside out: its signed volume is negative.
+
+    A mesh that was given inside out must have been turned. Vertices at one place count as one, because the UV map splits
+    them. Nothing is said of an open mesh. It has an edge that fewer faces run along in one direction than in the other.
+    """
+    places, same = np.unique(vertices, axis=0, return_inverse=True)
+    corners = same.reshape(-1)[faces]
+    start, end = corners.ravel(), np.roll(corners, -1, axis=1).ravel()
+    if not np.array_equal(np.sort(start * len(places) + end), np.sort(end * len(places) + start)):
+        return []
+    a, b, c = (vertices[faces[:, k]] for k in range(3))
+    volume = (a * np.cross(b, c)).sum() / 6
+    return [f"bad mesh: inside out, its volume is {volume:.3g}"] if volume < -ROUNDING else []
 
 
 def check_report(case, report: dict) -> list[str]:
