@@ -35,6 +35,7 @@ def score_asset(folder: Path, asset: Path, preset: Preset, device: str, picture:
     capture = load_capture(folder)
     test = geometry.load_test_views(folder, capture)
     surface, learned = load_surface(asset / "mesh.obj", capture, preset.surface), materials.read_materials(asset)
+    surface = replace(surface, faces=file_faces(asset / "mesh.obj"))
     out = {"faces": len(surface.faces), "texture_rows": len(learned.albedo)}
     out |= geometry.score(surface, folder, capture, test)
     map_file = asset / "textures" / f"{NORMAL_MAP}.exr"
@@ -46,6 +47,13 @@ def score_asset(folder: Path, asset: Path, preset: Preset, device: str, picture:
     if kept.is_file():
         out["background_psnr"] = _background_psnr(folder, asset, kept, capture, test, preset, choose_device(device))
     return out
+
+
+def file_faces(path: Path) -> np.ndarray:
+    """The faces [F, 3] of an asset's mesh.obj, as the file turns them: a reader of given meshes may turn them outward."""
+    with open(path, encoding="utf-8") as file:
+        faces = [[int(corner.split("/")[0]) for corner in line.split()[1:]] for line in file if line.startswith("f ")]
+    return np.array(faces, np.int64) - 1
 
 
 def file_normals(path: Path) -> np.ndarray:

@@ -12,7 +12,7 @@ import trimesh
 
 pytest.importorskip("igl")
 from backend.synthetic_capture.random_scene import draw_scene
-from benchmarks.scoring import shading_normals
+from benchmarks.scoring import scores, shading_normals
 from benchmarks.scoring.environment import background_psnr, exposures_differ
 from benchmarks.scoring.geometry import Body, inner, load_test_views, score, true_mesh
 from benchmarks.scoring.materials import read_channels
@@ -133,7 +133,7 @@ def test_a_failed_run_is_a_row_with_its_message_and_a_done_one_is_not_run_again(
     assert not (tmp_path / "stopped.json").exists()
 
 
-def test_an_asset_that_is_the_truth_scores_perfectly_except_for_an_error_that_is_put_in(tmp_path):
+def test_an_asset_that_is_the_truth_scores_perfectly_except_for_an_error_that_is_put_in(tmp_path, monkeypatch):
     gold = {
         name: read_channels(SUZANNE_SMALL / "gt" / "000.exr")[channel]
         for name, channel in (
@@ -163,6 +163,11 @@ def test_an_asset_that_is_the_truth_scores_perfectly_except_for_an_error_that_is
     assert found["mse_roughness"] == pytest.approx(0.01, rel=0.01) and found["true_roughness_deviation"] < 1e-3
     assert picture.is_file() and "background_psnr" not in found
     assert score_asset(tmp_path, asset, preset("preview"), "cpu", picture) == {}
+    inside_out = TexturedMesh(vertices, surface.faces[:, ::-1], -surface.normals, surface.uv, {})
+    write_obj(asset / "mesh.obj", inside_out)
+    monkeypatch.setattr(scores, "load_surface", lambda *_: surface)  # a reader that turns meshes outward
+    turned = score_asset(SUZANNE_SMALL, asset, preset("preview"), "cpu", picture)
+    assert turned["normal_deg"] > 179 and turned["shading_normal_deg"] > 170
 
 
 def test_the_rendered_truth_is_kept_under_a_name_that_tells_its_scene_cameras_and_settings(tmp_path, monkeypatch):
