@@ -53,7 +53,7 @@ def run(folder: Path, minutes: float, settings, seed: int, picture: Path) -> dic
     capture = load_capture(folder)
     test = load_test_views(folder, capture)
     rays = PixelRays.from_capture(capture, balanced.max_pixels_per_photo, False)
-    surface = load_surface(folder / "gt_mesh.ply", capture, balanced.surface)
+    surface, _ = load_surface(folder / "gt_mesh.ply", capture, balanced.surface)
     wall, cpu = time.perf_counter(), time.process_time()
     learned = learn(surface, rays, settings, minutes, seed)
     out = {"seconds": time.perf_counter() - wall, "cpu_seconds": time.process_time() - cpu}

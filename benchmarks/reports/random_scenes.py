@@ -190,12 +190,11 @@ def _photo(test) -> np.ndarray:
 
 def _normals(asset: Path, capture: Path, test) -> list[np.ndarray]:
     """The true and our normals of the first test view, [H,W,3] uint8 each; 128 is 0."""
+    from benchmarks.scoring.asset_mesh import read_asset_mesh
     from benchmarks.scoring.geometry import Body, camera_rays
     from benchmarks.scoring.materials import read_channels
-    from blender_nep.presets import PRESETS
-    from blender_nep.surface.mesh_file import load_surface
 
-    surface = load_surface(asset / "mesh.obj", test, PRESETS["preview"].surface)
+    surface = read_asset_mesh(asset / "mesh.obj", test)
     body = Body(surface.vertices, surface.faces)
     origins, directions, size = camera_rays(test, 0, 1)
     _, ray, face = body.first_hits(origins, directions)

@@ -93,21 +93,9 @@ def inner(mask: np.ndarray) -> np.ndarray:
     return found
 
 
-def seen_from_front(normals: np.ndarray, directions: np.ndarray) -> np.ndarray:
-    """Whether rays with directions [n, 3] meet faces with these outward normals [n, 3] from their front: [n] bool.
-
-    On a closed mesh a few rays do not: rounding lets them slip through at an edge.
-    """
-    return (normals * directions).sum(1) < 0
-
-
-def angles_between(a: np.ndarray, b: np.ndarray, signed: np.ndarray) -> np.ndarray:
-    """Angles [n] in degrees, 0 .. 180, between unit vectors [n, 3].
-
-    Their signs count where `signed` [n] bool is True. Elsewhere the angle is that of the lines, 0 .. 90.
-    """
-    cosine = (a * b).sum(1).clip(-1, 1)
-    return np.degrees(np.arccos(np.where(signed, cosine, np.abs(cosine))))
+def angles_between(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Angles [n] in degrees between unit vectors [n, 3], whatever their signs: 0 .. 90."""
+    return np.degrees(np.arccos(np.abs((a * b).sum(1)).clip(0, 1)))
 
 
 def score(surface: Surface, folder: Path, capture: Capture, test: Capture, points: int = 60_000) -> dict[str, float]:
@@ -115,9 +103,9 @@ def score(surface: Surface, folder: Path, capture: Capture, test: Capture, point
 
     cd_visible: Chamfer distance between the points of both surfaces that the capture's cameras see. cd_full: Chamfer
     distance between points all over both surfaces. fscore_005: F-score of the visible points at a distance of 0.005.
-    normal_deg: mean angle, in degrees, between the normals in the test views; it is near 180 for a surface that is inside
-    out. mask_iou: intersection over union of both silhouettes in the test views. All distances are in object radii. `points`
-    is the most points a surface.
+    normal_deg: mean angle, in degrees, between the normals in the test views, whatever their signs. seen_from_behind: share
+    of these pixels that show the back of a face; near 1 for a surface that is inside out. mask_iou: intersection over union
+    of both silhouettes in the test views. All distances are in object radii. `points` is the most points a surface.
     """
     rng = np.random.default_rng(0)
     truth, ours = true_mesh(folder, capture), Body(surface.vertices, surface.faces)
@@ -129,7 +117,7 @@ def score(surface: Surface, folder: Path, capture: Capture, test: Capture, point
         a.distance(trimesh.sample.sample_surface(b.mesh, points, seed=0)[0]).mean()
         for a, b in ((ours, truth), (truth, ours))
     ]
-    angles, shared, either = [], 0, 0
+    angles, behind, shared, either = [], [], 0, 0
     for view in range(len(test.views)):
         origins, directions, size = camera_rays(test, view, 1)
         normals, hits = np.zeros((2, len(origins), 3)), np.zeros((2, len(origins)), bool)
@@ -139,12 +127,13 @@ def score(surface: Surface, folder: Path, capture: Capture, test: Capture, point
         shared, either = shared + hits.all(0).sum(), either + hits.any(0).sum()
         # A pixel at the silhouette sees both object and background, so it does not count for the normals.
         chosen = hits[0] & inner(hits[1].reshape(size)).ravel()
-        signed = seen_from_front(normals[1, chosen], directions[chosen])
-        angles.append(angles_between(normals[0, chosen], normals[1, chosen], signed))
+        angles.append(angles_between(normals[0, chosen], normals[1, chosen]))
+        behind.append((normals[0, chosen] * directions[chosen]).sum(1) > 0)
     return {
         "cd_visible": float((to_ours.mean() + to_truth.mean()) / 2),
         "cd_full": float(np.mean(full)),
         "fscore_005": float(2 * recall * precision / max(recall + precision, 1e-9)),
         "normal_deg": float(np.concatenate(angles).mean()),
+        "seen_from_behind": float(np.concatenate(behind).mean()),
         "mask_iou": float(shared / max(either, 1)),
     }

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import trimesh
 
-from benchmarks.scoring.geometry import Body, angles_between, camera_rays, inner, seen_from_front, true_mesh
+from benchmarks.scoring.geometry import Body, angles_between, camera_rays, inner, true_mesh
 from benchmarks.scoring.materials import read_channels
 from blender_nep.capture.capture import Capture
 from blender_nep.geometry.mesh import Surface, normalized
@@ -50,9 +50,7 @@ def score(
         point, ray, face = truth.first_hits(origins, directions)
         on_truth = np.zeros(len(origins), bool)
         on_truth[ray] = True
-        front = np.zeros(len(origins), bool)
-        front[ray] = seen_from_front(truth.mesh.face_normals[face], directions[ray])
-        floor.append(angles_between(truth.mesh.face_normals[face], rendered[ray], front[ray])[whole[ray]])
+        floor.append(angles_between(truth.mesh.face_normals[face], rendered[ray])[whole[ray]])
         some = np.flatnonzero(whole[ray])[::_HOLLOW_PIXELS]
         hollow = np.zeros(len(origins), bool)
         hollow[ray[some]] = truth.sky_visibility(point[some], rendered[ray[some]]) < HOLLOW
@@ -66,7 +64,7 @@ def score(
             uv = (surface.atlas[corners] * barycentric[..., None]).sum(1)
             red, green, blue = 2 * look_up(normal_map, uv).T[..., None] - 1
             smooth = red * tangent + green * bitangent + blue * smooth
-        angles = angles_between(normalized(smooth), rendered[ray], front[ray])
+        angles = angles_between(normalized(smooth), rendered[ray])
         found.append(angles[(whole & on_truth)[ray]])
         in_hollows.append(angles[hollow[ray]])
     scores = {"shading_normal_deg": found, "normal_floor_deg": floor}

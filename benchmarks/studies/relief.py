@@ -12,19 +12,16 @@ The score is the mean angle in degrees between the normals that a renderer shade
 from __future__ import annotations
 
 import argparse
-from dataclasses import replace
 from pathlib import Path
 
 import igl
 import numpy as np
 import trimesh
 
+from benchmarks.scoring.asset_mesh import read_asset_mesh
 from benchmarks.scoring.geometry import true_mesh
-from benchmarks.scoring.scores import file_normals
 from blender_nep.capture import load_capture
 from blender_nep.geometry.mesh import Surface, normalized
-from blender_nep.presets import preset
-from blender_nep.surface.mesh_file import load_surface
 
 BANDS = {0.16: (28, 58), 0.08: (58, 84), 0.04: (84, 108), 0.02: (108, 130)}
 """{length of the waves: polar angles in degrees at which the band begins and ends}. Lengths are about in object radii."""
@@ -89,8 +86,7 @@ def main() -> None:
         return
     capture = load_capture(options.capture)
     made, truth = trimesh.load(options.ball, process=False), true_mesh(options.capture, capture).mesh
-    mesh = options.asset / "mesh.obj"
-    asset = replace(load_surface(mesh, capture, preset("quality").surface), normals=file_normals(mesh))
+    asset = read_asset_mesh(options.asset / "mesh.obj", capture)
     if len(made.vertices) != len(truth.vertices):
         raise SystemExit(f"{options.ball} is not the mesh from which {options.capture} was rendered")
     polar = np.degrees(np.arccos(made.vertices[:, 2] / np.linalg.norm(made.vertices, axis=1)))
