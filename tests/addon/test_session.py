@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import io
 import sys
+import zipfile
 from pathlib import Path
+
+import pytest
 
 from blender_nep.job import runner as job
 from blender_nep.job.events import Events
@@ -16,21 +19,23 @@ from support.ball_stages import BallStages
 LIMIT_S = 300
 
 
-def test_an_artists_session(make_capture, tmp_path):
+@pytest.fixture(scope="module")
+def archive(tmp_path_factory):
+    return extension.build(tmp_path_factory.mktemp("extension") / "blender_nep.zip")
+
+
+def test_an_artists_session(make_capture, tmp_path, archive):
     """See blender_session.py. Asset and engine are real but for what was learned, which BallStages knows."""
     capture, asset = make_capture(masks=True).folder, tmp_path / "ball"
     settings = job.Settings(capture, asset, preset("preview"))
     assert job.run(settings, Events(None, io.StringIO()), StopRequest(), BallStages()) == 0
-    archive = extension.build(tmp_path / "blender_nep.zip")
     ended = extension.session(sys.executable, sys.executable, archive, capture, asset, tmp_path / "session", LIMIT_S)
     assert ended.returncode == 0, ended.stdout[-5000:]
     assert "all of it works" in ended.stdout
 
 
-def test_the_zip_holds_what_the_extension_needs_and_no_more(tmp_path):
-    import zipfile
-
-    names = set(zipfile.ZipFile(extension.build(tmp_path / "a.zip")).namelist())
+def test_the_zip_holds_what_the_extension_needs_and_no_more(archive):
+    names = set(zipfile.ZipFile(archive).namelist())
     assert {
         "blender_manifest.toml",
         "__init__.py",
