@@ -1,9 +1,6 @@
 """The normal map of a lean, bumpy ball, whose normals are known; Blender's tangents and Cycles are the references."""
 
-import sys
-import tempfile
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -15,9 +12,10 @@ from blender_nep.presets import SurfacePreset
 from blender_nep.surface.extraction import extract_surface
 from blender_nep.surface.normal_map import tangent_frames
 from support.analytic_field import AnalyticField
+from support.normal_map_checks import SIZE, angles, check_cycles, check_tangents
 from support.own_process import in_blender
 
-RADIUS, BUMPS, SIZE = 0.6, 14.0, 128
+RADIUS, BUMPS = 0.6, 14.0
 PRESET = SurfacePreset(
     grid=96, unwrapped_faces=4000, faces=30_000, chord_error=1e-4, asset_faces=1000, normal_texels=512, atlas_texels=256
 )
@@ -53,12 +51,6 @@ def seen_from_x(size):
     for _ in range(200):
         place[:, 0] -= 0.5 * FIELD.sdf_and_gradient(place)[0]
     return FIELD.normal(place).numpy(), inside.numpy()
-
-
-def angles(a, b):
-    """Angles [n] in degrees between vectors [n, 3]."""
-    cosine = (a * b).sum(1) / np.linalg.norm(a, axis=1) / np.linalg.norm(b, axis=1)
-    return np.degrees(np.arccos(cosine.clip(-1, 1)))
 
 
 def test_a_lean_mesh_has_few_faces_and_the_uv_map_of_the_fine_one(extracted):
@@ -101,25 +93,6 @@ def test_the_tangents_are_those_of_blender(extracted, tmp_path):
     in_blender(check_tangents, tmp_path / "mesh.npz")
 
 
-def check_tangents(file):
-    import bpy
-
-    data = np.load(file)
-    mesh = bpy.data.meshes.new("lean")
-    mesh.from_pydata(data["vertices"].tolist(), [], data["faces"].tolist())
-    mesh.uv_layers.new().data.foreach_set("uv", data["uv"][data["faces"].ravel()].astype(np.float32).ravel())
-    mesh.polygons.foreach_set("use_smooth", np.ones(len(data["faces"]), bool))
-    mesh.normals_split_custom_set_from_vertices(data["normals"].tolist())
-    mesh.calc_tangents()
-    tangents, signs = np.empty((len(mesh.loops), 3), np.float32), np.empty(len(mesh.loops), np.float32)
-    mesh.loops.foreach_get("tangent", tangents.ravel())
-    mesh.loops.foreach_get("bitangent_sign", signs)
-    corner = data["faces"].ravel()
-    assert {-1.0, 1.0} == set(signs)  # some charts are mirrored
-    assert (signs == data["handedness"][corner]).all()
-    assert np.quantile(angles(tangents, data["tangents"][corner]), 0.99) < 0.5
-
-
 def test_cycles_shades_an_imported_lean_ball_as_a_ball(extracted, tmp_path):
     pytest.importorskip("bpy")
     lean = extracted.lean
@@ -134,53 +107,3 @@ def test_cycles_shades_an_imported_lean_ball_as_a_ball(extracted, tmp_path):
     normals, inside = seen_from_x(SIZE)
     np.savez(tmp_path / "truth.npz", normals=normals, inside=inside)
     in_blender(check_cycles, tmp_path)
-
-
-def check_cycles(folder):
-    """Shows the normals of the material and of the mesh as emitted color, before an orthographic camera at +x."""
-    import bpy
-
-    from backend.scene_io.asset_import import import_asset
-    from backend.scene_io.image_files import load_pixels
-
-    bpy.ops.wm.read_factory_settings(use_empty=True)
-    scene = bpy.context.scene
-    item = import_asset(Path(folder), scene.collection)
-    tree = item.data.materials[0].node_tree
-    principled = next(node for node in tree.nodes if node.type == "BSDF_PRINCIPLED")
-    (link,) = principled.inputs["Normal"].links
-    assert link.from_node.type == "NORMAL_MAP"
-    (image,) = link.from_node.inputs["Color"].links
-    assert image.from_node.image.colorspace_settings.name == "Non-Color"
-    output = next(node for node in tree.nodes if node.type == "OUTPUT_MATERIAL")
-    scaled, emission = tree.nodes.new("ShaderNodeVectorMath"), tree.nodes.new("ShaderNodeEmission")
-    scaled.operation = "MULTIPLY_ADD"
-    scaled.inputs[1].default_value = scaled.inputs[2].default_value = (0.5, 0.5, 0.5)
-    tree.links.new(scaled.outputs[0], emission.inputs["Color"])
-    tree.links.new(emission.outputs[0], output.inputs["Surface"])
-    camera = bpy.data.cameras.new("camera")
-    camera.type, camera.ortho_scale = "ORTHO", 2.0
-    eye = bpy.data.objects.new("camera", camera)
-    eye.location, eye.rotation_euler = (5, 0, 0), (np.pi / 2, 0, np.pi / 2)
-    scene.collection.objects.link(eye)
-    scene.camera, truth = eye, np.load(Path(folder) / "truth.npz")
-    scene.render.engine, scene.cycles.device, scene.cycles.samples = "CYCLES", "CPU", 1
-    scene.cycles.filter_width, scene.cycles.use_denoising, scene.render.film_transparent = 0.01, False, True
-    scene.render.resolution_x = scene.render.resolution_y = SIZE
-    settings = scene.render.image_settings
-    settings.file_format, settings.color_mode, settings.color_depth = "OPEN_EXR", "RGBA", "32"
-    geometry = tree.nodes.new("ShaderNodeNewGeometry")
-    found = []
-    for normal in (geometry.outputs["Normal"], link.from_node.outputs["Normal"]):
-        tree.links.new(normal, scaled.inputs[0])
-        with tempfile.TemporaryDirectory() as pictures:
-            scene.render.filepath = str(Path(pictures) / "normals.exr")
-            bpy.ops.render.render(write_still=True)
-            shown = load_pixels(Path(scene.render.filepath))[..., :3]
-        found.append(angles(2 * shown[truth["inside"]] - 1, truth["normals"]).mean())
-    without, mapped = found
-    assert without > 2 and mapped < 0.35 * without, found
-
-
-if __name__ == "__main__":
-    globals()[sys.argv[1]](*sys.argv[2:])

@@ -1,6 +1,5 @@
 """Photos as a phone takes them: their lens and their EXIF data agree with the true cameras, by the library's own lens."""
 
-import sys
 from dataclasses import replace
 
 import numpy as np
@@ -11,6 +10,7 @@ from PIL import Image
 from blender_nep.cameras.photo_folder import find_photos
 from blender_nep.capture import load_capture
 from blender_nep.capture.lens import NO_DISTORTION
+from support.inverted_lens import invert
 from support.own_process import in_blender, run_file
 
 SIZE, FINE = 96, 4
@@ -58,20 +58,3 @@ def test_photos_tell_their_focal_length_and_nothing_else(snapshots):
 
 def test_the_lens_is_inverted_exactly():
     in_blender(invert)
-
-
-def invert():
-    from backend.synthetic_capture.snapshots import Phone
-
-    phone = Phone(64, 1.1)
-    x, y = phone.pinhole_places()
-    r2 = x * x + y * y
-    factor = 1 + phone.k1 * r2 + phone.k2 * r2 * r2
-    place = (np.arange(64) + 0.5 - 32) / phone.focal_length
-    assert np.abs(x * factor - place[None]).max() < 1e-9 and np.abs(y * factor - place[:, None]).max() < 1e-9
-    flat = np.full((phone.rendered_size,) * 2, 0.7)
-    assert np.abs(phone.resampled(flat) - 0.7).max() < 1e-6
-
-
-if __name__ == "__main__":
-    globals()[sys.argv[1]](*sys.argv[2:])
