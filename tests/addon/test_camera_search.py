@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from support import camera_engine
-from support.blender_checks import drawn_by, fails, register, rounds
+from support.blender_checks import drawn_by, fails, register, rounds, told_in
 from support.own_process import in_blender
 
 
@@ -149,19 +149,32 @@ def check_close(folder):
     rounds(addon, lambda: "25 %" in panel(bpy, addon))
 
 
-@pytest.mark.parametrize("mode", ["fail", "locked", "crash", "old"])
-def test_what_the_engine_refuses_is_told_with_what_to_do(folder, mode):
-    (folder / "mode").write_text(mode)
-    in_blender(check_failure, folder, mode)
+def test_what_the_engine_refuses_is_told_with_what_to_do(folder):
+    in_blender(check_failures, folder)
 
 
-def check_failure(folder, mode):
-    message, hint = {
+def check_failures(folder):
+    refusals = {
         "fail": ("No photo could be placed", "Put the object on a sheet with a print"),
         "locked": ("may not be written (Permission denied)", "Change its permissions, or copy the photos"),
         "crash": ("The engine was killed", "Press the button again."),
         "old": ("The installed engine is older", "Install the engine"),
-    }[mode]
+    }
+    for mode, told in refusals.items():
+        with told_in(mode):
+            check_failure(new_place(folder, mode), mode, *told)
+
+
+def new_place(folder: Path, name: str) -> Path:
+    """A folder in `folder` with photos and an engine of its own, which Blender starts from now on."""
+    place = folder / name
+    camera_engine.write_photos(place / "photos")
+    os.environ["NEP_ENGINE_PYTHON"] = camera_engine.make(place)
+    return place
+
+
+def check_failure(folder, mode, message, hint):
+    (folder / "mode").write_text(mode)
     bpy, addon, _settings = set_up(folder)
     fails(bpy.ops.nep.find_cameras, message)
     texts = panel(bpy, addon)

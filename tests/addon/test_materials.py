@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from support import correcting_engine
-from support.blender_checks import Drawn, drawn_by, fails, register, rounds
+from support.blender_checks import Drawn, drawn_by, fails, register, rounds, told_in
 from support.own_process import in_blender
 from support.played_python import bare_python
 
@@ -205,18 +205,30 @@ def check_undo(folder):
     assert texels(bpy, "metallic") == [1, 1, 0], "the packed pixels are those that were shown"
 
 
-@pytest.mark.parametrize("mode", ["refuse", "crash", "old"])
-def test_what_the_engine_refuses_is_told_and_nothing_is_lost(folder, mode):
-    (folder / "mode").write_text(mode)
-    in_blender(check_failure, folder, mode)
+def test_what_the_engine_refuses_is_told_and_nothing_is_lost(folder):
+    in_blender(check_failures, folder)
 
 
-def check_failure(folder, mode):
-    message, hint = {
+def check_failures(folder):
+    refusals = {
         "refuse": ("The light was not kept", "Reconstruct again."),
         "crash": ("The engine was killed", "Press Apply again."),
         "old": ("The installed engine is older", "Install the engine"),
-    }[mode]
+    }
+    for mode, told in refusals.items():
+        with told_in(mode):
+            check_failure(new_place(folder, mode), mode, *told)
+
+
+def new_place(folder: Path, name: str) -> Path:
+    """A folder in `folder` with an asset and an engine of its own, which Blender starts from now on."""
+    correcting_engine.make_asset(folder / name / "asset")
+    os.environ["NEP_ENGINE_PYTHON"] = correcting_engine.make(folder / name)
+    return folder / name
+
+
+def check_failure(folder, mode, message, hint):
+    (folder / "mode").write_text(mode)
     bpy, addon, settings = imported(folder)
     settings.materials[0].metal = "METAL"
     for reset in (False, True):
@@ -271,8 +283,14 @@ def check_no_start(folder):
     assert bpy.ops.nep.correct_materials() == {"FINISHED"}
 
 
-def test_a_file_that_was_moved_shows_the_correction(folder):
-    in_blender(check_moved, folder)
+def test_a_moved_file_a_file_without_textures_and_an_older_result_are_told_or_shown(folder):
+    in_blender(check_unusual_files, folder)
+
+
+def check_unusual_files(folder):
+    for check in (check_moved, check_no_images, check_older):
+        with told_in(check.__name__):
+            check(new_place(folder, check.__name__))
 
 
 def check_moved(folder):
@@ -289,11 +307,8 @@ def check_moved(folder):
     assert "Import the result again" not in " ".join(panel(bpy, addon))
 
 
-def test_an_object_whose_textures_are_gone_from_the_file_is_told(folder):
-    in_blender(check_no_images, folder)
-
-
 def check_no_images(folder):
+    """The object's textures are gone from the file."""
     bpy, addon, settings = imported(folder)
     bpy.data.batch_remove(list(bpy.data.images))
     settings.materials[0].metal = "METAL"
@@ -301,12 +316,8 @@ def check_no_images(folder):
     assert "Import the result again to see the correction." in " ".join(panel(bpy, addon))
 
 
-def test_an_older_result_is_told_to_be_one(folder):
-    (folder / "asset" / "report.json").write_text('{"preset": "preview"}')
-    in_blender(check_older, folder)
-
-
 def check_older(folder):
+    (folder / "asset" / "report.json").write_text('{"preset": "preview"}')
     bpy, addon, settings = imported(folder)
     assert not settings.materials and not bpy.ops.nep.correct_materials.poll()
     assert "an older version of the engine has made it" in " ".join(panel(bpy, addon))

@@ -9,17 +9,22 @@ import numpy as np
 import pytest
 
 from support import camera_engine, info_engine
-from support.blender_checks import drawn_by, fails, register, rounds
+from support.blender_checks import drawn_by, fails, register, rounds, told_in
 from support.own_process import in_blender
 
 
 @pytest.fixture
 def folder(package, monkeypatch):
     """A folder with `photos`, which have cameras, and an engine, from which the add-on can be imported."""
-    camera_engine.write_photos(package / "photos")
-    (package / "photos" / "transforms.json").write_text(json.dumps(camera_engine.cameras()))
-    monkeypatch.setenv("NEP_ENGINE_PYTHON", info_engine.make(package))
+    monkeypatch.setenv("NEP_ENGINE_PYTHON", make_place(package))
     return package
+
+
+def make_place(folder: Path) -> str:
+    """Write `photos`, which have cameras, and an engine into a folder; returns the engine's path."""
+    camera_engine.write_photos(folder / "photos")
+    (folder / "photos" / "transforms.json").write_text(json.dumps(camera_engine.cameras()))
+    return info_engine.make(folder)
 
 
 def set_up(folder: Path):
@@ -132,17 +137,23 @@ def check_beside(folder):
     assert "41 % of all directions are near a photo" in told(bpy, addon)
 
 
-@pytest.mark.parametrize("mode", ["fail", "old"])
-def test_what_the_engine_refuses_is_told(folder, mode):
-    (folder / "info_mode").write_text(mode)
-    in_blender(check_failure, folder, mode)
+def test_what_the_engine_refuses_is_told(folder):
+    in_blender(check_failures, folder)
 
 
-def check_failure(folder, mode):
-    message, hint = {
+def check_failures(folder):
+    refusals = {
         "fail": ("Photo_3.jpg is torn", "Take photo_3.jpg out of the folder"),
         "old": ("older than this add-on", "Install the engine"),
-    }[mode]
+    }
+    for mode, refusal in refusals.items():
+        with told_in(mode):
+            os.environ["NEP_ENGINE_PYTHON"] = make_place(folder / mode)
+            check_failure(folder / mode, mode, *refusal)
+
+
+def check_failure(folder, mode, message, hint):
+    (folder / "info_mode").write_text(mode)
     bpy, addon, _settings = set_up(folder)
     fails(bpy.ops.nep.check_photos, message)
     texts = panel(bpy, addon)

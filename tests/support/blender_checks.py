@@ -1,6 +1,8 @@
 """Helpers of the scripts that run inside Blender. No bpy at module level, because pytest reads this folder too."""
 
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from types import SimpleNamespace
 
 LIMIT_S = 120
@@ -16,11 +18,23 @@ def fails(call, message: str) -> None:
         raise AssertionError(f"no error told of: {message}")
 
 
+@contextmanager
+def told_in(case: str) -> Iterator[None]:
+    """Names the case of a loop in which an error comes."""
+    try:
+        yield
+    except BaseException as error:
+        error.add_note(f"in the case: {case}")
+        raise
+
+
 def register():
-    """Register the add-on, which is importable as `nep_addon`; returns its package `addon`."""
+    """Register the add-on, which is importable as `nep_addon`, once in a process; returns its package `addon`."""
+    import bpy
     import nep_addon
 
-    nep_addon.register()
+    if not hasattr(bpy.types.Scene, "nep"):
+        nep_addon.register()
     from nep_addon import addon
 
     return addon
