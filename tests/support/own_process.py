@@ -23,7 +23,7 @@ def run_file(file: str, *arguments: object, timeout: float, **variables: str) ->
     )
 
 
-def in_blender(function: Callable[..., None], *arguments: object) -> None:
+def in_blender(function: Callable[..., None], *arguments: object, limit_s: float = LIMIT_S) -> None:
     """Call a function of a test file, with strings for arguments, in a process that may import bpy.
 
     An error that Blender only prints, as that of a handler or a timer, fails the test, too.
@@ -33,6 +33,6 @@ def in_blender(function: Callable[..., None], *arguments: object) -> None:
     assert 'if __name__ == "__main__":' in inspect.getsource(inspect.getmodule(function)), (
         "the file does not call its functions"
     )
-    done = run_file(inspect.getfile(function), function.__name__, *arguments, timeout=LIMIT_S)
+    done = run_file(inspect.getfile(function), function.__name__, *arguments, timeout=limit_s)
     assert done.returncode == 0, done.stdout[-2000:] + done.stderr[-4000:]
     assert "Traceback" not in done.stderr, done.stderr

@@ -5,14 +5,22 @@ from pathlib import Path
 
 import numpy as np
 
+from support.blender_checks import told_in
 from support.own_process import in_blender
 
 
-def test_photo_camera_has_the_captures_pinhole():
-    in_blender(check_camera)
+def test_cameras_in_both_directions():
+    in_blender(check_cameras)
+
+
+def check_cameras():
+    for check in (check_camera, check_intrinsics):
+        with told_in(check.__name__):
+            check()
 
 
 def check_camera():
+    """The camera of a photo has the capture's pinhole."""
     import bpy
     from bpy_extras.object_utils import world_to_camera_view
     from mathutils import Vector
@@ -34,10 +42,6 @@ def check_camera():
             x, y, _ = world_to_camera_view(scene, camera, Vector(point))
             expected = 66 + 130 * local[0] / -local[2], 40 - fl_y * local[1] / -local[2]
             np.testing.assert_allclose((x * 120, (1 - y) * 90), expected, atol=2e-3)
-
-
-def test_a_cameras_intrinsics_are_what_blender_projects():
-    in_blender(check_intrinsics)
 
 
 def check_intrinsics():

@@ -1,5 +1,6 @@
 """Random scenes: what a seed draws, the meshes of the objects, the support and the cameras, and the files of photos."""
 
+import itertools
 import json
 import math
 import sys
@@ -116,11 +117,18 @@ def test_a_vase_is_hollow_and_a_shell_is_thin():
         assert 2 * shell.volume / shell.area < 0.08
 
 
+@pytest.fixture(scope="module")
+def built(tmp_path_factory):
+    """A folder with what `build` writes, which all is built in one Blender."""
+    folder = tmp_path_factory.mktemp("built")
+    in_blender(build, folder, limit_s=400)
+    return folder
+
+
 @pytest.mark.parametrize("kind", OBJECT_KINDS)
-def test_the_object_is_closed_has_the_right_size_and_stands_on_its_support(kind, tmp_path):
-    in_blender(build, kind, tmp_path)
+def test_the_object_is_closed_has_the_right_size_and_stands_on_its_support(kind, built):
     for support in SUPPORTS:
-        found = np.load(tmp_path / f"{support}.npz")
+        found = np.load(built / f"{kind}, {support}.npz")
         mesh = trimesh.Trimesh(found["vertices"], found["faces"])
         assert mesh.is_watertight and mesh.volume > 0.01
         assert np.linalg.norm(mesh.vertices, axis=1).max() == pytest.approx(0.97, abs=1e-3)
@@ -138,14 +146,15 @@ def test_the_object_is_closed_has_the_right_size_and_stands_on_its_support(kind,
         assert support == "none" or (cameras[:, 2] > float(found["top"]) + 0.3).all()
 
 
-def build(kind, folder):
+def build(folder):
+    """Build a scene with each kind of object on each support. Write what the test measures into KIND, SUPPORT.npz."""
     import bpy
 
     from backend.synthetic_capture import scenes
     from backend.synthetic_capture.random_build import build_random_scene
     from backend.synthetic_capture.viewpoints import Surroundings
 
-    for support in SUPPORTS:
+    for kind, support in itertools.product(OBJECT_KINDS, SUPPORTS):
         seed = next(
             seed for seed in range(500) if (draw_scene(seed).object, draw_scene(seed).support.kind) == (kind, support)
         )
@@ -160,7 +169,7 @@ def build(kind, folder):
         places = [viewpoint.matrix.translation for viewpoint in built.train + built.test]
         nearest = [surroundings.solid.find_nearest(place)[3] for place in places]
         np.savez(
-            Path(folder) / f"{support}.npz",
+            Path(folder) / f"{kind}, {support}.npz",
             vertices=vertices,
             faces=faces,
             cameras=np.array(places),
@@ -187,12 +196,21 @@ def check_gains():
     np.testing.assert_allclose(stops, [0.5, 0, -0.5 * np.log2(1.2 / 0.9), -0.5], atol=0.02)
 
 
+@pytest.fixture(scope="module")
+def photos(tmp_path_factory):
+    """A folder with a folder for each format, which holds one photo."""
+    folder = tmp_path_factory.mktemp("photos")
+    for name in PHOTO_FORMATS:
+        (folder / name).mkdir()
+    in_blender(write, folder)
+    return folder
+
+
 @pytest.mark.parametrize("name", PHOTO_FORMATS)
-def test_the_loader_reads_each_format_of_photos(name, tmp_path):
+def test_the_loader_reads_each_format_of_photos(name, photos):
     from blender_nep.capture.photo_files import open_image
 
-    in_blender(write, tmp_path, name)
-    (path,) = (path for path in tmp_path.iterdir() if path.suffix in (".exr", ".png"))
+    (path,) = (path for path in (photos / name).iterdir() if path.suffix in (".exr", ".png"))
     found, _ = open_image(path, "srgb").rows()
     clipped = radiance() if path.suffix == ".exr" else np.minimum(radiance(), 1)
     error = {"EXR half linear": 0.05, "PNG 8 bits sRGB": 0.005, "PNG 16 bits sRGB": 2e-5}[name]
@@ -205,10 +223,11 @@ def radiance() -> np.ndarray:
     return np.stack([0.02 + 2 * columns + 0.5 * rows, 0.1 + rows, 0.5 + 0 * rows], axis=-1).astype(np.float32)
 
 
-def write(folder, name):
+def write(folder):
     from backend.synthetic_capture.photo_files import ENDINGS, write_photo
 
-    write_photo(Path(folder) / f"photo{ENDINGS[name]}", radiance(), name)
+    for name in PHOTO_FORMATS:
+        write_photo(Path(folder) / name / f"photo{ENDINGS[name]}", radiance(), name)
 
 
 if __name__ == "__main__":
