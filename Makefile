@@ -72,9 +72,10 @@ lint: $(VENV)/installed-dev
 	$(BIN)/mypy
 
 # These two files are stamps. An environment is filled once, and again when the list of packages changes.
+# An environment whose making was interrupted has a Python without pip, and is made again.
 $(VENV)/installed: pyproject.toml constraints.txt
 	@test -n "$(PYTHON)" || { echo "Python 3.11 with its venv module was not found; try: make PYTHON=/path/to/python3.11" >&2; exit 1; }
-	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip --version >/dev/null 2>&1 || $(PYTHON) -m venv --clear $(VENV)
 	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[bpy]'
 	touch $@
 
