@@ -158,13 +158,32 @@ def test_an_asset_that_was_removed_is_made_again(batch):
     assert batch.run()[0] == 0 and batch.steps("a") == WHOLE * 2
 
 
+def stopped_run(batch, request_stop, **arguments):
+    """Run a batch that is asked to stop when its job "a" waits; (exit code, events).
+
+    It is asked even if that job never waits, because the batch would run for ever.
+    """
+    waited = []
+
+    def ask() -> None:
+        try:
+            wait_until((batch.out / "a/waiting").exists)
+            waited.append(True)
+        finally:
+            request_stop()
+
+    thread = threading.Thread(target=ask)
+    thread.start()
+    ended = batch.run(**arguments)
+    thread.join()
+    assert waited, "the job did not come to its wait"
+    return ended
+
+
 def test_a_stop_leaves_checkpoints_and_the_next_start_goes_on(batch):
     slow, _ = batch.add("a", "slow"), batch.add("b", "slow")
     stop = StopRequest()
-    timer = threading.Thread(target=lambda: (wait_until((batch.out / "a/waiting").exists), stop.request("test")))
-    timer.start()
-    code, events = batch.run(stop, workers=1)
-    timer.join()
+    code, events = stopped_run(batch, lambda: stop.request("test"), stop=stop, workers=1)
     found = batch.objects()
     assert code == 7 and events[-1]["name"] == "stopped.batch" and events[-1]["values"]["left"] == 2
     assert found["a"]["state"] == "stopped" and found["b"]["state"] == "waiting" and found["b"]["attempts"] == 0
@@ -175,13 +194,7 @@ def test_a_stop_leaves_checkpoints_and_the_next_start_goes_on(batch):
 
 def test_a_file_in_its_folder_stops_the_batch_and_not_the_next_start(batch):
     slow = batch.add("a", "slow")
-
-    def ask() -> None:
-        wait_until((batch.out / "a/waiting").exists)
-        (batch.out / "batch.stop").touch()
-
-    threading.Thread(target=ask).start()
-    code, events = batch.run()
+    code, events = stopped_run(batch, (batch.out / "batch.stop").touch)
     assert code == 7 and events[-1]["values"] == {"reason": "stop file", "left": 1}
     (slow / "go").touch()
     assert batch.run()[0] == 0 and batch.steps("a") == WHOLE
@@ -191,8 +204,8 @@ def test_a_deaf_job_is_killed(batch, monkeypatch):
     monkeypatch.setattr("blender_nep.batch.job_process._LONGEST_STOP_S", 0.1)
     batch.add("a", "deaf")
     stop = StopRequest()
-    threading.Thread(target=lambda: (wait_until((batch.out / "a/waiting").exists), stop.request("test"))).start()
-    assert batch.run(stop)[0] == 7 and batch.objects()["a"]["state"] == "stopped"
+    code, _ = stopped_run(batch, lambda: stop.request("test"), stop=stop)
+    assert code == 7 and batch.objects()["a"]["state"] == "stopped"
 
 
 def test_other_settings_in_the_same_folder_are_refused(batch):
@@ -231,10 +244,12 @@ def test_a_second_batch_in_one_folder_is_refused(batch):
     slow = batch.add("a", "slow")
     first = threading.Thread(target=batch.run)
     first.start()
-    wait_until((batch.out / "a/waiting").exists)
-    code, events = batch.run()
-    (slow / "go").touch()
-    first.join()
+    try:
+        wait_until((batch.out / "a/waiting").exists)
+        code, events = batch.run()
+    finally:  # else a failure would wait for the first batch for ever
+        (slow / "go").touch()
+        first.join()
     assert code == 2 and events[-1]["name"] == "usage.folder_in_use"
     assert batch.objects()["a"]["state"] == "done"
 

@@ -38,16 +38,18 @@ def test_a_lost_node_costs_no_object(batch, cluster):
     thread = threading.Thread(target=batch.run, kwargs=options)
     thread.start()
     waiting = [batch.out / name / "waiting" for name in ("a", "b", "c")]
-    wait_until(lambda: sum(path.exists() for path in waiting) == 2)
-    cluster.lose(1)
-    wait_until(lambda: len(jobs_in(batch.out)) == 1)
-    most = 0
-    for _ in range(30):  # Ray gives the cores of a task to others while the task waits for something
-        most = max(most, len(jobs_in(batch.out)))
-        time.sleep(0.2)
-    for name in ("a", "b", "c"):
-        (batch.captures / name / "go").touch()
-    thread.join()
+    try:
+        wait_until(lambda: sum(path.exists() for path in waiting) == 2)
+        cluster.lose(1)
+        wait_until(lambda: len(jobs_in(batch.out)) == 1)
+        most = 0
+        for _ in range(30):  # Ray gives the cores of a task to others while the task waits for something
+            most = max(most, len(jobs_in(batch.out)))
+            time.sleep(0.2)
+    finally:  # else a failure would wait for the batch for ever
+        for name in ("a", "b", "c"):
+            (batch.captures / name / "go").touch()
+        thread.join()
     assert most == 1, "the node that is left has one core"
     found = batch.objects()
     assert {name: one["state"] for name, one in found.items()} == {"a": "done", "b": "done", "c": "done", "d": "failed"}

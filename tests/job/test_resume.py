@@ -192,13 +192,17 @@ job.run(settings, Events(), StopRequest(), BallStages(steps=150, on_step=lambda 
 def test_a_killed_process_is_resumed(start, file):
     """kill -9 as soon as a file appears; the run then goes on from it and gives an asset."""
     script = SLOW_JOB.format(tests=str(TESTS), capture=str(start.folder), out=str(start.out))
-    process = subprocess.Popen([sys.executable, "-c", script], stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)
-    wait_until = start.out / "checkpoints" / file
-    while not wait_until.exists() and process.poll() is None:
-        time.sleep(0.001)
-    process.kill()
-    process.communicate()
-    assert wait_until.exists() and not (start.out / "report.json").exists()
+    awaited, deadline = start.out / "checkpoints" / file, time.monotonic() + 300
+    with open(start.out.with_name("stderr.txt"), "w") as errors:  # a pipe that nobody reads would block the job when full
+        process = subprocess.Popen([sys.executable, "-c", script], stdout=subprocess.DEVNULL, stderr=errors)
+    try:
+        while not awaited.exists() and process.poll() is None and time.monotonic() < deadline:
+            time.sleep(0.001)
+    finally:
+        process.kill()
+        process.wait()
+    assert awaited.exists(), start.out.with_name("stderr.txt").read_text()[-2000:]
+    assert not (start.out / "report.json").exists()
     stages = BallStages(steps=150)
     code, _ = start(stages, resume=True)
     assert code == 0 and (start.out / "report.json").exists()
