@@ -3,7 +3,6 @@
 import importlib
 import os
 import re
-import stat
 import subprocess
 import sys
 import tomllib
@@ -13,6 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from support.blender_checks import drawn_by, fails, rounds
+from support.executable import write_executable
 from support.own_process import run_file
 from support.paths import ROOT
 from support.played_python import played_python
@@ -33,7 +33,7 @@ PACKED = (
     "constraints.txt",
 )
 
-FAKE_ENGINE = """#!{python}
+FAKE_ENGINE = """
 import json, os, pathlib, shutil, sys
 if sys.argv[2] == "-c":
     sys.exit(0)
@@ -95,16 +95,14 @@ def test_extension_installs_reconstructs_and_goes(tmp_path):
             path = ROOT / name
             for file in [path] if path.is_file() else sorted(path.rglob("*.py")):
                 packed.write(file, file.relative_to(ROOT))
-    fake = tmp_path / "fake-python"
-    fake.write_text(FAKE_ENGINE.replace("{python}", sys.executable))
-    fake.chmod(fake.stat().st_mode | stat.S_IXUSR)
+    fake = write_executable(tmp_path / "fake-python", FAKE_ENGINE)
     played_python(tmp_path)
     user = tmp_path / "user"
     user.mkdir()
     variables = {
         "BLENDER_USER_RESOURCES": str(user),
         "FAKE_IMAGE": str(tmp_path / "image.exr"),
-        "NEP_ENGINE_PYTHON": str(fake),
+        "NEP_ENGINE_PYTHON": fake,
     }
     done = run_file(__file__, archive, tmp_path, timeout=LIMIT_S, **variables)
     assert done.returncode == 0, done.stdout[-2000:] + done.stderr[-4000:]

@@ -3,13 +3,12 @@
 BALL_STEPS and BALL_DELAY (seconds a step) in the environment say how long it takes.
 """
 
-import stat
-import sys
 from pathlib import Path
 
+from support.executable import write_executable
 from support.paths import ROOT, TESTS
 
-SCRIPT = """#!{python}
+SCRIPT = """
 import os, sys, time
 assert sys.argv[1:4] == ["-I", "-m", "blender_nep"], sys.argv
 assert not [name for name in os.environ if name.startswith(("PYTHON", "BLENDER_"))], dict(os.environ)
@@ -41,7 +40,4 @@ sys.exit(cli.main(sys.argv[4:]))
 
 def make(folder: Path) -> str:
     """Write the executable; returns its path."""
-    path = folder / "engine-python"
-    path.write_text(SCRIPT.format(python=sys.executable, root=str(ROOT), tests=str(TESTS)))
-    path.chmod(path.stat().st_mode | stat.S_IXUSR)
-    return str(path)
+    return write_executable(folder / "engine-python", SCRIPT.format(root=str(ROOT), tests=str(TESTS)))

@@ -9,16 +9,15 @@ file `stopped` with the reason. deaf: it does not know how to stop.
 """
 
 import json
-import stat
-import sys
 from pathlib import Path
 
 import numpy as np
 from PIL import Image
 
 from support.captures import look_at
+from support.executable import write_executable
 
-SCRIPT = """#!{python}
+SCRIPT = """
 import json, os, pathlib, select, signal, sys, time
 assert sys.argv[1:5] == ["-I", "-m", "blender_nep", "cameras"], sys.argv
 here, photos = pathlib.Path(__file__).parent, pathlib.Path(sys.argv[5])
@@ -74,11 +73,8 @@ COUNT = 6
 
 def make(folder: Path) -> str:
     """Write the executable, and the cameras that it finds; returns its path."""
-    path = folder / "camera-engine-python"
-    path.write_text(SCRIPT.replace("{python}", sys.executable))
-    path.chmod(path.stat().st_mode | stat.S_IXUSR)
     (folder / "transforms.json").write_text(json.dumps(cameras()))
-    return str(path)
+    return write_executable(folder / "camera-engine-python", SCRIPT)
 
 
 def cameras() -> dict:

@@ -7,16 +7,15 @@ error. full: it reports a full disk. old: it does not know the command. crash: i
 """
 
 import json
-import stat
-import sys
 from pathlib import Path
 
 import numpy as np
 from PIL import Image
 
 from support.captures import write_exr
+from support.executable import write_executable
 
-SCRIPT = """#!{python}
+SCRIPT = """
 import json, os, pathlib, signal, sys, time
 import numpy as np
 from PIL import Image
@@ -70,10 +69,7 @@ MESH = "v 0 0 1\nv 1 0 1\nv 0 1 2\nvt 0 0\nvt 1 0\nvt 0 1\nf 1/1 2/2 3/3\n"
 
 def make(folder: Path) -> str:
     """Write the executable; returns its path."""
-    path = folder / "correcting-engine-python"
-    path.write_text(SCRIPT.replace("{python}", sys.executable))
-    path.chmod(path.stat().st_mode | stat.S_IXUSR)
-    return str(path)
+    return write_executable(folder / "correcting-engine-python", SCRIPT)
 
 
 def make_asset(folder: Path) -> Path:

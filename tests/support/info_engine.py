@@ -7,9 +7,9 @@ it does not know the options. silent: it dies without an answer.
 """
 
 import json
-import stat
-import sys
 from pathlib import Path
+
+from support.executable import write_executable
 
 FOUND = {
     "photos": 6,
@@ -26,7 +26,7 @@ FOUND = {
     ],
 }
 
-SCRIPT = """#!{python}
+SCRIPT = """
 import json, pathlib, sys, time
 from PIL import Image
 assert sys.argv[1:5] == ["-I", "-m", "blender_nep", "info"], sys.argv
@@ -55,8 +55,5 @@ print((here / "found.json").read_text())
 
 def make(folder: Path) -> str:
     """Write the executable, and what it says; returns its path."""
-    path = folder / "info-engine-python"
-    path.write_text(SCRIPT.replace("{python}", sys.executable))
-    path.chmod(path.stat().st_mode | stat.S_IXUSR)
     (folder / "found.json").write_text(json.dumps(FOUND))
-    return str(path)
+    return write_executable(folder / "info-engine-python", SCRIPT)

@@ -5,7 +5,9 @@ import stat
 import sys
 from pathlib import Path
 
-PLAYED = """#!{python}
+from support.executable import write_executable
+
+PLAYED = """
 import os, pathlib, shutil, sys, time
 mode = pathlib.Path({folder!r}, "mode").read_text()
 what = sys.argv[2:]
@@ -42,16 +44,13 @@ elif what[:3] == ["-m", "pip", "install"]:
 def played_python(folder: Path) -> str:
     """Make a Python that only plays venv and pip. The file `mode` beside it says how it behaves. Returns its path."""
     place = ("Scripts", "python.exe") if os.name == "nt" else ("bin", "python")
-    path = folder / "base-python"
-    path.write_text(PLAYED.format(python=sys.executable, folder=str(folder), place=place))
-    path.chmod(path.stat().st_mode | stat.S_IXUSR)
     (folder / "mode").write_text("well")
-    return str(path)
+    return write_executable(folder / "base-python", PLAYED.format(folder=str(folder), place=place))
 
 
 def bare_python(folder: Path) -> str:
     """Make a Python that has no installed packages, so that the engine is missing. Returns its path."""
     path = folder / "bare-python"
-    path.write_text(f'#!/bin/sh\nexec {sys.executable} -S "$@"\n')
+    path.write_text(f'#!/bin/sh\nexec "{sys.executable}" -S "$@"\n')
     path.chmod(path.stat().st_mode | stat.S_IXUSR)
     return str(path)

@@ -5,11 +5,11 @@ wait: waits for the request to stop, and then writes OUT/checkpoint. deaf: does 
 write OUT/waiting when they have begun to wait.
 """
 
-import stat
-import sys
 from pathlib import Path
 
-SCRIPT = """#!{python}
+from support.executable import write_executable
+
+SCRIPT = """
 import json, os, pathlib, shutil, signal, sys, time
 assert sys.argv[1:4] == ["-I", "-m", "blender_nep"], sys.argv
 assert not [name for name in os.environ if name.startswith(("PYTHON", "BLENDER_"))], dict(os.environ)
@@ -49,7 +49,4 @@ elif mode == "deaf":
 
 def make(folder: Path) -> str:
     """Write the executable; returns its path."""
-    path = folder / "scripted-engine-python"
-    path.write_text(SCRIPT.replace("{python}", sys.executable))
-    path.chmod(path.stat().st_mode | stat.S_IXUSR)
-    return str(path)
+    return write_executable(folder / "scripted-engine-python", SCRIPT)

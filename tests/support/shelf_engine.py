@@ -6,11 +6,11 @@ first object it waits until the file `go` is there, or until it is asked to stop
 know the command.
 """
 
-import stat
-import sys
 from pathlib import Path
 
-SCRIPT = """#!{python}
+from support.executable import write_executable
+
+SCRIPT = """
 import fcntl, json, os, pathlib, select, shutil, signal, sys, time
 assert sys.argv[1:4] == ["-I", "-m", "blender_nep"], sys.argv
 here, command, given = pathlib.Path(__file__).parent, sys.argv[4], sys.argv[5:]
@@ -77,7 +77,4 @@ say(event="done", asset=str(out))
 
 def make(folder: Path) -> str:
     """Write the executable; returns its path. It takes `folder`/asset for every asset."""
-    path = folder / "shelf-engine-python"
-    path.write_text(SCRIPT.replace("{python}", sys.executable))
-    path.chmod(path.stat().st_mode | stat.S_IXUSR)
-    return str(path)
+    return write_executable(folder / "shelf-engine-python", SCRIPT)
