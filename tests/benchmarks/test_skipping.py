@@ -9,6 +9,7 @@ import torch
 pytest.importorskip("igl")
 from benchmarks.studies.skipping import FieldsOnce, Scene, found_scenes, line, main, without_skipping
 from benchmarks.suite.derived_captures import derive
+from benchmarks.suite.fewer_views import with_fewer_views
 from blender_nep.capture import PixelRays, load_capture
 from blender_nep.job.scene_analysis import SceneAnalysis
 from blender_nep.job.stages import FieldsStage
@@ -21,10 +22,9 @@ def analyse(scene: Scene) -> SceneAnalysis:
 
 
 def test_a_variant_of_a_capture_has_the_properties_of_its_name(tmp_path):
-    plain = analyse(Scene.parse(f"{SUZANNE_SMALL}:masks", tmp_path))
-    cut, white, far = (
-        analyse(Scene.parse(f"{SUZANNE_SMALL}:{word}", tmp_path)) for word in ("cut-out", "clipped", "distant")
-    )
+    few = with_fewer_views(SUZANNE_SMALL, 8, tmp_path / "few")
+    plain = analyse(Scene.parse(f"{few}:masks", tmp_path))
+    cut, white, far = (analyse(Scene.parse(f"{few}:{word}", tmp_path)) for word in ("cut-out", "clipped", "distant"))
     assert plain.backdrop and white.backdrop and far.backdrop and not cut.backdrop
     assert plain.clipped < 0.001 and 0.01 < white.clipped < 0.05 and white.brightest <= 1
     assert far.pixels_across == pytest.approx(plain.pixels_across / 4, rel=0.02)
