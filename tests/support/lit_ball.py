@@ -1,14 +1,19 @@
 """A ball in analytic light, its photos by brute-force Monte Carlo, and material learning on them."""
 
+import functools
 import math
 from dataclasses import dataclass, replace
 
+import numpy as np
 import torch
+import trimesh
 
 from blender_nep.capture.pixel_width import pixel_width
+from blender_nep.geometry.mesh import Surface
 from blender_nep.materials.training import learn_materials
-from blender_nep.presets import MaterialPreset
+from blender_nep.presets import MaterialPreset, SurfacePreset
 from blender_nep.shading import brdf
+from blender_nep.surface.unwrap import unwrap
 
 PRESET = replace(
     MaterialPreset(),
@@ -23,6 +28,17 @@ PRESET = replace(
 RADIUS = 0.7
 HALF_ANGLE = 0.004
 """Of a pixel's cone [radians]"""
+
+
+@functools.cache
+def unwrapped_ball() -> Surface:
+    """The ball with its UV map, made once in a process. No test may change its arrays, which are read-only."""
+    mesh = trimesh.creation.icosphere(subdivisions=4, radius=RADIUS)
+    vertices, faces = np.asarray(mesh.vertices), np.asarray(mesh.faces)
+    ball = unwrap(Surface(vertices, faces, vertices / RADIUS), SurfacePreset(atlas_texels=256))
+    for values in (ball.vertices, ball.faces, ball.normals, ball.uv):
+        values.setflags(write=False)
+    return ball
 
 
 class AnalyticEnvironment:
