@@ -12,9 +12,12 @@ from scipy.spatial import cKDTree
 from blender_nep.geometry.mesh import Surface
 from blender_nep.geometry.uv_raster import nearest_known, rasterise
 from blender_nep.profiling import profiled
+from blender_nep.shading.plenoptic import SurfacePoints
 
 NEIGHBOURS = 16
 """Number of nearest points that decide the material of a point."""
+_NEAREST = 4
+"""Samples among which the nearest one on the same side is looked for"""
 _BLOCK = 1 << 16
 """Texels that are baked at a time. This bounds the memory (16 neighbours each), whatever the texture's size."""
 
@@ -25,6 +28,8 @@ class LabelledPoints:
 
     position: np.ndarray
     """[n, 3] unit frame"""
+    normal: np.ndarray
+    """[n, 3] unit vectors"""
     photo: np.ndarray
     """[n] int, index of the photo that shows the point"""
     albedo: np.ndarray
@@ -48,6 +53,23 @@ def neighbours(tree: cKDTree, points: np.ndarray, count: int) -> tuple[np.ndarra
     return distance.reshape(len(points), count), index.reshape(len(points), count)
 
 
+def on_same_side(
+    distance: np.ndarray, index: np.ndarray, normal: np.ndarray, normals: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """The neighbours [m, count] of m points without those on the other side of a thin wall, whose paint may be another one.
+
+    normal [m, 3] is that of the points, normals [n, 3] those of the samples to which `index` points. A neighbour whose
+    normal is turned away by more than 90 degrees gets an infinite distance, and the index of the nearest one on the same
+    side. Where all of them are turned away, as in a hollow that no photo shows, they stay as they are.
+    """
+    other = np.stack([np.einsum("mk,mk->m", normal, normals[column]) < 0 for column in index.T], 1)
+    other[other.all(1)] = False
+    if not other.any():
+        return distance, index
+    nearest = np.take_along_axis(index, (~other).argmax(1)[:, None], 1)
+    return np.where(other, np.inf, distance), np.where(other, nearest, index)
+
+
 def vote(cost: np.ndarray, distance: np.ndarray, index: np.ndarray) -> np.ndarray:
     """Index [m] int of the material with the least mean cost over each point's neighbours (`weighted_mean`)."""
     return weighted_mean(cost, distance, index).argmin(1)
@@ -63,9 +85,13 @@ def weighted_mean(cost: np.ndarray, distance: np.ndarray, index: np.ndarray) -> 
 
 
 def kernel(distance: np.ndarray) -> np.ndarray:
-    """Weights [m, count] of neighbours at distances [m, count], sorted by distance: a tenth at the farthest one."""
-    reach = np.maximum(distance[:, -1:], 1e-9)
-    return np.exp(-2.3 * (distance / reach) ** 2)
+    """Weights [m, count] of neighbours at distances [m, count]: a tenth at the farthest one, and 0 at an infinite distance.
+
+    Where all distances are infinite, the weights are 1.
+    """
+    reach = np.maximum(np.where(np.isfinite(distance), distance, 0.0).max(1, keepdims=True), 1e-9)
+    weight = np.exp(-2.3 * (distance / reach) ** 2)
+    return np.where(np.isfinite(distance).any(1, keepdims=True), weight, 1.0)
 
 
 def texture_size(surface: Surface, footprint: float, most: int) -> int:
@@ -103,12 +129,14 @@ def bake(
     photos, nearest, farthest = np.empty(count, np.int64), np.empty(count), np.empty(count)
     for start in range(0, count, _BLOCK):
         part = slice(start, start + _BLOCK)
-        points = np.einsum("nc,nck->nk", barycentric[part], surface.vertices[surface.faces[face[part]]])
-        distance, index = neighbours(tree, points, NEIGHBOURS)
+        corner = surface.faces[face[part]]
+        both = (surface.vertices, surface.normals)
+        points, normal = (np.einsum("nc,nck->nk", barycentric[part], values[corner]) for values in both)
+        distance, index = on_same_side(*neighbours(tree, points, NEIGHBOURS), normal, labelled.normal)
         material[part] = weighted_mean(values, distance, index)
         residual[part] = weighted_mean(labelled.residual[:, None], distance, index)[:, 0]
         photos[part] = 1 + (np.diff(np.sort(labelled.photo[index], 1), axis=1) > 0).sum(1)
-        nearest[part], farthest[part] = distance[:, 0], distance[:, -1]
+        nearest[part], farthest[part] = distance.min(1), np.where(np.isfinite(distance), distance, 0.0).max(1)
     spacing = np.median(farthest) if count else 1.0
     seen = (1 - np.exp(-photos / 4)) * np.exp(-np.maximum(nearest / spacing - 1, 0))
     confidence = seen * np.exp(-residual / 0.1)
@@ -126,7 +154,11 @@ def bake(
 
 
 @profiled("labels")
-def labels_at(tree: cKDTree, labels: torch.Tensor, points: torch.Tensor) -> torch.Tensor:
-    """The label [m] of the sample in `tree` that is nearest to each point [m, 3]; labels [n] are those of the samples."""
-    nearest = tree.query(points.cpu().numpy(), workers=-1)[1]
-    return labels[torch.from_numpy(np.asarray(nearest, np.int64)).to(labels.device)]
+def labels_at(tree: cKDTree, normals: np.ndarray, labels: torch.Tensor, points: SurfacePoints) -> torch.Tensor:
+    """The label [m] of the sample in `tree` that is nearest to each of m points, and on the same side of a thin wall.
+
+    normals [n, 3] and labels [n] are those of the samples.
+    """
+    near = neighbours(tree, points.position.cpu().numpy(), _NEAREST)
+    _, index = on_same_side(*near, points.normal.cpu().numpy(), normals)
+    return labels[torch.from_numpy(index[:, 0].astype(np.int64)).to(labels.device)]

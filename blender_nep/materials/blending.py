@@ -16,6 +16,8 @@ class BlendedPoints:
 
     position: np.ndarray
     """[n, 3] unit frame"""
+    normal: np.ndarray
+    """[n, 3] unit vectors"""
     photo: np.ndarray
     """[n] int, index of the photo that shows the point"""
     residual: np.ndarray
@@ -35,7 +37,8 @@ class BlendedPoints:
             return values[self.first] * (1 - part) + values[self.second] * part
 
         albedo, roughness, metallic = (x.cpu().numpy() for x in (palette.albedo, palette.roughness, palette.metallic))
-        return LabelledPoints(self.position, self.photo, mixed(albedo), mixed(roughness), mixed(metallic), self.residual)
+        material = mixed(albedo), mixed(roughness), mixed(metallic)
+        return LabelledPoints(self.position, self.normal, self.photo, *material, self.residual)
 
 
 def find_blends(cost: np.ndarray, palette: Palette, blend_margin: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.spatial import cKDTree
 
-from blender_nep.materials.baking import NEIGHBOURS, neighbours, weighted_mean
+from blender_nep.materials.baking import NEIGHBOURS, neighbours, on_same_side, weighted_mean
 from blender_nep.materials.blending import BlendedPoints, find_blends
 from blender_nep.materials.photo_samples import select_samples
 from blender_nep.materials.pixel_votes import Surfels, left_out_error, pixel_costs
@@ -34,14 +34,13 @@ def labelled_samples(search: PaletteSearch) -> BlendedPoints:
     cost = search.costs().cpu().numpy()
     label = search.label.cpu().numpy()
     own = cost[np.arange(len(label)), label] / search.weight.cpu().numpy()
-    return _blended(search, search.samples.position, search.samples.photo.cpu().numpy(), search.smoothed(cost), own)
+    samples = Surfels(search.samples.position, search.normal, search.samples.photo.cpu().numpy())
+    return _blended(search, samples, search.smoothed(cost), own)
 
 
-def _blended(
-    search: PaletteSearch, position: np.ndarray, photo: np.ndarray, cost: np.ndarray, residual: np.ndarray
-) -> BlendedPoints:
+def _blended(search: PaletteSearch, points: Surfels, cost: np.ndarray, residual: np.ndarray) -> BlendedPoints:
     """Points with the materials, or blends, that have the least cost [n, K]."""
-    return BlendedPoints(position, photo, residual, *find_blends(cost, search.palette, search.preset.blend_margin))
+    return BlendedPoints(*points, residual, *find_blends(cost, search.palette, search.preset.blend_margin))
 
 
 def error_of_neighbours(search: PaletteSearch, samples: Surfels, shown: np.ndarray) -> float:
@@ -75,11 +74,12 @@ def labelled_pixels(
     blended = palette.blended.cpu().numpy()
     cost = cost * np.where(blended, 1 + p.blend_margin, 1.0)
     tree = cKDTree(pixels.position)
-    smoothed = weighted_mean(cost, *neighbours(tree, pixels.position, 2 * NEIGHBOURS))
+    around = on_same_side(*neighbours(tree, pixels.position, 2 * NEIGHBOURS), pixels.normal, pixels.normal)
+    smoothed = weighted_mean(cost, *around)
     inner = shows_one_material(smoothed, blended, tree)
     smoothed[np.ix_(inner, blended)] *= (1 + p.inner_blend_margin) / (1 + p.blend_margin)
     own = cost[np.arange(len(cost)), smoothed.argmin(1)]
-    return _blended(search, pixels.position, pixels.photo, smoothed, own)
+    return _blended(search, pixels, smoothed, own)
 
 
 def shows_one_material(cost: np.ndarray, blended: np.ndarray, tree: cKDTree) -> np.ndarray:

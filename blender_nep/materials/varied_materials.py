@@ -18,7 +18,7 @@ import torch
 from scipy.spatial import cKDTree
 from torch import Tensor
 
-from blender_nep.materials.baking import LabelledPoints, kernel, neighbours
+from blender_nep.materials.baking import LabelledPoints, kernel, neighbours, on_same_side
 from blender_nep.materials.fitting import fit_groups, place_in_scan, roughness_scan
 from blender_nep.materials.palette import Palette, between, error, place_of_least
 from blender_nep.materials.pixel_votes import Surfels, nearest_samples
@@ -251,6 +251,8 @@ class PlacedPixels:
 
     position: np.ndarray
     """[m, 3] unit frame"""
+    normal: np.ndarray
+    """[m, 3] unit vectors"""
     photo: np.ndarray
     """[m] int, index of the photo"""
     radiance: Tensor
@@ -268,7 +270,7 @@ class PlacedPixels:
         sample, share = nearest_samples(samples, pixels)
         lit = np.flatnonzero(share.any(1))
         rows = torch.from_numpy(lit).to(radiance.device)
-        return cls(pixels.position[lit], pixels.photo[lit], radiance[rows], sample[lit], share[lit], width)
+        return cls(*(of_all[lit] for of_all in pixels), radiance[rows], sample[lit], share[lit], width)
 
 
 def varied_points(
@@ -280,7 +282,8 @@ def varied_points(
     color = median_color(tree, radiance, pixels.position, _MANY_PIXELS)
     material = materials.at(tree, color, pixels.width)
     offset, slope = _affine_of_pixels(material, light, pixels)
-    distance, index = neighbours(tree, pixels.position, _ALBEDO_PIXELS)
+    around = neighbours(tree, pixels.position, _ALBEDO_PIXELS)
+    distance, index = on_same_side(*around, pixels.normal, pixels.normal)
     albedo, residual = np.empty_like(radiance), np.empty(len(radiance), np.float32)
     metallic = material.metallic.cpu().numpy()
     fit_local_albedos(
@@ -295,7 +298,8 @@ def varied_points(
         albedo,
         residual,
     )
-    return LabelledPoints(pixels.position, pixels.photo, albedo, material.roughness.cpu().numpy(), metallic, residual)
+    roughness = material.roughness.cpu().numpy()
+    return LabelledPoints(pixels.position, pixels.normal, pixels.photo, albedo, roughness, metallic, residual)
 
 
 def _affine_of_pixels(material: Material, light: LightMoments, pixels: PlacedPixels) -> tuple[np.ndarray, np.ndarray]:

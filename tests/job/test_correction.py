@@ -40,7 +40,13 @@ def two_materials() -> KeptMaterials:
     palette = Palette(torch.tensor([[0.9, 0.7, 0.3], [0.5, 0.1, 0.1]]), torch.tensor([0.2, 0.5]), torch.tensor([1.0, 0.0]))
     label = torch.from_numpy(upper.astype(np.int64))
     points = BlendedPoints(
-        surface.vertices, np.arange(n) % 5, np.zeros(n), label.numpy(), label.numpy(), np.zeros(n, np.float32)
+        surface.vertices,
+        surface.normals,
+        np.arange(n) % 5,
+        np.zeros(n),
+        label.numpy(),
+        label.numpy(),
+        np.zeros(n, np.float32),
     )
     target = palette.albedo[label]
     materials = CorrectablePalette(light, target, label, palette, points)

@@ -15,7 +15,9 @@ N = 4000
 def points(albedo):
     random = np.random.default_rng(0)
     even = np.zeros(N, np.float32)
-    return LabelledPoints(random.uniform(-1, 1, (N, 3)), even.astype(int), albedo[:, None].repeat(3, 1), even, even, even)
+    up = np.tile([0.0, 0.0, 1.0], (N, 1))
+    position, photo, albedo = random.uniform(-1, 1, (N, 3)), even.astype(int), albedo[:, None].repeat(3, 1)
+    return LabelledPoints(position, up, photo, albedo, even, even, even)
 
 
 def light(irradiance, hidden, mirrored):

@@ -61,9 +61,10 @@ def test_paint_and_metal_are_told_apart_where_they_lie(ball):
 
 def test_textures_do_not_depend_on_the_block_and_faces_that_no_photo_shows_have_no_confidence(ball, monkeypatch):
     random = np.random.default_rng(2)
-    position = ball.vertices[random.integers(len(ball.vertices), size=300)].astype(np.float32)
+    at = random.integers(len(ball.vertices), size=300)
+    position, normal = ball.vertices[at].astype(np.float32), ball.normals[at].astype(np.float32)
     material = (random.random(shape).astype(np.float32) for shape in ((300, 3), 300, 300, 300))
-    evidence = LabelledPoints(position, random.integers(9, size=300), *material)
+    evidence = LabelledPoints(position, normal, random.integers(9, size=300), *material)
     whole = bake(ball, evidence, 64)
     shown = ball.vertices[ball.faces].mean(1)[:, 2] > 0
     *same, confidence = bake(ball, evidence, 64, shown)
