@@ -54,7 +54,7 @@ def sphere(options: argparse.Namespace) -> tuple[tuple[float, float, float], flo
 
 
 def _add_info(commands: argparse._SubParsersAction) -> None:
-    info = commands.add_parser("info", help="say what a capture holds and what looks wrong")
+    info = _command_with_exit_codes(commands, "info", "say what a capture holds and what looks wrong")
     _add_capture(info)
     info.add_argument("--json", action="store_true", help="as one JSON object")
     _add_sphere(info)
@@ -162,7 +162,7 @@ def _add_materials(commands: argparse._SubParsersAction) -> None:
 
 
 def _add_gallery(commands: argparse._SubParsersAction) -> None:
-    pages = commands.add_parser("gallery", help="write the pages of a batch anew: FOLDER/index.html")
+    pages = _command_with_exit_codes(commands, "gallery", "write the pages of a batch anew: FOLDER/index.html")
     pages.add_argument("folder", type=Path, metavar="FOLDER", help="folder of a batch")
 
 

@@ -219,10 +219,10 @@ class EnvironmentPreset:
     foreground_opacity: float = 0.05
     """Cost of the foreground opacity: F_e's mean opacity in front of the object. Without it, fog grows there, different for
     each photo, and lamps are learned 12 to 19 % too bright, so that they shine through the fog."""
-    regularised_fraction: float = 0.25
+    regularized_fraction: float = 0.25
     """Share of the shells for which a step computes the priors. The shells are drawn anew in each step. The priors of all
     shells took as long as the rendering."""
-    regularised_detail: float = 0.1
+    regularized_detail: float = 0.1
     """Share of the rows of the color detail for which a step computes the prior. The rows are drawn anew in each step."""
     coverage_weight: float = 0.015
     """A node has full coverage if the weights with which `coverage_rays` camera rays see it add up to this."""

@@ -1,0 +1,1 @@
+"""Relit comparisons and turntables in Cycles."""

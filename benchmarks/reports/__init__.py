@@ -1,0 +1,1 @@
+"""Writes tables, plots and pictures from the rows of finished runs."""

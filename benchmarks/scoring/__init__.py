@@ -1,0 +1,1 @@
+"""Scores an asset against ground truth: geometry, materials, F_e, cameras, relighting."""

@@ -1,0 +1,1 @@
+"""Whole small jobs on hostile captures (docs/stress.md)."""

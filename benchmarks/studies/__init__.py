@@ -1,0 +1,1 @@
+"""Campaigns of their own: skipping, scaling, relief, clusters, node counts of rays."""

@@ -1,0 +1,1 @@
+"""Plans and runs the benchmark: captures, variants, steps, rows."""

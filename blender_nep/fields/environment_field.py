@@ -157,7 +157,7 @@ class EnvironmentField(nn.Module):
         if not self.known:
             return 0.0
         shells = raw.shape[0]
-        run = max(2, round(shells * preset.regularised_fraction))
+        run = max(2, round(shells * preset.regularized_fraction))
         first = int(torch.randint(0, shells - run + 1, (1,), generator=generator, device=raw.device))
         slab = raw.detach()[first : first + run].requires_grad_()
         weight = (preset.density_variation, *[preset.color_variation] * 3)
@@ -174,7 +174,7 @@ class EnvironmentField(nn.Module):
     def _smooth_detail(self, generator: torch.Generator | None) -> float:
         """Add the gradient of the total variation of some random neighbouring rows of the color detail; return its value."""
         rows = len(self.detail)
-        run = max(2, round(rows * self.preset.regularised_detail))
+        run = max(2, round(rows * self.preset.regularized_detail))
         first = int(torch.randint(0, rows - run + 1, (1,), generator=generator, device=self.raw.device))
         band = self.detail.detach()[first : first + run].requires_grad_()
         with torch.enable_grad():

@@ -325,7 +325,7 @@ class _MaterialLearner:
             return self._correctable_palette(of_samples)
         samples, shown = surfels(self.seen.samples, tracer, normals), search.shown()
         error = error_of_neighbours(search, samples, shown)
-        self.report.neighbours_error = round(error, 4)
+        self.report.neighbors_error = round(error, 4)
         predicted = error <= np.median(of_samples.residual)
         if not predicted:
             self._skip(Part.VOTES, Message("reason.light_changes_fast"))

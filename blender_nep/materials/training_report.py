@@ -45,7 +45,7 @@ class MaterialReport:
     cones_traced: int | None = None
     self_reflection_rays: int | None = None
     """Number of cones that met the object again"""
-    neighbours_error: float | None = None
+    neighbors_error: float | None = None
     """Median error of predicting a sample's radiance from the nearest other samples of its photo, tone-mapped"""
     varied_gain: float | None = None
     """Share by which a material for each segment lowers the palette's residual, on held-out photos"""

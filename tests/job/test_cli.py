@@ -18,9 +18,10 @@ def blender_nep(*arguments, **keywords):
     return subprocess.run(command, capture_output=True, text=True, timeout=LIMIT, **keywords)
 
 
-def test_help_documents_exit_codes(capsys):
+@pytest.mark.parametrize("command", [[], ["info"], ["cameras"], ["reconstruct"], ["batch"], ["materials"], ["gallery"]])
+def test_help_documents_exit_codes(command, capsys):
     with pytest.raises(SystemExit) as ended:
-        main(["--help"])
+        main([*command, "--help"])
     text = capsys.readouterr().out
     assert ended.value.code == 0
     for code in (*range(8), 9):

@@ -1,0 +1,1 @@
+"""Helpers that several tests share: small captures, played engines, processes with Blender."""
