@@ -54,14 +54,16 @@ def neighbours(tree: cKDTree, points: np.ndarray, count: int) -> tuple[np.ndarra
 
 
 def on_same_side(
-    distance: np.ndarray, index: np.ndarray, normal: np.ndarray, normals: np.ndarray
+    found: tuple[np.ndarray, np.ndarray], normal: np.ndarray, normals: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """The neighbours [m, count] of m points without those on the other side of a thin wall, whose paint may be another one.
+    """What `neighbours` has `found` for m points, without what lies on the other side of a thin wall.
 
-    normal [m, 3] is that of the points, normals [n, 3] those of the samples to which `index` points. A neighbour whose
-    normal is turned away by more than 90 degrees gets an infinite distance, and the index of the nearest one on the same
-    side. Where all of them are turned away, as in a hollow that no photo shows, they stay as they are.
+    The other side may have another paint. normal [m, 3] is that of the points, normals [n, 3] those of the samples to
+    which `index` points. A neighbour whose normal is turned away by more than 90 degrees gets an infinite distance, and
+    the index of the nearest one on the same side. Where all of them are turned away, as in a hollow that no photo shows,
+    they stay as they are.
     """
+    distance, index = found
     other = np.stack([np.einsum("mk,mk->m", normal, normals[column]) < 0 for column in index.T], 1)
     other[other.all(1)] = False
     if not other.any():
@@ -132,7 +134,7 @@ def bake(
         corner = surface.faces[face[part]]
         both = (surface.vertices, surface.normals)
         points, normal = (np.einsum("nc,nck->nk", barycentric[part], values[corner]) for values in both)
-        distance, index = on_same_side(*neighbours(tree, points, NEIGHBOURS), normal, labelled.normal)
+        distance, index = on_same_side(neighbours(tree, points, NEIGHBOURS), normal, labelled.normal)
         material[part] = weighted_mean(values, distance, index)
         residual[part] = weighted_mean(labelled.residual[:, None], distance, index)[:, 0]
         photos[part] = 1 + (np.diff(np.sort(labelled.photo[index], 1), axis=1) > 0).sum(1)
@@ -160,5 +162,5 @@ def labels_at(tree: cKDTree, normals: np.ndarray, labels: torch.Tensor, points: 
     normals [n, 3] and labels [n] are those of the samples.
     """
     near = neighbours(tree, points.position.cpu().numpy(), _NEAREST)
-    _, index = on_same_side(*near, points.normal.cpu().numpy(), normals)
+    _, index = on_same_side(near, points.normal.cpu().numpy(), normals)
     return labels[torch.from_numpy(index[:, 0].astype(np.int64)).to(labels.device)]

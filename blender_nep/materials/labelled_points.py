@@ -74,7 +74,7 @@ def labelled_pixels(
     blended = palette.blended.cpu().numpy()
     cost = cost * np.where(blended, 1 + p.blend_margin, 1.0)
     tree = cKDTree(pixels.position)
-    around = on_same_side(*neighbours(tree, pixels.position, 2 * NEIGHBOURS), pixels.normal, pixels.normal)
+    around = on_same_side(neighbours(tree, pixels.position, 2 * NEIGHBOURS), pixels.normal, pixels.normal)
     smoothed = weighted_mean(cost, *around)
     inner = shows_one_material(smoothed, blended, tree)
     smoothed[np.ix_(inner, blended)] *= (1 + p.inner_blend_margin) / (1 + p.blend_margin)

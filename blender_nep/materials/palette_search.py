@@ -61,7 +61,7 @@ class PaletteSearch:
         self.normal = light.points.normal.cpu().numpy()
         """[n, 3] the samples' normals"""
         around = neighbours(self._tree, samples.position, 2 * NEIGHBOURS)
-        self._around = on_same_side(*around, self.normal, self.normal)
+        self._around = on_same_side(around, self.normal, self.normal)
         self._place = places(samples.position, self.normal)
         self.palette = self._fit(self.label, 1)
 

@@ -270,7 +270,8 @@ class PlacedPixels:
         sample, share = nearest_samples(samples, pixels)
         lit = np.flatnonzero(share.any(1))
         rows = torch.from_numpy(lit).to(radiance.device)
-        return cls(*(of_all[lit] for of_all in pixels), radiance[rows], sample[lit], share[lit], width)
+        position, normal, photo = (of_all[lit] for of_all in pixels)
+        return cls(position, normal, photo, radiance[rows], sample[lit], share[lit], width)
 
 
 def varied_points(
@@ -283,7 +284,7 @@ def varied_points(
     material = materials.at(tree, color, pixels.width)
     offset, slope = _affine_of_pixels(material, light, pixels)
     around = neighbours(tree, pixels.position, _ALBEDO_PIXELS)
-    distance, index = on_same_side(*around, pixels.normal, pixels.normal)
+    distance, index = on_same_side(around, pixels.normal, pixels.normal)
     albedo, residual = np.empty_like(radiance), np.empty(len(radiance), np.float32)
     metallic = material.metallic.cpu().numpy()
     fit_local_albedos(

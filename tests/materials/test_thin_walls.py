@@ -49,7 +49,7 @@ def test_neighbors_of_a_smooth_surface_stay_as_they_are():
     normal = random.normal(size=(500, 3))
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)
     distance, index = neighbours(cKDTree(normal), normal, 16)
-    same = on_same_side(distance, index, normal, normal)
+    same = on_same_side((distance, index), normal, normal)
     assert same[0] is distance and same[1] is index
 
 
