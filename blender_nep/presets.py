@@ -257,7 +257,7 @@ class SurfacePreset:
     atlas_texels: int = 1024
     """Side of the UV atlas in texels while it is packed; `padding_texels` are such texels."""
     padding_texels: int = 3
-    """Free texels between charts, so that dilated charts do not overlap."""
+    """Free texels of the atlas between charts. Textures of half its side, or less, have less than two texels there."""
 
 
 @dataclass(frozen=True)

@@ -31,6 +31,11 @@ SRGB_TEXTURES = ("albedo",)
 """Textures that are colors. Their 8-bit files are sRGB-encoded: `is_color` in backend/scene_io/asset_import.py."""
 
 
+_HALF_MAX, _FLOAT_MAX = 65504.0, float(np.finfo(np.float32).max)
+_HALF_LOSS = 1e-3
+"""Share of the sum of all values that half floats may lose"""
+
+
 @dataclass
 class TexturedMesh:
     """A mesh in the capture's frame, and its textures."""
@@ -119,16 +124,23 @@ def _move(partial: Path, folder: Path) -> None:
 
 
 def write_exr(path: Path, pixels: np.ndarray) -> None:
-    """Write linear values [H, W, 3] (channels R, G, B) or [H, W] (channel V) as half-float OpenEXR. Raises OSError."""
-    half = np.clip(np.nan_to_num(pixels), -65504, 65504).astype(np.float16)
-    channels = {"RGB": half} if half.ndim == 3 else {"V": half}
+    """Write linear values [H, W, 3] (channels R, G, B) or [H, W] (channel V) as OpenEXR. Raises OSError.
+
+    The values are half floats. They are 32-bit floats where half floats would lose a thousandth of their sum, as with light
+    in large or in tiny units.
+    """
+    whole = np.nan_to_num(pixels, posinf=_FLOAT_MAX, neginf=-_FLOAT_MAX).astype(np.float32)
+    half = np.clip(whole, -_HALF_MAX, _HALF_MAX).astype(np.float16)
+    lost = np.abs(whole - half, dtype=np.float64).sum() > _HALF_LOSS * np.abs(whole, dtype=np.float64).sum()
+    stored = whole if lost else half
+    channels = {"RGB": stored} if stored.ndim == 3 else {"V": stored}
     header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
     path.touch()  # raises a clear OSError for a folder that may not be written; OpenEXR raises RuntimeError without errno
     try:
         OpenEXR.File(header, channels).write(str(path))
     except RuntimeError as error:
         free = shutil.disk_usage(path.parent).free
-        raise OSError(28 if free < half.nbytes else 5, f"OpenEXR: {error}") from error
+        raise OSError(28 if free < stored.nbytes else 5, f"OpenEXR: {error}") from error
 
 
 def write_png(path: Path, pixels: np.ndarray, *, srgb: bool) -> None:

@@ -71,7 +71,7 @@ def nearest_known(known: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Row and column, both [H, W], of the known texel that is nearest to each texel; known is [H, W] bool.
 
     A known texel gets its own row and column; if no texel is known, every texel does. `texture[nearest_known(known)]` is the
-    texture with its charts dilated, so that filtering and mip-mapping mix in no foreign color at a seam.
+    texture with its charts dilated, so that filtering mixes in no foreign color at a seam, as far as charts are apart.
     """
     if not known.any():
         return tuple(np.indices(known.shape, np.int32))

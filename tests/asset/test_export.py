@@ -114,6 +114,18 @@ def test_textures_are_half_float_and_upright_and_8_bit_in_png(write):
     assert encoded[0, 0, 2] == pytest.approx(1.055 * 0.25 ** (1 / 2.4) - 0.055, abs=0.5 / 255)
 
 
+@pytest.mark.parametrize("unit", [1.0, 1e6, 1e-7, 1e-8])
+def test_light_in_any_unit_keeps_its_energy(tmp_path, unit):
+    """A lamp above the range of half floats would be clipped, and tiny values would become steps, or zero."""
+    light = np.random.default_rng(0).uniform(0, 1, (8, 16, 3)).astype(np.float32) * np.float32(unit)
+    light[2, 3] = 50 * unit
+    asset.write_exr(tmp_path / "light.exr", light)
+    stored = OpenEXR.File(str(tmp_path / "light.exr")).channels()["RGB"].pixels
+    np.testing.assert_allclose(stored.astype(np.float64).sum(), light.astype(np.float64).sum(), rtol=1e-3)
+    np.testing.assert_allclose(stored, light, rtol=1e-3, atol=1e-3 * unit)
+    assert stored.dtype == (np.float16 if unit == 1 else np.float32), "half floats where they are enough"
+
+
 def test_glb_is_y_up_with_packed_textures(write):
     scene = trimesh.load(write() / "asset.glb", process=False)
     mesh = next(iter(scene.geometry.values()))
