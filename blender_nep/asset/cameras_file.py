@@ -7,13 +7,13 @@ keys are those of transforms.json; photos are named relative to the asset's fold
 from __future__ import annotations
 
 import os
-from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from blender_nep.capture.formats.transforms import intrinsics_of
+
 if TYPE_CHECKING:
     from blender_nep.capture import Capture
-    from blender_nep.capture.camera import Camera
 
 CAMERAS = "cameras.json"
 """The file's name. `CAMERAS` in backend/scene_io/capture_files.py repeats it for Blender's Python."""
@@ -21,7 +21,14 @@ CAMERAS = "cameras.json"
 
 def cameras_content(capture: Capture, folder: Path) -> dict[str, Any]:
     """The content of cameras.json for an asset in `folder`."""
-    frames = [{"file_path": _place(view.image_path, folder), **_camera(view.camera)} for view in capture.views]
+    frames = [
+        {
+            "file_path": _place(view.image_path, folder),
+            **intrinsics_of(view.camera),
+            "transform_matrix": view.camera.camera_to_world.tolist(),
+        }
+        for view in capture.views
+    ]
     return {
         "color_space": capture.color_space,
         "object_center": capture.object_center.tolist(),
@@ -36,19 +43,3 @@ def _place(photo: Path, folder: Path) -> str:
         return Path(os.path.relpath(os.path.abspath(photo), folder.resolve())).as_posix()
     except ValueError:
         return Path(os.path.abspath(photo)).as_posix()
-
-
-def _camera(camera: Camera) -> dict[str, Any]:
-    distortion = asdict(camera.lens)
-    model = "OPENCV_FISHEYE" if distortion.pop("fisheye") else "OPENCV"
-    return {
-        "camera_model": model,
-        "w": camera.width,
-        "h": camera.height,
-        "fl_x": camera.fl_x,
-        "fl_y": camera.fl_y,
-        "cx": camera.cx,
-        "cy": camera.cy,
-        **{name: value for name, value in distortion.items() if value},
-        "transform_matrix": camera.camera_to_world.tolist(),
-    }

@@ -13,7 +13,6 @@ from pathlib import Path
 
 from blender_nep.cameras.found_cameras import FoundCameras
 from blender_nep.cameras.structure_from_motion import PlacedPhoto
-from blender_nep.capture.camera import Camera
 from blender_nep.capture.formats import transforms
 from blender_nep.errors import OutputError
 from blender_nep.files import output_errors, write_atomically, write_text
@@ -47,7 +46,7 @@ def keep_present_file(folder: Path) -> Path | None:
 
 def write_capture(found: FoundCameras, folder: Path, color_space: str | None = None) -> Path:
     """Write `folder`/transforms.json, which names the photos where they are. Returns its path. Raises OutputError."""
-    lenses = [_lens(placed.camera) for placed in found.placed]
+    lenses = [transforms.intrinsics_of(placed.camera) for placed in found.placed]
     shared = lenses[0] if all(lens == lenses[0] for lens in lenses) else {}
     frames = [
         _frame(placed, folder) | (lens if not shared else {}) for placed, lens in zip(found.placed, lenses, strict=True)
@@ -72,20 +71,6 @@ def _without_resume() -> Iterator[None]:
             raise
         hint = "Free some space, then run the command again."  # nothing can be resumed
         raise OutputError(error.message, hint, error.name, **error.values) from error
-
-
-def _lens(camera: Camera) -> dict[str, float | str]:
-    lens: dict[str, float | str] = {"camera_model": "OPENCV_FISHEYE" if camera.lens.fisheye else "OPENCV"}
-    lens |= {
-        "w": camera.width,
-        "h": camera.height,
-        "fl_x": camera.fl_x,
-        "fl_y": camera.fl_y,
-        "cx": camera.cx,
-        "cy": camera.cy,
-    }
-    terms = {name: getattr(camera.lens, name) for name in ("k1", "k2", "k3", "k4", "p1", "p2")}
-    return lens | {name: value for name, value in terms.items() if value or name in ("k1", "k2")}
 
 
 def _frame(placed: PlacedPhoto, folder: Path) -> dict:

@@ -153,3 +153,18 @@ def _matrix(frame: dict, name: str) -> np.ndarray:
         raise CaptureError(f"{name}: transform_matrix mirrors", "Cameras are right-handed, look down -z, x right, y up.")
     matrix[:3, :3] = u @ v
     return matrix
+
+
+def intrinsics_of(camera: Camera) -> dict[str, float | str]:
+    """The keys of transforms.json for the camera's size, intrinsics [pixels] and lens, without terms that are 0."""
+    terms = {name: getattr(camera.lens, name) for name in _TERMS}
+    return {
+        "camera_model": "OPENCV_FISHEYE" if camera.lens.fisheye else "OPENCV",
+        "w": camera.width,
+        "h": camera.height,
+        "fl_x": camera.fl_x,
+        "fl_y": camera.fl_y,
+        "cx": camera.cx,
+        "cy": camera.cy,
+        **{name: value for name, value in terms.items() if value},
+    }
