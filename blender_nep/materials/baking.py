@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -53,18 +54,28 @@ def neighbours(tree: cKDTree, points: np.ndarray, count: int) -> tuple[np.ndarra
     return distance.reshape(len(points), count), index.reshape(len(points), count)
 
 
-def on_same_side(
-    found: tuple[np.ndarray, np.ndarray], normal: np.ndarray, normals: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """What `neighbours` has `found` for m points, without what lies on the other side of a thin wall.
+class Places(NamedTuple):
+    """n places of the surface."""
 
-    The other side may have another paint. normal [m, 3] is that of the points, normals [n, 3] those of the samples to
-    which `index` points. A neighbour whose normal is turned away by more than 90 degrees gets an infinite distance, and
-    the index of the nearest one on the same side. Where all of them are turned away, as in a hollow that no photo shows,
-    they stay as they are.
+    position: np.ndarray
+    """[n, 3] unit frame"""
+    normal: np.ndarray
+    """[n, 3] unit vectors"""
+
+
+def on_same_side(found: tuple[np.ndarray, np.ndarray], points: Places, samples: Places) -> tuple[np.ndarray, np.ndarray]:
+    """What `neighbours` has `found` for m points among n samples, without what lies on the other side of a thin wall.
+
+    The other side may have another paint. A neighbour that lies behind a point, and whose normal is turned away from the
+    point's by more than 90 degrees, gets an infinite distance, and the index of the nearest one that is not so. The other
+    side of a groove lies before a point, and stays. Where all neighbours are on the other side, as in a hollow that no photo
+    shows, they stay, too.
     """
     distance, index = found
-    other = np.stack([np.einsum("mk,mk->m", normal, normals[column]) < 0 for column in index.T], 1)
+    other = np.empty(index.shape, bool)
+    for k, column in enumerate(index.T):
+        turned = np.einsum("mk,mk->m", points.normal, samples.normal[column]) < 0
+        other[:, k] = turned & (np.einsum("mk,mk->m", points.normal, samples.position[column] - points.position) < 0)
     other[other.all(1)] = False
     if not other.any():
         return distance, index
@@ -133,8 +144,9 @@ def bake(
         part = slice(start, start + _BLOCK)
         corner = surface.faces[face[part]]
         both = (surface.vertices, surface.normals)
-        points, normal = (np.einsum("nc,nck->nk", barycentric[part], values[corner]) for values in both)
-        distance, index = on_same_side(neighbours(tree, points, NEIGHBOURS), normal, labelled.normal)
+        points, normal = (np.einsum("nc,nck->nk", barycentric[part], of_vertices[corner]) for of_vertices in both)
+        found = neighbours(tree, points, NEIGHBOURS)
+        distance, index = on_same_side(found, Places(points, normal), Places(labelled.position, labelled.normal))
         material[part] = weighted_mean(values, distance, index)
         residual[part] = weighted_mean(labelled.residual[:, None], distance, index)[:, 0]
         photos[part] = 1 + (np.diff(np.sort(labelled.photo[index], 1), axis=1) > 0).sum(1)
@@ -156,11 +168,11 @@ def bake(
 
 
 @profiled("labels")
-def labels_at(tree: cKDTree, normals: np.ndarray, labels: torch.Tensor, points: SurfacePoints) -> torch.Tensor:
-    """The label [m] of the sample in `tree` that is nearest to each of m points, and on the same side of a thin wall.
+def labels_at(tree: cKDTree, samples: Places, labels: torch.Tensor, points: SurfacePoints) -> torch.Tensor:
+    """The label [m] of the sample that is nearest to each of m points, and on the same side of a thin wall.
 
-    normals [n, 3] and labels [n] are those of the samples.
+    `tree` holds the positions of the n samples, labels [n] are theirs.
     """
-    near = neighbours(tree, points.position.cpu().numpy(), _NEAREST)
-    _, index = on_same_side(near, points.normal.cpu().numpy(), normals)
+    asked = Places(points.position.cpu().numpy(), points.normal.cpu().numpy())
+    _, index = on_same_side(neighbours(tree, asked.position, _NEAREST), asked, samples)
     return labels[torch.from_numpy(index[:, 0].astype(np.int64)).to(labels.device)]

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.spatial import cKDTree
 
-from blender_nep.materials.baking import NEIGHBOURS, neighbours, on_same_side, weighted_mean
+from blender_nep.materials.baking import NEIGHBOURS, Places, neighbours, on_same_side, weighted_mean
 from blender_nep.materials.blending import BlendedPoints, find_blends
 from blender_nep.materials.photo_samples import select_samples
 from blender_nep.materials.pixel_votes import Surfels, left_out_error, pixel_costs
@@ -34,7 +34,7 @@ def labelled_samples(search: PaletteSearch) -> BlendedPoints:
     cost = search.costs().cpu().numpy()
     label = search.label.cpu().numpy()
     own = cost[np.arange(len(label)), label] / search.weight.cpu().numpy()
-    samples = Surfels(search.samples.position, search.normal, search.samples.photo.cpu().numpy())
+    samples = Surfels(*search.places, search.samples.photo.cpu().numpy())
     return _blended(search, samples, search.smoothed(cost), own)
 
 
@@ -74,7 +74,8 @@ def labelled_pixels(
     blended = palette.blended.cpu().numpy()
     cost = cost * np.where(blended, 1 + p.blend_margin, 1.0)
     tree = cKDTree(pixels.position)
-    around = on_same_side(neighbours(tree, pixels.position, 2 * NEIGHBOURS), pixels.normal, pixels.normal)
+    there = Places(pixels.position, pixels.normal)
+    around = on_same_side(neighbours(tree, pixels.position, 2 * NEIGHBOURS), there, there)
     smoothed = weighted_mean(cost, *around)
     inner = shows_one_material(smoothed, blended, tree)
     smoothed[np.ix_(inner, blended)] *= (1 + p.inner_blend_margin) / (1 + p.blend_margin)

@@ -16,7 +16,7 @@ import torch
 from scipy.spatial import cKDTree
 from torch import Tensor
 
-from blender_nep.materials.baking import NEIGHBOURS, labels_at, neighbours, on_same_side, vote, weighted_mean
+from blender_nep.materials.baking import NEIGHBOURS, Places, labels_at, neighbours, on_same_side, vote, weighted_mean
 from blender_nep.materials.dichromatic import evidence_of_metal, places
 from blender_nep.materials.diffuse_free import Evidence, evidence_of_colored, places_of_colored
 from blender_nep.materials.fitting import fit_groups, roughness_scan
@@ -58,11 +58,11 @@ class PaletteSearch:
         self.merged = 0
         """Number of materials that the last merge has removed"""
         self._tree = cKDTree(samples.position)
-        self.normal = light.points.normal.cpu().numpy()
-        """[n, 3] the samples' normals"""
+        self.places = Places(samples.position, light.points.normal.cpu().numpy())
+        """Where the samples are"""
         around = neighbours(self._tree, samples.position, 2 * NEIGHBOURS)
-        self._around = on_same_side(around, self.normal, self.normal)
-        self._place = places(samples.position, self.normal)
+        self._around = on_same_side(around, self.places, self.places)
+        self._place = places(*self.places)
         self.palette = self._fit(self.label, 1)
 
     def fit_one(self) -> None:
@@ -297,7 +297,7 @@ class PaletteSearch:
 
     def materials_at(self, points: SurfacePoints) -> Material:
         """The material at each point: that of the nearest sample."""
-        return self.palette.at(labels_at(self._tree, self.normal, self.label, points))
+        return self.palette.at(labels_at(self._tree, self.places, self.label, points))
 
     def shown(self) -> np.ndarray:
         """The tone-mapped radiance [n, K, 3] that each sample would have with each material."""

@@ -18,7 +18,7 @@ import torch
 from scipy.spatial import cKDTree
 from torch import Tensor
 
-from blender_nep.materials.baking import LabelledPoints, kernel, neighbours, on_same_side
+from blender_nep.materials.baking import LabelledPoints, Places, kernel, neighbours, on_same_side
 from blender_nep.materials.fitting import fit_groups, place_in_scan, roughness_scan
 from blender_nep.materials.palette import Palette, between, error, place_of_least
 from blender_nep.materials.pixel_votes import Surfels, nearest_samples
@@ -284,7 +284,8 @@ def varied_points(
     material = materials.at(tree, color, pixels.width)
     offset, slope = _affine_of_pixels(material, light, pixels)
     around = neighbours(tree, pixels.position, _ALBEDO_PIXELS)
-    distance, index = on_same_side(around, pixels.normal, pixels.normal)
+    there = Places(pixels.position, pixels.normal)
+    distance, index = on_same_side(around, there, there)
     albedo, residual = np.empty_like(radiance), np.empty(len(radiance), np.float32)
     metallic = material.metallic.cpu().numpy()
     fit_local_albedos(

@@ -6,7 +6,16 @@ import torch
 from scipy.spatial import cKDTree
 
 from blender_nep.geometry.mesh import Surface
-from blender_nep.materials.baking import LabelledPoints, bake, kernel, labels_at, neighbours, on_same_side, weighted_mean
+from blender_nep.materials.baking import (
+    LabelledPoints,
+    Places,
+    bake,
+    kernel,
+    labels_at,
+    neighbours,
+    on_same_side,
+    weighted_mean,
+)
 from blender_nep.shading.plenoptic import SurfacePoints
 
 OUTSIDE, INSIDE = np.array([0.8, 0.1, 0.1]), np.array([0.1, 0.1, 0.8])
@@ -49,8 +58,19 @@ def test_neighbors_of_a_smooth_surface_stay_as_they_are():
     normal = random.normal(size=(500, 3))
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)
     distance, index = neighbours(cKDTree(normal), normal, 16)
-    same = on_same_side((distance, index), normal, normal)
+    same = on_same_side((distance, index), Places(normal, normal), Places(normal, normal))
     assert same[0] is distance and same[1] is index
+
+
+def test_the_two_sides_of_a_groove_are_neighbors():
+    """Their normals look at each other. Turned around, the same two planes are a wall."""
+    random = np.random.default_rng(2)
+    side = np.repeat([1.0, -1.0], 200)
+    position = np.c_[random.uniform(size=(400, 2)), 0.005 * side]
+    found = neighbours(cKDTree(position), position, 16)
+    groove, thin = (Places(position, np.c_[np.zeros((400, 2)), turn * side]) for turn in (-1, 1))
+    assert on_same_side(found, groove, groove)[0] is found[0]
+    assert np.isinf(on_same_side(found, thin, thin)[0]).mean() == pytest.approx(0.5, abs=0.05)
 
 
 def test_weights_of_neighbors_that_do_not_count():
@@ -69,4 +89,4 @@ def test_a_point_takes_the_label_of_its_own_side():
     normal = torch.tensor([[0.0, 0, -1], [0.0, 0, 1]], dtype=torch.float64)
     points = SurfacePoints(at, np.zeros(2, int), normal, normal)
     label = torch.from_numpy((known.normal[:, 2] > 0).astype(np.int64))
-    assert labels_at(cKDTree(known.position), known.normal, label, points).tolist() == [0, 1]
+    assert labels_at(cKDTree(known.position), Places(known.position, known.normal), label, points).tolist() == [0, 1]
