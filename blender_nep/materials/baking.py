@@ -19,6 +19,8 @@ NEIGHBOURS = 16
 """Number of nearest points that decide the material of a point."""
 _NEAREST = 4
 """Samples among which the nearest one on the same side is looked for"""
+_ENOUGH = 4
+"""Neighbours on the same side of a thin wall that are enough to tell its paint"""
 _BLOCK = 1 << 16
 """Texels that are baked at a time. This bounds the memory (16 neighbours each), whatever the texture's size."""
 
@@ -63,20 +65,22 @@ class Places(NamedTuple):
     """[n, 3] unit vectors"""
 
 
-def on_same_side(found: tuple[np.ndarray, np.ndarray], points: Places, samples: Places) -> tuple[np.ndarray, np.ndarray]:
+def on_same_side(
+    found: tuple[np.ndarray, np.ndarray], points: Places, samples: Places, enough: int = _ENOUGH
+) -> tuple[np.ndarray, np.ndarray]:
     """What `neighbours` has `found` for m points among n samples, without what lies on the other side of a thin wall.
 
     The other side may have another paint. A neighbour that lies behind a point, and whose normal is turned away from the
     point's by more than 90 degrees, gets an infinite distance, and the index of the nearest one that is not so. The other
-    side of a groove lies before a point, and stays. Where all neighbours are on the other side, as in a hollow that no photo
-    shows, they stay, too.
+    side of a groove lies before a point, and stays. Where fewer than `enough` neighbours would be left, as in a hollow that
+    hardly any photo shows, all stay: both sides of a wall mostly have one paint.
     """
     distance, index = found
     other = np.empty(index.shape, bool)
     for k, column in enumerate(index.T):
         turned = np.einsum("mk,mk->m", points.normal, samples.normal[column]) < 0
         other[:, k] = turned & (np.einsum("mk,mk->m", points.normal, samples.position[column] - points.position) < 0)
-    other[other.all(1)] = False
+    other[(~other).sum(1) < min(enough, other.shape[1])] = False
     if not other.any():
         return distance, index
     nearest = np.take_along_axis(index, (~other).argmax(1)[:, None], 1)
@@ -174,5 +178,5 @@ def labels_at(tree: cKDTree, samples: Places, labels: torch.Tensor, points: Surf
     `tree` holds the positions of the n samples, labels [n] are theirs.
     """
     asked = Places(points.position.cpu().numpy(), points.normal.cpu().numpy())
-    _, index = on_same_side(neighbours(tree, asked.position, _NEAREST), asked, samples)
+    _, index = on_same_side(neighbours(tree, asked.position, _NEAREST), asked, samples, enough=1)
     return labels[torch.from_numpy(index[:, 0].astype(np.int64)).to(labels.device)]

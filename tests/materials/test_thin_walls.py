@@ -42,14 +42,15 @@ def labelled(thickness: float, outer: int, inner: int) -> LabelledPoints:
     return LabelledPoints(position, normal, photo, albedo, 0.5 + 0.2 * up, zero, zero)
 
 
-@pytest.mark.parametrize("inner", [4000, 300])
-def test_paint_does_not_come_through_a_wall(inner):
+@pytest.mark.parametrize(("inner", "most_wrong"), [(4000, 0.02), (2000, 0.2)])
+def test_paint_does_not_come_through_a_wall(inner, most_wrong):
     surface, points = wall(0.01), labelled(0.01, 4000, inner)
     albedo, roughness, _, confidence = bake(surface, points, 64)
     left, right = (slice(None), slice(0, 31)), (slice(None), slice(33, 64))
-    assert np.abs(albedo[left] - OUTSIDE).max() < 1e-6 and np.abs(roughness[left] - 0.7).max() < 1e-6
+    outer = (np.abs(albedo[left] - OUTSIDE).max(-1) > 1e-6) | (np.abs(roughness[left] - 0.7) > 1e-6)
+    assert outer.mean() < 0.02
     wrong = np.abs(albedo[right] - INSIDE).max(-1) > 1e-6
-    assert wrong.mean() < (0.01 if inner == 4000 else 0.35), "where no neighbor is on the same side, nothing is known"
+    assert wrong.mean() < most_wrong, "where hardly any neighbor is on the same side, all count"
     assert confidence[right].mean() < 0.5 * confidence[left].mean(), "one photo shows the inner side, many the outer one"
 
 
