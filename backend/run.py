@@ -57,6 +57,11 @@ def parse(arguments: list[str]) -> argparse.Namespace:
     parser.add_argument(
         "--faces", type=int, metavar="N", help="largest number of faces of the mesh; the rest is a normal map"
     )
+    parser.add_argument(
+        "--object-center", type=float, nargs=3, metavar=("X", "Y", "Z"), help="of the object's sphere; only with --capture"
+    )
+    parser.add_argument("--object-radius", type=float, metavar="R", help="of the object's sphere; only with --capture")
+    parser.add_argument("--threads", type=int, metavar="N", help="of the engine, or of each job of a shelf")
     parser.add_argument("--device", default="auto", choices=("auto", "cpu", "cuda"), help="of the engine")
     parser.add_argument("--mesh", help="learn materials on this mesh, in capture coordinates; only with --capture")
     parser.add_argument(
@@ -75,6 +80,10 @@ def parse(arguments: list[str]) -> argparse.Namespace:
         parser.error(f"--faces must be at least {LEAST_FACES}")
     if options.captures is not None and options.resume:
         parser.error("--resume works only with --capture: a shelf always goes on with what is left")
+    if (options.object_center is None) != (options.object_radius is None):
+        parser.error("--object-center and --object-radius belong together")
+    if options.captures is not None and options.object_center is not None:
+        parser.error("--object-center is of one object: it works only with --capture")
     if options.capture is not None and options.workers is not None:
         parser.error("--workers works only with --captures")
     return options

@@ -194,6 +194,7 @@ def batch_arguments(
     metal: str | None = None,
     faces: int | None = None,
     workers: int | None = None,
+    threads: int | None = None,
     overwrite: bool = False,
     keep_going: bool = False,
 ) -> list[str]:
@@ -210,6 +211,7 @@ def batch_arguments(
         ("--metal", metal),
         ("--faces", faces),
         ("--workers", workers),
+        ("--threads", threads),
     ):
         if value is not None:
             arguments += [name, str(value)]

@@ -46,8 +46,10 @@ def _reconstruct(options: argparse.Namespace, stop: StopRequests) -> None:
             metal=options.metal,
             faces=options.faces,
             mesh=options.mesh,
+            threads=options.threads,
             resume=options.resume,
             overwrite=options.overwrite,
+            more=_sphere(options),
         ),
     )
     last_said, scene = -SAY_EVERY_S, []
@@ -76,6 +78,13 @@ def _reconstruct(options: argparse.Namespace, stop: StopRequests) -> None:
         engine.close()
     if failed:
         raise failed
+
+
+def _sphere(options: argparse.Namespace) -> tuple[str, ...]:
+    """The engine's arguments for the object's sphere; none where it is not given."""
+    if options.object_center is None:
+        return ()
+    return "--object-center", *map(str, options.object_center), "--object-radius", str(options.object_radius)
 
 
 def _blender_work(options: argparse.Namespace, stop: StopRequests) -> None:

@@ -56,6 +56,7 @@ def _reconstruct(python: str, options: argparse.Namespace, stop: StopRequests) -
         metal=options.metal,
         faces=options.faces,
         workers=options.workers,
+        threads=options.threads,
         overwrite=options.overwrite,
     )
     last_said, shown, warned = -SAY_EVERY_S, process.progress, 0

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from backend.run import parse
 from support.own_process import LIMIT_S, in_blender
 from support.paths import ROOT, SUZANNE_SMALL
 from support.waiting import wait_until
@@ -49,13 +50,30 @@ def wait_for_file(path: Path, process: subprocess.Popen) -> None:
 
 
 def test_an_error_of_the_engine_and_its_exit_code_are_passed_on(engine_python, tmp_path):
-    process = start_run(engine_python, "refuse", tmp_path / "out", "--preset", "preview", "--masks", "ignore")
+    options = ("--preset", "preview", "--masks", "ignore", "--threads", "2")
+    sphere = ("--object-center", "0.5", "-1.0", "2.0", "--object-radius", "1.5")
+    process = start_run(engine_python, "refuse", tmp_path / "out", *options, *sphere)
     _, told = process.communicate(timeout=LIMIT_S)
     assert process.returncode == 3
     assert "image 004.png is missing" in told and "Put it back." in told and "Traceback" not in told
     given = json.loads((tmp_path / "out" / "arguments.json").read_text())
     assert given[:2] == ["reconstruct", str(SUZANNE_SMALL)]
-    assert given[given.index("--preset") + 1] == "preview" and given[given.index("--masks") + 1] == "ignore"
+    assert [given[given.index(name) + 1] for name in options[::2]] == [*options[1::2]]
+    assert given[given.index("--object-center") :][:6] == [*sphere]
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        ("--capture", "x", "--object-radius", "1"),
+        ("--capture", "x", "--object-center", "0", "0", "0"),
+        ("--captures", "x", "--object-center", "0", "0", "0", "--object-radius", "1"),
+    ],
+)
+def test_half_a_sphere_and_one_sphere_for_many_objects_are_refused(options, capsys):
+    with pytest.raises(SystemExit) as ended:
+        parse([*options, "--out", "y"])
+    assert ended.value.code == 2 and "--object-center" in capsys.readouterr().err
 
 
 def test_a_killed_engine_is_reported(engine_python, tmp_path):
