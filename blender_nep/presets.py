@@ -387,14 +387,14 @@ class Preset:
     pixels_in_memory: int = 32_000_000
     """Up to this many pixels of all photos together are kept in memory. If there are more, all are kept in half precision in
     a nameless file in the asset's folder, and read from there."""
-    fields_seconds: float = 140.0
-    """Seconds that fields learning takes on two cores: a first guess, which is corrected as the job runs.
+    fields_seconds: float = 210.0
+    """Seconds that fields learning takes on two cores: a first guess, which is corrected as the job runs. It is the figure for
+    one thread in docs/benchmarks.md (f97dfca) divided by 1.3.
 
-    The sidebar shows the sum of the three before a first job. backend/engine/timings.py repeats it, because Blender's Python
-    does not import this package; a test compares the two."""
-    surface_seconds: float = 9.0
+    The sidebar shows the sum of the three before a first job. backend/engine/timings.py repeats it; a test compares both."""
+    surface_seconds: float = 8.0
     """First guess of the seconds of the surface stage, as `fields_seconds`."""
-    material_seconds: float = 85.0
+    material_seconds: float = 70.0
     """First guess of the seconds of material learning, as `fields_seconds`."""
     even_exposure: bool = True
     """Whether differences between the photos in exposure and white balance are found and evened out (`capture.exposure`)."""
@@ -416,9 +416,9 @@ PRESETS = {
     "preview": Preset(
         name="preview",
         max_pixels_per_photo=40_000,
-        fields_seconds=45,
-        surface_seconds=5,
-        material_seconds=45,
+        fields_seconds=92,
+        surface_seconds=4,
+        material_seconds=26,
         environment_height=128,
         fields=FieldsPreset(background_steps=200, steps=700, object_rays=4096, sphere_rays=384, outside_rays=512),
         environment=EnvironmentPreset(resolutions=((20, 32), (28, 64)), refine_at=(0.25,), detail_rows=256, steps=600),
@@ -433,9 +433,9 @@ PRESETS = {
     "quality": Preset(
         name="quality",
         max_pixels_per_photo=650_000,
-        fields_seconds=400,
-        surface_seconds=20,
-        material_seconds=200,
+        fields_seconds=680,
+        surface_seconds=15,
+        material_seconds=175,
         environment_height=512,
         fields=FieldsPreset(background_steps=400, steps=4000, object_rays=8192),
         environment=EnvironmentPreset(steps=4000),
