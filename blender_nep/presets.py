@@ -388,8 +388,8 @@ class Preset:
     """Up to this many pixels of all photos together are kept in memory. If there are more, all are kept in half precision in
     a nameless file in the asset's folder, and read from there."""
     fields_seconds: float = 210.0
-    """Seconds that fields learning takes on two cores: a first guess, which is corrected as the job runs. It is the figure for
-    one thread in docs/benchmarks.md (f97dfca) divided by 1.3.
+    """Seconds that fields learning takes on two cores: a first guess, which is corrected as the job runs. It is the figure
+    for one thread in docs/benchmarks.md (f97dfca) divided by 1.3.
 
     The sidebar shows the sum of the three before a first job. backend/engine/timings.py repeats it; a test compares both."""
     surface_seconds: float = 8.0
