@@ -29,12 +29,13 @@ class ComparisonRender:
         global current, last_message
         current = None
         self.process.close()
+        if opened_file() != self._file:
+            return
         if self.process.path is None:
             last_message = self.process.error
             return
         last_message = f"Written: {self.process.path}"
-        if opened_file() == self._file:
-            load_comparison(self.process.path)
+        load_comparison(self.process.path)
 
     def close(self) -> None:
         """End the second Blender now."""

@@ -84,7 +84,9 @@ def _sphere(options: argparse.Namespace) -> tuple[str, ...]:
     """The engine's arguments for the object's sphere; none where it is not given."""
     if options.object_center is None:
         return ()
-    return "--object-center", *map(str, options.object_center), "--object-radius", str(options.object_radius)
+    # positional notation: argparse takes -1e-05 for an option
+    *center, radius = (f"{value:.17f}" for value in (*options.object_center, options.object_radius))
+    return "--object-center", *center, "--object-radius", radius
 
 
 def _blender_work(options: argparse.Namespace, stop: StopRequests) -> None:

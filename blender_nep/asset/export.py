@@ -31,7 +31,7 @@ SRGB_TEXTURES = ("albedo",)
 """Textures that are colors. Their 8-bit files are sRGB-encoded: `is_color` in backend/scene_io/asset_import.py."""
 
 
-_HALF_MAX, _FLOAT_MAX = 65504.0, float(np.finfo(np.float32).max)
+_HALF_MAX = 65504.0
 _HALF_LOSS = 1e-3
 """Share of the sum of all values that half floats may lose"""
 
@@ -129,7 +129,7 @@ def write_exr(path: Path, pixels: np.ndarray) -> None:
     The values are half floats. They are 32-bit floats where half floats would lose a thousandth of their sum, as with light
     in large or in tiny units.
     """
-    whole = np.nan_to_num(pixels, posinf=_FLOAT_MAX, neginf=-_FLOAT_MAX).astype(np.float32)
+    whole = np.nan_to_num(pixels, posinf=_HALF_MAX, neginf=-_HALF_MAX).astype(np.float32)
     half = np.clip(whole, -_HALF_MAX, _HALF_MAX).astype(np.float16)
     lost = np.abs(whole - half, dtype=np.float64).sum() > _HALF_LOSS * np.abs(whole, dtype=np.float64).sum()
     stored = whole if lost else half

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import os
 import time
 from pathlib import Path
 
@@ -47,6 +48,8 @@ def jobs_in(folder: Path) -> list[psutil.Process]:
     """
     found = []
     for process in psutil.process_iter():
+        if process.pid == os.getpid():
+            continue
         with contextlib.suppress(psutil.Error, OSError, KeyError):  # the variables of other users are not readable
             out = Path(process.environ()[OUT_OF_JOB]).resolve()
             if folder.resolve() in (out, *out.parents):

@@ -69,15 +69,24 @@ def angle_normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
     vertex has the normal of its own faces.
     """
     count, place = same_places(vertices)
+    weighted = _weighted_normals(vertices, faces, place, count)[place]
+    cancelled = np.linalg.norm(weighted, axis=1) < _CANCELLED
+    if cancelled.any():
+        weighted[cancelled] = own_normals(vertices, faces)[cancelled]
+    return normalized(weighted)
+
+
+def own_normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    """As `angle_normals`, but of each vertex's own faces alone: vertices that are split at a hard edge do not share them."""
+    return normalized(_weighted_normals(vertices, faces, np.arange(len(vertices)), len(vertices)))
+
+
+def _weighted_normals(vertices: np.ndarray, faces: np.ndarray, place: np.ndarray, count: int) -> np.ndarray:
+    """Sums [count, 3] of the normals of the faces at each place, weighted by angle. place [V] is that of each vertex."""
     corner = vertices[faces] / max(np.abs(vertices).max(), 1e-20)
     face_normal = normalized(np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]))
     angle = trimesh.triangles.angles(corner)
-    weighted = trimesh.geometry.weighted_vertex_normals(count, place[faces], face_normal, angle)[place]
-    cancelled = np.linalg.norm(weighted, axis=1) < _CANCELLED
-    if cancelled.any():
-        own = trimesh.geometry.weighted_vertex_normals(len(vertices), faces, face_normal, angle)
-        weighted[cancelled] = own[cancelled]
-    return normalized(weighted)
+    return trimesh.geometry.weighted_vertex_normals(count, place[faces], face_normal, angle)
 
 
 def normalized(vectors: np.ndarray) -> np.ndarray:

@@ -10,7 +10,7 @@ import numpy as np
 import trimesh
 
 from blender_nep.errors import CaptureError
-from blender_nep.geometry.mesh import Surface, angle_normals, normalized, weld
+from blender_nep.geometry.mesh import Surface, angle_normals, normalized, own_normals, weld
 from blender_nep.geometry.uv_raster import rasterise
 from blender_nep.surface.orientation import outward
 from blender_nep.surface.unwrap import unwrap
@@ -58,10 +58,12 @@ def load_surface(mesh_path: Path, capture: Capture, preset: SurfacePreset) -> tu
     vertices, normals = mesh.vertices, mesh.normals
     if not own_uv:
         vertices, faces, normals = weld(vertices, faces, normals)
-    smooth = angle_normals(vertices, faces)
-    if normals is not None:  # a mesh that is inside out often has normals that point inwards, too
-        normals = np.where((normals * smooth).sum(1, keepdims=True) < 0, -normals, normals)
-    surface = Surface(vertices, faces, smooth if normals is None else normals)
+    if normals is None:
+        normals = angle_normals(vertices, faces)
+    else:  # a mesh that is inside out often has normals that point inwards, too
+        inward = (normals * own_normals(vertices, faces)).sum(1, keepdims=True) < 0
+        normals = np.where(inward, -normals, normals)
+    surface = Surface(vertices, faces, normals)
     if not own_uv:
         return unwrap(surface, preset), report
     surface.uv = mesh.uv

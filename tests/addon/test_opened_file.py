@@ -74,7 +74,7 @@ def check_comparison(folder):
     assert not addon.comparison_render.last_message, "a message of the file before"
     addon.comparison_render.start_render([], wait=False)
     bpy.ops.wm.read_factory_settings(use_empty=True)  # neither of both files has a path
-    assert not shown()
+    assert not shown() and not addon.comparison_render.last_message
 
 
 if __name__ == "__main__":

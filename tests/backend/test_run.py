@@ -51,7 +51,7 @@ def wait_for_file(path: Path, process: subprocess.Popen) -> None:
 
 def test_an_error_of_the_engine_and_its_exit_code_are_passed_on(engine_python, tmp_path):
     options = ("--preset", "preview", "--masks", "ignore", "--threads", "2")
-    sphere = ("--object-center", "0.5", "-1.0", "2.0", "--object-radius", "1.5")
+    sphere = ("--object-center", "0.5", "-0.00002", "2.0", "--object-radius", "1.5")
     process = start_run(engine_python, "refuse", tmp_path / "out", *options, *sphere)
     _, told = process.communicate(timeout=LIMIT_S)
     assert process.returncode == 3
@@ -59,7 +59,9 @@ def test_an_error_of_the_engine_and_its_exit_code_are_passed_on(engine_python, t
     given = json.loads((tmp_path / "out" / "arguments.json").read_text())
     assert given[:2] == ["reconstruct", str(SUZANNE_SMALL)]
     assert [given[given.index(name) + 1] for name in options[::2]] == [*options[1::2]]
-    assert given[given.index("--object-center") :][:6] == [*sphere]
+    passed = given[given.index("--object-center") :][:6]
+    assert passed[::4] == [*sphere[::4]] and not any("e" in number for number in (*passed[1:4], passed[5]))
+    assert [float(number) for number in (*passed[1:4], passed[5])] == [0.5, -2e-05, 2.0, 1.5]
 
 
 @pytest.mark.parametrize(

@@ -122,6 +122,26 @@ def test_hard_edges_of_the_file_stay_hard(tmp_path, uv, inside_out):
     np.testing.assert_allclose(surface.normals[surface.faces], np.repeat(flat[:, None], 3, 1), atol=1e-6)
 
 
+def test_no_normal_is_turned_at_a_saddle_of_hard_edges(tmp_path):
+    """Four cubes in an S. At one corner, a face's normal is opposite to the mean of all normals there."""
+    cells, points, normals = {(0, 0, 0), (0, 0, 1), (1, 0, 1), (1, 1, 1)}, [], []
+    for cell in cells:
+        for normal, corners in SIDES.items():
+            if tuple(np.add(cell, normal)) not in cells:
+                points += [np.add(cell, CORNERS[corner]) for corner in corners]
+                normals += 4 * [normal]
+    turn = trimesh.transformations.random_rotation_matrix(np.random.default_rng(3).uniform(size=3))[:3, :3]
+    first = 4 * np.arange(len(points) // 4)[:, None]
+    faces = np.concatenate([first + np.array(triangle) for triangle in ((0, 1, 2), (0, 2, 3))])
+    vertices, normals = (np.array(points) - 0.5) / 3 @ turn.T, np.array(normals, float) @ turn.T
+    mesh = trimesh.Trimesh(vertices, faces, vertex_normals=normals, process=False)
+    mesh.export(tmp_path / "s.ply", vertex_normal=True)
+    surface, report = load_surface(tmp_path / "s.ply", UnitCapture(), PRESET)
+    assert report["own_normals"] and report["turned_fraction"] == 0
+    flat = np.repeat(flat_normals(surface)[:, None], 3, 1)
+    np.testing.assert_allclose(surface.normals[surface.faces], flat, atol=1e-5)
+
+
 def test_without_normals_in_the_file_edges_are_smooth(tmp_path):
     write_cube(tmp_path / "cube.obj", uv=six_squares)
     surface, report = load_surface(tmp_path / "cube.obj", UnitCapture(), PRESET)
