@@ -7,6 +7,8 @@ import bpy
 import numpy as np
 from mathutils import Matrix, Vector
 
+from ..backend.engine.command import sphere_arguments
+
 NAME = "NeP bounds: {}"
 STRETCH_TOLERANCE = 1e-3  # relative difference of the axes up to which an empty counts as a sphere
 
@@ -29,9 +31,7 @@ def bounds_arguments(scene: bpy.types.Scene) -> list[str]:
     center, radii = _center_and_radii(item)
     if not radii.max() > 0:
         raise ValueError("The object bounds have no size: scale them up, or delete them")
-    # positional notation: argparse takes -1e-05 for an option
-    numbers = [np.format_float_positional(value, trim="0") for value in (*center.tolist(), float(radii.max()))]
-    return ["--object-center", *numbers[:3], "--object-radius", numbers[3]]
+    return sphere_arguments(center.tolist(), radii.max())
 
 
 def bounds_warning(scene: bpy.types.Scene) -> str:

@@ -9,6 +9,7 @@ from pathlib import Path
 import bpy
 from bpy.app.handlers import persistent
 
+from ..backend.scene_io.image_files import relative_path
 from . import folder_changes
 from .folders import folder_key
 
@@ -27,7 +28,7 @@ def on_save_begins(path: str, *_: object) -> None:
         value = getattr(settings, name)
         if value.startswith("//"):
             _changed.append((settings, name, value))
-            _change(settings, name, _named_from(os.path.dirname(path), bpy.path.abspath(value)))
+            _change(settings, name, relative_path(bpy.path.abspath(value), os.path.dirname(path)))
 
 
 @persistent
@@ -52,14 +53,6 @@ def _path_settings() -> list[tuple[bpy.types.PropertyGroup, str]]:
 
 def _same_folder(path: str, other: str) -> bool:
     return folder_key(Path(path).parent) == folder_key(Path(other).parent)
-
-
-def _named_from(folder: str, path: str) -> str:
-    """The path relative to a .blend file in `folder`; the whole path from one drive of Windows to another."""
-    try:
-        return bpy.path.relpath(path, start=folder)
-    except ValueError:
-        return path
 
 
 def _change(settings: bpy.types.PropertyGroup, name: str, value: str) -> None:

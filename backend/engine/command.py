@@ -4,6 +4,7 @@ import os
 import subprocess
 import sys
 from collections.abc import Mapping, Sequence
+from decimal import Decimal
 from pathlib import Path
 from typing import Any
 
@@ -141,6 +142,12 @@ def reconstruct_arguments(
             arguments += [name, str(value)]
     flags = {"--watch-stdin": not keep_going, "--resume": resume, "--overwrite": overwrite, "--preview": preview}
     return [*arguments, *more, *(name for name, wanted in flags.items() if wanted)]
+
+
+def sphere_arguments(center: Sequence[float], radius: float) -> list[str]:
+    """The engine's arguments for the object's sphere, in the capture's units. argparse takes -1e-05 for an option."""
+    x, y, z, r = (format(Decimal(repr(float(value))), "f") for value in (*center, radius))
+    return ["--object-center", x, y, z, "--object-radius", r]
 
 
 def materials_arguments(asset: Path | str, corrections: Mapping[int, Mapping[str, float]]) -> list[str]:

@@ -3,7 +3,7 @@
 import argparse
 import time
 
-from ..engine.command import EngineError, find_engine_python, reconstruct_arguments
+from ..engine.command import EngineError, find_engine_python, reconstruct_arguments, sphere_arguments
 from ..engine.engine import Engine
 from ..engine.exit_codes import STOPPED
 from ..engine.job_files import is_asset
@@ -34,6 +34,7 @@ def reconstruct_object(options: argparse.Namespace, stop: StopRequests) -> int:
 def _reconstruct(options: argparse.Namespace, stop: StopRequests) -> None:
     """Run the engine to its end. Raises EngineError where the engine fails or is stopped."""
     python = find_engine_python(options.engine_python, configured_python())
+    sphere = () if options.object_center is None else tuple(sphere_arguments(options.object_center, options.object_radius))
     engine = Engine.start(
         python,
         reconstruct_arguments(
@@ -49,7 +50,7 @@ def _reconstruct(options: argparse.Namespace, stop: StopRequests) -> None:
             threads=options.threads,
             resume=options.resume,
             overwrite=options.overwrite,
-            more=_sphere(options),
+            more=sphere,
         ),
     )
     last_said, scene = -SAY_EVERY_S, []
@@ -78,15 +79,6 @@ def _reconstruct(options: argparse.Namespace, stop: StopRequests) -> None:
         engine.close()
     if failed:
         raise failed
-
-
-def _sphere(options: argparse.Namespace) -> tuple[str, ...]:
-    """The engine's arguments for the object's sphere; none where it is not given."""
-    if options.object_center is None:
-        return ()
-    # positional notation: argparse takes -1e-05 for an option
-    *center, radius = (f"{value:.17f}" for value in (*options.object_center, options.object_radius))
-    return "--object-center", *center, "--object-radius", radius
 
 
 def _blender_work(options: argparse.Namespace, stop: StopRequests) -> None:

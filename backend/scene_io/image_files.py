@@ -112,9 +112,9 @@ def _partial(path: Path) -> Path:
     return path.with_name(path.name + ".partial")
 
 
-def relative_path(path: Path) -> str:
-    """The path relative to the .blend file; the whole path where none is, from one drive of Windows to another."""
+def relative_path(path: Path | str, folder: str | None = None) -> str:
+    """The path relative to the .blend file, or to one in `folder`; the whole path from one drive of Windows to another."""
     try:
-        return bpy.path.relpath(str(path))
+        return bpy.path.relpath(str(path), start=folder)
     except ValueError:
         return str(path)

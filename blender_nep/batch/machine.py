@@ -11,7 +11,7 @@ import psutil
 
 from blender_nep.stop_request import StopRequest
 
-OUT_OF_JOB = "BLENDER_NEP_JOB_OUT"
+OUT_OF_JOB = "NEP_JOB_OUT"
 """The environment variable by which a process says that a batch has started it, and for which asset folder"""
 
 _LIMIT, _TAKEN = Path("/sys/fs/cgroup/memory.max"), Path("/sys/fs/cgroup/memory.current")
