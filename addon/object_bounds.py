@@ -45,7 +45,7 @@ def bounds_warning(scene: bpy.types.Scene) -> str:
 
 
 def _center_and_radii(item: bpy.types.Object) -> tuple[np.ndarray, np.ndarray]:
-    """Centre [3] and radii along the three axes [3] of an empty, in world coordinates, which are the capture's."""
+    """Center [3] and radii along the three axes [3] of an empty, in world coordinates, which are the capture's."""
     matrix = np.array(item.matrix_world, np.float64)
     return matrix[:3, 3], np.linalg.norm(matrix[:3, :3], axis=0) * item.empty_display_size
 

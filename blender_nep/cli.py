@@ -48,12 +48,12 @@ def _told(error: NepError) -> int:
 
 
 def _info(options: argparse.Namespace) -> int:
-    from blender_nep.capture.summary import describe, summarise
+    from blender_nep.capture.summary import describe, summarize
     from blender_nep.errors import NepError
     from blender_nep.files import jsonable
 
     try:
-        found = summarise(options.capture, options.picture, sphere(options))
+        found = summarize(options.capture, options.picture, sphere(options))
     except NepError as error:
         if options.json:
             print(json.dumps({"error": jsonable(error.told())}, indent=1))

@@ -207,6 +207,8 @@ WORDS: dict[str, str] = {
     "job.checkpoint_damaged": "checkpoint {file} cannot be used: {reason}",
     "job.steps_left_out": "{count} {count:step|steps} of fields learning {count:was|were} left out: the loss or the "
     "gradient was not finite",
+    "job.cut_by_sphere": "the object reaches out of its sphere and is cut there ({percent:.0f} % of the surface is the "
+    "cut): make object_radius larger, or move object_center",
     "job.metal_unclear": "the photos hardly show whether the object is metal: if the result is wrong, choose --metal yes "
     "or --metal no",
     # what a batch says

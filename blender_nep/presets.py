@@ -313,7 +313,7 @@ class MaterialPreset:
     unseen_prior: float = 1e-2
     """Cost of the map's deviation from the expected one, so that it changes only if that explains the photos better."""
     unseen_color: float = 0.01
-    """Cost of the share of the map's flux that is not grey. It is needed because colored light on a grey object looks like
+    """Cost of the share of the map's flux that is not gray. It is needed because colored light on a gray object looks like
     white light on a colored object."""
     label_pixels: int = 240_000
     """Number of label pixels: pixels that show which material lies where. Their light is that of the nearest samples. There

@@ -128,6 +128,8 @@ MESSAGES = {
     "job.checkpoint_damaged": "A checkpoint is damaged and cannot be used: {file}",
     "job.steps_left_out": "{count} {count:step|steps} of learning shape and light {count:was|were} left out: the numbers "
     "were not finite",
+    "job.cut_by_sphere": "The object reaches out of its bounds and is cut there ({percent:.0f} % of the surface is the "
+    "cut): make the bounds larger, and reconstruct it again",
     "job.metal_unclear": "The photos hardly show whether the object is metal: if the result is wrong, choose it in "
     "Advanced > Material",
     # what a batch says

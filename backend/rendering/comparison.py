@@ -105,9 +105,9 @@ def _resize_rows(image: np.ndarray, size: int) -> np.ndarray:
         part = (edges - low).reshape(-1, *[1] * (image.ndim - 1))
         at = total[low] * (1 - part) + total[low + 1] * part
         return (at[1:] - at[:-1]) * (size / count)
-    centre = np.clip((np.arange(size) + 0.5) * count / size - 0.5, 0, count - 1)
-    low = np.minimum(centre.astype(int), max(count - 2, 0))
-    part = (centre - low).reshape(-1, *[1] * (image.ndim - 1))
+    center = np.clip((np.arange(size) + 0.5) * count / size - 0.5, 0, count - 1)
+    low = np.minimum(center.astype(int), max(count - 2, 0))
+    part = (center - low).reshape(-1, *[1] * (image.ndim - 1))
     return image[low] * (1 - part) + image[np.minimum(low + 1, count - 1)] * part
 
 

@@ -7,7 +7,7 @@ import numpy as np
 from .lettering import draw_text, shortened
 
 HEADER, STRIP_HEADER, GAP = 58, 34, 6  # pixels
-BACKGROUND, TEXT = 24 / 255, 232 / 255  # grey, sRGB-encoded
+BACKGROUND, TEXT = 24 / 255, 232 / 255  # gray, sRGB-encoded
 TITLE, SMALL = 17.0, 13.0  # text sizes, pixels
 
 
@@ -20,14 +20,14 @@ def strip_tile_size(columns: int, width: int, height: int, count: int) -> int:
 
 
 def empty_tile(width: int, height: int, text: str) -> np.ndarray:
-    """A tile [height,width,3] in the colour of the sheet, with a text in its middle."""
+    """A tile [height,width,3] in the color of the sheet, with a text in its middle."""
     tile = np.full((height, width, 3), BACKGROUND)
     _write(tile, [(GAP, height / 2, SMALL, shortened(text, width - 2 * GAP, SMALL))])
     return tile
 
 
 def in_cell(tile: np.ndarray, width: int, height: int) -> np.ndarray:
-    """The tile in the middle of a cell [height,width,3] of the sheet's colour, which is at least as large."""
+    """The tile in the middle of a cell [height,width,3] of the sheet's color, which is at least as large."""
     cell = np.full((height, width, 3), BACKGROUND)
     _paste(cell, tile, (height - tile.shape[0]) // 2, (width - tile.shape[1]) // 2)
     return cell

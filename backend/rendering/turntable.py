@@ -15,7 +15,7 @@ from .relight import RelitScene
 FILE = "turntable.png"
 """In an asset's folder: FRAMES square frames of SIZE pixels, side by side"""
 FRAMES, SIZE, SAMPLES = 8, 160, 16
-BACKDROP = 0.07  # linear; a dark grey, before which bright and dark objects are seen
+BACKDROP = 0.07  # linear; a dark gray, before which bright and dark objects are seen
 FIELD_OF_VIEW = math.radians(30)
 ELEVATION = math.radians(18)
 MARGIN = 1.08  # the frames see a sphere that is larger than the object's by this factor
@@ -30,7 +30,7 @@ def render_turntable(
     seed: int = 0,
     progress: Callable[[int, int], None] | None = None,
 ) -> np.ndarray:
-    """Render FRAMES views around `item` before a grey backdrop: [SIZE, FRAMES * SIZE, 3] uint8, sRGB-encoded.
+    """Render FRAMES views around `item` before a gray backdrop: [SIZE, FRAMES * SIZE, 3] uint8, sRGB-encoded.
 
     `world` lights the object. `frames` are the photos' cameras, which tell what is up. progress(done, total) is called after
     every render.

@@ -19,7 +19,7 @@ from .photo_formats import HEIF, RAW, color_space
 from .srgb import srgb_to_linear
 
 CAMERAS = "cameras.json"  # the engine writes it into every asset: blender_nep/asset/cameras_file.py
-GREY = 0.18  # radiance that is shown where a photo is transparent
+GRAY = 0.18  # radiance that is shown where a photo is transparent
 
 
 class UnshownPhoto(OSError):
@@ -42,7 +42,7 @@ class Frame:
     gain: tuple[float, float, float] = (1.0, 1.0, 1.0)  # exposure and white balance, relative to the other photos
 
     def photo(self) -> np.ndarray:
-        """The photo as linear radiance [H,W,3], over GREY where the file is transparent.
+        """The photo as linear radiance [H,W,3], over GRAY where the file is transparent.
 
         Raises OSError where the file cannot be read, UnshownPhoto where this Blender does not show its format.
         """
@@ -57,7 +57,7 @@ class Frame:
         rgb, alpha = pixels[..., :3], pixels[..., 3:]
         if self.color_space == "srgb":
             rgb = srgb_to_linear(rgb)
-        return np.nan_to_num(rgb) * alpha + GREY * (1 - alpha)
+        return np.nan_to_num(rgb) * alpha + GRAY * (1 - alpha)
 
 
 def read_frames(folder: Path, transforms: str = "transforms.json") -> list[Frame]:
@@ -93,7 +93,7 @@ def _lies_in(path: Path, folder: Path) -> bool:
 
 
 def read_bounds(folder: Path) -> tuple[list[float], float] | None:
-    """(centre [3], radius) of the object's sphere; None where transforms.json does not have both.
+    """(center [3], radius) of the object's sphere; None where transforms.json does not have both.
 
     None also for a folder without transforms.json: the engine knows other forms of captures. Raises OSError where there is
     no folder, and ValueError for the same reasons as `read_frames`.

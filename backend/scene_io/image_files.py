@@ -69,7 +69,7 @@ def write_half_exr(path: Path, rgb: np.ndarray) -> None:
 
 
 def write_png(path: Path, pixels: np.ndarray) -> None:
-    """Write uint8 or uint16 pixels [H,W] (grey) or [H,W,3] (RGB) as a PNG file. The values are not changed.
+    """Write uint8 or uint16 pixels [H,W] (gray) or [H,W,3] (RGB) as a PNG file. The values are not changed.
 
     The file is written under a temporary name and then renamed. Raises OSError where the file cannot be written.
     """

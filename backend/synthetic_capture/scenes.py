@@ -136,13 +136,13 @@ def apply_modifiers(item: bpy.types.Object) -> None:
 def normalize(item: bpy.types.Object) -> None:
     bpy.context.view_layer.update()
     vertices, _ = triangles(item)
-    centre = (vertices.min(0) + vertices.max(0)) / 2
-    radius = float(np.linalg.norm(vertices - centre, axis=1).max())
+    center = (vertices.min(0) + vertices.max(0)) / 2
+    radius = float(np.linalg.norm(vertices - center, axis=1).max())
     scale = FILL * OBJECT_RADIUS / radius
     matrix = item.matrix_world.copy()
     item.matrix_world.identity()
     item.data.transform(matrix)
-    item.data.transform(Matrix.Scale(scale, 4) @ Matrix.Translation(Vector((-centre).tolist())))
+    item.data.transform(Matrix.Scale(scale, 4) @ Matrix.Translation(Vector((-center).tolist())))
     bpy.context.view_layer.update()
 
 

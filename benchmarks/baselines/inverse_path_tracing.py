@@ -35,7 +35,7 @@ LEAST_ROUGHNESS = 0.04
 
 @dataclass(frozen=True)
 class PeerSettings:
-    """Settings of the optimisation."""
+    """Settings of the optimization."""
 
     levels: tuple[int, ...] = (1, 8, 32, 128, 256)
     """Sides, in texels, of the textures that are summed. (1,) gives one material for the whole object."""
@@ -88,13 +88,13 @@ class PathTracer:
 
     def __init__(self, surface: Surface, settings: PeerSettings) -> None:
         self.settings = settings
-        grey = {"type": "bitmap", "raw": True, "wrap_mode": "clamp"}
+        gray = {"type": "bitmap", "raw": True, "wrap_mode": "clamp"}
         bsdf = mi.load_dict(
             {
                 "type": "principled",
-                "base_color": grey | {"data": mi.TensorXf(np.full((2, 2, 3), 0.5, np.float32))},
-                "roughness": grey | {"data": mi.TensorXf(np.full((2, 2, 1), 0.5, np.float32))},
-                "metallic": grey | {"data": mi.TensorXf(np.full((2, 2, 1), 0.5, np.float32))},
+                "base_color": gray | {"data": mi.TensorXf(np.full((2, 2, 3), 0.5, np.float32))},
+                "roughness": gray | {"data": mi.TensorXf(np.full((2, 2, 1), 0.5, np.float32))},
+                "metallic": gray | {"data": mi.TensorXf(np.full((2, 2, 1), 0.5, np.float32))},
             }
         )
         props = mi.Properties()
@@ -211,7 +211,7 @@ class Textures(nn.Module):
 def object_and_background(rays: PixelRays, surface: Surface) -> tuple[Tensor, Tensor]:
     """(indices of the object's pixels, indices of the background's pixels). All of them are valid pixels.
 
-    A pixel belongs to the object where the pixel and its four neighbours show the mesh. It belongs to the background where
+    A pixel belongs to the object where the pixel and its four neighbors show the mesh. It belongs to the background where
     none of the five shows the mesh.
     """
     tracer = RayTracer(surface.vertices, surface.faces)
@@ -254,7 +254,7 @@ def photographed_environment(rays: PixelRays, background: Tensor, rows: int) -> 
 
 @dataclass
 class Learned:
-    """The textures and the light that were learned, and a report of the optimisation."""
+    """The textures and the light that were learned, and a report of the optimization."""
 
     albedo: np.ndarray
     roughness: np.ndarray
@@ -266,7 +266,7 @@ class Learned:
 def _variation(texture: Tensor) -> Tensor:
     """The total variation of a texture [H, W, C].
 
-    It is the mean absolute difference of texels that are neighbours in a column, plus that of neighbours in a row.
+    It is the mean absolute difference of texels that are neighbors in a column, plus that of neighbors in a row.
     """
     return texture.diff(dim=0).abs().mean() + texture.diff(dim=1).abs().mean()
 
@@ -286,18 +286,18 @@ def learn(surface: Surface, rays: PixelRays, settings: PeerSettings, minutes: fl
     textures = Textures(settings.levels)
     seen = photographed_environment(rays, background, settings.environment_rows)
     light = nn.Parameter(seen.clamp(min=1e-3).log())
-    optimiser = torch.optim.Adam(
+    optimizer = torch.optim.Adam(
         [
             {"params": textures.parameters(), "lr": settings.material_rate},
             {"params": [light], "lr": settings.environment_rate},
         ],
         betas=(0.9, 0.99),
     )
-    rates = [group["lr"] for group in optimiser.param_groups]
+    rates = [group["lr"] for group in optimizer.param_groups]
     tracer = PathTracer(surface, settings)
     step, losses, fraction = 0, [], 0.0
     while fraction < 1:
-        for group, rate in zip(optimiser.param_groups, rates, strict=True):
+        for group, rate in zip(optimizer.param_groups, rates, strict=True):
             group["lr"] = rate * settings.last_rate**fraction
         index = inside[torch.randint(len(inside), (settings.pixels,))]
         maps = textures()
@@ -310,9 +310,9 @@ def learn(surface: Surface, rays: PixelRays, settings: PeerSettings, minutes: fl
             loss = loss + settings.background * (tone_map(shown) - tone_map(rays.radiance[behind].float())).abs().mean()
         stacked = torch.cat([maps[0], maps[1][..., None], maps[2][..., None]], -1)
         loss = loss + settings.smoothness * _variation(stacked) + settings.environment_smoothness * _variation(light)
-        optimiser.zero_grad()
+        optimizer.zero_grad()
         loss.backward()
-        optimiser.step()
+        optimizer.step()
         step += 1
         fraction = (time.process_time() - start) / (60 * minutes)
     with torch.no_grad():

@@ -1,6 +1,6 @@
 """The object field as published: the SDF is an MLP (NeuS, Wang et al. 2021), and autograd gives its normals.
 
-The MLP has eight layers of 256, softplus, six frequencies and weight normalisation, and starts as a sphere (Atzmon and
+The MLP has eight layers of 256, softplus, six frequencies and weight normalization, and starts as a sphere (Atzmon and
 Lipman 2020). The samples of a ray lie all along its part in the object's sphere. Half of them are placed where NeuS's
 weights are high. The color is that of our own object field, with larger MLPs. This field takes the place of `ObjectField`
 in `learn_fields(..., object_field=...)`.
@@ -84,7 +84,7 @@ class ReferenceField(SurfaceColor):
         """The SDF as it is now: this field itself."""
         return self
 
-    def shape_optimiser(self, rate: float, betas: tuple[float, float]) -> torch.optim.Optimizer:
+    def shape_optimizer(self, rate: float, betas: tuple[float, float]) -> torch.optim.Optimizer:
         """Adam for the parameters of the SDF's MLP, which has no levels."""
         return torch.optim.Adam(self.layers.parameters(), lr=rate, betas=betas)
 
@@ -138,8 +138,8 @@ class ReferenceField(SurfaceColor):
 
     def near(self, origins: Tensor, directions: Tensor, band: float) -> Tensor:
         """Whether rays [n, 3] come nearer to the surface than `band`: [n] bool. The SDF is taken from a grid."""
-        centres = torch.arange(-1 - 0.5 * self.cell, 1 + self.cell, self.cell)
-        return SplineShape(self._grid(centres)).near(origins, directions, band)
+        centers = torch.arange(-1 - 0.5 * self.cell, 1 + self.cell, self.cell)
+        return SplineShape(self._grid(centers)).near(origins, directions, band)
 
     def render(
         self, origins: Tensor, directions: Tensor, sharpness: float, samples: int, generator: torch.Generator | None

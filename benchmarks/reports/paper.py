@@ -1,7 +1,7 @@
 """Table 1 of the paper (Wang et al., CVPR 2024), as printed.
 
 The scenes of the paper are its authors' own: other models in other rooms. The paper does not say how its Chamfer distance is
-normalised. So the paper's figures stand beside ours only to show the form of the table and the order of magnitude.
+normalized. So the paper's figures stand beside ours only to show the form of the table and the order of magnitude.
 """
 
 METHODS = ("Nerfacto", "NeuS", "NeRO", "NeP")

@@ -224,12 +224,12 @@ def campaign(count: int, seed: int, out: Path) -> dict:
             print(name, rows[name]["failures"][0][:200], file=sys.stderr, flush=True)
 
     each()
-    summary = summarise(rows) | {"seed": seed}
+    summary = summarize(rows) | {"seed": seed}
     write_row(out / "summary.json", summary)
     return summary
 
 
-def summarise(rows: dict[str, dict]) -> dict:
+def summarize(rows: dict[str, dict]) -> dict:
     """The counts of a campaign: exit codes, failures of each kind, and how often each unusual value of a field occurred."""
     kinds = Counter(f.split(":")[0] for row in rows.values() for f in row["failures"])
     plain = Case()

@@ -55,7 +55,7 @@ class Case:
     roll: float = 0.0
     """Turn of the cameras about their optical axis, in radians. Every other camera is turned the other way."""
     shift: float = 0.0
-    """Distance of the principal point from the centre, in image widths"""
+    """Distance of the principal point from the center, in image widths"""
     pixels: str = "fine"
     """fine, black, white, saturated, nan, inf, negative, huge, one_black, one_nan, most_nan, noise, flat"""
     mesh: str = "none"

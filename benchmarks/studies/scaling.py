@@ -27,7 +27,7 @@ from blender_nep.fields.environment_field import EnvironmentField
 from blender_nep.fields.object_field import ObjectField
 from blender_nep.fields.training import FieldsLearning, learn_fields
 from blender_nep.geometry.mesh import Surface
-from blender_nep.materials.baking import LabelledPoints, bake
+from blender_nep.materials.baking import LabeledPoints, bake
 from blender_nep.materials.training import learn_materials
 from blender_nep.presets import PRESETS, Preset
 from blender_nep.profiling import Profile
@@ -95,8 +95,8 @@ class Bench:
         surface = self.learned()[2]
         random = np.random.default_rng(0)
         position = surface.vertices[random.integers(len(surface.vertices), size=3000)].astype(np.float32)
-        grey, even = np.full((3000, 3), 0.5, np.float32), np.full(3000, 0.1, np.float32)
-        points = LabelledPoints(position, random.integers(40, size=3000), grey, even, even, even)
+        gray, even = np.full((3000, 3), 0.5, np.float32), np.full(3000, 0.1, np.float32)
+        points = LabeledPoints(position, random.integers(40, size=3000), gray, even, even, even)
         profile = Profile()
         with profile.recording():
             bake(surface, points, size)
@@ -157,7 +157,7 @@ FACTORS: dict[str, tuple[tuple[int, ...], Callable, dict[str, float]]] = {
     "SDF grid cells": (
         (32, 64, 128, 256),
         lambda b, n: b.learn(base(fields={"coarsest_cells": n // 4})),
-        STEP | {"object field": STEPS, "backward": 2 * STEPS, "optimisers": 2 * STEPS},
+        STEP | {"object field": STEPS, "backward": 2 * STEPS, "optimizers": 2 * STEPS},
     ),
     "marching-cubes grid": (
         (64, 96, 144, 216),

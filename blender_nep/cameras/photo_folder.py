@@ -1,4 +1,4 @@
-"""The photos of a folder, what their files say of the lens, and small grey copies of them for structure from motion."""
+"""The photos of a folder, what their files say of the lens, and small gray copies of them for structure from motion."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ _MASKS = "masks"
 _DAMAGED = (OSError, ValueError, SyntaxError, EOFError, struct.error, zlib.error, Image.DecompressionBombError)
 """What Pillow raises for damaged files"""
 _STRIP = 64
-"""Rows of a photo that are made grey at a time"""
+"""Rows of a photo that are made gray at a time"""
 
 
 @dataclass(frozen=True)
@@ -162,20 +162,20 @@ def _focal_length(tags: dict[int, object], width: int, height: int) -> float | N
     return film / _FILM_DIAGONAL * float(np.hypot(width, height)) if 5 < film < 1000 else None
 
 
-def grey_copy(photo: Photo, reduction: Reduction) -> np.ndarray:
-    """The photo's copy as grey sRGB values [h, w] uint8.
+def gray_copy(photo: Photo, reduction: Reduction) -> np.ndarray:
+    """The photo's copy as gray sRGB values [h, w] uint8.
 
     Photos with radiance get an exposure that shows their median at half of white. Raises CaptureError.
     """
     try:
-        image = _opened(photo.path) if file_kind(photo.path) == "pillow" else Image.fromarray(_grey(photo.path))
+        image = _opened(photo.path) if file_kind(photo.path) == "pillow" else Image.fromarray(_gray(photo.path))
     except (*_DAMAGED, CaptureError) as error:
         raise _unreadable(photo.path, error) from error
     return np.asarray(reduction.copy(image, Image.Resampling.LANCZOS))
 
 
-def _grey(path: Path) -> np.ndarray:
-    """The photo as grey sRGB values [H, W] uint8."""
+def _gray(path: Path) -> np.ndarray:
+    """The photo as gray sRGB values [H, W] uint8."""
     raster = open_image(path, "srgb")
     if raster.encoding.is_linear:
         radiance = np.clip(np.nan_to_num(raster.rows()[0]), 0, None)
@@ -199,7 +199,7 @@ def mask_copy(photo: Photo, reduction: Reduction) -> np.ndarray | None:
     try:
         mask = MaskRaster.of(photo.mask)
         starts = range(0, mask.size[0], _STRIP)
-        grey = np.concatenate([to_bytes(mask.rows(start, start + _STRIP)) for start in starts])
+        gray = np.concatenate([to_bytes(mask.rows(start, start + _STRIP)) for start in starts])
     except (CaptureError, *_DAMAGED) as error:
         raise _unreadable(photo.mask, error) from error
-    return np.asarray(reduction.copy(Image.fromarray(grey), Image.Resampling.BOX)) > 127
+    return np.asarray(reduction.copy(Image.fromarray(gray), Image.Resampling.BOX)) > 127

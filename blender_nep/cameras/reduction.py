@@ -15,7 +15,7 @@ class Reduction:
     """How a photo becomes a copy of `width` x `height` pixels, each `scale` photo pixels wide and high.
 
     A copy has whole pixels. So strips that are narrower than half a pixel of the copy are cut off at the photo's edges,
-    `left` and `top` photo pixels wide, and the same at the right and the bottom. The copy has the photo's centre, and one
+    `left` and `top` photo pixels wide, and the same at the right and the bottom. The copy has the photo's center, and one
     scale along both sides. With a scale for each side, square pixels would not stay square.
     """
 

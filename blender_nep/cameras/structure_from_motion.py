@@ -26,7 +26,7 @@ from PIL import Image
 from scipy.spatial.transform import Rotation
 
 from blender_nep.cameras.alignment import moved
-from blender_nep.cameras.photo_folder import Photo, grey_copy, mask_copy
+from blender_nep.cameras.photo_folder import Photo, gray_copy, mask_copy
 from blender_nep.cameras.reduction import Reduction
 from blender_nep.capture.camera import Camera
 from blender_nep.capture.formats import colmap
@@ -116,7 +116,7 @@ def find_groups(
         report("photos", number, len(photos))
         name, reduction = f"{number:05d}.png", Reduction.of(photo.width, photo.height, LONGEST_SIDE)
         reductions[name] = reduction
-        _save(grey_copy(photo, reduction), folder / "images" / name)
+        _save(gray_copy(photo, reduction), folder / "images" / name)
         if masked is not None and (mask := mask_copy(photo, reduction)) is not None:
             _save(np.uint8(255) * (mask == masked), folder / "masks" / f"{name}.png")
     settings = _settings(photos, reductions, given) | {

@@ -15,13 +15,13 @@ _HINT = (
 
 
 def sphere_from_cameras(cameras: list[Camera]) -> tuple[np.ndarray, float]:
-    """Centre [3] nearest to all optical axes, and radius of the largest sphere that a tenth of the cameras see whole.
+    """Center [3] nearest to all optical axes, and radius of the largest sphere that a tenth of the cameras see whole.
 
     A tenth is enough: photos from farther away usually show the whole object. A sphere that is somewhat too large costs
-    resolution; a sphere that is too small cuts the object. The centre is found by least squares on the distances from
+    resolution; a sphere that is too small cuts the object. The center is found by least squares on the distances from
     the axes, reweighted five times towards the point of least absolute distances. The radius is at most 0.7 of the
     distance to the nearest camera. Raises BoundsError when the axes are parallel, or when fewer than two cameras see the
-    centre.
+    center.
     """
     position = np.stack([c.position for c in cameras])
     axis = np.stack([c.optical_axis for c in cameras])
@@ -45,7 +45,7 @@ def sphere_from_cameras(cameras: list[Camera]) -> tuple[np.ndarray, float]:
 def sphere_from_masks(
     cameras: list[Camera], masks: list[np.ndarray], center: np.ndarray, radius: float, resolution: int = 48
 ) -> tuple[np.ndarray, float] | None:
-    """Centre [3] and radius of a sphere around a coarse visual hull, or None when no voxel agrees with the masks.
+    """Center [3] and radius of a sphere around a coarse visual hull, or None when no voxel agrees with the masks.
 
     The first grid covers the cube of half side 1.5 `radius` around `center`; the second grid covers the voxels that the
     first one kept. A voxel is kept when at least half of the cameras have it in their frame, and in 95 % of those photos
@@ -87,12 +87,12 @@ def check_sphere(names: list[str], cameras: list[Camera], center: np.ndarray, ra
     if len(inside):
         raise BoundsError(
             f"{len(inside)} of {len(cameras)} cameras stand inside the object's sphere (the first: {names[inside[0]]}, "
-            f"{distance[inside[0]]:.4g} from the centre, radius {radius:.4g})",
+            f"{distance[inside[0]]:.4g} from the center, radius {radius:.4g})",
             _HINT,
         )
     seen = np.array([sees_sphere(c, center, radius) for c in cameras])
     if not seen.any():
-        raise BoundsError(f"no photo sees the object's sphere (centre {_text(center)}, radius {radius:.4g})", _HINT)
+        raise BoundsError(f"no photo sees the object's sphere (center {_text(center)}, radius {radius:.4g})", _HINT)
     warnings: list[Message] = []
     if not seen.all():
         blind = [names[i] for i in np.flatnonzero(~seen)]

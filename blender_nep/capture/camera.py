@@ -1,6 +1,6 @@
 """Cameras with or without lens distortion.
 
-Cameras look down -z, x right, y up; matrices are camera-to-world; pixel centres lie at +0.5. Without distortion, a pixel
+Cameras look down -z, x right, y up; matrices are camera-to-world; pixel centers lie at +0.5. Without distortion, a pixel
 (row y, column x) looks along ((x + 0.5 - cx) / fl_x, -(y + 0.5 - cy) / fl_y, -1) in the camera's own axes.
 """
 
@@ -33,16 +33,16 @@ class Camera:
 
     @property
     def position(self) -> np.ndarray:
-        """The centre of projection [3], capture frame."""
+        """The center of projection [3], capture frame."""
         return self.camera_to_world[:3, 3]
 
     @property
     def optical_axis(self) -> np.ndarray:
-        """Unit direction [3] through the image's centre, capture frame."""
+        """Unit direction [3] through the image's center, capture frame."""
         return self.directions(np.array([self.width / 2.0]), np.array([self.height / 2.0]))[0]
 
     def directions(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-        """Unit directions [n, 3] in the capture frame, through image positions x, y [n] in pixels (centres +0.5)."""
+        """Unit directions [n, 3] in the capture frame, through image positions x, y [n] in pixels (centers +0.5)."""
         world = self._own_directions(x, y) @ self.camera_to_world[:3, :3].T
         return world / np.linalg.norm(world, axis=-1, keepdims=True)
 

@@ -29,7 +29,7 @@ SHADES = ((238, 245, 229), (200, 224, 172), (243, 214, 115), (238, 155, 59), (20
 """sRGB of the shades, from near to far; each is darker than the one before"""
 MOST_NAMES = 9
 """At most this many photos of a half have their names in the picture."""
-_INK, _PAPER, _GREY, _DOT, _HOLE = (30, 30, 30), (255, 255, 255), (120, 120, 120), (20, 60, 140), (0, 0, 0)
+_INK, _PAPER, _GRAY, _DOT, _HOLE = (30, 30, 30), (255, 255, 255), (120, 120, 120), (20, 60, 140), (0, 0, 0)
 _FINE = 3
 """Dots and lines are drawn this many times larger, so that their edges become smooth."""
 
@@ -85,7 +85,7 @@ def _with_marks(picture: Image.Image, coverage: Coverage, hole: Hole) -> Image.I
 
     for middle in MIDDLES:
         for elevation in (30, 60):
-            circle(middle, RADIUS * math.sqrt(1 - math.sin(math.radians(elevation))), 0.7, _GREY)
+            circle(middle, RADIUS * math.sqrt(1 - math.sin(math.radians(elevation))), 0.7, _GRAY)
         circle(middle, RADIUS, 1.5, _INK)
     for direction in coverage.directions:
         circle(place(direction), 5, 1, _PAPER, _DOT)
@@ -147,7 +147,7 @@ def _write_legend(draw: ImageDraw.ImageDraw, font) -> None:
     draw.text((60, row), "Angle to the nearest photo:", _INK, font, "lm")
     column = 290
     for low, high, color in zip((0, *LIMITS), (*LIMITS, None), SHADES, strict=True):
-        draw.rectangle((column, row - 11, column + 28, row + 11), color, _GREY)
+        draw.rectangle((column, row - 11, column + 28, row + 11), color, _GRAY)
         text = f"over {low:.0f}°" if high is None else f"{low:.0f} to {high:.0f}°"
         draw.text((column + 36, row), text, _INK, font, "lm")
         column += 140

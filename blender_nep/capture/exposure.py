@@ -24,14 +24,14 @@ from blender_nep.capture.vignetting import TERMS, Vignetting, falloff_terms
 from blender_nep.messages import Message
 
 SPHERES = (0.8, 1.2, 1.7, 2.4, 3.4, 5.0, 10.0, 1e4)
-"""Radii of the spheres, as multiples of the cameras' median distance from the object's centre."""
+"""Radii of the spheres, as multiples of the cameras' median distance from the object's center."""
 PLANES = (-0.1, -0.2, -0.3, -0.4, -0.5, -0.6, -0.7, -0.8, -0.9, -1.0, -1.3, -1.7, -2.2, -3.0, -4.0, -6.0)
-"""Heights of the horizontal planes over the object's centre, in object radii. None above the lowest camera is tried."""
+"""Heights of the horizontal planes over the object's center, in object radii. None above the lowest camera is tried."""
 LEAST_FALL = 0.05
 """Rays that fall by less than this per unit of their length are not compared in the planes, which they meet too far away."""
 ROWS = 64
 """Rows of cells on a sphere; there are twice as many columns. A point of a plane lies in the cell of its direction as seen
-from the object's centre."""
+from the object's center."""
 BLOCKS = 2500
 """Means over square blocks of pixels are compared. A photo has about `BLOCKS` of them. With many photos each has fewer, so
 that all photos together have about `MOST_BLOCKS`, but never fewer than about 64 a photo."""
@@ -301,7 +301,7 @@ class _Solution:
 
 
 def _solve(entries: _Entries) -> _Solution:
-    """Solve for the gains and the vignetting: minimise |value - log gain(view) - terms falloff - mean(cell)|.
+    """Solve for the gains and the vignetting: minimize |value - log gain(view) - terms falloff - mean(cell)|.
 
     Each entry is weighted by how well its cell agrees between the photos. Iteratively reweighted least squares; the
     cells' means are eliminated from the equations. The gains and the vignetting are solved for in turn: they hardly depend

@@ -44,9 +44,9 @@ def read(path: Path, tagged: bool) -> Raster:
                 return Raster(png16.read_png16(path), _needs_no_tables(encoding))
         else:
             encoding = _encoding(image) if tagged else LINEAR
-        if image.mode.startswith("I"):  # 16 bits of grey, which Pillow's own conversion clips at 255
-            grey = np.asarray(image).clip(0, 65535).astype(np.uint16)
-            return Raster(grey[..., None], encoding or SRGB)
+        if image.mode.startswith("I"):  # 16 bits of gray, which Pillow's own conversion clips at 255
+            gray = np.asarray(image).clip(0, 65535).astype(np.uint16)
+            return Raster(gray[..., None], encoding or SRGB)
         alpha = "A" in image.getbands() or "transparency" in image.info
         mode = "RGBA" if alpha else "RGB"
         if encoding is None:

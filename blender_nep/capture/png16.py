@@ -29,7 +29,7 @@ def _unfilter(rows: np.ndarray, kinds: np.ndarray, step: int) -> None:
                 guess = b
             elif kind == 3:
                 guess = (a + b) // 2
-            elif kind == 4:  # Paeth: the neighbour closest to a + b - c
+            elif kind == 4:  # Paeth: the neighbor closest to a + b - c
                 pa, pb, pc = abs(b - c), abs(a - c), abs(a + b - 2 * c)
                 guess = a if pa <= pb and pa <= pc else (b if pb <= pc else c)
             rows[y, i] = (int(rows[y, i]) + guess) & 255
@@ -63,7 +63,7 @@ def chunks(path: Path) -> dict[bytes, bytes]:
 
 
 def read_png16(path: Path) -> np.ndarray:
-    """Read a non-interlaced 16-bit PNG: [H, W, C] uint16, C = 1 (grey), 2 (grey, alpha), 3 (RGB) or 4 (RGBA).
+    """Read a non-interlaced 16-bit PNG: [H, W, C] uint16, C = 1 (gray), 2 (gray, alpha), 3 (RGB) or 4 (RGBA).
 
     Raises ValueError for another kind of PNG, or if the file is damaged.
     """

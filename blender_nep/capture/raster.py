@@ -17,7 +17,7 @@ class Raster:
     """
 
     stored: np.ndarray
-    """[H, W, C] uint8, uint16, float16 or float32; C = 1 (grey), 2 (grey, alpha), 3 (RGB) or 4 (RGBA)"""
+    """[H, W, C] uint8, uint16, float16 or float32; C = 1 (gray), 2 (gray, alpha), 3 (RGB) or 4 (RGBA)"""
     encoding: ColorEncoding
     """How the stored values become linear."""
     associated: bool = False

@@ -26,7 +26,7 @@ MOST_CLIPPED = 0.02
 """Share of clipped pixels from which on an artist is told to expose less."""
 
 
-def summarise(folder: Path, picture: Path | None = None, sphere: tuple[Sequence[float], float] | None = None) -> dict:
+def summarize(folder: Path, picture: Path | None = None, sphere: tuple[Sequence[float], float] | None = None) -> dict:
     """Facts about a capture as plain values, ready for JSON. Every photo is read once.
 
     picture: where a PNG of the directions of the photos is written. sphere: the object's (center [3], radius), which
@@ -152,7 +152,7 @@ def _doubts(found: dict) -> list[Message]:
 
 
 def describe(found: dict) -> str:
-    """The facts of `summarise` as text for people."""
+    """The facts of `summarize` as text for people."""
     stops_apart = found["exposure_stops"]
     exposure = (
         "not known" if stops_apart is None else f"up to {stops_apart} stops apart" if stops_apart else "no clear difference"

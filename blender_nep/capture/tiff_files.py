@@ -1,4 +1,4 @@
-"""Reads TIFF files: grey, RGB and RGBA with 8, 16 or 32 bits or floats. Of several pages, the first counts."""
+"""Reads TIFF files: gray, RGB and RGBA with 8, 16 or 32 bits or floats. Of several pages, the first counts."""
 
 from __future__ import annotations
 

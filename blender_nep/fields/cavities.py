@@ -64,7 +64,7 @@ def open_cavities(field: ObjectField, rays: PixelRays) -> None:
 def cavities(rays: PixelRays, sdf: np.ndarray) -> np.ndarray:
     """What must be added to an object's SDF [n, n, n] so that its cavities are open; 0 elsewhere.
 
-    sdf and the result belong to the centres of n^3 cells of [-1, 1]^3, in radii of the object's sphere.
+    sdf and the result belong to the centers of n^3 cells of [-1, 1]^3, in radii of the object's sphere.
     """
     photos, opened = SurfacePhotos(rays), sdf
     for lid in _lids(photos, sdf):

@@ -1,14 +1,14 @@
 """The prefiltered environment field F_e: the radiance of everything outside the object's unit sphere.
 
-F_e is a spherical volume centred on the object, from the border |x| = 1 to infinity. Its shells lie at equal steps of the
+F_e is a spherical volume centered on the object, from the border |x| = 1 to infinity. Its shells lie at equal steps of the
 contracted distance (`ops.environment_segments`): log |x| near the object, 1 / |x| far away. Every shell is an
 equirectangular grid (rows from +z to -z, columns with atan2(y, x)). A node holds a raw density and the logarithm of linear
 radiance. The density is softplus(raw density) per unit of the contracted distance. The outermost shell is the sky: it lies
 at infinity, is opaque, and ends every ray that nothing else stops.
 
-The color detail is one image of all directions from the centre, finer than the shells. It is added to the logarithm of the
+The color detail is one image of all directions from the center, finer than the shells. It is added to the logarithm of the
 radiance of what is farther than the contraction radius. Near things get none: seen from other cameras, they lie in other
-directions from the centre than what is behind them. F_e gets the color detail only if the photos show much that is far: in a
+directions from the center than what is behind them. F_e gets the color detail only if the photos show much that is far: in a
 small room it would learn noise.
 
 The paper uses a Mip-NeRF for F_e, which can be queried with cones. Here the volume is prefiltered after the learning
@@ -70,7 +70,7 @@ class EnvironmentField(nn.Module):
 
     @property
     def infinite(self) -> bool:
-        """Whether the environment is a 2-D map: only the sky shell counts, and every ray starts from the centre."""
+        """Whether the environment is a 2-D map: only the sky shell counts, and every ray starts from the center."""
         return self.preset.model == "infinite"
 
     @property
@@ -145,12 +145,12 @@ class EnvironmentField(nn.Module):
         return render_environment(self.raw, self.detail, segments, volume, jitter=jitter)
 
     @profiled("F_e priors")
-    def regularise(self, generator: torch.Generator | None = None) -> float:
+    def regularize(self, generator: torch.Generator | None = None) -> float:
         """Add the gradient of the priors to `raw.grad`, and return the value of the priors.
 
         Call it after the backward pass of the photometric loss. The priors are needed because the photos do not determine
         the field. They are the total variation of the raw grid (smooth along all three axes, edges allowed) and the mean
-        density. Each call takes them on some random neighbouring shells, and changes the gradient of these shells in place.
+        density. Each call takes them on some random neighboring shells, and changes the gradient of these shells in place.
         As a term of the loss, they would fill and add gradients of the whole grid, which took as long as the rendering.
         """
         preset, raw = self.preset, self.raw
@@ -172,7 +172,7 @@ class EnvironmentField(nn.Module):
         return float(value.detach()) + (self._smooth_detail(generator) if len(self.detail) else 0.0)
 
     def _smooth_detail(self, generator: torch.Generator | None) -> float:
-        """Add the gradient of the total variation of some random neighbouring rows of the color detail; return its value."""
+        """Add the gradient of the total variation of some random neighboring rows of the color detail; return its value."""
         rows = len(self.detail)
         run = max(2, round(rows * self.preset.regularized_detail))
         first = int(torch.randint(0, rows - run + 1, (1,), generator=generator, device=self.raw.device))
@@ -190,7 +190,7 @@ class EnvironmentField(nn.Module):
     def refine(self, fraction: float) -> bool:
         """Go to the resolution that is due at this fraction of the learning, 0..1. True if the resolution has changed.
 
-        Then `raw` is a new parameter, and the optimiser must be made again.
+        Then `raw` is a new parameter, and the optimizer must be made again.
         """
         due = sum(fraction >= start for start in self.preset.refine_at) if self.known else 0
         if due <= self.level:
@@ -205,7 +205,7 @@ class EnvironmentField(nn.Module):
 
         `far_share` becomes the mean transmittance up to the contraction radius, 0..1. F_e begins anew because its grid has
         found places for the far colors without the detail, and keeps them. True if F_e has begun anew. Then `raw` and
-        `detail` are new parameters, and the optimiser must be made again.
+        `detail` are new parameters, and the optimizer must be made again.
         """
         preset = self.preset
         along = (origins * directions).sum(-1)
@@ -277,7 +277,7 @@ class EnvironmentField(nn.Module):
 
     @torch.no_grad()
     def typical_distance(self, directions: int = 1000) -> float:
-        """Median distance of the surroundings from the object's centre, over the directions that the photos show.
+        """Median distance of the surroundings from the object's center, over the directions that the photos show.
 
         It is FAR if it is farther than that, if the environment is a 2-D map, or if the photos show no surroundings.
         """
@@ -297,7 +297,7 @@ class EnvironmentField(nn.Module):
         return float(distance.median())
 
     def equirect(self, height: int) -> tuple[torch.Tensor, torch.Tensor]:
-        """The light that the photos show, as seen from the object's centre: a map for Blender's World.
+        """The light that the photos show, as seen from the object's center: a map for Blender's World.
 
         Returns radiance [height, 2 height, 3] and coverage [height, 2 height] in 0..1. Cycles maps a direction to u = 0.5 -
         atan2(y, x) / (2 pi), v = 0.5 + atan2(z, hypot(x, y)) / pi; row 0 is +z.

@@ -1,6 +1,6 @@
 """Resamples and pads the spherical grid [K, H, W, C].
 
-The axes are shells, cell-centred rows from +z to -z, periodic columns with atan2(y, x), and channels.
+The axes are shells, cell-centered rows from +z to -z, periodic columns with atan2(y, x), and channels.
 """
 
 from __future__ import annotations

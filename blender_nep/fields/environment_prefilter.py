@@ -1,8 +1,8 @@
 """Prefilters the environment field for cones. Each level holds, for every shell, means over wider discs of directions.
 
-The means are taken of what is seen from the centre: of each node's weight w = transmittance from the centre * opacity, and
+The means are taken of what is seen from the center: of each node's weight w = transmittance from the center * opacity, and
 of w times its radiance. Means of opacities would let light leak through walls: what stands behind an opaque node would count
-again for its transparent neighbours. Each level is then turned back into opacities. Composited from the centre, they give
+again for its transparent neighbors. Each level is then turned back into opacities. Composited from the center, they give
 exactly these mean weights; from other points, they give the parallax.
 
 The weights are integrated on a grid finer than the field's, because the mean of an exponential between two nodes is not the
@@ -20,7 +20,7 @@ import torch
 from blender_nep.fields.environment_grid import resample
 from blender_nep.ops.environment_cones import composite_cones
 from blender_nep.ops.environment_segments import contracted_length, contracted_radius, far_share
-from blender_nep.ops.environment_weights import from_weights, weights_from_centre
+from blender_nep.ops.environment_weights import from_weights, weights_from_center
 from blender_nep.ops.spherical_grid import COLOR_LIMIT
 
 FINER_ROWS = 2
@@ -34,7 +34,7 @@ variance 1/6 for each axis; a disc of radius r has r^2 / 4."""
 
 
 def disc_mean(values: torch.Tensor, radius: float) -> torch.Tensor:
-    """Means over discs of angular `radius` (radians) of values [K, H, W, C] on cell-centred equirectangular shells."""
+    """Means over discs of angular `radius` (radians) of values [K, H, W, C] on cell-centered equirectangular shells."""
     _, rows, columns, _ = values.shape
     theta = (torch.arange(rows, dtype=values.dtype) + 0.5) * math.pi / rows
     phi = torch.arange(columns, dtype=values.dtype) * 2 * math.pi / columns
@@ -100,11 +100,11 @@ class PrefilteredEnvironment:
         self.shell_radii, self.far = contracted_radius(u, contraction_radius), far_share(u, contraction_radius)
         if not len(detail):
             self.far = torch.zeros_like(self.far)
-        values = weights_from_centre(raw, coverage, density_gain, spacing, FINER_ROWS * raw.shape[1])
+        values = weights_from_center(raw, coverage, density_gain, spacing, FINER_ROWS * raw.shape[1])
         # A node that no photo shows holds no light of the scene: it began so, or the smoothness prior filled it in.
         values[..., :3] *= values[..., 4:] / values[..., 3:4].clamp_min(1e-9)
         self.detail = _add_detail(values, detail, self.far)
-        # a shell that is nowhere visible from the centre needs no lookup
+        # a shell that is nowhere visible from the center needs no lookup
         self.occupied = values[..., 3].amax((1, 2)) > 1e-4
         radius = TENT_RADIUS * math.pi / values.shape[1]
         self.levels, self.radii = [from_weights(values)], [radius]

@@ -49,12 +49,12 @@ def learning_rate(preset: EnvironmentPreset, fraction: float) -> float:
 
 
 def set_learning_rate(adam: torch.optim.Optimizer, preset: EnvironmentPreset, fraction: float) -> None:
-    """Set the learning rate of F_e's optimiser that is due at a fraction of the learning, 0..1."""
+    """Set the learning rate of F_e's optimizer that is due at a fraction of the learning, 0..1."""
     for group in adam.param_groups:
         group["lr"] = learning_rate(preset, fraction)
 
 
-def optimiser(environment: EnvironmentField) -> torch.optim.Optimizer:
+def optimizer(environment: EnvironmentField) -> torch.optim.Optimizer:
     """Adam for the field's present grid."""
     return torch.optim.Adam(environment.parameter_groups(), fused=True)
 
@@ -62,7 +62,7 @@ def optimiser(environment: EnvironmentField) -> torch.optim.Optimizer:
 def refine(environment: EnvironmentField, rays: PixelRays, background: PixelSet | torch.Tensor, fraction: float) -> bool:
     """Bring F_e to what is due at this fraction of the learning, 0..1: a finer grid, or the decision on its color detail.
 
-    `background` are the pixels (indices) whose rays decide. True if F_e has new parameters, so that its optimiser must be
+    `background` are the pixels (indices) whose rays decide. True if F_e has new parameters, so that its optimizer must be
     made again.
     """
     preset, changed = environment.preset, environment.refine(fraction)
@@ -125,10 +125,10 @@ def learn_step(
     adam.zero_grad()
     with section("backward"):
         (photometric + environment.preset.foreground_opacity * (1 - clear).mean()).backward()
-    environment.regularise(generator)
+    environment.regularize(generator)
     if not usable_gradients([adam]):
         return math.nan
-    with section("optimisers"):
+    with section("optimizers"):
         adam.step()
     return loss
 
@@ -157,13 +157,13 @@ def learn_environment(
             "The mesh covers all pixels of all photos, so nothing shows the light around the object.",
             "Give --mesh the object alone, without the floor and the walls.",
         )
-    adam, step, monitor = optimiser(environment), 0, NonFiniteMonitor()
+    adam, step, monitor = optimizer(environment), 0, NonFiniteMonitor()
 
     def present_state() -> dict:
         return {
             "step": step,
             "environment": environment.state_dict(),
-            "optimiser": adam.state_dict(),
+            "optimizer": adam.state_dict(),
             "generator": generator.get_state(),
             "monitor": monitor.state(),
         }
@@ -172,13 +172,13 @@ def learn_environment(
     if state is not None:
         step = state["step"]
         environment.load_state_dict(state["environment"])
-        adam = optimiser(environment)
-        adam.load_state_dict(state["optimiser"])
+        adam = optimizer(environment)
+        adam.load_state_dict(state["optimizer"])
         generator.set_state(state["generator"])
         monitor.load(state["monitor"])
     while step < preset.steps:
         if refine(environment, rays, background, step / preset.steps):
-            adam = optimiser(environment)
+            adam = optimizer(environment)
         set_learning_rate(adam, preset, step / preset.steps)
         pick = torch.randint(len(background), (preset.rays_per_step,), generator=generator, device=device)
         loss = learn_step(environment, adam, rays, background[pick], generator)

@@ -34,13 +34,13 @@ _PIXELS = 300
 def hidden_pixels(rays: PixelRays, hull: np.ndarray, unexplained: Callable[[Tensor], Tensor]) -> Tensor:
     """Indices [m] int64, rising, of the pixels whose masks do not show the object although it is there.
 
-    hull [n, n, n] is the SDF of the visual hull, at the centres of n^3 cells of [-1, 1]^3. unexplained(index [k]) is the
+    hull [n, n, n] is the SDF of the visual hull, at the centers of n^3 cells of [-1, 1]^3. unexplained(index [k]) is the
     error [k] of F_e behind the object at pixels, as a multiple of its mean error beside the object. Raises ValueError for
     rays without masks.
     """
     if rays.mask is None:
         raise ValueError("hidden pixels need masks")
-    solid, core = (_centres(hull, depth) for depth in (0.0, CORE))
+    solid, core = (_centers(hull, depth) for depth in (0.0, CORE))
     found = []
     for view, (height, width) in enumerate(rays.size):
         block = max(1, round(height / _ROWS))
@@ -60,8 +60,8 @@ def hidden_pixels(rays: PixelRays, hull: np.ndarray, unexplained: Callable[[Tens
     return index[rays.mask[index] < 255]
 
 
-def _centres(sdf: np.ndarray, depth: float) -> Tensor:
-    """The centres [k, 3] float32 of the cells that lie at least `depth` below the surface of an SDF [n, n, n]."""
+def _centers(sdf: np.ndarray, depth: float) -> Tensor:
+    """The centers [k, 3] float32 of the cells that lie at least `depth` below the surface of an SDF [n, n, n]."""
     return torch.from_numpy(((np.stack(np.nonzero(sdf < -depth), 1) + 0.5) * (2 / len(sdf)) - 1).astype(np.float32))
 
 

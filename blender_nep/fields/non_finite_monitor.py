@@ -56,11 +56,11 @@ def usable_loss(loss: float) -> bool:
     return abs(loss) < LARGEST_LOSS  # False for NaN
 
 
-def usable_gradients(optimisers: Iterable[torch.optim.Optimizer]) -> bool:
-    """Whether all gradients of the optimisers' parameters are finite.
+def usable_gradients(optimizers: Iterable[torch.optim.Optimizer]) -> bool:
+    """Whether all gradients of the optimizers' parameters are finite.
 
     Only their sums are checked: one NaN or infinity makes the sum not finite.
     """
-    parameters = (p for optimiser in optimisers for group in optimiser.param_groups for p in group["params"])
+    parameters = (p for optimizer in optimizers for group in optimizer.param_groups for p in group["params"])
     sums = [p.grad.sum(dtype=torch.float64) for p in parameters if p.grad is not None]
     return not sums or bool(torch.isfinite(torch.stack(sums)).all())

@@ -17,7 +17,7 @@ from torch import nn
 from blender_nep.fields.albedo_detail import AlbedoDetail
 from blender_nep.fields.encodings import encoding_size, integrated_directional_encoding, positional_encoding
 from blender_nep.fields.fine_level import FineLevel
-from blender_nep.fields.optimiser import UniformAdam
+from blender_nep.fields.optimizer import UniformAdam
 from blender_nep.fields.volume_rendering import SurfaceSamples, render_surface, sphere_interval
 from blender_nep.geometry.support import Support
 from blender_nep.ops import bspline
@@ -182,8 +182,8 @@ class ObjectField(SurfaceColor):
 
     def __init__(self, cells: int, initial_radius: float, width: int = 64, decomposed: bool = True) -> None:
         super().__init__(width, decomposed)
-        centre = (torch.arange(cells + 2) - 0.5) / cells * 2 - 1
-        x, y, z = torch.meshgrid(centre, centre, centre, indexing="ij")
+        center = (torch.arange(cells + 2) - 0.5) / cells * 2 - 1
+        x, y, z = torch.meshgrid(center, center, center, indexing="ij")
         self.levels = nn.ParameterList([nn.Parameter((x * x + y * y + z * z).sqrt() - initial_radius)])
         self.fine: FineLevel | None = None
         """A finer level where relief was found (`relief.find_relief`); None if none was found."""
@@ -199,7 +199,7 @@ class ObjectField(SurfaceColor):
         """The SDF in its present state."""
         return SplineShape(self.coefficients(), self.support, None if self.fine is None else self.fine.bricks)
 
-    def shape_optimiser(self, rate: float, betas: tuple[float, float]) -> torch.optim.Optimizer:
+    def shape_optimizer(self, rate: float, betas: tuple[float, float]) -> torch.optim.Optimizer:
         """Adam with one step size for each level, for the present parameters of the SDF.
 
         A level whose cells are REFERENCE_CELL wide has the step size `rate`. The step size of another level is proportional
@@ -245,11 +245,11 @@ class ObjectField(SurfaceColor):
 
     @torch.no_grad()
     def start_from(self, sdf: torch.Tensor) -> None:
-        """Set the SDF to values [n, n, n] at the centres of the finest level's cells. Raises ValueError for another n."""
+        """Set the SDF to values [n, n, n] at the centers of the finest level's cells. Raises ValueError for another n."""
         n = self.levels[-1].shape[0] - 2
         if sdf.shape != (n, n, n):
             raise ValueError(f"an SDF of {n}^3 cells is needed, not {tuple(sdf.shape)}")
-        # each coefficient lies at the centre of its cell, and there is one more beyond each border
+        # each coefficient lies at the center of its cell, and there is one more beyond each border
         target = nn.functional.pad(sdf[None, None], (1,) * 6, mode="replicate")[0, 0]
         coarse = nn.functional.interpolate(sdf[None, None], self.levels[0].shape[0] - 2, mode="area")
         self.levels[0].copy_(nn.functional.pad(coarse, (1,) * 6, mode="replicate")[0, 0])
@@ -259,7 +259,7 @@ class ObjectField(SurfaceColor):
 
     @torch.no_grad()
     def add(self, difference: torch.Tensor) -> None:
-        """Add values [n, n, n] to the SDF, smoothed by the spline. They belong to the centres of the finest cells."""
+        """Add values [n, n, n] to the SDF, smoothed by the spline. They belong to the centers of the finest cells."""
         self.levels[-1][1:-1, 1:-1, 1:-1] += difference
 
     @property
@@ -292,7 +292,7 @@ class ObjectField(SurfaceColor):
         return sampled[:, 0], sampled[:, 1:4]
 
     def sdf_in_cells(self, n: int | None = None) -> np.ndarray:
-        """SDF [n, n, n] at the centres of n^3 cells, by default of the cells of `levels[-1]`; float32.
+        """SDF [n, n, n] at the centers of n^3 cells, by default of the cells of `levels[-1]`; float32.
 
         It is 1 where no object can be: outside the sphere, and below the support plane.
         """

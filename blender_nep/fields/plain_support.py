@@ -46,7 +46,7 @@ _FIRST, _LAST, _STEPS = 0.06, 1.6, 40
 def find_plain_support(rays: PixelRays, hull_sdf: np.ndarray) -> Support | None:
     """The support plane of an object with this visual hull; None if the photos show none.
 
-    hull_sdf [n, n, n] belongs to the centres of n^3 cells of [-1, 1]^3, negative inside. Takes 1 to 2 CPU seconds if no
+    hull_sdf [n, n, n] belongs to the centers of n^3 cells of [-1, 1]^3, negative inside. Takes 1 to 2 CPU seconds if no
     camera is below the object, and nearly no time otherwise.
     """
     up, heights = possible_planes(rays)

@@ -293,16 +293,16 @@ def _fit(field: ObjectField, places: _Places, target: Tensor, weight: Tensor) ->
     parameter, weight = field.fine.coefficients, (weight / weight.mean())[:, None]
     cell = 2 / field.fine.cells
     coarse = SplineShape(field.coefficients().detach(), field.support, field.fine.bricks)
-    optimiser = torch.optim.Adam([parameter], lr=_FIT_RATE * cell)
+    optimizer = torch.optim.Adam([parameter], lr=_FIT_RATE * cell)
     with section("fit"):
         for step in range(_FIT_STEPS):
-            for group in optimiser.param_groups:
+            for group in optimizer.param_groups:
                 group["lr"] = _FIT_RATE * cell * (1 if step < 0.7 * _FIT_STEPS else 0.2)
             off = (torch.rand(len(target), 1, generator=generator, device=target.device) - 0.5) * cell
             found = coarse.sample(places.points + off * places.normals)
             slant = (weight * (found[:, 1:4] - target).square()).sum(-1).mean()
             moved = ((found[:, :1] - off) / (0.5 * cell)).square().mean()
-            optimiser.zero_grad()
+            optimizer.zero_grad()
             (slant + _HOLD * moved).backward()
-            optimiser.step()
+            optimizer.step()
     parameter.grad = None

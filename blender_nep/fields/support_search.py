@@ -29,7 +29,7 @@ from blender_nep.profiling import profiled
 STEP = 0.025
 """Step of the sweep over heights, in object radii."""
 LOWEST, HIGHEST = -0.98, -0.05
-"""Range of heights of a support plane, from the sphere's centre."""
+"""Range of heights of a support plane, from the sphere's center."""
 RINGS = (0.15, 0.5)
 """The plane is compared in rings of these widths around the object's sphere: a plate may end soon, and a plain table may
 show something only farther away."""

@@ -16,7 +16,7 @@ FOOT = 0.15
 
 
 def with_closed_foot(sdf: np.ndarray, support: Support) -> np.ndarray:
-    """The SDF [n, n, n] at the centres of n^3 cells of [-1, 1]^3, united with a foot below the layer at height FOOT.
+    """The SDF [n, n, n] at the centers of n^3 cells of [-1, 1]^3, united with a foot below the layer at height FOOT.
 
     The foot narrows downwards by 45 degrees: so it hardly ever fills what is free. Below the plane it goes straight on.
     """
@@ -29,7 +29,7 @@ def with_closed_foot(sdf: np.ndarray, support: Support) -> np.ndarray:
     layer = axis[:, None, None] * across + axis[None, :, None] * along + (support.height + FOOT) * np.asarray(support.normal)
     solid = binary_fill_holes(_sampled(sdf, layer) < 0)
     inside, outside = distance_transform_edt(solid), distance_transform_edt(~solid)
-    # The distances are to centres of cells. The border lies half a cell nearer.
+    # The distances are to centers of cells. The border lies half a cell nearer.
     distance = (outside - inside - np.sign(outside - inside) * 0.5) * (2 / n) if solid.any() else np.full((n, n), 1.0)
     beside = _sampled(distance, np.stack([points[low] @ across, points[low] @ along], -1))
     closed = sdf.copy()
@@ -38,6 +38,6 @@ def with_closed_foot(sdf: np.ndarray, support: Support) -> np.ndarray:
 
 
 def _sampled(grid: np.ndarray, points: np.ndarray) -> np.ndarray:
-    """Values [...] at points [..., d] of a grid [n, n, ...] whose values lie at the centres of cells of [-1, 1]^d."""
+    """Values [...] at points [..., d] of a grid [n, n, ...] whose values lie at the centers of cells of [-1, 1]^d."""
     place = np.moveaxis((points + 1) / 2 * grid.shape[0] - 0.5, -1, 0)
     return map_coordinates(grid, place, order=1, mode="nearest")

@@ -68,7 +68,7 @@ class SupportColors:
     def texture(self, sdf: np.ndarray) -> SupportTexture:
         """The colors on which the photos agree. Takes about a CPU second.
 
-        sdf [n, n, n]: the object's shape as it is known so far, at the centres of n^3 cells of [-1, 1]^3, negative inside.
+        sdf [n, n, n]: the object's shape as it is known so far, at the centers of n^3 cells of [-1, 1]^3, negative inside.
         """
         points, shape = self._points[self._inside], torch.from_numpy(sdf).to(self._points)
         counts = torch.stack([~_hidden(points, camera, shape) for camera in self._cameras], 1)

@@ -22,7 +22,7 @@ from blender_nep.fields import environment_training
 from blender_nep.fields.cavities import open_cavities
 from blender_nep.fields.environment_field import EnvironmentField
 from blender_nep.fields.explanation import explanation_ratio, require_object
-from blender_nep.fields.field_optimisers import Optimisers
+from blender_nep.fields.field_optimizers import Optimizers
 from blender_nep.fields.fields import Fields, FieldsReport, HullReport, new_object_field
 from blender_nep.fields.fine_paint import fine_paint
 from blender_nep.fields.hidden_object import hidden_pixels
@@ -52,7 +52,7 @@ volume."""
 
 
 class FieldsLearning:
-    """The state of fields learning: fields, optimisers, schedule, and the pixels from which they are learned.
+    """The state of fields learning: fields, optimizers, schedule, and the pixels from which they are learned.
 
     If `object_field` is given, it is learned; otherwise a new one is made from the preset. The seed decides all random
     numbers.
@@ -70,7 +70,7 @@ class FieldsLearning:
         self.schedule = Schedule.at_start(preset.fields, len(rays.outside), rays.count)
         self.object_field.add_levels(self.schedule.levels)
         self.renderer = FieldsRenderer(self.object_field, self.environment, preset.fields)
-        self.optimisers = Optimisers(self.object_field, self.environment, preset)
+        self.optimizers = Optimizers(self.object_field, self.environment, preset)
         self.monitor = NonFiniteMonitor()
         self.hull: HullReport | None = None
         """The visual hull from which the SDF started, or None."""
@@ -132,9 +132,9 @@ class FieldsLearning:
         """Take a step of F_e alone, on pixels whose rays miss the object's sphere."""
         self._refine_environment()
         index = self._draw(self.rays.outside, self.environment.preset.rays_per_step)
-        self.optimisers.set_environment_rate(self.schedule)
+        self.optimizers.set_environment_rate(self.schedule)
         loss = environment_training.learn_step(
-            self.environment, self.optimisers.environment, self.rays, index, self.generator
+            self.environment, self.optimizers.environment, self.rays, index, self.generator
         )
         self.monitor.record(usable_loss(loss))
         return loss
@@ -146,7 +146,7 @@ class FieldsLearning:
             self.start_from_hull()
         if self.object_field.level_count < now.levels:
             self.object_field.add_levels(now.levels)
-            self.optimisers.restart_sdf()
+            self.optimizers.restart_sdf()
         if now.carvings_due > now.carvings and self.rays.mask is None:
             self.carve_again()
             now.carvings = now.carvings_due
@@ -162,7 +162,7 @@ class FieldsLearning:
         if now.validation_due:
             now.validation_errors.append(self.validation_error())
         self._refine_environment()
-        self.optimisers.set_rates(now)
+        self.optimizers.set_rates(now)
 
     @profiled("steps of both fields")
     def _learn_joint_step(self) -> float:
@@ -175,19 +175,19 @@ class FieldsLearning:
         photometric = self.losses.photometric(out, photo)
         mask = None if self.rays.mask is None else self.rays.mask[index].float() / 255
         loss = self.losses.total(photometric, out, self.schedule.curvature_weight, mask, self._mask_says(index))
-        optimisers = self.optimisers.all
-        for optimiser in optimisers:
-            optimiser.zero_grad()
+        optimizers = self.optimizers.all
+        for optimizer in optimizers:
+            optimizer.zero_grad()
         usable = usable_loss(float(loss.detach()))
         if usable and loss.requires_grad:  # False if no ray meets anything that is learned
             with section("backward"):
                 loss.backward()
-            self.environment.regularise(self.generator)
-            usable = usable_gradients(optimisers)
+            self.environment.regularize(self.generator)
+            usable = usable_gradients(optimizers)
         if self.monitor.record(usable):
-            with section("optimisers"):
-                for optimiser in optimisers:
-                    optimiser.step()
+            with section("optimizers"):
+                for optimizer in optimizers:
+                    optimizer.step()
         return float(photometric.detach())
 
     def _mask_says(self, index: Tensor) -> Tensor | None:
@@ -210,7 +210,7 @@ class FieldsLearning:
 
     def _refine_environment(self) -> None:
         if environment_training.refine(self.environment, self.rays, self.background, self.schedule.environment_fraction):
-            self.optimisers.restart_environment()
+            self.optimizers.restart_environment()
 
     @profiled("visual hull")
     def start_from_hull(self) -> None:
@@ -234,7 +234,7 @@ class FieldsLearning:
         self.fine_paint = fine_paint(self.rays, sdf)
         if self.fine_paint >= self.preset.least_fine_paint:
             self.object_field.add_albedo_detail()
-            self.optimisers.restart_heads()
+            self.optimizers.restart_heads()
 
     @property
     def _cells(self) -> int:
@@ -318,7 +318,7 @@ class FieldsLearning:
         found = find_relief(self.object_field, self.rays, self.preset.relief_pixels)
         if found is not None:
             self.relief = found
-            self.optimisers.restart_sdf()
+            self.optimizers.restart_sdf()
 
     def update_object_pixels(self) -> None:
         """Find the object pixels with the present SDF. Before the first validation, also choose the validation pixels.
@@ -369,7 +369,7 @@ class FieldsLearning:
             "fine_paint": self.fine_paint,
             "object": self.object_field.state_dict(),
             "environment": self.environment.state_dict(),
-            "optimisers": self.optimisers.state(),
+            "optimizers": self.optimizers.state(),
             "generator": self.generator.get_state(),
             "object_pixels": self.object_pixels.state(),
             "validation_pixels": self.validation_pixels,
@@ -389,7 +389,7 @@ class FieldsLearning:
         self.fine_paint = state["fine_paint"]
         self.object_field.load_state_dict(state["object"])
         self.environment.load_state_dict(state["environment"])
-        self.optimisers.load(state["optimisers"])
+        self.optimizers.load(state["optimizers"])
         self.generator.set_state(state["generator"])
         self.object_pixels = ObjectPixels.from_state(state["object_pixels"], device)
         self.validation_pixels = state["validation_pixels"].to(device)

@@ -45,7 +45,7 @@ class VisualHull:
     """A carved hull in the unit frame."""
 
     sdf: np.ndarray
-    """[n, n, n] signed distances at the centres of n^3 cells of [-1, 1]^3, negative inside"""
+    """[n, n, n] signed distances at the centers of n^3 cells of [-1, 1]^3, negative inside"""
     volume: float
     """Share of the sphere that the hull fills"""
     contrast: float
@@ -105,9 +105,9 @@ def score_cells(rays: PixelRays, silhouettes: list[torch.Tensor], cells: int) ->
     NaN outside the unit sphere, and where no view sees the cell.
     """
     axis = (np.arange(cells) + 0.5) / cells * 2 - 1
-    centres = np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), -1)
-    in_sphere = np.linalg.norm(centres, axis=-1) < 1
-    points = torch.from_numpy(centres[in_sphere].astype(np.float32)).to(rays.radiance.device)
+    centers = np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), -1)
+    in_sphere = np.linalg.norm(centers, axis=-1) < 1
+    points = torch.from_numpy(centers[in_sphere].astype(np.float32)).to(rays.radiance.device)
     score = np.full(in_sphere.shape, np.nan, np.float32)
     score[in_sphere] = _score(rays, silhouettes, points).cpu().numpy()
     return score
@@ -133,7 +133,7 @@ def carve(score: np.ndarray, on_support: bool = False) -> VisualHull | None:
         return None
     above = known & solid
     contrast = float(score[above].mean() / max(score[known & ~above].mean(), 1e-6)) if above.any() else 0.0
-    # The distances are to centres of cells. The border lies half a cell nearer.
+    # The distances are to centers of cells. The border lies half a cell nearer.
     distance = ndimage.distance_transform_edt(~solid) - ndimage.distance_transform_edt(solid)
     distance = (distance - np.sign(distance) * 0.5) * (2 / cells)
     return VisualHull(ndimage.gaussian_filter(distance, 1.0).astype(np.float32), float(volume), contrast)
@@ -142,7 +142,7 @@ def carve(score: np.ndarray, on_support: bool = False) -> VisualHull | None:
 def excess(rays: PixelRays, silhouettes: list[torch.Tensor], sdf: np.ndarray) -> np.ndarray:
     """What must be added to an object's SDF [n, n, n] so that free space is not a part of the object; 0 elsewhere.
 
-    sdf and the result belong to the centres of n^3 cells of [-1, 1]^3, in radii of the object's sphere. A cell of the object
+    sdf and the result belong to the centers of n^3 cells of [-1, 1]^3, in radii of the object's sphere. A cell of the object
     is free if nearly all views agree that the background alone explains the photos there.
     """
     cells = len(sdf)
@@ -150,13 +150,13 @@ def excess(rays: PixelRays, silhouettes: list[torch.Tensor], sdf: np.ndarray) ->
     solid = sdf < 0
     if not solid.any():
         return np.zeros(sdf.shape, np.float32)
-    centres = np.stack([axis[index] for index in np.nonzero(solid)], -1).astype(np.float32)
-    score = _score(rays, silhouettes, torch.from_numpy(centres).to(rays.radiance.device)).cpu().numpy()
+    centers = np.stack([axis[index] for index in np.nonzero(solid)], -1).astype(np.float32)
+    score = _score(rays, silhouettes, torch.from_numpy(centers).to(rays.radiance.device)).cpu().numpy()
     free = np.zeros_like(solid)
     free[solid] = score < EXCESS_SHARE * np.nanmedian(score)  # False where no view sees the cell
     labels, _ = ndimage.label(free)
     free &= np.bincount(labels.ravel())[labels] >= LEAST_EXCESS
-    # The distances are to centres of cells. The border lies half a cell nearer.
+    # The distances are to centers of cells. The border lies half a cell nearer.
     distance = (ndimage.distance_transform_edt(free | ~solid) - 0.5) * (2 / cells)
     return np.where(free, distance - sdf, 0.0).astype(np.float32)
 

@@ -1,6 +1,6 @@
 """The texels of an unwrapped mesh: finds the surface point of each texel, reads textures, fills texels outside the charts.
 
-Row 0 of a texture is its top (v = 1). The centre of texel (i, j) of an [H, W] texture is at uv = ((j + 0.5) / W,
+Row 0 of a texture is its top (v = 1). The center of texel (i, j) of an [H, W] texture is at uv = ((j + 0.5) / W,
 1 - (i + 0.5) / H).
 """
 
@@ -11,23 +11,23 @@ from numba import njit
 from scipy import ndimage
 
 
-def rasterise(uv: np.ndarray, faces: np.ndarray, size: int) -> tuple[np.ndarray, np.ndarray]:
+def rasterize(uv: np.ndarray, faces: np.ndarray, size: int) -> tuple[np.ndarray, np.ndarray]:
     """The surface point of every texel of a square texture.
 
     uv [V, 2] in 0..1, faces [F, 3], size in texels. Returns face [size, size] int32 (-1: no surface there) and barycentric
-    [size, size, 3] float32. A texel belongs to the face that contains its centre; where charts overlap, to the last one.
+    [size, size, 3] float32. A texel belongs to the face that contains its center; where charts overlap, to the last one.
     """
     corners = np.empty((len(uv), 2))
     corners[:, 0] = uv[:, 0] * size - 0.5
     corners[:, 1] = (1 - uv[:, 1]) * size - 0.5
     face = np.full((size, size), -1, np.int32)
     barycentric = np.zeros((size, size, 3), np.float32)
-    _rasterise(corners, np.ascontiguousarray(faces, np.int64), face, barycentric)
+    _rasterize(corners, np.ascontiguousarray(faces, np.int64), face, barycentric)
     return face, barycentric
 
 
 @njit(cache=True)
-def _rasterise(corners, faces, face, barycentric):
+def _rasterize(corners, faces, face, barycentric):
     height, width = face.shape
     for f in range(len(faces)):
         ax, ay = corners[faces[f, 0]]

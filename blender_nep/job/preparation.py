@@ -1,4 +1,4 @@
-"""The capture stage of a job: checks the settings, reads and analyses the capture, and makes the output folder."""
+"""The capture stage of a job: checks the settings, reads and analyzes the capture, and makes the output folder."""
 
 from __future__ import annotations
 

@@ -32,7 +32,7 @@ from blender_nep.job.scene_analysis import Plan, SurfaceAnalysis, seconds_of_con
 from blender_nep.job.scene_report import SceneReport
 from blender_nep.job.settings import Settings
 from blender_nep.job.stage_names import StageName
-from blender_nep.job.stage_reports import FieldsReportView, MaterialsReportView, StageReportView
+from blender_nep.job.stage_reports import FieldsReportView, MaterialsReportView, StageReportView, SurfaceReportView
 from blender_nep.job.stages import (
     AssetInput,
     FieldsInput,
@@ -54,6 +54,9 @@ if TYPE_CHECKING:
 
 _DOUBT = 0.03
 """If the validation errors of metal and dielectric differ by less than this share, the photos do not decide between them."""
+
+_CUT = 0.01
+"""The artist hears of a cut at the object's sphere if it is more than this share of the surface."""
 
 Given = TypeVar("Given")
 Result = TypeVar("Result")
@@ -82,7 +85,7 @@ class Learned:
         """{stage: its report} of the three long stages."""
         return {
             StageName.FIELDS_LEARNING: FieldsReportView.of(self.fields.report),
-            StageName.SURFACE: StageReportView.of(self.surface.report),
+            StageName.SURFACE: SurfaceReportView.of(self.surface.report),
             StageName.MATERIAL_LEARNING: MaterialsReportView.of(self.materials.report),
         }
 
@@ -156,6 +159,7 @@ class Job:
             SurfaceInput(prepared.capture, preset.surface, object_field=fields.object_field),
             folder,
         )
+        self._tell_of_surface(SurfaceReportView.of(surface.report))
         with section("scene analysis"):
             shape = SurfaceAnalysis.of(surface.surface, rays, s.seed)
         plan = shape.plan(preset)
@@ -185,6 +189,10 @@ class Job:
         left_out = report.steps_not_finite
         if left_out:
             self._events.warning(Message("job.steps_left_out", {"count": left_out}))
+
+    def _tell_of_surface(self, report: SurfaceReportView) -> None:
+        if report.cut_by_sphere > _CUT:
+            self._events.warning(Message("job.cut_by_sphere", {"percent": 100 * report.cut_by_sphere}))
 
     def _tell_of_materials(self, report: MaterialsReportView, plan: Plan) -> None:
         if report.light_seconds > 0.5:  # about 0 where the light came from a checkpoint

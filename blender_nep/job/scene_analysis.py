@@ -40,7 +40,7 @@ MATTE_FROM = 0.28
 _CAST = 0.05
 """Standard deviation of the gains' logarithms over the channels from which on an artist sees a color cast."""
 _PIXELS = 300_000
-"""Number of pixels that are analysed, of all photos together."""
+"""Number of pixels that are analyzed, of all photos together."""
 
 
 @dataclass(frozen=True)
@@ -80,7 +80,7 @@ class SceneAnalysis:
 
     @classmethod
     def of(cls, rays: PixelRays) -> SceneAnalysis:
-        """Analyse about 300,000 pixels. Takes a tenth of a second."""
+        """Analyze about 300,000 pixels. Takes a tenth of a second."""
         some = rays.sphere[:: max(1, len(rays.sphere) // _PIXELS)]
         shown = None if rays.mask is None else rays.mask[some] > 127
         radiance = rays.radiance[some].float().amax(-1)
@@ -177,7 +177,7 @@ class SurfaceAnalysis:
 
     @classmethod
     def of(cls, surface: Surface, rays: PixelRays, seed: int = 0) -> SurfaceAnalysis:
-        """Analyse the mesh with about 100,000 rays. Takes half a second."""
+        """Analyze the mesh with about 100,000 rays. Takes half a second."""
         rng = np.random.default_rng(seed)
         tracer = RayTracer(surface.vertices, surface.faces)
         return cls(self_visibility(tracer, rng), view_dependence(tracer, surface.normals, rays, rng))

@@ -20,7 +20,7 @@ class Settings:
     use_masks: bool = True
     mesh: Path | None = None
     sphere: tuple[tuple[float, float, float], float] | None = None
-    """Centre and radius of the object's sphere in capture coordinates. None: from transforms.json, or estimated."""
+    """Center and radius of the object's sphere in capture coordinates. None: from transforms.json, or estimated."""
     resume: bool = False
     overwrite: bool = False
     clean: bool = False

@@ -48,6 +48,16 @@ class FieldsReportView(StageReportView):
 
 
 @dataclass(frozen=True)
+class SurfaceReportView(StageReportView):
+    """The report of the surface stage."""
+
+    @property
+    def cut_by_sphere(self) -> float:
+        """Share of the surface that is a cap where the object reaches out of its sphere, 0..1. 0 with a given mesh."""
+        return self.facts.get("cut_by_sphere", 0.0)
+
+
+@dataclass(frozen=True)
 class MaterialsReportView(StageReportView):
     """The report of material learning."""
 

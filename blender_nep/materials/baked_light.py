@@ -6,7 +6,7 @@ import numpy as np
 import torch
 from scipy.spatial import cKDTree
 
-from blender_nep.materials.baking import LabelledPoints
+from blender_nep.materials.baking import LabeledPoints
 from blender_nep.shading.incoming_light import IncomingLight
 
 _BLACK = 0.01
@@ -17,7 +17,7 @@ _GLOSS = 0.1
 """Roughness at which the reflected light counts as highlight."""
 
 
-def correlations(points: LabelledPoints, light: IncomingLight, position: np.ndarray) -> dict[str, float]:
+def correlations(points: LabeledPoints, light: IncomingLight, position: np.ndarray) -> dict[str, float]:
     """Correlation, -1..1, of the log albedo with what the light does at n samples, whose positions are [n, 3].
 
     irradiance: with its logarithm. visibility: with the share of the hemisphere that the object does not hide, weighted by

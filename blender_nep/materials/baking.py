@@ -1,4 +1,4 @@
-"""Bakes textures over the unwrapped surface from the materials at labelled points."""
+"""Bakes textures over the unwrapped surface from the materials at labeled points."""
 
 from __future__ import annotations
 
@@ -11,22 +11,22 @@ import torch
 from scipy.spatial import cKDTree
 
 from blender_nep.geometry.mesh import Surface
-from blender_nep.geometry.uv_raster import nearest_known, rasterise
+from blender_nep.geometry.uv_raster import nearest_known, rasterize
 from blender_nep.profiling import profiled
 from blender_nep.shading.plenoptic import SurfacePoints
 
-NEIGHBOURS = 16
+NEIGHBORS = 16
 """Number of nearest points that decide the material of a point."""
 _NEAREST = 4
 """Samples among which the nearest one on the same side is looked for"""
 _ENOUGH = 4
-"""Neighbours on the same side of a thin wall that are enough to tell its paint"""
+"""Neighbors on the same side of a thin wall that are enough to tell its paint"""
 _BLOCK = 1 << 16
-"""Texels that are baked at a time. This bounds the memory (16 neighbours each), whatever the texture's size."""
+"""Texels that are baked at a time. This bounds the memory (16 neighbors each), whatever the texture's size."""
 
 
 @dataclass
-class LabelledPoints:
+class LabeledPoints:
     """n points of the surface whose materials are known."""
 
     position: np.ndarray
@@ -45,8 +45,8 @@ class LabelledPoints:
     """[n] residual of the point's material"""
 
 
-@profiled("neighbours")
-def neighbours(tree: cKDTree, points: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
+@profiled("neighbors")
+def neighbors(tree: cKDTree, points: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
     """Distances and indices [n, count] of the samples in `tree` that are nearest to each point [n, 3].
 
     If the tree has fewer than `count` samples, all of them are returned.
@@ -68,11 +68,11 @@ class Places(NamedTuple):
 def on_same_side(
     found: tuple[np.ndarray, np.ndarray], points: Places, samples: Places, enough: int = _ENOUGH
 ) -> tuple[np.ndarray, np.ndarray]:
-    """What `neighbours` has `found` for m points among n samples, without what lies on the other side of a thin wall.
+    """What `neighbors` has `found` for m points among n samples, without what lies on the other side of a thin wall.
 
-    The other side may have another paint. A neighbour that lies behind a point, and whose normal is turned away from the
+    The other side may have another paint. A neighbor that lies behind a point, and whose normal is turned away from the
     point's by more than 90 degrees, gets an infinite distance, and the index of the nearest one that is not so. The other
-    side of a groove lies before a point, and stays. Where fewer than `enough` neighbours would be left, as in a hollow that
+    side of a groove lies before a point, and stays. Where fewer than `enough` neighbors would be left, as in a hollow that
     hardly any photo shows, all stay: both sides of a wall mostly have one paint.
     """
     distance, index = found
@@ -88,21 +88,21 @@ def on_same_side(
 
 
 def vote(cost: np.ndarray, distance: np.ndarray, index: np.ndarray) -> np.ndarray:
-    """Index [m] int of the material with the least mean cost over each point's neighbours (`weighted_mean`)."""
+    """Index [m] int of the material with the least mean cost over each point's neighbors (`weighted_mean`)."""
     return weighted_mean(cost, distance, index).argmin(1)
 
 
 def weighted_mean(cost: np.ndarray, distance: np.ndarray, index: np.ndarray) -> np.ndarray:
-    """Mean cost [m, K] over the neighbours of m points, weighted by `kernel`.
+    """Mean cost [m, K] over the neighbors of m points, weighted by `kernel`.
 
-    distance, index [m, count]: of the neighbours; `index` points into cost [n, K].
+    distance, index [m, count]: of the neighbors; `index` points into cost [n, K].
     """
     weight = kernel(distance)
     return np.stack([(c[index] * weight).sum(1) for c in cost.T], 1) / weight.sum(1, keepdims=True)
 
 
 def kernel(distance: np.ndarray) -> np.ndarray:
-    """Weights [m, count] of neighbours at distances [m, count]: a tenth at the farthest one, and 0 at an infinite distance.
+    """Weights [m, count] of neighbors at distances [m, count]: a tenth at the farthest one, and 0 at an infinite distance.
 
     Where all distances are infinite, the weights are 1.
     """
@@ -127,21 +127,21 @@ def texture_size(surface: Surface, footprint: float, most: int) -> int:
 
 @profiled("textures")
 def bake(
-    surface: Surface, labelled: LabelledPoints, size: int, shown: np.ndarray | None = None
+    surface: Surface, labeled: LabeledPoints, size: int, shown: np.ndarray | None = None
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Textures with S = `size` texels a side: albedo [S, S, 3], roughness, metallic and confidence [S, S], float32.
 
-    A texel takes the weighted mean of the materials of the nearest labelled points. A texel outside the UV charts takes the
-    value of the nearest texel inside. Confidence is in 0..1. It is higher if more photos show the neighbours, if they are
+    A texel takes the weighted mean of the materials of the nearest labeled points. A texel outside the UV charts takes the
+    value of the nearest texel inside. Confidence is in 0..1. It is higher if more photos show the neighbors, if they are
     nearer, and if their materials explain them better. It is 0 on faces that no photo shows. shown [F] says which faces
     photos show; None: all.
     """
-    face, barycentric = rasterise(surface.atlas, surface.faces, size)
+    face, barycentric = rasterize(surface.atlas, surface.faces, size)
     known = face >= 0
     face, barycentric = face[known], barycentric[known]
-    # Without compact nodes, texels on faces that no photo shows, far from all points, find their neighbours twice as fast.
-    tree, count = cKDTree(labelled.position, leafsize=32, compact_nodes=False), len(face)
-    values = np.concatenate([labelled.albedo, labelled.roughness[:, None], labelled.metallic[:, None]], 1)
+    # Without compact nodes, texels on faces that no photo shows, far from all points, find their neighbors twice as fast.
+    tree, count = cKDTree(labeled.position, leafsize=32, compact_nodes=False), len(face)
+    values = np.concatenate([labeled.albedo, labeled.roughness[:, None], labeled.metallic[:, None]], 1)
     material, residual = np.empty((count, 5), np.float32), np.empty(count, np.float32)
     photos, nearest, farthest = np.empty(count, np.int64), np.empty(count), np.empty(count)
     for start in range(0, count, _BLOCK):
@@ -149,11 +149,11 @@ def bake(
         corner = surface.faces[face[part]]
         both = (surface.vertices, surface.normals)
         points, normal = (np.einsum("nc,nck->nk", barycentric[part], of_vertices[corner]) for of_vertices in both)
-        found = neighbours(tree, points, NEIGHBOURS)
-        distance, index = on_same_side(found, Places(points, normal), Places(labelled.position, labelled.normal))
+        found = neighbors(tree, points, NEIGHBORS)
+        distance, index = on_same_side(found, Places(points, normal), Places(labeled.position, labeled.normal))
         material[part] = weighted_mean(values, distance, index)
-        residual[part] = weighted_mean(labelled.residual[:, None], distance, index)[:, 0]
-        photos[part] = 1 + (np.diff(np.sort(labelled.photo[index], 1), axis=1) > 0).sum(1)
+        residual[part] = weighted_mean(labeled.residual[:, None], distance, index)[:, 0]
+        photos[part] = 1 + (np.diff(np.sort(labeled.photo[index], 1), axis=1) > 0).sum(1)
         nearest[part], farthest[part] = distance.min(1), np.where(np.isfinite(distance), distance, 0.0).max(1)
     spacing = np.median(farthest) if count else 1.0
     seen = (1 - np.exp(-photos / 4)) * np.exp(-np.maximum(nearest / spacing - 1, 0))
@@ -178,5 +178,5 @@ def labels_at(tree: cKDTree, samples: Places, labels: torch.Tensor, points: Surf
     `tree` holds the positions of the n samples, labels [n] are theirs.
     """
     asked = Places(points.position.cpu().numpy(), points.normal.cpu().numpy())
-    _, index = on_same_side(neighbours(tree, asked.position, _NEAREST), asked, samples, enough=1)
+    _, index = on_same_side(neighbors(tree, asked.position, _NEAREST), asked, samples, enough=1)
     return labels[torch.from_numpy(index[:, 0].astype(np.int64)).to(labels.device)]

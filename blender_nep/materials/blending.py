@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from blender_nep.materials.baking import LabelledPoints
+from blender_nep.materials.baking import LabeledPoints
 from blender_nep.materials.palette import SHARES, Palette
 
 
@@ -29,7 +29,7 @@ class BlendedPoints:
     share: np.ndarray
     """[n] in 0..1, share of the second material"""
 
-    def labelled(self, palette: Palette) -> LabelledPoints:
+    def labeled(self, palette: Palette) -> LabeledPoints:
         """The points with the materials of a palette. It may have blends; they are not used."""
 
         def mixed(values: np.ndarray) -> np.ndarray:
@@ -38,7 +38,7 @@ class BlendedPoints:
 
         albedo, roughness, metallic = (x.cpu().numpy() for x in (palette.albedo, palette.roughness, palette.metallic))
         material = mixed(albedo), mixed(roughness), mixed(metallic)
-        return LabelledPoints(self.position, self.normal, self.photo, *material, self.residual)
+        return LabeledPoints(self.position, self.normal, self.photo, *material, self.residual)
 
 
 def find_blends(cost: np.ndarray, palette: Palette, blend_margin: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -20,7 +20,7 @@ from torch import Tensor
 
 from blender_nep.color import linear_to_srgb
 from blender_nep.geometry.mesh import Surface
-from blender_nep.materials.baking import LabelledPoints, bake
+from blender_nep.materials.baking import LabeledPoints, bake
 from blender_nep.materials.blending import BlendedPoints
 from blender_nep.materials.fitting import fit_groups, place_in_scan, roughness_at
 from blender_nep.materials.palette import Palette, between, place_of_least
@@ -82,7 +82,7 @@ class Correctable(Protocol):
         """The entries, in the order of their numbers."""
         ...
 
-    def labelled(self, preset: MaterialPreset) -> LabelledPoints:
+    def labeled(self, preset: MaterialPreset) -> LabeledPoints:
         """The points of the surface with their materials."""
         ...
 
@@ -147,8 +147,8 @@ class CorrectablePalette:
         )
         return [ListedMaterial(share, (a[0], a[1], a[2]), rough, metal) for share, a, rough, metal in values]
 
-    def labelled(self, preset: MaterialPreset) -> LabelledPoints:
-        return self.points.labelled(self.palette)
+    def labeled(self, preset: MaterialPreset) -> LabeledPoints:
+        return self.points.labeled(self.palette)
 
     def state(self) -> dict:
         own = {"target": self.target, "label": self.label, "points": vars(self.points)}
@@ -204,7 +204,7 @@ class CorrectableSegments:
             found.append(ListedMaterial(count[own].sum() / count.sum(), (red, green, blue), roughness, round(metallic)))
         return found
 
-    def labelled(self, preset: MaterialPreset) -> LabelledPoints:
+    def labeled(self, preset: MaterialPreset) -> LabeledPoints:
         return varied_points(self.varied, self.light, self.pixels, preset)
 
     def state(self) -> dict:
@@ -263,7 +263,7 @@ class KeptMaterials:
         preset = replace(preset, least_roughness=max(preset.least_roughness, narrowest))
         corrected = self.materials.corrected(corrections, preset)
         entries = zip(corrected.listed(), self.materials.listed(), strict=True)
-        textures = bake(surface, corrected.labelled(preset), self.texels, self.shown)
+        textures = bake(surface, corrected.labeled(preset), self.texels, self.shown)
         return textures, [now.told(learned) for now, learned in entries]
 
 

@@ -48,7 +48,7 @@ def evidence_of_metal(light: LightMoments, target: Tensor, place: np.ndarray, gr
     """How clearly the hues say metal (up to 1) or dielectric (down to -1) for each group of samples: [groups].
 
     target [n, 3] linear; place [n] of `places`; group [n] int64 in 0..groups-1, or -1 for a sample in no group. 0: the hues
-    do not tell, because the group is grey or dull, or has too few places.
+    do not tell, because the group is gray or dull, or has too few places.
 
     Both the mean radiance and the differences between photos are divided by those of the reflected light, so that colored
     light does not count as a color of the object. The evidence is the log-likelihood ratio of the two classes, averaged over

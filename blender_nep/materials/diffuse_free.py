@@ -39,7 +39,7 @@ _LEAST_SAMPLES = 8
 _LEAST_OF_MATERIAL = 100
 """Least number of samples of a material, in regions that are large enough."""
 _LEAST_HUE = 0.15
-"""Least sine of the angle between the hues of the light and of the diffuse light. A white or grey paint has less."""
+"""Least sine of the angle between the hues of the light and of the diffuse light. A white or gray paint has less."""
 _MOST_NOISE = 2 / 3
 """Largest share of noise in what varies. More than that is found in dull paints, and where one material stands for several
 paints. Measured: 0.13 to 0.64 for ten paints of roughness 0.04 to 0.67, 0.76 for one of 0.18; 0.69 and 0.86 for a vase in
@@ -117,7 +117,7 @@ def evidence_of_colored(
 ) -> Evidence | None:
     """What tells a dielectric's roughness, from its `samples` [m] (indices). None if nothing does.
 
-    Nothing does if the material is grey, dull, or painted in several colors, or if there are too few samples. target [n, 3]
+    Nothing does if the material is gray, dull, or painted in several colors, or if there are too few samples. target [n, 3]
     linear; region [m] int64, the region of the surface in which each of the samples lies; albedo [3].
     """
     large = torch.bincount(region)[region] >= _LEAST_SAMPLES

@@ -145,7 +145,7 @@ def with_more_samples(
     """The samples of `seen` with their `light`, and about as many more.
 
     The object reflects light to itself as with `materials_at`, and the unseen light is that of `light`. Its irradiance is a
-    mean over neighbouring samples, because the few cones of one sample make it noisy. progress(share that is done, 0..1) is
+    mean over neighboring samples, because the few cones of one sample make it noisy. progress(share that is done, 0..1) is
     called after each chunk.
     """
     more = _selected(seen.rays, seen.f_p.tracer, seen.surface.normals, preset, np.random.default_rng([seed, 1]))
@@ -171,14 +171,14 @@ def _learn_terminal(
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(int(torch.randint(1 << 30, (1,), generator=generator)))
         net.load_state_dict(TerminalRadiance().state_dict())
-    optimiser = torch.optim.Adam(net.parameters(), preset.terminal_rate)
+    optimizer = torch.optim.Adam(net.parameters(), preset.terminal_rate)
     goal = torch.log1p(4 * seen.samples.radiance)
     for k in range(steps):
         batch = torch.randint(len(goal), (preset.terminal_batch,), generator=generator).to(seen.device)
         loss = (net.log_radiance(seen.points[batch]) - goal[batch]).abs().mean()
-        optimiser.zero_grad()
+        optimizer.zero_grad()
         loss.backward()
-        optimiser.step()
+        optimizer.step()
         if k % 20 == 0:
             progress.loss = loss.item()
             progress.step(int(10 * k / steps))

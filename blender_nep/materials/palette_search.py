@@ -1,7 +1,7 @@
 """Finds the materials of an object, and the material of each sample, under the light that is known so far.
 
 First, one material is fitted to all samples. Then candidates are fitted to small regions of the surface, and chosen as long
-as a further one explains clearly more. Each sample takes the material for which its neighbours vote. Shades of one hue are
+as a further one explains clearly more. Each sample takes the material for which its neighbors vote. Shades of one hue are
 merged into one material. A material that blends of others explain as well is dropped.
 """
 
@@ -16,7 +16,7 @@ import torch
 from scipy.spatial import cKDTree
 from torch import Tensor
 
-from blender_nep.materials.baking import NEIGHBOURS, Places, labels_at, neighbours, on_same_side, vote, weighted_mean
+from blender_nep.materials.baking import NEIGHBORS, Places, labels_at, neighbors, on_same_side, vote, weighted_mean
 from blender_nep.materials.dichromatic import evidence_of_metal, places
 from blender_nep.materials.diffuse_free import Evidence, evidence_of_colored, places_of_colored
 from blender_nep.materials.fitting import fit_groups, roughness_scan
@@ -60,7 +60,7 @@ class PaletteSearch:
         self._tree = cKDTree(samples.position)
         self.places = Places(samples.position, light.points.normal.cpu().numpy())
         """Where the samples are"""
-        around = neighbours(self._tree, samples.position, 2 * NEIGHBOURS)
+        around = neighbors(self._tree, samples.position, 2 * NEIGHBORS)
         self._around = on_same_side(around, self.places, self.places)
         self._place = places(*self.places)
         self.palette = self._fit(self.label, 1)
@@ -261,7 +261,7 @@ class PaletteSearch:
         return place_of_metal(residual, p.spread_margin, log_ratio)
 
     def assign(self) -> None:
-        """Give every sample the material for which its neighbours vote."""
+        """Give every sample the material for which its neighbors vote."""
         if len(self.palette) == 1:
             self.label.zero_()
             return
@@ -285,9 +285,9 @@ class PaletteSearch:
 
     @profiled("votes")
     def smoothed(self, costs: np.ndarray, first: int = 0) -> np.ndarray:
-        """Means of costs [n, K] over each sample's neighbours; near ones count more.
+        """Means of costs [n, K] over each sample's neighbors; near ones count more.
 
-        The neighbours are sorted by distance and begin with number `first`; number 0 is the sample itself.
+        The neighbors are sorted by distance and begin with number `first`; number 0 is the sample itself.
         """
         return weighted_mean(costs, *(values[:, first:] for values in self._around))
 
@@ -330,7 +330,7 @@ class PaletteSearch:
         return error(self.light, self.target, self.weight, palette.at(one), self.preset.clip)
 
     def _left_out(self, palette: Palette) -> float:
-        """Validation error: the mean residual of the samples, each under the material for which its neighbours vote.
+        """Validation error: the mean residual of the samples, each under the material for which its neighbors vote.
 
         The sample itself has no vote, so that a material gains nothing by fitting noise.
         """

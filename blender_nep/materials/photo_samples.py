@@ -22,10 +22,10 @@ _CANDIDATES_PER_SAMPLE = 12
 _VOXEL = 0.05
 """Width of the voxels over which samples are spread, in the unit frame."""
 _EDGE_PIXELS = 2.0
-"""A pixel counts as an edge if the surface is not continuous within this many pixels around it. The neighbours that tell the
+"""A pixel counts as an edge if the surface is not continuous within this many pixels around it. The neighbors that tell the
 variance of the reflection are as far away."""
 _MOST_UNEVEN = 1.5
-"""The change of the mirrored direction counts up to so many times the change to the neighbour with the smaller change."""
+"""The change of the mirrored direction counts up to so many times the change to the neighbor with the smaller change."""
 
 
 @dataclass
@@ -143,15 +143,15 @@ def _edges_and_reflection_variance(
     cosine: np.ndarray,
     on: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """What the neighbours of the pixels [n] show: whether there is an edge [n] bool, and the reflection's variance [n].
+    """What the neighbors of the pixels [n] show: whether there is an edge [n] bool, and the reflection's variance [n].
 
-    There is an edge if the surface is not continuous around the pixel. That is so where a neighbouring ray misses the mesh,
+    There is an edge if the surface is not continuous around the pixel. That is so where a neighboring ray misses the mesh,
     or meets it far from the plane of the pixel's surface point.
 
     The variance is in radians^2. The mirrored direction is taken to change evenly over a square pixel. Then its variance is
     (change across the pixel)^2 / 12 along an axis of the pixel. The covariance of a square is the same along all axes, so
-    any two perpendicular axes serve; the result is half the sum over both. The change is that between the two neighbours
-    along the axis (ray differentials: Igehy 1999). Where a neighbour lies beyond a crease, the other one limits it.
+    any two perpendicular axes serve; the result is half the sum over both. The change is that between the two neighbors
+    along the axis (ray differentials: Igehy 1999). Where a neighbor lies beyond a crease, the other one limits it.
     """
     rows = np.flatnonzero(on)
     edge, variance = np.zeros(len(o), bool), np.zeros(len(o))
@@ -162,12 +162,12 @@ def _edges_and_reflection_variance(
     for along in (side, np.cross(side, d[rows])):
         mirrored = []
         for step in (along, -along):
-            neighbour = d[rows] + reach * step
-            neighbour /= np.linalg.norm(neighbour, axis=1, keepdims=True)
-            near, face, barycentric = tracer.intersect(o[rows], neighbour)
+            neighbor = d[rows] + reach * step
+            neighbor /= np.linalg.norm(neighbor, axis=1, keepdims=True)
+            near, face, barycentric = tracer.intersect(o[rows], neighbor)
             allowed = 4 * reach[:, 0] * t[rows] / np.maximum(cosine[rows], 0.05)
             edge[rows] |= ~(np.abs(near - t[rows]) < allowed)
-            mirrored.append(_mirrored(neighbour, tracer.smooth_normals(normals, np.maximum(face, 0), barycentric)))
+            mirrored.append(_mirrored(neighbor, tracer.smooth_normals(normals, np.maximum(face, 0), barycentric)))
         to_each = [np.linalg.norm(there - own, axis=1) for there in mirrored]
         between = np.linalg.norm(mirrored[0] - mirrored[1], axis=1)
         change = np.minimum(between / 2, _MOST_UNEVEN * np.minimum(*to_each)) / _EDGE_PIXELS

@@ -1,8 +1,8 @@
 """Finds how well each material fits the label pixels, for which no light was gathered.
 
-Light hardly changes between neighbouring pixels of one photo. So the radiance that a pixel would have with each material is
+Light hardly changes between neighboring pixels of one photo. So the radiance that a pixel would have with each material is
 taken from the nearest samples of the same photo, whose light is known. It is compared with the pixel's own radiance. Whether
-the light really changes that little is measured: each sample is predicted from its neighbours, too (`left_out_error`).
+the light really changes that little is measured: each sample is predicted from its neighbors, too (`left_out_error`).
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial import cKDTree
 
-from blender_nep.materials.baking import kernel, neighbours
+from blender_nep.materials.baking import kernel, neighbors
 
 _NEAREST = 4
 _BLOCK = 1 << 14
@@ -48,7 +48,7 @@ def nearest_samples(samples: Surfels, pixels: Surfels, first: int = 0) -> tuple[
         here, there = np.flatnonzero(samples.photo == photo), np.flatnonzero(pixels.photo == photo)
         if len(there) == 0 or len(here) <= first:
             continue
-        distance, near = (a[:, first:] for a in neighbours(cKDTree(known[here]), asked[there], _NEAREST + first))
+        distance, near = (a[:, first:] for a in neighbors(cKDTree(known[here]), asked[there], _NEAREST + first))
         weight = kernel(distance)
         index[there, : near.shape[1]] = here[near]
         share[there, : near.shape[1]] = weight / weight.sum(1, keepdims=True)

@@ -39,7 +39,7 @@ if TYPE_CHECKING:
 _LEAST_SAMPLES = 8
 """Least number of samples in a region. With fewer, its three albedos would follow the noise."""
 _PLACES = 8
-"""Places between two neighbouring values of `roughness_scan`, so that the end of the lobes that are alike is found."""
+"""Places between two neighboring values of `roughness_scan`, so that the end of the lobes that are alike is found."""
 _ALIKE = 0.02
 """Spreads whose logs differ by less are not told apart."""
 _NO_LIMIT = 2.5

@@ -12,7 +12,7 @@ import numpy as np
 from scipy.cluster.vq import kmeans2
 from scipy.spatial import cKDTree
 
-from blender_nep.materials.baking import neighbours
+from blender_nep.materials.baking import neighbors
 from blender_nep.profiling import profiled
 
 _PLACE = 0.09
@@ -38,7 +38,7 @@ def median_color(tree: cKDTree, radiance: np.ndarray, at: np.ndarray, count: int
     out = np.empty((len(at), 3), np.float32)
     for start in range(0, len(at), _BLOCK):
         part = slice(start, start + _BLOCK)
-        out[part] = np.median(value[neighbours(tree, at[part], count)[1]], 1)
+        out[part] = np.median(value[neighbors(tree, at[part], count)[1]], 1)
     return out
 
 
@@ -52,7 +52,7 @@ def features(position: np.ndarray, color: np.ndarray) -> np.ndarray:
 class Segments:
     """K segments of n points."""
 
-    centre: np.ndarray
+    center: np.ndarray
     """[K, 7] mean `features` of the points of each segment"""
     label: np.ndarray
     """[n] int, the segment of each point"""
@@ -65,13 +65,13 @@ class Segments:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # of empty clusters, which are left out below
             random = np.random.default_rng(seed)  # the seed itself may be too large for SciPy
-            centre, _ = kmeans2(points, min(count, len(points)), _ITERATIONS, minit="points", seed=random)
-        used, label = np.unique(cKDTree(centre).query(points)[1], return_inverse=True)
-        return cls(centre[used], label.ravel())
+            center, _ = kmeans2(points, min(count, len(points)), _ITERATIONS, minit="points", seed=random)
+        used, label = np.unique(cKDTree(center).query(points)[1], return_inverse=True)
+        return cls(center[used], label.ravel())
 
     def __len__(self) -> int:
-        return len(self.centre)
+        return len(self.center)
 
     def near(self, points: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
         """Distances and indices [m, count] of the segments that are nearest to points of coordinates [m, 7]."""
-        return neighbours(cKDTree(self.centre), points, count)
+        return neighbors(cKDTree(self.center), points, count)

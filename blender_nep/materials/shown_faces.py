@@ -13,19 +13,19 @@ from blender_nep.profiling import profiled
 
 @profiled("shown faces")
 def shown_faces(surface: Surface, tracer: RayTracer, rays: PixelRays) -> np.ndarray:
-    """Whether a photo shows the centre of each face: [F] bool.
+    """Whether a photo shows the center of each face: [F] bool.
 
     The face must look towards the camera, lie in the frame, and not be hidden by the mesh. `tracer` holds the same mesh.
     """
-    centre = surface.vertices[surface.faces].mean(1).astype(np.float32)
-    shown = np.zeros(len(centre), bool)
+    center = surface.vertices[surface.faces].mean(1).astype(np.float32)
+    shown = np.zeros(len(center), bool)
     for view in range(rays.views):
-        place, ahead = rays.project(view, torch.from_numpy(centre).to(rays.radiance.device))
+        place, ahead = rays.project(view, torch.from_numpy(center).to(rays.radiance.device))
         in_frame = (ahead & (place.abs() < 1).all(-1)).cpu().numpy()
-        direction = rays.camera(view)[0].cpu().numpy().astype(np.float32) - centre
+        direction = rays.camera(view)[0].cpu().numpy().astype(np.float32) - center
         direction /= np.maximum(np.linalg.norm(direction, axis=1, keepdims=True), 1e-9)
         facing = np.einsum("ij,ij->i", direction, tracer.face_normals) > 0
         asked = np.flatnonzero(in_frame & facing & ~shown)
-        start = tracer.leave(centre[asked], asked, direction[asked])
+        start = tracer.leave(center[asked], asked, direction[asked])
         shown[asked] = ~tracer.occluded(start, direction[asked])
     return shown

@@ -30,10 +30,10 @@ from blender_nep.materials.corrections import (
     KeptMaterials,
     groups_of_segments,
 )
-from blender_nep.materials.labelled_points import (
-    error_of_neighbours,
-    labelled_pixels,
-    labelled_samples,
+from blender_nep.materials.labeled_points import (
+    error_of_neighbors,
+    labeled_pixels,
+    labeled_samples,
     select_label_pixels,
     surfels,
 )
@@ -145,7 +145,7 @@ class _MaterialLearner:
         self.unseen_learned = False
         """Whether the unseen light is more than what F_e holds where no photo looks"""
         if preset.residual and not light.in_photos:
-            self._begin_with_grey_light()
+            self._begin_with_gray_light()
         else:
             self._add_unseen_light(UnseenLight.expected_beside(seen.f_p.environment, preset.unseen_rows))
         self.search = PaletteSearch(seen.samples, light, preset, seen.device)
@@ -165,7 +165,7 @@ class _MaterialLearner:
         self.report.texture_texels = size = min(wanted, self.preset.uniform_texels) if uniform else wanted
         shown = shown_faces(seen.surface, seen.f_p.tracer, seen.rays)
         kept = KeptMaterials(self._correctable(varied), size, shown)
-        points = kept.materials.labelled(self.preset)
+        points = kept.materials.labeled(self.preset)
         self.report.albedo_follows = correlations(points, self.light, seen.samples.position)
         albedo, roughness, metallic, confidence = bake(seen.surface, points, size, shown)
         self.progress.phase_ended("textures")
@@ -225,8 +225,8 @@ class _MaterialLearner:
         self.light.update(self.search.materials_at, self.generator)
         self._residual()
 
-    def _begin_with_grey_light(self) -> None:
-        """Begin with a grey unseen light if the photos show no light (cut-outs). Without light, all materials look alike."""
+    def _begin_with_gray_light(self) -> None:
+        """Begin with a gray unseen light if the photos show no light (cut-outs). Without light, all materials look alike."""
         unseen = UnseenLight(self.preset.unseen_rows, self.seen.f_p.environment.typical_distance(), self.seen.device)
         unseen.radiance += 2 * float(self.seen.samples.radiance.mean(-1).median())
         self._add_unseen_light(unseen)
@@ -319,12 +319,12 @@ class _MaterialLearner:
         They are label pixels if the light of the samples predicts the light of label pixels.
         """
         search, tracer, normals, rays = self.search, self.seen.f_p.tracer, self.seen.surface.normals, self.seen.rays
-        of_samples = labelled_samples(search)
+        of_samples = labeled_samples(search)
         if len(search.palette) == 1 and varied is None:
             self._skip(Part.VOTES, Message("reason.one_material"))
             return self._correctable_palette(of_samples)
         samples, shown = surfels(self.seen.samples, tracer, normals), search.shown()
-        error = error_of_neighbours(search, samples, shown)
+        error = error_of_neighbors(search, samples, shown)
         self.report.neighbors_error = round(error, 4)
         predicted = error <= np.median(of_samples.residual)
         if not predicted:
@@ -336,7 +336,7 @@ class _MaterialLearner:
             pixels = PlacedPixels.of(surfels(chosen, tracer, normals), chosen.radiance, near, self.seen.footprint)
             return CorrectableSegments(lit.light, lit.samples.radiance, materials, groups_of_segments(materials), pixels)
         if predicted:
-            return self._correctable_palette(labelled_pixels(search, samples, shown, rays, tracer, normals, self.seed))
+            return self._correctable_palette(labeled_pixels(search, samples, shown, rays, tracer, normals, self.seed))
         return self._correctable_palette(of_samples)
 
     def _correctable_palette(self, points: BlendedPoints) -> CorrectablePalette:

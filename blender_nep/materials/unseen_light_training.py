@@ -149,7 +149,7 @@ class UnseenLightProblem:
         Adam starts from `start`, brightened if that helps; texels darker than _LEAST_START are raised to that radiance.
         There are three priors on the map: the total variation of its tone-mapped radiance, the mean deviation of that from
         the expected one, and its color. The prior on the deviation makes a few lamps more likely than a bright sky. The one
-        on the color is needed because colored light on a grey object looks like grey light on a colored object.
+        on the color is needed because colored light on a gray object looks like gray light on a colored object.
         """
         p, device, light, samples = self.preset, self.goal.device, self.light, self.samples
         missing, rows = self.unseen.missing, len(self.unseen.missing)
@@ -159,10 +159,10 @@ class UnseenLightProblem:
         response = torch.stack(light.uncovered_response(self.cones, samples, material), 1).float().cpu().numpy()
         first, albedo = self._brightened(start.radiance.clamp_min(_LEAST_START), offset, slope, response, len(palette))
         raw, logit = first.log().requires_grad_(), torch.logit(albedo).requires_grad_()
-        optimiser = torch.optim.Adam([{"params": [raw]}, {"params": [logit]}])
+        optimizer = torch.optim.Adam([{"params": [raw]}, {"params": [logit]}])
         error = float("nan")
         for k in range(steps):
-            for group, rate in zip(optimiser.param_groups, (p.unseen_rate, p.unseen_albedo_rate), strict=True):
+            for group, rate in zip(optimizer.param_groups, (p.unseen_rate, p.unseen_albedo_rate), strict=True):
                 group["lr"] = rate * 0.1 ** (k / steps)
             radiance = raw.clamp(_DARKEST, _BRIGHTEST).exp()
             levels = pyramid(radiance, missing)
@@ -172,14 +172,14 @@ class UnseenLightProblem:
             albedo = torch.sigmoid(logit).index_select(0, self.label)
             predicted = offset + sent[:, 0] + albedo * (slope + sent[:, 1])
             photometric = (tone_map(predicted) - self.goal).abs().mean()
-            optimiser.zero_grad()
+            optimizer.zero_grad()
             photometric.backward()
             assert sent.grad is not None  # backward has just filled it
             gradient = self.transport.adjoint(response, sent.grad.cpu().numpy())
             prior = self._prior(radiance)
             error = float(photometric.detach() + prior.detach())
             ((levels * torch.from_numpy(gradient).to(device)).sum() + prior).backward()
-            optimiser.step()
+            optimizer.step()
         unseen = UnseenLight(rows, self.unseen.radius, device)
         unseen.expected, unseen.missing = self.unseen.expected, missing
         unseen.radiance = raw.detach().clamp(_DARKEST, _BRIGHTEST).exp()

@@ -18,7 +18,7 @@ import torch
 from scipy.spatial import cKDTree
 from torch import Tensor
 
-from blender_nep.materials.baking import LabelledPoints, Places, kernel, neighbours, on_same_side
+from blender_nep.materials.baking import LabeledPoints, Places, kernel, neighbors, on_same_side
 from blender_nep.materials.fitting import fit_groups, place_in_scan, roughness_scan
 from blender_nep.materials.palette import Palette, between, error, place_of_least
 from blender_nep.materials.pixel_votes import Surfels, nearest_samples
@@ -85,7 +85,7 @@ class VariedMaterials:
         Each point belongs to a segment, which gives it albedo and metallic. This is the nearest segment of the class that
         the majority of the points around has. Where the points lie far apart, it is the nearest of all segments. The
         roughness is interpolated between near segments of the same class. Where an artist has corrected neither class nor
-        roughness of the own segment, the neighbours count as they were learned.
+        roughness of the own segment, the neighbors count as they were learned.
         """
         distance, index = self.segments.near(features(places.data, color), _BLEND_SEGMENTS)
         learned = self.palette if self.learned is None else self.learned
@@ -120,7 +120,7 @@ def majority(places: cKDTree, yes: np.ndarray, reach: float) -> np.ndarray:
     out = yes.copy()
     for start in range(0, len(yes), _BLOCK):
         part = slice(start, start + _BLOCK)
-        distance, index = neighbours(places, places.data[part], _VOTERS)
+        distance, index = neighbors(places, places.data[part], _VOTERS)
         near = distance[:, -1] <= reach
         out[part][near] = yes[index[near]].mean(1) > 0.5
     return out
@@ -191,7 +191,7 @@ def fit_segments(
     )
     mass = torch.bincount(label.clamp_min(0), weight * (label >= 0), minlength=count).cpu().numpy()
     scan, cost = roughness_scan(p.least_roughness, light.cos_v.device), residual.cpu().numpy()
-    distance, index = segments.near(segments.centre, _ROUGHNESS_SEGMENTS)
+    distance, index = segments.near(segments.center, _ROUGHNESS_SEGMENTS)
     if metallic is None:
         close = mass[index] * np.exp(-((distance / _CLASS_REACH) ** 2)) * (np.arange(index.shape[1]) < _CLASS_SEGMENTS)
         margin = np.array([1 + p.segment_metal_margin * m for m in classes])
@@ -276,14 +276,14 @@ class PlacedPixels:
 
 def varied_points(
     materials: VariedMaterials, light: LightMoments, pixels: PlacedPixels, preset: MaterialPreset
-) -> LabelledPoints:
-    """The pixels as labelled points, each with an albedo of its own."""
+) -> LabeledPoints:
+    """The pixels as labeled points, each with an albedo of its own."""
     tree = cKDTree(pixels.position)
     radiance = pixels.radiance.float().cpu().numpy()
     color = median_color(tree, radiance, pixels.position, _MANY_PIXELS)
     material = materials.at(tree, color, pixels.width)
     offset, slope = _affine_of_pixels(material, light, pixels)
-    around = neighbours(tree, pixels.position, _ALBEDO_PIXELS)
+    around = neighbors(tree, pixels.position, _ALBEDO_PIXELS)
     there = Places(pixels.position, pixels.normal)
     distance, index = on_same_side(around, there, there)
     albedo, residual = np.empty_like(radiance), np.empty(len(radiance), np.float32)
@@ -301,7 +301,7 @@ def varied_points(
         residual,
     )
     roughness = material.roughness.cpu().numpy()
-    return LabelledPoints(pixels.position, pixels.normal, pixels.photo, albedo, roughness, metallic, residual)
+    return LabeledPoints(pixels.position, pixels.normal, pixels.photo, albedo, roughness, metallic, residual)
 
 
 def _affine_of_pixels(material: Material, light: LightMoments, pixels: PlacedPixels) -> tuple[np.ndarray, np.ndarray]:

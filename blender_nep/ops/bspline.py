@@ -211,7 +211,7 @@ def sample(coef: torch.Tensor, points: torch.Tensor, hessian: bool = False) -> t
 
 @njit(cache=True, parallel=True, fastmath=True)
 def _refine(coef, fine):
-    """Chaikin's rule along three axes: each block of 2^3 neighbouring coefficients gives 2^3 finer ones."""
+    """Chaikin's rule along three axes: each block of 2^3 neighboring coefficients gives 2^3 finer ones."""
     n0, n1, n2 = coef.shape[0] - 1, coef.shape[1] - 1, coef.shape[2] - 1
     for i in prange(n0):
         # `row` is a row of `coef` after the rule along x and y; there is one for each of the four finer rows

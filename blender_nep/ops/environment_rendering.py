@@ -46,7 +46,7 @@ def render_environment(
     Args:
         raw: [K, H, W, 4] raw density (softplus, times density_gain, per unit of w) and log radiance.
         detail: [D, 2 D, 3] color detail, D >= 2 H: what is added to the log radiance of all shells, by direction from the
-            centre. It has more rows than the shells. Or D = 0: there is no color detail.
+            center. It has more rows than the shells. Or D = 0: there is no color detail.
         segments: n segments.
         jitter: [n] in [0, 1), or None for the middle of each step.
         body: "auto" (Numba on the CPU, torch elsewhere), "numba" or "torch".

@@ -17,7 +17,7 @@ def interpolate(raw: Tensor, points: Tensor, shell: Tensor) -> Tensor:
     """Trilinear interpolation of a spherical grid.
 
     Args:
-        raw: [K, H, W, C]: K shells, cell-centred rows from +z to -z, columns with atan2(y, x), periodic.
+        raw: [K, H, W, C]: K shells, cell-centered rows from +z to -z, columns with atan2(y, x), periodic.
         points: [..., 3]; only their directions from the origin count.
         shell: [...] in 0 .. K - 1: the place between the shells.
 

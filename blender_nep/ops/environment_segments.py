@@ -6,7 +6,7 @@ steps of disparity 1 / |x|, because that is what parallax shows of far things. T
 
     u(|x|) = log |x| for |x| <= R,    u(|x|) = log R + 1 - R / |x| for |x| > R,    u(infinity) = log R + 1.
 
-Density is given per unit of dw = dt / |x| * min(1, R / |x|). For a ray through the centre, dw = du. Let a straight ray come
+Density is given per unit of dw = dt / |x| * min(1, R / |x|). For a ray through the center, dw = du. Let a straight ray come
 nearest to the origin at t_c, with the distance b. Then w integrates in closed form, counted from that point:
 
     inside R:   t = t_c + b sinh(w),   |x| = b cosh(w)
@@ -52,12 +52,12 @@ class ContractedSegments(NamedTuple):
 
 
 def contracted_length(contraction_radius: float) -> float:
-    """u of the sky: the length in w of a ray from the unit sphere to infinity, away from the centre."""
+    """u of the sky: the length in w of a ray from the unit sphere to infinity, away from the center."""
     return math.log(contraction_radius) + 1
 
 
 def contracted_radius(u: Tensor, contraction_radius: float) -> Tensor:
-    """The inverse of u(|x|): distances from the centre, for u in 0 .. contracted_length. The sky's is inf."""
+    """The inverse of u(|x|): distances from the center, for u in 0 .. contracted_length. The sky's is inf."""
     beyond = (contracted_length(contraction_radius) - u).clamp_min(0)
     return torch.where(beyond >= 1, torch.exp(u), contraction_radius / beyond)
 

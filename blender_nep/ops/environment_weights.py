@@ -1,4 +1,4 @@
-"""The two ends of the environment's prefilter: from densities to weights as seen from the centre, and back to opacities."""
+"""The two ends of the environment's prefilter: from densities to weights as seen from the center, and back to opacities."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ LEAST_LEFT = 1e-4
 
 
 @njit(cache=True, parallel=True, fastmath=True, error_model="numpy")
-def _weights_from_centre(raw, coverage, density_gain, spacing, out):
+def _weights_from_center(raw, coverage, density_gain, spacing, out):
     shells, rows, columns = raw.shape[0], raw.shape[1], raw.shape[2]
     fine_rows, fine_columns = out.shape[1], out.shape[2]
     for row in prange(fine_rows):
@@ -100,10 +100,10 @@ def _from_weights(weighted, out):
                 left -= weight
 
 
-def weights_from_centre(
+def weights_from_center(
     raw: torch.Tensor, coverage: torch.Tensor, density_gain: float, spacing: float, rows: int
 ) -> torch.Tensor:
-    """What each shell contributes to the view from the centre: (w radiance, w, w coverage) [K, rows, 2 rows, 5].
+    """What each shell contributes to the view from the center: (w radiance, w, w coverage) [K, rows, 2 rows, 5].
 
     raw [K, H, W, 4] (raw density, log radiance) and coverage [K, H, W] in 0..1 are interpolated as in rendering; `spacing`
     is the contracted distance from shell to shell. The weights w of a direction add up to 1, because the last shell is the
@@ -111,7 +111,7 @@ def weights_from_centre(
     """
     out = np.empty((raw.shape[0], rows, 2 * rows, 5), np.float32)
     grid, seen = (a.detach().cpu().float().contiguous().numpy() for a in (raw, coverage))
-    _weights_from_centre(grid, seen, density_gain, spacing, out)
+    _weights_from_center(grid, seen, density_gain, spacing, out)
     return torch.from_numpy(out)
 
 
@@ -119,7 +119,7 @@ def from_weights(weighted: torch.Tensor) -> np.ndarray:
     """Opacities that composite to given weights, in the memory order that `composite_cones` needs.
 
     [K, H, W, 5] (w radiance, w, w coverage) -> [H, W, K, 5], the same multiplied by the opacity instead of w. The shells of
-    a direction are neighbours in memory. A node is opaque in the last shell, and where hardly anything of the view is left.
+    a direction are neighbors in memory. A node is opaque in the last shell, and where hardly anything of the view is left.
     A node of hardly any weight takes the color of the node before it.
     """
     shells, rows, columns, channels = weighted.shape

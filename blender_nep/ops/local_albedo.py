@@ -1,4 +1,4 @@
-"""Robust fits of one albedo to each pixel and its neighbours on the CPU, with a fused Numba kernel.
+"""Robust fits of one albedo to each pixel and its neighbors on the CPU, with a fused Numba kernel.
 
 The estimate is that of `material_fit`, for pixels whose roughness and metallic are known. One thread does a whole pixel, so
 that results do not depend on the number of threads.
@@ -17,9 +17,9 @@ def fit_local_albedos(index, weight, offset, slope, metallic, goal, clip, iterat
     """Fill albedo [m, 3] in 0..1 and residual [m] for m pixels; all arrays but `index` are float32.
 
     The radiance of pixel i is offset[i] + slope[i] * albedo (`plenoptic.affine_in_albedo`), [n, 3] each; goal [n, 3] is the
-    linear radiance of its photo, and metallic [n] its metallic. index [m, N] int64 holds the neighbours of each pixel, and
+    linear radiance of its photo, and metallic [n] its metallic. index [m, N] int64 holds the neighbors of each pixel, and
     weight [m, N] how much they count. The least squares are reweighted in each of `iterations`. A residual above 2 * `clip`
-    does not count. The residual of a pixel is the weighted mean of its neighbours' tone-mapped residuals, each at most
+    does not count. The residual of a pixel is the weighted mean of its neighbors' tone-mapped residuals, each at most
     `clip`.
     """
     for i in prange(len(index)):

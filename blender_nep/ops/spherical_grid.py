@@ -1,6 +1,6 @@
 """Finds cells of the environment's spherical grid, and interpolates in them. The functions are for the Numba kernels.
 
-A grid is [K, H, W, C]: K shells, at the distances of `environment_segments`. Each shell is a cell-centred equirectangular
+A grid is [K, H, W, C]: K shells, at the distances of `environment_segments`. Each shell is a cell-centered equirectangular
 image. Its H rows run from +z to -z; its W = 2 H columns run with atan2(y, x) and are periodic.
 """
 
@@ -23,7 +23,7 @@ def polar(x, y, z):
 
 @njit(cache=True, inline="always", fastmath=True, error_model="numpy")
 def cell(turn, fall, rows, columns):
-    """The cell of `polar` angles in a cell-centred equirectangular grid. The result is that of `angular_cell`."""
+    """The cell of `polar` angles in a cell-centered equirectangular grid. The result is that of `angular_cell`."""
     v = fall * rows + 0.5
     j = min(int(v), rows)
     u = turn * columns + (columns - 0.5)
@@ -33,7 +33,7 @@ def cell(turn, fall, rows, columns):
 
 @njit(cache=True, inline="always", fastmath=True, error_model="numpy")
 def angular_cell(x, y, z, rows, columns):
-    """The cell of a direction in a cell-centred equirectangular grid: (row + 1, column, row fraction, column fraction).
+    """The cell of a direction in a cell-centered equirectangular grid: (row + 1, column, row fraction, column fraction).
 
     Rows run from +z (0) to -z, columns with atan2(y, x). The first result lies in 0..rows: 0 is the cell between the first
     row and the same row across the pole. The column lies in 0..columns - 1, the fractions in 0..1.

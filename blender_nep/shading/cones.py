@@ -19,7 +19,7 @@ from blender_nep.shading.brdf import alpha_of, reflect, sample_cosine, sample_vn
 BETA = 0.9
 """Share of the lobe's energy that the cones together cover."""
 _GOLDEN = (math.sqrt(5) - 1) / 2
-"""Turn between two neighbouring points of a sunflower spiral."""
+"""Turn between two neighboring points of a sunflower spiral."""
 _FILL = 0.35
 """Solid angle of a specular cone divided by its share of the lobe. The cone's axis is random within the share, so that a
 full cone would blur the lobe twice. Compared with 20,000 rays on lamps of many sizes, the error of 4 cones is 2 to 10 % with

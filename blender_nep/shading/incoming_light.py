@@ -115,7 +115,7 @@ class IncomingLight(LightMoments):
     `specular` [n, R, 3, 3] and `diffuse` [n, 3] (irradiance divided by pi) are the whole light, under the present materials
     and the present unseen light. `known_specular` and `known_diffuse` are the light without the unseen light: the light of
     F_e and, from the first `update` on, the light that the object reflects to itself. The known irradiance is a
-    mean over neighbouring points (`IrradianceMean`).
+    mean over neighboring points (`IrradianceMean`).
     """
 
     def __init__(

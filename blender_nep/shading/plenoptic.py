@@ -32,7 +32,7 @@ class Environment(Protocol):
         ...
 
     def equirect(self, height: int) -> tuple[Tensor, Tensor]:
-        """The same as seen from the centre: radiance [height, 2 height, 3] and coverage [height, 2 height]."""
+        """The same as seen from the center: radiance [height, 2 height, 3] and coverage [height, 2 height]."""
         ...
 
     def extrapolated(self, height: int) -> Tensor:

@@ -1,7 +1,7 @@
 """Means of the irradiance over surface points that lie side by side and face the same way.
 
 The cones of each surface point are placed at random, so its irradiance is noisy: on a teapot in a room with lamps, 32 cones
-differ from 256 by 9 %. The irradiance itself hardly changes from a point to its neighbours. So a mean over them is better.
+differ from 256 by 9 %. The irradiance itself hardly changes from a point to its neighbors. So a mean over them is better.
 """
 
 from __future__ import annotations
@@ -16,11 +16,11 @@ _COUNT = 16
 _BEND = 0.2
 """Distance on the surface, in the unit frame, that counts as much as a turn of the normal by one radian."""
 _REACH = 0.05
-"""Largest distance of a neighbour, in the unit frame. Where points are sparse, there are fewer neighbours."""
+"""Largest distance of a neighbor, in the unit frame. Where points are sparse, there are fewer neighbors."""
 
 
 class IrradianceMean:
-    """Takes the mean of values at n surface points over the neighbours of each point."""
+    """Takes the mean of values at n surface points over the neighbors of each point."""
 
     def __init__(self, position: Tensor, normal: Tensor) -> None:
         """position [n, 3] in the unit frame; normal [n, 3] unit vectors."""
@@ -30,7 +30,7 @@ class IrradianceMean:
             index = np.zeros((0, 1), np.int64)
         else:
             index = cKDTree(place).query(place, min(_COUNT, n), distance_upper_bound=_REACH, workers=-1)[1].reshape(n, -1)
-        # The tree gives the index n where there is no further neighbour.
+        # The tree gives the index n where there is no further neighbor.
         self._index = torch.from_numpy(np.minimum(index, max(n - 1, 0)).astype(np.int64)).to(position.device)
         known = torch.from_numpy(index < n).to(position.device, torch.float32)
         self._weight = known / known.sum(1, keepdim=True).clamp_min(1)

@@ -58,7 +58,7 @@ class SupportLight:
         """
         if support.radius == 0:
             return None
-        points = _texel_centres(support)
+        points = _texel_centers(support)
         colors = []
         for view in range(0, rays.views, max(1, -(-rays.views // MOST_PHOTOS))):
             colors.append(_colors_in(view, rays, points, support, tracer))
@@ -106,8 +106,8 @@ class SupportLight:
         return out
 
 
-def _texel_centres(support: Support) -> np.ndarray:
-    """Centres [TEXELS^2, 3] of the texels, row by row."""
+def _texel_centers(support: Support) -> np.ndarray:
+    """Centers [TEXELS^2, 3] of the texels, row by row."""
     line = ((np.arange(TEXELS) + 0.5) / TEXELS * 2 - 1) * SIDE * support.radius
     across, along = support.axes()
     points = line[:, None, None] * across + line[None, :, None] * along + support.height * np.asarray(support.normal)

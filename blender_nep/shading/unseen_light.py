@@ -8,7 +8,7 @@ what is missing.
 Where photos show nothing, F_e still holds some radiance: what it began with, and what its smoothness prior filled in. That
 does not count as light, but it is what the map begins with (`UnseenLight.expected`).
 
-The map is equirectangular (Blender's orientation, row 0 is +z) on a sphere of finite radius around the object's centre, so
+The map is equirectangular (Blender's orientation, row 0 is +z) on a sphere of finite radius around the object's center, so
 that near lamps keep their parallax. For fixed materials, the light in the photos is linear in the map: a sparse matrix times
 the map (`unseen_transport`).
 """
@@ -43,7 +43,7 @@ class UnseenLight:
 
     @classmethod
     def expected_beside(cls, environment: Environment, rows: int) -> UnseenLight:
-        """The map of all radiance that F_e holds, shown by photos or not, as seen from the centre."""
+        """The map of all radiance that F_e holds, shown by photos or not, as seen from the center."""
         _, coverage = environment.equirect(rows)
         light = cls(rows, environment.typical_distance(), coverage.device)
         light.expected = environment.extrapolated(rows)
@@ -68,7 +68,7 @@ class UnseenLight:
         return light
 
     def equirect(self, height: int) -> Tensor:
-        """The map at another resolution: radiance [height, 2 height, 3] as seen from the centre."""
+        """The map at another resolution: radiance [height, 2 height, 3] as seen from the center."""
         weighted = torch.cat([self.radiance * self.missing[..., None], self.missing[..., None]], -1)
         fine = torch.nn.functional.pad(weighted.permute(2, 0, 1)[None], (1, 1, 0, 0), mode="circular")
         rows = len(self.radiance)
@@ -80,7 +80,7 @@ class UnseenLight:
         return fine[..., :3] / fine[..., 3:]
 
     def completed(self, radiance: Tensor, coverage: Tensor) -> Tensor:
-        """The whole light [h, 2 h, 3] from the centre: that of F_e, radiance [h, 2 h, 3] and coverage [h, 2 h], and this."""
+        """The whole light [h, 2 h, 3] from the center: that of F_e, radiance [h, 2 h, 3] and coverage [h, 2 h], and this."""
         more = self.equirect(len(radiance)).to(radiance.device)
         return radiance + more * (1 - coverage)[..., None]
 

@@ -11,7 +11,7 @@ import trimesh
 
 from blender_nep.errors import CaptureError
 from blender_nep.geometry.mesh import Surface, angle_normals, normalized, own_normals, weld
-from blender_nep.geometry.uv_raster import rasterise
+from blender_nep.geometry.uv_raster import rasterize
 from blender_nep.surface.orientation import outward
 from blender_nep.surface.unwrap import unwrap
 
@@ -161,5 +161,5 @@ def _is_atlas(uv: np.ndarray, vertices: np.ndarray, faces: np.ndarray) -> bool:
     area = np.linalg.norm(np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]), axis=1)
     if area[mapped < 1e-12].sum() > _NOT_UNWRAPPED * area.sum():
         return False
-    covered = (rasterise(uv, faces, _RASTER)[0] >= 0).mean()
+    covered = (rasterize(uv, faces, _RASTER)[0] >= 0).mean()
     return bool(covered > (1 - _OVERLAP) * mapped.sum())

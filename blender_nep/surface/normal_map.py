@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from blender_nep.geometry.mesh import Surface, normalized
-from blender_nep.geometry.uv_raster import nearest_known, rasterise
+from blender_nep.geometry.uv_raster import nearest_known, rasterize
 from blender_nep.profiling import profiled
 
 
@@ -37,7 +37,7 @@ def lean_mesh(lean: Surface, fine: Surface, size: int) -> tuple[LeanMesh, float]
     normal, tangent = (at_texel.mean(values, known) for values in (lean.normals, tangents))
     bitangent = at_texel.mean(handedness[:, None], known) * np.cross(normal, tangent)
     wanted = normalized(wanted_at.mean(fine.normals, known))
-    # Renderers add up color * (tangent, bitangent, normal), each interpolated and not normalised. So that is inverted here.
+    # Renderers add up color * (tangent, bitangent, normal), each interpolated and not normalized. So that is inverted here.
     parts = [np.cross(bitangent, normal), np.cross(normal, tangent), np.cross(tangent, bitangent)]
     volume = (tangent * parts[0]).sum(1, keepdims=True)
     color = np.stack([(wanted * part).sum(1) for part in parts], 1)
@@ -83,7 +83,7 @@ class _Texels:
 
     def __init__(self, surface: Surface, size: int) -> None:
         self._corners = surface.faces
-        self._face, self._barycentric = rasterise(surface.atlas, surface.faces, size)
+        self._face, self._barycentric = rasterize(surface.atlas, surface.faces, size)
         self.known = self._face >= 0
         """[S, S] bool: texels that lie on the surface"""
 

@@ -37,13 +37,13 @@ def find_support(vertices: np.ndarray, faces: np.ndarray, border: float, seed: i
     mesh = trimesh.Trimesh(vertices, faces, process=False)
     near = ~cap & (radius[faces].mean(1) > 0.85 * border)
     area = mesh.area_faces[near]
-    centre = mesh.triangles_center[near]
-    flat = (np.abs(plane.distance(centre)) < TOLERANCE) & (mesh.face_normals[near] @ plane.normal > 0.8)
+    center = mesh.triangles_center[near]
+    flat = (np.abs(plane.distance(center)) < TOLERANCE) & (mesh.face_normals[near] @ plane.normal > 0.8)
     if area.sum() == 0 or area[flat].sum() < LEAST_SHARE * area.sum():
         return None
     # the rim is rounded, and so a little lower than the table: the faces beside it tell the height
     level = (mesh.face_normals[near] @ plane.normal > 0.98) & flat
-    return _plane_through(centre[level]) if level.sum() >= 3 else plane
+    return _plane_through(center[level]) if level.sum() >= 3 else plane
 
 
 def _fit(points: np.ndarray, rng: np.random.Generator, tries: int = 200) -> Support | None:
@@ -71,7 +71,7 @@ def _fit(points: np.ndarray, rng: np.random.Generator, tries: int = 200) -> Supp
 
 def _plane_through(points: np.ndarray) -> Support:
     """The plane nearest to points [n, 3] in the least-squares sense. Its normal points towards the origin (height <= 0)."""
-    centre = points.mean(0)
-    normal = np.linalg.svd(points - centre, full_matrices=False)[2][2]
-    height = float(normal @ centre)
+    center = points.mean(0)
+    normal = np.linalg.svd(points - center, full_matrices=False)[2][2]
+    height = float(normal @ center)
     return Support(-normal, -height) if height > 0 else Support(normal, height)

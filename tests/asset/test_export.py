@@ -16,7 +16,7 @@ from blender_nep.capture import PixelRays, load_capture
 from blender_nep.errors import OutputError
 from blender_nep.job.stages import AssetInput, AssetStage, SurfaceResult, SurfaceStage
 from blender_nep.surface.normal_map import LeanMesh
-from support.ball_stages import GreyLight, ball_surface, ball_textures
+from support.ball_stages import GrayLight, ball_surface, ball_textures
 from support.captures import CENTER, RADIUS
 
 
@@ -36,7 +36,7 @@ def write(make_capture, tmp_path):
     folder.mkdir()
 
     def run(light=None, report=lambda: {"seed": 3}, center=CENTER, exposure=1.0, lean=None):
-        surface, radiance = ball_surface(), light if light is not None else GreyLight().equirect(16)[0].numpy()
+        surface, radiance = ball_surface(), light if light is not None else GrayLight().equirect(16)[0].numpy()
         view = PreviewView.best(seen.with_exposure(exposure), surface)
         place = asset.Placement(np.asarray(center), capture.object_radius)
         shape = SurfaceResult(surface, lean=lean)
@@ -191,14 +191,14 @@ def test_the_report_is_removed_first_and_put_in_place_last(write, monkeypatch):
 
 
 def test_preview_shows_a_photo_and_beside_it_the_same_view_of_the_asset(write, tmp_path):
-    """The photos show a grey ball before a background that changes. The asset has a colored ball in grey light."""
+    """The photos show a gray ball before a background that changes. The asset has a colored ball in gray light."""
     picture = np.asarray(Image.open(write() / "preview.png"), np.float64)
     assert picture.shape == (24, 48, 3)
     photo, view = picture[:, :24], picture[:, 24:]
     ball = np.asarray(Image.open(tmp_path / "capture" / "masks" / "000.png")) > 127  # the same in all photos
-    assert ((photo.std(-1) < 1) == ball).mean() > 0.97, "the photo's ball is grey, and its background is not"
+    assert ((photo.std(-1) < 1) == ball).mean() > 0.97, "the photo's ball is gray, and its background is not"
     light = np.median(view[~ball], axis=0)
-    assert np.ptp(light) < 1, "the grey light is seen beside the asset"
+    assert np.ptp(light) < 1, "the gray light is seen beside the asset"
     assert ((np.abs(view - light).max(-1) > 3) == ball).mean() > 0.95, "the asset stands where the photo shows the ball"
 
 

@@ -20,7 +20,7 @@ def engine_python(tmp_path) -> str:
 
 @pytest.fixture
 def asset(tmp_path) -> Path:
-    """A tetrahedron with the corners VERTICES, textures of one color each, a grey light."""
+    """A tetrahedron with the corners VERTICES, textures of one color each, a gray light."""
     folder = tmp_path / "asset"
     (folder / "textures").mkdir(parents=True)
     lines = [

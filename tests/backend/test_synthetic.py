@@ -45,7 +45,7 @@ def channels(path: Path) -> dict[str, np.ndarray]:
 
 
 def project(meta: dict, frame: dict, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Pixel positions [N,2] and depths [N] after the conventions: camera looks down -z, y up, pixel centres +0.5."""
+    """Pixel positions [N,2] and depths [N] after the conventions: camera looks down -z, y up, pixel centers +0.5."""
     matrix = np.linalg.inv(np.array(frame["transform_matrix"]))
     local = points @ matrix[:3, :3].T + matrix[:3, 3]
     depth = -local[:, 2]

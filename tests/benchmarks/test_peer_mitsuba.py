@@ -72,9 +72,9 @@ def test_what_the_photos_show_of_the_world_is_what_the_map_lights_with(ball):
     light = peer.photographed_environment(rays, everything, rows)
     settings = PeerSettings(levels=(1,), environment_rows=rows, samples=4)
     directions = functional.normalize(torch.randn(300, 3, generator=torch.Generator().manual_seed(0)), dim=-1)
-    grey = torch.full((2, 2), 0.5)
+    gray = torch.full((2, 2), 0.5)
     found = PathTracer(ball, settings).render(
-        grey[..., None].expand(2, 2, 3), grey, grey, light, (2 * directions, directions, torch.full((300,), 1e-4)), 4, 0
+        gray[..., None].expand(2, 2, 3), gray, gray, light, (2 * directions, directions, torch.full((300,), 1e-4)), 4, 0
     )
     # every pixel put into the texel around it, here by the nearest of all texels' own directions
     theta = torch.arange(rows) / (rows - 1) * torch.pi
@@ -112,9 +112,9 @@ def test_gradients_are_the_differences_of_the_rendering(ball):
         assert abs(gradient[k] - difference) < 0.1 * abs(difference) + 0.003
 
 
-def test_learning_lowers_the_loss_and_starts_grey(ball):
-    grey = peer.Textures((1, 4))()
-    assert grey[0].shape == (4, 4, 3) and (grey[0] == 0.5).all() and (grey[2] == 0.5).all()
+def test_learning_lowers_the_loss_and_starts_gray(ball):
+    gray = peer.Textures((1, 4))()
+    assert gray[0].shape == (4, 4, 3) and (gray[0] == 0.5).all() and (gray[2] == 0.5).all()
     rays = PixelRays.from_capture(load_capture(SUZANNE_SMALL), 2500, False)
     settings = replace(SETTINGS, samples_grad=2, samples=2)
     short, long = (peer.learn(ball, rays, settings, minutes, 0) for minutes in (0.001, 0.05))

@@ -262,6 +262,6 @@ def test_every_value_of_a_varied_size_changes_the_work_that_is_measured():
 
 
 def test_a_rescaled_albedo_scales_what_a_metal_reflects():
-    """A metal that faces the camera under a grey light reflects its albedo times the light."""
+    """A metal that faces the camera under a gray light reflects its albedo times the light."""
     pytest.importorskip("bpy")
     in_blender(check_rescaled_albedo)

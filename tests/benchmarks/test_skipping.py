@@ -17,14 +17,14 @@ from blender_nep.presets import preset
 from support.paths import SUZANNE_SMALL
 
 
-def analyse(scene: Scene) -> SceneAnalysis:
+def analyze(scene: Scene) -> SceneAnalysis:
     return SceneAnalysis.of(PixelRays.from_capture(load_capture(scene.folder), 40_000, scene.masks, torch.device("cpu")))
 
 
 def test_a_variant_of_a_capture_has_the_properties_of_its_name(tmp_path):
     few = with_fewer_views(SUZANNE_SMALL, 8, tmp_path / "few")
-    plain = analyse(Scene.parse(f"{few}:masks", tmp_path))
-    cut, white, far = (analyse(Scene.parse(f"{few}:{word}", tmp_path)) for word in ("cut-out", "clipped", "distant"))
+    plain = analyze(Scene.parse(f"{few}:masks", tmp_path))
+    cut, white, far = (analyze(Scene.parse(f"{few}:{word}", tmp_path)) for word in ("cut-out", "clipped", "distant"))
     assert plain.backdrop and white.backdrop and far.backdrop and not cut.backdrop
     assert plain.clipped < 0.001 and 0.01 < white.clipped < 0.05 and white.brightest <= 1
     assert far.pixels_across == pytest.approx(plain.pixels_across / 4, rel=0.02)

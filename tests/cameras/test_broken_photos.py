@@ -84,7 +84,7 @@ def refused(name: str, broken: Callable[[Shoot], None], code: int, error: str, s
 
 NOT_FOUND = "capture.cameras_not_found"
 UNREADABLE = "capture.photo_unreadable"
-KINDS = "CMYK, grey, palettes, alpha and 16 bits, one photo of each"
+KINDS = "CMYK, gray, palettes, alpha and 16 bits, one photo of each"
 CASES = [
     # files
     refused("a JPEG is cut at half", photos.cut_at_half, 3, UNREADABLE, "photo_03.jpg cannot be read"),
@@ -171,10 +171,10 @@ CASES = [
     ),
     refused("cameras look along +z", cameras.opencv_axes, 4, "bounds", "no photo sees", **IMPROVE),
     refused("a lens that COLMAP does not know", cameras.wide_fisheye, 3, "capture.lens_not_improved", "anew", **IMPROVE),
-    Case("cameras and sphere in millimetres", cameras.all_in_millimetres, IMPROVE),
-    Case("cameras in millimetres, the sphere in metres", cameras.millimetres, IMPROVE, warns={"capture.cameras_far": []}),
-    refused("cameras in kilometres, the sphere in metres", cameras.kilometres, 4, "bounds", "inside the object", **IMPROVE),
-    Case("one camera in millimetres", cameras.one_far_away, IMPROVE, warns={"cameras.kept": ["photo_03"]}),
+    Case("cameras and sphere in millimeters", cameras.all_in_millimeters, IMPROVE),
+    Case("cameras in millimeters, the sphere in meters", cameras.millimeters, IMPROVE, warns={"capture.cameras_far": []}),
+    refused("cameras in kilometers, the sphere in meters", cameras.kilometers, 4, "bounds", "inside the object", **IMPROVE),
+    Case("one camera in millimeters", cameras.one_far_away, IMPROVE, warns={"cameras.kept": ["photo_03"]}),
     Case("two photos are exchanged", cameras.two_exchanged, IMPROVE, warns={"cameras.kept": ["photo_02"]}),
     Case("the focal length is twice too long", cameras.focal_length_twice, IMPROVE),
 ]

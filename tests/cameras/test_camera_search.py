@@ -51,7 +51,7 @@ def photos(tmp_path_factory):
     return folder
 
 
-@pytest.mark.parametrize("kind", ["grey", "opaque RGBA", "alpha", "16 bits"])
+@pytest.mark.parametrize("kind", ["gray", "opaque RGBA", "alpha", "16 bits"])
 def test_a_mask_for_features_is_read_as_that_of_a_capture(tmp_path, kind):
     shown = np.zeros((40, 60), np.uint8)
     shown[10:30, 20:50] = 255
@@ -60,7 +60,7 @@ def test_a_mask_for_features_is_read_as_that_of_a_capture(tmp_path, kind):
     elif kind == "alpha":
         image = Image.fromarray(np.dstack([np.zeros((40, 60, 3), np.uint8), shown]))
     else:
-        image = Image.fromarray(shown if kind == "grey" else np.where(shown > 0, 65535, 3000).astype(np.uint16))
+        image = Image.fromarray(shown if kind == "gray" else np.where(shown > 0, 65535, 3000).astype(np.uint16))
     image.save(tmp_path / "mask.png")
     found = mask_copy(Photo(tmp_path / "photo.jpg", 60, 40, None, (), mask=tmp_path / "mask.png"), Reduction.of(60, 40, 60))
     np.testing.assert_array_equal(found, shown > 0)
@@ -173,7 +173,7 @@ def test_masks_say_where_features_count(photos, tmp_path, features):
     assert code == 3 and one(events, "error")["name"] == "capture.cameras_not_found"
 
 
-def grey(folder, count):
+def gray(folder, count):
     for number in range(count):
         Image.new("RGB", (320, 240), (90, 90, 90)).save(folder / f"{number}.png")
 
@@ -188,7 +188,7 @@ def strangers(folder, count):
         photograph(camera(number, COUNT), seed=100 + number).save(folder / f"{number}.jpg")
 
 
-@pytest.mark.parametrize("write", [grey, alike, strangers])
+@pytest.mark.parametrize("write", [gray, alike, strangers])
 def test_photos_that_cannot_be_placed_end_in_a_hint(tmp_path, write):
     write(tmp_path, 5)
     code, events = found(tmp_path, tmp_path / "out")
@@ -204,20 +204,20 @@ def test_too_few_photos(tmp_path, count, name):
     folder = tmp_path / "photos"
     if count is not None:
         folder.mkdir()
-        grey(folder, count)
+        gray(folder, count)
     code, events = found(folder, None)
     assert (code, one(events, "error")["name"]) == (3, name)
 
 
 def test_a_broken_photo_is_named(tmp_path):
-    grey(tmp_path, 3)
+    gray(tmp_path, 3)
     (tmp_path / "half.png").write_bytes((tmp_path / "0.png").read_bytes()[:60])
     code, events = found(tmp_path, None)
     assert code == 3 and "half.png" in one(events, "error")["message"]
 
 
 def test_cameras_that_are_there_are_not_replaced_unasked(tmp_path):
-    grey(tmp_path, 3)
+    gray(tmp_path, 3)
     (tmp_path / "transforms.json").write_text("mine")
     code, events = found(tmp_path, None)
     assert (code, one(events, "error")["name"]) == (2, "usage.cameras_exist")
@@ -225,7 +225,7 @@ def test_cameras_that_are_there_are_not_replaced_unasked(tmp_path):
 
 
 def test_features_by_masks_need_masks(tmp_path):
-    grey(tmp_path, 3)
+    gray(tmp_path, 3)
     code, events = found(tmp_path, None, features="object")
     assert (code, one(events, "error")["name"]) == (2, "usage.no_masks")
 

@@ -125,9 +125,9 @@ def test_photos_that_show_little_do_not_leave_their_places_together(photos, tmp_
 
 def only_a_corner(photo, size, path):
     """The photo with nothing left but its last rows and columns, as another file."""
-    grey = np.full((photo.height, photo.width), 120, np.uint8)
-    grey[-size:, -size:] = np.asarray(Image.open(photo.path).convert("L"))[-size:, -size:]
-    Image.fromarray(grey).save(path)
+    gray = np.full((photo.height, photo.width), 120, np.uint8)
+    gray[-size:, -size:] = np.asarray(Image.open(photo.path).convert("L"))[-size:, -size:]
+    Image.fromarray(gray).save(path)
     return replace(photo, path=path)
 
 

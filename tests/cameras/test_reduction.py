@@ -15,7 +15,7 @@ SIZES = [(301, 201), (201, 301), (300, 200), (299, 168), (640, 3), (90, 60)]
 @pytest.mark.parametrize(("width", "height"), SIZES)
 @pytest.mark.parametrize("factor", [1, 3])
 def test_a_spot_in_the_copy_is_at_its_place_in_the_photo(width, height, factor):
-    """Spots of known centres are drawn, in an image of the photo's size or in one three times as large."""
+    """Spots of known centers are drawn, in an image of the photo's size or in one three times as large."""
     reduction = Reduction.of(width, height, 97)
     y, x = (np.indices((factor * height, factor * width)) + 0.5) / factor
     sigma = max(min(width, height) / 16, 1.0)

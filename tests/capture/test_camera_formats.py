@@ -48,13 +48,13 @@ def component_metashape(folder, cameras):
 
 
 CASES = {
-    "llff": (write_llff, known_cameras(centred=True)),
+    "llff": (write_llff, known_cameras(centered=True)),
     "cameras_sphere": (write_cameras_sphere, known_cameras(square=False)),
     "metashape": (write_metashape, known_cameras(ALL_TERMS, square=False)),
     "metashape, transform of the chunk": (moved_metashape, known_cameras(ALL_TERMS)),
     "metashape, transform of the component": (component_metashape, known_cameras(RADIAL)),
     "metashape, fisheye": (fisheye_metashape, known_cameras(FISHEYE)),
-    "bundler": (write_bundler, known_cameras(RADIAL, centred=True)),
+    "bundler": (write_bundler, known_cameras(RADIAL, centered=True)),
 }
 WRITERS = [write_llff, write_cameras_sphere, write_metashape, write_bundler]
 
@@ -82,7 +82,7 @@ def test_blenders_side_reads_the_cameras_from_the_asset_alone(tmp_path, write):
     folder, asset = tmp_path / "capture", tmp_path / "asset"
     folder.mkdir()
     asset.mkdir()
-    write(folder, known_cameras(centred=True))
+    write(folder, known_cameras(centered=True))
     assert read_bounds(folder) is None
     with pytest.raises(OSError, match=re.escape("has no transforms.json")):
         read_frames(folder)
@@ -93,7 +93,7 @@ def test_blenders_side_reads_the_cameras_from_the_asset_alone(tmp_path, write):
 
 
 def test_llff_takes_smaller_copies_of_the_photos(tmp_path):
-    write_llff(tmp_path, known_cameras(centred=True))
+    write_llff(tmp_path, known_cameras(centered=True))
     shutil.rmtree(tmp_path / "images")
     write_photos(tmp_path / "images_4", size=(WIDTH // 4, HEIGHT // 4))
     said = llff.read(tmp_path)
@@ -168,7 +168,7 @@ def test_metashape_rescales_to_the_photos_and_finds_masks(tmp_path):
 
 
 def test_bundler_leaves_out_what_it_has_not_placed(tmp_path):
-    write_bundler(tmp_path, known_cameras(centred=True))
+    write_bundler(tmp_path, known_cameras(centered=True))
     path = tmp_path / "bundle.out"
     lines = path.read_text().splitlines()
     path.write_text("\n".join([*lines[:7], *["0 0 0"] * 5, *lines[12:]]))
@@ -367,7 +367,7 @@ BAD = [
 
 @pytest.mark.parametrize(("write", "damage", "message"), BAD, ids=[f"{case[0].__name__} {case[2]}" for case in BAD])
 def test_a_damaged_capture_ends_in_a_clear_message(tmp_path, write, damage, message):
-    write(tmp_path, known_cameras(centred=True))
+    write(tmp_path, known_cameras(centered=True))
     damage(tmp_path)
     with pytest.raises(CaptureError, match=re.escape(message)):
         load_capture(tmp_path)

@@ -16,7 +16,7 @@ from blender_nep.capture import Camera, PixelRays, load_capture, loading
 from blender_nep.capture.bounds import sphere_from_cameras
 from blender_nep.capture.photo_files import open_image
 from blender_nep.capture.pixel_width import pixel_footprint, pixel_width
-from blender_nep.capture.summary import describe, summarise
+from blender_nep.capture.summary import describe, summarize
 from blender_nep.color import linear_to_srgb, srgb_to_linear
 from blender_nep.errors import CaptureError
 from blender_nep.fields.visual_hull import carve, mask_silhouettes, score_cells
@@ -300,7 +300,7 @@ def test_unit_frame_and_back(make_capture):
 
 
 def test_the_summary_describes_the_capture(make_capture):
-    found = summarise(make_capture(masks=True, suffix=".png").folder)
+    found = summarize(make_capture(masks=True, suffix=".png").folder)
     assert json.loads(json.dumps(found))["photos"] == 6
     assert found["masks"] and 0 < found["mask_coverage"] < 1 and found["bounds_source"] == "transforms.json"
     text = describe(found)

@@ -18,7 +18,7 @@ from blender_nep.capture.coverage import Coverage
 from blender_nep.capture.coverage_picture import LIMITS, SHADES, SIZE, draw_coverage, place, shade
 from blender_nep.capture.exposure import compare_exposures, find_exposures
 from blender_nep.capture.sharpness import blurred
-from blender_nep.capture.summary import describe, summarise
+from blender_nep.capture.summary import describe, summarize
 from blender_nep.capture.turntable import refuse_turntable, still_share
 from blender_nep.cli import main
 from blender_nep.errors import CaptureError
@@ -128,7 +128,7 @@ def pixels_of(folder: Path, use_masks: bool = True) -> PixelRays:
 
 def warned(folder: Path) -> dict[str, dict]:
     """{code of a warning: its values}, for the faults."""
-    return {found["code"]: found["values"] for found in summarise(folder)["warnings"] if found["code"] in FAULTS}
+    return {found["code"]: found["values"] for found in summarize(folder)["warnings"] if found["code"] in FAULTS}
 
 
 def names(values: dict) -> list[str]:
@@ -137,7 +137,7 @@ def names(values: dict) -> list[str]:
 
 def test_a_healthy_capture_is_called_healthy(tmp_path, photos):
     folder = write(tmp_path / "a", CAMERAS, photos)
-    found = summarise(folder)
+    found = summarize(folder)
     assert [w["code"] for w in found["warnings"]] == ["capture.sphere_small"], "the sphere is 79 pixels wide"
     assert found["surroundings_still"] == 0 and found["z_up"] and found["sphere_cut"] == 0
     assert found["sphere_width"] == pytest.approx(2 * FOCAL * math.tan(math.asin(1 / 3.2)), abs=0.1)
@@ -268,7 +268,7 @@ def test_photos_of_another_exposure_are_named(tmp_path, photos):
 def test_automatic_exposure_is_no_fault(tmp_path, photos):
     gain = 2 ** np.random.default_rng(1).uniform(-0.9, 0.9, len(photos))
     folder = write(tmp_path / "a", CAMERAS, [k * pixels for k, pixels in zip(gain, photos, strict=True)])
-    found = summarise(folder)
+    found = summarize(folder)
     assert not {w["code"] for w in found["warnings"]} & {"capture.photos_brighter", "capture.photos_darker"}
     assert found["exposure_stops"] == pytest.approx(np.ptp(np.log2(gain)), abs=0.3)
     rays = pixels_of(folder)
@@ -294,10 +294,10 @@ def test_cameras_that_look_away_or_stand_elsewhere_are_named(tmp_path, photos):
 
 
 def test_the_size_of_the_sphere_is_judged(tmp_path, photos):
-    found = summarise(write(tmp_path / "a", CAMERAS, photos, radius=1.6))
+    found = summarize(write(tmp_path / "a", CAMERAS, photos, radius=1.6))
     assert found["sphere_cut"] == 1
     assert {w["code"] for w in found["warnings"]} >= {"capture.sphere_at_edges", "capture.sphere_small"}
-    found = summarise(write(tmp_path / "b", CAMERAS, photos, focal=500.0, radius=0.6))
+    found = summarize(write(tmp_path / "b", CAMERAS, photos, focal=500.0, radius=0.6))
     assert "capture.sphere_small" not in {w["code"] for w in found["warnings"]} and found["sphere_width"] > 150
 
 

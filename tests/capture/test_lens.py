@@ -125,7 +125,7 @@ def test_a_camera_projects_back_to_the_pixel_and_keeps_its_lens_when_scaled(lens
 
 
 def test_the_sides_of_the_image_have_distance_zero():
-    """The direction through the middle of each side lies in that side's plane, and the image's centre inside all."""
+    """The direction through the middle of each side lies in that side's plane, and the image's center inside all."""
     camera = distorted_camera()
     x, y = np.array([0, 60, 31.0, 31.0]), np.array([19.0, 19.0, 0, 40])
     on_sides = camera.position + 2 * camera.directions(x, y)

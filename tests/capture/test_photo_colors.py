@@ -163,14 +163,14 @@ def test_all_kinds_of_curves(tmp_path, kind):
         np.testing.assert_allclose(found(tmp_path / name), expected(PATCHES / 255), atol=3e-5)
 
 
-def test_each_channel_may_have_a_curve_and_grey_one(tmp_path):
+def test_each_channel_may_have_a_curve_and_gray_one(tmp_path):
     write(tmp_path / "a.png", icc.rgb_profile(icc.SRGB, *(icc.gamma_curve(g) for g in (1.5, 2.0, 2.5))))
     np.testing.assert_allclose(found(tmp_path / "a.png"), (PATCHES / 255) ** [1.5, 2.0, 2.5], atol=1e-5)
-    grey = np.arange(256, dtype=np.uint8).reshape(16, 16)
+    gray = np.arange(256, dtype=np.uint8).reshape(16, 16)
     profile = icc.profile(b"GRAY", b"XYZ ", {"kTRC": icc.gamma_curve(2.0)})
-    Image.fromarray(grey).save(tmp_path / "g.png", icc_profile=profile)
+    Image.fromarray(gray).save(tmp_path / "g.png", icc_profile=profile)
     color, _ = open_image(tmp_path / "g.png", "srgb").rows()
-    np.testing.assert_allclose(color, np.repeat((grey[..., None] / 255.0) ** 2, 3, -1), atol=1e-6)
+    np.testing.assert_allclose(color, np.repeat((gray[..., None] / 255.0) ** 2, 3, -1), atol=1e-6)
 
 
 @pytest.mark.parametrize("suffix", ["png", "jpg", "tif", "webp"])

@@ -120,11 +120,11 @@ def test_other_depths_of_tiff(tmp_path):
     write_12_bits(tmp_path / "12.tif", whole >> 20)
     color, _ = open_image(tmp_path / "12.tif", "srgb").rows()
     np.testing.assert_allclose(color, linear((whole >> 20) / 4095), atol=2e-5)  # kept with 16 bits
-    grey = rng.integers(0, 256, (9, 8), dtype=np.uint8)
-    tifffile.imwrite(tmp_path / "white.tif", grey, photometric="miniswhite")
-    check(tmp_path / "white.tif", 255 - grey[..., None])
-    Image.fromarray(grey > 99).save(tmp_path / "bits.tif")
-    check(tmp_path / "bits.tif", np.uint8(255) * (grey > 99)[..., None])
+    gray = rng.integers(0, 256, (9, 8), dtype=np.uint8)
+    tifffile.imwrite(tmp_path / "white.tif", gray, photometric="miniswhite")
+    check(tmp_path / "white.tif", 255 - gray[..., None])
+    Image.fromarray(gray > 99).save(tmp_path / "bits.tif")
+    check(tmp_path / "bits.tif", np.uint8(255) * (gray > 99)[..., None])
     few = Image.fromarray(smooth()).quantize(30)
     few.save(tmp_path / "palette.tif")
     check(tmp_path / "palette.tif", np.asarray(few.convert("RGB")))
@@ -214,18 +214,18 @@ def test_linear_captures_ignore_what_files_say(tmp_path):
         np.testing.assert_allclose(open_image(tmp_path / name, "linear").rows()[0], pixels / 255.0, rtol=FLOAT32)
 
 
-def test_grey_cmyk_bilevel_and_palette_files(tmp_path):
+def test_gray_cmyk_bilevel_and_palette_files(tmp_path):
     image = Image.fromarray(smooth())
-    grey = image.convert("L")
-    grey.save(tmp_path / "grey.jpg", quality=100)
-    color, alpha = open_image(tmp_path / "grey.jpg", "srgb").rows()
-    assert alpha is None and np.abs(encoded(color) - np.asarray(grey)[..., None] / 255).max() < 2 / 255
+    gray = image.convert("L")
+    gray.save(tmp_path / "gray.jpg", quality=100)
+    color, alpha = open_image(tmp_path / "gray.jpg", "srgb").rows()
+    assert alpha is None and np.abs(encoded(color) - np.asarray(gray)[..., None] / 255).max() < 2 / 255
     flat = Image.new("CMYK", (16, 16), (0, 128, 255, 51))
     flat.save(tmp_path / "cmyk.jpg", quality=100)
     inks = 1 - np.array([0, 128, 255]) / 255
     color, _ = open_image(tmp_path / "cmyk.jpg", "srgb").rows()
     np.testing.assert_allclose(encoded(color), np.broadcast_to(inks * (1 - 51 / 255), color.shape), atol=4 / 255)
-    bits = np.asarray(grey) > 127
+    bits = np.asarray(gray) > 127
     Image.fromarray(bits).save(tmp_path / "bits.png")
     check(tmp_path / "bits.png", np.repeat(np.uint8(255) * bits[..., None], 3, -1))
     few = image.quantize(40)
@@ -433,7 +433,7 @@ def write_usual(path, pixels):
         image.save(path, quality=80, icc_profile=rgb_profile(DISPLAY_P3, SRGB_CURVE), **fast)
 
 
-def test_an_interlaced_png_of_16_bits_of_grey_is_not_clipped(tmp_path):
+def test_an_interlaced_png_of_16_bits_of_gray_is_not_clipped(tmp_path):
     """Interlacing one pixel changes nothing, so the file is easily made."""
 
     def chunk(name: bytes, content: bytes) -> bytes:

@@ -11,7 +11,7 @@ import pytest
 import tifffile
 from PIL import Image
 
-from blender_nep.cameras.photo_folder import find_photos, grey_copy
+from blender_nep.cameras.photo_folder import find_photos, gray_copy
 from blender_nep.cameras.reduction import Reduction
 from blender_nep.capture import load_capture
 from blender_nep.capture.photo_files import exif, image_size, open_image
@@ -61,7 +61,7 @@ def test_a_capture_of_raw_photos_is_linear(make_capture):
 
 @needs_rawpy
 def test_raw_photos_have_the_white_balance_of_the_camera(tmp_path):
-    """A sensor that sees white as (0.5, 1, 0.8) shows a grey card grey."""
+    """A sensor that sees white as (0.5, 1, 0.8) shows a gray card gray."""
     neutral = np.array([0.5, 1.0, 0.8])
     write_dng(tmp_path / "a.dng", np.round(WHITE * halves(0.4 * neutral, 0.1 * neutral)), tuple(neutral))
     color, _ = open_image(tmp_path / "a.dng", "srgb").rows()
@@ -176,8 +176,8 @@ def test_pixels_are_as_stored_and_exif_says_which_way_is_up(tmp_path, suffix, or
         assert photo.focal_length == pytest.approx(50 / 43.2666 * np.hypot(80, 48), rel=1e-4)
         color, _ = open_image(photo.path, "srgb").rows()
         assert color.shape == (48, 80, 3) and color[:, :32].min() > 0.5 > 0.2 > color[:, 48:].max()
-        grey = grey_copy(photo, Reduction.of(80, 48, 40))
-        assert grey.shape == (24, 40) and grey.dtype == np.uint8 and grey[:, :16].min() > grey[:, 24:].max() + 100
+        gray = gray_copy(photo, Reduction.of(80, 48, 40))
+        assert gray.shape == (24, 40) and gray.dtype == np.uint8 and gray[:, :16].min() > gray[:, 24:].max() + 100
 
 
 @pytest.mark.parametrize("orientation", TURNS)
@@ -192,8 +192,8 @@ def test_heic_is_turned_by_its_decoder_and_needs_no_turn(tmp_path, orientation):
         assert photo.camera[0] == "Camera" and photo.focal_length is not None
         raster = open_image(photo.path, "srgb")
         assert raster.size == upright.shape[:2] and np.abs(raster.stored.astype(int) - upright).max() <= 2
-        grey = grey_copy(photo, Reduction.of(photo.width, photo.height, 80))
-        assert np.abs(grey.astype(int) - upright.mean(-1)).max() <= 6
+        gray = gray_copy(photo, Reduction.of(photo.width, photo.height, 80))
+        assert np.abs(gray.astype(int) - upright.mean(-1)).max() <= 6
 
 
 def test_a_photo_that_is_there_twice_counts_once(tmp_path):
@@ -205,8 +205,8 @@ def test_a_photo_that_is_there_twice_counts_once(tmp_path):
     assert [photo.path.name for photo in find_photos(tmp_path)] == ["a.jpg", "b.jpg", "c.webp", "d.jpg", "d.png"]
 
 
-def test_grey_copies_of_floats_are_exposed(tmp_path):
+def test_gray_copies_of_floats_are_exposed(tmp_path):
     """Like those of OpenEXR photos: the median is at half of white, whatever the unit of radiance."""
     for number in range(3):
         tifffile.imwrite(tmp_path / f"{number}.tif", np.full((20, 30, 3), 1e-3, np.float32), photometric="rgb")
-    assert (grey_copy(find_photos(tmp_path)[0], Reduction.of(30, 20, 100)) == 124).all()
+    assert (gray_copy(find_photos(tmp_path)[0], Reduction.of(30, 20, 100)) == 124).all()

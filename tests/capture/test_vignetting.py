@@ -8,7 +8,7 @@ import torch
 
 from blender_nep.capture import PixelRays, load_capture
 from blender_nep.capture.exposure import find_exposures
-from blender_nep.capture.summary import describe, summarise
+from blender_nep.capture.summary import describe, summarize
 from blender_nep.capture.vignetting import Vignetting
 from blender_nep.job.scene_analysis import SceneAnalysis
 from support.paths import SUZANNE_SMALL
@@ -70,5 +70,5 @@ def test_an_artist_is_told(rays, monkeypatch):
     assert any(line.code == "scene.vignetting" for line in SceneAnalysis.of(even).sentences())
     assert not any(line.code == "scene.vignetting" for line in SceneAnalysis.of(rays).sentences())
     monkeypatch.setattr(PixelRays, "from_capture", lambda *_, **__: dark)
-    found = summarise(SUZANNE_SMALL)
+    found = summarize(SUZANNE_SMALL)
     assert found["corner_stops"] == pytest.approx(-1, abs=0.1) and "corners 1.0" in describe(found)

@@ -57,13 +57,13 @@ def test_nothing_is_painted_at_first():
 
 def test_a_line_of_a_thirtieth_of_the_radius_is_painted():
     detail = AlbedoDetail()
-    optimiser = torch.optim.Adam(detail.parameters(), 0.02)
+    optimizer = torch.optim.Adam(detail.parameters(), 0.02)
     generator = torch.Generator().manual_seed(0)
     for _ in range(300):
         points = torch.rand(2000, 3, generator=generator) * torch.tensor([2.0, 2.0, 0.0]) - torch.tensor([1.0, 1.0, 0.0])
         line = (points[:, 0].remainder(0.2) < 1 / 30).float()[:, None] * 2 - 1
         loss = (detail(points) - line).abs().mean()
-        optimiser.zero_grad()
+        optimizer.zero_grad()
         loss.backward()
-        optimiser.step()
+        optimizer.step()
     assert loss < 0.35

@@ -11,7 +11,7 @@ from blender_nep.checkpoints import NoCheckpoint
 from blender_nep.errors import LearningError
 from blender_nep.fields.environment_field import EnvironmentField
 from blender_nep.fields.environment_grid import resample
-from blender_nep.fields.environment_training import learn_environment, learn_step, optimiser, refine, skipped_detail
+from blender_nep.fields.environment_training import learn_environment, learn_step, optimizer, refine, skipped_detail
 from blender_nep.ops.environment_segments import contracted_length
 from blender_nep.presets import EnvironmentPreset
 from blender_nep.tone_mapping import tone_map
@@ -216,23 +216,23 @@ def test_cones_follow_a_changed_field():
     torch.testing.assert_close(after, before * math.e, rtol=1e-3, atol=0)
 
 
-def test_regularisation_prefers_smooth_and_empty_and_adds_the_gradient_of_its_value():
+def test_regularization_prefers_smooth_and_empty_and_adds_the_gradient_of_its_value():
     generator = torch.Generator().manual_seed(0)
-    smooth = EnvironmentField(PRESET).regularise(generator)
+    smooth = EnvironmentField(PRESET).regularize(generator)
     rough = EnvironmentField(PRESET)
     with torch.no_grad():
         rough.raw += torch.randn(rough.raw.shape, generator=generator)
     dense = EnvironmentField(PRESET)
     with torch.no_grad():
         dense.raw[..., 0] = 3.0
-    assert rough.regularise(generator) > smooth and dense.regularise(generator) > smooth
+    assert rough.regularize(generator) > smooth and dense.regularize(generator) > smooth
     rough.raw.grad = torch.ones_like(rough.raw)
     state = generator.get_state()
-    before = rough.regularise(generator)
+    before = rough.regularize(generator)
     gradient = rough.raw.grad - 1
     with torch.no_grad():
         rough.raw -= 100.0 * gradient
-    after = rough.regularise(generator.set_state(state))
+    after = rough.regularize(generator.set_state(state))
     expected = before - 100.0 * float(gradient.square().sum())
     assert after == pytest.approx(expected, rel=0.02) and after < before
 
@@ -284,7 +284,7 @@ def test_a_step_whose_loss_is_not_finite_changes_nothing():
     rays = pixel_rays(box_field(), 500, 20)
     rays.radiance[7] = math.nan
     field = EnvironmentField(PRESET)
-    before, adam = field.raw.detach().clone(), optimiser(field)
+    before, adam = field.raw.detach().clone(), optimizer(field)
     loss = learn_step(field, adam, rays, torch.arange(500), torch.Generator().manual_seed(0))
     assert math.isnan(loss) and torch.equal(field.raw, before)
     rays.radiance[7] = 1.0

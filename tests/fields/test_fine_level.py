@@ -52,10 +52,10 @@ def test_an_extended_level_keeps_what_it_has_learned(field):
 
 def test_its_steps_are_those_of_its_cell_width(field):
     field.fine = FineLevel.at(points_near(0.6, 0.0, 500), CELLS)
-    optimiser = field.shape_optimiser(0.01, (0.9, 0.99))
+    optimizer = field.shape_optimizer(0.01, (0.9, 0.99))
     before = field.fine.coefficients.detach().clone()
     field.fine.coefficients.grad = torch.ones_like(field.fine.coefficients)
-    optimiser.step()
+    optimizer.step()
     expected = 0.01 * (2 / CELLS) / REFERENCE_CELL
     torch.testing.assert_close(before - field.fine.coefficients.detach(), torch.full_like(before, expected))
 
@@ -81,12 +81,12 @@ def test_it_holds_relief_for_which_the_other_levels_are_too_coarse(field):
     def error(parameters):
         for parameter in (*field.levels, field.fine.coefficients):
             parameter.requires_grad_(any(parameter is one for one in parameters))
-        optimiser = torch.optim.Adam(parameters, lr=2e-3)
+        optimizer = torch.optim.Adam(parameters, lr=2e-3)
         for _ in range(150):
-            optimiser.zero_grad()
+            optimizer.zero_grad()
             loss = (field.shape().sample(points)[:, 0] - relief).square().mean()
             loss.backward()
-            optimiser.step()
+            optimizer.step()
         return float((field.sdf(points) - relief).square().mean().sqrt() / relief.std())
 
     coarse = error([*field.levels])

@@ -9,13 +9,13 @@ from blender_nep.capture import load_capture
 from blender_nep.capture.pixel_rays import PixelRays
 from blender_nep.fields import object_sphere
 from blender_nep.fields.object_sphere import find_object_sphere
-from support.table_scene import BALL, CENTRE, write_table_scene
+from support.table_scene import BALL, CENTER, write_table_scene
 
 
 def test_the_sphere_shrinks_around_the_ball_in_any_units(tmp_path):
     capture = load_capture(write_table_scene(tmp_path / "ball", radius=0))
     here = find_object_sphere(capture)
-    away = np.linalg.norm(here.center - CENTRE)
+    away = np.linalg.norm(here.center - CENTER)
     assert here.sure
     assert away + BALL < here.radius < 1.5 * BALL, "the whole ball is in the sphere, and not much else"
     shift, scale = np.array([500.0, -20.0, 7.0]), 1000.0
@@ -34,15 +34,15 @@ def test_what_no_photo_shows_below_the_ball_does_not_count(tmp_path):
     elevations = (60, 75)
     capture = load_capture(write_table_scene(tmp_path / "ball", radius=0, elevations=elevations))
     cells = (np.arange(64) + 0.5) / 32 - 1
-    x, y, z = np.meshgrid(*(cells - middle for middle in CENTRE), indexing="ij")
+    x, y, z = np.meshgrid(*(cells - middle for middle in CENTER), indexing="ij")
     lowest = np.radians(elevations[0])
     cone = np.hypot(x, y) * np.sin(lowest) - z * np.cos(lowest) - BALL
     under = np.where(z < -BALL * np.cos(lowest), cone, np.inf)
     hull = np.minimum(np.sqrt(x**2 + y**2 + z**2) - BALL, under).astype(np.float32)
     assert (hull[..., 0] < 0).any(), "the sphere cuts the cone off"
     seen = object_sphere._seen_surface(hull, PixelRays.from_capture(capture, 10_000, use_masks=False))
-    assert seen[:, 2].max() > CENTRE[2] + 0.95 * BALL
-    assert CENTRE[2] - 0.5 * BALL < seen[:, 2].min() < CENTRE[2] - 0.25 * BALL
+    assert seen[:, 2].max() > CENTER[2] + 0.95 * BALL
+    assert CENTER[2] - 0.5 * BALL < seen[:, 2].min() < CENTER[2] - 0.25 * BALL
 
 
 def test_a_sphere_that_cuts_the_object_is_moved_if_it_is_large_enough(tmp_path, monkeypatch):
@@ -84,6 +84,6 @@ def test_the_search_can_be_ended_between_two_photos_and_between_two_steps(tmp_pa
 
 def test_a_sphere_that_cuts_the_object_is_kept_and_is_unsure(tmp_path):
     capture = load_capture(write_table_scene(tmp_path / "ball", radius=0))
-    small = replace(capture, object_center=CENTRE + np.array([0.2, 0, 0]), object_radius=0.4)
+    small = replace(capture, object_center=CENTER + np.array([0.2, 0, 0]), object_radius=0.4)
     found = find_object_sphere(small)
     assert not found.sure and found.radius == small.object_radius and np.array_equal(found.center, small.object_center)

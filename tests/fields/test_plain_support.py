@@ -7,7 +7,7 @@ import torch
 from blender_nep.capture import PixelRays, load_capture
 from blender_nep.fields import plain_support
 from blender_nep.fields.plain_support import find_plain_support
-from support.table_scene import BALL, CENTRE, HEIGHT, turn, write_table_scene
+from support.table_scene import BALL, CENTER, HEIGHT, turn, write_table_scene
 
 
 def rays_of(folder):
@@ -18,7 +18,7 @@ def ball(tilt: float = 0.0, radius: float = BALL) -> np.ndarray:
     """The SDF of the scene's ball in 64^3 cells, turned with the scene."""
     axis = (np.arange(64) + 0.5) / 64 * 2 - 1
     points = np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), -1)
-    return np.linalg.norm(points - turn(tilt) @ CENTRE, axis=-1) - radius
+    return np.linalg.norm(points - turn(tilt) @ CENTER, axis=-1) - radius
 
 
 @pytest.mark.parametrize("tilt", [0.0, 0.5])

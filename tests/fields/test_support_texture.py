@@ -12,12 +12,12 @@ from blender_nep.fields.training import FieldsLearning
 from blender_nep.fields.visual_hull import background_silhouettes, carve, score_cells
 from blender_nep.geometry.support import Support
 from blender_nep.presets import PRESETS
-from support.table_scene import BALL, CENTRE, HEIGHT, pattern, shadow, write_table_scene
+from support.table_scene import BALL, CENTER, HEIGHT, pattern, shadow, write_table_scene
 
 PLANE = Support(np.array([0.0, 0.0, 1.0]), HEIGHT)
 AXIS = (np.arange(64) + 0.5) / 64 * 2 - 1
 CELLS = np.stack(np.meshgrid(AXIS, AXIS, AXIS, indexing="ij"), -1)
-BALL_SDF = (np.linalg.norm(CELLS - CENTRE, axis=-1) - BALL).astype(np.float32)
+BALL_SDF = (np.linalg.norm(CELLS - CENTER, axis=-1) - BALL).astype(np.float32)
 
 
 @pytest.fixture(params=["patterned", "plain"])
@@ -39,7 +39,7 @@ def texels(texture: SupportTexture) -> tuple[np.ndarray, np.ndarray, np.ndarray]
 def test_known_colors_are_those_of_the_table_and_not_those_of_the_ball(table):
     rays, true = table
     points, color, known = texels(SupportColors(rays, PLANE).texture(BALL_SDF))
-    beside = np.hypot(*(points - CENTRE)[:, :2].T) > BALL
+    beside = np.hypot(*(points - CENTER)[:, :2].T) > BALL
     in_sphere = np.linalg.norm(points, axis=1) < 0.97
     assert known[beside & in_sphere].mean() > 0.95
     assert not known[np.linalg.norm(points, axis=1) > 1].any()
@@ -102,7 +102,7 @@ def test_the_object_is_carved_again_with_the_colors_of_the_table(table, monkeypa
     index = torch.arange(rays.count)
     bundle = RayBundle(*rays.rays(index))
     points = bundle.origins + ((HEIGHT - bundle.origins[:, 2:]) / bundle.directions[:, 2:]) * bundle.directions
-    beside = (points[:, :2] - torch.tensor(CENTRE[:2])).norm(dim=-1) > BALL + 0.1
+    beside = (points[:, :2] - torch.tensor(CENTER[:2])).norm(dim=-1) > BALL + 0.1
     seen = (bundle.directions[:, 2] < 0) & (points.norm(dim=-1) < 0.9) & beside
     shown = asked[0](bundle[seen]).numpy()
     assert np.quantile(np.abs(shown - true(points[seen].numpy())), 0.95) < 0.05

@@ -353,10 +353,10 @@ def test_the_first_step_of_a_level_follows_its_cell_width():
     field = ObjectField(16, 0.6)
     field.add_level()
     field.add_level()
-    optimiser = field.shape_optimiser(0.01, (0.9, 0.99))
+    optimizer = field.shape_optimizer(0.01, (0.9, 0.99))
     before = [level.detach().clone() for level in field.levels]
     for level in field.levels:
         level.grad = torch.full_like(level, 3.0)
-    optimiser.step()
+    optimizer.step()
     steps = [float((old - level).detach().mean()) for old, level in zip(before, field.levels, strict=True)]
     assert steps == pytest.approx([0.04, 0.02, 0.01], rel=1e-4)

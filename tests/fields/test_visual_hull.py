@@ -18,20 +18,20 @@ def rays():
     return PixelRays.from_capture(load_capture(SUZANNE_SMALL), 10_000, True, torch.device("cpu"))
 
 
-def silhouettes_of(rays, centre, radius):
-    """Exact silhouettes of a ball, from the distance of each ray to its centre."""
+def silhouettes_of(rays, center, radius):
+    """Exact silhouettes of a ball, from the distance of each ray to its center."""
     maps = []
     for view, (height, width) in enumerate(rays.size):
         origin, direction, _ = rays.rays(torch.arange(rays.offset[view], rays.offset[view + 1]))
-        away = torch.linalg.cross(origin - centre, direction).norm(dim=-1)
+        away = torch.linalg.cross(origin - center, direction).norm(dim=-1)
         maps.append(functional.avg_pool2d((away < radius).float().reshape(1, height, width), 2)[0])
     return maps
 
 
-def signed_distance(cells, centre, radius):
+def signed_distance(cells, center, radius):
     axis = (np.arange(cells) + 0.5) / cells * 2 - 1
     grid = np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), -1)
-    return np.linalg.norm(grid - centre, axis=-1) - radius
+    return np.linalg.norm(grid - center, axis=-1) - radius
 
 
 def test_projecting_a_point_on_a_pixels_ray_gives_the_pixel(rays):
@@ -48,9 +48,9 @@ def test_projecting_a_point_on_a_pixels_ray_gives_the_pixel(rays):
 
 
 def test_the_silhouettes_of_a_ball_are_carved_into_the_ball(rays):
-    centre, radius, cells = torch.tensor([0.25, -0.1, 0.1]), 0.4, 48
-    hull = carve(score_cells(rays, silhouettes_of(rays, centre, radius), cells))
-    true = signed_distance(cells, centre.numpy(), radius)
+    center, radius, cells = torch.tensor([0.25, -0.1, 0.1]), 0.4, 48
+    hull = carve(score_cells(rays, silhouettes_of(rays, center, radius), cells))
+    true = signed_distance(cells, center.numpy(), radius)
     both, either = ((hull.sdf < 0) & (true < 0)).sum(), ((hull.sdf < 0) | (true < 0)).sum()
     assert both / either > 0.85 and hull.contrast > 10
     assert hull.volume == pytest.approx(radius**3, rel=0.15)
@@ -80,19 +80,19 @@ def test_on_a_support_a_foot_of_weak_silhouettes_is_found_and_free_space_is_not(
 
 
 def test_what_the_background_explains_is_taken_from_the_object(rays):
-    centre, radius, cells = torch.tensor([0.1, 0.0, -0.1]), 0.4, 48
-    true = signed_distance(cells, centre.numpy(), radius)
+    center, radius, cells = torch.tensor([0.1, 0.0, -0.1]), 0.4, 48
+    true = signed_distance(cells, center.numpy(), radius)
     lump = signed_distance(cells, np.array([0.1, 0.0, 0.35]), 0.2)
     sdf = np.minimum(true, lump)
-    change = excess(rays, silhouettes_of(rays, centre, radius), sdf)
+    change = excess(rays, silhouettes_of(rays, center, radius), sdf)
     left = sdf + change
     assert (left[(lump < 0) & (true > 0.06)] > 0).all(), "the lump is free space"
     assert (change[true < -0.06] == 0).all() and (change[sdf > 0] == 0).all()
     speck = true.copy()
     speck[30:32, 30:32, 40:42] = -0.01
     assert speck[30:32, 30:32, 40:42].size < LEAST_EXCESS
-    assert (excess(rays, silhouettes_of(rays, centre, radius), speck)[30:32, 30:32, 40:42] == 0).all()
-    assert not excess(rays, silhouettes_of(rays, centre, radius), np.ones((8, 8, 8))).any()
+    assert (excess(rays, silhouettes_of(rays, center, radius), speck)[30:32, 30:32, 40:42] == 0).all()
+    assert not excess(rays, silhouettes_of(rays, center, radius), np.ones((8, 8, 8))).any()
 
 
 def test_the_background_is_asked_only_of_the_wanted_rays(rays):
@@ -139,7 +139,7 @@ def test_a_field_can_start_from_an_sdf():
     points = torch.randn(500, 3, generator=torch.Generator().manual_seed(0))
     points = 0.9 * points / points.norm(dim=-1, keepdim=True) * torch.linspace(0.2, 1, 500)[:, None]
     true = (points - torch.tensor([0.1, 0.0, -0.2])).norm(dim=-1) - 0.5
-    away = true > -0.4  # a smooth field rounds the point at the ball's centre
+    away = true > -0.4  # a smooth field rounds the point at the ball's center
     assert (field.sdf(points) - true).abs()[away].max() < 0.01
     with pytest.raises(ValueError, match="32"):
         field.start_from(sdf[:16, :16, :16])
@@ -149,15 +149,15 @@ def test_a_field_tells_its_sdf_in_cells_and_takes_additions():
     field = ObjectField(16, 0.6)
     field.add_level()
     axis = (torch.arange(32) + 0.5) / 32 * 2 - 1
-    centres = torch.stack(torch.meshgrid(axis, axis, axis, indexing="ij"), -1)
-    inside = (centres.norm(dim=-1) <= 1).numpy()
+    centers = torch.stack(torch.meshgrid(axis, axis, axis, indexing="ij"), -1)
+    inside = (centers.norm(dim=-1) <= 1).numpy()
     before = field.sdf_in_cells()
-    away = inside & (centres.norm(dim=-1) > 0.2).numpy()  # a smooth field rounds the point at the sphere's centre
-    np.testing.assert_allclose(before[away], (centres.norm(dim=-1) - 0.6).numpy()[away], atol=0.02)
+    away = inside & (centers.norm(dim=-1) > 0.2).numpy()  # a smooth field rounds the point at the sphere's center
+    np.testing.assert_allclose(before[away], (centers.norm(dim=-1) - 0.6).numpy()[away], atol=0.02)
     assert (before[~inside] == 1).all()
     field.add(torch.full((32, 32, 32), 0.25))
-    inner = (centres.abs().amax(-1) < 0.9).numpy() & inside  # beyond the border, no cell is added to
+    inner = (centers.abs().amax(-1) < 0.9).numpy() & inside  # beyond the border, no cell is added to
     np.testing.assert_allclose((field.sdf_in_cells() - before)[inner], 0.25, atol=1e-5)
     field.support = Support(np.array([0.0, 0.0, 1.0]), -0.3)
-    below = centres[..., 2].numpy() < -0.3
+    below = centers[..., 2].numpy() < -0.3
     assert (field.sdf_in_cells()[below] == 1).all() and (field.sdf_in_cells()[inside & ~below] < 1).all()

@@ -28,7 +28,7 @@ FILES = ("mesh.obj", "asset.glb", "preview.png", "environment.exr", "report.json
 
 
 def two_materials() -> KeptMaterials:
-    """A metal on the lower half of the ball and paint on the upper half, in grey light."""
+    """A metal on the lower half of the ball and paint on the upper half, in gray light."""
     surface = ball_surface()
     n = len(surface.vertices)
     upper = surface.normals[:, 2] > 0

@@ -13,14 +13,14 @@ pytest.importorskip("hypothesis")
 from hypothesis import HealthCheck, Phase, given, settings
 
 from benchmarks.scoring.geometry import Body
-from benchmarks.stress.campaign import cases, digest, reconstruct, run_case, summarise
+from benchmarks.stress.campaign import cases, digest, reconstruct, run_case, summarize
 from benchmarks.stress.checks import check_asset, same_assets
 from benchmarks.stress.scenes import Case, signed_distance, trace, write_capture
 from blender_nep.capture import PixelRays, load_capture
 from blender_nep.checkpoints import load_state
 from blender_nep.errors import LearningError
 from blender_nep.fields.non_finite_monitor import PATIENCE, NonFiniteMonitor, usable_gradients, usable_loss
-from blender_nep.fields.optimiser import UniformAdam
+from blender_nep.fields.optimizer import UniformAdam
 from blender_nep.fields.training import FieldsLearning
 from blender_nep.geometry.mesh import weld
 from blender_nep.materials.corrections import KeptMaterials
@@ -123,7 +123,7 @@ def test_one_thread_and_many_give_the_same_asset_within_rounding(plain_asset, tm
         }
         sdf = stages["fields_learning"]["object"]["weights"]["levels.2"]
         kept = KeptMaterials.from_state(stages["material_learning"]["kept"]).materials
-        points = vars(kept.labelled(PLAIN.settings(out, out).preset.material))
+        points = vars(kept.labeled(PLAIN.settings(out, out).preset.material))
         arrays = load_state(out / "checkpoints" / "surface.done.pt")["result"]["arrays"]
         found.append(({"sdf": sdf} | points, Body(*weld(arrays["vertices"], arrays["faces"])[:2])))
     (one, surface), (other, others) = found
@@ -180,7 +180,7 @@ def test_a_summary_counts_what_failed():
             "resumed": False,
         },
     }
-    found = summarise(rows)
+    found = summarize(rows)
     assert found["cases"] == 2 and found["failed"] == ["a"] and found["failures_by_kind"] == {"bad mesh": 1}
     assert found["exit_codes"] == {"0": 1, "4": 1} and found["refusals"] == {"# of # cameras": 1}
     assert found["met"] == {"scale=10000.0": 1} and found["resumed"] == 1
@@ -219,9 +219,9 @@ def test_a_gradient_that_is_not_finite_changes_nothing(plain_asset):
 
 def test_gradients_are_usable_only_when_all_are_finite():
     one, other = torch.nn.Parameter(torch.ones(3)), torch.nn.Parameter(torch.ones(2))
-    optimisers = [UniformAdam([one], lr=1.0), torch.optim.Adam([other])]
-    assert usable_gradients(optimisers)
+    optimizers = [UniformAdam([one], lr=1.0), torch.optim.Adam([other])]
+    assert usable_gradients(optimizers)
     one.grad, other.grad = torch.full((3,), 3e38), torch.zeros(2)
-    assert usable_gradients(optimisers), "finite ones whose sum float32 cannot hold"
+    assert usable_gradients(optimizers), "finite ones whose sum float32 cannot hold"
     other.grad[1] = float("inf")
-    assert not usable_gradients(optimisers)
+    assert not usable_gradients(optimizers)

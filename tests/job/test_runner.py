@@ -20,7 +20,7 @@ from blender_nep.job.stage_names import StageName
 from blender_nep.messages import Message
 from blender_nep.presets import preset
 from blender_nep.shading.unseen_light import UnseenLight
-from support.ball_stages import WHY, BallStages
+from support.ball_stages import WHY, BallStages, BallSurface
 
 ONE_MATERIAL = WHY.state()
 
@@ -184,6 +184,20 @@ def test_doubt_about_metal_is_told(start, margin, told):
 
     code, events = start(Doubtful())
     assert code == 0 and ("job.metal_unclear" in [e["code"] for e in events if e["event"] == "warning"]) == told
+
+
+@pytest.mark.parametrize(("share", "told"), [(0.03, True), (0.002, False)])
+def test_a_cut_at_the_sphere_is_told(start, share, told):
+    class Cut(BallSurface):
+        def run(self, *arguments):
+            found = super().run(*arguments)
+            return replace(found, report=found.report | {"cut_by_sphere": share})
+
+    stages = BallStages()
+    stages.surface = Cut(stages)
+    code, events = start(stages)
+    said = {e["code"]: e["values"] for e in events if e["event"] == "warning"}
+    assert code == 0 and said.get("job.cut_by_sphere") == ({"percent": 3.0} if told else None)
 
 
 def test_errors_have_one_message_and_their_traceback_in_the_log(start):

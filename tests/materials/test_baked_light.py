@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from blender_nep.materials.baked_light import correlations
-from blender_nep.materials.baking import LabelledPoints
+from blender_nep.materials.baking import LabeledPoints
 
 N = 4000
 
@@ -17,7 +17,7 @@ def points(albedo):
     even = np.zeros(N, np.float32)
     up = np.tile([0.0, 0.0, 1.0], (N, 1))
     position, photo, albedo = random.uniform(-1, 1, (N, 3)), even.astype(int), albedo[:, None].repeat(3, 1)
-    return LabelledPoints(position, up, photo, albedo, even, even, even)
+    return LabeledPoints(position, up, photo, albedo, even, even, even)
 
 
 def light(irradiance, hidden, mirrored):

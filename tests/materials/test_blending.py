@@ -30,7 +30,7 @@ def mixed(p, i, j, share):
 def blends(cost, p):
     """The materials that residuals `cost` [n, K + blends] lead to. Position, photo and residual do not matter here."""
     none = np.zeros(len(cost))
-    return BlendedPoints(none, none, none, none, *find_blends(cost, p, MARGIN)).labelled(p)
+    return BlendedPoints(none, none, none, none, *find_blends(cost, p, MARGIN)).labeled(p)
 
 
 @pytest.mark.parametrize(("materials", "pair"), [(2, (0, 1)), (3, (0, 2)), (3, (1, 2)), (4, (2, 3))])

@@ -130,8 +130,8 @@ def test_the_learned_class_and_roughness_give_the_learned_albedo(ball, learned):
 
 def many_fields(points):
     """Twenty paints, and gold leaf on four fields of 24."""
-    centre = torch.nn.functional.normalize(torch.randn(24, 3, generator=torch.Generator().manual_seed(5)), dim=-1)
-    at = torch.cdist(points / RADIUS, centre).argmin(1)
+    center = torch.nn.functional.normalize(torch.randn(24, 3, generator=torch.Generator().manual_seed(5)), dim=-1)
+    at = torch.cdist(points / RADIUS, center).argmin(1)
     paint = torch.rand(24, 3, generator=torch.Generator().manual_seed(6)) * 0.8 + 0.05
     gold = torch.arange(24) % 6 == 0
     paint[gold] = GOLD
@@ -174,7 +174,7 @@ def test_segments_that_are_not_named_keep_their_roughness(varied, metal, correct
     materials = varied.kept.materials
     number = next(k for k, entry in enumerate(materials.listed()) if entry.metallic == metal)
     corrected = materials.corrected({number: correction}, MORE)
-    before, after = materials.labelled(MORE), corrected.labelled(MORE)
+    before, after = materials.labeled(MORE), corrected.labeled(MORE)
     named = after.metallic != before.metallic if correction.roughness is None else np.abs(after.roughness - 0.9) < 1e-5
     assert 0.02 < named.mean() < 0.5
     np.testing.assert_array_equal(after.roughness[~named], before.roughness[~named])
@@ -185,7 +185,7 @@ def test_the_list_has_the_albedo_of_a_corrected_roughness(varied):
     materials = varied.kept.materials
     gold = next(k for k, entry in enumerate(materials.listed()) if entry.metallic == 1)
     corrected = materials.corrected({gold: Correction(roughness=0.9)}, MORE)
-    points = corrected.labelled(MORE)
+    points = corrected.labeled(MORE)
     shown = points.albedo[np.abs(points.roughness - 0.9) < 1e-5].mean(0)
     learned, listed = (np.array(each.listed()[gold].albedo) for each in (materials, corrected))
     assert np.abs(listed - shown).max() < 0.3 * np.abs(learned - shown).max()

@@ -42,11 +42,11 @@ def test_metal_and_paint_of_one_color_are_told_apart_in_any_light(color):
     assert said(photos(GOLD, 0.0, color), color, group) == [-1.0]
 
 
-def test_grey_says_nothing_nor_do_few_places():
+def test_gray_says_nothing_nor_do_few_places():
     white, group = torch.ones(3), torch.zeros(N, dtype=torch.int64)
-    grey = torch.tensor([0.7, 0.68, 0.66])
+    gray = torch.tensor([0.7, 0.68, 0.66])
     for metallic in (0.0, 1.0):
-        assert abs(said(photos(grey, metallic, white), white, group)[0]) < 0.1
+        assert abs(said(photos(gray, metallic, white), white, group)[0]) < 0.1
     few = 14 * PHOTOS
     assert said(photos(GOLD, 1.0, white, few), white, group[:few]) == [0.0]
     alone = np.arange(N)  # a place of one sample

@@ -179,7 +179,7 @@ def test_a_least_residual_at_the_mirror_and_no_margin_give_the_mirror():
     assert roughness_of([rising], margin=0.0) == pytest.approx([0.03])
 
 
-def test_a_grey_paint_and_few_samples_say_nothing():
+def test_a_gray_paint_and_few_samples_say_nothing():
     assert found(0.3, torch.tensor([0.5, 0.48, 0.46])) is None
     assert found(0.3, samples=ALL[:90]) is None
 

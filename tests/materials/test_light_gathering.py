@@ -71,8 +71,8 @@ def lit(two_balls):
 def painted(lit, true_gain):
     """The samples as a body of 30 paints shows them in `true_gain` times the unseen light, their segments, and the light."""
     position, generator = torch.from_numpy(lit.samples.position), torch.Generator().manual_seed(4)
-    centres = position[torch.randperm(len(position), generator=generator)[:30]]
-    field = torch.cdist(position, centres).argmin(1)
+    centers = position[torch.randperm(len(position), generator=generator)[:30]]
+    field = torch.cdist(position, centers).argmin(1)
     albedo = 0.2 + 0.6 * torch.rand(30, 3, generator=generator)
     paint = Material(albedo[field], torch.full((len(field),), 0.3), torch.zeros(len(field)))
     known, both = lit.known, lit.light
@@ -117,14 +117,14 @@ def test_a_speck_of_gold_is_not_outvoted_by_the_paint_around_it(lit):
     of_paint = Segments.of(position[~gold].numpy(), np.zeros((int((~gold).sum()), 3)), 200, 0)
     label = torch.zeros(n, dtype=torch.int64)
     label[~gold] = 1 + torch.from_numpy(of_paint.label)
-    centre = features(position[gold].mean(0, keepdim=True).numpy(), np.zeros((1, 3)))  # no color tells them apart
-    segments = Segments(np.concatenate([centre, of_paint.centre]), label.numpy())
+    center = features(position[gold].mean(0, keepdim=True).numpy(), np.zeros((1, 3)))  # no color tells them apart
+    segments = Segments(np.concatenate([center, of_paint.center]), label.numpy())
     found = fit_segments(lit.light, radiance, label, segments, LIT)
     assert found.metallic[0] == 1
     assert float(found.metallic[1:].mean()) < 0.03
 
 
-def test_more_samples_have_the_same_light_as_their_neighbours(two_balls, lit):
+def test_more_samples_have_the_same_light_as_their_neighbors(two_balls, lit):
     seen, light = two_balls
     first, total = len(seen.samples), len(lit.samples)
     assert total == len(lit.light.diffuse) == 2 * first

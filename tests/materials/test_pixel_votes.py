@@ -53,7 +53,7 @@ def test_samples_predict_each_other_in_slow_light_and_not_in_fast_light():
     slow = light(samples.position, samples.photo)[:, None] * ALBEDO
     assert np.median(left_out_error(samples, slow)) < 0.01
     fast = np.random.default_rng(1).uniform(0, 1, (600, 1, 3)).repeat(2, 1)  # from sample to sample another
-    # |mean of four - one| of uniform numbers: between 1/4 (the mean known) and 1/3 (one neighbour alone)
+    # |mean of four - one| of uniform numbers: between 1/4 (the mean known) and 1/3 (one neighbor alone)
     assert 0.25 < left_out_error(samples, fast).mean() < 1 / 3
 
 

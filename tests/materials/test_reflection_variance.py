@@ -72,7 +72,7 @@ def test_a_crease_beside_the_pixel_does_not_count(pixels):
     assert WIDTH**2 / 12 < 1.01 * variance < 1.5**2 * WIDTH**2 / 12
 
 
-def test_there_is_an_edge_where_a_neighbour_misses_the_mesh():
+def test_there_is_an_edge_where_a_neighbor_misses_the_mesh():
     edge, variance = seen(plane(end=0.5), 0.5 - WIDTH * HEIGHT)
     assert edge and np.isfinite(variance)
 

@@ -7,12 +7,12 @@ from scipy.spatial import cKDTree
 
 from blender_nep.geometry.mesh import Surface
 from blender_nep.materials.baking import (
-    LabelledPoints,
+    LabeledPoints,
     Places,
     bake,
     kernel,
     labels_at,
-    neighbours,
+    neighbors,
     on_same_side,
     weighted_mean,
 )
@@ -31,7 +31,7 @@ def wall(thickness: float) -> Surface:
     return Surface(np.concatenate(sides), faces, normals, uv)
 
 
-def labelled(thickness: float, outer: int, inner: int) -> LabelledPoints:
+def labeled(thickness: float, outer: int, inner: int) -> LabeledPoints:
     random, n = np.random.default_rng(0), outer + inner
     up = np.where(np.arange(n) < outer, 1.0, -1.0)
     position = np.c_[random.uniform(size=(n, 2)), up * thickness / 2]
@@ -39,12 +39,12 @@ def labelled(thickness: float, outer: int, inner: int) -> LabelledPoints:
     albedo = np.where(up[:, None] > 0, OUTSIDE, INSIDE)
     photo = np.where(up > 0, random.integers(20, size=n), 0)
     zero = np.zeros(n)
-    return LabelledPoints(position, normal, photo, albedo, 0.5 + 0.2 * up, zero, zero)
+    return LabeledPoints(position, normal, photo, albedo, 0.5 + 0.2 * up, zero, zero)
 
 
 @pytest.mark.parametrize(("inner", "most_wrong"), [(4000, 0.02), (2000, 0.2)])
 def test_paint_does_not_come_through_a_wall(inner, most_wrong):
-    surface, points = wall(0.01), labelled(0.01, 4000, inner)
+    surface, points = wall(0.01), labeled(0.01, 4000, inner)
     albedo, roughness, _, confidence = bake(surface, points, 64)
     left, right = (slice(None), slice(0, 31)), (slice(None), slice(33, 64))
     outer = (np.abs(albedo[left] - OUTSIDE).max(-1) > 1e-6) | (np.abs(roughness[left] - 0.7) > 1e-6)
@@ -58,7 +58,7 @@ def test_neighbors_of_a_smooth_surface_stay_as_they_are():
     random = np.random.default_rng(1)
     normal = random.normal(size=(500, 3))
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)
-    distance, index = neighbours(cKDTree(normal), normal, 16)
+    distance, index = neighbors(cKDTree(normal), normal, 16)
     same = on_same_side((distance, index), Places(normal, normal), Places(normal, normal))
     assert same[0] is distance and same[1] is index
 
@@ -68,7 +68,7 @@ def test_the_two_sides_of_a_groove_are_neighbors():
     random = np.random.default_rng(2)
     side = np.repeat([1.0, -1.0], 200)
     position = np.c_[random.uniform(size=(400, 2)), 0.005 * side]
-    found = neighbours(cKDTree(position), position, 16)
+    found = neighbors(cKDTree(position), position, 16)
     groove, thin = (Places(position, np.c_[np.zeros((400, 2)), turn * side]) for turn in (-1, 1))
     assert on_same_side(found, groove, groove)[0] is found[0]
     assert np.isinf(on_same_side(found, thin, thin)[0]).mean() == pytest.approx(0.5, abs=0.05)
@@ -85,7 +85,7 @@ def test_weights_of_neighbors_that_do_not_count():
 
 
 def test_a_point_takes_the_label_of_its_own_side():
-    known = labelled(0.01, 400, 400)
+    known = labeled(0.01, 400, 400)
     at = torch.tensor([[0.3, 0.3, -0.005], [0.6, 0.6, 0.005]], dtype=torch.float64)
     normal = torch.tensor([[0.0, 0, -1], [0.0, 0, 1]], dtype=torch.float64)
     points = SurfacePoints(at, np.zeros(2, int), normal, normal)

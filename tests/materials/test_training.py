@@ -8,8 +8,8 @@ import pytest
 import torch
 
 from blender_nep.errors import LearningError
-from blender_nep.geometry.uv_raster import rasterise
-from blender_nep.materials.baking import LabelledPoints, bake
+from blender_nep.geometry.uv_raster import rasterize
+from blender_nep.materials.baking import LabeledPoints, bake
 from support.lit_ball import (
     PRESET,
     AnalyticEnvironment,
@@ -48,7 +48,7 @@ def test_paint_and_metal_are_told_apart_where_they_lie(ball):
         return red + (pale - red) * metal[:, None], 0.15 + 0.1 * metal, metal
 
     result = learn(ball, make_photos(two))
-    face, barycentric = rasterise(ball.uv, ball.faces, len(result.metallic))
+    face, barycentric = rasterize(ball.uv, ball.faces, len(result.metallic))
     known = face >= 0
     points = np.einsum("nc,nck->nk", barycentric[known], ball.vertices[ball.faces[face[known]]])
     clear = np.abs(points[:, 0]) > 0.05
@@ -64,11 +64,11 @@ def test_textures_do_not_depend_on_the_block_and_faces_that_no_photo_shows_have_
     at = random.integers(len(ball.vertices), size=300)
     position, normal = ball.vertices[at].astype(np.float32), ball.normals[at].astype(np.float32)
     material = (random.random(shape).astype(np.float32) for shape in ((300, 3), 300, 300, 300))
-    evidence = LabelledPoints(position, normal, random.integers(9, size=300), *material)
+    evidence = LabeledPoints(position, normal, random.integers(9, size=300), *material)
     whole = bake(ball, evidence, 64)
     shown = ball.vertices[ball.faces].mean(1)[:, 2] > 0
     *same, confidence = bake(ball, evidence, 64, shown)
-    face = rasterise(ball.uv, ball.faces, 64)[0]
+    face = rasterize(ball.uv, ball.faces, 64)[0]
     inside, on_shown = face >= 0, shown[np.maximum(face, 0)]
     assert (confidence[inside & ~on_shown] == 0).all() and (confidence[inside & on_shown] > 0).all()
     assert np.array_equal(confidence[inside & on_shown], whole[-1][inside & on_shown])

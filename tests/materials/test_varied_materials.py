@@ -8,7 +8,7 @@ import pytest
 import torch
 from scipy.spatial import cKDTree
 
-from blender_nep.geometry.uv_raster import rasterise
+from blender_nep.geometry.uv_raster import rasterize
 from blender_nep.materials import training
 from blender_nep.materials.photo_samples import PhotoSamples
 from blender_nep.materials.pixel_votes import Surfels
@@ -22,8 +22,8 @@ BRONZE, PATINA = torch.tensor([0.62, 0.4, 0.22]), torch.tensor([0.27, 0.43, 0.34
 
 def fields(points):
     """The number of the field [n] of each point: 24 fields around random centers."""
-    centre = torch.nn.functional.normalize(torch.randn(24, 3, generator=torch.Generator().manual_seed(5)), dim=-1)
-    return torch.cdist(points / RADIUS, centre).argmin(1)
+    center = torch.nn.functional.normalize(torch.randn(24, 3, generator=torch.Generator().manual_seed(5)), dim=-1)
+    return torch.cdist(points / RADIUS, center).argmin(1)
 
 
 def many_paints(points):
@@ -44,7 +44,7 @@ def patina(points):
 
 def errors(ball, result, materials):
     """Mean squared errors of albedo, roughness and metallic over the texels of the charts."""
-    face, barycentric = rasterise(ball.uv, ball.faces, len(result.metallic))
+    face, barycentric = rasterize(ball.uv, ball.faces, len(result.metallic))
     known = face >= 0
     points = np.einsum("nc,nck->nk", barycentric[known], ball.vertices[ball.faces[face[known]]])
     true = materials(torch.from_numpy(points).float())
@@ -76,7 +76,7 @@ def test_many_paints_and_gold_leaf_get_materials_of_their_own(ball, photos_of_pa
 def test_paint_does_not_follow_the_light(ball, varied):
     """The error of the albedo must not follow the irradiance: light and shade are not paint."""
     result = varied
-    face, barycentric = rasterise(ball.uv, ball.faces, len(result.metallic))
+    face, barycentric = rasterize(ball.uv, ball.faces, len(result.metallic))
     known = face >= 0
     points = torch.from_numpy(np.einsum("nc,nck->nk", barycentric[known], ball.vertices[ball.faces[face[known]]])).float()
     true, _, metal = many_paints(points)

@@ -84,7 +84,7 @@ def sphere_coefficients():
 
 
 def rays_at(distance, count, spread):
-    """Rays from a sphere of that radius to places near the centre, and where they enter and leave the unit sphere."""
+    """Rays from a sphere of that radius to places near the center, and where they enter and leave the unit sphere."""
     generator = torch.Generator().manual_seed(3)
     origins = torch.nn.functional.normalize(torch.randn(count, 3, generator=generator), dim=-1) * distance
     aim = torch.randn(count, 3, generator=generator) * spread

@@ -12,7 +12,7 @@ from blender_nep.ops.environment_rendering import EnvironmentVolume, render_envi
 from blender_nep.ops.environment_rendering_torch import interpolate
 from blender_nep.ops.environment_segments import RaySegments, contract_segments, contracted_length, contracted_radius
 from blender_nep.ops.environment_smoothness import total_variation
-from blender_nep.ops.environment_weights import from_weights, weights_from_centre
+from blender_nep.ops.environment_weights import from_weights, weights_from_center
 
 RADIUS = 2.5
 """The contraction radius. Rays of `random_rays` begin inside and outside it."""
@@ -111,7 +111,7 @@ def test_neglecting_little_changes_little():
 
 
 def along_ray(origin, direction, near, far, steps=40_001):
-    """Brute force: (distances |x| from the centre [m], contracted lengths [m]) of m short pieces of a ray. Far may be inf.
+    """Brute force: (distances |x| from the center [m], contracted lengths [m]) of m short pieces of a ray. Far may be inf.
 
     The pieces have equal steps of 1 / (1 + t - near), so that they also reach infinity.
     """
@@ -245,7 +245,7 @@ def test_what_is_not_a_number_has_no_value_and_ends_nothing():
 
 
 def test_interpolation_is_smooth_over_pole_and_seam():
-    """z is smooth on the sphere: a cell-centred grid of it interpolates to z everywhere, also across pole and seam."""
+    """z is smooth on the sphere: a cell-centered grid of it interpolates to z everywhere, also across pole and seam."""
     rows = 64
     theta = (torch.arange(rows).double() + 0.5) * math.pi / rows
     phi = (torch.arange(2 * rows).double() + 0.5) * math.pi / rows - math.pi
@@ -295,9 +295,9 @@ def test_nothing_left_to_see_is_opaque_and_keeps_its_color():
     torch.testing.assert_close(out[1:], weighted[1, 0, 0].expand(3, 5))
 
 
-def test_weights_from_the_centre_are_what_rays_from_there_see():
+def test_weights_from_the_center_are_what_rays_from_there_see():
     raw, rows = random_grid(7, 8, 1).float(), 16
-    weights = weights_from_centre(raw, torch.ones(7, 8, 16), 2.0, LENGTH / 6, rows)
+    weights = weights_from_center(raw, torch.ones(7, 8, 16), 2.0, LENGTH / 6, rows)
     torch.testing.assert_close(weights[..., 3].sum(0), torch.ones(rows, 2 * rows))
     torch.testing.assert_close(weights[..., 4], weights[..., 3])
     theta = (torch.arange(rows) + 0.5) * math.pi / rows
@@ -305,7 +305,7 @@ def test_weights_from_the_centre_are_what_rays_from_there_see():
     theta, phi = torch.meshgrid(theta, phi, indexing="ij")
     directions = torch.stack([theta.sin() * phi.cos(), theta.sin() * phi.sin(), theta.cos()], -1).reshape(-1, 3)
     n = len(directions)
-    # along a ray just beside the centre, from the border outwards
+    # along a ray just beside the center, from the border outwards
     origins = 1e-3 * torch.linalg.cross(directions, torch.tensor([[0.36, 0.48, 0.8]]).expand(n, 3))
     radiance, _ = render(raw, (origins, directions, torch.ones(n), torch.full((n,), math.inf)), step=0.01)
     seen = weights[..., :3].sum(0).reshape(-1, 3)

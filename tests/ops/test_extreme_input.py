@@ -33,7 +33,7 @@ LOW = (torch.bfloat16, torch.float16)
 
 
 def rays_from(distance: float, n: int, seed: int, dtype=torch.float32) -> tuple[torch.Tensor, torch.Tensor]:
-    """Rays from `distance` towards, past and, one in four, exactly through the object's centre."""
+    """Rays from `distance` towards, past and, one in four, exactly through the object's center."""
     generator = torch.Generator().manual_seed(seed)
     origins = torch.nn.functional.normalize(torch.randn(n, 3, generator=generator, dtype=torch.float64), dim=-1) * distance
     aim = 1.5 * torch.randn(n, 3, generator=generator, dtype=torch.float64)
@@ -80,7 +80,7 @@ def test_extreme_environments_render_finitely_and_alike(seed, density, color, sp
         results.append((radiance.detach(), passed.detach(), raw.grad))
     for ours, reference in zip(*results, strict=True):
         assert torch.isfinite(ours).all() and torch.isfinite(reference).all()
-        # rays through the centre itself are bent by b >= 1e-3 in one body: 5e-7 of a radius, times the field's slope
+        # rays through the center itself are bent by b >= 1e-3 in one body: 5e-7 of a radius, times the field's slope
         torch.testing.assert_close(ours, reference, rtol=1e-4, atol=1e-4 * max(1e-2, float(reference.abs().max())))
     assert (results[0][1] >= 0).all() and (results[0][1] <= 1 + 1e-12).all()
 

@@ -110,7 +110,7 @@ def test_our_shading_is_that_of_cycles(reference, index):
     distance, face, barycentric = tracer.intersect(origins, directions)
     facing = np.abs(tracer.face_normals[np.maximum(face, 0)] @ directions[0])
     seen = np.flatnonzero(np.isfinite(distance) & (facing > 0.35) & (image[..., 3].ravel() > 0.999))
-    if bounces:  # pixels in which the depth is not smooth see more than their centre's surface
+    if bounces:  # pixels in which the depth is not smooth see more than their center's surface
         depth = np.where(np.isfinite(distance), distance, 9).reshape(SIZE, SIZE)
         jump = np.max([np.abs(depth - np.roll(depth, s, a)) for s in (1, -1) for a in (0, 1)], axis=0).ravel()
         seen = seen[jump[seen] < 0.08]

@@ -1,4 +1,4 @@
-"""The mean of the irradiance over neighbours: against a search of all pairs, and against a lamp of known irradiance."""
+"""The mean of the irradiance over neighbors: against a search of all pairs, and against a lamp of known irradiance."""
 
 import numpy as np
 import pytest

@@ -10,7 +10,7 @@ from blender_nep.geometry.ray_tracing import RayTracer
 from blender_nep.geometry.support import Support
 from blender_nep.shading.plenoptic import PlenopticFunction, PlenopticSettings, TerminalRadiance
 from blender_nep.shading.support_light import SupportLight, filled
-from support.table_scene import BALL, CENTRE, HEIGHT, pattern, write_table_scene
+from support.table_scene import BALL, CENTER, HEIGHT, pattern, write_table_scene
 
 SUPPORT = Support(np.array([0.0, 0.0, 1.0]), HEIGHT)
 
@@ -20,7 +20,7 @@ def scene(tmp_path_factory):
     """The light of the table under the ball, and the ball's ray tracer."""
     folder = write_table_scene(tmp_path_factory.mktemp("table") / "capture")
     rays = PixelRays.from_capture(load_capture(folder), 10_000, False, torch.device("cpu"))
-    ball = trimesh.creation.icosphere(subdivisions=4, radius=BALL).apply_translation(CENTRE)
+    ball = trimesh.creation.icosphere(subdivisions=4, radius=BALL).apply_translation(CENTER)
     tracer = RayTracer(ball.vertices, ball.faces)
     return SupportLight.of(SUPPORT, rays, tracer), tracer, np.asarray(ball.vertex_normals)
 
@@ -28,7 +28,7 @@ def scene(tmp_path_factory):
 def cones(radius, half_angle, n=400):
     """Cones from below the ball's equator down to places at this distance from the point of contact."""
     angle = np.linspace(0, 2 * np.pi, n, endpoint=False)
-    target = CENTRE * [1, 1, 0] + np.stack([radius * np.cos(angle), radius * np.sin(angle), np.full(n, HEIGHT)], 1)
+    target = CENTER * [1, 1, 0] + np.stack([radius * np.cos(angle), radius * np.sin(angle), np.full(n, HEIGHT)], 1)
     origin = target + np.array([0, 0, 0.2])
     tensors = [
         torch.from_numpy(x.astype(np.float32)) for x in (origin, np.tile([0, 0, -1.0], (n, 1)), np.full(n, half_angle))
@@ -69,13 +69,13 @@ def test_the_object_is_lit_by_the_table_in_the_sphere_and_by_the_environment_els
     light, tracer, normals = scene
     f_p = PlenopticFunction(tracer, normals, Nothing(), TerminalRadiance(), PlenopticSettings(1, 8, 4), "cpu")
     down = torch.tensor([[0.0, 0.0, -1.0]])
-    _, face, barycentric = tracer.intersect((CENTRE + np.array([[0.3, 0.0, -1.0]])).astype(np.float32), -down.numpy())
+    _, face, barycentric = tracer.intersect((CENTER + np.array([[0.3, 0.0, -1.0]])).astype(np.float32), -down.numpy())
     start = f_p.points(face, barycentric, down)
     assert f_p.trace(start, down, torch.tensor([0.05])).coverage == 0
     f_p.support_light = light
     traced = f_p.trace(start, down, torch.tensor([0.05]))
     assert traced.coverage == 1
-    below = np.array([[CENTRE[0] + 0.3, 0.0, HEIGHT]])
+    below = np.array([[CENTER[0] + 0.3, 0.0, HEIGHT]])
     np.testing.assert_allclose(traced.radiance.numpy(), pattern(below), atol=0.1)
 
 

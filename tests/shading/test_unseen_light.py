@@ -24,7 +24,7 @@ def directions(n: int, seed: int) -> torch.Tensor:
     return torch.nn.functional.normalize(torch.randn(n, 3, generator=torch.Generator().manual_seed(seed)), dim=-1)
 
 
-def centres(rows: int) -> torch.Tensor:
+def centers(rows: int) -> torch.Tensor:
     """Directions [rows, 2 rows, 3] of an equirectangular map's texels, in Blender's orientation."""
     polar = (torch.arange(rows) + 0.5) * math.pi / rows
     around = (0.5 - (torch.arange(2 * rows) + 0.5) / (2 * rows)) * 2 * math.pi
@@ -55,7 +55,7 @@ def test_levels_keep_the_flux_of_the_map():
 @pytest.mark.parametrize("half_angle", [0.02, 0.2, 0.5])
 def test_a_cone_returns_the_mean_over_its_directions(half_angle):
     light = UnseenLight(32, math.inf, "cpu")
-    light.radiance = smooth(centres(32))
+    light.radiance = smooth(centers(32))
     axis = directions(200, 1)
     found = light(torch.zeros(200, 3), axis, torch.full((200,), half_angle))
     generator = torch.Generator().manual_seed(2)
@@ -73,11 +73,11 @@ def test_a_cone_returns_the_mean_over_its_directions(half_angle):
     assert ((found - truth).abs() / truth).mean() < 0.03
 
 
-def test_a_near_lamp_is_seen_where_it_is_from_off_the_centre():
+def test_a_near_lamp_is_seen_where_it_is_from_off_the_center():
     rows, radius = 64, 4.0
     lamp = torch.tensor([0.6, 0.64, 0.48])
     light = UnseenLight(rows, radius, "cpu")
-    light.radiance = torch.exp((centres(rows) @ lamp - 1) * 200)[..., None].expand(-1, -1, 3).contiguous()
+    light.radiance = torch.exp((centers(rows) @ lamp - 1) * 200)[..., None].expand(-1, -1, 3).contiguous()
     origin = 0.8 * directions(50, 4)
     towards = torch.nn.functional.normalize(radius * lamp - origin, dim=-1)
     angle = torch.full((50,), 0.01)
@@ -91,7 +91,7 @@ def test_a_near_lamp_is_seen_where_it_is_from_off_the_centre():
 @pytest.mark.parametrize("half_angle", [0.02, 0.3, 0.9])
 def test_what_photos_show_does_not_count_in_the_mean_over_a_cone(half_angle):
     light = UnseenLight(32, math.inf, "cpu")
-    shown = centres(32)[..., 2] < 0
+    shown = centers(32)[..., 2] < 0
     light.radiance = torch.where(shown, 7.0, 2.0)[..., None].expand(-1, -1, 3).contiguous()
     light.missing = torch.where(shown, 1e-3, 1.0)
     axis = directions(300, 9)
@@ -102,17 +102,17 @@ def test_what_photos_show_does_not_count_in_the_mean_over_a_cone(half_angle):
     torch.testing.assert_close(again.equirect(64)[:31], torch.full((31, 128, 3), 2.0), atol=0.05, rtol=0)
 
 
-def test_seen_from_the_centre_it_is_the_map():
+def test_seen_from_the_center_it_is_the_map():
     light = UnseenLight(16, 3.0, "cpu")
-    light.radiance = smooth(centres(16))
+    light.radiance = smooth(centers(16))
     torch.testing.assert_close(light.equirect(16), light.radiance)
     fine = light.equirect(64)
     assert fine.shape == (64, 128, 3)
-    assert ((fine - smooth(centres(64))).abs()[4:-4] < 0.15).all()
+    assert ((fine - smooth(centers(64))).abs()[4:-4] < 0.15).all()
 
 
 class DarkCeiling:
-    """An environment of grey walls whose upper part no photo shows: there it is black and not covered."""
+    """An environment of gray walls whose upper part no photo shows: there it is black and not covered."""
 
     def query_cone(self, origins, direction, half_angle):
         seen = (direction[:, 2] < 0.3).float()
@@ -149,7 +149,7 @@ def ball():
 
 def lamp(rows: int) -> UnseenLight:
     light = UnseenLight(rows, 4.0, "cpu")
-    light.radiance = 10 * (centres(rows) @ torch.tensor([0.48, 0.0, 0.877]) > 0.95)[..., None].expand(-1, -1, 3).float()
+    light.radiance = 10 * (centers(rows) @ torch.tensor([0.48, 0.0, 0.877]) > 0.95)[..., None].expand(-1, -1, 3).float()
     return light
 
 

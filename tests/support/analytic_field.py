@@ -28,9 +28,9 @@ class AnalyticField(torch.nn.Module):
         return self.function(grid).reshape(n, n, n).numpy()
 
 
-def ball(centre, radius):
+def ball(center, radius):
     """The SDF of a ball."""
-    return lambda p: (p - torch.tensor(centre, dtype=p.dtype)).norm(dim=-1) - radius
+    return lambda p: (p - torch.tensor(center, dtype=p.dtype)).norm(dim=-1) - radius
 
 
 def union(*parts):

@@ -1,4 +1,4 @@
-"""Stages that learn nothing and always give a grey ball, for the tests of the job around them."""
+"""Stages that learn nothing and always give a gray ball, for the tests of the job around them."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class BallFields(FieldsStage):
         return {"report": result.report}
 
     def unpack(self, state, given):
-        return SimpleNamespace(object_field="ball", environment=GreyLight(), support=None, report=state["report"])
+        return SimpleNamespace(object_field="ball", environment=GrayLight(), support=None, report=state["report"])
 
 
 class BallSurface(SurfaceStage):
@@ -61,7 +61,7 @@ class BallMaterials(MaterialsStage):
 
 
 class BallStages(Stages):
-    """Stages that count steps instead of learning, and give a grey ball."""
+    """Stages that count steps instead of learning, and give a gray ball."""
 
     def __init__(self, steps: int = 5, on_step=None, fail: Exception | None = None) -> None:
         super().__init__(BallFields(self), BallSurface(self), BallMaterials(self))
@@ -86,14 +86,14 @@ class BallStages(Stages):
         if self.fail is not None:
             raise self.fail
         report = {"loss": 0.1, "skipped": {str(Part.VOTES): WHY.state()}}
-        return SimpleNamespace(object_field="ball", environment=GreyLight(), support=None, report=report)
+        return SimpleNamespace(object_field="ball", environment=GrayLight(), support=None, report=report)
 
     def learn_materials(self, given, progress, checkpoint):
         self._loop("material_learning", progress, checkpoint)
         return Materials(**ball_textures(), report={"texels": 64})
 
 
-class GreyLight:
+class GrayLight:
     """A uniform environment."""
 
     coverage = 1.0

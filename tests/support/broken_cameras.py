@@ -62,18 +62,18 @@ mirrored_places = _every_matrix(lambda matrix: np.concatenate([matrix[:, :3], np
 opencv_axes = _every_matrix(lambda matrix: matrix * [1, -1, -1, 1])
 """OpenCV's cameras look along +z"""
 world_to_camera = _every_matrix(np.linalg.inv)
-millimetres = _every_matrix(_moved(1000.0))
-kilometres = _every_matrix(_moved(0.001))
+millimeters = _every_matrix(_moved(1000.0))
+kilometers = _every_matrix(_moved(0.001))
 
 
-def all_in_millimetres(shoot: Shoot) -> None:
-    """Cameras and the object's sphere are in millimetres, which is as good as metres."""
+def all_in_millimeters(shoot: Shoot) -> None:
+    """Cameras and the object's sphere are in millimeters, which is as good as meters."""
     changed = [_with(camera, _moved(1000.0)(camera.camera_to_world)) for camera in shoot.truth]
     shoot.capture(changed, object_center=1000 * CENTER, object_radius=1000 * RADIUS)
 
 
 def one_far_away(shoot: Shoot) -> None:
-    """The position of one camera is in millimetres."""
+    """The position of one camera is in millimeters."""
     changed = [_with(c, _moved(1000.0 if n == 3 else 1.0)(c.camera_to_world)) for n, c in enumerate(shoot.truth)]
     shoot.capture(changed)
 

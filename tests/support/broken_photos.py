@@ -172,7 +172,7 @@ def other_files_beside(shoot: Shoot) -> None:
 
 
 def kinds_of_pixels(shoot: Shoot) -> None:
-    """CMYK, grey, a palette, one with transparency, alpha, grey with alpha, 16 bits in one channel, 16 bits in three."""
+    """CMYK, gray, a palette, one with transparency, alpha, gray with alpha, 16 bits in one channel, 16 bits in three."""
     pictures = shoot.room.pictures
     shoot.put(0, pictures[0].convert("CMYK"))
     shoot.put(1, pictures[1].convert("L"))
@@ -231,10 +231,10 @@ def two_mirrored(shoot: Shoot) -> None:
         shoot.put(number, shoot.room.pictures[number].transpose(Image.Transpose.FLIP_LEFT_RIGHT))
 
 
-def film_length(millimetres: float) -> Image.Exif:
+def film_length(millimeters: float) -> Image.Exif:
     """EXIF with a focal length in 35 mm film."""
     exif = Image.Exif()
-    exif.get_ifd(_EXIF)[_FILM_LENGTH] = millimetres
+    exif.get_ifd(_EXIF)[_FILM_LENGTH] = millimeters
     return exif
 
 

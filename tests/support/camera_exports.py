@@ -23,15 +23,15 @@ NAMES = ["a.png", "b 2.png", "c.png", "d.png"]
 TARGET = np.array([0.4, -0.3, 0.2])
 
 
-def known_cameras(lens: Lens = NO_DISTORTION, *, centred: bool = False, square: bool = True) -> list[Camera]:
-    """Four cameras around TARGET, each rolled and with a focal length of its own. `centred`: cx, cy are the middle."""
+def known_cameras(lens: Lens = NO_DISTORTION, *, centered: bool = False, square: bool = True) -> list[Camera]:
+    """Four cameras around TARGET, each rolled and with a focal length of its own. `centered`: cx, cy are the middle."""
     cameras = []
     for i in range(len(NAMES)):
         turn, roll = 1.4 * i, 0.3 + 0.5 * i
         matrix = look_at(TARGET + np.array([3 * np.cos(turn), 3 * np.sin(turn), 0.4 + 0.5 * i]), TARGET)
         c, s = np.cos(roll), np.sin(roll)
         matrix[:3, :3] = matrix[:3, :3] @ [[c, -s, 0], [s, c, 0], [0, 0, 1]]
-        cx, cy = (WIDTH / 2, HEIGHT / 2) if centred else (WIDTH / 2 + 1.7, HEIGHT / 2 - 2.3)
+        cx, cy = (WIDTH / 2, HEIGHT / 2) if centered else (WIDTH / 2 + 1.7, HEIGHT / 2 - 2.3)
         focal = 70.0 + 3 * i
         cameras.append(Camera(WIDTH, HEIGHT, focal if square else focal + 1.5, focal, cx, cy, matrix, lens))
     return cameras

@@ -48,7 +48,7 @@ def write_exr(path: Path, pixels: np.ndarray) -> None:
 
 @dataclass
 class TinyCapture:
-    """A folder with a capture of a grey ball of radius `ball` before a gradient, and its transforms as a dict."""
+    """A folder with a capture of a gray ball of radius `ball` before a gradient, and its transforms as a dict."""
 
     folder: Path
     meta: dict

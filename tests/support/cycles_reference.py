@@ -41,7 +41,7 @@ scene.collection.objects.link(eye)
 scene.camera, scene.world = eye, build_world(Path(light), name="light")
 scene.render.engine, scene.cycles.device = "CYCLES", "CPU"
 scene.cycles.samples, scene.cycles.use_adaptive_sampling, scene.cycles.use_denoising = SAMPLES, False, False
-scene.cycles.filter_width = 0.01  # a pixel is what its own centre sees, as far as Cycles allows
+scene.cycles.filter_width = 0.01  # a pixel is what its own center sees, as far as Cycles allows
 scene.cycles.sample_clamp_indirect = scene.cycles.sample_clamp_direct = 0
 scene.cycles.max_bounces = scene.cycles.diffuse_bounces = scene.cycles.glossy_bounces = int(data["bounces"])
 scene.render.film_transparent = True

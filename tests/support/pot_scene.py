@@ -32,7 +32,7 @@ def pot(points: np.ndarray, wall: float) -> np.ndarray:
 
 
 def in_cells(distance) -> np.ndarray:
-    """A distance function at the centres of the cells of [-1, 1]^3: [64, 64, 64] float32."""
+    """A distance function at the centers of the cells of [-1, 1]^3: [64, 64, 64] float32."""
     return distance(np.stack(np.meshgrid(AXIS, AXIS, AXIS, indexing="ij"), -1)).astype(np.float32)
 
 

@@ -20,18 +20,18 @@ BALLS = (((0.0, 0.0, -0.4), 0.6), ((1.3, 0.4, -0.6), 0.4), ((-0.9, 1.0, -0.65), 
 
 
 def printed(points: np.ndarray, seed: int) -> np.ndarray:
-    """Grey [n] of a print whose cells repeat nowhere: a hash of the cell, for each of CELLS."""
-    grey = np.zeros(len(points))
+    """Gray [n] of a print whose cells repeat nowhere: a hash of the cell, for each of CELLS."""
+    gray = np.zeros(len(points))
     for scale in CELLS:
         cell = np.floor(points * scale + 0.31).astype(np.int64)
         mixed = (cell * [73856093, 19349663, 83492791]).sum(1) ^ (seed * 2654435761)
         mixed = (mixed ^ (mixed >> 13)) * 1274126177
-        grey += ((mixed ^ (mixed >> 16)) & 255) / 255
-    return 0.1 + 0.8 * grey / len(CELLS)
+        gray += ((mixed ^ (mixed >> 16)) & 255) / 255
+    return 0.1 + 0.8 * gray / len(CELLS)
 
 
-def grey(origin: np.ndarray, directions: np.ndarray, seed: int) -> np.ndarray:
-    """What rays from `origin` [3] along unit directions [n, 3] see: balls, the floor at -1, or a grey sky."""
+def gray(origin: np.ndarray, directions: np.ndarray, seed: int) -> np.ndarray:
+    """What rays from `origin` [3] along unit directions [n, 3] see: balls, the floor at -1, or a gray sky."""
     nearest = np.where(directions[:, 2] < -1e-6, (-1 - origin[2]) / np.minimum(directions[:, 2], -1e-6), np.inf)
     for center, radius in BALLS:
         middle = np.array(center) - origin
@@ -59,7 +59,7 @@ def photograph(seen_by: Camera, seed: int = 0, samples: int = 3) -> Image.Image:
     for i in range(samples):
         for j in range(samples):
             row, column = np.mgrid[:HEIGHT, :WIDTH].reshape(2, -1) + np.array([[i + 0.5], [j + 0.5]]) / samples
-            total += grey(seen_by.position, seen_by.directions(column, row), seed)
+            total += gray(seen_by.position, seen_by.directions(column, row), seed)
     return Image.fromarray(np.round(255 * total.reshape(HEIGHT, WIDTH) / samples**2).astype(np.uint8))
 
 

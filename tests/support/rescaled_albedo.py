@@ -30,7 +30,7 @@ def check_rescaled_albedo():
     above[2, 3] = 3.0
     frame = Frame(Path("none.png"), 8, 8, 40.0, 40.0, 4.0, 4.0, above, "linear", (1.0, 1.0, 1.0))
     with RelitScene(plane, 8, 8, 16) as scene:
-        world = bpy.data.worlds.new("grey")
+        world = bpy.data.worlds.new("gray")
         before = scene.render(frame, world).mean((0, 1))
         scale_base_color(plane, factors)
         after = scene.render(frame, world).mean((0, 1))

@@ -11,7 +11,7 @@ from support.captures import camera_ring, write_exr
 
 HEIGHT, BALL = -0.6, 0.45
 """Height of the table, and radius of the ball that touches it"""
-CENTRE = np.array([0.1, 0.0, HEIGHT + BALL])
+CENTER = np.array([0.1, 0.0, HEIGHT + BALL])
 SIZE, FOCAL = 72, 90.0
 
 
@@ -23,7 +23,7 @@ def pattern(points: np.ndarray) -> np.ndarray:
 
 def shadow(points: np.ndarray) -> np.ndarray:
     """Linear radiance [n, 3] of points [n, 3] of a plain table, which is darker near the foot of the ball."""
-    away = np.linalg.norm(points[:, :2] - CENTRE[:2], axis=1)
+    away = np.linalg.norm(points[:, :2] - CENTER[:2], axis=1)
     return np.array([0.2, 0.3, 0.35]) * (1 - 0.8 * np.exp(-((away / 0.4) ** 2)))[:, None]
 
 
@@ -47,8 +47,8 @@ def colors(origin: np.ndarray, directions: np.ndarray, radius: float, plain: boo
     points = origin + ((HEIGHT - origin[2]) / np.minimum(directions[:, 2], -1e-6))[:, None] * directions
     met = (directions[:, 2] < 0) & (np.hypot(points[:, 0], points[:, 1]) < radius)
     color[met] = glossy_checkers(points[met], directions[met]) if glossy else (shadow if plain else pattern)(points[met])
-    along = directions @ (CENTRE - origin)
-    away = np.linalg.norm(origin + along[:, None] * directions - CENTRE, axis=1)
+    along = directions @ (CENTER - origin)
+    away = np.linalg.norm(origin + along[:, None] * directions - CENTER, axis=1)
     color[away < BALL] = [0.1, 0.5, 0.2]
     return color
 

@@ -35,11 +35,11 @@ def dependencies() -> list[tuple[Requirement, str]]:
         wanted = [Requirement(text) for text in tomllib.load(file)["project"]["dependencies"]]
     lines = (ROOT / "constraints.txt").read_text(encoding="utf-8").splitlines()
     pins = [Requirement(line) for line in lines if line and not line.startswith("#")]
-    versions = {normalised(pin.name): pin.specifier for pin in pins}
-    return [(requirement, str(versions[normalised(requirement.name)])) for requirement in wanted]
+    versions = {normalized(pin.name): pin.specifier for pin in pins}
+    return [(requirement, str(versions[normalized(requirement.name)])) for requirement in wanted]
 
 
-def normalised(name: str) -> str:
+def normalized(name: str) -> str:
     return name.lower().replace("_", "-")
 
 

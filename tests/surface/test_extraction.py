@@ -6,7 +6,7 @@ import torch
 import trimesh
 
 from blender_nep.errors import LearningError
-from blender_nep.geometry.uv_raster import nearest_known, rasterise
+from blender_nep.geometry.uv_raster import nearest_known, rasterize
 from blender_nep.presets import SurfacePreset
 from blender_nep.surface.extraction import extract_surface
 from support.analytic_field import AnalyticField, ball, union
@@ -49,6 +49,12 @@ def test_object_cut_by_the_sphere_is_capped():
     surface, report, _ = extract_surface(AnalyticField(ball([0.6, 0, 0], 0.7)), PRESET)
     assert report["watertight"]
     assert np.linalg.norm(surface.vertices, axis=1).max() < 1.0
+    # both spheres meet in a circle at x = 0.717, and a spherical cap has the area 2 pi * radius * height
+    circle = (0.6**2 + 0.995**2 - 0.7**2) / (2 * 0.6)
+    cap, ball_left = 0.995 * (0.995 - circle), 0.7 * (0.7 + circle - 0.6)
+    assert report["cut_by_sphere"] == pytest.approx(cap / (cap + ball_left), rel=0.1)
+    whole = extract_surface(AnalyticField(ball([0.3, 0, 0], 0.69)), PRESET)
+    assert whole.report["cut_by_sphere"] == 0
 
 
 def test_decimation_leaves_no_vertex_outside_of_the_sphere():
@@ -62,7 +68,7 @@ def test_uv_atlas_covers_every_face_without_overlap():
     assert surface.uv.min() >= 0 and surface.uv.max() <= 1
     a, b, c = (surface.uv[surface.faces[:, k]] for k in range(3))
     area = 0.5 * np.abs((b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0])
-    face, _ = rasterise(surface.uv, surface.faces, 512)
+    face, _ = rasterize(surface.uv, surface.faces, 512)
     # Overlapping charts would leave fewer texels than the faces' areas add up to.
     assert (face >= 0).sum() == pytest.approx(area.sum() * 512**2, rel=0.02)
     assert np.isin(np.flatnonzero(area * 512**2 > 4), face).all()
@@ -83,14 +89,14 @@ def test_a_field_without_a_surface_is_an_error_that_says_why(function, message, 
     assert error.value.code == 6 and hint in error.value.hint
 
 
-def test_rasterised_texels_lie_at_their_own_uv():
+def test_rasterized_texels_lie_at_their_own_uv():
     rng = np.random.default_rng(0)
     uv = rng.random((3, 2))
-    face, barycentric = rasterise(uv, np.array([[0, 1, 2]]), 64)
+    face, barycentric = rasterize(uv, np.array([[0, 1, 2]]), 64)
     i, j = np.nonzero(face == 0)
-    centres = np.stack([(j + 0.5) / 64, 1 - (i + 0.5) / 64], 1)
-    assert np.abs(barycentric[i, j] @ uv - centres).max() < 1e-5
-    # Brute force: the number of centres inside, by the sign of the three edge functions.
+    centers = np.stack([(j + 0.5) / 64, 1 - (i + 0.5) / 64], 1)
+    assert np.abs(barycentric[i, j] @ uv - centers).max() < 1e-5
+    # Brute force: the number of centers inside, by the sign of the three edge functions.
     grid = np.stack(np.meshgrid((np.arange(64) + 0.5) / 64, (np.arange(64) + 0.5) / 64), -1).reshape(-1, 2)
     edges = [np.cross(uv[(k + 1) % 3] - uv[k], grid - uv[k]) for k in range(3)]
     inside = (np.min(edges, 0) >= 0) | (np.max(edges, 0) <= 0)

@@ -34,7 +34,7 @@ def extracted():
 
 
 def true_normals(points):
-    """The normals [n, 3] of the bumpy ball where the rays from its centre through points [n, 3] leave it."""
+    """The normals [n, 3] of the bumpy ball where the rays from its center through points [n, 3] leave it."""
     direction = torch.nn.functional.normalize(torch.as_tensor(points, dtype=torch.float32), dim=-1)
     reach = torch.full((len(points), 1), RADIUS)
     for _ in range(20):

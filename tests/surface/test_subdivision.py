@@ -12,9 +12,9 @@ from blender_nep.presets import SurfacePreset
 from blender_nep.surface.extraction import extract_surface
 from support.analytic_field import AnalyticField, ball
 
-CENTRE, RADIUS = np.array([0.1, 0.0, -0.05]), 0.6
+CENTER, RADIUS = np.array([0.1, 0.0, -0.05]), 0.6
 COARSE = SurfacePreset(grid=72, unwrapped_faces=1000, faces=1000, atlas_texels=256)
-BALL = AnalyticField(ball(CENTRE.tolist(), RADIUS))
+BALL = AnalyticField(ball(CENTER.tolist(), RADIUS))
 
 
 def welded(surface):
@@ -25,9 +25,9 @@ def welded(surface):
 
 
 def angles_to_ball(surface):
-    """Angles [F] in degrees between the faces' normals and those of the ball at the faces' centres."""
+    """Angles [F] in degrees between the faces' normals and those of the ball at the faces' centers."""
     mesh = trimesh.Trimesh(surface.vertices, surface.faces, process=False)
-    true = mesh.triangles_center - CENTRE
+    true = mesh.triangles_center - CENTER
     cosine = (true * mesh.face_normals).sum(1) / np.linalg.norm(true, axis=1)
     return np.degrees(np.arccos(cosine.clip(-1, 1)))
 
@@ -40,7 +40,7 @@ def uv_areas(surface):
 def test_edges_of_a_ball_are_halved_until_their_chords_are_good_enough():
     tolerance = 1e-3
     surface, report, _ = extract_surface(BALL, replace(COARSE, faces=100_000, chord_error=tolerance))
-    distance = np.linalg.norm(surface.vertices - CENTRE, axis=1)
+    distance = np.linalg.norm(surface.vertices - CENTER, axis=1)
     assert np.abs(distance - RADIUS).max() < 1e-5
     a, b = (welded(surface).vertices[welded(surface).edges_unique[:, k]] for k in range(2))
     length = np.linalg.norm(a - b, axis=1)

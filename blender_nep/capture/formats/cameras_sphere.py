@@ -27,7 +27,7 @@ _PHOTOS, _MASKS = ("image", "images"), ("mask", "masks")
 _MOST_SKEW = 0.005
 """More skew than this, relative to the focal length, is refused. Less is the rounding of float32, and is left out."""
 _CENTER = 0.5
-"""Where these formats have the centre of the first pixel at 0: NeuS casts the ray of column i through x = i, and its own
+"""Where these formats have the center of the first pixel at 0: NeuS casts the ray of column i through x = i, and its own
 script for photos of a COLMAP project writes (w - 1) / 2 for the middle. We have it at 0.5."""
 
 

@@ -4,10 +4,10 @@
 a pose are left out.
 
 The capture has Metashape's local coordinates: the transform of the camera's component counts, or else that of the chunk. If
-the chunk has a geographic reference, these transforms lead to coordinates around the centre of the Earth. Then only their
+the chunk has a geographic reference, these transforms lead to coordinates around the center of the Earth. Then only their
 scale (meters) counts.
 
-Metashape's manual, appendix on camera models, has (with the centre of the first pixel at 0.5, and x = X / Z, y = Y / Z):
+Metashape's manual, appendix on camera models, has (with the center of the first pixel at 0.5, and x = X / Z, y = Y / Z):
 
     x' = x (1 + K1 r^2 + K2 r^4 + K3 r^6 + K4 r^8) + P1 (r^2 + 2 x^2) + 2 P2 x y      u = w / 2 + cx + x' (f + B1) + y' B2
     y' = y (1 + K1 r^2 + K2 r^4 + K3 r^6 + K4 r^8) + P2 (r^2 + 2 y^2) + 2 P1 x y      v = h / 2 + cy + y' f

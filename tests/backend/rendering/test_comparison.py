@@ -9,14 +9,14 @@ import pytest
 from support.captures import write_exr
 from support.own_process import in_blender
 
-GREY = 0.25
+GRAY = 0.25
 GAINS = ((1.0, 1.0, 1.0), (2.0, 2.0, 1.5), (0.25, 0.3, 0.25))
 
 
 @pytest.mark.parametrize("color_space", ["srgb", "linear"])
 def test_the_re_rendering_is_exposed_as_its_photo_was(tmp_path, color_space):
-    """Photo and world are grey. For every exposure and white balance of the photo, both tiles have the same color."""
-    write_exr(tmp_path / "grey.exr", np.full((4, 8, 3), GREY))
+    """Photo and world are gray. For every exposure and white balance of the photo, both tiles have the same color."""
+    write_exr(tmp_path / "gray.exr", np.full((4, 8, 3), GRAY))
     in_blender(check_exposure, tmp_path, color_space)
 
 
@@ -31,10 +31,10 @@ def check_exposure(folder, color_space):
     from backend.scene_io.world import build_world
 
     bpy.ops.wm.read_factory_settings(use_empty=True)
-    world, side = build_world(Path(folder) / "grey.exr", name="grey"), TILE_RANGE[0]
+    world, side = build_world(Path(folder) / "gray.exr", name="gray"), TILE_RANGE[0]
     photos = []
     for number, gain in enumerate(GAINS):
-        color = np.full((16, 16, 3), GREY) * gain
+        color = np.full((16, 16, 3), GRAY) * gain
         path = Path(folder) / f"{number}.{'png' if color_space == 'srgb' else 'exr'}"
         if color_space == "srgb":
             write_png(path, np.round(255 * linear_to_srgb(color)).astype(np.uint8))
@@ -53,7 +53,7 @@ def check_exposure(folder, color_space):
 
 def test_photos_of_two_shapes_and_one_that_blender_does_not_show(tmp_path):
     """A ball stays round in the renderings of a wide and a high photo. The raw photo's row has the renderings."""
-    write_exr(tmp_path / "grey.exr", np.full((4, 8, 3), GREY))
+    write_exr(tmp_path / "gray.exr", np.full((4, 8, 3), GRAY))
     in_blender(check_shapes, tmp_path)
 
 
@@ -72,7 +72,7 @@ def check_shapes(folder):
     ball.data.materials.append(bpy.data.materials.new("black"))
     ball.data.materials[0].use_nodes = True
     ball.data.materials[0].node_tree.nodes.clear()  # it shines and reflects nothing
-    world = build_world(Path(folder) / "grey.exr", name="grey")
+    world = build_world(Path(folder) / "gray.exr", name="gray")
     frames = []
     for number, (width, height) in enumerate(((448, 224), (224, 448), (224, 448))):
         path = Path(folder) / ("raw.dng" if number == 2 else f"{number}.png")

@@ -12,7 +12,7 @@ from PIL import Image
 from support.captures import write_exr
 from support.own_process import in_blender
 
-GREY = np.arange(256, dtype=np.uint8).reshape(8, 32)
+GRAY = np.arange(256, dtype=np.uint8).reshape(8, 32)
 COLOR = np.random.default_rng(0).integers(0, 256, (37, 21, 3)).astype(np.uint8)
 RADIANCE = np.random.default_rng(1).random((40, 50, 3)) * 4
 HALF = np.concatenate([RADIANCE, np.full((40, 50, 1), 0.5)], axis=-1).astype(np.float16)
@@ -40,7 +40,7 @@ def use_files(folder):
 
 
 def test_png_keeps_every_value(folder):
-    for name, pixels in (("grey", GREY), ("color", COLOR)):
+    for name, pixels in (("gray", GRAY), ("color", COLOR)):
         found = np.asarray(Image.open(folder / "pngs" / f"{name}.png"))
         np.testing.assert_array_equal(found, pixels)
 
@@ -48,7 +48,7 @@ def test_png_keeps_every_value(folder):
 def write_pngs(folder):
     from backend.scene_io.image_files import write_png
 
-    write_png(folder / "grey.png", GREY)
+    write_png(folder / "gray.png", GRAY)
     write_png(folder / "color.png", COLOR)
 
 
@@ -92,8 +92,8 @@ def find_errors(folder):
     for call in (
         lambda: load_pixels(folder / "torn.exr"),
         lambda: load_pixels(folder / "missing.exr"),
-        lambda: write_png(folder / "file" / "a.png", GREY),
-        lambda: write_png(folder / "folder.png", GREY),
+        lambda: write_png(folder / "file" / "a.png", GRAY),
+        lambda: write_png(folder / "folder.png", GRAY),
         lambda: write_half_exr(folder / "file" / "a.exr", RADIANCE),
         lambda: write_half_exr(folder / "folder.exr", RADIANCE),
     ):

@@ -19,14 +19,14 @@ NAMES = ("whole.tif", "float.tif", "a.webp", "b.jpg", "c.heic", "d.dng", "gone.t
 
 def write_capture(folder: Path) -> None:
     """A capture without a color space, as Find Cameras writes it."""
-    grey = np.full((*SIZE[::-1], 3), 128, np.uint8)
-    image = Image.fromarray(grey)
-    tifffile.imwrite(folder / "whole.tif", grey.astype(np.uint16) * 257, photometric="rgb")
-    tifffile.imwrite(folder / "float.tif", np.full(grey.shape, 2.5, np.float32), photometric="rgb")
+    gray = np.full((*SIZE[::-1], 3), 128, np.uint8)
+    image = Image.fromarray(gray)
+    tifffile.imwrite(folder / "whole.tif", gray.astype(np.uint16) * 257, photometric="rgb")
+    tifffile.imwrite(folder / "float.tif", np.full(gray.shape, 2.5, np.float32), photometric="rgb")
     image.save(folder / "a.webp", lossless=True)
     image.save(folder / "b.jpg")
     pillow_heif.from_pillow(image).save(folder / "c.heic")
-    write_dng(folder / "d.dng", np.full(grey.shape, 5000.0))
+    write_dng(folder / "d.dng", np.full(gray.shape, 5000.0))
     frames = []
     for number, name in enumerate(NAMES):
         turn = 2 * np.pi * number / len(NAMES)

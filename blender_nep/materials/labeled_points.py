@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.spatial import cKDTree
 
-from blender_nep.materials.baking import NEIGHBOURS, Places, neighbours, on_same_side, weighted_mean
+from blender_nep.materials.baking import NEIGHBORS, Places, neighbors, on_same_side, weighted_mean
 from blender_nep.materials.blending import BlendedPoints, find_blends
 from blender_nep.materials.photo_samples import select_samples
 from blender_nep.materials.pixel_votes import Surfels, left_out_error, pixel_costs
@@ -29,7 +29,7 @@ _WIDER, _STRIDE = 32, 4
 neighbors, so fewer pixels are enough."""
 
 
-def labelled_samples(search: PaletteSearch) -> BlendedPoints:
+def labeled_samples(search: PaletteSearch) -> BlendedPoints:
     """The photo samples, for which the light was gathered, as blended points."""
     cost = search.costs().cpu().numpy()
     label = search.label.cpu().numpy()
@@ -43,7 +43,7 @@ def _blended(search: PaletteSearch, points: Surfels, cost: np.ndarray, residual:
     return BlendedPoints(*points, residual, *find_blends(cost, search.palette, search.preset.blend_margin))
 
 
-def error_of_neighbours(search: PaletteSearch, samples: Surfels, shown: np.ndarray) -> float:
+def error_of_neighbors(search: PaletteSearch, samples: Surfels, shown: np.ndarray) -> float:
     """Median error of predicting a sample's radiance from the nearest other samples of the same photo.
 
     The radiance is that of the sample's own material, tone-mapped; shown [n, K, 3] is that of every material.
@@ -53,7 +53,7 @@ def error_of_neighbours(search: PaletteSearch, samples: Surfels, shown: np.ndarr
 
 
 @profiled("votes of all pixels")
-def labelled_pixels(
+def labeled_pixels(
     search: PaletteSearch,
     samples: Surfels,
     shown: np.ndarray,
@@ -75,7 +75,7 @@ def labelled_pixels(
     cost = cost * np.where(blended, 1 + p.blend_margin, 1.0)
     tree = cKDTree(pixels.position)
     there = Places(pixels.position, pixels.normal)
-    around = on_same_side(neighbours(tree, pixels.position, 2 * NEIGHBOURS), there, there)
+    around = on_same_side(neighbors(tree, pixels.position, 2 * NEIGHBORS), there, there)
     smoothed = weighted_mean(cost, *around)
     inner = shows_one_material(smoothed, blended, tree)
     smoothed[np.ix_(inner, blended)] *= (1 + p.inner_blend_margin) / (1 + p.blend_margin)
@@ -90,7 +90,7 @@ def shows_one_material(cost: np.ndarray, blended: np.ndarray, tree: cKDTree) -> 
     """
     if not blended.any():
         return np.zeros(len(cost), bool)
-    around = neighbours(cKDTree(tree.data[::_STRIDE]), tree.data, _WIDER)[1] * _STRIDE
+    around = neighbors(cKDTree(tree.data[::_STRIDE]), tree.data, _WIDER)[1] * _STRIDE
     return ~blended[np.stack([column[around].mean(1) for column in cost.T], 1).argmin(1)]
 
 

@@ -1,4 +1,4 @@
-"""The optimisers of fields learning."""
+"""The optimizers of fields learning."""
 
 from __future__ import annotations
 
@@ -11,51 +11,51 @@ from blender_nep.fields.schedule import Schedule
 from blender_nep.presets import Preset
 
 
-class Optimisers:
-    """The Adam optimisers of the SDF, the color heads and F_e. Each of the three has its own learning rate."""
+class Optimizers:
+    """The Adam optimizers of the SDF, the color heads and F_e. Each of the three has its own learning rate."""
 
     def __init__(self, object_field: ObjectField, environment: EnvironmentField, preset: Preset) -> None:
         self._object_field, self._environment, self._preset = object_field, environment, preset.fields
         self.restart_sdf()
         self.restart_heads()
-        self.environment = environment_training.optimiser(environment)
+        self.environment = environment_training.optimizer(environment)
 
     @property
     def all(self) -> tuple[torch.optim.Optimizer, ...]:
-        """The optimisers of the SDF, of the color heads and of F_e."""
+        """The optimizers of the SDF, of the color heads and of F_e."""
         return self.sdf, self.heads, self.environment
 
     def restart_sdf(self) -> None:
-        """Make the SDF's optimiser anew, after the SDF got new parameters."""
+        """Make the SDF's optimizer anew, after the SDF got new parameters."""
         p = self._preset
-        self.sdf = self._object_field.shape_optimiser(p.sdf_rate, p.sdf_betas)
+        self.sdf = self._object_field.shape_optimizer(p.sdf_rate, p.sdf_betas)
 
     def restart_heads(self) -> None:
-        """Make the optimiser of the color heads anew, after they got new parameters."""
+        """Make the optimizer of the color heads anew, after they got new parameters."""
         p = self._preset
         colors = self._object_field.color_parameters()
         self.heads: torch.optim.Optimizer = torch.optim.Adam(colors, lr=p.head_rate, betas=p.head_betas, fused=True)
 
     def restart_environment(self) -> None:
-        """Make F_e's optimiser anew, after F_e got new parameters."""
-        self.environment = environment_training.optimiser(self._environment)
+        """Make F_e's optimizer anew, after F_e got new parameters."""
+        self.environment = environment_training.optimizer(self._environment)
 
     def set_rates(self, schedule: Schedule) -> None:
-        """Set the learning rates of all optimisers that are due now. The SDF gets gradients only if it is learned now."""
+        """Set the learning rates of all optimizers that are due now. The SDF gets gradients only if it is learned now."""
         for group in self.sdf.param_groups:
             for parameter in group["params"]:
                 parameter.requires_grad_(schedule.learns_shape)
-        for optimiser, rate in ((self.sdf, schedule.sdf_rate), (self.heads, schedule.head_rate)):
-            for group in optimiser.param_groups:
+        for optimizer, rate in ((self.sdf, schedule.sdf_rate), (self.heads, schedule.head_rate)):
+            for group in optimizer.param_groups:
                 group["lr"] = rate
         self.set_environment_rate(schedule)
 
     def set_environment_rate(self, schedule: Schedule) -> None:
-        """Set the learning rate of F_e's optimiser that is due now."""
+        """Set the learning rate of F_e's optimizer that is due now."""
         environment_training.set_learning_rate(self.environment, self._environment.preset, schedule.environment_fraction)
 
     def state(self) -> dict:
-        """The states of all optimisers, for a checkpoint."""
+        """The states of all optimizers, for a checkpoint."""
         return {name: getattr(self, name).state_dict() for name in ("sdf", "heads", "environment")}
 
     def load(self, state: dict) -> None:
