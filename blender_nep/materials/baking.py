@@ -12,6 +12,7 @@ from scipy.spatial import cKDTree
 
 from blender_nep.geometry.mesh import Surface
 from blender_nep.geometry.uv_raster import nearest_known, rasterize
+from blender_nep.materials.shown_faces import ShownParts
 from blender_nep.profiling import profiled
 from blender_nep.shading.plenoptic import SurfacePoints
 
@@ -127,14 +128,14 @@ def texture_size(surface: Surface, footprint: float, most: int) -> int:
 
 @profiled("textures")
 def bake(
-    surface: Surface, labeled: LabeledPoints, size: int, shown: np.ndarray | None = None
+    surface: Surface, labeled: LabeledPoints, size: int, shown: ShownParts | None = None
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Textures with S = `size` texels a side: albedo [S, S, 3], roughness, metallic and confidence [S, S], float32.
 
     A texel takes the weighted mean of the materials of the nearest labeled points. A texel outside the UV charts takes the
     value of the nearest texel inside. Confidence is in 0..1. It is higher if more photos show the neighbors, if they are
-    nearer, and if their materials explain them better. It is 0 on faces that no photo shows. shown [F] says which faces
-    photos show; None: all.
+    nearer, and if their materials explain them better. It is 0 where no photo shows the surface. `shown` says where photos
+    show it; None: everywhere.
     """
     face, barycentric = rasterize(surface.atlas, surface.faces, size)
     known = face >= 0
@@ -159,7 +160,7 @@ def bake(
     seen = (1 - np.exp(-photos / 4)) * np.exp(-np.maximum(nearest / spacing - 1, 0))
     confidence = seen * np.exp(-residual / 0.1)
     if shown is not None:
-        confidence *= shown[face]
+        confidence *= shown.at(face, barycentric)
     fill = nearest_known(known)
 
     def texture(values: np.ndarray) -> np.ndarray:

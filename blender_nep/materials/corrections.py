@@ -25,6 +25,7 @@ from blender_nep.materials.blending import BlendedPoints
 from blender_nep.materials.fitting import fit_groups, place_in_scan, roughness_at
 from blender_nep.materials.palette import Palette, between, place_of_least
 from blender_nep.materials.segments import Segments
+from blender_nep.materials.shown_faces import ShownParts
 from blender_nep.materials.varied_materials import PlacedPixels, VariedMaterials, fit_segments, varied_points
 from blender_nep.shading.light_moments import LightMoments
 
@@ -230,18 +231,18 @@ class KeptMaterials:
     materials: Correctable
     texels: int
     """Side of the textures"""
-    shown: np.ndarray
-    """[F] bool, whether a photo shows the face"""
+    shown: ShownParts
+    """Which parts of the faces the photos show"""
 
     def state(self) -> dict:
         """All of it as a dict of tensors, arrays and numbers."""
         kind = next(name for name, cls in _KINDS.items() if isinstance(self.materials, cls))
-        return {"kind": kind, "materials": self.materials.state(), "texels": self.texels, "shown": self.shown}
+        return {"kind": kind, "materials": self.materials.state(), "texels": self.texels, "shown": self.shown._asdict()}
 
     @classmethod
     def from_state(cls, state: dict) -> KeptMaterials:
         """The inverse of `state`, on the CPU."""
-        return cls(_KINDS[state["kind"]].from_state(state["materials"]), state["texels"], state["shown"])
+        return cls(_KINDS[state["kind"]].from_state(state["materials"]), state["texels"], ShownParts(**state["shown"]))
 
     @property
     def irradiance_known(self) -> bool:

@@ -40,7 +40,7 @@ from blender_nep.materials.labeled_points import (
 from blender_nep.materials.light_gathering import LitSamples, Observations, gathered_light, with_more_samples
 from blender_nep.materials.palette import Palette
 from blender_nep.materials.palette_search import PaletteSearch
-from blender_nep.materials.shown_faces import shown_faces
+from blender_nep.materials.shown_faces import ShownParts
 from blender_nep.materials.training_report import MaterialReport, TrainingProgress
 from blender_nep.materials.unseen_light_training import learn_unseen_light
 from blender_nep.materials.varied_materials import (
@@ -163,7 +163,7 @@ class _MaterialLearner:
         finer = 1 if varied is None else _TEXELS_OF_VARIED
         wanted = texture_size(seen.surface, seen.footprint / finer, finer * self.preset.most_texels)
         self.report.texture_texels = size = min(wanted, self.preset.uniform_texels) if uniform else wanted
-        shown = shown_faces(seen.surface, seen.f_p.tracer, seen.rays)
+        shown = ShownParts.of(seen.surface, seen.f_p.tracer, seen.rays)
         kept = KeptMaterials(self._correctable(varied), size, shown)
         points = kept.materials.labeled(self.preset)
         self.report.albedo_follows = correlations(points, self.light, seen.samples.position)

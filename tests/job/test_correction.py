@@ -17,6 +17,7 @@ from blender_nep.job.stages import SurfaceResult
 from blender_nep.materials.blending import BlendedPoints
 from blender_nep.materials.corrections import CorrectablePalette, Correction, KeptMaterials
 from blender_nep.materials.palette import Palette
+from blender_nep.materials.shown_faces import ShownParts
 from blender_nep.materials.training import Materials
 from blender_nep.shading.light_moments import LightMoments
 from blender_nep.surface.normal_map import LeanMesh
@@ -50,7 +51,7 @@ def two_materials() -> KeptMaterials:
     )
     target = palette.albedo[label]
     materials = CorrectablePalette(light, target, label, palette, points)
-    return KeptMaterials(materials, 32, np.ones(len(surface.faces), bool))
+    return KeptMaterials(materials, 32, ShownParts(np.ones(len(surface.faces), np.int64), np.ones(len(surface.faces), bool)))
 
 
 class KeepingStages(BallStages):

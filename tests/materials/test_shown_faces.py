@@ -8,7 +8,8 @@ import trimesh
 from blender_nep.capture import PixelRays, load_capture
 from blender_nep.geometry.mesh import Surface
 from blender_nep.geometry.ray_tracing import RayTracer
-from blender_nep.materials.shown_faces import shown_faces
+from blender_nep.materials import shown_faces
+from blender_nep.materials.shown_faces import ShownParts
 from support.paths import SUZANNE_SMALL
 
 
@@ -29,7 +30,12 @@ class FirstView:
 def shown_by(meshes: list[trimesh.Trimesh], rays: PixelRays) -> np.ndarray:
     mesh = trimesh.util.concatenate(meshes)
     surface = Surface(mesh.vertices.astype(np.float32), mesh.faces, mesh.vertex_normals.astype(np.float32))
-    return shown_faces(surface, RayTracer(surface.vertices, surface.faces), rays)
+    return ShownParts.of(surface, RayTracer(surface.vertices, surface.faces), rays).at(*centers(len(surface.faces)))
+
+
+def centers(faces: int) -> tuple[np.ndarray, np.ndarray]:
+    """The places `ShownParts.at` asks for: the center of each face."""
+    return np.arange(faces), np.full((faces, 3), 1 / 3, np.float32)
 
 
 def cameras_of(rays: PixelRays) -> np.ndarray:
@@ -56,3 +62,46 @@ def test_what_lies_beside_the_frame_is_not_shown(rays):
     ball = trimesh.creation.icosphere(subdivisions=2, radius=0.2)
     ball.apply_translation(50 * np.array([0.0, 0.0, 1.0]))
     assert not shown_by([ball], rays).any()
+
+
+def test_a_photo_shows_a_part_of_a_large_face(rays):
+    """A wall of two faces, half of which lies in the shadow of a smaller wall before a single camera."""
+    camera = cameras_of(rays)[0]
+    towards = camera / np.linalg.norm(camera)
+    side = np.cross(towards, [0.0, 0.0, 1.0])
+    side /= np.linalg.norm(side)
+    up = np.cross(side, towards)
+
+    def wall(at: np.ndarray, left: float, right: float, height: float) -> trimesh.Trimesh:
+        corners = [at + x * side + z * height * up for x, z in ((left, -1), (right, -1), (right, 1), (left, 1))]
+        return trimesh.Trimesh(corners, [[0, 1, 2], [0, 2, 3]], process=False)
+
+    mesh = trimesh.util.concatenate([wall(0 * camera, -0.6, 0.6, 0.3), wall(0.3 * towards, -0.7, 0.0, 0.6)])
+    if mesh.face_normals[0] @ towards < 0:
+        mesh.invert()
+    surface = Surface(mesh.vertices.astype(np.float32), mesh.faces, mesh.vertex_normals.astype(np.float32))
+    parts = ShownParts.of(surface, RayTracer(surface.vertices, surface.faces), FirstView(rays))
+    random = np.random.default_rng(0)
+    face, barycentric = random.integers(2, size=5000), random.dirichlet([1, 1, 1], size=5000)
+    place = np.einsum("nc,nck->nk", barycentric, surface.vertices[surface.faces[face]])
+    # a ray from the place to the camera meets the plane of the smaller wall in its left half, or not
+    along = (0.3 - place @ towards) / ((camera - place) @ towards)
+    meets = (place + along[:, None] * (camera - place)) @ side
+    clear = np.abs(meets) > 0.03  # nearer than a part
+    assert np.array_equal(parts.at(face, barycentric)[clear], meets[clear] > 0) and 1000 < (meets[clear] > 0).sum() < 4000
+
+
+@pytest.mark.parametrize("most", [500_000, 300])
+def test_each_part_of_a_face_is_found_by_its_center(monkeypatch, most):
+    monkeypatch.setattr(shown_faces, "_MOST", most)
+    vertices = np.array([[0, 0, 0], [0.5, 0, 0], [0, 0.01, 0], [0.03, 0, 0], [0.3, 0.3, 0]], np.float32)
+    faces = np.array([[0, 1, 2], [0, 3, 2], [1, 4, 2]])
+    edge_parts, face, barycentric = shown_faces._parts(Surface(vertices, faces, np.zeros_like(vertices)))
+    assert len(face) == (edge_parts**2).sum() <= most and edge_parts[1] == 1 and edge_parts.max() > 5
+    assert (barycentric > 0).all() and np.allclose(barycentric.sum(1), 1)
+    marks = np.random.default_rng(1).random(len(face)) < 0.5
+    parts = ShownParts(edge_parts, marks)
+    assert np.array_equal(parts.at(face, barycentric), marks)
+    # the corners of a face, too, where rounding may leave barycentric coordinates just below 0
+    corners = np.eye(3)[np.arange(9) % 3] - 1e-9
+    assert parts.at(np.arange(9) // 3, corners).shape == (9,)

@@ -10,6 +10,7 @@ import torch
 from blender_nep.errors import LearningError
 from blender_nep.geometry.uv_raster import rasterize
 from blender_nep.materials.baking import LabeledPoints, bake
+from blender_nep.materials.shown_faces import ShownParts
 from support.lit_ball import (
     PRESET,
     AnalyticEnvironment,
@@ -67,7 +68,7 @@ def test_textures_do_not_depend_on_the_block_and_faces_that_no_photo_shows_have_
     evidence = LabeledPoints(position, normal, random.integers(9, size=300), *material)
     whole = bake(ball, evidence, 64)
     shown = ball.vertices[ball.faces].mean(1)[:, 2] > 0
-    *same, confidence = bake(ball, evidence, 64, shown)
+    *same, confidence = bake(ball, evidence, 64, ShownParts(np.ones(len(shown), np.int64), shown))
     face = rasterize(ball.uv, ball.faces, 64)[0]
     inside, on_shown = face >= 0, shown[np.maximum(face, 0)]
     assert (confidence[inside & ~on_shown] == 0).all() and (confidence[inside & on_shown] > 0).all()
