@@ -37,7 +37,7 @@ class SurfaceSamples:
 def sphere_interval(origins: torch.Tensor, directions: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
     """Distances [n] at which each ray enters and leaves the unit sphere, clipped to >= 0; equal where the ray misses it.
 
-    Computed from the distance between ray and center. The usual b^2 - |o|^2 + 1 would lose digits: from 100 radii away, it
+    Computed from the distance between ray and centre. The usual b^2 - |o|^2 + 1 would lose digits: from 100 radii away, it
     is a difference of numbers 10,000 times larger, of which float32 leaves three digits.
     """
     along = -(origins * directions).sum(-1)
@@ -90,9 +90,6 @@ def render_surface(
 
     Samples are placed only where the surface can be: in the band |sharpness * sdf| < BAND, which marching finds. `interval`
     are the distances [n] between which the surface is looked for; by default, those between which a ray is in the sphere.
-
-    An object that reaches out of the sphere is cut there: the surface is that of max(SDF, |x| - 1). A ray that enters the
-    sphere in the object meets it at the cut, whose normal is the sphere's.
     """
     entry, leave = interval or sphere_interval(origins, directions)
     step = max(0.5 * shape.cell, 0.25 * BAND / sharpness)
@@ -107,15 +104,11 @@ def render_surface(
     t = place_samples(spans[ray], count[ray], samples, jitter)
     points = origins[ray, None] + t[..., None] * directions[ray, None]
     field = shape.sample(points.reshape(-1, 3)).reshape(len(ray), samples + 1, 4)
-    # In front of a ray's first sample the SDF is positive, unless the ray enters the sphere there: then phi falls from 1 to
-    # its value in that sample.
-    start = entry[ray]
-    at_cut = torch.sigmoid(-sharpness * field[:, 0, 0]) * ((t[:, 0] <= start) & (start > 0))
-    weights = neus_weights(field[..., 0], sharpness) * (1 - at_cut)[:, None]
-    opacity = weights.sum(1) + at_cut
+    weights = neus_weights(field[..., 0], sharpness)
+    opacity = weights.sum(1)
     # gradient and distance of a section are the means of its two ends
     share = 0.5 * torch.nn.functional.pad(weights, (1, 0)) + 0.5 * torch.nn.functional.pad(weights, (0, 1))
-    gradient = (share[..., None] * field[..., 1:4]).sum(1) + at_cut[:, None] * points[:, 0]
-    depth = ((share * t).sum(1) + at_cut * start) / opacity.clamp(min=1e-6)
+    gradient = (share[..., None] * field[..., 1:4]).sum(1)
+    depth = (share * t).sum(1) / opacity.clamp(min=1e-6)
     point = origins[ray] + depth[:, None] * directions[ray]
     return SurfaceSamples(ray, opacity, point, gradient, field[..., 1:4], depth)
