@@ -22,8 +22,8 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from blender_nep.capture import exr_files, heif_files, pillow_files, raw_files, tiff_files
-from blender_nep.capture.raster import Raster
+from blender_nep.capture.photo_formats import exr_files, heif_files, pillow_files, raw_files, tiff_files
+from blender_nep.capture.photo_formats.raster import Raster
 from blender_nep.errors import CaptureError
 
 SUFFIXES = (".exr", ".png", ".jpg", ".jpeg", ".tif", ".tiff", ".webp", ".heic", ".heif", ".hif", *raw_files.SUFFIXES)

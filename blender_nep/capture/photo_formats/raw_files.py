@@ -11,9 +11,9 @@ from typing import Any
 
 from PIL import ExifTags, Image
 
-from blender_nep.capture.color_encoding import LINEAR
-from blender_nep.capture.pillow_files import DAMAGED_TAGS
-from blender_nep.capture.raster import Raster
+from blender_nep.capture.photo_formats.color_encoding import LINEAR
+from blender_nep.capture.photo_formats.pillow_files import DAMAGED_TAGS
+from blender_nep.capture.photo_formats.raster import Raster
 from blender_nep.errors import CaptureError
 
 SUFFIXES = (".dng", ".cr2", ".cr3", ".nef", ".arw", ".raf", ".orf", ".rw2")

@@ -9,10 +9,17 @@ from pathlib import Path
 import numpy as np
 from PIL import ExifTags, Image, ImageCms
 
-from blender_nep.capture import png16
-from blender_nep.capture.color_encoding import LINEAR, SRGB, ColorEncoding, adobe_rgb, from_codes, from_png_gamma
-from blender_nep.capture.icc_profiles import TableProfile, from_icc
-from blender_nep.capture.raster import Raster
+from blender_nep.capture.photo_formats import png16
+from blender_nep.capture.photo_formats.color_encoding import (
+    LINEAR,
+    SRGB,
+    ColorEncoding,
+    adobe_rgb,
+    from_codes,
+    from_png_gamma,
+)
+from blender_nep.capture.photo_formats.icc_profiles import TableProfile, from_icc
+from blender_nep.capture.photo_formats.raster import Raster
 
 DAMAGED_TAGS = (OSError, ValueError, SyntaxError, LookupError, TypeError, ArithmeticError, EOFError, struct.error)
 """What Pillow raises for damaged EXIF. The pixels may be sound all the same."""

@@ -13,9 +13,9 @@ import numpy as np
 import pillow_heif
 from PIL import ExifTags, Image
 
-from blender_nep.capture.color_encoding import LINEAR, SRGB, ColorEncoding, from_codes
-from blender_nep.capture.icc_profiles import from_icc
-from blender_nep.capture.raster import Raster
+from blender_nep.capture.photo_formats.color_encoding import LINEAR, SRGB, ColorEncoding, from_codes
+from blender_nep.capture.photo_formats.icc_profiles import from_icc
+from blender_nep.capture.photo_formats.raster import Raster
 
 _BRANDS = (b"heic", b"heix", b"heim", b"heis", b"hevc", b"hevx", b"hevm", b"hevs", b"mif1", b"msf1")
 

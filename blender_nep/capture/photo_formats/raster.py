@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from blender_nep.capture.color_encoding import ColorEncoding
+from blender_nep.capture.photo_formats.color_encoding import ColorEncoding
 
 
 @dataclass

@@ -9,10 +9,10 @@ import numpy as np
 import tifffile
 from PIL import ExifTags, Image
 
-from blender_nep.capture.color_encoding import LINEAR, SRGB, ColorEncoding
-from blender_nep.capture.icc_profiles import from_icc
-from blender_nep.capture.pillow_files import DAMAGED_TAGS
-from blender_nep.capture.raster import Raster
+from blender_nep.capture.photo_formats.color_encoding import LINEAR, SRGB, ColorEncoding
+from blender_nep.capture.photo_formats.icc_profiles import from_icc
+from blender_nep.capture.photo_formats.pillow_files import DAMAGED_TAGS
+from blender_nep.capture.photo_formats.raster import Raster
 
 # tifffile tells of each odd tag, of which a damaged file has hundreds. What matters here is raised.
 logging.getLogger("tifffile").setLevel(logging.CRITICAL)

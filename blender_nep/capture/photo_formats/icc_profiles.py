@@ -7,7 +7,7 @@ from functools import partial
 
 import numpy as np
 
-from blender_nep.capture.color_encoding import SRGB, ColorEncoding, Curve, encoding_of, from_d50, power_curve
+from blender_nep.capture.photo_formats.color_encoding import SRGB, ColorEncoding, Curve, encoding_of, from_d50, power_curve
 
 _PARAMETERS = {0: 1, 1: 3, 2: 4, 3: 5, 4: 7}
 """{function type of a parametric curve: number of its parameters}"""

@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import OpenEXR
 
-from blender_nep.capture.color_encoding import LINEAR
-from blender_nep.capture.raster import Raster
+from blender_nep.capture.photo_formats.color_encoding import LINEAR
+from blender_nep.capture.photo_formats.raster import Raster
 
 
 def size(path: Path) -> tuple[int, int]:
