@@ -94,9 +94,10 @@ class Bench:
         """Bake textures of size x size texels from 3000 random samples."""
         surface = self.learned()[2]
         random = np.random.default_rng(0)
-        position = surface.vertices[random.integers(len(surface.vertices), size=3000)].astype(np.float32)
+        at = random.integers(len(surface.vertices), size=3000)
+        position, normal = surface.vertices[at].astype(np.float32), surface.normals[at].astype(np.float32)
         gray, even = np.full((3000, 3), 0.5, np.float32), np.full(3000, 0.1, np.float32)
-        points = LabeledPoints(position, random.integers(40, size=3000), gray, even, even, even)
+        points = LabeledPoints(position, normal, random.integers(40, size=3000), gray, even, even, even)
         profile = Profile()
         with profile.recording():
             bake(surface, points, size)

@@ -25,6 +25,7 @@ from blender_nep.geometry.mesh import Surface
 from blender_nep.presets import preset
 from blender_nep.surface.mesh_file import load_surface
 from blender_nep.tone_mapping import tone_map
+from support.ball_stages import ball_surface
 from support.own_process import in_blender
 from support.paths import SUZANNE_SMALL
 from support.rescaled_albedo import check_rescaled_albedo
@@ -259,6 +260,14 @@ def test_every_value_of_a_varied_size_changes_the_work_that_is_measured():
 
     for values, work, stages in scaling.FACTORS.values():
         assert len({work(Recorder(), value) for value in values}) == len(values) and stages
+
+
+def test_textures_of_random_points_can_be_measured():
+    """The points that the study makes up are those that the baking takes."""
+    bench = scaling.Bench(SUZANNE_SMALL)
+    bench.learned = lambda: (None, None, ball_surface())
+    measured = scaling.measure(bench, 64, *scaling.FACTORS["texels a side"][1:])
+    assert measured["cpu_seconds"]["textures"] > 0
 
 
 def test_a_rescaled_albedo_scales_what_a_metal_reflects():
