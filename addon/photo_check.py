@@ -1,7 +1,7 @@
 """The engine's look at the photos of a capture: from where they were taken, and what is wrong with them.
 
-The result belongs to the capture's folder as it was then. It is forgotten when another folder is chosen, or when the photos
-or the cameras in the folder have changed.
+The result belongs to the capture's folder as it was then. It is forgotten when no scene names the folder any more, or when
+the photos or the cameras in the folder have changed.
 """
 
 from pathlib import Path
@@ -107,13 +107,13 @@ def last_check(folder: Path | None) -> PhotoCheck | None:
     return _last if _last.is_of_today else None
 
 
-def on_capture_chosen(scene: bpy.types.Scene) -> None:
-    """A scene names another capture folder: a check of the folder before is of no use any more."""
-    folder = resolve_folder(scene.nep.capture)
-    key = None if folder is None else folder_key(folder)
-    if _last is not None and folder_key(_last.folder) != key:
+def on_capture_chosen(_scene: bpy.types.Scene) -> None:
+    """A scene names another capture folder: a check of a folder that no scene names is of no use any more."""
+    folders = [resolve_folder(scene.nep.capture) for scene in bpy.data.scenes]
+    named = {folder_key(folder) for folder in folders if folder is not None}
+    if _last is not None and folder_key(_last.folder) not in named:
         _forget_last()
-    if current is not None and folder_key(current.folder) != key:
+    if current is not None and folder_key(current.folder) not in named:
         cancel()
 
 

@@ -103,6 +103,16 @@ def check_forgetting(folder):
     assert fact not in told(bpy, addon)
 
     assert bpy.ops.nep.check_photos() == {"FINISHED"} and fact in told(bpy, addon)
+    other = bpy.data.scenes.new("other")
+    other.nep.capture = str(folder / "others")
+    assert fact in told(bpy, addon), "this scene still names the folder"
+    other.nep.capture = str(folder / "photos")
+    settings.capture = str(folder / "others")
+    assert addon.photo_check.last_check(folder / "photos") is not None, "the other scene still names it"
+    bpy.data.scenes.remove(other)
+    settings.capture = str(folder / "photos")
+
+    assert bpy.ops.nep.check_photos() == {"FINISHED"} and fact in told(bpy, addon)
     (folder / "photos" / "photo_0.jpg").unlink()
     addon.capture_folder.forget_looks()
     assert fact not in told(bpy, addon), "the photos are others now"
