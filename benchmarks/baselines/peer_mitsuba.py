@@ -35,6 +35,7 @@ from benchmarks.reports.tables import presets_of
 from benchmarks.scoring.geometry import load_test_views
 from benchmarks.scoring.materials import score
 from benchmarks.suite.harness import markdown, resumed, use_threads
+from benchmarks.suite.identity import photos_of
 from blender_nep.capture import PixelRays, load_capture
 from blender_nep.color import linear_to_srgb
 from blender_nep.errors import LearningError
@@ -118,6 +119,7 @@ def main() -> None:
     for folder, kind, minutes in itertools.product(arguments.captures, arguments.materials, arguments.minutes):
         row = {
             "capture": folder.name,
+            "photos": photos_of(folder, masks=True),
             "materials": kind,
             "minutes": minutes,
             "seed": arguments.seed,

@@ -30,6 +30,7 @@ from benchmarks.scoring import geometry, materials
 from benchmarks.scoring.environment import background_psnr, exposures_differ
 from benchmarks.scoring.scores import BACKGROUND_PIXELS
 from benchmarks.suite.harness import markdown, resumed, use_threads, with_changes, write_row
+from benchmarks.suite.identity import photos_of
 from blender_nep.capture import PixelRays, load_capture
 from blender_nep.checkpoints import Checkpoint, NoCheckpoint, load_state, save_state
 from blender_nep.errors import Stopped
@@ -210,6 +211,7 @@ def main() -> None:
         kept = arguments.out / f"{folder.name}-{arguments.size}-{arguments.seed}"
         kept.mkdir(parents=True, exist_ok=True)
         row = {"capture": folder.name, "size": arguments.size, "seed": arguments.seed, "threads": arguments.threads}
+        row["photos"] = photos_of(folder, masks=False)
         try:
             row = resumed(
                 kept.parent / f"{kept.name}.json",

@@ -21,6 +21,7 @@ import numpy as np
 import torch
 
 from benchmarks.suite.harness import markdown, resumed, use_threads, with_changes
+from benchmarks.suite.identity import photos_of
 from blender_nep.capture import PixelRays, load_capture
 from blender_nep.checkpoints import NoCheckpoint
 from blender_nep.fields.environment_field import EnvironmentField
@@ -290,7 +291,7 @@ def main() -> None:
     parser.add_argument("--plot", type=Path, help="where the plot goes (OUT/scaling.png)")
     arguments = parser.parse_args()
     use_threads(arguments.threads)
-    bench, rows, warm = Bench(arguments.capture), [], False
+    bench, rows, warm, photos = Bench(arguments.capture), [], False, photos_of(arguments.capture, masks=False)
     for name in arguments.factor:
         values, work, stages = FACTORS[name]
         for value in values:
@@ -300,7 +301,7 @@ def main() -> None:
                 bench.materials(base(material={"samples": 500}))
                 bench.learn(base(), views=4)
                 warm = True
-            row = {"factor": name, "value": value, "threads": arguments.threads}
+            row = {"factor": name, "value": value, "threads": arguments.threads, "photos": photos}
             rows.append(resumed(file, row, partial(measure, bench, value, work, stages)))
             print(rows[-1], flush=True)
     print("\n" + table(rows))

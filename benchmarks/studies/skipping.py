@@ -34,6 +34,7 @@ from benchmarks.reports.report import fill, require_markers
 from benchmarks.scoring import geometry, materials
 from benchmarks.suite.derived_captures import VARIANTS, derive
 from benchmarks.suite.harness import markdown, resumed, use_threads
+from benchmarks.suite.identity import photos_of
 from benchmarks.suite.runner import commit_now, is_same_code
 from benchmarks.suite.step import Timed
 from blender_nep.capture import load_capture
@@ -41,7 +42,6 @@ from blender_nep.checkpoints import Checkpoint, load_state, save_state
 from blender_nep.errors import CaptureError, NepError
 from blender_nep.fields.training import Fields
 from blender_nep.job.events import Events
-from blender_nep.job.run_folder import fingerprint
 from blender_nep.job.runner import Job, Settings
 from blender_nep.job.stages import (
     AssetInput,
@@ -157,8 +157,8 @@ class KeptAsset(AssetStage):
 def run(scene: Scene, preset: Preset, seed: int, threads: int, kept: Path, picture: Path) -> dict:
     """Run one job, and return its seconds, its scores and what it skipped."""
     capture = load_capture(scene.folder, use_masks=scene.masks)
-    photos = fingerprint(capture, preset, seed, scene.masks, None)["capture"]
-    stage_1, asset, cpu = FieldsOnce(scene, kept, photos, commit_now()), KeptAsset(), {}
+    photos, cpu = photos_of(scene.folder, scene.masks), {}
+    stage_1, asset = FieldsOnce(scene, kept, photos, commit_now()), KeptAsset()
     stages = Stages(Timed(stage_1, cpu), Timed(SurfaceStage(), cpu), Timed(MaterialsStage(), cpu), asset)
     start = time.process_time()
     with tempfile.TemporaryDirectory() as out:
@@ -244,6 +244,7 @@ def main() -> None:
             word = "with" if skip else "without"
             name = f"{scene.name}-{arguments.preset}-{seed}-{word}"
             row = {"scene_name": scene.name, "preset": arguments.preset, "seed": seed, "skip": skip}
+            row["photos"] = photos_of(scene.folder, scene.masks)
             work = partial(
                 run,
                 scene,

@@ -15,11 +15,10 @@ import OpenEXR
 from PIL import Image
 
 from benchmarks.suite.harness import MADE_FROM, is_made_from, link
+from benchmarks.suite.identity import photos_of
 from blender_nep.capture import load_capture
 from blender_nep.color import linear_to_srgb
 from blender_nep.errors import CaptureError
-from blender_nep.job.run_folder import fingerprint
-from blender_nep.presets import PRESETS
 
 _SMALLER = 4
 """The width and height of the photos of `distant` are divided by this number."""
@@ -62,8 +61,7 @@ def derive(source: Path, variant: str, out: Path) -> Path:
     """
     write, suffix = VARIANTS[variant]
     capture = load_capture(source)
-    # any preset will do: the part "capture" depends on the capture alone
-    made_from = f"{source.resolve()}\n{fingerprint(capture, PRESETS['preview'], 0, True, None)['capture']}"
+    made_from = f"{source.resolve()}\n{photos_of(source, masks=True)}"
     if is_made_from(out, made_from):
         return out
     (out / "transforms.json").unlink(missing_ok=True)

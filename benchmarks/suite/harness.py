@@ -90,8 +90,9 @@ class Children:
 def resumed(file: Path, row: dict, run: Callable[[], dict]) -> dict:
     """The row that `file` holds. Where there is no file, call run(), and write the row into the file first.
 
-    That row is `row` with the values that run() returns, or with "error" and the message of the error that it raises. A run
-    that was stopped writes no row, and raises Stopped.
+    `row` says what is measured. A file that holds a row of something else, such as other photos, is refused by SystemExit.
+    What is written is `row` with the values that run() returns, or with "error" and the message of the error that it raises.
+    A run that was stopped writes no row, and raises Stopped.
     """
     if not file.is_file():
         try:
@@ -104,7 +105,10 @@ def resumed(file: Path, row: dict, run: Callable[[], dict]) -> dict:
             traceback.print_exc()
             row = row | {"error": f"{type(error).__name__}: {error}"}
         write_row(file, row)
-    return read_row(file)
+    held = read_row(file)
+    if other := sorted(key for key, value in row.items() if held.get(key) != value):
+        raise SystemExit(f"{file} holds a row of something else ({', '.join(other)}): use another --out, or remove it")
+    return held
 
 
 def write_row(file: Path, row: dict) -> None:

@@ -34,6 +34,15 @@ def made_from(run: Run) -> dict[str, object]:
     return {part: whole[part] for part in PARTS}
 
 
+def photos_of(folder: Path, masks: bool) -> str:
+    """A digest of the photos, cameras and (with `masks`) masks of the capture in a folder. Raises CaptureError."""
+    from blender_nep.capture import load_capture
+    from blender_nep.job.run_folder import fingerprint
+    from blender_nep.presets import PRESETS
+
+    return fingerprint(load_capture(folder, use_masks=masks), PRESETS["preview"], 0, masks, None)["capture"]
+
+
 def main() -> None:
     order = read_row(Path(sys.argv[1]))
     write_row(Path(sys.argv[2]), {name: made_from(Run.from_json(run)) for name, run in order.items()})
