@@ -5,6 +5,7 @@ two calls.
 """
 
 import time
+import traceback
 from collections.abc import Callable
 from typing import Protocol
 
@@ -73,7 +74,12 @@ def tick() -> float | None:
     global _period_count, _sidebars_are_stale
     _period_count += 1
     for function in list(_functions):
-        if not function():
+        try:
+            goes_on = function()
+        except Exception:  # An error of one task must not end the following of the others, and Blender's timer.
+            traceback.print_exc()
+            goes_on = False
+        if not goes_on:
             _functions.remove(function)
     if _sidebars_are_stale and (_period_count % REDRAW_PERIODS == 0 or not _functions):
         _sidebars_are_stale = False

@@ -16,6 +16,7 @@ no engine, or 8 where Blender's part failed (docs/conventions.md#exit-codes).
 
 import argparse
 import os
+import re
 import sys
 import threading
 from pathlib import Path
@@ -57,6 +58,8 @@ def parse(arguments: list[str]) -> argparse.Namespace:
     parser.add_argument(
         "--faces", type=int, metavar="N", help="largest number of faces of the mesh; the rest is a normal map"
     )
+    # Without this, argparse takes -1e-05, which people copy from report.json, for an option.
+    parser._negative_number_matcher = re.compile(r"-(\d+\.?\d*|\.\d+)(e[-+]?\d+)?$", re.IGNORECASE)
     parser.add_argument(
         "--object-center", type=float, nargs=3, metavar=("X", "Y", "Z"), help="of the object's sphere; only with --capture"
     )

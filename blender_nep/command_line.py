@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import math
+import re
 from collections.abc import Callable
 from pathlib import Path
 
@@ -196,6 +197,8 @@ def _add_capture(command: argparse.ArgumentParser) -> None:
 
 
 def _add_sphere(command: argparse.ArgumentParser) -> None:
+    # Without this, argparse takes -1e-05, which people copy from report.json, for an option.
+    command._negative_number_matcher = re.compile(r"-(\d+\.?\d*|\.\d+)(e[-+]?\d+)?$", re.IGNORECASE)
     command.add_argument(
         "--object-center",
         type=_finite,

@@ -9,12 +9,17 @@ from __future__ import annotations
 import errno
 import math
 import os
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 from blender_nep.errors import OutputError
+
+_WINDOWS = os.name == "nt"
+_TRIES, _PAUSE_S = 20, 0.05
+"""How often a file is replaced while another program reads the old one, and the seconds between"""
 
 
 def write_atomically(path: Path, write: Callable[[Path], object]) -> None:
@@ -25,9 +30,20 @@ def write_atomically(path: Path, write: Callable[[Path], object]) -> None:
             write(temporary)
             with open(temporary, "rb+") as file:
                 os.fsync(file.fileno())
-            os.replace(temporary, path)
+            _replace(temporary, path)
         finally:
             temporary.unlink(missing_ok=True)
+
+
+def _replace(temporary: Path, path: Path) -> None:
+    """Rename `temporary` to `path`. Windows refuses that for the instant in which another program reads the old file."""
+    for attempt in range(_TRIES):
+        try:
+            return os.replace(temporary, path)
+        except PermissionError:
+            if not _WINDOWS or attempt == _TRIES - 1:
+                raise
+            time.sleep(_PAUSE_S)
 
 
 def write_text(path: Path, text: str) -> None:

@@ -1,6 +1,7 @@
 """The operators of the relit comparison: render it, cancel the render, show the picture."""
 
 import json
+import os
 from functools import partial
 from pathlib import Path
 
@@ -104,7 +105,7 @@ class NEP_OT_render_comparison(bpy.types.Operator):
         light_file = self.light_file or settings.comparison_light_file
         if light_file:
             path = Path(bpy.path.abspath(light_file))
-            if not path.is_file():
+            if not os.path.isfile(path):
                 raise ValueError(f"There is no light file {path}. Choose an .hdr or .exr, or none")
             arguments += ["--light-file", str(path)]
         if self.output:
@@ -121,7 +122,7 @@ def capture_of_asset(asset: Path) -> str:
         folder = json.loads((asset / "report.json").read_text(encoding="utf-8"))["capture"]["folder"]
     except (OSError, ValueError, KeyError, TypeError):
         return ""
-    return folder if Path(folder).is_dir() else ""
+    return folder if os.path.isdir(folder) else ""
 
 
 def _folder_of(setting: str) -> Path:

@@ -4,6 +4,7 @@ A button starts the job and returns: running_jobs.py then follows it. A script (
 until the object is in the scene.
 """
 
+import os
 import time
 from pathlib import Path
 
@@ -186,7 +187,7 @@ class NEP_OT_open_log(bpy.types.Operator):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        if not any(path.is_file() for path in _log_files(context.scene)):
+        if not any(os.path.isfile(path) for path in _log_files(context.scene)):
             cls.poll_message_set("There is no log in the output folder")
             return False
         return True

@@ -1,5 +1,7 @@
 """The box below the capture folder, where its photos have no cameras yet, or where their cameras have just been found."""
 
+import os
+
 import bpy
 from bpy.app.translations import pgettext_iface
 
@@ -44,7 +46,7 @@ def draw_camera_search(layout: bpy.types.UILayout, context: bpy.types.Context) -
         header.label(text=FOUND)
         if body is not None:
             _draw_found(body.box(), context, search)
-    elif not holds.photos and not holds.has_cameras and folder.is_dir():
+    elif not holds.photos and not holds.has_cameras and os.path.isdir(folder):
         layout.label(text=NO_PHOTOS, icon="INFO")
 
 

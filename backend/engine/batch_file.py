@@ -4,6 +4,7 @@ The engine writes the file (blender_nep/batch/state.py), each time as a whole, w
 """
 
 import json
+import os
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -60,7 +61,7 @@ class BatchFile:
 
 def has_batch(folder: Path) -> bool:
     """Whether the folder holds a batch."""
-    return (Path(folder) / FILE).is_file()
+    return os.path.isfile(Path(folder) / FILE)  # False, too, where the folder cannot be read
 
 
 def is_batch_running(folder: Path) -> bool:

@@ -67,10 +67,12 @@ def has_masks(folder: Path) -> bool:
 
 
 def has_cameras(folder: Path) -> bool:
-    """Whether the folder holds cameras, in any of the forms that the engine reads."""
-    return any((folder / name).is_file() for name in _FILES) or any(
-        is_form(folder) for is_form in (_is_colmap_project, _has_metashape_export, _has_bundle)
-    )
+    """Whether the folder holds cameras, in any of the forms that the engine reads. A folder that cannot be read has none."""
+    forms = (_is_colmap_project, _has_metashape_export, _has_bundle)
+    try:
+        return any((folder / name).is_file() for name in _FILES) or any(is_form(folder) for is_form in forms)
+    except OSError:  # such as no permission, or a name that is too long
+        return False
 
 
 def _is_colmap_project(folder: Path) -> bool:

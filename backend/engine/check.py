@@ -49,6 +49,7 @@ class EngineCheck:
                 stdin=subprocess.DEVNULL,
                 stdout=subprocess.PIPE,
                 stderr=subprocess.DEVNULL,
+                creationflags=getattr(subprocess, "CREATE_NO_WINDOW", 0),
             )
         except OSError as error:
             self.lines = [f"{python} cannot be started: {error.strerror or error}.", "Choose another Python."]

@@ -98,6 +98,7 @@ def _has_engine(python: str) -> bool:
                 stdin=subprocess.DEVNULL,
                 capture_output=True,
                 timeout=CHECK_LIMIT_S,
+                creationflags=getattr(subprocess, "CREATE_NO_WINDOW", 0),
             ).returncode
             == 0
         )

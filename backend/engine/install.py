@@ -109,6 +109,7 @@ class ProgramRunner:
                     stdout=output,
                     stderr=subprocess.STDOUT,
                     start_new_session=os.name != "nt",
+                    creationflags=getattr(subprocess, "CREATE_NO_WINDOW", 0),
                 )
             unfinished, ended = "", False
             with open(output_file, encoding="utf-8", errors="replace") as reader:

@@ -17,12 +17,12 @@ import. A test compares the two."""
 def is_asset(out: Path) -> bool:
     """Whether the folder holds a finished asset. The engine writes report.json last."""
     needed = ("mesh.obj", *(f"textures/{name}.exr" for name in TEXTURE_NAMES), "report.json")
-    return all((Path(out) / name).is_file() for name in needed)
+    return all(os.path.isfile(Path(out) / name) for name in needed)  # False, too, where the folder cannot be read
 
 
 def has_checkpoint(out: Path) -> bool:
     """Whether the folder holds an unfinished run that can be resumed."""
-    return (Path(out) / "checkpoints" / "run.json").is_file() and not (Path(out) / "report.json").is_file()
+    return os.path.isfile(Path(out) / "checkpoints" / "run.json") and not os.path.isfile(Path(out) / "report.json")
 
 
 def read_job(out: Path) -> dict | None:

@@ -51,6 +51,7 @@ class ComparisonProcess:
             encoding="utf-8",
             errors="replace",
             start_new_session=os.name != "nt",
+            creationflags=getattr(subprocess, "CREATE_NO_WINDOW", 0),
         )
         self._reader = threading.Thread(target=self._read, daemon=True)
         self._reader.start()

@@ -9,7 +9,7 @@ import numpy as np
 
 from ..scene_io.cameras import new_camera, pixel_aspect
 from ..scene_io.capture_files import Frame
-from ..scene_io.color_spaces import use_standard_view
+from ..scene_io.color_spaces import save_linear, use_standard_view
 from ..scene_io.image_files import load_pixels, set_media_type
 from .cycles_settings import has_denoiser, use_cycles
 
@@ -56,6 +56,7 @@ class RelitScene:
             set_media_type(settings)
             settings.file_format, settings.color_mode, settings.color_depth = "OPEN_EXR", channels, "32"
             settings.exr_codec = "ZIP"
+            save_linear(settings)
             with tempfile.TemporaryDirectory() as folder:
                 path = Path(folder) / "render.exr"
                 self.scene.render.filepath = os.fspath(path)

@@ -57,7 +57,9 @@ class Frame:
         rgb, alpha = pixels[..., :3], pixels[..., 3:]
         if self.color_space == "srgb":
             rgb = srgb_to_linear(rgb)
-        return np.nan_to_num(rgb) * alpha + GRAY * (1 - alpha)
+        # OpenEXR files hold colors that are multiplied by alpha already, other files do not
+        shown = np.nan_to_num(rgb) * (1 if self.path.suffix.lower() == ".exr" else alpha)
+        return shown + GRAY * (1 - alpha)
 
 
 def read_frames(folder: Path, transforms: str = "transforms.json") -> list[Frame]:

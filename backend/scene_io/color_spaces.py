@@ -34,6 +34,21 @@ def set_color_space(image: bpy.types.Image, space: str) -> None:
             continue
 
 
+def save_linear(settings: bpy.types.ImageFormatSettings) -> None:
+    """Save OpenEXR files with Rec.709 primaries, also where a studio's configuration works with others.
+
+    Where the configuration has no such color space, files keep the primaries with which it works.
+    """
+    settings.color_management = "OVERRIDE"
+    for name in (LINEAR, *_OTHER_NAMES[LINEAR]):
+        try:
+            settings.linear_colorspace_settings.name = name
+            return
+        except TypeError:  # there is no color space of this name
+            continue
+    settings.color_management = "FOLLOW_SCENE"
+
+
 def is_linear(image: bpy.types.Image) -> bool:
     """Whether Blender takes the values of the image's file as linear."""
     settings = image.colorspace_settings

@@ -28,7 +28,7 @@ def image_size(path: Path) -> tuple[int, int]:
             x0, y0, x1, y1 = struct.unpack_from("<4i", data, data.index(b"displayWindow\0box2i\0") + 24)
             return x1 - x0 + 1, y1 - y0 + 1
         if data[:2] == b"\xff\xd8":
-            return _jpeg_size(data)
+            return _jpeg_size(path)
         if data[:4] == b"RIFF" and data[8:12] == b"WEBP":
             return _webp_size(data)
     except (struct.error, ValueError, IndexError) as error:
@@ -38,12 +38,20 @@ def image_size(path: Path) -> tuple[int, int]:
     raise OSError(f"{path} is no PNG, JPEG, WebP, TIFF or OpenEXR file")
 
 
-def _jpeg_size(data: bytes) -> tuple[int, int]:
+def _jpeg_size(path: Path) -> tuple[int, int]:
+    """The size in the frame header. Phones may put megabytes before it, such as a depth map."""
     position = 2
-    while data[position + 1] not in JPEG_FRAMES:
-        position += 2 + struct.unpack_from(">H", data, position + 2)[0]
-    height, width = struct.unpack_from(">HH", data, position + 5)
-    return width, height
+    with open(path, "rb") as file:
+        while True:
+            file.seek(position)
+            segment = file.read(9)
+            if segment[1] == 0xFF:  # a marker may have such bytes before it
+                position += 1
+                continue
+            if segment[1] in JPEG_FRAMES:
+                height, width = struct.unpack_from(">HH", segment, 5)
+                return width, height
+            position += 2 + struct.unpack_from(">H", segment, 2)[0]
 
 
 def _webp_size(data: bytes) -> tuple[int, int]:

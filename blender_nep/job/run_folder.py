@@ -45,7 +45,7 @@ def fingerprint(
     object's sphere enters only if it was given as an option.
     """
     paths = [p for v in capture.views for p in (v.image_path, v.mask_path) if p is not None]
-    photos = "\n".join(f"{os.path.relpath(p, capture.folder)} {p.stat().st_size}" for p in paths)
+    photos = "\n".join(f"{_place(p, capture.folder)} {p.stat().st_size}" for p in paths)
     settings = dataclasses.asdict(preset)
     # options of the user: so the fingerprint names them separately
     metallic, faces = settings["material"].pop("metallic"), settings["surface"].pop("asset_faces")
@@ -60,6 +60,14 @@ def fingerprint(
         "mesh": "" if mesh is None else _digest(mesh.read_bytes()),
     }
     return what if sphere is None else what | {"object bounds": [*map(float, sphere[0]), float(sphere[1])]}
+
+
+def _place(path: Path, folder: Path) -> str:
+    """The path relative to the folder, or absolute if they lie on different drives of Windows."""
+    try:
+        return os.path.relpath(path, folder)
+    except ValueError:
+        return os.path.abspath(path)
 
 
 def _digest(data: bytes) -> str:

@@ -24,7 +24,7 @@ def correlations(points: LabeledPoints, light: IncomingLight, position: np.ndarr
     the cosine. highlights: with the logarithm of the light that a mirror-like surface would reflect to the photo. 0 if one
     of the two is uniform. A painted object may have a correlation by chance, and a uniform one has none.
     """
-    nearest = cKDTree(points.position).query(position, workers=-1)[1]
+    nearest = cKDTree(points.position).query(position, workers=torch.get_num_threads())[1]
     albedo = np.log(points.albedo[nearest].mean(1) + _BLACK)
     traced = light.traced
     hidden = torch.zeros_like(light.cos_v).index_add_(0, traced.hit_index, traced.hit_weight[:, 0, 0])

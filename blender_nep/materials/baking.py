@@ -53,7 +53,7 @@ def neighbors(tree: cKDTree, points: np.ndarray, count: int) -> tuple[np.ndarray
     If the tree has fewer than `count` samples, all of them are returned.
     """
     count = min(count, tree.n)
-    distance, index = tree.query(points, k=count, workers=-1)
+    distance, index = tree.query(points, k=count, workers=torch.get_num_threads())
     return distance.reshape(len(points), count), index.reshape(len(points), count)
 
 

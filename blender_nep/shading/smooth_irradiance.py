@@ -29,7 +29,9 @@ class IrradianceMean:
         if n == 0:
             index = np.zeros((0, 1), np.int64)
         else:
-            index = cKDTree(place).query(place, min(_COUNT, n), distance_upper_bound=_REACH, workers=-1)[1].reshape(n, -1)
+            workers = torch.get_num_threads()
+            _, index = cKDTree(place).query(place, min(_COUNT, n), distance_upper_bound=_REACH, workers=workers)
+            index = index.reshape(n, -1)
         # The tree gives the index n where there is no further neighbor.
         self._index = torch.from_numpy(np.minimum(index, max(n - 1, 0)).astype(np.int64)).to(position.device)
         known = torch.from_numpy(index < n).to(position.device, torch.float32)

@@ -120,6 +120,10 @@ def check_beside(folder):
     rounds(addon, bpy.ops.nep.find_cameras.poll)
     assert json.loads((folder / "stopped").read_text()) == {"cmd": "stop"} and search.failed is not None
     assert addon.clock.tick() is None, "the timer rests"
+    calls = []
+    addon.clock.call_until_false(lambda: 1 / 0)
+    addon.clock.call_until_false(lambda: len(calls) < 2 and not calls.append(0))
+    assert addon.clock.tick() and addon.clock.tick() and addon.clock.tick() is None and len(calls) == 2, "one error ends one"
     told = " ".join(panel(bpy, addon))
     assert "Stopped. No cameras were written" in told and "6 photos, no cameras yet" in told and "nep.find_cameras" in told
     assert not (folder / "photos" / "transforms.json").exists()

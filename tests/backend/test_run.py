@@ -142,5 +142,10 @@ def check_saved_file(path):
     assert len(used) == 6 and all(image.packed_file for image in used)
 
 
+def test_coordinates_of_a_report_can_be_given_again():
+    options = parse(["--capture", "x", "--out", "y", "--object-center", "0", "-1e-05", "1", "--object-radius", "1"])
+    assert options.object_center == [0, -1e-05, 1]
+
+
 if __name__ == "__main__":
     globals()[sys.argv[1]](*sys.argv[2:])

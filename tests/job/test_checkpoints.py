@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import errno
 import os
 
 import numpy as np
 import pytest
 import torch
 
+from blender_nep import files
 from blender_nep.checkpoints import Checkpoint, load_state, save_state
-from blender_nep.errors import Stopped
+from blender_nep.errors import OutputError, Stopped
 from blender_nep.materials.training_report import TrainingProgress
 from blender_nep.stop_request import StopRequest
 
@@ -116,3 +118,27 @@ def test_a_checkpoint_is_due_every_fifteen_seconds_and_counts_time(tmp_path):
     again.load()
     now[0] += 2
     assert again.seconds() == pytest.approx(17)
+
+
+@pytest.mark.parametrize("refusals", [2, 100])
+def test_a_file_that_another_program_reads_is_replaced_a_moment_later(tmp_path, monkeypatch, refusals):
+    """So Windows refuses to replace it for an instant."""
+    left, replace = [refusals], os.replace
+
+    def refuse(source, target):
+        left[0] -= 1
+        if left[0] >= 0:
+            raise PermissionError(errno.EACCES, "Access is denied")
+        replace(source, target)
+
+    monkeypatch.setattr(files, "_WINDOWS", True)
+    monkeypatch.setattr(files, "_PAUSE_S", 0.0)
+    monkeypatch.setattr(os, "replace", refuse)
+    (tmp_path / "a.json").write_text("old")
+    if refusals > 20:
+        with pytest.raises(OutputError, match="may not be written"):
+            files.write_text(tmp_path / "a.json", "new")
+    else:
+        files.write_text(tmp_path / "a.json", "new")
+    assert (tmp_path / "a.json").read_text() == ("old" if refusals > 20 else "new")
+    assert [path.name for path in tmp_path.iterdir()] == ["a.json"]

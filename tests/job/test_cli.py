@@ -9,6 +9,7 @@ import sys
 import pytest
 
 from blender_nep.cli import main
+from blender_nep.command_line import parser
 
 LIMIT = 120
 
@@ -52,6 +53,12 @@ def test_wrong_arguments_are_code_2(arguments, capsys):
     with pytest.raises(SystemExit) as ended:
         main(arguments)
     assert ended.value.code == 2 and "usage:" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("number", ["-0.5", "-1e-05", "-4.4E-08", "-.5", "-2e+1"])
+def test_coordinates_of_a_report_can_be_given_again(number):
+    arguments = ["reconstruct", "x", "--out", "y", "--object-center", "0", number, "1", "--object-radius", "1"]
+    assert parser().parse_args(arguments).object_center == [0, float(number), 1]
 
 
 def test_info_for_people_and_programs(make_capture, capsys):

@@ -13,7 +13,8 @@ from pathlib import Path
 
 import pytest
 
-from blender_nep.job.run_folder import FORMAT
+from blender_nep.capture import load_capture
+from blender_nep.job.run_folder import FORMAT, fingerprint
 from blender_nep.presets import preset
 from blender_nep.stop_request import StopRequest
 from support.ball_stages import BallStages
@@ -210,3 +211,16 @@ def test_a_killed_process_is_resumed(start, file):
     assert stages.entered[0] == expected
     if "done" not in file:
         assert stages.started_at[expected] > 0
+
+
+def test_photos_on_another_drive_than_the_capture_have_a_fingerprint(make_capture, monkeypatch):
+    """So it may be on Windows, where no relative path leads from one drive to another."""
+
+    def refuse(path, start):
+        raise ValueError("path is on mount 'D:', start on mount 'C:'")
+
+    capture = load_capture(make_capture().folder)
+    same = fingerprint(capture, preset("preview"), 0, True, None)
+    monkeypatch.setattr("os.path.relpath", refuse)
+    apart = fingerprint(capture, preset("preview"), 0, True, None)
+    assert {key for key in same if same[key] != apart[key]} == {"capture"}

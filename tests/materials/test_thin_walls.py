@@ -91,3 +91,21 @@ def test_a_point_takes_the_label_of_its_own_side():
     points = SurfacePoints(at, np.zeros(2, int), normal, normal)
     label = torch.from_numpy((known.normal[:, 2] > 0).astype(np.int64))
     assert labels_at(cKDTree(known.position), Places(known.position, known.normal), label, points).tolist() == [0, 1]
+
+
+def test_a_search_for_neighbors_takes_as_many_threads_as_the_job(monkeypatch):
+    class Tree:
+        n = 5
+
+        def query(self, points, k, workers):
+            asked.append(workers)
+            return np.zeros((len(points), k)), np.zeros((len(points), k), int)
+
+    asked, before = [], torch.get_num_threads()
+    try:
+        for threads in (1, 2):
+            torch.set_num_threads(threads)
+            neighbors(Tree(), np.zeros((3, 3)), 2)
+    finally:
+        torch.set_num_threads(before)
+    assert asked == [1, 2]

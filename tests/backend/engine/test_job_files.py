@@ -2,7 +2,9 @@
 
 import pytest
 
-from backend.engine.job_files import TEXTURE_NAMES, EventFile, is_asset
+from backend.engine.batch_file import has_batch
+from backend.engine.capture_contents import has_cameras
+from backend.engine.job_files import TEXTURE_NAMES, EventFile, has_checkpoint, is_asset
 from blender_nep.asset.export import TEXTURES
 
 
@@ -29,3 +31,10 @@ def test_an_asset_is_finished_when_all_its_files_are_there(tmp_path, missing):
     assert is_asset(tmp_path)
     (tmp_path / missing).unlink()
     assert not is_asset(tmp_path)
+
+
+def test_a_folder_that_cannot_be_read_holds_nothing(tmp_path):
+    """The sidebar asks while it draws, where an error would empty the panel."""
+    unreadable = tmp_path / ("x" * 300)  # a name that no file system takes
+    assert not is_asset(unreadable) and not has_checkpoint(unreadable) and not has_batch(unreadable)
+    assert not has_cameras(unreadable) and not has_cameras(tmp_path / "a" / ("x" * 300))

@@ -63,5 +63,36 @@ def check_asset_and_render(asset, texture, linear):
     np.testing.assert_allclose(seen.mean((0, 1)), 0.5, rtol=0.05)  # one sample, denoised
 
 
+def test_renderings_have_the_primaries_of_the_light_where_a_studio_works_with_others(asset, monkeypatch):
+    """The configuration works with the primaries of ACEScg. The matrix is that from Rec.709 to them."""
+    configuration = CONFIGURATION.format(texture="sRGB - Texture", linear="ACEScg")
+    configuration += """
+  - !<ColorSpace>
+    name: Linear Rec.709 (sRGB)
+    encoding: scene-linear
+    to_scene_reference: !<MatrixTransform> {matrix: [0.6131, 0.3395, 0.0474, 0, 0.0702, 0.9164, 0.0134, 0,
+      0.0206, 0.1096, 0.8698, 0, 0, 0, 0, 1]}
+"""
+    (asset / "config.ocio").write_text(configuration)
+    monkeypatch.setenv("OCIO", str(asset / "config.ocio"))
+    in_blender(check_primaries, asset)
+
+
+def check_primaries(asset):
+    import bpy
+
+    from backend.rendering.relight import RelitScene
+    from backend.scene_io.capture_files import Frame
+    from backend.scene_io.world import build_world
+    from support.captures import write_exr
+
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    write_exr(Path(asset) / "red.exr", np.tile([1.0, 0.1, 0.1], (4, 8, 1)))
+    world = build_world(Path(asset) / "red.exr", name="light")
+    with RelitScene(bpy.data.objects.new("nothing", None), 8, 8, samples=1) as relit:
+        seen = relit.render(Frame(Path("none"), 8, 8, 8.0, 8.0, 4.0, 4.0, np.eye(4), "linear"), world)
+    np.testing.assert_allclose(seen.mean((0, 1)), [1.0, 0.1, 0.1], rtol=0.02)
+
+
 if __name__ == "__main__":
     globals()[sys.argv[1]](*sys.argv[2:])

@@ -36,6 +36,14 @@ def test_image_size_of_a_header(tmp_path, name):
         image_size(tmp_path / name)
 
 
+def test_a_photo_of_a_phone_has_megabytes_before_its_size(tmp_path):
+    Image.new("RGB", (13, 7)).save(tmp_path / "a.jpg")
+    photo = (tmp_path / "a.jpg").read_bytes()
+    segment = b"\xff\xe1" + struct.pack(">H", 65_000) + bytes(64_998)
+    (tmp_path / "a.jpg").write_bytes(photo[:2] + 30 * segment + b"\xff" + photo[2:])  # and a fill byte before a marker
+    assert image_size(tmp_path / "a.jpg") == photo_files.image_size(tmp_path / "a.jpg") == (13, 7)
+
+
 def test_text_is_no_image(tmp_path):
     (tmp_path / "a.png").write_bytes(struct.pack(">I", 1) + b"hello")
     with pytest.raises(OSError, match="no PNG"):

@@ -109,5 +109,24 @@ def read(folder: Path) -> list[dict]:
     return json.loads((folder / "transforms.json").read_text())["frames"]
 
 
+def test_a_cut_out_is_shown_over_gray_in_both_forms_of_alpha(tmp_path):
+    """OpenEXR files hold colors that are multiplied by alpha, PNG files do not."""
+    color, alpha = np.full((*SIZE[::-1], 3), 0.5), np.full((*SIZE[::-1], 1), 0.25)
+    write_exr(tmp_path / "cut.exr", np.concatenate([color * alpha, alpha], -1))
+    encoded = np.concatenate([np.full_like(color, 188), 255 * alpha], -1).round().astype(np.uint8)
+    Image.fromarray(encoded).save(tmp_path / "cut.png")
+    frames = [{"file_path": name, "transform_matrix": np.eye(4).tolist()} for name in ("cut.exr", "cut.png")]
+    meta = {"w": SIZE[0], "h": SIZE[1], "fl_x": 50.0, "frames": frames}
+    (tmp_path / "transforms.json").write_text(json.dumps(meta))
+    in_blender(check_cut_outs, tmp_path)
+
+
+def check_cut_outs(folder):
+    from backend.scene_io.capture_files import GRAY, read_frames
+
+    for frame in read_frames(Path(folder)):
+        np.testing.assert_allclose(frame.photo(), 0.25 * 0.5 + 0.75 * GRAY, atol=0.005)
+
+
 if __name__ == "__main__":
     globals()[sys.argv[1]](*sys.argv[2:])
