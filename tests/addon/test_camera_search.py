@@ -1,5 +1,7 @@
 """The search for the cameras of photos in Blender, with an engine that only plays it. Each check is a process."""
 
+import contextlib
+import io
 import json
 import os
 import sys
@@ -123,7 +125,9 @@ def check_beside(folder):
     calls = []
     addon.clock.call_until_false(lambda: 1 / 0)
     addon.clock.call_until_false(lambda: len(calls) < 2 and not calls.append(0))
-    assert addon.clock.tick() and addon.clock.tick() and addon.clock.tick() is None and len(calls) == 2, "one error ends one"
+    with contextlib.redirect_stderr(io.StringIO()) as printed:
+        assert addon.clock.tick() and addon.clock.tick() and addon.clock.tick() is None and len(calls) == 2
+    assert printed.getvalue().count("ZeroDivisionError") == 1, "an error ends one task, and is told in the console"
     told = " ".join(panel(bpy, addon))
     assert "Stopped. No cameras were written" in told and "6 photos, no cameras yet" in told and "nep.find_cameras" in told
     assert not (folder / "photos" / "transforms.json").exists()
