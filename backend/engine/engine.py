@@ -10,6 +10,7 @@ import os
 import re
 import shutil
 import signal
+import socket
 import time
 from pathlib import Path
 
@@ -30,8 +31,10 @@ class FoundProcess:
     code = None  # only the program that started a process learns its exit code
     command = ("of an earlier session",)
 
-    def __init__(self, out: Path, pid: int):
+    def __init__(self, out: Path, pid: int, host: str):
+        """`host`: the name of the computer on which the process runs; empty where it is not known."""
         self.out, self.pid = out, pid
+        self._is_here = host in ("", socket.gethostname())
 
     def running(self) -> bool:
         return is_running(self.out)
@@ -40,7 +43,8 @@ class FoundProcess:
         return False
 
     def send(self, kill: bool) -> None:
-        if self.running():  # otherwise another process may have got this process number by now
+        # Otherwise another process may have this process number by now, or has it on this computer.
+        if self._is_here and self.running():
             try:
                 os.kill(self.pid, getattr(signal, "SIGKILL", signal.SIGTERM) if kill else signal.SIGTERM)
             except OSError:
@@ -82,7 +86,10 @@ class Engine:
         `poll` then gives all events of that job, from its first one.
         """
         job = read_job(out)
-        return None if job is None else cls(FoundProcess(Path(out), job["pid"]), Path(out) / FOLDER, in_output=True)
+        if job is None:
+            return None
+        process = FoundProcess(Path(out), job["pid"], str(job.get("host", "")))
+        return cls(process, Path(out) / FOLDER, in_output=True)
 
     @property
     def log(self) -> Path:

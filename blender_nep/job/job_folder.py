@@ -1,7 +1,10 @@
-"""The folder `job/` of an asset. With it another program follows a run, finds it again, and stops it (`--job-files`).
+"""The folder `job/` of an asset. It belongs to one run at a time.
 
     lock           locked as long as the engine runs; the operating system unlocks it, however the engine ends
-    job.json       id, pid, start, arguments; written last: when it is there, the other files are there too
+
+With `--job-files`, another program follows a run by the other files, finds it again, and stops it:
+
+    job.json       id, host, pid, start, arguments; written last: when it is there, the other files are there too
     events.jsonl   the events, one JSON object a line
     engine.log     what the engine and its libraries print
     stop           another program makes this file; then the run writes its checkpoint and ends
@@ -16,6 +19,7 @@ import contextlib
 import errno
 import json
 import os
+import socket
 import sys
 import time
 from collections.abc import Iterator
@@ -26,6 +30,7 @@ from blender_nep.files import output_error, output_errors, write_atomically
 
 FOLDER = "job"
 PREVIEW_MESH, PREVIEW_PICTURE = "preview.npz", "preview.png"
+_NO_LOCKS = (errno.ENOLCK, errno.ENOSYS, errno.ENOTSUP)
 _FILES = ("job.json", "events.jsonl", "engine.log", "stop", PREVIEW_MESH, PREVIEW_PICTURE)
 
 
@@ -49,20 +54,29 @@ class Journal:
 
 
 class JobFolder:
-    """The job folder of a run that begins now. The folder belongs to this process until the process ends."""
+    """The job folder of a run that begins now. The folder belongs to the run until `close`, or until the process ends."""
 
-    def __init__(self, asset: Path) -> None:
-        """Lock the folder, and remove the files of an earlier run.
+    def __init__(self, asset: Path, *, followed: bool) -> None:
+        """Lock the folder, and remove the files of an earlier run. `followed`: another program will follow this one.
 
-        Raises UsageError while another run owns the folder, and OutputError when it cannot be written.
+        Raises UsageError while another run owns the folder, and OutputError when it cannot be written. Some network drives
+        know no locks. There a run that is not followed goes without one.
         """
         self.path = asset / FOLDER
         with output_errors(self.path):
             self.path.mkdir(parents=True, exist_ok=True)
-            self._lock = lock_file(self.path / "lock", asset)
+            self._lock = lock_file(self.path / "lock", asset, needed=followed)
             for name in _FILES:
                 (self.path / name).unlink(missing_ok=True)
-            self.journal = Journal(self.path / "events.jsonl")
+
+    def close(self) -> None:
+        """Let another run have the folder."""
+        os.close(self._lock)
+
+    def journal(self) -> Journal:
+        """The file for the events of the run. Raises OutputError."""
+        with output_errors(self.path):
+            return Journal(self.path / "events.jsonl")
 
     @property
     def stop_file(self) -> Path:
@@ -70,9 +84,10 @@ class JobFolder:
         return self.path / "stop"
 
     def describe(self, **what: str) -> None:
-        """Write job.json with the id, pid, start and arguments, and the texts `what`. Raises OutputError."""
+        """Write job.json with the id, host, pid, start and arguments, and the texts `what`. Raises OutputError."""
         job = {
             "id": f"{time.time_ns():x}-{os.getpid()}",
+            "host": socket.gethostname(),
             "pid": os.getpid(),
             "started": time.strftime("%Y-%m-%d %H:%M:%S"),
             "arguments": sys.argv[1:],
@@ -95,25 +110,28 @@ class JobFolder:
 
 @contextlib.contextmanager
 def held(asset: Path) -> Iterator[None]:
-    """Lock the job folder of a finished run, if the asset has one, so that no run begins there.
+    """Lock the job folder of a finished run, so that no run and no other correction begins there.
 
-    Its files stay. Raises UsageError while a run owns the folder, and OutputError when it cannot be locked.
+    Its files stay. A folder that holds no asset is not locked. Raises UsageError while another one owns the folder, and
+    OutputError when it cannot be written.
     """
     path = asset / FOLDER / "lock"
-    if not path.exists():
+    if not (asset / "report.json").is_file():
         yield
         return
     with output_errors(path):
-        descriptor = lock_file(path, asset)
+        path.parent.mkdir(exist_ok=True)
+        descriptor = lock_file(path, asset, needed=False)
     try:
         yield
     finally:
         os.close(descriptor)
 
 
-def lock_file(path: Path, asset: Path) -> int:
+def lock_file(path: Path, asset: Path, *, needed: bool = True) -> int:
     """Lock the file `path` and return its descriptor. Raises UsageError while another run holds the lock, OutputError.
 
+    Where the file system knows no locks, that is an error only if the lock is `needed`.
     A program that follows the run locks the file for an instant, to see whether the run lives. So the lock is tried again.
     """
     descriptor = os.open(path, os.O_RDWR | os.O_CREAT, 0o666)
@@ -129,6 +147,8 @@ def lock_file(path: Path, asset: Path) -> int:
                 fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
             return descriptor
         except OSError as error:
+            if error.errno in _NO_LOCKS and not needed:
+                return descriptor
             if error.errno not in (errno.EAGAIN, errno.EACCES, errno.EWOULDBLOCK):
                 os.close(descriptor)
                 raise output_error(path, error) from error

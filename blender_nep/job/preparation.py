@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import random
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numba
@@ -84,9 +85,16 @@ class Preparation:
     """Runs the capture stage."""
 
     def __init__(
-        self, settings: Settings, device: torch.device, tracker: Tracker, events: Events, stop: StopRequest
+        self,
+        settings: Settings,
+        device: torch.device,
+        tracker: Tracker,
+        events: Events,
+        stop: StopRequest,
+        take_folder: Callable[[], object],
     ) -> None:
-        self._settings, self._device = settings, device
+        """`take_folder` makes the output folder this run's own. It raises UsageError while another run has it."""
+        self._settings, self._device, self._take_folder = settings, device, take_folder
         self._tracker, self._events, self._stop = tracker, events, stop
         self._folder = RunFolder(settings.out, stop, events.warning)
 
@@ -103,7 +111,8 @@ class Preparation:
         if s.resume and (s.out / "report.json").is_file():
             self._finish_complete(what)
             return None
-        resumed = s.resume and self._folder.can_be_resumed(what)
+        if s.resume:
+            self._folder.can_be_resumed(what)  # to refuse another run before the photos are read
         rays = self._read_photos(capture)
         with section("scene analysis"):
             refuse_turntable(rays)
@@ -113,7 +122,7 @@ class Preparation:
                 rays = to_brightness(rays, s.preset.brightness)
             photos = SceneAnalysis.of(rays)
         self._make_output()
-        if resumed:
+        if s.resume and self._folder.can_be_resumed(what):
             self._events.say(f"resuming the run in {s.out}")
         else:
             self._folder.begin(what)
@@ -173,6 +182,8 @@ class Preparation:
         out = self._settings.out
         with output_errors(out):
             out.mkdir(parents=True, exist_ok=True)
+            self._take_folder()
+            refuse_to_overwrite(self._settings)  # another run may have come while the photos were read
             if self._settings.overwrite and not self._settings.resume:
                 (out / "report.json").unlink(missing_ok=True)  # from here on the folder is no valid asset
                 (out / "profile.json").unlink(missing_ok=True)

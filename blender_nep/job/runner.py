@@ -65,12 +65,17 @@ Result = TypeVar("Result")
 def run(settings: Settings, events: Events, stop: StopRequest, stages: Stages | None = None) -> int:
     """Run a job to its end and return the exit code. An error becomes one `error` event; its traceback goes to the log."""
 
+    job = Job(settings, events, stop, stages or Stages())
+
     def work() -> None:
         # An SDF in bfloat16 has steps of 1/256 object radii. So a job uses full precision, even if its caller does not.
         with torch.autocast("cpu", enabled=False), torch.autocast("cuda", enabled=False):
-            Job(settings, events, stop, stages or Stages()).run()
+            job.run()
 
-    return exit_code(work, events, settings.out)
+    try:
+        return exit_code(work, events, settings.out)
+    finally:
+        job.close()
 
 
 @dataclass(frozen=True)
@@ -97,6 +102,7 @@ class Job:
         self._settings, self._events, self._stop, self._stages = settings, events, stop, stages
         self._tracker = Tracker(stages.expected_seconds(settings.preset), events)
         self._scene = SceneReport(events)
+        self._folder: JobFolder | None = None
 
     def run(self) -> None:
         """Run all stages. Raises NepError and its subclasses."""
@@ -107,6 +113,17 @@ class Job:
             self._run(profile)
         profile.write(self._settings.out / "profile.json")
         self._events.say(profile.table())
+
+    def close(self) -> None:
+        """Let another run have the output folder. Before this, all events must be written."""
+        if self._folder is not None:
+            self._folder.close()
+
+    def _take_folder(self) -> JobFolder:
+        """The output folder's job folder, which belongs to this run from now on. Raises UsageError, OutputError."""
+        if self._folder is None:
+            self._folder = JobFolder(self._settings.out, followed=self._settings.job_files)
+        return self._folder
 
     def _run(self, profile: Profile | None) -> None:
         prepared = self._prepare()
@@ -126,7 +143,7 @@ class Job:
         self._tracker.enter(StageName.CAPTURE)
         start = time.monotonic()
         self._tracker.tell(StageName.CAPTURE, 0, 1)
-        prepared = Preparation(s, device, self._tracker, self._events, self._stop).run()
+        prepared = Preparation(s, device, self._tracker, self._events, self._stop, self._take_folder).run()
         if prepared is None:
             return None
         self._tracker.leave(StageName.CAPTURE, time.monotonic() - start)
@@ -137,11 +154,11 @@ class Job:
     def _follow_by_files(self) -> None:
         """Take the job folder and send events there. Before this call, the folder may have belonged to another run."""
         s = self._settings
-        folder = JobFolder(s.out)
+        folder = self._take_folder()
         folder.take_stderr()
         self._stop.watch_file(folder.stop_file)
         folder.describe(capture=str(s.capture), out=str(s.out), preset=s.preset.name)
-        self._events.move_to(folder.path, folder.journal)
+        self._events.move_to(folder.path, folder.journal())
 
     def _learn(self, prepared: Prepared) -> Learned:
         """Run the three long stages."""

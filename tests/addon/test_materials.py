@@ -263,7 +263,7 @@ def check_no_start(folder):
     os.environ["NEP_ENGINE_PYTHON"] = engine
     from blender_nep.job.job_folder import JobFolder
 
-    job = JobFolder(asset)  # as another program that works in the folder
+    job = JobFolder(asset, followed=True)  # as another program that works in the folder
     refused("A job is running", "Wait for its end")
     os.close(job._lock)
     correcting_engine.write_report(asset, correcting_engine.MATERIALS[:2])

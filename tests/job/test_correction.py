@@ -218,7 +218,7 @@ def test_a_folder_without_an_asset_is_refused(tmp_path):
 
 
 def test_an_asset_at_which_a_job_works_is_refused(asset):
-    run = JobFolder(asset)  # it holds the lock as long as this process lives
+    run = JobFolder(asset, followed=True)  # it holds the lock as long as this process lives
     before = contents(asset)
     code, events = correct(asset, {0: Correction(roughness=0.9)})
     assert code == 2 and events[-1]["name"] == "usage.folder_in_use"
@@ -227,12 +227,10 @@ def test_an_asset_at_which_a_job_works_is_refused(asset):
 
 def test_a_correction_leaves_the_job_folder_free_and_as_it_was(start):
     assert start(KeepingStages())[0] == 0
-    (start.out / "job").mkdir()
-    (start.out / "job" / "lock").touch()
     (start.out / "job" / "events.jsonl").write_text("as it was")
     assert correct(start.out, {0: Correction(roughness=0.9)})[0] == 0
     assert (start.out / "job" / "events.jsonl").read_text() == "as it was"
-    JobFolder(start.out)  # raises UsageError if the lock is still held
+    JobFolder(start.out, followed=True)  # raises UsageError if the lock is still held
 
 
 def test_an_asset_that_was_cleaned_is_refused(start):

@@ -3,9 +3,14 @@
 from __future__ import annotations
 
 import errno
+import fcntl
+import json
 import os
 
-from blender_nep.job.job_folder import Journal
+import pytest
+
+from blender_nep.job.job_folder import JobFolder, Journal
+from support.ball_stages import BallStages
 
 
 def test_a_journal_outlives_a_full_disk(tmp_path, monkeypatch):
@@ -26,3 +31,29 @@ def test_a_journal_outlives_a_full_disk(tmp_path, monkeypatch):
     journal.write("second line\n")
     journal.flush()
     assert (tmp_path / "journal").read_text() == "first line\nsecond line\n"
+
+
+@pytest.mark.parametrize("options", [{"overwrite": True, "seed": 1}, {"resume": True}])
+def test_a_folder_at_which_a_run_works_is_refused_to_another(start, options):
+    def begin_another(stage, step):
+        if (stage, step) == ("material_learning", 2):
+            refused.append(start(BallStages(), **options))
+
+    refused: list = []
+    code, events = start(BallStages(on_step=begin_another))
+    assert code == 0 and events[-1]["event"] == "done"
+    ((code, events),) = refused
+    assert code == 2 and events[-1]["name"] == "usage.folder_in_use"
+    assert json.loads((start.out / "report.json").read_text())["seed"] == 0
+    assert start(BallStages(), overwrite=True)[0] == 0, "the folder is free again"
+
+
+@pytest.mark.parametrize(("followed", "expected"), [(False, 0), (True, 5)])
+def test_where_a_network_drive_knows_no_locks(start, monkeypatch, followed, expected):
+    def refuse(descriptor, how):
+        raise OSError(errno.ENOLCK, "No locks available")
+
+    monkeypatch.setattr(fcntl, "flock", refuse)
+    monkeypatch.setattr(JobFolder, "take_stderr", lambda self: None)
+    code, events = start(BallStages(), job_files=followed)
+    assert code == expected and (code == 0 or "No locks available" in events[-1]["message"])

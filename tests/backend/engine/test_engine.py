@@ -1,10 +1,13 @@
 """Jobs that are followed by their files: they outlive their starter, are found again, are stopped, and report errors."""
 
+import fcntl
 import os
 import shutil
 import signal
+import socket
 import subprocess
 import sys
+import time
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -12,7 +15,7 @@ import pytest
 
 from backend.engine import engine as engine_module
 from backend.engine.command import NoEngineError, reconstruct_arguments
-from backend.engine.engine import Engine
+from backend.engine.engine import Engine, FoundProcess
 from backend.engine.job_files import has_checkpoint, is_asset, is_running, read_job
 from support import ball_engine
 from support.own_process import LIMIT_S
@@ -121,6 +124,26 @@ def test_a_killed_engine_is_reported_to_its_starter_and_to_who_attached_to_it(ba
     again = ball(resume=True)
     follow(again)
     assert again.outcome() is None
+
+
+@pytest.mark.parametrize(("host", "ended"), [("another computer", False), (socket.gethostname(), True), ("", True)])
+def test_a_process_of_another_computer_is_not_ended_here(tmp_path, host, ended):
+    """Locks are known to all computers that share a network drive, numbers of processes are not."""
+    (tmp_path / "job").mkdir()
+    lock = os.open(tmp_path / "job" / "lock", os.O_RDWR | os.O_CREAT)
+    fcntl.flock(lock, fcntl.LOCK_EX)
+    process = subprocess.Popen(["sleep", "60"])
+    try:
+        FoundProcess(tmp_path, process.pid, host).send(kill=False)
+        if ended:
+            assert process.wait(LIMIT_S) == -signal.SIGTERM
+        else:
+            time.sleep(0.2)
+            assert process.poll() is None
+    finally:
+        process.kill()
+        process.wait()
+        os.close(lock)
 
 
 def test_two_jobs_cannot_work_in_one_folder(ball):
