@@ -7,7 +7,7 @@ valid capture is. It is not used here, because Blender's Python cannot import it
 import json
 import math
 import os
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +19,7 @@ from .photo_formats import HEIF, RAW, color_space
 from .srgb import srgb_to_linear
 
 CAMERAS = "cameras.json"  # the engine writes it into every asset: blender_nep/asset/cameras_file.py
+DISTORTION = ("camera_model", "k1", "k2", "k3", "k4", "p1", "p2")
 GRAY = 0.18  # radiance that is shown where a photo is transparent
 
 
@@ -40,6 +41,8 @@ class Frame:
     matrix: np.ndarray
     color_space: str
     gain: tuple[float, float, float] = (1.0, 1.0, 1.0)  # exposure and white balance, relative to the other photos
+    distortion: dict[str, Any] = field(default_factory=dict)  # entries of transforms.json that Blender's cameras lack
+    mask: Path | None = None
 
     def photo(self) -> np.ndarray:
         """The photo as linear radiance [H,W,3], over GRAY where the file is transparent.
@@ -167,6 +170,8 @@ def _frame(folder: Path, meta: dict, entry: dict) -> Frame:
         width, height = int(value("w")), int(value("h"))
     else:
         width, height = image_size(path)
+    distortion = {name: entry.get(name, meta.get(name)) for name in DISTORTION}
+    mask = entry.get("mask_path")
     angle = entry.get("camera_angle_x", meta.get("camera_angle_x"))
     fl_x = float(value("fl_x", None if angle is None else 0.5 * width / math.tan(0.5 * angle)))
     # As in the engine, OpenEXR is linear, whatever the capture says of its other photos.
@@ -181,6 +186,8 @@ def _frame(folder: Path, meta: dict, entry: dict) -> Frame:
         float(value("cy", height / 2)),
         _matrix(value("transform_matrix"), path),
         space,
+        distortion={name: found for name, found in distortion.items() if found},
+        mask=folder / str(mask) if mask else None,
     )
 
 

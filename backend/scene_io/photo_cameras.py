@@ -1,5 +1,6 @@
 """Shows a capture's cameras in Blender: a collection with a camera for each photo, and the photo as its background image."""
 
+import json
 from pathlib import Path
 
 import bpy
@@ -15,6 +16,8 @@ COLLECTION_NAME = "NeP cameras: {}"
 CAPTURE_KEY = "nep_capture"  # custom property of the collection: the capture's folder
 # Custom properties of a camera: its photo's size and pixel aspect. Blender itself has one size and aspect for all cameras.
 SIZE_KEY, ASPECT_KEY = "nep_photo_size", "nep_pixel_aspect"
+# What Blender's cameras lack: the lens distortion as JSON text, and the mask's path. A capture from the scene gets both.
+DISTORTION_KEY, MASK_KEY = "nep_distortion", "nep_mask"
 PHOTO_KEY = "nep_photo"  # custom property that marks an image which `load_cameras` has loaded
 DISPLAY_SIZE = 0.06  # drawn size of a camera, relative to the median distance of the cameras from their mean position
 
@@ -40,6 +43,10 @@ def load_cameras(
         camera = new_camera(frame, collection, frame.path.stem)
         camera[SIZE_KEY], camera[ASPECT_KEY] = [frame.width, frame.height], pixel_aspect(frame)
         camera.data.display_size = size
+        if frame.distortion:
+            camera[DISTORTION_KEY] = json.dumps(frame.distortion)
+        if frame.mask is not None:
+            camera[MASK_KEY] = str(frame.mask)
         ending = frame.path.suffix.lower()
         hidden = ending in RAW or (ending in HEIF and not shows_heif)
         image = None if hidden else _photo(frame)

@@ -10,7 +10,7 @@ from .cameras import intrinsics
 from .color_spaces import is_linear
 from .image_files import write_whole
 from .image_size import image_size
-from .photo_cameras import ASPECT_KEY, SIZE_KEY
+from .photo_cameras import ASPECT_KEY, DISTORTION_KEY, MASK_KEY, SIZE_KEY
 from .photo_formats import HEIF, RAW, SHOWN
 
 SOURCE = "Blender scene"  # marks a transforms.json that this file has written, and that it may therefore replace
@@ -102,6 +102,7 @@ def _frame(scene: bpy.types.Scene, camera: bpy.types.Object, folder: Path, packe
     matrix = rotation.to_matrix().to_4x4()
     matrix.translation = location
     return {
+        **_loaded_with(camera, folder),
         "file_path": name,
         "w": width,
         "h": height,
@@ -111,6 +112,17 @@ def _frame(scene: bpy.types.Scene, camera: bpy.types.Object, folder: Path, packe
         "cy": lens.cy,
         "transform_matrix": [list(row) for row in matrix],
     }
+
+
+def _loaded_with(camera: bpy.types.Object, folder: Path) -> dict:
+    """Lens distortion and mask of a camera that was loaded from a capture, as transforms.json in `folder` has them."""
+    entry = json.loads(camera.get(DISTORTION_KEY, "{}"))
+    if mask := camera.get(MASK_KEY):
+        try:
+            entry["mask_path"] = Path(os.path.relpath(mask, folder)).as_posix()
+        except ValueError:  # no relative path leads to another drive of Windows
+            entry["mask_path"] = Path(mask).as_posix()
+    return entry
 
 
 def _photo_file(camera: bpy.types.Object, folder: Path, packed: dict[str, bytes]) -> tuple[str, int, int]:
