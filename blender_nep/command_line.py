@@ -139,7 +139,7 @@ def _add_batch(commands: argparse._SubParsersAction) -> None:
     batch.add_argument("--seed", type=_seed, default=0, metavar="N", help="(%(default)s)")
     batch.add_argument("--device", choices=("auto", "cpu", "cuda"), default="auto", help="(%(default)s)")
     batch.add_argument("--clean", action="store_true", help="remove the checkpoints of finished objects")
-    batch.add_argument("--overwrite", action="store_true", help="start all objects again")
+    batch.add_argument("--overwrite", action="store_true", help="start the named objects again, or all if none is named")
     batch.add_argument("--workers", type=_at_least(1), metavar="N", help="jobs at once (as many as there are cores)")
     batch.add_argument("--threads", type=_at_least(1), metavar="N", help="CPU threads of each job (the cores are divided)")
     batch.add_argument("--memory", type=_positive, metavar="MB", help="memory of all jobs together (what is free)")

@@ -282,7 +282,7 @@ ERRORS = {
     ),
     "usage.other_batch": (
         "The batch in {folder} was started with other settings: {different}",
-        "Use the same settings as then, choose another output folder, or Start All Again.",
+        "Use the same settings as then, choose another output folder, or choose all captures and Start All Again.",
     ),
     "objects_failed": ("Some objects failed: {names}", "The list says why. Reconstruct Shelf tries only these again."),
     "bounds": ("", "Press Propose Bounds. Then move and scale the sphere: the whole object inside, no camera inside."),

@@ -90,7 +90,9 @@ class Batch:
         s = self._settings
         if s.overwrite and not captures:
             captures = captures_before(s.out)
-        state = self._state()
+        state = self._state(captures)
+        if s.overwrite:
+            state.start_again(captures)
         work = state.take(captures) if captures else state.objects
         if not work:
             raise _no_batch(s.out)
@@ -115,13 +117,18 @@ class Batch:
         self._events.say(progress.table())
         self._tell_end(work)
 
-    def _state(self) -> BatchState:
-        """The state of the folder, or a new one. Raises UsageError where another batch is there."""
+    def _state(self, captures: list[FoundCapture]) -> BatchState:
+        """The state of the folder, or a new one. Raises UsageError where another batch is there and goes on."""
         s = self._settings
-        before = None if s.overwrite else read_state(s.out)
-        if before is not None:
-            refuse_other_batch(s.out, before, s)
-        state = before or BatchState(s.identity())
+        try:
+            state = read_state(s.out) or BatchState(s.identity())
+        except UsageError:
+            if not s.overwrite:
+                raise
+            state = BatchState(s.identity())
+        if s.overwrite and state.holds_only(captures):
+            state = BatchState(s.identity(), objects=state.objects)
+        refuse_other_batch(s.out, state, s)
         state.arguments = s.arguments()
         return state
 

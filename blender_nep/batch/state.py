@@ -94,6 +94,17 @@ class BatchState:
                 one.photos_alone, one.size = capture.photos_alone, None
         return [known[str(capture.path)] for capture in captures]
 
+    def holds_only(self, captures: list[FoundCapture]) -> bool:
+        """Whether all objects are of these captures."""
+        return {one.capture for one in self.objects} <= {str(capture.path) for capture in captures}
+
+    def start_again(self, captures: list[FoundCapture]) -> None:
+        """Forget what was done for these captures. Their objects keep their names."""
+        named = {str(capture.path) for capture in captures}
+        for number, one in enumerate(self.objects):
+            if one.capture in named:
+                self.objects[number] = ObjectState(one.name, one.capture, one.photos_alone)
+
     def write(self, folder: Path) -> None:
         """Write batch.json. Raises OutputError."""
         content = {
@@ -146,7 +157,7 @@ def refuse_other_batch(folder: Path, before: BatchState, settings: BatchSettings
         which = ", ".join(f"--{name} {before.identity.get(name)}" for name in different)
         raise UsageError(
             f"the batch in {folder} was started with {which}",
-            "Give the same options as then, choose another --out, or start all objects again with --overwrite.",
+            "Give the same options as then, choose another --out, or name all captures and start again with --overwrite.",
             "usage.other_batch",
             folder=folder,
             different=different,

@@ -227,6 +227,35 @@ def test_all_starts_again_without_the_captures_named_again(batch):
     assert batch.steps("a") == batch.steps("b") == WHOLE * 2
 
 
+def test_one_object_that_starts_again_leaves_the_others_alone(batch):
+    one, other = batch.add("1/vase"), batch.add("2/vase")
+    batch.run(captures=[one, other])
+    kept = batch.objects()["vase"]
+    (other / "plays").write_text("refuse")
+    assert batch.run(captures=[other], overwrite=True)[0] == 9
+    found = batch.objects()
+    assert list(found) == ["vase", "vase-2"] and found["vase"] == kept
+    assert found["vase-2"]["capture"] == str(other) and found["vase-2"]["state"] == "failed"
+    assert found["vase-2"]["attempts"] == 1 and found["vase-2"]["warnings"] == [], "nothing is left of the first start"
+    assert batch.steps("vase") == WHOLE and (batch.out / "vase/report.json").is_file()
+    assert not (batch.out / "vase-2/report.json").exists()
+    page = (batch.out / "index.html").read_text(encoding="utf-8")
+    assert 'href="vase/' in page and "the photos are no good" in page
+
+
+def test_other_settings_need_all_objects_to_start_again(batch):
+    one, other = batch.add("a"), batch.add("b")
+    batch.run()
+    before = (batch.out / "batch.json").read_bytes()
+    code, events = batch.run(captures=[one], seed=3, overwrite=True)
+    assert code == 2 and events[-1]["name"] == "usage.other_batch" and "--seed 0" in events[-1]["message"]
+    assert (batch.out / "batch.json").read_bytes() == before and (batch.out / "a/report.json").is_file()
+    assert batch.run(captures=[other, one], seed=3, overwrite=True)[0] == 0
+    assert batch.content()["arguments"]["seed"] == 3 and list(batch.objects()) == ["a", "b"]
+    assert batch.run(captures=[], seed=4, overwrite=True)[0] == 0
+    assert batch.steps("a") == batch.steps("b") == WHOLE * 3
+
+
 def test_every_job_gets_the_number_of_faces_and_a_batch_keeps_to_it(batch):
     batch.add("a")
     assert batch.run(faces=5000)[0] == 0
