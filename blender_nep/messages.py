@@ -217,7 +217,7 @@ WORDS: dict[str, str] = {
     "batch.object_done": "{name}: done in {time}, {faces} faces, {materials} {materials:material|materials}",
     "batch.object_failed": "{name}: failed: {reason}",
     "batch.object_stopped": "{name}: stopped",
-    "batch.tried_again": "{name}: {reason}; it is tried again from its checkpoint",
+    "batch.tried_again": "{name}: {reason}; it is tried again",
     "batch.alone": "{name} may need {needed} MB, and there are {memory} MB: it runs alone. If it fails, try --preset "
     "preview or smaller photos",
     "batch.put_back": "{name} is put back and waits for its turn, because another object needs more memory than expected",

@@ -138,7 +138,7 @@ MESSAGES = {
     "batch.object_done": "{name} is done in {time}: {faces} faces, {materials} {materials:material|materials}",
     "batch.object_failed": "{name} has failed: {reason}",
     "batch.object_stopped": "{name} has stopped",
-    "batch.tried_again": "{name} is tried again from its checkpoint: {reason}",
+    "batch.tried_again": "{name} is tried again: {reason}",
     "batch.alone": "{name} may need {needed} MB, and there are {memory} MB: it runs alone. If it fails, choose the preset "
     "Preview or smaller photos",
     "batch.put_back": "{name} waits for its turn again, because another object needs more memory than expected",

@@ -10,6 +10,7 @@ from typing import Any
 from blender_nep.errors import NepError
 
 _NO_MEMORY = "unexpected.no_memory"
+_OTHER_RUN = ("usage.other_run", "usage.other_version", "usage.unknown_run")
 
 
 def is_crash(code: int | None, error: dict | None) -> bool:
@@ -23,6 +24,14 @@ def is_crash(code: int | None, error: dict | None) -> bool:
 def lacked_memory(code: int | None, error: dict | None) -> bool:
     """Whether the job may have ended because memory was short: the system ends processes by SIGKILL then."""
     return code == -9 or (error is not None and error["name"] == _NO_MEMORY)
+
+
+def refused_checkpoints(error: dict | None) -> bool:
+    """Whether the job was refused because the checkpoints in its folder are of another run, or of an unknown one.
+
+    They are of another run when the capture was corrected after an earlier attempt.
+    """
+    return error is not None and error["name"] in _OTHER_RUN
 
 
 def failure(code: int | None, error: dict | None, words: str) -> dict[str, Any]:

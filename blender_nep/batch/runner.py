@@ -6,9 +6,11 @@ import math
 import os
 import shutil
 import traceback
+from collections.abc import Iterable
 from pathlib import Path
 
 from blender_nep.batch.captures import FoundCapture, Size, find_captures, size_of
+from blender_nep.batch.job_process import CAPTURE
 from blender_nep.batch.jobs import Job, Jobs
 from blender_nep.batch.local_jobs import LocalJobs
 from blender_nep.batch.machine import free_memory_mb, jobs_in, wait_for_end
@@ -57,6 +59,18 @@ def _on_card(settings: BatchSettings) -> bool:
     if settings.ray is not None:
         return settings.device == "cuda"  # what the nodes have is not known here
     return choose_device(settings.device).type == "cuda"
+
+
+def _remove_old_cameras(cameras: Path, photos: Path, files: Iterable[Path]) -> None:
+    """Remove the folder `cameras` if it is older than the folder `photos` or one of its `files`, so that it is made anew.
+
+    The time of a folder changes when a photo is added or removed.
+    """
+    found = cameras / "transforms.json"
+    if found.is_file():
+        newest = max(path.stat().st_mtime for path in {photos, *files, *(file.parent for file in files)})
+        if newest > found.stat().st_mtime:
+            shutil.rmtree(cameras, ignore_errors=True)
 
 
 class Batch:
@@ -146,13 +160,15 @@ class Batch:
             if self._settings.overwrite:
                 with output_errors(out):
                     (out / "report.json").unlink(missing_ok=True)  # from here on the folder is no valid asset
-                    for made in ("checkpoints", "capture"):
+                    for made in ("checkpoints", CAPTURE):
                         shutil.rmtree(out / made, ignore_errors=True)
             report = read_report(out) if one.state == DONE else None
             if report is not None:
                 if (report.get("device") != "cpu") == self._needs.on_card:
                     self._needs.learn(one.size, one.photos_alone, one.peak_memory_mb, one.seconds)
             else:
+                if one.state == FAILED:
+                    one.size = None  # its capture may have been corrected
                 one.state, one.error, one.stage, one.eta_s, one.worker = WAITING, None, None, None, None
 
     def _look(self, work: list[ObjectState], progress: BatchProgress) -> None:
@@ -165,6 +181,8 @@ class Batch:
             self._events.progress(STAGE, 0, len(work), 0.0, math.nan, None, note)
             try:
                 size: Size = size_of(FoundCapture(Path(one.capture), one.photos_alone))
+                if one.photos_alone and one.size is None:
+                    _remove_old_cameras(self._settings.out / one.name / CAPTURE, Path(one.capture), size.files)
                 one.size, self._files[one.name] = size.told(), size.files
             except Exception as error:  # whatever is wrong with one capture stops no other one
                 if not isinstance(error, NepError):

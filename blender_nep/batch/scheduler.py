@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 import time
 from collections import Counter
 from collections.abc import Callable
@@ -10,7 +11,7 @@ from pathlib import Path
 
 from blender_nep.batch.jobs import Heard, Job, Jobs
 from blender_nep.batch.needs import Needs, threads_for
-from blender_nep.batch.outcome import failure, is_crash, lacked_memory, read_report
+from blender_nep.batch.outcome import failure, is_crash, lacked_memory, read_report, refused_checkpoints
 from blender_nep.batch.state import DONE, FAILED, RUNNING, STOPPED, WAITING, ObjectState
 from blender_nep.messages import Message
 from blender_nep.stop_request import StopRequest
@@ -74,6 +75,7 @@ class Scheduler:
         self._overtaken: Counter[str] = Counter()
         self._put_back: set[str] = set()
         self._alone: set[str] = set()
+        self._cleared: set[str] = set()
         self._stopping = False
 
     def _largest_first(self, one: ObjectState) -> tuple[float, int, str]:
@@ -168,7 +170,7 @@ class Scheduler:
         one.cpu_seconds += content["cpu_seconds"]
         one.peak_memory_mb = max(one.peak_memory_mb, content["peak_mb"])
         one.stage = one.eta_s = None
-        code, error = content["code"], content["error"]
+        code, error, words = content["code"], content["error"], content["words"]
         report = read_report(self._out / one.name) if code == 0 else None
         if report is not None:
             one.peak_memory_mb = max(one.peak_memory_mb, float(report.get("peak_memory_mb") or 0))
@@ -178,17 +180,31 @@ class Scheduler:
             self._put_back.discard(one.name)
             self._tries[one.name] -= 1
             self._wait_again(one)
+        elif refused_checkpoints(error) and self._clear(one):
+            self._tries[one.name] -= 1
+            self._try_again(one, failure(code, error, words))
         elif self._stopping and is_crash(code, error):
             one.state = STOPPED
         elif is_crash(code, error) and self._tries[one.name] < _TRIES:
             if lacked_memory(code, error):
                 self._more_memory[one.name] = _MORE_MEMORY * max(job.memory_mb, one.peak_memory_mb)
-            said = failure(code, error, content["words"])["message"]
-            self._listener.told(Message("batch.tried_again", {"name": one.name, "reason": said}))
-            self._wait_again(one)
+            self._try_again(one, failure(code, error, words))
         else:
-            one.state, one.error = FAILED, failure(code, error, content["words"])
+            one.state, one.error = FAILED, failure(code, error, words)
         self._listener.changed(one)
+
+    def _clear(self, one: ObjectState) -> bool:
+        """Remove the checkpoints of an object, once. Returns whether it was done. Those of a complete asset are kept."""
+        folder = self._out / one.name
+        if one.name in self._cleared or (folder / "report.json").exists():
+            return False
+        self._cleared.add(one.name)
+        shutil.rmtree(folder / "checkpoints", ignore_errors=True)
+        return True
+
+    def _try_again(self, one: ObjectState, failed: dict) -> None:
+        self._listener.told(Message("batch.tried_again", {"name": one.name, "reason": failed["message"]}))
+        self._wait_again(one)
 
     def _wait_again(self, one: ObjectState) -> None:
         """Let the object wait at the head: it goes on from its checkpoint, and a large one must not come last."""

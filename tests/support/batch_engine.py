@@ -9,6 +9,9 @@ an asset.
     slow        makes its steps only when the file `go` is in the capture, and stops with a checkpoint when it is asked to
     deaf        waits, and does not listen to anything
 
+If there is a file OUT/checkpoints/refused, it reports the error whose name is in it. `cameras` hands the file `plays` on to
+the capture that it makes.
+
 Each step adds a line to OUT/steps.txt, and is counted in OUT/checkpoints/step: nothing should be done twice.
 """
 
@@ -24,14 +27,14 @@ out = pathlib.Path(sys.argv[sys.argv.index("--out") + 1])
 out.mkdir(parents=True, exist_ok=True)
 plays = capture / "plays"
 if plays.exists():
-    mode, *count = plays.read_text().split()
+    mode, *rest = plays.read_text().split()
 else:
     meta = json.loads((capture / "transforms.json").read_text()) if (capture / "transforms.json").exists() else {}
-    mode, *count = meta.get("plays", "well").split()
+    mode, *rest = meta.get("plays", "well").split()
 tries = out / "tries"
 attempt = int(tries.read_text()) if tries.exists() else 0
 tries.write_text(str(attempt + 1))
-first = attempt < int(*count or "0")
+first = mode in ("crash", "short") and attempt < int(rest[0])
 stopped = threading.Event()
 def listen():
     while (line := os.read(0, 4096)) and b"stop" not in line:
@@ -46,10 +49,14 @@ def fail(code, name, message):
     sys.exit(code)
 if command == "cameras":
     (out / "transforms.json").write_text(json.dumps({"frames": []}))
+    if plays.exists():
+        (out / "plays").write_text(plays.read_text())
     say(event="done", asset=str(out))
     sys.exit()
 assert "--resume" in sys.argv and "--watch-stdin" in sys.argv, sys.argv
 (out / "arguments.json").write_text(json.dumps(sys.argv[1:]))
+if (out / "checkpoints/refused").exists():
+    fail(2, (out / "checkpoints/refused").read_text(), "cannot resume")
 if (out / "report.json").exists():
     sys.exit("an asset that is complete was started again")
 if mode == "refuse":
