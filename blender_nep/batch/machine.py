@@ -14,8 +14,19 @@ from blender_nep.stop_request import StopRequest
 OUT_OF_JOB = "NEP_JOB_OUT"
 """The environment variable by which a process says that a batch has started it, and for which asset folder"""
 
-_LIMIT, _TAKEN = Path("/sys/fs/cgroup/memory.max"), Path("/sys/fs/cgroup/memory.current")
-"""Files by which Linux says how much memory a container may have, and how much it has taken"""
+_CONTAINER = Path("/sys/fs/cgroup")
+"""The folder in which Linux says how much memory a container may have, and how much it has taken"""
+_CONTAINER_FILES = (
+    ("memory.max", "memory.current", "memory.stat", ("inactive_file", "active_file")),
+    (
+        "memory/memory.limit_in_bytes",
+        "memory/memory.usage_in_bytes",
+        "memory/memory.stat",
+        ("total_inactive_file", "total_active_file"),
+    ),
+)
+"""For cgroup version 2 and version 1: the files with the limit, with what is taken, and with its parts; and the names of
+those parts that are copies of files. Linux gives their memory to processes that need it."""
 _USABLE = 0.9
 """Share of the free memory that jobs may take"""
 _LONGEST_WAIT_S = 120.0
@@ -24,9 +35,19 @@ _LONGEST_WAIT_S = 120.0
 def free_memory_mb() -> float:
     """The memory that jobs may take now [MB]: most of what is free on the machine, and in the container if there is one."""
     free = float(psutil.virtual_memory().available)
-    with contextlib.suppress(OSError, ValueError):  # it says "max" where there is no limit
-        free = min(free, float(_LIMIT.read_text()) - float(_TAKEN.read_text()))
+    for limit, taken, parts, file_copies in _CONTAINER_FILES:
+        with contextlib.suppress(OSError, ValueError):  # it says "max" where there is no limit
+            most, now = (float((_CONTAINER / file).read_text()) for file in (limit, taken))
+            free = min(free, most - max(now - _sum_of(_CONTAINER / parts, file_copies), 0.0))
     return _USABLE * max(free, 0.0) / (1 << 20)
+
+
+def _sum_of(parts: Path, names: tuple[str, ...]) -> float:
+    """The sum [bytes] of the named lines of a file memory.stat; 0 if it cannot be read."""
+    with contextlib.suppress(OSError, ValueError):
+        sizes = dict(line.split() for line in parts.read_text().splitlines())
+        return float(sum(int(sizes.get(name, 0)) for name in names))
+    return 0.0
 
 
 def usage(process: psutil.Process) -> tuple[float, float]:
