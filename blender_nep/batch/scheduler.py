@@ -179,6 +179,8 @@ class Scheduler:
         elif one.name in self._put_back:
             self._put_back.discard(one.name)
             self._tries[one.name] -= 1
+            # Its own peak may be what was too much. With the old promise it would start at once and be put back again.
+            self._more_memory[one.name] = max(self._more_memory.get(one.name, 0.0), job.memory_mb)
             self._wait_again(one)
         elif refused_checkpoints(error) and self._clear(one):
             self._tries[one.name] -= 1

@@ -121,6 +121,12 @@ def test_the_youngest_is_put_back_if_a_job_takes_more_than_it_was_promised(tmp_p
     assert jobs.begun.count("01") == 2 and jobs.begun.count("00") == 1
 
 
+def test_a_job_that_itself_takes_too_much_is_put_back_once(tmp_path):
+    jobs = schedule(tmp_path, [50, 4], Plan(2, 2, 5500.0, 1), needed={"01": 700.0})
+    assert jobs.begun == ["00", "01", "01"]
+    assert [sum(job.memory_mb for job in together) for together in jobs.moments] == [5000, 5400, 700]
+
+
 def test_threads_are_divided():
     assert [threads_for(8, 8, left) for left in (20, 8, 5, 3, 1)] == [1, 1, 1, 2, 8]
     assert threads_for(8, 2, 20) == 4
