@@ -91,6 +91,9 @@ def _counts(size: Size | dict[str, int] | None) -> tuple[int, int]:
     return (size.photos, size.pixels) if isinstance(size, Size) else (size["photos"], size["pixels"])
 
 
-def threads_for(cores: int, workers: int, left: int) -> int:
-    """CPU threads of a job, if `left` jobs are running or still to be run: all get the same share of the cores."""
-    return max(1, cores // max(1, min(workers, left)))
+def threads_for(cores: int, at_once: int, left: int) -> int:
+    """CPU threads of a job, if `at_once` jobs may run at once and `left` are running or still to be run.
+
+    All get the same share of the cores.
+    """
+    return max(1, cores // max(1, min(at_once, left)))

@@ -118,10 +118,10 @@ class Scheduler:
             self._start(one, job)
 
     def _job(self, one: ObjectState) -> Job:
-        left = len(self._running) + len(self._waiting)
-        threads = self._plan.threads or threads_for(self._plan.cores, self._plan.workers, left)
-        memory = self._needs.memory_mb(one.size, one.photos_alone)
-        return self._make_job(one, threads, max(memory, self._more_memory.get(one.name, 0.0)))
+        plan, left = self._plan, len(self._running) + len(self._waiting)
+        memory = max(self._needs.memory_mb(one.size, one.photos_alone), self._more_memory.get(one.name, 0.0))
+        at_once = min(plan.workers, max(1, int(plan.memory_mb // memory)))  # not more fit into the memory
+        return self._make_job(one, plan.threads or threads_for(plan.cores, at_once, left), memory)
 
     def _start(self, one: ObjectState, job: Job) -> None:
         if job.memory_mb > self._plan.memory_mb and one.name not in self._alone:

@@ -127,6 +127,18 @@ def test_a_job_that_itself_takes_too_much_is_put_back_once(tmp_path):
     assert [sum(job.memory_mb for job in together) for together in jobs.moments] == [5000, 5400, 700]
 
 
+def test_the_cores_are_divided_among_the_jobs_that_fit_into_the_memory(tmp_path):
+    jobs = schedule(tmp_path, [27] * 40, Plan(16, 16, 9000.0, None))
+    *others, last = jobs.moments
+    assert {job.threads for together in others for job in together} == {5} and max(map(len, others)) == 3
+    assert [job.threads for job in last] == [16], "it is alone"
+
+
+def test_a_job_that_needs_all_memory_gets_all_cores(tmp_path):
+    jobs = schedule(tmp_path, [27] * 3, Plan(16, 16, 2000.0, None))
+    assert [[job.threads for job in together] for together in jobs.moments] == [[16]] * 3
+
+
 def test_threads_are_divided():
     assert [threads_for(8, 8, left) for left in (20, 8, 5, 3, 1)] == [1, 1, 1, 2, 8]
     assert threads_for(8, 2, 20) == 4
