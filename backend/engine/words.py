@@ -310,6 +310,10 @@ ERRORS = {
         "The job was ended by {signal}",
         "Press Reconstruct Shelf again. If the memory was full, choose the preset Preview, or smaller photos.",
     ),
+    "unexpected.job_not_started": (
+        "The job's process could not be started ({reason})",
+        "Close other programs, then press Reconstruct Shelf again.",
+    ),
     "unexpected.job_crashed": ("The job ended with exit code {exit_code}", "Its log.txt may say why."),
     "unexpected.computer_lost": ("The computer that ran the job was lost", "Press Reconstruct Shelf again."),
 }

@@ -14,6 +14,8 @@ from pathlib import Path
 
 from blender_nep.batch.jobs import Heard, Job
 from blender_nep.batch.machine import OUT_OF_JOB, Meter, kill
+from blender_nep.batch.outcome import NOT_STARTED
+from blender_nep.errors import NepError
 
 CAPTURE = "capture"
 """The folder in an asset that holds the cameras of photos alone"""
@@ -23,6 +25,8 @@ _LONGEST_STOP_S = 120.0
 """Seconds after which a job is killed that was asked to stop. Some steps cannot be interrupted."""
 _LAST_WORDS = 6
 """Lines of standard error that are kept"""
+_NO_PROGRAM = (FileNotFoundError, NotADirectoryError, PermissionError)
+"""Errors that every start of the program meets. Others may pass: the system has no memory or no process left."""
 
 
 class JobProcess:
@@ -32,7 +36,7 @@ class JobProcess:
     """
 
     def __init__(self, job: Job, worker: str) -> None:
-        """Start. Raises OSError if the program cannot be started."""
+        """Start. Raises OSError if there is no such program."""
         self.job = job
         self._heard: list[Heard] = []
         self._began = time.monotonic()
@@ -62,6 +66,20 @@ class JobProcess:
         return [*job.engine, "reconstruct", str(capture), "--out", str(job.out), "--resume", *job.options, *threads]
 
     def _start(self) -> None:
+        """Start the program. If the system cannot do so now, the job has ended."""
+        self._error = None
+        try:
+            self._open()
+        except _NO_PROGRAM:
+            raise
+        except (OSError, RuntimeError) as error:  # RuntimeError: there is no thread left
+            reason = getattr(error, "strerror", None) or str(error)
+            hint = "Close other programs, or try fewer --workers."
+            said = NepError(f"the job's process could not be started: {reason}", hint, NOT_STARTED, reason=reason)
+            self._error = said.told()
+            self._end(said.code, "", {"peak_mb": self._peak_mb, "cpu_seconds": self._cpu_seconds})
+
+    def _open(self) -> None:
         # Ctrl-C in a terminal reaches a whole group of processes. A group of its own leaves it to us to stop the job.
         self._process = subprocess.Popen(
             self._command(),
@@ -73,7 +91,6 @@ class JobProcess:
         )
         self._lines: queue.SimpleQueue[bytes] = queue.SimpleQueue()
         self._words: deque[bytes] = deque(maxlen=_LAST_WORDS)
-        self._error = None
         process, lines, words = self._process, self._lines, self._words
 
         def listen() -> None:
@@ -82,8 +99,14 @@ class JobProcess:
 
         targets = (listen, lambda: words.extend(process.stderr or ()))
         self._readers = [threading.Thread(target=target, daemon=True) for target in targets]
-        for reader in self._readers:
-            reader.start()
+        try:
+            for reader in self._readers:
+                reader.start()
+        except RuntimeError:
+            process.kill()
+            process.wait()
+            self._close_pipes()
+            raise
         self._meter = Meter(process.pid)
 
     def poll(self) -> list[Heard]:
@@ -108,10 +131,7 @@ class JobProcess:
         for reader in self._readers:
             reader.join(timeout=5)  # a process that the job has left behind may keep the pipe open
         self._listen()
-        for pipe in (self._process.stdin, self._process.stdout, self._process.stderr):
-            with contextlib.suppress(OSError):
-                if pipe is not None:
-                    pipe.close()
+        self._close_pipes()
         measured = self._measured()
         self._peak_mb, self._cpu_seconds = measured["peak_mb"], measured["cpu_seconds"]
         if code == 0 and self._searching and self._asked_at is None:
@@ -120,8 +140,16 @@ class JobProcess:
             return
         if code == 0 and self._searching:
             code = 7  # asked to stop just when the cameras were found
+        self._end(code, b"".join(self._words).decode("utf-8", "replace").strip(), measured)
+
+    def _close_pipes(self) -> None:
+        for pipe in (self._process.stdin, self._process.stdout, self._process.stderr):
+            with contextlib.suppress(OSError):
+                if pipe is not None:
+                    pipe.close()
+
+    def _end(self, code: int, words: str, measured: dict[str, float]) -> None:
         self._ended = True
-        words = b"".join(self._words).decode("utf-8", "replace").strip()
         seconds = time.monotonic() - self._began
         self._tell("ended", code=code, error=self._error, words=words, seconds=seconds, **measured)
 
@@ -157,7 +185,7 @@ class JobProcess:
 
     def stop(self) -> None:
         """Ask the job to write its checkpoint and to end."""
-        if self._asked_at is None:
+        if self._asked_at is None and not self._ended:
             self._asked_at = time.monotonic()
             with contextlib.suppress(OSError):
                 if self._process.stdin is not None:
@@ -166,6 +194,6 @@ class JobProcess:
 
     def kill(self) -> None:
         """End the process at once."""
-        if self._process.poll() is None:
+        if not self._ended and self._process.poll() is None:
             kill(self._process.pid)
             self._process.wait()

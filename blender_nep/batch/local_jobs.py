@@ -32,7 +32,7 @@ class LocalJobs:
         return replace(job, threads=min(job.threads, self._cores))
 
     def start(self, job: Job) -> None:
-        """Start the process of a job. Raises OSError if the program cannot be started."""
+        """Start the process of a job. Raises OSError if there is no such program."""
         self._processes[job.name] = JobProcess(job, WORKER)
 
     def poll(self) -> list[Heard]:

@@ -9,16 +9,20 @@ from typing import Any
 
 from blender_nep.errors import NepError
 
+NOT_STARTED = "unexpected.job_not_started"
+"""Name of the error if the system could not start the process of a job"""
 _NO_MEMORY = "unexpected.no_memory"
 _OTHER_RUN = ("usage.other_run", "usage.other_version", "usage.unknown_run")
 
 
 def is_crash(code: int | None, error: dict | None) -> bool:
-    """Whether a job might end well if it is tried again: it was killed, it crashed, or memory was short.
+    """Whether a job might end well if it is tried again: it was killed, it crashed, or memory or processes were short.
 
     A job that has said why it failed would say the same again: the capture, the seed and the disk are the same.
     """
-    return code is None or code < 0 or error is None or error["name"] == _NO_MEMORY or error["name"].startswith("stopped")
+    if code is None or code < 0 or error is None:
+        return True
+    return error["name"] in (_NO_MEMORY, NOT_STARTED) or error["name"].startswith("stopped")
 
 
 def lacked_memory(code: int | None, error: dict | None) -> bool:

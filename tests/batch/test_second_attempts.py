@@ -2,10 +2,18 @@
 
 from __future__ import annotations
 
+import errno
+import itertools
 import shutil
+import subprocess
+import threading
 from pathlib import Path
 
 import pytest
+
+from blender_nep.batch.job_process import JobProcess
+from blender_nep.batch.jobs import Job
+from blender_nep.batch.machine import jobs_in
 
 WHOLE = ["0", "1", "2", "3"]
 
@@ -84,3 +92,69 @@ def test_cameras_of_other_photos_are_found_again(batch, change, photos):
     change(shots / "images")
     assert batch.run()[0] == 9 and not mark.exists()
     assert batch.objects()["shots"]["size"]["photos"] == photos
+
+
+@pytest.fixture
+def no_process(monkeypatch):
+    """Lets the system have no process left at the starts with these numbers, counted from 0."""
+
+    def at(*numbers: int) -> None:
+        counted, popen = itertools.count(), subprocess.Popen
+
+        def start(*arguments, **options):
+            if next(counted) in numbers:
+                raise BlockingIOError(errno.EAGAIN, "Resource temporarily unavailable")
+            return popen(*arguments, **options)
+
+        monkeypatch.setattr(subprocess, "Popen", start)
+
+    return at
+
+
+def test_a_job_that_cannot_be_started_now_is_tried_again(batch, no_process):
+    no_process(1)
+    for name in ("a", "b"):
+        batch.add(name)
+    assert batch.run()[0] == 0
+    assert [one["attempts"] for one in batch.objects().values()] == [1, 2]
+
+
+def test_a_job_that_can_never_be_started_stops_no_other(batch, no_process):
+    no_process(1, 2)
+    for name in ("a", "b"):
+        batch.add(name)
+    assert batch.run()[0] == 9
+    found = batch.objects()
+    assert found["a"]["state"] == "done" and found["b"]["state"] == "failed" and found["b"]["attempts"] == 2
+    assert "Resource temporarily unavailable" in found["b"]["error"]["message"] and found["b"]["error"]["hint"]
+
+
+def test_a_job_whose_cameras_are_found_may_start_later(batch, no_process):
+    no_process(1)
+    (batch.add("shots") / "transforms.json").unlink()
+    assert batch.run()[0] == 0 and batch.objects()["shots"]["attempts"] == 2
+
+
+def test_a_job_without_a_thread_to_listen_is_ended_and_tried_again(batch, monkeypatch):
+    """The process is there already. It must not go on beside the second attempt."""
+    counted, start, left = itertools.count(), threading.Thread.start, []
+
+    def start_or_fail(thread):
+        if next(counted) == 1:
+            raise RuntimeError("can't start new thread")
+        left.append(len(jobs_in(batch.out)))
+        start(thread)
+
+    batch.add("a")
+    monkeypatch.setattr(threading.Thread, "start", start_or_fail)
+    assert batch.run()[0] == 0 and batch.objects()["a"]["attempts"] == 2 and batch.steps("a") == WHOLE
+    assert max(left) == 1
+
+
+def test_a_job_that_was_not_started_can_be_stopped(batch, no_process):
+    no_process(0)
+    job = Job("a", batch.captures, batch.out / "a", False, (), batch.engine, 1, 100.0)
+    process = JobProcess(job, "local")
+    process.stop()
+    process.kill()
+    assert [heard.kind for heard in process.poll()] == ["started", "ended"] and not process.running
