@@ -23,6 +23,8 @@ from blender_nep.batch.state import (
     DONE,
     FAILED,
     FILE,
+    RUNNING,
+    STOPPED,
     WAITING,
     BatchState,
     ObjectState,
@@ -126,6 +128,9 @@ class Batch:
                 scheduler.run(self._stop)
         finally:
             jobs.close()
+            for one in work:
+                if one.state == RUNNING:  # after a second Ctrl-C or an unforeseen error: its job is killed
+                    one.state, one.stage, one.eta_s = STOPPED, None, None
             progress.end()
         progress.show()
         self._events.say(progress.table())

@@ -16,6 +16,7 @@ import pytest
 from blender_nep.batch import runner
 from blender_nep.batch.machine import OUT_OF_JOB, jobs_in
 from blender_nep.batch.needs import Needs
+from blender_nep.batch.progress import BatchProgress
 from blender_nep.batch.runner import Batch
 from blender_nep.batch.scheduler import Scheduler
 from blender_nep.batch.settings import BatchSettings
@@ -197,6 +198,29 @@ def test_a_file_in_its_folder_stops_the_batch_and_not_the_next_start(batch):
     code, events = stopped_run(batch, (batch.out / "batch.stop").touch)
     assert code == 7 and events[-1]["values"] == {"reason": "stop file", "left": 1}
     (slow / "go").touch()
+    assert batch.run()[0] == 0 and batch.steps("a") == WHOLE
+
+
+@pytest.mark.parametrize(("error", "code"), [(KeyboardInterrupt(), 7), (ZeroDivisionError("a bug"), 1)])
+def test_no_object_is_left_running_when_the_batch_breaks_off(batch, monkeypatch, error, code):
+    """As after a second Ctrl-C."""
+    tick = BatchProgress.tick
+
+    def tick_or_break(progress):
+        if any(one.eta_s is not None for one in progress._work):
+            raise error
+        tick(progress)
+
+    for name in ("a", "b"):
+        batch.add(name, "slow")
+    with monkeypatch.context() as broken:
+        broken.setattr(BatchProgress, "tick", tick_or_break)
+        assert batch.run(workers=1)[0] == code and not jobs_in(batch.out)
+    one, other = batch.objects().values()
+    assert (one["state"], one["stage"], one["eta_s"]) == ("stopped", None, None) and other["state"] == "waiting"
+    assert "Start blender-nep batch again to go on" in (batch.out / "index.html").read_text(encoding="utf-8")
+    for name in ("a", "b"):
+        (batch.captures / name / "go").touch()
     assert batch.run()[0] == 0 and batch.steps("a") == WHOLE
 
 

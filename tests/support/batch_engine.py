@@ -67,6 +67,7 @@ if mode == "short" and first:
 checkpoint = out / "checkpoints/step"
 done = int(checkpoint.read_text()) if checkpoint.exists() else 0
 if mode in ("slow", "deaf"):
+    say(event="progress", stage="fields_learning", step=done, steps=4, fraction=done / 4, eta_s=300, loss=None)
     (out / "waiting").touch()
     while not (capture / "go").exists() and not stopped.wait(0.01):
         pass
