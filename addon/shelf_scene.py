@@ -7,7 +7,7 @@ import bpy
 from bpy.app.handlers import persistent
 
 from ..backend.engine.batch_file import BatchFile
-from ..backend.shelf.bring_in import BATCH, catalog_of_collection, not_in_scene, shelf_collection, shelf_objects
+from ..backend.shelf.bring_in import BATCH, catalog_of_collection, not_in_scene, objects_of
 from ..backend.shelf.catalogs import add_catalogs, catalog_of
 from .folders import folder_key
 
@@ -65,13 +65,18 @@ def write_shelf_file(batch: BatchFile, scene: bpy.types.Scene) -> Path:
     """Write FOLDER/shelf.blend with the objects of the batch, and their catalog beside it. Returns its path.
 
     A file that is younger than all objects stays. The file is replaced as a whole. Raises ValueError where the scene lacks
-    objects of the batch, so that the file would lack them, too; OSError and RuntimeError where it cannot be written.
+    objects of the batch, so that the file would lack them, too, and where the file is open, so that all else in it would be
+    lost; OSError and RuntimeError where it cannot be written.
     """
-    path, collection = batch.folder / BLEND_FILE, shelf_collection(batch.folder, scene)
+    path, items = batch.folder / BLEND_FILE, objects_of(batch, scene)
     if not _is_current(path, batch):
-        if collection is None or not_in_scene(batch, scene):
+        if _is_open(path):
+            raise ValueError(
+                "shelf.blend itself is open, and would be replaced as a whole. Save it under another name first"
+            )
+        if not items or not_in_scene(batch, scene):
             raise ValueError("Press Bring In Objects first: shelf.blend is made of the objects in the scene")
-        _write(path, shelf_objects(collection))
+        _write(path, items)
     add_catalogs(batch.folder, [catalog_of(batch)])
     return path
 
@@ -82,6 +87,10 @@ def _is_current(path: Path, batch: BatchFile) -> bool:
         return all((one.folder / "report.json").stat().st_mtime <= written for one in batch.done)
     except OSError:
         return False
+
+
+def _is_open(path: Path) -> bool:
+    return bpy.data.is_saved and folder_key(Path(bpy.data.filepath).resolve()) == folder_key(path.resolve())
 
 
 def _write(path: Path, items: list[bpy.types.Object]) -> None:

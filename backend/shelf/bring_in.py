@@ -61,8 +61,14 @@ def not_in_scene(batch: BatchFile, scene: bpy.types.Scene) -> list[BatchObject]:
     A copy that was taken from the Asset Browser, or made with Duplicate, does not count: Blender does not mark it as an
     asset.
     """
-    there = {item[ASSET] for item in shelf_objects(scene)}
+    there = {item[ASSET] for item in objects_of(batch, scene)}
     return [one for one in batch.done if _key(one.folder) not in there]
+
+
+def objects_of(batch: BatchFile, scene: bpy.types.Scene) -> list[bpy.types.Object]:
+    """The scene's objects of the batch that are done, in whatever collection the artist has put them."""
+    done = {_key(one.folder) for one in batch.done}
+    return [item for item in shelf_objects(scene) if item[ASSET] in done]
 
 
 def shelf_collection(folder: Path, scene: bpy.types.Scene) -> bpy.types.Collection | None:

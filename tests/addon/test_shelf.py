@@ -106,6 +106,46 @@ def check_library(bpy, addon, folder, item):
     assert not (folder / "shelf" / "deep" / "blender_assets.cats.txt").exists()
 
 
+def test_the_library_has_objects_of_all_collections(folder):
+    in_blender(check_collections, folder)
+
+
+def check_collections(folder):
+    bpy, _addon, _settings = set_up(folder, "ant", "bee")
+    assert bpy.ops.nep.reconstruct_shelf() == {"FINISHED"} and bpy.ops.nep.bring_in_objects() == {"FINISHED"}
+    elsewhere, item = bpy.data.collections.new("elsewhere"), bpy.data.objects["ant"]
+    bpy.context.scene.collection.children.link(elsewhere)
+    elsewhere.objects.link(item)
+    bpy.data.collections["Shelf: shelf"].objects.unlink(item)
+    assert bpy.ops.nep.add_asset_library() == {"FINISHED"}
+    with bpy.data.libraries.load(str(folder / "shelf" / "shelf.blend"), assets_only=True) as (there, _):
+        assert sorted(there.objects) == ["ant", "bee"]
+
+
+def test_the_library_does_not_replace_the_open_file(folder):
+    in_blender(check_open_library, folder)
+
+
+def check_open_library(folder):
+    bpy, _addon, _settings = set_up(folder, "ant")
+    file, report = folder / "shelf" / "shelf.blend", folder / "shelf" / "ant" / "report.json"
+    assert bpy.ops.nep.reconstruct_shelf() == {"FINISHED"} and bpy.ops.nep.bring_in_objects() == {"FINISHED"}
+    assert bpy.ops.nep.add_asset_library() == {"FINISHED"}
+    bpy.ops.wm.open_mainfile(filepath=str(file))
+    bpy.context.scene.collection.objects.link(bpy.data.objects.new("mine", None))
+    bpy.context.scene.nep.shelf_output = "//"
+    bpy.ops.nep.add_shelf_captures(directory=str(folder / "bee"))
+    assert bpy.ops.nep.reconstruct_shelf() == {"FINISHED"} and bpy.ops.nep.bring_in_objects() == {"FINISHED"}
+    bpy.ops.wm.save_mainfile()
+    before, later = file.read_bytes(), file.stat().st_mtime + 2
+    os.utime(report, (later, later))
+    fails(bpy.ops.nep.add_asset_library, "shelf.blend itself is open")
+    assert file.read_bytes() == before
+    bpy.context.scene.nep.shelf_output = str(folder / "shelf")
+    bpy.ops.wm.save_as_mainfile(filepath=str(folder / "mine.blend"))
+    assert bpy.ops.nep.add_asset_library() == {"FINISHED"} and file.read_bytes() != before
+
+
 def test_a_batch_runs_beside_blender_and_is_stopped(folder):
     (folder / "mode").write_text("slow")
     in_blender(check_beside, folder)
