@@ -6,6 +6,7 @@ that shares the disk, or by an earlier session of Blender.
 
 import time
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from pathlib import Path
 
 from ..backend.engine.batch_file import BatchFile, ask_to_stop, has_batch, is_batch_running, read_batch
@@ -54,6 +55,7 @@ class ShelfBatch:
     def start(self, process: BatchProcess, keeps_going: bool) -> None:
         """Follow an engine that was just started in the folder."""
         self.process, self._keeps_going, self.failed, self.stopping = process, keeps_going, None, False
+        self.running = True  # from now on, so that the timer follows it
         self.forget()
 
     def poll(self) -> bool:
@@ -61,17 +63,22 @@ class ShelfBatch:
         if self.process is not None and self.process.poll():
             self.failed, self.process = self.process.failed, None
             self.forget()
+        if self.process is not None and self._keeps_going and self.stopping and is_batch_running(self.folder):
+            # When the engine has the lock, it removes what asks it to stop: that may be a leftover of an earlier batch.
+            with suppress(OSError):  # the next call tries again
+                ask_to_stop(self.folder)
         self.look()
         return self.running
 
     def stop(self) -> None:
         """Ask the batch to write its checkpoints and to end.
 
-        Raises OSError where it was started elsewhere and its folder cannot be written.
+        A batch that has not begun yet is asked by `poll`, as soon as it has. Raises OSError where the folder cannot be
+        written.
         """
         if self.process is not None and not self._keeps_going:
             self.process.stop()
-        else:
+        elif self.process is None or is_batch_running(self.folder):
             ask_to_stop(self.folder)
         self.stopping = True
 

@@ -171,6 +171,22 @@ def check_beside(folder):
     assert addon.clock.tick() is None, "the timer rests"
 
 
+def test_a_batch_that_keeps_going_is_stopped_before_it_has_begun(folder):
+    (folder / "mode").write_text("late")
+    (folder / "shelf").mkdir()
+    in_blender(check_early_stop, folder)
+
+
+def check_early_stop(folder):
+    bpy, addon, _settings = set_up(folder)
+    batch = begin(folder, addon, "ant", "bee", keep_going=True)
+    assert addon.clock.tick() is not None and addon.shelf_batch.any_at_work(), "the timer follows it"
+    assert bpy.ops.nep.stop_shelf() == {"FINISHED"} and not bpy.ops.nep.stop_shelf.poll()
+    (folder / "begin").touch()
+    rounds(addon, lambda: not batch.running)
+    assert (folder / "stopped").exists() and batch.failed.name == "stopped.batch"
+
+
 @pytest.mark.parametrize("closing", ["STOP", "KEEP"])
 def test_a_batch_ends_with_blender_or_is_found_again(folder, closing):
     (folder / "mode").write_text("slow")

@@ -2,8 +2,8 @@
 
 It writes its arguments to arguments.json beside itself. The asset of every object is a copy of the folder `asset` beside it;
 an object whose capture's name begins with "bad" fails. The file `mode` beside it says what else it does: slow: after the
-first object it waits until the file `go` is there, or until it is asked to stop. crash: it kills itself. old: it does not
-know the command.
+first object it waits until the file `go` is there, or until it is asked to stop. late: as slow, and it begins when the file
+`begin` is there. crash: it kills itself. old: it does not know the command.
 """
 
 from pathlib import Path
@@ -30,6 +30,8 @@ if command == "gallery":
 out = pathlib.Path(given[given.index("--out") + 1])
 if mode == "crash":
     os.kill(os.getpid(), signal.SIGKILL)
+while mode == "late" and not (here / "begin").exists():
+    time.sleep(0.02)
 out.mkdir(exist_ok=True)
 lock = open(out / "batch.lock", "w")
 fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -51,7 +53,7 @@ def stopped():
 note = {"code": "batch.progress", "values": {"objects": 2, "done": 0, "running": 1, "waiting": 1, "failed": 0}}
 say(event="progress", stage="batch", step=0, steps=2, fraction=0.25, eta_s=75, note=note)
 for number, one in enumerate(objects):
-    if number and mode == "slow":
+    if number and mode in ("slow", "late"):
         one.update(state="running", fraction=0.4, stage="surface")
         write()
         while not (here / "go").exists():
