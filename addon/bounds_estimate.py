@@ -8,7 +8,7 @@ from bpy.app.handlers import persistent
 from ..backend.engine.capture_query import CaptureQuery
 from ..backend.engine.command import EngineError
 from . import clock
-from .folders import resolve_folder
+from .folders import folder_key, resolve_folder
 from .object_bounds import place_bounds
 from .opened_file import opened_file
 
@@ -36,7 +36,8 @@ class BoundsEstimate:
             return
         last_error = self._query.error
         scene = bpy.data.scenes.get(self._scene_name)
-        if self._query.sphere is None or scene is None or resolve_folder(scene.nep.capture) != self._capture:
+        capture = None if scene is None else resolve_folder(scene.nep.capture)
+        if self._query.sphere is None or capture is None or folder_key(capture) != folder_key(self._capture):
             return
         place_bounds(scene, self._capture, *self._query.sphere)
         if not bpy.app.background:

@@ -16,7 +16,7 @@ STRETCH_TOLERANCE = 1e-3  # relative difference of the axes up to which an empty
 def bounds_object(scene: bpy.types.Scene) -> bpy.types.Object | None:
     """The empty with the scene's bounds; None where there is none, also where the artist has deleted it."""
     item = scene.nep.bounds
-    return item if item is not None and scene.objects.get(item.name) == item else None
+    return item if item is not None and scene in item.users_scene else None
 
 
 def bounds_arguments(scene: bpy.types.Scene) -> list[str]:
@@ -69,7 +69,7 @@ def _select_alone(scene: bpy.types.Scene, item: bpy.types.Object) -> None:
     """Select the item and nothing else, so that the artist can move it at once. Nobody is thrown out of Edit Mode."""
     layer = scene.view_layers[0]
     active = layer.objects.active
-    if (active is not None and active.mode != "OBJECT") or layer.objects.get(item.name) != item:
+    if (active is not None and active.mode != "OBJECT") or item not in layer.objects.values():
         return
     for other in list(layer.objects.selected):
         other.select_set(False, view_layer=layer)

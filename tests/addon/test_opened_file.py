@@ -49,6 +49,53 @@ def check_bounds(folder):
     assert bounds() is None and addon.bounds_estimate.last_error is None
 
 
+def test_bounds_are_placed_after_the_file_was_saved_in_another_folder(package):
+    in_blender(check_bounds_elsewhere, package)
+
+
+def check_bounds_elsewhere(folder):
+    import bpy
+
+    addon = register()
+    answer = SimpleNamespace(sphere=((0.0, 0.0, 0.0), 1.0), error=None, poll=lambda: True, close=lambda: None)
+    addon.bounds_estimate.CaptureQuery = lambda *_: answer
+    for name in ("photos", "other"):
+        (folder / name).mkdir()
+    bpy.ops.wm.save_as_mainfile(filepath=str(folder / "saved.blend"))
+    bpy.context.scene.nep.capture = "//photos"
+    capture = addon.folders.resolve_folder("//photos")
+    addon.bounds_estimate.start_estimate(bpy.context.scene, capture, sys.executable, wait=False)
+    bpy.ops.wm.save_as_mainfile(filepath=str(folder / "other" / "saved.blend"))
+    assert bpy.context.scene.nep.capture == "//../photos"
+    rounds(addon, lambda: addon.bounds_estimate.current is None)
+    assert addon.object_bounds.bounds_object(bpy.context.scene) is not None
+
+
+def test_bounds_count_beside_linked_ones_of_the_same_name(package):
+    in_blender(check_linked_bounds, package)
+
+
+def check_linked_bounds(folder):
+    import bpy
+
+    addon = register()
+    bounds, file = addon.object_bounds, str(folder / "linked.blend")
+    bounds.place_bounds(bpy.context.scene, folder, (0, 0, 0), 1.0)
+    bpy.ops.wm.save_as_mainfile(filepath=file)
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    with bpy.data.libraries.load(file, link=True) as (there, linked):
+        linked.objects = there.objects
+    scene = bpy.context.scene
+    scene.collection.objects.link(linked.objects[0])
+    own = bounds.place_bounds(scene, folder, (5, 0, 0), 1.0)
+    assert own.name == linked.objects[0].name and bounds.bounds_object(scene) == own
+    assert bounds.place_bounds(scene, folder, (6, 0, 0), 1.0) == own
+    assert own.select_get() and bpy.context.view_layer.objects.active == own
+    assert "--object-center" in bounds.bounds_arguments(scene)
+    scene.collection.objects.unlink(own)
+    assert bounds.bounds_object(scene) is None
+
+
 def test_a_comparison_is_shown_in_the_file_that_asked_for_it(package):
     Image.new("RGB", (16, 8), (200, 100, 50)).save(package / "comparison.png")
     in_blender(check_comparison, package)
