@@ -12,7 +12,7 @@ from . import clock
 
 EXTENSION = Path(__file__).resolve().parent.parent
 ALLOW_ONLINE_ACCESS = "It is a download: allow it in Preferences, System, Network, Allow Online Access"
-CANCEL_GRACE_PERIODS = 100  # of the clock: the time that a cancelled installation has to clean up
+CANCEL_GRACE_PERIODS = 3000  # of the clock, 300 s: a cancelled installation may have gigabytes to delete
 
 
 class Installation:

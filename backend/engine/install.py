@@ -4,7 +4,7 @@ The add-on starts this file as a separate program, so that Blender does not wait
 of this package. The program prints JSON lines (progress, done, error) on standard output; what pip prints goes to standard
 error. When standard input is closed, the program stops and removes what it has made. The environment is DIR/nep-engine. Its
 file engine.json is written last. An environment without engine.json counts as not installed, and the next run replaces it.
-An engine that works is set aside meanwhile, and comes back if the run fails.
+An engine that works is set aside meanwhile, and comes back if the run fails, before what the run has made is deleted.
 """
 
 import argparse
@@ -206,7 +206,7 @@ def install(options: argparse.Namespace, programs: ProgramRunner) -> None:
     ):
         raise InstallError(f"{environment} is there already and is no engine.", "Delete it, or choose another folder.")
     set_aside(environment)
-    environment.mkdir(parents=True)
+    environment.mkdir(parents=True, exist_ok=True)  # an empty folder may be there
     (environment / UNFINISHED).touch()
     tell("progress", fraction=0.02, message="Making the environment")
     code, text = programs.run([options.python, "-I", "-m", "venv", str(environment)])
@@ -255,31 +255,24 @@ def set_aside(environment: Path) -> None:
     bring_back(environment)  # of a run that was killed
     if (environment / DONE).is_file():
         os.replace(environment, _aside(environment))
-    else:
-        remove(environment)
 
 
 def bring_back(environment: Path) -> None:
-    """Put the engine that was set aside to its place again, if there is one and no complete one is there."""
-    if not _aside(environment).is_dir():
-        return
-    if (environment / DONE).is_file():
-        shutil.rmtree(_aside(environment))
-    else:
-        remove(environment)
-        os.replace(_aside(environment), environment)
+    """Remove what an unfinished run has left. Put the engine that was set aside to its place again, if there is one.
 
-
-def remove(environment: Path) -> None:
-    """Remove an older engine, or what an unfinished run has left.
-
-    The file that marks an environment as complete is removed first. So an environment that is removed only in part, because
-    this program was killed, does not look complete.
+    The engine is in its place before anything is deleted. Deleting some gigabytes can take minutes, and this program may be
+    killed meanwhile.
     """
-    if environment.exists():
-        (environment / UNFINISHED).touch()
-        (environment / DONE).unlink(missing_ok=True)
-        shutil.rmtree(environment)
+    aside, left = _aside(environment), environment.with_name(f"{environment.name}.{UNFINISHED}")
+    if not (environment / DONE).is_file():
+        if (environment / UNFINISHED).exists():
+            if left.is_dir():
+                shutil.rmtree(left)
+            os.replace(environment, left)
+        if aside.is_dir():
+            os.replace(aside, environment)
+    for folder in (aside, left):
+        shutil.rmtree(folder, ignore_errors=True)
 
 
 def main() -> int:
@@ -302,8 +295,6 @@ def main() -> int:
         code, message = 1, f"{error.filename or options.folder}: {error.strerror or error}."
         hint = "Choose another folder, or free some space."
     environment = options.folder / NAME
-    if (environment / UNFINISHED).exists():
-        shutil.rmtree(environment, ignore_errors=True)
     with contextlib.suppress(OSError):
         bring_back(environment)
     tell("error", code=code, message=message, hint=hint)

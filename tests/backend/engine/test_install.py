@@ -151,3 +151,23 @@ def test_a_working_engine_comes_back_after_its_replacement_was_killed(base, tmp_
     assert end(begin(base))[0] == 1 and installed_python(base.folder) == told[-1]["python"]
     base("well")
     assert end(begin(base))[0] == 0 and [path.name for path in base.folder.iterdir()] == ["nep-engine"]
+
+
+def test_a_working_engine_is_back_before_anything_is_deleted(base, monkeypatch):
+    code, told = end(begin(base))
+    assert code == 0
+    environment = base.folder / "nep-engine"
+    install.set_aside(environment)
+    environment.mkdir()
+    (environment / "unfinished").touch()
+    back = []
+
+    def delete(folder, **_options) -> None:
+        back.append(installed_python(base.folder))
+
+    monkeypatch.setattr(install.shutil, "rmtree", delete)
+    install.bring_back(environment)
+    assert back and set(back) == {told[-1]["python"]}
+    monkeypatch.undo()
+    install.bring_back(environment)  # of the next run, after this one was killed while it deleted
+    assert [path.name for path in base.folder.iterdir()] == ["nep-engine"] and installed_python(base.folder)
