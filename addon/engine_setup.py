@@ -4,11 +4,14 @@ import shutil
 import sys
 from pathlib import Path
 
+import bpy
+
 from ..backend.engine import install as installer
 from ..backend.engine.check import EngineCheck
 from ..backend.engine.job_files import EventFile, last_lines
 from ..backend.engine.started_process import StartedProcess
 from . import clock
+from .engine_paths import addon_preferences
 
 EXTENSION = Path(__file__).resolve().parent.parent
 ALLOW_ONLINE_ACCESS = "It is a download: allow it in Preferences, System, Network, Allow Online Access"
@@ -16,7 +19,11 @@ CANCEL_GRACE_PERIODS = 3000  # of the clock, 300 s: a cancelled installation may
 
 
 class Installation:
-    """An installer process. `python` is the result of a success; `error` (message, hint) tells of a failure."""
+    """An installer process.
+
+    `python` is the result of a success. `replaced` is the Engine Python that the preferences named until then. `error`
+    (message, hint) tells of a failure.
+    """
 
     def __init__(self, command: list[str], log: Path) -> None:
         """Start `command`. OSError where the process cannot be started. `log`: where the log of a failure is kept."""
@@ -24,7 +31,7 @@ class Installation:
         self._log = log
         self._events = EventFile(self.process.folder / "events.jsonl")
         self.fraction, self.message = 0.0, "Starting"
-        self.python = ""
+        self.python, self.replaced = "", ""
         self.error: tuple[str, str] | None = None
         self._periods_since_cancel = 0  # 0: nobody has cancelled
 
@@ -120,12 +127,23 @@ def _advance() -> bool:
     if installing and installation.poll():
         installing = False
         if installation.python:
+            installation.replaced = _forget_chosen_python()
             start_check(installation.python)
     displayed = checking, installing, installation and (installation.fraction, installation.message)
     if displayed != _displayed:  # drawing them in each period would take the processor from the engine
         _displayed = displayed
         clock.redraw("PREFERENCES")
     return checking or installing
+
+
+def _forget_chosen_python() -> str:
+    """Let jobs use the engine that was just installed. Returns the Engine Python that was chosen before, if any."""
+    preferences = addon_preferences(bpy.context)
+    if preferences is None or not preferences.engine_python:
+        return ""
+    chosen, preferences.engine_python = preferences.engine_python, ""
+    bpy.context.preferences.is_dirty = True  # so that Blender saves it
+    return chosen
 
 
 def close_all() -> None:

@@ -19,6 +19,7 @@ BUILDS = (
         "and choose that Python as Engine Python",
     ),
 )
+REPLACED = "Engine Python was {}. It is empty now, so that jobs use the installed engine."
 
 
 def _forget_failure(preferences: "NepPreferences", context: bpy.types.Context) -> None:
@@ -32,7 +33,8 @@ class NepPreferences(bpy.types.AddonPreferences):
     engine_python: bpy.props.StringProperty(
         name="Engine Python",
         subtype="FILE_PATH",
-        description="The Python that has blender-nep and torch. Empty: the installed engine. Never Blender's own",
+        description="The Python that has blender-nep and torch. Empty: the installed engine. Never Blender's own. "
+        "Install Engine empties it",
     )
     engine_folder: bpy.props.StringProperty(
         name="Install Into",
@@ -104,3 +106,5 @@ def _draw_installation(box: bpy.types.UILayout, context: bpy.types.Context, pref
     if installation is not None and installation.error is not None:
         for text, icon in zip(installation.error, ("ERROR", "BLANK1"), strict=True):
             draw_wrapped(box, context, text, icon)
+    elif installation is not None and installation.replaced:
+        draw_wrapped(box, context, REPLACED.format(installation.replaced), "INFO")

@@ -170,8 +170,10 @@ def set_engine_up(bpy, addon, folder: Path) -> None:
     assert "The disk is full." not in drawn(), "another Base Python is chosen"
     chosen.base_python = str(folder / "base-python")
     (folder / "mode").write_text("well")
-    assert install() == {"FINISHED"}
+    chosen.engine_python = "/an/older/python"
+    assert install() == {"FINISHED"} and chosen.engine_python == "/an/older/python"
     rounds(addon, install.poll)
+    assert not chosen.engine_python and "Engine Python was /an/older/python. It is empty now" in " ".join(drawn())
     installed = paths.engine_python(bpy.context)
     assert Path(installed).is_relative_to(folder / "engines" / "nep-engine")
     assert (folder / "engines" / "nep-engine" / "engine.json").is_file()
