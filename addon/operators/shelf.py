@@ -175,7 +175,7 @@ class NEP_OT_bring_in_objects(BatchOperator, bpy.types.Operator):
     bl_label = "Bring In Objects"
     bl_description = (
         "Import all finished objects that are not in the scene yet: in a row, each marked as an asset. "
-        "Also works while the batch is at work"
+        "Objects that were made anew get their new mesh and material. Also works while the batch is at work"
     )
     bl_options = {"REGISTER", "UNDO"}
 
@@ -191,14 +191,16 @@ class NEP_OT_bring_in_objects(BatchOperator, bpy.types.Operator):
         manager.progress_end()
         for name, reason in found.refused.items():
             self.report({"WARNING"}, f"{name} cannot be imported: {reason}")
-        if not found.items:
+        if not found.items and not found.renewed:
             self.report({"INFO"}, "No new objects: all that are done are in the scene")
             return {"FINISHED"} if not found.refused else {"CANCELLED"}
         problem = shelf_scene.write_catalogs_of_file()
         if problem:
             self.report({"WARNING"}, f"The catalog cannot be written: {problem}")
         shelf_scene.refresh_asset_browsers()
-        self.report({"INFO"}, f"Brought in: {', '.join(item.name for item in found.items)}")
+        told = {"Brought in": found.items, "Made anew": found.renewed}
+        lines = [f"{what}: {', '.join(item.name for item in items)}" for what, items in told.items() if items]
+        self.report({"INFO"}, ". ".join(lines))
         return {"FINISHED"}
 
 

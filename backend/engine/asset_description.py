@@ -8,6 +8,8 @@ from .asset_materials import AssetMaterial, read_materials
 METAL, PAINT = "metal", "not metal"
 GLOSS = ((0.15, "mirror-like"), (0.35, "glossy"), (0.6, "satin"), (1.0, "matte"))
 """(largest roughness, word)"""
+TAGS = (METAL, PAINT, *(word for _, word in GLOSS))
+"""All tags that an asset may get"""
 LEAST_SHARE = 0.2
 """Of the surface: what covers less gives no tag"""
 

@@ -3,6 +3,8 @@
 The engine writes the file (blender_nep/batch/state.py), each time as a whole, while the batch is at work, too.
 """
 
+import functools
+import hashlib
 import json
 import os
 from dataclasses import dataclass
@@ -32,6 +34,8 @@ class BatchObject:
     error: str = ""
     """The name of the error"""
     values: dict[str, Any] | None = None
+    made: str = ""
+    """Differs when the asset is made anew. Empty where it is not done, or not there"""
 
 
 @dataclass(frozen=True)
@@ -109,4 +113,21 @@ def _object(folder: Path, told: dict[str, Any]) -> BatchObject:
         str(error.get("hint", "")),
         str(error.get("name", "")),
         error.get("values"),
+        _made(asset) if state == DONE else "",
     )
+
+
+def _made(asset: Path) -> str:
+    """What tells the asset from the one that another job makes in the same folder, and not from a copy of it."""
+    path = asset / "report.json"
+    try:
+        about = path.stat()
+        return _digest(path, about.st_mtime_ns, about.st_size)
+    except OSError:
+        return ""
+
+
+@functools.cache
+def _digest(path: Path, _time: int, _size: int) -> str:
+    """Of the content of a file. A file of the same time and size is not read again."""
+    return hashlib.sha256(path.read_bytes()).hexdigest()[:16]

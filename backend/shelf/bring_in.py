@@ -1,4 +1,7 @@
-"""Brings the finished objects of a batch into a scene, each once: as a row, marked as assets, in one collection."""
+"""Brings the finished objects of a batch into a scene, each once: as a row, marked as assets, in one collection.
+
+An object whose asset was made anew is brought in again. It then takes the place of the one that is there.
+"""
 
 import os
 from collections.abc import Callable
@@ -11,27 +14,36 @@ from ..engine.batch_file import BatchFile, BatchObject
 from ..scene_io.asset_import import import_asset
 from .catalogs import Catalog, catalog_of
 from .marking import mark_as_asset
+from .replacing import take_over
 from .row import move_origin_to_base, place_in_row
 
 ASSET = "nep_shelf_asset"
 """An object's custom property: the absolute path of its asset"""
+MADE = "nep_shelf_made"
+"""An object's custom property: `BatchObject.made` of the asset that it shows. Objects of older versions do not have it"""
 BATCH, CATALOG, CATALOG_PATH = "nep_shelf", "nep_shelf_catalog", "nep_shelf_catalog_path"
 """A collection's custom properties: the absolute path of the batch, and the catalog of its objects"""
 
 
 @dataclass
 class BroughtIn:
-    """What `bring_in` has done: the new objects, and {name of an object that cannot be imported: why}."""
+    """What `bring_in` has done.
+
+    `items`: the new objects. `renewed`: those that were there, and show an asset now that was made anew. `refused`: {name of
+    an object that cannot be imported: why}.
+    """
 
     items: list[bpy.types.Object] = field(default_factory=list)
+    renewed: list[bpy.types.Object] = field(default_factory=list)
     refused: dict[str, str] = field(default_factory=dict)
 
 
 def bring_in(batch: BatchFile, scene: bpy.types.Scene, progress: Callable[[int, int], None] | None = None) -> BroughtIn:
     """Import all objects of the batch that are done and not in the scene yet.
 
-    They go into a collection of the batch, to the right of all shelf objects of the scene. Images are packed. An asset that
-    cannot be imported is passed over. progress(number, count) is called before each import.
+    They go into a collection of the batch, to the right of all shelf objects of the scene. An object that was there before
+    its asset was made anew keeps its place, and gets the new mesh and material. Images are packed. An asset that cannot be
+    imported is passed over. progress(number, count) is called before each import.
     """
     found, catalog = BroughtIn(), catalog_of(batch)
     missing = not_in_scene(batch, scene)
@@ -42,27 +54,42 @@ def bring_in(batch: BatchFile, scene: bpy.types.Scene, progress: Callable[[int, 
     for number, one in enumerate(missing):
         if progress:
             progress(number, len(missing))
+        old = [other for other in before if other[ASSET] == _key(one.folder)]
+        if any(other.type != "MESH" for other in old):  # converted by the artist
+            found.refused[one.name] = "it was made anew, and the object in the scene is no mesh any more. Delete that first"
+            continue
         try:
             item = import_asset(one.folder, collection, name=one.name)
         except OSError as error:
             found.refused[one.name] = str(error)
             continue
         move_origin_to_base(item)
-        item[ASSET] = _key(one.folder)
-        mark_as_asset(item, one.folder, catalog, batch.preset)
-        found.items.append(item)
+        if old:
+            take_over(old, item)
+        for shown in old or [item]:
+            shown[ASSET], shown[MADE] = _key(one.folder), one.made
+            mark_as_asset(shown, one.folder, catalog, batch.preset)
+        found.renewed += old
+        found.items += [] if old else [item]
     place_in_row(found.items, before)
     return found
 
 
 def not_in_scene(batch: BatchFile, scene: bpy.types.Scene) -> list[BatchObject]:
-    """The objects of the batch that are done, and are not in the scene yet.
+    """The objects of the batch that are done, and are not in the scene yet, or only as they were before they were made anew.
 
     A copy that was taken from the Asset Browser, or made with Duplicate, does not count: Blender does not mark it as an
-    asset.
+    asset, or it is linked.
     """
-    there = {item[ASSET] for item in objects_of(batch, scene)}
-    return [one for one in batch.done if _key(one.folder) not in there]
+    made: dict[str, set[str | None]] = {}
+    for item in objects_of(batch, scene):
+        made.setdefault(item[ASSET], set()).add(item.get(MADE))
+    return [one for one in batch.done if not _is_current(made.get(_key(one.folder)), one)]
+
+
+def _is_current(made: set[str | None] | None, one: BatchObject) -> bool:
+    """Whether all objects with these values of MADE show the asset as it is. None: there are none."""
+    return made is not None and (not one.made or made <= {None, one.made})
 
 
 def objects_of(batch: BatchFile, scene: bpy.types.Scene) -> list[bpy.types.Object]:
@@ -79,7 +106,8 @@ def shelf_collection(folder: Path, scene: bpy.types.Scene) -> bpy.types.Collecti
 
 def shelf_objects(place: bpy.types.Collection | bpy.types.Scene) -> list[bpy.types.Object]:
     """The objects of batches in a collection or a scene, without what somebody else has put there."""
-    return [item for item in place.objects if item.get(ASSET) and item.asset_data is not None]
+    own = (item for item in place.objects if item.library is None)
+    return [item for item in own if item.get(ASSET) and item.asset_data is not None]
 
 
 def catalog_of_collection(collection: bpy.types.Collection) -> Catalog | None:

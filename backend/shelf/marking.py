@@ -5,7 +5,7 @@ from pathlib import Path
 import bpy
 import numpy as np
 
-from ..engine.asset_description import describe_asset
+from ..engine.asset_description import TAGS, describe_asset
 from ..rendering.turntable import FILE as TURNTABLE
 from ..scene_io.image_files import load_pixels
 from .catalogs import Catalog
@@ -17,10 +17,13 @@ PREVIEW = "preview.png"
 def mark_as_asset(item: bpy.types.Object, asset: Path, catalog: Catalog, preset: str = "") -> None:
     """Mark the object that was imported from the folder `asset`, with all that the Asset Browser shows of it.
 
-    Where there is no picture of it yet, Blender is asked to render one, which it does only if it has a window.
+    An object that is an asset already keeps the artist's own tags and author. Where the folder has no picture, Blender is
+    asked to render one, which it does only if it has a window.
     """
     item.asset_mark()
     about = item.asset_data
+    for tag in [tag for tag in about.tags if tag.name in TAGS]:
+        about.tags.remove(tag)
     about.catalog_id = catalog.identifier
     about.description, tags = describe_asset(asset, preset)
     for tag in tags:

@@ -122,6 +122,25 @@ def check_collections(folder):
         assert sorted(there.objects) == ["ant", "bee"]
 
 
+def test_the_library_has_no_object_that_was_made_anew_since(folder):
+    in_blender(check_made_anew, folder)
+
+
+def check_made_anew(folder):
+    bpy, addon, _settings = set_up(folder, "ant")
+    assert bpy.ops.nep.reconstruct_shelf() == {"FINISHED"} and bpy.ops.nep.bring_in_objects() == {"FINISHED"}
+    mesh, report = folder / "shelf" / "ant" / "mesh.obj", folder / "shelf" / "ant" / "report.json"
+    mesh.write_text(mesh.read_text() + "v 0 0 3\nf 1/1 2/2 4/3\n")
+    report.write_text('{"seed": 1}')
+    addon.shelf_batch.batch_in(folder / "shelf").forget()
+    assert "New objects: 1" in panel(bpy, addon)
+    fails(bpy.ops.nep.add_asset_library, "Press Bring In Objects first")
+    assert bpy.ops.nep.bring_in_objects() == {"FINISHED"} and bpy.ops.nep.add_asset_library() == {"FINISHED"}
+    with bpy.data.libraries.load(str(folder / "shelf" / "shelf.blend"), link=True) as (there, linked):
+        linked.objects = there.objects
+    assert len(linked.objects) == 1 and len(linked.objects[0].data.vertices) == 4
+
+
 def test_the_library_does_not_replace_the_open_file(folder):
     in_blender(check_open_library, folder)
 

@@ -118,6 +118,85 @@ def check_two_shelves(bpy, folder, scene):
     assert len({item.asset_data.catalog_id for item in before + found.items}) == 2
 
 
+def test_an_object_that_was_made_anew_takes_the_place_of_the_old_one(shelf, asset):
+    in_blender(check_made_anew, shelf, asset)
+
+
+def check_made_anew(folder, asset):
+    import bpy
+
+    from backend.shelf.bring_in import MADE, bring_in, not_in_scene
+
+    folder, scene = Path(folder), bpy.context.scene
+    vase, cup, bowl = bring_in(read_batch(folder), scene).items
+    elsewhere = bpy.data.collections.new("elsewhere")
+    scene.collection.children.link(elsewhere)
+    elsewhere.objects.link(cup)
+    bpy.data.collections["Shelf: my shelf"].objects.unlink(cup)
+    twin = cup.copy()  # shares the mesh
+    scene.collection.objects.link(twin)
+    cup.name, cup.location, cup.scale = "my cup", (7, 8, 9), (2, 2, 2)
+    cup.asset_data.tags.new("kitchen")
+    cup.asset_data.author = "me"
+    bpy.context.view_layer.update()
+    place, counts = cup.matrix_world.copy(), data_blocks(bpy)
+
+    for path in folder.glob("*/report.json"):
+        os.utime(path, (1, 1))  # a copy of the shelf on another drive has other times
+    assert not not_in_scene(read_batch(folder), scene)
+    for name in ("cup", "bowl"):
+        shutil.rmtree(folder / name)
+        copy(asset, folder / name, 2.0, 0.0)
+        learned = {"roughness": 0.9, "metallic": 0.0}
+        material = {"share": 1.0, "albedo": [1, 1, 1], "roughness": 0.9, "metallic": 0.0, "learned": learned}
+        (folder / name / "report.json").write_text(json.dumps({"materials": [material]}))
+    del bowl[MADE]  # an object of an older version
+    assert [one.name for one in not_in_scene(read_batch(folder), scene)] == ["cup"]
+    found = bring_in(read_batch(folder), scene)
+    assert found.renewed == [cup] and not found.items and not found.refused and not not_in_scene(read_batch(folder), scene)
+    bpy.context.view_layer.update()
+    assert cup.name == "my cup" and cup.matrix_world == place and list(cup.users_collection) == [elsewhere]
+    assert cup.data == twin.data and cup.data.name == cup.data.materials[0].name == "cup"
+    assert cup.dimensions.x == pytest.approx(4 * vase.dimensions.x, rel=1e-4), "twice as large, and scaled"
+    assert min(vertex.co.z for vertex in cup.data.vertices) == pytest.approx(0, abs=1e-4)
+    assert data_blocks(bpy) == counts, "what nobody uses any more is removed"
+    about = cup.asset_data
+    assert [tag.name for tag in about.tags] == ["kitchen", "not metal", "matte"] and about.author == "me"
+    assert "roughness 0.90" in about.description
+
+    curve = bpy.data.objects.new("line", bpy.data.curves.new("line", "CURVE"))
+    scene.collection.objects.link(curve)
+    curve.asset_mark()
+    curve["nep_shelf_asset"], curve[MADE] = vase["nep_shelf_asset"], "before"
+    assert "no mesh any more" in bring_in(read_batch(folder), scene).refused["vase"] and data_blocks(bpy)[0] == counts[0] + 1
+
+
+def data_blocks(bpy) -> list[int]:
+    return [len(kind) for kind in (bpy.data.objects, bpy.data.meshes, bpy.data.materials, bpy.data.images)]
+
+
+def test_an_object_that_is_linked_from_a_library_is_not_in_the_scene(shelf, tmp_path):
+    in_blender(check_linked, shelf, tmp_path / "library.blend")
+
+
+def check_linked(folder, library):
+    import bpy
+
+    from backend.shelf.bring_in import bring_in, not_in_scene
+
+    scene, batch = bpy.context.scene, read_batch(folder)
+    bring_in(batch, scene)
+    bpy.ops.wm.save_as_mainfile(filepath=library)
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    with bpy.data.libraries.load(library, link=True) as (_, linked):
+        linked.objects = list(SCALES)
+    scene = bpy.context.scene
+    for item in linked.objects:
+        scene.collection.objects.link(item)
+    assert [one.name for one in not_in_scene(batch, scene)] == list(SCALES), "a library would name itself as its source"
+    assert len(bring_in(batch, scene).items) == 3
+
+
 def check_no_overlap(bpy, items):
     """The boxes of the objects in the world, which must lie one after the other along X."""
     bpy.context.view_layer.update()
