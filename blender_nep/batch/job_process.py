@@ -105,7 +105,6 @@ class JobProcess:
         except RuntimeError:
             process.kill()
             process.wait()
-            self._close_pipes()
             raise
         self._meter = Meter(process.pid)
 
@@ -131,7 +130,10 @@ class JobProcess:
         for reader in self._readers:
             reader.join(timeout=5)  # a process that the job has left behind may keep the pipe open
         self._listen()
-        self._close_pipes()
+        for pipe in (self._process.stdin, self._process.stdout, self._process.stderr):
+            with contextlib.suppress(OSError):
+                if pipe is not None:
+                    pipe.close()
         measured = self._measured()
         self._peak_mb, self._cpu_seconds = measured["peak_mb"], measured["cpu_seconds"]
         if code == 0 and self._searching and self._asked_at is None:
@@ -141,12 +143,6 @@ class JobProcess:
         if code == 0 and self._searching:
             code = 7  # asked to stop just when the cameras were found
         self._end(code, b"".join(self._words).decode("utf-8", "replace").strip(), measured)
-
-    def _close_pipes(self) -> None:
-        for pipe in (self._process.stdin, self._process.stdout, self._process.stderr):
-            with contextlib.suppress(OSError):
-                if pipe is not None:
-                    pipe.close()
 
     def _end(self, code: int, words: str, measured: dict[str, float]) -> None:
         self._ended = True
