@@ -3,18 +3,22 @@
 from __future__ import annotations
 
 import io
+import os
 import tarfile
 from collections.abc import Iterable
 from pathlib import Path
 
 
 def pack(paths: Iterable[Path], root: Path) -> bytes:
-    """The files and folders `paths`, with their paths relative to `root`. What is not there is left out."""
+    """The files and folders `paths`, with their paths relative to `root`. What is not there is left out.
+
+    In the place of a symbolic link, what it leads to is packed: the job looks for it under the path of the link.
+    """
     packed = io.BytesIO()
-    with tarfile.open(fileobj=packed, mode="w") as archive:
-        for path in dict.fromkeys(one.resolve() for one in paths):
+    with tarfile.open(fileobj=packed, mode="w", dereference=True) as archive:
+        for path in dict.fromkeys(Path(os.path.abspath(one)) for one in paths):
             if path.exists():
-                archive.add(path, path.relative_to(root))
+                archive.add(path, path.relative_to(os.path.abspath(root)))
     return packed.getvalue()
 
 

@@ -1,0 +1,66 @@
+"""Files that are packed on one machine and unpacked on another one."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from blender_nep.batch.shipping import pack, unpack
+
+
+@pytest.fixture
+def store(tmp_path) -> Path:
+    """A folder with a photo, outside of all captures."""
+    (tmp_path / "store").mkdir()
+    (tmp_path / "store/aa11.jpg").write_bytes(b"photo")
+    return tmp_path / "store"
+
+
+@pytest.fixture
+def node(tmp_path) -> Path:
+    (tmp_path / "node").mkdir()
+    return tmp_path / "node"
+
+
+def files_of(folder: Path) -> dict[str, bytes]:
+    return {path.relative_to(folder).as_posix(): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+
+
+def test_files_and_folders_keep_their_paths(tmp_path, node):
+    (tmp_path / "asset/checkpoints").mkdir(parents=True)
+    (tmp_path / "asset/checkpoints/step").write_bytes(b"3")
+    (tmp_path / "meta.json").write_bytes(b"{}")
+    unpack(pack([tmp_path / "meta.json", tmp_path / "asset", tmp_path / "missing"], tmp_path), node)
+    assert files_of(node) == {"meta.json": b"{}", "asset/checkpoints/step": b"3"}
+
+
+def test_photos_that_are_symbolic_links_arrive_where_the_job_looks_for_them(tmp_path, store, node):
+    images = tmp_path / "vase/images"
+    images.mkdir(parents=True)
+    for name in ("0.jpg", "1.jpg"):
+        (images / name).symlink_to(store / "aa11.jpg")
+    unpack(pack([images / "0.jpg", images / "../images/1.jpg"], tmp_path), node)
+    assert files_of(node) == {"vase/images/0.jpg": b"photo", "vase/images/1.jpg": b"photo"}
+    assert not any(path.is_symlink() for path in node.rglob("*"))
+
+
+def test_a_folder_of_photos_that_is_a_symbolic_link(tmp_path, store, node):
+    (tmp_path / "vase").mkdir()
+    (tmp_path / "vase/images").symlink_to(store)
+    unpack(pack([tmp_path / "vase/images/aa11.jpg"], Path(tmp_path.anchor)), node)
+    assert files_of(node / tmp_path.relative_to(tmp_path.anchor)) == {"vase/images/aa11.jpg": b"photo"}
+
+
+def test_a_link_in_a_folder_that_is_packed(tmp_path, store, node):
+    (tmp_path / "asset").mkdir()
+    (tmp_path / "asset/photo.jpg").symlink_to(store / "aa11.jpg")
+    unpack(pack([tmp_path / "asset"], tmp_path), node)
+    assert files_of(node) == {"asset/photo.jpg": b"photo"}
+
+
+def test_a_root_that_is_not_absolute(tmp_path, node, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "meta.json").write_bytes(b"{}")
+    unpack(pack([Path("meta.json")], Path(".")), node)
+    assert files_of(node) == {"meta.json": b"{}"}
