@@ -5,6 +5,7 @@ from pathlib import Path
 import bpy
 
 from ..backend.engine.job_files import is_asset, read_job
+from ..backend.scene_io.image_files import relative_path
 from ..backend.scene_io.result import import_result
 from .folders import folder_key, resolve_folder
 from .imported_materials import fill_materials
@@ -22,7 +23,8 @@ def place_result(scene: bpy.types.Scene, folder: Path) -> bpy.types.Object:
     item, world = import_result(folder, scene.collection, pack=settings.images == "PACKED")
     if lit_by_earlier:
         scene.world = world
-    settings.recovered_world, settings.asset = world, str(folder)
+    relative = bpy.data.is_saved and settings.output.startswith("//")  # then it is found after the project was moved
+    settings.recovered_world, settings.asset = world, relative_path(folder) if relative else str(folder)
     fill_materials(settings, folder)
     settings.imported_job = _last_job_identifier(folder)
     layer = scene.view_layers[0]

@@ -68,7 +68,8 @@ def write_shelf_file(batch: BatchFile, scene: bpy.types.Scene) -> Path:
     objects of the batch, so that the file would lack them, too, and where the file is open, so that all else in it would be
     lost; OSError and RuntimeError where it cannot be written.
     """
-    path, items = batch.folder / BLEND_FILE, objects_of(batch, scene)
+    path = batch.folder / BLEND_FILE
+    items = [item for found in objects_of(batch, scene).values() for item in found]
     if not _is_current(path, batch):
         if _is_open(path):
             raise ValueError(

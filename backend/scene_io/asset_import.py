@@ -125,8 +125,7 @@ def build_material(name: str, textures: Path, *, pack: bool = True) -> bpy.types
 def load_image(path: Path, *, color_space: str, pack: bool) -> bpy.types.Image:
     """Load an image file as a data-block. Raises OSError where Blender cannot read the file.
 
-    With `pack` the image is stored in the .blend. Otherwise it refers to its file, by a relative path if the .blend is
-    saved.
+    With `pack` the image is stored in the .blend. It refers to its file, by a relative path if the .blend is saved.
     """
     try:
         image = bpy.data.images.load(str(path), check_existing=False)
@@ -136,10 +135,10 @@ def load_image(path: Path, *, color_space: str, pack: bool) -> bpy.types.Image:
         bpy.data.images.remove(image)
         raise OSError(f"Blender cannot read the image {path}")
     set_color_space(image, color_space)
+    if bpy.data.is_saved:
+        image.filepath = relative_path(path)
     if pack:
         image.pack()
-    elif bpy.data.is_saved:
-        image.filepath = relative_path(path)
     return image
 
 

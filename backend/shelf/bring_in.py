@@ -50,11 +50,11 @@ def bring_in(batch: BatchFile, scene: bpy.types.Scene, progress: Callable[[int, 
     if not missing:
         return found
     collection = _collection(batch, scene, catalog)
-    before = shelf_objects(scene)
+    before, there = shelf_objects(scene), objects_of(batch, scene)
     for number, one in enumerate(missing):
         if progress:
             progress(number, len(missing))
-        old = [other for other in before if other[ASSET] == _key(one.folder)]
+        old = there.get(one.name, [])
         if any(other.type != "MESH" for other in old):  # converted by the artist
             found.refused[one.name] = "it was made anew, and the object in the scene is no mesh any more. Delete that first"
             continue
@@ -81,21 +81,33 @@ def not_in_scene(batch: BatchFile, scene: bpy.types.Scene) -> list[BatchObject]:
     A copy that was taken from the Asset Browser, or made with Duplicate, does not count: Blender does not mark it as an
     asset, or it is linked.
     """
-    made: dict[str, set[str | None]] = {}
-    for item in objects_of(batch, scene):
-        made.setdefault(item[ASSET], set()).add(item.get(MADE))
-    return [one for one in batch.done if not _is_current(made.get(_key(one.folder)), one)]
+    there = objects_of(batch, scene)
+    return [one for one in batch.done if one.name not in there or not _are_current(there[one.name], one)]
 
 
-def _is_current(made: set[str | None] | None, one: BatchObject) -> bool:
-    """Whether all objects with these values of MADE show the asset as it is. None: there are none."""
-    return made is not None and (not one.made or made <= {None, one.made})
+def _are_current(items: list[bpy.types.Object], one: BatchObject) -> bool:
+    return not one.made or all(item.get(MADE) in (None, one.made) for item in items)
 
 
-def objects_of(batch: BatchFile, scene: bpy.types.Scene) -> list[bpy.types.Object]:
-    """The scene's objects of the batch that are done, in whatever collection the artist has put them."""
-    done = {_key(one.folder) for one in batch.done}
-    return [item for item in shelf_objects(scene) if item[ASSET] in done]
+def objects_of(batch: BatchFile, scene: bpy.types.Scene) -> dict[str, list[bpy.types.Object]]:
+    """{name in the batch: its objects in the scene, in whatever collections}, for objects of the batch that are done.
+
+    An object is known by the path of its asset. After the project was moved, it is known by its catalog and by the name of
+    its asset's folder.
+    """
+    of_path = {_key(one.folder): one.name for one in batch.done}
+    of_folder = {os.path.basename(path): name for path, name in of_path.items()}
+    found: dict[str, list[bpy.types.Object]] = {}
+    catalog = ""
+    for item in shelf_objects(scene):
+        name = of_path.get(item[ASSET])
+        if name is None:
+            catalog = catalog or catalog_of(batch).identifier  # not before it is needed, because a file is read
+            if item.asset_data.catalog_id == catalog:
+                name = of_folder.get(os.path.basename(item[ASSET]))
+        if name is not None:
+            found.setdefault(name, []).append(item)
+    return found
 
 
 def shelf_collection(folder: Path, scene: bpy.types.Scene) -> bpy.types.Collection | None:
@@ -118,11 +130,13 @@ def catalog_of_collection(collection: bpy.types.Collection) -> Catalog | None:
 
 def _collection(batch: BatchFile, scene: bpy.types.Scene, catalog: Catalog) -> bpy.types.Collection:
     found = shelf_collection(batch.folder, scene)
+    if found is None:  # none yet, or the project was moved
+        children = (child for child in scene.collection.children_recursive if child.get(BATCH))
+        found = next((child for child in children if child.get(CATALOG) == catalog.identifier), None)
     if found is None:
         found = bpy.data.collections.new(f"Shelf: {batch.folder.resolve().name}")
-        found[BATCH] = _key(batch.folder)
-        found[CATALOG], found[CATALOG_PATH] = catalog.identifier, catalog.path
         scene.collection.children.link(found)
+    found[BATCH], found[CATALOG], found[CATALOG_PATH] = _key(batch.folder), catalog.identifier, catalog.path
     return found
 
 
