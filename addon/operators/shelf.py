@@ -13,6 +13,8 @@ from ..engine_errors import error_text
 from ..engine_paths import engine_python
 from ..folders import SAVE_FILE_FIRST, resolve_folder
 
+REPLACES_LISTED = "This replaces the results of all objects of the listed captures."
+REPLACES_ALL = "This replaces the results of all objects in the folder."
 NO_FOLDER = "Choose the folder of the shelf first"
 
 
@@ -87,7 +89,7 @@ class NEP_OT_reconstruct_shelf(bpy.types.Operator):
                 event,
                 title="Start All Again",
                 confirm_text="Start All Again",
-                message="This replaces the results of all objects in the folder.",
+                message=REPLACES_LISTED if _captures(context.scene) else REPLACES_ALL,
             )
         return self._start(context, wait=bpy.app.background)
 
