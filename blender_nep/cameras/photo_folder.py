@@ -13,7 +13,7 @@ from PIL import Image
 from blender_nep.cameras.reduction import Reduction
 from blender_nep.capture.capture import Capture
 from blender_nep.capture.loading import MINIMUM_VIEWS
-from blender_nep.capture.photo_files import SUFFIXES, MaskRaster, exif, file_kind, image_size, open_image
+from blender_nep.capture.photo_files import SUFFIXES, MaskRaster, Raster, exif, file_kind, image_size, open_image
 from blender_nep.color import linear_to_srgb, to_bytes
 from blender_nep.errors import CaptureError
 
@@ -31,6 +31,10 @@ _DAMAGED = (OSError, ValueError, SyntaxError, EOFError, struct.error, zlib.error
 """What Pillow raises for damaged files"""
 _STRIP = 64
 """Rows of a photo that are made gray at a time"""
+_EXPOSURE_ROWS = 500
+"""About so many rows of a photo decide its exposure."""
+_LIT = 0.01
+"""A pixel counts as lit if it has this part of the radiance that a tenth of the pixels exceed."""
 
 
 @dataclass(frozen=True)
@@ -165,7 +169,7 @@ def _focal_length(tags: dict[int, object], width: int, height: int) -> float | N
 def gray_copy(photo: Photo, reduction: Reduction) -> np.ndarray:
     """The photo's copy as gray sRGB values [h, w] uint8.
 
-    Photos with radiance get an exposure that shows their median at half of white. Raises CaptureError.
+    Photos with radiance get an exposure that shows the median of what is lit at half of white. Raises CaptureError.
     """
     try:
         image = _opened(photo.path) if file_kind(photo.path) == "pillow" else Image.fromarray(_gray(photo.path))
@@ -177,12 +181,23 @@ def gray_copy(photo: Photo, reduction: Reduction) -> np.ndarray:
 def _gray(path: Path) -> np.ndarray:
     """The photo as gray sRGB values [H, W] uint8."""
     raster = open_image(path, "srgb")
-    if raster.encoding.is_linear:
-        radiance = np.clip(np.nan_to_num(raster.rows()[0]), 0, None)
-        exposed = radiance * (0.2 / max(float(np.median(radiance)), 1e-6))
-        return to_bytes(linear_to_srgb(exposed.mean(-1)))
-    strips = (raster.rows(start, start + _STRIP)[0] for start in range(0, raster.size[0], _STRIP))
-    return np.concatenate([to_bytes(linear_to_srgb(np.nan_to_num(strip).mean(-1))) for strip in strips])
+    has_radiance = raster.is_float or not raster.encoding.curves
+    factor = _exposure(raster) if has_radiance else 1.0
+    strips = (_linear_gray(raster, start, start + _STRIP) for start in range(0, raster.size[0], _STRIP))
+    return np.concatenate([to_bytes(linear_to_srgb(factor * strip)) for strip in strips])
+
+
+def _exposure(raster: Raster) -> float:
+    """The factor that brings the median of what is lit to 0.2. A dark background does not count. Some rows are enough."""
+    height = raster.size[0]
+    some = np.concatenate([_linear_gray(raster, y, y + 1) for y in range(0, height, max(1, height // _EXPOSURE_ROWS))])
+    lit = some[some > _LIT * np.quantile(some, 0.9)]
+    return 0.2 / max(float(np.median(lit)) if lit.size else 0.0, 1e-6)
+
+
+def _linear_gray(raster: Raster, start: int, end: int) -> np.ndarray:
+    """Mean of red, green and blue [h, W], linear, at least 0, in the rows start to end - 1."""
+    return np.clip(np.nan_to_num(raster.rows(start, end)[0]), 0, None).mean(-1)
 
 
 def _opened(path: Path) -> Image.Image:

@@ -6,15 +6,16 @@ import struct
 import sys
 
 import numpy as np
+import OpenEXR
 import pillow_heif
 import pytest
 import tifffile
 from PIL import Image
 
-from blender_nep.cameras.photo_folder import find_photos, gray_copy
+from blender_nep.cameras.photo_folder import Photo, find_photos, gray_copy
 from blender_nep.cameras.reduction import Reduction
 from blender_nep.capture import load_capture
-from blender_nep.capture.photo_files import exif, image_size, open_image
+from blender_nep.capture.photo_files import Raster, exif, image_size, open_image
 from blender_nep.errors import CaptureError
 from support.raw_photo import WHITE, write_dng
 
@@ -210,3 +211,34 @@ def test_gray_copies_of_floats_are_exposed(tmp_path):
     for number in range(3):
         tifffile.imwrite(tmp_path / f"{number}.tif", np.full((20, 30, 3), 1e-3, np.float32), photometric="rgb")
     assert (gray_copy(find_photos(tmp_path)[0], Reduction.of(30, 20, 100)) == 124).all()
+
+
+@pytest.mark.parametrize("suffix", [".tif", ".exr", pytest.param(".dng", marks=needs_rawpy)])
+def test_gray_copies_of_an_object_on_black_show_the_object(tmp_path, monkeypatch, suffix):
+    """An object of 40 % of the photo on a nearly black cloth. The photo is read strip by strip."""
+    radiance = np.full((200, 120, 3), 0.0008, np.float32)
+    radiance[40:160, 20:100] = 0.05
+    radiance[40:160, 60:100] = 0.2
+    path = tmp_path / f"a{suffix}"
+    if suffix == ".dng":
+        write_dng(path, np.round(WHITE * radiance))
+    elif suffix == ".exr":
+        OpenEXR.File({}, {"RGB": radiance.astype(np.float16)}).write(str(path))
+    else:
+        tifffile.imwrite(path, radiance, photometric="rgb")
+    read, lengths = Raster.rows, []
+
+    def recorded(raster, start=0, end=None):
+        rows = read(raster, start, end)
+        lengths.append(len(rows[0]))
+        return rows
+
+    monkeypatch.setattr(Raster, "rows", recorded)
+    gray = gray_copy(Photo(path, 120, 200, None, ()), Reduction.of(120, 200, 200))
+    assert 60 < np.median(gray[50:150, 30:50]) < np.median(gray[50:150, 70:90]) < 255
+    assert gray[:30].max() < 40 and max(lengths) <= 64
+
+
+def test_a_gray_copy_of_a_black_photo_is_black(tmp_path):
+    tifffile.imwrite(tmp_path / "a.tif", np.zeros((20, 30, 3), np.float32), photometric="rgb")
+    assert (gray_copy(Photo(tmp_path / "a.tif", 30, 20, None, ()), Reduction.of(30, 20, 100)) == 0).all()
