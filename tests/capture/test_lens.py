@@ -161,6 +161,16 @@ def test_distortion_of_one_frame_overrides_the_top(make_capture):
     assert [view.camera.lens.k1 for view in capture.views] == [-0.1, 0.05, -0.1, -0.1]
 
 
+def test_instant_ngps_word_for_a_fisheye_counts_where_no_camera_model_is_given(make_capture):
+    tiny = make_capture(views=4)
+    tiny.meta["frames"][1]["is_fisheye"] = False
+    tiny.meta["frames"][2]["camera_model"] = "OPENCV"
+    lenses = [view.camera.lens for view in with_lens(tiny, is_fisheye=True, k1=0.02).views]
+    fisheye, flat = Lens(k1=0.02, fisheye=True), Lens(k1=0.02)
+    assert lenses == [fisheye, flat, flat, fisheye]
+    assert not with_lens(tiny, is_fisheye=False).views[0].camera.lens.fisheye
+
+
 def test_a_capture_without_distortion_takes_the_short_way(make_capture):
     rays = PixelRays.from_capture(with_lens(make_capture(views=4), camera_model="OPENCV", k1=0.0), 10**6, use_masks=False)
     assert rays._lenses is None

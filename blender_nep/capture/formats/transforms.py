@@ -2,7 +2,7 @@
 
 Three optional keys are added: `object_center`, `object_radius` and `color_space`. The intrinsics `fl_x fl_y cx cy w h` stand
 at the top or in a frame. Where `fl_x` is missing, `camera_angle_x` (radians) gives it. `camera_model` and the distortion `k1
-k2 k3 k4 p1 p2` stand there, too.
+k2 k3 k4 p1 p2` stand there, too. Where `camera_model` is missing, instant-ngp's `is_fisheye` says whether it is a fisheye.
 """
 
 from __future__ import annotations
@@ -63,7 +63,8 @@ def _read_json(path: Path) -> dict:
 
 def _lens(meta: dict, frame: dict, name: str) -> Lens:
     """The distortion of a frame's camera. Raises CaptureError for a model that is not known."""
-    model = str(frame.get("camera_model") or meta.get("camera_model") or "OPENCV").upper()
+    default = "OPENCV_FISHEYE" if frame.get("is_fisheye", meta.get("is_fisheye")) else "OPENCV"
+    model = str(frame.get("camera_model") or meta.get("camera_model") or default).upper()
     if model not in _OPENCV + _FISHEYE:
         raise CaptureError(
             f"camera model {model} is not supported",
