@@ -44,14 +44,18 @@ def keep_present_file(folder: Path) -> Path | None:
     return kept
 
 
-def write_capture(found: FoundCameras, folder: Path, color_space: str | None = None) -> Path:
-    """Write `folder`/transforms.json, which names the photos where they are. Returns its path. Raises OutputError."""
+def write_capture(found: FoundCameras, folder: Path, color_space: str | None = None, *, with_sphere: bool = True) -> Path:
+    """Write `folder`/transforms.json, which names the photos where they are. Returns its path. Raises OutputError.
+
+    `with_sphere` False: the object's sphere is not written. Later jobs estimate it then, from the masks if there are any.
+    """
     lenses = [transforms.intrinsics_of(placed.camera) for placed in found.placed]
     shared = lenses[0] if all(lens == lenses[0] for lens in lenses) else {}
     frames = [
         _frame(placed, folder) | (lens if not shared else {}) for placed, lens in zip(found.placed, lenses, strict=True)
     ]
-    sphere = {"object_center": found.object_center.tolist(), "object_radius": found.object_radius}
+    stated = {"object_center": found.object_center.tolist(), "object_radius": found.object_radius}
+    sphere = stated if with_sphere else {}
     color = {} if color_space is None else {"color_space": color_space}
     content = {**shared, **color, **sphere, "frames": frames}
     path = folder / transforms.FILE

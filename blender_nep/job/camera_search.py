@@ -69,7 +69,11 @@ def run(search: CameraSearch, events: Events, stop: StopRequest) -> int:
         if capture is None or improved.worthwhile or search.out is not None:
             stop_if_asked(stop)
             said += _keep_present(folder)
-            write_capture(cameras, folder, None if capture is None else capture.color_space)
+            if capture is None:
+                write_capture(cameras, folder)
+            else:  # a sphere that is only a guess from the cameras would keep later jobs from asking the masks
+                stated = capture.bounds_source != "cameras"
+                write_capture(cameras, folder, capture.color_space, with_sphere=stated)
         for warning in warnings:
             events.warning(warning)
         events.scene(said)

@@ -34,9 +34,9 @@ def photos(tmp_path_factory):
     return find_photos(folder)
 
 
-def capture_with(photos, cameras, folder):
+def capture_with(photos, cameras, folder, **how):
     placed = [PlacedPhoto(photo, given, 0, 0.0) for photo, given in zip(photos, cameras, strict=True)]
-    write_capture(FoundCameras(placed, np.zeros((0, 3)), [], CENTER, RADIUS), folder)
+    write_capture(FoundCameras(placed, np.zeros((0, 3)), [], CENTER, RADIUS), folder, **how)
     return folder
 
 
@@ -91,6 +91,23 @@ def test_exact_cameras_are_kept_to_the_last_digit(photos, tmp_path):
     for view, true in zip(capture.views, TRUE, strict=True):
         assert np.abs(view.camera.camera_to_world - true.camera_to_world).max() < 1e-9
         assert view.camera.lens == true.lens and view.camera.fl_x == true.fl_x
+
+
+def test_a_guessed_sphere_is_not_written_so_that_the_masks_decide_later(photos, tmp_path):
+    """The capture says no sphere. Its masks show a smaller one than the cameras suggest."""
+    masked = []
+    for photo, true in zip(photos, TRUE, strict=True):
+        y, x = np.indices((true.height, true.width)) + 0.5
+        x_center, y_center, depth = true.project(CENTER[None])
+        shown = np.hypot(x - x_center, y - y_center) < 0.3 * true.fl_x / depth
+        masked.append(replace(photo, mask=tmp_path / f"{photo.path.stem}_object.png"))
+        Image.fromarray(np.uint8(255) * shown).save(masked[-1].mask)
+    given = capture_with(masked, TRUE, tmp_path / "given", with_sphere=False)
+    before = load_capture(given)
+    capture, _ = improved(given, tmp_path / "out")
+    assert not {"object_center", "object_radius"} & set(json.loads((tmp_path / "out/transforms.json").read_text()))
+    assert before.bounds_source == capture.bounds_source == "masks"
+    assert capture.object_radius == pytest.approx(before.object_radius, rel=0.05)
 
 
 def test_a_photo_that_shows_little_keeps_its_camera_or_hardly_changes_it(photos, tmp_path):
