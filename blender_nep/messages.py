@@ -144,6 +144,8 @@ WORDS: dict[str, str] = {
     "intrinsics rescaled): {names}",
     "capture.photos_without_pose": "{count} {count:photo is|photos are} left out, because {count:it has|they have} no "
     "camera pose or {count:is|are} disabled: {names}",
+    "capture.several_models": "the COLMAP project has {models} models, which do not fit together: only {place} with "
+    "{photos} {photos:photo|photos} is used; {others} {others:photo is|photos are} in the others",
     "capture.same_place": "{count} {count:photo was|photos were} taken from the same place in the same direction as others "
     "and {count:adds|add} nothing to the shape: {names}",
     "capture.exr_is_linear": "OpenEXR photos are taken as linear, although color_space says srgb",

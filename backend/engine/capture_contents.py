@@ -20,7 +20,8 @@ OTHER_ENDINGS = (
 """A photo with such an ending does not count beside a photo with the same name and a plain ending."""
 TRANSFORMS = "transforms.json"
 _FILES = (TRANSFORMS, "transforms_train.json", "poses_bounds.npy", "cameras_sphere.npz", "cameras.npz")
-_COLMAP_PLACES = ("sparse/0", "sparse", "colmap/sparse/0", "colmap/sparse", "")
+_COLMAP_PLACES = ("sparse", "colmap/sparse", "")
+_COLMAP_MODELS = ("sparse/*", "colmap/sparse/*")
 _BUNDLER_PLACES = ("", "bundle")
 _BUNDLER_BEGIN = b"# Bundle file v0.3"
 _METASHAPE_BEGIN = ["document", "chunk"]
@@ -76,9 +77,11 @@ def has_cameras(folder: Path) -> bool:
 
 
 def _is_colmap_project(folder: Path) -> bool:
+    places = [folder / place for place in _COLMAP_PLACES]
+    places += [place for pattern in _COLMAP_MODELS for place in folder.glob(pattern)]
     return any(
-        all((folder / place / f"{name}.{ending}").is_file() for name in ("cameras", "images"))
-        for place in _COLMAP_PLACES
+        all((place / f"{name}.{ending}").is_file() for name in ("cameras", "images"))
+        for place in places
         for ending in ("bin", "txt")
     )
 

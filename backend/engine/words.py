@@ -67,6 +67,8 @@ MESSAGES = {
     "{count:is|are} used all the same: {names}",
     "capture.photos_without_pose": "{count} {count:photo is|photos are} left out, because {count:it has|they have} no "
     "camera pose or {count:is|are} disabled: {names}",
+    "capture.several_models": "COLMAP has placed the photos in {models} groups that do not fit together: only the group "
+    "{place} with {photos} {photos:photo|photos} is used; {others} {others:photo is|photos are} in the others",
     "capture.same_place": "{count} {count:photo was|photos were} taken from the same place in the same direction as others "
     "and {count:adds|add} nothing to the shape: {names}",
     "capture.exr_is_linear": "OpenEXR photos are taken as linear, although the capture says sRGB",

@@ -45,6 +45,27 @@ def test_colmap_cameras_see_what_pycolmap_says(tmp_path, ending, place):
     assert said.views[1].camera.lens == Lens(k1=0.02, k2=-0.01, k3=0.003, k4=-0.0005, fisheye=True)
 
 
+@pytest.mark.parametrize("small", ["bin", "txt"])
+@pytest.mark.parametrize("large", ["bin", "txt"])
+def test_of_several_models_the_one_with_the_most_photos_counts(tmp_path, small, large):
+    """COLMAP numbers its models as it makes them: the first one may be small."""
+    folder = project(tmp_path / "capture", large, "sparse/1")
+    few = project(tmp_path / "few", "txt") / "sparse/0"
+    poses = [line for line in (few / "images.txt").read_text().splitlines() if not line.startswith("#")]
+    (few / "images.txt").write_text("\n".join(poses[:4]) + "\n")
+    if small == "bin":  # it is only counted
+        (few / "images.bin").write_bytes((2).to_bytes(8, "little") + bytes(100))
+        shutil.copy(PROJECT / "cameras.bin", few)
+    shutil.copytree(few, folder / "sparse/0")
+    (folder / "sparse/no model").mkdir()
+    said = colmap.read(folder)
+    assert len(said.views) == 4 and said.files[0] == folder / f"sparse/1/cameras.{large}"
+    values = {"models": 2, "place": "sparse/1", "photos": 4, "others": 2}
+    assert [(message.code, message.values) for message in said.warnings] == [("capture.several_models", values)]
+    shutil.rmtree(folder / "sparse/0")
+    assert len(colmap.read(folder).views) == 4 and not colmap.read(folder).warnings
+
+
 def test_photos_beside_the_project_and_masks_of_both_names_are_found(tmp_path):
     folder = project(tmp_path / "capture", "txt", photos="")
     (folder / "masks").mkdir()

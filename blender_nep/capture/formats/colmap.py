@@ -1,8 +1,9 @@
 """Reads a COLMAP project: `cameras` and `images`, binary or text.
 
-They lie in the folder, in `sparse/0` or `sparse`, or in these below `colmap/`. The photos lie in `images/` or in the folder
-itself. Masks, if any, lie in `masks/`, under the photo's name with `.png` added or in place of its ending. The frame of the
-capture is COLMAP's own. The sparse points are not read.
+They lie in the folder, in a folder of `sparse` such as `sparse/0`, in `sparse`, or in these below `colmap/`. COLMAP makes
+several models where photos fall into groups that share no points: the one with the most photos counts. The photos lie in
+`images/` or in the folder itself. Masks, if any, lie in `masks/`, under the photo's name with `.png` added or in place of
+its ending. The frame of the capture is COLMAP's own. The sparse points are not read.
 """
 
 from __future__ import annotations
@@ -20,9 +21,10 @@ from blender_nep.capture.formats.photos import check_readable, fitted, rescaled_
 from blender_nep.capture.lens import Lens
 from blender_nep.capture.photo_files import find_image
 from blender_nep.errors import CaptureError
+from blender_nep.messages import Message
 
 NAME = "COLMAP"
-_PLACES = ("sparse/0", "sparse", "colmap/sparse/0", "colmap/sparse", "")
+_PLACES = ("sparse/*", "sparse", "colmap/sparse/*", "colmap/sparse", ".")
 _MODELS = {
     "SIMPLE_PINHOLE": ("f", "cx", "cy"),
     "PINHOLE": ("fx", "fy", "cx", "cy"),
@@ -60,27 +62,63 @@ class _Pose(NamedTuple):
 
 def recognizes(folder: Path) -> bool:
     """Whether the folder holds a COLMAP project."""
-    return _model_folder(folder) is not None
+    return bool(_models(folder))
 
 
-def _model_folder(folder: Path) -> Path | None:
+def _models(folder: Path) -> list[Path]:
+    """The folders with models in the first of the places that has any, sorted by their names."""
     for place in _PLACES:
-        for ending in ("bin", "txt"):
-            if all((folder / place / f"{name}.{ending}").is_file() for name in ("cameras", "images")):
-                return folder / place
+        candidates = sorted(folder.glob(place)) if "*" in place else [folder / place]
+        found = [model for model in candidates if _ending(model) is not None]
+        if found:
+            return found
+    return []
+
+
+def _ending(model: Path) -> str | None:
+    """The ending of the files of a model, 'bin' or 'txt'; None if the folder holds none."""
+    for ending in ("bin", "txt"):
+        if all((model / f"{name}.{ending}").is_file() for name in ("cameras", "images")):
+            return ending
     return None
 
 
 def read(folder: Path) -> CaptureDescription:
     """What the project says; photos are opened only for their size. Raises CaptureError."""
-    model = _model_folder(folder)
-    assert model is not None, "`recognizes` has found it"
+    model, warnings = _largest(folder, _models(folder))
     files, cameras, poses = _read_model(model)
     if not poses:
         raise CaptureError(f"the COLMAP project in {model} has no photos with a pose", "Run COLMAP's mapper again.")
     rescaled: list[str] = []
     views = [_view(folder, cameras, pose, rescaled) for pose in sorted(poses, key=lambda pose: pose.name)]
-    return CaptureDescription(name=NAME, files=files, views=views, warnings=rescaled_warnings(rescaled))
+    return CaptureDescription(name=NAME, files=files, views=views, warnings=warnings + rescaled_warnings(rescaled))
+
+
+def _largest(folder: Path, models: list[Path]) -> tuple[Path, list[Message]]:
+    """The model with the most poses, and a warning if there are others."""
+    if len(models) == 1:
+        return models[0], []
+    counts = [_pose_count(model) for model in models]
+    most = max(counts)
+    model = models[counts.index(most)]
+    values = {
+        "models": len(models),
+        "place": model.relative_to(folder).as_posix(),
+        "photos": most,
+        "others": sum(counts) - most,
+    }
+    return model, [Message("capture.several_models", values)]
+
+
+def _pose_count(model: Path) -> int:
+    """The number of photos that a model has a pose of; 0 where its file cannot be read."""
+    try:
+        if _ending(model) == "bin":
+            with open(model / "images.bin", "rb") as file:
+                return _count(file.read(8))
+        return len(_text_pose_lines((model / "images.txt").read_text(encoding="utf-8")))
+    except (OSError, ValueError, struct.error):
+        return 0
 
 
 def read_cameras(model: Path) -> dict[str, Camera]:
@@ -91,7 +129,7 @@ def read_cameras(model: Path) -> dict[str, Camera]:
 
 def _read_model(model: Path) -> tuple[tuple[Path, Path], dict[int, _Intrinsics], list[_Pose]]:
     """The two files of a model, its intrinsics by their numbers, and its poses. Raises CaptureError."""
-    ending = "bin" if (model / "images.bin").is_file() and (model / "cameras.bin").is_file() else "txt"
+    ending = _ending(model) or "txt"
     files = (model / f"cameras.{ending}", model / f"images.{ending}")
     try:
         if ending == "bin":
@@ -164,15 +202,18 @@ def _text_cameras(text: str) -> dict[int, _Intrinsics]:
 
 
 def _text_poses(text: str) -> list[_Pose]:
-    """Every photo has two lines: its pose, and its features, which may be an empty line."""
-    lines = [line for line in text.splitlines() if not line.startswith("#")]
     out = []
-    for line in lines[::2]:
-        if line.strip():
-            words = line.split(maxsplit=9)
-            numbers = tuple(float(word) for word in words[1:8])
-            out.append(_Pose(words[9], int(words[8]), numbers[:4], numbers[4:]))
+    for line in _text_pose_lines(text):
+        words = line.split(maxsplit=9)
+        numbers = tuple(float(word) for word in words[1:8])
+        out.append(_Pose(words[9], int(words[8]), numbers[:4], numbers[4:]))
     return out
+
+
+def _text_pose_lines(text: str) -> list[str]:
+    """The lines with poses. Every photo has two lines: its pose, and its features, which may be an empty line."""
+    lines = [line for line in text.splitlines() if not line.startswith("#")]
+    return [line for line in lines[::2] if line.strip()]
 
 
 def _binary_cameras(data: bytes) -> dict[int, _Intrinsics]:

@@ -25,7 +25,7 @@ FILES = {
     "nerf_synthetic": [{"transforms_train.json": "{}"}],
     "colmap": [
         {f"{place}cameras.{ending}": "", f"{place}images.{ending}": ""}
-        for place in ("", "sparse/", "sparse/0/", "colmap/sparse/", "colmap/sparse/0/")
+        for place in ("", "sparse/", "sparse/0/", "colmap/sparse/", "colmap/sparse/0/", "sparse/1/")
         for ending in ("bin", "txt")
     ],
     "llff": [{"poses_bounds.npy": ""}],
