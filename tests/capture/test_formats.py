@@ -2,6 +2,7 @@
 
 import json
 import shutil
+import struct
 from dataclasses import replace
 from pathlib import Path
 
@@ -164,7 +165,7 @@ def empty(folder):
         (torn, "cannot be read"),
         (endless_focal_length, "cannot be read"),
         (no_photo, "third.png is missing"),
-        (model_of_the_future, "unknown camera model 77"),
+        (model_of_the_future, "^camera model 77 is not supported"),
         (other_photos, "third.png is 40 x 10 pixels, but COLMAP says 32 x 24"),
         (empty, "no photos with a pose"),
     ],
@@ -173,6 +174,50 @@ def test_a_damaged_project_ends_in_a_clear_message(tmp_path, damage, message):
     folder = project(tmp_path / "capture", "bin")
     damage(folder)
     with pytest.raises(CaptureError, match=message):
+        colmap.read(folder)
+
+
+def with_first_camera(folder, ending, number, model, terms):
+    """A project of one photo whose camera has this model of COLMAP. Its other files are those of `project`."""
+    made = project(folder, "txt")
+    sparse = made / "sparse/0"
+    poses = [line for line in (sparse / "images.txt").read_text().splitlines() if not line.startswith("#")]
+    words = poses[0].split()
+    numbers, camera, name = [float(word) for word in words[1:8]], int(words[8]), " ".join(words[9:])
+    if ending == "txt":
+        (sparse / "images.txt").write_text("\n".join(poses[:2]) + "\n")
+        (sparse / "cameras.txt").write_text(" ".join(map(str, (camera, model, 32, 24, *terms))) + "\n")
+        return made
+    head = struct.pack("<QiiQQ", 1, camera, number, 32, 24)
+    (sparse / "cameras.bin").write_bytes(head + struct.pack(f"<{len(terms)}d", *terms))
+    pose = struct.pack("<Qi7di", 1, 1, *numbers, camera)
+    (sparse / "images.bin").write_bytes(pose + name.encode() + b"\0" + struct.pack("<Q", 0))
+    return made
+
+
+@pytest.mark.parametrize("ending", ["bin", "txt"])
+@pytest.mark.parametrize(
+    ("number", "model", "terms"),
+    [(14, "SIMPLE_FISHEYE", (30.0, 16.0, 12.0)), (15, "FISHEYE", (30.0, 31.0, 16.0, 12.0))],
+)
+def test_the_equidistant_lenses_of_colmap_4_are_read(tmp_path, ending, number, model, terms):
+    (view,) = colmap.read(with_first_camera(tmp_path / "capture", ending, number, model, terms)).views
+    camera = view.camera
+    assert camera.lens == Lens(fisheye=True)
+    assert (camera.fl_x, camera.fl_y, camera.cx, camera.cy) == (terms[0], terms[-3], 16, 12)
+    local = np.array([[np.sin(0.4), 0, -np.cos(0.4)]]) @ camera.camera_to_world[:3, :3].T
+    x, y, _ = camera.project(camera.position + local)
+    np.testing.assert_allclose([x[0], y[0]], [16 + 30 * 0.4, 12], atol=1e-9)
+
+
+@pytest.mark.parametrize("ending", ["bin", "txt"])
+@pytest.mark.parametrize(
+    ("number", "model", "count"),
+    [(11, "RAD_TAN_THIN_PRISM_FISHEYE", 16), (12, "SIMPLE_DIVISION", 4), (13, "DIVISION", 5), (16, "16", 6)],
+)
+def test_other_lenses_of_colmap_4_are_named_as_not_supported(tmp_path, ending, number, model, count):
+    folder = with_first_camera(tmp_path / "capture", ending, number, model, [30.0] * count)
+    with pytest.raises(CaptureError, match=f"^camera model {model} is not supported"):
         colmap.read(folder)
 
 

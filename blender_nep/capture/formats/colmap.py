@@ -37,9 +37,17 @@ _MODELS = {
     "SIMPLE_RADIAL_FISHEYE": ("f", "cx", "cy", "k1"),
     "RADIAL_FISHEYE": ("f", "cx", "cy", "k1", "k2"),
     "THIN_PRISM_FISHEYE": ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3", "k4", "sx1", "sy1"),
+    "RAD_TAN_THIN_PRISM_FISHEYE": (
+        *("fx", "fy", "cx", "cy", "k0", "k1", "k2", "k3", "k4", "k5"),
+        *("p0", "p1", "s0", "s1", "s2", "s3"),
+    ),
+    "SIMPLE_DIVISION": ("f", "cx", "cy", "k"),
+    "DIVISION": ("fx", "fy", "cx", "cy", "k"),
+    "SIMPLE_FISHEYE": ("f", "cx", "cy"),
+    "FISHEYE": ("fx", "fy", "cx", "cy"),
 }
 """Parameters of COLMAP's camera models. A model's number in binary files is its place here."""
-_UNKNOWN = ("FOV", "THIN_PRISM_FISHEYE")
+_UNKNOWN = ("FOV", "THIN_PRISM_FISHEYE", "RAD_TAN_THIN_PRISM_FISHEYE", "SIMPLE_DIVISION", "DIVISION")
 """Models whose distortion `Lens` does not have."""
 
 
@@ -160,9 +168,7 @@ def _camera(intrinsics: _Intrinsics, pose: _Pose) -> Camera:
     # FULL_OPENCV divides by a polynomial of k4, k5 and k6. Without them it is OpenCV's model with k3.
     rational = intrinsics.model == "FULL_OPENCV" and any(terms[name] for name in ("k4", "k5", "k6"))
     if intrinsics.model in _UNKNOWN or rational:
-        raise CaptureError(
-            f"camera model {intrinsics.model} is not supported", "Let COLMAP use OPENCV or OPENCV_FISHEYE, or undistort."
-        )
+        raise _not_supported(intrinsics.model)
     fl_x, fl_y = terms.get("f", terms.get("fx", 0.0)), terms.get("f", terms.get("fy", 0.0))
     if min(fl_x, fl_y, intrinsics.width, intrinsics.height) <= 0:
         raise CaptureError(f"{pose.name}: focal length and size must be positive")
@@ -186,9 +192,13 @@ def _camera(intrinsics: _Intrinsics, pose: _Pose) -> Camera:
     return Camera(intrinsics.width, intrinsics.height, fl_x, fl_y, terms["cx"], terms["cy"], matrix, lens)
 
 
+def _not_supported(model: str) -> CaptureError:
+    return CaptureError(f"camera model {model} is not supported", "Let COLMAP use OPENCV or OPENCV_FISHEYE, or undistort.")
+
+
 def _intrinsics(model: str, width: int, height: int, values: list[float]) -> _Intrinsics:
     if model not in _MODELS:
-        raise ValueError(f"unknown camera model {model}")
+        raise _not_supported(model)
     if len(values) != len(_MODELS[model]) or not np.isfinite(values).all():
         raise ValueError(f"{model} with the parameters {values}")
     return _Intrinsics(model, width, height, dict(zip(_MODELS[model], values, strict=True)))
