@@ -6,11 +6,14 @@ import zlib
 from fractions import Fraction
 
 import numpy as np
+import OpenEXR
 import pillow_heif
 import pytest
 import tifffile
 from PIL import Image, ImageCms
 
+from blender_nep.cameras.photo_folder import Photo, gray_copy
+from blender_nep.cameras.reduction import Reduction
 from blender_nep.capture.photo_files import open_image
 from blender_nep.errors import CaptureError
 from support import icc
@@ -297,6 +300,39 @@ def test_cameras_say_adobe_rgb_in_exif(tmp_path, rule):
     Image.fromarray(photo()).save(tmp_path / "a.jpg", quality=100, subsampling=0, exif=tags)
     expected = CASES["Adobe RGB"][1] if rule == "R03" else PLAIN
     np.testing.assert_allclose(found(tmp_path / "a.jpg"), expected, atol=0.02)
+
+
+REC2020 = (0.708, 0.292, 0.170, 0.797, 0.131, 0.046, 0.3127, 0.3290)
+ACESCG_TO_REC709 = np.array([[1.70505, -0.62179, -0.08326], [-0.13026, 1.14080, -0.01055], [-0.02400, -0.12897, 1.15297]])
+"""The usual matrix: ACES's AP1 with its white near D60, adapted to D65 by Bradford"""
+
+
+@pytest.mark.parametrize(
+    ("places", "to_rec709", "tolerance"),
+    [
+        (REC2020, XYZ_TO_SRGB @ BT2020_TO_XYZ, 1e-3),
+        ((0.713, 0.293, 0.165, 0.830, 0.128, 0.044, 0.32168, 0.33767), ACESCG_TO_REC709, 1e-3),
+        ((0.64, 0.33, 0.30, 0.60, 0.15, 0.06, 0.3127, 0.3290), np.eye(3), 0),
+        ((0.64, 0.33, 0.64, 0.33, 0.64, 0.33, 0.3127, 0.3290), np.eye(3), 0),
+        ((0.0,) * 8, np.eye(3), 0),
+        ((float("nan"),) * 8, np.eye(3), 0),
+    ],
+    ids=["Rec.2020", "ACEScg", "Rec.709", "on a line", "zeros", "nan"],
+)
+def test_the_chromaticities_of_openexr_count(tmp_path, places, to_rec709, tolerance):
+    """Nothing is cut: radiance may be larger than 1, or negative. Damaged chromaticities count as none."""
+    radiance = np.random.default_rng(0).uniform(0, 3, (4, 5, 3)).astype(np.float32)
+    OpenEXR.File({"chromaticities": places}, {"RGB": radiance}).write(str(tmp_path / "a.exr"))
+    for color_space in ("srgb", "linear"):
+        color, _ = open_image(tmp_path / "a.exr", color_space).rows()
+        np.testing.assert_allclose(color, radiance @ to_rec709.T, atol=tolerance, rtol=tolerance)
+
+
+def test_a_gray_copy_of_an_exr_file_with_chromaticities_is_exposed(tmp_path):
+    radiance = np.full((20, 30, 3), 1e-3, np.float32)
+    OpenEXR.File({"chromaticities": REC2020}, {"RGB": radiance}).write(str(tmp_path / "a.exr"))
+    gray = gray_copy(Photo(tmp_path / "a.exr", 30, 20, None, ()), Reduction.of(30, 20, 100))
+    assert (gray == 124).all()
 
 
 def test_a_clipped_channel_remains_recognizable(tmp_path):

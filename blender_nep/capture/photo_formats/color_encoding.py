@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property, partial
@@ -179,6 +179,20 @@ def from_codes(primaries: int, transfer: int) -> ColorEncoding:
         hdr = " (HDR)" if transfer in (16, 18) else ""
         raise ValueError(f"its color primaries {primaries} with the transfer function {transfer}{hdr} are not supported")
     return encoding_of(curves[transfer], from_primaries(_PRIMARIES[primaries], _D65))
+
+
+def from_chromaticities(places: Sequence[float]) -> ColorEncoding:
+    """The encoding of linear values with the chromaticities x, y of red, green, blue and white.
+
+    Damaged chromaticities count as none.
+    """
+    red, green, blue, white = ((float(places[i]), float(places[i + 1])) for i in range(0, 8, 2))
+    try:
+        with np.errstate(all="ignore"):
+            matrix = from_primaries((red, green, blue), white)
+    except (np.linalg.LinAlgError, ZeroDivisionError):  # primaries on a line, or with y = 0
+        return LINEAR
+    return encoding_of((), matrix) if np.abs(matrix).max() < _LARGEST_COEFFICIENT else LINEAR
 
 
 def from_png_gamma(gamma: float | None, places: tuple[float, ...] | None) -> ColorEncoding:

@@ -1,4 +1,4 @@
-"""Reads OpenEXR files: linear radiance in half or single precision."""
+"""Reads OpenEXR files: linear radiance in half or single precision, with the primaries of the attribute `chromaticities`."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import OpenEXR
 
-from blender_nep.capture.photo_formats.color_encoding import LINEAR
+from blender_nep.capture.photo_formats.color_encoding import LINEAR, ColorEncoding, from_chromaticities
 from blender_nep.capture.photo_formats.raster import Raster
 
 
@@ -19,7 +19,8 @@ def size(path: Path) -> tuple[int, int]:
 
 def read(path: Path) -> Raster:
     """The first part of the file that has colors."""
-    return Raster(_pixels(path), LINEAR, associated=True)
+    pixels, encoding = _pixels(path)
+    return Raster(pixels, encoding, associated=True)
 
 
 def _color_channels(names: list[str]) -> list[str] | None:
@@ -37,7 +38,7 @@ def _color_channels(names: list[str]) -> list[str] | None:
     return None
 
 
-def _pixels(path: Path) -> np.ndarray:
+def _pixels(path: Path) -> tuple[np.ndarray, ColorEncoding]:
     for part in OpenEXR.File(str(path), separate_channels=True).parts:
         channels = {n: np.asarray(c.pixels) for n, c in part.channels.items()}
         names = _color_channels(list(channels))
@@ -49,7 +50,8 @@ def _pixels(path: Path) -> np.ndarray:
         frame_low, frame_high = part.header["displayWindow"]
         if tuple(low) != tuple(frame_low) or tuple(high) != tuple(frame_high):
             pixels = _place(pixels, np.asarray(low) - frame_low, np.asarray(frame_high) - frame_low + 1)
-        return pixels
+        places = part.header.get("chromaticities")
+        return pixels, LINEAR if places is None else from_chromaticities(places)
     raise ValueError("no R, G, B or Y channels")
 
 
