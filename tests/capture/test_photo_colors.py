@@ -4,6 +4,7 @@ import io
 import struct
 import zlib
 from fractions import Fraction
+from functools import partial
 
 import numpy as np
 import OpenEXR
@@ -14,7 +15,8 @@ from PIL import Image, ImageCms
 
 from blender_nep.cameras.photo_folder import Photo, gray_copy
 from blender_nep.cameras.reduction import Reduction
-from blender_nep.capture.photo_files import open_image
+from blender_nep.capture.photo_files import Raster, open_image
+from blender_nep.capture.photo_formats.color_encoding import ColorEncoding
 from blender_nep.errors import CaptureError
 from support import icc
 
@@ -333,6 +335,26 @@ def test_a_gray_copy_of_an_exr_file_with_chromaticities_is_exposed(tmp_path):
     OpenEXR.File({"chromaticities": REC2020}, {"RGB": radiance}).write(str(tmp_path / "a.exr"))
     gray = gray_copy(Photo(tmp_path / "a.exr", 30, 20, None, ()), Reduction.of(30, 20, 100))
     assert (gray == 124).all()
+
+
+@pytest.mark.parametrize("curves", [1, 3])
+@pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
+def test_whole_numbers_are_looked_up_and_give_what_the_curve_gives(dtype, curves):
+    """The curve is asked once for each value that the type has, not for each pixel."""
+    asked = []
+
+    def curve(power, x):
+        asked.append(x.size)
+        return (x**power).astype(np.float32)
+
+    powers, top = [2.2, 2.4, 1.8][:curves], np.iinfo(dtype).max
+    encoding = ColorEncoding(tuple(partial(curve, power) for power in powers))
+    pixels = np.random.default_rng(0).integers(0, top, (200, 300, 3), dtype, endpoint=True)
+    raster = Raster(pixels, encoding)
+    color = np.concatenate([raster.rows(start, start + 50)[0] for start in range(0, 200, 50)])
+    assert asked == [top + 1] * curves
+    exact = [curve(power, pixels[..., i] / float(top)) for i, power in enumerate(powers * (4 - curves))][:3]
+    np.testing.assert_array_equal(color, np.stack(exact, -1))
 
 
 def test_a_clipped_channel_remains_recognizable(tmp_path):

@@ -56,15 +56,24 @@ class ColorEncoding:
         return not self.curves and self.to_rec709 is None
 
     @cached_property
-    def _tables(self) -> list[np.ndarray]:
-        steps = np.arange(256) / 255.0
+    def _tables_of_bytes(self) -> list[np.ndarray]:
+        return self._tables(256)
+
+    @cached_property
+    def _tables_of_words(self) -> list[np.ndarray]:
+        return self._tables(65536)
+
+    def _tables(self, count: int) -> list[np.ndarray]:
+        """The linear values of `count` equal steps from 0 to 1, by each curve."""
+        steps = np.arange(count) / (count - 1.0)
         return [curve(steps) for curve in self.curves] or [steps.astype(np.float32)]
 
-    def of_bytes(self, color: np.ndarray) -> np.ndarray:
-        """Linear Rec.709 values, float32, of bytes [..., 3] uint8. They are in 0..1, as those of `of_fractions`."""
-        if len(self._tables) == 1:
-            return self._in_gamut(self._tables[0][color])
-        return self._in_gamut(np.stack([table[color[..., i]] for i, table in enumerate(self._tables)], -1))
+    def of_whole_numbers(self, color: np.ndarray) -> np.ndarray:
+        """Linear Rec.709 values, float32, in 0..1, of values [..., 3] uint8 or uint16. They are those of `of_fractions`."""
+        tables = self._tables_of_bytes if color.dtype == np.uint8 else self._tables_of_words
+        if len(tables) == 1:
+            return self._in_gamut(tables[0][color])
+        return self._in_gamut(np.stack([table[color[..., i]] for i, table in enumerate(tables)], -1))
 
     def of_fractions(self, color: np.ndarray) -> np.ndarray:
         """Linear Rec.709 values, float32, of values [..., 3] in 0..1.

@@ -71,10 +71,8 @@ class Raster:
             color = self.encoding.of_fractions(np.clip(color, 0, 1))
         elif self.encoding.is_linear:
             color = color.astype(np.float32) / self._top
-        elif color.dtype == np.uint8:
-            color = self.encoding.of_bytes(color)
         else:
-            color = self.encoding.of_fractions(color / float(self._top))
+            color = self.encoding.of_whole_numbers(color)
         return color, alpha
 
 
