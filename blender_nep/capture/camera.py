@@ -106,6 +106,19 @@ class Camera:
 
 @lru_cache(maxsize=4)
 def _shown_pixels(lens: Lens, width: int, height: int, fl_x: float, fl_y: float, cx: float, cy: float) -> np.ndarray:
-    """`Camera.shown_pixels`. The photos of a capture often share one camera, so the last results are kept."""
-    v, u = (np.indices((height, width)).reshape(2, -1) + 0.5 - [[cy], [cx]]) / [[fl_y], [fl_x]]
-    return Lenses.of([lens]).directions(torch.from_numpy(u), torch.from_numpy(v))[2].numpy()
+    """`Camera.shown_pixels`. The photos of a capture often share one camera, so the last results are kept.
+
+    A lens folds at a radius. So it shows all pixels if it shows those at the border, and nearly all lenses do.
+    """
+
+    def shown(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+        u, v = torch.from_numpy((x - cx) / fl_x), torch.from_numpy((y - cy) / fl_y)
+        return Lenses.of([lens]).directions(u, v)[2].numpy()
+
+    x, y = np.arange(width) + 0.5, np.arange(height) + 0.5
+    top, left = np.full(width, 0.5), np.full(height, 0.5)
+    border_x = np.concatenate([x, x, left, width - left])
+    border_y = np.concatenate([top, height - top, y, y])
+    if shown(border_x, border_y).all():
+        return np.ones(width * height, bool)
+    return shown(np.tile(x, height), np.repeat(y, width))

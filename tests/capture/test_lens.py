@@ -124,6 +124,31 @@ def test_a_camera_projects_back_to_the_pixel_and_keeps_its_lens_when_scaled(lens
     np.testing.assert_allclose(small.directions(x / 2, y / 2), camera.directions(x, y), atol=1e-12)
 
 
+@pytest.mark.parametrize(
+    "lens", [REAL, ALL_TERMS, FISHEYE, FOLDING, Lens(k1=-0.7, k2=0.1, p1=0.01), Lens(k1=-0.6, fisheye=True)]
+)
+@pytest.mark.parametrize("focal", [30.0, 55.0])
+@pytest.mark.parametrize("center", [(31.0, 19.0), (-5.0, 60.0)])
+def test_the_shown_pixels_are_those_that_every_pixel_says(lens, focal, center):
+    camera = Camera(60, 40, focal, focal, *center, np.eye(4), lens)
+    y, x = np.indices((40, 60)).reshape(2, -1) + 0.5
+    u, v = torch.from_numpy((x - center[0]) / focal), torch.from_numpy((y - center[1]) / focal)
+    np.testing.assert_array_equal(camera.shown_pixels(60, 40), Lenses.of([lens]).directions(u, v)[2])
+
+
+def test_a_lens_that_shows_the_border_is_asked_for_no_other_pixel(monkeypatch):
+    asked, directions = [], Lenses.directions
+
+    def counted(lenses, u, v):
+        asked.append(len(u))
+        return directions(lenses, u, v)
+
+    monkeypatch.setattr(Lenses, "directions", counted)
+    camera = Camera(300, 200, 280.0, 281.0, 151.0, 99.0, np.eye(4), REAL)
+    assert camera.shown_pixels(300, 200).all() and camera.shown_pixels(300, 200).shape == (300 * 200,)
+    assert asked == [2 * (300 + 200)]
+
+
 def test_the_sides_of_the_image_have_distance_zero():
     """The direction through the middle of each side lies in that side's plane, and the image's center inside all."""
     camera = distorted_camera()
