@@ -146,6 +146,8 @@ WORDS: dict[str, str] = {
     "camera pose or {count:is|are} disabled: {names}",
     "capture.several_models": "the COLMAP project has {models} models, which do not fit together: only {place} with "
     "{photos} {photos:photo|photos} is used; {others} {others:photo is|photos are} in the others",
+    "capture.masks_unmatched": "the folder masks holds images, but none has the name of a photo (such as {example}): "
+    "no masks are used",
     "capture.same_place": "{count} {count:photo was|photos were} taken from the same place in the same direction as others "
     "and {count:adds|add} nothing to the shape: {names}",
     "capture.exr_is_linear": "OpenEXR photos are taken as linear, although color_space says srgb",

@@ -1,8 +1,7 @@
 """Puts the engine's messages into the words of Blender's panel, for an artist who has no command line. No bpy in this file.
 
-The engine sends codes with values (blender_nep/messages.py), names of errors (blender_nep/errors.py), and its own English
-for a terminal. The tables here hold the panel's English. An older or a newer engine may send a code or a name that is not in
-these tables. The panel then shows the engine's own English.
+The engine sends codes with values (blender_nep/messages.py), names of errors (blender_nep/errors.py), and its own English.
+These tables hold the panel's English. If they lack what an engine of another version sends, the panel shows that engine's.
 
 `translate` turns one text of these tables into another language. The add-on passes Blender's `pgettext_iface` when it
 draws. Values are put in the place of `{...}` after the translation. docs/translating.md says how to add a language.
@@ -67,8 +66,8 @@ MESSAGES = {
     "{count:is|are} used all the same: {names}",
     "capture.photos_without_pose": "{count} {count:photo is|photos are} left out, because {count:it has|they have} no "
     "camera pose or {count:is|are} disabled: {names}",
-    "capture.several_models": "COLMAP has placed the photos in {models} groups that do not fit together: only the group "
-    "{place} with {photos} {photos:photo|photos} is used; {others} {others:photo is|photos are} in the others",
+    "capture.several_models": "Of {models} COLMAP models the largest ({photos} photos) is used. The others have {others}",
+    "capture.masks_unmatched": "No image in the folder masks has the name of a photo, such as {example}. They are not used",
     "capture.same_place": "{count} {count:photo was|photos were} taken from the same place in the same direction as others "
     "and {count:adds|add} nothing to the shape: {names}",
     "capture.exr_is_linear": "OpenEXR photos are taken as linear, although the capture says sRGB",

@@ -12,6 +12,7 @@ from PIL import Image
 
 from blender_nep.cameras.reduction import Reduction
 from blender_nep.capture.capture import Capture
+from blender_nep.capture.formats.photo_search import named_mask
 from blender_nep.capture.loading import MINIMUM_VIEWS
 from blender_nep.capture.photo_files import SUFFIXES, MaskRaster, Raster, exif, file_kind, image_size, open_image
 from blender_nep.color import linear_to_srgb, to_bytes
@@ -26,7 +27,6 @@ _QUARTER_TURNS = {1: 0, 2: 0, 6: 1, 5: 1, 3: 2, 4: 2, 8: 3, 7: 3}
 
 The second of two equal ones says that the image is mirrored too, which does not change where its top is.
 """
-_MASKS = "masks"
 _DAMAGED = (OSError, ValueError, SyntaxError, EOFError, struct.error, zlib.error, Image.DecompressionBombError)
 """What Pillow raises for damaged files"""
 _STRIP = 64
@@ -119,8 +119,7 @@ def _rank(path: Path) -> int:
 
 def _photo(path: Path, folder: Path) -> Photo:
     width, height = _size(path)
-    masks = (folder / _MASKS / f"{path.name}.png", folder / _MASKS / f"{path.stem}.png")
-    mask = next((mask for mask in masks if mask.is_file()), None)
+    mask = named_mask(folder, Path(path.name))
     if mask is not None and (size := _size(mask)) != (width, height):
         raise CaptureError(
             f"the mask {mask.name} is {size[0]} x {size[1]} pixels, but {path.name} is {width} x {height}",

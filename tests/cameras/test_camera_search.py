@@ -273,6 +273,20 @@ def test_stopping_while_the_object_is_sought_writes_nothing(known, monkeypatch):
     assert (known / "transforms.json").read_text() == "mine" and sorted(path.name for path in known.iterdir()) == before
 
 
+def test_masks_with_the_names_of_no_photo_are_a_warning(known):
+    """The masks of some programs are `PHOTO_mask.png`: these count."""
+    (known / "masks").mkdir()
+    Image.new("L", (320, 240), 255).save(known / "masks/mask 1.png")
+    code, events = found(known, None, overwrite=True)
+    first = find_photos(known)[0]
+    assert code == 0 and warnings(events)["capture.masks_unmatched"] == {"example": f"{first.path.stem}.png"}
+    mask = known / f"masks/{first.path.stem}_mask.png"
+    Image.new("L", (320, 240), 255).save(mask)
+    code, events = found(known, None, overwrite=True)
+    assert code == 0 and "capture.masks_unmatched" not in warnings(events)
+    assert find_photos(known)[0].mask == mask
+
+
 def test_cameras_that_are_replaced_are_kept(known, monkeypatch):
     guess = ObjectSphere(np.zeros(3), 0.7, sure=True)
     monkeypatch.setattr(camera_search, "find_object_sphere", lambda capture, lines, check: guess)

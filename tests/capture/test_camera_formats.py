@@ -167,6 +167,18 @@ def test_metashape_rescales_to_the_photos_and_finds_masks(tmp_path):
     assert [view.mask_path and view.mask_path.name for view in said.views] == ["a.png", None, "c.png.png", None]
 
 
+@pytest.mark.parametrize("write", [write_llff, write_metashape, write_bundler])
+def test_masks_with_the_names_of_no_photo_are_a_warning(tmp_path, write):
+    write(tmp_path, known_cameras(centered=True))
+    write_photos(tmp_path / "masks", ["mask of a.png"])
+    capture = load_capture(tmp_path)
+    assert not any(view.mask_path for view in capture.views)
+    assert [message.code for message in capture.warnings] == ["capture.masks_unmatched"]
+    write_photos(tmp_path / "masks", ["a_mask.png"])
+    capture = load_capture(tmp_path)
+    assert capture.views[0].mask_path == tmp_path / "masks/a_mask.png" and not capture.warnings
+
+
 def test_bundler_leaves_out_what_it_has_not_placed(tmp_path):
     write_bundler(tmp_path, known_cameras(centered=True))
     path = tmp_path / "bundle.out"

@@ -67,13 +67,26 @@ def test_of_several_models_the_one_with_the_most_photos_counts(tmp_path, small, 
     assert len(colmap.read(folder).views) == 4 and not colmap.read(folder).warnings
 
 
-def test_photos_beside_the_project_and_masks_of_both_names_are_found(tmp_path):
+def test_photos_beside_the_project_and_masks_of_all_names_are_found(tmp_path):
     folder = project(tmp_path / "capture", "txt", photos="")
     (folder / "masks").mkdir()
-    for name in ("second.png.png", "third.png"):
+    (folder / "masks/side a").mkdir()
+    for name in ("second.png.png", "third.png", "side a/first_mask.png"):
         Image.new("L", (32, 24)).save(folder / "masks" / name)
-    masks = {view.name: view.mask_path for view in colmap.read(folder).views}
+    said = colmap.read(folder)
+    masks = {view.name: view.mask_path for view in said.views}
     assert masks["second"].name == "second.png.png" and masks["third"].name == "third.png" and masks["fourth"] is None
+    assert masks["side a/first"] == folder / "masks/side a/first_mask.png" and not said.warnings
+
+
+def test_masks_with_the_names_of_no_photo_are_a_warning(tmp_path):
+    folder = project(tmp_path / "capture", "txt")
+    (folder / "masks/deeper").mkdir(parents=True)
+    (folder / "masks/notes.txt").touch()
+    assert not colmap.read(folder).warnings
+    Image.new("L", (32, 24)).save(folder / "masks/deeper/mask 2.PNG")
+    (warning,) = colmap.read(folder).warnings
+    assert (warning.code, warning.values) == ("capture.masks_unmatched", {"example": "fourth.png"})
 
 
 def as_colmap(tiny) -> Path:

@@ -20,7 +20,7 @@ import numpy as np
 from blender_nep.capture.camera import Camera
 from blender_nep.capture.capture import View
 from blender_nep.capture.description import CaptureDescription
-from blender_nep.capture.formats.photo_search import check_distinct, found_photo, mask_of, view_name
+from blender_nep.capture.formats.photo_search import check_distinct, found_photo, mask_of, mask_warnings, view_name
 from blender_nep.capture.formats.photos import check_readable
 from blender_nep.capture.formats.poses import camera_to_world, check_intrinsics, rotation_of, without_pose_warnings
 from blender_nep.capture.lens import Lens
@@ -82,9 +82,8 @@ def read(folder: Path) -> CaptureDescription:
     views = [_view(folder, bundle, entry, name) for entry, name in placed]
     check_distinct(views, names_file.name)
     missing = [name for entry, name in zip(entries, names, strict=True) if entry.focal == 0]
-    return CaptureDescription(
-        name=bundle.name, files=(bundle, names_file), views=views, warnings=without_pose_warnings(missing)
-    )
+    warnings = without_pose_warnings(missing) + mask_warnings(folder, views)
+    return CaptureDescription(name=bundle.name, files=(bundle, names_file), views=views, warnings=warnings)
 
 
 def _only(found: list[Path], what: str) -> Path:

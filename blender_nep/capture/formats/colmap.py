@@ -2,8 +2,8 @@
 
 They lie in the folder, in a folder of `sparse` such as `sparse/0`, in `sparse`, or in these below `colmap/`. COLMAP makes
 several models where photos fall into groups that share no points: the one with the most photos counts. The photos lie in
-`images/` or in the folder itself. Masks, if any, lie in `masks/`, under the photo's name with `.png` added or in place of
-its ending. The frame of the capture is COLMAP's own. The sparse points are not read.
+`images/` or in the folder itself. Masks, if any, lie in `masks/`, with the names of photo_search.py. The frame of the
+capture is COLMAP's own. The sparse points are not read.
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ import numpy as np
 from blender_nep.capture.camera import Camera
 from blender_nep.capture.capture import View
 from blender_nep.capture.description import CaptureDescription
+from blender_nep.capture.formats.photo_search import mask_warnings, named_mask
 from blender_nep.capture.formats.photos import check_readable, fitted, rescaled_warnings
 from blender_nep.capture.lens import Lens
 from blender_nep.capture.photo_files import find_image
@@ -99,7 +100,8 @@ def read(folder: Path) -> CaptureDescription:
         raise CaptureError(f"the COLMAP project in {model} has no photos with a pose", "Run COLMAP's mapper again.")
     rescaled: list[str] = []
     views = [_view(folder, cameras, pose, rescaled) for pose in sorted(poses, key=lambda pose: pose.name)]
-    return CaptureDescription(name=NAME, files=files, views=views, warnings=warnings + rescaled_warnings(rescaled))
+    warnings += mask_warnings(folder, views) + rescaled_warnings(rescaled)
+    return CaptureDescription(name=NAME, files=files, views=views, warnings=warnings)
 
 
 def _largest(folder: Path, models: list[Path]) -> tuple[Path, list[Message]]:
@@ -157,8 +159,7 @@ def _view(folder: Path, cameras: dict[int, _Intrinsics], pose: _Pose, rescaled: 
     check_readable(image, pose.name)
     if pose.camera not in cameras:
         raise CaptureError(f"{pose.name}: the project has no camera {pose.camera}", "Export the project again.")
-    masks = (folder / "masks" / f"{pose.name}.png", (folder / "masks" / pose.name).with_suffix(".png"))
-    mask = next((path for path in masks if path.is_file()), None)
+    mask = named_mask(folder, Path(pose.name))
     camera = fitted(_camera(cameras[pose.camera], pose), image, pose.name, NAME, rescaled)
     return View(str(Path(pose.name).with_suffix("")), image, mask, camera)
 

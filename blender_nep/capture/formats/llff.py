@@ -15,7 +15,7 @@ import numpy as np
 from blender_nep.capture.camera import Camera
 from blender_nep.capture.capture import View
 from blender_nep.capture.description import CaptureDescription
-from blender_nep.capture.formats.photo_search import first_with_photos, mask_of
+from blender_nep.capture.formats.photo_search import first_with_photos, mask_of, mask_warnings
 from blender_nep.capture.formats.photos import fitted, rescaled_warnings
 from blender_nep.capture.formats.poses import camera_to_world, check_count, check_intrinsics, rotation_of
 from blender_nep.errors import CaptureError
@@ -39,7 +39,8 @@ def read(folder: Path) -> CaptureDescription:
     for pose, photo in zip(poses, photos, strict=True):
         camera = fitted(_camera(pose, photo.name), photo, photo.name, FILE, rescaled)
         views.append(View(photo.stem, photo, mask_of(folder, photo), camera))
-    return CaptureDescription(name=FILE, files=(folder / FILE,), views=views, warnings=rescaled_warnings(rescaled))
+    warnings = mask_warnings(folder, views) + rescaled_warnings(rescaled)
+    return CaptureDescription(name=FILE, files=(folder / FILE,), views=views, warnings=warnings)
 
 
 def _read_poses(path: Path) -> np.ndarray:

@@ -29,7 +29,7 @@ import numpy as np
 from blender_nep.capture.camera import Camera
 from blender_nep.capture.capture import View
 from blender_nep.capture.description import CaptureDescription
-from blender_nep.capture.formats.photo_search import check_distinct, found_photo, mask_of, view_name
+from blender_nep.capture.formats.photo_search import check_distinct, found_photo, mask_of, mask_warnings, view_name
 from blender_nep.capture.formats.photos import check_readable, fitted, rescaled_warnings
 from blender_nep.capture.formats.poses import (
     FROM_OPENCV,
@@ -111,7 +111,7 @@ def read(folder: Path) -> CaptureDescription:
         )
     check_distinct(views, file)
     missing = [_label(camera, file) for camera in cameras if not _has_pose(camera)]
-    warnings = without_pose_warnings(missing) + rescaled_warnings(rescaled)
+    warnings = without_pose_warnings(missing) + mask_warnings(folder, views) + rescaled_warnings(rescaled)
     return CaptureDescription(name=file, files=(found[0],), views=views, warnings=warnings)
 
 

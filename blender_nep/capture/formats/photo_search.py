@@ -1,17 +1,19 @@
 """Where the photos and masks of other programs' exports lie.
 
 A photo lies in `images/` or in the folder itself, under the path that the file says, or the end of that path. Last, the
-absolute path counts. Masks, if any, lie in `masks/`, under the photo's name with `.png` added or in place of its ending.
+absolute path counts. Masks, if any, lie in `masks/`, under the photo's name with `.png` added, or with `.png` or `_mask.png`
+in place of its ending.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from pathlib import Path, PureWindowsPath
 
 from blender_nep.capture.capture import View
 from blender_nep.capture.photo_files import SUFFIXES, find_image
 from blender_nep.errors import CaptureError
+from blender_nep.messages import Message
 
 IMAGES, MASKS = "images", "masks"
 
@@ -50,9 +52,30 @@ def found_photo(folder: Path, name: str, file: str) -> Path:
 
 def mask_of(folder: Path, image: Path) -> Path | None:
     """The mask of a photo, or None."""
-    name = _place(folder, image)
-    masks = (folder / MASKS / f"{name}.png", (folder / MASKS / name).with_suffix(".png"))
-    return next((path for path in masks if path.is_file()), None)
+    return named_mask(folder, _place(folder, image))
+
+
+def named_mask(folder: Path, name: Path) -> Path | None:
+    """The mask of the photo `name`, a path relative to the folder of photos, or None."""
+    base = folder / MASKS / name
+    masks = (f"{base.name}.png", f"{base.stem}.png", f"{base.stem}_mask.png")
+    return next((path for path in map(base.with_name, masks) if path.is_file()), None)
+
+
+def unmatched_mask_warnings(folder: Path, photo: Path, masks: Iterable[Path | None]) -> list[Message]:
+    """The warning if `masks/` holds images and none is a photo's; none without images.
+
+    masks: those of all photos. photo: one of the photos, as an example of a name.
+    """
+    images = (path for path in (folder / MASKS).rglob("*") if path.suffix.lower() in SUFFIXES)
+    if any(masks) or not any(images):
+        return []
+    return [Message("capture.masks_unmatched", {"example": f"{photo.stem}.png"})]
+
+
+def mask_warnings(folder: Path, views: Sequence[View]) -> list[Message]:
+    """`unmatched_mask_warnings` for views."""
+    return unmatched_mask_warnings(folder, views[0].image_path, (view.mask_path for view in views))
 
 
 def view_name(folder: Path, image: Path) -> str:
