@@ -81,13 +81,13 @@ class Capture:
         radiance, alpha = raster.rows()
         return radiance, alpha if raster.has_alpha else None
 
-    def load_mask(self, i: int) -> np.ndarray | None:
-        """Coverage by the object [H, W] float32 in 0..1: from the mask file, else the photo's alpha, else None.
+    def load_mask(self, i: int, step: int = 1) -> np.ndarray | None:
+        """Coverage by the object [h, w] float32 in 0..1: from the mask file, else the photo's alpha, else None.
 
-        Raises CaptureError.
+        step: every `step`-th pixel in both directions is read, from pixel step // 2 on. Raises CaptureError.
         """
         mask = self.open_mask(i)
-        return self.load_photo(i)[1] if mask is None else mask.rows()
+        return self.open_photo(i).alpha(step) if mask is None else mask.coverage(step)
 
     @staticmethod
     def _check_size(view: View, path: Path, size: tuple[int, int]) -> None:

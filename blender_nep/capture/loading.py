@@ -152,7 +152,7 @@ def _set_bounds(capture: Capture, said: CaptureDescription, use_masks: bool) -> 
     capture.object_center, capture.object_radius = sphere_from_cameras(cameras)
     capture.bounds_source = "cameras"
     wanted = range(len(cameras)) if use_masks and _may_have_masks(capture) else range(0)
-    masks = [mask for i in wanted if (mask := _coarse(capture.load_mask(i))) is not None]
+    masks = [mask for i in wanted if (mask := _coarse_mask(capture, i)) is not None]
     if len(masks) == len(cameras):
         sphere = sphere_from_masks(cameras, masks, capture.object_center, capture.object_radius)
         if sphere is None:
@@ -164,13 +164,11 @@ def _set_bounds(capture: Capture, said: CaptureDescription, use_masks: bool) -> 
 
 
 def _may_have_masks(capture: Capture) -> bool:
-    return all(v.mask_path for v in capture.views) or capture.load_mask(0) is not None
+    return all(v.mask_path for v in capture.views) or _coarse_mask(capture, 0) is not None
 
 
-def _coarse(mask: np.ndarray | None) -> np.ndarray | None:
-    """Every n-th pixel of the mask, so that 200 to 400 are left along the longer side. None stays None.
-
-    It is a copy, so that the whole mask does not stay in memory.
-    """
-    step = 1 if mask is None else max(1, max(mask.shape) // 200)
-    return None if mask is None else mask[step // 2 :: step, step // 2 :: step].copy()
+def _coarse_mask(capture: Capture, i: int) -> np.ndarray | None:
+    """Every n-th pixel of the mask of photo `i`, so that 200 to 400 are left along the longer side; None without a mask."""
+    camera = capture.views[i].camera
+    sides = camera.width, camera.height
+    return capture.load_mask(i, max(1, min(max(sides) // 200, min(sides))))

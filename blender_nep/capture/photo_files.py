@@ -137,6 +137,16 @@ class MaskRaster:
         coverage = alpha if self.from_alpha and alpha is not None else color[..., 0]
         return np.nan_to_num(np.clip(coverage, 0.0, 1.0)).astype(np.float32)
 
+    def coverage(self, step: int = 1) -> np.ndarray:
+        """Coverage [h, w] float32 in 0..1 of every `step`-th pixel in both directions, from pixel step // 2 on.
+
+        Only the rows of these pixels are read. step: at most the shorter side.
+        """
+        if step == 1:
+            return self.rows()
+        kept = range(step // 2, self.size[0], step)
+        return np.concatenate([self.rows(row, row + 1)[:, step // 2 :: step] for row in kept])
+
 
 def _unreadable(path: Path, error: Exception) -> CaptureError:
     return CaptureError(

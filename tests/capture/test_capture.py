@@ -14,7 +14,7 @@ from PIL import Image
 
 from blender_nep.capture import Camera, PixelRays, load_capture, loading
 from blender_nep.capture.bounds import sphere_from_cameras
-from blender_nep.capture.photo_files import open_image
+from blender_nep.capture.photo_files import Raster, open_image
 from blender_nep.capture.pixel_width import pixel_footprint, pixel_width
 from blender_nep.capture.summary import describe, summarize
 from blender_nep.color import linear_to_srgb, srgb_to_linear
@@ -218,10 +218,27 @@ def test_photos_whose_masks_show_nothing_are_left_out(make_capture, bounds):
     assert len(PixelRays.from_capture(capture, 10**6, use_masks=False).sphere) > len(rays.sphere)
 
 
-def test_coarse_masks_do_not_keep_whole_ones_in_memory():
-    whole = np.zeros((600, 900), np.float32)
-    coarse = loading._coarse(whole)
-    assert coarse.shape == (150, 225) and not np.shares_memory(coarse, whole)
+@pytest.mark.parametrize("how", [{"alpha": True}, {"masks": True}], ids=["alpha", "masks"])
+@pytest.mark.parametrize("suffix", [".png", ".exr"])
+def test_coarse_masks_read_little_and_do_not_keep_whole_ones_in_memory(make_capture, monkeypatch, how, suffix):
+    """The sphere needs masks of 200 to 400 pixels. No photo is made linear for them, and few rows of mask files."""
+    tiny = make_capture(views=4, size=820, bounds=False, suffix=suffix, **how)
+    read, lengths = Raster.rows, []
+
+    def recorded(raster, start=0, end=None):
+        rows = read(raster, start, end)
+        lengths.append(len(rows[0]))
+        return rows
+
+    monkeypatch.setattr(Raster, "rows", recorded)
+    capture = load_capture(tiny.folder)
+    assert capture.bounds_source == "masks"
+    assert sum(lengths) == (4 * 205 if "masks" in how else 0)
+    coarse = loading._coarse_mask(capture, 1)
+    assert coarse.shape == (205, 205) and coarse.dtype == np.float32
+    assert (coarse if coarse.base is None else coarse.base).size == 205 * 205
+    np.testing.assert_array_equal(coarse, capture.load_mask(1)[2::4, 2::4])
+    assert "masks" in how or np.array_equal(capture.load_mask(1), capture.load_photo(1)[1])
 
 
 def test_alpha_is_the_mask_and_knows_no_background(make_capture):

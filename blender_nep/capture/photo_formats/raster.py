@@ -51,6 +51,16 @@ class Raster:
         """Whether some pixel is not opaque (alpha below 0.999)."""
         return self.least_alpha() < 0.999
 
+    def alpha(self, step: int = 1) -> np.ndarray | None:
+        """Alpha [h, w] float32 in 0..1 of every `step`-th pixel in both directions, from pixel step // 2 on.
+
+        None where the file has no alpha, or where all of it is at least 0.999.
+        """
+        if not self.has_alpha:
+            return None
+        alpha = self.stored[step // 2 :: step, step // 2 :: step, -1].astype(np.float32) / self._top
+        return np.clip(np.nan_to_num(alpha), 0.0, 1.0)
+
     def rows(self, start: int = 0, end: int | None = None) -> tuple[np.ndarray, np.ndarray | None]:
         """Radiance [h, W, 3] linear float32 of the rows start to end - 1, and alpha [h, W] in 0..1, or None without alpha.
 
