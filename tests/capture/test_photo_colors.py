@@ -15,7 +15,7 @@ from PIL import Image, ImageCms
 
 from blender_nep.cameras.photo_folder import Photo, gray_copy
 from blender_nep.cameras.reduction import Reduction
-from blender_nep.capture.photo_files import Raster, open_image
+from blender_nep.capture.photo_files import Raster, image_size, open_image
 from blender_nep.capture.photo_formats.color_encoding import ColorEncoding
 from blender_nep.errors import CaptureError
 from support import icc
@@ -213,6 +213,21 @@ def test_a_profile_with_tables_is_followed_for_8_bits_and_refused_for_more(tmp_p
     # a printer's profile does not fit RGB pixels: it says nothing
     Image.fromarray(photo()).save(tmp_path / "a.png", icc_profile=profile)
     np.testing.assert_allclose(found(tmp_path / "a.png"), srgb_curve(PATCHES / 255), atol=1e-6)
+
+
+@pytest.mark.parametrize(("size", "read"), [((16320, 12240), True), ((32768, 32768), False)])
+def test_photos_of_200_megapixels_are_no_bombs(tmp_path, recwarn, size, read):
+    """A file's header is enough for this. The largest cameras of phones have 200 megapixels."""
+    with_chunks(tmp_path / "a.png", {})
+    content = bytearray((tmp_path / "a.png").read_bytes())
+    content[16:24] = struct.pack(">II", *size)
+    content[29:33] = struct.pack(">I", zlib.crc32(content[12:29]))
+    (tmp_path / "a.png").write_bytes(content)
+    if read:
+        assert image_size(tmp_path / "a.png") == size and not recwarn
+    else:
+        with pytest.raises(CaptureError, match="decompression bomb"):
+            image_size(tmp_path / "a.png")
 
 
 def with_chunks(path, chunks, bits=8):

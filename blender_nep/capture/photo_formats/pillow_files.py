@@ -21,6 +21,9 @@ from blender_nep.capture.photo_formats.color_encoding import (
 from blender_nep.capture.photo_formats.icc_profiles import TableProfile, from_icc
 from blender_nep.capture.photo_formats.raster import Raster
 
+# Phones take photos of 200 megapixels. Pillow warns above this limit and refuses more than twice as many pixels.
+Image.MAX_IMAGE_PIXELS = 1 << 28
+
 DAMAGED_TAGS = (OSError, ValueError, SyntaxError, LookupError, TypeError, ArithmeticError, EOFError, struct.error)
 """What Pillow raises for damaged EXIF. The pixels may be sound all the same."""
 
