@@ -146,7 +146,7 @@ def _read_meta(path: Path) -> dict:
     if not path.is_file():
         raise OSError(f"{path.parent} has no {path.name}" if path.parent.is_dir() else f"there is no folder {path.parent}")
     try:
-        meta = json.loads(path.read_text(encoding="utf-8"))
+        meta = json.loads(path.read_text(encoding="utf-8-sig"))  # some editors write a byte order mark
     except ValueError as error:
         raise ValueError(f"{path} is no JSON text: {error}") from error
     if not isinstance(meta, dict):

@@ -77,6 +77,15 @@ def test_the_file_is_a_capture_of_its_own(make_capture, tmp_path):
     assert said.color_space == capture.color_space and said.object_radius == capture.object_radius
 
 
+def test_both_sides_read_a_file_with_a_byte_order_mark(make_capture):
+    """Notepad and PowerShell on Windows write one."""
+    tiny = make_capture(views=4)
+    path = tiny.folder / "transforms.json"
+    path.write_text(path.read_text(), encoding="utf-8-sig")
+    assert len(load_capture(tiny.folder).views) == len(read_frames(tiny.folder)) == 4
+    assert read_bounds(tiny.folder) is not None
+
+
 def test_the_sidebar_asks_the_engine_for_the_bounds_of_other_forms(make_capture):
     tiny = make_capture(views=4)
     assert read_bounds(tiny.folder) is not None

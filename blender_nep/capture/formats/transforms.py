@@ -53,7 +53,7 @@ def read(folder: Path, file: str = FILE) -> CaptureDescription:
 
 def _read_json(path: Path) -> dict:
     try:
-        meta = json.loads(path.read_text(encoding="utf-8"))
+        meta = json.loads(path.read_text(encoding="utf-8-sig"))  # some editors write a byte order mark
     except (OSError, ValueError) as error:
         raise CaptureError(f"{path.name} cannot be read ({error})", "It must be JSON text.") from error
     if not isinstance(meta, dict):
