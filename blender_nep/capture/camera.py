@@ -41,6 +41,16 @@ class Camera:
         """Unit direction [3] through the image's center, capture frame."""
         return self.directions(np.array([self.width / 2.0]), np.array([self.height / 2.0]))[0]
 
+    @property
+    def field_of_view(self) -> float:
+        """Angle (radians) between what the left and the right edge show, in the row of the principal point.
+
+        Distortion counts. A fisheye may see more than pi.
+        """
+        x, _, z = self._own_directions(np.array([0.0, self.width]), np.full(2, self.cy)).T
+        left, right = np.arctan2(x, -z)
+        return float(right - left)
+
     def directions(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
         """Unit directions [n, 3] in the capture frame, through image positions x, y [n] in pixels (centers +0.5)."""
         world = self._own_directions(x, y) @ self.camera_to_world[:3, :3].T

@@ -39,7 +39,7 @@ def summarize(folder: Path, picture: Path | None = None, sphere: tuple[Sequence[
     rays = PixelRays.from_capture(capture, 250_000, use_masks=True, memory=PixelMemory(most=32_000_000))
     cameras = [v.camera for v in capture.views]
     distance = np.array([np.linalg.norm(c.position - capture.object_center) for c in cameras]) / capture.object_radius
-    angles = [math.degrees(2 * math.atan(0.5 * c.width / c.fl_x)) for c in cameras]
+    angles = [math.degrees(c.field_of_view) for c in cameras]
     sizes = Counter(f"{c.width} x {c.height}" for c in cameras)
     radiance = rays.radiance[rays.valid][:: max(1, rays.count // 1_000_000)].float()
     size = SphereSize.of(capture)

@@ -7,6 +7,7 @@ import torch
 from blender_nep.capture import PixelRays, load_capture
 from blender_nep.capture.camera import Camera
 from blender_nep.capture.lens import Lens, Lenses
+from blender_nep.capture.summary import summarize
 
 REAL = Lens(k1=-0.12, k2=0.03)
 ALL_TERMS = Lens(k1=-0.2, k2=0.07, k3=0.01, k4=-0.002, p1=0.004, p2=-0.006)
@@ -177,6 +178,19 @@ def test_pixel_rays_and_projections_bend_with_the_lens(make_capture):
         place, ahead = rays.project(view, origin + 2.5 * direction)
         np.testing.assert_allclose(place, np.stack([x.ravel(), y.ravel()], 1) / 12 - 1, atol=1e-5)
         assert ahead.all() and (half > 0).all()
+
+
+def test_the_field_of_view_is_that_of_the_lens(make_capture):
+    """An equidistant fisheye sees the same angle per pixel everywhere; without distortion, an angle has its tangent."""
+    wide = Camera(640, 480, 160.0, 160.0, 300.0, 250.0, np.eye(4), Lens(fisheye=True))
+    assert wide.field_of_view == pytest.approx(640 / 160)
+    flat = Camera(640, 480, 160.0, 160.0, 300.0, 250.0, np.eye(4))
+    assert flat.field_of_view == pytest.approx(np.arctan(300 / 160) + np.arctan(340 / 160))
+    bent = Camera(640, 480, 400.0, 400.0, 320.0, 240.0, np.eye(4), REAL)
+    edge = 2 * bent.directions(np.array([0.0]), np.array([240.0]))[0]
+    assert bent.field_of_view == pytest.approx(2 * np.arctan(edge[0] / edge[2]), rel=1e-9)
+    capture = with_lens(make_capture(views=4), camera_model="OPENCV_FISHEYE")
+    assert summarize(capture.folder)["field_of_view_deg"] == [round(float(np.degrees(24 / 28.8)), 2)] * 2
 
 
 def test_distortion_of_one_frame_overrides_the_top(make_capture):
