@@ -16,6 +16,8 @@ from torch import Tensor
 
 _ITERATIONS = 12
 """Most Newton steps of the inverse. Real lenses need 3 or 4."""
+_HALVINGS = 30
+"""Rounds for the few places that Newton's method does not find"""
 _CLOSE = 1e-6
 """The step that begins this near to the place, in focal lengths, is the last one: it ends at the limit of the precision."""
 _MISSED = 1e-4
@@ -141,8 +143,27 @@ class Lenses:
 
     def _perspective(self, u: Tensor, v: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """`directions` by the OpenCV model: Newton's method, inside the radius where the distortion folds."""
-        x, y = u.clone(), v.clone()
         most = (self.reach * 0.999).clamp_max(1e3)
+        x, y = self._undistorted(u, v, u, v, most)
+        at_u, at_v = self._distorted(x, y)
+        radius = torch.hypot(u, v)
+        lost = self._lost(torch.hypot(at_u - u, at_v - v), radius, most)
+        if bool(lost.any()):
+            scale = self._halved(radius, most) / radius.clamp_min(1e-12)
+            again_x, again_y = self._undistorted(u, v, scale * u, scale * v, most)
+            x, y = torch.where(lost, again_x, x), torch.where(lost, again_y, y)
+            at_u, at_v = self._distorted(x, y)
+        ux, uy, vx, vy = self._slopes(x, y)
+        determinant = ux * vy - uy * vx
+        missed = torch.hypot(at_u - u, at_v - v)
+        shown = (missed < _MISSED) & (torch.hypot(x, y) < self.reach) & (determinant > 0)
+        x, y = torch.nan_to_num(x), torch.nan_to_num(y)
+        cosine = torch.rsqrt(x * x + y * y + 1)
+        direction = torch.stack([x * cosine, y * cosine, cosine], -1)
+        return direction, cosine**3 / determinant.clamp_min(1e-6), shown
+
+    def _undistorted(self, u: Tensor, v: Tensor, x: Tensor, y: Tensor, most: Tensor) -> tuple[Tensor, Tensor]:
+        """Newton's method for the x / z and y / z [n] that the places u, v [n] show, from x, y on, in the radius `most`."""
         for _ in range(_ITERATIONS):
             shrink = (most / torch.hypot(x, y).clamp_min(1e-12)).clamp_max(1)
             x, y = x * shrink, y * shrink
@@ -154,28 +175,16 @@ class Lenses:
             y = y + (ux * (v - at_v) - vx * (u - at_u)) / determinant
             if bool(((at_u - u).abs() + (at_v - v).abs() < _CLOSE).all()):
                 break
-        at_u, at_v = self._distorted(x, y)
-        ux, uy, vx, vy = self._slopes(x, y)
-        determinant = ux * vy - uy * vx
-        missed = torch.hypot(at_u - u, at_v - v)
-        shown = (missed < _MISSED) & (torch.hypot(x, y) < self.reach) & (determinant > 0)
-        x, y = torch.nan_to_num(x), torch.nan_to_num(y)
-        cosine = torch.rsqrt(x * x + y * y + 1)
-        direction = torch.stack([x * cosine, y * cosine, cosine], -1)
-        return direction, cosine**3 / determinant.clamp_min(1e-6), shown
+        return x, y
 
     def _round(self, u: Tensor, v: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """`directions` by the fisheye model: Newton's method for the angle theta."""
         radius = torch.hypot(u, v)
         most = self.reach * 0.999
-        theta = torch.minimum(radius, most)
-        for _ in range(_ITERATIONS):
-            squared = theta * theta
-            slope = self._radial(squared) + 2 * squared * self._radial_slope(squared)
-            missed = theta * self._radial(squared) - radius
-            theta = torch.minimum((theta - missed / slope.clamp_min(1e-3)).clamp_min(0), most)
-            if bool((missed.abs() < _CLOSE).all()):
-                break
+        theta = self._angle(radius, torch.minimum(radius, most), most)
+        lost = self._lost((theta * self._radial(theta * theta) - radius).abs(), radius, most)
+        if bool(lost.any()):
+            theta = torch.where(lost, self._angle(radius, self._halved(radius, most), most), theta)
         squared = theta * theta
         slope = self._radial(squared) + 2 * squared * self._radial_slope(squared)
         missed = (theta * self._radial(squared) - radius).abs()
@@ -184,6 +193,33 @@ class Lenses:
         direction = torch.stack([u * per_radius, v * per_radius, theta.cos()], -1)
         density = torch.where(near, torch.ones_like(theta), per_radius) / slope.clamp_min(1e-3)
         return direction, density, (missed < _MISSED) & (theta < self.reach)
+
+    def _angle(self, radius: Tensor, theta: Tensor, most: Tensor) -> Tensor:
+        """Newton's method for the angle [n] that a fisheye shows at `radius` [n], from `theta` [n] on, up to `most`."""
+        for _ in range(_ITERATIONS):
+            squared = theta * theta
+            slope = self._radial(squared) + 2 * squared * self._radial_slope(squared)
+            missed = theta * self._radial(squared) - radius
+            theta = torch.minimum((theta - missed / slope.clamp_min(1e-3)).clamp_min(0), most)
+            if bool((missed.abs() < _CLOSE).all()):
+                break
+        return theta
+
+    def _lost(self, missed: Tensor, radius: Tensor, most: Tensor) -> Tensor:
+        """Where [n] Newton's method has missed by `missed` a place at `radius` that is inside the fold.
+
+        It goes in circles for some lenses that are flat just before they fold.
+        """
+        return ~(missed < _MISSED) & (radius < most * self._radial(most * most))
+
+    def _halved(self, radius: Tensor, most: Tensor) -> Tensor:
+        """The r [n] in 0..most that the radial terms take to `radius` [n], by halving the interval."""
+        low, high = torch.zeros_like(radius), most.expand_as(radius)
+        for _ in range(_HALVINGS):
+            middle = (low + high) / 2
+            short = middle * self._radial(middle * middle) < radius
+            low, high = torch.where(short, middle, low), torch.where(short, high, middle)
+        return (low + high) / 2
 
 
 def _reach(lens: Lens) -> float:

@@ -86,6 +86,29 @@ def test_beyond_its_fold_a_lens_shows_nothing():
     assert not batch.places(torch.tensor([[0.1, 0.1, -1.0]], dtype=torch.float64))[2].any()
 
 
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+@pytest.mark.parametrize(
+    "lens",
+    [
+        Lens(k1=-0.01227, k2=0.018288, k3=0.035678, k4=-0.013747, fisheye=True),
+        Lens(k1=0.0186, k2=0.03327, k3=0.01256, k4=-0.01058, fisheye=True),
+        Lens(k1=0.41406, k2=-0.010392, k3=0.015919, k4=-0.021005, p1=-0.000377, p2=0.00134),
+        Lens(k1=0.1513, k2=0.21989, k3=-0.08437, k4=-0.01826, p1=0.000962, p2=-0.000604),
+    ],
+)
+def test_no_place_inside_the_fold_is_lost(lens, dtype):
+    """These lenses turn steeply just before they fold, and Newton's method alone goes in circles there."""
+    batch = Lenses.of([lens], dtype=dtype)
+    away = torch.linspace(0, 0.97 * float(batch.reach), 300, dtype=dtype)
+    turn = torch.linspace(0, 40, 300, dtype=dtype)
+    along, depth = (away.sin(), away.cos()) if lens.fisheye else (away, torch.ones_like(away))
+    directions = torch.nn.functional.normalize(torch.stack([along * turn.cos(), along * turn.sin(), depth], 1), dim=1)
+    u, v, shown = batch.places(directions)
+    back, _, seen = batch.directions(u, v)
+    assert shown.all() and seen.all()
+    np.testing.assert_allclose(back, directions, atol=1e-3 if dtype == torch.float32 else 1e-7)
+
+
 def test_one_fisheye_lens_holds_for_many_places_in_single_precision(flat):
     u, v = map(torch.from_numpy, 0.8 * flat)
     exact = Lenses.of([FISHEYE]).directions(u, v)
