@@ -4,6 +4,7 @@ import os
 import sys
 
 import bpy
+from bpy.app.translations import pgettext_iface
 
 from ..backend.engine.install import NAME
 from . import engine_setup
@@ -107,4 +108,4 @@ def _draw_installation(box: bpy.types.UILayout, context: bpy.types.Context, pref
         for text, icon in zip(installation.error, ("ERROR", "BLANK1"), strict=True):
             draw_wrapped(box, context, text, icon)
     elif installation is not None and installation.replaced:
-        draw_wrapped(box, context, REPLACED.format(installation.replaced), "INFO")
+        draw_wrapped(box, context, pgettext_iface(REPLACED).format(installation.replaced), "INFO")

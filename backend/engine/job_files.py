@@ -3,6 +3,7 @@
 The engine writes `OUT/job/`; blender_nep/job/job_folder.py lists its files. No bpy in this file.
 """
 
+import errno
 import json
 import os
 import sys
@@ -58,8 +59,8 @@ def is_locked(path: Path) -> bool:
             import fcntl
 
             fcntl.flock(descriptor, fcntl.LOCK_SH | fcntl.LOCK_NB)
-    except OSError:
-        return True
+    except OSError as error:  # some network drives know no locks, and say so by other errors
+        return error.errno in (errno.EAGAIN, errno.EACCES, errno.EWOULDBLOCK)
     finally:
         os.close(descriptor)  # releases the lock
     return False

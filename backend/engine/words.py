@@ -54,8 +54,7 @@ MESSAGES = {
     "some from there, if you can",
     "cameras.sphere": "Looking for the object",
     "cameras.sphere_unsure": "The object's place and size are a guess. Press Propose Bounds, and move and scale the sphere",
-    "cameras.good_as_given": "The given cameras are kept: their features agree within {error:.2f} pixels, which cannot be "
-    "improved",
+    "cameras.good_as_given": "The given cameras are kept: their features agree within {error:.2f} pixels already",
     "cameras.improved": "The cameras were improved: their features agree within {after:.2f} pixels instead of "
     "{before:.2f}. They were turned by {degrees:.3f} degrees and moved by {percent:.2f} % of their distance (medians)",
     "cameras.backup": "The cameras that were replaced are kept in the folder, in {file}.",
@@ -74,8 +73,7 @@ MESSAGES = {
     "capture.half_a_sphere": "The capture names only a center or only a radius of the object's sphere: it is ignored",
     "capture.masks_disagree": "The masks contradict each other: the object's sphere is estimated from the cameras",
     "capture.sphere_not_seen": "{count} of {photos} photos {count:does|do} not see the object's sphere: {names}",
-    "capture.cameras_far": "The cameras are {radii:.0f} object radii away: the object covers few pixels. Are the bounds too "
-    "small?",
+    "capture.cameras_far": "The cameras are {radii:.0f} object radii away: the object is small. Are the bounds too small?",
     "capture.sphere_cut": "Most photos see less than half of the object's sphere. Are the bounds too large?",
     "capture.exposure_unclear": "The photos may differ in exposure, but show too little of the same surroundings to tell: "
     "if the camera was on automatic, take or develop them with one exposure",
@@ -90,8 +88,7 @@ MESSAGES = {
     "capture.photos_black": "{count} {count:photo is|photos are} black and {count:is|are} left out: {names}",
     "capture.photos_reduced": "There are {photos} photos, so each is scaled down to {pixels} pixels",
     "capture.masks_missing": "Masks are not used: {count} {count:photo has|photos have} none ({names})",
-    "capture.masks_empty": "{count} {count:photo is|photos are} left out: {count:its mask shows|their masks show} nothing "
-    "({names})",
+    "capture.masks_empty": "{count} {count:photo|photos} left out: {count:its mask is|their masks are} empty: {names}",
     "capture.cut_outs_need_masks": "The photos are cut-outs and their surroundings are black: results need the masks",
     "capture.few_photos": "Only {photos} photos: 20 and more give a better shape",
     "capture.few_directions": "The cameras cover few directions: what no photo shows will be guessed",
@@ -154,8 +151,7 @@ MESSAGES = {
     "scene.masks_used": "Masks are there and are used.",
     "scene.masks_not_used": "No masks are used: the object is where the photos do not look like its surroundings.",
     "scene.object_clipped": "{percent:g} % of the object's pixels are burnt out and say nothing about the material.",
-    "scene.sphere_clipped": "{percent:g} % of the pixels around the object are burnt out and say nothing about the "
-    "material.",
+    "scene.sphere_clipped": "{percent:g} % of the pixels around the object are burnt out and do not show the material.",
     "scene.high_range": "The photos hold highlights brighter than white (HDR), and hardly any is burnt out.",
     "scene.hardly_clipped": "The photos end at white, but hardly a pixel is burnt out.",
     "scene.vignetting": "The photos are darker towards their corners (by {stops:.1f} stops), which is evened out.",

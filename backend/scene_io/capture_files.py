@@ -171,6 +171,8 @@ def _frame(folder: Path, meta: dict, entry: dict) -> Frame:
     else:
         width, height = image_size(path)
     distortion = {name: entry.get(name, meta.get(name)) for name in DISTORTION}
+    if entry.get("is_fisheye", meta.get("is_fisheye")):  # as instant-ngp says it
+        distortion["camera_model"] = distortion["camera_model"] or "OPENCV_FISHEYE"
     mask = entry.get("mask_path")
     angle = entry.get("camera_angle_x", meta.get("camera_angle_x"))
     fl_x = float(value("fl_x", None if angle is None else 0.5 * width / math.tan(0.5 * angle)))

@@ -1,6 +1,7 @@
 """Shows a capture's cameras in Blender: a collection with a camera for each photo, and the photo as its background image."""
 
 import json
+import os
 from pathlib import Path
 
 import bpy
@@ -16,7 +17,8 @@ COLLECTION_NAME = "NeP cameras: {}"
 CAPTURE_KEY = "nep_capture"  # custom property of the collection: the capture's folder
 # Custom properties of a camera: its photo's size and pixel aspect. Blender itself has one size and aspect for all cameras.
 SIZE_KEY, ASPECT_KEY = "nep_photo_size", "nep_pixel_aspect"
-# What Blender's cameras lack: the lens distortion as JSON text, and the mask's path. A capture from the scene gets both.
+# What Blender's cameras lack: the lens distortion as JSON text, and the mask's path from the photo's folder on, so that it
+# is found after both were moved. A capture from the scene gets both.
 DISTORTION_KEY, MASK_KEY = "nep_distortion", "nep_mask"
 PHOTO_KEY = "nep_photo"  # custom property that marks an image which `load_cameras` has loaded
 DISPLAY_SIZE = 0.06  # drawn size of a camera, relative to the median distance of the cameras from their mean position
@@ -46,7 +48,7 @@ def load_cameras(
         if frame.distortion:
             camera[DISTORTION_KEY] = json.dumps(frame.distortion)
         if frame.mask is not None:
-            camera[MASK_KEY] = str(frame.mask)
+            camera[MASK_KEY] = _from_folder(frame.path, frame.mask)
         ending = frame.path.suffix.lower()
         hidden = ending in RAW or (ending in HEIF and not shows_heif)
         image = None if hidden else _photo(frame)
@@ -64,6 +66,14 @@ def load_cameras(
         scene.render.pixel_aspect_x, scene.render.pixel_aspect_y = pixel_aspect(frames[0])
     scene.camera = scene.camera or cameras[0]
     return cameras, missing, not_shown
+
+
+def _from_folder(photo: Path, mask: Path) -> str:
+    """The mask's path relative to the photo's folder; absolute if they lie on different drives of Windows."""
+    try:
+        return os.path.relpath(mask, photo.parent)
+    except ValueError:
+        return os.path.abspath(mask)
 
 
 def remove_cameras(scene: bpy.types.Scene) -> int:

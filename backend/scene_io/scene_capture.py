@@ -115,9 +115,13 @@ def _frame(scene: bpy.types.Scene, camera: bpy.types.Object, folder: Path, packe
 
 
 def _loaded_with(camera: bpy.types.Object, folder: Path) -> dict:
-    """Lens distortion and mask of a camera that was loaded from a capture, as transforms.json in `folder` has them."""
+    """Lens distortion and mask of a camera that was loaded from a capture, as transforms.json in `folder` has them.
+
+    A mask that is missing is left out.
+    """
     entry = json.loads(camera.get(DISTORTION_KEY, "{}"))
-    if mask := camera.get(MASK_KEY):
+    mask = Path(_photo(camera).filepath_from_user()).parent / camera.get(MASK_KEY, "")
+    if MASK_KEY in camera and mask.is_file():
         try:
             entry["mask_path"] = Path(os.path.relpath(mask, folder)).as_posix()
         except ValueError:  # no relative path leads to another drive of Windows

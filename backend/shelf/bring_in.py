@@ -112,8 +112,12 @@ def objects_of(batch: BatchFile, scene: bpy.types.Scene) -> dict[str, list[bpy.t
 
 def shelf_collection(folder: Path, scene: bpy.types.Scene) -> bpy.types.Collection | None:
     """The scene's collection of the objects of the batch in `folder`; None where none was brought in."""
-    children = scene.collection.children_recursive
-    return next((child for child in children if child.get(BATCH) == _key(folder)), None)
+    return next((child for child in _shelf_collections(scene) if child[BATCH] == _key(folder)), None)
+
+
+def _shelf_collections(scene: bpy.types.Scene) -> list[bpy.types.Collection]:
+    """The scene's collections of batches. Linked ones cannot take objects, so they are left out."""
+    return [child for child in scene.collection.children_recursive if child.get(BATCH) and child.library is None]
 
 
 def shelf_objects(place: bpy.types.Collection | bpy.types.Scene) -> list[bpy.types.Object]:
@@ -131,8 +135,7 @@ def catalog_of_collection(collection: bpy.types.Collection) -> Catalog | None:
 def _collection(batch: BatchFile, scene: bpy.types.Scene, catalog: Catalog) -> bpy.types.Collection:
     found = shelf_collection(batch.folder, scene)
     if found is None:  # none yet, or the project was moved
-        children = (child for child in scene.collection.children_recursive if child.get(BATCH))
-        found = next((child for child in children if child.get(CATALOG) == catalog.identifier), None)
+        found = next((child for child in _shelf_collections(scene) if child.get(CATALOG) == catalog.identifier), None)
     if found is None:
         found = bpy.data.collections.new(f"Shelf: {batch.folder.resolve().name}")
         scene.collection.children.link(found)

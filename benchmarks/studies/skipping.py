@@ -165,7 +165,11 @@ def run(scene: Scene, preset: Preset, seed: int, threads: int, kept: Path, pictu
         settings = Settings(
             scene.folder, Path(out) / "asset", preset, device="cpu", seed=seed, use_masks=scene.masks, threads=threads
         )
-        Job(settings, Events(None, io.StringIO()), StopRequest(), stages).run()
+        job = Job(settings, Events(None, io.StringIO()), StopRequest(), stages)
+        try:
+            job.run()
+        finally:
+            job.close()
     seconds = time.process_time() - start
     if stage_1.taken_over is not None:
         seconds += stage_1.taken_over

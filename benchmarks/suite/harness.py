@@ -94,6 +94,7 @@ def resumed(file: Path, row: dict, run: Callable[[], dict]) -> dict:
     What is written is `row` with the values that run() returns, or with "error" and the message of the error that it raises.
     A run that was stopped writes no row, and raises Stopped.
     """
+    asked = json.loads(json.dumps(row))
     if not file.is_file():
         try:
             row = row | run()
@@ -106,7 +107,7 @@ def resumed(file: Path, row: dict, run: Callable[[], dict]) -> dict:
             row = row | {"error": f"{type(error).__name__}: {error}"}
         write_row(file, row)
     held = read_row(file)
-    if other := sorted(key for key, value in row.items() if held.get(key) != value):
+    if other := sorted(key for key, value in asked.items() if held.get(key) != value):
         raise SystemExit(f"{file} holds a row of something else ({', '.join(other)}): use another --out, or remove it")
     return held
 

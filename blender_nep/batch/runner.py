@@ -37,7 +37,7 @@ from blender_nep.files import output_errors
 from blender_nep.job.device import choose_device, usable_cores
 from blender_nep.job.events import Events
 from blender_nep.job.exit_code import exit_code, unexpected
-from blender_nep.job.job_folder import lock_file
+from blender_nep.job.job_folder import is_held, lock_file
 from blender_nep.messages import Message
 from blender_nep.presets import preset
 from blender_nep.stop_request import StopRequest
@@ -162,7 +162,7 @@ class Batch:
         """Let everything that is not done wait, and learn from what is done."""
         for one in work:
             out = self._settings.out / one.name
-            if self._settings.overwrite:
+            if self._settings.overwrite and not is_held(out):  # a run that somebody else has started keeps its files
                 with output_errors(out):
                     (out / "report.json").unlink(missing_ok=True)  # from here on the folder is no valid asset
                     for made in ("checkpoints", CAPTURE):

@@ -13,6 +13,7 @@ from blender_nep.batch.jobs import Heard, Job, Jobs
 from blender_nep.batch.needs import Needs, threads_for
 from blender_nep.batch.outcome import failure, is_crash, lacked_memory, read_report, refused_checkpoints
 from blender_nep.batch.state import DONE, FAILED, RUNNING, STOPPED, WAITING, ObjectState
+from blender_nep.job.job_folder import is_held
 from blender_nep.messages import Message
 from blender_nep.stop_request import StopRequest
 
@@ -196,9 +197,12 @@ class Scheduler:
         self._listener.changed(one)
 
     def _clear(self, one: ObjectState) -> bool:
-        """Remove the checkpoints of an object, once. Returns whether it was done. Those of a complete asset are kept."""
+        """Remove the checkpoints of an object, once. Returns whether it was done.
+
+        Those of a complete asset are kept, and those of a run that somebody else has started and that is at work.
+        """
         folder = self._out / one.name
-        if one.name in self._cleared or (folder / "report.json").exists():
+        if one.name in self._cleared or (folder / "report.json").exists() or is_held(folder):
             return False
         self._cleared.add(one.name)
         shutil.rmtree(folder / "checkpoints", ignore_errors=True)

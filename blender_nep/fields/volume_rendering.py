@@ -37,7 +37,7 @@ class SurfaceSamples:
 def sphere_interval(origins: torch.Tensor, directions: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
     """Distances [n] at which each ray enters and leaves the unit sphere, clipped to >= 0; equal where the ray misses it.
 
-    Computed from the distance between ray and centre. The usual b^2 - |o|^2 + 1 would lose digits: from 100 radii away, it
+    Computed from the distance between ray and center. The usual b^2 - |o|^2 + 1 would lose digits: from 100 radii away, it
     is a difference of numbers 10,000 times larger, of which float32 leaves three digits.
     """
     along = -(origins * directions).sum(-1)

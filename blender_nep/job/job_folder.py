@@ -25,7 +25,7 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
-from blender_nep.errors import UsageError
+from blender_nep.errors import OutputError, UsageError
 from blender_nep.files import output_error, output_errors, write_atomically
 
 FOLDER = "job"
@@ -126,6 +126,20 @@ def held(asset: Path) -> Iterator[None]:
         yield
     finally:
         os.close(descriptor)
+
+
+def is_held(asset: Path) -> bool:
+    """Whether a run or a correction is at work in the folder. False where the file system knows no locks."""
+    path = asset / FOLDER / "lock"
+    if not path.is_file():
+        return False
+    try:
+        os.close(lock_file(path, asset, needed=False))
+    except UsageError:
+        return True
+    except (OSError, OutputError):
+        return False
+    return False
 
 
 def lock_file(path: Path, asset: Path, *, needed: bool = True) -> int:

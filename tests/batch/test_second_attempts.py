@@ -14,6 +14,7 @@ import pytest
 from blender_nep.batch.job_process import JobProcess
 from blender_nep.batch.jobs import Job
 from blender_nep.batch.machine import jobs_in
+from blender_nep.job.job_folder import JobFolder
 
 WHOLE = ["0", "1", "2", "3"]
 
@@ -58,6 +59,17 @@ def test_a_complete_asset_of_another_run_keeps_its_checkpoints(batch, other_run)
     (folder / "report.json").write_text("{}")
     assert batch.run()[0] == 9
     assert batch.objects()["a"]["attempts"] == 1 and (folder / "checkpoints/refused").exists()
+
+
+@pytest.mark.parametrize("overwrite", [False, True])
+def test_a_run_that_somebody_else_has_started_keeps_its_checkpoints(batch, other_run, overwrite):
+    folder = other_run()
+    run = JobFolder(folder, followed=True)
+    try:
+        assert batch.run(overwrite=overwrite)[0] == 9
+    finally:
+        run.close()
+    assert (folder / "checkpoints/refused").exists()
 
 
 def test_the_capture_of_a_failed_object_is_measured_again(batch):

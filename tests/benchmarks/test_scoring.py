@@ -114,6 +114,8 @@ def test_a_failed_run_is_a_row_with_its_message_and_a_done_one_is_not_run_again(
     assert resumed(tmp_path / "failed.json", start, fail) == start | {"error": "no surface was found"}
     assert resumed(tmp_path / "crashed.json", start, lambda: 1 / 0)["error"] == "ZeroDivisionError: division by zero"
     assert resumed(tmp_path / "done.json", start, lambda: {"seconds": 1.0}) == start | {"seconds": 1.0}
+    measured = {"levels": (1, 2), "error": float("nan"), 3: "c"}  # what JSON changes
+    assert resumed(tmp_path / "more.json", start | {"sizes": (4, 5)}, lambda: measured)["levels"] == [1, 2]
     assert resumed(tmp_path / "done.json", start, fail)["seconds"] == 1.0
     with pytest.raises(SystemExit, match="something else"):
         resumed(tmp_path / "done.json", start | {"photos": "others"}, fail)

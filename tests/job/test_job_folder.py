@@ -9,7 +9,8 @@ import os
 
 import pytest
 
-from blender_nep.job.job_folder import JobFolder, Journal
+from backend.engine.job_files import is_running
+from blender_nep.job.job_folder import JobFolder, Journal, is_held
 from support.ball_stages import BallStages
 
 
@@ -38,6 +39,7 @@ def test_a_folder_at_which_a_run_works_is_refused_to_another(start, options):
     def begin_another(stage, step):
         if (stage, step) == ("material_learning", 2):
             refused.append(start(BallStages(), **options))
+            assert is_held(start.out)
 
     refused: list = []
     code, events = start(BallStages(on_step=begin_another))
@@ -45,7 +47,7 @@ def test_a_folder_at_which_a_run_works_is_refused_to_another(start, options):
     ((code, events),) = refused
     assert code == 2 and events[-1]["name"] == "usage.folder_in_use"
     assert json.loads((start.out / "report.json").read_text())["seed"] == 0
-    assert start(BallStages(), overwrite=True)[0] == 0, "the folder is free again"
+    assert not is_held(start.out) and start(BallStages(), overwrite=True)[0] == 0, "the folder is free again"
 
 
 @pytest.mark.parametrize(("followed", "expected"), [(False, 0), (True, 5)])
@@ -57,3 +59,4 @@ def test_where_a_network_drive_knows_no_locks(start, monkeypatch, followed, expe
     monkeypatch.setattr(JobFolder, "take_stderr", lambda self: None)
     code, events = start(BallStages(), job_files=followed)
     assert code == expected and (code == 0 or "No locks available" in events[-1]["message"])
+    assert not is_running(start.out) and not is_held(start.out), "else the sidebar would wait for it for ever"

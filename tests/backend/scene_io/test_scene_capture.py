@@ -18,6 +18,7 @@ from support.own_process import in_blender
     [
         {"k1": -0.2, "k2": 0.05, "p1": 0.001},
         {"camera_model": "OPENCV_FISHEYE", "k1": 0.02, "k4": -0.001},
+        {"is_fisheye": True, "k1": 0.02},
         {"camera_model": "PINHOLE"},
     ],
 )
@@ -34,8 +35,8 @@ def test_distortion_and_masks_survive_blender(tmp_path, lens):
         )
     meta = {"w": 48, "h": 32, "fl_x": 50.0, "cx": 25.0, "frames": frames, **lens}
     (capture / "transforms.json").write_text(json.dumps(meta))
-    in_blender(check_copy, capture, tmp_path / "made")
-    before, after = (load_capture(folder) for folder in (capture, tmp_path / "made"))
+    in_blender(check_copy, capture, tmp_path / "made", tmp_path / "moved")
+    before, after = (load_capture(folder) for folder in (tmp_path / "moved", tmp_path / "made"))
     assert len(after.views) == 4
     for old, new in zip(before.views, after.views, strict=True):
         assert new.camera.lens == old.camera.lens
@@ -44,7 +45,8 @@ def test_distortion_and_masks_survive_blender(tmp_path, lens):
         np.testing.assert_allclose([new.camera.fl_x, new.camera.cx], [old.camera.fl_x, old.camera.cx], rtol=1e-5)
 
 
-def check_copy(capture, made):
+def check_copy(capture, made, moved):
+    """The photos and masks are moved between both steps."""
     import bpy
 
     from backend.scene_io.capture_files import read_frames
@@ -54,6 +56,10 @@ def check_copy(capture, made):
     bpy.ops.wm.read_factory_settings(use_empty=True)
     load_cameras(bpy.context.scene, Path(capture), read_frames(Path(capture)))
     bpy.context.view_layer.update()
+    Path(capture).rename(moved)
+    for camera in bpy.context.scene.objects:
+        image = camera.data.background_images[0].image
+        image.filepath = str(Path(moved) / Path(image.filepath).name)
     assert write_scene_capture(bpy.context.scene, Path(made)) == 4
 
 

@@ -188,9 +188,11 @@ def check_linked(folder, library):
     bring_in(batch, scene)
     bpy.ops.wm.save_as_mainfile(filepath=library)
     bpy.ops.wm.read_factory_settings(use_empty=True)
-    with bpy.data.libraries.load(library, link=True) as (_, linked):
+    with bpy.data.libraries.load(library, link=True) as (there, linked):
         linked.objects = list(SCALES)
+        linked.collections = [next(name for name in there.collections if name.startswith("Shelf"))]
     scene = bpy.context.scene
+    scene.collection.children.link(linked.collections[0])
     for item in linked.objects:
         scene.collection.objects.link(item)
     assert [one.name for one in not_in_scene(batch, scene)] == list(SCALES), "a library would name itself as its source"
