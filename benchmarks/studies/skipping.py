@@ -154,11 +154,10 @@ class KeptAsset(AssetStage):
         self.given, self.report = given, given.report()
 
 
-def run(scene: Scene, preset: Preset, seed: int, threads: int, kept: Path, picture: Path) -> dict:
-    """Run one job, and return its seconds, its scores and what it skipped."""
+def run(scene: Scene, preset: Preset, seed: int, threads: int, kept: Path, picture: Path, photos: str) -> dict:
+    """Run one job, and return its seconds, its scores and what it skipped. `photos`: the scene's `photos_of`."""
     capture = load_capture(scene.folder, use_masks=scene.masks)
-    photos, cpu = photos_of(scene.folder, scene.masks), {}
-    stage_1, asset = FieldsOnce(scene, kept, photos, commit_now()), KeptAsset()
+    stage_1, asset, cpu = FieldsOnce(scene, kept, photos, commit_now()), KeptAsset(), {}
     stages = Stages(Timed(stage_1, cpu), Timed(SurfaceStage(), cpu), Timed(MaterialsStage(), cpu), asset)
     start = time.process_time()
     with tempfile.TemporaryDirectory() as out:
@@ -244,11 +243,11 @@ def main() -> None:
         if scene.metal:
             preset = replace(preset, material=replace(preset.material, metallic=(1.0,)))
         rows: dict[bool, list[dict]] = {True: [], False: []}
+        photos = photos_of(scene.folder, scene.masks)
         for seed, skip in itertools.product(arguments.seeds, (True, False)):
             word = "with" if skip else "without"
             name = f"{scene.name}-{arguments.preset}-{seed}-{word}"
-            row = {"scene_name": scene.name, "preset": arguments.preset, "seed": seed, "skip": skip}
-            row["photos"] = photos_of(scene.folder, scene.masks)
+            row = {"scene_name": scene.name, "preset": arguments.preset, "seed": seed, "skip": skip, "photos": photos}
             work = partial(
                 run,
                 scene,
@@ -257,6 +256,7 @@ def main() -> None:
                 arguments.threads,
                 arguments.out / "stage_1",
                 arguments.out / f"{name}.png",
+                photos,
             )
             rows[skip].append(resumed(arguments.out / f"{name}.json", row, work))
             print(name, {k: rows[skip][-1].get(k) for k in ("error", "seconds", *ERRORS, "skipped")}, flush=True)

@@ -25,7 +25,7 @@ from blender_nep.batch.jobs import Heard, Job
 from blender_nep.batch.machine import jobs_in, wait_for_end
 from blender_nep.batch.shipping import pack, unpack
 from blender_nep.errors import UsageError
-from blender_nep.job.job_folder import is_held
+from blender_nep.job.job_folder import wait_until_free
 
 _POLL_S = 0.5
 _LONGEST_WAIT_S = 240.0
@@ -69,7 +69,8 @@ def work(job: Job, mailbox: ray.actor.ActorHandle, shipped: bytes | None) -> byt
     node = platform.node() + ":" + ray.get_runtime_context().get_node_id()[:6]
     if shipped is None:
         wait_for_end(jobs_in(job.out))  # a job that a lost task has left behind on this node
-        _wait_for_other_nodes(job.out)
+        # A job of a node that Ray has lost stops as soon as it notices that nobody answers.
+        wait_until_free(job.out, _LONGEST_WAIT_S)
         _follow(JobProcess(job, node), mailbox)
         return None
     with tempfile.TemporaryDirectory(prefix="nep_") as folder:
@@ -79,17 +80,6 @@ def work(job: Job, mailbox: ray.actor.ActorHandle, shipped: bytes | None) -> byt
         here = replace(job, capture=_below(root, job.capture), out=_below(root, job.out))
         _follow(JobProcess(here, node), mailbox)
         return pack([here.out], root)
-
-
-def _wait_for_other_nodes(out: Path) -> None:
-    """Wait until no job of another node is at work in the folder.
-
-    If Ray has lost that node, its job stops as soon as it notices that nobody answers. Where it goes on for longer, the new
-    job is refused and says why.
-    """
-    until = time.monotonic() + _LONGEST_WAIT_S
-    while is_held(out) and time.monotonic() < until:
-        time.sleep(_POLL_S)
 
 
 def _below(root: Path, path: Path) -> Path:

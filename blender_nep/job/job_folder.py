@@ -31,6 +31,7 @@ from blender_nep.files import output_error, output_errors, write_atomically
 FOLDER = "job"
 PREVIEW_MESH, PREVIEW_PICTURE = "preview.npz", "preview.png"
 _NO_LOCKS = (errno.ENOLCK, errno.ENOSYS, errno.ENOTSUP)
+_PAUSE_S = 0.5
 _FILES = ("job.json", "events.jsonl", "engine.log", "stop", PREVIEW_MESH, PREVIEW_PICTURE)
 
 
@@ -142,10 +143,18 @@ def is_held(asset: Path) -> bool:
     return False
 
 
+def wait_until_free(asset: Path, longest_s: float) -> None:
+    """Wait until no run is at work in the folder, for at most `longest_s` seconds."""
+    until = time.monotonic() + longest_s
+    while is_held(asset) and time.monotonic() < until:
+        time.sleep(_PAUSE_S)
+
+
 def lock_file(path: Path, asset: Path, *, needed: bool = True) -> int:
     """Lock the file `path` and return its descriptor. Raises UsageError while another run holds the lock, OutputError.
 
     Where the file system knows no locks, that is an error only if the lock is `needed`.
+
     A program that follows the run locks the file for an instant, to see whether the run lives. So the lock is tried again.
     """
     descriptor = os.open(path, os.O_RDWR | os.O_CREAT, 0o666)

@@ -14,7 +14,7 @@ from PIL import Image
 
 from blender_nep.capture import Camera, PixelRays, load_capture, loading
 from blender_nep.capture.bounds import sphere_from_cameras
-from blender_nep.capture.photo_files import Raster, open_image
+from blender_nep.capture.photo_files import open_image
 from blender_nep.capture.pixel_width import pixel_footprint, pixel_width
 from blender_nep.capture.summary import describe, summarize
 from blender_nep.color import linear_to_srgb, srgb_to_linear
@@ -24,6 +24,7 @@ from blender_nep.job.run_folder import fingerprint
 from blender_nep.messages import Message
 from blender_nep.presets import preset
 from support.captures import CENTER, RADIUS, look_at, write_exr
+from support.recorded_rows import record_rows
 
 
 def test_camera_directions_project_back():
@@ -223,14 +224,7 @@ def test_photos_whose_masks_show_nothing_are_left_out(make_capture, bounds):
 def test_coarse_masks_read_little_and_do_not_keep_whole_ones_in_memory(make_capture, monkeypatch, how, suffix):
     """The sphere needs masks of 200 to 400 pixels. No photo is made linear for them, and few rows of mask files."""
     tiny = make_capture(views=4, size=820, bounds=False, suffix=suffix, **how)
-    read, lengths = Raster.rows, []
-
-    def recorded(raster, start=0, end=None):
-        rows = read(raster, start, end)
-        lengths.append(len(rows[0]))
-        return rows
-
-    monkeypatch.setattr(Raster, "rows", recorded)
+    lengths = record_rows(monkeypatch)
     capture = load_capture(tiny.folder)
     assert capture.bounds_source == "masks"
     assert sum(lengths) == (4 * 205 if "masks" in how else 0)

@@ -15,9 +15,10 @@ from PIL import Image
 from blender_nep.cameras.photo_folder import Photo, find_photos, gray_copy
 from blender_nep.cameras.reduction import Reduction
 from blender_nep.capture import load_capture
-from blender_nep.capture.photo_files import Raster, exif, image_size, open_image
+from blender_nep.capture.photo_files import exif, image_size, open_image
 from blender_nep.errors import CaptureError
 from support.raw_photo import WHITE, write_dng
+from support.recorded_rows import record_rows
 
 needs_rawpy = pytest.mark.skipif(importlib.util.find_spec("rawpy") is None, reason="the extra `raw` is not installed")
 
@@ -226,14 +227,7 @@ def test_gray_copies_of_an_object_on_black_show_the_object(tmp_path, monkeypatch
         OpenEXR.File({}, {"RGB": radiance.astype(np.float16)}).write(str(path))
     else:
         tifffile.imwrite(path, radiance, photometric="rgb")
-    read, lengths = Raster.rows, []
-
-    def recorded(raster, start=0, end=None):
-        rows = read(raster, start, end)
-        lengths.append(len(rows[0]))
-        return rows
-
-    monkeypatch.setattr(Raster, "rows", recorded)
+    lengths = record_rows(monkeypatch)
     gray = gray_copy(Photo(path, 120, 200, None, ()), Reduction.of(120, 200, 200))
     assert 60 < np.median(gray[50:150, 30:50]) < np.median(gray[50:150, 70:90]) < 255
     assert gray[:30].max() < 40 and max(lengths) <= 64

@@ -6,11 +6,12 @@ import errno
 import fcntl
 import json
 import os
+import threading
 
 import pytest
 
 from backend.engine.job_files import is_running
-from blender_nep.job.job_folder import JobFolder, Journal, is_held
+from blender_nep.job.job_folder import JobFolder, Journal, is_held, wait_until_free
 from support.ball_stages import BallStages
 
 
@@ -60,3 +61,12 @@ def test_where_a_network_drive_knows_no_locks(start, monkeypatch, followed, expe
     code, events = start(BallStages(), job_files=followed)
     assert code == expected and (code == 0 or "No locks available" in events[-1]["message"])
     assert not is_running(start.out) and not is_held(start.out), "else the sidebar would wait for it for ever"
+
+
+def test_a_job_waits_for_the_end_of_another_one_in_its_folder(tmp_path):
+    run = JobFolder(tmp_path, followed=False)
+    wait_until_free(tmp_path, 0)
+    assert is_held(tmp_path), "a wait that is too short ends before the other run"
+    threading.Timer(0.3, run.close).start()
+    wait_until_free(tmp_path, 60)
+    assert not is_held(tmp_path)
