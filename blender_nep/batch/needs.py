@@ -5,7 +5,7 @@ docs/batch.md has the measurements behind the figures.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 from blender_nep.batch.captures import Size
 from blender_nep.presets import Preset
@@ -41,8 +41,11 @@ class Needs:
     preset: Preset
     on_card: bool = False
     """Whether the jobs use a graphics card"""
-    _memory_ratios: list[float] = field(default_factory=list)
-    """Measured peak / prediction, of each finished object"""
+    _largest_ratio: float = 0.0
+    """Largest measured peak / prediction of the finished objects. Kept alone, because the time left of a batch asks for the
+    memory of each of 10,000 objects."""
+    _measured: int = 0
+    """Finished objects whose peak is known"""
     _seconds: float = 0.0
     _expected: float = 0.0
 
@@ -51,10 +54,8 @@ class Needs:
         return self._factor() * self._predicted_mb(size, photos_alone)
 
     def _factor(self) -> float:
-        if not self._memory_ratios:
-            return _MARGIN
-        finished = _MARGIN_OF_FINISHED * max(self._memory_ratios)
-        return finished if len(self._memory_ratios) >= _SURE else max(finished, _MARGIN)
+        finished = _MARGIN_OF_FINISHED * self._largest_ratio
+        return finished if self._measured >= _SURE else max(finished, _MARGIN)
 
     def _predicted_mb(self, size: Size | dict[str, int] | None, photos_alone: bool) -> float:
         photos, pixels = _counts(size)
@@ -79,7 +80,8 @@ class Needs:
     def learn(self, size: dict[str, int] | None, photos_alone: bool, peak_mb: float, seconds: float) -> None:
         """Note what a finished object has needed."""
         if peak_mb > 0:
-            self._memory_ratios.append(peak_mb / self._predicted_mb(size, photos_alone))
+            self._largest_ratio = max(self._largest_ratio, peak_mb / self._predicted_mb(size, photos_alone))
+            self._measured += 1
         self._seconds += seconds
         self._expected += self._guessed_seconds(size, photos_alone)
 

@@ -100,9 +100,12 @@ class BatchProgress(Listener):
         return counts
 
     def place(self) -> tuple[float, float]:
-        """(fraction of all work, seconds left), where objects count by the seconds that are expected for them."""
-        whole = done = waiting = 0.0
-        running = []
+        """(fraction of all work, seconds left), where objects count by the seconds that are expected for them.
+
+        Of the seconds left, each object takes the part of a job, when as many jobs run at once as its memory lets.
+        """
+        whole = done = shared = 0.0
+        running = [0.0]
         for one in self._work:
             seconds = max(self._needs.seconds(one.size, one.photos_alone), 1.0)
             whole += seconds
@@ -112,11 +115,11 @@ class BatchProgress(Listener):
                 done += one.fraction * seconds
                 left = (1 - one.fraction) * seconds
                 if one.state == RUNNING:
-                    running.append(left if one.eta_s is None else one.eta_s)
-                else:
-                    waiting += left
-        at_once = max(1, min(self._plan.workers, len(self._work)))
-        return done / whole if whole else 1.0, max([(sum(running) + waiting) / at_once, *running])
+                    left = left if one.eta_s is None else one.eta_s
+                    running.append(left)
+                memory = self._needs.memory_mb(one.size, one.photos_alone)
+                shared += left / min(self._plan.at_once(memory), len(self._work))
+        return done / whole if whole else 1.0, max(shared, *running)
 
     def table(self) -> str:
         """All objects of this start: name, state, time, and what was made or what is to do."""

@@ -132,7 +132,9 @@ class RayJobs:
         nodes = [node["Resources"] for node in ray.nodes() if node["Alive"]]
         self.cores = int(sum(node.get("CPU", 0) for node in nodes))
         self.workers = workers or self.cores
-        self.largest_memory_mb = max(node.get("memory", 0) for node in nodes) / (1 << 20)
+        memory_mb = [node.get("memory", 0) / (1 << 20) for node in nodes]
+        self.largest_memory_mb = max(memory_mb)
+        self.computers = sum(memory_mb) / (self.largest_memory_mb or 1.0)
         self._largest_cores = int(max(node.get("CPU", 0) for node in nodes))
         self._limit = workers or _QUEUED * self.cores
         self._ship = ship

@@ -202,7 +202,7 @@ class Batch:
             from blender_nep.batch.ray_jobs import RayJobs
 
             jobs = RayJobs(s.ray, s.workers, s.ship)
-            return jobs, Plan(jobs.cores, jobs.workers, jobs.largest_memory_mb, s.threads or 1)
+            return jobs, Plan(jobs.cores, jobs.workers, jobs.largest_memory_mb, s.threads or 1, jobs.computers)
         cores = usable_cores()
         plan = Plan(cores, min(s.workers or cores, cores), s.memory_mb or free_memory_mb(), s.threads)
         return LocalJobs(plan.workers, plan.cores, plan.memory_mb), plan

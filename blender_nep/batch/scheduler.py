@@ -34,6 +34,14 @@ class Plan:
     memory_mb: float
     threads: int | None
     """Threads of each job; None: the cores are divided"""
+    computers: float = 1.0
+    """The memory of all computers together, divided by `memory_mb`"""
+
+    def at_once(self, memory_mb: float) -> int:
+        """How many jobs that are promised `memory_mb` [MB] each may run at once. One of them may always run alone."""
+        by_cores = self.cores // self.threads if self.threads else self.workers
+        by_memory = int(self.computers * max(1, self.memory_mb // memory_mb))
+        return max(1, min(self.workers, by_cores, by_memory))
 
 
 class Listener:
@@ -121,8 +129,7 @@ class Scheduler:
     def _job(self, one: ObjectState) -> Job:
         plan, left = self._plan, len(self._running) + len(self._waiting)
         memory = max(self._needs.memory_mb(one.size, one.photos_alone), self._more_memory.get(one.name, 0.0))
-        at_once = min(plan.workers, max(1, int(plan.memory_mb // memory)))  # not more fit into the memory
-        return self._make_job(one, plan.threads or threads_for(plan.cores, at_once, left), memory)
+        return self._make_job(one, plan.threads or threads_for(plan.cores, plan.at_once(memory), left), memory)
 
     def _start(self, one: ObjectState, job: Job) -> None:
         if job.memory_mb > self._plan.memory_mb and one.name not in self._alone:
