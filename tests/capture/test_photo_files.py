@@ -4,6 +4,7 @@ import os
 import struct
 import subprocess
 import sys
+import tracemalloc
 import zlib
 from pathlib import Path
 
@@ -204,6 +205,22 @@ def test_heic_without_loss_gives_its_pixels(tmp_path, monkeypatch, mode, bits):
     assert np.abs(encoded(color.astype(np.float64)) - rgb / top).max() < 2.5 * step
     if alpha is not None:
         np.testing.assert_allclose(alpha, pixels[..., -1] / top, atol=1.5 * step)
+
+
+@pytest.mark.parametrize("mode", ["L", "RGB", "RGBA"])
+def test_the_pixels_are_not_copied_as_a_whole_beside_those_of_pillow(tmp_path, mode):
+    """What Pillow itself holds is not traced."""
+    size, channels = (1000, 900), max(3, len(mode))
+    path = tmp_path / "photo.png"
+    Image.new(mode, size).save(path)
+    open_image(path, "srgb")  # what is made once, such as tables
+    tracemalloc.start()
+    try:
+        raster = open_image(path, "srgb")
+        peak = tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+    assert raster.stored.shape == (900, 1000, channels) and peak < 1.3 * raster.stored.nbytes
 
 
 def test_linear_captures_ignore_what_files_say(tmp_path):

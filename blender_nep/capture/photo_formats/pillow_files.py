@@ -24,6 +24,9 @@ from blender_nep.capture.photo_formats.raster import Raster
 # Phones take photos of 200 megapixels. Pillow warns above this limit and refuses more than twice as many pixels.
 Image.MAX_IMAGE_PIXELS = 1 << 28
 
+_STRIP_ROWS = 64
+"""Rows of an image that are taken from Pillow at once"""
+
 DAMAGED_TAGS = (OSError, ValueError, SyntaxError, LookupError, TypeError, ArithmeticError, EOFError, struct.error)
 """What Pillow raises for damaged EXIF. The pixels may be sound all the same."""
 
@@ -62,8 +65,21 @@ def read(path: Path, tagged: bool) -> Raster:
         if encoding is None:
             converted = _through_tables(image, mode)
             if converted is not None:
-                return Raster(np.asarray(converted), SRGB)
-        return Raster(np.asarray(image if image.mode == mode else image.convert(mode)), encoding or SRGB)
+                return Raster(_pixels(converted), SRGB)
+        return Raster(_pixels(image if image.mode == mode else image.convert(mode)), encoding or SRGB)
+
+
+def _pixels(image: Image.Image) -> np.ndarray:
+    """The pixels [H, W, C] uint8 of an image of C channels with 8 bits.
+
+    They are taken in strips. `np.asarray` of the whole image would take their memory twice, and Pillow holds them as well.
+    """
+    width, height = image.size
+    out = np.empty((height, width, len(image.getbands())), np.uint8)
+    for start in range(0, height, _STRIP_ROWS):
+        end = min(start + _STRIP_ROWS, height)
+        out[start:end] = np.asarray(image.crop((0, start, width, end)))
+    return out
 
 
 def _encoding(image: Image.Image) -> ColorEncoding | None:
