@@ -225,13 +225,21 @@ def test_the_equidistant_lenses_of_colmap_4_are_read(tmp_path, ending, number, m
 
 @pytest.mark.parametrize("ending", ["bin", "txt"])
 @pytest.mark.parametrize(
-    ("number", "model", "count"),
-    [(11, "RAD_TAN_THIN_PRISM_FISHEYE", 16), (12, "SIMPLE_DIVISION", 4), (13, "DIVISION", 5), (16, "16", 6)],
+    ("number", "model", "count", "hint"),
+    [
+        (11, "RAD_TAN_THIN_PRISM_FISHEYE", 16, "image_undistorter"),
+        (12, "SIMPLE_DIVISION", 4, "image_undistorter"),
+        (13, "DIVISION", 5, "image_undistorter"),
+        (16, "EUCM", 6, "image_undistorter"),
+        (17, "EQUIRECTANGULAR", 2, "Cut the panoramas into ordinary photos"),
+        (18, "18", 6, "OPENCV_FISHEYE"),
+    ],
 )
-def test_other_lenses_of_colmap_4_are_named_as_not_supported(tmp_path, ending, number, model, count):
+def test_other_lenses_of_colmap_4_are_named_as_not_supported(tmp_path, ending, number, model, count, hint):
     folder = with_first_camera(tmp_path / "capture", ending, number, model, [30.0] * count)
-    with pytest.raises(CaptureError, match=f"^camera model {model} is not supported"):
+    with pytest.raises(CaptureError, match=f"^camera model {model} is not supported") as refused:
         colmap.read(folder)
+    assert hint in refused.value.hint
 
 
 def with_model(folder, model, more):

@@ -26,6 +26,7 @@ from blender_nep.messages import Message
 
 NAME = "COLMAP"
 _PLACES = ("sparse/*", "sparse", "colmap/sparse/*", "colmap/sparse", ".")
+_PANORAMA = "EQUIRECTANGULAR"
 _MODELS = {
     "SIMPLE_PINHOLE": ("f", "cx", "cy"),
     "PINHOLE": ("fx", "fy", "cx", "cy"),
@@ -46,9 +47,11 @@ _MODELS = {
     "DIVISION": ("fx", "fy", "cx", "cy", "k"),
     "SIMPLE_FISHEYE": ("f", "cx", "cy"),
     "FISHEYE": ("fx", "fy", "cx", "cy"),
+    "EUCM": ("fx", "fy", "cx", "cy", "alpha", "beta"),
+    _PANORAMA: ("w", "h"),
 }
 """Parameters of COLMAP's camera models. A model's number in binary files is its place here."""
-_UNKNOWN = ("FOV", "THIN_PRISM_FISHEYE", "RAD_TAN_THIN_PRISM_FISHEYE", "SIMPLE_DIVISION", "DIVISION")
+_UNKNOWN = ("FOV", "THIN_PRISM_FISHEYE", "RAD_TAN_THIN_PRISM_FISHEYE", "SIMPLE_DIVISION", "DIVISION", "EUCM", _PANORAMA)
 """Models whose distortion `Lens` does not have."""
 
 
@@ -194,7 +197,10 @@ def _camera(intrinsics: _Intrinsics, pose: _Pose) -> Camera:
 
 
 def _not_supported(model: str) -> CaptureError:
-    return CaptureError(f"camera model {model} is not supported", "Let COLMAP use OPENCV or OPENCV_FISHEYE, or undistort.")
+    hint = "Let COLMAP use OPENCV or OPENCV_FISHEYE, or undistort the photos with COLMAP's image_undistorter."
+    if model == _PANORAMA:  # image_undistorter refuses it
+        hint = "Cut the panoramas into ordinary photos, and let COLMAP find the cameras of these."
+    return CaptureError(f"camera model {model} is not supported", hint)
 
 
 def _intrinsics(model: str, width: int, height: int, values: list[float]) -> _Intrinsics:
