@@ -44,7 +44,7 @@ class FieldsPreset:
     open_cavities_at: float = 0.5
     """Fraction at which the cavities of the object are opened that no silhouette shows. inf: never."""
     held_out_every: int = 101
-    """One of so many pixels is held out for the validation error. A prime: so these are not columns of most photos."""
+    """One of so many pixels is held out for the validation error; another number, where these would be columns of photos."""
     validation_pixels: int = 4096
     """Approximate number of held-out pixels on which the validation error is measured."""
     validate_from: float = 0.25

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor
@@ -15,6 +15,7 @@ from blender_nep.capture.pixel_set import GrowingPixelSet, PixelSet
 from blender_nep.fields.object_field import SplineShape
 from blender_nep.geometry.mesh import Surface
 from blender_nep.geometry.ray_tracing import RayTracer
+from blender_nep.presets import FieldsPreset
 from blender_nep.profiling import profiled
 
 _CLEAR = 0.97
@@ -97,6 +98,20 @@ def _around(flags: Tensor, rows: int, columns: int) -> Tensor:
     """Whether each block or one of its eight neighbors is flagged; flags and result [rows * columns] bool."""
     grid = flags.float().reshape(1, 1, rows, columns)
     return functional.max_pool2d(grid, 3, 1, 1).flatten() > 0
+
+
+def fitted_to_widths(preset: FieldsPreset, rays: PixelRays) -> FieldsPreset:
+    """The preset, with another `held_out_every` if a photo's width [pixels] is a multiple of it.
+
+    Of such a photo, all pixels of some columns would be held out, and none of the others. Then the next larger number is
+    taken that shares no factor with the width of any photo.
+    """
+    widths, every = {width for _, width in rays.size}, preset.held_out_every
+    if any(width % every == 0 for width in widths):
+        every += 1
+        while any(math.gcd(width, every) > 1 for width in widths):
+            every += 1
+    return replace(preset, held_out_every=every)
 
 
 def held_out(index: Tensor, every: int) -> Tensor:

@@ -18,7 +18,7 @@ from torch import Tensor
 from blender_nep.capture.pixel_rays import PixelRays
 from blender_nep.capture.pixel_set import PixelSet
 from blender_nep.checkpoints import Checkpoint
-from blender_nep.fields import environment_training
+from blender_nep.fields import environment_training, object_pixels
 from blender_nep.fields.cavities import open_cavities
 from blender_nep.fields.environment_field import EnvironmentField
 from blender_nep.fields.explanation import explanation_ratio, require_object
@@ -62,7 +62,7 @@ class FieldsLearning:
         self, rays: PixelRays, preset: Preset, seed: int, device: torch.device, object_field: ObjectField | None = None
     ) -> None:
         torch.manual_seed(seed)  # for the color heads
-        self.rays, self.preset = rays, preset.fields
+        self.rays, self.preset = rays, object_pixels.fitted_to_widths(preset.fields, rays)
         self.generator = torch.Generator(device).manual_seed(seed)
         self.environment = EnvironmentField(preset.environment, environment_training.geometric_mean(rays)).to(device)
         self.losses = FieldsLosses.of(preset, rays)

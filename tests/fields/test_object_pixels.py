@@ -1,12 +1,23 @@
 """Which pixels stage 1 learns from, and which it is tested on."""
 
+from dataclasses import replace
+from types import SimpleNamespace
+
 import pytest
 import torch
 
 from blender_nep.capture import PixelRays, load_capture
 from blender_nep.capture.pixel_set import PixelSet
 from blender_nep.fields.object_field import ObjectField
-from blender_nep.fields.object_pixels import ObjectPixels, draw_pixels, find_object_pixels, held_out_pixels
+from blender_nep.fields.object_pixels import (
+    ObjectPixels,
+    draw_pixels,
+    find_object_pixels,
+    fitted_to_widths,
+    held_out_pixels,
+)
+from blender_nep.fields.training import FieldsLearning
+from blender_nep.presets import preset
 from support.paths import SUZANNE_SMALL
 
 
@@ -77,6 +88,33 @@ def test_held_out_pixels_are_thinned_evenly():
     assert torch.equal(held_out_pixels(pixels, 101, 1000), torch.arange(0, 10_000, 101))
     thinned = held_out_pixels(pixels, 101, 10)
     assert len(thinned) == 10 and (thinned.diff() == 10 * 101).all()
+
+
+@pytest.mark.parametrize(
+    ("widths", "every"),
+    [((640, 480), 101), ((101,), 102), ((1010,), 103), ((640, 808), 103), ((102, 202), 103), ((101 * 103, 404), 105)],
+)
+def test_held_out_pixels_are_no_columns_of_any_photo(widths, every):
+    rays = SimpleNamespace(size=[(2000, width) for width in widths])
+    chosen = preset("preview").fields
+    fitted = fitted_to_widths(chosen, rays)
+    assert fitted == replace(chosen, held_out_every=every) and (every == 101) == (fitted == chosen)
+    start = 0
+    for width in widths:
+        pixels = PixelSet.where(torch.ones(2000 * width, dtype=torch.bool), start)
+        start += len(pixels)
+        column = (held_out_pixels(pixels, fitted.held_out_every, len(pixels)) - start) % width
+        assert len(column.unique()) == width, "each column has pixels that are held out, and others"
+
+
+def test_learning_holds_out_pixels_of_all_columns(make_capture):
+    """Photos of 202 x 202 pixels."""
+    rays = PixelRays.from_capture(load_capture(make_capture(views=4, size=202).folder), 1 << 20, False)
+    learning = FieldsLearning(rays, preset("preview"), 0, torch.device("cpu"))
+    every = learning.preset.held_out_every
+    assert len((held_out_pixels(rays.sphere, every, 1 << 20) % 202).unique()) > 100
+    drawn = learning._draw(rays.sphere, 1 << 16)
+    assert (drawn % every).all() and not (drawn % 101).all()
 
 
 def test_held_out_pixels_are_never_drawn_unless_there_are_no_others():
