@@ -76,7 +76,7 @@ class NEP_OT_correct_materials(bpy.types.Operator):
 def _check(scene: bpy.types.Scene, asset: Path) -> None:
     """EngineError where the materials of this asset cannot be corrected now."""
     if is_running(asset):
-        raise EngineError(OUTPUT_FAILED, f"A job is running in {asset}.", "Wait for its end, or cancel it.")
+        raise EngineError(OUTPUT_FAILED, f"The engine is at work in {asset} already.", "Wait for its end, or cancel it.")
     if not is_asset(asset):
         hint = "Bring the folder back, or import the result from the folder where it is now."
         if has_checkpoint(asset):  # a correction that is killed while it writes its files leaves the result so

@@ -114,11 +114,13 @@ class NEP_OT_reconstruct(bpy.types.Operator):
         if refused := why_not_usable(capture):
             self.report({"ERROR"}, refused)
             return None
-        if is_running(output):
-            self.report({"ERROR"}, f"Another job is running in {output}; wait for it, or choose another output folder")
-            return None
-        if material_correction.is_at_work_in(output):
+        if material_correction.is_at_work_in(output):  # asked first, because a correction holds the lock of a job
             self.report({"ERROR"}, f"The materials in {output} are being corrected; wait until that has ended")
+            return None
+        if is_running(output):
+            self.report(
+                {"ERROR"}, f"The engine is at work in {output} already; wait for it, or choose another output folder"
+            )
             return None
         try:
             arguments = self._engine_arguments(scene, capture, output)

@@ -197,7 +197,7 @@ ERRORS = {
     "usage.asset_exists": ("{folder} already holds a result", "Choose another output folder, or Start Again."),
     "usage.run_exists": ("{folder} holds a job that did not end", "Resume it, or Start Again."),
     "usage.folder_in_use": (
-        "Another job is at work in {folder}",
+        "The engine is at work in {folder} already",
         "Stop it or wait for its end, or choose another output folder.",
     ),
     "usage.cameras_exist": (

@@ -94,7 +94,7 @@ class Batch:
             raise _no_batch(s.out)
         with output_errors(s.out):
             s.out.mkdir(parents=True, exist_ok=True)
-            lock = lock_file(s.out / _LOCK, s.out)
+            lock = lock_file(s.out / _LOCK, s.out, holder="another batch")
             (s.out / _STOP).unlink(missing_ok=True)
         self._stop.watch_file(s.out / _STOP)
         try:

@@ -32,6 +32,7 @@ FOLDER = "job"
 PREVIEW_MESH, PREVIEW_PICTURE = "preview.npz", "preview.png"
 _NO_LOCKS = (errno.ENOLCK, errno.ENOSYS, errno.ENOTSUP)
 _PAUSE_S = 0.5
+_IN_USE_HINT = "Stop it or wait for its end, or choose another --out."
 _FILES = ("job.json", "events.jsonl", "engine.log", "stop", PREVIEW_MESH, PREVIEW_PICTURE)
 
 
@@ -60,8 +61,8 @@ class JobFolder:
     def __init__(self, asset: Path, *, followed: bool) -> None:
         """Lock the folder, and remove the files of an earlier run. `followed`: another program will follow this one.
 
-        Raises UsageError while another run owns the folder, and OutputError when it cannot be written. Some network drives
-        know no locks. There a run that is not followed goes without one.
+        Raises UsageError while another run or a correction owns the folder, and OutputError when it cannot be written. Some
+        network drives know no locks. There a run that is not followed goes without one.
         """
         self.path = asset / FOLDER
         with output_errors(self.path):
@@ -122,7 +123,8 @@ def held(asset: Path) -> Iterator[None]:
         return
     with output_errors(path):
         path.parent.mkdir(exist_ok=True)
-        descriptor = lock_file(path, asset, needed=False)
+        hint = "Stop it or wait for its end, then correct the materials again."
+        descriptor = lock_file(path, asset, needed=False, hint=hint)
     try:
         yield
     finally:
@@ -144,16 +146,19 @@ def is_held(asset: Path) -> bool:
 
 
 def wait_until_free(asset: Path, longest_s: float) -> None:
-    """Wait until no run is at work in the folder, for at most `longest_s` seconds."""
+    """Wait until no run and no correction is at work in the folder, for at most `longest_s` seconds."""
     until = time.monotonic() + longest_s
     while is_held(asset) and time.monotonic() < until:
         time.sleep(_PAUSE_S)
 
 
-def lock_file(path: Path, asset: Path, *, needed: bool = True) -> int:
-    """Lock the file `path` and return its descriptor. Raises UsageError while another run holds the lock, OutputError.
+def lock_file(
+    path: Path, folder: Path, *, needed: bool = True, holder: str = "another run or correction", hint: str = _IN_USE_HINT
+) -> int:
+    """Lock the file `path` and return its descriptor. Raises UsageError while another process holds the lock, OutputError.
 
-    Where the file system knows no locks, that is an error only if the lock is `needed`.
+    Where the file system knows no locks, that is an error only if the lock is `needed`. The UsageError says that `holder` is
+    at work in `folder`: the lock itself does not tell a run from a correction. `hint` says what to do then.
 
     A program that follows the run locks the file for an instant, to see whether the run lives. So the lock is tried again.
     """
@@ -177,5 +182,4 @@ def lock_file(path: Path, asset: Path, *, needed: bool = True) -> int:
                 raise output_error(path, error) from error
             time.sleep(0.01 * (attempt > 0))
     os.close(descriptor)
-    hint = "Stop it or wait for its end, or choose another --out."
-    raise UsageError(f"another run is at work in {asset}", hint, "usage.folder_in_use", folder=asset)
+    raise UsageError(f"{holder} is at work in {folder}", hint, "usage.folder_in_use", folder=folder)

@@ -162,7 +162,10 @@ def check_beside(folder):
     assert "Learning the materials" in panel(bpy, addon) and "nep.correct_materials" not in panel(bpy, addon)
     assert not bpy.ops.nep.correct_materials.poll()
     settings.capture, settings.output = str(folder), str(folder / "asset")
-    fails(lambda: bpy.ops.nep.reconstruct(overwrite=True), "are being corrected")
+    from blender_nep.job.job_folder import held
+
+    with held(folder / "asset"):  # as the engine does while it corrects; the played one does not
+        fails(lambda: bpy.ops.nep.reconstruct(overwrite=True), "are being corrected")
     assert bpy.ops.nep.import_result() == {"FINISHED"}, "a second object of the result"
     second = bpy.context.view_layer.objects.active.data.materials[0].node_tree.nodes["metallic"].image
     (folder / "go").touch()
@@ -264,7 +267,7 @@ def check_no_start(folder):
     from blender_nep.job.job_folder import JobFolder
 
     job = JobFolder(asset, followed=True)  # as another program that works in the folder
-    refused("A job is running", "Wait for its end")
+    refused("The engine is at work in", "Wait for its end")
     os.close(job._lock)
     correcting_engine.write_report(asset, correcting_engine.MATERIALS[:2])
     refused("holds another result by now", "Import it")

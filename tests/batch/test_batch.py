@@ -304,6 +304,7 @@ def test_a_second_batch_in_one_folder_is_refused(batch):
         (slow / "go").touch()
         first.join()
     assert code == 2 and events[-1]["name"] == "usage.folder_in_use"
+    assert events[-1]["message"] == f"another batch is at work in {batch.out}"
     assert batch.objects()["a"]["state"] == "done"
 
 

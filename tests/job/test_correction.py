@@ -222,6 +222,7 @@ def test_an_asset_at_which_a_job_works_is_refused(asset):
     before = contents(asset)
     code, events = correct(asset, {0: Correction(roughness=0.9)})
     assert code == 2 and events[-1]["name"] == "usage.folder_in_use"
+    assert "--out" not in events[-1]["hint"] and "correct the materials again" in events[-1]["hint"]
     assert contents(asset) == before and run.path.is_dir()
 
 

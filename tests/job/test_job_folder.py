@@ -11,7 +11,8 @@ import threading
 import pytest
 
 from backend.engine.job_files import is_running
-from blender_nep.job.job_folder import JobFolder, Journal, is_held, wait_until_free
+from backend.engine.words import error_words
+from blender_nep.job.job_folder import JobFolder, Journal, held, is_held, wait_until_free
 from support.ball_stages import BallStages
 
 
@@ -49,6 +50,17 @@ def test_a_folder_at_which_a_run_works_is_refused_to_another(start, options):
     assert code == 2 and events[-1]["name"] == "usage.folder_in_use"
     assert json.loads((start.out / "report.json").read_text())["seed"] == 0
     assert not is_held(start.out) and start(BallStages(), overwrite=True)[0] == 0, "the folder is free again"
+
+
+def test_a_folder_at_which_a_correction_works_is_refused_to_a_run(start):
+    """The message is true of a run and of a correction: the lock does not tell which of them holds it."""
+    assert start(BallStages())[0] == 0
+    with held(start.out):
+        code, events = start(BallStages(), overwrite=True)
+    assert code == 2 and events[-1]["name"] == "usage.folder_in_use"
+    assert events[-1]["message"] == f"another run or correction is at work in {start.out}"
+    panel, _ = error_words(*(events[-1][key] for key in ("name", "values", "message", "hint")))
+    assert panel == f"The engine is at work in {start.out} already"
 
 
 @pytest.mark.parametrize(("followed", "expected"), [(False, 0), (True, 5)])

@@ -152,7 +152,7 @@ def test_two_jobs_cannot_work_in_one_folder(ball):
     before = read_job(ball.out)
     second = ball(resume=True)
     follow(second)
-    assert second.outcome().code == 2 and "another run is at work" in second.outcome().message
+    assert second.outcome().code == 2 and "another run or correction is at work" in second.outcome().message
     assert read_job(ball.out) == before and not first.poll()[1]
     first.request_stop()
     follow(first)
