@@ -24,7 +24,6 @@ from blender_nep.batch.state import (
     FAILED,
     FILE,
     RUNNING,
-    STOPPED,
     WAITING,
     BatchState,
     ObjectState,
@@ -115,6 +114,7 @@ class Batch:
         with output_errors(s.out):
             self._events.open_log(s.out / "log.txt")
         self._end_leftovers()
+        self._note_interrupted(state.objects, work)
         self._prepare(work)
         jobs, plan = self._jobs()
         state.machine = {"workers": plan.workers, "cores": plan.cores, "memory_mb": round(plan.memory_mb)}
@@ -130,7 +130,7 @@ class Batch:
             jobs.close()
             for one in work:
                 if one.state == RUNNING:  # after a second Ctrl-C or an unforeseen error: its job is killed
-                    one.state, one.stage, one.eta_s = STOPPED, None, None
+                    one.interrupt()
             progress.end()
         progress.show()
         self._events.say(progress.table())
@@ -157,6 +157,16 @@ class Batch:
         if left:
             self._events.say(str(Message("batch.leftovers", {"count": len(left)})))
             wait_for_end(left, self._stop)
+
+    def _note_interrupted(self, objects: list[ObjectState], work: list[ObjectState]) -> None:
+        """Objects that a killed batch has left running and that this start does not name have stopped.
+
+        One at which somebody is at work, such as a job of a lost node or a run by hand, stays as it is.
+        """
+        named = {one.name for one in work}
+        for one in objects:
+            if one.state == RUNNING and one.name not in named and not is_held(self._settings.out / one.name):
+                one.interrupt()
 
     def _prepare(self, work: list[ObjectState]) -> None:
         """Let everything that is not done wait, and learn from what is done."""

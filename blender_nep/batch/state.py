@@ -59,6 +59,10 @@ class ObjectState:
         plain = {part.name: getattr(self, part.name) for part in dataclasses.fields(self)}
         return plain | numbers | {"fraction": round(self.fraction, 4)}
 
+    def interrupt(self) -> None:
+        """Note that its job has ended although nobody has seen how. The next start that names it goes on."""
+        self.state, self.stage, self.eta_s = STOPPED, None, None
+
     @classmethod
     def from_told(cls, told: dict[str, Any]) -> ObjectState:
         """The inverse of `told`. Keys that this version does not know are passed over."""

@@ -21,6 +21,7 @@ from blender_nep.batch.runner import Batch
 from blender_nep.batch.scheduler import Scheduler
 from blender_nep.batch.settings import BatchSettings
 from blender_nep.batch.state import ObjectState
+from blender_nep.job import job_folder
 from blender_nep.job.events import Events
 from blender_nep.presets import preset
 from blender_nep.stop_request import StopRequest
@@ -347,6 +348,23 @@ def test_a_killed_batch_leaves_no_orphans_and_goes_on(batch, monkeypatch, plays)
         for process in (parent, *jobs_in(batch.out)):
             with contextlib.suppress(psutil.Error, ProcessLookupError):
                 os.kill(process.pid, signal.SIGKILL)
+
+
+@pytest.mark.parametrize("held", [False, True])
+def test_what_a_killed_batch_has_left_is_stopped_if_the_next_start_does_not_name_it(batch, held):
+    """Unless a process is at work there, such as a run that somebody has started by hand."""
+    one, other = batch.add("a"), batch.add("b")
+    batch.run()
+    content = batch.content()
+    left = {"state": "running", "stage": "surface", "fraction": 0.6, "eta_s": 30.0}
+    content["objects"][1] |= left
+    (batch.out / "batch.json").write_text(json.dumps(content))
+    with job_folder.held(batch.out / "b") if held else contextlib.nullcontext():
+        assert batch.run(captures=[one])[0] == 0
+    expected = left if held else left | {"state": "stopped", "stage": None, "eta_s": None}
+    assert {key: batch.objects()["b"][key] for key in left} == expected and batch.objects()["a"]["state"] == "done"
+    (batch.out / "b/report.json").unlink()
+    assert batch.run(captures=[other])[0] == 0 and batch.objects()["b"]["state"] == "done"
 
 
 def test_an_unforeseen_error_in_one_capture_stops_no_other(batch, monkeypatch):
