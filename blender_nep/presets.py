@@ -178,11 +178,10 @@ class EnvironmentPreset:
     """F_e is rendered only beyond this distance from a camera. Otherwise F_e would learn each photo as a screen in front of
     its camera."""
     gradient_near: float = 2.0
-    """Nearer to the camera than this, the gradients of samples at distance t are scaled by (t / gradient_near)^2 (Philip and
-    Deschaintre 2023, "Floaters No More"). 0: no scaling."""
+    """Nearer to the camera than this, gradients of samples at distance t are scaled by (t / gradient_near)^2. 0: never."""
     transmittance_limit: float = 1e-3
     """A ray ends when its transmittance falls to this value; this saves time."""
-    depth_limit: float = 1e-5
+    depth_limit: float = 1e-3
     """Samples with a smaller optical depth are skipped; this saves time."""
     learning_rate: float = 0.05
     """Adam's learning rate, in units of raw density and of log radiance."""
@@ -194,14 +193,14 @@ class EnvironmentPreset:
     """Adam's decay rates of the mean gradient and of the mean square. With Adam's default of 0.999, the mean square would
     remember most of all steps."""
     adam_eps: float = 1e-8
-    """Adam's epsilon, which is added to the root of the mean square. It is Adam's default."""
+    """Adam's epsilon, its default. It is added to the root of the mean square."""
     density_variation: float = 1e-3
     """Cost of the total variation of the raw density, from node to node."""
     color_variation: float = 1e-3
     """Cost of the total variation of the log radiance, from node to node."""
     detail_rows: int = 384
-    """Rows of the color detail, a multiple of twice the rows of each grid in `resolutions`. There are twice as many columns.
-    A photo of 400 pixels shows 0.1 degrees a pixel; 384 rows are 0.5 degrees each, the grid's 96 rows 1.9 degrees."""
+    """Rows of the color detail, a multiple of twice the rows of each grid; there are twice as many columns. A photo of 400
+    pixels shows 0.1 degrees a pixel; 384 rows are 0.5 degrees each, the grid's 96 rows 1.9 degrees."""
     detail_at: float = 0.06
     """Fraction at which it is decided whether F_e gets a color detail. It must lie before `refine_at`."""
     detail_from: float = 0.37
@@ -217,13 +216,14 @@ class EnvironmentPreset:
     density_penalty: float = 1e-3
     """Cost of the mean of softplus(raw density): a place stays transparent unless the photos show that it is opaque."""
     foreground_opacity: float = 0.05
-    """Cost of the foreground opacity: F_e's mean opacity in front of the object. Without it, fog grows there, different for
-    each photo, and lamps are learned 12 to 19 % too bright, so that they shine through the fog."""
+    """Cost of the foreground opacity: F_e's mean opacity in front of the object. Without it, each photo gets a fog there,
+    and lamps are learned 12 to 19 % too bright, so that they shine through it."""
+    distortion: float = 0.03
+    """Cost of the distortion: how far a ray's light is spread along it (`ops.environment_rendering`). 0: F_e is foggy."""
     regularized_fraction: float = 0.25
-    """Share of the shells for which a step computes the priors. The shells are drawn anew in each step. The priors of all
-    shells took as long as the rendering."""
+    """Share of the shells, drawn anew in each step, whose priors it computes. Those of all took as long as the rendering."""
     regularized_detail: float = 0.1
-    """Share of the rows of the color detail for which a step computes the prior. The rows are drawn anew in each step."""
+    """Share of the rows of the color detail, drawn anew in each step, whose prior it computes."""
     coverage_weight: float = 0.015
     """A node has full coverage if the weights with which `coverage_rays` camera rays see it add up to this."""
     coverage_rays: int = 200_000

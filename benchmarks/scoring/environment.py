@@ -36,8 +36,8 @@ def background_psnr(environment: EnvironmentField, test_rays: PixelRays, truth: 
         origins, directions, half_angle = test_rays.rays(index)
         near = torch.full_like(half_angle, environment.preset.camera_near)
         with torch.no_grad():
-            radiance, _ = environment.render(origins, directions, near, torch.full_like(near, torch.inf), half_angle)
-        rendered.append(radiance / test_rays.exposure)
+            shown = environment.render(origins, directions, near, torch.full_like(near, torch.inf), half_angle)
+        rendered.append(shown.radiance / test_rays.exposure)
     photo, radiance = test_rays.radiance[scored].float(), torch.cat(rendered)
     if own_exposures:
         radiance = radiance * _gains(photo, radiance, test_rays.view_of(scored), test_rays.views)

@@ -26,7 +26,7 @@ from torch import nn
 from blender_nep.fields.environment_grid import resample
 from blender_nep.fields.environment_prefilter import PrefilteredEnvironment
 from blender_nep.ops.environment_cones import accumulate_coverage
-from blender_nep.ops.environment_rendering import EnvironmentVolume, render_environment
+from blender_nep.ops.environment_rendering import EnvironmentVolume, RenderedSegments, render_environment
 from blender_nep.ops.environment_samples import Medium, RaySamples, sample_rays
 from blender_nep.ops.environment_segments import RaySegments, contracted_length, contracted_radius
 from blender_nep.ops.environment_smoothness import total_variation
@@ -109,7 +109,7 @@ class EnvironmentField(nn.Module):
         t_far: torch.Tensor,
         half_angle: torch.Tensor | float = 0.0,
         generator: torch.Generator | None = None,
-    ) -> tuple[torch.Tensor, torch.Tensor]:
+    ) -> RenderedSegments:
         """Volume-render ray segments; differentiable in the field's parameters.
 
         Args:
@@ -120,12 +120,11 @@ class EnvironmentField(nn.Module):
                 cones there is `query_cone`.
             generator: with a generator (learning), samples are jittered; with None, they lie in the middle of each step.
 
-        Returns:
-            radiance [n, 3] premultiplied linear, transmittance [n] (at most
-            `preset.transmittance_limit` where t_far is inf).
+        The transmittance is at most `preset.transmittance_limit` where t_far is inf.
         """
         if not self.known:
-            return torch.zeros_like(origins), torch.isfinite(t_far).to(origins.dtype)
+            finite = torch.isfinite(t_far).to(origins.dtype)
+            return RenderedSegments(torch.zeros_like(origins), finite, torch.zeros_like(finite))
         jitter = None
         if generator is not None:
             jitter = torch.rand(len(origins), generator=generator, device=origins.device, dtype=origins.dtype)
@@ -212,7 +211,7 @@ class EnvironmentField(nn.Module):
         rest = along * along - (origins * origins).sum(-1)
         end = (rest + preset.contraction_radius**2).clamp(min=0).sqrt() - along
         near = torch.full_like(end, preset.camera_near)
-        _, passed = self.render(origins, directions, near, torch.maximum(end, near))
+        passed = self.render(origins, directions, near, torch.maximum(end, near)).transmittance
         self.far_share.fill_(passed.mean())
         if float(self.far_share) < preset.detail_from:
             return False
@@ -292,7 +291,7 @@ class EnvironmentField(nn.Module):
         near, distance = torch.ones(len(d), device=d.device), torch.full((len(d),), FAR, device=d.device)
         contracted = torch.linspace(0, contracted_length(self.preset.contraction_radius), 64)[:-1]
         for radius in contracted_radius(contracted, self.preset.contraction_radius).flip(0).tolist():
-            _, passed = self.render(torch.zeros_like(d), d, near, torch.full_like(near, radius))
+            passed = self.render(torch.zeros_like(d), d, near, torch.full_like(near, radius)).transmittance
             distance[passed < 0.5] = radius
         return float(distance.median())
 
@@ -312,7 +311,7 @@ class EnvironmentField(nn.Module):
         fine = 4 * height
         direction = _equirect_directions(fine, self.raw.device)
         near = torch.ones_like(direction[:, 0])
-        radiance, _ = self.render(torch.zeros_like(direction), direction, near, near * torch.inf)
+        radiance = self.render(torch.zeros_like(direction), direction, near, near * torch.inf).radiance
         return radiance.reshape(height, 4, 2 * height, 4, 3).mean((1, 3))
 
     def parameter_groups(self) -> list[dict]:

@@ -109,7 +109,7 @@ def learn_step(
     origins, directions, half_angle = rays.rays(index)
     n, near = len(index), torch.full_like(half_angle, environment.preset.camera_near)
     middle = torch.maximum(near, -(origins * directions).sum(-1))
-    radiance, transmittance = environment.render(
+    radiance, transmittance, distortion = environment.render(
         origins.repeat(2, 1),
         directions.repeat(2, 1),
         torch.cat([near, middle]),
@@ -123,8 +123,9 @@ def learn_step(
     if not usable_loss(loss):
         return math.nan
     adam.zero_grad()
+    p = environment.preset
     with section("backward"):
-        (photometric + environment.preset.foreground_opacity * (1 - clear).mean()).backward()
+        (photometric + p.foreground_opacity * (1 - clear).mean() + p.distortion * distortion.sum() / n).backward()
     environment.regularize(generator)
     if not usable_gradients([adam]):
         return math.nan

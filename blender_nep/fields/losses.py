@@ -11,7 +11,7 @@ from torch.nn import functional
 from blender_nep.capture.brightness import typical_radiance
 from blender_nep.capture.pixel_rays import PixelRays
 from blender_nep.fields.rendering import Rendering
-from blender_nep.presets import FieldsPreset, Preset
+from blender_nep.presets import EnvironmentPreset, FieldsPreset, Preset
 from blender_nep.tone_mapping import tone_map, tone_map_without_highlights
 
 
@@ -29,15 +29,15 @@ class FieldsLosses:
     """Computes the loss of rendered rays."""
 
     preset: FieldsPreset
-    foreground_opacity: float
-    """Weight of the foreground opacity, F_e's opacity in front of the object (EnvironmentPreset.foreground_opacity)"""
+    environment: EnvironmentPreset
+    """It holds the weights of the foreground opacity and of the distortion."""
     highlight_threshold: float
     """Linear radiance above which an object pixel is a highlight"""
 
     @classmethod
     def of(cls, preset: Preset, rays: PixelRays) -> FieldsLosses:
         """The losses with the preset's weights, for the photos `rays`."""
-        return cls(preset.fields, preset.environment.foreground_opacity, highlight_threshold(rays, preset.fields))
+        return cls(preset.fields, preset.environment, highlight_threshold(rays, preset.fields))
 
     def difference(self, out: Rendering, photo: Tensor) -> Tensor:
         """Absolute tone-mapped difference [n, 3] between the rendering and the photo's radiance [n, 3].
@@ -69,7 +69,8 @@ class FieldsLosses:
         """
         p = self.preset
         loss = photometric + p.eikonal * out.eikonal + curvature_weight * out.curvature
-        loss = loss + self.foreground_opacity * out.foreground_opacity
+        loss = loss + self.environment.foreground_opacity * out.foreground_opacity
+        loss = loss + self.environment.distortion * out.distortion
         if mask is not None and p.mask > 0:
             # 1e-4: the logarithm of an opacity of exactly 0 or 1 is not finite
             loss = loss + p.mask * functional.binary_cross_entropy(out.opacity.clamp(1e-4, 1 - 1e-4), mask, says)

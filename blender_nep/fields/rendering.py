@@ -69,6 +69,8 @@ class Rendering:
     """Scalar: mean of sqrt(|Hessian of the SDF|^2 + 1) over surface points; 0 if the curvature loss has no weight"""
     foreground_opacity: Tensor
     """Scalar: mean opacity of F_e between the cameras and the object's sphere. Rays for the object alone count as 0"""
+    distortion: Tensor
+    """Scalar: mean distortion of F_e on the rays (`ops.environment_rendering`). It is 0 where F_e is not rendered"""
 
 
 @dataclass(frozen=True)
@@ -102,6 +104,8 @@ class EnvironmentParts:
     back: Tensor
     """[k, 3] radiance behind the sphere"""
     foreground_opacity: Tensor
+    """Scalar, as in `Rendering`"""
+    distortion: Tensor
     """Scalar, as in `Rendering`"""
 
 
@@ -176,7 +180,7 @@ class FieldsRenderer:
         eikonal = ((surface.sdf_gradient.norm(dim=-1) - 1) ** 2).mean() if len(ray) else nothing
         with section("curvature"):
             curvature = (shape.bending(surface.point) + 1).sqrt().mean() if len(ray) and p.curvature > 0 else nothing
-        return Rendering(radiance, opacities, weight, eikonal, curvature, parts.foreground_opacity)
+        return Rendering(radiance, opacities, weight, eikonal, curvature, parts.foreground_opacity, parts.distortion)
 
     @torch.no_grad()
     def background(self, rays: RayBundle) -> Tensor:
@@ -184,7 +188,7 @@ class FieldsRenderer:
         hits = SphereHits.of(rays, self.object_field.shape())
         near = torch.full_like(hits.entry, self.environment.preset.camera_near)
         end = torch.where(hits.on_support, hits.entry, torch.inf)
-        radiance, transmittance = self.environment.render(rays.origins, rays.directions, near, end, rays.half_angle)
+        radiance, transmittance, _ = self.environment.render(rays.origins, rays.directions, near, end, rays.half_angle)
         below = hits.on_support.nonzero()[:, 0]
         if len(below):
             radiance[below] += transmittance[below, None] * self._support_color(rays[below], hits.leave[below])
@@ -205,7 +209,7 @@ class FieldsRenderer:
             entry = shape.interval(origins, directions)[0]
             near = torch.full_like(entry, self.environment.preset.camera_near)
             with torch.no_grad():
-                return self.environment.render(origins, directions, near, entry)[1]
+                return self.environment.render(origins, directions, near, entry).transmittance
 
         return transmittance
 
@@ -230,7 +234,7 @@ class FieldsRenderer:
         part = rays[index]
         start = torch.cat([near[front], hits.leave[behind]])
         end = torch.cat([torch.where(hits.leave > hits.entry, hits.entry, infinity)[front], infinity[behind]])
-        radiance, transmittance = self.environment.render(
+        radiance, transmittance, distortion = self.environment.render(
             part.origins, part.directions, start, end, part.half_angle, generator
         )
         k, everywhere = len(front), torch.ones(n, device=device)
@@ -242,4 +246,4 @@ class FieldsRenderer:
             radiance = torch.lerp(radiance.detach(), radiance, scale[:, None])
             passed = everywhere.index_copy(0, front, torch.lerp(transmittance.detach(), transmittance, scale)[:k])
         before = torch.zeros(n, 3, device=device).index_copy(0, front, radiance[:k])
-        return EnvironmentParts(before, passed, radiance[k:], foreground_opacity)
+        return EnvironmentParts(before, passed, radiance[k:], foreground_opacity, distortion.sum() / max(n, 1))

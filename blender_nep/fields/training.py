@@ -286,7 +286,7 @@ class FieldsLearning:
             start = leave.clamp(min=self.environment.preset.camera_near)
             end = torch.full_like(start, torch.inf)
             with torch.no_grad():
-                behind = self.environment.render(rays.origins, rays.directions, start, end, rays.half_angle)[0]
+                behind = self.environment.render(rays.origins, rays.directions, start, end, rays.half_angle).radiance
             return (tone_map(behind) - tone_map(self.rays.photo(index))).abs().mean(-1)
 
         typical = float(error(self._draw(self.rays.outside, self.preset.validation_pixels)).mean())
@@ -297,7 +297,7 @@ class FieldsLearning:
         """The radiance [n, 3] of F_e alone."""
         near = torch.full_like(rays.half_angle, self.environment.preset.camera_near)
         end = torch.full_like(near, torch.inf)
-        return self.environment.render(rays.origins, rays.directions, near, end, rays.half_angle)[0]
+        return self.environment.render(rays.origins, rays.directions, near, end, rays.half_angle).radiance
 
     @profiled("visual hull")
     def carve_again(self) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
@@ -32,6 +33,18 @@ class EnvironmentVolume:
     """The Numba body skips samples with a smaller optical depth"""
 
 
+class RenderedSegments(NamedTuple):
+    """What n ray segments show."""
+
+    radiance: Tensor
+    """[n, 3] premultiplied, linear"""
+    transmittance: Tensor
+    """[n]"""
+    distortion: Tensor
+    """[n] in 0..1: how far the light of a segment is spread along it. It is 0 if all comes from one place. This is eq. 15 of
+    mip-NeRF 360 (Barron et al. 2022), on the contracted distance along the ray; the longest is 1"""
+
+
 def render_environment(
     raw: Tensor,
     detail: Tensor,
@@ -40,8 +53,8 @@ def render_environment(
     *,
     jitter: Tensor | None = None,
     body: str = "auto",
-) -> tuple[Tensor, Tensor]:
-    """Radiance and transmittance of ray segments through a spherical grid; differentiable in the grids.
+) -> RenderedSegments:
+    """Radiance, transmittance and distortion of ray segments through a spherical grid; differentiable in the grids.
 
     Args:
         raw: [K, H, W, 4] raw density (softplus, times density_gain, per unit of w) and log radiance.
@@ -50,9 +63,6 @@ def render_environment(
         segments: n segments.
         jitter: [n] in [0, 1), or None for the middle of each step.
         body: "auto" (Numba on the CPU, torch elsewhere), "numba" or "torch".
-
-    Returns:
-        radiance [n, 3] premultiplied, transmittance [n].
     """
     raw, detail, *parts = at_least_float32(raw, detail, *segments)
     with torch.no_grad():
@@ -65,5 +75,5 @@ def render_environment(
         volume.depth_limit,
     )
     if body == "torch" or (body == "auto" and raw.device.type != "cpu"):
-        return environment_rendering_torch.render(raw, detail, rays, medium)
-    return environment_rendering_numba.render(raw, detail, rays, medium)
+        return RenderedSegments(*environment_rendering_torch.render(raw, detail, rays, medium))
+    return RenderedSegments(*environment_rendering_numba.render(raw, detail, rays, medium))

@@ -49,7 +49,8 @@ class SampleRecords(NamedTuple):
     detail_fractions: np.ndarray
     """[m, 2] in 0..1: place of the sample between the first row and column of that cell and the next ones"""
     local: np.ndarray
-    """[m, 7]: d optical depth / d raw density, opacity, transmittance before the sample, radiance (3), gradient scale"""
+    """[m, 9]: d optical depth / d raw density, opacity, transmittance before the sample, radiance (3), gradient scale, place
+    on the ray, width of its step; the last two are shares of the longest contracted distance"""
 
 
 @njit(cache=True, inline="always", fastmath=True, error_model="numpy")
@@ -72,18 +73,20 @@ def _detail_at(detail, place, share):
 
 
 @njit(cache=True, parallel=True, fastmath=True, error_model="numpy")
-def _march(raw, detail, rays, medium, radiance, transmittance, kept, records, keep):
-    """Composite every ray front to back into radiance [n, 3] and transmittance [n]. With `keep`, also fill the records.
+def _march(raw, detail, rays, medium, rendered, kept, records, keep):
+    """Composite every ray front to back into `rendered`. With `keep`, also fill the records.
 
-    raw [K, H, W, 4]; detail [D, 2 D, 3], D may be 0; RaySamples, Medium and SampleRecords are of NumPy arrays. `kept` is
-    `records.kept`: Numba loses what a parallel loop writes, at the loop's index, to an array that was taken from a tuple.
+    raw [K, H, W, 4]; detail [D, 2 D, 3], D may be 0; RaySamples, Medium and SampleRecords are of NumPy arrays. `rendered`
+    [n, 5] gets the radiance, the transmittance and the distortion. `kept` is `records.kept`: Numba loses what a parallel
+    loop writes, at the loop's index, to an array that was taken from a tuple.
     """
     origins, directions, t_closest, b, w_near, w_length, infinite, offsets, jitter = rays
     contraction_radius, density_gain, gradient_near, transmittance_limit, depth_limit = medium
     cells, fractions, local = records.cells, records.fractions, records.local
     detail_share, detail_cells, detail_fractions = records.detail_share, records.detail_cells, records.detail_fractions
     shells, rows, columns = raw.shape[0], raw.shape[1], raw.shape[2]
-    spacing = (math.log(contraction_radius) + 1.0) / (shells - 1)
+    length = math.log(contraction_radius) + 1.0
+    spacing = length / (shells - 1)
     to_shell = 1.0 / spacing
     border = math.log(contraction_radius) * to_shell
     detailed = detail.shape[0] > 0
@@ -93,6 +96,7 @@ def _march(raw, detail, rays, medium, radiance, transmittance, kept, records, ke
         first = offsets[i]
         samples = offsets[i + 1] - first
         red, green, blue, passed, count = 0.0, 0.0, 0.0, 1.0, 0
+        distortion, sum_weights, sum_places = 0.0, 0.0, 0.0
         steps = samples - 1 if infinite[i] else samples
         step = w_length[i] / steps if steps > 0 else 0.0
         ray_border = contraction_border(b[i], contraction_radius)
@@ -128,6 +132,10 @@ def _march(raw, detail, rays, medium, radiance, transmittance, kept, records, ke
                 slope = density_gain * step * (1.0 / (1.0 + q) if value >= 0.0 else q / (1.0 + q))
                 alpha = -math.expm1(-depth)
             weight = passed * alpha
+            on_ray = (w_length[i] if closing else (n + jitter[i]) * step) / length
+            width = 0.0 if closing else step / length
+            distortion += 2.0 * weight * (on_ray * sum_weights - sum_places) + weight * weight * width / 3.0
+            sum_weights, sum_places = sum_weights + weight, sum_places + weight * on_ray
             m = first + count
             share = far_share(k_real, border, spacing) if detailed else 0.0
             place = cell(turn, fall, detail.shape[0], detail.shape[1])
@@ -146,37 +154,52 @@ def _march(raw, detail, rays, medium, radiance, transmittance, kept, records, ke
                 local[m, 0], local[m, 1], local[m, 2] = slope, alpha, passed
                 local[m, 3], local[m, 4], local[m, 5] = red_here, green_here, blue_here
                 local[m, 6] = (t / gradient_near) ** 2 if t < gradient_near else 1.0
+                local[m, 7], local[m, 8] = on_ray, width
                 count += 1
             passed *= 1.0 - alpha
             if passed <= transmittance_limit:
                 break
-        radiance[i, 0], radiance[i, 1], radiance[i, 2] = red, green, blue
-        transmittance[i] = passed
+        rendered[i, 0], rendered[i, 1], rendered[i, 2] = red, green, blue
+        rendered[i, 3], rendered[i, 4] = passed, distortion
         kept[i] = count
 
 
 @njit(cache=True, parallel=True, fastmath=True, error_model="numpy")
-def _sample_gradients(records, radiance, transmittance, g_radiance, g_transmittance, g_samples, used):
+def _sample_gradients(records, rendered, g_rendered, g_samples, used):
     """Fill g_samples [m, 4]: the gradients of the raw values at every kept sample. `used` [m] marks the places that are
-    filled."""
+    filled.
+
+    `rendered` [n, 5] is what `_march` has made, g_rendered [n, 5] its gradient. The distortion is a sum over samples, too:
+    its derivative by a sample's weight plays the part of the sample's color.
+    """
     offsets, kept, local = records.offsets, records.kept, records.local
     for i in prange(kept.shape[0]):
         first = offsets[i]
-        behind_r, behind_g, behind_b = float(radiance[i, 0]), float(radiance[i, 1]), float(radiance[i, 2])
-        gr, gg, gb = float(g_radiance[i, 0]), float(g_radiance[i, 1]), float(g_radiance[i, 2])
-        g_t = float(g_transmittance[i]) * float(transmittance[i])
-        if gr == 0.0 and gg == 0.0 and gb == 0.0 and g_t == 0.0:
+        behind_r, behind_g, behind_b = float(rendered[i, 0]), float(rendered[i, 1]), float(rendered[i, 2])
+        gr, gg, gb = float(g_rendered[i, 0]), float(g_rendered[i, 1]), float(g_rendered[i, 2])
+        g_t, g_d = float(g_rendered[i, 3]) * float(rendered[i, 3]), float(g_rendered[i, 4])
+        if gr == 0.0 and gg == 0.0 and gb == 0.0 and g_t == 0.0 and g_d == 0.0:
             continue
+        sum_weights, sum_places = 0.0, 0.0  # of all samples, minus twice those that were passed
+        for m in range(first, first + kept[i]):
+            weight = float(local[m, 2]) * float(local[m, 1])
+            sum_weights, sum_places = sum_weights + weight, sum_places + weight * float(local[m, 7])
+        behind_d = 2.0 * float(rendered[i, 4])  # a sum of products of two weights has twice its value as slope
         for m in range(first, first + kept[i]):
             alpha, passed, scale = float(local[m, 1]), float(local[m, 2]), float(local[m, 6])
             red, green, blue = float(local[m, 3]), float(local[m, 4]), float(local[m, 5])
+            on_ray, width = float(local[m, 7]), float(local[m, 8])
             weight = passed * alpha
+            sum_weights, sum_places = sum_weights - weight, sum_places - weight * on_ray
+            slope = 2.0 * (sum_places - on_ray * sum_weights) + 2.0 / 3.0 * weight * width
+            sum_weights, sum_places = sum_weights - weight, sum_places - weight * on_ray
             behind_r -= weight * red
             behind_g -= weight * green
             behind_b -= weight * blue
+            behind_d -= weight * slope
             rest = passed * (1.0 - alpha)
             g_depth = gr * (rest * red - behind_r) + gg * (rest * green - behind_g) - g_t
-            g_depth += gb * (rest * blue - behind_b)
+            g_depth += gb * (rest * blue - behind_b) + g_d * (rest * slope - behind_d)
             g_samples[m, 0] = scale * g_depth * local[m, 0]
             g_samples[m, 1] = scale * gr * weight * red
             g_samples[m, 2] = scale * gg * weight * green
@@ -263,23 +286,20 @@ class _Render(torch.autograd.Function):
             np.empty(m, grid.dtype),
             np.empty((m, 2), np.int32),
             np.empty((m, 2), grid.dtype),
-            np.empty((m, 7), grid.dtype),
+            np.empty((m, 9), grid.dtype),
         )
-        radiance, transmittance = raw.new_empty((n, 3)), raw.new_empty(n)
-        rendered = radiance.numpy(), transmittance.numpy()
-        _march(grid, detail.detach().numpy(), arrays, medium, *rendered, records.kept, records, keep)
+        rendered = raw.new_empty((n, 5))
+        _march(grid, detail.detach().numpy(), arrays, medium, rendered.numpy(), records.kept, records, keep)
         ctx.shapes, ctx.records = (grid.shape, tuple(detail.shape)), records
-        ctx.rendered = radiance.numpy().copy(), transmittance.numpy().copy()
-        return radiance, transmittance
+        ctx.rendered = rendered.numpy().copy()
+        return rendered
 
     @staticmethod
-    def backward(ctx, g_radiance, g_transmittance):
+    def backward(ctx, g_rendered):
         records = ctx.records
         g_samples = np.empty((len(records.local), 4), records.local.dtype)
         used = np.zeros(len(records.local), np.uint8)
-        radiance, transmittance = ctx.rendered
-        incoming, g_clear = g_radiance.contiguous().numpy(), g_transmittance.contiguous().numpy()
-        _sample_gradients(records, radiance, transmittance, incoming, g_clear, g_samples, used)
+        _sample_gradients(records, ctx.rendered, g_rendered.contiguous().numpy(), g_samples, used)
         order, start = _order_by_row(used, records.cells, ctx.shapes[0][1])
         g_raw, g_detail = (np.zeros(shape, records.local.dtype) for shape in ctx.shapes)
         for parity in (0, 1):
@@ -287,10 +307,11 @@ class _Render(torch.autograd.Function):
         return torch.from_numpy(g_raw), torch.from_numpy(g_detail), None, None
 
 
-def render(raw: Tensor, detail: Tensor, rays: RaySamples, medium: Medium) -> tuple[Tensor, Tensor]:
-    """Radiance [n, 3] premultiplied and transmittance [n] of sampled rays.
+def render(raw: Tensor, detail: Tensor, rays: RaySamples, medium: Medium) -> tuple[Tensor, Tensor, Tensor]:
+    """Radiance [n, 3] premultiplied, transmittance [n] and distortion [n] of sampled rays.
 
     It is differentiable in raw [K, H, W, 4] and detail [D, 2 D, 3], D >= 2 H or 0, and runs on the CPU.
     `environment_rendering_torch.render` is the same function in plain torch.
     """
-    return _Render.apply(raw, detail, rays, medium)
+    rendered = _Render.apply(raw, detail, rays, medium)
+    return rendered[:, :3], rendered[:, 3], rendered[:, 4]

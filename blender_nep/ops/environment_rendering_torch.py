@@ -48,11 +48,11 @@ def interpolate(raw: Tensor, points: Tensor, shell: Tensor) -> Tensor:
     return (nodes.reshape(*weight.shape, channels) * weight[..., None]).sum(0)
 
 
-def render(raw: Tensor, detail: Tensor, rays: RaySamples, medium: Medium) -> tuple[Tensor, Tensor]:
+def render(raw: Tensor, detail: Tensor, rays: RaySamples, medium: Medium) -> tuple[Tensor, Tensor, Tensor]:
     """The same as `environment_rendering_numba.render`, by autograd. No samples are skipped, and no rays are ended early.
 
     Returns:
-        radiance [n, 3] premultiplied, transmittance [n].
+        radiance [n, 3] premultiplied, transmittance [n], distortion [n].
     """
     steps = rays.offsets[1:] - rays.offsets[:-1] - rays.infinite.long()
     longest = max(int(steps.max()) if len(steps) else 0, 1)
@@ -77,7 +77,23 @@ def render(raw: Tensor, detail: Tensor, rays: RaySamples, medium: Medium) -> tup
     last = torch.full_like(directions[:, 0], raw.shape[0] - 1.0)
     sky = _values(raw, detail, directions, last, medium.contraction_radius)
     radiance = radiance + (rays.infinite * transmittance)[:, None] * _color(sky)
-    return radiance, torch.where(rays.infinite, torch.zeros_like(transmittance), transmittance)
+    length = contracted_length(medium.contraction_radius)
+    on_ray = (torch.cat([w - rays.w_near[:, None], rays.w_length[:, None]], 1) / length).to(raw.dtype)
+    distortion = _distortion(
+        torch.cat([weight, (rays.infinite * transmittance)[:, None]], 1),
+        on_ray,
+        torch.nn.functional.pad((step[:, None] / length).to(raw.dtype).expand_as(weight), (0, 1)),
+    )
+    return radiance, torch.where(rays.infinite, torch.zeros_like(transmittance), transmittance), distortion
+
+
+def _distortion(weight: Tensor, place: Tensor, width: Tensor) -> Tensor:
+    """The distortion [n] of m samples on each of n rays: eq. 15 of mip-NeRF 360 (Barron et al. 2022), by running sums.
+
+    Weights [n, m], places on the ray, which rise, and widths of the steps; places and widths in the same unit.
+    """
+    before, places = weight.cumsum(1) - weight, (weight * place).cumsum(1) - weight * place
+    return (2 * weight * (place * before - places) + weight**2 * width / 3).sum(1)
 
 
 def _color(values):

@@ -61,7 +61,7 @@ def brute_force(field, origin, direction, half_angle, count=2000):
     rays = cosine * direction + (1 - cosine**2).sqrt() * (turn.cos() * a + turn.sin() * b)
     origins = origin.expand(count, 3)
     with torch.no_grad():
-        radiance, _ = field.render(origins, rays, from_border(origins, rays), torch.full((count,), math.inf))
+        radiance, *_ = field.render(origins, rays, from_border(origins, rays), torch.full((count,), math.inf))
     return radiance.mean(0)
 
 
@@ -91,7 +91,7 @@ def test_constant_environment_gives_the_constant(degrees):
     origins, directions = 0.7 * random_directions(50, 4), random_directions(50, 5)
     radiance, _ = field.query_cone(origins, directions, math.radians(degrees))
     torch.testing.assert_close(radiance, torch.full_like(radiance, 3.0), rtol=1e-3, atol=0)
-    radiance, transmittance = field.render(
+    radiance, transmittance, _ = field.render(
         origins, directions, from_border(origins, directions), torch.full((50,), math.inf)
     )
     torch.testing.assert_close(radiance, torch.full_like(radiance, 3.0), rtol=2e-3, atol=0)
@@ -323,10 +323,10 @@ def test_an_infinite_environment_depends_on_the_direction_alone(sky):
     near = torch.full((200,), 0.6)
     far = torch.full_like(near, math.inf)
     for origins in (torch.zeros(200, 3), 2.5 * random_directions(200, 4)):
-        radiance, transmittance = sky.render(origins, directions, near, far)
+        radiance, transmittance, _ = sky.render(origins, directions, near, far)
         torch.testing.assert_close(radiance, directions[:, 2:].exp().expand(200, 3), rtol=0.02, atol=0)
         assert (transmittance < 1e-6).all()
-        radiance, transmittance = sky.render(origins, directions, near, near + 1)
+        radiance, transmittance, _ = sky.render(origins, directions, near, near + 1)
         assert (radiance == 0).all() and (transmittance == 1).all()
     # the mean of exp(z) over a hemisphere about z is e - 1
     up = torch.tensor([[0.0, 0.0, 1.0]])

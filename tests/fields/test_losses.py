@@ -9,11 +9,11 @@ import torch
 from blender_nep.capture import PixelRays, load_capture
 from blender_nep.fields.losses import FieldsLosses, highlight_threshold
 from blender_nep.fields.rendering import Rendering
-from blender_nep.presets import FieldsPreset
+from blender_nep.presets import EnvironmentPreset, FieldsPreset
 from blender_nep.tone_mapping import HIGHLIGHT, tone_map, tone_map_without_highlights
 from support.paths import SUZANNE_SMALL
 
-PRESET = FieldsPreset()
+PRESET, ENVIRONMENT = FieldsPreset(), EnvironmentPreset()
 
 
 @pytest.fixture(scope="module")
@@ -27,9 +27,9 @@ def masked_rays():
 
 
 def rendering(radiance: torch.Tensor, opacity: list[float], weight: float = 1.0) -> Rendering:
-    """With an eikonal loss of 2, a curvature of 3 and a foreground opacity of 0.5."""
+    """With an eikonal loss of 2, a curvature of 3, a foreground opacity of 0.5 and a distortion of 0.25."""
     opacities = torch.tensor(opacity)
-    scalars = (torch.tensor(2.0), torch.tensor(3.0), torch.tensor(0.5))
+    scalars = (torch.tensor(2.0), torch.tensor(3.0), torch.tensor(0.5), torch.tensor(0.25))
     return Rendering(radiance, opacities, torch.full((len(opacities), 1), weight), *scalars)
 
 
@@ -47,7 +47,7 @@ def test_highlights_count_little_but_never_nothing(white):
 
 
 def test_lamps_count_in_full_where_the_object_does_not_hide_them():
-    losses = FieldsLosses(PRESET, 0.05, highlight_threshold=2.0)
+    losses = FieldsLosses(PRESET, ENVIRONMENT, highlight_threshold=2.0)
     lamp = torch.full((3, 3), 100.0)
     compared = losses.difference(rendering(lamp, [0.0, 0.5, 1.0]), 0.5 * lamp)[:, 0]
     full, dull = float((tone_map(lamp) - tone_map(0.5 * lamp))[0, 0]), HIGHLIGHT * math.log(2)
@@ -55,7 +55,7 @@ def test_lamps_count_in_full_where_the_object_does_not_hide_them():
 
 
 def test_the_photometric_loss_is_weighted():
-    losses = FieldsLosses(PRESET, 0.05, highlight_threshold=2.0)
+    losses = FieldsLosses(PRESET, ENVIRONMENT, highlight_threshold=2.0)
     radiance, photo = torch.full((2, 3), 0.4), torch.full((2, 3), 0.1)
     once, thrice = (losses.photometric(rendering(radiance, [0.0, 0.7], weight), photo) for weight in (1.0, 3.0))
     torch.testing.assert_close(once, (tone_map(radiance) - tone_map(photo)).mean())
@@ -66,14 +66,18 @@ def test_each_prior_counts_by_its_weight():
     out, photometric = rendering(torch.zeros(2, 3), [0.2, 0.9]), torch.tensor(0.1)
     mask = torch.tensor([0.0, 1.0])
 
-    def total(preset=PRESET, foreground=0.05, curvature=5e-4, mask=None) -> float:
-        return float(FieldsLosses(preset, foreground, 2.0).total(photometric, out, curvature, mask))
+    def total(preset=PRESET, curvature=5e-4, mask=None, **changed) -> float:
+        losses = FieldsLosses(preset, replace(ENVIRONMENT, **changed), 2.0)
+        return float(losses.total(photometric, out, curvature, mask))
 
     plain = total()
-    assert plain == pytest.approx(0.1 + 2 * PRESET.eikonal + 3 * 5e-4 + 0.5 * 0.05)
+    assert plain == pytest.approx(
+        0.1 + 2 * PRESET.eikonal + 3 * 5e-4 + 0.5 * ENVIRONMENT.foreground_opacity + 0.25 * ENVIRONMENT.distortion
+    )
     assert plain - total(replace(PRESET, eikonal=0.0)) == pytest.approx(2 * PRESET.eikonal, rel=1e-4)
     assert plain - total(curvature=0.0) == pytest.approx(3 * 5e-4, rel=1e-3)
-    assert plain - total(foreground=0.0) == pytest.approx(0.5 * 0.05, rel=1e-4)
+    assert plain - total(foreground_opacity=0.0) == pytest.approx(0.5 * ENVIRONMENT.foreground_opacity, rel=1e-4)
+    assert plain - total(distortion=0.0) == pytest.approx(0.25 * ENVIRONMENT.distortion, rel=1e-4)
     entropy = -(math.log(0.8) + math.log(0.9)) / 2
     assert total(mask=mask) - plain == pytest.approx(PRESET.mask * entropy, rel=1e-4)
     assert total(replace(PRESET, mask=0.0), mask=mask) == plain

@@ -52,7 +52,7 @@ def test_a_support_plane_ends_rays_in_the_sphere_and_hides_what_the_sdf_is_below
     color = fields.object_field.appearance(
         torch.tensor([[0.8, 0.0, -0.3]]), torch.tensor([[0.0, 0.0, 1.0]]), seen.directions[:1]
     ).color
-    before, clear = fields.environment.render(
+    before, clear, _ = fields.environment.render(
         seen.origins[1:2], seen.directions[1:2], torch.tensor([0.6]), torch.tensor([2.4])
     )
     torch.testing.assert_close(out.radiance[1:2], before + clear[:, None] * color)
@@ -78,15 +78,15 @@ def test_a_ray_sees_the_environment_the_object_or_both():
     out = fields.render(seen, SHARP, None)
     torch.testing.assert_close(out.opacity, torch.tensor([1.0, 0.0, 0.0]), atol=1e-3, rtol=0)
     near, far = torch.full((3,), 0.6), torch.full((3,), math.inf)
-    alone, _ = fields.environment.render(seen.origins, seen.directions, near, far)
+    alone, *_ = fields.environment.render(seen.origins, seen.directions, near, far)
     torch.testing.assert_close(out.radiance[2], alone[2])
-    before, clear = fields.environment.render(seen.origins, seen.directions, near, torch.tensor([2.0, 2.4, 9.0]))
+    before, clear, _ = fields.environment.render(seen.origins, seen.directions, near, torch.tensor([2.0, 2.4, 9.0]))
     color = fields.object_field.appearance(
         torch.tensor([[0.0, 0.0, 0.6]]), torch.tensor([[0.0, 0.0, 1.0]]), seen.directions[:1]
     ).color
     torch.testing.assert_close(out.radiance[0], before[0] + clear[0] * color[0], rtol=0.02, atol=0)
     leave = torch.tensor([4.0, 3.6, 9.0])
-    behind, _ = fields.environment.render(seen.origins, seen.directions, leave, far)
+    behind, *_ = fields.environment.render(seen.origins, seen.directions, leave, far)
     torch.testing.assert_close(out.radiance[1], before[1] + clear[1] * behind[1])
     # the mean over the rays that meet the sphere
     torch.testing.assert_close(out.foreground_opacity, (1 - clear[:2]).mean())
@@ -112,8 +112,21 @@ def test_behind_the_border_of_the_object_the_environment_is_rendered():
     out = fields.render(seen, SHARP, None, clear_rays=1)
     assert 0.1 < out.opacity < 0.9 and out.weight == 1
     full = fields.render(seen, SHARP, None)
-    before, clear = fields.environment.render(seen.origins, seen.directions, torch.tensor([0.6]), torch.tensor([3 - 0.799]))
+    before, clear, _ = fields.environment.render(
+        seen.origins, seen.directions, torch.tensor([0.6]), torch.tensor([3 - 0.799])
+    )
     torch.testing.assert_close(before + clear[:, None] * out.radiance, full.radiance, rtol=1e-3, atol=0)
+
+
+def test_distortion_is_that_of_the_segments_that_are_rendered():
+    fields, seen = renderer(brief_preset()), rays([0.0, 0.8, 1.5])
+    near, far = torch.full((3,), 0.6), torch.full((3,), math.inf)
+    before = fields.environment.render(seen.origins, seen.directions, near, torch.tensor([2.0, 2.4, math.inf])).distortion
+    behind = fields.environment.render(seen.origins, seen.directions, torch.tensor([4.0, 3.6, 9.0]), far).distortion
+    out = fields.render(seen, SHARP, None)
+    torch.testing.assert_close(out.distortion, (before.sum() + behind[1]) / 3)  # the object hides what is behind ray 0
+    alone = fields.render(seen, SHARP, None, clear_rays=2)
+    torch.testing.assert_close(alone.distortion, before[2] / 3)
 
 
 def test_the_prior_on_opacity_in_front_is_not_scaled_down_with_the_pixels_of_the_object():

@@ -97,7 +97,7 @@ def test_unknown_surroundings_are_black_clear_and_uncovered():
     zero = torch.zeros(9)
     field.freeze(directions, directions)
     for far, passed in ((torch.full((9,), 3.0), 1.0), (torch.full((9,), math.inf), 0.0)):
-        radiance, transmittance = field.render(directions, directions, zero, far)
+        radiance, transmittance, _ = field.render(directions, directions, zero, far)
         assert (radiance == 0).all() and (transmittance == passed).all()
     radiance, coverage = field.query_cone(0.5 * directions, directions, 0.3)
     assert (radiance == 0).all() and (coverage == 0).all()

@@ -57,14 +57,14 @@ def render(raw, rays, body="numba", step=0.1, **more):
 def test_numba_and_torch_agree(gradient_near):
     rays = random_rays(60, 0)
     jitter = torch.rand(60, generator=torch.Generator().manual_seed(5), dtype=torch.float64)
-    weights = torch.randn(60, 4, generator=torch.Generator().manual_seed(6), dtype=torch.float64)
+    weights = torch.randn(60, 5, generator=torch.Generator().manual_seed(6), dtype=torch.float64)
     results = []
     for body in ("numba", "torch"):
         raw, detail = random_grid(6, 8, 1).requires_grad_(), random_detail(16, 2).requires_grad_()
-        radiance, transmittance = render(raw, rays, body, jitter=jitter, gradient_near=gradient_near, detail=detail)
-        (radiance * weights[:, :3]).sum().add((transmittance * weights[:, 3]).sum()).backward()
+        shown = render(raw, rays, body, jitter=jitter, gradient_near=gradient_near, detail=detail)
+        (torch.column_stack(shown) * weights).sum().backward()
         assert detail.grad.abs().max() > 1e-3  # some rays see far shells
-        results.append((radiance.detach(), transmittance.detach(), raw.grad, detail.grad))
+        results.append((*(part.detach() for part in shown), raw.grad, detail.grad))
     for ours, reference in zip(*results, strict=True):
         torch.testing.assert_close(ours, reference, rtol=1e-9, atol=1e-11)
 
@@ -74,9 +74,9 @@ def test_no_color_detail_is_a_color_detail_of_zeros(body):
     rays, results = random_rays(60, 0), []
     for detail in (torch.zeros(0, 0, 3, dtype=torch.float64), torch.zeros(16, 32, 3, dtype=torch.float64)):
         raw = random_grid(6, 8, 1).requires_grad_()
-        radiance, transmittance = render(raw, rays, body, detail=detail)
-        (radiance.sum() + transmittance.sum()).backward()
-        results.append((radiance.detach(), transmittance.detach(), raw.grad))
+        shown = render(raw, rays, body, detail=detail)
+        sum(part.sum() for part in shown).backward()
+        results.append((*(part.detach() for part in shown), raw.grad))
     for without, zeros in zip(*results, strict=True):
         torch.testing.assert_close(without, zeros, rtol=1e-12, atol=1e-14)
 
@@ -106,7 +106,7 @@ def test_gradient_does_not_depend_on_the_number_of_threads():
 
 def test_neglecting_little_changes_little():
     raw, rays = random_grid(6, 8, 1) * 3, random_rays(200, 7)
-    exact, rough = render(raw, rays)[0], render(raw, rays, transmittance_limit=1e-3, depth_limit=1e-5)[0]
+    exact, rough = render(raw, rays)[0], render(raw, rays, transmittance_limit=1e-3, depth_limit=1e-3)[0]
     assert ((exact - rough).abs() / (1 + exact)).max() < 0.02
 
 
@@ -128,7 +128,7 @@ def test_uniform_medium_absorbs_by_its_contracted_length(body):
     far = torch.where(torch.isinf(far), 9.0, far)
     raw = torch.zeros(4, 6, 12, 4, dtype=torch.float64)
     raw[..., 0], raw[..., 1:] = 0.3, torch.tensor([0.1, -1.0, 2.0])
-    radiance, transmittance = render(raw, (origins, directions, near, far), body)
+    radiance, transmittance, _ = render(raw, (origins, directions, near, far), body)
     pieces = [along_ray(*ray)[1].sum() for ray in zip(origins, directions, near.tolist(), far.tolist(), strict=True)]
     expected = torch.exp(-2.0 * math.log1p(math.exp(0.3)) * torch.tensor(pieces, dtype=torch.float64))
     torch.testing.assert_close(transmittance, expected, rtol=1e-6, atol=1e-9)
@@ -146,7 +146,7 @@ def test_radial_medium_against_quadrature(body):
     raw[..., 1:] = (0.4 * shells - 1.0)[:, None, None, None]
     origins, directions, near, far = random_rays(6, 9)
     origins, far = origins * 2, torch.where(torch.isinf(far), 60.0, 4.0 * far)
-    radiance, transmittance = render(raw, (origins, directions, near, far), body, step=0.002)
+    radiance, transmittance, _ = render(raw, (origins, directions, near, far), body, step=0.002)
     for i in range(6):
         distance, length = along_ray(origins[i], directions[i], 0.6, float(far[i]))
         distance = distance.clip(1)
@@ -155,6 +155,22 @@ def test_radial_medium_against_quadrature(body):
         before = np.exp(-np.cumsum(depth) + 0.5 * depth)
         assert float(radiance[i, 0]) == pytest.approx(np.sum(before * depth * np.exp(0.4 * u - 1.0)), rel=1e-3)
         assert float(transmittance[i]) == pytest.approx(np.exp(-np.sum(depth)), rel=1e-3)
+
+
+@pytest.mark.parametrize("body", ["numba", "torch"])
+def test_distortion_of_a_uniform_fog_before_the_sky_against_its_integral(body):
+    """The distortion is the mean distance between two random bits of a ray's light. A fog's light falls exponentially."""
+    raw = torch.full((4, 6, 12, 4), 0.3, dtype=torch.float64)
+    origins, directions, near, _ = random_rays(20, 15)
+    infinity = torch.full_like(near, math.inf)
+    found = render(raw, (origins, directions, near, infinity), body, step=0.002).distortion
+    length = contract_segments(RaySegments(origins, directions, near, infinity), RADIUS).w_length
+    density = 2.0 * math.log1p(math.exp(0.3))
+    for i in range(20):
+        # the mean distance of two numbers is 2 times the integral of F (1 - F), with F the share that lies before a place
+        clear = np.exp(-density * (np.arange(100_000) + 0.5) / 100_000 * float(length[i]))
+        expected = 2 * np.mean((1 - clear) * clear) * float(length[i]) / LENGTH
+        assert float(found[i]) == pytest.approx(expected, rel=2e-3)
 
 
 @pytest.mark.parametrize("body", ["numba", "torch"])
@@ -168,7 +184,7 @@ def test_the_sky_has_no_parallax_and_a_near_shell_has_all_of_it(body):
         raw[:, : rows // 2, :, 1:] = 0.0
         start = near if shell == 8 else torch.full_like(near, 0.01)
         at = origins if shell == 8 else 0.3 * origins
-        radiance, _ = render(raw, (at, directions, start, far), body, step=0.002)
+        radiance, *_ = render(raw, (at, directions, start, far), body, step=0.002)
         along = (at * directions).sum(-1)
         t = 1e6 if radius == math.inf else -along + (along**2 - at.square().sum(-1) + radius**2).sqrt()
         height = (at + torch.as_tensor(t, dtype=torch.float64).expand(len(at))[:, None] * directions)[:, 2]
@@ -182,9 +198,9 @@ def test_the_sky_has_no_parallax_and_a_near_shell_has_all_of_it(body):
 def test_two_segments_compose_to_one(body):
     raw, (origins, directions, near, _) = random_grid(6, 8, 1), random_rays(20, 10)
     middle, infinity = torch.full_like(near, 2.3), torch.full_like(near, math.inf)
-    front, through = render(raw, (origins, directions, near, middle), body, step=0.002)
-    back, closed = render(raw, (origins, directions, middle, infinity), body, step=0.002)
-    whole, _ = render(raw, (origins, directions, near, infinity), body, step=0.002)
+    front, through, _ = render(raw, (origins, directions, near, middle), body, step=0.002)
+    back, closed, _ = render(raw, (origins, directions, middle, infinity), body, step=0.002)
+    whole, *_ = render(raw, (origins, directions, near, infinity), body, step=0.002)
     torch.testing.assert_close(front + through[:, None] * back, whole, rtol=2e-2, atol=1e-3)
     assert (closed == 0).all()
 
@@ -192,8 +208,8 @@ def test_two_segments_compose_to_one(body):
 @pytest.mark.parametrize("body", ["numba", "torch"])
 def test_empty_segment_is_clear(body):
     origins, directions, near, _ = random_rays(5, 11)
-    radiance, transmittance = render(random_grid(4, 4, 1), (origins, directions, near, near - 0.1), body)
-    assert (radiance == 0).all() and (transmittance == 1).all()
+    radiance, transmittance, distortion = render(random_grid(4, 4, 1), (origins, directions, near, near - 0.1), body)
+    assert (radiance == 0).all() and (transmittance == 1).all() and (distortion == 0).all()
 
 
 def test_no_rays():
@@ -229,12 +245,12 @@ def test_color_detail_multiplies_what_is_far_and_nothing_near(body):
     above, clear = directions[:, 2] > 0, directions[:, 2].abs() > 0.15
     raw = torch.zeros(9, rows // 2, rows, 4, dtype=torch.float64)
     raw[..., 0] = -40.0
-    sky, _ = render(raw, (origins, directions, near, far), body, detail=detail)
+    sky, *_ = render(raw, (origins, directions, near, far), body, detail=detail)
     expected = torch.where(above, 3.0, 1.0).double()
     torch.testing.assert_close(sky[clear, 0], expected[clear], rtol=1e-9, atol=0)
     raw[1:3, ..., 0] = 60.0
     inside = 0.1 * torch.nn.functional.normalize(origins, dim=-1)
-    wall, _ = render(raw, (inside, directions, 0 * near + 0.95, far), body, step=0.01, detail=detail)
+    wall, *_ = render(raw, (inside, directions, 0 * near + 0.95, far), body, step=0.01, detail=detail)
     torch.testing.assert_close(wall, torch.ones_like(wall), rtol=1e-6, atol=0)
 
 
@@ -307,7 +323,7 @@ def test_weights_from_the_center_are_what_rays_from_there_see():
     n = len(directions)
     # along a ray just beside the center, from the border outwards
     origins = 1e-3 * torch.linalg.cross(directions, torch.tensor([[0.36, 0.48, 0.8]]).expand(n, 3))
-    radiance, _ = render(raw, (origins, directions, torch.ones(n), torch.full((n,), math.inf)), step=0.01)
+    radiance, *_ = render(raw, (origins, directions, torch.ones(n), torch.full((n,), math.inf)), step=0.01)
     seen = weights[..., :3].sum(0).reshape(-1, 3)
     assert ((seen - radiance).abs() / radiance).mean() < 0.02
 
