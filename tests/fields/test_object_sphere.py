@@ -9,24 +9,38 @@ from blender_nep.capture import load_capture
 from blender_nep.capture.pixel_rays import PixelRays
 from blender_nep.fields import object_sphere
 from blender_nep.fields.object_sphere import find_object_sphere
+from blender_nep.presets import preset
 from support.table_scene import BALL, CENTER, write_table_scene
 
 
-def test_the_sphere_shrinks_around_the_ball_in_any_units(tmp_path):
-    capture = load_capture(write_table_scene(tmp_path / "ball", radius=0))
-    here = find_object_sphere(capture)
+@pytest.fixture
+def ball(tmp_path, monkeypatch):
+    """The capture. A search in it learns from a quarter of the rays, which the hull of a ball does not need."""
+    whole = preset("preview")
+    few_rays = replace(whole, environment=replace(whole.environment, rays_per_step=whole.environment.rays_per_step // 4))
+    monkeypatch.setattr(object_sphere, "preset", {"preview": few_rays}.__getitem__)
+    return load_capture(write_table_scene(tmp_path / "ball", radius=0, photos=16))
+
+
+def test_the_sphere_shrinks_around_the_ball_in_any_units(ball, monkeypatch):
+    rounds, one_round = [], object_sphere._hull_sphere
+    monkeypatch.setattr(object_sphere, "_hull_sphere", lambda *given: rounds.append(one_round(*given)) or rounds[-1])
+    here = find_object_sphere(ball)
     away = np.linalg.norm(here.center - CENTER)
-    assert here.sure
+    assert here.sure and len(rounds) == 2, "the hull of the first round is coarse"
     assert away + BALL < here.radius < 1.5 * BALL, "the whole ball is in the sphere, and not much else"
     shift, scale = np.array([500.0, -20.0, 7.0]), 1000.0
     views = []
-    for view in capture.views:
+    for view in ball.views:
         matrix = view.camera.camera_to_world.copy()
         matrix[:3, 3] = scale * matrix[:3, 3] + shift
         views.append(replace(view, camera=replace(view.camera, camera_to_world=matrix)))
-    far = find_object_sphere(replace(capture, views=views, object_center=shift, object_radius=scale))
-    assert np.abs((far.center - shift) / scale - here.center).max() < 0.03
-    assert abs(far.radius / scale - here.radius) < 0.03
+    monkeypatch.setattr(object_sphere, "_ROUNDS", 1)
+    far = find_object_sphere(replace(ball, views=views, object_center=shift, object_radius=scale))
+    first = rounds[0]  # in the capture's own units, which are those of the unit frame
+    assert far.sure
+    assert np.abs((far.center - shift) / scale - first.middle).max() < 0.03
+    assert abs(far.radius / scale - object_sphere._MARGIN * first.reach) < 0.03
 
 
 def test_what_no_photo_shows_below_the_ball_does_not_count(tmp_path):
@@ -62,9 +76,8 @@ def test_a_sphere_that_cuts_the_object_is_moved_if_it_is_large_enough(tmp_path, 
     assert np.abs(found.center - [0.7, 0, 0]).max() < 1e-9
 
 
-def test_the_search_can_be_ended_between_two_photos_and_between_two_steps(tmp_path):
-    capture = load_capture(write_table_scene(tmp_path / "ball", radius=0))
-    photos = len(capture.views)
+def test_the_search_can_be_ended_between_two_photos_and_between_two_steps(ball):
+    photos = len(ball.views)
 
     class Ended(Exception):
         pass
@@ -78,12 +91,11 @@ def test_the_search_can_be_ended_between_two_photos_and_between_two_steps(tmp_pa
                 raise Ended
 
         with pytest.raises(Ended):
-            find_object_sphere(capture, check=check)
+            find_object_sphere(ball, check=check)
         assert calls[1] == (2, photos) and len(calls) == last and calls[-1] in ((2, photos), (3, object_sphere._STEPS))
 
 
-def test_a_sphere_that_cuts_the_object_is_kept_and_is_unsure(tmp_path):
-    capture = load_capture(write_table_scene(tmp_path / "ball", radius=0))
-    small = replace(capture, object_center=CENTER + np.array([0.2, 0, 0]), object_radius=0.4)
+def test_a_sphere_that_cuts_the_object_is_kept_and_is_unsure(ball):
+    small = replace(ball, object_center=CENTER + np.array([0.2, 0, 0]), object_radius=0.4)
     found = find_object_sphere(small)
     assert not found.sure and found.radius == small.object_radius and np.array_equal(found.center, small.object_center)

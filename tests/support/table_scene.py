@@ -61,14 +61,16 @@ def write_table_scene(
     glossy: bool = False,
     tilt: float = 0.0,
     elevations: tuple[float, ...] = (15, 35, 60),
+    photos: int = 24,
 ) -> Path:
     """Write the capture, turned by `tilt` radians with cameras and all. Returns its folder.
 
     radius: that of the table, in object radii; 0 for none. elevations: those of the rings of cameras, in degrees.
+    photos: how many, on all rings together.
     """
     (folder / "images").mkdir(parents=True)
     frames = []
-    for k, (position, matrix, directions) in enumerate(camera_ring(24, elevations, SIZE, FOCAL)):
+    for k, (position, matrix, directions) in enumerate(camera_ring(photos, elevations, SIZE, FOCAL)):
         photo = colors(position, directions, radius, plain, glossy)
         write_exr(folder / "images" / f"{k}.exr", photo.reshape(SIZE, SIZE, 3))
         matrix[:3] = turn(tilt) @ matrix[:3]
