@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from support import ball_engine
+from support import ball_engine, correcting_engine, scripted_engine
 from support.blender_checks import drawn_by, fails, register, rounds
 from support.own_process import run_file
 
@@ -21,6 +21,17 @@ def folders(package, make_capture, monkeypatch):
     """A folder with `capture`, an engine, and the package."""
     make_capture(masks=True)
     monkeypatch.setenv("NEP_ENGINE_PYTHON", ball_engine.make(package))
+    return package
+
+
+@pytest.fixture
+def played(package, make_capture, monkeypatch):
+    """The same with an engine that only copies an asset: enough for what becomes of a result in the artist's scenes."""
+    make_capture(masks=True)
+    asset = correcting_engine.make_asset(package / "asset")
+    engine = {"SCRIPTED_ENGINE": "asset", "SCRIPTED_ASSET": str(asset), "NEP_ENGINE_PYTHON": scripted_engine.make(package)}
+    for name, value in engine.items():
+        monkeypatch.setenv(name, value)
     return package
 
 
@@ -235,8 +246,8 @@ def check_cancel_and_crash(folder):
     fails(bpy.ops.nep.reconstruct, "Save the file first")
 
 
-def test_a_button_does_not_begin_with_what_another_button_has_set(folders):
-    in_blender(check_forgotten_options, folders, BALL_STEPS="4", BALL_DELAY="0")
+def test_a_button_does_not_begin_with_what_another_button_has_set(played):
+    in_blender(check_forgotten_options, played)
 
 
 def check_forgotten_options(folder):
@@ -259,8 +270,8 @@ def check_forgotten_options(folder):
     assert press() == set()
 
 
-def test_the_artists_world_outlives_a_second_result(folders):
-    in_blender(check_own_world, folders, **BRISK)
+def test_the_artists_world_outlives_a_second_result(played):
+    in_blender(check_own_world, played)
 
 
 def check_own_world(folder):
@@ -298,8 +309,8 @@ def check_two_jobs(folder):
     assert "out" not in scene.objects and "two" not in bpy.data.scenes[0].objects
 
 
-def test_of_two_scenes_with_one_folder_the_one_that_began_gets_the_result(folders):
-    in_blender(check_shared_folder, folders, **BRISK)
+def test_of_two_scenes_with_one_folder_the_one_that_began_gets_the_result(played):
+    in_blender(check_shared_folder, played)
 
 
 def check_shared_folder(folder):
