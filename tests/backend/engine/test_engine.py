@@ -63,7 +63,7 @@ def at_work(out: Path):
     return read_job(out)
 
 
-def test_a_job_is_followed_to_its_asset_and_its_events_can_be_read_again(ball):
+def test_a_job_is_followed_to_its_asset_which_another_job_may_not_replace(ball):
     engine = ball()
     told = follow(engine)
     assert engine.outcome() is None and is_asset(ball.out) and not is_running(ball.out)
@@ -73,8 +73,13 @@ def test_a_job_is_followed_to_its_asset_and_its_events_can_be_read_again(ball):
     assert job["preset"] == "preview" and job["capture"] == str(ball.capture) and "--job-files" in job["arguments"]
     found = Engine.attach(ball.out)
     events, ended = found.poll()
-    assert ended and found.outcome() is None and events == told[1:]
+    assert ended and found.outcome() is None and events == told[1:], "its events can be read again"
     assert Engine.attach(ball.out / "elsewhere") is None
+    before = {path: path.stat().st_mtime_ns for path in ball.out.rglob("*")}
+    another = ball()
+    follow(another)
+    assert another.outcome().code == 2 and "already holds an asset" in another.outcome().message
+    assert {path: path.stat().st_mtime_ns for path in ball.out.rglob("*")} == before
 
 
 STARTER = """
@@ -112,12 +117,16 @@ def test_a_job_outlives_its_starter_only_with_keep_going(ball, keep_going):
     assert not (ball.out / "job" / "stop").exists()
 
 
-def test_a_killed_engine_is_reported_to_its_starter_and_to_who_attached_to_it(ball):
+def test_a_killed_engine_is_reported_to_its_starter_and_to_who_attached_to_it(ball, monkeypatch):
     engine = ball(slow=True, keep_going=True)
     wait_until(lambda: engine.poll() and (ball.out / "checkpoints" / "fields_learning.pt").exists())
     os.kill(read_job(ball.out)["pid"], signal.SIGKILL)
     follow(engine)
     assert engine.outcome().code == 128 + 9 and "was killed" in engine.outcome().message
+    with monkeypatch.context() as patch:
+        patch.setattr(engine_module.shutil, "disk_usage", lambda _folder: SimpleNamespace(free=0))
+        error = engine.outcome()
+    assert error.code == 5 and error.name == "output.disk_full" and str(ball.out) in error.words()[0]
     found = Engine.attach(ball.out)
     follow(found)
     assert "was killed" in found.outcome().message and "Resume" in found.outcome().hint
@@ -157,25 +166,6 @@ def test_two_jobs_cannot_work_in_one_folder(ball):
     first.request_stop()
     follow(first)
     assert first.outcome().code == 7
-
-
-def test_an_asset_that_may_not_be_replaced_is_left_as_it_is(ball):
-    follow(ball())
-    before = {path: path.stat().st_mtime_ns for path in ball.out.rglob("*")}
-    engine = ball()
-    follow(engine)
-    assert engine.outcome().code == 2 and "already holds an asset" in engine.outcome().message
-    assert {path: path.stat().st_mtime_ns for path in ball.out.rglob("*")} == before
-
-
-def test_an_engine_that_dies_on_a_full_disk_is_told_by_the_name_of_that_error(ball, monkeypatch):
-    engine = ball(slow=True, keep_going=True)
-    wait_until(lambda: engine.poll() and (ball.out / "checkpoints" / "fields_learning.pt").exists())
-    monkeypatch.setattr(engine_module.shutil, "disk_usage", lambda _folder: SimpleNamespace(free=0))
-    os.kill(read_job(ball.out)["pid"], signal.SIGKILL)
-    follow(engine)
-    error = engine.outcome()
-    assert error.code == 5 and error.name == "output.disk_full" and str(ball.out) in error.words()[0]
 
 
 def test_a_capture_that_is_gone_is_reported(ball):
