@@ -96,11 +96,32 @@ def ray_lengths(origin, direction):
     return along - (along**2 - (origin**2).sum(-1) + RADIUS**2).clamp_min(0).sqrt()
 
 
-def test_who_knows_that_nothing_is_metal_decides_for_every_place(ball, photos_of_paints):
-    result = learn(ball, photos_of_paints, replace(MORE, metallic=(0.0,), most_texels=32))
+@pytest.fixture(scope="module")
+def without_metal(ball, photos_of_paints):
+    """What is learned as if nothing were metal, and how many label pixels `segments_of` got each time; None: none."""
+    colored_by = []
+
+    def watched(samples, seed, pixels=None):
+        colored_by.append(None if pixels is None else len(pixels))
+        return segments_of(samples, seed, pixels)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(training, "segments_of", watched)
+        result = learn(ball, photos_of_paints, replace(MORE, metallic=(0.0,), most_texels=32, label_pixels=3000))
+    return result, colored_by
+
+
+def test_who_knows_that_nothing_is_metal_decides_for_every_place(without_metal):
+    result, _ = without_metal
     assert result.report["segments"] > 50
     assert len(result.metallic) == 64  # outlines are sharper with texels half as wide
     assert (result.metallic == 0).all() and np.isfinite(result.albedo).all()
+
+
+def test_label_pixels_color_the_segments_that_are_kept(without_metal):
+    """The first segments only measure the gain; samples are enough for that."""
+    _, colored_by = without_metal
+    assert colored_by == [None, training._PIXELS_OF_VARIED * 3000]
 
 
 def test_pixels_of_a_photo_without_samples_are_left_out():
@@ -171,16 +192,3 @@ def test_a_thin_outline_gets_segments_of_its_own_by_the_color_of_label_pixels():
 
     assert pure(segments_of(samples, 0, pixels)) > 0.8
     assert pure(segments_of(samples, 0)) < 0.2
-
-
-def test_label_pixels_color_the_segments_that_are_kept(ball, photos_of_paints, monkeypatch):
-    """The first segments only measure the gain; samples are enough for that."""
-    colored_by = []
-
-    def watched(samples, seed, pixels=None):
-        colored_by.append(None if pixels is None else len(pixels))
-        return segments_of(samples, seed, pixels)
-
-    monkeypatch.setattr(training, "segments_of", watched)
-    learn(ball, photos_of_paints, replace(MORE, label_pixels=3000))
-    assert colored_by == [None, training._PIXELS_OF_VARIED * 3000]
