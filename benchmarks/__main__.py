@@ -160,6 +160,8 @@ def main(arguments: list[str] | None = None) -> int:
             top.error(f"{options.write} is no file: give a copy of docs/random-scenes.md, whose markers the report fills")
         return random_scenes(options)
     if options.command == "report":
+        if not options.write.is_file():
+            top.error(f"{options.write} is no file: give a copy of docs/benchmarks.md, whose markers the report fills")
         return report(options.out, options.write)
     captures = [capture.resolve() for capture in options.captures]
     for capture in captures:

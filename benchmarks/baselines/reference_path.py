@@ -192,7 +192,8 @@ COLUMNS = (
 
 def cells(row: dict) -> list:
     """One line of the table. The line of a failed run shows its message."""
-    return [row["capture"], row["size"], *(float(row[c]) if c in row else row.get("error", "") for c in COLUMNS)]
+    scores = [float(row[c]) for c in COLUMNS] if "error" not in row else [row["error"]]
+    return [row["capture"], row["size"], *scores]
 
 
 def main() -> None:

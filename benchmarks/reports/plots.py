@@ -12,6 +12,7 @@ import matplotlib.pyplot as plt
 
 from benchmarks.reports.rows import Results
 from benchmarks.reports.tables import golds, learned_from, main_captures, presets_of, sweeps
+from blender_nep.files import write_atomically
 
 ERRORS = {
     "cd_visible": "distance, object radii",
@@ -55,7 +56,7 @@ def _legend_and_file(figure: plt.Figure, panels: Iterable[plt.Axes], file: Path)
     handles = {text: line for panel in panels for line, text in zip(*panel.get_legend_handles_labels(), strict=True)}
     figure.legend(handles.values(), handles.keys(), loc="outside lower center", ncols=6, fontsize=7)
     file.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(file, dpi=90, metadata={"Software": None})
+    write_atomically(file, lambda part: figure.savefig(part, format="png", dpi=90, metadata={"Software": None}))
     plt.close(figure)
 
 

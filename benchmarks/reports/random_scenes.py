@@ -20,6 +20,7 @@ from benchmarks.suite.harness import markdown, read_row
 from benchmarks.suite.plan import Run
 from benchmarks.suite.render import RANDOM
 from benchmarks.suite.runner import failure, last_line
+from blender_nep.files import write_atomically
 
 COLUMNS = {
     name: (SCORES | COSTS)[name]
@@ -175,7 +176,8 @@ def draw(out: Path, capture: Path, name: str, picture: Path) -> bool:
         tiles += [strip[:size, k * size : (k + 1) * size] for k in range(6)]
     picture.parent.mkdir(parents=True, exist_ok=True)
     small = [np.asarray(Image.fromarray(tile).resize((TILE, TILE), Image.Resampling.LANCZOS)) for tile in tiles]
-    Image.fromarray(np.concatenate(small, axis=1)).save(picture, optimize=True)
+    strip = Image.fromarray(np.concatenate(small, axis=1))
+    write_atomically(picture, lambda part: strip.save(part, "PNG", optimize=True))
     return True
 
 

@@ -14,6 +14,7 @@ from pathlib import Path
 
 from benchmarks.reports import tables
 from benchmarks.reports.rows import Results
+from blender_nep.files import write_text
 
 MARKED = r"(<!-- {0} -->\n).*?(<!-- end of {0} -->)"
 
@@ -100,7 +101,8 @@ def require_markers(parser: argparse.ArgumentParser, document: Path | None, *nam
 def fill(document: Path, parts: dict[str, str]) -> list[str]:
     """Write each Markdown text of `parts` {marker: text} between the document's markers of that name.
 
-    Returns the names of the markers that the document does not have.
+    Returns the names of the markers that the document does not have. Raises OutputError where it cannot be written, and it
+    then stays as it is.
     """
     text, missing = document.read_text(encoding="utf-8"), []
     for name, part in parts.items():
@@ -108,5 +110,5 @@ def fill(document: Path, parts: dict[str, str]) -> list[str]:
         if not marked.search(text):
             missing.append(name)
         text = marked.sub(lambda found, part=part: f"{found[1]}{part}\n{found[2]}", text)
-    document.write_text(text, encoding="utf-8")
+    write_text(document.resolve(), text)  # a link stays a link
     return missing

@@ -8,6 +8,7 @@ from benchmarks.reports import paper
 from benchmarks.reports.rows import Figure, Results, failures
 from benchmarks.suite.harness import markdown
 from benchmarks.suite.plan import ABLATIONS
+from benchmarks.suite.render import RANDOM, SETS
 from blender_nep.presets import PRESETS
 
 SCORES = {
@@ -74,10 +75,16 @@ def scored_captures(results: Results) -> list[str]:
     return sorted(capture for capture in results.values("capture") if results.where(capture=capture).figure("cd_visible"))
 
 
+def is_special(capture: str) -> bool:
+    """Whether a capture belongs to the plan `roughness` or `random`, which have tables of their own."""
+    return capture.startswith(RANDOM) or capture in SETS["roughness"]
+
+
 def main_captures(results: Results) -> list[str]:
-    """The captures on which the most presets were tried. The other captures belong to special plans, such as `roughness`."""
+    """The captures on which the most presets were tried. Captures of special plans are never among them."""
     full = results.whole(ablation="full")
-    tried = {c: len({run["preset"] for run in full.where(capture=c).tried}) for c in scored_captures(full)}
+    scored = [capture for capture in scored_captures(full) if not is_special(capture)]
+    tried = {c: len({run["preset"] for run in full.where(capture=c).tried}) for c in scored}
     return [c for c in tried if tried[c] == max(tried.values())]
 
 
@@ -116,7 +123,10 @@ def table_1(results: Results) -> str:
 
 
 def presets(results: Results, columns: dict[str, tuple[str, int]] = SCORES) -> str:
-    """A table with a line for each capture and preset, and the means over captures."""
+    """A table with a line for each capture and preset, and the means over captures.
+
+    Captures without any score have lines too, such as those of real photos, which have no ground truth.
+    """
     full, captures, rows = results.whole(ablation="full"), main_captures(results), []
     columns = known(full, columns)
     for preset in presets_of(full):
@@ -129,7 +139,7 @@ def presets(results: Results, columns: dict[str, tuple[str, int]] = SCORES) -> s
                 *cells(chosen.where(capture=capture), columns),
             ]
             for capture in chosen.values("capture")
-            if capture in captures or capture not in scored_captures(chosen)
+            if capture in captures or not (is_special(capture) or capture in scored_captures(chosen))
         ]
         mean = cells(chosen, columns, captures)
         rows.append(["**mean**", preset, "", *(f"**{text}**" if text != NONE else text for text in mean)])
@@ -154,7 +164,8 @@ def costs(results: Results) -> str:
 def ablations(results: Results, geometry: str = "own") -> str:
     """A table with a line for each ablation: means over the captures on which it was run.
 
-    The line "full" shows the runs without ablation. `geometry` is the mesh of the runs, "own" or "true".
+    The line "full" shows the runs without ablation, on the captures on which any ablation was run. `geometry` is the mesh of
+    the runs, "own" or "true".
     """
     columns = {
         k: v
@@ -166,9 +177,11 @@ def ablations(results: Results, geometry: str = "own") -> str:
     header, rows = ["ablation", "captures", "runs", *headings(columns)], []
     for preset in presets_of(chosen.where(ablation=lambda name: name != "full")):
         at = chosen.where(preset=preset)
+        ablated = at.where(ablation=lambda name: name != "full").values("capture")
+        compared = [capture for capture in main_captures(results) if capture in ablated]
         for name in ABLATIONS:
             one = at.where(ablation=name)
-            captures = [c for c in main_captures(results) if c in one.values("capture")]
+            captures = [capture for capture in compared if capture in one.values("capture")]
             if captures:
                 runs = sum(run["capture"] in captures for run, _ in one.runs)
                 rows.append(

@@ -27,6 +27,7 @@ from blender_nep.checkpoints import NoCheckpoint
 from blender_nep.fields.environment_field import EnvironmentField
 from blender_nep.fields.object_field import ObjectField
 from blender_nep.fields.training import FieldsLearning, learn_fields
+from blender_nep.files import write_atomically
 from blender_nep.geometry.mesh import Surface
 from blender_nep.materials.baking import LabeledPoints, bake
 from blender_nep.materials.training import learn_materials
@@ -259,7 +260,10 @@ def table(rows: list[dict]) -> str:
 
 
 def plot(rows: list[dict], path: Path) -> None:
-    """Draw a panel for each factor, with logarithmic axes. Without matplotlib nothing is drawn."""
+    """Draw a panel for each factor, with logarithmic axes.
+
+    Nothing is drawn without matplotlib, or where no stage has two costs that are large enough to be timed.
+    """
     try:
         from matplotlib.figure import Figure
     except ImportError:
@@ -267,6 +271,9 @@ def plot(rows: list[dict], path: Path) -> None:
         return
     found = [c for c in curves(rows) if not c[1].startswith("peak") and not np.isnan(exponent(*c[2:]))]
     names = list(dict.fromkeys(c[0] for c in found))
+    if not names:
+        print("no plot: no stage was timed at two sizes")
+        return
     figure = Figure(figsize=(16, 4 * -(-len(names) // 4)), layout="constrained")
     for k, name in enumerate(names):
         axes = figure.add_subplot(-(-len(names) // 4), min(4, len(names)), k + 1)
@@ -279,7 +286,7 @@ def plot(rows: list[dict], path: Path) -> None:
         axes.legend(fontsize=7)
         axes.grid(True, which="both", alpha=0.3)
     path.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(path, dpi=80)
+    write_atomically(path, lambda part: figure.savefig(part, format=path.suffix[1:] or "png", dpi=80))
 
 
 def main() -> None:

@@ -146,7 +146,15 @@ def link(place: Path, target: Path) -> None:
 
 
 def markdown(header: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
-    """A Markdown table. Floating-point numbers have four significant digits."""
-    lines = ["| " + " | ".join(header) + " |", "|---" * len(header) + "|"]
-    lines += ["| " + " | ".join(f"{c:.4g}" if isinstance(c, float) else str(c) for c in row) + " |" for row in rows]
+    """A Markdown table. Floating-point numbers have four significant digits.
+
+    A line break in a cell becomes a space, and a `|` is escaped, so that a message of an error stays in its cell.
+    """
+    lines = ["| " + " | ".join(map(_cell, header)) + " |", "|---" * len(header) + "|"]
+    lines += ["| " + " | ".join(map(_cell, row)) + " |" for row in rows]
     return "\n".join(lines)
+
+
+def _cell(value: object) -> str:
+    text = f"{value:.4g}" if isinstance(value, float) else str(value)
+    return " ".join(text.splitlines()).replace("|", "\\|")

@@ -10,13 +10,19 @@ from torch.nn import functional
 
 pytest.importorskip("igl")
 from benchmarks.baselines.reference_field import ReferenceField
-from benchmarks.baselines.reference_path import REFERENCE, SIZES
+from benchmarks.baselines.reference_path import COLUMNS, REFERENCE, SIZES, cells
 from benchmarks.suite.harness import with_changes
 from blender_nep.capture import PixelRays, load_capture
 from blender_nep.fields.training import FieldsLearning
 from blender_nep.presets import preset
 from blender_nep.surface.extraction import extract_surface
 from support.paths import SUZANNE_SMALL
+
+
+def test_a_failed_run_shows_its_message_once():
+    row = {"capture": "box", "size": "small"}
+    assert cells(row | {"error": "no surface"}) == ["box", "small", "no surface"]
+    assert cells(row | dict.fromkeys(COLUMNS, 2)) == ["box", "small", *[2.0] * len(COLUMNS)]
 
 
 def directions(count: int, seed: int) -> torch.Tensor:

@@ -9,10 +9,11 @@ import pytest
 pytest.importorskip("igl")
 from benchmarks.baselines.peer_mitsuba import our_cells
 from benchmarks.reports import tables
-from benchmarks.reports.report import head, write_report
+from benchmarks.reports.report import fill, head, write_report
 from benchmarks.reports.rows import Results, failures, load
-from benchmarks.suite.harness import read_row, write_row
+from benchmarks.suite.harness import markdown, read_row, write_row
 from benchmarks.suite.plan import Run
+from blender_nep.errors import OutputError
 from support.paths import ROOT
 
 DOCUMENT = ROOT / "docs" / "benchmarks.md"
@@ -102,6 +103,34 @@ def test_means_are_of_seeds_and_then_of_captures(out):
     assert "gold_0.05" not in table
 
 
+@pytest.fixture
+def previews(tmp_path) -> Path:
+    """`preview` alone on a box that has an ablation, a real object, captures of special plans, and a capture without any."""
+    for name in ("box", "bunny", "gold_0.05", "random_1", "random_2", "real"):
+        made_up(tmp_path, Run(Path(name), "preview"), 0.002 if name == "box" else 0.008, 100.0)
+    made_up(tmp_path, Run(Path("box"), "preview", "no cones"), 0.004, 100.0)
+    for name, score in (("random_2", {"error": "killed after 7200 s"}), ("real", {})):
+        file = tmp_path / "rows" / f"{Run(Path(name), 'preview').name}.json"
+        write_row(file, read_row(file) | {"score": score})
+    return tmp_path
+
+
+def test_captures_of_special_plans_are_in_no_mean_where_all_captures_have_one_preset(previews):
+    results = Results(load(previews))
+    assert tables.main_captures(results) == ["box", "bunny"]
+    table = tables.presets(results)
+    assert {line.split("|")[1].strip() for line in table.splitlines()[2:]} == {"box", "bunny", "real", "**mean**"}
+    assert line_of(table, "**mean**", "preview")[3] == "**0.0050**"
+    table = tables.table_1(results)
+    assert dict(zip(line_of(table, "scene"), line_of(table, "Avg."), strict=True))["preview"] == "0.0050"
+
+
+def test_the_runs_without_ablation_are_those_of_the_captures_that_have_one(previews):
+    table = tables.ablations(Results(load(previews)))
+    assert line_of(table, "**full** (preview)")[1:4] == ["1", "1", "0.0020"]
+    assert line_of(table, "no cones")[1:4] == ["1", "1", "0.0040"]
+
+
 def test_a_stage_1_that_was_taken_over_counts_in_the_cpu_seconds(out):
     table = tables.ablations(Results(load(out)))
     assert line_of(table, "no cones")[-2] == "121"  # 70 of its own, 50 of the fields, 1 of the surface
@@ -173,11 +202,63 @@ def test_a_report_replaces_only_the_text_between_its_markers(out, tmp_path):
     assert write_report(rows, Results(rows), Path(shutil.copy(DOCUMENT, tmp_path))) == []
 
 
+def half_written(path: Path, data: str | bytes, *_, **__) -> None:
+    """Take the place of Path.write_text and write_bytes on a disk that is nearly full."""
+    with open(path, "wb") as file:
+        file.write((data.encode() if isinstance(data, str) else data)[: len(data) // 2])
+    raise OSError(28, "No space left on device")
+
+
+def test_a_document_that_cannot_be_written_stays_as_it_is(tmp_path, monkeypatch):
+    document, link = tmp_path / "figures.md", tmp_path / "link.md"
+    link.symlink_to(document)
+    document.write_text("before\n<!-- peer -->\nold\n<!-- end of peer -->\n")
+    text = document.read_text()
+    with monkeypatch.context() as patch:
+        for name in ("write_text", "write_bytes"):
+            patch.setattr(Path, name, half_written)
+        with pytest.raises((OSError, OutputError)):
+            fill(link, {"peer": "new"})
+    assert document.read_text() == text and {path.name for path in tmp_path.iterdir()} == {"figures.md", "link.md"}
+    assert fill(link, {"peer": "new"}) == [] and document.read_text() == text.replace("old", "new") and link.is_symlink()
+
+
+def test_a_message_of_several_lines_stays_in_its_cell():
+    table = markdown(["capture", "message"], [["box", "a | b\nc"], ["bunny", 0.12345]])
+    assert table.splitlines()[2:] == ["| box | a \\| b c |", "| bunny | 0.1235 |"]
+
+
 def test_the_head_lists_the_commits_of_all_steps_with_seven_digits():
     older = {"machine": {"commit": "1234abcd", "date": "2026-11-21"}}
     newer = {"machine": {"date": "2026-11-22"}, "commits": {"learn": "1234abcd", "score": "99ff00aa-dirty"}}
     assert head([older]).startswith("- 1 runs, 2026-11-21, of commit 1234abc\n")
     assert head([older, newer]).startswith("- 2 runs, 2026-11-21 to 2026-11-22, of commits 1234abc, 99ff00a-dirty\n")
+
+
+def test_a_picture_that_cannot_be_written_leaves_the_old_one(out, tmp_path, monkeypatch):
+    pytest.importorskip("matplotlib", reason="the extra `bench`")
+    from matplotlib.figure import Figure
+
+    from benchmarks.reports.plots import error_against_roughness
+
+    picture = tmp_path / "roughness.png"
+    picture.write_bytes(b"an older picture")
+    monkeypatch.setattr(Figure, "savefig", lambda _, file, **__: half_written(Path(file), b"half"))
+    with pytest.raises((OSError, OutputError)):
+        error_against_roughness(Results(load(out)), picture)
+    assert picture.read_bytes() == b"an older picture"
+
+
+def test_a_study_of_scaling_with_nothing_to_draw_ends_without_a_plot(tmp_path, capsys):
+    from benchmarks.studies import scaling
+
+    one = {"factor": "views", "value": 5, "cpu_seconds": {"decode photos": 0.5}, "peak_mb": 500.0}
+    for rows in ([], [one], [one | {"error": "no memory"}]):
+        scaling.plot(rows, tmp_path / "scaling.png")
+        assert "no plot" in capsys.readouterr().out and not (tmp_path / "scaling.png").exists()
+    pytest.importorskip("matplotlib", reason="the extra `bench`")
+    scaling.plot([one, one | {"value": 10, "cpu_seconds": {"decode photos": 1.0}}], tmp_path / "scaling.png")
+    assert (tmp_path / "scaling.png").read_bytes().startswith(b"\x89PNG")
 
 
 def test_every_plot_of_the_report_is_drawn_as_a_small_picture(out, tmp_path):
@@ -206,8 +287,13 @@ def test_a_report_without_any_scored_run_is_written_without_plots_of_scores(unsc
 
 
 def test_a_document_that_cannot_be_filled_ends_the_command_before_its_work(tmp_path, monkeypatch, capsys):
+    from benchmarks.__main__ import main
     from benchmarks.baselines import peer_mitsuba
     from benchmarks.studies import skipping
+
+    with pytest.raises(SystemExit) as ended:
+        main(["report", "--out", str(tmp_path), "--write", str(tmp_path / "missing.md")])
+    assert ended.value.code == 2 and "missing.md is no file" in capsys.readouterr().err
 
     (tmp_path / "other.md").write_text("<!-- skip -->\n<!-- end of skip -->\n")
     for command, marker in ((peer_mitsuba, "peer"), (skipping, "skipping")):
