@@ -12,10 +12,10 @@ from __future__ import annotations
 import argparse
 import signal
 import sys
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
-from benchmarks.suite.harness import Children
+from benchmarks.suite.harness import Children, read_row
 from benchmarks.suite.plan import ABLATIONS, CHOICES, PLANS, Run, expand
 from benchmarks.suite.render import RANDOM, SETS
 from benchmarks.suite.runner import OtherRowsError, Suite
@@ -76,8 +76,29 @@ def parser() -> argparse.ArgumentParser:
     return top
 
 
-def render_captures(names: Iterable[str], captures: Path, views: int, options: argparse.Namespace) -> int:
-    """Render the captures of these names into the folder `captures`. Returns 1 where a render failed, otherwise 0."""
+def other_size(names: Iterable[str], captures: Path, size: int) -> str:
+    """Why the captures of these names in the folder `captures` cannot be kept: a photo of one is not `size` pixels wide.
+
+    Empty where all can be kept. Captures that are not there, or do not tell a width, are no reason.
+    """
+    for folder in (captures / name for name in names):
+        width = read_row(folder / "transforms.json").get("w", size)
+        if width != size:
+            return (
+                f"{folder} has photos that are {width} pixels wide, and {size} are asked for. Give --size {width}, give "
+                "another folder, or remove this one."
+            )
+    return ""
+
+
+def render_captures(names: Sequence[str], captures: Path, views: int, options: argparse.Namespace) -> int:
+    """Render the captures of these names into the folder `captures`. What is there is kept.
+
+    Returns 1 where a render failed, REFUSED where photos of another size are there (nothing is rendered then), otherwise 0.
+    """
+    if refusal := other_size(names, captures, options.size):
+        print(refusal, file=sys.stderr)
+        return REFUSED
     failed, children = 0, Children()
     for name in names:
         folder, log = captures / name, captures / f"{name}.log"
@@ -94,16 +115,21 @@ def render_captures(names: Iterable[str], captures: Path, views: int, options: a
 
 
 def random_scenes(options: argparse.Namespace) -> int:
-    """Render the random scenes, run and score a job on each, and write the report. Returns 1 where anything failed."""
+    """Render the random scenes, run and score a job on each, and write the report.
+
+    Returns 1 where anything failed, REFUSED where scenes or rows that are there are in the way, otherwise 0.
+    """
     from benchmarks.reports.random_scenes import write_random_report
 
     captures = (options.captures or options.out / "captures").resolve()
     names = [f"{RANDOM}{seed}" for seed in options.scenes]
     failed = render_captures(names, captures, 0, options)
+    if failed == REFUSED:
+        return REFUSED
     rendered = [captures / name for name in names if (captures / name / "transforms.json").is_file()]
     runs = expand(["random"], rendered, {"preset": (options.preset,)} if options.preset else {})
     ended = run_all(options, runs)
-    if ended not in (INTERRUPTED, REFUSED):
+    if ended != REFUSED:
         missing = write_random_report(options.out, captures, options.scenes, runs, options.write)
         for marker in missing:
             print(f"{options.write} has no marker {marker!r}", file=sys.stderr)
@@ -113,16 +139,11 @@ def random_scenes(options: argparse.Namespace) -> int:
 def run_all(options: argparse.Namespace, runs: list[Run], relight: bool = False) -> int:
     """Run these runs.
 
-    Returns 1 where a run failed, INTERRUPTED where the command was interrupted, REFUSED where rows of another capture or
-    preset are in the way, otherwise 0.
+    Returns 1 where a run failed, REFUSED where rows of another capture or preset are in the way, otherwise 0.
     """
-    signal.signal(signal.SIGTERM, signal.default_int_handler)
     suite = Suite(options.out, options.threads, options.device, options.limit, relight, options.retry)
     try:
         return int(suite.run_all(runs, options.jobs) > 0)
-    except KeyboardInterrupt:
-        print("interrupted; the same command goes on", file=sys.stderr)
-        return INTERRUPTED
     except OtherRowsError as error:
         print(error, file=sys.stderr)
         return REFUSED
@@ -149,7 +170,22 @@ def report(out: Path, document: Path) -> int:
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Run the command. Returns 0; 1 where a run failed; 2 where it was refused; 130 where it was interrupted."""
+    """Run the command. Returns 0; 1 where a run failed; 2 where it was refused; 130 where it was interrupted.
+
+    SIGTERM interrupts as Ctrl-C does. What the command has started ends with it.
+    """
+    before = signal.signal(signal.SIGTERM, signal.default_int_handler)
+    try:
+        return run_command(arguments)
+    except KeyboardInterrupt:
+        print("interrupted; the same command goes on", file=sys.stderr)
+        return INTERRUPTED
+    finally:
+        signal.signal(signal.SIGTERM, before)
+
+
+def run_command(arguments: list[str] | None) -> int:
+    """Run the command. Returns the exit codes of `main`; an interrupt goes through."""
     top = parser()
     options = top.parse_args(arguments)
     if options.command == "render":

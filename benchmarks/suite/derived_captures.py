@@ -1,4 +1,4 @@
-"""Makes variants of a capture: cut-outs, photos that are clipped at white, photos of a distant object.
+"""Makes variants of a capture: cut-outs, photos clipped at white, photos with their own exposure, a distant object.
 
 A variant keeps the cameras, the ground truth and the test views of the capture that it was made from.
 """
@@ -14,7 +14,7 @@ import numpy as np
 import OpenEXR
 from PIL import Image
 
-from benchmarks.suite.harness import MADE_FROM, is_made_from, link
+from benchmarks.suite.harness import is_made_from, link, write_made
 from benchmarks.suite.identity import photos_of
 from blender_nep.capture import load_capture
 from blender_nep.color import linear_to_srgb
@@ -92,8 +92,7 @@ def derive(source: Path, variant: str, out: Path) -> Path:
                 if name in place:
                     place[name] = place[name] / _SMALLER
     meta["color_space"] = "srgb" if suffix == ".png" else "linear"
-    (out / MADE_FROM).write_text(made_from, encoding="utf-8")
-    (out / "transforms.json").write_text(json.dumps(meta, indent=1), encoding="utf-8")
+    write_made(out, meta, made_from)
     return out
 
 

@@ -7,12 +7,11 @@ from __future__ import annotations
 
 import hashlib
 import json
-import os
 from pathlib import Path
 
 import numpy as np
 
-from benchmarks.suite.harness import MADE_FROM, is_made_from, link
+from benchmarks.suite.harness import MADE_FROM, is_made_from, link, write_made
 
 
 def spread(positions: np.ndarray, count: int) -> list[int]:
@@ -45,9 +44,5 @@ def with_fewer_views(capture: Path, count: int, folder: Path) -> Path:
     for entry in capture.iterdir():
         if entry.name not in ("transforms.json", MADE_FROM):
             link(folder / entry.name, entry)
-    part = folder / f"transforms.{os.getpid()}.part"
-    part.write_text(json.dumps(meta | {"frames": [meta["frames"][k] for k in kept]}, indent=1), encoding="utf-8")
-    part.replace(folder / "transforms.json")
-    part.write_text(source, encoding="utf-8")
-    part.replace(folder / MADE_FROM)
+    write_made(folder, meta | {"frames": [meta["frames"][k] for k in kept]}, source)
     return folder

@@ -14,10 +14,12 @@ import sys
 import time
 import traceback
 from collections.abc import Callable, Iterable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 from blender_nep.errors import NepError, Stopped
+from blender_nep.files import write_text
 from blender_nep.presets import Preset
 
 _POLL = 0.2
@@ -63,7 +65,8 @@ class Children:
     def run(self, command: Sequence[str], log: Path, threads: int, limit: float) -> Ended:
         """Run a command to its end. After `limit` seconds it is killed, together with its own children.
 
-        What the command prints is added to the file `log`. Its libraries use `threads` threads.
+        What the command prints is added to the file `log`. Its libraries use `threads` threads. Where this call is
+        interrupted, for example by Ctrl-C, the command is killed together with its children, and the interrupt goes on.
         """
         named = {f"{library}_NUM_THREADS": str(threads) for library in ("OMP", "NUMBA", "OPENBLAS", "MKL")}
         start = time.perf_counter()
@@ -73,14 +76,20 @@ class Children:
                 command, stdin=subprocess.PIPE, stdout=output, stderr=output, env=os.environ | named, start_new_session=True
             )
             timed_out = False
-            while True:
-                pid, status, usage = os.wait4(child.pid, os.WNOHANG)
-                if pid:
-                    break
-                if not timed_out and (self.stopped or time.perf_counter() - start > limit):
-                    timed_out = not self.stopped
+            try:
+                while True:
+                    pid, status, usage = os.wait4(child.pid, os.WNOHANG)
+                    if pid:
+                        break
+                    if not timed_out and (self.stopped or time.perf_counter() - start > limit):
+                        timed_out = not self.stopped
+                        os.killpg(child.pid, signal.SIGKILL)
+                    time.sleep(_POLL)
+            except BaseException:  # the child has a session of its own, so the terminal's Ctrl-C does not reach it
+                with suppress(ProcessLookupError):
                     os.killpg(child.pid, signal.SIGKILL)
-                time.sleep(_POLL)
+                child.wait()
+                raise
         child.returncode = os.waitstatus_to_exitcode(status)
         child.stdin.close()
         peak = usage.ru_maxrss / (1 << 20 if sys.platform == "darwin" else 1 << 10)
@@ -133,6 +142,16 @@ def is_made_from(folder: Path, source: str) -> bool:
     """Whether the capture in `folder` is complete and was made from what the text `source` tells."""
     file = folder / MADE_FROM
     return (folder / "transforms.json").is_file() and file.is_file() and file.read_text(encoding="utf-8") == source
+
+
+def write_made(folder: Path, transforms: dict, source: str) -> None:
+    """Write what completes a capture that was made from another one: transforms.json, and last what the text `source` tells.
+
+    Each file is written under a temporary name and then renamed.
+    """
+    (folder / MADE_FROM).unlink(missing_ok=True)  # an older one does not tell the source of the new transforms.json
+    write_text(folder / "transforms.json", json.dumps(transforms, indent=1))
+    write_text(folder / MADE_FROM, source)
 
 
 def link(place: Path, target: Path) -> None:

@@ -128,7 +128,7 @@ def learn(run: Run, asset: Path, order: dict) -> dict:
 def take_stage_1(other: Path, asset: Path, capture: Path, run: Run, mesh: Path | None) -> bool:
     """Copy the finished stage 1 of another run into the folder `asset`, so that `asset` looks like a job stopped after it.
 
-    The runner gives only runs of the same commit.
+    The runner offers only runs that learned with the same commit.
 
     `other` is the asset of the run without ablation. Returns False, and copies nothing, where that run has no finished stage
     1, or was made from another capture or preset than it would be made from now.
