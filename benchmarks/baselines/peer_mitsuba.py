@@ -35,7 +35,7 @@ from benchmarks.reports.tables import presets_of
 from benchmarks.scoring.geometry import load_test_views
 from benchmarks.scoring.materials import score
 from benchmarks.suite.harness import markdown, resumed, use_threads
-from benchmarks.suite.identity import photos_of
+from benchmarks.suite.identity import looked_at
 from blender_nep.capture import PixelRays, load_capture
 from blender_nep.color import linear_to_srgb
 from blender_nep.errors import LearningError
@@ -104,6 +104,7 @@ def main() -> None:
     parser.add_argument("--write", type=Path, help="a document with the marker `peer`")
     arguments = parser.parse_args()
     require_markers(parser, arguments.write, "peer")
+    photos = dict(zip(arguments.captures, looked_at(parser, arguments.captures, masks=True), strict=True))
     try:
         import drjit
 
@@ -119,7 +120,7 @@ def main() -> None:
     for folder, kind, minutes in itertools.product(arguments.captures, arguments.materials, arguments.minutes):
         row = {
             "capture": folder.name,
-            "photos": photos_of(folder, masks=True),
+            "photos": photos[folder],
             "materials": kind,
             "minutes": minutes,
             "seed": arguments.seed,

@@ -17,7 +17,6 @@ command goes on where it was ended.
 from __future__ import annotations
 
 import argparse
-import json
 import time
 from dataclasses import replace
 from functools import partial
@@ -29,8 +28,8 @@ from benchmarks.baselines.reference_field import ReferenceField
 from benchmarks.scoring import geometry, materials
 from benchmarks.scoring.environment import background_psnr, exposures_differ
 from benchmarks.scoring.scores import BACKGROUND_PIXELS
-from benchmarks.suite.harness import markdown, resumed, use_threads, with_changes, write_row
-from benchmarks.suite.identity import photos_of
+from benchmarks.suite.harness import markdown, read_row, resumed, use_threads, with_changes, write_row
+from benchmarks.suite.identity import looked_at
 from blender_nep.capture import PixelRays, load_capture
 from blender_nep.checkpoints import Checkpoint, NoCheckpoint, load_state, save_state
 from blender_nep.errors import Stopped
@@ -99,11 +98,24 @@ def reference_field(settings: Preset, size: str) -> ReferenceField:
 
 
 def planned(file: Path, rays: PixelRays, settings: Preset, size: str, hours: float, steps: int | None, seed: int) -> dict:
-    """The plan {"steps", "step_seconds"} that `file` holds. Where there is no file, make the plan and write it first."""
+    """The plan {"steps", "step_seconds", "hours", "asked_steps"} that `file` holds.
+
+    Where there is no file, make the plan and write it first. A plan for other hours, or for another number of steps, is
+    refused by SystemExit.
+    """
+    asked = asked_for(hours, steps)
     if not file.is_file():
         seconds = step_seconds(rays, settings, size, seed)
-        write_row(file, {"step_seconds": seconds, "steps": steps or max(1, round(3600 * hours / seconds))})
-    return json.loads(file.read_text(encoding="utf-8"))
+        write_row(file, {"step_seconds": seconds, "steps": steps or max(1, round(3600 * hours / seconds))} | asked)
+    plan = read_row(file)
+    if any(plan.get(key) != value for key, value in asked.items()):
+        raise SystemExit(f"{file} holds a plan for other hours or steps: use another --out, or remove its folder")
+    return plan
+
+
+def asked_for(hours: float, steps: int | None) -> dict:
+    """What tells how long stage 1 learns, for the plan and the row. The hours do not count where `steps` are given."""
+    return {"hours": None if steps else hours, "asked_steps": steps}
 
 
 def run(folder: Path, size: str, hours: float, steps: int | None, seed: int, kept: Path) -> dict:
@@ -207,12 +219,12 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=Path("out/benchmarks/reference"))
     arguments = parser.parse_args()
     use_threads(arguments.threads)
-    header, rows = ["capture", "size", *COLUMNS], []
-    for folder in arguments.captures:
+    header, rows, looked = ["capture", "size", *COLUMNS], [], looked_at(parser, arguments.captures, masks=False)
+    for folder, photos in zip(arguments.captures, looked, strict=True):
         kept = arguments.out / f"{folder.name}-{arguments.size}-{arguments.seed}"
         kept.mkdir(parents=True, exist_ok=True)
         row = {"capture": folder.name, "size": arguments.size, "seed": arguments.seed, "threads": arguments.threads}
-        row["photos"] = photos_of(folder, masks=False)
+        row |= {"photos": photos} | asked_for(arguments.hours, arguments.steps)
         try:
             row = resumed(
                 kept.parent / f"{kept.name}.json",

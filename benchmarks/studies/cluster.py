@@ -46,27 +46,40 @@ print(json.dumps({"event": "done", "asset": str(out)}), flush=True)
 """The program that plays a job. Its first argument is how many seconds it takes."""
 
 
-class MailboxWatch(threading.Thread):
-    """Measures the CPU seconds of the batch's mailbox, which is a process of its own, as long as the process lives."""
+class CpuWatch(threading.Thread):
+    """Measures the CPU seconds of this process, which is the batch's driver, and of the batch's mailbox.
+
+    The mailbox is a process of its own. It is looked at once a second, as long as it lives. What this thread itself takes
+    for that is not counted.
+    """
 
     def __init__(self) -> None:
         super().__init__(daemon=True)
-        self.cpu_seconds = 0.0
+        self.driver_seconds = self.mailbox_seconds = self._own_seconds = 0.0
         self._ended = threading.Event()
 
-    def __enter__(self) -> MailboxWatch:
+    def __enter__(self) -> CpuWatch:
+        self._start_seconds = time.process_time()
         self.start()
         return self
 
     def __exit__(self, *_: object) -> None:
         self._ended.set()
         self.join()
+        self.driver_seconds = time.process_time() - self._start_seconds - self._own_seconds
 
     def run(self) -> None:
+        """Look for the mailbox until the context ends."""
+        try:
+            self._watch()
+        finally:
+            self._own_seconds = time.thread_time()
+
+    def _watch(self) -> None:
         while not self._ended.wait(1.0):
             for one in psutil.process_iter(["cmdline", "cpu_times"]):
                 if one.info["cmdline"] and one.info["cmdline"][0].startswith("ray::Mailbox"):
-                    self.cpu_seconds = max(self.cpu_seconds, one.info["cpu_times"].user + one.info["cpu_times"].system)
+                    self.mailbox_seconds = max(self.mailbox_seconds, sum(one.info["cpu_times"][:2]))  # user and system
 
 
 def make_captures(folder: Path, count: int) -> None:
@@ -99,10 +112,10 @@ def measure(nodes: int, cores: int, seconds: float, rounds: int) -> dict[str, fl
             settings = BatchSettings(
                 (folder / "captures",), folder / "shelf", preset="preview", threads=1, ray=cluster.address, engine=engine
             )
-            wall, cpu = time.monotonic(), time.process_time()
-            with MailboxWatch() as mailbox:
+            wall = time.monotonic()
+            with CpuWatch() as watch:
                 code = runner.run(settings, Events(io.StringIO(), sys.stderr), StopRequest())
-            wall, cpu = time.monotonic() - wall, time.process_time() - cpu
+            wall = time.monotonic() - wall
             objects = json.loads((folder / "shelf" / "batch.json").read_text())["objects"]
     finally:
         cluster.close()
@@ -113,8 +126,8 @@ def measure(nodes: int, cores: int, seconds: float, rounds: int) -> dict[str, fl
         "done": done,
         "wall_s": wall,
         "per_hour": 3600 * done / wall,
-        "driver_cpu_s": cpu,
-        "mailbox_cpu_s": mailbox.cpu_seconds,
+        "driver_cpu_s": watch.driver_seconds,
+        "mailbox_cpu_s": watch.mailbox_seconds,
     }
 
 

@@ -21,7 +21,7 @@ import numpy as np
 import torch
 
 from benchmarks.suite.harness import markdown, resumed, use_threads, with_changes
-from benchmarks.suite.identity import photos_of
+from benchmarks.suite.identity import looked_at
 from blender_nep.capture import PixelRays, load_capture
 from blender_nep.checkpoints import NoCheckpoint
 from blender_nep.fields.environment_field import EnvironmentField
@@ -298,7 +298,8 @@ def main() -> None:
     parser.add_argument("--plot", type=Path, help="where the plot goes (OUT/scaling.png)")
     arguments = parser.parse_args()
     use_threads(arguments.threads)
-    bench, rows, warm, photos = Bench(arguments.capture), [], False, photos_of(arguments.capture, masks=False)
+    (photos,) = looked_at(parser, [arguments.capture], masks=False, truth=False)
+    bench, rows, warm = Bench(arguments.capture), [], False
     for name in arguments.factor:
         values, work, stages = FACTORS[name]
         for value in values:

@@ -9,8 +9,9 @@ uses the masks of the capture, which are ignored otherwise; variants always use 
 `--metal yes`.
 
 Every run writes one JSON file, and is skipped when that file exists. A run that fails is a row with its message. Stage 1 is
-learned once where leaving out changes nothing in it. Seconds are CPU seconds of the whole job, with the scene analysis. At
-the end the program prints the table, and `--write` puts it between the markers of a document.
+learned once where leaving out changes nothing in it. Seconds are CPU seconds of the whole job, with the scene analysis. Two
+small jobs run before anything is timed, so that no run contains the compilation of kernels. At the end the program prints
+the table, and `--write` puts it between the markers of a document.
 """
 
 from __future__ import annotations
@@ -32,10 +33,11 @@ import numpy as np
 
 from benchmarks.reports.report import fill, require_markers
 from benchmarks.scoring import geometry, materials
+from benchmarks.stress.scenes import Case, write_capture
 from benchmarks.suite.derived_captures import VARIANTS, derive
-from benchmarks.suite.harness import markdown, resumed, use_threads
+from benchmarks.suite.harness import commit_now, markdown, resumed, use_threads
 from benchmarks.suite.identity import photos_of
-from benchmarks.suite.runner import commit_now, is_same_code
+from benchmarks.suite.runner import is_same_code
 from benchmarks.suite.step import Timed
 from blender_nep.capture import load_capture
 from blender_nep.checkpoints import Checkpoint, load_state, save_state
@@ -103,14 +105,14 @@ def without_skipping(preset: Preset) -> Preset:
 
 
 class FieldsOnce(FieldsStage):
-    """Stage 1 that is learned once for the same capture, seed, settings and commit.
+    """Stage 1 that is learned once for the same capture, seed, settings, commit and number of threads.
 
     The learned fields are stored in the folder `kept`, and the next run takes them from there. Nothing is stored or taken
     where no commit holds the code.
     """
 
-    def __init__(self, scene: Scene, kept: Path, photos: str, commit: str) -> None:
-        self.scene, self.kept, self.photos, self.commit = scene, kept, photos, commit
+    def __init__(self, scene: Scene, kept: Path, photos: str, commit: str, threads: int = 1) -> None:
+        self.scene, self.kept, self.photos, self.commit, self.threads = scene, kept, photos, commit, threads
         self.taken_over: float | None = None
         """The CPU seconds of the stored stage 1 that this run has taken; None where this run has learned its own."""
 
@@ -129,6 +131,7 @@ class FieldsOnce(FieldsStage):
                 preset.max_pixels_per_photo,
                 preset.even_exposure,
                 preset.brightness,
+                self.threads,
             )
         )
         file = self.kept / f"{self.scene.folder.name}-{hashlib.sha256(same.encode()).hexdigest()[:16]}.stage_1.pt"
@@ -157,7 +160,7 @@ class KeptAsset(AssetStage):
 def run(scene: Scene, preset: Preset, seed: int, threads: int, kept: Path, picture: Path, photos: str) -> dict:
     """Run one job, and return its seconds, its scores and what it skipped. `photos`: the scene's `photos_of`."""
     capture = load_capture(scene.folder, use_masks=scene.masks)
-    stage_1, asset, cpu = FieldsOnce(scene, kept, photos, commit_now()), KeptAsset(), {}
+    stage_1, asset, cpu = FieldsOnce(scene, kept, photos, commit_now(), threads), KeptAsset(), {}
     stages = Stages(Timed(stage_1, cpu), Timed(SurfaceStage(), cpu), Timed(MaterialsStage(), cpu), asset)
     start = time.process_time()
     with tempfile.TemporaryDirectory() as out:
@@ -184,6 +187,22 @@ def run(scene: Scene, preset: Preset, seed: int, threads: int, kept: Path, pictu
         "scene": asset.report["scene"],
         "report": asset.report["stages"],
     }
+
+
+def warm_up(threads: int) -> None:
+    """Run small jobs, with skipping and without it, so that all kernels are compiled or loaded. Nothing of them is kept."""
+    with tempfile.TemporaryDirectory() as name:
+        capture = Path(name) / "ball"
+        case = Case(threads=threads)
+        write_capture(case, capture)
+        told = case.settings(capture, Path(name) / "with")
+        whole = replace(told, preset=without_skipping(told.preset), out=Path(name) / "without")
+        for settings in (told, whole):
+            job = Job(settings, Events(None, io.StringIO()), StopRequest(), Stages(asset=KeptAsset()))
+            try:
+                job.run()
+            finally:
+                job.close()
 
 
 ERRORS = {
@@ -238,6 +257,7 @@ def main() -> None:
         parser.error("no capture can be studied")
     if len({scene.name for scene in scenes}) < len(scenes):
         parser.error("two scenes have the same name, and rows are told apart by it")
+    warm = False
     for scene in scenes:
         preset = PRESETS[arguments.preset]
         if scene.metal:
@@ -247,7 +267,12 @@ def main() -> None:
         for seed, skip in itertools.product(arguments.seeds, (True, False)):
             word = "with" if skip else "without"
             name = f"{scene.name}-{arguments.preset}-{seed}-{word}"
+            file = arguments.out / f"{name}.json"
+            if not file.is_file() and not warm:
+                warm_up(arguments.threads)
+                warm = True
             row = {"scene_name": scene.name, "preset": arguments.preset, "seed": seed, "skip": skip, "photos": photos}
+            row["threads"] = arguments.threads
             work = partial(
                 run,
                 scene,
@@ -258,7 +283,7 @@ def main() -> None:
                 arguments.out / f"{name}.png",
                 photos,
             )
-            rows[skip].append(resumed(arguments.out / f"{name}.json", row, work))
+            rows[skip].append(resumed(file, row, work))
             print(name, {k: rows[skip][-1].get(k) for k in ("error", "seconds", *ERRORS, "skipped")}, flush=True)
         table.append(line(scene.name, rows))
     text = markdown(["scene", "seeds", "left out", "CPU s with / without", "saved", *ERRORS.values()], table)

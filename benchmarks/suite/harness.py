@@ -16,6 +16,7 @@ import traceback
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from datetime import datetime
 from pathlib import Path
 
 from blender_nep.errors import NepError, Stopped
@@ -100,11 +101,12 @@ def resumed(file: Path, row: dict, run: Callable[[], dict]) -> dict:
     """The row that `file` holds. Where there is no file, call run(), and write the row into the file first.
 
     `row` says what is measured. A file that holds a row of something else, such as other photos, is refused by SystemExit.
-    What is written is `row` with the values that run() returns, or with "error" and the message of the error that it raises.
-    A run that was stopped writes no row, and raises Stopped.
+    What is written is `row` with the values that run() returns, or with "error" and the message of the error that it raises,
+    and with the commit and the date of the run. A run that was stopped writes no row, and raises Stopped.
     """
     asked = json.loads(json.dumps(row))
     if not file.is_file():
+        commit = commit_now()  # before the run, because the code may change while it runs
         try:
             row = row | run()
         except Stopped:
@@ -114,11 +116,17 @@ def resumed(file: Path, row: dict, run: Callable[[], dict]) -> dict:
         except Exception as error:  # one run that fails, for any reason, must not end a campaign of hours
             traceback.print_exc()
             row = row | {"error": f"{type(error).__name__}: {error}"}
-        write_row(file, row)
+        write_row(file, row | {"commit": commit, "date": datetime.now().date().isoformat()})
     held = read_row(file)
     if other := sorted(key for key, value in asked.items() if held.get(key) != value):
         raise SystemExit(f"{file} holds a row of something else ({', '.join(other)}): use another --out, or remove it")
     return held
+
+
+def commit_now() -> str:
+    """The commit of this code, with 8 digits and "-dirty" where files differ from it; empty where git does not know it."""
+    git = ["git", "-C", str(Path(__file__).parent), "describe", "--always", "--dirty", "--abbrev=8", "--exclude=*"]
+    return subprocess.run(git, capture_output=True, text=True, check=False).stdout.strip()
 
 
 def write_row(file: Path, row: dict) -> None:

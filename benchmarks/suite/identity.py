@@ -6,7 +6,9 @@ the suite's runner must stay small (see harness.py).
 
 from __future__ import annotations
 
+import argparse
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 
 from benchmarks.suite.harness import read_row, write_row
@@ -41,6 +43,29 @@ def photos_of(folder: Path, masks: bool) -> str:
     from blender_nep.presets import PRESETS
 
     return fingerprint(load_capture(folder, use_masks=masks), PRESETS["preview"], 0, masks, None)["capture"]
+
+
+def looked_at(parser: argparse.ArgumentParser, folders: Sequence[Path], masks: bool, truth: bool = True) -> list[str]:
+    """The `photos_of` each capture. A command asks this before its hours of work.
+
+    The command ends with the parser's error where a folder holds no capture that can be read, where two folders have the
+    same name, or, with `truth`, where a capture has no ground truth.
+    """
+    from blender_nep.errors import NepError
+
+    names = [folder.resolve().name for folder in folders]
+    if twice := [name for name in names if names.count(name) > 1]:
+        parser.error(f"two captures have the name {twice[0]}, and rows are told apart by it")
+    found = []
+    for folder in folders:
+        try:
+            found.append(photos_of(folder, masks))
+        except NepError as error:
+            parser.error(str(error))
+        for file in ("gt_mesh.ply", "transforms_test.json") if truth else ():
+            if not (folder / file).is_file():
+                parser.error(f"{folder} has no ground truth: {file} is missing")
+    return found
 
 
 def main() -> None:

@@ -17,7 +17,6 @@ import fcntl
 import os
 import platform
 import shutil
-import subprocess
 import sys
 from collections.abc import Sequence
 from concurrent.futures import Future, ThreadPoolExecutor, as_completed, wait
@@ -25,7 +24,7 @@ from dataclasses import dataclass, field
 from datetime import datetime
 from pathlib import Path
 
-from benchmarks.suite.harness import Children, read_row, write_row
+from benchmarks.suite.harness import Children, commit_now, read_row, write_row
 from benchmarks.suite.plan import Run
 from benchmarks.suite.step import STAGE_1
 
@@ -223,12 +222,6 @@ def _drop_checkpoints(asset: Path, keep: Sequence[str]) -> None:
             file.unlink()
     if not kept:
         shutil.rmtree(asset / "checkpoints", ignore_errors=True)
-
-
-def commit_now() -> str:
-    """The commit of this code, with 8 digits and "-dirty" where files differ from it; empty where git does not know it."""
-    git = ["git", "-C", str(Path(__file__).parent), "describe", "--always", "--dirty", "--abbrev=8", "--exclude=*"]
-    return subprocess.run(git, capture_output=True, text=True, check=False).stdout.strip()
 
 
 def is_same_code(one: str, other: str) -> bool:

@@ -1,6 +1,7 @@
 """The scores of the benchmarks on bodies whose scores are known. Ablations change only the fields that they name."""
 
 from dataclasses import asdict, replace
+from datetime import datetime
 from types import SimpleNamespace
 
 import numpy as np
@@ -16,7 +17,7 @@ from benchmarks.scoring.geometry import Body, inner, load_test_views, score, tru
 from benchmarks.scoring.materials import read_channels
 from benchmarks.scoring.scores import score_asset
 from benchmarks.studies import scaling
-from benchmarks.suite.harness import resumed, with_changes, write_row
+from benchmarks.suite.harness import commit_now, resumed, with_changes, write_row
 from benchmarks.suite.plan import ABLATIONS
 from blender_nep.asset.export import TexturedMesh, write_exr, write_obj
 from blender_nep.capture import PixelRays, load_capture
@@ -110,8 +111,8 @@ def test_a_failed_run_is_a_row_with_its_message_and_a_done_one_is_not_run_again(
     def stop():
         raise Stopped("SIGTERM")
 
-    start = {"capture": "a"}
-    assert resumed(tmp_path / "failed.json", start, fail) == start | {"error": "no surface was found"}
+    start = {"capture": "a"} | {"commit": commit_now(), "date": datetime.now().date().isoformat()}
+    assert resumed(tmp_path / "failed.json", {"capture": "a"}, fail) == start | {"error": "no surface was found"}
     assert resumed(tmp_path / "crashed.json", start, lambda: 1 / 0)["error"] == "ZeroDivisionError: division by zero"
     assert resumed(tmp_path / "done.json", start, lambda: {"seconds": 1.0}) == start | {"seconds": 1.0}
     measured = {"levels": (1, 2), "error": float("nan"), 3: "c"}  # what JSON changes
