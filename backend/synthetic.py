@@ -47,6 +47,8 @@ from backend.synthetic_capture.viewpoints import FIELD_OF_VIEW, Surroundings, Vi
 
 METER_SIZE, METER_SAMPLES, METER_VIEWS = 48, 8, 8
 """Pixels, samples and photos of the small renders that the exposure of a random scene is found on."""
+LARGEST_SEED = 2**31 - 1
+"""Cycles keeps its seed as a signed number of 32 bits."""
 
 
 def parse(arguments: list[str]) -> argparse.Namespace:
@@ -61,16 +63,35 @@ def parse(arguments: list[str]) -> argparse.Namespace:
     parser.add_argument("--size", type=int, default=400, help="width and height of a photo in pixels")
     parser.add_argument("--samples", type=int, default=20, help="Cycles samples a pixel (denoised where possible)")
     parser.add_argument("--threads", type=int, default=0, help="of Cycles; 0: one for each core")
-    parser.add_argument("--seed", type=int, default=0, help="of the room, the cameras and the noise; not with --random")
-    parser.add_argument("--snapshots", action="store_true", help="photos as a phone takes them; not with --random")
-    parser.add_argument("--material", choices=sorted(scenes.MATERIALS), help="default: gold; the box: patches")
-    return parser.parse_args(arguments)
+    parser.add_argument("--seed", type=_seed, help="of the room, the cameras and the noise (0); not with --random")
+    parser.add_argument(
+        "--snapshots",
+        action="store_true",
+        help="photos as a phone takes them, in OUT/photos, which loses its IMG_*.jpg; not with --random",
+    )
+    parser.add_argument(
+        "--material", choices=sorted(scenes.MATERIALS), help="default: gold; the box: patches; not with --random"
+    )
+    options = parser.parse_args(arguments)
+    unused = ("meshes",) if options.random is None else ("seed", "snapshots", "material")
+    for name in unused:
+        if getattr(options, name) != parser.get_default(name):
+            parser.error(f"--{name} has no effect {'without' if options.random is None else 'with'} --random")
+    options.seed = options.seed or 0
+    return options
 
 
 def _seed(text: str) -> int:
-    if int(text) < 0:
+    """The seed that a word of the command line names. Raises ArgumentTypeError."""
+    try:
+        seed = int(text)
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"{text!r} is no whole number") from None
+    if seed < 0:
         raise argparse.ArgumentTypeError(f"{text} is below 0")
-    return int(text)
+    if seed > LARGEST_SEED:
+        raise argparse.ArgumentTypeError(f"{text} is above {LARGEST_SEED}")
+    return seed
 
 
 def main(arguments: list[str]) -> int:
@@ -139,7 +160,12 @@ class Photographing:
         return self.photography.format if self.photography else "EXR half linear"
 
     def meter(self, options: argparse.Namespace, train: list[Viewpoint]) -> float:
-        """The gain of all photos, found on small renders of some viewpoints; 1 where photos hold plain radiance."""
+        """The gain of all photos, found on small renders of some viewpoints; 1 where photos hold plain radiance.
+
+        The gain is approximate, because only every n-th viewpoint is rendered. Where the cameras stand on two rings and n is
+        even, all these viewpoints are on one ring. The choice stays as it is, because the photos of recorded scenes depend
+        on it.
+        """
         if self.photography is None and self.phone is None:
             return 1.0
         renderer = ViewRenderer(bpy.context.scene, METER_SIZE, METER_SAMPLES, self.field_of_view, options.seed)
@@ -161,14 +187,19 @@ def write_capture(
     test: list[Viewpoint],
     photographing: Photographing,
 ) -> None:
-    """Render every viewpoint and write the capture folder. Raises OSError where the folder cannot be written."""
+    """Render every viewpoint and write the capture folder. Raises OSError where the folder cannot be written.
+
+    A phone's photos of an earlier run are removed, because `photos` may hold no others than those of this capture.
+    """
     out = options.out
     for name in ("images", "masks", "test", "test_masks", "gt"):
         (out / name).mkdir(parents=True, exist_ok=True)
     (out / "transforms.json").unlink(missing_ok=True)
     write_ply(out / "gt_mesh.ply", *scenes.triangles(target))
-    gain = photographing.meter(options, train)
     phone = photographing.phone
+    for old in sorted((out.parent / "photos").glob("IMG_*.jpg")) if phone else ():
+        old.unlink()
+    gain = photographing.meter(options, train)
     size = phone.rendered_size if phone else options.size
     field_of_view = phone.rendered_field_of_view if phone else photographing.field_of_view
     renderer = ViewRenderer(bpy.context.scene, size, options.samples, field_of_view, options.seed)
@@ -178,7 +209,7 @@ def write_capture(
         group = "test" if number < len(test) else "train"
         index = len(frames[group])
         images, masks = ("test", "test_masks") if group == "test" else ("images", "masks")
-        renderer.scene.cycles.seed = options.seed + number  # two photos must not have the same noise
+        renderer.scene.cycles.seed = (options.seed + number) % (LARGEST_SEED + 1)  # two photos must not have the same noise
         photo, truth = renderer.render(viewpoint.matrix)
         frame = {
             "file_path": f"{images}/{index:03d}{ENDINGS[photographing.format]}",
@@ -197,14 +228,17 @@ def write_capture(
             write_channels(out / "gt" / f"{index:03d}.exr", {name: x.astype(np.float16) for name, x in truth.items()})
         left = (time.monotonic() - started) / (number + 1) * (total - number - 1)
         print(f"view {number + 1}/{total}, {left:.0f} s left", file=sys.stderr, flush=True)
-    linear = photographing.format.startswith("EXR")
-    write_transforms(out, renderer, "linear" if linear and not phone else "srgb", frames, phone)
+    color_space = "linear" if photographing.format.startswith("EXR") else "srgb"
+    write_transforms(out, renderer, color_space, frames, phone)
 
 
 def write_transforms(
     out: Path, renderer: ViewRenderer, color_space: str, frames: dict[str, list[dict]], phone: Phone | None = None
 ) -> None:
-    """Write transforms_test.json and, last, transforms.json. The phone has taken the photos of the latter, if any."""
+    """Write transforms_test.json and, last, transforms.json. The phone has taken the photos of the latter, if any.
+
+    `color_space` is that of the photos that no phone has taken. A phone's photos are sRGB-encoded.
+    """
     size = renderer.scene.render.resolution_x
     shared = {
         "camera_model": "PINHOLE",
@@ -221,13 +255,17 @@ def write_transforms(
     lens = {}
     if phone:
         lens = {"camera_model": "OPENCV", "w": phone.size, "h": phone.size, "cx": phone.size / 2, "cy": phone.size / 2}
-        lens |= {"k1": phone.k1, "k2": phone.k2}
+        lens |= {"k1": phone.k1, "k2": phone.k2, "color_space": "srgb"}
     for group, name, own in (("test", "transforms_test.json", {}), ("train", "transforms.json", lens)):
-        (out / name).write_text(json.dumps(shared | own | {"frames": frames[group]}, indent=1) + "\n")
+        text = json.dumps(shared | own | {"frames": frames[group]}, indent=1) + "\n"
+        write_whole(out / name, text.encode())
 
 
 def write_ply(path: Path, vertices: np.ndarray, faces: np.ndarray) -> None:
-    """Write a triangle mesh (vertices [V,3], faces [F,3]) as a binary PLY file."""
+    """Write a triangle mesh (vertices [V,3], faces [F,3]) as a binary PLY file.
+
+    The file is written under a temporary name and then renamed. Raises OSError where it cannot be written.
+    """
     header = (
         f"ply\nformat binary_little_endian 1.0\nelement vertex {len(vertices)}\nproperty float x\n"
         f"property float y\nproperty float z\nelement face {len(faces)}\n"
@@ -235,7 +273,7 @@ def write_ply(path: Path, vertices: np.ndarray, faces: np.ndarray) -> None:
     )
     rows = np.zeros(len(faces), np.dtype([("count", "u1"), ("corners", "<i4", 3)]))
     rows["count"], rows["corners"] = 3, faces
-    path.write_bytes(header.encode() + vertices.astype("<f4").tobytes() + rows.tobytes())
+    write_whole(path, header.encode() + vertices.astype("<f4").tobytes() + rows.tobytes())
 
 
 if __name__ == "__main__":

@@ -16,19 +16,24 @@ from .scenes import GROUND_TRUTH_COLOR, GROUND_TRUTH_VALUES
 BOUNCES = 5
 # Limit of the radiance of indirect light. Reflected highlights stay below it, and it removes the fireflies of few samples.
 INDIRECT_CLAMP = 20.0
+FARTHEST = float(np.finfo(np.float16).max)
+"""The largest depth: the largest number that a half float holds. Cycles gives 1e10 where a view shows no surface."""
 
 
 class ViewRenderer:
-    """Renders the views of a scene. One render gives all passes of a view."""
+    """Renders the views of a scene. One render gives all passes of a view.
+
+    A second renderer of the same scene uses the camera and the passes of the first, with its own settings.
+    """
 
     def __init__(self, scene: bpy.types.Scene, size: int, samples: int, field_of_view: float, seed: int):
         """`size`: width and height in pixels; `field_of_view` in radians."""
         self.scene = scene
-        data = bpy.data.cameras.new("camera")
-        data.angle = field_of_view
-        self.camera = bpy.data.objects.new("camera", data)
-        scene.collection.objects.link(self.camera)
-        scene.camera = self.camera
+        if scene.camera is None:
+            scene.camera = bpy.data.objects.new("camera", bpy.data.cameras.new("camera"))
+            scene.collection.objects.link(scene.camera)
+        self.camera = scene.camera
+        self.camera.data.angle = field_of_view
         scene.render.resolution_x = scene.render.resolution_y = size
         scene.render.resolution_percentage = 100
         use_cycles(scene, samples, seed)
@@ -38,7 +43,10 @@ class ViewRenderer:
         scene.cycles.caustics_reflective = scene.cycles.caustics_refractive = False
         layer = self.layer = scene.view_layers[0]
         layer.use_pass_z = layer.use_pass_normal = True
+        there = {aov.name for aov in layer.aovs}
         for name in (GROUND_TRUTH_COLOR, *GROUND_TRUTH_VALUES):
+            if name in there:
+                continue
             aov = layer.aovs.add()
             aov.name = name
             aov.type = "COLOR" if name == GROUND_TRUTH_COLOR else "VALUE"
@@ -52,8 +60,8 @@ class ViewRenderer:
         """Render the view whose camera-to-world matrix is `matrix`: (photo, ground truth).
 
         The photo is linear radiance [H,W,3]. The ground truth is {channel: [H,W]}, with the channels albedo.RGBA,
-        roughness.V, metallic.V, Normal.XYZ, Depth.V and mask.V. Depth is the distance along the camera's axis. The normal is
-        in world space. The alpha of albedo is the mask.
+        roughness.V, metallic.V, Normal.XYZ, Depth.V and mask.V. Depth is the distance along the camera's axis, at most
+        FARTHEST, which also stands where no surface is seen. The normal is in world space. The alpha of albedo is the mask.
         """
         self.camera.matrix_world = matrix
         settings = self.scene.render.image_settings
@@ -70,7 +78,7 @@ class ViewRenderer:
         photo = np.stack([passes[f"{layer}.Combined.{c}"] for c in "RGB"], axis=-1)
         mask = np.clip(_value(passes, f"{layer}.mask"), 0, 1)
         truth = {f"albedo.{c}": passes[f"{layer}.albedo.{c}"] for c in "RGB"}
-        truth |= {"albedo.A": mask, "mask.V": mask, "Depth.V": _value(passes, f"{layer}.Depth")}
+        truth |= {"albedo.A": mask, "mask.V": mask, "Depth.V": np.minimum(_value(passes, f"{layer}.Depth"), FARTHEST)}
         truth |= {f"{name}.V": _value(passes, f"{layer}.{name}") for name in ("roughness", "metallic")}
         truth |= {f"Normal.{c}": passes[f"{layer}.Normal.{c}"] for c in "XYZ"}
         return np.maximum(photo, 0), truth

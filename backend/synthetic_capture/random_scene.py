@@ -25,7 +25,10 @@ VIEWS = (30, 80)
 FIELD_OF_VIEW = (36.0, 48.0)
 """Degrees. The larger the field, the nearer the cameras."""
 BRIGHTNESS = (0.26, 0.42)
-"""Mean of the sRGB values of the photos, 0..1, over all photos."""
+"""Mean of the sRGB values, 0..1, that the exposure aims at.
+
+The exposure is found on every n-th view alone, and these may all be of one ring (see Photographing.meter in synthetic.py).
+So the mean over all photos is only near this value."""
 PHOTO_FORMATS = ("EXR half linear", "PNG 8 bits sRGB", "PNG 16 bits sRGB")
 PARTS = ("object", "surroundings", "cameras", "test cameras")
 METALS = (
@@ -86,7 +89,7 @@ class Photography:
     """How the photos are taken and stored."""
 
     brightness: float
-    """mean of the sRGB values, 0..1"""
+    """mean of the sRGB values, 0..1, that the exposure aims at (see BRIGHTNESS)"""
     auto_exposure: bool
     """whether the exposure varies a little from photo to photo"""
     format: str

@@ -11,7 +11,8 @@ from . import scenes
 from .random_scene import Place, SceneDescription, Support
 
 LEAST_DISTANCE = 3.9
-"""Of things that stand on the floor or on poles. The cameras stand nearer, so that few things hide the object."""
+"""Of things that stand on the floor or on poles, in object radii; in a narrow room they stand nearer. Most cameras are
+nearer than this, so that few things hide the object."""
 THICKNESS = 0.12
 """of a table or a plate"""
 

@@ -41,9 +41,8 @@ def build_scene(
     """Build a scene in the current file, which must be empty. Returns (object, obstacles).
 
     An obstacle is every mesh that is not the object. `source` is 'suzanne', 'box' or the path of an obj, ply, stl, glb or
-    gltf file. `patterned`: the floor, the pictures and the things have prints, so that
-    structure from motion finds features. Raises ValueError for other
-    sources.
+    gltf file. `patterned`: the floor, the pictures and the things have prints, so that structure from motion finds features.
+    Raises ValueError for other sources, and for a mesh file that cannot be used (see `mesh_file`).
     """
     target = _object(source)
     normalize(target)
@@ -97,6 +96,11 @@ def _object(source: str) -> bpy.types.Object:
 
 
 def mesh_file(path: Path) -> bpy.types.Object:
+    """Add the meshes of a file to the scene, as one object.
+
+    Raises ValueError, with the path, where the file is missing, is no mesh file, cannot be read, or holds no mesh with faces
+    and an extent.
+    """
     operators = {
         ".obj": bpy.ops.wm.obj_import,
         ".ply": bpy.ops.wm.ply_import,
@@ -104,10 +108,15 @@ def mesh_file(path: Path) -> bpy.types.Object:
         ".glb": bpy.ops.import_scene.gltf,
         ".gltf": bpy.ops.import_scene.gltf,
     }
-    if path.suffix.lower() not in operators or not path.is_file():
+    if path.suffix.lower() not in operators:
         raise ValueError(f"{path}: neither 'suzanne' nor 'box' nor a mesh file ({', '.join(operators)})")
+    if not path.is_file():
+        raise ValueError(f"{path}: there is no such file")
     before = set(bpy.data.objects)
-    operators[path.suffix.lower()](filepath=str(path))
+    try:
+        operators[path.suffix.lower()](filepath=str(path))
+    except RuntimeError as error:  # its last line is the reason; an importer in Python gives a whole traceback
+        raise ValueError(f"{path}: this mesh cannot be read ({str(error).strip().splitlines()[-1]})") from error
     meshes = [item for item in bpy.data.objects if item not in before and item.type == "MESH"]
     if not meshes:
         raise ValueError(f"{path}: no mesh in it")
@@ -124,6 +133,12 @@ def mesh_file(path: Path) -> bpy.types.Object:
     for item in [item for item in bpy.data.objects if item not in before and item != target]:
         bpy.data.objects.remove(item)  # removes the lights, cameras and empties that the file holds
     target.data.polygons.foreach_set("material_index", np.zeros(len(target.data.polygons), np.int32))
+    bpy.context.view_layer.update()
+    vertices, faces = triangles(target)
+    if not len(faces):
+        raise ValueError(f"{path}: the mesh has no faces")
+    if not np.ptp(vertices, axis=0).max() > 0 or not np.isfinite(vertices).all():
+        raise ValueError(f"{path}: all points of the mesh coincide, or one is not a number")
     return target
 
 

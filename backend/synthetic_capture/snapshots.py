@@ -6,12 +6,14 @@ Cycles renders without distortion, and with a margin. The photo is then resample
 import math
 import os
 import struct
+import tempfile
 from dataclasses import dataclass
 from pathlib import Path
 
 import bpy
 import numpy as np
 
+from ..scene_io.image_files import write_whole
 from ..scene_io.srgb import linear_to_srgb
 from .photo_files import automatic_gain
 
@@ -77,11 +79,13 @@ class Phone:
         return out.clip(0, image.max()).astype(np.float32)
 
     def take(self, path: Path, radiance: np.ndarray, gain: float) -> None:
-        """Write the photo of a resampled render [size, size, 3] as JPEG, with its own exposure around `gain`."""
-        exposed = linear_to_srgb(radiance * automatic_gain(radiance, BRIGHTNESS, gain))
-        write_jpeg(path, exposed)
-        data = path.read_bytes()
-        path.write_bytes(data[:2] + exif(FILM_DIAGONAL * self.focal_length / (self.size * math.sqrt(2))) + data[2:])
+        """Write the photo of a resampled render [size, size, 3] as JPEG, with its own exposure around `gain`.
+
+        The file is written under a temporary name and then renamed. Raises OSError where it cannot be written.
+        """
+        data = jpeg(linear_to_srgb(radiance * automatic_gain(radiance, BRIGHTNESS, gain)))
+        film = FILM_DIAGONAL * self.focal_length / (self.size * math.sqrt(2))
+        write_whole(path, data[:2] + exif(film) + data[2:])
 
 
 def _catmull_rom(t: np.ndarray) -> list[np.ndarray]:
@@ -94,8 +98,8 @@ def _catmull_rom(t: np.ndarray) -> list[np.ndarray]:
     ]
 
 
-def write_jpeg(path: Path, encoded: np.ndarray) -> None:
-    """Write sRGB-encoded values [H, W, 3] in 0..1 as a JPEG file."""
+def jpeg(encoded: np.ndarray) -> bytes:
+    """The JPEG file of sRGB-encoded values [H, W, 3] in 0..1. Raises OSError where Blender cannot write it."""
     height, width = encoded.shape[:2]
     image = bpy.data.images.new("photo", width, height, alpha=False)
     try:
@@ -103,7 +107,12 @@ def write_jpeg(path: Path, encoded: np.ndarray) -> None:
         pixels[..., :3] = encoded[::-1]
         image.pixels.foreach_set(pixels.ravel())
         image.file_format = "JPEG"
-        image.save(filepath=os.fspath(path), quality=QUALITY)
+        with tempfile.TemporaryDirectory() as folder:
+            path = Path(folder) / "photo.jpg"
+            image.save(filepath=os.fspath(path), quality=QUALITY)
+            return path.read_bytes()
+    except RuntimeError as error:
+        raise OSError(f"Blender cannot write a photo: {error}") from error
     finally:
         bpy.data.images.remove(image)
 

@@ -114,7 +114,7 @@ def choose_viewpoints(
             if surroundings.usable(position, layout.heights):
                 break
         else:
-            raise ValueError("no free place for a camera in this scene: give another --seed")
+            raise ValueError("no free place for a camera in this scene: give another seed")
         aim = Vector(rng.uniform(-0.06, 0.06, 3).tolist())
         rotation = (aim - position).to_track_quat("-Z", "Y").to_matrix().to_4x4()
         chosen.append(Viewpoint(Matrix.Translation(position) @ rotation))

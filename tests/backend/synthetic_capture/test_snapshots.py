@@ -1,6 +1,8 @@
 """Photos as a phone takes them: their lens and their EXIF data agree with the true cameras, by the library's own lens."""
 
+import json
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -14,11 +16,14 @@ from support.inverted_lens import invert
 from support.own_process import in_blender, run_file
 
 SIZE, FINE = 96, 4
+ENCODINGS = {"transforms": ("srgb", ".jpg"), "transforms_test": ("linear", ".exr")}
 
 
 @pytest.fixture(scope="module")
 def snapshots(tmp_path_factory):
     folder = tmp_path_factory.mktemp("snapshots")
+    (folder / "photos").mkdir()
+    (folder / "photos" / "IMG_0004.jpg").write_bytes(b"a photo of an earlier run with more views")
     options = ("--snapshots", "--scene", "box", "--views", 3, "--test-views", 1, "--size", SIZE, "--samples", 4)
     done = run_file("backend/synthetic.py", *options, "--out", folder, timeout=200)
     assert done.returncode == 0, done.stderr
@@ -54,6 +59,13 @@ def test_photos_tell_their_focal_length_and_nothing_else(snapshots):
     with Image.open(photos[0].path) as image:
         assert image.size == (SIZE, SIZE) and 40 < np.asarray(image).mean() < 150
     assert not [path for path in (snapshots / "photos").iterdir() if path.suffix != ".jpg"]
+
+
+def test_each_list_of_photos_has_the_encoding_of_its_photos(snapshots):
+    listed = {name: json.loads((snapshots / "with_cameras" / f"{name}.json").read_text()) for name in ENCODINGS}
+    assert {name: (meta["color_space"], Path(meta["frames"][0]["file_path"]).suffix) for name, meta in listed.items()} == (
+        ENCODINGS
+    )
 
 
 def test_the_lens_is_inverted_exactly():
