@@ -150,22 +150,23 @@ def build(folder):
     """Build a scene with each kind of object on each support. Write what the test measures into KIND, SUPPORT.npz."""
     import bpy
 
-    from backend.synthetic_capture import scenes
-    from backend.synthetic_capture.random_build import build_random_scene
+    from backend.synthetic_capture import random_build, scenes
     from backend.synthetic_capture.viewpoints import Surroundings
 
+    build_surroundings, around = random_build.build_surroundings, []
+    random_build.build_surroundings = lambda *given: around.append(build_surroundings(*given)) or around[-1]
     for kind, support in itertools.product(OBJECT_KINDS, SUPPORTS):
         seed = next(
             seed for seed in range(500) if (draw_scene(seed).object, draw_scene(seed).support.kind) == (kind, support)
         )
         scene = draw_scene(seed)
         bpy.ops.wm.read_factory_settings(use_empty=True)
-        built = build_random_scene(replace(scene, cameras=replace(scene.cameras, views=30)), 2)
+        built = random_build.build_random_scene(replace(scene, cameras=replace(scene.cameras, views=30)), 2)
         vertices, faces = scenes.triangles(built.target)
         others = [item for item in bpy.data.objects if item.type == "MESH" and item != built.target]
         stand = bpy.data.objects.get("support")
-        parts = [item for item in others if item != stand]
-        surroundings = Surroundings(parts, [stand] if stand else [])
+        parts = [item for item in others if item not in around[-1].support]  # the leg of a support is one of its parts
+        surroundings = Surroundings(parts, around[-1].support)
         places = [viewpoint.matrix.translation for viewpoint in built.train + built.test]
         nearest = [surroundings.solid.find_nearest(place)[3] for place in places]
         np.savez(
@@ -173,7 +174,7 @@ def build(folder):
             vertices=vertices,
             faces=faces,
             cameras=np.array(places),
-            clear=min(surroundings.clear_fraction(place) for place in places) if not stand else 1,
+            clear=min(surroundings.clear_fraction(place) for place in places),
             nearest=min(nearest),
             top=scenes.triangles(stand)[0][:, 2].max() if stand else math.nan,
         )
