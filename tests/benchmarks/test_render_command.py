@@ -17,9 +17,17 @@ from benchmarks.suite.fewer_views import with_fewer_views
 from benchmarks.suite.harness import MADE_FROM, Ended, write_row
 from support.paths import ROOT, SUZANNE_SMALL
 
-RANDOM = ("random", "--scenes", "1", "--write", str(ROOT / "docs" / "random-scenes.md"))
-RENDER = ("render", "shapes")
+RANDOM, RENDER = ("random", "--scenes", "1"), ("render", "shapes")
 DEADLINE_S = 60
+
+
+def with_document(words: tuple[str, ...], folder: Path) -> tuple[str, ...]:
+    """The words of a command. `random` gets a document of its own to fill: where a test fails, it may remove its pictures."""
+    if words == RENDER:
+        return words
+    document = folder / "random-scenes.md"
+    document.write_text((ROOT / "docs" / "random-scenes.md").read_text(encoding="utf-8"), encoding="utf-8")
+    return *words, "--write", str(document)
 
 
 @pytest.mark.parametrize("words", [RENDER, RANDOM], ids=["render", "random"])
@@ -30,7 +38,7 @@ def test_an_interrupt_ends_the_render_and_what_the_render_has_started(number, wo
     blender.write_text(f"#!/bin/sh\nsleep 100 &\necho $$ $! > {pids}.part\nmv {pids}.part {pids}\nwait\n")
     blender.chmod(0o755)
     code = "import sys, benchmarks.__main__ as c; sys.executable = sys.argv[1]; sys.exit(c.main(sys.argv[2:]))"
-    arguments = [sys.executable, "-c", code, blender, *words, "--out", tmp_path / "out"]
+    arguments = [sys.executable, "-c", code, blender, *with_document(words, tmp_path), "--out", tmp_path / "out"]
     running = subprocess.Popen(arguments, stderr=subprocess.PIPE, text=True, cwd=ROOT, start_new_session=True)
     started = [psutil.Process(int(pid)) for pid in wait_for(lambda: pids.read_text().split() if pids.is_file() else None)]
     os.kill(running.pid, number)
@@ -60,7 +68,8 @@ def test_captures_of_another_size_are_refused_before_anything_is_rendered(words,
     monkeypatch.setattr(command, "Children", FakeChildren)
     name = "box" if words == RENDER else "random_1"
     write_row(tmp_path / "captures" / name / "transforms.json", {"w": 64, "h": 64, "frames": []})
-    assert command.main([*words, "--out", str(tmp_path), "--size", "128"]) == command.REFUSED
+    arguments = [*with_document(words, tmp_path), "--out", str(tmp_path), "--size", "128"]
+    assert command.main(arguments) == command.REFUSED
     assert f"{name} has photos that are 64 pixels wide, and 128 are asked for. Give --size 64" in capsys.readouterr().err
 
 
