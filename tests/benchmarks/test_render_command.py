@@ -22,7 +22,7 @@ DEADLINE_S = 60
 
 
 def with_document(words: tuple[str, ...], folder: Path) -> tuple[str, ...]:
-    """The words of a command. `random` gets a document of its own to fill: where a test fails, it may remove its pictures."""
+    """The words of a command. `random` gets a document of its own to fill, because it removes its document's pictures."""
     if words == RENDER:
         return words
     document = folder / "random-scenes.md"
