@@ -182,7 +182,7 @@ class EnvironmentPreset:
     transmittance_limit: float = 1e-3
     """A ray ends when its transmittance falls to this value; this saves time."""
     depth_limit: float = 1e-3
-    """Samples with a smaller optical depth are skipped; this saves time."""
+    """Samples with a smaller optical depth count as clear; this saves time."""
     learning_rate: float = 0.05
     """Adam's learning rate, in units of raw density and of log radiance."""
     rate_decay_from: float = 0.5

@@ -30,7 +30,7 @@ class EnvironmentVolume:
     transmittance_limit: float = 1e-4
     """The Numba body ends a ray when its transmittance falls to this value"""
     depth_limit: float = 1e-5
-    """The Numba body skips samples with a smaller optical depth"""
+    """Samples with a smaller optical depth count as clear"""
 
 
 class RenderedSegments(NamedTuple):

@@ -49,7 +49,7 @@ def interpolate(raw: Tensor, points: Tensor, shell: Tensor) -> Tensor:
 
 
 def render(raw: Tensor, detail: Tensor, rays: RaySamples, medium: Medium) -> tuple[Tensor, Tensor, Tensor]:
-    """The same as `environment_rendering_numba.render`, by autograd. No samples are skipped, and no rays are ended early.
+    """The same as `environment_rendering_numba.render`, by autograd. No rays are ended early.
 
     Returns:
         radiance [n, 3] premultiplied, transmittance [n], distortion [n].
@@ -68,6 +68,7 @@ def render(raw: Tensor, detail: Tensor, rays: RaySamples, medium: Medium) -> tup
         scale = ((t / medium.gradient_near) ** 2).clamp_max(1.0).to(raw.dtype)[..., None]
         values = values * scale + (values * (1 - scale)).detach()
     depth = medium.density_gain * torch.nn.functional.softplus(values[..., 0]) * step[:, None].to(raw.dtype) * inside
+    depth = depth * (depth >= medium.depth_limit)
     before = torch.exp(-(depth.cumsum(1) - depth))
     weight = -torch.expm1(-depth) * before
     color = _color(values)

@@ -36,7 +36,7 @@ class RaySamples(NamedTuple):
 
 
 class Medium(NamedTuple):
-    """Constants of the medium, and limits below which the Numba body neglects light."""
+    """Constants of the medium, and limits below which light is neglected."""
 
     contraction_radius: float
     """Beyond this radius, shells lie at equal steps of 1 / |x|"""
@@ -45,7 +45,7 @@ class Medium(NamedTuple):
     gradient_near: float
     """Distance t below which gradients are scaled by (t / gradient_near)^2; 0 for no scaling"""
     transmittance_limit: float
-    """A ray ends when its transmittance falls to this value"""
+    """The Numba body ends a ray when its transmittance falls to this value"""
     depth_limit: float
     """Samples with a smaller optical depth are skipped"""
 

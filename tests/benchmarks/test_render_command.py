@@ -39,7 +39,9 @@ def test_an_interrupt_ends_the_render_and_what_the_render_has_started(number, wo
     blender.chmod(0o755)
     code = "import sys, benchmarks.__main__ as c; sys.executable = sys.argv[1]; sys.exit(c.main(sys.argv[2:]))"
     arguments = [sys.executable, "-c", code, blender, *with_document(words, tmp_path), "--out", tmp_path / "out"]
-    running = subprocess.Popen(arguments, stderr=subprocess.PIPE, text=True, cwd=ROOT, start_new_session=True)
+    running = subprocess.Popen(
+        arguments, stderr=subprocess.PIPE, text=True, cwd=ROOT, start_new_session=True, preexec_fn=hear_interrupts
+    )
     started = [psutil.Process(int(pid)) for pid in wait_for(lambda: pids.read_text().split() if pids.is_file() else None)]
     os.kill(running.pid, number)
     said = running.communicate(timeout=DEADLINE_S)[1]
@@ -48,6 +50,11 @@ def test_an_interrupt_ends_the_render_and_what_the_render_has_started(number, wo
         one.kill()
     assert not left and running.returncode == command.INTERRUPTED
     assert said.splitlines() == ["interrupted; the same command goes on"]
+
+
+def hear_interrupts() -> None:
+    """A shell that starts tests in the background lets them, and so their programs, ignore SIGINT."""
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
 
 
 def wait_for(find):

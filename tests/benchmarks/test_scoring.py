@@ -196,7 +196,8 @@ def test_f_e_is_scored_without_the_exposure_that_each_test_photo_has_of_its_own(
     truth = true_mesh(SUZANNE_SMALL, capture)
     color = torch.tensor([0.2, 0.3, 0.1])
     constant = SimpleNamespace(
-        preset=SimpleNamespace(camera_near=0.1), render=lambda origins, *_: (2.0 * color.expand(len(origins), 3), None)
+        preset=SimpleNamespace(camera_near=0.1),
+        render=lambda origins, *_: SimpleNamespace(radiance=2.0 * color.expand(len(origins), 3)),
     )
     view = rays.view_of(torch.arange(rays.count))
     gains = torch.linspace(0.7, 1.4, rays.views)[view, None]

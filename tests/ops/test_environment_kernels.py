@@ -53,15 +53,16 @@ def render(raw, rays, body="numba", step=0.1, **more):
     return render_environment(raw, detail, RaySegments(*rays), volume, jitter=jitter, body=body)
 
 
-@pytest.mark.parametrize("gradient_near", [0.0, 1.5])
-def test_numba_and_torch_agree(gradient_near):
+@pytest.mark.parametrize(("gradient_near", "depth_limit"), [(0.0, 0.0), (1.5, 0.0), (1.5, 0.1)])
+def test_numba_and_torch_agree(gradient_near, depth_limit):
     rays = random_rays(60, 0)
     jitter = torch.rand(60, generator=torch.Generator().manual_seed(5), dtype=torch.float64)
     weights = torch.randn(60, 5, generator=torch.Generator().manual_seed(6), dtype=torch.float64)
     results = []
     for body in ("numba", "torch"):
         raw, detail = random_grid(6, 8, 1).requires_grad_(), random_detail(16, 2).requires_grad_()
-        shown = render(raw, rays, body, jitter=jitter, gradient_near=gradient_near, detail=detail)
+        more = {"jitter": jitter, "gradient_near": gradient_near, "depth_limit": depth_limit, "detail": detail}
+        shown = render(raw, rays, body, **more)
         (torch.column_stack(shown) * weights).sum().backward()
         assert detail.grad.abs().max() > 1e-3  # some rays see far shells
         results.append((*(part.detach() for part in shown), raw.grad, detail.grad))
