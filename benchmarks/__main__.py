@@ -129,6 +129,9 @@ def random_scenes(options: argparse.Namespace) -> int:
     rendered = [captures / name for name in names if (captures / name / "transforms.json").is_file()]
     runs = expand(["random"], rendered, {"preset": (options.preset,)} if options.preset else {})
     ended = run_all(options, runs)
+    if not any("score" in read_row(options.out / "rows" / f"{run.name}.json") for run in runs):
+        print(f"no scene has a score: {options.write} stays as it is", file=sys.stderr)
+        return ended or failed
     if ended != REFUSED:
         missing = write_random_report(options.out, captures, options.scenes, runs, options.write)
         for marker in missing:

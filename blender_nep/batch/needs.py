@@ -42,8 +42,8 @@ class Needs:
     on_card: bool = False
     """Whether the jobs use a graphics card"""
     _largest_ratio: float = 0.0
-    """Largest measured peak / prediction of the finished objects. Kept alone, because the time left of a batch asks for the
-    memory of each of 10,000 objects."""
+    """Largest measured peak / prediction of the finished objects. It is not found anew each time, because the time left of a
+    batch asks for the memory of each of 10,000 objects."""
     _measured: int = 0
     """Finished objects whose peak is known"""
     _seconds: float = 0.0

@@ -102,7 +102,7 @@ class BatchProgress(Listener):
     def place(self) -> tuple[float, float]:
         """(fraction of all work, seconds left), where objects count by the seconds that are expected for them.
 
-        Of the seconds left, each object takes the part of a job, when as many jobs run at once as its memory lets.
+        The seconds left of an object are divided by the number of jobs of its memory that may run at once.
         """
         whole = done = shared = 0.0
         running = [0.0]

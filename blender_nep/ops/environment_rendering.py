@@ -42,7 +42,7 @@ class RenderedSegments(NamedTuple):
     """[n]"""
     distortion: Tensor
     """[n] in 0..1: how far the light of a segment is spread along it. It is 0 if all comes from one place. This is eq. 15 of
-    mip-NeRF 360 (Barron et al. 2022), on the contracted distance along the ray; the longest is 1"""
+    mip-NeRF 360 (Barron et al. 2022). Places on the ray are those of w, in units of the length from |x| = 1 to infinity"""
 
 
 def render_environment(

@@ -50,7 +50,7 @@ class SampleRecords(NamedTuple):
     """[m, 2] in 0..1: place of the sample between the first row and column of that cell and the next ones"""
     local: np.ndarray
     """[m, 9]: d optical depth / d raw density, opacity, transmittance before the sample, radiance (3), gradient scale, place
-    on the ray, width of its step; the last two are shares of the longest contracted distance"""
+    on the ray from its start, width of its step; the last two in units of the contracted length from |x| = 1 to infinity"""
 
 
 @njit(cache=True, inline="always", fastmath=True, error_model="numpy")
@@ -180,11 +180,12 @@ def _sample_gradients(records, rendered, g_rendered, g_samples, used):
         g_t, g_d = float(g_rendered[i, 3]) * float(rendered[i, 3]), float(g_rendered[i, 4])
         if gr == 0.0 and gg == 0.0 and gb == 0.0 and g_t == 0.0 and g_d == 0.0:
             continue
-        sum_weights, sum_places = 0.0, 0.0  # of all samples, minus twice those that were passed
+        sum_weights, sum_places = 0.0, 0.0  # those of the samples behind the present one, minus those in front of it
         for m in range(first, first + kept[i]):
             weight = float(local[m, 2]) * float(local[m, 1])
             sum_weights, sum_places = sum_weights + weight, sum_places + weight * float(local[m, 7])
-        behind_d = 2.0 * float(rendered[i, 4])  # a sum of products of two weights has twice its value as slope
+        # the sum of weight times slope: the distortion is a sum of products of two weights, so this is twice its value
+        behind_d = 2.0 * float(rendered[i, 4])
         for m in range(first, first + kept[i]):
             alpha, passed, scale = float(local[m, 1]), float(local[m, 2]), float(local[m, 6])
             red, green, blue = float(local[m, 3]), float(local[m, 4]), float(local[m, 5])

@@ -47,7 +47,7 @@ class Medium(NamedTuple):
     transmittance_limit: float
     """The Numba body ends a ray when its transmittance falls to this value"""
     depth_limit: float
-    """Samples with a smaller optical depth are skipped"""
+    """Samples with a smaller optical depth count as clear"""
 
 
 def sample_rays(segments: RaySegments, contraction_radius: float, longest_step: float, jitter: Tensor | None) -> RaySamples:

@@ -180,6 +180,22 @@ def test_the_command_renders_what_is_missing_and_reports_a_render_that_fails(tmp
     assert "0.0020" in text
 
 
+def test_without_any_score_the_document_and_its_pictures_stay_as_they_are(tmp_path, monkeypatch, capsys):
+    document, picture = tmp_path / "random-scenes.md", tmp_path / "random-scenes" / "12.png"
+    shutil.copy(DOCUMENT, document)
+    picture.parent.mkdir()
+    picture.write_bytes(b"a picture")
+
+    class FailingChildren:
+        def run(self, command, log, threads, limit):
+            return Ended(1, 1.0, 1.0, 1.0, False)
+
+    monkeypatch.setattr(command, "Children", FailingChildren)
+    assert command.main(["random", "--scenes", "1", "--out", str(tmp_path / "out"), "--write", str(document)]) == 1
+    assert document.read_bytes() == DOCUMENT.read_bytes() and picture.read_bytes() == b"a picture"
+    assert f"no scene has a score: {document} stays as it is" in capsys.readouterr().err
+
+
 def test_a_document_that_is_not_there_is_refused_before_anything_runs(tmp_path, capsys):
     with pytest.raises(SystemExit) as ended:
         command.main(["random", "--out", str(tmp_path / "out"), "--write", str(tmp_path / "missing.md")])

@@ -42,9 +42,14 @@ def test_an_interrupt_ends_the_render_and_what_the_render_has_started(number, wo
     running = subprocess.Popen(
         arguments, stderr=subprocess.PIPE, text=True, cwd=ROOT, start_new_session=True, preexec_fn=hear_interrupts
     )
-    started = [psutil.Process(int(pid)) for pid in wait_for(lambda: pids.read_text().split() if pids.is_file() else None)]
-    os.kill(running.pid, number)
-    said = running.communicate(timeout=DEADLINE_S)[1]
+    try:
+        started = [
+            psutil.Process(int(pid)) for pid in wait_for(lambda: pids.read_text().split() if pids.is_file() else None)
+        ]
+        os.kill(running.pid, number)
+        said = running.communicate(timeout=DEADLINE_S)[1]
+    finally:
+        running.kill()  # where it did not end, it would go on after the test
     left = [one for one in psutil.wait_procs(started, timeout=5)[1] if one.status() != psutil.STATUS_ZOMBIE]
     for one in left:
         one.kill()
