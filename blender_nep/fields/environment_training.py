@@ -181,7 +181,7 @@ def learn_environment(
         if refine(environment, rays, background, step / preset.steps):
             adam = optimizer(environment)
         set_learning_rate(adam, preset, step / preset.steps)
-        pick = torch.randint(len(background), (preset.rays_per_step,), generator=generator, device=device)
+        pick = torch.randint(len(background), (preset.rays_per_step,), generator=generator, device=device).sort().values
         loss = learn_step(environment, adam, rays, background[pick], generator)
         monitor.record(usable_loss(loss))
         step += 1

@@ -39,8 +39,9 @@ class ObjectPixels:
         return PixelSet.joined([self.veiled, self.clear])
 
     def draw(self, count: int, every: int, generator: torch.Generator) -> tuple[Tensor, Tensor]:
-        """About `count` random pixels that are not held out: the clear ones [c] and the veiled ones [v], in int64."""
-        place = torch.randint(len(self), (count,), generator=generator, device=generator.device)
+        """About `count` random pixels that are not held out: the clear ones [c] and the veiled ones [v], in int64, each
+        rising (`draw_pixels`)."""
+        place = torch.randint(len(self), (count,), generator=generator, device=generator.device).sort().values
         clear, veiled = place[place < len(self.clear)], place[place >= len(self.clear)] - len(self.clear)
         clear, veiled = self.clear[clear], self.veiled[veiled]
         return clear[~held_out(clear, every)], veiled[~held_out(veiled, every)]
@@ -128,11 +129,12 @@ def held_out_pixels(pixels: PixelSet, every: int, most: int) -> Tensor:
 
 @profiled("draw pixels")
 def draw_pixels(pool: PixelSet | Tensor, count: int, every: int, generator: torch.Generator) -> Tensor:
-    """About `count` random pixels [m] of the pool that are not held out.
+    """About `count` random pixels [m] of the pool that are not held out, in the pool's order.
 
-    If all drawn pixels are held out, these are returned all the same.
+    Rays of neighboring pixels that follow each other find most nodes of the grids in the processor's cache. If all drawn
+    pixels are held out, these are returned all the same.
     """
-    index = pool[torch.randint(len(pool), (count,), generator=generator, device=generator.device)]
+    index = pool[torch.randint(len(pool), (count,), generator=generator, device=generator.device).sort().values]
     learned = index[~held_out(index, every)]
     return learned if len(learned) else index
 

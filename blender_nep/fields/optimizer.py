@@ -9,6 +9,8 @@ from __future__ import annotations
 
 import torch
 
+from blender_nep.ops.touched import touched_mean_square
+
 
 class UniformAdam(torch.optim.Optimizer):
     """Adam with one second moment for each tensor.
@@ -32,9 +34,8 @@ class UniformAdam(torch.optim.Optimizer):
                     state["step"], state["mean"] = 0, torch.zeros_like(p)
                     state["square"] = torch.zeros((), device=p.device)
                 state["step"] += 1
-                touched = torch.count_nonzero(p.grad).clamp(min=1)
                 state["mean"].lerp_(p.grad, 1 - b1)
-                square = p.grad.flatten().dot(p.grad.flatten()) / touched
-                state["square"].lerp_(square, 1 - b2)
+                state["square"].lerp_(touched_mean_square(p.grad), 1 - b2)
                 scale = (state["square"] / (1 - b2 ** state["step"])).sqrt().clamp(min=1e-20)
-                p.sub_(state["mean"] * (group["scale"] * group["lr"] / (1 - b1 ** state["step"]) / scale))
+                length = group["scale"] * group["lr"] / (1 - b1 ** state["step"]) / scale
+                p.addcmul_(state["mean"], length, value=-1)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 import torch
 from numba import njit, prange
@@ -11,58 +9,73 @@ from numba import njit, prange
 from blender_nep.ops.precision import at_least_float32
 
 
+@njit(cache=True, inline="always", fastmath=True, error_model="numpy")
+def _pull(low, high, scale, softness, pull):
+    """Fill pull [m] with the derivatives by high [m] of scale * sqrt((high - low)^2 + softness^2). Returns the sum of that."""
+    total = 0.0
+    for i in range(low.shape[0]):
+        difference = high[i] - low[i]
+        length = np.sqrt(difference * difference + softness * softness)
+        total += scale[i] * length
+        pull[i] = scale[i] * difference / length
+    return total
+
+
 @njit(cache=True, parallel=True, fastmath=True, error_model="numpy")
-def _variation(grid, weight, softness, value, gradient):
-    shells, rows, columns, channels = grid.shape
-    squared = softness * softness
-    scale = np.empty((3, channels))
-    for h in range(channels):
-        scale[0, h] = weight[h] / (max(shells - 1, 1) * rows * columns)
-        scale[1, h] = weight[h] / (shells * (rows - 1) * columns)
-        scale[2, h] = weight[h] / (shells * rows * columns)
+def _add_variation(grid, channels, scale, softness, value, gradient):
+    """Fill value [H], one part for each row, and add to gradient [K, H, W C].
+
+    grid is [K, H, W C]; scale [3, W C] holds the weights of the differences from shell to shell, row to row, and column to
+    column. The loops go over whole rows, so that they become vector instructions.
+    """
+    shells, rows, m = grid.shape
     for row in prange(rows):
-        total = 0.0
+        total, after = 0.0, np.empty(m, grid.dtype)
+        to_shell, to_row, from_row = np.zeros(m, grid.dtype), np.zeros(m, grid.dtype), np.zeros(m, grid.dtype)
+        to_column, from_shell = np.empty(m, grid.dtype), np.zeros(m, grid.dtype)
         for k in range(shells):
-            for column in range(columns):
-                after = column + 1 if column + 1 < columns else 0
-                left = column - 1 if column > 0 else columns - 1
-                for h in range(channels):
-                    here = grid[k, row, column, h]
-                    slope = 0.0
-                    if k + 1 < shells:
-                        d = grid[k + 1, row, column, h] - here
-                        length = math.sqrt(d * d + squared)
-                        total += scale[0, h] * length
-                        slope -= scale[0, h] * d / length
-                    if k > 0:
-                        d = here - grid[k - 1, row, column, h]
-                        slope += scale[0, h] * d / math.sqrt(d * d + squared)
-                    if row + 1 < rows:
-                        d = grid[k, row + 1, column, h] - here
-                        length = math.sqrt(d * d + squared)
-                        total += scale[1, h] * length
-                        slope -= scale[1, h] * d / length
-                    if row > 0:
-                        d = here - grid[k, row - 1, column, h]
-                        slope += scale[1, h] * d / math.sqrt(d * d + squared)
-                    d = grid[k, row, after, h] - here
-                    length = math.sqrt(d * d + squared)
-                    total += scale[2, h] * length
-                    slope -= scale[2, h] * d / length
-                    d = here - grid[k, row, left, h]
-                    slope += scale[2, h] * d / math.sqrt(d * d + squared)
-                    gradient[k, row, column, h] = slope
+            here, slope = grid[k, row], gradient[k, row]
+            if k + 1 < shells:
+                total += _pull(here, grid[k + 1, row], scale[0], softness, to_shell)
+            else:
+                to_shell[:] = 0
+            if row + 1 < rows:
+                total += _pull(here, grid[k, row + 1], scale[1], softness, to_row)
+            if row > 0:  # the value is counted by the row before
+                _pull(grid[k, row - 1], here, scale[1], softness, from_row)
+            for i in range(m - channels):
+                after[i] = here[i + channels]
+            for i in range(channels):
+                after[m - channels + i] = here[i]
+            total += _pull(here, after, scale[2], softness, to_column)
+            for i in range(channels):
+                slope[i] += from_shell[i] + from_row[i] + to_column[m - channels + i] - to_shell[i] - to_row[i] - to_column[i]
+            for i in range(channels, m):
+                slope[i] += from_shell[i] + from_row[i] + to_column[i - channels] - to_shell[i] - to_row[i] - to_column[i]
+            to_shell, from_shell = from_shell, to_shell
         value[row] = total
+
+
+def _add_variation_numba(
+    grid: torch.Tensor, weight: tuple[float, ...], softness: float, gradient: torch.Tensor
+) -> torch.Tensor:
+    """Add the gradient of `total_variation` to `gradient`, both [K, H, W, C] contiguous on the CPU. Returns the value []."""
+    slab = grid.detach().contiguous().numpy()
+    shells, rows, columns, channels = slab.shape
+    counts = max(shells - 1, 1) * rows * columns, shells * (rows - 1) * columns, shells * rows * columns
+    scale = np.tile(np.asarray(weight) / np.asarray(counts)[:, None], columns).astype(slab.dtype)
+    value, flat = np.empty(rows), (shells, rows, columns * channels)
+    _add_variation(
+        slab.reshape(flat), channels, scale, slab.dtype.type(softness), value, gradient.numpy().reshape(flat)
+    )
+    return grid.new_tensor(value.sum())
 
 
 class _VariationNumba(torch.autograd.Function):
     @staticmethod
     def forward(ctx, grid, weight, softness):
-        slab = grid.detach().numpy()
-        value, gradient = np.empty(slab.shape[1]), np.empty(slab.shape, slab.dtype)
-        _variation(slab, np.asarray(weight, np.float64), softness, value, gradient)
-        ctx.gradient = torch.from_numpy(gradient)
-        return grid.new_tensor(value.sum())
+        ctx.gradient = torch.zeros_like(grid, memory_format=torch.contiguous_format)
+        return _add_variation_numba(grid, weight, softness, ctx.gradient)
 
     @staticmethod
     def backward(ctx, g):
@@ -84,3 +97,19 @@ def total_variation(grid: torch.Tensor, weight: tuple[float, ...], softness: flo
         means = [torch.sqrt(d * d + softness**2).mean(dim=(0, 1, 2)) for d in differences if d.numel()]
         return torch.stack(means).sum(0) @ grid.new_tensor(weight)
     return _VariationNumba.apply(grid, weight, softness)
+
+
+def add_total_variation_gradient(
+    grid: torch.Tensor, weight: tuple[float, ...], softness: float, gradient: torch.Tensor
+) -> torch.Tensor:
+    """Add the gradient of `total_variation` to `gradient` [K, H, W, C] in place, and return the value [].
+
+    Recording the same for automatic differentiation would take twice as long: it writes and adds whole grids.
+    """
+    if grid.device.type == "cpu" and grid.dtype == gradient.dtype and gradient.is_contiguous():
+        return _add_variation_numba(grid, weight, softness, gradient)
+    grid = grid.detach().requires_grad_()
+    with torch.enable_grad():
+        value = total_variation(grid, weight, softness)
+    gradient += torch.autograd.grad(value, grid)[0]
+    return value.detach()

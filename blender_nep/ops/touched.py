@@ -1,0 +1,38 @@
+"""The mean square of the touched entries of a gradient. The body is Numba's on the CPU, and plain torch elsewhere.
+
+On the CPU, torch.count_nonzero alone takes twenty times as long as a pass over the entries.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+from numba import njit, prange
+
+_PART = 1 << 16
+"""Entries whose sum one thread computes. It is fixed, so that the result does not depend on the number of threads."""
+
+
+@njit(cache=True, parallel=True, fastmath={"reassoc", "contract"})
+def _sums(values, squares, touched):
+    """Fill squares and touched [parts]: the sum of squares, and the number of nonzero entries, of each part of values [n]."""
+    for part in prange(squares.shape[0]):
+        total, count = 0.0, 0
+        for i in range(part * _PART, min((part + 1) * _PART, values.shape[0])):
+            value = values[i]
+            total += value * value
+            count += value != 0
+        squares[part], touched[part] = total, count
+
+
+@torch.no_grad()
+def touched_mean_square(gradient: torch.Tensor) -> torch.Tensor:
+    """The mean square [] of the entries of `gradient` that are not 0; 0 if all are."""
+    if gradient.device.type != "cpu":
+        flat = gradient.flatten()
+        return flat.dot(flat) / torch.count_nonzero(flat).clamp(min=1)
+    values = gradient.contiguous().flatten().numpy()
+    parts = -(-len(values) // _PART)
+    squares, touched = np.empty(parts, np.float64), np.empty(parts, np.int64)
+    _sums(values, squares, touched)
+    return gradient.new_tensor(squares.sum() / max(1, int(touched.sum())))
