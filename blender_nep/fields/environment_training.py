@@ -84,7 +84,7 @@ def freeze(environment: EnvironmentField, rays: PixelRays, background: PixelSet 
     """End the learning of F_e: measure its coverage with random pixels out of `background` (indices)."""
     generator = torch.Generator(background.device).manual_seed(seed)
     pick = torch.randint(len(background), (environment.preset.coverage_rays,), generator=generator, device=background.device)
-    origins, directions, _ = rays.rays(background[pick])
+    origins, directions, _ = rays.rays(background[pick.sort().values])
     environment.freeze(origins, directions)
 
 

@@ -271,7 +271,7 @@ class ObjectField(SurfaceColor):
         """Spline coefficients [N, N, N] of the whole SDF: the sum of all levels, on the finest level."""
         total = self.levels[0]
         for level in self.levels[1:]:
-            total = bspline.refine(total) + level
+            total = bspline.refine(total, level)
         return total
 
     @torch.no_grad()

@@ -11,6 +11,7 @@ and a small sphere does not reach thin parts before it is sharp.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -174,5 +175,22 @@ def _score(rays: PixelRays, silhouettes: list[torch.Tensor], points: torch.Tenso
             sample = functional.grid_sample(silhouette[None, None], place[None, :, None], align_corners=False)[0, 0, :, 0]
             seen = ahead & (place.abs() < 1).all(-1)
             samples.append(torch.where(seen, sample, torch.nan))
-        scores.append(torch.nanquantile(torch.stack(samples), LOWEST_SHARE, dim=0))
+        scores.append(low_quantile(torch.stack(samples), LOWEST_SHARE))
     return torch.cat(scores)
+
+
+def low_quantile(values: torch.Tensor, share: float) -> torch.Tensor:
+    """torch.nanquantile(values, share, dim=0) of values [views, n]; NaN where all are NaN.
+
+    For a small share it is several times as fast, because it sorts only the smallest values.
+    """
+    known = ~values.isnan()
+    number = known.sum(0)
+    most = min(math.floor(share * (len(values) - 1)) + 2, len(values))
+    lowest = torch.where(known, values, torch.inf).T.contiguous().topk(most, largest=False).values
+    place = share * (number - 1).clamp(min=0)
+    below = place.floor().long()
+    above = (below + 1).clamp(max=most - 1)
+    low, high = lowest.gather(1, below[:, None])[:, 0], lowest.gather(1, above[:, None])[:, 0]
+    mixed = torch.where(place > below, torch.lerp(low, high, place - below), low)  # `high` is infinite behind the last value
+    return torch.where(number > 0, mixed, torch.nan)

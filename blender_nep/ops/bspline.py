@@ -210,8 +210,10 @@ def sample(coef: torch.Tensor, points: torch.Tensor, hessian: bool = False) -> t
 
 
 @njit(cache=True, parallel=True, fastmath=True)
-def _refine(coef, fine):
-    """Chaikin's rule along three axes: each block of 2^3 neighboring coefficients gives 2^3 finer ones."""
+def _refine(coef, level, fine):
+    """Chaikin's rule along three axes: each block of 2^3 neighboring coefficients gives 2^3 finer ones. Then adds `level`,
+    which has the size of `fine`, or 0."""
+    adds = level.shape[0] > 0
     n0, n1, n2 = coef.shape[0] - 1, coef.shape[1] - 1, coef.shape[2] - 1
     for i in prange(n0):
         # `row` is a row of `coef` after the rule along x and y; there is one for each of the four finer rows
@@ -229,6 +231,10 @@ def _refine(coef, fine):
                     for k in range(n2):
                         out[2 * k] = 0.75 * row[k] + 0.25 * row[k + 1]
                         out[2 * k + 1] = 0.25 * row[k] + 0.75 * row[k + 1]
+                    if adds:
+                        more = level[2 * i + a, 2 * j + b]
+                        for k in range(2 * n2):
+                            out[k] += more[k]
 
 
 @njit(cache=True, parallel=True, fastmath=True)
@@ -259,9 +265,10 @@ def _refine_adjoint(grad, coef_grad):
 
 class _Refine(torch.autograd.Function):
     @staticmethod
-    def forward(ctx, coef):
+    def forward(ctx, coef, level):
         fine = coef.new_empty([2 * n - 2 for n in coef.shape])
-        _refine(coef.detach().contiguous().numpy(), fine.numpy())
+        plus = coef.new_empty(0, 0, 0) if level is None else level
+        _refine(coef.detach().contiguous().numpy(), plus.detach().contiguous().numpy(), fine.numpy())
         ctx.shape = coef.shape
         return fine
 
@@ -269,7 +276,7 @@ class _Refine(torch.autograd.Function):
     def backward(ctx, grad):
         coef_grad = grad.new_empty(ctx.shape)
         _refine_adjoint(grad.contiguous().numpy(), coef_grad.numpy())
-        return coef_grad
+        return coef_grad, grad if ctx.needs_input_grad[1] else None
 
 
 def refine_torch(coef: torch.Tensor) -> torch.Tensor:
@@ -282,10 +289,12 @@ def refine_torch(coef: torch.Tensor) -> torch.Tensor:
     return coef
 
 
-def refine(coef: torch.Tensor) -> torch.Tensor:
+def refine(coef: torch.Tensor, level: torch.Tensor | None = None) -> torch.Tensor:
     """Coefficients of exactly the same spline on cells half as wide: [N, N, N] -> [2N - 2, 2N - 2, 2N - 2].
 
-    Linear and differentiable.
+    With a finer level [2N - 2, 2N - 2, 2N - 2], its coefficients are added. Linear and differentiable.
     """
-    (coef,) = at_least_float32(coef)
-    return _Refine.apply(coef) if coef.device.type == "cpu" else refine_torch(coef)
+    coef, *levels = at_least_float32(*((coef,) if level is None else (coef, level)))
+    if coef.device.type == "cpu":
+        return _Refine.apply(coef, *(levels or (None,)))
+    return sum(levels, refine_torch(coef))

@@ -57,18 +57,37 @@ class _Cones(NamedTuple):
     """[n] shells nearer than this distance are left out"""
     half_angle: np.ndarray
     """[n] radians"""
+    order: np.ndarray
+    """[n] int64: the order in which they are composited"""
+
+
+_STRIPS = 16
+"""Number of strips of the sphere in which cones are sorted."""
+
+
+def _neighbors_first(directions: torch.Tensor, half_angle: torch.Tensor, ratio: float) -> torch.Tensor:
+    """An order [n] of cones in which most cones follow others that read the same nodes: from the same level (half angles
+    that differ by less than `ratio`) and in neighboring directions.
+
+    The finest levels are larger than the processor's caches. So the order halves the time of random cones.
+    """
+    level = (half_angle.clamp(min=1e-6).log() / math.log(ratio)).floor()
+    strip = (directions[:, 2].clamp(-1, 1).acos() * (_STRIPS / math.pi)).floor()
+    turn = torch.atan2(directions[:, 1], directions[:, 0]) * (0.5 / math.pi)
+    return ((level * (_STRIPS + 1) + strip).double() * 2 + turn).argsort()
 
 
 @njit(cache=True, parallel=True, fastmath=True, error_model="numpy")
 def _composite(levels_of, radii, detail, shell_radii, occupied, far, cones, out, blocks):
     """Fill out [n, 4]: mean radiance and coverage of n `_Cones`, in `blocks` parallel tasks. See `composite_cones`."""
-    origins, directions, near, half_angle = cones
+    origins, directions, near, half_angle, order = cones
     n, levels, shells = origins.shape[0], radii.shape[0], shell_radii.shape[0]
     to_level = 1.0 / math.log(radii[1] / radii[0])
     first, to_finer = math.log(radii[0]), 1.0 / math.log(detail.shape[0] / levels_of[0].shape[0])
     for block in prange(blocks):
         value = np.empty(5)
-        for i in range(block * n // blocks, (block + 1) * n // blocks):
+        for p in range(block * n // blocks, (block + 1) * n // blocks):
+            i = order[p]
             ox, oy, oz = float(origins[i, 0]), float(origins[i, 1]), float(origins[i, 2])
             dx, dy, dz = float(directions[i, 0]), float(directions[i, 1]), float(directions[i, 2])
             along = ox * dx + oy * dy + oz * dz
@@ -175,6 +194,8 @@ def composite_cones(
     """
     out = np.empty((len(origins), 4), np.float32)
     near = (near - 1e-4).clamp(min=0)
+    cones = [part.detach().cpu().float() for part in (origins, directions, near, half_angle)]
+    order = _neighbors_first(cones[1], cones[3], radii[1] / radii[0])
     _composite(
         numba.typed.List(levels),
         np.asarray(radii, np.float64),
@@ -182,7 +203,7 @@ def composite_cones(
         shell_radii.double().clamp(max=SKY_RADIUS).numpy(),
         occupied.numpy(),
         far.double().numpy(),
-        _Cones(*(a.detach().cpu().contiguous().float().numpy() for a in (origins, directions, near, half_angle))),
+        _Cones(*(part.contiguous().numpy() for part in (*cones, order))),
         out,
         16 * numba.get_num_threads(),
     )

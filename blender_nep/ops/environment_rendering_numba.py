@@ -40,10 +40,10 @@ class SampleRecords(NamedTuple):
     """[n] int64"""
     cells: np.ndarray
     """[m, 3] int32: shell, row + 1, column, as `angular_cell` returns them"""
-    fractions: np.ndarray
-    """[m, 3] in 0..1: place of the sample between the cell's first shell, row and column and the next ones"""
-    detail_share: np.ndarray
-    """[m] in 0..1: `far_share`. Where it is 0, the sample has no color detail."""
+    scattered: np.ndarray
+    """[m, 8]: what a sample adds to its nodes, side by side in memory. The first three in 0..1 are the place of the sample
+    between the cell's first shell, row and column and the next ones. The fourth is `far_share`: where it is 0, the sample
+    has no color detail. The backward pass fills the gradients of the four raw values into the rest"""
     detail_cells: np.ndarray
     """[m, 2] int32: row + 1 and column of the cell in the color detail"""
     detail_fractions: np.ndarray
@@ -82,8 +82,8 @@ def _march(raw, detail, rays, medium, rendered, kept, records, keep):
     """
     origins, directions, t_closest, b, w_near, w_length, infinite, offsets, jitter = rays
     contraction_radius, density_gain, gradient_near, transmittance_limit, depth_limit = medium
-    cells, fractions, local = records.cells, records.fractions, records.local
-    detail_share, detail_cells, detail_fractions = records.detail_share, records.detail_cells, records.detail_fractions
+    cells, scattered, local = records.cells, records.scattered, records.local
+    detail_cells, detail_fractions = records.detail_cells, records.detail_fractions
     shells, rows, columns = raw.shape[0], raw.shape[1], raw.shape[2]
     length = math.log(contraction_radius) + 1.0
     spacing = length / (shells - 1)
@@ -146,8 +146,7 @@ def _march(raw, detail, rays, medium, rendered, kept, records, keep):
             red, green, blue = red + weight * red_here, green + weight * green_here, blue + weight * blue_here
             if keep:
                 cells[m, 0], cells[m, 1], cells[m, 2] = k, j, c
-                fractions[m, 0], fractions[m, 1], fractions[m, 2] = fk, fj, fc
-                detail_share[m] = share
+                scattered[m, 0], scattered[m, 1], scattered[m, 2], scattered[m, 3] = fk, fj, fc, share
                 if share > 0.0:
                     detail_cells[m, 0], detail_cells[m, 1] = place[0], place[1]
                     detail_fractions[m, 0], detail_fractions[m, 1] = place[2], place[3]
@@ -165,9 +164,9 @@ def _march(raw, detail, rays, medium, rendered, kept, records, keep):
 
 
 @njit(cache=True, parallel=True, fastmath=True, error_model="numpy")
-def _sample_gradients(records, rendered, g_rendered, g_samples, used):
-    """Fill g_samples [m, 4]: the gradients of the raw values at every kept sample. `used` [m] marks the places that are
-    filled.
+def _sample_gradients(records, rendered, g_rendered, scattered, used):
+    """Fill the gradients of the raw values at every kept sample into `records.scattered`, which is given once more because
+    the loop writes to it. `used` [m] marks the places that are filled.
 
     `rendered` [n, 5] is what `_march` has made, g_rendered [n, 5] its gradient. The distortion is a sum over samples, too:
     its derivative by a sample's weight plays the part of the sample's color.
@@ -201,10 +200,10 @@ def _sample_gradients(records, rendered, g_rendered, g_samples, used):
             rest = passed * (1.0 - alpha)
             g_depth = gr * (rest * red - behind_r) + gg * (rest * green - behind_g) - g_t
             g_depth += gb * (rest * blue - behind_b) + g_d * (rest * slope - behind_d)
-            g_samples[m, 0] = scale * g_depth * local[m, 0]
-            g_samples[m, 1] = scale * gr * weight * red
-            g_samples[m, 2] = scale * gg * weight * green
-            g_samples[m, 3] = scale * gb * weight * blue
+            scattered[m, 4] = scale * g_depth * local[m, 0]
+            scattered[m, 5] = scale * gr * weight * red
+            scattered[m, 6] = scale * gg * weight * green
+            scattered[m, 7] = scale * gb * weight * blue
             used[m] = 1
 
 
@@ -231,12 +230,12 @@ def _order_by_row(used, cells, rows):
 
 
 @njit(cache=True, parallel=True, fastmath=True, error_model="numpy")
-def _scatter_rows(order, start, records, g_samples, g_raw, g_detail, parity):
+def _scatter_rows(order, start, records, g_raw, g_detail, parity):
     """Add the sample gradients to both grids for the cells in all rows of one parity.
 
     These cells share no rows of the raw grid, and no rows of the detail, which has at least twice as many rows.
     """
-    cells, fractions = records.cells, records.fractions
+    cells, scattered = records.cells, records.scattered
     detail_cells, detail_fractions = records.detail_cells, records.detail_fractions
     rows, columns = g_raw.shape[1], g_raw.shape[2]
     for half_j in prange((rows + 2 - parity) // 2):
@@ -244,7 +243,7 @@ def _scatter_rows(order, start, records, g_samples, g_raw, g_detail, parity):
         for p in range(start[j], start[j + 1]):
             m = order[p]
             k, c = cells[m, 0], cells[m, 2]
-            fk, fj, fc = fractions[m, 0], fractions[m, 1], fractions[m, 2]
+            fk, fj, fc, share = scattered[m, 0], scattered[m, 1], scattered[m, 2], scattered[m, 3]
             top, bottom, tl, tr, bl, br = cell_columns(j, c, rows, columns)
             for side in range(2):
                 g = fk if side else 1 - fk
@@ -253,19 +252,18 @@ def _scatter_rows(order, start, records, g_samples, g_raw, g_detail, parity):
                 w2 = g * fj * (1 - fc)
                 w3 = g * fj * fc
                 for channel in range(4):
-                    value = g_samples[m, channel]
+                    value = scattered[m, 4 + channel]
                     g_raw[k + side, top, tl, channel] += w0 * value
                     g_raw[k + side, top, tr, channel] += w1 * value
                     g_raw[k + side, bottom, bl, channel] += w2 * value
                     g_raw[k + side, bottom, br, channel] += w3 * value
-            share = records.detail_share[m]
             if share == 0.0:
                 continue
             corners = cell_columns(detail_cells[m, 0], detail_cells[m, 1], g_detail.shape[0], g_detail.shape[1])
             top, bottom, tl, tr, bl, br = corners
             w0, w1, w2, w3 = bilinear_weights(detail_fractions[m, 0], detail_fractions[m, 1])
             for channel in range(3):
-                value = share * g_samples[m, channel + 1]
+                value = share * scattered[m, 5 + channel]
                 g_detail[top, tl, channel] += w0 * value
                 g_detail[top, tr, channel] += w1 * value
                 g_detail[bottom, bl, channel] += w2 * value
@@ -283,8 +281,7 @@ class _Render(torch.autograd.Function):
             rays.offsets.contiguous().numpy(),
             np.empty(n, np.int64),
             np.empty((m, 3), np.int32),
-            np.empty((m, 3), grid.dtype),
-            np.empty(m, grid.dtype),
+            np.empty((m, 8), grid.dtype),
             np.empty((m, 2), np.int32),
             np.empty((m, 2), grid.dtype),
             np.empty((m, 9), grid.dtype),
@@ -298,13 +295,12 @@ class _Render(torch.autograd.Function):
     @staticmethod
     def backward(ctx, g_rendered):
         records = ctx.records
-        g_samples = np.empty((len(records.local), 4), records.local.dtype)
         used = np.zeros(len(records.local), np.uint8)
-        _sample_gradients(records, ctx.rendered, g_rendered.contiguous().numpy(), g_samples, used)
+        _sample_gradients(records, ctx.rendered, g_rendered.contiguous().numpy(), records.scattered, used)
         order, start = _order_by_row(used, records.cells, ctx.shapes[0][1])
         g_raw, g_detail = (np.zeros(shape, records.local.dtype) for shape in ctx.shapes)
         for parity in (0, 1):
-            _scatter_rows(order, start, records, g_samples, g_raw, g_detail, parity)
+            _scatter_rows(order, start, records, g_raw, g_detail, parity)
         return torch.from_numpy(g_raw), torch.from_numpy(g_detail), None, None
 
 

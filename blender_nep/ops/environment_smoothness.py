@@ -11,7 +11,10 @@ from blender_nep.ops.precision import at_least_float32
 
 @njit(cache=True, inline="always", fastmath=True, error_model="numpy")
 def _pull(low, high, scale, softness, pull):
-    """Fill pull [m] with the derivatives by high [m] of scale * sqrt((high - low)^2 + softness^2). Returns the sum of that."""
+    """The cost of the differences between low and high [m]: the sum of scale * sqrt((high - low)^2 + softness^2).
+
+    Fills pull [m] with its derivatives by `high`.
+    """
     total = 0.0
     for i in range(low.shape[0]):
         difference = high[i] - low[i]
@@ -49,7 +52,9 @@ def _add_variation(grid, channels, scale, softness, value, gradient):
                 after[m - channels + i] = here[i]
             total += _pull(here, after, scale[2], softness, to_column)
             for i in range(channels):
-                slope[i] += from_shell[i] + from_row[i] + to_column[m - channels + i] - to_shell[i] - to_row[i] - to_column[i]
+                slope[i] += (
+                    from_shell[i] + from_row[i] + to_column[m - channels + i] - to_shell[i] - to_row[i] - to_column[i]
+                )
             for i in range(channels, m):
                 slope[i] += from_shell[i] + from_row[i] + to_column[i - channels] - to_shell[i] - to_row[i] - to_column[i]
             to_shell, from_shell = from_shell, to_shell
@@ -65,9 +70,7 @@ def _add_variation_numba(
     counts = max(shells - 1, 1) * rows * columns, shells * (rows - 1) * columns, shells * rows * columns
     scale = np.tile(np.asarray(weight) / np.asarray(counts)[:, None], columns).astype(slab.dtype)
     value, flat = np.empty(rows), (shells, rows, columns * channels)
-    _add_variation(
-        slab.reshape(flat), channels, scale, slab.dtype.type(softness), value, gradient.numpy().reshape(flat)
-    )
+    _add_variation(slab.reshape(flat), channels, scale, slab.dtype.type(softness), value, gradient.numpy().reshape(flat))
     return grid.new_tensor(value.sum())
 
 

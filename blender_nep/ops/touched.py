@@ -15,7 +15,7 @@ _PART = 1 << 16
 
 @njit(cache=True, parallel=True, fastmath={"reassoc", "contract"})
 def _sums(values, squares, touched):
-    """Fill squares and touched [parts]: the sum of squares, and the number of nonzero entries, of each part of values [n]."""
+    """Fill squares and touched [parts]: of each part of values [n], the sum of squares and the number of nonzero entries."""
     for part in prange(squares.shape[0]):
         total, count = 0.0, 0
         for i in range(part * _PART, min((part + 1) * _PART, values.shape[0])):

@@ -98,6 +98,16 @@ def test_constant_environment_gives_the_constant(degrees):
     assert (transmittance <= 1e-3).all()
 
 
+def test_a_cone_does_not_depend_on_the_others(room):
+    """Cones are composited in another order than they are given, so that neighbors follow each other."""
+    origins, directions = 0.8 * random_directions(60, 7), random_directions(60, 8)
+    half_angle = torch.logspace(-2, 0.1, 60)[torch.randperm(60, generator=torch.Generator().manual_seed(0))]
+    together = room.query_cone(origins, directions, half_angle)
+    each = [room.query_cone(origins[i, None], directions[i, None], half_angle[i, None]) for i in range(60)]
+    for part, alone in zip(together, zip(*each, strict=True), strict=True):
+        torch.testing.assert_close(part, torch.cat(alone), rtol=0, atol=0)
+
+
 def test_cone_starts_at_the_border_for_points_on_it(room):
     """From the border outwards nothing is skipped; from a point on it inwards the far side begins after the sphere."""
     directions = random_directions(30, 6)

@@ -7,7 +7,15 @@ from torch.nn import functional
 
 from blender_nep.capture import PixelRays, load_capture
 from blender_nep.fields.object_field import ObjectField
-from blender_nep.fields.visual_hull import LEAST_EXCESS, background_silhouettes, carve, excess, mask_silhouettes, score_cells
+from blender_nep.fields.visual_hull import (
+    LEAST_EXCESS,
+    background_silhouettes,
+    carve,
+    excess,
+    low_quantile,
+    mask_silhouettes,
+    score_cells,
+)
 from blender_nep.geometry.support import Support
 from blender_nep.tone_mapping import tone_map
 from support.paths import SUZANNE_SMALL
@@ -32,6 +40,17 @@ def signed_distance(cells, center, radius):
     axis = (np.arange(cells) + 0.5) / cells * 2 - 1
     grid = np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), -1)
     return np.linalg.norm(grid - center, axis=-1) - radius
+
+
+@pytest.mark.parametrize("views", [1, 2, 3, 40])
+@pytest.mark.parametrize("share", [0.0, 0.05, 0.3, 1.0])
+def test_low_quantile_is_that_of_the_known_values(views, share):
+    generator = torch.Generator().manual_seed(views)
+    values = torch.rand(views, 500, generator=generator)
+    values[torch.rand(views, 500, generator=generator) < torch.linspace(0, 1.2, 500)] = torch.nan
+    assert values.isnan().all(0).any() and not values.isnan().any(0).all()
+    expected = torch.nanquantile(values, share, dim=0)
+    torch.testing.assert_close(low_quantile(values, share), expected, rtol=1e-6, atol=0, equal_nan=True)
 
 
 def test_projecting_a_point_on_a_pixels_ray_gives_the_pixel(rays):

@@ -190,3 +190,7 @@ def test_refinement_bodies_agree_and_pass_gradcheck():
     coefficients.requires_grad_()
     torch.testing.assert_close(bspline.refine(coefficients), bspline.refine_torch(coefficients), rtol=1e-12, atol=1e-12)
     assert torch.autograd.gradcheck(bspline.refine, (coefficients,))
+    level = torch.randn(10, 12, 8, dtype=torch.float64, generator=torch.Generator().manual_seed(1)).requires_grad_()
+    expected = bspline.refine_torch(coefficients) + level
+    torch.testing.assert_close(bspline.refine(coefficients, level), expected, rtol=1e-12, atol=1e-12)
+    assert torch.autograd.gradcheck(bspline.refine, (coefficients, level))

@@ -11,8 +11,9 @@ from blender_nep.fields.environment_prefilter import disc_mean
 from blender_nep.ops.environment_rendering import EnvironmentVolume, render_environment
 from blender_nep.ops.environment_rendering_torch import interpolate
 from blender_nep.ops.environment_segments import RaySegments, contract_segments, contracted_length, contracted_radius
-from blender_nep.ops.environment_smoothness import total_variation
+from blender_nep.ops.environment_smoothness import add_total_variation_gradient, total_variation
 from blender_nep.ops.environment_weights import from_weights, weights_from_center
+from blender_nep.ops.spherical_grid import arc_tangent
 
 RADIUS = 2.5
 """The contraction radius. Rays of `random_rays` begin inside and outside it."""
@@ -261,6 +262,21 @@ def test_what_is_not_a_number_has_no_value_and_ends_nothing():
     assert found[:2].isnan().all() and found[2].isfinite().all()
 
 
+@numba.njit
+def arc_tangents(y, x, angles):
+    for i in range(len(angles)):
+        angles[i] = arc_tangent(y[i], x[i])
+
+
+def test_arc_tangent_is_that_of_the_library():
+    y, x = np.random.default_rng(0).standard_normal((2, 100_000))
+    ends = np.array([(a, b) for a in (-1, 0, 1e-300, 1, 1e300) for b in (-1, 0, 1e-300, 1, 1e300)])
+    y, x = np.concatenate([y, ends[:, 0]]), np.concatenate([x, ends[:, 1]])
+    angles = np.empty_like(x)
+    arc_tangents(y, x, angles)
+    np.testing.assert_allclose(angles, np.arctan2(y, x), rtol=0, atol=2e-14)
+
+
 def test_interpolation_is_smooth_over_pole_and_seam():
     """z is smooth on the sphere: a cell-centered grid of it interpolates to z everywhere, also across pole and seam."""
     rows = 64
@@ -338,6 +354,10 @@ def test_variation_bodies_agree_and_a_step_costs_its_height():
         results.append((value.detach(), grid.grad))
     for ours, reference in zip(*results, strict=True):
         torch.testing.assert_close(ours, reference, rtol=1e-9, atol=1e-12)
+    gradient = torch.full((6, 4, 8, 4), 3.0, dtype=torch.float64)
+    value = add_total_variation_gradient(random_grid(6, 4, 1), (1.0, 0.5, 0.2, 0.0), 0.05, gradient)
+    torch.testing.assert_close(value, results[1][0], rtol=1e-9, atol=1e-12)
+    torch.testing.assert_close(gradient, 3 + results[1][1] / 2, rtol=1e-9, atol=1e-12)
     step = torch.zeros(4, 8, 16, 1, dtype=torch.float64)
     step[2:] = 3.0
     assert float(total_variation(step, (1.0,), 1e-9)) == pytest.approx(3.0 / 3)
