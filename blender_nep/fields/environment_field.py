@@ -163,7 +163,7 @@ class EnvironmentField(nn.Module):
         slab, gradient = raw.detach()[first : first + run], raw.grad[first : first + run]
         weight = (preset.density_variation, *[preset.color_variation] * 3)
         value = add_total_variation_gradient(slab, weight, preset.variation_softness, gradient)
-        density = slab[..., 0].contiguous()  # softplus of values that do not lie side by side takes four times as long
+        density = slab[..., 0].contiguous()  # softplus of values that do not lie side by side is slow
         value = value + preset.density_penalty * torch.nn.functional.softplus(density).mean()
         gradient[..., 0].add_(density.sigmoid(), alpha=preset.density_penalty / density.numel())
         return float(value) + (self._smooth_detail(generator) if len(self.detail) else 0.0)

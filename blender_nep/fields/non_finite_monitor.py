@@ -59,8 +59,8 @@ def usable_loss(loss: float) -> bool:
 def usable_gradients(optimizers: Iterable[torch.optim.Optimizer]) -> bool:
     """Whether all gradients of the optimizers' parameters are finite.
 
-    Only their sums are checked: one NaN or infinity makes the sum not finite. A sum in float64 takes twenty times as long as
-    one in the gradients' own precision, so it is only taken where the latter is not finite.
+    Only their sums are checked: one NaN or infinity makes the sum not finite. Sums in float64 are slow. So they are taken
+    only if a sum in the gradients' own precision is not finite.
     """
     parameters = (p for optimizer in optimizers for group in optimizer.param_groups for p in group["params"])
     gradients = [p.grad for p in parameters if p.grad is not None]

@@ -39,8 +39,8 @@ class ObjectPixels:
         return PixelSet.joined([self.veiled, self.clear])
 
     def draw(self, count: int, every: int, generator: torch.Generator) -> tuple[Tensor, Tensor]:
-        """About `count` random pixels that are not held out: the clear ones [c] and the veiled ones [v], in int64, each
-        rising (`draw_pixels`)."""
+        """About `count` random pixels that are not held out: the clear ones [c] and the veiled ones [v], in int64. Both are
+        in rising order; `draw_pixels` says why."""
         place = torch.randint(len(self), (count,), generator=generator, device=generator.device).sort().values
         clear, veiled = place[place < len(self.clear)], place[place >= len(self.clear)] - len(self.clear)
         clear, veiled = self.clear[clear], self.veiled[veiled]
@@ -131,8 +131,8 @@ def held_out_pixels(pixels: PixelSet, every: int, most: int) -> Tensor:
 def draw_pixels(pool: PixelSet | Tensor, count: int, every: int, generator: torch.Generator) -> Tensor:
     """About `count` random pixels [m] of the pool that are not held out, in the pool's order.
 
-    Rays of neighboring pixels that follow each other find most nodes of the grids in the processor's cache. If all drawn
-    pixels are held out, these are returned all the same.
+    Neighboring pixels follow each other. So their rays read nodes of the grids that are already in the processor's cache.
+    If all drawn pixels are held out, these are returned all the same.
     """
     index = pool[torch.randint(len(pool), (count,), generator=generator, device=generator.device).sort().values]
     learned = index[~held_out(index, every)]

@@ -182,15 +182,16 @@ def _score(rays: PixelRays, silhouettes: list[torch.Tensor], points: torch.Tenso
 def low_quantile(values: torch.Tensor, share: float) -> torch.Tensor:
     """torch.nanquantile(values, share, dim=0) of values [views, n]; NaN where all are NaN.
 
-    For a small share it is several times as fast, because it sorts only the smallest values.
+    For a small share it is faster, because it sorts only the smallest values.
     """
     known = ~values.isnan()
     number = known.sum(0)
     most = min(math.floor(share * (len(values) - 1)) + 2, len(values))
     lowest = torch.where(known, values, torch.inf).T.contiguous().topk(most, largest=False).values
-    place = share * (number - 1).clamp(min=0)
+    place = share * (number - 1).clamp(min=0).to(values.dtype)
     below = place.floor().long()
     above = (below + 1).clamp(max=most - 1)
     low, high = lowest.gather(1, below[:, None])[:, 0], lowest.gather(1, above[:, None])[:, 0]
-    mixed = torch.where(place > below, torch.lerp(low, high, place - below), low)  # `high` is infinite behind the last value
+    # `high` is infinite if `low` is the largest known value. Then lerp gives NaN.
+    mixed = torch.where(place > below, torch.lerp(low, high, place - below), low)
     return torch.where(number > 0, mixed, torch.nan)

@@ -211,8 +211,10 @@ def sample(coef: torch.Tensor, points: torch.Tensor, hessian: bool = False) -> t
 
 @njit(cache=True, parallel=True, fastmath=True)
 def _refine(coef, level, fine):
-    """Chaikin's rule along three axes: each block of 2^3 neighboring coefficients gives 2^3 finer ones. Then adds `level`,
-    which has the size of `fine`, or 0."""
+    """Chaikin's rule along three axes: each block of 2^3 neighboring coefficients gives 2^3 finer ones.
+
+    `level` is as large as `fine`, and is added to it. Or it has no entries; then nothing is added.
+    """
     adds = level.shape[0] > 0
     n0, n1, n2 = coef.shape[0] - 1, coef.shape[1] - 1, coef.shape[2] - 1
     for i in prange(n0):
@@ -292,9 +294,15 @@ def refine_torch(coef: torch.Tensor) -> torch.Tensor:
 def refine(coef: torch.Tensor, level: torch.Tensor | None = None) -> torch.Tensor:
     """Coefficients of exactly the same spline on cells half as wide: [N, N, N] -> [2N - 2, 2N - 2, 2N - 2].
 
-    With a finer level [2N - 2, 2N - 2, 2N - 2], its coefficients are added. Linear and differentiable.
+    If a finer `level` [2N - 2, 2N - 2, 2N - 2] is given, it is added to the result. Linear and differentiable. Raises
+    ValueError for a level of another size or type.
     """
     coef, *levels = at_least_float32(*((coef,) if level is None else (coef, level)))
+    for other in levels:
+        if other.dtype != coef.dtype or list(other.shape) != [2 * n - 2 for n in coef.shape]:
+            raise ValueError(
+                f"a {other.dtype} level {tuple(other.shape)} is not finer than {coef.dtype} {tuple(coef.shape)}"
+            )
     if coef.device.type == "cpu":
         return _Refine.apply(coef, *(levels or (None,)))
     return sum(levels, refine_torch(coef))

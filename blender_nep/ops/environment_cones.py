@@ -58,7 +58,7 @@ class _Cones(NamedTuple):
     half_angle: np.ndarray
     """[n] radians"""
     order: np.ndarray
-    """[n] int64: the order in which they are composited"""
+    """[n] int64: the order in which the cones are composited"""
 
 
 _STRIPS = 16
@@ -66,10 +66,10 @@ _STRIPS = 16
 
 
 def _neighbors_first(directions: torch.Tensor, half_angle: torch.Tensor, ratio: float) -> torch.Tensor:
-    """An order [n] of cones in which most cones follow others that read the same nodes: from the same level (half angles
-    that differ by less than `ratio`) and in neighboring directions.
+    """An order [n] of cones. Cones of about the same half angle (within a factor of `ratio`) and of neighboring directions
+    follow each other.
 
-    The finest levels are larger than the processor's caches. So the order halves the time of random cones.
+    Then most nodes that a cone reads are in the processor's cache. The finest levels are larger than the cache.
     """
     level = (half_angle.clamp(min=1e-6).log() / math.log(ratio)).floor()
     strip = (directions[:, 2].clamp(-1, 1).acos() * (_STRIPS / math.pi)).floor()

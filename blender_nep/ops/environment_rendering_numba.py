@@ -43,7 +43,7 @@ class SampleRecords(NamedTuple):
     scattered: np.ndarray
     """[m, 8]: what a sample adds to its nodes, side by side in memory. The first three in 0..1 are the place of the sample
     between the cell's first shell, row and column and the next ones. The fourth is `far_share`: where it is 0, the sample
-    has no color detail. The backward pass fills the gradients of the four raw values into the rest"""
+    has no color detail. The last four are the gradients of the raw values. The backward pass fills them"""
     detail_cells: np.ndarray
     """[m, 2] int32: row + 1 and column of the cell in the color detail"""
     detail_fractions: np.ndarray

@@ -26,10 +26,10 @@ def _pull(low, high, scale, softness, pull):
 
 @njit(cache=True, parallel=True, fastmath=True, error_model="numpy")
 def _add_variation(grid, channels, scale, softness, value, gradient):
-    """Fill value [H], one part for each row, and add to gradient [K, H, W C].
+    """Add the gradient of `total_variation` to gradient [K, H, W C], and fill value [H] with the part of each row.
 
-    grid is [K, H, W C]; scale [3, W C] holds the weights of the differences from shell to shell, row to row, and column to
-    column. The loops go over whole rows, so that they become vector instructions.
+    grid is [K, H, W C], C is `channels`. scale [3, W C] holds the weights of the differences from shell to shell, row to
+    row, and column to column. The loops go over whole rows, so that they become vector instructions.
     """
     shells, rows, m = grid.shape
     for row in prange(rows):
@@ -44,7 +44,7 @@ def _add_variation(grid, channels, scale, softness, value, gradient):
                 to_shell[:] = 0
             if row + 1 < rows:
                 total += _pull(here, grid[k, row + 1], scale[1], softness, to_row)
-            if row > 0:  # the value is counted by the row before
+            if row > 0:  # this cost is already in the sum of the row before
                 _pull(grid[k, row - 1], here, scale[1], softness, from_row)
             for i in range(m - channels):
                 after[i] = here[i + channels]
@@ -64,7 +64,8 @@ def _add_variation(grid, channels, scale, softness, value, gradient):
 def _add_variation_numba(
     grid: torch.Tensor, weight: tuple[float, ...], softness: float, gradient: torch.Tensor
 ) -> torch.Tensor:
-    """Add the gradient of `total_variation` to `gradient`, both [K, H, W, C] contiguous on the CPU. Returns the value []."""
+    """Add the gradient of `total_variation` to `gradient` [K, H, W, C] in place, and return the value []. On the CPU only;
+    `gradient` is contiguous."""
     slab = grid.detach().contiguous().numpy()
     shells, rows, columns, channels = slab.shape
     counts = max(shells - 1, 1) * rows * columns, shells * (rows - 1) * columns, shells * rows * columns
@@ -105,11 +106,12 @@ def total_variation(grid: torch.Tensor, weight: tuple[float, ...], softness: flo
 def add_total_variation_gradient(
     grid: torch.Tensor, weight: tuple[float, ...], softness: float, gradient: torch.Tensor
 ) -> torch.Tensor:
-    """Add the gradient of `total_variation` to `gradient` [K, H, W, C] in place, and return the value [].
+    """Add the gradient of `total_variation` to `gradient` [K, H, W, C] in place. Returns the value [] without a gradient.
 
-    Recording the same for automatic differentiation would take twice as long: it writes and adds whole grids.
+    Automatic differentiation would be slower, because it writes and adds whole grids.
     """
-    if grid.device.type == "cpu" and grid.dtype == gradient.dtype and gradient.is_contiguous():
+    fused = grid.device.type == "cpu" and grid.dtype == gradient.dtype and grid.element_size() >= 4
+    if fused and gradient.is_contiguous():
         return _add_variation_numba(grid, weight, softness, gradient)
     grid = grid.detach().requires_grad_()
     with torch.enable_grad():

@@ -8,38 +8,42 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
 from numba import njit
 
 COLOR_LIMIT = 9.0
 """Raw colors are logarithms of radiance. They are clamped to -9..9, so that radiance is at most e^9 = 8100."""
 
 _EIGHTH = math.tan(math.pi / 8)
-
-
-def _arc_tangent_polynomial() -> tuple[float, ...]:
-    """Coefficients of atan(r) / r in powers of r^2, for r up to tan(pi / 8): interpolation at Chebyshev's nodes."""
-    r = np.sqrt(np.polynomial.chebyshev.chebpts1(400) * 0.5 + 0.5) * _EIGHTH
-    fitted = np.polynomial.Chebyshev.fit(r * r, np.arctan(r) / r, 8, domain=[0, _EIGHTH**2])
-    return tuple(map(float, fitted.convert(kind=np.polynomial.Polynomial).coef))
-
-
-_ARC_TANGENT = _arc_tangent_polynomial()
+_ARC_TANGENT = (
+    0.9999999999999998,
+    -0.33333333333237547,
+    0.19999999980211555,
+    -0.14285712753451477,
+    0.11111051322405656,
+    -0.09089568496907766,
+    0.07673895822463549,
+    -0.06507972285905515,
+    0.050307364010978954,
+    -0.025391723153007188,
+)
+"""Coefficients of atan(r) / r in powers of r^2, for r up to _EIGHTH. They are a least-squares fit at 400 Chebyshev nodes.
+The angle is right to 1e-15."""
 
 
 @njit(cache=True, inline="always", fastmath=True, error_model="numpy")
 def arc_tangent(y, x):
-    """math.atan2(y, x), to within 1e-14, without a call: the library's takes half of the time that a sample's angles take.
+    """math.atan2(y, x) of finite numbers, of which the larger is at least 1e-300, or both are 0. It is right to 1e-14.
 
-    The ratio is brought to at most tan(pi / 8); there, a polynomial in its square (`_ARC_TANGENT`) is right to 1e-15.
+    It needs no call of the library, which is slower. The ratio of x and y is brought to at most tan(pi / 8). There the angle
+    is a polynomial (`_ARC_TANGENT`).
     """
     wide, high = abs(x), abs(y)
     ratio = min(wide, high) / max(wide, high, 1e-300)
     beyond = ratio > _EIGHTH
     r = (ratio - 1.0) / (ratio + 1.0) if beyond else ratio
     s = r * r
-    c0, c1, c2, c3, c4, c5, c6, c7, c8 = _ARC_TANGENT
-    angle = r * (c0 + s * (c1 + s * (c2 + s * (c3 + s * (c4 + s * (c5 + s * (c6 + s * (c7 + s * c8))))))))
+    c0, c1, c2, c3, c4, c5, c6, c7, c8, c9 = _ARC_TANGENT
+    angle = r * (c0 + s * (c1 + s * (c2 + s * (c3 + s * (c4 + s * (c5 + s * (c6 + s * (c7 + s * (c8 + s * c9)))))))))
     angle += 0.25 * math.pi if beyond else 0.0
     angle = 0.5 * math.pi - angle if high > wide else angle
     angle = math.pi - angle if x < 0.0 else angle

@@ -13,6 +13,7 @@ from blender_nep.fields.environment_field import EnvironmentField
 from blender_nep.fields.environment_grid import resample
 from blender_nep.fields.environment_training import learn_environment, learn_step, optimizer, refine, skipped_detail
 from blender_nep.ops.environment_segments import contracted_length
+from blender_nep.ops.environment_smoothness import total_variation
 from blender_nep.presets import EnvironmentPreset
 from blender_nep.tone_mapping import tone_map
 
@@ -245,6 +246,23 @@ def test_regularization_prefers_smooth_and_empty_and_adds_the_gradient_of_its_va
     after = rough.regularize(generator.set_state(state))
     expected = before - 100.0 * float(gradient.square().sum())
     assert after == pytest.approx(expected, rel=0.02) and after < before
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64, torch.bfloat16], ids=str)
+def test_regularization_adds_what_automatic_differentiation_gives(dtype):
+    generator = torch.Generator().manual_seed(0)
+    field = EnvironmentField(dataclasses.replace(PRESET, regularized_fraction=1.0))
+    with torch.no_grad():
+        field.raw += 3 * torch.randn(field.raw.shape, generator=generator)
+    field = field.to(dtype)
+    raw, p = field.raw.detach().clone().requires_grad_(), field.preset
+    weight = (p.density_variation, *[p.color_variation] * 3)
+    expected = total_variation(raw, weight, p.variation_softness, "torch")
+    expected = expected + p.density_penalty * torch.nn.functional.softplus(raw[..., 0].float()).mean()
+    expected.backward()
+    assert field.regularize(generator) == pytest.approx(float(expected.detach()), rel=1e-4)
+    rtol = 1e-4 if dtype != torch.bfloat16 else 0.02
+    torch.testing.assert_close(field.raw.grad, raw.grad, rtol=rtol, atol=rtol * float(raw.grad.abs().max()))
 
 
 def pixel_rays(room: EnvironmentField, n: int, seed: int) -> SimpleNamespace:

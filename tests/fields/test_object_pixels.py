@@ -76,6 +76,7 @@ def test_clear_and_veiled_pixels_are_drawn_alike_and_held_out_ones_never():
     clear, veiled = pixels.draw(30_000, 101, torch.Generator().manual_seed(0))
     assert set(clear.tolist()) == {k for k in range(500) if k % 101}
     assert set(veiled.tolist()) == {k for k in range(500, 601) if k % 101}
+    assert (clear.diff() >= 0).all() and (veiled.diff() >= 0).all(), "neighbors follow each other"
     assert len(veiled) / len(clear) == pytest.approx(100 / 495, rel=0.05)
     clear, veiled = ObjectPixels(pixels.clear.empty(), pixels.veiled).draw(7, 1 << 40, torch.Generator().manual_seed(0))
     assert (len(clear), len(veiled)) == (0, 7)
@@ -121,5 +122,6 @@ def test_held_out_pixels_are_never_drawn_unless_there_are_no_others():
     generator = torch.Generator().manual_seed(0)
     drawn = draw_pixels(PixelSet.where(torch.ones(500, dtype=torch.bool)), 4000, 101, generator)
     assert sorted(set(range(500)) - set(drawn.tolist())) == [0, 101, 202, 303, 404]
+    assert (drawn.diff() >= 0).all(), "neighbors follow each other"
     assert draw_pixels(torch.tensor([101]), 4, 101, generator).tolist() == [101] * 4, "a batch is never empty"
     assert set(draw_pixels(torch.tensor([1, 101]), 64, 101, generator).tolist()) == {1}

@@ -22,6 +22,7 @@ from blender_nep.ops.bspline_march import march
 from blender_nep.ops.environment_rendering import EnvironmentVolume, render_environment
 from blender_nep.ops.environment_segments import RaySegments
 from blender_nep.ops.environment_smoothness import total_variation
+from blender_nep.ops.touched import touched_mean_square
 from blender_nep.presets import EnvironmentPreset
 from blender_nep.shading import brdf
 from blender_nep.shading.cones import diffuse_cones, specular_cones
@@ -246,26 +247,29 @@ def test_kernels_take_low_precision_and_compute_in_float32(dtype):
     generator = torch.Generator().manual_seed(0)
     coefficients = torch.randn(6, 6, 6, generator=generator).to(dtype).requires_grad_()
     points = (torch.rand(20, 3, generator=generator) * 2 - 1).to(dtype)
+    finer = torch.randn(10, 10, 10, generator=generator).to(dtype)
     raw = torch.randn(4, 6, 12, 4, generator=generator).to(dtype).requires_grad_()
     origins, directions = (x.to(dtype) for x in rays_from(2.5, 20, 0))
     near, far = torch.full((20,), 0.5, dtype=dtype), torch.full((20,), math.inf, dtype=dtype)
     volume = EnvironmentVolume(contraction_radius=12.0, density_gain=2.0, longest_step=0.3)
 
-    def all_of(c, p, r, e, o, d, n, f):
+    def all_of(c, finer, p, r, e, o, d, n, f):
         return [
             bspline.sample(c, p),
             bspline.refine(c),
+            bspline.refine(c, finer),
+            touched_mean_square(c),
             render_environment(r, e, RaySegments(o, d, n, f), volume)[0],
             total_variation(r, (1.0,) * 4, 0.1),
             *march(c, o, d, n, n + 4, 0.3, 0.1)[:1],
         ]
 
     detail = torch.randn(12, 24, 3, generator=generator).to(dtype)
-    given_low = (coefficients, points, raw, detail, origins, directions, near, far)
+    given_low = (coefficients, finer, points, raw, detail, origins, directions, near, far)
     for low, full in zip(all_of(*given_low), all_of(*(x.detach().float() for x in given_low)), strict=True):
         assert low.dtype == torch.float32
         torch.testing.assert_close(low.detach(), full, rtol=0, atol=0)
-    sum(x.sum() for x in all_of(*given_low)[:4]).backward()
+    sum(x.sum() for x in all_of(*given_low)[:6]).backward()
     assert coefficients.grad.dtype == dtype and torch.isfinite(coefficients.grad).all() and torch.isfinite(raw.grad).all()
 
 
