@@ -18,6 +18,7 @@ from blender_nep.checkpoints import Checkpoint
 from blender_nep.job.device import choose_device
 from blender_nep.job.events import Events
 from blender_nep.job.exit_code import exit_code
+from blender_nep.job.heap import keep_freed_memory
 from blender_nep.job.job_folder import JobFolder
 from blender_nep.job.preparation import (
     Preparation,
@@ -139,6 +140,7 @@ class Job:
             self._follow_by_files()
         refuse_missing_mesh(s)
         device = choose_device(s.device)
+        keep_freed_memory()
         set_seed_and_threads(s)
         self._tracker.enter(StageName.CAPTURE)
         start = time.monotonic()
