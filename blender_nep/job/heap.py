@@ -19,7 +19,7 @@ MAPPED_FROM = 32 << 20
 
 
 def keep_freed_memory() -> bool:
-    """Tell glibc to keep freed memory for the next allocations. False if the C library is another one; then nothing changes."""
+    """Tell glibc to keep freed memory for later allocations. False if the C library is another one; nothing changes then."""
     if sys.platform != "linux" or platform.libc_ver()[0] != "glibc":
         return False
     mallopt = ctypes.CDLL(None).mallopt
