@@ -1,7 +1,7 @@
 """Keeps the C library from giving freed memory back to the system after every step of learning.
 
-A step allocates and frees gradients of whole grids, 60 MB in all. By default, glibc gives that memory back at the end of the
-step. The system then clears the same pages again for the next step. That took 7 % of a step (docs/lab/speed.md).
+A step allocates and frees gradients of whole grids. By default, glibc gives the end of its heap back to the system when they
+are freed. Then the system must clear 12 MB of pages again in every step. That took 6 to 8 % of a step (docs/lab/speed.md).
 """
 
 from __future__ import annotations
