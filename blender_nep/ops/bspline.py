@@ -300,9 +300,8 @@ def refine(coef: torch.Tensor, level: torch.Tensor | None = None) -> torch.Tenso
     coef, *levels = at_least_float32(*((coef,) if level is None else (coef, level)))
     for other in levels:
         if other.dtype != coef.dtype or list(other.shape) != [2 * n - 2 for n in coef.shape]:
-            raise ValueError(
-                f"a {other.dtype} level {tuple(other.shape)} is not finer than {coef.dtype} {tuple(coef.shape)}"
-            )
+            finer = tuple(2 * n - 2 for n in coef.shape)
+            raise ValueError(f"a level must be {coef.dtype} {finer}, not {other.dtype} {tuple(other.shape)}")
     if coef.device.type == "cpu":
         return _Refine.apply(coef, *(levels or (None,)))
     return sum(levels, refine_torch(coef))

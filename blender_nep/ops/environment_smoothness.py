@@ -28,8 +28,8 @@ def _pull(low, high, scale, softness, pull):
 def _add_variation(grid, channels, scale, softness, value, gradient):
     """Add the gradient of `total_variation` to gradient [K, H, W C], and fill value [H] with the part of each row.
 
-    grid is [K, H, W C], C is `channels`. scale [3, W C] holds the weights of the differences from shell to shell, row to
-    row, and column to column. The loops go over whole rows, so that they become vector instructions.
+    grid is [K, H, W C], where C is `channels`. scale [3, W C] holds the weights of the differences from shell to shell, row
+    to row, and column to column. The loops go over whole rows, so that they become vector instructions.
     """
     shells, rows, m = grid.shape
     for row in prange(rows):
@@ -106,7 +106,8 @@ def total_variation(grid: torch.Tensor, weight: tuple[float, ...], softness: flo
 def add_total_variation_gradient(
     grid: torch.Tensor, weight: tuple[float, ...], softness: float, gradient: torch.Tensor
 ) -> torch.Tensor:
-    """Add the gradient of `total_variation` to `gradient` [K, H, W, C] in place. Returns the value [] without a gradient.
+    """Add the gradient of `total_variation` to `gradient` [K, H, W, C] in place. Returns the value [], which
+    has no gradient.
 
     Automatic differentiation would be slower, because it writes and adds whole grids.
     """

@@ -32,7 +32,7 @@ The angle is right to 1e-15."""
 
 @njit(cache=True, inline="always", fastmath=True, error_model="numpy")
 def arc_tangent(y, x):
-    """math.atan2(y, x) of finite numbers, of which the larger is at least 1e-300, or both are 0. It is right to 1e-14.
+    """math.atan2(y, x) of finite numbers. The larger of |x| and |y| is at least 1e-300, or both are 0. It is right to 1e-14.
 
     It needs no call of the library, which is slower. The ratio of x and y is brought to at most tan(pi / 8). There the angle
     is a polynomial (`_ARC_TANGENT`).

@@ -1,5 +1,6 @@
 """Freed memory stays in the process, so that the next step need not clear its pages again."""
 
+import os
 import platform
 import subprocess
 import sys
@@ -32,13 +33,15 @@ print(faults() - before)
 
 
 def page_faults(mode: str) -> int:
-    """Page faults of ten steps that each fill 60 MB, which are 15,360 pages."""
-    return int(subprocess.run([sys.executable, "-c", STEPS, mode], capture_output=True, text=True, check=True).stdout)
+    """Page faults of ten steps. Each step fills 60 MB. NumPy asks for no huge pages, because they make few faults."""
+    env = os.environ | {"NUMPY_MADVISE_HUGEPAGE": "0"}
+    command = [sys.executable, "-c", STEPS, mode]
+    return int(subprocess.run(command, capture_output=True, text=True, check=True, env=env).stdout)
 
 
 @pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="the C library is not glibc")
 def test_a_step_finds_the_memory_of_the_last_one():
-    assert page_faults("keep") < 1000 < 15_000 < page_faults("as it is")
+    assert 10 * page_faults("keep") < page_faults("as it is")
 
 
 def test_another_c_library_is_left_alone(monkeypatch):

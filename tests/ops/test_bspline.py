@@ -195,5 +195,5 @@ def test_refinement_bodies_agree_and_pass_gradcheck():
     torch.testing.assert_close(bspline.refine(coefficients, level), expected, rtol=1e-12, atol=1e-12)
     assert torch.autograd.gradcheck(bspline.refine, (coefficients, level))
     for wrong in (torch.zeros(10, 12, 9, dtype=torch.float64), torch.zeros(0, 0, 0, dtype=torch.float64), level.float()):
-        with pytest.raises(ValueError, match="is not finer than"):
+        with pytest.raises(ValueError, match="a level must be"):
             bspline.refine(coefficients, wrong)
