@@ -15,7 +15,7 @@ from backend.scene_io.capture_files import read_frames, with_exposures
 from blender_nep import checkpoints
 from blender_nep.capture.exposure import Exposures
 from blender_nep.errors import LearningError
-from blender_nep.job import preparation
+from blender_nep.job import preparation, runner
 from blender_nep.job.stage_names import StageName
 from blender_nep.messages import Message
 from blender_nep.presets import preset
@@ -44,6 +44,17 @@ def test_a_job_ends_with_an_asset_and_tells_how_far_it_is(start):
     convex = {"code": "reason.convex", "values": {}, "message": "the object is convex"}
     assert report["skipped"] == {"votes of all pixels": {**ONE_MATERIAL, "message": str(WHY)}, "indirect light": convex}
     assert report["losses"]["fields_learning"] == pytest.approx(0.25)
+
+
+def test_freed_memory_is_kept_before_the_first_stage(start, monkeypatch):
+    class Asked(BallStages):
+        def learn_fields(self, *arguments, **keywords):
+            found.append(list(kept))
+            return super().learn_fields(*arguments, **keywords)
+
+    found, kept = [], []
+    monkeypatch.setattr(runner, "keep_freed_memory", lambda: kept.append(True))
+    assert start(Asked())[0] == 0 and found == [[True]]
 
 
 def test_threads_are_those_that_were_asked_for(start):
