@@ -11,6 +11,14 @@ import torch
 from torch import Tensor
 
 
+def random_places(count: int, size: int, generator: torch.Generator) -> Tensor:
+    """Random places [count] int64 in 0..size - 1, in rising order, for a batch of pixels.
+
+    Neighboring pixels follow each other. So their rays read nodes of the grids that are already in the processor's cache.
+    """
+    return torch.randint(size, (count,), generator=generator, device=generator.device).sort().values
+
+
 class PixelSet:
     """A list of n pixel indices, stored as runs of consecutive indices.
 

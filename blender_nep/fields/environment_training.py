@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import torch
 
 from blender_nep.capture.pixel_rays import PixelRays
-from blender_nep.capture.pixel_set import PixelSet
+from blender_nep.capture.pixel_set import PixelSet, random_places
 from blender_nep.checkpoints import Checkpoint
 from blender_nep.errors import LearningError
 from blender_nep.fields.environment_field import EnvironmentField
@@ -83,8 +83,8 @@ def skipped_detail(environment: EnvironmentField) -> dict[str, dict]:
 def freeze(environment: EnvironmentField, rays: PixelRays, background: PixelSet | torch.Tensor, seed: int) -> None:
     """End the learning of F_e: measure its coverage with random pixels out of `background` (indices)."""
     generator = torch.Generator(background.device).manual_seed(seed)
-    pick = torch.randint(len(background), (environment.preset.coverage_rays,), generator=generator, device=background.device)
-    origins, directions, _ = rays.rays(background[pick.sort().values])
+    pick = random_places(environment.preset.coverage_rays, len(background), generator)
+    origins, directions, _ = rays.rays(background[pick])
     environment.freeze(origins, directions)
 
 
@@ -181,7 +181,7 @@ def learn_environment(
         if refine(environment, rays, background, step / preset.steps):
             adam = optimizer(environment)
         set_learning_rate(adam, preset, step / preset.steps)
-        pick = torch.randint(len(background), (preset.rays_per_step,), generator=generator, device=device).sort().values
+        pick = random_places(preset.rays_per_step, len(background), generator)
         loss = learn_step(environment, adam, rays, background[pick], generator)
         monitor.record(usable_loss(loss))
         step += 1

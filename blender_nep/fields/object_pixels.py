@@ -11,7 +11,7 @@ from torch import Tensor
 from torch.nn import functional
 
 from blender_nep.capture.pixel_rays import PixelRays
-from blender_nep.capture.pixel_set import GrowingPixelSet, PixelSet
+from blender_nep.capture.pixel_set import GrowingPixelSet, PixelSet, random_places
 from blender_nep.fields.object_field import SplineShape
 from blender_nep.geometry.mesh import Surface
 from blender_nep.geometry.ray_tracing import RayTracer
@@ -40,8 +40,8 @@ class ObjectPixels:
 
     def draw(self, count: int, every: int, generator: torch.Generator) -> tuple[Tensor, Tensor]:
         """About `count` random pixels that are not held out: the clear ones [c] and the veiled ones [v], in int64. Both are
-        in rising order; `draw_pixels` says why."""
-        place = torch.randint(len(self), (count,), generator=generator, device=generator.device).sort().values
+        in rising order (`random_places`)."""
+        place = random_places(count, len(self), generator)
         clear, veiled = place[place < len(self.clear)], place[place >= len(self.clear)] - len(self.clear)
         clear, veiled = self.clear[clear], self.veiled[veiled]
         return clear[~held_out(clear, every)], veiled[~held_out(veiled, every)]
@@ -129,12 +129,11 @@ def held_out_pixels(pixels: PixelSet, every: int, most: int) -> Tensor:
 
 @profiled("draw pixels")
 def draw_pixels(pool: PixelSet | Tensor, count: int, every: int, generator: torch.Generator) -> Tensor:
-    """About `count` random pixels [m] of the pool that are not held out, in the pool's order.
+    """About `count` random pixels [m] of the pool that are not held out, in the pool's order (`random_places`).
 
-    Neighboring pixels follow each other. So their rays read nodes of the grids that are already in the processor's cache.
     If all drawn pixels are held out, these are returned all the same.
     """
-    index = pool[torch.randint(len(pool), (count,), generator=generator, device=generator.device).sort().values]
+    index = pool[random_places(count, len(pool), generator)]
     learned = index[~held_out(index, every)]
     return learned if len(learned) else index
 

@@ -61,61 +61,41 @@ def _add_variation(grid, channels, scale, softness, value, gradient):
         value[row] = total
 
 
-def _add_variation_numba(
-    grid: torch.Tensor, weight: tuple[float, ...], softness: float, gradient: torch.Tensor
-) -> torch.Tensor:
-    """Add the gradient of `total_variation` to `gradient` [K, H, W, C] in place, and return the value []. On the CPU only;
-    `gradient` is contiguous."""
-    slab = grid.detach().contiguous().numpy()
-    shells, rows, columns, channels = slab.shape
-    counts = max(shells - 1, 1) * rows * columns, shells * (rows - 1) * columns, shells * rows * columns
-    scale = np.tile(np.asarray(weight) / np.asarray(counts)[:, None], columns).astype(slab.dtype)
-    value, flat = np.empty(rows), (shells, rows, columns * channels)
-    _add_variation(slab.reshape(flat), channels, scale, slab.dtype.type(softness), value, gradient.numpy().reshape(flat))
-    return grid.new_tensor(value.sum())
-
-
-class _VariationNumba(torch.autograd.Function):
-    @staticmethod
-    def forward(ctx, grid, weight, softness):
-        ctx.gradient = torch.zeros_like(grid, memory_format=torch.contiguous_format)
-        return _add_variation_numba(grid, weight, softness, ctx.gradient)
-
-    @staticmethod
-    def backward(ctx, g):
-        return ctx.gradient * g, None, None
-
-
-def total_variation(grid: torch.Tensor, weight: tuple[float, ...], softness: float, body: str = "auto") -> torch.Tensor:
+def total_variation(grid: torch.Tensor, weight: tuple[float, ...], softness: float) -> torch.Tensor:
     """Sum over the three axes and the channels of weight * mean of sqrt(difference^2 + softness^2). A scalar.
+
+    It is plain torch, for any device and any float type, and differentiable.
 
     Args:
         grid: [K, H, W, C], periodic in W. K may be 1; H is at least 2.
         weight: C weights, one for each channel.
         softness: differences below this cost quadratically, larger ones linearly.
-        body: "auto" (Numba on the CPU, torch elsewhere), "numba" or "torch".
     """
     (grid,) = at_least_float32(grid)
-    if body == "torch" or (body == "auto" and grid.device.type != "cpu"):
-        differences = (grid.diff(dim=0), grid.diff(dim=1), grid.roll(-1, 2) - grid)
-        means = [torch.sqrt(d * d + softness**2).mean(dim=(0, 1, 2)) for d in differences if d.numel()]
-        return torch.stack(means).sum(0) @ grid.new_tensor(weight)
-    return _VariationNumba.apply(grid, weight, softness)
+    differences = (grid.diff(dim=0), grid.diff(dim=1), grid.roll(-1, 2) - grid)
+    means = [torch.sqrt(d * d + softness**2).mean(dim=(0, 1, 2)) for d in differences if d.numel()]
+    return torch.stack(means).sum(0) @ grid.new_tensor(weight)
 
 
 def add_total_variation_gradient(
     grid: torch.Tensor, weight: tuple[float, ...], softness: float, gradient: torch.Tensor
 ) -> torch.Tensor:
-    """Add the gradient of `total_variation` to `gradient` [K, H, W, C] in place. Returns the value [], which
-    has no gradient.
+    """Add the gradient of `total_variation` to `gradient` [K, H, W, C] in place. Returns the value [] without a gradient.
 
-    Automatic differentiation would be slower, because it writes and adds whole grids.
+    The Numba body needs a `gradient` on the CPU that is contiguous and has the type of the grid, float32 or float64. For
+    any other, it is plain torch, which is slower, because it writes and adds whole grids.
     """
     fused = grid.device.type == "cpu" and grid.dtype == gradient.dtype and grid.element_size() >= 4
-    if fused and gradient.is_contiguous():
-        return _add_variation_numba(grid, weight, softness, gradient)
-    grid = grid.detach().requires_grad_()
-    with torch.enable_grad():
-        value = total_variation(grid, weight, softness)
-    gradient += torch.autograd.grad(value, grid)[0]
-    return value.detach()
+    if not (fused and gradient.is_contiguous()):
+        grid = grid.detach().requires_grad_()
+        with torch.enable_grad():
+            value = total_variation(grid, weight, softness)
+        gradient += torch.autograd.grad(value, grid)[0]
+        return value.detach()
+    slab = grid.detach().contiguous().numpy()
+    shells, rows, columns, channels = slab.shape
+    counts = max(shells - 1, 1) * rows * columns, shells * (rows - 1) * columns, shells * rows * columns
+    scale = np.tile(np.asarray(weight) / np.asarray(counts)[:, None], columns).astype(slab.dtype)
+    parts, flat = np.empty(rows), (shells, rows, columns * channels)
+    _add_variation(slab.reshape(flat), channels, scale, slab.dtype.type(softness), parts, gradient.numpy().reshape(flat))
+    return grid.new_tensor(parts.sum())

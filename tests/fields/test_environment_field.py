@@ -257,7 +257,7 @@ def test_regularization_adds_what_automatic_differentiation_gives(dtype):
     field = field.to(dtype)
     raw, p = field.raw.detach().clone().requires_grad_(), field.preset
     weight = (p.density_variation, *[p.color_variation] * 3)
-    expected = total_variation(raw, weight, p.variation_softness, "torch")
+    expected = total_variation(raw, weight, p.variation_softness)
     expected = expected + p.density_penalty * torch.nn.functional.softplus(raw[..., 0].float()).mean()
     expected.backward()
     assert field.regularize(generator) == pytest.approx(float(expected.detach()), rel=1e-4)
