@@ -14,10 +14,12 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from blender_nep.fields.encodings import positional_encoding
 from blender_nep.fields.object_field import SplineShape, SurfaceColor
-from blender_nep.fields.volume_rendering import SurfaceSamples, neus_weights, sphere_interval
+from blender_nep.fields.volume_rendering import SurfaceSamples, sphere_interval
 from blender_nep.geometry.support import Support
+from blender_nep.ops.encodings import positional_encoding
+from blender_nep.ops.surface_rendering import composite, neus_weights
+from blender_nep.optimizers import Adam, Optimizer
 
 OCTAVES = 6
 LAYERS, WIDTH = 8, 256
@@ -84,9 +86,9 @@ class ReferenceField(SurfaceColor):
         """The SDF as it is now: this field itself."""
         return self
 
-    def shape_optimizer(self, rate: float, betas: tuple[float, float]) -> torch.optim.Optimizer:
+    def shape_optimizer(self, rate: float, betas: tuple[float, float]) -> Optimizer:
         """Adam for the parameters of the SDF's MLP, which has no levels."""
-        return torch.optim.Adam(self.layers.parameters(), lr=rate, betas=betas)
+        return Adam(self.layers.parameters(), lr=rate, betas=betas)
 
     def values(self, points: Tensor) -> Tensor:
         """Signed distances [n] at points [n, 3]. They are differentiable."""
@@ -157,7 +159,7 @@ class ReferenceField(SurfaceColor):
         ]
         joined = {
             name: torch.cat([getattr(part, name) for part in parts])
-            for name in ("opacity", "point", "gradient", "sdf_gradient", "depth")
+            for name in ("opacity", "point", "gradient", "eikonal", "depth")
         }
         return SurfaceSamples(ray=torch.arange(len(origins), device=origins.device), **joined)
 
@@ -168,18 +170,10 @@ class ReferenceField(SurfaceColor):
         points = origins[:, None] + t[..., None] * directions[:, None]
         values, gradients = self.values_and_gradients(points.reshape(-1, 3))
         values, gradients = values.reshape(t.shape), gradients.reshape(*t.shape, 3)
-        weights = neus_weights(values, sharpness)
-        opacity = weights.sum(1)
-        share = 0.5 * nn.functional.pad(weights, (1, 0)) + 0.5 * nn.functional.pad(weights, (0, 1))
-        depth = (share * t).sum(1) / opacity.clamp(min=1e-6)
-        return SurfaceSamples(
-            torch.arange(len(t), device=t.device),
-            opacity,
-            origins + depth[:, None] * directions,
-            (share[..., None] * gradients).sum(1),
-            gradients,
-            depth,
-        )
+        found = composite(torch.cat([values[..., None], gradients], -1), t, sharpness)
+        point = origins + found.depth[:, None] * directions
+        every = torch.arange(len(t), device=t.device)
+        return SurfaceSamples(every, found.opacity, point, found.gradient, found.eikonal, found.depth)
 
     @torch.no_grad()
     def _place(self, origins: Tensor, directions: Tensor, samples: int, generator: torch.Generator | None) -> Tensor:

@@ -308,7 +308,7 @@ class EnvironmentField(nn.Module):
         return radiance.reshape(height, 4, 2 * height, 4, 3).mean((1, 3))
 
     def parameter_groups(self) -> list[dict]:
-        """The parameters with their learning rate and settings, for torch.optim.Adam."""
+        """The parameters with their learning rate and settings, for `optimizers.Adam`."""
         p = self.preset
         return [{"params": [self.raw, self.detail], "lr": p.learning_rate, "betas": p.adam_betas, "eps": p.adam_eps}]
 

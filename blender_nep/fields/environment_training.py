@@ -20,6 +20,7 @@ from blender_nep.fields.environment_field import EnvironmentField
 from blender_nep.fields.non_finite_monitor import NonFiniteMonitor, usable_gradients, usable_loss
 from blender_nep.fields.schedule import geometric_decay
 from blender_nep.messages import Message, Part
+from blender_nep.optimizers import Adam, Optimizer
 from blender_nep.presets import EnvironmentPreset
 from blender_nep.profiling import section
 from blender_nep.tone_mapping import tone_map
@@ -48,15 +49,15 @@ def learning_rate(preset: EnvironmentPreset, fraction: float) -> float:
     return preset.learning_rate * geometric_decay(fraction, preset.rate_decay_from, preset.last_rate)
 
 
-def set_learning_rate(adam: torch.optim.Optimizer, preset: EnvironmentPreset, fraction: float) -> None:
+def set_learning_rate(adam: Optimizer, preset: EnvironmentPreset, fraction: float) -> None:
     """Set the learning rate of F_e's optimizer that is due at a fraction of the learning, 0..1."""
     for group in adam.param_groups:
         group["lr"] = learning_rate(preset, fraction)
 
 
-def optimizer(environment: EnvironmentField) -> torch.optim.Optimizer:
+def optimizer(environment: EnvironmentField) -> Optimizer:
     """Adam for the field's present grid."""
-    return torch.optim.Adam(environment.parameter_groups(), fused=True)
+    return Adam(environment.parameter_groups())
 
 
 def refine(environment: EnvironmentField, rays: PixelRays, background: PixelSet | torch.Tensor, fraction: float) -> bool:
@@ -97,7 +98,7 @@ def save_if_due(checkpoint: Checkpoint, state: Callable[[], dict]) -> None:
 
 def learn_step(
     environment: EnvironmentField,
-    adam: torch.optim.Optimizer,
+    adam: Optimizer,
     rays: PixelRays,
     index: torch.Tensor,
     generator: torch.Generator,
@@ -164,7 +165,7 @@ def learn_environment(
         return {
             "step": step,
             "environment": environment.state_dict(),
-            "optimizer": adam.state_dict(),
+            "optimizer": adam.state(),
             "generator": generator.get_state(),
             "monitor": monitor.state(),
         }
@@ -174,7 +175,7 @@ def learn_environment(
         step = state["step"]
         environment.load_state_dict(state["environment"])
         adam = optimizer(environment)
-        adam.load_state_dict(state["optimizer"])
+        adam.load(state["optimizer"])
         generator.set_state(state["generator"])
         monitor.load(state["monitor"])
     while step < preset.steps:

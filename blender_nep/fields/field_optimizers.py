@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import torch
-
 from blender_nep.fields import environment_training
 from blender_nep.fields.environment_field import EnvironmentField
 from blender_nep.fields.object_field import ObjectField
 from blender_nep.fields.schedule import Schedule
+from blender_nep.optimizers import Adam, Optimizer
 from blender_nep.presets import Preset
 
 
@@ -21,7 +20,7 @@ class Optimizers:
         self.environment = environment_training.optimizer(environment)
 
     @property
-    def all(self) -> tuple[torch.optim.Optimizer, ...]:
+    def all(self) -> tuple[Optimizer, ...]:
         """The optimizers of the SDF, of the color heads and of F_e."""
         return self.sdf, self.heads, self.environment
 
@@ -34,7 +33,7 @@ class Optimizers:
         """Make the optimizer of the color heads anew, after they got new parameters."""
         p = self._preset
         colors = self._object_field.color_parameters()
-        self.heads: torch.optim.Optimizer = torch.optim.Adam(colors, lr=p.head_rate, betas=p.head_betas, fused=True)
+        self.heads: Optimizer = Adam(colors, lr=p.head_rate, betas=p.head_betas)
 
     def restart_environment(self) -> None:
         """Make F_e's optimizer anew, after F_e got new parameters."""
@@ -56,7 +55,7 @@ class Optimizers:
 
     def state(self) -> dict:
         """The states of all optimizers, for a checkpoint."""
-        return {name: getattr(self, name).state_dict() for name in ("sdf", "heads", "environment")}
+        return {name: getattr(self, name).state() for name in ("sdf", "heads", "environment")}
 
     def load(self, state: dict) -> None:
         """Go on from `state`. The fields must be loaded before."""
@@ -64,4 +63,4 @@ class Optimizers:
         self.restart_heads()
         self.restart_environment()
         for name, values in state.items():
-            getattr(self, name).load_state_dict(values)
+            getattr(self, name).load(values)

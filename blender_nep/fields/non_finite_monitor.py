@@ -7,6 +7,7 @@ from collections.abc import Iterable
 import torch
 
 from blender_nep.errors import LearningError
+from blender_nep.optimizers import Optimizer
 
 PATIENCE = 20
 """After this many steps in a row that are not finite, learning ends with an error. It is not in the preset: a learning that
@@ -56,13 +57,13 @@ def usable_loss(loss: float) -> bool:
     return abs(loss) < LARGEST_LOSS  # False for NaN
 
 
-def usable_gradients(optimizers: Iterable[torch.optim.Optimizer]) -> bool:
+def usable_gradients(optimizers: Iterable[Optimizer]) -> bool:
     """Whether all gradients of the optimizers' parameters are finite.
 
     Only their sums are checked: one NaN or infinity makes the sum not finite. Sums in float64 are slow. So they are taken
     only if a sum in the gradients' own precision is not finite.
     """
-    parameters = (p for optimizer in optimizers for group in optimizer.param_groups for p in group["params"])
+    parameters = (parameter for optimizer in optimizers for parameter in optimizer.parameters)
     gradients = [p.grad for p in parameters if p.grad is not None]
 
     def finite_sums(dtype: torch.dtype | None) -> bool:

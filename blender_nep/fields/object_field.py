@@ -15,14 +15,14 @@ import torch
 from torch import nn
 
 from blender_nep.fields.albedo_detail import AlbedoDetail
-from blender_nep.fields.encodings import encoding_size, integrated_directional_encoding, positional_encoding
 from blender_nep.fields.fine_level import FineLevel
-from blender_nep.fields.optimizer import UniformAdam
 from blender_nep.fields.volume_rendering import SurfaceSamples, render_surface, sphere_interval
 from blender_nep.geometry.support import Support
 from blender_nep.ops import bspline
 from blender_nep.ops.bspline_bricks import Bricks, sample_bricks
 from blender_nep.ops.bspline_march import march
+from blender_nep.ops.encodings import encoding_size, integrated_directional_encoding, positional_encoding
+from blender_nep.optimizers import Optimizer, UniformAdam
 
 FEATURES = 16
 """Number of values that the albedo head passes to the light head."""
@@ -199,7 +199,7 @@ class ObjectField(SurfaceColor):
         """The SDF in its present state."""
         return SplineShape(self.coefficients(), self.support, None if self.fine is None else self.fine.bricks)
 
-    def shape_optimizer(self, rate: float, betas: tuple[float, float]) -> torch.optim.Optimizer:
+    def shape_optimizer(self, rate: float, betas: tuple[float, float]) -> Optimizer:
         """Adam with one step size for each level, for the present parameters of the SDF.
 
         A level whose cells are REFERENCE_CELL wide has the step size `rate`. The step size of another level is proportional

@@ -23,6 +23,7 @@ from blender_nep.capture.pixel_rays import PixelRays
 from blender_nep.capture.pixel_width import pixel_footprint
 from blender_nep.fields.fine_level import FineLevel
 from blender_nep.fields.object_field import ObjectField, Paint, SplineShape
+from blender_nep.optimizers import Adam
 from blender_nep.profiling import profiled, section
 from blender_nep.tone_mapping import tone_map
 
@@ -293,7 +294,7 @@ def _fit(field: ObjectField, places: _Places, target: Tensor, weight: Tensor) ->
     parameter, weight = field.fine.coefficients, (weight / weight.mean())[:, None]
     cell = 2 / field.fine.cells
     coarse = SplineShape(field.coefficients().detach(), field.support, field.fine.bricks)
-    optimizer = torch.optim.Adam([parameter], lr=_FIT_RATE * cell)
+    optimizer = Adam([parameter], lr=_FIT_RATE * cell)
     with section("fit"):
         for step in range(_FIT_STEPS):
             for group in optimizer.param_groups:

@@ -177,7 +177,7 @@ class FieldsRenderer:
         weight = torch.ones(n, 1, device=device).index_add(0, ray, opacity.detach()[:, None] * (w_s - 1))
         weight = weight * ~idle[:, None]
         nothing = radiance.sum() * 0
-        eikonal = ((surface.sdf_gradient.norm(dim=-1) - 1) ** 2).mean() if len(ray) else nothing
+        eikonal = surface.eikonal.mean() if len(ray) else nothing
         with section("curvature"):
             curvature = (shape.bending(surface.point) + 1).sqrt().mean() if len(ray) and p.curvature > 0 else nothing
         return Rendering(radiance, opacities, weight, eikonal, curvature, parts.foreground_opacity, parts.distortion)

@@ -14,6 +14,7 @@ from blender_nep.geometry.mesh import Surface
 from blender_nep.geometry.ray_tracing import RayTracer
 from blender_nep.materials.photo_samples import PhotoSamples, select_samples
 from blender_nep.materials.training_report import TrainingProgress
+from blender_nep.optimizers import Adam
 from blender_nep.profiling import profiled
 from blender_nep.shading.incoming_light import IncomingLight, TracedLight
 from blender_nep.shading.light_moments import LightMoments
@@ -171,7 +172,7 @@ def _learn_terminal(
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(int(torch.randint(1 << 30, (1,), generator=generator)))
         net.load_state_dict(TerminalRadiance().state_dict())
-    optimizer = torch.optim.Adam(net.parameters(), preset.terminal_rate)
+    optimizer = Adam(net.parameters(), preset.terminal_rate)
     goal = torch.log1p(4 * seen.samples.radiance)
     for k in range(steps):
         batch = torch.randint(len(goal), (preset.terminal_batch,), generator=generator).to(seen.device)

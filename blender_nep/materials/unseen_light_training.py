@@ -11,6 +11,7 @@ import torch
 from torch import Tensor
 
 from blender_nep.materials.palette import Palette
+from blender_nep.optimizers import Adam
 from blender_nep.presets import MaterialPreset
 from blender_nep.profiling import profiled
 from blender_nep.shading.incoming_light import IncomingLight
@@ -159,7 +160,7 @@ class UnseenLightProblem:
         response = torch.stack(light.uncovered_response(self.cones, samples, material), 1).float().cpu().numpy()
         first, albedo = self._brightened(start.radiance.clamp_min(_LEAST_START), offset, slope, response, len(palette))
         raw, logit = first.log().requires_grad_(), torch.logit(albedo).requires_grad_()
-        optimizer = torch.optim.Adam([{"params": [raw]}, {"params": [logit]}])
+        optimizer = Adam([{"params": [raw]}, {"params": [logit]}])
         error = float("nan")
         for k in range(steps):
             for group, rate in zip(optimizer.param_groups, (p.unseen_rate, p.unseen_albedo_rate), strict=True):

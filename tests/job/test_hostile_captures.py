@@ -20,10 +20,10 @@ from blender_nep.capture import PixelRays, load_capture
 from blender_nep.checkpoints import load_state
 from blender_nep.errors import LearningError
 from blender_nep.fields.non_finite_monitor import PATIENCE, NonFiniteMonitor, usable_gradients, usable_loss
-from blender_nep.fields.optimizer import UniformAdam
 from blender_nep.fields.training import FieldsLearning
 from blender_nep.geometry.mesh import weld
 from blender_nep.materials.corrections import KeptMaterials
+from blender_nep.optimizers import Adam, UniformAdam
 
 PLAIN = Case(told="yes", pixels="saturated", suffix=".png")
 
@@ -219,7 +219,7 @@ def test_a_gradient_that_is_not_finite_changes_nothing(plain_asset):
 
 def test_gradients_are_usable_only_when_all_are_finite():
     one, other = torch.nn.Parameter(torch.ones(3)), torch.nn.Parameter(torch.ones(2))
-    optimizers = [UniformAdam([one], lr=1.0), torch.optim.Adam([other])]
+    optimizers = [UniformAdam([one], lr=1.0), Adam([other])]
     assert usable_gradients(optimizers)
     one.grad, other.grad = torch.full((3,), 3e38), torch.zeros(2)
     assert usable_gradients(optimizers), "finite ones whose sum float32 cannot hold"

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 from blender_nep.fields.environment_field import EnvironmentField
 from blender_nep.fields.object_field import SplineShape
-from blender_nep.fields.volume_rendering import neus_weights, place_samples, render_surface, sphere_interval
+from blender_nep.fields.volume_rendering import render_surface, sphere_interval
 from blender_nep.materials.fitting import fit_groups
 from blender_nep.materials.palette import best_of
 from blender_nep.ops import bspline
@@ -138,7 +138,7 @@ def test_surfaces_of_extreme_fields_composite_finitely(seed, sharpness, size, sh
     coefficients = (shift + size * torch.randn(10, 10, 10, generator=generator)).requires_grad_()
     origins, directions = rays_from(distance, 40, seed)
     found = render_surface(SplineShape(coefficients), origins, directions, sharpness, 8, torch.Generator().manual_seed(seed))
-    for values in (found.opacity, found.point, found.gradient, found.sdf_gradient, found.depth):
+    for values in (found.opacity, found.point, found.gradient, found.eikonal, found.depth):
         assert torch.isfinite(values).all()
     assert (found.opacity >= 0).all() and (found.opacity <= 1 + 1e-5).all()
     total = found.opacity.sum() + (found.gradient / max(size, 1e-3)).sum()
@@ -161,19 +161,6 @@ def test_the_sphere_is_met_where_it_is_from_any_distance(distance, seed):
     outside = -(o * d).sum(-1) > 0.5 * chord
     pick = clear & outside
     assert ((leave - entry)[pick] - chord[pick]).abs().max() < 1e-4 * max(1.0, 0.05 * distance)
-
-
-def test_weights_of_a_ray_never_exceed_one():
-    sdf = torch.tensor([[1e30, -1e30, 1e30], [0.0, 0.0, 0.0], [math.inf, 1.0, -math.inf], [-1e9, -1e9, 1e9]])
-    for sharpness in (1e-6, 1.0, 1e6):
-        weights = neus_weights(sdf[:, :].clamp(-1e30, 1e30), sharpness)
-        assert torch.isfinite(weights).all() and (weights >= 0).all() and (weights.sum(1) <= 1 + 1e-6).all()
-
-
-def test_samples_stand_in_order_also_in_spans_without_length():
-    spans = torch.tensor([[[1.0, 1.0], [2.0, 2.0]], [[1.0, 2.0], [0.0, 0.0]], [[1.0, 1.5], [3.0, 3.5]]])
-    t = place_samples(spans, torch.tensor([2, 1, 2]), 6, torch.tensor([0.0, 0.5, 0.999]))
-    assert torch.isfinite(t).all() and (t.diff(dim=1) >= 0).all() and t.min() >= 1 and t.max() <= 3.5
 
 
 @FUZZ

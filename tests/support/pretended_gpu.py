@@ -11,13 +11,11 @@ not used here.
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Sequence
 from contextlib import contextmanager
 from typing import Any
 
 import torch
-from torch.utils._foreach_utils import _get_fused_kernels_supported_devices
 from torch.utils._python_dispatch import TorchDispatchMode, return_and_correct_aliasing
 from torch.utils._pytree import tree_iter, tree_map
 
@@ -154,8 +152,6 @@ def _made_on_the_cpu_first(make):
 @contextmanager
 def pretended_gpu(monkeypatch):
     """In this context, `torch.device("meta")` is the pretended graphics card."""
-    fused = [*_get_fused_kernels_supported_devices(), DEVICE.type]
-    monkeypatch.setattr(sys.modules["torch.optim.optimizer"], "_get_fused_kernels_supported_devices", lambda: fused)
     monkeypatch.setattr(torch, "Generator", _Generator)
     for name in ("tensor", "as_tensor"):
         monkeypatch.setattr(torch, name, _made_on_the_cpu_first(getattr(torch, name)))
