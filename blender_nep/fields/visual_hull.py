@@ -22,6 +22,7 @@ from skimage.filters import threshold_otsu
 from torch.nn import functional
 
 from blender_nep.capture.pixel_rays import PixelRays
+from blender_nep.capture.pixel_width import pixel_width
 from blender_nep.fields.rendering import RayBundle
 from blender_nep.tone_mapping import tone_map
 
@@ -62,7 +63,8 @@ def background_silhouettes(
     """For each view [H / block, W / block]: the absolute tone-mapped difference between the photo and the background.
 
     background(rays) gives the radiance [n, 3] without the object. It is asked only of the rays for which wanted(rays) [n] is
-    true; the others get the value 0. The photo is averaged over each block; the background is rendered for one ray of it.
+    true (None: those that `near_sphere` names); the others get the value 0. The photo is averaged over each block; the
+    background is rendered for one ray of it.
     """
     # All maps are made first. Made between the large arrays of the loop, they would keep the heap from reusing that memory.
     maps = [torch.empty(max(h // block, 1), max(w // block, 1), device=rays.radiance.device) for h, w in rays.size]
@@ -73,7 +75,7 @@ def background_silhouettes(
         column = torch.arange(columns, device=rays.radiance.device) * width // columns + min(block // 2, width - 1)
         index = (start + row[:, None] * width + column).flatten()
         bundle = RayBundle(*rays.rays(index))
-        asked = torch.ones_like(bundle.half_angle, dtype=torch.bool) if wanted is None else wanted(bundle)
+        asked = near_sphere(bundle, block) if wanted is None else wanted(bundle)
         radiance = torch.zeros_like(bundle.directions)
         radiance[asked] = background(bundle[asked])
         photo = rays.photo(torch.arange(start, end, device=rays.radiance.device)).reshape(height, width, 3)
@@ -81,6 +83,17 @@ def background_silhouettes(
         difference = (tone_map(radiance).reshape(rows, columns, 3) - photo).abs().mean(-1)
         maps[view].copy_(difference * asked.reshape(rows, columns))
     return maps
+
+
+def near_sphere(rays: RayBundle, block: int) -> torch.Tensor:
+    """Whether the values of rays [n] may count for points in the unit sphere: [n] bool.
+
+    Each ray stands for a block of block^2 pixels. The value of a point is interpolated between the centers of the four
+    nearest blocks, which lie less than two blocks away.
+    """
+    along = (rays.origins * rays.directions).sum(-1)
+    closest = (rays.origins - along[:, None] * rays.directions).norm(dim=-1)
+    return closest < 1 + 2 * block * pixel_width(rays.half_angle) * rays.origins.norm(dim=-1)
 
 
 def mask_silhouettes(rays: PixelRays, block: int = 4, views: list[int] | None = None) -> list[torch.Tensor]:

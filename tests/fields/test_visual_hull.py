@@ -7,6 +7,7 @@ from torch.nn import functional
 
 from blender_nep.capture import PixelRays, load_capture
 from blender_nep.fields.object_field import ObjectField
+from blender_nep.fields.rendering import RayBundle
 from blender_nep.fields.visual_hull import (
     LEAST_EXCESS,
     background_silhouettes,
@@ -14,6 +15,7 @@ from blender_nep.fields.visual_hull import (
     excess,
     low_quantile,
     mask_silhouettes,
+    near_sphere,
     score_cells,
 )
 from blender_nep.geometry.support import Support
@@ -122,13 +124,27 @@ def test_the_background_is_asked_only_of_the_wanted_rays(rays):
         return torch.zeros_like(bundle.directions)
 
     maps = background_silhouettes(black, rays, 4, lambda bundle: bundle.directions[:, 2] < 0)
-    everything = background_silhouettes(black, rays, 4)
+    everything = background_silhouettes(black, rays, 4, lambda bundle: bundle.half_angle > 0)
     assert sum(asked[: rays.views]) < sum(asked[rays.views :]) == sum(map(torch.numel, maps))
     height, width = rays.size[0]
     photo = tone_map(rays.photo(torch.arange(height * width))).reshape(height, width, 3)
     expected = functional.avg_pool2d(photo.permute(2, 0, 1), 4).mean(0)
     torch.testing.assert_close(everything[0], expected)
     assert all(((part == 0) | (part == whole)).all() for part, whole in zip(maps, everything, strict=True))
+
+
+@pytest.mark.parametrize("block", [2, 4])
+def test_the_scores_are_those_of_all_rays_although_only_those_near_the_sphere_are_asked(rays, block):
+    def every(bundle):
+        return bundle.half_angle > 0
+
+    def colors(bundle):
+        return bundle.directions.abs()
+
+    scores = [score_cells(rays, background_silhouettes(colors, rays, block, wanted), 32) for wanted in (None, every)]
+    np.testing.assert_array_equal(*scores)
+    asked = near_sphere(RayBundle(*rays.rays(torch.arange(rays.count))), block)
+    assert 0.5 < asked.float().mean() < 0.95
 
 
 @pytest.mark.parametrize("value", [0.0, 0.3])
