@@ -121,15 +121,18 @@ class SplineShape:
     fine: Bricks | None = None
     """What the fine level adds to the SDF near the surface, if there is such a level."""
 
+    def __post_init__(self) -> None:
+        self._spline = bspline.Spline(self.coefficients)
+
     @property
     def cell(self) -> float:
         """Width of the finest cells in the unit frame."""
         return 2.0 / (self.coefficients.shape[0] - 2 if self.fine is None else self.fine.cells)
 
     def sample(self, points: torch.Tensor, hessian: bool = False) -> torch.Tensor:
-        """Value and derivatives of the SDF at points [n, 3], which get no gradient: as `bspline.sample`."""
+        """Value and derivatives of the SDF at points [n, 3], which get no gradient: as `Spline.sample`."""
         points = points.detach().clamp(-1, 1)
-        sampled = bspline.sample(self.coefficients, points, hessian)
+        sampled = self._spline.sample(points, hessian)
         return sampled if self.fine is None else sampled + sample_bricks(self.fine, points, hessian)
 
     def march(self, origins, directions, entry, leave, band: float, step: float) -> tuple[torch.Tensor, torch.Tensor]:

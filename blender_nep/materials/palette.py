@@ -92,10 +92,8 @@ def error(light: LightMoments, target: Tensor, weight: Tensor, material: Materia
 
     It is the mean absolute tone-mapped difference from target [n, 3]. `material` holds n materials, or one for all.
     """
-    n = len(target)
-    r = material.roughness.expand(n)
-    whole = Material(material.albedo.expand(n, 3), r, material.metallic.expand(n))
-    predicted = reflected(whole, light.moments(r), light.diffuse, light.cos_v)
+    roughness = material.roughness[0] if len(material.roughness) == 1 else material.roughness
+    predicted = reflected(material, light.moments(roughness), light.diffuse, light.cos_v)
     return (tone_map(predicted) - tone_map(target)).abs().mean(-1).clamp_max(clip) * weight
 
 

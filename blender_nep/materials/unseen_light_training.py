@@ -158,7 +158,15 @@ class UnseenLightProblem:
         moments = light.known_moments(material.roughness, samples)
         offset, slope = affine_in_albedo(material, moments, light.known_diffuse[samples], light.cos_v[samples])
         response = torch.stack(light.uncovered_response(self.cones, samples, material), 1).float().cpu().numpy()
-        first, albedo = self._brightened(start.radiance.clamp_min(_LEAST_START), offset, slope, response, len(palette))
+        # A cone of a lobe counts only if a material has about the roughness of that lobe. Many cones do not.
+        answers = response.any((1, 2))
+        response, transport = response[answers], self.transport.of(answers)
+
+        def sent_by(part: Tensor) -> Tensor:
+            levels = pyramid(part, missing).cpu().numpy().astype(np.float32)
+            return torch.from_numpy(transport.sent(response, levels)).to(device)
+
+        first, albedo = self._brightened(start.radiance.clamp_min(_LEAST_START), offset, slope, sent_by, len(palette))
         raw, logit = first.log().requires_grad_(), torch.logit(albedo).requires_grad_()
         optimizer = Adam([{"params": [raw]}, {"params": [logit]}])
         error = float("nan")
@@ -168,7 +176,7 @@ class UnseenLightProblem:
             radiance = raw.clamp(_DARKEST, _BRIGHTEST).exp()
             levels = pyramid(radiance, missing)
             image = levels.detach().cpu().numpy().astype(np.float32)
-            sent = torch.from_numpy(self.transport.sent(response, image)).to(device).requires_grad_()
+            sent = torch.from_numpy(transport.sent(response, image)).to(device).requires_grad_()
             # Not [self.label]: several threads would sum its gradient in any order, and a job must be repeatable.
             albedo = torch.sigmoid(logit).index_select(0, self.label)
             predicted = offset + sent[:, 0] + albedo * (slope + sent[:, 1])
@@ -176,7 +184,7 @@ class UnseenLightProblem:
             optimizer.zero_grad()
             photometric.backward()
             assert sent.grad is not None  # backward has just filled it
-            gradient = self.transport.adjoint(response, sent.grad.cpu().numpy())
+            gradient = transport.adjoint(response, sent.grad.cpu().numpy())
             prior = self._prior(radiance)
             error = float(photometric.detach() + prior.detach())
             ((levels * torch.from_numpy(gradient).to(device)).sum() + prior).backward()
@@ -197,20 +205,15 @@ class UnseenLightProblem:
         return p.unseen_smoothness * variation + p.unseen_prior * deviation + p.unseen_color * colored
 
     def _brightened(
-        self, radiance: Tensor, offset: Tensor, slope: Tensor, response: np.ndarray, materials: int
+        self, radiance: Tensor, offset: Tensor, slope: Tensor, sent_by: Callable[[Tensor], Tensor], materials: int
     ) -> tuple[Tensor, Tensor]:
         """A map [rows, 2 rows, 3], its unseen part times the factor that explains the photos best, and the albedos [K, 3].
 
-        Adam alone stops on its way there: a brighter map with darker albedos changes the photos little at each step. offset,
-        slope and response are those of `solve`.
+        Adam alone stops on its way there: a brighter map with darker albedos changes the photos little at each step. offset
+        and slope are those of `solve`; sent_by(map) is what the map sends through all points [m, 2, 3].
         """
         missing = self.unseen.missing[..., None]
-
-        def sent(part: Tensor) -> Tensor:
-            levels = pyramid(part, self.unseen.missing).cpu().numpy().astype(np.float32)
-            return torch.from_numpy(self.transport.sent(response, levels)).to(offset.device)
-
-        shown, hidden = sent(radiance * (1 - missing)), sent(radiance * missing)
+        shown, hidden = sent_by(radiance * (1 - missing)), sent_by(radiance * missing)
         albedos = torch.tensor(_ALBEDOS, device=offset.device)
         least, best = math.inf, (radiance, albedos.new_full((materials, 3), 0.5))
         for gain in _GAINS:

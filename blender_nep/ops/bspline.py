@@ -131,25 +131,51 @@ def _backward(points, grad, coef_grad, threads):
                         coef_grad[i + a, j + c, m + q] += a0 * w[2, q] + a1 * d[2, q] + a2 * e[2, q]
 
 
+class _Gradient:
+    """The gradient of a spline's coefficients, to which several samples add."""
+
+    def __init__(self) -> None:
+        self.sum: torch.Tensor | None = None
+
+    def add(self, points: torch.Tensor, grad: torch.Tensor, shape: torch.Size) -> None:
+        """Add the adjoint of `_forward` at points [n, 3] for grad [n, 4 or 10]."""
+        if self.sum is None:
+            self.sum = grad.new_zeros(shape)
+        _backward(points.numpy(), grad.contiguous().numpy(), self.sum.numpy(), numba.get_num_threads())
+
+
+class _Share(torch.autograd.Function):
+    """Makes a number that stands for the coefficients in the graph. The samples depend on it, so that they come before it in
+    a backward pass. Then the gradient is complete."""
+
+    @staticmethod
+    def forward(ctx, coef, gradient):
+        ctx.gradient = gradient
+        return coef.new_zeros(())
+
+    @staticmethod
+    def backward(ctx, grad):
+        total, ctx.gradient.sum = ctx.gradient.sum, None
+        return total, None
+
+
 class _Sample(torch.autograd.Function):
     @staticmethod
-    def forward(ctx, coef, points, channels):
+    def forward(ctx, share, coef, gradient, points, channels):
         out = torch.empty(points.shape[0], channels, dtype=coef.dtype)
-        _forward(coef.detach().numpy(), points.detach().numpy(), out.numpy(), numba.get_num_threads())
+        _forward(coef.numpy(), points.numpy(), out.numpy(), numba.get_num_threads())
         ctx.save_for_backward(points)
-        ctx.shape = coef.shape
+        ctx.gradient, ctx.shape = gradient, coef.shape
         return out
 
     @staticmethod
     def backward(ctx, grad):
-        (points,) = ctx.saved_tensors
-        coef_grad = torch.zeros(ctx.shape, dtype=grad.dtype)
-        _backward(points.detach().numpy(), grad.contiguous().numpy(), coef_grad.numpy(), numba.get_num_threads())
-        return coef_grad, None, None
+        ctx.gradient.add(*ctx.saved_tensors, grad, ctx.shape)
+        return grad.new_zeros(()), None, None, None, None
 
 
 _ORDERS = ((0, 0, 0), (1, 0, 0), (0, 1, 0), (0, 0, 1), (2, 0, 0), (0, 2, 0), (0, 0, 2), (1, 1, 0), (1, 0, 1), (0, 1, 1))
-"""The orders of the derivatives in x, y and z that `sample` returns."""
+"""The orders of the derivatives in x, y and z that `Spline.sample` returns."""
 
 
 def taps_torch(points: torch.Tensor, cells: int) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]:
@@ -187,7 +213,7 @@ def _wanted_orders(k: int, device: torch.device) -> torch.Tensor:
 
 
 def sample_torch(coef: torch.Tensor, points: torch.Tensor, hessian: bool = False) -> torch.Tensor:
-    """The body of `sample` in plain torch, for any device and any float type."""
+    """The body of `Spline.sample` in plain torch, for any device and any float type."""
     i, w, d, e = taps_torch(points, coef.shape[0] - 2)
     tap = torch.arange(3, device=coef.device)
     x, y, z = (i[:, a, None] + tap for a in range(3))
@@ -197,16 +223,29 @@ def sample_torch(coef: torch.Tensor, points: torch.Tensor, hessian: bool = False
     return contract_torch(c.reshape(-1, 3, 3, 3), w, d, e, hessian)
 
 
-def sample(coef: torch.Tensor, points: torch.Tensor, hessian: bool = False) -> torch.Tensor:
-    """Value and derivatives of the spline at points.
+class Spline:
+    """A spline with coefficients [N, N, N]. All its samples add to one gradient of the coefficients.
 
-    coef [N, N, N]; points [n, 3] in [-1, 1] get no gradient. Returns [n, 4]: value, d/dx, d/dy, d/dz; with `hessian`
-    [n, 10]: also xx, yy, zz, xy, xz, yz. Differentiable with respect to coef.
+    Without that, each call would make a gradient of its own, and autograd would add them up. These are passes
+    over all coefficients, although the points touch few of them.
     """
-    coef, points = at_least_float32(coef, points)
-    if coef.device.type == "cpu":
-        return _Sample.apply(coef, points.contiguous(), 10 if hessian else 4)
-    return sample_torch(coef, points, hessian)
+
+    def __init__(self, coef: torch.Tensor) -> None:
+        (self._coef,) = at_least_float32(coef)
+        self._gradient = _Gradient()
+        self._share = _Share.apply(self._coef, self._gradient) if self._coef.device.type == "cpu" else None
+
+    def sample(self, points: torch.Tensor, hessian: bool = False) -> torch.Tensor:
+        """Value and derivatives of the spline at points [n, 3] in [-1, 1], which get no gradient.
+
+        Returns [n, 4]: value, d/dx, d/dy, d/dz; with `hessian` [n, 10]: also xx, yy, zz, xy, xz, yz. Differentiable with
+        respect to the coefficients.
+        """
+        (points,) = at_least_float32(points.detach())
+        if self._share is None:
+            return sample_torch(self._coef, points, hessian)
+        channels = 10 if hessian else 4
+        return _Sample.apply(self._share, self._coef.detach(), self._gradient, points.contiguous(), channels)
 
 
 @njit(cache=True, parallel=True, fastmath=True)

@@ -174,7 +174,7 @@ def sample_bricks_torch(bricks: Bricks, points: Tensor, hessian: bool = False) -
 
 
 def sample_bricks(bricks: Bricks, points: Tensor, hessian: bool = False) -> Tensor:
-    """Value and derivatives of the spline at points [n, 3] in [-1, 1]: as `bspline.sample`.
+    """Value and derivatives of the spline at points [n, 3] in [-1, 1]: as `bspline.Spline.sample`.
 
     Differentiable with respect to the coefficients.
     """

@@ -178,10 +178,13 @@ def _look_up(table: torch.Tensor, cos_v: torch.Tensor, roughness: torch.Tensor) 
     The rows are roughness. The columns are sqrt(cos_v), so that they are denser at grazing angles.
     """
     table = table.to(roughness.device, roughness.dtype)
-    y, x = torch.broadcast_tensors(roughness.clamp(0, 1), cos_v.clamp(1e-6, 1).sqrt())
-    x, y = (x * (_TABLE - 1)).clamp(0, _TABLE - 1 - 1e-4), (y * (_TABLE - 1)).clamp(0, _TABLE - 1 - 1e-4)
+    y, x = roughness.clamp(0, 1) * (_TABLE - 1), cos_v.clamp(1e-6, 1).sqrt() * (_TABLE - 1)
+    x, y = x.clamp(0, _TABLE - 1 - 1e-4), y.clamp(0, _TABLE - 1 - 1e-4)
     i, j = y.long(), x.long()
     fy, fx = y - i, x - j
+    if roughness.numel() == 1 and roughness.dim() <= cos_v.dim():  # interpolating the rows first leaves half of the lookups
+        row = torch.lerp(table[i.reshape(())], table[i.reshape(()) + 1], fy.reshape(()))
+        return torch.lerp(row[j], row[j + 1], fx)
     near = torch.lerp(table[i, j], table[i, j + 1], fx)
     return torch.lerp(near, torch.lerp(table[i + 1, j], table[i + 1, j + 1], fx), fy)
 

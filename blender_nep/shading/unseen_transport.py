@@ -6,6 +6,8 @@ lines (offset and slope) has a response in three colors. The taps stay the same 
 
 from __future__ import annotations
 
+from copy import copy
+
 import numpy as np
 import torch
 from torch import Tensor
@@ -34,6 +36,13 @@ class UnseenTransport:
         # all parts have about the same number of cones
         self._bounds = np.searchsorted(self._starts, np.linspace(0, len(cones), _PARTS + 1))
         self._bounds[0], self._bounds[-1] = 0, len(position)
+
+    def of(self, cones: np.ndarray) -> UnseenTransport:
+        """The same through some of the cones, [k] bool."""
+        some = copy(self)
+        some._texel, some._weight = self._texel[cones], self._weight[cones]
+        some._starts = np.concatenate([[0], np.cumsum(cones)])[self._starts]
+        return some
 
     def sent(self, response: np.ndarray, levels: np.ndarray) -> np.ndarray:
         """Radiance [n, L, 3] that the points send to the eye for a pyramid `levels` [texels, 3], on each of L lines.

@@ -1,13 +1,14 @@
-"""When a material of the palette is dropped, for residuals that are given."""
+"""Residuals of materials, and when a material of the palette is dropped."""
 
 from types import SimpleNamespace
 
 import pytest
 import torch
 
-from blender_nep.materials.palette import Palette
+from blender_nep.materials.palette import Palette, error
 from blender_nep.materials.palette_search import PaletteSearch
 from blender_nep.presets import MaterialPreset
+from blender_nep.shading.light_moments import LightMoments
 
 PRESET = MaterialPreset()
 
@@ -44,3 +45,22 @@ def dropped(materials, raised):
 def test_a_material_that_blends_can_replace_must_explain_more_than_one_that_they_cannot(materials, raised, left):
     assert PRESET.gain == 0.05 and 0.08 < PRESET.blended_gain < 0.15
     assert dropped(materials, raised) == left
+
+
+def test_the_residual_of_one_material_is_that_of_the_same_material_at_each_sample():
+    generator, n = torch.Generator().manual_seed(0), 60
+    levels = torch.tensor([0.03, 0.2, 0.5, 1.0])
+    light = LightMoments(
+        torch.rand(n, 4, 3, 3, generator=generator),
+        torch.rand(n, 3, generator=generator),
+        torch.ones(n, 4),
+        torch.rand(n, generator=generator),
+        levels,
+    )
+    target, weight = torch.rand(n, 3, generator=generator), torch.rand(n, generator=generator)
+    for metallic, roughness in ((0.0, 0.03), (1.0, 0.31), (0.4, 1.0)):
+        palette = Palette(torch.tensor([[0.7, 0.4, 0.1]]), torch.tensor([roughness]), torch.tensor([metallic]))
+        one, each = (palette.at(torch.zeros(count, dtype=torch.int64)) for count in (1, n))
+        residual = error(light, target, weight, one, 0.2)
+        torch.testing.assert_close(residual, error(light, target, weight, each, 0.2))
+        assert residual.shape == (n,) and 0 < residual.max() <= 0.2

@@ -27,7 +27,7 @@ def greville(cells: int, function):
 def test_linear_functions_are_reproduced_exactly():
     coefficients = greville(7, lambda x, y, z: 0.3 * x - 2 * y + 0.7 * z + 0.1)
     points = torch.rand(100, 3, dtype=torch.float64) * 2 - 1
-    out = bspline.sample(coefficients, points, hessian=True)
+    out = bspline.Spline(coefficients).sample(points, hessian=True)
     expected = points @ torch.tensor([0.3, -2, 0.7], dtype=torch.float64) + 0.1
     torch.testing.assert_close(out[:, 0], expected)
     torch.testing.assert_close(out[:, 1:4], torch.tensor([[0.3, -2, 0.7]], dtype=torch.float64).expand(100, 3))
@@ -37,7 +37,7 @@ def test_linear_functions_are_reproduced_exactly():
 def test_quadratic_function_has_its_hessian():
     # the Greville samples of x^2 give x^2 plus a constant: derivatives are exact
     coefficients = greville(8, lambda x, y, z: 1.5 * x * x - y * y + x * z)
-    out = bspline.sample(coefficients, torch.tensor([[0.21, -0.4, 0.77]], dtype=torch.float64), hessian=True)[0]
+    out = bspline.Spline(coefficients).sample(torch.tensor([[0.21, -0.4, 0.77]], dtype=torch.float64), hessian=True)[0]
     expected = [3 * 0.21 + 0.77, 0.8, 0.21, 3.0, -2.0, 0.0, 0.0, 1.0, 0.0]
     torch.testing.assert_close(out[1:], torch.tensor(expected, dtype=torch.float64))
 
@@ -45,12 +45,13 @@ def test_quadratic_function_has_its_hessian():
 def test_derivatives_against_finite_differences(spline):
     coefficients, points = spline
     points = points[2:] * 0.98
-    out = bspline.sample(coefficients, points)
+    out = bspline.Spline(coefficients).sample(points)
     for axis in range(3):
         shift = torch.zeros(3, dtype=torch.float64)
         shift[axis] = 1e-6
         difference = (
-            bspline.sample(coefficients, points + shift)[:, 0] - bspline.sample(coefficients, points - shift)[:, 0]
+            bspline.Spline(coefficients).sample(points + shift)[:, 0]
+            - bspline.Spline(coefficients).sample(points - shift)[:, 0]
         ) / 2e-6
         torch.testing.assert_close(out[:, 1 + axis], difference, atol=1e-6, rtol=1e-5)
 
@@ -59,7 +60,7 @@ def test_derivatives_against_finite_differences(spline):
 def test_compiled_and_torch_bodies_agree(spline, hessian):
     coefficients, points = spline
     torch.testing.assert_close(
-        bspline.sample(coefficients, points, hessian), bspline.sample_torch(coefficients, points, hessian)
+        bspline.Spline(coefficients).sample(points, hessian), bspline.sample_torch(coefficients, points, hessian)
     )
 
 
@@ -67,15 +68,33 @@ def test_compiled_and_torch_bodies_agree(spline, hessian):
 def test_gradcheck(spline, hessian):
     coefficients, points = spline
     assert torch.autograd.gradcheck(
-        lambda c: bspline.sample(c, points[:12], hessian), coefficients.requires_grad_(), atol=1e-6
+        lambda c: bspline.Spline(c).sample(points[:12], hessian), coefficients.requires_grad_(), atol=1e-6
     )
+
+
+def test_samples_of_a_step_add_to_one_gradient(spline):
+    """Also in a second step, and if only one of the two samples counts."""
+    coefficients, points = spline
+    near, far = points[:20], points[5:40]
+    spline = bspline.Spline(coefficients.requires_grad_())
+    for second in (1.0, 0.0, 2.0):
+        expected = coefficients.detach().clone().requires_grad_()
+        reference = bspline.sample_torch(expected, near).square().sum()
+        reference = reference + second * bspline.sample_torch(expected, far, True).square().sum()
+        reference.backward()
+        coefficients.grad = None
+        loss = spline.sample(near).square().sum()
+        if second:
+            loss = loss + second * spline.sample(far, True).square().sum()
+        loss.backward(retain_graph=True)
+        torch.testing.assert_close(coefficients.grad, expected.grad)
 
 
 def test_refinement_is_exact(spline):
     coefficients, points = spline
     fine = bspline.refine(coefficients)
     assert fine.shape == (16, 16, 16)
-    torch.testing.assert_close(bspline.sample(fine, points), bspline.sample(coefficients, points))
+    torch.testing.assert_close(bspline.Spline(fine).sample(points), bspline.Spline(coefficients).sample(points))
 
 
 def sphere_coefficients():
@@ -151,7 +170,10 @@ def test_the_torch_march_in_parts_is_the_march(monkeypatch):
 
 def test_a_point_that_is_not_a_number_has_no_value():
     points = torch.tensor([[0.1, math.nan, 0.2], [0.1, 0.2, 0.3]])
-    for sampled in (bspline.sample(sphere_coefficients(), points), bspline.sample_torch(sphere_coefficients(), points)):
+    for sampled in (
+        bspline.Spline(sphere_coefficients()).sample(points),
+        bspline.sample_torch(sphere_coefficients(), points),
+    ):
         assert sampled[0].isnan().all() and sampled[1].isfinite().all()
 
 
@@ -171,7 +193,7 @@ def test_spans_hold_all_of_the_band_before_the_inside(body, most):
     spans, count = body(coefficients, origins, directions, near, far, band, step, most)
     t = near[:, None] + torch.arange(2200) * 0.001
     points = origins[:, None] + t[..., None] * directions[:, None]
-    value = bspline.sample(coefficients, points.clamp(-1, 1).reshape(-1, 3))[:, 0].reshape(t.shape)
+    value = bspline.Spline(coefficients).sample(points.clamp(-1, 1).reshape(-1, 3))[:, 0].reshape(t.shape)
     deep = (value <= -band) | (t >= far[:, None])
     wanted = (value.abs() < band - 0.002) & (deep.cumsum(1) == 0)
     used = torch.arange(most) < count[:, None]

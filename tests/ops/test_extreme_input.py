@@ -116,7 +116,7 @@ def test_splines_of_any_size_agree_with_torch(seed, size, at):
     points[:6] = at
     weight = torch.randn(30, 10, generator=generator, dtype=torch.float64)
     results = []
-    for sample in (bspline.sample, bspline.sample_torch):
+    for sample in (lambda c, p, hessian: bspline.Spline(c).sample(p, hessian), bspline.sample_torch):
         coefficients = start.clone().requires_grad_()
         out = sample(coefficients, points, hessian=True)
         (out * weight).sum().backward()
@@ -242,7 +242,7 @@ def test_kernels_take_low_precision_and_compute_in_float32(dtype):
 
     def all_of(c, finer, p, r, e, o, d, n, f):
         return [
-            bspline.sample(c, p),
+            bspline.Spline(c).sample(p),
             bspline.refine(c),
             bspline.refine(c, finer),
             touched_mean_square(c),

@@ -144,6 +144,15 @@ def test_extremes_stay_finite_with_gradients():
                     assert all(torch.isfinite(x.grad).all() for x in (a, r, m))
 
 
+def test_the_albedo_of_one_roughness_is_that_of_each_of_many():
+    """One roughness for all directions has a lookup of its own."""
+    cosine = torch.linspace(0, 1, 50, dtype=torch.float64)
+    for r in (0.0, 0.03, 0.37, 1.0):
+        one, many = torch.tensor([r], dtype=torch.float64), torch.full_like(cosine, r)
+        for albedo in (brdf.specular_albedo, brdf.dielectric_albedo):
+            torch.testing.assert_close(albedo(cosine, one), albedo(cosine, many))
+
+
 def test_frames_are_orthonormal():
     n = torch.nn.functional.normalize(torch.randn(100, 3, generator=torch.Generator().manual_seed(4)), dim=-1)
     n = torch.cat([n, torch.tensor([[0, 0, -1.0], [0, 0, 1.0]])])

@@ -196,6 +196,13 @@ def test_the_transport_is_what_the_cones_receive_and_its_adjoint_fits(ball):
     assert all(np.array_equal(a, b) for a, b in zip(found[0], found[-1], strict=True)), "whatever the number of threads"
     with pytest.raises(ValueError, match="texels"):
         transport.sent(response, levels[1:])
+    answers = np.random.default_rng(3).random(len(cones)) < 0.4
+    response[~answers] = 0
+    part = transport.of(answers)
+    np.testing.assert_allclose(part.sent(response[answers], levels), transport.sent(response, levels), rtol=1e-6, atol=1e-6)
+    np.testing.assert_allclose(
+        part.adjoint(response[answers], other), transport.adjoint(response, other), rtol=1e-4, atol=1e-5
+    )
 
 
 def test_a_palette_with_one_material_of_another():
