@@ -92,7 +92,7 @@ class ReferenceField(SurfaceColor):
 
     def values(self, points: Tensor) -> Tensor:
         """Signed distances [n] at points [n, 3]. They are differentiable."""
-        encoded = positional_encoding(points, OCTAVES)
+        encoded = positional_encoding(points, OCTAVES, "torch")  # the gradients are differentiated again
         x = encoded
         for k, layer in enumerate(self.layers[:-1]):
             if k == self.skip:

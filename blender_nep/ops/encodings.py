@@ -12,6 +12,7 @@ from functools import lru_cache
 import numpy as np
 import torch
 from numba import njit, prange
+from torch.autograd.function import once_differentiable
 
 from blender_nep.ops.precision import at_least_float32
 
@@ -52,6 +53,7 @@ class _Positions(torch.autograd.Function):
         return out
 
     @staticmethod
+    @once_differentiable
     def backward(ctx, grad):
         (out,) = ctx.saved_tensors
         grad_x = grad.new_empty(len(grad), 3)
@@ -62,7 +64,7 @@ class _Positions(torch.autograd.Function):
 def positional_encoding(x: torch.Tensor, octaves: int, body: str = "auto") -> torch.Tensor:
     """[n, 3] -> [n, 3 + 6 octaves]: x, then sin and cos of 2^k pi x / 2 for k = 0 .. octaves - 1.
 
-    body: "auto" (Numba on the CPU, torch elsewhere), "numba" or "torch".
+    body: "auto" (Numba on the CPU, torch elsewhere), "numba" or "torch". Only that of torch can be differentiated twice.
     """
     (x,) = at_least_float32(x)
     if octaves == 0:
@@ -218,6 +220,7 @@ class _Directions(torch.autograd.Function):
         return out
 
     @staticmethod
+    @once_differentiable
     def backward(ctx, grad):
         direction, kappa_inv = ctx.saved_tensors
         grads = grad.new_empty(len(grad), 4)

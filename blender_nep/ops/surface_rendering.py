@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 import torch
 from numba import njit, prange
+from torch.autograd.function import once_differentiable
 
 from blender_nep.ops.precision import at_least_float32
 
@@ -148,7 +149,7 @@ def _composite_backward(field, inverse, t, sharpness, out, grad, field_grad):
                 later += price * weight[i + 1]
             for i in range(last + 1):
                 front, back = (slope[i] if i > 0 else 0.0), (slope[i + 1] if i < last else 0.0)
-                field_grad[ray, i, 0] = sharpness * inverse[ray, i] / (1 + inverse[ray, i]) * (front - back)
+                field_grad[ray, i, 0] = sharpness * (inverse[ray, i] / (1 + inverse[ray, i])) * (front - back)
                 share = ((weight[i] if i > 0 else 0.0) + (weight[i + 1] if i < last else 0.0)) / 2
                 x, y, z = field[ray, i, 1], field[ray, i, 2], field[ray, i, 3]
                 length = np.sqrt(x * x + y * y + z * z)
@@ -169,6 +170,7 @@ class _Composite(torch.autograd.Function):
         return out
 
     @staticmethod
+    @once_differentiable
     def backward(ctx, grad):
         field, inverse, t, out = (value.detach() for value in ctx.saved_tensors)
         field_grad = torch.empty_like(field)

@@ -91,6 +91,13 @@ def test_compositing_gradcheck(body, sharpness):
 
 
 @BODIES
+def test_a_ray_that_begins_far_inside_a_sharp_surface_gets_finite_gradients(body):
+    field = torch.full((1, 4, 4), -1000.0, requires_grad=True)
+    composite(field, torch.linspace(1, 2, 4)[None], 1e8, body).opacity.sum().backward()
+    torch.testing.assert_close(field.grad[0, :, 0], torch.tensor([1e8, 0, 0, -1e8]))
+
+
+@BODIES
 def test_a_ray_through_nothing_gets_finite_gradients(body):
     """Its SDF rises, and has no gradient anywhere."""
     field = torch.zeros(1, 5, 4)
