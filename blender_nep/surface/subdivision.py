@@ -87,13 +87,13 @@ class _Edges:
     def __init__(self, surface: Surface) -> None:
         self.place = np.unique(surface.vertices, axis=0, return_inverse=True)[1].ravel()
         sides = np.sort(surface.faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
-        self.sides, of_face = np.unique(sides, axis=0, return_inverse=True)
+        first_side, of_face = _pairs(sides, len(surface.vertices))
+        self.sides = sides[first_side]
         """[S, 2] vertices of the sides: one side for an edge inside a chart, two for an edge at a seam"""
         self.of_face = of_face.reshape(-1, 3)
         """[F, 3] sides of each face, between its corners 0-1, 1-2 and 2-0"""
         places = np.sort(self.place[self.sides], axis=1)
-        _, first, edge = np.unique(places, axis=0, return_index=True, return_inverse=True)
-        self.edge = edge.ravel()
+        first, self.edge = _pairs(places, len(surface.vertices))
         """[S] index of each side's edge"""
         ends = self.sides[first]
         # the same sum must come out on both sides of a seam, whatever the order of the vertices
@@ -118,6 +118,15 @@ class _Edges:
                 return chosen
             chosen = chosen.copy()
             chosen[longest] = True
+
+
+def _pairs(pairs: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """The first index [D] of each different pair, and the number [n] in 0..D - 1 of each of the pairs [n, 2].
+
+    The pairs hold whole numbers below `count`. np.unique sorts one number much faster than a row.
+    """
+    _, first, number = np.unique(pairs[:, 0] * count + pairs[:, 1], return_index=True, return_inverse=True)
+    return first, number.ravel()
 
 
 def _chosen(edges: _Edges, error: np.ndarray, tolerance: float, faces: int) -> np.ndarray:
