@@ -1,4 +1,4 @@
-"""The optimizers of all learning: Adam, and Adam for grids.
+"""The optimizers of the engine: Adam, and Adam for grids.
 
 They are no subclasses of torch.optim.Optimizer, because the first object of that class imports torch's compiler. That takes
 more than two CPU seconds in each process, and nothing here is compiled by it.
@@ -7,6 +7,7 @@ more than two CPU seconds in each process, and nothing here is compiled by it.
 from __future__ import annotations
 
 from collections.abc import Iterable
+from typing import Any
 
 import torch
 from torch.optim.adam import adam
@@ -17,15 +18,15 @@ from blender_nep.ops.touched import touched_mean_square
 class Optimizer:
     """Groups of parameters with their settings, and the moments of each parameter.
 
-    parameters: tensors, or dicts with `params` and settings of their own. `settings` are those of all other groups. The
-    settings of a group, such as `lr`, may be changed between two steps.
+    parameters: tensors, or dicts with `params` and settings of their own. `settings` hold for what a
+    group does not set itself. The settings of a group, such as `lr`, may be changed between two steps.
     """
 
     def __init__(self, parameters: Iterable[torch.Tensor] | Iterable[dict], **settings: object) -> None:
         parts: list = list(parameters)
         groups: list[dict] = parts if parts and isinstance(parts[0], dict) else [{"params": parts}]
         self.param_groups = [{**settings, **group, "params": list(group["params"])} for group in groups]
-        self.moments: dict[torch.Tensor, dict[str, torch.Tensor]] = {}
+        self.moments: dict[torch.Tensor, dict[str, Any]] = {}
 
     @property
     def parameters(self) -> list[torch.Tensor]:
@@ -33,7 +34,7 @@ class Optimizer:
         return [parameter for group in self.param_groups for parameter in group["params"]]
 
     def zero_grad(self) -> None:
-        """Take the gradients from all parameters."""
+        """Remove the gradients of all parameters."""
         for parameter in self.parameters:
             parameter.grad = None
 
@@ -41,24 +42,21 @@ class Optimizer:
         """Change each parameter that has a gradient."""
         raise NotImplementedError
 
-    def state(self) -> list[dict[str, torch.Tensor]]:
-        """The moments of each parameter, for a checkpoint; empty for a parameter that had no gradient yet."""
+    def state(self) -> list[dict[str, Any]]:
+        """The moments of each parameter, for a checkpoint; empty for a parameter that had no gradient yet.
+
+        They are not copied.
+        """
         return [self.moments.get(parameter, {}) for parameter in self.parameters]
 
-    def load(self, state: list[dict[str, torch.Tensor]]) -> None:
+    def load(self, state: list[dict[str, Any]]) -> None:
         """Go on from `state` of an optimizer with the same parameters."""
         for parameter, moments in zip(self.parameters, state, strict=True):
             if moments:
-                self.moments[parameter] = {name: value.to(parameter.device) for name, value in moments.items()}
-
-    def _moments_of(self, parameter: torch.Tensor, square_shape: torch.Size) -> dict[str, torch.Tensor]:
-        if parameter not in self.moments:
-            self.moments[parameter] = {
-                "step": torch.zeros((), device=parameter.device),
-                "mean": torch.zeros_like(parameter),
-                "square": parameter.new_zeros(square_shape),
-            }
-        return self.moments[parameter]
+                self.moments[parameter] = {
+                    name: value.to(parameter.device) if isinstance(value, torch.Tensor) else value
+                    for name, value in moments.items()
+                }
 
 
 class Adam(Optimizer):
@@ -77,7 +75,7 @@ class Adam(Optimizer):
     def step(self) -> None:
         for group in self.param_groups:
             learned = [p for p in group["params"] if p.grad is not None]
-            moments = [self._moments_of(p, p.shape) for p in learned]
+            moments = [self._moments_of(p) for p in learned]
             if learned:
                 adam(
                     learned,
@@ -95,6 +93,15 @@ class Adam(Optimizer):
                     beta2=group["betas"][1],
                     eps=group["eps"],
                 )
+
+    def _moments_of(self, parameter: torch.Tensor) -> dict[str, Any]:
+        if parameter not in self.moments:
+            self.moments[parameter] = {
+                "step": torch.zeros((), device=parameter.device),
+                "mean": torch.zeros_like(parameter),
+                "square": torch.zeros_like(parameter),
+            }
+        return self.moments[parameter]
 
 
 class UniformAdam(Optimizer):
@@ -121,9 +128,11 @@ class UniformAdam(Optimizer):
             for p in group["params"]:
                 if p.grad is None:
                     continue
-                moments = self._moments_of(p, torch.Size())
+                if p not in self.moments:
+                    self.moments[p] = {"step": 0, "mean": torch.zeros_like(p), "square": p.new_zeros(())}
+                moments = self.moments[p]
                 moments["step"] += 1
-                step = float(moments["step"])
+                step = moments["step"]
                 moments["mean"].lerp_(p.grad, 1 - b1)
                 moments["square"].lerp_(touched_mean_square(p.grad), 1 - b2)
                 scale = (moments["square"] / (1 - b2**step)).sqrt().clamp(min=1e-20)

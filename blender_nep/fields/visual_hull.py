@@ -63,8 +63,8 @@ def background_silhouettes(
     """For each view [H / block, W / block]: the absolute tone-mapped difference between the photo and the background.
 
     background(rays) gives the radiance [n, 3] without the object. It is asked only of the rays for which wanted(rays) [n] is
-    true (None: those that `near_sphere` names); the others get the value 0. The photo is averaged over each block; the
-    background is rendered for one ray of it.
+    true; the others get the value 0. Without `wanted`, these are the rays of `near_sphere`. The photo is averaged over each
+    block; the background is rendered for one ray of it.
     """
     # All maps are made first. Made between the large arrays of the loop, they would keep the heap from reusing that memory.
     maps = [torch.empty(max(h // block, 1), max(w // block, 1), device=rays.radiance.device) for h, w in rays.size]

@@ -158,7 +158,7 @@ class UnseenLightProblem:
         moments = light.known_moments(material.roughness, samples)
         offset, slope = affine_in_albedo(material, moments, light.known_diffuse[samples], light.cos_v[samples])
         response = torch.stack(light.uncovered_response(self.cones, samples, material), 1).float().cpu().numpy()
-        # A cone of a lobe counts only if a material has about the roughness of that lobe. Many cones do not.
+        # A cone of a lobe counts only if a material has about the roughness of that lobe. The others are left out.
         answers = response.any((1, 2))
         response, transport = response[answers], self.transport.of(answers)
 
@@ -210,7 +210,7 @@ class UnseenLightProblem:
         """A map [rows, 2 rows, 3], its unseen part times the factor that explains the photos best, and the albedos [K, 3].
 
         Adam alone stops on its way there: a brighter map with darker albedos changes the photos little at each step. offset
-        and slope are those of `solve`; sent_by(map) is what the map sends through all points [m, 2, 3].
+        and slope are those of `solve`; sent_by(map) is the radiance [m, 2, 3] that the points send to the eye for that map.
         """
         missing = self.unseen.missing[..., None]
         shown, hidden = sent_by(radiance * (1 - missing)), sent_by(radiance * missing)

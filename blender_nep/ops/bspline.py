@@ -145,8 +145,7 @@ class _Gradient:
 
 
 class _Share(torch.autograd.Function):
-    """Makes a number that stands for the coefficients in the graph. The samples depend on it, so that they come before it in
-    a backward pass. Then the gradient is complete."""
+    """A number on which all samples depend. So autograd runs its backward after theirs. By then, the sum is complete."""
 
     @staticmethod
     def forward(ctx, coef, gradient):
@@ -226,8 +225,9 @@ def sample_torch(coef: torch.Tensor, points: torch.Tensor, hessian: bool = False
 class Spline:
     """A spline with coefficients [N, N, N]. All its samples add to one gradient of the coefficients.
 
-    Without that, each call would make a gradient of its own, and autograd would add them up. These are passes
-    over all coefficients, although the points touch few of them.
+    Without that, each call would make a gradient of its own, and autograd would add them up. Each of
+    these is a pass over all coefficients, although the points touch few of them. A spline that is made where gradients are
+    disabled has none.
     """
 
     def __init__(self, coef: torch.Tensor) -> None:

@@ -103,22 +103,22 @@ def encoding_size(levels: int) -> int:
     return 2 * sum(2**i + 1 for i in range(levels))
 
 
-LANES = 16
-"""So many directions are encoded side by side, so that the loops over them become vector instructions."""
+_LANES = 16
+"""Number of directions that are encoded side by side. The loops over them become vector instructions."""
 
 
 @njit(cache=True, inline="always")
 def _powers(direction, first, count, re, im, z_power):
-    """Fill re and im with (x + iy)^m, and z_power with z^m, each [top + 1, LANES], for m = 0 .. top.
+    """Fill re and im with (x + iy)^m, and z_power with z^m, each [top + 1, _LANES], for m = 0 .. top.
 
     The lanes are the directions [n, 3] from `first` on. Those after `count` repeat the last one.
     """
-    for lane in range(LANES):
+    for lane in range(_LANES):
         i = first + min(lane, count - 1)
         re[0, lane], im[0, lane], z_power[0, lane] = 1, 0, 1
         re[1, lane], im[1, lane], z_power[1, lane] = direction[i, 0], direction[i, 1], direction[i, 2]
     for m in range(2, re.shape[0]):
-        for lane in range(LANES):
+        for lane in range(_LANES):
             re[m, lane] = re[m - 1, lane] * re[1, lane] - im[m - 1, lane] * im[1, lane]
             im[m, lane] = re[m - 1, lane] * im[1, lane] + im[m - 1, lane] * re[1, lane]
             z_power[m, lane] = z_power[m - 1, lane] * z_power[1, lane]
@@ -126,8 +126,8 @@ def _powers(direction, first, count, re, im, z_power):
 
 @njit(cache=True, inline="always")
 def _attenuations(kappa_inv, first, count, rate, attenuation):
-    """Fill attenuation [LANES] with exp(rate * kappa^-1) of the directions from `first` on."""
-    for lane in range(LANES):
+    """Fill attenuation [_LANES] with exp(rate * kappa^-1) of the directions from `first` on."""
+    for lane in range(_LANES):
         value = kappa_inv[first + min(lane, count - 1)]
         attenuation[lane] = np.exp(rate * max(value, value * 0))
 
@@ -136,12 +136,12 @@ def _attenuations(kappa_inv, first, count, rate, attenuation):
 def _encode_directions(direction, kappa_inv, table, out):
     """Fill out [n, 2 pairs], as `integrated_directional_encoding`. table: as that of `_legendre_table`."""
     n, pairs, top = direction.shape[0], table.shape[0], table.shape[1] - 1
-    for block in prange((n + LANES - 1) // LANES):
-        first, kind = block * LANES, direction.dtype
-        count = min(LANES, n - first)
-        powers = np.empty((3, top + 1, LANES), kind)
+    for block in prange((n + _LANES - 1) // _LANES):
+        first, kind = block * _LANES, direction.dtype
+        count = min(_LANES, n - first)
+        powers = np.empty((3, top + 1, _LANES), kind)
         re, im, z_power = powers[0], powers[1], powers[2]
-        attenuation, value = np.empty(LANES, kind), np.empty(LANES, kind)
+        attenuation, value = np.empty(_LANES, kind), np.empty(_LANES, kind)
         _powers(direction, first, count, re, im, z_power)
         row, degree = 0, 1
         while degree <= top:
@@ -149,9 +149,9 @@ def _encode_directions(direction, kappa_inv, table, out):
             for m in range(degree + 1):
                 value[:] = 0
                 for k in range((degree - m) % 2, degree - m + 1, 2):  # the others are 0: Legendre functions are even or odd
-                    for lane in range(LANES):
+                    for lane in range(_LANES):
                         value[lane] += table[row, k] * z_power[k, lane]
-                for lane in range(LANES):
+                for lane in range(_LANES):
                     value[lane] *= attenuation[lane]
                 for lane in range(count):
                     out[first + lane, row] = value[lane] * re[m, lane]
@@ -164,14 +164,14 @@ def _encode_directions(direction, kappa_inv, table, out):
 def _directions_backward(direction, kappa_inv, table, grad, grads):
     """Fill grads [n, 4]: the adjoint of `_encode_directions` for the direction and kappa^-1."""
     n, pairs, top = direction.shape[0], table.shape[0], table.shape[1] - 1
-    for block in prange((n + LANES - 1) // LANES):
-        first, kind = block * LANES, direction.dtype
-        count = min(LANES, n - first)
-        powers = np.empty((3, top + 1, LANES), kind)
+    for block in prange((n + _LANES - 1) // _LANES):
+        first, kind = block * _LANES, direction.dtype
+        count = min(_LANES, n - first)
+        powers = np.empty((3, top + 1, _LANES), kind)
         re, im, z_power = powers[0], powers[1], powers[2]
-        attenuation, value, slope = np.empty(LANES, kind), np.empty(LANES, kind), np.empty(LANES, kind)
-        g_re, g_im = np.zeros(LANES, kind), np.zeros(LANES, kind)
-        total = np.zeros((4, LANES), kind)
+        attenuation, value, slope = np.empty(_LANES, kind), np.empty(_LANES, kind), np.empty(_LANES, kind)
+        g_re, g_im = np.zeros(_LANES, kind), np.zeros(_LANES, kind)
+        total = np.zeros((4, _LANES), kind)
         _powers(direction, first, count, re, im, z_power)
         row, degree = 0, 1
         while degree <= top:
@@ -183,13 +183,13 @@ def _directions_backward(direction, kappa_inv, table, grad, grads):
                 for k in range((degree - m) % 2, degree - m + 1, 2):
                     below, factor = max(k - 1, 0), table[row, k]
                     derivative = kind.type(k) * factor
-                    for lane in range(LANES):
+                    for lane in range(_LANES):
                         value[lane] += factor * z_power[k, lane]
                         slope[lane] += derivative * z_power[below, lane]
                 for lane in range(count):
                     g_re[lane], g_im[lane] = grad[first + lane, row], grad[first + lane, pairs + row]
                 below, power = max(m - 1, 0), kind.type(m)
-                for lane in range(LANES):
+                for lane in range(_LANES):
                     along = attenuation[lane] * (g_re[lane] * re[m, lane] + g_im[lane] * im[m, lane])
                     slant = attenuation[lane] * power * value[lane]
                     total[0, lane] += slant * (g_re[lane] * re[below, lane] + g_im[lane] * im[below, lane])
@@ -240,9 +240,10 @@ def integrated_directional_encoding(
     """Unit direction [n, 3] and kappa^-1 >= 0 [n, 1] -> [n, encoding_size(levels)].
 
     Powers of (x + iy) are computed by multiplication. So they are polynomials, and their gradient is finite at the poles.
-    body: "auto" (Numba on the CPU, torch elsewhere), "numba" or "torch".
+    body: "auto" (Numba on the CPU, torch elsewhere), "numba" or "torch". Only that of torch can be differentiated twice.
     """
     direction, kappa_inv = at_least_float32(direction, kappa_inv)
+    kappa_inv = kappa_inv.expand(len(direction), 1)
     if body == "numba" or (body == "auto" and direction.device.type == "cpu"):
         return _Directions.apply(direction, kappa_inv, levels)
     pairs, table = _legendre_table(levels)

@@ -19,7 +19,10 @@ from blender_nep.ops.precision import at_least_float32
 _LEAST_OPACITY = 1e-6
 """The mean distance of a ray is divided by at least this opacity."""
 _LARGEST_EXPONENT = 700.0
-"""exp(700) is finite in float64. A sample that lies deeper has phi = 0 in any case."""
+"""exp(700) is finite in float64. Between two samples that both lie deeper, alpha is 0 in the Numba body. Samples in a band
+around the surface (`fields.volume_rendering.BAND`) never lie so deep."""
+_BLOCK = 256
+"""So many rays use the same work arrays, because making arrays takes time."""
 
 
 class Composited(NamedTuple):
@@ -40,18 +43,22 @@ def _place(spans, count, jitter, t):
     """Fill t [m, samples + 1], as `place_samples`."""
     last = t.shape[1] - 1
     for ray in prange(t.shape[0]):
-        total = jitter[ray] * 0
+        total = 0.0
         for span in range(count[ray]):
-            total += max(spans[ray, span, 1] - spans[ray, span, 0], jitter[ray] * 0)
-        span, before = 0, jitter[ray] * 0
-        length = max(spans[ray, 0, 1] - spans[ray, 0, 0], before)
+            total += max(spans[ray, span, 1] - spans[ray, span, 0], 0.0)
+        span, before = 0, 0.0
+        length = max(spans[ray, 0, 1] - spans[ray, 0, 0], 0.0)
         for i in range(last + 1):
-            share = jitter[ray] * 0 + (i == last) if i == 0 or i == last else (i - 1 + jitter[ray]) / (last - 1)
-            u = share * total
+            if i == 0:
+                u = 0.0
+            elif i == last:
+                u = total
+            else:
+                u = (i - 1 + jitter[ray]) / (last - 1) * total
             while u > before + length and span + 1 < count[ray]:
                 before += length
                 span += 1
-                length = max(spans[ray, span, 1] - spans[ray, span, 0], jitter[ray] * 0)
+                length = max(spans[ray, span, 1] - spans[ray, span, 0], 0.0)
             t[ray, i] = spans[ray, span, 0] + (u - before)
 
 
@@ -98,11 +105,10 @@ def _composite(field, inverse, t, out):
     """
     last = field.shape[1] - 1
     for ray in prange(field.shape[0]):
-        zero = field[ray, 0, 0] * 0
-        clear, before, opacity, depth = zero + 1, zero, zero, zero
-        gx, gy, gz, eikonal = zero, zero, zero, zero
+        clear, before, opacity, depth = 1.0, 0.0, 0.0, 0.0  # sums are in float64
+        gx, gy, gz, eikonal = 0.0, 0.0, 0.0, 0.0
         for i in range(last + 1):
-            weight = zero
+            weight = 0.0
             if i < last and inverse[ray, i + 1] > inverse[ray, i]:
                 alpha = (inverse[ray, i + 1] - inverse[ray, i]) / (1 + inverse[ray, i + 1])
                 weight = clear * alpha
@@ -124,11 +130,13 @@ def _composite(field, inverse, t, out):
 def _composite_backward(field, inverse, t, sharpness, out, grad, field_grad):
     """Fill field_grad [m, k + 1, 4], the adjoint of `_composite`. out, grad [m, 6]: its result, and the gradient of that."""
     last = field.shape[1] - 1
-    blocks = (field.shape[0] + 255) // 256
-    for block in prange(blocks):
-        weight, behind = np.zeros(last + 2), np.zeros(last + 1)  # of a section, and the transmittance behind it
-        value, slope = np.zeros(last + 1), np.zeros(last + 2)  # of a sample, for a share of 1; of a section's log alpha
-        for ray in range(block * 256, min((block + 1) * 256, field.shape[0])):
+    for block in prange((field.shape[0] + _BLOCK - 1) // _BLOCK):
+        # Section i lies between samples i and i + 1. It is entry i + 1 of `weight` and `slope`. No entry is read before
+        # it is written. So the ends need the conditions below.
+        weight, slope = np.empty(last + 1), np.empty(last + 1)  # slope: the gradient by log(1 - alpha)
+        behind = np.empty(last)  # the transmittance behind a section
+        value = np.empty(last + 1)  # what a sample costs if its share is 1
+        for ray in range(block * _BLOCK, min((block + 1) * _BLOCK, field.shape[0])):
             opaque = max(out[ray, 0], _LEAST_OPACITY)
             g_depth = grad[ray, 1] / opaque
             g_opacity = grad[ray, 0] - (g_depth * out[ray, 1] if out[ray, 0] > _LEAST_OPACITY else 0.0)

@@ -38,7 +38,7 @@ class UnseenTransport:
         self._bounds[0], self._bounds[-1] = 0, len(position)
 
     def of(self, cones: np.ndarray) -> UnseenTransport:
-        """The same through some of the cones, [k] bool."""
+        """The transport through the chosen cones only. cones [k]: whether each is chosen."""
         some = copy(self)
         some._texel, some._weight = self._texel[cones], self._weight[cones]
         some._starts = np.concatenate([[0], np.cumsum(cones)])[self._starts]

@@ -121,7 +121,7 @@ class _Edges:
 
 
 def _pairs(pairs: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """The first index [D] of each different pair, and the number [n] in 0..D - 1 of each of the pairs [n, 2].
+    """The first index [D] of each different pair, and for each of the pairs [n, 2] its number [n] among these, 0..D - 1.
 
     The pairs hold whole numbers below `count`. np.unique sorts one number much faster than a row.
     """

@@ -1,7 +1,5 @@
 """Samples on rays and their compositing: NeuS's published formula, gradients, and both bodies against each other."""
 
-import math
-
 import pytest
 import torch
 
@@ -31,11 +29,16 @@ def test_weights_gradcheck():
     assert torch.autograd.gradcheck(lambda f: neus_weights(f, 7.0), sdf)
 
 
-def test_weights_of_a_ray_never_exceed_one():
-    sdf = torch.tensor([[1e30, -1e30, 1e30], [0.0, 0.0, 0.0], [math.inf, 1.0, -math.inf], [-1e9, -1e9, 1e9]])
+@BODIES
+def test_weights_of_a_ray_never_exceed_one(body):
+    sdf = torch.tensor([[1e30, -1e30, 1e30], [0.0, 0.0, 0.0], [1e30, 1.0, -1e30], [-1e9, -1e9, 1e9]])
+    field, t = torch.cat([sdf[..., None], torch.ones(4, 3, 3)], -1), torch.arange(3.0).expand(4, 3)
     for sharpness in (1e-6, 1.0, 1e6):
-        weights = neus_weights(sdf[:, :].clamp(-1e30, 1e30), sharpness)
+        weights = neus_weights(sdf, sharpness)
         assert torch.isfinite(weights).all() and (weights >= 0).all() and (weights.sum(1) <= 1 + 1e-6).all()
+        found = composite(field, t, sharpness, body)
+        torch.testing.assert_close(found.opacity, weights.sum(1))
+        torch.testing.assert_close(found.gradient, weights.sum(1)[:, None].expand(4, 3))
 
 
 @BODIES
