@@ -6,6 +6,7 @@ more than two CPU seconds in each process, and nothing here is compiled by it.
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Iterable
 from typing import Any
 
@@ -15,11 +16,11 @@ from torch.optim.adam import adam
 from blender_nep.ops.touched import touched_mean_square
 
 
-class Optimizer:
+class Optimizer(ABC):
     """Groups of parameters with their settings, and the moments of each parameter.
 
-    parameters: tensors, or dicts with `params` and settings of their own. `settings` hold for what a
-    group does not set itself. The settings of a group, such as `lr`, may be changed between two steps.
+    parameters: tensors, or dicts with `params` and settings of their own. `settings` hold for what a group does not set
+    itself. The settings of a group, such as `lr`, may be changed between two steps.
     """
 
     def __init__(self, parameters: Iterable[torch.Tensor] | Iterable[dict], **settings: object) -> None:
@@ -38,9 +39,9 @@ class Optimizer:
         for parameter in self.parameters:
             parameter.grad = None
 
+    @abstractmethod
     def step(self) -> None:
         """Change each parameter that has a gradient."""
-        raise NotImplementedError
 
     def state(self) -> list[dict[str, Any]]:
         """The moments of each parameter, for a checkpoint; empty for a parameter that had no gradient yet.

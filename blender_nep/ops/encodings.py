@@ -108,11 +108,13 @@ _LANES = 16
 
 
 @njit(cache=True, inline="always")
-def _powers(direction, first, count, re, im, z_power):
-    """Fill re and im with (x + iy)^m, and z_power with z^m, each [top + 1, _LANES], for m = 0 .. top.
+def _powers(direction, first, count, top):
+    """The real and imaginary parts of (x + iy)^m, and z^m, each [top + 1, _LANES], for m = 0 .. top.
 
     The lanes are the directions [n, 3] from `first` on. Those after `count` repeat the last one.
     """
+    powers = np.empty((3, top + 1, _LANES), direction.dtype)
+    re, im, z_power = powers[0], powers[1], powers[2]
     for lane in range(_LANES):
         i = first + min(lane, count - 1)
         re[0, lane], im[0, lane], z_power[0, lane] = 1, 0, 1
@@ -122,6 +124,7 @@ def _powers(direction, first, count, re, im, z_power):
             re[m, lane] = re[m - 1, lane] * re[1, lane] - im[m - 1, lane] * im[1, lane]
             im[m, lane] = re[m - 1, lane] * im[1, lane] + im[m - 1, lane] * re[1, lane]
             z_power[m, lane] = z_power[m - 1, lane] * z_power[1, lane]
+    return re, im, z_power
 
 
 @njit(cache=True, inline="always")
@@ -139,10 +142,8 @@ def _encode_directions(direction, kappa_inv, table, out):
     for block in prange((n + _LANES - 1) // _LANES):
         first, kind = block * _LANES, direction.dtype
         count = min(_LANES, n - first)
-        powers = np.empty((3, top + 1, _LANES), kind)
-        re, im, z_power = powers[0], powers[1], powers[2]
         attenuation, value = np.empty(_LANES, kind), np.empty(_LANES, kind)
-        _powers(direction, first, count, re, im, z_power)
+        re, im, z_power = _powers(direction, first, count, top)
         row, degree = 0, 1
         while degree <= top:
             _attenuations(kappa_inv, first, count, kind.type(-0.5 * degree * (degree + 1)), attenuation)
@@ -167,12 +168,10 @@ def _directions_backward(direction, kappa_inv, table, grad, grads):
     for block in prange((n + _LANES - 1) // _LANES):
         first, kind = block * _LANES, direction.dtype
         count = min(_LANES, n - first)
-        powers = np.empty((3, top + 1, _LANES), kind)
-        re, im, z_power = powers[0], powers[1], powers[2]
         attenuation, value, slope = np.empty(_LANES, kind), np.empty(_LANES, kind), np.empty(_LANES, kind)
         g_re, g_im = np.zeros(_LANES, kind), np.zeros(_LANES, kind)
         total = np.zeros((4, _LANES), kind)
-        _powers(direction, first, count, re, im, z_power)
+        re, im, z_power = _powers(direction, first, count, top)
         row, degree = 0, 1
         while degree <= top:
             rate = kind.type(-0.5 * degree * (degree + 1))

@@ -182,8 +182,9 @@ def _look_up(table: torch.Tensor, cos_v: torch.Tensor, roughness: torch.Tensor) 
     x, y = x.clamp(0, _TABLE - 1 - 1e-4), y.clamp(0, _TABLE - 1 - 1e-4)
     i, j = y.long(), x.long()
     fy, fx = y - i, x - j
-    if roughness.numel() == 1 and roughness.dim() <= cos_v.dim():  # interpolating the rows first leaves half of the lookups
-        row = torch.lerp(table[i.reshape(())], table[i.reshape(()) + 1], fy.reshape(()))
+    # Of one roughness, the rows are interpolated first. That leaves half of the lookups.
+    if roughness.numel() == 1 and roughness.dim() <= cos_v.dim():
+        row = torch.lerp(table[i.reshape(1)], table[i.reshape(1) + 1], fy.reshape(1, 1))[0]
         return torch.lerp(row[j], row[j + 1], fx)
     near = torch.lerp(table[i, j], table[i, j + 1], fx)
     return torch.lerp(near, torch.lerp(table[i + 1, j], table[i + 1, j + 1], fx), fy)

@@ -148,9 +148,12 @@ def test_the_albedo_of_one_roughness_is_that_of_each_of_many():
     """One roughness for all directions has a lookup of its own."""
     cosine = torch.linspace(0, 1, 50, dtype=torch.float64)
     for r in (0.0, 0.03, 0.37, 1.0):
-        one, many = torch.tensor([r], dtype=torch.float64), torch.full_like(cosine, r)
+        one = torch.tensor([r], dtype=torch.float64, requires_grad=True)
+        many = torch.full_like(cosine, r, requires_grad=True)
         for albedo in (brdf.specular_albedo, brdf.dielectric_albedo):
             torch.testing.assert_close(albedo(cosine, one), albedo(cosine, many))
+            (of_one,), (of_many,) = (torch.autograd.grad(albedo(cosine, x).sum(), x) for x in (one, many))
+            torch.testing.assert_close(of_one[0], of_many.sum())
 
 
 def test_frames_are_orthonormal():
