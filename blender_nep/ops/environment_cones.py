@@ -77,55 +77,64 @@ def _neighbors_first(directions: torch.Tensor, half_angle: torch.Tensor, ratio: 
     return ((level * (_STRIPS + 1) + strip).double() * 2 + turn).argsort()
 
 
-@njit(cache=True, parallel=True, fastmath=True, error_model="numpy")
-def _composite(levels_of, radii, detail, shell_radii, occupied, far, cones, out, blocks):
-    """Fill out [n, 4]: mean radiance and coverage of n `_Cones`, in `blocks` parallel tasks. See `composite_cones`."""
+@njit(cache=True, fastmath=True, error_model="numpy")
+def _composite_block(block, levels_of, radii, detail, shell_radii, occupied, far, cones, out, blocks):
+    """What `_composite` does in one of its tasks."""
     origins, directions, near, half_angle, order = cones
     n, levels, shells = origins.shape[0], radii.shape[0], shell_radii.shape[0]
     to_level = 1.0 / math.log(radii[1] / radii[0])
     first, to_finer = math.log(radii[0]), 1.0 / math.log(detail.shape[0] / levels_of[0].shape[0])
+    value = np.empty(5)
+    for p in range(block * n // blocks, (block + 1) * n // blocks):
+        i = order[p]
+        ox, oy, oz = float(origins[i, 0]), float(origins[i, 1]), float(origins[i, 2])
+        dx, dy, dz = float(directions[i, 0]), float(directions[i, 1]), float(directions[i, 2])
+        along = ox * dx + oy * dy + oz * dz
+        rest = along * along - (ox * ox + oy * oy + oz * oz)
+        width = math.log(max(float(half_angle[i]), 1e-6))
+        passed, red, green, blue, seen = 1.0, 0.0, 0.0, 0.0, 0.0
+        for k in range(shells):
+            if not occupied[k]:
+                continue
+            radius = shell_radii[k]
+            t = math.sqrt(max(rest + radius * radius, 0.0)) - along
+            if t < near[i] and k < shells - 1:
+                continue
+            narrower = first - width - math.log(max(t, 1e-6) / radius)
+            place = min(max(-narrower * to_level, 0.0), levels - 1.0)
+            level = min(int(place), levels - 2)
+            mix = place - level
+            turn, fall = polar(ox + t * dx, oy + t * dy, oz + t * dz)
+            for h in range(5):
+                value[h] = 0.0
+            if mix < 1.0:
+                _add_level(levels_of[level], k, turn, fall, 1.0 - mix, value)
+            if mix > 0.0:
+                _add_level(levels_of[level + 1], k, turn, fall, mix, value)
+            if narrower > 0.0 and far[k] > 0.0:
+                _sharpen(detail, turn, fall, far[k] * min(narrower * to_finer, 1.0), value)
+            red += passed * value[0]
+            green += passed * value[1]
+            blue += passed * value[2]
+            seen += passed * value[4]
+            passed *= 1.0 - min(value[3], 1.0)
+            if passed < 1e-3:
+                break
+        scale = 1.0 / max(1.0 - passed, 1e-9)
+        out[i, 0] = red * scale
+        out[i, 1] = green * scale
+        out[i, 2] = blue * scale
+        out[i, 3] = seen * scale
+
+
+@njit(cache=True, parallel=True, fastmath=True, error_model="numpy")
+def _composite(levels_of, radii, detail, shell_radii, occupied, far, cones, out, blocks):
+    """Fill out [n, 4]: mean radiance and coverage of n `_Cones`, in `blocks` parallel tasks. See `composite_cones`.
+
+    The loop is short for the reason that `environment_rendering_numba._march` tells.
+    """
     for block in prange(blocks):
-        value = np.empty(5)
-        for p in range(block * n // blocks, (block + 1) * n // blocks):
-            i = order[p]
-            ox, oy, oz = float(origins[i, 0]), float(origins[i, 1]), float(origins[i, 2])
-            dx, dy, dz = float(directions[i, 0]), float(directions[i, 1]), float(directions[i, 2])
-            along = ox * dx + oy * dy + oz * dz
-            rest = along * along - (ox * ox + oy * oy + oz * oz)
-            width = math.log(max(float(half_angle[i]), 1e-6))
-            passed, red, green, blue, seen = 1.0, 0.0, 0.0, 0.0, 0.0
-            for k in range(shells):
-                if not occupied[k]:
-                    continue
-                radius = shell_radii[k]
-                t = math.sqrt(max(rest + radius * radius, 0.0)) - along
-                if t < near[i] and k < shells - 1:
-                    continue
-                narrower = first - width - math.log(max(t, 1e-6) / radius)
-                place = min(max(-narrower * to_level, 0.0), levels - 1.0)
-                level = min(int(place), levels - 2)
-                mix = place - level
-                turn, fall = polar(ox + t * dx, oy + t * dy, oz + t * dz)
-                for h in range(5):
-                    value[h] = 0.0
-                if mix < 1.0:
-                    _add_level(levels_of[level], k, turn, fall, 1.0 - mix, value)
-                if mix > 0.0:
-                    _add_level(levels_of[level + 1], k, turn, fall, mix, value)
-                if narrower > 0.0 and far[k] > 0.0:
-                    _sharpen(detail, turn, fall, far[k] * min(narrower * to_finer, 1.0), value)
-                red += passed * value[0]
-                green += passed * value[1]
-                blue += passed * value[2]
-                seen += passed * value[4]
-                passed *= 1.0 - min(value[3], 1.0)
-                if passed < 1e-3:
-                    break
-            scale = 1.0 / max(1.0 - passed, 1e-9)
-            out[i, 0] = red * scale
-            out[i, 1] = green * scale
-            out[i, 2] = blue * scale
-            out[i, 3] = seen * scale
+        _composite_block(np.int64(block), levels_of, radii, detail, shell_radii, occupied, far, cones, out, blocks)
 
 
 @njit(cache=True)

@@ -72,14 +72,9 @@ def _detail_at(detail, place, share):
     return red, green, blue
 
 
-@njit(cache=True, parallel=True, fastmath=True, error_model="numpy")
-def _march(raw, detail, rays, medium, rendered, kept, records, keep):
-    """Composite every ray front to back into `rendered`. With `keep`, also fill the records.
-
-    raw [K, H, W, 4]; detail [D, 2 D, 3], D may be 0; RaySamples, Medium and SampleRecords are of NumPy arrays. `rendered`
-    [n, 5] gets the radiance, the transmittance and the distortion. `kept` is `records.kept`: Numba loses what a parallel
-    loop writes, at the loop's index, to an array that was taken from a tuple.
-    """
+@njit(cache=True, fastmath=True, error_model="numpy")
+def _march_ray(i, raw, detail, rays, medium, rendered, records, keep):
+    """What `_march` does with ray i."""
     origins, directions, t_closest, b, w_near, w_length, infinite, offsets, jitter = rays
     contraction_radius, density_gain, gradient_near, transmittance_limit, depth_limit = medium
     cells, scattered, local = records.cells, records.scattered, records.local
@@ -90,83 +85,97 @@ def _march(raw, detail, rays, medium, rendered, kept, records, keep):
     to_shell = 1.0 / spacing
     border = math.log(contraction_radius) * to_shell
     detailed = detail.shape[0] > 0
-    for i in prange(origins.shape[0]):
-        ox, oy, oz = float(origins[i, 0]), float(origins[i, 1]), float(origins[i, 2])
-        dx, dy, dz = float(directions[i, 0]), float(directions[i, 1]), float(directions[i, 2])
-        first = offsets[i]
-        samples = offsets[i + 1] - first
-        red, green, blue, passed, count = 0.0, 0.0, 0.0, 1.0, 0
-        distortion, sum_weights, sum_places = 0.0, 0.0, 0.0
-        steps = samples - 1 if infinite[i] else samples
-        step = w_length[i] / steps if steps > 0 else 0.0
-        ray_border = contraction_border(b[i], contraction_radius)
-        w = w_near[i] + jitter[i] * step
-        exp_w, growth = math.exp(w), math.exp(step)
-        for n in range(samples):
-            closing = n == steps
-            if closing:  # the sky lies at infinity, in the direction of the ray
-                t = 1e30
-                k_real = shells - 1.0
-                px, py, pz = dx, dy, dz
-            else:
-                t, k_real = place_on_ray(w, exp_w, b[i], ray_border, contraction_radius, to_shell)
-                t += t_closest[i]
-                k_real = min(max(k_real, 0.0), shells - 1.0)
-                px, py, pz = ox + t * dx, oy + t * dy, oz + t * dz
-                w += step
-                exp_w *= growth
-            k = min(int(k_real), shells - 2)
-            turn, fall = polar(px, py, pz)
-            j, c, fj, fc = cell(turn, fall, rows, columns)
-            fk = k_real - k
-            shell_weights = 1.0 - fk, fk
-            corners, weights = cell_columns(j, c, rows, columns), bilinear_weights(fj, fc)
-            slope, alpha = 0.0, 1.0
-            if not closing:
-                value = trilinear(raw, k, shell_weights, corners, weights, 0)
-                q = math.exp(-abs(value))
-                density = density_gain * (max(value, 0.0) + math.log1p(q))
-                depth = density * step
-                if depth < depth_limit:
-                    continue
-                slope = density_gain * step * (1.0 / (1.0 + q) if value >= 0.0 else q / (1.0 + q))
-                alpha = -math.expm1(-depth)
-            weight = passed * alpha
-            on_ray = (w_length[i] if closing else (n + jitter[i]) * step) / length
-            width = 0.0 if closing else step / length
-            distortion += 2.0 * weight * (on_ray * sum_weights - sum_places) + weight * weight * width / 3.0
-            sum_weights, sum_places = sum_weights + weight, sum_places + weight * on_ray
-            m = first + count
-            share = far_share(k_real, border, spacing) if detailed else 0.0
-            place = cell(turn, fall, detail.shape[0], detail.shape[1])
-            red_here, green_here, blue_here = _detail_at(detail, place, share)
-            red_here = _radiance(trilinear(raw, k, shell_weights, corners, weights, 1) + red_here)
-            green_here = _radiance(trilinear(raw, k, shell_weights, corners, weights, 2) + green_here)
-            blue_here = _radiance(trilinear(raw, k, shell_weights, corners, weights, 3) + blue_here)
-            red, green, blue = red + weight * red_here, green + weight * green_here, blue + weight * blue_here
-            if keep:
-                cells[m, 0], cells[m, 1], cells[m, 2] = k, j, c
-                scattered[m, 0], scattered[m, 1], scattered[m, 2], scattered[m, 3] = fk, fj, fc, share
-                if share > 0.0:
-                    detail_cells[m, 0], detail_cells[m, 1] = place[0], place[1]
-                    detail_fractions[m, 0], detail_fractions[m, 1] = place[2], place[3]
-                local[m, 0], local[m, 1], local[m, 2] = slope, alpha, passed
-                local[m, 3], local[m, 4], local[m, 5] = red_here, green_here, blue_here
-                local[m, 6] = (t / gradient_near) ** 2 if t < gradient_near else 1.0
-                local[m, 7], local[m, 8] = on_ray, width
-                count += 1
-            passed *= 1.0 - alpha
-            if passed <= transmittance_limit:
-                break
-        rendered[i, 0], rendered[i, 1], rendered[i, 2] = red, green, blue
-        rendered[i, 3], rendered[i, 4] = passed, distortion
-        kept[i] = count
+    ox, oy, oz = float(origins[i, 0]), float(origins[i, 1]), float(origins[i, 2])
+    dx, dy, dz = float(directions[i, 0]), float(directions[i, 1]), float(directions[i, 2])
+    first = offsets[i]
+    samples = offsets[i + 1] - first
+    red, green, blue, passed, count = 0.0, 0.0, 0.0, 1.0, 0
+    distortion, sum_weights, sum_places = 0.0, 0.0, 0.0
+    steps = samples - 1 if infinite[i] else samples
+    step = w_length[i] / steps if steps > 0 else 0.0
+    ray_border = contraction_border(b[i], contraction_radius)
+    w = w_near[i] + jitter[i] * step
+    exp_w, growth = math.exp(w), math.exp(step)
+    for n in range(samples):
+        closing = n == steps
+        if closing:  # the sky lies at infinity, in the direction of the ray
+            t = 1e30
+            k_real = shells - 1.0
+            px, py, pz = dx, dy, dz
+        else:
+            t, k_real = place_on_ray(w, exp_w, b[i], ray_border, contraction_radius, to_shell)
+            t += t_closest[i]
+            k_real = min(max(k_real, 0.0), shells - 1.0)
+            px, py, pz = ox + t * dx, oy + t * dy, oz + t * dz
+            w += step
+            exp_w *= growth
+        k = min(int(k_real), shells - 2)
+        turn, fall = polar(px, py, pz)
+        j, c, fj, fc = cell(turn, fall, rows, columns)
+        fk = k_real - k
+        shell_weights = 1.0 - fk, fk
+        corners, weights = cell_columns(j, c, rows, columns), bilinear_weights(fj, fc)
+        slope, alpha = 0.0, 1.0
+        if not closing:
+            value = trilinear(raw, k, shell_weights, corners, weights, 0)
+            q = math.exp(-abs(value))
+            density = density_gain * (max(value, 0.0) + math.log1p(q))
+            depth = density * step
+            if depth < depth_limit:
+                continue
+            slope = density_gain * step * (1.0 / (1.0 + q) if value >= 0.0 else q / (1.0 + q))
+            alpha = -math.expm1(-depth)
+        weight = passed * alpha
+        on_ray = (w_length[i] if closing else (n + jitter[i]) * step) / length
+        width = 0.0 if closing else step / length
+        distortion += 2.0 * weight * (on_ray * sum_weights - sum_places) + weight * weight * width / 3.0
+        sum_weights, sum_places = sum_weights + weight, sum_places + weight * on_ray
+        m = first + count
+        share = far_share(k_real, border, spacing) if detailed else 0.0
+        place = cell(turn, fall, detail.shape[0], detail.shape[1])
+        red_here, green_here, blue_here = _detail_at(detail, place, share)
+        red_here = _radiance(trilinear(raw, k, shell_weights, corners, weights, 1) + red_here)
+        green_here = _radiance(trilinear(raw, k, shell_weights, corners, weights, 2) + green_here)
+        blue_here = _radiance(trilinear(raw, k, shell_weights, corners, weights, 3) + blue_here)
+        red, green, blue = red + weight * red_here, green + weight * green_here, blue + weight * blue_here
+        if keep:
+            cells[m, 0], cells[m, 1], cells[m, 2] = k, j, c
+            scattered[m, 0], scattered[m, 1], scattered[m, 2], scattered[m, 3] = fk, fj, fc, share
+            if share > 0.0:
+                detail_cells[m, 0], detail_cells[m, 1] = place[0], place[1]
+                detail_fractions[m, 0], detail_fractions[m, 1] = place[2], place[3]
+            local[m, 0], local[m, 1], local[m, 2] = slope, alpha, passed
+            local[m, 3], local[m, 4], local[m, 5] = red_here, green_here, blue_here
+            local[m, 6] = (t / gradient_near) ** 2 if t < gradient_near else 1.0
+            local[m, 7], local[m, 8] = on_ray, width
+            count += 1
+        passed *= 1.0 - alpha
+        if passed <= transmittance_limit:
+            break
+    rendered[i, 0], rendered[i, 1], rendered[i, 2] = red, green, blue
+    rendered[i, 3], rendered[i, 4] = passed, distortion
+    records.kept[i] = count
+
+
+@njit(cache=True, parallel=True, fastmath=True, error_model="numpy")
+def _march(raw, detail, rays, medium, rendered, records, keep):
+    """Composite every ray front to back into `rendered`. With `keep`, also fill the records.
+
+    raw [K, H, W, 4]; detail [D, 2 D, 3], D may be 0; RaySamples, Medium and SampleRecords are of NumPy arrays. `rendered`
+    [n, 5] gets the radiance, the transmittance and the distortion.
+
+    The loop calls a function, because Numba compiles a long body of a parallel loop twice. It would compile the function
+    twice too, for both types that the index of a parallel loop has, if the index were not made an int64.
+    """
+    for i in prange(rays.origins.shape[0]):
+        _march_ray(np.int64(i), raw, detail, rays, medium, rendered, records, keep)
 
 
 @njit(cache=True, parallel=True, fastmath=True, error_model="numpy")
 def _sample_gradients(records, rendered, g_rendered, scattered, used):
-    """Fill the gradients of the raw values at every kept sample into `records.scattered`, which is given once more because
-    the loop writes to it. `used` [m] marks the places that are filled.
+    """Fill the gradients of the raw values at every kept sample into `records.scattered`, which is given once more:
+    Numba loses what a parallel loop writes to an array that was taken from a tuple. `used` [m] marks the places that are
+    filled.
 
     `rendered` [n, 5] is what `_march` has made, g_rendered [n, 5] its gradient. The distortion is a sum over samples, too:
     its derivative by a sample's weight plays the part of the sample's color.
@@ -287,7 +296,7 @@ class _Render(torch.autograd.Function):
             np.empty((m, 9), grid.dtype),
         )
         rendered = raw.new_empty((n, 5))
-        _march(grid, detail.detach().numpy(), arrays, medium, rendered.numpy(), records.kept, records, keep)
+        _march(grid, detail.detach().numpy(), arrays, medium, rendered.numpy(), records, keep)
         ctx.shapes, ctx.records = (grid.shape, tuple(detail.shape)), records
         ctx.rendered = rendered.numpy().copy()
         return rendered
