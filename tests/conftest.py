@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import collections
 import functools
 import os
 from pathlib import Path
@@ -78,34 +77,11 @@ def make_capture(tmp_path):
 
 
 class SharedFixturesScheduling(LoadScopeScheduling):
-    """Tests of a file with module fixtures run in one worker, which makes each fixture once. All others run anywhere.
-
-    The tests of kernels run first, and those of a file in one worker. Their kernels are compiled once, and all later tests
-    find them on the disk. Otherwise each worker, and each engine that a test starts, would compile them: 190 CPU seconds.
-    """
+    """Tests of a file with module fixtures run in one worker, which makes each fixture once. All others run anywhere."""
 
     def _split_scope(self, nodeid: str) -> str:
         file = nodeid.partition("::")[0]
-        return file if _of_kernels(file) or _has_module_fixtures(self.config.rootpath / file) else nodeid
-
-
-def _of_kernels(file: str) -> bool:
-    """Whether the tests of a file compile few kernels that other files of kernels do not use."""
-    return file.startswith("tests/ops/") and file != "tests/ops/test_extreme_input.py"  # this one uses them all
-
-
-def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Put the tests of kernels first, then the files with module fixtures, those with most tests first."""
-    files = [item.nodeid.partition("::")[0] for item in items]
-    sizes = collections.Counter(files)
-
-    def place(file: str) -> tuple[int, int]:
-        if _of_kernels(file):
-            return 0, 0
-        return (1, -sizes[file]) if _has_module_fixtures(config.rootpath / file) else (2, 0)
-
-    order = sorted(range(len(items)), key=lambda i: place(files[i]))  # a stable sort
-    items[:] = [items[i] for i in order]
+        return file if _has_module_fixtures(self.config.rootpath / file) else nodeid
 
 
 @functools.cache
