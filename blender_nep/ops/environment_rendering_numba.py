@@ -164,8 +164,8 @@ def _march(raw, detail, rays, medium, rendered, records, keep):
     raw [K, H, W, 4]; detail [D, 2 D, 3], D may be 0; RaySamples, Medium and SampleRecords are of NumPy arrays. `rendered`
     [n, 5] gets the radiance, the transmittance and the distortion.
 
-    The loop calls a function, because Numba compiles a long body of a parallel loop twice. It would compile the function
-    twice too, for both types that the index of a parallel loop has, if the index were not made an int64.
+    The loop only calls a function, because Numba would compile a longer body twice. It would also compile the function
+    twice, for an int64 and a uint64, if the loop's index were not made an int64.
     """
     for i in prange(rays.origins.shape[0]):
         _march_ray(np.int64(i), raw, detail, rays, medium, rendered, records, keep)
