@@ -26,8 +26,13 @@ from blender_nep.ops.spherical_grid import COLOR_LIMIT
 FINER_ROWS = 2
 """Rows of the finest level divided by rows of the field; the same for columns."""
 RATIO = 1.6
-"""Angular radius of each level divided by that of the level before it."""
-SMALLEST_ROWS = 12
+"""Angular radius of each level divided by that of the level before it, up to DENSE_FROM."""
+DENSE_FROM = math.radians(6)
+"""From this angular radius on, there are two levels for each RATIO. A cone between two levels gets a mixture of both, which
+blurs its edge. The blur is large for wide cones, and their levels are small."""
+LEAST_TEXELS = 3
+"""A level has fewer rows only if its disc's radius is larger than this number of texels."""
+SMALLEST_ROWS = 48
 TENT_RADIUS = math.sqrt(2 / 3)
 """Radius, in texels, of the disc that has the same variance as bilinear interpolation. Bilinear interpolation has the
 variance 1/6 for each axis; a disc of radius r has r^2 / 4."""
@@ -109,15 +114,16 @@ class PrefilteredEnvironment:
         radius = TENT_RADIUS * math.pi / values.shape[1]
         self.levels, self.radii = [from_weights(values)], [radius]
         while radius < math.pi / 2:
-            radius *= RATIO
-            while _divisible(values) and radius > 3 * math.pi / values.shape[1]:
+            radius *= RATIO if len(self.radii) == 1 or radius < DENSE_FROM else math.sqrt(RATIO)
+            while _divisible(values) and radius > LEAST_TEXELS * math.pi / values.shape[1]:
                 values = _halve(values)
             texel = math.pi / values.shape[1]
             stored = disc_mean(values, math.sqrt(radius**2 - (TENT_RADIUS * texel) ** 2)).clamp(min=0)
-            while _divisible(stored) and radius > 2.5 * math.pi / stored.shape[1]:
+            while _divisible(stored) and radius > LEAST_TEXELS * math.pi / stored.shape[1]:
                 stored = _halve(stored)
             self.levels.append(from_weights(stored))
             self.radii.append(radius)
+        self.dense_from = max(sum(radius < DENSE_FROM for radius in self.radii), 1)
 
     def query(
         self, origins: torch.Tensor, directions: torch.Tensor, half_angle: torch.Tensor, near: torch.Tensor
@@ -129,6 +135,7 @@ class PrefilteredEnvironment:
         out = composite_cones(
             self.levels,
             self.radii,
+            self.dense_from,
             self.detail,
             self.shell_radii,
             self.occupied,

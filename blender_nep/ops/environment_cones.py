@@ -78,7 +78,7 @@ def _neighbors_first(directions: torch.Tensor, half_angle: torch.Tensor, ratio: 
 
 
 @njit(cache=True, fastmath=True, error_model="numpy")
-def _composite_block(block, levels_of, radii, detail, shell_radii, occupied, far, cones, out, blocks):
+def _composite_block(block, levels_of, radii, dense_from, detail, shell_radii, occupied, far, cones, out, blocks):
     """What `_composite` does in one of its tasks."""
     origins, directions, near, half_angle, order = cones
     n, levels, shells = origins.shape[0], radii.shape[0], shell_radii.shape[0]
@@ -101,9 +101,11 @@ def _composite_block(block, levels_of, radii, detail, shell_radii, occupied, far
             if t < near[i] and k < shells - 1:
                 continue
             narrower = first - width - math.log(max(t, 1e-6) / radius)
-            place = min(max(-narrower * to_level, 0.0), levels - 1.0)
+            place = max(-narrower * to_level, 0.0)
+            if place > dense_from:
+                place += place - dense_from
             level = min(int(place), levels - 2)
-            mix = place - level
+            mix = min(place - level, 1.0)
             turn, fall = polar(ox + t * dx, oy + t * dy, oz + t * dz)
             for h in range(5):
                 value[h] = 0.0
@@ -128,13 +130,15 @@ def _composite_block(block, levels_of, radii, detail, shell_radii, occupied, far
 
 
 @njit(cache=True, parallel=True, fastmath=True, error_model="numpy")
-def _composite(levels_of, radii, detail, shell_radii, occupied, far, cones, out, blocks):
+def _composite(levels_of, radii, dense_from, detail, shell_radii, occupied, far, cones, out, blocks):
     """Fill out [n, 4]: mean radiance and coverage of n `_Cones`, in `blocks` parallel tasks. See `composite_cones`.
 
     The loop is short for the reason that `environment_rendering_numba._march` tells.
     """
     for block in prange(blocks):
-        _composite_block(np.int64(block), levels_of, radii, detail, shell_radii, occupied, far, cones, out, blocks)
+        _composite_block(
+            np.int64(block), levels_of, radii, dense_from, detail, shell_radii, occupied, far, cones, out, blocks
+        )
 
 
 @njit(cache=True)
@@ -177,6 +181,7 @@ def accumulate_coverage(raw, rays, medium, seen):
 def composite_cones(
     levels: list[np.ndarray],
     radii: list[float],
+    dense_from: int,
     detail: np.ndarray,
     shell_radii: torch.Tensor,
     occupied: torch.Tensor,
@@ -193,7 +198,8 @@ def composite_cones(
 
     Args:
         levels: each [H_l, W_l, K, 5], see `environment_weights.from_weights`; radii: angular radii of their discs in
-            radians, a geometric series.
+            radians. Each is larger than the one before it by a constant ratio, and from the level `dense_from` (at least 1)
+            on by the square root of this ratio.
         detail: [D, 2 D, 3], D > H_0: the color in each direction divided by its mean over the narrowest disc. Cones narrower
             than this disc are multiplied by it.
         shell_radii: [K], the sky's may be inf; occupied: [K] bool, whether a shell is looked up;
@@ -208,6 +214,7 @@ def composite_cones(
     _composite(
         numba.typed.List(levels),
         np.asarray(radii, np.float64),
+        float(dense_from),
         detail,
         shell_radii.double().clamp(max=SKY_RADIUS).numpy(),
         occupied.numpy(),

@@ -52,11 +52,10 @@ def from_border(origins: torch.Tensor, directions: torch.Tensor) -> torch.Tensor
 
 
 def brute_force(field, origin, direction, half_angle, count=2000):
-    """The mean of many narrow rays, uniform in the cone's solid angle."""
-    generator = torch.Generator().manual_seed(1)
-    u = torch.rand(count, 2, generator=generator)
-    cosine = 1 - u[:, :1] * (1 - math.cos(half_angle))
-    turn = 2 * math.pi * u[:, 1:]
+    """The mean of many narrow rays on a spiral that is uniform in the cone's solid angle."""
+    k = torch.arange(count)[:, None] + 0.5
+    cosine = 1 - k / count * (1 - math.cos(half_angle))
+    turn = math.pi * (1 + math.sqrt(5)) * k
     a = torch.nn.functional.normalize(torch.linalg.cross(direction, torch.tensor([0.3, 0.5, 0.8])), dim=0)
     b = torch.linalg.cross(direction, a)
     rays = cosine * direction + (1 - cosine**2).sqrt() * (turn.cos() * a + turn.sin() * b)
@@ -71,16 +70,17 @@ def room():
     return box_field()
 
 
-@pytest.mark.parametrize("degrees", [0.3, 5.0, 15.0, 30.0, 60.0])
+@pytest.mark.parametrize("degrees", [0.3, 5.0, 12.0, 17.0, 30.0, 50.0, 60.0])
 @pytest.mark.parametrize("distance", [0.0, 0.8])
 def test_cones_are_means_of_rays(room, degrees, distance):
+    """12, 17 and 50 degrees lie between two levels, whose mixture must not blur the edge of the cone much."""
     n, half_angle = 40, math.radians(degrees)
     origins, directions = random_directions(n, 2) * distance, random_directions(n, 3)
     radiance, _ = room.query_cone(origins, directions, half_angle)
     truth = torch.stack([brute_force(room, origins[i], directions[i], half_angle) for i in range(n)])
     error = (radiance - truth).abs().sum(-1) / truth.sum(-1)
-    assert error.mean() < 0.1
-    assert radiance.sum() / truth.sum() == pytest.approx(1, abs=0.05)
+    assert error.mean() < 0.03
+    assert radiance.sum() / truth.sum() == pytest.approx(1, abs=0.03)
 
 
 @pytest.mark.parametrize("degrees", [0.3, 5.0, 15.0, 30.0, 60.0, 90.0])
