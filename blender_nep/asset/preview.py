@@ -5,7 +5,9 @@ The rendering is simple: distant light without shadows, prefiltered by roughness
 
 from __future__ import annotations
 
+import itertools
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -19,6 +21,9 @@ from blender_nep.geometry.uv_raster import look_up
 if TYPE_CHECKING:
     from blender_nep.capture import PixelRays
     from blender_nep.geometry.mesh import Surface
+
+RAYS_ACROSS = 2
+"""A pixel of the picture is the mean of RAYS_ACROSS^2 rays. With one ray, the relief of embossed metal glitters."""
 
 
 @dataclass
@@ -45,20 +50,40 @@ class PreviewView:
 
         `textures` are [S, S] or [S, S, 3]; `light` [H, 2H, 3] is linear radiance.
         """
-        directions, tracer = self.directions, RayTracer(surface.vertices, surface.faces)
+        tracer, lamps = RayTracer(surface.vertices, surface.faces), Pyramid.of(light)
+        parts = (self._radiance(directions, tracer, surface, textures, lamps) for directions in self._through_pixels())
+        picture = sum(parts, start=np.float32(0)) / RAYS_ACROSS**2
+        pair = np.concatenate([self.photo, picture.reshape(self.photo.shape)], 1) * exposure(self.photo)
+        return to_bytes(linear_to_srgb(pair))
+
+    def _through_pixels(self) -> Iterator[np.ndarray]:
+        """Unit directions [h w, 3] through RAYS_ACROSS^2 places of each pixel: one place of all pixels at a time."""
+        middle = self.directions.reshape(self.photo.shape)
+        down, across = np.gradient(middle, axis=(0, 1))
+        for y, x in itertools.product((np.arange(RAYS_ACROSS) + 0.5) / RAYS_ACROSS - 0.5, repeat=2):
+            directions = middle + y * down + x * across
+            yield (directions / np.linalg.norm(directions, axis=-1, keepdims=True)).reshape(-1, 3)
+
+    def _radiance(
+        self,
+        directions: np.ndarray,
+        tracer: RayTracer,
+        surface: Surface,
+        textures: dict[str, np.ndarray],
+        lamps: Pyramid,
+    ) -> np.ndarray:
+        """Radiance [n, 3] that the camera sees in unit directions [n, 3]: the asset in front of its light."""
         distance, face, barycentric = tracer.intersect(np.broadcast_to(self.origin, directions.shape), directions)
         hit = np.flatnonzero(np.isfinite(distance))
-        lamps = Pyramid.of(light)
-        picture = lamps.lookup(directions, np.zeros(len(directions)))
+        radiance = lamps.lookup(directions, np.zeros(len(directions)))
         if len(hit):
             corners = np.asarray(surface.faces)[face[hit]]
             weights = barycentric[hit][..., None]
             normal = (np.asarray(surface.normals)[corners] * weights).sum(1)
             normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-9)
             uv = (surface.atlas[corners] * weights).sum(1)
-            picture[hit] = shade(normal, -directions[hit], {k: look_up(t, uv) for k, t in textures.items()}, lamps)
-        pair = np.concatenate([self.photo, picture.reshape(self.photo.shape)], 1) * exposure(self.photo)
-        return to_bytes(linear_to_srgb(pair))
+            radiance[hit] = shade(normal, -directions[hit], {k: look_up(t, uv) for k, t in textures.items()}, lamps)
+        return radiance
 
 
 def exposure(photo: np.ndarray) -> float:

@@ -11,8 +11,10 @@ import trimesh
 from PIL import Image
 
 from blender_nep.asset import export as asset
+from blender_nep.asset import preview
 from blender_nep.asset.preview import PreviewView, Pyramid, shade
 from blender_nep.capture import PixelRays, load_capture
+from blender_nep.color import srgb_to_linear
 from blender_nep.errors import OutputError
 from blender_nep.job.stages import AssetInput, AssetStage, SurfaceResult, SurfaceStage
 from blender_nep.surface.normal_map import LeanMesh
@@ -200,6 +202,24 @@ def test_preview_shows_a_photo_and_beside_it_the_same_view_of_the_asset(write, t
     light = np.median(view[~ball], axis=0)
     assert np.ptp(light) < 1, "the gray light is seen beside the asset"
     assert ((np.abs(view - light).max(-1) > 3) == ball).mean() > 0.95, "the asset stands where the photo shows the ball"
+
+
+def test_a_pixel_of_the_preview_is_the_mean_of_what_it_shows(monkeypatch):
+    """The other way to it: a picture of twice as many pixels and one ray each, of which four become one."""
+
+    def render(side, rays_across):
+        monkeypatch.setattr(preview, "RAYS_ACROSS", rays_across)
+        y, x = ((np.mgrid[:side, :side] + 0.5) / side - 0.5) * 0.8
+        directions = np.stack([x, -y, -np.ones_like(x)], -1)
+        directions /= np.linalg.norm(directions, axis=-1, keepdims=True)
+        view = PreviewView(np.full((side, side, 3), 0.8, np.float32), np.array([0, 0, 2.0]), directions.reshape(-1, 3))
+        light = np.random.default_rng(0).uniform(0.1, 0.8, (8, 16, 3)).astype(np.float32)
+        return srgb_to_linear(view.render(ball_surface(), ball_textures(), light)[:, side:] / 255.0)
+
+    coarse, fine, one_ray = render(24, 2), render(48, 1), render(24, 1)
+    means = fine.reshape(24, 2, 24, 2, 3).mean((1, 3))
+    np.testing.assert_allclose(coarse, means, atol=0.01)
+    assert np.abs(one_ray - means).max() > 0.1, "at the outline, one ray is not the mean"
 
 
 def test_preview_light_of_one_color_shades_in_closed_form():
