@@ -33,6 +33,7 @@ blurs its edge. The blur is large for wide cones, and their levels are small."""
 LEAST_TEXELS = 3
 """A level has fewer rows only if its disc's radius is larger than this number of texels."""
 SMALLEST_ROWS = 48
+"""No level gets fewer rows than this: the interpolation of a coarse level would blur the edge of its discs."""
 TENT_RADIUS = math.sqrt(2 / 3)
 """Radius, in texels, of the disc that has the same variance as bilinear interpolation. Bilinear interpolation has the
 variance 1/6 for each axis; a disc of radius r has r^2 / 4."""

@@ -102,7 +102,7 @@ def _composite_block(block, levels_of, radii, dense_from, detail, shell_radii, o
                 continue
             narrower = first - width - math.log(max(t, 1e-6) / radius)
             place = max(-narrower * to_level, 0.0)
-            if place > dense_from:
+            if place > dense_from:  # two levels for each ratio
                 place += place - dense_from
             level = min(int(place), levels - 2)
             mix = min(place - level, 1.0)
