@@ -59,7 +59,8 @@ class PreviewView:
     def _through_pixels(self) -> Iterator[np.ndarray]:
         """Unit directions [h w, 3] through RAYS_ACROSS^2 places of each pixel: one place of all pixels at a time."""
         middle = self.directions.reshape(self.photo.shape)
-        down, across = np.gradient(middle, axis=(0, 1))
+        # a photo of one row or column has no neighbors to take the step from
+        down, across = (np.gradient(middle, axis=i) if middle.shape[i] > 1 else np.zeros_like(middle) for i in (0, 1))
         for y, x in itertools.product((np.arange(RAYS_ACROSS) + 0.5) / RAYS_ACROSS - 0.5, repeat=2):
             directions = middle + y * down + x * across
             yield (directions / np.linalg.norm(directions, axis=-1, keepdims=True)).reshape(-1, 3)

@@ -33,7 +33,7 @@ blurs its edge. The blur is large for wide cones, and their levels are small."""
 LEAST_TEXELS = 3
 """A level has fewer rows only if its disc's radius is larger than this number of texels."""
 SMALLEST_ROWS = 48
-"""No level gets fewer rows than this: the interpolation of a coarse level would blur the edge of its discs."""
+"""No level is halved to fewer rows than this: the interpolation of a coarse level would blur the edge of its discs."""
 TENT_RADIUS = math.sqrt(2 / 3)
 """Radius, in texels, of the disc that has the same variance as bilinear interpolation. Bilinear interpolation has the
 variance 1/6 for each axis; a disc of radius r has r^2 / 4."""
@@ -120,8 +120,6 @@ class PrefilteredEnvironment:
                 values = _halve(values)
             texel = math.pi / values.shape[1]
             stored = disc_mean(values, math.sqrt(radius**2 - (TENT_RADIUS * texel) ** 2)).clamp(min=0)
-            while _divisible(stored) and radius > LEAST_TEXELS * math.pi / stored.shape[1]:
-                stored = _halve(stored)
             self.levels.append(from_weights(stored))
             self.radii.append(radius)
         self.dense_from = max(sum(radius < DENSE_FROM for radius in self.radii), 1)

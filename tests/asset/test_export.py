@@ -222,6 +222,16 @@ def test_a_pixel_of_the_preview_is_the_mean_of_what_it_shows(monkeypatch):
     assert np.abs(one_ray - means).max() > 0.1, "at the outline, one ray is not the mean"
 
 
+def test_a_preview_may_have_one_row_of_pixels():
+    directions = np.array([[x, 0, -2.0] for x in (-1.5, 0, 1.5)])
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    view = PreviewView(np.full((1, 3, 3), 0.8, np.float32), np.array([0, 0, 2.0]), directions)
+    picture = view.render(ball_surface(), ball_textures(), np.full((8, 16, 3), 0.4, np.float32))
+    assert picture.shape == (1, 6, 3)
+    np.testing.assert_array_equal(picture[0, 3], picture[0, 5])
+    assert (picture[0, 4] != picture[0, 3]).any(), "the ball stands in the middle"
+
+
 def test_preview_light_of_one_color_shades_in_closed_form():
     """In uniform light L a white diffuse surface sends back L, a perfect mirror L too (Fresnel 1)."""
     light = Pyramid.of(np.full((64, 128, 3), 2.0))
