@@ -5,8 +5,8 @@ from pathlib import Path
 import bpy
 from bpy.app.handlers import persistent
 
-from ..backend.engine.capture_query import CaptureQuery
 from ..backend.engine.command import EngineError
+from ..backend.engine.commands.capture_query import CaptureQuery
 from . import clock
 from .folders import folder_key, resolve_folder
 from .object_bounds import place_bounds

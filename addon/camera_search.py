@@ -8,8 +8,8 @@ from pathlib import Path
 from bpy.app.handlers import persistent
 from bpy.app.translations import pgettext_iface
 
-from ..backend.engine.camera_process import CameraError, CameraProcess
 from ..backend.engine.command import EngineError
+from ..backend.engine.commands.camera_process import CameraError, CameraProcess
 from . import clock
 from .capture_folder import forget_looks, look_into
 from .folders import SAVE_FILE_FIRST, folder_key, resolve_folder

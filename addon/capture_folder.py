@@ -8,13 +8,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-from ..backend.engine.capture_contents import (
-    LEAST_PHOTOS,
-    has_cameras,
-    has_masks,
-    photo_count,
-    transforms_time,
-)
+from ..backend.engine.results.capture_contents import LEAST_PHOTOS, has_cameras, has_masks, photo_count, transforms_time
 
 KEPT_S = 2.0
 """So long an answer is kept at least."""

@@ -8,7 +8,7 @@ import bpy
 
 from ..backend.engine import install as installer
 from ..backend.engine.check import EngineCheck
-from ..backend.engine.job_files import EventFile, last_lines
+from ..backend.engine.results.job_files import EventFile, last_lines
 from ..backend.engine.started_process import StartedProcess
 from . import clock
 from .engine_paths import addon_preferences

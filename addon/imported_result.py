@@ -4,7 +4,7 @@ from pathlib import Path
 
 import bpy
 
-from ..backend.engine.job_files import is_asset, read_job
+from ..backend.engine.results.job_files import is_asset, read_job
 from ..backend.scene_io.image_files import relative_path
 from ..backend.scene_io.result import import_result
 from .folders import folder_key, resolve_folder

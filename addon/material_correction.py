@@ -9,8 +9,8 @@ from pathlib import Path
 from bpy.app.handlers import persistent
 
 from ..backend.engine.command import EngineError
-from ..backend.engine.correction_process import CorrectionError, CorrectionProcess
-from ..backend.engine.job_files import is_asset
+from ..backend.engine.commands.correction_process import CorrectionError, CorrectionProcess
+from ..backend.engine.results.job_files import is_asset
 from . import clock
 from .folders import folder_key
 from .imported_materials import Corrections, applied_corrections, reload_result, scenes_with

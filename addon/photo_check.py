@@ -10,9 +10,9 @@ from typing import Any
 import bpy
 from bpy.app.handlers import persistent
 
-from ..backend.engine.capture_facts import DISCS_ROWS
-from ..backend.engine.capture_query import CaptureQuery
 from ..backend.engine.command import EngineError
+from ..backend.engine.commands.capture_query import CaptureQuery
+from ..backend.engine.results.capture_facts import DISCS_ROWS
 from . import clock
 from .capture_folder import forget_looks, last_look_into, look_into
 from .folders import folder_key, resolve_folder

@@ -9,9 +9,9 @@ from collections.abc import Callable, Sequence
 from contextlib import suppress
 from pathlib import Path
 
-from ..backend.engine.batch_file import BatchFile, ask_to_stop, has_batch, is_batch_running, read_batch
-from ..backend.engine.batch_process import BatchError, BatchProcess
 from ..backend.engine.command import EngineError
+from ..backend.engine.commands.batch_process import BatchError, BatchProcess
+from ..backend.engine.results.batch_file import BatchFile, ask_to_stop, has_batch, is_batch_running, read_batch
 from . import clock
 from .folders import folder_key
 

@@ -6,7 +6,7 @@ from pathlib import Path
 import bpy
 from bpy.app.handlers import persistent
 
-from ..backend.engine.batch_file import BatchFile
+from ..backend.engine.results.batch_file import BatchFile
 from ..backend.shelf.bring_in import BATCH, catalog_of_collection, not_in_scene, objects_of
 from ..backend.shelf.catalogs import add_catalogs, catalog_of
 from .folders import folder_key

@@ -15,7 +15,8 @@ import sys
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
-from benchmarks.suite.harness import Children, read_row
+from benchmarks.row_files import read_row
+from benchmarks.suite.harness import Children
 from benchmarks.suite.plan import ABLATIONS, CHOICES, PLANS, Run, expand
 from benchmarks.suite.render import RANDOM, SETS
 from benchmarks.suite.runner import OtherRowsError, Suite

@@ -14,7 +14,7 @@ from blender_nep.command_line import parser, sphere
 
 if TYPE_CHECKING:
     from blender_nep.errors import NepError
-    from blender_nep.job.events import Events
+    from blender_nep.job.reporting.events import Events
     from blender_nep.presets import Preset
 
 
@@ -48,7 +48,7 @@ def _told(error: NepError) -> int:
 
 
 def _info(options: argparse.Namespace) -> int:
-    from blender_nep.capture.summary import describe, summarize
+    from blender_nep.capture.doctor.summary import describe, summarize
     from blender_nep.errors import NepError
     from blender_nep.files import jsonable
 
@@ -64,7 +64,7 @@ def _info(options: argparse.Namespace) -> int:
 
 def _events() -> Events:
     """Events for programs on standard output, if it is no terminal, and text for people on stderr."""
-    from blender_nep.job.events import Events, open_protocol
+    from blender_nep.job.reporting.events import Events, open_protocol
 
     terminal = sys.stdout.isatty()  # asked before open_protocol takes standard output
     protocol = open_protocol()
@@ -74,7 +74,7 @@ def _events() -> Events:
 def _cameras(options: argparse.Namespace) -> int:
     events = _events()
 
-    from blender_nep.job import camera_search
+    from blender_nep.job.commands import camera_search
     from blender_nep.stop_request import StopRequest
 
     stop = StopRequest()
@@ -164,7 +164,7 @@ def _materials(options: argparse.Namespace) -> int:
         return _list_materials(options.asset)
     events = _events()
 
-    from blender_nep.job import correction
+    from blender_nep.job.commands import correction
     from blender_nep.materials.corrections import Correction
 
     wanted: dict[int, dict[str, float]] = {}
@@ -175,7 +175,7 @@ def _materials(options: argparse.Namespace) -> int:
 
 def _list_materials(asset: Path) -> int:
     from blender_nep.errors import NepError
-    from blender_nep.job.correction import read_report
+    from blender_nep.job.commands.correction import read_report
 
     try:
         materials = read_report(asset)["materials"]

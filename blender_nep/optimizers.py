@@ -13,7 +13,7 @@ from typing import Any
 import torch
 from torch.optim.adam import adam
 
-from blender_nep.ops.touched import touched_mean_square
+from blender_nep.ops.object.touched import touched_mean_square
 
 
 class Optimizer(ABC):

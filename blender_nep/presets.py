@@ -40,7 +40,7 @@ class FieldsPreset:
     """Fractions, rising, at which the object is carved again, when F_e knows the silhouettes better. Empty: never."""
     least_fine_paint: float = 0.17
     """The albedo gets a grid of fine paint if photos from above and from below agree on the fine colors of the hull with at
-    least this correlation (`fields.fine_paint`). Above 1: never."""
+    least this correlation (`fields.refinements.fine_paint`). Above 1: never."""
     open_cavities_at: float = 0.5
     """Fraction at which the cavities of the object are opened that no silhouette shows. inf: never."""
     held_out_every: int = 101
@@ -70,7 +70,7 @@ class FieldsPreset:
     refine_at: float = 0.45
     """Fraction at which the SDF grid gets its last levels."""
     relief_at: tuple[float, ...] = (0.8, 0.92)
-    """Fractions, rising, at which relief is searched that is finer than the SDF's grid (`fields.relief`). Empty: never."""
+    """Fractions, rising, of searches for relief that is finer than the SDF's grid (`refinements.relief`). Empty: never."""
     relief_pixels: float = 0.25
     """Largest width of the photos' pixels, at the object's distance, for that search, as a share of the SDF's cells."""
     initial_radius: float = 0.6
@@ -219,7 +219,7 @@ class EnvironmentPreset:
     """Cost of the foreground opacity: F_e's mean opacity in front of the object. Without it, each photo gets a fog there,
     and lamps are learned 12 to 19 % too bright, so that they shine through it."""
     distortion: float = 0.03
-    """Cost of the distortion: how far a ray's light is spread along it (`ops.environment_rendering`). 0: F_e is foggy."""
+    """Cost of the distortion: how far a ray's light is spread along it (`ops.environment.rendering`). 0: F_e is foggy."""
     regularized_fraction: float = 0.25
     """Share of the shells, drawn anew in each step, whose priors it computes. Those of all took as long as the rendering."""
     regularized_detail: float = 0.1
@@ -324,7 +324,7 @@ class MaterialPreset:
     """Share by which the residual of a metal must be lower than that of a dielectric; below 0: may be higher. This prior
     decides where the photos do not. On rendered objects, the residual of the wrong class is 18 to 48 % higher."""
     hue_margin: float = 0.15
-    """Largest share by which the hue of what differs between photos changes a metal's residual (`materials.dichromatic`)."""
+    """Largest share by which the hue of what differs between photos changes a metal's residual (`evidence.dichromatic`)."""
     sure_margin: float = 0.15
     """Where all residuals are higher by this share in the other class, that class is not tried again. inf: never sure."""
     least_roughness: float = 0.03
@@ -352,9 +352,9 @@ class MaterialPreset:
     """Dielectrics share one roughness if that raises the residual of none of them by more than this share."""
     spread_margin: float = 0.03
     """For a metal, roughness values are possible whose residual is up to this share above the least. Among these, the spread
-    of the reflected light decides, except among lobes as sharp as a mirror (`materials.roughness`)."""
+    of the reflected light decides, except among lobes as sharp as a mirror (`materials.evidence.roughness`)."""
     hue_residual_margin: float = 0.1
-    """The same for colored dielectrics, whose third moments of reflected light decide (`materials.diffuse_free`)."""
+    """The same for colored dielectrics, whose third moments of reflected light decide (`evidence.diffuse_free`)."""
     blend_margin: float = 0.05
     """Share by which a mixture of two materials must be better than one material alone."""
     inner_blend_margin: float = 0.25
@@ -397,10 +397,10 @@ class Preset:
     material_seconds: float = 70.0
     """First guess of the seconds of material learning, as `fields_seconds`."""
     even_exposure: bool = True
-    """Whether differences between the photos in exposure and white balance are found and evened out (`capture.exposure`)."""
+    """Whether differences between the photos in exposure and white balance are found and evened out (`photos.exposure`)."""
     brightness: float = 0.25
     """The photos are made so bright that the typical radiance of the pixels that see the object's sphere is this
-    (`capture.brightness`). Here the tone mapping turns from linear to logarithmic. 0: they stay as they are, which is an
+    (`photos.brightness`). Here the tone mapping turns from linear to logarithmic. 0: they stay as they are, which is an
     ablation."""
     skip_needless: bool = True
     """Whether parts that the scene does not need are left out (`scene_analysis`). False: nothing is left out."""

@@ -3,8 +3,8 @@
 import bpy
 from bpy.app.translations import pgettext_iface
 
-from ...backend.engine.camera_process import check_writable
 from ...backend.engine.command import EngineError, find_engine_python
+from ...backend.engine.commands.camera_process import check_writable
 from .. import camera_search
 from ..capture_folder import last_look_into, look_into
 from ..engine_errors import error_text

@@ -7,7 +7,7 @@ from bpy.app.translations import pgettext_iface
 
 from ...backend.engine.command import EngineError, find_engine_python
 from ...backend.engine.exit_codes import OUTPUT_FAILED
-from ...backend.engine.job_files import has_checkpoint, is_asset, is_running
+from ...backend.engine.results.job_files import has_checkpoint, is_asset, is_running
 from .. import material_correction
 from ..engine_errors import error_text
 from ..engine_paths import engine_python

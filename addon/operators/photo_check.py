@@ -5,7 +5,7 @@ from functools import partial
 import bpy
 from bpy.app.translations import pgettext_iface
 
-from ...backend.engine.capture_facts import facts_of, warnings_of
+from ...backend.engine.results.capture_facts import facts_of, warnings_of
 from .. import clock, photo_check
 from ..camera_search import CHOOSE_CAPTURE, usable_capture
 from ..coverage_image import load_coverage

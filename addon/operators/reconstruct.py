@@ -12,7 +12,7 @@ import bpy
 
 from ...backend.engine.command import EngineError, find_engine_python, reconstruct_arguments
 from ...backend.engine.engine import Engine
-from ...backend.engine.job_files import FOLDER, has_checkpoint, is_asset, is_running
+from ...backend.engine.results.job_files import FOLDER, has_checkpoint, is_asset, is_running
 from .. import clock, material_correction, running_jobs
 from ..camera_search import why_not_usable
 from ..editors import open_editor

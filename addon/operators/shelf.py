@@ -4,9 +4,9 @@ from pathlib import Path
 
 import bpy
 
-from ...backend.engine.batch_file import BatchFile, has_batch, read_batch
 from ...backend.engine.command import EngineError, find_engine_python
-from ...backend.engine.gallery_process import GalleryProcess
+from ...backend.engine.commands.gallery_process import GalleryProcess
+from ...backend.engine.results.batch_file import BatchFile, has_batch, read_batch
 from ...backend.shelf.bring_in import bring_in
 from .. import clock, shelf_batch, shelf_scene
 from ..engine_errors import error_text

@@ -5,8 +5,8 @@ import os
 import bpy
 from bpy.app.translations import pgettext_iface
 
-from ...backend.engine.capture_contents import LEAST_PHOTOS
 from ...backend.engine.exit_codes import STOPPED
+from ...backend.engine.results.capture_contents import LEAST_PHOTOS
 from .. import camera_search
 from ..camera_search import CameraSearch
 from ..capture_folder import CaptureFolder, last_look_into

@@ -3,8 +3,8 @@
 import bpy
 from bpy.app.translations import pgettext_iface
 
-from ...backend.engine.capture_facts import facts_of, warnings_of
 from ...backend.engine.command import NoEngineError
+from ...backend.engine.results.capture_facts import facts_of, warnings_of
 from .. import photo_check
 from ..engine_errors import error_text
 from ..folders import resolve_folder

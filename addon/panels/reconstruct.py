@@ -4,8 +4,8 @@ import bpy
 from bpy.app.translations import pgettext_iface
 
 from ...backend.engine.command import NoEngineError, engine_is_at_hand
-from ...backend.engine.job_files import has_checkpoint, is_asset
 from ...backend.engine.progress import duration
+from ...backend.engine.results.job_files import has_checkpoint, is_asset
 from ...backend.engine.timings import expected_seconds
 from ..engine_paths import engine_python, timings_file
 from ..folders import resolve_folder

@@ -5,9 +5,9 @@ from dataclasses import replace
 import bpy
 from bpy.app.translations import pgettext_iface
 
-from ...backend.engine.batch_file import DONE, FAILED, RUNNING, STOPPED, WAITING, BatchObject
 from ...backend.engine.command import NoEngineError
 from ...backend.engine.exit_codes import STOPPED as STOPPED_CODE
+from ...backend.engine.results.batch_file import DONE, FAILED, RUNNING, STOPPED, WAITING, BatchObject
 from ...backend.engine.words import BATCH_HINTS, error_words
 from .. import shelf_batch, shelf_scene
 from ..folders import resolve_folder

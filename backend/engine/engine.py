@@ -16,7 +16,7 @@ from pathlib import Path
 
 from .command import ENGINE_MODULE, EngineError, NoEngineError
 from .exit_codes import OUTPUT_FAILED, STOPPED
-from .job_files import FOLDER, EventFile, is_running, last_lines, read_job
+from .results.job_files import FOLDER, EventFile, is_running, last_lines, read_job
 from .started_process import StartedProcess
 
 STOP_GRACE_S = 45.0  # time to write the checkpoint after a request to stop; after it the process is terminated

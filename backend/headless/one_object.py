@@ -6,8 +6,8 @@ import time
 from ..engine.command import EngineError, find_engine_python, reconstruct_arguments, sphere_arguments
 from ..engine.engine import Engine
 from ..engine.exit_codes import STOPPED
-from ..engine.job_files import is_asset
 from ..engine.progress import describe
+from ..engine.results.job_files import is_asset
 from ..engine.words import Said
 from .configured_python import configured_python
 from .stop_requests import StopRequests, say

@@ -4,12 +4,12 @@ import argparse
 import time
 from pathlib import Path
 
-from ..engine.batch_file import BatchFile, BatchObject, read_batch
-from ..engine.batch_process import BatchProcess
 from ..engine.command import EngineError, find_engine_python
+from ..engine.commands.batch_process import BatchProcess
+from ..engine.commands.gallery_process import GalleryProcess
 from ..engine.exit_codes import OBJECTS_FAILED, STOPPED
-from ..engine.gallery_process import GalleryProcess
-from ..engine.job_files import is_asset
+from ..engine.results.batch_file import BatchFile, BatchObject, read_batch
+from ..engine.results.job_files import is_asset
 from .configured_python import configured_python
 from .stop_requests import StopRequests, say
 

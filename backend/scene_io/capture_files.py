@@ -1,7 +1,7 @@
 """Reads the cameras and photos of a capture that Blender shows (transforms.json, the form of instant-ngp).
 
-The engine has its own reader, blender_nep/capture/formats/transforms.py. That reader checks everything and decides what a
-valid capture is. It is not used here, because Blender's Python cannot import it.
+The engine has its own reader, blender_nep/capture/formats/transforms.py. That reader checks everything and decides
+what a valid capture is. It is not used here, because Blender's Python cannot import it.
 """
 
 import json

@@ -1,7 +1,8 @@
 """Reads the width and height of an image from the header of its file. No bpy in this file.
 
 Blender decodes all pixels before it gives an image's size. That takes 0.4 s for a photo of 24 megapixels, against 0.4 ms
-here. The library uses the packages Pillow and OpenEXR (blender_nep/capture/photo_files.py), which Blender's Python lacks.
+here. The library uses the packages Pillow and OpenEXR (blender_nep/capture/photos/photo_files.py), which Blender's Python
+lacks.
 """
 
 import struct

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import bpy
 
-from ..engine.batch_file import BatchFile, BatchObject
+from ..engine.results.batch_file import BatchFile, BatchObject
 from ..scene_io.asset_import import import_asset
 from .catalogs import Catalog, catalog_of
 from .marking import mark_as_asset

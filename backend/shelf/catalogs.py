@@ -9,7 +9,7 @@ import uuid
 from dataclasses import dataclass
 from pathlib import Path
 
-from ..engine.batch_file import BatchFile
+from ..engine.results.batch_file import BatchFile
 from ..scene_io.image_files import write_whole
 
 FILE = "blender_assets.cats.txt"

@@ -5,7 +5,7 @@ from pathlib import Path
 import bpy
 import numpy as np
 
-from ..engine.asset_description import TAGS, describe_asset
+from ..engine.results.asset_description import TAGS, describe_asset
 from ..rendering.turntable import FILE as TURNTABLE
 from ..scene_io.image_files import load_pixels
 from .catalogs import Catalog

@@ -22,7 +22,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from blender_nep.capture.pixel_rays import PixelRays
+from blender_nep.capture.rays.pixel_rays import PixelRays
 from blender_nep.errors import LearningError
 from blender_nep.geometry.mesh import Surface
 from blender_nep.geometry.ray_tracing import RayTracer
@@ -244,7 +244,7 @@ def photographed_environment(rays: PixelRays, background: Tensor, rows: int) -> 
     """
     total, count = torch.zeros(rows * 2 * rows, 3), torch.zeros(rows * 2 * rows, 1)
     for index in background.split(1 << 18):
-        texel = texel_of(rays.rays(index)[1], rows)
+        texel = texel_of(rays.rays(index).directions, rows)
         total.index_add_(0, texel, rays.radiance[index].float())
         count.index_add_(0, texel, torch.ones(len(index), 1))
     mean = total / count.clamp(min=1)
@@ -306,7 +306,7 @@ def learn(surface: Surface, rays: PixelRays, settings: PeerSettings, minutes: fl
         losses.append(float(loss.detach()))
         if settings.background > 0:
             behind = background[torch.randint(len(background), (settings.pixels,))]
-            shown = light.exp().flatten(0, 1)[texel_of(rays.rays(behind)[1], settings.environment_rows)]
+            shown = light.exp().flatten(0, 1)[texel_of(rays.rays(behind).directions, settings.environment_rows)]
             loss = loss + settings.background * (tone_map(shown) - tone_map(rays.radiance[behind].float())).abs().mean()
         stacked = torch.cat([maps[0], maps[1][..., None], maps[2][..., None]], -1)
         loss = loss + settings.smoothness * _variation(stacked) + settings.environment_smoothness * _variation(light)

@@ -14,12 +14,12 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from blender_nep.fields.object_field import SplineShape, SurfaceColor
-from blender_nep.fields.volume_rendering import SurfaceSamples, sphere_interval
-from blender_nep.geometry.support import Support
-from blender_nep.ops.encodings import positional_encoding
-from blender_nep.ops.surface_rendering import composite, neus_weights
+from blender_nep.fields.object.field import SplineShape, SurfaceColor
+from blender_nep.fields.object.volume_rendering import SurfaceSamples, sphere_interval
+from blender_nep.ops.object.encodings import positional_encoding
+from blender_nep.ops.object.surface_rendering import composite, neus_weights
 from blender_nep.optimizers import Adam, Optimizer
+from blender_nep.support.plane import Support
 
 OCTAVES = 6
 LAYERS, WIDTH = 8, 256

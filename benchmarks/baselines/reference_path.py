@@ -25,10 +25,11 @@ from pathlib import Path
 import torch
 
 from benchmarks.baselines.reference_field import ReferenceField
+from benchmarks.row_files import read_row, write_row
 from benchmarks.scoring import geometry, materials
 from benchmarks.scoring.environment import background_psnr, exposures_differ
 from benchmarks.scoring.scores import BACKGROUND_PIXELS
-from benchmarks.suite.harness import markdown, read_row, resumed, use_threads, with_changes, write_row
+from benchmarks.suite.harness import markdown, resumed, use_threads, with_changes
 from benchmarks.suite.identity import looked_at
 from blender_nep.capture import PixelRays, load_capture
 from blender_nep.checkpoints import Checkpoint, NoCheckpoint, load_state, save_state

@@ -16,7 +16,8 @@ from PIL import Image
 from benchmarks.reports.report import fill, head
 from benchmarks.reports.rows import figures, name_of
 from benchmarks.reports.tables import COSTS, NONE, SCORES
-from benchmarks.suite.harness import markdown, read_row
+from benchmarks.row_files import read_row
+from benchmarks.suite.harness import markdown
 from benchmarks.suite.plan import Run
 from benchmarks.suite.render import RANDOM
 from benchmarks.suite.runner import failure, last_line
@@ -183,7 +184,7 @@ def draw(out: Path, capture: Path, name: str, picture: Path) -> bool:
 
 def _photo(test) -> np.ndarray:
     """The first test photo [H,W,3] uint8, sRGB."""
-    from blender_nep.capture.photo_files import open_image
+    from blender_nep.capture.photos.photo_files import open_image
     from blender_nep.color import linear_to_srgb
 
     radiance, _ = open_image(test.views[0].image_path, test.color_space).rows()

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.suite.harness import read_row
+from benchmarks.row_files import read_row
 from benchmarks.suite.runner import failure
 from benchmarks.suite.step import STAGE_1
 from blender_nep.job.stage_names import StageName

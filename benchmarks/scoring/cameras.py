@@ -11,7 +11,7 @@ import numpy as np
 
 from blender_nep.cameras.alignment import angle, similarity
 from blender_nep.capture import load_capture
-from blender_nep.capture.camera import Camera
+from blender_nep.capture.cameras.camera import Camera
 
 
 def errors(found: Sequence[Camera], true: Sequence[Camera], center: np.ndarray) -> dict[str, float]:

@@ -7,10 +7,10 @@ from pathlib import Path
 import numpy as np
 import torch
 
+from benchmarks.row_files import read_row
 from benchmarks.scoring.geometry import Body
-from benchmarks.suite.harness import read_row
 from blender_nep.capture import PixelRays
-from blender_nep.fields.environment_field import EnvironmentField
+from blender_nep.fields.environment.field import EnvironmentField
 from blender_nep.geometry.ray_tracing import RayTracer
 from blender_nep.tone_mapping import tone_map
 

@@ -7,10 +7,10 @@ from pathlib import Path
 import numpy as np
 import torch
 
+from benchmarks.row_files import read_row
 from benchmarks.scoring import environment as fields
 from benchmarks.scoring import geometry, materials, shading_normals
 from benchmarks.scoring.asset_mesh import read_asset_mesh
-from benchmarks.suite.harness import read_row
 from blender_nep.asset.export import NORMAL_MAP
 from blender_nep.capture import PixelRays, load_capture
 from blender_nep.capture.capture import Capture

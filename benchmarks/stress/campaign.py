@@ -30,11 +30,11 @@ from hypothesis import HealthCheck, Phase, given, settings
 from hypothesis import seed as hypothesis_seed
 from hypothesis import strategies as st
 
+from benchmarks.row_files import write_row
 from benchmarks.stress.checks import check_asset, check_refusal, same_assets, strict_json
 from benchmarks.stress.scenes import Case, write_capture
-from benchmarks.suite.harness import write_row
 from blender_nep.job import runner as job
-from blender_nep.job.events import Events
+from blender_nep.job.reporting.events import Events
 from blender_nep.materials import fitting as material_fits
 from blender_nep.stop_request import StopRequest
 

@@ -24,8 +24,8 @@ from benchmarks.suite.harness import markdown, resumed, use_threads, with_change
 from benchmarks.suite.identity import looked_at
 from blender_nep.capture import PixelRays, load_capture
 from blender_nep.checkpoints import NoCheckpoint
-from blender_nep.fields.environment_field import EnvironmentField
-from blender_nep.fields.object_field import ObjectField
+from blender_nep.fields.environment.field import EnvironmentField
+from blender_nep.fields.object.field import ObjectField
 from blender_nep.fields.training import FieldsLearning, learn_fields
 from blender_nep.files import write_atomically
 from blender_nep.geometry.mesh import Surface

@@ -43,7 +43,7 @@ from blender_nep.capture import load_capture
 from blender_nep.checkpoints import Checkpoint, load_state, save_state
 from blender_nep.errors import CaptureError, NepError
 from blender_nep.fields.training import Fields
-from blender_nep.job.events import Events
+from blender_nep.job.reporting.events import Events
 from blender_nep.job.runner import Job, Settings
 from blender_nep.job.stages import (
     AssetInput,

@@ -19,6 +19,7 @@ from dataclasses import dataclass, replace
 from datetime import datetime
 from pathlib import Path
 
+from benchmarks.row_files import read_row, write_row
 from blender_nep.errors import NepError, Stopped
 from blender_nep.files import write_text
 from blender_nep.presets import Preset
@@ -127,19 +128,6 @@ def commit_now() -> str:
     """The commit of this code, with 8 digits and "-dirty" where files differ from it; empty where git does not know it."""
     git = ["git", "-C", str(Path(__file__).parent), "describe", "--always", "--dirty", "--abbrev=8", "--exclude=*"]
     return subprocess.run(git, capture_output=True, text=True, check=False).stdout.strip()
-
-
-def write_row(file: Path, row: dict) -> None:
-    """Write `row` as JSON, under a temporary name that is then changed to `file`."""
-    file.parent.mkdir(parents=True, exist_ok=True)
-    part = file.with_suffix(".part")
-    part.write_text(json.dumps(row, indent=1), encoding="utf-8")
-    part.replace(file)
-
-
-def read_row(file: Path) -> dict:
-    """The row in a file that `write_row` has written; {} where there is no such file."""
-    return json.loads(file.read_text(encoding="utf-8")) if file.is_file() else {}
 
 
 MADE_FROM = "made_from.txt"

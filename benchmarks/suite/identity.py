@@ -11,7 +11,7 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from benchmarks.suite.harness import read_row, write_row
+from benchmarks.row_files import read_row, write_row
 from benchmarks.suite.plan import Run
 
 PARTS = ("capture", "preset", "choice of metal or not", "faces", "mesh")
@@ -25,7 +25,7 @@ def made_from(run: Run) -> dict[str, object]:
     """
     from blender_nep.capture import load_capture
     from blender_nep.errors import NepError
-    from blender_nep.job.run_folder import fingerprint
+    from blender_nep.job.folders.run_folder import fingerprint
 
     try:
         capture = load_capture(run.capture, use_masks=False)
@@ -39,7 +39,7 @@ def made_from(run: Run) -> dict[str, object]:
 def photos_of(folder: Path, masks: bool) -> str:
     """A digest of the photos, cameras and (with `masks`) masks of the capture in a folder. Raises CaptureError."""
     from blender_nep.capture import load_capture
-    from blender_nep.job.run_folder import fingerprint
+    from blender_nep.job.folders.run_folder import fingerprint
     from blender_nep.presets import PRESETS
 
     return fingerprint(load_capture(folder, use_masks=masks), PRESETS["preview"], 0, masks, None)["capture"]

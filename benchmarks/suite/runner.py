@@ -24,7 +24,8 @@ from dataclasses import dataclass, field
 from datetime import datetime
 from pathlib import Path
 
-from benchmarks.suite.harness import Children, commit_now, read_row, write_row
+from benchmarks.row_files import read_row, write_row
+from benchmarks.suite.harness import Children, commit_now
 from benchmarks.suite.plan import Run
 from benchmarks.suite.step import STAGE_1
 

@@ -13,8 +13,8 @@ import time
 from dataclasses import fields, replace
 from pathlib import Path
 
+from benchmarks.row_files import read_row, write_row
 from benchmarks.suite.fewer_views import with_fewer_views
-from benchmarks.suite.harness import read_row, write_row
 from benchmarks.suite.plan import WITHOUT_F_E, Run
 from blender_nep.job.stage_names import StageName
 
@@ -69,9 +69,9 @@ class Timed:
 def learn(run: Run, asset: Path, order: dict) -> dict:
     """Run the job. Returns figures of its report, or {"error": message} where the job fails."""
     from blender_nep.errors import NepError
-    from blender_nep.fields.environment_field import FAR
+    from blender_nep.fields.environment.field import FAR
     from blender_nep.job import runner as job
-    from blender_nep.job.events import Events
+    from blender_nep.job.reporting.events import Events
     from blender_nep.job.stages import MaterialsInput, MaterialsStage, Stages
     from blender_nep.stop_request import StopRequest
 
@@ -134,7 +134,7 @@ def take_stage_1(other: Path, asset: Path, capture: Path, run: Run, mesh: Path |
     1, or was made from another capture or preset than it would be made from now.
     """
     from blender_nep.capture import load_capture
-    from blender_nep.job.run_folder import fingerprint
+    from blender_nep.job.folders.run_folder import fingerprint
 
     stages = [other / "checkpoints" / f"{stage}.done.pt" for stage in STAGE_1]
     loaded = load_capture(capture, use_masks=False)

@@ -24,7 +24,7 @@ from blender_nep.files import jsonable, output_errors
 from blender_nep.geometry.mesh import Surface
 
 TEXTURES = ("albedo", "roughness", "metallic", "confidence")
-"""Every texture of an asset. `TEXTURE_NAMES` in backend/engine/job_files.py repeats them for Blender's Python."""
+"""Every texture of an asset. `TEXTURE_NAMES` in backend/engine/results/job_files.py repeats them for Blender's Python."""
 NORMAL_MAP = "normal"
 """The texture that only some assets have: a tangent-space normal map (`surface.normal_map`)."""
 SRGB_TEXTURES = ("albedo",)

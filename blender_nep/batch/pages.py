@@ -8,7 +8,7 @@ from pathlib import Path
 
 from blender_nep.errors import NepError
 from blender_nep.gallery import write_gallery
-from blender_nep.job.events import Events
+from blender_nep.job.reporting.events import Events
 from blender_nep.messages import Message
 
 _SHARE = 0.02

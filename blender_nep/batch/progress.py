@@ -5,13 +5,13 @@ from __future__ import annotations
 import time
 from pathlib import Path
 
-from blender_nep.batch.needs import Needs
 from blender_nep.batch.outcome import read_report
 from blender_nep.batch.pages import GalleryPages
-from blender_nep.batch.scheduler import Listener, Plan
 from blender_nep.batch.state import DONE, FAILED, RUNNING, STOPPED, WAITING, BatchState, ObjectState
-from blender_nep.job.events import Events
-from blender_nep.job.timeline import time_text
+from blender_nep.batch.workers.needs import Needs
+from blender_nep.batch.workers.scheduler import Listener, Plan
+from blender_nep.job.reporting.events import Events
+from blender_nep.job.reporting.timeline import time_text
 from blender_nep.messages import Message
 
 STAGE = "batch"

@@ -10,14 +10,8 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from blender_nep.batch.captures import FoundCapture, Size, find_captures, size_of
-from blender_nep.batch.job_process import CAPTURE
-from blender_nep.batch.jobs import Job, Jobs
-from blender_nep.batch.local_jobs import LocalJobs
-from blender_nep.batch.machine import free_memory_mb, jobs_in, wait_for_end
-from blender_nep.batch.needs import Needs
 from blender_nep.batch.outcome import read_report
 from blender_nep.batch.progress import STAGE, BatchProgress
-from blender_nep.batch.scheduler import Plan, Scheduler
 from blender_nep.batch.settings import BatchSettings
 from blender_nep.batch.state import (
     DONE,
@@ -31,12 +25,18 @@ from blender_nep.batch.state import (
     read_state,
     refuse_other_batch,
 )
+from blender_nep.batch.workers.job_process import CAPTURE
+from blender_nep.batch.workers.jobs import Job, Jobs
+from blender_nep.batch.workers.local_jobs import LocalJobs
+from blender_nep.batch.workers.machine import free_memory_mb, jobs_in, wait_for_end
+from blender_nep.batch.workers.needs import Needs
+from blender_nep.batch.workers.scheduler import Plan, Scheduler
 from blender_nep.errors import NepError, ObjectsFailed, OutputError, Stopped, UsageError
 from blender_nep.files import output_errors
 from blender_nep.job.device import choose_device, usable_cores
-from blender_nep.job.events import Events
 from blender_nep.job.exit_code import exit_code, unexpected
-from blender_nep.job.job_folder import is_held, lock_file
+from blender_nep.job.folders.job_folder import is_held, lock_file
+from blender_nep.job.reporting.events import Events
 from blender_nep.messages import Message
 from blender_nep.presets import preset
 from blender_nep.stop_request import StopRequest
@@ -209,7 +209,7 @@ class Batch:
     def _jobs(self) -> tuple[Jobs, Plan]:
         s = self._settings
         if s.ray is not None:
-            from blender_nep.batch.ray_jobs import RayJobs
+            from blender_nep.batch.workers.ray_jobs import RayJobs
 
             jobs = RayJobs(s.ray, s.workers, s.ship)
             return jobs, Plan(jobs.cores, jobs.workers, jobs.largest_memory_mb, s.threads or 1, jobs.computers)

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from blender_nep.capture.camera import Camera
+from blender_nep.capture.cameras.camera import Camera
 
 
 def similarity(found: Sequence[Camera], true: Sequence[Camera]) -> tuple[np.ndarray, float, np.ndarray]:

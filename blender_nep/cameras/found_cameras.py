@@ -12,8 +12,8 @@ from blender_nep.cameras.alignment import moved
 from blender_nep.cameras.photo_folder import Photo
 from blender_nep.cameras.structure_from_motion import LONGEST_SIDE, Group, PlacedPhoto
 from blender_nep.capture.bounds import sphere_from_cameras
+from blender_nep.capture.cameras.upright import upward
 from blender_nep.capture.loading import MINIMUM_VIEWS
-from blender_nep.capture.upright import upward
 from blender_nep.errors import CaptureError
 from blender_nep.messages import Message
 

@@ -12,7 +12,7 @@ import numpy as np
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
-from blender_nep.capture.camera import Camera
+from blender_nep.capture.cameras.camera import Camera
 
 _INEXACT_POINTS = 3.0
 """Errors of features count as so much larger than they look: they are not independent, and scene points err, too."""

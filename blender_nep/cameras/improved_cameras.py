@@ -11,7 +11,7 @@ from blender_nep.cameras.alignment import angle, moved, similarity
 from blender_nep.cameras.held_camera import Spread, held, off
 from blender_nep.cameras.photo_folder import Photo
 from blender_nep.cameras.structure_from_motion import Group, PlacedPhoto
-from blender_nep.capture.camera import Camera
+from blender_nep.capture.cameras.camera import Camera
 from blender_nep.errors import CaptureError
 from blender_nep.messages import Message
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 from PIL import Image
 
-from blender_nep.capture.camera import Camera
+from blender_nep.capture.cameras.camera import Camera
 
 
 @dataclass(frozen=True)

@@ -28,7 +28,7 @@ from scipy.spatial.transform import Rotation
 from blender_nep.cameras.alignment import moved
 from blender_nep.cameras.photo_folder import Photo, gray_copy, mask_copy
 from blender_nep.cameras.reduction import Reduction
-from blender_nep.capture.camera import Camera
+from blender_nep.capture.cameras.camera import Camera
 from blender_nep.capture.formats import colmap
 from blender_nep.errors import CaptureError, NepError, OutputError, Stopped
 from blender_nep.stop_request import StopRequest

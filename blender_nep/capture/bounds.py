@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from blender_nep.capture.camera import Camera
+from blender_nep.capture.cameras.camera import Camera
 from blender_nep.errors import BoundsError
 from blender_nep.messages import Message
 

@@ -6,7 +6,7 @@ there, and the priors, whose weights are fixed, count more. So all captures are 
 
 from __future__ import annotations
 
-from blender_nep.capture.pixel_rays import PixelRays
+from blender_nep.capture.rays.pixel_rays import PixelRays
 
 MOST_EXPOSURE = 1024.0
 """Largest exposure, and the inverse of the smallest one."""

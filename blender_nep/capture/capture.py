@@ -7,8 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
-from blender_nep.capture.camera import Camera
-from blender_nep.capture.photo_files import MaskRaster, Raster, open_image
+from blender_nep.capture.cameras.camera import Camera
+from blender_nep.capture.photos.photo_files import MaskRaster, Raster, open_image
 from blender_nep.errors import CaptureError
 from blender_nep.messages import Message
 

@@ -18,9 +18,9 @@ import torch
 from scipy import sparse
 from torch.nn import functional
 
-from blender_nep.capture.pixel_rays import BRIGHTEST_CLIPPED, SATURATED, PixelRays
-from blender_nep.capture.upright import upward
-from blender_nep.capture.vignetting import TERMS, Vignetting, falloff_terms
+from blender_nep.capture.cameras.upright import upward
+from blender_nep.capture.rays.pixel_rays import BRIGHTEST_CLIPPED, SATURATED, PixelRays
+from blender_nep.capture.rays.vignetting import TERMS, Vignetting, falloff_terms
 from blender_nep.messages import Message
 
 SPHERES = (0.8, 1.2, 1.7, 2.4, 3.4, 5.0, 10.0, 1e4)
@@ -204,7 +204,7 @@ def stops(gain: torch.Tensor) -> list[float]:
 def _cells(rays: PixelRays) -> _Entries:
     """One entry for each photo and each cell that it shows."""
     device = rays.radiance.device
-    distance = float(rays.rays(torch.tensor(rays.offset[:-1], device=device))[0].norm(dim=-1).median())
+    distance = float(rays.rays(torch.tensor(rays.offset[:-1], device=device)).origins.norm(dim=-1).median())
     planes = _Planes.of(rays)
     ends = rays.brightest <= BRIGHTEST_CLIPPED
     blocks = min(BLOCKS, max(64, MOST_BLOCKS // rays.views))

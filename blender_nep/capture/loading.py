@@ -14,7 +14,7 @@ from blender_nep.capture.bounds import check_sphere, sphere_from_cameras, sphere
 from blender_nep.capture.capture import Capture, View
 from blender_nep.capture.description import CaptureDescription
 from blender_nep.capture.formats import bundler, cameras_sphere, colmap, llff, metashape, nerf_synthetic, transforms
-from blender_nep.capture.photo_files import is_linear
+from blender_nep.capture.photos.photo_files import is_linear
 from blender_nep.errors import CaptureError
 from blender_nep.messages import Message
 

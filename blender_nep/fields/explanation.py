@@ -5,9 +5,9 @@ from __future__ import annotations
 import torch
 from torch.nn import functional
 
-from blender_nep.capture.pixel_rays import PixelRays
+from blender_nep.capture.rays.pixel_rays import PixelRays
 from blender_nep.errors import LearningError
-from blender_nep.fields.rendering import FieldsRenderer, RayBundle
+from blender_nep.fields.rendering import FieldsRenderer
 from blender_nep.tone_mapping import tone_map
 
 
@@ -25,7 +25,7 @@ def explanation_ratio(
     pixels = pixels or p.explanation_pixels
     pick = torch.randint(len(rays.sphere), (pixels,), generator=generator, device=generator.device)
     index = rays.sphere[pick]
-    bundle = RayBundle(*rays.rays(index))
+    bundle = rays.rays(index)
     surface = renderer.object_field.shape().render(bundle.origins, bundle.directions, sharpness, p.samples, None)
     solid = surface.opacity > p.explanation_opacity
     ray = surface.ray[solid]

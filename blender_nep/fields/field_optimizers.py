@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from blender_nep.fields import environment_training
-from blender_nep.fields.environment_field import EnvironmentField
-from blender_nep.fields.object_field import ObjectField
+from blender_nep.fields.environment import training as environment_training
+from blender_nep.fields.environment.field import EnvironmentField
+from blender_nep.fields.object.field import ObjectField
 from blender_nep.fields.schedule import Schedule
 from blender_nep.optimizers import Adam, Optimizer
 from blender_nep.presets import Preset

@@ -6,11 +6,11 @@ from dataclasses import asdict, dataclass
 
 import torch
 
-from blender_nep.fields.environment_field import EnvironmentField
-from blender_nep.fields.object_field import ObjectField
-from blender_nep.fields.relief import Relief
-from blender_nep.geometry.support import Support
+from blender_nep.fields.environment.field import EnvironmentField
+from blender_nep.fields.object.field import ObjectField
+from blender_nep.fields.refinements.relief import Relief
 from blender_nep.presets import Preset
+from blender_nep.support.plane import Support
 
 
 @dataclass(frozen=True)

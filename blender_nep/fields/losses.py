@@ -9,7 +9,7 @@ from torch import Tensor
 from torch.nn import functional
 
 from blender_nep.capture.brightness import typical_radiance
-from blender_nep.capture.pixel_rays import PixelRays
+from blender_nep.capture.rays.pixel_rays import PixelRays
 from blender_nep.fields.rendering import Rendering
 from blender_nep.presets import EnvironmentPreset, FieldsPreset, Preset
 from blender_nep.tone_mapping import tone_map, tone_map_without_highlights

@@ -15,29 +15,15 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from blender_nep.fields.environment_field import EnvironmentField
-from blender_nep.fields.object_field import Appearance, ObjectField, SplineShape
+from blender_nep.capture.rays.ray_bundle import RayBundle
+from blender_nep.fields.environment.field import EnvironmentField
+from blender_nep.fields.object.field import Appearance, ObjectField, SplineShape
 from blender_nep.presets import FieldsPreset
 from blender_nep.profiling import profiled, section
 from blender_nep.tone_mapping import tone_map
 
 _LEAST_OPACITY = 0.01
 """Rays that are there for the object alone count from this opacity of the object on."""
-
-
-@dataclass(frozen=True)
-class RayBundle:
-    """Rays in the unit frame: origins [n, 3], unit directions [n, 3], half angles [n] of their pixels' cones, radians."""
-
-    origins: Tensor
-    directions: Tensor
-    half_angle: Tensor
-
-    def __len__(self) -> int:
-        return len(self.origins)
-
-    def __getitem__(self, index: Tensor) -> RayBundle:
-        return RayBundle(self.origins[index], self.directions[index], self.half_angle[index])
 
 
 @dataclass(frozen=True)
@@ -70,7 +56,7 @@ class Rendering:
     foreground_opacity: Tensor
     """Scalar: mean opacity of F_e between the cameras and the object's sphere. Rays for the object alone count as 0"""
     distortion: Tensor
-    """Scalar: mean distortion of F_e on the rays (`ops.environment_rendering`). It is 0 where F_e is not rendered"""
+    """Scalar: mean distortion of F_e on the rays (`ops.environment.rendering`). It is 0 where F_e is not rendered"""
 
 
 @dataclass(frozen=True)

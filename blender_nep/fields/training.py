@@ -15,35 +15,50 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from blender_nep.capture.pixel_rays import PixelRays
-from blender_nep.capture.pixel_set import PixelSet
+from blender_nep.capture.rays.pixel_rays import PixelRays
+from blender_nep.capture.rays.pixel_set import PixelSet
+from blender_nep.capture.rays.ray_bundle import RayBundle
 from blender_nep.checkpoints import Checkpoint
-from blender_nep.fields import environment_training, object_pixels
-from blender_nep.fields.cavities import open_cavities
-from blender_nep.fields.environment_field import EnvironmentField
+from blender_nep.fields.environment import training as environment_training
+from blender_nep.fields.environment.field import EnvironmentField
 from blender_nep.fields.explanation import explanation_ratio, require_object
 from blender_nep.fields.field_optimizers import Optimizers
 from blender_nep.fields.fields import Fields, FieldsReport, HullReport, new_object_field
-from blender_nep.fields.fine_paint import fine_paint
-from blender_nep.fields.hidden_object import hidden_pixels
 from blender_nep.fields.losses import FieldsLosses
 from blender_nep.fields.non_finite_monitor import NonFiniteMonitor, usable_gradients, usable_loss
-from blender_nep.fields.object_field import ObjectField
-from blender_nep.fields.object_pixels import ObjectPixels, draw_pixels, find_object_pixels, held_out_pixels, pixels_beside
-from blender_nep.fields.plain_support import find_plain_support
-from blender_nep.fields.relief import Relief, find_relief
-from blender_nep.fields.rendering import FieldsRenderer, RayBundle, Rendering, RenderSettings
+from blender_nep.fields.object.field import ObjectField
+from blender_nep.fields.object.volume_rendering import BAND
+from blender_nep.fields.refinements import object_pixels
+from blender_nep.fields.refinements.cavities import open_cavities
+from blender_nep.fields.refinements.fine_paint import fine_paint
+from blender_nep.fields.refinements.hidden_object import hidden_pixels
+from blender_nep.fields.refinements.object_pixels import (
+    ObjectPixels,
+    draw_pixels,
+    find_object_pixels,
+    held_out_pixels,
+    pixels_beside,
+)
+from blender_nep.fields.refinements.relief import Relief, find_relief
+from blender_nep.fields.refinements.visual_hull import (
+    VisualHull,
+    background_silhouettes,
+    carve,
+    excess,
+    mask_silhouettes,
+    score_cells,
+)
+from blender_nep.fields.rendering import FieldsRenderer, Rendering, RenderSettings
 from blender_nep.fields.schedule import Schedule
-from blender_nep.fields.support_search import find_support_by_photos
-from blender_nep.fields.support_start import with_closed_foot
-from blender_nep.fields.support_texture import SupportColors
-from blender_nep.fields.visual_hull import VisualHull, background_silhouettes, carve, excess, mask_silhouettes, score_cells
-from blender_nep.fields.volume_rendering import BAND
 from blender_nep.geometry.mesh import Surface
-from blender_nep.geometry.support import Support
 from blender_nep.messages import Message, Part
 from blender_nep.presets import Preset
 from blender_nep.profiling import profiled, section
+from blender_nep.support.foot import with_closed_foot
+from blender_nep.support.plain_support import find_plain_support
+from blender_nep.support.plane import Support
+from blender_nep.support.search import find_support_by_photos
+from blender_nep.support.texture import SupportColors
 from blender_nep.tone_mapping import tone_map
 
 _CARVINGS, _LEAST_CARVED = 8, 0.02
@@ -111,7 +126,7 @@ class FieldsLearning:
     def render(self, index: Tensor, generator: torch.Generator | None = None) -> Rendering:
         """Render the pixels `index` [n] int64 through both fields in their present state. Without a generator, nothing is
         random."""
-        return self._render(RayBundle(*self.rays.rays(index)), generator)
+        return self._render(self.rays.rays(index), generator)
 
     def _render(self, rays: RayBundle, generator: torch.Generator | None, clear_rays: int = 0) -> Rendering:
         now = self.schedule
@@ -169,7 +184,7 @@ class FieldsLearning:
         self._prepare_joint_step()
         index, clear = self._draw_batch()
         with section("rays and photo values"):
-            rays = RayBundle(*self.rays.rays(index))
+            rays = self.rays.rays(index)
             photo = self.rays.photo(index)
         out = self._render(rays, self.generator, clear)
         photometric = self.losses.photometric(out, photo)
@@ -281,7 +296,7 @@ class FieldsLearning:
         """
 
         def error(index: Tensor) -> Tensor:
-            rays = RayBundle(*self.rays.rays(index))
+            rays = self.rays.rays(index)
             _, leave, _ = self.object_field.shape().interval(rays.origins, rays.directions)
             start = leave.clamp(min=self.environment.preset.camera_near)
             end = torch.full_like(start, torch.inf)

@@ -9,7 +9,7 @@ from pathlib import Path
 import torch
 
 from blender_nep.errors import NepError, ObjectsFailed, Stopped
-from blender_nep.job.events import Events
+from blender_nep.job.reporting.events import Events
 
 RESUMABLE = "Work since the last checkpoint is lost; --resume goes on from there."
 """The hint after a second Ctrl-C, for a command that has checkpoints."""

@@ -13,18 +13,18 @@ import torch
 
 from blender_nep.capture import Capture, PixelRays, load_capture
 from blender_nep.capture.brightness import to_brightness
+from blender_nep.capture.doctor.turntable import refuse_turntable
 from blender_nep.capture.exposure import find_exposures
-from blender_nep.capture.pixel_store import PixelMemory
-from blender_nep.capture.turntable import refuse_turntable
+from blender_nep.capture.rays.pixel_store import PixelMemory
 from blender_nep.errors import OutputError, Stopped, UsageError
 from blender_nep.files import output_errors
 from blender_nep.job.device import usable_cores
-from blender_nep.job.events import Events
-from blender_nep.job.run_folder import RunFolder, fingerprint, refuse_other_run
+from blender_nep.job.folders.run_folder import RunFolder, fingerprint, refuse_other_run
+from blender_nep.job.reporting.events import Events
+from blender_nep.job.reporting.tracker import Tracker
 from blender_nep.job.scene_analysis import Plan, SceneAnalysis
 from blender_nep.job.settings import Settings
 from blender_nep.job.stage_names import StageName
-from blender_nep.job.tracker import Tracker
 from blender_nep.profiling import profiled, section
 from blender_nep.stop_request import StopRequest
 from blender_nep.surface.mesh_file import read_mesh

@@ -10,11 +10,11 @@ import torch
 
 from blender_nep.job.device import peak_memory, versions
 from blender_nep.job.preparation import Prepared
+from blender_nep.job.reporting.tracker import Tracker
 from blender_nep.job.scene_report import SceneReport
 from blender_nep.job.settings import Settings
 from blender_nep.job.stage_names import StageName
 from blender_nep.job.stage_reports import StageReportView
-from blender_nep.job.tracker import Tracker
 from blender_nep.messages import Message
 from blender_nep.profiling import Profile
 

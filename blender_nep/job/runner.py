@@ -16,10 +16,10 @@ from blender_nep.asset.export import Placement
 from blender_nep.asset.preview import PreviewView
 from blender_nep.checkpoints import Checkpoint
 from blender_nep.job.device import choose_device
-from blender_nep.job.events import Events
 from blender_nep.job.exit_code import exit_code
+from blender_nep.job.folders.job_folder import JobFolder
+from blender_nep.job.folders.run_folder import PREVIEW, RunFolder
 from blender_nep.job.heap import keep_freed_memory
-from blender_nep.job.job_folder import JobFolder
 from blender_nep.job.preparation import (
     Preparation,
     Prepared,
@@ -28,7 +28,8 @@ from blender_nep.job.preparation import (
     set_seed_and_threads,
 )
 from blender_nep.job.report import JobReport
-from blender_nep.job.run_folder import PREVIEW, RunFolder
+from blender_nep.job.reporting.events import Events
+from blender_nep.job.reporting.tracker import Tracker
 from blender_nep.job.scene_analysis import Plan, SurfaceAnalysis, seconds_of_cones
 from blender_nep.job.scene_report import SceneReport
 from blender_nep.job.settings import Settings
@@ -44,7 +45,6 @@ from blender_nep.job.stages import (
     SurfaceInput,
     SurfaceResult,
 )
-from blender_nep.job.tracker import Tracker
 from blender_nep.messages import Message
 from blender_nep.profiling import Profile, section
 from blender_nep.stop_request import StopRequest
@@ -199,7 +199,7 @@ class Job:
     def _live_preview(self, prepared: Prepared) -> Callable | None:
         if not self._settings.preview or self._settings.mesh is not None:
             return None
-        from blender_nep.job.live_preview import LivePreview
+        from blender_nep.job.reporting.live_preview import LivePreview
 
         return LivePreview(self._settings.out, prepared.rays, prepared.capture.from_unit, self._events)
 

@@ -14,8 +14,8 @@ import numpy as np
 import torch
 
 from blender_nep.capture.exposure import stops
-from blender_nep.capture.pixel_rays import BRIGHTEST_CLIPPED, SATURATED
-from blender_nep.capture.pixel_width import pixel_width
+from blender_nep.capture.rays.pixel_rays import BRIGHTEST_CLIPPED, SATURATED
+from blender_nep.capture.rays.pixel_width import pixel_width
 from blender_nep.geometry.ray_tracing import RayTracer
 from blender_nep.messages import Message, Part
 

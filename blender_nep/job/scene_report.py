@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
-from blender_nep.job.events import Events
+from blender_nep.job.reporting.events import Events
 from blender_nep.job.scene_analysis import Plan, SceneAnalysis, SurfaceAnalysis
 from blender_nep.messages import Message, Part
 

@@ -23,13 +23,13 @@ if TYPE_CHECKING:
     from blender_nep.asset.preview import PreviewView
     from blender_nep.capture import Capture, PixelRays
     from blender_nep.checkpoints import Checkpoint
-    from blender_nep.fields.environment_field import EnvironmentField
-    from blender_nep.fields.object_field import ObjectField
+    from blender_nep.fields.environment.field import EnvironmentField
+    from blender_nep.fields.object.field import ObjectField
     from blender_nep.fields.training import Fields, FieldsLearning
     from blender_nep.geometry.mesh import Surface
-    from blender_nep.geometry.support import Support
     from blender_nep.materials.training import Materials
     from blender_nep.presets import MaterialPreset, Preset, SurfacePreset
+    from blender_nep.support.plane import Support
     from blender_nep.surface.normal_map import LeanMesh
 
 Given = TypeVar("Given", contravariant=True)
@@ -147,7 +147,7 @@ class SurfaceResult:
     @property
     def support(self) -> Support | None:
         """The plane on which the object stands and at which the mesh is cut; None without one."""
-        from blender_nep.geometry.support import Support
+        from blender_nep.support.plane import Support
 
         found = self.report.get("cut_support_plane")
         return None if found is None else Support.from_state(found)

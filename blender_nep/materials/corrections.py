@@ -21,12 +21,12 @@ from torch import Tensor
 from blender_nep.color import linear_to_srgb
 from blender_nep.geometry.mesh import Surface
 from blender_nep.materials.baking import LabeledPoints, bake
-from blender_nep.materials.blending import BlendedPoints
 from blender_nep.materials.fitting import fit_groups, place_in_scan, roughness_at
-from blender_nep.materials.palette import Palette, between, place_of_least
-from blender_nep.materials.segments import Segments
+from blender_nep.materials.labels.blending import BlendedPoints
+from blender_nep.materials.palette.palette import Palette, between, place_of_least
+from blender_nep.materials.segments.segments import Segments
+from blender_nep.materials.segments.varied_materials import PlacedPixels, VariedMaterials, fit_segments, varied_points
 from blender_nep.materials.shown_faces import ShownParts
-from blender_nep.materials.varied_materials import PlacedPixels, VariedMaterials, fit_segments, varied_points
 from blender_nep.shading.light_moments import LightMoments
 
 if TYPE_CHECKING:

@@ -12,7 +12,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from blender_nep.ops.material_fit import FitHypotheses, FitRoughness, FitSamples, fit_albedos
+from blender_nep.ops.materials.material_fit import FitHypotheses, FitRoughness, FitSamples, fit_albedos
 from blender_nep.profiling import profiled
 from blender_nep.shading import brdf
 from blender_nep.tone_mapping import tone_map

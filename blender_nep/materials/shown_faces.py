@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 import torch
 
-from blender_nep.capture.pixel_rays import PixelRays
+from blender_nep.capture.rays.pixel_rays import PixelRays
 from blender_nep.geometry.mesh import Surface
 from blender_nep.geometry.ray_tracing import RayTracer
 from blender_nep.profiling import profiled

@@ -22,7 +22,6 @@ from blender_nep.errors import LearningError
 from blender_nep.geometry.mesh import Surface
 from blender_nep.materials.baked_light import correlations
 from blender_nep.materials.baking import bake, texture_size
-from blender_nep.materials.blending import BlendedPoints
 from blender_nep.materials.corrections import (
     Correctable,
     CorrectablePalette,
@@ -30,20 +29,18 @@ from blender_nep.materials.corrections import (
     KeptMaterials,
     groups_of_segments,
 )
-from blender_nep.materials.labeled_points import (
+from blender_nep.materials.labels.blending import BlendedPoints
+from blender_nep.materials.labels.labeled_points import (
     error_of_neighbors,
     labeled_pixels,
     labeled_samples,
     select_label_pixels,
     surfels,
 )
-from blender_nep.materials.light_gathering import LitSamples, Observations, gathered_light, with_more_samples
-from blender_nep.materials.palette import Palette
-from blender_nep.materials.palette_search import PaletteSearch
-from blender_nep.materials.shown_faces import ShownParts
-from blender_nep.materials.training_report import MaterialReport, TrainingProgress
-from blender_nep.materials.unseen_light_training import learn_unseen_light
-from blender_nep.materials.varied_materials import (
+from blender_nep.materials.palette.palette import Palette
+from blender_nep.materials.palette.search import PaletteSearch
+from blender_nep.materials.samples.light_gathering import LitSamples, Observations, gathered_light, with_more_samples
+from blender_nep.materials.segments.varied_materials import (
     PlacedPixels,
     VariedMaterials,
     fit_segments,
@@ -51,6 +48,10 @@ from blender_nep.materials.varied_materials import (
     gain_of_unseen_light,
     segments_of,
 )
+from blender_nep.materials.shown_faces import ShownParts
+from blender_nep.materials.training_progress import TrainingProgress
+from blender_nep.materials.training_report import MaterialReport
+from blender_nep.materials.unseen_light_training import learn_unseen_light
 from blender_nep.messages import Message, Part
 from blender_nep.shading.incoming_light import IncomingLight
 from blender_nep.shading.light_moments import LightMoments
@@ -58,11 +59,11 @@ from blender_nep.shading.support_light import SupportLight
 from blender_nep.shading.unseen_light import UnseenLight
 
 if TYPE_CHECKING:
-    from blender_nep.capture.pixel_rays import PixelRays
-    from blender_nep.fields.environment_field import EnvironmentField
-    from blender_nep.geometry.support import Support
-    from blender_nep.materials.photo_samples import PhotoSamples
+    from blender_nep.capture.rays.pixel_rays import PixelRays
+    from blender_nep.fields.environment.field import EnvironmentField
+    from blender_nep.materials.samples.photo_samples import PhotoSamples
     from blender_nep.presets import MaterialPreset
+    from blender_nep.support.plane import Support
 
 
 _PIXELS_OF_VARIED = 3

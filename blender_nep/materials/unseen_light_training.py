@@ -10,7 +10,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from blender_nep.materials.palette import Palette
+from blender_nep.materials.palette.palette import Palette
 from blender_nep.optimizers import Adam
 from blender_nep.presets import MaterialPreset
 from blender_nep.profiling import profiled

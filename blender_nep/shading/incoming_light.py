@@ -15,7 +15,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from blender_nep.ops.lobe_sums import add_to_lobes
+from blender_nep.ops.materials.lobe_sums import add_to_lobes
 from blender_nep.profiling import profiled
 from blender_nep.shading import brdf
 from blender_nep.shading.cones import diffuse_cones, half_angle_of_density, specular_cones

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 import torch
@@ -18,30 +17,11 @@ from torch import Tensor, nn
 from blender_nep.geometry.ray_tracing import RayTracer
 from blender_nep.shading import brdf
 from blender_nep.shading.cones import diffuse_cones, specular_cones
+from blender_nep.shading.environment import Environment
 from blender_nep.shading.support_light import SupportLight
 from blender_nep.shading.unseen_light import UnseenLight
 
 _CHUNK = 1 << 16
-
-
-class Environment(Protocol):
-    """The methods of F_e that f_p needs."""
-
-    def query_cone(self, origins: Tensor, directions: Tensor, half_angle: Tensor) -> tuple[Tensor, Tensor]:
-        """Mean radiance [n, 3] in cones of what the photos show, and their coverage [n] by the photos in 0..1."""
-        ...
-
-    def equirect(self, height: int) -> tuple[Tensor, Tensor]:
-        """The same as seen from the center: radiance [height, 2 height, 3] and coverage [height, 2 height]."""
-        ...
-
-    def extrapolated(self, height: int) -> Tensor:
-        """The radiance [height, 2 height, 3] that the field holds, shown by photos or not."""
-        ...
-
-    def typical_distance(self) -> float:
-        """Median distance of the surroundings from the object's center, in the unit frame."""
-        ...
 
 
 @dataclass

@@ -15,11 +15,11 @@ from torch import Tensor
 from torch.nn import functional
 
 from blender_nep.geometry.ray_tracing import RayTracer
-from blender_nep.geometry.support import Support
 from blender_nep.profiling import profiled
+from blender_nep.support.plane import Support
 
 if TYPE_CHECKING:
-    from blender_nep.capture.pixel_rays import PixelRays
+    from blender_nep.capture.rays.pixel_rays import PixelRays
 
 TEXELS = 128
 """Texels along each side of the square that is textured."""

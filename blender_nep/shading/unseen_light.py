@@ -18,13 +18,11 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import torch
 from torch import Tensor
 
-if TYPE_CHECKING:
-    from blender_nep.shading.plenoptic import Environment
+from blender_nep.shading.environment import Environment
 
 _LEAST_MISSING = 1e-3
 """Smallest weight of a texel, so that every cone has a mean."""

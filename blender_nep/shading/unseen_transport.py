@@ -12,7 +12,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from blender_nep.ops.cone_transport import collect, send
+from blender_nep.ops.materials.cone_transport import collect, send
 from blender_nep.shading.unseen_light import UncoveredCones, level_sizes, taps
 
 _PARTS = 32

@@ -14,15 +14,15 @@ from skimage import measure
 
 from blender_nep.errors import LearningError
 from blender_nep.geometry.mesh import Surface, angle_normals, normalized, weld
-from blender_nep.geometry.support import Support
 from blender_nep.profiling import profiled, section
+from blender_nep.support.plane import Support
 from blender_nep.surface.normal_map import LeanMesh, lean_mesh
 from blender_nep.surface.subdivision import subdivide
 from blender_nep.surface.support_plane import MARGIN, find_support
 from blender_nep.surface.unwrap import unwrap
 
 if TYPE_CHECKING:
-    from blender_nep.fields.object_field import ObjectField
+    from blender_nep.fields.object.field import ObjectField
     from blender_nep.presets import SurfacePreset
 
 _LEAST_PART = 0.05

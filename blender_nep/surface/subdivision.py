@@ -18,9 +18,9 @@ from blender_nep.profiling import profiled
 from blender_nep.surface.support_plane import MARGIN
 
 if TYPE_CHECKING:
-    from blender_nep.fields.object_field import ObjectField
-    from blender_nep.geometry.support import Support
+    from blender_nep.fields.object.field import ObjectField
     from blender_nep.presets import SurfacePreset
+    from blender_nep.support.plane import Support
 
 _NEWTON_STEPS = 3
 _LEAST_SLOPE = 0.2

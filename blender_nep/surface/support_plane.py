@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 import trimesh
 
-from blender_nep.geometry.support import Support
+from blender_nep.support.plane import Support
 
 TOLERANCE = 0.03
 """A point up to this far from the plane counts as lying in it; in object radii."""

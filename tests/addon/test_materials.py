@@ -162,7 +162,7 @@ def check_beside(folder):
     assert "Learning the materials" in panel(bpy, addon) and "nep.correct_materials" not in panel(bpy, addon)
     assert not bpy.ops.nep.correct_materials.poll()
     settings.capture, settings.output = str(folder), str(folder / "asset")
-    from blender_nep.job.job_folder import held
+    from blender_nep.job.folders.job_folder import held
 
     with held(folder / "asset"):  # as the engine does while it corrects; the played one does not
         fails(lambda: bpy.ops.nep.reconstruct(overwrite=True), "are being corrected")
@@ -264,7 +264,7 @@ def check_no_start(folder):
     os.environ["NEP_ENGINE_PYTHON"] = str(folder / "no-python")
     refused("cannot be started", "Install the engine")
     os.environ["NEP_ENGINE_PYTHON"] = engine
-    from blender_nep.job.job_folder import JobFolder
+    from blender_nep.job.folders.job_folder import JobFolder
 
     job = JobFolder(asset, followed=True)  # as another program that works in the folder
     refused("The engine is at work in", "Wait for its end")

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from blender_nep.job import runner as job
-from blender_nep.job.events import Events
+from blender_nep.job.reporting.events import Events
 from blender_nep.presets import preset
 from blender_nep.stop_request import StopRequest
 from support import extension

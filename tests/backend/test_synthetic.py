@@ -11,7 +11,7 @@ import pytest
 import trimesh
 from PIL import Image
 
-from blender_nep.capture.photo_formats.png16 import read_png16
+from blender_nep.capture.photos.formats.png16 import read_png16
 from support.paths import ROOT
 
 LIMIT_S = 120

@@ -9,9 +9,9 @@ from pathlib import Path
 import pytest
 
 from blender_nep.batch import runner
-from blender_nep.batch.scheduler import Scheduler
 from blender_nep.batch.settings import BatchSettings
-from blender_nep.job.events import Events
+from blender_nep.batch.workers.scheduler import Scheduler
+from blender_nep.job.reporting.events import Events
 from blender_nep.stop_request import StopRequest
 from support import batch_engine
 

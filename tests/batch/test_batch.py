@@ -14,15 +14,15 @@ import psutil
 import pytest
 
 from blender_nep.batch import runner
-from blender_nep.batch.machine import OUT_OF_JOB, jobs_in
-from blender_nep.batch.needs import Needs
 from blender_nep.batch.progress import BatchProgress
 from blender_nep.batch.runner import Batch
-from blender_nep.batch.scheduler import Scheduler
 from blender_nep.batch.settings import BatchSettings
 from blender_nep.batch.state import ObjectState
-from blender_nep.job import job_folder
-from blender_nep.job.events import Events
+from blender_nep.batch.workers.machine import OUT_OF_JOB, jobs_in
+from blender_nep.batch.workers.needs import Needs
+from blender_nep.batch.workers.scheduler import Scheduler
+from blender_nep.job.folders import job_folder
+from blender_nep.job.reporting.events import Events
 from blender_nep.presets import preset
 from blender_nep.stop_request import StopRequest
 from support.paths import ROOT
@@ -226,7 +226,7 @@ def test_no_object_is_left_running_when_the_batch_breaks_off(batch, monkeypatch,
 
 
 def test_a_deaf_job_is_killed(batch, monkeypatch):
-    monkeypatch.setattr("blender_nep.batch.job_process._LONGEST_STOP_S", 0.1)
+    monkeypatch.setattr("blender_nep.batch.workers.job_process._LONGEST_STOP_S", 0.1)
     batch.add("a", "deaf")
     stop = StopRequest()
     code, _ = stopped_run(batch, lambda: stop.request("test"), stop=stop)
@@ -321,13 +321,13 @@ def test_a_damaged_state_is_refused_and_kept(batch, text):
 
 @pytest.mark.parametrize("plays", ["slow", "deaf"])
 def test_a_killed_batch_leaves_no_orphans_and_goes_on(batch, monkeypatch, plays):
-    monkeypatch.setattr("blender_nep.batch.machine._LONGEST_WAIT_S", 0.5)
+    monkeypatch.setattr("blender_nep.batch.workers.machine._LONGEST_WAIT_S", 0.5)
     for name in ("a", "b"):
         batch.add(name, plays)
     script = (
         "from pathlib import Path; from blender_nep.batch import runner\n"
         "from blender_nep.batch.settings import BatchSettings\n"
-        "from blender_nep.job.events import Events; from blender_nep.stop_request import StopRequest\n"
+        "from blender_nep.job.reporting.events import Events; from blender_nep.stop_request import StopRequest\n"
         f"wanted = {{'preset': 'preview', 'workers': 1, 'threads': 1, 'memory_mb': 2e4, 'engine': {batch.engine!r}}}\n"
         f"settings = BatchSettings((Path({str(batch.captures)!r}),), Path({str(batch.out)!r}), **wanted)\n"
         "runner.run(settings, Events(), StopRequest())"
@@ -418,7 +418,7 @@ def deaf_job(batch):
 
 
 def test_a_job_that_somebody_else_has_started_in_the_folder_goes_on(batch, deaf_job, monkeypatch):
-    monkeypatch.setattr("blender_nep.batch.machine._LONGEST_WAIT_S", 0.2)
+    monkeypatch.setattr("blender_nep.batch.workers.machine._LONGEST_WAIT_S", 0.2)
     process = deaf_job("theirs", by_batch=False)
     other = batch.add("ours")
     assert batch.run(captures=[other])[0] == 0

@@ -6,7 +6,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from blender_nep.batch import machine
+from blender_nep.batch.workers import machine
 
 GB = 1 << 30
 VERSION_2 = ("memory.max", "memory.current", "memory.stat", "")

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from benchmarks.studies.ray_nodes import RayNodes
-from blender_nep.batch.machine import jobs_in
+from blender_nep.batch.workers.machine import jobs_in
 from support.waiting import wait_until
 
 pytest.importorskip("ray", reason="ray is not installed: it is only in the extra `cluster`, and 200 MB large")

@@ -8,11 +8,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from blender_nep.batch.jobs import Heard, Job
-from blender_nep.batch.local_jobs import LocalJobs
-from blender_nep.batch.needs import Needs, threads_for
-from blender_nep.batch.scheduler import Listener, Plan, Scheduler
 from blender_nep.batch.state import DONE, ObjectState
+from blender_nep.batch.workers.jobs import Heard, Job
+from blender_nep.batch.workers.local_jobs import LocalJobs
+from blender_nep.batch.workers.needs import Needs, threads_for
+from blender_nep.batch.workers.scheduler import Listener, Plan, Scheduler
 from blender_nep.presets import preset
 from blender_nep.stop_request import StopRequest
 

@@ -11,10 +11,10 @@ from pathlib import Path
 
 import pytest
 
-from blender_nep.batch.job_process import JobProcess
-from blender_nep.batch.jobs import Job
-from blender_nep.batch.machine import jobs_in
-from blender_nep.job.job_folder import JobFolder
+from blender_nep.batch.workers.job_process import JobProcess
+from blender_nep.batch.workers.jobs import Job
+from blender_nep.batch.workers.machine import jobs_in
+from blender_nep.job.folders.job_folder import JobFolder
 
 WHOLE = ["0", "1", "2", "3"]
 
@@ -48,7 +48,7 @@ def test_a_job_that_begins_anew_may_still_crash_once(batch, other_run):
 
 def test_checkpoints_that_cannot_be_removed_are_tried_only_once(batch, other_run, monkeypatch):
     other_run()
-    monkeypatch.setattr("blender_nep.batch.scheduler.shutil.rmtree", lambda *_, **__: None)
+    monkeypatch.setattr("blender_nep.batch.workers.scheduler.shutil.rmtree", lambda *_, **__: None)
     assert batch.run()[0] == 9
     one = batch.objects()["a"]
     assert one["attempts"] == 2 and one["error"]["name"] == "usage.other_run"

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from blender_nep.batch.shipping import pack, unpack
+from blender_nep.batch.workers.shipping import pack, unpack
 
 
 @pytest.fixture

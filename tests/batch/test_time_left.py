@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import pytest
 
-from blender_nep.batch.needs import Needs
 from blender_nep.batch.progress import BatchProgress
-from blender_nep.batch.scheduler import Plan
 from blender_nep.batch.state import DONE, RUNNING, BatchState, ObjectState
-from blender_nep.job.events import Events
+from blender_nep.batch.workers.needs import Needs
+from blender_nep.batch.workers.scheduler import Plan
+from blender_nep.job.reporting.events import Events
 from blender_nep.presets import preset
 
 SECONDS = 100.0

@@ -84,7 +84,7 @@ def test_what_the_photos_show_of_the_world_is_what_the_map_lights_with(ball):
     nearest = light.reshape(-1, 3)[(directions @ texels.T).argmax(1)]
     turned = light.reshape(-1, 3)[(directions * torch.tensor([-1.0, 1, 1]) @ texels.T).argmax(1)]
     assert (found - nearest).abs().mean() < 0.5 * (found - turned).abs().mean()
-    seen = rays.rays(everything)[1]
+    seen = rays.rays(everything).directions
     texel = (seen @ texels.T).argmax(1)
     total = torch.zeros(len(texels), 3).index_add(0, texel, rays.radiance[everything].float())
     count = torch.zeros(len(texels)).index_add(0, texel, torch.ones(len(texel)))

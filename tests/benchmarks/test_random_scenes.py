@@ -13,7 +13,8 @@ pytest.importorskip("fcntl", reason="the suite runs on POSIX systems")
 pytest.importorskip("igl")
 import benchmarks.__main__ as command
 from benchmarks.reports.random_scenes import mean_table, scene_table, scored_scenes, worst_scenes, write_random_report
-from benchmarks.suite.harness import Ended, read_row, write_row
+from benchmarks.row_files import read_row, write_row
+from benchmarks.suite.harness import Ended
 from benchmarks.suite.plan import PLANS, Run, expand
 from benchmarks.suite.runner import Suite
 from support.paths import ROOT, SUZANNE_SMALL

@@ -12,9 +12,10 @@ import pytest
 
 pytest.importorskip("fcntl", reason="the suite runs on POSIX systems")
 import benchmarks.__main__ as command
+from benchmarks.row_files import write_row
 from benchmarks.suite.derived_captures import derive
 from benchmarks.suite.fewer_views import with_fewer_views
-from benchmarks.suite.harness import MADE_FROM, Ended, write_row
+from benchmarks.suite.harness import MADE_FROM, Ended
 from support.paths import ROOT, SUZANNE_SMALL
 
 RANDOM, RENDER = ("random", "--scenes", "1"), ("render", "shapes")

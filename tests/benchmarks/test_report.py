@@ -11,7 +11,8 @@ from benchmarks.baselines.peer_mitsuba import our_cells
 from benchmarks.reports import tables
 from benchmarks.reports.report import fill, head, write_report
 from benchmarks.reports.rows import Results, failures, load
-from benchmarks.suite.harness import markdown, read_row, write_row
+from benchmarks.row_files import read_row, write_row
+from benchmarks.suite.harness import markdown
 from benchmarks.suite.plan import Run
 from blender_nep.errors import OutputError
 from support.paths import ROOT

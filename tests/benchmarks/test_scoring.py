@@ -11,13 +11,14 @@ import trimesh
 
 pytest.importorskip("igl")
 from backend.synthetic_capture.random_scene import draw_scene
+from benchmarks.row_files import write_row
 from benchmarks.scoring import shading_normals
 from benchmarks.scoring.environment import background_psnr, exposures_differ
 from benchmarks.scoring.geometry import Body, inner, load_test_views, score, true_mesh
 from benchmarks.scoring.materials import read_channels
 from benchmarks.scoring.scores import score_asset
 from benchmarks.studies import scaling
-from benchmarks.suite.harness import commit_now, resumed, with_changes, write_row
+from benchmarks.suite.harness import commit_now, resumed, with_changes
 from benchmarks.suite.plan import ABLATIONS
 from blender_nep.asset.export import TexturedMesh, write_exr, write_obj
 from blender_nep.capture import PixelRays, load_capture

@@ -12,8 +12,8 @@ pytest.importorskip("fcntl", reason="the suite runs on POSIX systems")
 pytest.importorskip("igl")
 from benchmarks.baselines import peer_mitsuba, reference_path
 from benchmarks.baselines.reference_path import COLUMNS, planned
+from benchmarks.row_files import read_row, write_row
 from benchmarks.studies import cluster, scaling, skipping
-from benchmarks.suite.harness import read_row, write_row
 from blender_nep.presets import preset
 from support.paths import SUZANNE_SMALL
 

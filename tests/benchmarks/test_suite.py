@@ -14,15 +14,16 @@ import pytest
 
 pytest.importorskip("fcntl", reason="the suite runs on POSIX systems")
 from benchmarks.__main__ import main
+from benchmarks.row_files import read_row, write_row
 from benchmarks.suite import runner
 from benchmarks.suite.fewer_views import spread, with_fewer_views
-from benchmarks.suite.harness import Children, Ended, read_row, write_row
+from benchmarks.suite.harness import Children, Ended
 from benchmarks.suite.plan import ABLATIONS, AS_TAKEN, PLANS, WITHOUT_F_E, Run, expand
 from benchmarks.suite.runner import OtherRowsError, Suite, failure
 from benchmarks.suite.step import STAGE_1, NoLight, learn, take_stage_1
 from blender_nep.capture import load_capture
 from blender_nep.checkpoints import save_state
-from blender_nep.job.run_folder import RunFolder, fingerprint
+from blender_nep.job.folders.run_folder import RunFolder, fingerprint
 from blender_nep.presets import PRESETS, preset
 from blender_nep.shading.unseen_light import UnseenLight
 from blender_nep.stop_request import StopRequest

@@ -6,8 +6,8 @@ from typing import Any
 
 import pytest
 
-from blender_nep.fields.object_sphere import ObjectSphere
-from blender_nep.job import camera_search
+from blender_nep.cameras.object_sphere import ObjectSphere
+from blender_nep.job.commands import camera_search
 
 BROKEN = "broken capture"
 """Name of a test's property: (how a capture is broken, what came out)"""

@@ -24,16 +24,16 @@ import pytest
 from benchmarks.scoring.cameras import errors
 from blender_nep.cameras import matching_process, structure_from_motion
 from blender_nep.cameras.alignment import similarity
+from blender_nep.cameras.object_sphere import ObjectSphere
 from blender_nep.cameras.photo_folder import find_photos
+from blender_nep.cameras.seen_through import Sightlines
 from blender_nep.cameras.structure_from_motion import find_groups
 from blender_nep.capture import Capture, load_capture
-from blender_nep.capture.lens import Lens
+from blender_nep.capture.cameras.lens import Lens
 from blender_nep.errors import BoundsError
-from blender_nep.fields.object_sphere import ObjectSphere
-from blender_nep.fields.seen_through import Sightlines
-from blender_nep.job import camera_search
-from blender_nep.job.camera_search import CameraSearch
-from blender_nep.job.events import Events
+from blender_nep.job.commands import camera_search
+from blender_nep.job.commands.camera_search import CameraSearch
+from blender_nep.job.reporting.events import Events
 from support import broken_cameras as cameras
 from support import broken_machine as machine
 from support import broken_photos as photos

@@ -9,19 +9,19 @@ import pytest
 from PIL import Image
 
 from benchmarks.scoring.cameras import errors
+from blender_nep.cameras import object_sphere
 from blender_nep.cameras.alignment import similarity
 from blender_nep.cameras.found_cameras import FoundCameras
+from blender_nep.cameras.object_sphere import ObjectSphere
 from blender_nep.cameras.photo_folder import Photo, find_photos, mask_copy
 from blender_nep.cameras.reduction import Reduction
 from blender_nep.cameras.structure_from_motion import Group, PlacedPhoto
 from blender_nep.cameras.written_capture import write_capture
 from blender_nep.capture import load_capture
 from blender_nep.errors import CaptureError
-from blender_nep.fields import object_sphere
-from blender_nep.fields.object_sphere import ObjectSphere
-from blender_nep.job import camera_search
-from blender_nep.job.camera_search import CameraSearch
-from blender_nep.job.events import Events
+from blender_nep.job.commands import camera_search
+from blender_nep.job.commands.camera_search import CameraSearch
+from blender_nep.job.reporting.events import Events
 from blender_nep.stop_request import StopRequest
 from support.printed_room import BALLS, FOCAL, LENS, camera, photograph, write_photos
 

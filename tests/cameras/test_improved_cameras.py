@@ -16,9 +16,9 @@ from blender_nep.cameras.photo_folder import find_photos
 from blender_nep.cameras.structure_from_motion import PlacedPhoto, find_groups
 from blender_nep.cameras.written_capture import write_capture
 from blender_nep.capture import load_capture
-from blender_nep.job import camera_search
-from blender_nep.job.camera_search import CameraSearch
-from blender_nep.job.events import Events
+from blender_nep.job.commands import camera_search
+from blender_nep.job.commands.camera_search import CameraSearch
+from blender_nep.job.reporting.events import Events
 from blender_nep.stop_request import StopRequest
 from support.printed_room import BALLS, camera, write_photos
 

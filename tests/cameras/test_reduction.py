@@ -7,7 +7,7 @@ import pytest
 from PIL import Image
 
 from blender_nep.cameras.reduction import Reduction
-from blender_nep.capture.camera import Camera
+from blender_nep.capture.cameras.camera import Camera
 
 SIZES = [(301, 201), (201, 301), (300, 200), (299, 168), (640, 3), (90, 60)]
 

@@ -12,8 +12,8 @@ from PIL import Image
 from backend.scene_io.capture_files import read_bounds, read_frames, read_frames_of
 from blender_nep.asset.cameras_file import CAMERAS, cameras_content
 from blender_nep.capture import load_capture
+from blender_nep.capture.cameras.lens import Lens
 from blender_nep.capture.formats import bundler, cameras_sphere, llff, metashape
-from blender_nep.capture.lens import Lens
 from blender_nep.errors import CaptureError
 from support.camera_exports import (
     HEIGHT,

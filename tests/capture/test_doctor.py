@@ -14,16 +14,16 @@ from PIL import Image
 from scipy.ndimage import gaussian_filter, uniform_filter1d
 
 from blender_nep.capture import PixelRays, load_capture
-from blender_nep.capture.coverage import Coverage
-from blender_nep.capture.coverage_picture import LIMITS, SHADES, SIZE, draw_coverage, place, shade
+from blender_nep.capture.doctor.coverage import Coverage
+from blender_nep.capture.doctor.coverage_picture import LIMITS, SHADES, SIZE, draw_coverage, place, shade
+from blender_nep.capture.doctor.sharpness import blurred
+from blender_nep.capture.doctor.summary import describe, summarize
+from blender_nep.capture.doctor.turntable import refuse_turntable, still_share
 from blender_nep.capture.exposure import compare_exposures, find_exposures
-from blender_nep.capture.sharpness import blurred
-from blender_nep.capture.summary import describe, summarize
-from blender_nep.capture.turntable import refuse_turntable, still_share
 from blender_nep.cli import main
 from blender_nep.errors import CaptureError
 from blender_nep.job import runner as job
-from blender_nep.job.events import Events
+from blender_nep.job.reporting.events import Events
 from blender_nep.presets import preset
 from blender_nep.stop_request import StopRequest
 from support.captures import look_at, write_exr

@@ -12,9 +12,9 @@ from blender_nep.capture.exposure import SPHERES, Exposures, find_exposures, sto
 from blender_nep.checkpoints import NoCheckpoint
 from blender_nep.fields.training import FieldsLearning, learn_fields
 from blender_nep.geometry.ray_tracing import RayTracer
-from blender_nep.job.live_preview import render_pair
+from blender_nep.job.reporting.live_preview import render_pair
 from blender_nep.job.scene_analysis import SceneAnalysis, view_dependence
-from blender_nep.materials.photo_samples import select_samples
+from blender_nep.materials.samples.photo_samples import select_samples
 from blender_nep.messages import Message
 from blender_nep.presets import preset
 from blender_nep.surface.mesh_file import load_surface

@@ -11,8 +11,8 @@ import pytest
 from PIL import Image
 
 from blender_nep.capture import PixelRays, load_capture
+from blender_nep.capture.cameras.lens import Lens
 from blender_nep.capture.formats import colmap
-from blender_nep.capture.lens import Lens
 from blender_nep.errors import CaptureError
 
 PROJECT = Path(__file__).parent / "colmap_project"

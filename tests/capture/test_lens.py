@@ -5,9 +5,9 @@ import pytest
 import torch
 
 from blender_nep.capture import PixelRays, load_capture
-from blender_nep.capture.camera import Camera
-from blender_nep.capture.lens import Lens, Lenses
-from blender_nep.capture.summary import summarize
+from blender_nep.capture.cameras.camera import Camera
+from blender_nep.capture.cameras.lens import Lens, Lenses
+from blender_nep.capture.doctor.summary import summarize
 
 REAL = Lens(k1=-0.12, k2=0.03)
 ALL_TERMS = Lens(k1=-0.2, k2=0.07, k3=0.01, k4=-0.002, p1=0.004, p2=-0.006)

@@ -15,8 +15,8 @@ from PIL import Image, ImageCms
 
 from blender_nep.cameras.photo_folder import Photo, gray_copy
 from blender_nep.cameras.reduction import Reduction
-from blender_nep.capture.photo_files import Raster, image_size, open_image
-from blender_nep.capture.photo_formats.color_encoding import ColorEncoding
+from blender_nep.capture.photos.formats.color_encoding import ColorEncoding
+from blender_nep.capture.photos.photo_files import Raster, image_size, open_image
 from blender_nep.errors import CaptureError
 from support import icc
 

@@ -12,13 +12,13 @@ import pytest
 import tifffile
 from PIL import Image
 
-from blender_nep.capture.photo_files import open_image
+from blender_nep.capture.photos.photo_files import open_image
 from support.icc import DISPLAY_P3, SRGB_CURVE, rgb_profile
 
 MEASURE = """
 import sys
 from pathlib import Path
-from blender_nep.capture.photo_files import open_image
+from blender_nep.capture.photos.photo_files import open_image
 
 def memory(name):
     status = Path("/proc/self/status").read_text().splitlines()

@@ -13,13 +13,13 @@ import pytest
 import torch
 
 from blender_nep.capture import Capture, PixelRays, load_capture
-from blender_nep.capture import pixel_rays as rays_module
-from blender_nep.capture.photo_files import open_image
-from blender_nep.capture.pixel_set import PixelSet
-from blender_nep.capture.pixel_store import FileStore, PixelMemory
+from blender_nep.capture.photos.photo_files import open_image
+from blender_nep.capture.rays import pixel_rays as rays_module
+from blender_nep.capture.rays.pixel_set import PixelSet
+from blender_nep.capture.rays.pixel_store import FileStore, PixelMemory
 from blender_nep.errors import OutputError
 from blender_nep.job import runner as job
-from blender_nep.job.events import Events
+from blender_nep.job.reporting.events import Events
 from blender_nep.messages import Message
 from blender_nep.presets import preset
 from blender_nep.stop_request import StopRequest

@@ -15,7 +15,7 @@ from PIL import Image
 from blender_nep.cameras.photo_folder import Photo, find_photos, gray_copy
 from blender_nep.cameras.reduction import Reduction
 from blender_nep.capture import load_capture
-from blender_nep.capture.photo_files import exif, image_size, open_image
+from blender_nep.capture.photos.photo_files import exif, image_size, open_image
 from blender_nep.errors import CaptureError
 from support.raw_photo import WHITE, write_dng
 from support.recorded_rows import record_rows

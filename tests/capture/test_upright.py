@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from blender_nep.capture.upright import upward
+from blender_nep.capture.cameras.upright import upward
 from support.table_scene import turn
 
 UP = np.array([0.0, 0.0, 1.0])

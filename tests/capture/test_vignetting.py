@@ -7,9 +7,9 @@ import pytest
 import torch
 
 from blender_nep.capture import PixelRays, load_capture
+from blender_nep.capture.doctor.summary import describe, summarize
 from blender_nep.capture.exposure import find_exposures
-from blender_nep.capture.summary import describe, summarize
-from blender_nep.capture.vignetting import Vignetting
+from blender_nep.capture.rays.vignetting import Vignetting
 from blender_nep.job.scene_analysis import SceneAnalysis
 from support.paths import SUZANNE_SMALL
 

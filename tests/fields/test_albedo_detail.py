@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 import torch
 
-from blender_nep.fields import albedo_detail
-from blender_nep.fields.albedo_detail import CELLS, ENTRIES, AlbedoDetail
+from blender_nep.fields.object import albedo_detail
+from blender_nep.fields.object.albedo_detail import CELLS, ENTRIES, AlbedoDetail
 
 
 def reference(detail: AlbedoDetail, point: np.ndarray) -> np.ndarray:

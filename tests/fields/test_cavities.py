@@ -6,9 +6,9 @@ import torch
 from scipy import ndimage
 
 from blender_nep.capture import PixelRays, load_capture
-from blender_nep.fields import cavities as cavity_search
-from blender_nep.fields.cavities import cavities, open_cavities
-from blender_nep.fields.object_field import ObjectField
+from blender_nep.fields.object.field import ObjectField
+from blender_nep.fields.refinements import cavities as cavity_search
+from blender_nep.fields.refinements.cavities import cavities, open_cavities
 from support.pot_scene import RADIUS, TOP, block, everywhere, in_cells, nowhere, pot, write_pot_scene
 
 CLOSED = in_cells(block)

@@ -9,11 +9,11 @@ import torch
 
 from blender_nep.checkpoints import NoCheckpoint
 from blender_nep.errors import LearningError
-from blender_nep.fields.environment_field import EnvironmentField
-from blender_nep.fields.environment_grid import resample
-from blender_nep.fields.environment_training import learn_environment, learn_step, optimizer, refine, skipped_detail
-from blender_nep.ops.environment_segments import contracted_length
-from blender_nep.ops.environment_smoothness import total_variation
+from blender_nep.fields.environment.field import EnvironmentField
+from blender_nep.fields.environment.grid import resample
+from blender_nep.fields.environment.training import learn_environment, learn_step, optimizer, refine, skipped_detail
+from blender_nep.ops.environment.segments import contracted_length
+from blender_nep.ops.environment.smoothness import total_variation
 from blender_nep.presets import EnvironmentPreset
 from blender_nep.tone_mapping import tone_map
 

@@ -6,8 +6,8 @@ import pytest
 import torch
 from torch.nn import functional
 
-from blender_nep.fields.fine_level import REACH, FineLevel
-from blender_nep.fields.object_field import REFERENCE_CELL, ObjectField
+from blender_nep.fields.object.field import REFERENCE_CELL, ObjectField
+from blender_nep.fields.object.fine_level import REACH, FineLevel
 
 CELLS = 64
 

@@ -5,7 +5,7 @@ import pytest
 import torch
 
 from blender_nep.capture import PixelRays, load_capture
-from blender_nep.fields.fine_paint import fine_paint
+from blender_nep.fields.refinements.fine_paint import fine_paint
 from blender_nep.presets import FieldsPreset
 from support.pot_scene import block, everywhere, in_cells, write_pot_scene
 

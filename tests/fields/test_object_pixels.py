@@ -7,9 +7,9 @@ import pytest
 import torch
 
 from blender_nep.capture import PixelRays, load_capture
-from blender_nep.capture.pixel_set import PixelSet
-from blender_nep.fields.object_field import ObjectField
-from blender_nep.fields.object_pixels import (
+from blender_nep.capture.rays.pixel_set import PixelSet
+from blender_nep.fields.object.field import ObjectField
+from blender_nep.fields.refinements.object_pixels import (
     ObjectPixels,
     draw_pixels,
     find_object_pixels,

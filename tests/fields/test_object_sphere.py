@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from blender_nep.cameras import object_sphere
+from blender_nep.cameras.object_sphere import find_object_sphere
 from blender_nep.capture import load_capture
-from blender_nep.capture.pixel_rays import PixelRays
-from blender_nep.fields import object_sphere
-from blender_nep.fields.object_sphere import find_object_sphere
+from blender_nep.capture.rays.pixel_rays import PixelRays
 from blender_nep.presets import preset
 from support.table_scene import BALL, CENTER, write_table_scene
 

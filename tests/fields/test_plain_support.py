@@ -5,8 +5,8 @@ import pytest
 import torch
 
 from blender_nep.capture import PixelRays, load_capture
-from blender_nep.fields import plain_support
-from blender_nep.fields.plain_support import find_plain_support
+from blender_nep.support import plain_support
+from blender_nep.support.plain_support import find_plain_support
 from support.table_scene import BALL, CENTER, HEIGHT, turn, write_table_scene
 
 

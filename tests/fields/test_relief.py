@@ -9,11 +9,12 @@ import torch
 from torch.nn import functional
 
 from blender_nep.capture import PixelRays, load_capture
-from blender_nep.fields import relief, training
+from blender_nep.fields import training
 from blender_nep.fields.fields import Fields
-from blender_nep.fields.fine_level import FineLevel
-from blender_nep.fields.object_field import Appearance, ObjectField
-from blender_nep.fields.relief import Relief, find_relief
+from blender_nep.fields.object.field import Appearance, ObjectField
+from blender_nep.fields.object.fine_level import FineLevel
+from blender_nep.fields.refinements import relief
+from blender_nep.fields.refinements.relief import Relief, find_relief
 from blender_nep.fields.training import FieldsLearning
 from support.brief_preset import brief_preset
 from support.paths import SUZANNE_SMALL

@@ -7,12 +7,13 @@ import numpy as np
 import pytest
 import torch
 
-from blender_nep.fields.environment_field import EnvironmentField
+from blender_nep.capture.rays.ray_bundle import RayBundle
+from blender_nep.fields.environment.field import EnvironmentField
 from blender_nep.fields.fields import new_object_field
-from blender_nep.fields.object_field import Appearance
-from blender_nep.fields.rendering import FieldsRenderer, RayBundle, RenderSettings, dynamic_weight
-from blender_nep.geometry.support import Support
+from blender_nep.fields.object.field import Appearance
+from blender_nep.fields.rendering import FieldsRenderer, RenderSettings, dynamic_weight
 from blender_nep.presets import Preset
+from blender_nep.support.plane import Support
 from support.brief_preset import brief_preset
 
 CPU = torch.device("cpu")

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from blender_nep.fields.seen_through import seen_through, without_free_space
+from blender_nep.cameras.seen_through import seen_through, without_free_space
 
 CENTER, RADIUS, BALL = np.array([5.0, -2.0, 1.0]), 4.0, 0.5
 CELLS = (np.arange(32) + 0.5) / 16 - 1

@@ -5,10 +5,10 @@ import pytest
 import torch
 
 from blender_nep.capture import PixelRays, load_capture
-from blender_nep.fields.small_photos import SmallPhotos
-from blender_nep.fields.support_search import find_support_by_photos
-from blender_nep.fields.support_start import FOOT, with_closed_foot
-from blender_nep.geometry.support import Support
+from blender_nep.evidence.small_photos import SmallPhotos
+from blender_nep.support.foot import FOOT, with_closed_foot
+from blender_nep.support.plane import Support
+from blender_nep.support.search import find_support_by_photos
 from support.table_scene import HEIGHT, turn, write_table_scene
 
 

@@ -5,13 +5,13 @@ import pytest
 import torch
 
 from blender_nep.capture import PixelRays, load_capture
+from blender_nep.capture.rays.ray_bundle import RayBundle
 from blender_nep.fields import training
-from blender_nep.fields.rendering import RayBundle
-from blender_nep.fields.support_texture import SupportColors, SupportTexture
+from blender_nep.fields.refinements.visual_hull import background_silhouettes, carve, score_cells
 from blender_nep.fields.training import FieldsLearning
-from blender_nep.fields.visual_hull import background_silhouettes, carve, score_cells
-from blender_nep.geometry.support import Support
 from blender_nep.presets import PRESETS
+from blender_nep.support.plane import Support
+from blender_nep.support.texture import SupportColors, SupportTexture
 from support.table_scene import BALL, CENTER, HEIGHT, pattern, shadow, write_table_scene
 
 PLANE = Support(np.array([0.0, 0.0, 1.0]), HEIGHT)
@@ -100,7 +100,7 @@ def test_the_object_is_carved_again_with_the_colors_of_the_table(table, monkeypa
     learning.object_field.start_from(torch.from_numpy(BALL_SDF))
     learning.carve_again()
     index = torch.arange(rays.count)
-    bundle = RayBundle(*rays.rays(index))
+    bundle = rays.rays(index)
     points = bundle.origins + ((HEIGHT - bundle.origins[:, 2:]) / bundle.directions[:, 2:]) * bundle.directions
     beside = (points[:, :2] - torch.tensor(CENTER[:2])).norm(dim=-1) > BALL + 0.1
     seen = (bundle.directions[:, 2] < 0) & (points.norm(dim=-1) < 0.9) & beside

@@ -12,13 +12,13 @@ import trimesh
 from benchmarks.suite.harness import with_changes
 from benchmarks.suite.plan import ABLATIONS
 from blender_nep.capture import PixelRays, load_capture
-from blender_nep.capture.pixel_set import PixelSet
+from blender_nep.capture.rays.pixel_set import PixelSet
 from blender_nep.checkpoints import Checkpoint, NoCheckpoint
 from blender_nep.errors import LearningError, Stopped
 from blender_nep.fields import training
 from blender_nep.fields.explanation import require_object
 from blender_nep.fields.fields import Fields, FieldsReport, HullReport
-from blender_nep.fields.object_field import ObjectField
+from blender_nep.fields.object.field import ObjectField
 from blender_nep.fields.rendering import FieldsRenderer
 from blender_nep.fields.training import FieldsLearning, learn_fields
 from blender_nep.geometry.mesh import Surface

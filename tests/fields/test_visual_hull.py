@@ -6,9 +6,8 @@ import torch
 from torch.nn import functional
 
 from blender_nep.capture import PixelRays, load_capture
-from blender_nep.fields.object_field import ObjectField
-from blender_nep.fields.rendering import RayBundle
-from blender_nep.fields.visual_hull import (
+from blender_nep.fields.object.field import ObjectField
+from blender_nep.fields.refinements.visual_hull import (
     LEAST_EXCESS,
     background_silhouettes,
     carve,
@@ -18,7 +17,7 @@ from blender_nep.fields.visual_hull import (
     near_sphere,
     score_cells,
 )
-from blender_nep.geometry.support import Support
+from blender_nep.support.plane import Support
 from blender_nep.tone_mapping import tone_map
 from support.paths import SUZANNE_SMALL
 
@@ -143,7 +142,7 @@ def test_the_scores_are_those_of_all_rays_although_only_those_near_the_sphere_ar
 
     scores = [score_cells(rays, background_silhouettes(colors, rays, block, wanted), 32) for wanted in (None, every)]
     np.testing.assert_array_equal(*scores)
-    asked = near_sphere(RayBundle(*rays.rays(torch.arange(rays.count))), block)
+    asked = near_sphere(rays.rays(torch.arange(rays.count)), block)
     assert 0.5 < asked.float().mean() < 0.95
 
 

@@ -2,8 +2,8 @@
 
 import torch
 
-from blender_nep.fields import volume_rendering
-from blender_nep.fields.object_field import ObjectField
+from blender_nep.fields.object import volume_rendering
+from blender_nep.fields.object.field import ObjectField
 
 
 def test_a_sphere_is_rendered_where_it_stands():

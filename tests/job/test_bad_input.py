@@ -12,7 +12,7 @@ from PIL import Image
 from blender_nep.capture import load_capture
 from blender_nep.errors import NepError
 from blender_nep.job import runner as job
-from blender_nep.job.events import Events
+from blender_nep.job.reporting.events import Events
 from blender_nep.presets import preset
 from blender_nep.stop_request import StopRequest
 from support.ball_stages import BallStages

@@ -12,7 +12,7 @@ import torch
 from blender_nep import files
 from blender_nep.checkpoints import Checkpoint, load_state, save_state
 from blender_nep.errors import OutputError, Stopped
-from blender_nep.materials.training_report import TrainingProgress
+from blender_nep.materials.training_progress import TrainingProgress
 from blender_nep.stop_request import StopRequest
 
 

@@ -87,7 +87,7 @@ def test_events_alone_are_on_stdout(tmp_path):
 
 def test_stray_prints_do_not_break_the_protocol():
     script = (
-        "import os, sys; from blender_nep.job.events import Events, open_protocol\n"
+        "import os, sys; from blender_nep.job.reporting.events import Events, open_protocol\n"
         "events = Events(open_protocol(), sys.stderr)\n"
         "print('a library prints'); os.write(1, b'so does C\\n'); events.emit('warning', message='x')\n"
     )

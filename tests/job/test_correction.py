@@ -10,13 +10,13 @@ import torch
 import trimesh
 
 from blender_nep.cli import main
-from blender_nep.job import correction
-from blender_nep.job.events import Events
-from blender_nep.job.job_folder import JobFolder
+from blender_nep.job.commands import correction
+from blender_nep.job.folders.job_folder import JobFolder
+from blender_nep.job.reporting.events import Events
 from blender_nep.job.stages import SurfaceResult
-from blender_nep.materials.blending import BlendedPoints
 from blender_nep.materials.corrections import CorrectablePalette, Correction, KeptMaterials
-from blender_nep.materials.palette import Palette
+from blender_nep.materials.labels.blending import BlendedPoints
+from blender_nep.materials.palette.palette import Palette
 from blender_nep.materials.shown_faces import ShownParts
 from blender_nep.materials.training import Materials
 from blender_nep.shading.light_moments import LightMoments

@@ -14,7 +14,7 @@ import pytest
 
 from blender_nep.errors import CaptureError, OutputError
 from blender_nep.files import write_text
-from blender_nep.job.events import Events
+from blender_nep.job.reporting.events import Events
 from blender_nep.messages import Message
 from blender_nep.stop_request import StopRequest
 

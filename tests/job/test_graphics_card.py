@@ -5,7 +5,7 @@ import json
 from dataclasses import replace
 
 from blender_nep.job import runner as job
-from blender_nep.job.events import Events
+from blender_nep.job.reporting.events import Events
 from blender_nep.presets import Preset
 from blender_nep.stop_request import StopRequest
 from support.brief_preset import brief_preset

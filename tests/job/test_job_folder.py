@@ -10,9 +10,9 @@ import threading
 
 import pytest
 
-from backend.engine.job_files import is_running
+from backend.engine.results.job_files import is_running
 from backend.engine.words import error_words
-from blender_nep.job.job_folder import JobFolder, Journal, held, is_held, wait_until_free
+from blender_nep.job.folders.job_folder import JobFolder, Journal, held, is_held, wait_until_free
 from support.ball_stages import BallStages
 
 

@@ -14,9 +14,9 @@ from blender_nep.capture import PixelRays, load_capture
 from blender_nep.checkpoints import NoCheckpoint
 from blender_nep.errors import LearningError
 from blender_nep.fields.training import learn_fields
-from blender_nep.job import live_preview
-from blender_nep.job.events import Events
-from blender_nep.job.live_preview import LivePreview
+from blender_nep.job.reporting import live_preview
+from blender_nep.job.reporting.events import Events
+from blender_nep.job.reporting.live_preview import LivePreview
 from support.brief_preset import brief_preset
 from support.paths import SUZANNE_SMALL
 

@@ -8,7 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from backend.engine import capture_facts, progress, words
+from backend.engine import progress, words
+from backend.engine.results import capture_facts
 from blender_nep import errors, messages
 from blender_nep.batch.progress import STAGE as BATCH
 from blender_nep.job.stage_names import CAMERA_SEARCH, StageName

@@ -9,7 +9,7 @@ import pytest
 from blender_nep.cli import main
 from blender_nep.errors import OutputError
 from blender_nep.job import runner as job
-from blender_nep.job.events import Events
+from blender_nep.job.reporting.events import Events
 from blender_nep.job.stage_names import StageName
 from blender_nep.presets import preset
 from blender_nep.profiling import Profile, profiled, section
@@ -119,7 +119,7 @@ def test_the_command_line_asks_for_it(tmp_path, monkeypatch):
     asked = []
     monkeypatch.setattr(job, "run", lambda settings, *_: asked.append(settings.profile) or 0)
     for extra in ([], ["--profile"]):
-        monkeypatch.setattr("blender_nep.job.events.open_protocol", lambda: None)
+        monkeypatch.setattr("blender_nep.job.reporting.events.open_protocol", lambda: None)
         assert main(["reconstruct", str(tmp_path), "--out", str(tmp_path / "x"), *extra]) == 0
     assert asked == [False, True]
 

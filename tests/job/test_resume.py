@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 
 from blender_nep.capture import load_capture
-from blender_nep.job.run_folder import FORMAT, fingerprint
+from blender_nep.job.folders.run_folder import FORMAT, fingerprint
 from blender_nep.presets import preset
 from blender_nep.stop_request import StopRequest
 from support.ball_stages import BallStages
@@ -180,7 +180,7 @@ from support.ball_stages import BallStages
 from blender_nep.job import runner as job
 from blender_nep.checkpoints import Checkpoint
 from blender_nep.stop_request import StopRequest
-from blender_nep.job.events import Events
+from blender_nep.job.reporting.events import Events
 from blender_nep.presets import preset
 from blender_nep.shading.unseen_light import UnseenLight
 Checkpoint.interval = 0.01

@@ -11,7 +11,7 @@ import trimesh
 from PIL import Image
 
 from blender_nep.capture import PixelRays, load_capture
-from blender_nep.fields.environment_field import EnvironmentField
+from blender_nep.fields.environment.field import EnvironmentField
 from blender_nep.fields.training import FieldsLearning
 from blender_nep.geometry.mesh import Surface
 from blender_nep.geometry.ray_tracing import RayTracer

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from blender_nep.job.timeline import Timeline, time_text
+from blender_nep.job.reporting.timeline import Timeline, time_text
 
 
 def test_time_left_follows_the_measured_pace():

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 import torch
 
-from blender_nep.materials.blending import BlendedPoints, find_blends
-from blender_nep.materials.palette import Palette
+from blender_nep.materials.labels.blending import BlendedPoints, find_blends
+from blender_nep.materials.palette.palette import Palette
 
 MARGIN = 0.05
 

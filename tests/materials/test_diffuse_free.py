@@ -6,7 +6,13 @@ import numpy as np
 import pytest
 import torch
 
-from blender_nep.materials.diffuse_free import _LEAST_MOMENT, Evidence, _DiffuseFree, evidence_of_colored, places_of_colored
+from blender_nep.materials.evidence.diffuse_free import (
+    _LEAST_MOMENT,
+    Evidence,
+    _DiffuseFree,
+    evidence_of_colored,
+    places_of_colored,
+)
 from blender_nep.materials.fitting import place_in_scan, roughness_at, roughness_scan
 from blender_nep.presets import MaterialPreset
 from blender_nep.shading.light_moments import LightMoments
@@ -91,7 +97,7 @@ def test_the_third_moment_takes_back_the_blur_that_misplaced_reflections_favor()
 
 def test_the_range_of_the_residual_is_wider_where_reflections_explain_much(monkeypatch):
     assert found(0.3, wrong_by=8.0) == pytest.approx(0.3, abs=0.01)
-    monkeypatch.setattr("blender_nep.materials.diffuse_free._WELL_EXPLAINED", np.inf)
+    monkeypatch.setattr("blender_nep.materials.evidence.diffuse_free._WELL_EXPLAINED", np.inf)
     assert found(0.3, wrong_by=8.0) > 0.32
 
 

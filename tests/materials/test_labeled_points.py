@@ -3,7 +3,7 @@
 import numpy as np
 from scipy.spatial import cKDTree
 
-from blender_nep.materials.labeled_points import shows_one_material
+from blender_nep.materials.labels.labeled_points import shows_one_material
 
 BLENDED = np.array([False, False, True])
 

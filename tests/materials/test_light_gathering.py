@@ -9,9 +9,9 @@ import trimesh
 from scipy.spatial import cKDTree
 
 from blender_nep.geometry.mesh import Surface
-from blender_nep.materials.light_gathering import Observations, with_more_samples
-from blender_nep.materials.segments import Segments, features
-from blender_nep.materials.varied_materials import fit_segments, gain_of_unseen_light
+from blender_nep.materials.samples.light_gathering import Observations, with_more_samples
+from blender_nep.materials.segments.segments import Segments, features
+from blender_nep.materials.segments.varied_materials import fit_segments, gain_of_unseen_light
 from blender_nep.shading import brdf
 from blender_nep.shading.incoming_light import IncomingLight
 from blender_nep.shading.light_moments import LightMoments

@@ -5,8 +5,8 @@ from types import SimpleNamespace
 import pytest
 import torch
 
-from blender_nep.materials.palette import Palette, error
-from blender_nep.materials.palette_search import PaletteSearch
+from blender_nep.materials.palette.palette import Palette, error
+from blender_nep.materials.palette.search import PaletteSearch
 from blender_nep.presets import MaterialPreset
 from blender_nep.shading.light_moments import LightMoments
 

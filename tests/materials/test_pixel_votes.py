@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from blender_nep.materials.pixel_votes import Surfels, left_out_error, pixel_costs
+from blender_nep.materials.labels.pixel_votes import Surfels, left_out_error, pixel_costs
 
 STRIPE = 0.03
 

@@ -5,11 +5,11 @@ import pytest
 import torch
 import trimesh
 
-from blender_nep.capture.pixel_width import pixel_width
+from blender_nep.capture.rays.pixel_width import pixel_width
 from blender_nep.geometry.mesh import Surface
 from blender_nep.geometry.ray_tracing import RayTracer
-from blender_nep.materials.light_gathering import Observations
-from blender_nep.materials.photo_samples import _edges_and_reflection_variance
+from blender_nep.materials.samples.light_gathering import Observations
+from blender_nep.materials.samples.photo_samples import _edges_and_reflection_variance
 from blender_nep.shading.incoming_light import IncomingLight
 from blender_nep.shading.plenoptic import Material, reflected
 from support import lit_ball

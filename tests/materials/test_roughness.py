@@ -7,9 +7,7 @@ import numpy as np
 import pytest
 import torch
 
-from blender_nep.materials.fitting import fit_groups, roughness_scan
-from blender_nep.materials.palette import Palette, between, place_of_least
-from blender_nep.materials.roughness import (
+from blender_nep.materials.evidence.roughness import (
     place_by_both,
     place_of_metal,
     place_where_equal,
@@ -17,6 +15,8 @@ from blender_nep.materials.roughness import (
     share_roughness,
     spread,
 )
+from blender_nep.materials.fitting import fit_groups, roughness_scan
+from blender_nep.materials.palette.palette import Palette, between, place_of_least
 from blender_nep.presets import MaterialPreset
 from blender_nep.shading.light_moments import LightMoments
 from blender_nep.shading.plenoptic import Material, reflected

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
-from blender_nep.materials.segments import Segments, features, median_color
+from blender_nep.materials.segments.segments import Segments, features, median_color
 
 
 def checkered(n, seed):
@@ -26,7 +26,7 @@ def test_the_color_does_not_depend_on_the_block(monkeypatch):
     position, white = checkered(500, 0)
     radiance = np.where(white[:, None], 0.8, 0.1) * np.ones(3)
     whole = median_color(cKDTree(position), radiance, position, 5)
-    monkeypatch.setattr("blender_nep.materials.segments._BLOCK", 37)
+    monkeypatch.setattr("blender_nep.materials.segments.segments._BLOCK", 37)
     assert np.array_equal(median_color(cKDTree(position), radiance, position, 5), whole)
 
 

@@ -10,9 +10,9 @@ from scipy.spatial import cKDTree
 
 from blender_nep.geometry.uv_raster import rasterize
 from blender_nep.materials import training
-from blender_nep.materials.photo_samples import PhotoSamples
-from blender_nep.materials.pixel_votes import Surfels
-from blender_nep.materials.varied_materials import PlacedPixels, majority, segments_of
+from blender_nep.materials.labels.pixel_votes import Surfels
+from blender_nep.materials.samples.photo_samples import PhotoSamples
+from blender_nep.materials.segments.varied_materials import PlacedPixels, majority, segments_of
 from support.lit_ball import PRESET, RADIUS, learn, make_photos
 
 MORE = replace(PRESET, samples=5000, label_pixels=9000)

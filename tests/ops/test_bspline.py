@@ -5,8 +5,8 @@ import math
 import pytest
 import torch
 
-from blender_nep.ops import bspline
-from blender_nep.ops.bspline_march import march, march_torch
+from blender_nep.ops.object import bspline
+from blender_nep.ops.object.bspline_march import march, march_torch
 
 
 @pytest.fixture
@@ -163,7 +163,7 @@ def test_no_rays_and_empty_intervals_have_no_spans(body):
 def test_the_torch_march_in_parts_is_the_march(monkeypatch):
     rays = rays_at(3, 50, 0.2)
     whole = march_torch(sphere_coefficients(), *rays, 0.03, 0.01)
-    monkeypatch.setattr("blender_nep.ops.bspline_march._RAYS", 7)
+    monkeypatch.setattr("blender_nep.ops.object.bspline_march._RAYS", 7)
     parts = march_torch(sphere_coefficients(), *rays, 0.03, 0.01)
     assert whole[1].any() and all(map(torch.equal, whole, parts))
 

@@ -3,9 +3,9 @@
 import pytest
 import torch
 
-from blender_nep.ops import bspline
-from blender_nep.ops.bspline_bricks import BRICK, Bricks, bricks_along_axis, sample_bricks, sample_bricks_torch
-from blender_nep.ops.bspline_march import march, march_torch
+from blender_nep.ops.object import bspline
+from blender_nep.ops.object.bspline_bricks import BRICK, Bricks, bricks_along_axis, sample_bricks, sample_bricks_torch
+from blender_nep.ops.object.bspline_march import march, march_torch
 
 CELLS = 21
 

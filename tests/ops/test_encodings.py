@@ -5,7 +5,7 @@ import pytest
 import torch
 from scipy.special import sph_harm_y
 
-from blender_nep.ops.encodings import encoding_size, integrated_directional_encoding, positional_encoding
+from blender_nep.ops.object.encodings import encoding_size, integrated_directional_encoding, positional_encoding
 
 BODIES = pytest.mark.parametrize("body", ["numba", "torch"])
 PAIRS = [(2**i, m) for i in range(4) for m in range(2**i + 1)]

@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 import torch
 
-from blender_nep.fields.environment_prefilter import disc_mean
-from blender_nep.ops.environment_rendering import EnvironmentVolume, render_environment
-from blender_nep.ops.environment_rendering_torch import interpolate
-from blender_nep.ops.environment_segments import RaySegments, contract_segments, contracted_length, contracted_radius
-from blender_nep.ops.environment_smoothness import add_total_variation_gradient, total_variation
-from blender_nep.ops.environment_weights import from_weights, weights_from_center
-from blender_nep.ops.spherical_grid import arc_tangent
+from blender_nep.fields.environment.prefilter import disc_mean
+from blender_nep.ops.environment.rendering import EnvironmentVolume, render_environment
+from blender_nep.ops.environment.rendering_torch import interpolate
+from blender_nep.ops.environment.segments import RaySegments, contract_segments, contracted_length, contracted_radius
+from blender_nep.ops.environment.smoothness import add_total_variation_gradient, total_variation
+from blender_nep.ops.environment.spherical_grid import arc_tangent
+from blender_nep.ops.environment.weights import from_weights, weights_from_center
 
 RADIUS = 2.5
 """The contraction radius. Rays of `random_rays` begin inside and outside it."""

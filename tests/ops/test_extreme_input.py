@@ -12,17 +12,17 @@ pytest.importorskip("hypothesis")
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from blender_nep.fields.environment_field import EnvironmentField
-from blender_nep.fields.object_field import SplineShape
-from blender_nep.fields.volume_rendering import render_surface, sphere_interval
+from blender_nep.fields.environment.field import EnvironmentField
+from blender_nep.fields.object.field import SplineShape
+from blender_nep.fields.object.volume_rendering import render_surface, sphere_interval
 from blender_nep.materials.fitting import fit_groups
-from blender_nep.materials.palette import best_of
-from blender_nep.ops import bspline
-from blender_nep.ops.bspline_march import march
-from blender_nep.ops.environment_rendering import EnvironmentVolume, render_environment
-from blender_nep.ops.environment_segments import RaySegments
-from blender_nep.ops.environment_smoothness import total_variation
-from blender_nep.ops.touched import touched_mean_square
+from blender_nep.materials.palette.palette import best_of
+from blender_nep.ops.environment.rendering import EnvironmentVolume, render_environment
+from blender_nep.ops.environment.segments import RaySegments
+from blender_nep.ops.environment.smoothness import total_variation
+from blender_nep.ops.object import bspline
+from blender_nep.ops.object.bspline_march import march
+from blender_nep.ops.object.touched import touched_mean_square
 from blender_nep.presets import EnvironmentPreset
 from blender_nep.shading import brdf
 from blender_nep.shading.cones import diffuse_cones, specular_cones

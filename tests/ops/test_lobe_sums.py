@@ -3,7 +3,7 @@
 import numpy as np
 import torch
 
-from blender_nep.ops.lobe_sums import add_to_lobes
+from blender_nep.ops.materials.lobe_sums import add_to_lobes
 
 
 def test_it_is_the_sum_over_the_cones_of_each_point():

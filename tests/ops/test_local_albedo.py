@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from blender_nep.ops.local_albedo import fit_local_albedos
+from blender_nep.ops.materials.local_albedo import fit_local_albedos
 from blender_nep.tone_mapping import tone_map
 
 CLIP = np.float32(0.25)

@@ -3,7 +3,7 @@
 import pytest
 import torch
 
-from blender_nep.ops.surface_rendering import composite, neus_weights, place_samples
+from blender_nep.ops.object.surface_rendering import composite, neus_weights, place_samples
 
 BODIES = pytest.mark.parametrize("body", ["numba", "torch"])
 

@@ -3,7 +3,7 @@
 import pytest
 import torch
 
-from blender_nep.ops.touched import PART, touched_mean_square
+from blender_nep.ops.object.touched import PART, touched_mean_square
 
 
 @pytest.mark.parametrize("n", [1, 1000, PART, 3 * PART + 5])

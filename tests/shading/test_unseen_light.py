@@ -11,7 +11,7 @@ import torch
 import trimesh
 
 from blender_nep.geometry.ray_tracing import RayTracer
-from blender_nep.materials.palette import Palette
+from blender_nep.materials.palette.palette import Palette
 from blender_nep.materials.unseen_light_training import UnseenLightProblem, learn_unseen_light
 from blender_nep.presets import MaterialPreset
 from blender_nep.shading.incoming_light import IncomingLight

@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 from PIL import Image
 
-from blender_nep.capture.camera import Camera
+from blender_nep.capture.cameras.camera import Camera
 from support.broken_photos import CENTER, RADIUS, Shoot
 
 

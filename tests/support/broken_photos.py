@@ -20,7 +20,7 @@ from blender_nep.cameras import written_capture
 from blender_nep.cameras.found_cameras import FoundCameras
 from blender_nep.cameras.photo_folder import Photo
 from blender_nep.cameras.structure_from_motion import PlacedPhoto
-from blender_nep.capture.camera import Camera
+from blender_nep.capture.cameras.camera import Camera
 from blender_nep.stop_request import StopRequest
 from support import printed_room
 from support.printed_room import BALLS, HEIGHT, WIDTH

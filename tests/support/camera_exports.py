@@ -13,8 +13,8 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from blender_nep.capture.camera import Camera
-from blender_nep.capture.lens import NO_DISTORTION, Lens
+from blender_nep.capture.cameras.camera import Camera
+from blender_nep.capture.cameras.lens import NO_DISTORTION, Lens
 from support.captures import look_at
 
 Formula = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]

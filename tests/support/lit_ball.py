@@ -8,7 +8,7 @@ import numpy as np
 import torch
 import trimesh
 
-from blender_nep.capture.pixel_width import pixel_width
+from blender_nep.capture.rays.pixel_width import pixel_width
 from blender_nep.geometry.mesh import Surface
 from blender_nep.materials.training import learn_materials
 from blender_nep.presets import MaterialPreset, SurfacePreset

@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from blender_nep.capture.camera import Camera
-from blender_nep.capture.lens import Lens
+from blender_nep.capture.cameras.camera import Camera
+from blender_nep.capture.cameras.lens import Lens
 from support.captures import look_at
 
 WIDTH, HEIGHT, FOCAL = 320, 240, 300.0

@@ -2,7 +2,7 @@
 
 import pytest
 
-from blender_nep.capture.photo_files import Raster
+from blender_nep.capture.photos.photo_files import Raster
 
 
 def record_rows(monkeypatch: pytest.MonkeyPatch) -> list[int]:

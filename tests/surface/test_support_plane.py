@@ -5,8 +5,8 @@ import pytest
 import torch
 import trimesh
 
-from blender_nep.geometry.support import Support
 from blender_nep.presets import SurfacePreset
+from blender_nep.support.plane import Support
 from blender_nep.surface.extraction import extract_surface
 
 N = 64

@@ -17,14 +17,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from blender_nep.capture.camera import Camera
+from blender_nep.capture.cameras.camera import Camera
+from blender_nep.capture.cameras.lens import Lens
 from blender_nep.capture.capture import View
 from blender_nep.capture.description import CaptureDescription
 from blender_nep.capture.formats.photo_search import check_distinct, found_photo, mask_of, mask_warnings, view_name
 from blender_nep.capture.formats.photos import check_readable
 from blender_nep.capture.formats.poses import camera_to_world, check_intrinsics, rotation_of, without_pose_warnings
-from blender_nep.capture.lens import Lens
-from blender_nep.capture.photo_files import image_size
+from blender_nep.capture.photos.photo_files import image_size
 from blender_nep.errors import CaptureError
 
 _HEADER = b"# Bundle file v0.3"

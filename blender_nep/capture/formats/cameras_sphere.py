@@ -14,12 +14,12 @@ from pathlib import Path
 import numpy as np
 from scipy.linalg import rq
 
-from blender_nep.capture.camera import Camera
+from blender_nep.capture.cameras.camera import Camera
 from blender_nep.capture.capture import View
 from blender_nep.capture.description import CaptureDescription
 from blender_nep.capture.formats.photo_search import first_with_photos
 from blender_nep.capture.formats.poses import FROM_OPENCV, camera_to_world, check_count, check_intrinsics, rotation_of
-from blender_nep.capture.photo_files import image_size
+from blender_nep.capture.photos.photo_files import image_size
 from blender_nep.errors import CaptureError
 
 FILES = ("cameras_sphere.npz", "cameras.npz")

@@ -14,13 +14,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from blender_nep.capture.camera import Camera
+from blender_nep.capture.cameras.camera import Camera
+from blender_nep.capture.cameras.lens import Lens
 from blender_nep.capture.capture import View
 from blender_nep.capture.description import CaptureDescription
 from blender_nep.capture.formats.photo_search import mask_warnings, named_mask
 from blender_nep.capture.formats.photos import check_readable, fitted, rescaled_warnings
-from blender_nep.capture.lens import Lens
-from blender_nep.capture.photo_files import find_image
+from blender_nep.capture.photos.photo_files import find_image
 from blender_nep.errors import CaptureError
 from blender_nep.messages import Message
 

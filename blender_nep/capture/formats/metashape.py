@@ -26,7 +26,8 @@ from xml.etree.ElementTree import Element
 
 import numpy as np
 
-from blender_nep.capture.camera import Camera
+from blender_nep.capture.cameras.camera import Camera
+from blender_nep.capture.cameras.lens import Lens
 from blender_nep.capture.capture import View
 from blender_nep.capture.description import CaptureDescription
 from blender_nep.capture.formats.photo_search import check_distinct, found_photo, mask_of, mask_warnings, view_name
@@ -38,7 +39,6 @@ from blender_nep.capture.formats.poses import (
     rotation_of,
     without_pose_warnings,
 )
-from blender_nep.capture.lens import Lens
 from blender_nep.errors import CaptureError
 
 _FISHEYE = ("fisheye", "equidistant_fisheye")

@@ -11,7 +11,7 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path, PureWindowsPath
 
 from blender_nep.capture.capture import View
-from blender_nep.capture.photo_files import SUFFIXES, find_image
+from blender_nep.capture.photos.photo_files import SUFFIXES, find_image
 from blender_nep.errors import CaptureError
 from blender_nep.messages import Message
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from blender_nep.capture.camera import Camera
-from blender_nep.capture.photo_files import SUFFIXES, image_size
+from blender_nep.capture.cameras.camera import Camera
+from blender_nep.capture.photos.photo_files import SUFFIXES, image_size
 from blender_nep.errors import CaptureError
 from blender_nep.messages import Message
 

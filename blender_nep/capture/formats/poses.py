@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from blender_nep.capture.photo_files import SUFFIXES
+from blender_nep.capture.photos.photo_files import SUFFIXES
 from blender_nep.errors import CaptureError
 from blender_nep.messages import Message
 

@@ -13,12 +13,12 @@ from pathlib import Path
 
 import numpy as np
 
-from blender_nep.capture.camera import Camera
+from blender_nep.capture.cameras.camera import Camera
+from blender_nep.capture.cameras.lens import Lens
 from blender_nep.capture.capture import View
 from blender_nep.capture.description import CaptureDescription
 from blender_nep.capture.formats.photos import check_readable, fitted, rescaled_warnings
-from blender_nep.capture.lens import Lens
-from blender_nep.capture.photo_files import find_image, image_size
+from blender_nep.capture.photos.photo_files import find_image, image_size
 from blender_nep.errors import CaptureError
 
 FILE = "transforms.json"

@@ -4,10 +4,11 @@ import json
 
 import pytest
 
-from backend.engine import asset_description, batch_file, words
-from backend.engine.batch_file import is_batch_running, read_batch
-from backend.engine.batch_process import BatchProcess
-from backend.engine.gallery_process import GalleryProcess
+from backend.engine import words
+from backend.engine.commands.batch_process import BatchProcess
+from backend.engine.commands.gallery_process import GalleryProcess
+from backend.engine.results import asset_description, batch_file
+from backend.engine.results.batch_file import is_batch_running, read_batch
 from blender_nep.batch import runner, state
 from support import shelf_engine
 from support.batch_folder import write_batch

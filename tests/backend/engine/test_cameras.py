@@ -8,10 +8,11 @@ import sys
 
 import pytest
 
-from backend.engine import camera_process, words
 from backend.engine import engine as engine_module
-from backend.engine.camera_process import CameraError, CameraProcess, check_writable
+from backend.engine import words
 from backend.engine.command import NoEngineError, cameras_arguments
+from backend.engine.commands import camera_process
+from backend.engine.commands.camera_process import CameraError, CameraProcess, check_writable
 from backend.engine.exit_codes import OUTPUT_FAILED, STOPPED
 from blender_nep import command_line
 from support import camera_engine
@@ -123,7 +124,7 @@ def test_an_engine_that_does_not_listen_is_terminated(engine, photos, tmp_path, 
 STARTER = """
 import os, sys
 sys.path.insert(0, {root!r})
-from backend.engine.camera_process import CameraProcess
+from backend.engine.commands.camera_process import CameraProcess
 from pathlib import Path
 process = CameraProcess({python!r}, Path({photos!r}))
 while not process.progress.fraction:

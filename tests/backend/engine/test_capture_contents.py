@@ -5,7 +5,7 @@ import pkgutil
 
 import pytest
 
-from backend.engine.capture_contents import (
+from backend.engine.results.capture_contents import (
     LEAST_PHOTOS,
     OTHER_ENDINGS,
     PLAIN_ENDINGS,
@@ -16,7 +16,7 @@ from backend.engine.capture_contents import (
 from blender_nep.cameras.photo_folder import _photo_files
 from blender_nep.capture import formats
 from blender_nep.capture.loading import MINIMUM_VIEWS
-from blender_nep.capture.photo_files import SUFFIXES
+from blender_nep.capture.photos.photo_files import SUFFIXES
 
 METASHAPE = '<?xml version="1.0" encoding="UTF-8"?>\n<document version="1.2.0">\n  <chunk label="a"/>\n</document>\n'
 BUNDLER = "# Bundle file v0.3\n0 0\n"
@@ -53,7 +53,7 @@ def modules() -> dict[str, object]:
 
 
 def test_a_folder_of_each_format_is_known_here():
-    assert set(modules()) <= set(FILES), "a new format: backend/engine/capture_contents.py must recognize it, too"
+    assert set(modules()) <= set(FILES), "a new format: backend/engine/results/capture_contents.py must recognize it, too"
 
 
 @pytest.mark.parametrize("name", sorted(modules()))

@@ -4,11 +4,11 @@ import json
 
 import pytest
 
-from backend.engine import capture_facts
-from backend.engine.capture_query import CaptureQuery
 from backend.engine.command import NoEngineError, info_arguments
+from backend.engine.commands.capture_query import CaptureQuery
+from backend.engine.results import capture_facts
 from blender_nep import command_line
-from blender_nep.capture import coverage_picture
+from blender_nep.capture.doctor import coverage_picture
 from support import info_engine
 from support.waiting import wait_until
 

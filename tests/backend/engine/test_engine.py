@@ -16,7 +16,7 @@ import pytest
 from backend.engine import engine as engine_module
 from backend.engine.command import NoEngineError, reconstruct_arguments
 from backend.engine.engine import Engine, FoundProcess
-from backend.engine.job_files import has_checkpoint, is_asset, is_running, read_job
+from backend.engine.results.job_files import has_checkpoint, is_asset, is_running, read_job
 from support import ball_engine
 from support.own_process import LIMIT_S
 from support.paths import ROOT

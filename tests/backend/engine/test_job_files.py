@@ -2,9 +2,9 @@
 
 import pytest
 
-from backend.engine.batch_file import has_batch
-from backend.engine.capture_contents import has_cameras
-from backend.engine.job_files import TEXTURE_NAMES, EventFile, has_checkpoint, is_asset
+from backend.engine.results.batch_file import has_batch
+from backend.engine.results.capture_contents import has_cameras
+from backend.engine.results.job_files import TEXTURE_NAMES, EventFile, has_checkpoint, is_asset
 from blender_nep.asset.export import TEXTURES
 
 

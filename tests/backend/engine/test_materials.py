@@ -6,9 +6,9 @@ from pathlib import Path
 import pytest
 
 from backend.engine import words
-from backend.engine.asset_materials import AssetMaterial, read_materials
 from backend.engine.command import NoEngineError, materials_arguments
-from backend.engine.correction_process import CorrectionProcess
+from backend.engine.commands.correction_process import CorrectionProcess
+from backend.engine.results.asset_materials import AssetMaterial, read_materials
 from blender_nep import command_line
 from blender_nep.materials.corrections import ListedMaterial
 from support import correcting_engine

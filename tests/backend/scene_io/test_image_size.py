@@ -9,7 +9,7 @@ from PIL import Image
 
 from backend.scene_io import photo_formats
 from backend.scene_io.image_size import image_size
-from blender_nep.capture import photo_files
+from blender_nep.capture.photos import photo_files
 from support.captures import write_exr
 from support.icc import SRGB, SRGB_CURVE, rgb_profile
 

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from backend.engine.batch_file import read_batch
+from backend.engine.results.batch_file import read_batch
 from support.batch_folder import write_batch
 from support.own_process import in_blender
 

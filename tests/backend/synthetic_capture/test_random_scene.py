@@ -209,7 +209,7 @@ def photos(tmp_path_factory):
 
 @pytest.mark.parametrize("name", PHOTO_FORMATS)
 def test_the_loader_reads_each_format_of_photos(name, photos):
-    from blender_nep.capture.photo_files import open_image
+    from blender_nep.capture.photos.photo_files import open_image
 
     (path,) = (path for path in (photos / name).iterdir() if path.suffix in (".exr", ".png"))
     found, _ = open_image(path, "srgb").rows()

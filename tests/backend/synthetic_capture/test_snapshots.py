@@ -11,7 +11,7 @@ from PIL import Image
 
 from blender_nep.cameras.photo_folder import find_photos
 from blender_nep.capture import load_capture
-from blender_nep.capture.lens import NO_DISTORTION
+from blender_nep.capture.cameras.lens import NO_DISTORTION
 from support.inverted_lens import invert
 from support.own_process import in_blender, run_file
 

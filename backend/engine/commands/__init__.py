@@ -1,0 +1,1 @@
+"""Runs commands of the engine beside a job, without blocking Blender. No bpy here."""

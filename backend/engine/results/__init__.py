@@ -1,0 +1,1 @@
+"""Reads what the engine and captures have on the disk. No bpy here."""

@@ -1,0 +1,110 @@
+"""Says what a capture folder holds: how many photos, and whether there are cameras that the engine can read. No bpy here.
+
+The answers come from names and beginnings of files. The engine itself decides by blender_nep/cameras/photo_folder.py and
+blender_nep/capture/formats/, but Blender's Python cannot import them, and to start the engine takes too long for a
+panel. Tests ask both sides about the same folders.
+"""
+
+import os
+from itertools import islice
+from pathlib import Path
+from xml.etree import ElementTree
+
+LEAST_PHOTOS = 3
+"""The engine finds no cameras of fewer photos."""
+PLAIN_ENDINGS = (".exr", ".png", ".jpg", ".jpeg")
+OTHER_ENDINGS = (
+    *(".tif", ".tiff", ".webp", ".heic", ".heif", ".hif"),
+    *(".dng", ".cr2", ".cr3", ".nef", ".arw", ".raf", ".orf", ".rw2"),
+)
+"""A photo with such an ending does not count beside a photo with the same name and a plain ending."""
+TRANSFORMS = "transforms.json"
+_FILES = (TRANSFORMS, "transforms_train.json", "poses_bounds.npy", "cameras_sphere.npz", "cameras.npz")
+_COLMAP_PLACES = ("sparse", "colmap/sparse", "")
+_COLMAP_MODELS = ("sparse/*", "colmap/sparse/*")
+_BUNDLER_PLACES = ("", "bundle")
+_BUNDLER_BEGIN = b"# Bundle file v0.3"
+_METASHAPE_BEGIN = ["document", "chunk"]
+"""The first two elements of a Metashape export"""
+
+
+def photo_count(folder: Path) -> int:
+    """Number of photos in the folder, or else in its folder `images`; 0 where the folder cannot be read."""
+    return _count(folder) or _count(folder / "images")
+
+
+def _count(folder: Path) -> int:
+    plain, others = [], set()
+    try:
+        with os.scandir(folder) as entries:
+            for entry in entries:
+                stem, ending = os.path.splitext(entry.name)
+                if entry.name.startswith(".") or ending.lower() not in PLAIN_ENDINGS + OTHER_ENDINGS or not entry.is_file():
+                    continue
+                if ending.lower() in PLAIN_ENDINGS:
+                    plain.append(stem)
+                else:
+                    others.add(stem)
+    except OSError:
+        return 0
+    return len(plain) + len(others.difference(plain))
+
+
+def transforms_time(folder: Path) -> int:
+    """When transforms.json was last written, in nanoseconds; 0 where there is none."""
+    try:
+        return (folder / TRANSFORMS).stat().st_mtime_ns
+    except OSError:
+        return 0
+
+
+def has_masks(folder: Path) -> bool:
+    """Whether the folder's folder `masks` holds masks. Whether each photo has one, the engine says."""
+    try:
+        with os.scandir(folder / "masks") as entries:
+            return any(entry.name.lower().endswith(".png") and not entry.name.startswith(".") for entry in entries)
+    except OSError:
+        return False
+
+
+def has_cameras(folder: Path) -> bool:
+    """Whether the folder holds cameras, in any of the forms that the engine reads. A folder that cannot be read has none."""
+    forms = (_is_colmap_project, _has_metashape_export, _has_bundle)
+    try:
+        return any((folder / name).is_file() for name in _FILES) or any(is_form(folder) for is_form in forms)
+    except OSError:  # such as no permission, or a name that is too long
+        return False
+
+
+def _is_colmap_project(folder: Path) -> bool:
+    places = [folder / place for place in _COLMAP_PLACES]
+    places += [place for pattern in _COLMAP_MODELS for place in folder.glob(pattern)]
+    return any(
+        all((place / f"{name}.{ending}").is_file() for name in ("cameras", "images"))
+        for place in places
+        for ending in ("bin", "txt")
+    )
+
+
+def _has_metashape_export(folder: Path) -> bool:
+    return any(_first_elements(path) == _METASHAPE_BEGIN for path in folder.glob("*.xml"))
+
+
+def _first_elements(path: Path) -> list[str]:
+    try:
+        with open(path, "rb") as file:
+            return [element.tag for _, element in islice(ElementTree.iterparse(file, ("start",)), 2)]
+    except (OSError, ElementTree.ParseError):
+        return []
+
+
+def _has_bundle(folder: Path) -> bool:
+    return any(_begins_as_bundle(path) for place in _BUNDLER_PLACES for path in (folder / place).glob("*.out"))
+
+
+def _begins_as_bundle(path: Path) -> bool:
+    try:
+        with open(path, "rb") as file:
+            return file.read(len(_BUNDLER_BEGIN)) == _BUNDLER_BEGIN
+    except OSError:
+        return False

@@ -1,0 +1,1 @@
+"""Cameras: how they project, their lenses, and which way is up."""

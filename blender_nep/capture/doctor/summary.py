@@ -1,0 +1,183 @@
+"""The doctor: what `blender-nep info` says about a capture, and what is wrong with it."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from blender_nep.capture.capture import Capture
+from blender_nep.capture.doctor.camera_checks import SphereSize, camera_outliers
+from blender_nep.capture.doctor.coverage import LARGEST_GAP, Coverage
+from blender_nep.capture.doctor.coverage_picture import write_picture
+from blender_nep.capture.doctor.sharpness import blurred
+from blender_nep.capture.doctor.turntable import MOST_STILL, still_share
+from blender_nep.capture.exposure import Comparison, compare_exposures, stops
+from blender_nep.capture.loading import load_capture
+from blender_nep.capture.rays.pixel_rays import BRIGHTEST_CLIPPED, SATURATED, PixelRays
+from blender_nep.capture.rays.pixel_store import PixelMemory
+from blender_nep.messages import Message
+
+MOST_CLIPPED = 0.02
+"""Share of clipped pixels from which on an artist is told to expose less."""
+
+
+def summarize(folder: Path, picture: Path | None = None, sphere: tuple[Sequence[float], float] | None = None) -> dict:
+    """Facts about a capture as plain values, ready for JSON. Every photo is read once.
+
+    picture: where a PNG of the directions of the photos is written. sphere: the object's (center [3], radius), which
+    then counts instead of the capture's. Raises CaptureError, BoundsError and OutputError.
+    """
+    capture = load_capture(folder, sphere=sphere)
+    coverage = Coverage.of(capture)
+    if picture is not None:
+        write_picture(coverage, picture)
+    rays = PixelRays.from_capture(capture, 250_000, use_masks=True, memory=PixelMemory(most=32_000_000))
+    cameras = [v.camera for v in capture.views]
+    distance = np.array([np.linalg.norm(c.position - capture.object_center) for c in cameras]) / capture.object_radius
+    angles = [math.degrees(c.field_of_view) for c in cameras]
+    sizes = Counter(f"{c.width} x {c.height}" for c in cameras)
+    radiance = rays.radiance[rays.valid][:: max(1, rays.count // 1_000_000)].float()
+    size = SphereSize.of(capture)
+    compared = compare_exposures(rays)
+    still = still_share(rays)
+    found: dict[str, Any] = {
+        "folder": str(folder),
+        "photos": len(capture.views),
+        "sizes": dict(sizes),
+        "formats": dict(Counter(v.image_path.suffix.lower()[1:] for v in capture.views)),
+        "color_space": capture.color_space,
+        "field_of_view_deg": [round(min(angles), 2), round(max(angles), 2)],
+        "masks": rays.mask is not None,
+        "mask_coverage": None if rays.mask is None else round(float(rays.mask.float().mean()) / 255, 4),
+        "cut_outs": not rays.background,
+        "object_center": [round(float(x), 6) for x in capture.object_center],
+        "object_radius": round(capture.object_radius, 6),
+        "bounds_source": capture.bounds_source,
+        "camera_distance_radii": [round(float(distance.min()), 2), round(float(distance.max()), 2)],
+        "directions_covered": round(coverage.share, 3),
+        "z_up": coverage.z_up,
+        "largest_hole": coverage.largest_hole().message().told(),
+        "sphere_pixels": round(len(rays.sphere) / rays.count, 4),
+        "sphere_width": round(size.pixels, 1),
+        "sphere_cut": round(size.cut, 4),
+        "invalid_pixels": int((~rays.valid).sum()),
+        "clipped": round(_clipped(rays), 4),
+        "exposure_stops": _exposure_stops(compared),
+        "corner_stops": _corner_stops(compared),
+        "surroundings_still": None if still is None else round(still, 3),
+        "radiance": {
+            "median": round(float(radiance.median()), 5),
+            "99_9_percent": round(float(np.quantile(radiance.numpy(), 0.999)), 4),
+            "largest": round(rays.brightest, 4),
+        },
+    }
+    warnings = [*capture.warnings, *rays.warnings, *_turntable(still), *camera_outliers(capture), *size.messages()]
+    warnings += [*_photo_outliers(capture, rays, compared), *_holes(coverage), *_doubts(found)]
+    found["warnings"] = [warning.told() for warning in warnings]
+    return found
+
+
+def _clipped(rays: PixelRays) -> float:
+    """Share of the sphere's pixels that are burnt out, 0 .. 1. 0 where files can store more than white."""
+    if rays.brightest > BRIGHTEST_CLIPPED:
+        return 0.0
+    some = rays.sphere[:: max(1, len(rays.sphere) // 300_000)]
+    return float((rays.radiance[some].float().amax(-1) > SATURATED).float().mean())
+
+
+def _exposure_stops(compared: Comparison | None) -> float | None:
+    """Stops between the photos with the lowest and the highest exposure; 0 if all are about equal, None if nobody knows."""
+    found = None if compared is None else compared.exposures()
+    if found is None or found.warning == Message("capture.exposure_unclear"):
+        return None
+    return 0.0 if found.gain is None else round(float(np.ptp(stops(found.gain))), 2)
+
+
+def _corner_stops(compared: Comparison | None) -> float:
+    """Stops by which the photos' corners are brighter than their middles: negative, or 0 if there is no vignetting."""
+    vignetting = None if compared is None else compared.exposures().vignetting
+    return 0.0 if vignetting is None else round(vignetting.corner_stops, 2)
+
+
+def _turntable(still: float | None) -> list[Message]:
+    if still is None or still <= MOST_STILL:
+        return []
+    return [Message("capture.on_turntable", {"percent": 100 * still})]
+
+
+def _photo_outliers(capture: Capture, rays: PixelRays, compared: Comparison | None) -> list[Message]:
+    """Messages on blurred photos, and on photos whose exposure differs from the others'."""
+    names = [view.name for view in capture.views]
+    soft = [names[i] for i in blurred(rays)]
+    found = [Message("capture.photos_blurred", {"count": len(soft), "names": soft})] if soft else []
+    if compared is None:
+        return found
+    warning = compared.exposures().warning
+    off = compared.outliers()
+    dark = [names[i] for i, stop in off.items() if stop < 0]
+    bright = [names[i] for i, stop in off.items() if stop > 0]
+    if dark:
+        most = -min(off.values())
+        found.append(Message("capture.photos_darker", {"count": len(dark), "names": dark, "stops": most}))
+    if bright:
+        most = max(off.values())
+        found.append(Message("capture.photos_brighter", {"count": len(bright), "names": bright, "stops": most}))
+    return found + ([warning] if warning else [])
+
+
+def _holes(coverage: Coverage) -> list[Message]:
+    """The largest hole above the horizon, if it is large. A table hides the directions below."""
+    hole = coverage.largest_hole(least_elevation=0.0)
+    return [hole.message()] if hole.degrees > LARGEST_GAP else []
+
+
+def _doubts(found: dict) -> list[Message]:
+    doubts: list[Message] = []
+    if found["photos"] < 12:
+        doubts.append(Message("capture.few_photos", {"photos": found["photos"]}))
+    if found["directions_covered"] < 0.25:
+        doubts.append(Message("capture.few_directions"))
+    if found["clipped"] > MOST_CLIPPED:
+        doubts.append(Message("capture.sphere_clipped", {"percent": round(100 * found["clipped"], 1)}))
+    if found["color_space"] == "srgb":
+        doubts.append(Message("capture.highlights_clipped"))
+    if found["cut_outs"]:
+        doubts.append(Message("capture.cut_outs"))
+    return doubts
+
+
+def describe(found: dict) -> str:
+    """The facts of `summarize` as text for people."""
+    stops_apart = found["exposure_stops"]
+    exposure = (
+        "not known" if stops_apart is None else f"up to {stops_apart} stops apart" if stops_apart else "no clear difference"
+    )
+    if found["corner_stops"]:
+        exposure += f", corners {-found['corner_stops']} stops darker"
+    lines = [
+        f"{found['folder']}: {found['photos']} photos ({_counts(found['formats'])}), {_counts(found['sizes'])} pixels",
+        f"  color          {found['color_space']}; median {found['radiance']['median']}, 99.9 % below "
+        f"{found['radiance']['99_9_percent']}, largest {found['radiance']['largest']}",
+        f"  exposure       {exposure}; {found['clipped']:.1%} of the pixels around the object are clipped",
+        f"  field of view  {found['field_of_view_deg'][0]} to {found['field_of_view_deg'][1]} degrees",
+        f"  object         center {found['object_center']}, radius {found['object_radius']} (from {found['bounds_source']})",
+        f"  cameras        {found['camera_distance_radii'][0]} to {found['camera_distance_radii'][1]} radii away, "
+        f"{found['directions_covered']:.0%} of directions within 30 degrees of a camera",
+        f"  largest hole   {found['largest_hole']['message']}" + ("" if found["z_up"] else " (up as in the photos, not z)"),
+        f"  sphere         about {found['sphere_width']:.0f} pixels wide, {found['sphere_pixels']:.0%} of the pixels; "
+        f"{found['sphere_cut']:.0%} of the photos cut it off",
+        f"  pixels         {found['invalid_pixels']} unusable",
+        "  masks          "
+        + (f"the object covers {found['mask_coverage']:.0%} of the pixels" if found["masks"] else "none")
+        + (" (cut-outs)" if found["cut_outs"] else ""),
+    ]
+    return "\n".join(lines + ([f"  warning: {w['message']}" for w in found["warnings"]] or ["  nothing looks wrong"]))
+
+
+def _counts(counts: dict[str, int]) -> str:
+    return ", ".join(f"{n} {name}" if len(counts) > 1 else str(name) for name, n in counts.items())

@@ -1,0 +1,1 @@
+"""Photos: reads their files as linear radiance."""

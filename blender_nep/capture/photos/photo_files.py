@@ -1,0 +1,154 @@
+"""Reads photos as linear radiance with Rec.709 primaries: OpenEXR, PNG, JPEG, WebP, TIFF, HEIC and camera raw.
+
+OpenEXR, raw files and TIFF files with floats are linear. All others are encoded as their tags say (an ICC profile, EXIF, or
+a format's own tags), sRGB without tags, and linear whatever they say if the capture says linear.
+
+A photo's pixels are used as they are stored. EXIF's orientation is never applied, neither here nor by structure from motion:
+a capture's cameras fit the stored pixels, and all photos of a camera have the same lens then. The pixels of HEIF are those
+that its decoder gives (heif_files.py). `exif` gives the orientation of the pixels that `open_image` gives.
+
+A file's content says which format it has, because files with another format's ending are common; only OpenEXR and raw files
+go by their ending. Blender's Python lacks the packages of this file and cannot import it: backend/scene_io/image_size.py is
+its copy of `image_size` for the formats that Blender shows.
+"""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from PIL import Image
+
+from blender_nep.capture.photos.formats import exr_files, heif_files, pillow_files, raw_files, tiff_files
+from blender_nep.capture.photos.formats.raster import Raster
+from blender_nep.errors import CaptureError
+
+SUFFIXES = (".exr", ".png", ".jpg", ".jpeg", ".tif", ".tiff", ".webp", ".heic", ".heif", ".hif", *raw_files.SUFFIXES)
+
+_UNREADABLE = (
+    *(OSError, ValueError, RuntimeError, SyntaxError, KeyError, IndexError, TypeError, EOFError, AssertionError),
+    *(ZeroDivisionError, OverflowError, struct.error, zlib.error, Image.DecompressionBombError),
+)
+"""What the packages raise for damaged files"""
+
+
+def find_image(folder: Path, name: str) -> Path | None:
+    """The path of the image `name` in `folder`, or None if there is no such file.
+
+    Where `name` has no extension (as in Blender datasets), the extensions of `SUFFIXES` are tried in their order.
+    """
+    path = folder / name
+    if path.is_file():
+        return path
+    if path.suffix.lower() not in SUFFIXES:
+        for suffix in SUFFIXES:
+            for found in (path.with_name(path.name + suffix), path.with_name(path.name + suffix.upper())):
+                if found.is_file():
+                    return found
+    return None
+
+
+def file_kind(path: Path) -> str:
+    """'exr', 'raw', 'tiff', 'heif', or 'pillow' for all that Pillow reads. Raises OSError where the file cannot be read."""
+    suffix = path.suffix.lower()
+    if suffix in raw_files.SUFFIXES:
+        return "raw"
+    with open(path, "rb") as file:
+        start = file.read(12)
+    if suffix == ".exr":
+        return "exr"
+    if tiff_files.recognizes(start):
+        return "tiff"
+    return "heif" if heif_files.recognizes(start) else "pillow"
+
+
+def image_size(path: Path) -> tuple[int, int]:
+    """(width, height) in pixels, from the file's header. Raises CaptureError."""
+    sizes = {"exr": exr_files.size, "raw": raw_files.size, "tiff": tiff_files.size, "heif": heif_files.size}
+    try:
+        return sizes.get(file_kind(path), pillow_files.size)(path)
+    except _UNREADABLE as error:
+        raise _unreadable(path, error) from error
+
+
+def is_linear(path: Path) -> bool:
+    """Whether the format alone says that the values are linear: OpenEXR, raw, and TIFF with floats and without a profile.
+
+    Raises CaptureError.
+    """
+    try:
+        kind = file_kind(path)
+        return kind in ("exr", "raw") or (kind == "tiff" and tiff_files.is_linear(path))
+    except _UNREADABLE as error:
+        raise _unreadable(path, error) from error
+
+
+def open_image(path: Path, color_space: str) -> Raster:
+    """Open an image file; its values stay as stored. Raises CaptureError if it cannot be read as an image."""
+    tagged = color_space != "linear"
+    try:
+        kind = file_kind(path)
+        if kind == "exr":
+            return exr_files.read(path)
+        if kind == "raw":
+            return raw_files.read(path)
+        reads = {"tiff": tiff_files.read, "heif": heif_files.read}
+        return reads.get(kind, pillow_files.read)(path, tagged)
+    except _UNREADABLE as error:
+        raise _unreadable(path, error) from error
+
+
+def exif(path: Path) -> dict[int, object]:
+    """What EXIF says of the pixels that `open_image` gives, {tag: value}; empty without EXIF.
+
+    Raises CaptureError where the photo cannot be read.
+    """
+    tags = {"exr": lambda _: {}, "raw": raw_files.tags, "tiff": tiff_files.tags, "heif": heif_files.tags}
+    try:
+        return tags.get(file_kind(path), pillow_files.tags)(path)
+    except _UNREADABLE as error:
+        raise _unreadable(path, error) from error
+
+
+@dataclass
+class MaskRaster:
+    """A mask file. The coverage is its alpha, if some of that is below 1; else its first channel, without sRGB decoding."""
+
+    raster: Raster
+    from_alpha: bool
+
+    @classmethod
+    def of(cls, path: Path) -> MaskRaster:
+        """Open the mask file at `path`. Raises CaptureError."""
+        raster = open_image(path, "linear")
+        return cls(raster, raster.least_alpha() < 1.0)
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """(H, W)"""
+        return self.raster.size
+
+    def rows(self, start: int = 0, end: int | None = None) -> np.ndarray:
+        """Coverage [h, W] float32 in 0..1 of the rows start to end - 1."""
+        color, alpha = self.raster.rows(start, end)
+        coverage = alpha if self.from_alpha and alpha is not None else color[..., 0]
+        return np.nan_to_num(np.clip(coverage, 0.0, 1.0)).astype(np.float32)
+
+    def coverage(self, step: int = 1) -> np.ndarray:
+        """Coverage [h, w] float32 in 0..1 of every `step`-th pixel in both directions, from pixel step // 2 on.
+
+        Only the rows of these pixels are read. step: at most the shorter side.
+        """
+        if step == 1:
+            return self.rows()
+        kept = range(step // 2, self.size[0], step)
+        return np.concatenate([self.rows(row, row + 1)[:, step // 2 :: step] for row in kept])
+
+
+def _unreadable(path: Path, error: Exception) -> CaptureError:
+    return CaptureError(
+        f"{path.name} cannot be read as an image ({error})", "Replace the file, or leave it out of transforms.json."
+    )

@@ -1,0 +1,1 @@
+"""What improves stage 1 between its steps, one file each."""

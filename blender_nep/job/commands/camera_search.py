@@ -1,0 +1,170 @@
+"""The command that finds the cameras of photos, or improves given ones, and writes a capture with them."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from blender_nep.cameras.found_cameras import FoundCameras, choose, messages
+from blender_nep.cameras.improved_cameras import take_over
+from blender_nep.cameras.object_sphere import ObjectSphere, find_object_sphere
+from blender_nep.cameras.photo_folder import Photo, find_photos, photos_of
+from blender_nep.cameras.structure_from_motion import find_groups, stop_if_asked, working_folder
+from blender_nep.cameras.written_capture import check_writable, keep_present_file, write_capture
+from blender_nep.capture.formats import transforms
+from blender_nep.capture.formats.photo_search import unmatched_mask_warnings
+from blender_nep.capture.loading import load_capture
+from blender_nep.errors import BoundsError, CaptureError, UsageError
+from blender_nep.job.exit_code import exit_code
+from blender_nep.job.reporting.events import Events
+from blender_nep.job.reporting.timeline import Timeline
+from blender_nep.job.stage_names import CAMERA_SEARCH
+from blender_nep.messages import Message
+from blender_nep.stop_request import StopRequest
+
+_SECONDS = {"photos": 0.1, "features": 2.0, "matches": 4.0, "places": 2.0, "sphere": 0.3}
+"""First guess of the seconds that a photo takes in each step"""
+
+
+@dataclass(frozen=True)
+class CameraSearch:
+    """What the command `cameras` is asked for."""
+
+    photos: Path
+    """Folder with photos; to improve cameras, a capture"""
+    out: Path | None = None
+    """Folder of the capture that is written; None: `photos`"""
+    features: str = "everywhere"
+    """Where features count: 'everywhere', or where masks allow them: on the 'object', or in its 'surroundings'"""
+    improve: bool = False
+    """Improve the capture's cameras instead of finding cameras anew"""
+    overwrite: bool = False
+    threads: int | None = None
+
+
+def run(search: CameraSearch, events: Events, stop: StopRequest) -> int:
+    """Find or improve the cameras, write the capture, and return the exit code. A stopped search writes nothing."""
+    folder = search.photos if search.out is None else search.out
+
+    def work() -> None:
+        _refuse_capture(folder, search.overwrite)
+        capture = load_capture(search.photos, use_masks=False) if search.improve else None
+        found = find_photos(search.photos) if capture is None else photos_of(capture)
+        check_writable(folder)
+        no_masks = unmatched_mask_warnings(search.photos, found[0].path, (photo.mask for photo in found))
+        for warning in no_masks if capture is None else capture.warnings:
+            events.warning(warning)
+        masked = _masked(search, found)
+        progress = _Progress(events, len(found))
+        given = None if capture is None else [view.camera for view in capture.views]
+        with working_folder() as scratch:
+            groups = find_groups(found, scratch, progress, stop, masked=masked, threads=search.threads, given=given)
+            if capture is None:
+                cameras = choose(found, groups)
+                said, warnings = messages(cameras, groups)
+                cameras = _with_sphere(cameras, scratch, progress, stop, warnings)
+        if capture is not None:
+            improved = take_over(found, [view.camera for view in capture.views], groups[0], capture.object_center)
+            said, warnings = improved.messages()
+            cameras = FoundCameras(improved.chosen, groups[0].points, [], capture.object_center, capture.object_radius)
+        if capture is None or improved.worthwhile or search.out is not None:
+            stop_if_asked(stop)
+            said += _keep_present(folder)
+            if capture is None:
+                write_capture(cameras, folder)
+            else:  # a sphere that is only a guess from the cameras would keep later jobs from asking the masks
+                stated = capture.bounds_source != "cameras"
+                write_capture(cameras, folder, capture.color_space, with_sphere=stated)
+        for warning in warnings:
+            events.warning(warning)
+        events.scene(said)
+        for message in said:
+            events.say(str(message))
+        progress.end()
+        events.done(folder)
+
+    return exit_code(work, events, search.photos, "Start it again.")
+
+
+def _with_sphere(
+    cameras: FoundCameras, scratch: Path, progress: _Progress, stop: StopRequest, warnings: list[Message]
+) -> FoundCameras:
+    """The cameras with the sphere of the object that the photos show. A warning is added where that is a guess.
+
+    `scratch`: a folder for temporary files. Raises Stopped on request.
+    """
+
+    progress("sphere", 0, 1)
+    write_capture(cameras, scratch / "capture")
+    try:
+        written = load_capture(scratch / "capture", use_masks=False)
+        lines = [(found.camera.position, found.seen[:, 2:]) for found in cameras.placed]
+        sphere = find_object_sphere(written, lines, check=lambda done, all_of_them: stop_if_asked(stop))
+    except (BoundsError, CaptureError):  # the cameras are good all the same
+        sphere = ObjectSphere(cameras.object_center, cameras.object_radius, False)
+    if not sphere.sure:
+        warnings.append(Message("cameras.sphere_unsure"))
+    return replace(cameras, object_center=sphere.center, object_radius=sphere.radius)
+
+
+def _keep_present(folder: Path) -> list[Message]:
+    """Copy cameras that are about to be replaced to another file of the folder, and say to which. Raises OutputError."""
+    kept = keep_present_file(folder)
+    return [] if kept is None else [Message("cameras.backup", {"file": kept.name})]
+
+
+def _masked(search: CameraSearch, photos: list[Photo]) -> bool | None:
+    """`find_groups`' masked. Raises UsageError where masks are wanted and a photo has none."""
+    if search.features == "everywhere":
+        return None
+    without = [photo.path.name for photo in photos if photo.mask is None]
+    if without:
+        which = f"{without[0]} has none" if len(without) == 1 else f"{len(without)} of {len(photos)} photos have none"
+        raise UsageError(
+            f"--features {search.features} needs a mask for each photo, but {which}",
+            f"Put them into {search.photos / 'masks'}, under the photos' names.",
+            "usage.no_masks",
+            folder=search.photos / "masks",
+        )
+    return search.features == "object"
+
+
+def _refuse_capture(folder: Path, overwrite: bool) -> None:
+    if os.path.exists(folder / transforms.FILE) and not overwrite:  # False in a folder that may not be read
+        raise UsageError(
+            f"{folder} has cameras already ({transforms.FILE})",
+            "Choose another --out, or replace them with --overwrite.",
+            "usage.cameras_exist",
+            folder=folder,
+        )
+
+
+class _Progress:
+    """Turns the steps of structure from motion into progress events with the time left."""
+
+    def __init__(self, events: Events, photos: int) -> None:
+        self._events = events
+        self._timeline = Timeline({name: seconds * photos for name, seconds in _SECONDS.items()})
+        self._stage = ""
+
+    def __call__(self, stage: str, step: int, steps: int) -> None:
+        if stage != self._stage:
+            if self._stage:
+                self._timeline.leave()
+            self._timeline.enter(stage)
+            self._stage = stage
+        fraction, left = self._timeline.at(step / max(steps, 1))
+        values = {"step": step, "steps": steps}
+        notes = {
+            "photos": Message("cameras.photos", values),
+            "features": Message("cameras.features", values),
+            "matches": Message("cameras.matches", values),
+            "places": Message("cameras.places", values),
+            "sphere": Message("cameras.sphere"),
+        }
+        self._events.progress(CAMERA_SEARCH, step, steps, fraction, left, None, notes[stage])
+
+    def end(self) -> None:
+        """Report that all is done."""
+        self._events.progress(CAMERA_SEARCH, 1, 1, 1.0, 0.0, None)

@@ -1,0 +1,1 @@
+"""The folders of a job: `job/` and `checkpoints/`."""

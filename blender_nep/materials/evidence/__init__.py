@@ -1,0 +1,1 @@
+"""What tells the roughness or the class of a material, beside the residual."""

@@ -1,0 +1,1 @@
+"""Label pixels: which material lies at which place of the surface."""

@@ -1,0 +1,1 @@
+"""The palette: the few materials that explain the photos, and their search."""

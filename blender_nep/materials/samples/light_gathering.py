@@ -1,0 +1,186 @@
+"""Computes what does not change while materials are learned: the photo samples, f_p over the mesh, and the light on them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+import torch
+
+from blender_nep.capture.rays.pixel_width import pixel_footprint
+from blender_nep.geometry.mesh import Surface
+from blender_nep.geometry.ray_tracing import RayTracer
+from blender_nep.materials.samples.photo_samples import PhotoSamples, select_samples
+from blender_nep.materials.training_progress import TrainingProgress
+from blender_nep.optimizers import Adam
+from blender_nep.profiling import profiled
+from blender_nep.shading.incoming_light import IncomingLight, TracedLight
+from blender_nep.shading.light_moments import LightMoments
+from blender_nep.shading.plenoptic import Material, PlenopticFunction, PlenopticSettings, SurfacePoints, TerminalRadiance
+from blender_nep.shading.smooth_irradiance import IrradianceMean
+
+if TYPE_CHECKING:
+    from blender_nep.capture.rays.pixel_rays import PixelRays
+    from blender_nep.fields.environment.field import EnvironmentField
+    from blender_nep.presets import MaterialPreset
+
+
+@dataclass(frozen=True)
+class Observations:
+    """The surface, and the photo samples that see it."""
+
+    surface: Surface
+    rays: PixelRays
+    samples: PhotoSamples
+    """The n pixels from which the materials are learned"""
+    points: SurfacePoints
+    """[n] the points of the surface that the samples see"""
+    f_p: PlenopticFunction
+    footprint: float
+    """Median width of a pixel on the surface, unit frame"""
+    device: torch.device
+
+    @classmethod
+    def of(
+        cls,
+        surface: Surface,
+        environment: EnvironmentField,
+        rays: PixelRays,
+        preset: MaterialPreset,
+        seed: int,
+        device: torch.device,
+    ) -> Observations:
+        """Select the samples and set up f_p. Raises LearningError when no photo shows the surface well enough."""
+        tracer = RayTracer(surface.vertices, surface.faces)
+        samples = _selected(rays, tracer, surface.normals, preset, np.random.default_rng(seed))
+        settings = PlenopticSettings(
+            levels=preset.levels,
+            diffuse=preset.diffuse_cones,
+            specular=preset.specular_cones,
+            use_cones=preset.use_cones,
+        )
+        terminal = TerminalRadiance().to(device)
+        f_p = PlenopticFunction(tracer, surface.normals, environment, terminal, settings, device)
+        points = f_p.points(samples.face, samples.barycentric, samples.view)
+        return cls(surface, rays, samples, points, f_p, pixel_footprint(rays), device)
+
+
+def _selected(
+    rays: PixelRays, tracer: RayTracer, normals: np.ndarray, preset: MaterialPreset, generator: np.random.Generator
+) -> PhotoSamples:
+    """At most `preset.samples` photo samples."""
+    return select_samples(rays, tracer, normals, count=preset.samples, least_cosine=preset.least_cosine, generator=generator)
+
+
+def gathered_light(
+    seen: Observations, preset: MaterialPreset, generator: torch.Generator, progress: TrainingProgress
+) -> IncomingLight:
+    """Learn the terminal MLP and gather the prefiltered light [n samples]. Takes long; raises what `progress` raises.
+
+    A resumed run takes both from the checkpoint. Afterwards `progress.state` holds them, so that checkpoints save them.
+    """
+    f_p, saved = seen.f_p, progress.checkpoint.load() or {}
+    if "light" in saved:
+        f_p.terminal.load_state_dict(saved["terminal"])
+        traced = TracedLight.from_state(saved["light"], seen.points.position.device)
+        light = IncomingLight(f_p, seen.points, preset.roughness_levels, traced)
+        generator.set_state(saved["generator"])
+    else:
+        if preset.levels > 0:
+            _learn_terminal(seen, preset, generator, progress)
+        light = IncomingLight.gathered(
+            f_p,
+            seen.points,
+            preset.roughness_levels,
+            preset.irradiance_cones,
+            seen.samples.reflection_variance,
+            generator,
+            lambda share: progress.step(10 + int(60 * share)),
+        )
+    progress.state = {
+        "terminal": f_p.terminal.state_dict(),
+        "light": light.traced.state(),
+        "generator": generator.get_state(),
+    }
+    progress.step(70)
+    progress.phase_ended("light")
+    return light
+
+
+@dataclass(frozen=True)
+class LitSamples:
+    """n photo samples, and the light at the points that they see."""
+
+    samples: PhotoSamples
+    light: LightMoments
+    known: LightMoments
+    """The light without the unseen light"""
+
+    def with_unseen(self, gain: float) -> LitSamples:
+        """The same with `gain` times the unseen light."""
+        known, light = self.known, self.light
+        return replace(
+            self,
+            light=LightMoments(
+                torch.lerp(known.specular, light.specular, gain),
+                torch.lerp(known.diffuse, light.diffuse, gain),
+                light.coverage,
+                light.cos_v,
+                light.roughness_levels,
+            ),
+        )
+
+
+@profiled("light of more samples")
+def with_more_samples(
+    seen: Observations,
+    light: IncomingLight,
+    materials_at: Callable[[SurfacePoints], Material],
+    preset: MaterialPreset,
+    seed: int,
+    generator: torch.Generator,
+    progress: Callable[[float], None],
+) -> LitSamples:
+    """The samples of `seen` with their `light`, and about as many more.
+
+    The object reflects light to itself as with `materials_at`, and the unseen light is that of `light`. Its irradiance is a
+    mean over neighboring samples, because the few cones of one sample make it noisy. progress(share that is done, 0..1) is
+    called after each chunk.
+    """
+    more = _selected(seen.rays, seen.f_p.tracer, seen.surface.normals, preset, np.random.default_rng([seed, 1]))
+    points = seen.f_p.points(more.face, more.barycentric, more.view)
+    of_more = IncomingLight.gathered(
+        seen.f_p, points, preset.roughness_levels, preset.irradiance_cones, more.reflection_variance, generator, progress
+    )
+    of_more.unseen = light.unseen
+    of_more.update(materials_at, generator)
+    both = LightMoments.joined(light, of_more)
+    known = LightMoments.joined(light.without_unseen(), of_more.without_unseen())
+    position, normal = torch.cat([light.points.position, points.position]), torch.cat([light.points.normal, points.normal])
+    both.diffuse = known.diffuse + IrradianceMean(position, normal)(both.diffuse - known.diffuse)
+    return LitSamples(PhotoSamples.joined(seen.samples, more), both, known)
+
+
+@profiled("terminal MLP")
+def _learn_terminal(
+    seen: Observations, preset: MaterialPreset, generator: torch.Generator, progress: TrainingProgress
+) -> None:
+    """Learn the terminal MLP(x, d): the radiance that the surface point x sends in direction d, as the photos show it."""
+    net, steps = seen.f_p.terminal, preset.terminal_steps
+    with torch.random.fork_rng(devices=[]):
+        torch.manual_seed(int(torch.randint(1 << 30, (1,), generator=generator)))
+        net.load_state_dict(TerminalRadiance().state_dict())
+    optimizer = Adam(net.parameters(), preset.terminal_rate)
+    goal = torch.log1p(4 * seen.samples.radiance)
+    for k in range(steps):
+        batch = torch.randint(len(goal), (preset.terminal_batch,), generator=generator).to(seen.device)
+        loss = (net.log_radiance(seen.points[batch]) - goal[batch]).abs().mean()
+        optimizer.zero_grad()
+        loss.backward()
+        optimizer.step()
+        if k % 20 == 0:
+            progress.loss = loss.item()
+            progress.step(int(10 * k / steps))
+    progress.phase_ended("terminal")

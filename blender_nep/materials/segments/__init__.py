@@ -1,0 +1,1 @@
+"""Materials that vary from place to place."""

@@ -1,0 +1,1 @@
+"""The kernels of the environment field: volume rendering, cones, prefilter."""
