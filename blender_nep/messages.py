@@ -35,6 +35,16 @@ class Part(StrEnum):
     VOTES = "votes of all pixels"
     FINE_TEXTURES = "fine textures"
     METAL_AGAIN = "asking again whether it is metal"
+    # refinements of stage 1: their names in `FieldsPreset.without`, too
+    SUPPORT = "support"
+    HULL = "hull"
+    HIDDEN_PIXELS = "hidden_pixels"
+    FINE_PAINT = "fine_paint"
+    LEVELS = "levels"
+    CARVE = "carve"
+    CAVITIES = "cavities"
+    RELIEF = "relief"
+    OBJECT_PIXELS = "object_pixels"
 
 
 @dataclass(frozen=True)
@@ -110,6 +120,15 @@ PARTS: dict[str, str] = {
     Part.VOTES: "finding the material of every pixel",
     Part.FINE_TEXTURES: "fine textures",
     Part.METAL_AGAIN: "checking again whether the object is metal",
+    Part.SUPPORT: "finding the table",
+    Part.HULL: "starting from the outline in all photos",
+    Part.HIDDEN_PIXELS: "finding things before the object",
+    Part.FINE_PAINT: "fine paint",
+    Part.LEVELS: "finer cells of the shape",
+    Part.CARVE: "cutting away what is not the object",
+    Part.CAVITIES: "opening the inside",
+    Part.RELIEF: "fine relief",
+    Part.OBJECT_PIXELS: "finding the photos' pixels of the object",
 }
 """{part: its name in sentences for people}"""
 
@@ -259,6 +278,7 @@ WORDS: dict[str, str] = {
     "scene.left_out": "Left out: {parts:parts}, because {reason}.",
     "scene.left_out_saving": "Left out: {parts:parts}, because {reason} (saves about {seconds:.0f} s).",
     # reasons for leaving something out
+    "scene.acted": "improved by: {parts:parts}",
     "reason.cut_outs": "the photos are cut-outs",
     "reason.near_surroundings": "the surroundings are near",
     "reason.metal": "the object is metal",
@@ -276,5 +296,11 @@ WORDS: dict[str, str] = {
     "reason.light_seen": "the photos show all light that matters",
     "reason.preset": "turned off by the preset",
     "reason.light_changes_fast": "light changes too fast between the samples of a photo",
+    "reason.found_nothing": "nothing was found",
+    "reason.few_pixels_beside": "too few pixels of the photos pass the object by",
+    "reason.masks_show_outline": "the masks show the outline",
+    "reason.no_hull": "the photos show no clear outline",
+    "reason.levels_there": "the shape has them already",
+    "reason.wide_pixels": "the photos' pixels are too wide for it",
     "reason.no_self_reflection": "the object does not reflect in itself",
 }

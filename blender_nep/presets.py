@@ -16,6 +16,8 @@ class FieldsPreset:
     the rendered captures (docs/lab).
     """
 
+    without: tuple[str, ...] = ()
+    """Names of the refinements that are switched off (`fields.refinements`). Each is an ablation."""
     background_steps: int = 300
     """Steps of F_e alone, before both fields are learned. Then the SDF starts from a visual hull. 0: no such steps."""
     steps: int = 1100

@@ -33,6 +33,15 @@ PARTS = {
     "votes of all pixels": "finding the material of every pixel",
     "fine textures": "fine textures",
     "asking again whether it is metal": "checking again whether the object is metal",
+    "support": "finding the table",
+    "hull": "starting from the outline in all photos",
+    "hidden_pixels": "finding things before the object",
+    "fine_paint": "fine paint",
+    "levels": "finer cells of the shape",
+    "carve": "cutting away what is not the object",
+    "cavities": "opening the inside",
+    "relief": "fine relief",
+    "object_pixels": "finding the photos' pixels of the object",
 }
 """Parts of the work that the engine may leave out: the engine's name of a part -> the panel's words."""
 
@@ -168,6 +177,7 @@ MESSAGES = {
     "scene.glossy": "Its brightness changes much from photo to photo: it is glossy.",
     "scene.hardly_glossy": "Its brightness changes a little from photo to photo: it is hardly glossy.",
     "scene.matte": "Its brightness hardly changes from photo to photo: it is matte.",
+    "scene.acted": "Improved by: {parts:parts}.",
     "scene.left_out": "Left out: {parts:parts}, because {reason}.",
     "scene.left_out_saving": "Left out: {parts:parts}, because {reason} (saves about {seconds:.0f} s).",
     # reasons for leaving something out; they stand in the place of {reason} in the two sentences above
@@ -188,6 +198,12 @@ MESSAGES = {
     "reason.light_seen": "the photos show all light that matters",
     "reason.preset": "the preset turns it off",
     "reason.light_changes_fast": "light changes too fast between the samples of a photo",
+    "reason.found_nothing": "nothing was found",
+    "reason.few_pixels_beside": "too few pixels of the photos pass the object by",
+    "reason.masks_show_outline": "the masks show the outline",
+    "reason.no_hull": "the photos show no clear outline",
+    "reason.levels_there": "the shape has them already",
+    "reason.wide_pixels": "the photos' pixels are too wide for it",
     "reason.no_self_reflection": "the object does not reflect in itself",
 }
 

@@ -74,9 +74,7 @@ class Bench:
         with profile.recording():
             for _ in range(STEPS):
                 learning.learn_step()
-            learning.start_from_hull()
-            learning.update_object_pixels()
-        # These steps are not timed, because the first of them starts from the hull once more.
+            learning.prepare_joint_step()
         for _ in range(STEPS):
             learning.learn_step()
         with profile.recording():

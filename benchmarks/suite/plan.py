@@ -9,7 +9,8 @@ from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 
 from benchmarks.suite.harness import with_changes
-from blender_nep.presets import PRESETS, Preset
+from blender_nep.fields.refinements.catalog import refinements_of
+from blender_nep.presets import PRESETS, FieldsPreset, Preset
 
 WITHOUT_F_E = "no F_e in stage 2"
 AS_TAKEN = "exposures as taken"
@@ -19,7 +20,6 @@ ABLATIONS: dict[str, dict[str, dict]] = {
     "w_s scaled": {"fields": {"dynamic_weight": "scaled"}},
     "plain NeuS color": {"fields": {"decomposition": False}},
     "environment at infinity": {"environment": {"model": "infinite"}},
-    "no visual hull": {"fields": {"least_contrast": math.inf}},
     "F_e not first": {"fields": {"background_steps": 0}},
     "no curvature": {"fields": {"curvature": 0.0, "last_curvature": 0.0}},
     "highlights in full": {"fields": {"highlight_threshold": math.inf}},
@@ -33,8 +33,9 @@ ABLATIONS: dict[str, dict[str, dict]] = {
     "brightness as taken": {"preset": {"brightness": 0.0}},
     "one material": {"material": {"most_materials": 1, "varied_gain": math.inf}},
     "a palette for all objects": {"material": {"varied_gain": math.inf}},
+    **{f"without {one.name}": {"fields": {"without": (str(one.name),)}} for one in refinements_of(FieldsPreset())},
 }
-"""Name of an ablation -> the preset fields that it changes.
+"""Name of an ablation -> the preset fields that it changes. Each refinement of stage 1 is one.
 
 In all presets w_s is off, and N is 2 where the scene needs it. The ablations of N turn skip_needless off, because with it
 N = 2 and N = 3 would become 1 on most objects. "F_e not first" has no visual hull either, because the hull needs steps of

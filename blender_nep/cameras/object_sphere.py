@@ -18,8 +18,10 @@ from blender_nep.capture.capture import Capture
 from blender_nep.capture.exposure import find_exposures
 from blender_nep.capture.rays.pixel_rays import PixelRays
 from blender_nep.evidence.surface_photos import traced_mesh
-from blender_nep.fields.refinements.visual_hull import LOWEST_SHARE
+from blender_nep.fields.refinements.hull import hull_without_masks
+from blender_nep.fields.refinements.support import support_by_hull
 from blender_nep.fields.training import FieldsLearning
+from blender_nep.fields.visual_hull import LOWEST_SHARE
 from blender_nep.presets import preset
 
 _PIXELS, _STEPS = 10_000, 150
@@ -108,7 +110,10 @@ def _hull_sphere(capture: Capture, lines: Sightlines, seed: int, check: Callable
     while learning.schedule.learns_background:
         learning.learn_step()
         check(learning.schedule.step, learning.schedule.background_steps)
-    hull = learning.hull_without_masks() if learning.schedule.background_steps else None
+    hull = None
+    if learning.schedule.background_steps:
+        learning.object_field.support = support_by_hull(learning)
+        hull = hull_without_masks(learning)
     if hull is None or hull.contrast < quick.fields.least_contrast:
         return None
     free = seen_through(lines, capture.object_center, capture.object_radius)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Literal, get_args
+
 from blender_nep.fields.environment import training as environment_training
 from blender_nep.fields.environment.field import EnvironmentField
 from blender_nep.fields.object.field import ObjectField
@@ -9,35 +11,32 @@ from blender_nep.fields.schedule import Schedule
 from blender_nep.optimizers import Adam, Optimizer
 from blender_nep.presets import Preset
 
+OptimizerName = Literal["sdf", "heads", "environment"]
+NAMES: tuple[OptimizerName, ...] = get_args(OptimizerName)
+
 
 class Optimizers:
     """The Adam optimizers of the SDF, the color heads and F_e. Each of the three has its own learning rate."""
 
     def __init__(self, object_field: ObjectField, environment: EnvironmentField, preset: Preset) -> None:
         self._object_field, self._environment, self._preset = object_field, environment, preset.fields
-        self.restart_sdf()
-        self.restart_heads()
-        self.environment = environment_training.optimizer(environment)
+        for name in NAMES:
+            self.restart(name)
 
     @property
     def all(self) -> tuple[Optimizer, ...]:
         """The optimizers of the SDF, of the color heads and of F_e."""
         return self.sdf, self.heads, self.environment
 
-    def restart_sdf(self) -> None:
-        """Make the SDF's optimizer anew, after the SDF got new parameters."""
+    def restart(self, name: OptimizerName) -> None:
+        """Make an optimizer anew, after the SDF, the color heads or F_e got new parameters."""
         p = self._preset
-        self.sdf = self._object_field.shape_optimizer(p.sdf_rate, p.sdf_betas)
-
-    def restart_heads(self) -> None:
-        """Make the optimizer of the color heads anew, after they got new parameters."""
-        p = self._preset
-        colors = self._object_field.color_parameters()
-        self.heads: Optimizer = Adam(colors, lr=p.head_rate, betas=p.head_betas)
-
-    def restart_environment(self) -> None:
-        """Make F_e's optimizer anew, after F_e got new parameters."""
-        self.environment = environment_training.optimizer(self._environment)
+        if name == "sdf":
+            self.sdf = self._object_field.shape_optimizer(p.sdf_rate, p.sdf_betas)
+        elif name == "heads":
+            self.heads: Optimizer = Adam(self._object_field.color_parameters(), lr=p.head_rate, betas=p.head_betas)
+        else:
+            self.environment = environment_training.optimizer(self._environment)
 
     def set_rates(self, schedule: Schedule) -> None:
         """Set the learning rates of all optimizers that are due now. The SDF gets gradients only if it is learned now."""
@@ -55,12 +54,11 @@ class Optimizers:
 
     def state(self) -> dict:
         """The states of all optimizers, for a checkpoint."""
-        return {name: getattr(self, name).state() for name in ("sdf", "heads", "environment")}
+        return {name: getattr(self, name).state() for name in NAMES}
 
     def load(self, state: dict) -> None:
         """Go on from `state`. The fields must be loaded before."""
-        self.restart_sdf()
-        self.restart_heads()
-        self.restart_environment()
+        for name in NAMES:
+            self.restart(name)
         for name, values in state.items():
             getattr(self, name).load(values)

@@ -2,25 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 
 import torch
 
 from blender_nep.fields.environment.field import EnvironmentField
 from blender_nep.fields.object.field import ObjectField
-from blender_nep.fields.refinements.relief import Relief
 from blender_nep.presets import Preset
 from blender_nep.support.plane import Support
-
-
-@dataclass(frozen=True)
-class HullReport:
-    """The visual hull from which the SDF started."""
-
-    volume: float
-    """Share of the object's sphere that the hull fills"""
-    contrast: float
-    """Mean silhouette value inside the hull divided by that outside"""
 
 
 @dataclass(frozen=True)
@@ -39,37 +28,16 @@ class FieldsReport:
     """Error of F_e alone divided by the error of the object, on the object's pixels (`explanation.explanation_ratio`)"""
     steps_not_finite: int
     """Number of steps that were left out because their loss or gradient was not finite"""
-    hull: HullReport | None
-    """None where the SDF started from a sphere"""
-    fine_paint: float | None
-    """How far photos from above and from below agree on fine colors (`fine_paint.fine_paint`). None where the SDF started
-    from a sphere"""
-    hidden_pixels: int = 0
-    """Number of pixels whose masks do not show the object because something stands before it (`hidden_object`)"""
-    relief: Relief | None = None
-    """The relief that was found last, finer than the SDF's grid (`relief.find_relief`)"""
+    refinements: dict[str, dict] = field(default_factory=dict)
+    """{name of a refinement: what it has done, or why it was skipped} (`refinements.driver`)"""
 
     def as_dict(self) -> dict:
-        """The report as plain values, rounded, for report.json. None and counts of 0 are left out."""
+        """The report as plain values, rounded, for report.json. A count of 0 steps that were left out is not in it."""
         found = asdict(self)
         found["held_out_error"] = [round(error, 4) for error in self.held_out_error]
         found["explanation_ratio"] = round(self.explanation_ratio, 3)
         if not self.steps_not_finite:
             del found["steps_not_finite"]
-        if not self.hidden_pixels:
-            del found["hidden_pixels"]
-        if self.relief is None:
-            del found["relief"]
-        else:
-            found["relief"] = {"share": round(self.relief.share, 3), "tilt_deg": round(self.relief.tilt_deg, 2)}
-        if self.hull is None:
-            del found["hull"]
-        else:
-            found["hull"] = {"volume": round(self.hull.volume, 4), "contrast": round(self.hull.contrast, 2)}
-        if self.fine_paint is None:
-            del found["fine_paint"]
-        else:
-            found["fine_paint"] = round(self.fine_paint, 3)
         return found
 
 
@@ -99,13 +67,13 @@ class Fields:
         environment = EnvironmentField(preset.environment).to(device)
         environment.load_state_dict(state["environment"])
         support = None if state["support"] is None else Support.from_state(state["support"])
-        field = None
+        objects = None
         if state["object"] is not None:
-            field = new_object_field(preset, device)
-            field.grow(state["object"]["structure"])
-            field.load_state_dict(state["object"]["weights"])
-            field.support = support
-        return cls(field, environment, state["report"], support)
+            objects = new_object_field(preset, device)
+            objects.grow(state["object"]["structure"])
+            objects.load_state_dict(state["object"]["weights"])
+            objects.support = support
+        return cls(objects, environment, state["report"], support)
 
 
 def new_object_field(preset: Preset, device: torch.device) -> ObjectField:

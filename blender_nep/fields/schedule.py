@@ -31,14 +31,6 @@ class Schedule:
     """Number of steps that could change the SDF, each counted `step_multiplier` times; 0 .. preset.steps."""
     from_hull: bool = False
     """Whether the SDF started from a visual hull. If not, it started from a sphere."""
-    object_pixels_updates: int = 0
-    """How often the object pixels were found."""
-    carvings: int = 0
-    """How often the object was carved again."""
-    relief_searches: int = 0
-    """How often relief was searched."""
-    cavities_opened: bool = False
-    """Whether the cavities of the object were opened."""
     validation_errors: list[float] = field(default_factory=list)
     """Photometric errors on held-out pixels so far, the oldest first."""
 
@@ -55,11 +47,6 @@ class Schedule:
     def learns_background(self) -> bool:
         """Whether the next step is a step of F_e alone."""
         return self.step < self.background_steps
-
-    @property
-    def hull_due(self) -> bool:
-        """Whether the SDF must be started from a visual hull now."""
-        return self.step == self.background_steps
 
     @property
     def first_step_of_shape(self) -> int:
@@ -125,12 +112,6 @@ class Schedule:
         return p.first_samples if self.fraction < p.first_samples_until else p.samples
 
     @property
-    def levels(self) -> int:
-        """Number of levels of the SDF grid."""
-        p = self.preset
-        return p.last_levels if self.fraction >= p.refine_at else p.first_levels
-
-    @property
     def environment_gradient_scale(self) -> float:
         """Scale of F_e's gradients from pixels that see the object's sphere."""
         p = self.preset
@@ -166,34 +147,10 @@ class Schedule:
         return p.head_rate * self._object_field_rate(self.background_steps, p.head_rate_decay_from)
 
     @property
-    def object_pixels_due(self) -> int:
-        """How often the object pixels should have been found by now."""
-        return sum(self.fraction >= at for at in self.preset.object_pixels_at)
-
-    @property
-    def carvings_due(self) -> int:
-        """How often the object should have been carved again by now. Without steps of F_e alone, it never is."""
-        return sum(self.fraction >= at for at in self.preset.carve_again_at) if self.background_steps else 0
-
-    @property
-    def cavities_due(self) -> bool:
-        """Whether the cavities must be opened now."""
-        return not self.cavities_opened and self.fraction >= self.preset.open_cavities_at
-
-    @property
-    def relief_searches_due(self) -> int:
-        """How often relief should have been searched by now."""
-        return sum(self.fraction >= at for at in self.preset.relief_at)
-
-    @property
     def validation_due(self) -> bool:
-        """Whether the validation error must be measured now.
-
-        It is measured from `validate_from` on, every `validate_every` of the fraction, if the object pixels were found.
-        """
+        """Whether the validation error must be measured now: from `validate_from` on, every `validate_every` of the
+        fraction."""
         p = self.preset
-        if not self.object_pixels_updates:
-            return False
         return self.fraction >= p.validate_from + p.validate_every * len(self.validation_errors)
 
     def start_from_hull(self) -> None:
@@ -213,18 +170,10 @@ class Schedule:
             "step": self.step,
             "learned": self.learned,
             "from_hull": self.from_hull,
-            "object_pixels_updates": self.object_pixels_updates,
-            "carvings": self.carvings,
-            "relief_searches": self.relief_searches,
-            "cavities_opened": self.cavities_opened,
             "validation_errors": list(self.validation_errors),
         }
 
     def load(self, state: dict) -> None:
         """Go on from `state`."""
         self.step, self.learned, self.from_hull = state["step"], state["learned"], state["from_hull"]
-        self.object_pixels_updates = state["object_pixels_updates"]
-        self.carvings = state["carvings"]
-        self.relief_searches = state["relief_searches"]
-        self.cavities_opened = state["cavities_opened"]
         self.validation_errors = list(state["validation_errors"])

@@ -204,6 +204,7 @@ class Job:
         return LivePreview(self._settings.out, prepared.rays, prepared.capture.from_unit, self._events)
 
     def _tell_of_fields(self, report: FieldsReportView) -> None:
+        self._scene.act(report.acted)
         self._scene.stopped_early(report.steps_saved, self._tracker.seconds[StageName.FIELDS_LEARNING])
         left_out = report.steps_not_finite
         if left_out:
@@ -214,6 +215,7 @@ class Job:
             self._events.warning(Message("job.cut_by_sphere", {"percent": 100 * report.cut_by_sphere}))
 
     def _tell_of_materials(self, report: MaterialsReportView, plan: Plan) -> None:
+        self._scene.act(report.acted)
         if report.light_seconds > 0.5:  # about 0 where the light came from a checkpoint
             whole, less = self._settings.preset.material, plan.preset.material
             self._scene.skip({}, seconds_of_cones(whole, less, report.light_seconds))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
 from blender_nep.job.reporting.events import Events
@@ -41,6 +41,13 @@ class SceneReport:
             self.skipped[Part.PIXELS_OUTSIDE] = Message("reason.sphere_fills_photos")
         if mesh_given:
             self.skipped[Part.SURFACE_EXTRACTION] = Message("reason.mesh_given")
+
+    def act(self, parts: Sequence[str]) -> None:
+        """Add the parts that have changed or decided something in this scene, although not every scene needs them."""
+        if parts:
+            line = Message("scene.acted", {"parts": list(parts)})
+            self.sentences.append(line)
+            self._tell([line])
 
     def skip(self, skipped: Mapping[str, Message], seconds: Mapping[str, float]) -> None:
         """Add what a stage has left out. A part that was left out before keeps its first reason."""

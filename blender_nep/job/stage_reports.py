@@ -18,14 +18,19 @@ class StageReportView:
     """{part that was left out: why}"""
     seconds_saved: dict[str, float]
     """{part that was left out: seconds saved}"""
+    acted: tuple[str, ...]
+    """Names of the refinements and of the evidence that have changed or decided something"""
 
     @classmethod
     def of(cls, report: dict[str, Any]) -> Self:
         """The typed report for the dict that a stage gives."""
+        entries = report.get("refinements", {}) | report.get("evidence", {})
+        skipped = report.get("skipped", {}) | {name: e["skipped"] for name, e in entries.items() if "skipped" in e}
         return cls(
             facts={k: v for k, v in report.items() if k not in ("skipped", "seconds_saved")},
-            skipped={part: Message.from_state(why) for part, why in report.get("skipped", {}).items()},
+            skipped={part: Message.from_state(why) for part, why in skipped.items()},
             seconds_saved=report.get("seconds_saved", {}),
+            acted=tuple(name for name, entry in entries.items() if "acted" in entry),
         )
 
 

@@ -131,6 +131,8 @@ class SurfaceResult:
     report: dict = field(default_factory=dict)
     lean: LeanMesh | None = None
     """The mesh of the asset, if it is to have fewer faces"""
+    support: Support | None = None
+    """The plane on which the object stands and at which the mesh is cut; None without one"""
 
     @property
     def of_asset(self) -> Surface:
@@ -143,14 +145,6 @@ class SurfaceResult:
         from blender_nep.asset.export import NORMAL_MAP
 
         return {} if self.lean is None else {NORMAL_MAP: self.lean.normal_map}
-
-    @property
-    def support(self) -> Support | None:
-        """The plane on which the object stands and at which the mesh is cut; None without one."""
-        from blender_nep.support.plane import Support
-
-        found = self.report.get("cut_support_plane")
-        return None if found is None else Support.from_state(found)
 
 
 class SurfaceStage:
@@ -175,7 +169,8 @@ class SurfaceStage:
         lean = None
         if result.lean is not None:
             lean = {"arrays": vars(result.lean.surface), "normal_map": result.lean.normal_map}
-        return {"arrays": vars(result.surface), "report": result.report, "lean": lean}
+        support = None if result.support is None else result.support.state()
+        return {"arrays": vars(result.surface), "report": result.report, "lean": lean, "support": support}
 
     def unpack(self, state: dict, given: SurfaceInput) -> SurfaceResult:
         return surface_result(state)
@@ -184,12 +179,14 @@ class SurfaceStage:
 def surface_result(state: dict) -> SurfaceResult:
     """The result of the surface stage from its packed form."""
     from blender_nep.geometry.mesh import Surface
+    from blender_nep.support.plane import Support
     from blender_nep.surface.normal_map import LeanMesh
 
-    lean = state["lean"]
+    lean, support = state["lean"], state["support"]
     if lean is not None:
         lean = LeanMesh(Surface(**lean["arrays"]), lean["normal_map"])
-    return SurfaceResult(Surface(**state["arrays"]), state["report"], lean)
+    plane = None if support is None else Support.from_state(support)
+    return SurfaceResult(Surface(**state["arrays"]), state["report"], lean, plane)
 
 
 @dataclass(frozen=True)

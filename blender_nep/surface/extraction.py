@@ -42,6 +42,8 @@ class Extracted(NamedTuple):
     report: dict
     lean: LeanMesh | None
     """The mesh of the asset, if it is to have fewer faces"""
+    support: Support | None
+    """The plane on which the object stands and at which the mesh is cut; None without one"""
 
 
 def extract_surface(object_field: ObjectField, preset: SurfacePreset) -> Extracted:
@@ -87,7 +89,7 @@ def extract_surface(object_field: ObjectField, preset: SurfacePreset) -> Extract
         lean, error = lean_mesh(few, surface, preset.normal_texels)
         report |= {"faces": len(few.faces), "faces_learned_on": len(surface.faces)}
         report["normals_without_map_deg"] = round(error, 2)
-    return Extracted(surface, report, lean)
+    return Extracted(surface, report, lean, support)
 
 
 @profiled("keep the object")

@@ -19,7 +19,7 @@ from blender_nep.capture.photos.photo_files import open_image
 from blender_nep.capture.rays.pixel_width import pixel_footprint, pixel_width
 from blender_nep.color import linear_to_srgb, srgb_to_linear
 from blender_nep.errors import CaptureError
-from blender_nep.fields.refinements.visual_hull import carve, mask_silhouettes, score_cells
+from blender_nep.fields.visual_hull import carve, mask_silhouettes, score_cells
 from blender_nep.job.folders.run_folder import fingerprint
 from blender_nep.messages import Message
 from blender_nep.presets import preset

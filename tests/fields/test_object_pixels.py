@@ -9,7 +9,7 @@ import torch
 from blender_nep.capture import PixelRays, load_capture
 from blender_nep.capture.rays.pixel_set import PixelSet
 from blender_nep.fields.object.field import ObjectField
-from blender_nep.fields.refinements.object_pixels import (
+from blender_nep.fields.object_pixels import (
     ObjectPixels,
     draw_pixels,
     find_object_pixels,
@@ -114,7 +114,7 @@ def test_learning_holds_out_pixels_of_all_columns(make_capture):
     learning = FieldsLearning(rays, preset("preview"), 0, torch.device("cpu"))
     every = learning.preset.held_out_every
     assert len((held_out_pixels(rays.sphere, every, 1 << 20) % 202).unique()) > 100
-    drawn = learning._draw(rays.sphere, 1 << 16)
+    drawn = learning.draw(rays.sphere, 1 << 16)
     assert (drawn % every).all() and not (drawn % 101).all()
 
 

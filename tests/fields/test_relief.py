@@ -9,7 +9,6 @@ import torch
 from torch.nn import functional
 
 from blender_nep.capture import PixelRays, load_capture
-from blender_nep.fields import training
 from blender_nep.fields.fields import Fields
 from blender_nep.fields.object.field import Appearance, ObjectField
 from blender_nep.fields.object.fine_level import FineLevel
@@ -143,8 +142,8 @@ def test_learning_searches_when_it_is_due_and_a_resumed_run_goes_on_the_same(ray
             field.fine.coefficients.add_(1e-3)
         return Relief(0.25, 7.123)
 
-    monkeypatch.setattr(training, "find_relief", search)
-    chosen = brief_preset(background_steps=0, steps=20, relief_at=(0.5, 0.8))
+    monkeypatch.setattr(relief, "find_relief", search)
+    chosen = brief_preset(background_steps=0, steps=20, relief_at=(0.5, 0.8), relief_pixels=10.0)
 
     def advance(learning, steps):
         for _ in range(steps):
@@ -161,7 +160,8 @@ def test_learning_searches_when_it_is_due_and_a_resumed_run_goes_on_the_same(ray
     for a, b in zip(whole.object_field.parameters(), resumed.object_field.parameters(), strict=True):
         assert torch.equal(a, b)
     report = resumed.report(2.0).as_dict()
-    assert report["relief"] == {"share": 0.25, "tilt_deg": 7.12}
+    found = report["refinements"]["relief"]
+    assert found["acted"] == [0.5, 0.8] and (found["share"], found["tilt_deg"]) == (0.25, 7.123)
     copy = Fields.from_state(Fields(resumed.object_field, resumed.environment, report).state(), chosen, CPU).object_field
     points = 0.6 * functional.normalize(torch.randn(50, 3), dim=-1)
     assert torch.equal(resumed.object_field.sdf(points), copy.sdf(points))

@@ -1,6 +1,5 @@
 """The schedule of stage 1, by hand-made states: it needs no fields and no photos."""
 
-import math
 from dataclasses import replace
 
 import pytest
@@ -37,7 +36,6 @@ def test_steps_of_f_e_alone_come_first_and_are_no_learning_of_both_fields():
     now, joint = Schedule.at_start(PRESET, 50, 100), []
     while now.fraction < 1:
         joint.append(not now.learns_background)
-        assert now.hull_due == (now.step == 10)
         assert now.total_steps == (210 if now.step > 10 else 210 + PRESET.colors_first_steps), "a hull is expected at first"
         now.advance()
     assert joint == [False] * 10 + [True] * 200
@@ -57,11 +55,10 @@ def test_the_sharpness_rises_geometrically_and_then_stays():
     assert replace(from_hull, learned=p.steps).sharpness == pytest.approx(p.last_sharpness)
 
 
-def test_samples_levels_and_gradient_scale_change_at_their_fractions():
+def test_samples_and_gradient_scale_change_at_their_fractions():
     p = PRESET
     cases = (
         ("samples", p.first_samples_until, p.first_samples, p.samples),
-        ("levels", p.refine_at, p.first_levels, p.last_levels),
         ("environment_gradient_scale", p.environment_gradient_scale_until, p.environment_gradient_scale, 1.0),
     )
     for name, at, before, after in cases:
@@ -94,7 +91,7 @@ def test_from_a_hull_the_colors_are_learned_first_and_then_the_sdf_warms_up():
     p = replace(PRESET, colors_first_steps=30, warm_up_steps=20)
     now, rates, heads, expected = Schedule.at_start(p, 50, 100), [], [], []
     while now.fraction < 1:
-        if now.hull_due:
+        if now.step == now.background_steps:
             now.start_from_hull()
         if not now.learns_background:
             rates.append(now.sdf_rate / replace(now, step=10**6).sdf_rate)
@@ -116,24 +113,15 @@ def test_a_sphere_does_not_wait_for_the_colors():
     assert now.learned == 1 and now.total_steps == 210
 
 
-def test_object_pixels_and_validation_errors_are_due_at_their_fractions():
-    now, updates, measured = schedule(0), [], []
+def test_validation_errors_are_due_at_their_fractions():
+    now, measured = schedule(0), []
     while now.fraction < 1:
-        if now.object_pixels_due > now.object_pixels_updates:
-            now.object_pixels_updates = now.object_pixels_due
-            updates.append(now.fraction)
         if now.validation_due:
             now.validation_errors.append(1 / (1 + len(measured)))  # falls: no plateau
             measured.append(now.fraction)
             assert not now.validation_due
         now.advance()
-    assert updates == list(PRESET.object_pixels_at)
     assert measured == pytest.approx([0.25 + 0.05 * k for k in range(15)], abs=1.01 / PRESET.steps)
-
-
-def test_without_object_pixels_nothing_is_validated():
-    now = schedule(0.9, replace(PRESET, object_pixels_at=()))
-    assert now.object_pixels_due == 0 and not now.validation_due and not now.plateaued
 
 
 @pytest.mark.parametrize(("after", "plateaued"), [(FELL, False), (STOPPED_FALLING, True)])
@@ -159,28 +147,10 @@ def test_with_a_multiplier_of_1_a_plateau_changes_nothing():
 
 
 def test_a_schedule_goes_on_from_its_state():
-    now = schedule(0.7, validation_errors=[*COARSE, *STOPPED_FALLING], object_pixels_updates=2)
+    now = schedule(0.7, validation_errors=[*COARSE, *STOPPED_FALLING])
     now.start_from_hull()
     other = Schedule.at_start(PRESET, 50, 100)
     other.load(now.state())
     assert other == now
     now.validation_errors.append(0.5)
     assert other != now, "nothing is shared"
-
-
-def test_the_cavities_are_opened_once():
-    assert [schedule(f).cavities_due for f in (PRESET.open_cavities_at - 0.01, PRESET.open_cavities_at)] == [False, True]
-    assert not schedule(1.0, replace(PRESET, open_cavities_at=math.inf)).cavities_due
-    resumed = schedule(0.0)
-    resumed.load(schedule(0.7, cavities_opened=True).state())
-    assert resumed.cavities_opened and not resumed.cavities_due
-
-
-def test_the_object_is_carved_again_at_its_fractions_if_f_e_was_learned_alone():
-    first, last = PRESET.carve_again_at
-    assert [schedule(f).carvings_due for f in (first - 0.01, first, last - 0.01, last, 1.0)] == [0, 1, 1, 2, 2]
-    assert schedule(1.0, background_steps=0).carvings_due == 0
-    assert schedule(1.0, replace(PRESET, carve_again_at=())).carvings_due == 0
-    resumed = schedule(0.0)
-    resumed.load(schedule(0.7, carvings=1).state())
-    assert resumed.carvings == 1

@@ -6,9 +6,9 @@ import torch
 
 from blender_nep.capture import PixelRays, load_capture
 from blender_nep.capture.rays.ray_bundle import RayBundle
-from blender_nep.fields import training
-from blender_nep.fields.refinements.visual_hull import background_silhouettes, carve, score_cells
+from blender_nep.fields.refinements import carve as carve_again
 from blender_nep.fields.training import FieldsLearning
+from blender_nep.fields.visual_hull import background_silhouettes, carve, score_cells
 from blender_nep.presets import PRESETS
 from blender_nep.support.plane import Support
 from blender_nep.support.texture import SupportColors, SupportTexture
@@ -95,10 +95,10 @@ def test_the_object_is_carved_again_with_the_colors_of_the_table(table, monkeypa
         asked.append(background)
         return [torch.zeros(size) for size in rays.size]
 
-    monkeypatch.setattr(training, "background_silhouettes", nothing)
+    monkeypatch.setattr(carve_again, "background_silhouettes", nothing)
     learning.object_field.support = PLANE
     learning.object_field.start_from(torch.from_numpy(BALL_SDF))
-    learning.carve_again()
+    assert not carve_again.Carving((0.5,)).apply(learning).acted, "nothing is explained"
     index = torch.arange(rays.count)
     bundle = rays.rays(index)
     points = bundle.origins + ((HEIGHT - bundle.origins[:, 2:]) / bundle.directions[:, 2:]) * bundle.directions

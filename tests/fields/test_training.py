@@ -15,10 +15,10 @@ from blender_nep.capture import PixelRays, load_capture
 from blender_nep.capture.rays.pixel_set import PixelSet
 from blender_nep.checkpoints import Checkpoint, NoCheckpoint
 from blender_nep.errors import LearningError, Stopped
-from blender_nep.fields import training
 from blender_nep.fields.explanation import require_object
-from blender_nep.fields.fields import Fields, FieldsReport, HullReport
+from blender_nep.fields.fields import Fields, FieldsReport
 from blender_nep.fields.object.field import ObjectField
+from blender_nep.fields.refinements import carve
 from blender_nep.fields.rendering import FieldsRenderer
 from blender_nep.fields.training import FieldsLearning, learn_fields
 from blender_nep.geometry.mesh import Surface
@@ -150,8 +150,12 @@ def test_a_loss_that_is_not_finite_is_given_up_with_a_message(rays):
             learning.learn_step()
 
 
-STAGE_1 = {name: changes for name, changes in ABLATIONS.items() if changes and set(changes) <= {"fields", "environment"}}
-"""Ablations of stage 1 alone, as the benchmarks run them."""
+STAGE_1 = {
+    name: changes
+    for name, changes in ABLATIONS.items()
+    if changes and set(changes) <= {"fields", "environment"} and not name.startswith("without ")
+}
+"""Ablations of stage 1 alone, as the benchmarks run them. Refinements that are switched off: test_refinements."""
 
 
 @pytest.fixture(scope="module")
@@ -218,9 +222,9 @@ def test_the_sdf_starts_from_a_hull_only_where_that_tells_the_object_from_its_su
     chosen = brief_preset(background_steps=0, coarsest_cells=16, least_contrast=least_contrast)
     learning = FieldsLearning(masked_rays, chosen, 0, CPU)
     points = 0.6 * torch.nn.functional.normalize(torch.randn(100, 3, generator=torch.Generator().manual_seed(0)), dim=-1)
-    learning.start_from_hull()
+    learning.prepare_joint_step()
     is_sphere = bool((learning.object_field.sdf(points).abs() < 0.02).all())
-    assert is_sphere != from_hull and (learning.hull is not None) == from_hull
+    assert is_sphere != from_hull and ("acted" in learning.refinements.report()["hull"]) == from_hull
     p = learning.preset
     assert learning.schedule.sharpness == (p.hull_sharpness if from_hull else p.first_sharpness)
 
@@ -229,7 +233,7 @@ def test_from_a_hull_the_colors_are_learned_before_the_shape(masked_rays):
     learning = FieldsLearning(masked_rays, brief_preset(background_steps=0, colors_first_steps=3), 0, CPU)
     field = learning.object_field
     learning.learn_step()
-    assert learning.hull is not None
+    assert learning.schedule.from_hull
     for step in range(1, 6):
         shape, colors = ([p.detach().clone() for p in part] for part in (field.levels, field.color_parameters()))
         surroundings = learning.environment.raw.detach().clone()
@@ -250,11 +254,11 @@ def test_carving_again_takes_what_the_background_explains(rays, monkeypatch):
             maps.append(0.2 * seen.float().reshape(height, width))
         return maps
 
-    monkeypatch.setattr(training, "background_silhouettes", shows_a_ball)
+    monkeypatch.setattr(carve, "background_silhouettes", shows_a_ball)
     learning = FieldsLearning(rays, brief_preset(), 0, CPU)
     way = torch.nn.functional.normalize(torch.randn(200, 3, generator=torch.Generator().manual_seed(0)), dim=-1)
     assert (learning.object_field.sdf(0.55 * way) < 0).all()
-    learning.carve_again()
+    assert carve.Carving((0.5,)).apply(learning).acted
     assert (learning.object_field.sdf(0.55 * way) > 0).float().mean() > 0.95
     assert (learning.object_field.sdf(0.25 * way) < 0).all()
 
@@ -268,17 +272,24 @@ def test_what_the_schedule_wants_done_is_done(rays):
     """Levels, object pixels, cavities and the validation error, each when it is due."""
     chosen = brief_preset(background_steps=1, steps=12, first_sharpness=100.0, open_cavities_at=0.5)
     learning = FieldsLearning(rays, chosen, 0, CPU)
-    p, whole = learning.preset, learning.object_pixels
+    p, whole = learning.preset, learning.learned_pixels
     assert learning.validation_error() == math.inf, "no pixels have been chosen yet"
     while learning.fraction < 1:
         before = learning.fraction
         learning.learn_step()
         joint = learning.schedule.learned > 0
         assert learning.object_field.level_count == (p.last_levels if joint and before >= p.refine_at else p.first_levels)
-        assert (learning.object_pixels is whole) != joint and bool(len(learning.validation_pixels)) == joint
+        assert (learning.object_pixels is None) != joint and bool(len(learning.validation_pixels)) == joint
         assert bool(learning.schedule.validation_errors) == (joint and before >= p.validate_from)
-    assert learning.schedule.object_pixels_updates == 4 and learning.schedule.carvings == 2
-    assert learning.schedule.cavities_opened
+    done = learning.refinements.state()
+    assert [done[name]["passed"] for name in ("hull", "levels", "carve", "cavities", "relief", "object_pixels")] == [
+        1,
+        1,
+        2,
+        1,
+        2,
+        4,
+    ]
     assert len(learning.object_pixels) < len(whole)
     held_out = learning.validation_pixels
     assert (held_out % p.held_out_every == 0).all()
@@ -309,12 +320,11 @@ def test_rays_for_clear_pixels_come_first_once_f_e_has_learned_what_is_in_front(
 
 
 def test_the_report_says_how_it_went_in_plain_values():
-    report = FieldsReport(20, 30, [0.123456, 0.1], 0.25, 1.23456, 0, None, None)
+    report = FieldsReport(20, 30, [0.123456, 0.1], 0.25, 1.23456, 0, {"hull": {"acted": [0.0]}})
     plain = {"steps": 20, "of_steps": 30, "held_out_error": [0.1235, 0.1], "loss": 0.25, "explanation_ratio": 1.235}
+    plain["refinements"] = {"hull": {"acted": [0.0]}}
     assert report.as_dict() == plain
-    hull = replace(report, hull=HullReport(0.123456, 12.3456), fine_paint=0.12345, steps_not_finite=2)
-    found = {"hull": {"volume": 0.1235, "contrast": 12.35}, "fine_paint": 0.123}
-    assert hull.as_dict() == plain | {"steps_not_finite": 2} | found
+    assert replace(report, steps_not_finite=2).as_dict() == plain | {"steps_not_finite": 2}
 
 
 def test_without_decomposition_the_color_is_one_radiance_of_the_view_direction():
@@ -329,7 +339,8 @@ def test_without_decomposition_the_color_is_one_radiance_of_the_view_direction()
 def test_kept_fields_have_the_fine_paint_that_was_learned(masked_rays, least):
     chosen = brief_preset(least_fine_paint=least, least_explanation_ratio=0.0)
     learned = learn_fields(masked_rays, chosen, seed=0, device=CPU, progress=no_progress, checkpoint=NoCheckpoint())
-    assert (learned.object_field.albedo_detail is not None) == (least < 1) and -1 <= learned.report["fine_paint"] <= 1
+    assert (learned.object_field.albedo_detail is not None) == (least < 1)
+    assert -1 <= learned.report["refinements"]["fine_paint"]["correlation"] <= 1
     copy = Fields.from_state(learned.state(), chosen, CPU).object_field
     points = torch.rand(50, 3) - 0.5
     colors = [field.appearance(points, points, points).color for field in (learned.object_field, copy)]

@@ -7,7 +7,7 @@ from torch.nn import functional
 
 from blender_nep.capture import PixelRays, load_capture
 from blender_nep.fields.object.field import ObjectField
-from blender_nep.fields.refinements.visual_hull import (
+from blender_nep.fields.visual_hull import (
     LEAST_EXCESS,
     background_silhouettes,
     carve,

@@ -19,7 +19,7 @@ def as_mesh(surface):
 
 
 def test_sphere_position_normals_orientation():
-    surface, report, _ = extract_surface(AnalyticField(ball([0.1, 0.0, -0.05], 0.6)), PRESET)
+    surface, report, *_ = extract_surface(AnalyticField(ball([0.1, 0.0, -0.05], 0.6)), PRESET)
     offset = surface.vertices - [0.1, 0.0, -0.05]
     assert np.abs(np.linalg.norm(offset, axis=1) - 0.6).max() < 0.01
     cosine = (offset / 0.6 * surface.normals).sum(1)
@@ -31,7 +31,7 @@ def test_sphere_position_normals_orientation():
 def test_floaters_and_inner_shells_are_dropped_and_counted():
     solid = union(ball([0, 0, 0], 0.5), ball([0.8, 0, 0], 0.1))
     hollow = AnalyticField(lambda p: torch.maximum(solid(p), -ball([0, 0, 0], 0.3)(p)))
-    surface, report, _ = extract_surface(hollow, PRESET)
+    surface, report, *_ = extract_surface(hollow, PRESET)
     assert report["components"] == 3
     assert report["dropped_inner_shells"] == 1 and report["dropped_floaters"] == 1
     assert np.linalg.norm(surface.vertices, axis=1).min() > 0.48
@@ -39,14 +39,14 @@ def test_floaters_and_inner_shells_are_dropped_and_counted():
 
 def test_a_cup_and_its_saucer_are_both_kept():
     two = union(ball([0.45, 0, 0], 0.4), ball([-0.5, 0, 0], 0.2))
-    surface, report, _ = extract_surface(AnalyticField(union(two, ball([0, 0.9, 0], 0.04))), PRESET)
+    surface, report, *_ = extract_surface(AnalyticField(union(two, ball([0, 0.9, 0], 0.04))), PRESET)
     assert report["components"] == 3 and report["parts"] == 2 and report["dropped_floaters"] == 1
     volume = 4 / 3 * np.pi * (0.4**3 + 0.2**3)
     assert as_mesh(surface).volume == pytest.approx(volume, rel=0.05)
 
 
 def test_object_cut_by_the_sphere_is_capped():
-    surface, report, _ = extract_surface(AnalyticField(ball([0.6, 0, 0], 0.7)), PRESET)
+    surface, report, *_ = extract_surface(AnalyticField(ball([0.6, 0, 0], 0.7)), PRESET)
     assert report["watertight"]
     assert np.linalg.norm(surface.vertices, axis=1).max() < 1.0
     # both spheres meet in a circle at x = 0.717, and a spherical cap has the area 2 pi * radius * height

@@ -39,7 +39,7 @@ def uv_areas(surface):
 
 def test_edges_of_a_ball_are_halved_until_their_chords_are_good_enough():
     tolerance = 1e-3
-    surface, report, _ = extract_surface(BALL, replace(COARSE, faces=100_000, chord_error=tolerance))
+    surface, report, *_ = extract_surface(BALL, replace(COARSE, faces=100_000, chord_error=tolerance))
     distance = np.linalg.norm(surface.vertices - CENTER, axis=1)
     assert np.abs(distance - RADIUS).max() < 1e-5
     a, b = (welded(surface).vertices[welded(surface).edges_unique[:, k]] for k in range(2))
@@ -105,7 +105,7 @@ def test_cuts_stay_where_they_are():
     """The cap at the sphere's border, and the foot on the support plane, are not zero levels of the SDF."""
     plane = Support(np.array([0.0, 0.0, 1.0]), -0.3)
     field = AnalyticField(ball([0.6, 0.0, 0.0], 0.7), plane)
-    surface, report, _ = extract_surface(field, replace(COARSE, faces=8000, chord_error=1e-4))
+    surface, report, *_ = extract_surface(field, replace(COARSE, faces=8000, chord_error=1e-4))
     assert report["faces"] > 4000 and welded(surface).is_watertight
     assert np.linalg.norm(surface.vertices, axis=1).max() < 1
     assert surface.vertices[:, 2].min() > -0.32
@@ -122,5 +122,5 @@ def test_a_field_that_is_not_finite_leaves_the_mesh_as_it_is():
         def sdf_and_gradient(self, points):
             return torch.full_like(points[:, 0], float("nan")), torch.full_like(points, float("nan"))
 
-    surface, report, _ = extract_surface(Broken(BALL.function), replace(COARSE, faces=20_000))
+    surface, report, *_ = extract_surface(Broken(BALL.function), replace(COARSE, faces=20_000))
     assert report["faces"] == report["faces_unwrapped"] and np.isfinite(surface.vertices).all()

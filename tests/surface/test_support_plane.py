@@ -51,7 +51,7 @@ class Analytic:
 
 
 def extracted(sdf, support=None):
-    surface, report, _ = extract_surface(Analytic(sdf, support), PRESET)
+    surface, report, *_ = extract_surface(Analytic(sdf, support), PRESET)
     assert report["watertight"]
     mesh = trimesh.Trimesh(surface.vertices, surface.faces, process=False)
     mesh.merge_vertices()  # the unwrapping cut it along its seams

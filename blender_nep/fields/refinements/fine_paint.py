@@ -17,6 +17,10 @@ from torch.nn import functional
 
 from blender_nep.capture.rays.pixel_rays import PixelRays
 from blender_nep.evidence.surface_photos import SurfacePhotos, agreement, normals_of_cells, traced_mesh
+from blender_nep.fields.refinements.hull import start_sdf
+from blender_nep.fields.refinements.refinement import Change
+from blender_nep.fields.stage import StageOne
+from blender_nep.messages import Message, Part
 from blender_nep.profiling import profiled
 
 AROUND = 25
@@ -26,6 +30,27 @@ FAINT = 0.06
 A dull metal is darker in all its creases, which the surface does not have yet."""
 MOST_PLACES, LEAST_PLACES = 20_000, 200
 """At most so many places are compared, and with fewer nothing is said."""
+
+
+class FinePaint:
+    """Gives the albedo a grid of fine paint if the photos show fine paint on the hull."""
+
+    name = Part.FINE_PAINT
+    at = (0.0,)
+
+    def __init__(self, least: float) -> None:
+        self._least = least
+
+    def skipped(self, stage: StageOne) -> Message | None:
+        return None if stage.hull is not None else Message("reason.no_hull")
+
+    def apply(self, stage: StageOne) -> Change:
+        assert stage.hull is not None
+        found = fine_paint(stage.rays, start_sdf(stage.hull, stage.object_field.support))
+        if found < self._least:
+            return Change(False, {"correlation": found})
+        stage.object_field.add_albedo_detail()
+        return Change(True, {"correlation": found}, ("heads",))
 
 
 @profiled("fine paint")

@@ -17,7 +17,10 @@ from scipy import ndimage
 from torch import Tensor
 
 from blender_nep.capture.rays.pixel_rays import PixelRays
-from blender_nep.fields.refinements.visual_hull import mask_silhouettes
+from blender_nep.fields.refinements.refinement import Change
+from blender_nep.fields.stage import StageOne
+from blender_nep.fields.visual_hull import mask_silhouettes
+from blender_nep.messages import Message, Part
 
 CORE = 0.06
 """Depth of the hull's core below its surface, in object radii. Outside the core, the mask may be right and not the hull."""
@@ -29,6 +32,26 @@ _ROWS = 64
 """Rows of the maps in which masks and hull are compared, about. So a cell of the hull is hardly larger than a block."""
 _PIXELS = 300
 """About so many pixels of a part of a photo are asked of F_e."""
+
+
+class HiddenPixels:
+    """Leaves out what masks say where something stands before the object."""
+
+    name = Part.HIDDEN_PIXELS
+    at = (0.0,)
+
+    def skipped(self, stage: StageOne) -> Message | None:
+        if stage.rays.mask is None:
+            return Message("reason.no_masks")
+        if not stage.schedule.background_steps:
+            return Message("reason.few_pixels_beside")
+        return None if stage.hull is not None else Message("reason.no_hull")
+
+    def apply(self, stage: StageOne) -> Change:
+        assert stage.hull is not None
+        stage.hidden_pixels = hidden_pixels(stage.rays, stage.hull.sdf, stage.unexplained_by_environment())
+        count = len(stage.hidden_pixels)
+        return Change(count > 0, {"pixels": count} if count else {})
 
 
 def hidden_pixels(rays: PixelRays, hull: np.ndarray, unexplained: Callable[[Tensor], Tensor]) -> Tensor:

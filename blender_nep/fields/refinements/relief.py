@@ -11,7 +11,7 @@ the surface stays as it is. At last the SDF's fine level is fitted to the tilted
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -23,6 +23,9 @@ from blender_nep.capture.rays.pixel_rays import PixelRays
 from blender_nep.capture.rays.pixel_width import pixel_footprint
 from blender_nep.fields.object.field import ObjectField, Paint, SplineShape
 from blender_nep.fields.object.fine_level import FineLevel
+from blender_nep.fields.refinements.refinement import Change
+from blender_nep.fields.stage import StageOne
+from blender_nep.messages import Message, Part
 from blender_nep.optimizers import Adam
 from blender_nep.profiling import profiled, section
 from blender_nep.tone_mapping import tone_map
@@ -71,6 +74,24 @@ class Relief:
     """Share of the places that got relief"""
     tilt_deg: float
     """Their mean tilt in degrees"""
+
+
+class ReliefSearch:
+    """Gives the SDF the relief that the photos show, if its grid is too coarse for it."""
+
+    name = Part.RELIEF
+
+    def __init__(self, at: tuple[float, ...], most_pixel: float) -> None:
+        """most_pixel: the largest width of the photos' pixels, as a share of the SDF's cells."""
+        self.at, self._most_pixel = at, most_pixel
+
+    def skipped(self, stage: StageOne) -> Message | None:
+        wide = pixel_footprint(stage.rays) > self._most_pixel * stage.object_field.cell
+        return Message("reason.wide_pixels") if wide else None
+
+    def apply(self, stage: StageOne) -> Change:
+        found = find_relief(stage.object_field, stage.rays, self._most_pixel)
+        return Change(False) if found is None else Change(True, asdict(found), ("sdf",))
 
 
 class _Places(NamedTuple):
