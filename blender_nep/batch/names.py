@@ -5,9 +5,12 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
-_LONGEST = 80
-_TAKEN = {"gallery", "log", "con", "prn", "aux", "nul", *(f"{port}{n}" for port in ("com", "lpt") for n in range(1, 10))}
-"""Names that mean something else: the gallery's own folder, and the devices of Windows"""
+from blender_nep.folder_names import is_folder_name
+
+_LONGEST, _LONGEST_BYTES = 80, 180
+"""Of the part that is taken from the capture's name, in letters and in UTF-8"""
+_TAKEN = {"gallery", "log"}
+"""Names that mean something else in the folder of a batch"""
 
 
 def object_name(capture: Path, taken: set[str]) -> str:
@@ -15,8 +18,9 @@ def object_name(capture: Path, taken: set[str]) -> str:
 
     `taken` has names in small letters, because to some file systems names that differ only in capitals are equal.
     """
-    base = re.sub(r"[^\w.-]+", "_", capture.name)[:_LONGEST].strip("._-") or "object"
-    if Path(base).stem.lower() in _TAKEN:
+    base = re.sub(r"[^\w.-]+", "_", capture.name)[:_LONGEST].encode()[:_LONGEST_BYTES].decode(errors="ignore")
+    base = base.strip("._-") or "object"
+    if Path(base).stem.lower() in _TAKEN or not is_folder_name(base):
         base = f"object_{base}"
     name, number = base, 1
     while name.lower() in taken:

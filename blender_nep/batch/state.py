@@ -15,6 +15,7 @@ from blender_nep.batch.names import object_name
 from blender_nep.batch.settings import BatchSettings
 from blender_nep.errors import UsageError
 from blender_nep.files import jsonable, write_text
+from blender_nep.folder_names import is_folder_name
 
 FILE = "batch.json"
 FORMAT = 1
@@ -124,10 +125,19 @@ class BatchState:
         write_text(folder / FILE, json.dumps(jsonable(content)))
 
 
+def is_batch(folder: Path) -> bool:
+    """Whether the folder holds a batch.json that has our keys, of whatever version."""
+    try:
+        content = json.loads((folder / FILE).read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return False
+    return isinstance(content, dict) and {"format", "preset", "objects"} <= content.keys()
+
+
 def read_state(folder: Path) -> BatchState | None:
     """The state in batch.json; None if there is no such file.
 
-    Raises UsageError where the file is damaged or of another version.
+    Raises UsageError where the file is damaged or of another version, or where it names folders elsewhere.
     """
     path = folder / FILE
     if not path.is_file():
@@ -142,9 +152,25 @@ def read_state(folder: Path) -> BatchState | None:
         identity = {"preset": content["preset"], **{key: arguments[key] for key in ("masks", "metal", "seed")}}
         identity["faces"] = arguments.get("faces")
         objects = [ObjectState.from_told(told) for told in content["objects"]]
+        _check_names(path, [one.name for one in objects])
         return BatchState(identity, arguments, content["started"], objects=objects)
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise UsageError(f"{path} is damaged", hint, "usage.batch_damaged", path=path) from error
+
+
+def _check_names(path: Path, names: list[str]) -> None:
+    """Raises UsageError where a name is none of a folder in the batch's folder, or where two objects share one."""
+    taken: set[str] = set()
+    for name in names:
+        if not is_folder_name(name) or name.lower() in taken:
+            raise UsageError(
+                f"{path} calls an object {name!r}: that is no name of a folder of its own",
+                "Somebody has changed the file. Choose another --out.",
+                "usage.object_name",
+                path=path,
+                object=name,
+            )
+        taken.add(name.lower())
 
 
 def captures_before(folder: Path) -> list[FoundCapture]:

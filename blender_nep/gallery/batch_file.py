@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from blender_nep.errors import UsageError
+from blender_nep.folder_names import is_folder_name
 
 BATCH = "batch.json"
 """The file in the folder of a batch."""
@@ -51,7 +52,7 @@ class BatchObject:
     def of(cls, told: Mapping[str, Any]) -> BatchObject:
         """The object from its entry in batch.json. Raises KeyError, TypeError or ValueError if the entry is damaged."""
         name = told["name"]
-        if not isinstance(name, str) or name in ("", ".", "..") or set("/\\\0") & set(name):
+        if not is_folder_name(name):
             raise ValueError(f"{name!r} is not the name of a folder")
         error = told.get("error")
         return cls(

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from .folder_names import is_folder_name
 from .job_files import is_locked
 
 FILE, LOCK, STOP_FILE = "batch.json", "batch.lock", "batch.stop"
@@ -99,8 +100,8 @@ def read_batch(folder: Path) -> BatchFile:
 
 
 def _object(folder: Path, told: dict[str, Any]) -> BatchObject:
-    name, state = str(told["name"]), told["state"]
-    if state not in STATES or Path(name).name != name:  # a name is a folder in the batch's folder, and nowhere else
+    name, state = told["name"], told["state"]
+    if state not in STATES or not is_folder_name(name):
         raise KeyError(name)
     asset, error = folder / name, told.get("error") or {}
     return BatchObject(
