@@ -1,12 +1,12 @@
 """The objects of a batch in the artist's scene, and the asset library that other scenes take them from."""
 
-import os
 from pathlib import Path
 
 import bpy
 from bpy.app.handlers import persistent
 
 from ..backend.engine.results.batch_file import BatchFile
+from ..backend.scene_io.blend_backup import put_in_place
 from ..backend.shelf.bring_in import BATCH, catalog_of_collection, not_in_scene, objects_of
 from ..backend.shelf.catalogs import add_catalogs, catalog_of
 from .folders import folder_key
@@ -103,7 +103,7 @@ def _write(path: Path, items: list[bpy.types.Object]) -> None:
         bpy.data.libraries.write(str(partial), {shown, *items}, fake_user=True, compress=True)
     finally:
         bpy.data.scenes.remove(shown)
-    os.replace(partial, path)
+    put_in_place(partial, path)
 
 
 def is_asset_library(folder: Path) -> bool:

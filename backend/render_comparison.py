@@ -21,7 +21,7 @@ if __package__ in (None, ""):
 
 import bpy
 
-from backend.arguments import script_arguments
+from backend.arguments import path_argument, script_arguments
 from backend.engine.exit_codes import BLENDER_FAILED, STOPPED
 from backend.rendering.comparison import compare, write_comparison
 from backend.scene_io.capture_files import read_frames_of, spread_frames, with_exposures
@@ -31,12 +31,12 @@ from backend.scene_io.world import blender_hdris, build_world
 
 def parse(arguments: list[str]) -> argparse.Namespace:
     parser = argparse.ArgumentParser(prog="render_comparison.py", description=__doc__.split("\n\n")[0])
-    parser.add_argument("--asset", type=Path, required=True, help="asset folder")
-    parser.add_argument("--capture", type=Path, required=True, help="the folder with the photos")
-    parser.add_argument("--out", type=Path, help="the PNG (comparison.png in the asset folder)")
+    parser.add_argument("--asset", type=path_argument, required=True, help="asset folder")
+    parser.add_argument("--capture", type=path_argument, required=True, help="the folder with the photos")
+    parser.add_argument("--out", type=path_argument, help="the PNG (comparison.png in the asset folder)")
     parser.add_argument("--photos", type=int, default=2, metavar="N", help="photos to compare with")
     parser.add_argument("--light", action="append", default=[], metavar="NAME", help="one of Blender's own HDRIs")
-    parser.add_argument("--light-file", type=Path, help="another equirectangular .hdr or .exr")
+    parser.add_argument("--light-file", type=path_argument, help="another equirectangular .hdr or .exr")
     parser.add_argument("--turntable", type=int, default=0, metavar="N", help="views around the object, in a strip")
     parser.add_argument("--samples", type=int, default=48, help="Cycles samples a pixel")
     parser.add_argument("--seed", type=int, default=0)
@@ -78,6 +78,9 @@ def main(arguments: list[str]) -> int:
     end_with_parent()
     try:
         frames = with_exposures(read_frames_of(options.capture, options.asset), options.asset)
+        path = options.out or options.asset / "comparison.png"
+        if any(path.resolve() == frame.path.resolve() for frame in frames):
+            raise ValueError(f"{path} is a photo of the capture: choose another --out")
         frames = spread_frames(frames, max(options.photos, 1))
         bpy.ops.wm.read_factory_settings(use_empty=True)
         item, recovered = import_result(options.asset, bpy.context.scene.collection)
@@ -92,7 +95,6 @@ def main(arguments: list[str]) -> int:
             turntable=options.turntable,
             progress=lambda done, total: say("progress", done=done, total=total),
         )
-        path = options.out or options.asset / "comparison.png"
         write_comparison(path, sheet)
     except (OSError, ValueError, RuntimeError) as error:
         say("error", message=str(error))

@@ -24,7 +24,7 @@ from pathlib import Path
 if __package__ in (None, ""):
     sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
-from backend.arguments import script_arguments
+from backend.arguments import path_argument, script_arguments
 from backend.engine.command import LEAST_FACES, EngineError
 from backend.engine.exit_codes import BLENDER_FAILED
 from backend.engine.timings import EXPECTED_SECONDS
@@ -36,17 +36,17 @@ from backend.headless.stop_requests import StopRequests, say
 def parse(arguments: list[str]) -> argparse.Namespace:
     parser = argparse.ArgumentParser(prog="run.py", description=__doc__.split("\n\n")[0])
     what = parser.add_mutually_exclusive_group(required=True)
-    what.add_argument("--capture", type=Path, help="folder with photos and their cameras")
+    what.add_argument("--capture", type=path_argument, help="folder with photos and their cameras")
     what.add_argument(
         "--captures",
-        type=Path,
+        type=path_argument,
         nargs="*",
         metavar="CAPTURES",
         help="Reconstruct Shelf: capture folders, folders that hold captures or photos, or text files with one folder a "
         "line; none: those of the last start",
     )
     parser.add_argument(
-        "--out", type=Path, required=True, help="asset folder to write; with --captures: folder of the shelf"
+        "--out", type=path_argument, required=True, help="asset folder to write; with --captures: folder of the shelf"
     )
     parser.add_argument("--preset", choices=tuple(EXPECTED_SECONDS))
     parser.add_argument("--relight", type=int, default=3, metavar="N", help="HDRIs to show the object under")

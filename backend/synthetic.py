@@ -23,6 +23,7 @@ Cycles adds in no fixed order. Blender 5 draws other Voronoi cells for the patte
 import argparse
 import json
 import math
+import os
 import sys
 import time
 from dataclasses import dataclass, replace
@@ -34,7 +35,7 @@ import numpy as np
 if __package__ in (None, ""):
     sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
-from backend.arguments import script_arguments
+from backend.arguments import path_argument, script_arguments
 from backend.scene_io.image_files import write_png, write_whole
 from backend.synthetic_capture import scenes
 from backend.synthetic_capture.exr_channels import write_channels
@@ -45,6 +46,12 @@ from backend.synthetic_capture.random_scene import Photography, draw_scene
 from backend.synthetic_capture.snapshots import BRIGHTNESS, Phone
 from backend.synthetic_capture.viewpoints import FIELD_OF_VIEW, Surroundings, Viewpoint, choose_viewpoints
 
+MARK = "gt_mesh.ply"
+"""The first file of a capture that is written. It shows that the folder is ours."""
+WITH_CAMERAS = "with_cameras"
+"""The folder of the capture, beside that of a phone's photos"""
+PARTS = ("images", "masks", "test", "test_masks", "gt")
+"""The folders of a capture"""
 METER_SIZE, METER_SAMPLES, METER_VIEWS = 48, 8, 8
 """Pixels, samples and photos of the small renders that the exposure of a random scene is found on."""
 LARGEST_SEED = 2**31 - 1
@@ -57,7 +64,7 @@ def parse(arguments: list[str]) -> argparse.Namespace:
     what.add_argument("--scene", default="suzanne", help="suzanne, box, or a mesh file (obj, ply, stl, glb, gltf)")
     what.add_argument("--random", type=_seed, metavar="SEED", help="draw the whole scene from this seed, 0 or more")
     parser.add_argument("--meshes", nargs="+", default=[], metavar="FILE", help="further objects that --random may draw")
-    parser.add_argument("--out", type=Path, required=True, help="the capture folder to write")
+    parser.add_argument("--out", type=path_argument, required=True, help="the capture folder to write")
     parser.add_argument("--views", type=int, help="photos to learn from; default: 62, or what --random draws")
     parser.add_argument("--test-views", type=int, default=8, help="further photos with ground truth")
     parser.add_argument("--size", type=int, default=400, help="width and height of a photo in pixels")
@@ -96,6 +103,11 @@ def _seed(text: str) -> int:
 
 def main(arguments: list[str]) -> int:
     options = parse(arguments)
+    try:
+        refuse_foreign_files(options.out / WITH_CAMERAS if options.snapshots else options.out, options.snapshots)
+    except (ValueError, OSError) as error:
+        print(f"synthetic.py: {error}", file=sys.stderr)
+        return 2
     bpy.ops.wm.read_factory_settings(use_empty=True)
     if options.threads:
         bpy.context.scene.render.threads_mode, bpy.context.scene.render.threads = "FIXED", options.threads
@@ -105,7 +117,7 @@ def main(arguments: list[str]) -> int:
             photographing = Photographing()
             if options.snapshots:
                 photographing = Photographing(phone=Phone(options.size, FIELD_OF_VIEW))
-                options.out /= "with_cameras"
+                options.out /= WITH_CAMERAS
                 (options.out.parent / "photos").mkdir(parents=True, exist_ok=True)
             write_capture(options, target, train, test, photographing)
         else:
@@ -114,6 +126,25 @@ def main(arguments: list[str]) -> int:
         print(f"synthetic.py: {error}", file=sys.stderr)
         return 2
     return 0
+
+
+def refuse_foreign_files(out: Path, snapshots: bool) -> None:
+    """Raises ValueError where files would be replaced or removed that no capture of ours has put there.
+
+    out: the folder of the capture. snapshots: whether a phone's photos lie beside it.
+    """
+    if (out / MARK).is_file():
+        return
+    folders = [out / name for name in PARTS if (out / name).is_dir()]
+    there = [f"{folder.name}/{path.name}" for folder in folders for path in sorted(folder.iterdir())[:1]]
+    there += [name for name in ("transforms.json", "transforms_test.json", "scene.json") if os.path.lexists(out / name)]
+    there += [f"../photos/{path.name}" for path in _phone_photos(out)[:1]] if snapshots else []
+    if there:
+        raise ValueError(f"{out} holds {', '.join(there)}, which are of no synthetic capture: choose another --out")
+
+
+def _phone_photos(out: Path) -> list[Path]:
+    return sorted((out.parent / "photos").glob("IMG_*.jpg"))
 
 
 def fixed_scene(options: argparse.Namespace) -> tuple[bpy.types.Object, list[Viewpoint], list[Viewpoint]]:
@@ -192,12 +223,12 @@ def write_capture(
     A phone's photos of an earlier run are removed, because `photos` may hold no others than those of this capture.
     """
     out = options.out
-    for name in ("images", "masks", "test", "test_masks", "gt"):
+    for name in PARTS:
         (out / name).mkdir(parents=True, exist_ok=True)
+    write_ply(out / MARK, *scenes.triangles(target))
     (out / "transforms.json").unlink(missing_ok=True)
-    write_ply(out / "gt_mesh.ply", *scenes.triangles(target))
     phone = photographing.phone
-    for old in sorted((out.parent / "photos").glob("IMG_*.jpg")) if phone else ():
+    for old in _phone_photos(out) if phone else ():
         old.unlink()
     gain = photographing.meter(options, train)
     size = phone.rendered_size if phone else options.size

@@ -17,7 +17,7 @@ EXIT_CODES = """\
 exit codes:
   0  done
   1  unexpected: a bug, or out of memory (the traceback is in log.txt, if the command writes one)
-  2  wrong arguments, an asset that is already there, or a resume with other settings
+  2  wrong arguments, an asset or files of others that are already there, or a resume with other settings
   3  the capture cannot be read or is not usable (a missing image, an empty folder, too few photos, NaN, sizes)
   4  the object's sphere cannot be right (a camera inside it, nothing in it, no photo sees it)
   5  the asset cannot be written (disk full, permissions, not a folder)
@@ -61,7 +61,7 @@ def _add_info(commands: argparse._SubParsersAction) -> None:
     _add_sphere(info)
     info.add_argument(
         "--picture",
-        type=Path,
+        type=_path,
         metavar="FILE.png",
         help="draw from which directions photos were taken, and where they are missing",
     )
@@ -69,8 +69,8 @@ def _add_info(commands: argparse._SubParsersAction) -> None:
 
 def _add_cameras(commands: argparse._SubParsersAction) -> None:
     find = _command_with_exit_codes(commands, "cameras", "find the cameras of photos, so that they become a capture")
-    find.add_argument("photos", type=Path, metavar="PHOTOS", help="folder with photos")
-    find.add_argument("--out", type=Path, metavar="CAPTURE", help="folder of the capture (the folder of the photos)")
+    find.add_argument("photos", type=_path, metavar="PHOTOS", help="folder with photos")
+    find.add_argument("--out", type=_path, metavar="CAPTURE", help="folder of the capture (the folder of the photos)")
     find.add_argument(
         "--features",
         choices=("everywhere", "object", "surroundings"),
@@ -88,12 +88,12 @@ def _add_cameras(commands: argparse._SubParsersAction) -> None:
 def _add_reconstruct(commands: argparse._SubParsersAction) -> None:
     run = _command_with_exit_codes(commands, "reconstruct", "make an asset of a capture")
     _add_capture(run)
-    run.add_argument("--out", type=Path, required=True, metavar="ASSET", help="folder of the asset")
+    run.add_argument("--out", type=_path, required=True, metavar="ASSET", help="folder of the asset")
     _add_preset(run)
     run.add_argument("--device", choices=("auto", "cpu", "cuda"), default="auto", help="(%(default)s)")
     run.add_argument("--seed", type=_seed, default=0, metavar="N", help="the same seed gives the same asset (%(default)s)")
     run.add_argument("--masks", choices=("use", "ignore"), default="use", help="masks help, none are needed (%(default)s)")
-    run.add_argument("--mesh", type=Path, metavar="FILE", help="learn materials on this mesh (capture coordinates)")
+    run.add_argument("--mesh", type=_path, metavar="FILE", help="learn materials on this mesh (capture coordinates)")
     _add_sphere(run)
     run.add_argument(
         "--metal",
@@ -125,13 +125,13 @@ def _add_batch(commands: argparse._SubParsersAction) -> None:
     batch = _command_with_exit_codes(commands, "batch", "make assets of many captures")
     batch.add_argument(
         "captures",
-        type=Path,
+        type=_path,
         nargs="*",
         metavar="CAPTURES",
         help="capture folders, folders that hold captures or photos, or text files with one folder a line; none: those of "
         "the last start",
     )
-    batch.add_argument("--out", type=Path, required=True, metavar="FOLDER", help="folder of the assets and of batch.json")
+    batch.add_argument("--out", type=_path, required=True, metavar="FOLDER", help="folder of the assets and of batch.json")
     _add_preset(batch)
     batch.add_argument("--masks", choices=("use", "ignore"), default="use", help="(%(default)s)")
     batch.add_argument("--metal", choices=("auto", "yes", "no"), default="auto", help="(%(default)s)")
@@ -150,7 +150,7 @@ def _add_batch(commands: argparse._SubParsersAction) -> None:
 
 def _add_materials(commands: argparse._SubParsersAction) -> None:
     change = _command_with_exit_codes(commands, "materials", "list the materials of an asset, or correct them")
-    change.add_argument("asset", type=Path, metavar="ASSET", help="folder of the asset")
+    change.add_argument("asset", type=_path, metavar="ASSET", help="folder of the asset")
     what = change.add_mutually_exclusive_group()
     what.add_argument(
         "--set",
@@ -164,7 +164,7 @@ def _add_materials(commands: argparse._SubParsersAction) -> None:
 
 def _add_gallery(commands: argparse._SubParsersAction) -> None:
     pages = _command_with_exit_codes(commands, "gallery", "write the pages of a batch anew: FOLDER/index.html")
-    pages.add_argument("folder", type=Path, metavar="FOLDER", help="folder of a batch")
+    pages.add_argument("folder", type=_path, metavar="FOLDER", help="folder of a batch")
 
 
 def _command_with_exit_codes(commands: argparse._SubParsersAction, name: str, text: str) -> argparse.ArgumentParser:
@@ -190,7 +190,7 @@ def _add_watch_stdin(command: argparse.ArgumentParser) -> None:
 def _add_capture(command: argparse.ArgumentParser) -> None:
     command.add_argument(
         "capture",
-        type=Path,
+        type=_path,
         metavar="CAPTURE",
         help="folder with photos and their cameras: transforms.json, COLMAP, Metashape, Bundler and others",
     )
@@ -216,6 +216,12 @@ def _add_faces(command: argparse.ArgumentParser) -> None:
         metavar="N",
         help="largest number of faces of the mesh; a normal map carries the shape that so few faces lack (the preset's)",
     )
+
+
+def _path(text: str) -> Path:
+    if not text:  # Path would take it for the current folder
+        raise argparse.ArgumentTypeError("must not be empty; a point is the current folder")
+    return Path(text)
 
 
 def _correction(text: str) -> tuple[int, str, float]:

@@ -241,7 +241,7 @@ def install(options: argparse.Namespace, programs: ProgramRunner) -> None:
     partial.write_text(json.dumps(about, indent=1), encoding="utf-8")
     (environment / UNFINISHED).unlink()
     os.replace(partial, environment / DONE)
-    shutil.rmtree(_aside(environment), ignore_errors=True)
+    _remove(_aside(environment))
     tell("done", python=str(python), **{k: v for k, v in about.items() if k != "python"})
 
 
@@ -266,13 +266,30 @@ def bring_back(environment: Path) -> None:
     aside, left = _aside(environment), environment.with_name(f"{environment.name}.{UNFINISHED}")
     if not (environment / DONE).is_file():
         if (environment / UNFINISHED).exists():
-            if left.is_dir():
-                shutil.rmtree(left)
+            _remove(left)
             os.replace(environment, left)
-        if aside.is_dir():
+        if (aside / DONE).is_file():
             os.replace(aside, environment)
     for folder in (aside, left):
-        shutil.rmtree(folder, ignore_errors=True)
+        _remove(folder)
+
+
+def _remove(environment: Path) -> None:
+    """Remove an environment of ours, or what is left of it. A folder without our mark stays.
+
+    The mark goes last. So what could not be removed, or is left when this program is killed, is removed another time.
+    """
+    marks = [mark for name in (DONE, UNFINISHED) if (mark := environment / name).is_file()]
+    if not marks or environment.is_symlink():
+        return
+    with contextlib.suppress(OSError):
+        for path in environment.iterdir():
+            if path.is_dir() and not path.is_symlink():
+                shutil.rmtree(path, ignore_errors=True)
+            elif path not in marks:
+                path.unlink()
+        if set(environment.iterdir()) == set(marks):
+            shutil.rmtree(environment)
 
 
 def main() -> int:

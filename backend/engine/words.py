@@ -266,8 +266,20 @@ ERRORS = {
         "Finish it with that version, or Start Again.",
     ),
     "usage.unknown_run": (
-        "The checkpoints in {folder} may be of another job and cannot be resumed",
-        "Start Again, or choose another output folder.",
+        "Nothing shows that {folder} was made by the engine",
+        "Choose another output folder, or move that folder away.",
+    ),
+    "usage.not_ours": (
+        "{folder} holds {files}, and nothing shows that the engine has written that",
+        "Choose another output folder, or move these files away.",
+    ),
+    "usage.output_is_capture": (
+        "{folder} cannot be the output folder, because the job reads {path}",
+        "Choose a folder of its own.",
+    ),
+    "usage.object_name": (
+        "{path} calls an object {object}, which is no name of a folder of its own",
+        "Somebody has changed the file. Choose another output folder.",
     ),
     "usage.other_run": (
         "The job in {folder} was begun with other settings and cannot be resumed: {different}",

@@ -1,14 +1,18 @@
 """Writes .blend files."""
 
-import os
 from pathlib import Path
 
 import bpy
 
+from ..scene_io.blend_backup import put_in_place
+
 
 def save_packed(path: Path) -> None:
-    """Save the .blend with every image inside. The file is written under a temporary name and then renamed."""
+    """Save the .blend with every image inside. The file is written under a temporary name and then renamed.
+
+    A file that was there stays beside it (`put_in_place`).
+    """
     bpy.ops.file.pack_all()
     partial = path.with_name("partial_" + path.name)
     bpy.ops.wm.save_as_mainfile(filepath=str(partial.resolve()), copy=True, compress=True)
-    os.replace(partial, path)
+    put_in_place(partial, path)

@@ -5,6 +5,7 @@ An asset is complete when `report.json` is there. That file is removed first and
 
 from __future__ import annotations
 
+import contextlib
 import json
 import math
 import os
@@ -29,7 +30,15 @@ NORMAL_MAP = "normal"
 """The texture that only some assets have: a tangent-space normal map (`surface.normal_map`)."""
 SRGB_TEXTURES = ("albedo",)
 """Textures that are colors. Their 8-bit files are sRGB-encoded: `is_color` in backend/scene_io/asset_import.py."""
-
+REPORT, TEXTURES_FOLDER = "report.json", "textures"
+FILES = (
+    *("mesh.obj", "mesh.mtl", "asset.glb", "environment.exr", "preview.png", CAMERAS),
+    *(f"{TEXTURES_FOLDER}/{name}{ending}" for name in (*TEXTURES, NORMAL_MAP) for ending in (".exr", ".png")),
+    REPORT,
+)
+"""Every file of an asset, in the order in which they are moved into its folder. No other file is replaced or removed."""
+PARTIAL = ".partial"
+"""The folder in which the files of an asset are made."""
 
 _HALF_MAX = 65504.0
 _HALF_LOSS = 1e-3
@@ -86,14 +95,14 @@ def write_asset(
     report.json; it is called last, when everything else is on the disk.
     """
     with output_errors(folder):
-        partial = folder / ".partial"
-        shutil.rmtree(partial, ignore_errors=True)
-        (partial / "textures").mkdir(parents=True)
+        partial = folder / PARTIAL
+        _remove(partial)
+        (partial / TEXTURES_FOLDER).mkdir(parents=True, exist_ok=True)
         try:
             write_obj(partial / "mesh.obj", mesh)
             for name, texture in mesh.textures.items():
-                write_exr(partial / "textures" / f"{name}.exr", texture)
-                write_png(partial / "textures" / f"{name}.png", texture, srgb=name in SRGB_TEXTURES)
+                write_exr(partial / TEXTURES_FOLDER / f"{name}.exr", texture)
+                write_png(partial / TEXTURES_FOLDER / f"{name}.png", texture, srgb=name in SRGB_TEXTURES)
             write_glb(partial / "asset.glb", mesh)
             if light is not None:
                 write_exr(partial / "environment.exr", light)
@@ -101,10 +110,20 @@ def write_asset(
                 (partial / CAMERAS).write_text(json.dumps(cameras, indent=1), encoding="utf-8")
             if picture is not None:
                 Image.fromarray(picture).save(partial / "preview.png")
-            (partial / "report.json").write_text(json.dumps(jsonable(report()), indent=1), encoding="utf-8")
+            (partial / REPORT).write_text(json.dumps(jsonable(report()), indent=1), encoding="utf-8")
             _move(partial, folder)
         finally:
-            shutil.rmtree(partial, ignore_errors=True)
+            with contextlib.suppress(OSError):
+                _remove(partial)
+
+
+def _remove(partial: Path) -> None:
+    """Remove what was made in the folder `partial`, and the folder, unless somebody else has put files there."""
+    for name in FILES:
+        (partial / name).unlink(missing_ok=True)
+    for folder in (partial / TEXTURES_FOLDER, partial):
+        with contextlib.suppress(OSError):  # not empty, or not there
+            folder.rmdir()
 
 
 def _move(partial: Path, folder: Path) -> None:
@@ -112,15 +131,15 @@ def _move(partial: Path, folder: Path) -> None:
 
     The normal map of an earlier asset is removed, too: it does not fit this mesh.
     """
-    (folder / "report.json").unlink(missing_ok=True)
-    (folder / "textures").mkdir(exist_ok=True)
+    (folder / REPORT).unlink(missing_ok=True)
+    (folder / TEXTURES_FOLDER).mkdir(exist_ok=True)
     for suffix in (".exr", ".png"):
-        (folder / "textures" / f"{NORMAL_MAP}{suffix}").unlink(missing_ok=True)
-    files = sorted((p for p in partial.rglob("*") if p.is_file()), key=lambda p: (p.name == "report.json", p))
-    for file in files:
-        with open(file, "rb+") as opened:
-            os.fsync(opened.fileno())
-        os.replace(file, folder / file.relative_to(partial))
+        (folder / TEXTURES_FOLDER / f"{NORMAL_MAP}{suffix}").unlink(missing_ok=True)
+    for name in FILES:
+        if (partial / name).is_file():
+            with open(partial / name, "rb+") as opened:
+                os.fsync(opened.fileno())
+            os.replace(partial / name, folder / name)
 
 
 def write_exr(path: Path, pixels: np.ndarray) -> None:

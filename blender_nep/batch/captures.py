@@ -11,6 +11,7 @@ from blender_nep.cameras.photo_folder import find_photos
 from blender_nep.capture.formats.photo_search import photos_in
 from blender_nep.capture.loading import MINIMUM_VIEWS, describe, recognized
 from blender_nep.errors import UsageError
+from blender_nep.job.own_files import is_ours
 
 _PARTS = {"images", "image", "masks", "mask", "test", "test_masks", "gt", "sparse"}
 """Folders that belong to a capture, and are none themselves"""
@@ -98,7 +99,7 @@ def _in_folder(folder: Path, out: Path) -> Iterator[FoundCapture]:
                 continue
             if recognized(inner):
                 yield FoundCapture(inner.resolve(), False)
-            elif _photo_count(inner):
+            elif _photo_count(inner) and not is_ours(inner):  # an asset's pictures are no photos
                 yield FoundCapture(inner.resolve(), True)
 
 

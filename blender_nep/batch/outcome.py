@@ -12,7 +12,7 @@ from blender_nep.errors import NepError
 NOT_STARTED = "unexpected.job_not_started"
 """Name of the error if the system could not start the process of a job"""
 _NO_MEMORY = "unexpected.no_memory"
-_OTHER_RUN = ("usage.other_run", "usage.other_version", "usage.unknown_run")
+_OTHER_RUN = ("usage.other_run", "usage.other_version")
 
 
 def is_crash(code: int | None, error: dict | None) -> bool:
@@ -31,9 +31,9 @@ def lacked_memory(code: int | None, error: dict | None) -> bool:
 
 
 def refused_checkpoints(error: dict | None) -> bool:
-    """Whether the job was refused because the checkpoints in its folder are of another run, or of an unknown one.
+    """Whether the job was refused because the checkpoints in its folder are of another run of ours.
 
-    They are of another run when the capture was corrected after an earlier attempt.
+    They are so when the capture was corrected after an earlier attempt.
     """
     return error is not None and error["name"] in _OTHER_RUN
 

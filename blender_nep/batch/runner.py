@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import os
-import shutil
 import traceback
 from collections.abc import Iterable
 from pathlib import Path
@@ -22,6 +21,7 @@ from blender_nep.batch.state import (
     BatchState,
     ObjectState,
     captures_before,
+    is_batch,
     read_state,
     refuse_other_batch,
 )
@@ -31,11 +31,14 @@ from blender_nep.batch.workers.local_jobs import LocalJobs
 from blender_nep.batch.workers.machine import free_memory_mb, jobs_in, wait_for_end
 from blender_nep.batch.workers.needs import Needs
 from blender_nep.batch.workers.scheduler import Plan, Scheduler
+from blender_nep.cameras.written_capture import is_written_by_us
 from blender_nep.errors import NepError, ObjectsFailed, OutputError, Stopped, UsageError
 from blender_nep.files import output_errors
+from blender_nep.gallery.gallery import INDEX, SHARED, VENDOR
 from blender_nep.job.device import choose_device, usable_cores
 from blender_nep.job.exit_code import exit_code, unexpected
-from blender_nep.job.folders.job_folder import is_held, lock_file
+from blender_nep.job.folders.job_folder import is_held, is_lock, lock_file
+from blender_nep.job.own_files import discard_run, is_ours, refuse_captures_folder, refuse_files, refuse_foreign_files
 from blender_nep.job.reporting.events import Events
 from blender_nep.messages import Message
 from blender_nep.presets import preset
@@ -63,15 +66,36 @@ def _on_card(settings: BatchSettings) -> bool:
 
 
 def _remove_old_cameras(cameras: Path, photos: Path, files: Iterable[Path]) -> None:
-    """Remove the folder `cameras` if it is older than the folder `photos` or one of its `files`, so that it is made anew.
+    """Remove the cameras if they are older than the folder `photos` or one of its `files`, so that they are found anew.
 
-    The time of a folder changes when a photo is added or removed.
+    The time of a folder changes when a photo is added or removed. Raises UsageError where the cameras are not ours.
     """
     found = cameras / "transforms.json"
     if found.is_file():
         newest = max(path.stat().st_mtime for path in {photos, *files, *(file.parent for file in files)})
         if newest > found.stat().st_mtime:
-            shutil.rmtree(cameras, ignore_errors=True)
+            _remove_cameras(cameras)
+
+
+def _remove_cameras(cameras: Path) -> None:
+    """Remove the cameras that an earlier job has found. Raises UsageError where they are not ours, and OutputError."""
+    found = cameras / "transforms.json"
+    if os.path.lexists(found):
+        if not is_written_by_us(found):
+            refuse_files(cameras, [found.name])
+        with output_errors(found):
+            found.unlink()
+
+
+def _refuse_foreign_batch(out: Path) -> None:
+    """Raises UsageError where the folder holds files that a batch would replace, and no batch of ours was there.
+
+    A batch has left its batch.json, or at least its lock, which is an empty file.
+    """
+    if is_batch(out) or is_lock(out / _LOCK):
+        return
+    names = (FILE, "log.txt", _LOCK, _STOP, INDEX, *(f"{SHARED}/{source.name}" for source in VENDOR.iterdir()))
+    refuse_files(out, (name for name in names if os.path.lexists(out / name)))
 
 
 class Batch:
@@ -91,6 +115,10 @@ class Batch:
             raise OutputError(f"{s.out} is a file, not a folder", "Choose another --out.", "output.is_a_file", path=s.out)
         if not captures and not (s.out / FILE).is_file():
             raise _no_batch(s.out)
+        for capture in captures:  # in a folder of captures, an object would have the name of its capture
+            for folder in (capture.path, capture.path.parent):
+                refuse_captures_folder(s.out, folder)
+        _refuse_foreign_batch(s.out)
         with output_errors(s.out):
             s.out.mkdir(parents=True, exist_ok=True)
             lock = lock_file(s.out / _LOCK, s.out, holder="another batch")
@@ -172,11 +200,11 @@ class Batch:
         """Let everything that is not done wait, and learn from what is done."""
         for one in work:
             out = self._settings.out / one.name
-            if self._settings.overwrite and not is_held(out):  # a run that somebody else has started keeps its files
-                with output_errors(out):
-                    (out / "report.json").unlink(missing_ok=True)  # from here on the folder is no valid asset
-                    for made in ("checkpoints", CAPTURE):
-                        shutil.rmtree(out / made, ignore_errors=True)
+            try:
+                self._make_ready(one, out)
+            except NepError as error:
+                one.state, one.error = FAILED, error.told()
+                continue
             report = read_report(out) if one.state == DONE else None
             if report is not None:
                 if (report.get("device") != "cpu") == self._needs.on_card:
@@ -185,6 +213,19 @@ class Batch:
                 if one.state == FAILED:
                     one.size = None  # its capture may have been corrected
                 one.state, one.error, one.stage, one.eta_s, one.worker = WAITING, None, None, None, None
+
+    def _make_ready(self, one: ObjectState, out: Path) -> None:
+        """Check that the object's folder may be written, and with --overwrite remove what earlier jobs have left there.
+
+        Raises UsageError where the folder, or something in it that would be replaced, is not ours, and OutputError.
+        """
+        refuse_captures_folder(out, Path(one.capture))
+        refuse_foreign_files(out)
+        if self._settings.overwrite and not is_held(out):  # a run that somebody else has started keeps its files
+            if one.photos_alone:
+                _remove_cameras(out / CAPTURE)
+            if is_ours(out):
+                discard_run(out)
 
     def _look(self, work: list[ObjectState], progress: BatchProgress) -> None:
         """Find out how large the captures are. An object whose capture cannot be read has failed already."""

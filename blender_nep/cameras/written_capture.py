@@ -17,6 +17,18 @@ from blender_nep.capture.formats import transforms
 from blender_nep.errors import OutputError
 from blender_nep.files import output_errors, write_atomically, write_text
 
+_MARK = {"written_by": "blender_nep"}
+"""A key of transforms.json, and its value. By it we know a file that may be replaced without a question"""
+
+
+def is_written_by_us(path: Path) -> bool:
+    """Whether `write_capture` has written the file `path`."""
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return False
+    return isinstance(content, dict) and content.items() >= _MARK.items()
+
 
 def check_writable(folder: Path) -> None:
     """Check, before the work, that a capture can be written to `folder`. Raises OutputError. Nothing is left behind."""
@@ -57,7 +69,7 @@ def write_capture(found: FoundCameras, folder: Path, color_space: str | None = N
     stated = {"object_center": found.object_center.tolist(), "object_radius": found.object_radius}
     sphere = stated if with_sphere else {}
     color = {} if color_space is None else {"color_space": color_space}
-    content = {**shared, **color, **sphere, "frames": frames}
+    content = {**_MARK, **shared, **color, **sphere, "frames": frames}
     path = folder / transforms.FILE
     with _without_resume(), output_errors(path):
         folder.mkdir(parents=True, exist_ok=True)

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import hashlib
+import os
 import shutil
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
+from blender_nep.errors import UsageError
 from blender_nep.files import output_errors, write_atomically, write_text
 from blender_nep.gallery.asset_summary import AssetSummary, read_summary
 from blender_nep.gallery.batch_file import Batch, BatchObject, State, read_batch
@@ -22,6 +24,12 @@ PICTURE_WIDTH = 480
 """Pixels of a card's picture. Browsers show it at most 400 wide."""
 STRIP_WIDTH = 768
 """Pixels of a turntable strip of 8 frames."""
+INDEX = "index.html"
+GENERATOR = b'<meta name="generator" content="blender-nep '
+"""In the beginning of each page of ours. No other page is replaced."""
+STAMP = b'<meta name="made-from" content="'
+"""Before the hash of what an object's page is made from"""
+_BEGIN_BYTES = 1500
 FILES = ("comparison.png", "asset.glb", "report.json", "log.txt")
 """The files that a card links to, where they are there."""
 
@@ -51,13 +59,17 @@ def write_gallery(folder: Path) -> None:
     `folder` is the folder of a batch. Its state may be any: call this again when it has changed. Pages of objects that have
     not changed stay. Each file is replaced as a whole.
 
-    Raises UsageError if there is no batch or its batch.json is damaged, OutputError if the pages cannot be written. Missing
-    or damaged files of an object leave gaps on its card, and raise nothing.
+    Raises UsageError if there is no batch, its batch.json is damaged or index.html is not ours, OutputError if the pages
+    cannot be written. Missing or damaged files of an object leave gaps on its card, and raise nothing.
     """
     batch = read_batch(folder)
+    index = folder / INDEX
+    if os.path.lexists(index) and GENERATOR not in _begin(index):
+        hint = "Move that file away."
+        raise UsageError(f"{index} was not written by blender-nep", hint, "usage.not_ours", folder=folder, files=INDEX)
     _share_viewer(folder / SHARED)
     cards = [_card(folder, found) for found in batch.objects]
-    write_text(folder / "index.html", _index(folder, batch, cards))
+    write_text(index, _index(folder, batch, cards))
 
 
 def _share_viewer(shared: Path) -> None:
@@ -105,10 +117,11 @@ def _picture(asset: Path) -> Thumbnail | None:
 
 def _write_view(asset: Path, found: BatchObject, summary: AssetSummary) -> bool:
     """Write the object's own page, if it has a model. A page that was made from the same files stays."""
-    if not (asset / "asset.glb").is_file():
-        return False
     target, made_from = asset / "view.html", _made_from(asset, found)
-    if _stamp(target, len(made_from)) == made_from:
+    begin = _begin(target)
+    if not (asset / "asset.glb").is_file() or (os.path.lexists(target) and GENERATOR not in begin):
+        return False
+    if begin.partition(STAMP)[2][: len(made_from)].decode(errors="replace") == made_from:
         return True
     try:
         model = data_uri((asset / "asset.glb").read_bytes(), "model/gltf-binary")
@@ -139,14 +152,10 @@ def _made_from(asset: Path, found: BatchObject) -> str:
     return hashlib.sha256("\n".join(parts).encode()).hexdigest()
 
 
-STAMP = b'<meta name="made-from" content="'
-
-
-def _stamp(page: Path, length: int) -> str:
-    """The hash that stands in the first lines of an object's page, or nothing."""
+def _begin(page: Path) -> bytes:
+    """The first bytes of a page, in which its marks stand; nothing if it cannot be read."""
     try:
         with open(page, "rb") as file:
-            start = file.read(500)
+            return file.read(_BEGIN_BYTES)
     except OSError:
-        return ""
-    return start.partition(STAMP)[2][:length].decode(errors="replace")
+        return b""

@@ -20,6 +20,13 @@ from blender_nep.errors import OutputError, Stopped, UsageError
 from blender_nep.files import output_errors
 from blender_nep.job.device import usable_cores
 from blender_nep.job.folders.run_folder import RunFolder, fingerprint, refuse_other_run
+from blender_nep.job.own_files import (
+    CHECKPOINTS,
+    LOG,
+    refuse_captures_folder,
+    refuse_folder_of_photos,
+    refuse_foreign_files,
+)
 from blender_nep.job.reporting.events import Events
 from blender_nep.job.reporting.tracker import Tracker
 from blender_nep.job.scene_analysis import Plan, SceneAnalysis
@@ -46,20 +53,23 @@ class Prepared:
 
 
 def refuse_to_overwrite(settings: Settings) -> None:
-    """Raises UsageError when the output folder holds an asset or a run, and neither --resume nor --overwrite is given.
+    """Raises UsageError when the output folder is the capture's, or holds what a job would replace and may not replace.
 
-    Raises OutputError when the output path is not a folder.
+    That is an asset or a run, where neither --resume nor --overwrite is given, and always files that are not ours. Raises
+    OutputError when the output path is not a folder.
     """
     out = settings.out
     if out.exists() and not out.is_dir():
         raise OutputError(f"{out} is a file, not a folder", "Choose another --out.", "output.is_a_file", path=out)
+    refuse_captures_folder(out, settings.capture)
+    refuse_foreign_files(out)
     if settings.resume or settings.overwrite or not out.exists():
         return
     with output_errors(out):
         if (out / "report.json").exists() or (out / "mesh.obj").exists():
             hint = "Choose another --out, or give --overwrite."
             raise UsageError(f"{out} already holds an asset", hint, "usage.asset_exists", folder=out)
-        if (out / "checkpoints").exists():
+        if (out / CHECKPOINTS).exists():
             hint = "Go on with --resume, or start again with --overwrite."
             raise UsageError(f"{out} holds a run that did not end", hint, "usage.run_exists", folder=out)
 
@@ -105,6 +115,7 @@ class Preparation:
         """
         s = self._settings
         capture = self._load_capture()
+        refuse_folder_of_photos(s.out, capture, s.mesh)
         if s.mesh is not None:
             read_mesh(s.mesh, capture)  # to refuse one that is not usable before the light is learned
         what = fingerprint(capture, s.preset, s.seed, s.use_masks, s.mesh, s.sphere)
@@ -184,7 +195,4 @@ class Preparation:
             out.mkdir(parents=True, exist_ok=True)
             self._take_folder()
             refuse_to_overwrite(self._settings)  # another run may have come while the photos were read
-            if self._settings.overwrite and not self._settings.resume:
-                (out / "report.json").unlink(missing_ok=True)  # from here on the folder is no valid asset
-                (out / "profile.json").unlink(missing_ok=True)
-            self._events.open_log(out / "log.txt")
+            self._events.open_log(out / LOG)

@@ -18,8 +18,9 @@ from blender_nep.checkpoints import Checkpoint
 from blender_nep.job.device import choose_device
 from blender_nep.job.exit_code import exit_code
 from blender_nep.job.folders.job_folder import JobFolder
-from blender_nep.job.folders.run_folder import PREVIEW, RunFolder
+from blender_nep.job.folders.run_folder import RunFolder
 from blender_nep.job.heap import keep_freed_memory
+from blender_nep.job.own_files import PREVIEW, PROFILE
 from blender_nep.job.preparation import (
     Preparation,
     Prepared,
@@ -112,7 +113,7 @@ class Job:
         profile = Profile(torch.cuda.synchronize if choose_device(self._settings.device).type == "cuda" else None)
         with profile.recording():
             self._run(profile)
-        profile.write(self._settings.out / "profile.json")
+        profile.write(self._settings.out / PROFILE)
         self._events.say(profile.table())
 
     def close(self) -> None:

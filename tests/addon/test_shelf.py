@@ -163,6 +163,7 @@ def check_open_library(folder):
     bpy.context.scene.nep.shelf_output = str(folder / "shelf")
     bpy.ops.wm.save_as_mainfile(filepath=str(folder / "mine.blend"))
     assert bpy.ops.nep.add_asset_library() == {"FINISHED"} and file.read_bytes() != before
+    assert file.with_name("shelf.blend1").read_bytes() == before, "what somebody has put into it is kept"
 
 
 def test_a_batch_runs_beside_blender_and_is_stopped(folder):

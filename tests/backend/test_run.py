@@ -78,6 +78,24 @@ def test_half_a_sphere_and_one_sphere_for_many_objects_are_refused(options, caps
     assert ended.value.code == 2 and "--object-center" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize("options", [["--capture", "x", "--out", ""], ["--capture", "", "--out", "y"]])
+def test_an_empty_path_is_not_the_current_folder(options, capsys):
+    with pytest.raises(SystemExit) as ended:
+        parse(options)
+    assert ended.value.code == 2 and "must not be empty" in capsys.readouterr().err
+
+
+def test_a_comparison_replaces_no_photo(asset, make_capture):
+    capture = make_capture(suffix=".png").folder
+    photo = capture / "images" / "001.png"
+    before = photo.read_bytes()
+    command = [sys.executable, ROOT / "backend" / "render_comparison.py", "--asset", asset, "--capture", capture]
+    process = subprocess.Popen([*command, "--out", photo], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+    assert process.wait(LIMIT_S) == 8 and "choose another --out" in process.stdout.read()
+    process.stdin.close()
+    assert photo.read_bytes() == before
+
+
 def test_a_killed_engine_is_reported(engine_python, tmp_path):
     process = start_run(engine_python, "crash", tmp_path / "out")
     _, told = process.communicate(timeout=LIMIT_S)

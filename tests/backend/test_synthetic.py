@@ -32,6 +32,34 @@ def capture(tmp_path_factory) -> Path:
     return folder
 
 
+@pytest.mark.parametrize(
+    ("file", "options"),
+    [
+        ("images/000.exr", ()),
+        ("transforms.json", ()),
+        ("gt/notes.txt", ()),
+        ("scene.json", ("--random", "1")),
+        ("photos/IMG_0001.jpg", ("--snapshots",)),
+        ("with_cameras/transforms.json", ("--snapshots",)),
+    ],
+)
+def test_somebody_elses_files_are_not_replaced(tmp_path, file, options):
+    (tmp_path / file).parent.mkdir(exist_ok=True)
+    (tmp_path / file).write_text("mine")
+    small = ("--views", "3", "--test-views", "1", "--size", "16", "--samples", "1")
+    done = render(tmp_path, *small, *options)
+    assert done.returncode == 2 and "choose another --out" in done.stderr and Path(file).name in done.stderr
+    assert [path for path in tmp_path.rglob("*") if path.is_file()] == [tmp_path / file]
+    assert (tmp_path / file).read_text() == "mine"
+
+
+def test_a_capture_of_ours_is_rendered_again(tmp_path):
+    small = ("--views", "3", "--test-views", "1", "--size", "16", "--samples", "1", "--snapshots")
+    for _ in range(2):
+        assert render(tmp_path, *small).returncode == 0
+    assert sorted(path.name for path in (tmp_path / "photos").iterdir()) == [f"IMG_000{n}.jpg" for n in (1, 2, 3)]
+
+
 def frames(capture: Path):
     for name in ("transforms.json", "transforms_test.json"):
         meta = json.loads((capture / name).read_text())

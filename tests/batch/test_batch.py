@@ -67,6 +67,7 @@ def test_the_gallery_shows_all_objects(batch):
 def test_a_gallery_that_cannot_be_written_ends_no_batch(batch):
     batch.add("a")
     (batch.out / "index.html").mkdir(parents=True)
+    (batch.out / "batch.lock").touch()  # of an earlier batch
     code, events = batch.run()
     assert code == 0 and [event["code"] for event in events if event["event"] == "warning"].count("batch.no_gallery") == 1
 
@@ -156,7 +157,7 @@ def test_an_asset_that_was_removed_is_made_again(batch):
     batch.add("a")
     batch.run()
     (batch.out / "a/report.json").unlink()
-    (batch.out / "a/checkpoints/step").unlink()
+    (batch.out / "a/checkpoints/fields_learning.pt").unlink()
     assert batch.run()[0] == 0 and batch.steps("a") == WHOLE * 2
 
 
@@ -314,6 +315,7 @@ def test_a_damaged_state_is_refused_and_kept(batch, text):
     batch.add("a")
     batch.out.mkdir()
     (batch.out / "batch.json").write_text(text)
+    (batch.out / "batch.lock").touch()  # of the batch whose state it was
     code, events = batch.run()
     assert code == 2 and "--overwrite" in events[-1]["hint"] and (batch.out / "batch.json").read_text() == text
     assert batch.run(overwrite=True)[0] == 0

@@ -4,16 +4,19 @@ from __future__ import annotations
 
 import errno
 import itertools
+import json
 import shutil
 import subprocess
 import threading
 from pathlib import Path
+from unittest.mock import Mock
 
 import pytest
 
 from blender_nep.batch.workers.job_process import JobProcess
 from blender_nep.batch.workers.jobs import Job
 from blender_nep.batch.workers.machine import jobs_in
+from blender_nep.errors import OutputError
 from blender_nep.job.folders.job_folder import JobFolder
 
 WHOLE = ["0", "1", "2", "3"]
@@ -26,13 +29,15 @@ def other_run(batch):
     def make(error: str = "usage.other_run", plays: str = "") -> Path:
         batch.add("a", plays)
         (batch.out / "a/checkpoints").mkdir(parents=True)
-        (batch.out / "a/checkpoints/refused").write_text(error)
+        run = {"format": 1, "capture": "", "preset": "", "seed": 0, "refused": error}
+        (batch.out / "a/checkpoints/run.json").write_text(json.dumps(run))
+        (batch.out / "a/checkpoints/surface.done.pt").touch()
         return batch.out / "a"
 
     return make
 
 
-@pytest.mark.parametrize("error", ["usage.other_run", "usage.other_version", "usage.unknown_run"])
+@pytest.mark.parametrize("error", ["usage.other_run", "usage.other_version"])
 def test_checkpoints_of_another_run_are_removed(batch, other_run, error):
     other_run(error)
     code, events = batch.run()
@@ -46,19 +51,20 @@ def test_a_job_that_begins_anew_may_still_crash_once(batch, other_run):
     assert batch.run()[0] == 0 and batch.objects()["a"]["attempts"] == 3
 
 
-def test_checkpoints_that_cannot_be_removed_are_tried_only_once(batch, other_run, monkeypatch):
+def test_checkpoints_that_cannot_be_removed_fail_the_object(batch, other_run, monkeypatch):
     other_run()
-    monkeypatch.setattr("blender_nep.batch.workers.scheduler.shutil.rmtree", lambda *_, **__: None)
+    refused = OutputError("the disk cannot be written")
+    monkeypatch.setattr("blender_nep.batch.workers.scheduler.discard_run", Mock(side_effect=refused))
     assert batch.run()[0] == 9
     one = batch.objects()["a"]
-    assert one["attempts"] == 2 and one["error"]["name"] == "usage.other_run"
+    assert one["attempts"] == 1 and one["error"]["name"] == "usage.other_run"
 
 
 def test_a_complete_asset_of_another_run_keeps_its_checkpoints(batch, other_run):
     folder = other_run()
     (folder / "report.json").write_text("{}")
     assert batch.run()[0] == 9
-    assert batch.objects()["a"]["attempts"] == 1 and (folder / "checkpoints/refused").exists()
+    assert batch.objects()["a"]["attempts"] == 1 and (folder / "checkpoints/surface.done.pt").exists()
 
 
 @pytest.mark.parametrize("overwrite", [False, True])
@@ -69,7 +75,7 @@ def test_a_run_that_somebody_else_has_started_keeps_its_checkpoints(batch, other
         assert batch.run(overwrite=overwrite)[0] == 9
     finally:
         run.close()
-    assert (folder / "checkpoints/refused").exists()
+    assert (folder / "checkpoints/surface.done.pt").exists()
 
 
 def test_the_capture_of_a_failed_object_is_measured_again(batch):
@@ -98,11 +104,11 @@ def test_cameras_of_other_photos_are_found_again(batch, change, photos):
     shots = batch.add("shots", "refuse")
     (shots / "transforms.json").unlink()
     assert batch.run()[0] == 9
-    mark = batch.out / "shots/capture/mark"
-    mark.touch()
-    assert batch.run()[0] == 9 and mark.exists(), "the photos are the same"
+    found = batch.out / "shots/capture/transforms.json"
+    found.write_text(json.dumps(json.loads(found.read_text()) | {"marked": True}))
+    assert batch.run()[0] == 9 and "marked" in found.read_text(), "the photos are the same"
     change(shots / "images")
-    assert batch.run()[0] == 9 and not mark.exists()
+    assert batch.run()[0] == 9 and "marked" not in found.read_text()
     assert batch.objects()["shots"]["size"]["photos"] == photos
 
 

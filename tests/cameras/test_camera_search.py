@@ -16,7 +16,7 @@ from blender_nep.cameras.object_sphere import ObjectSphere
 from blender_nep.cameras.photo_folder import Photo, find_photos, mask_copy
 from blender_nep.cameras.reduction import Reduction
 from blender_nep.cameras.structure_from_motion import Group, PlacedPhoto
-from blender_nep.cameras.written_capture import write_capture
+from blender_nep.cameras.written_capture import is_written_by_us, write_capture
 from blender_nep.capture import load_capture
 from blender_nep.errors import CaptureError
 from blender_nep.job.commands import camera_search
@@ -76,8 +76,13 @@ def test_links_to_photos_stay_links(tmp_path):
         (folder / f"IMG_{number}.jpg").symlink_to(store / f"00abab{number}")
     placed = [PlacedPhoto(photo, camera(n, 4), 0, 0.0) for n, photo in enumerate(find_photos(folder))]
     write_capture(FoundCameras(placed, np.zeros((0, 3)), [], np.zeros(3), 1.0), folder)
-    frames = json.loads((folder / "transforms.json").read_text())["frames"]
+    written = folder / "transforms.json"
+    frames = json.loads(written.read_text())["frames"]
     assert [frame["file_path"] for frame in frames] == [f"IMG_{number}.jpg" for number in range(4)]
+    assert is_written_by_us(written)
+    for text in (json.dumps({"frames": frames}), "[]", "{"):
+        written.write_text(text)
+        assert not is_written_by_us(written), "a batch leaves such a file alone"
 
 
 @pytest.fixture(scope="module")

@@ -229,7 +229,16 @@ def test_info_writes_the_picture(tmp_path, photos, capsys):
     with Image.open(tmp_path / "found.png") as picture:
         assert picture.format == "PNG" and picture.size == SIZE
     assert "degrees of straight below" in capsys.readouterr().out
+    assert main(["info", str(folder), "--picture", str(tmp_path / "found.png")]) == 0, "a picture of ours is replaced"
     assert main(["info", str(folder), "--picture", str(tmp_path / "nowhere" / "found.png")]) == 5
+    assert "--picture" in capsys.readouterr().err
+
+
+def test_the_picture_replaces_no_photo(tmp_path, photos, capsys):
+    folder = write(tmp_path / "a", CAMERAS, photos)
+    photo = next(path for path in folder.rglob("*") if path.suffix in (".exr", ".png"))
+    before = photo.read_bytes()
+    assert main(["info", str(folder), "--picture", str(photo)]) == 2 and photo.read_bytes() == before
     assert "--picture" in capsys.readouterr().err
 
 

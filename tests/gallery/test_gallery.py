@@ -135,6 +135,23 @@ def test_objects_that_are_not_finished(batch):
     assert_links_hold(page)
 
 
+def test_pages_of_somebody_else_are_not_replaced(batch):
+    folder, finished = batch
+    write_batch(folder, [finished("ball")])
+    view, index = folder / "ball" / "view.html", folder / "index.html"
+    view.write_text("<p>mine</p>")
+    page = index_of(folder)
+    assert view.read_text() == "<p>mine</p>" and "ball/view.html" not in page.links
+    index.write_text("<p>my site</p>")
+    with pytest.raises(UsageError, match=r"index\.html was not written by blender-nep"):
+        write_gallery(folder)
+    assert index.read_text() == "<p>my site</p>"
+    view.unlink()
+    index.unlink()
+    for _ in range(2):  # those of ours are
+        assert "ball/view.html" in index_of(folder).links
+
+
 def test_a_picture_of_an_earlier_run_is_not_shown_while_the_job_runs(batch):
     folder, finished = batch
     page = index_of(write_batch(folder, [finished("ball") | {"state": "running", "stage": "capture", "fraction": 0.01}]))
@@ -145,7 +162,7 @@ def test_names_and_messages_are_escaped(batch):
     folder, finished = batch
     error = {"name": "x", "values": {}, "code": 1, "message": EVIL, "hint": EVIL}
     warnings = [{"code": "x", "values": {}, "message": EVIL}]
-    name = EVIL.replace("/", "")
+    name = "&lt;b& 'quotes' #%41"
     objects = [{"name": name, "state": "failed", "error": error}, finished("ball") | {"warnings": warnings}]
     objects.append({"name": "run", "state": "running", "stage": EVIL})
     (folder / "ball" / "report.json").write_text(json.dumps({"warnings": [{"message": EVIL + "2"}]}), encoding="utf-8")

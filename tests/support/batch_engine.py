@@ -9,10 +9,10 @@ an asset.
     slow        makes its steps only when the file `go` is in the capture, and stops with a checkpoint when it is asked to
     deaf        waits, and does not listen to anything
 
-If there is a file OUT/checkpoints/refused, it reports the error whose name is in it. `cameras` hands the file `plays` on to
-the capture that it makes.
+If OUT/checkpoints/run.json has a key `refused`, it reports the error whose name is its value. `cameras` hands the file
+`plays` on to the capture that it makes.
 
-Each step adds a line to OUT/steps.txt, and is counted in OUT/checkpoints/step: nothing should be done twice.
+Each step adds a line to OUT/steps.txt, and is counted in OUT/checkpoints/fields_learning.pt: nothing should be done twice.
 """
 
 from __future__ import annotations
@@ -48,23 +48,26 @@ def fail(code, name, message):
     say(event="error", code=code, name=name, values={}, message=message, hint="do something")
     sys.exit(code)
 if command == "cameras":
-    (out / "transforms.json").write_text(json.dumps({"frames": []}))
+    (out / "transforms.json").write_text(json.dumps({"written_by": "blender_nep", "frames": []}))
     if plays.exists():
         (out / "plays").write_text(plays.read_text())
     say(event="done", asset=str(out))
     sys.exit()
 assert "--resume" in sys.argv and "--watch-stdin" in sys.argv, sys.argv
 (out / "arguments.json").write_text(json.dumps(sys.argv[1:]))
-if (out / "checkpoints/refused").exists():
-    fail(2, (out / "checkpoints/refused").read_text(), "cannot resume")
+run = out / "checkpoints/run.json"
+refused = json.loads(run.read_text()).get("refused") if run.exists() else None
+if refused:
+    fail(2, refused, "cannot resume")
 if (out / "report.json").exists():
     sys.exit("an asset that is complete was started again")
 if mode == "refuse":
     fail(3, "capture", "the photos are no good")
 if mode == "short" and first:
     fail(1, "unexpected.no_memory", "out of memory")
-(out / "checkpoints").mkdir(exist_ok=True)
-checkpoint = out / "checkpoints/step"
+run.parent.mkdir(exist_ok=True)
+run.write_text(json.dumps({"format": 1, "capture": "", "preset": "", "seed": 0}))
+checkpoint = out / "checkpoints/fields_learning.pt"
 done = int(checkpoint.read_text()) if checkpoint.exists() else 0
 if mode in ("slow", "deaf"):
     say(event="progress", stage="fields_learning", step=done, steps=4, fraction=done / 4, eta_s=300, loss=None)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
 import time
 from collections import Counter
 from collections.abc import Callable
@@ -13,7 +12,9 @@ from blender_nep.batch.outcome import failure, is_crash, lacked_memory, read_rep
 from blender_nep.batch.state import DONE, FAILED, RUNNING, STOPPED, WAITING, ObjectState
 from blender_nep.batch.workers.jobs import Heard, Job, Jobs
 from blender_nep.batch.workers.needs import Needs, threads_for
+from blender_nep.errors import NepError
 from blender_nep.job.folders.job_folder import is_held
+from blender_nep.job.own_files import discard_run
 from blender_nep.messages import Message
 from blender_nep.stop_request import StopRequest
 
@@ -206,13 +207,17 @@ class Scheduler:
     def _clear(self, one: ObjectState) -> bool:
         """Remove the checkpoints of an object, once. Returns whether it was done.
 
-        Those of a complete asset are kept, and those of a run that somebody else has started and that is at work.
+        Those of a complete asset are kept, those of a run that somebody else has started and that is at work, and those that
+        are not ours.
         """
         folder = self._out / one.name
         if one.name in self._cleared or (folder / "report.json").exists() or is_held(folder):
             return False
         self._cleared.add(one.name)
-        shutil.rmtree(folder / "checkpoints", ignore_errors=True)
+        try:
+            discard_run(folder)
+        except NepError:  # it cannot be removed, or it is not ours: the job says so again
+            return False
         return True
 
     def _try_again(self, one: ObjectState, failed: dict) -> None:

@@ -8,13 +8,15 @@ alike in both discs. Shading tells how far a direction is from the nearest photo
 from __future__ import annotations
 
 import math
+import os
 from pathlib import Path
 
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
+from PIL.PngImagePlugin import PngInfo
 
 from blender_nep.capture.doctor.coverage import Coverage, Hole
-from blender_nep.errors import OutputError
+from blender_nep.errors import OutputError, UsageError
 from blender_nep.files import write_atomically
 
 SIZE = (1200, 760)
@@ -30,6 +32,8 @@ SHADES = ((238, 245, 229), (200, 224, 172), (243, 214, 115), (238, 155, 59), (20
 MOST_NAMES = 9
 """At most this many photos of a half have their names in the picture."""
 _INK, _PAPER, _GRAY, _DOT, _HOLE = (30, 30, 30), (255, 255, 255), (120, 120, 120), (20, 60, 140), (0, 0, 0)
+_MARK, _BEGIN = b"tEXtSoftware\0blender-nep info", 1000
+"""What shows that a picture is ours, and in how many of its first bytes it stands"""
 _FINE = 3
 """Dots and lines are drawn this many times larger, so that their edges become smooth."""
 
@@ -65,10 +69,27 @@ def draw_coverage(coverage: Coverage) -> Image.Image:
     return picture
 
 
-def write_picture(coverage: Coverage, path: Path) -> None:
-    """Write the picture as PNG. Raises OutputError."""
+def refuse_foreign_picture(path: Path) -> None:
+    """Raises UsageError where there is a file `path` that `write_picture` has not written: it may be a photo."""
+    if os.path.lexists(path) and not _is_ours(path):
+        hint = "Choose another file for --picture."
+        raise UsageError(f"{path} is there already, and is no such picture", hint, "usage.picture_exists", path=path)
+
+
+def _is_ours(path: Path) -> bool:
     try:
-        write_atomically(path, lambda temporary: draw_coverage(coverage).save(temporary, format="PNG"))
+        with open(path, "rb") as file:
+            return _MARK in file.read(_BEGIN)
+    except OSError:
+        return False
+
+
+def write_picture(coverage: Coverage, path: Path) -> None:
+    """Write the picture as PNG, with a mark by which it may be replaced later. Raises OutputError."""
+    marked = PngInfo()
+    marked.add_text("Software", "blender-nep info")
+    try:
+        write_atomically(path, lambda temporary: draw_coverage(coverage).save(temporary, format="PNG", pnginfo=marked))
     except OutputError as error:
         hint = "Choose another file for --picture."
         raise OutputError(error.message, hint, error.name, **error.values) from error

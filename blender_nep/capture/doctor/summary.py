@@ -13,7 +13,7 @@ import numpy as np
 from blender_nep.capture.capture import Capture
 from blender_nep.capture.doctor.camera_checks import SphereSize, camera_outliers
 from blender_nep.capture.doctor.coverage import LARGEST_GAP, Coverage
-from blender_nep.capture.doctor.coverage_picture import write_picture
+from blender_nep.capture.doctor.coverage_picture import refuse_foreign_picture, write_picture
 from blender_nep.capture.doctor.sharpness import blurred
 from blender_nep.capture.doctor.turntable import MOST_STILL, still_share
 from blender_nep.capture.exposure import Comparison, compare_exposures, stops
@@ -30,8 +30,11 @@ def summarize(folder: Path, picture: Path | None = None, sphere: tuple[Sequence[
     """Facts about a capture as plain values, ready for JSON. Every photo is read once.
 
     picture: where a PNG of the directions of the photos is written. sphere: the object's (center [3], radius), which
-    then counts instead of the capture's. Raises CaptureError, BoundsError and OutputError.
+    then counts instead of the capture's. Raises CaptureError, BoundsError and OutputError, and UsageError where `picture` is
+    another file that is there.
     """
+    if picture is not None:
+        refuse_foreign_picture(picture)
     capture = load_capture(folder, sphere=sphere)
     coverage = Coverage.of(capture)
     if picture is not None:

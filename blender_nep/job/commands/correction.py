@@ -16,7 +16,8 @@ from blender_nep.errors import UsageError
 from blender_nep.files import output_errors
 from blender_nep.job.exit_code import exit_code
 from blender_nep.job.folders.job_folder import held
-from blender_nep.job.folders.run_folder import FORMAT, PREVIEW, RunFolder
+from blender_nep.job.folders.run_folder import FORMAT, RunFolder
+from blender_nep.job.own_files import LOG, PREVIEW
 from blender_nep.job.reporting.events import Events
 from blender_nep.job.stage_names import StageName
 from blender_nep.job.stages import SurfaceResult, surface_result
@@ -45,6 +46,7 @@ def run(asset: Path, corrections: Mapping[int, Correction], events: Events) -> i
     """
 
     def work() -> None:
+        read_report(asset)  # to refuse a folder that is no asset of ours before a lock is made in it
         with held(asset), StopRequest().signals():  # nobody asks for the stop
             _correct(asset, corrections, events)
 
@@ -55,7 +57,7 @@ def _correct(asset: Path, corrections: Mapping[int, Correction], events: Events)
     report = read_report(asset)
     _refuse_unknown(report, corrections)
     with output_errors(asset):
-        events.open_log(asset / "log.txt")
+        events.open_log(asset / LOG)
     events.log(f"correction: {_told(corrections)}")
     _progress(events, 0)
     found = _load(asset, events)

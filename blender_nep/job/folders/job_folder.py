@@ -33,7 +33,32 @@ PREVIEW_MESH, PREVIEW_PICTURE = "preview.npz", "preview.png"
 _NO_LOCKS = (errno.ENOLCK, errno.ENOSYS, errno.ENOTSUP)
 _PAUSE_S = 0.5
 _IN_USE_HINT = "Stop it or wait for its end, or choose another --out."
+_LOCK = "lock"
 _FILES = ("job.json", "events.jsonl", "engine.log", "stop", PREVIEW_MESH, PREVIEW_PICTURE)
+
+
+def was_used(asset: Path) -> bool:
+    """Whether a run or a correction was at work in the folder `asset`: then its job folder holds an empty file `lock`."""
+    return is_lock(asset / FOLDER / _LOCK)
+
+
+def is_lock(path: Path) -> bool:
+    """Whether there is a file `path` that `lock_file` may have made."""
+    return path.is_file() and not path.is_symlink() and path.stat().st_size == 0
+
+
+def refuse_foreign_files(asset: Path) -> None:
+    """Raises UsageError where the folder `job` holds files that a run would remove, and no run of ours has made it."""
+    path = asset / FOLDER
+    found = [name for name in (_LOCK, *_FILES) if os.path.lexists(path / name)]
+    if found and not was_used(asset):
+        raise UsageError(
+            f"{path} holds {found[0]}, and nothing shows that blender-nep has written that",
+            "Choose another --out, or move that folder away.",
+            "usage.not_ours",
+            folder=path,
+            files=found[0],
+        )
 
 
 class Journal:
@@ -61,13 +86,14 @@ class JobFolder:
     def __init__(self, asset: Path, *, followed: bool) -> None:
         """Lock the folder, and remove the files of an earlier run. `followed`: another program will follow this one.
 
-        Raises UsageError while another run or a correction owns the folder, and OutputError when it cannot be written. Some
-        network drives know no locks. There a run that is not followed goes without one.
+        Raises UsageError while another run or a correction owns the folder, or where it is not ours, and OutputError when it
+        cannot be written. Some network drives know no locks. There a run that is not followed goes without one.
         """
         self.path = asset / FOLDER
         with output_errors(self.path):
+            refuse_foreign_files(asset)
             self.path.mkdir(parents=True, exist_ok=True)
-            self._lock = lock_file(self.path / "lock", asset, needed=followed)
+            self._lock = lock_file(self.path / _LOCK, asset, needed=followed)
             for name in _FILES:
                 (self.path / name).unlink(missing_ok=True)
 
@@ -117,7 +143,7 @@ def held(asset: Path) -> Iterator[None]:
     Its files stay. A folder that holds no asset is not locked. Raises UsageError while another one owns the folder, and
     OutputError when it cannot be written.
     """
-    path = asset / FOLDER / "lock"
+    path = asset / FOLDER / _LOCK
     if not (asset / "report.json").is_file():
         yield
         return
@@ -133,7 +159,7 @@ def held(asset: Path) -> Iterator[None]:
 
 def is_held(asset: Path) -> bool:
     """Whether a run or a correction is at work in the folder. False where the file system knows no locks."""
-    path = asset / FOLDER / "lock"
+    path = asset / FOLDER / _LOCK
     if not path.is_file():
         return False
     try:

@@ -6,14 +6,21 @@ import dataclasses
 import hashlib
 import json
 import os
-import shutil
 from collections.abc import Callable
 from pathlib import Path
 
 from blender_nep.capture import Capture
 from blender_nep.checkpoints import Checkpoint, load_state, save_state
 from blender_nep.errors import UsageError
-from blender_nep.files import output_errors, write_atomically
+from blender_nep.files import write_atomically
+from blender_nep.job.own_files import (
+    CHECKPOINTS,
+    RUN_FILE,
+    discard_run,
+    is_discarded,
+    refuse_foreign_files,
+    remove_checkpoints,
+)
 from blender_nep.messages import Message
 from blender_nep.presets import Preset
 from blender_nep.stop_request import StopRequest
@@ -27,8 +34,6 @@ Version 9 keeps clear and veiled object pixels apart. Version 11 counts F_e as l
 Version 12 keeps the normals of labeled points. Version 13 keeps which parts of a face the photos show. Version 14
 keeps the moments of our own optimizers. Version 15 keeps what each refinement of stage 1 has done.
 """
-PREVIEW = "preview"
-"""Name under which the view of the preview picture is kept."""
 
 
 def fingerprint(
@@ -99,37 +104,33 @@ class RunFolder:
 
     def __init__(self, asset: Path, stop: StopRequest, warn: Callable[[Message], None]) -> None:
         self.asset = asset
-        self.path = asset / "checkpoints"
+        self.path = asset / CHECKPOINTS
         self._stop, self._warn = stop, warn
 
     @property
     def _run_file(self) -> Path:
-        return self.path / "run.json"
+        return self.path / RUN_FILE
 
     def can_be_resumed(self, what: dict[str, object]) -> bool:
         """Whether the folder holds the run `what`. False if it holds no run, or if its run.json is damaged.
 
-        Raises UsageError when the folder holds another run, or checkpoints without a run.json. Changes nothing.
+        Raises UsageError when the folder holds another run, or checkpoints that are not ours. Changes nothing.
         """
+        refuse_foreign_files(self.asset)
         if not self._run_file.is_file():
-            if any(self.path.glob("*.pt")):
-                raise UsageError(
-                    f"cannot resume: {self.path} has no run.json, so that its checkpoints may be of another run",
-                    "Start again with --overwrite, or choose another --out.",
-                    "usage.unknown_run",
-                    folder=self.path,
-                )
             return False
         before = self._read_run()
+        if is_discarded(before):
+            return False
         refuse_other_run(self.asset, before or what, what)
         return bool(before)
 
     def begin(self, what: dict[str, object]) -> None:
-        """Make the folder of the new run `what`. Everything that was in the folder is removed. Raises OutputError."""
-        with output_errors(self.path):
-            if self.path.exists():
-                shutil.rmtree(self.path)
-            self.path.mkdir(parents=True)
+        """Make the folder of the new run `what`, and remove the checkpoints and the reports of an earlier one.
+
+        Raises UsageError where the folder holds files that are not ours and would be replaced, and OutputError.
+        """
+        discard_run(self.asset)
         write_atomically(self._run_file, lambda file: file.write_text(json.dumps(what, indent=1), encoding="utf-8"))
 
     def _read_run(self) -> dict[str, object]:
@@ -161,6 +162,5 @@ class RunFolder:
             return None
 
     def remove(self) -> None:
-        """Remove the whole folder (--clean). Raises OutputError."""
-        with output_errors(self.path):
-            shutil.rmtree(self.path)
+        """Remove all checkpoints (--clean). Raises OutputError."""
+        remove_checkpoints(self.asset)

@@ -153,6 +153,14 @@ def test_a_working_engine_comes_back_after_its_replacement_was_killed(base, tmp_
     assert end(begin(base))[0] == 0 and [path.name for path in base.folder.iterdir()] == ["nep-engine"]
 
 
+@pytest.mark.parametrize("name", ["nep-engine.before", "nep-engine.unfinished"])
+def test_a_folder_beside_the_engine_is_not_touched(base, name):
+    theirs = base.folder / name / "thesis.txt"
+    theirs.parent.mkdir(parents=True)
+    theirs.write_text("years of work")
+    assert end(begin(base))[0] == 0 and theirs.read_text() == "years of work"
+
+
 def test_a_working_engine_is_back_before_anything_is_deleted(base, monkeypatch):
     code, told = end(begin(base))
     assert code == 0
