@@ -16,7 +16,7 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 from benchmarks.row_files import read_row
-from benchmarks.suite.harness import Children
+from benchmarks.suite.harness import Children, command_of
 from benchmarks.suite.plan import ABLATIONS, CHOICES, PLANS, Run, expand
 from benchmarks.suite.render import RANDOM, SETS
 from benchmarks.suite.runner import OtherRowsError, Suite
@@ -106,10 +106,9 @@ def render_captures(names: Sequence[str], captures: Path, views: int, options: a
         if (folder / "transforms.json").is_file():
             continue
         folder.mkdir(parents=True, exist_ok=True)
-        numbers = map(str, (views, options.size, options.samples, options.threads))
-        ended = children.run(
-            [sys.executable, "-m", "benchmarks.suite.render", name, str(folder), *numbers], log, options.threads, 24 * 3600
-        )
+        numbers = (views, options.size, options.samples, options.threads)
+        command = command_of("benchmarks.suite.render", name, folder.absolute(), *numbers)
+        ended = children.run(command, log, options.threads, 24 * 3600)
         print(f"{folder}: {'failed, see its log' if ended.code else 'rendered'}", file=sys.stderr, flush=True)
         failed += ended.code != 0
     return int(failed > 0)

@@ -104,12 +104,12 @@ class NEP_OT_render_comparison(bpy.types.Operator):
                 arguments += ["--light", name]
         light_file = self.light_file or settings.comparison_light_file
         if light_file:
-            path = Path(bpy.path.abspath(light_file))
+            path = Path(bpy.path.abspath(light_file)).absolute()  # the second Blender has another current folder
             if not os.path.isfile(path):
                 raise ValueError(f"There is no light file {path}. Choose an .hdr or .exr, or none")
             arguments += ["--light-file", str(path)]
         if self.output:
-            arguments += ["--out", bpy.path.abspath(self.output)]
+            arguments += ["--out", str(Path(bpy.path.abspath(self.output)).absolute())]
         return arguments
 
 
@@ -126,11 +126,14 @@ def capture_of_asset(asset: Path) -> str:
 
 
 def _folder_of(setting: str) -> Path:
-    """The folder of a setting that is not empty. ValueError where it is relative to a file that is not saved yet."""
+    """The absolute path of the folder in a setting that is not empty.
+
+    ValueError where it is relative to a file that is not saved yet.
+    """
     folder = resolve_folder(setting)
     if folder is None:
         raise ValueError(SAVE_FILE_FIRST)
-    return folder
+    return folder.absolute()
 
 
 class NEP_OT_cancel_comparison(bpy.types.Operator):

@@ -5,6 +5,7 @@ import subprocess
 import time
 
 from .command import engine_environment
+from .install import NEUTRAL_FOLDER, whole_path
 
 LIMIT_S = 180.0  # the first import of torch from a cold disk is slow
 
@@ -44,7 +45,8 @@ class EngineCheck:
         try:
             # The answer is one line, which fits into the pipe. So it can be read after the process has ended.
             self._process = subprocess.Popen(
-                [python, "-I", "-c", SCRIPT],
+                [whole_path(python), "-I", "-c", SCRIPT],
+                cwd=NEUTRAL_FOLDER,
                 env=engine_environment(),
                 stdin=subprocess.DEVNULL,
                 stdout=subprocess.PIPE,

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from .exit_codes import NO_ENGINE
-from .install import venv_python
+from .install import NEUTRAL_FOLDER, venv_python, whole_path
 from .words import Translate, error_words
 
 ENGINE_PYTHON_VARIABLE = "NEP_ENGINE_PYTHON"
@@ -77,7 +77,7 @@ def find_engine_python(explicit: str | None = None, configured: str | None = Non
     """
     for python in (explicit, os.environ.get(ENGINE_PYTHON_VARIABLE), configured):
         if python:
-            return python
+            return whole_path(python)
     for found in (str(_checkout_python()), sys.executable):
         if found and Path(found).exists() and _has_engine(found):
             return found
@@ -94,6 +94,7 @@ def _has_engine(python: str) -> bool:
         return (
             subprocess.run(
                 [python, "-I", "-c", script],
+                cwd=NEUTRAL_FOLDER,
                 env=engine_environment(),
                 stdin=subprocess.DEVNULL,
                 capture_output=True,
@@ -129,14 +130,14 @@ def reconstruct_arguments(
     keep_going: the engine goes on when this program ends. Otherwise the engine writes its checkpoint and ends when its
     standard input is closed. more: further arguments, which are passed on unchanged.
     """
-    arguments = ["reconstruct", str(capture), "--out", str(out), "--device", device, "--job-files"]
+    arguments = ["reconstruct", _whole(capture), "--out", _whole(out), "--device", device, "--job-files"]
     for name, value in (
         ("--preset", preset),
         ("--seed", seed),
         ("--masks", masks),
         ("--metal", metal),
         ("--faces", faces),
-        ("--mesh", mesh),
+        ("--mesh", None if mesh is None else _whole(mesh)),
         ("--threads", threads),
     ):
         if value is not None:
@@ -159,7 +160,7 @@ def materials_arguments(asset: Path | str, corrections: Mapping[int, Mapping[str
     """
     given = [f"{number}:{name}={value:.4g}" for number, values in corrections.items() for name, value in values.items()]
     options = [text for one in given for text in ("--set", one)]
-    return ["materials", str(asset), *(options or ["--reset"])]
+    return ["materials", _whole(asset), *(options or ["--reset"])]
 
 
 def cameras_arguments(
@@ -179,7 +180,7 @@ def cameras_arguments(
     options = [] if threads is None else ["--threads", str(threads)]
     options += [] if features == "everywhere" else ["--features", features]
     flags = {"--improve": improve, "--overwrite": overwrite}
-    return ["cameras", str(photos), "--watch-stdin", *options, *(name for name, wanted in flags.items() if wanted)]
+    return ["cameras", _whole(photos), "--watch-stdin", *options, *(name for name, wanted in flags.items() if wanted)]
 
 
 def info_arguments(capture: Path | str, *, picture: Path | None = None, bounds: tuple[str, ...] = ()) -> list[str]:
@@ -187,8 +188,18 @@ def info_arguments(capture: Path | str, *, picture: Path | None = None, bounds: 
 
     picture: the file for a drawing of the photos' directions. bounds: arguments with the object's sphere.
     """
-    drawing = [] if picture is None else ["--picture", str(picture)]
-    return ["info", str(capture), "--json", *drawing, *bounds]
+    drawing = [] if picture is None else ["--picture", _whole(picture)]
+    return ["info", _whole(capture), "--json", *drawing, *bounds]
+
+
+def gallery_arguments(folder: Path | str) -> list[str]:
+    """The engine's command line that writes the pages of the batch in `folder`."""
+    return ["gallery", _whole(folder)]
+
+
+def _whole(path: Path | str) -> str:
+    """The path as an absolute one. The engine has another current folder than this program."""
+    return str(Path(path).absolute())
 
 
 def batch_arguments(
@@ -211,7 +222,7 @@ def batch_arguments(
     keep_going: the engine goes on when this program ends. Otherwise its jobs write their checkpoints, and it ends when its
     standard input is closed.
     """
-    arguments = ["batch", *map(str, captures), "--out", str(out), "--device", device]
+    arguments = ["batch", *map(_whole, captures), "--out", _whole(out), "--device", device]
     for name, value in (
         ("--preset", preset),
         ("--seed", seed),

@@ -29,6 +29,12 @@ PINNED = (3, 11)  # the Python that constraints.txt was written for
 SOURCES = ("pyproject.toml", "README.md", "LICENSE", "constraints.txt", "blender_nep")
 PIP = ("-I", "-m", "pip", "install", "--no-input", "--progress-bar", "off", "--disable-pip-version-check")
 CANCELLED = 7  # exit code
+NEUTRAL_FOLDER = Path(sys.prefix).anchor
+"""The current folder of every program that is started: the top of the disk that this Python is on.
+
+The current folder of Blender may hold files of strangers, such as a capture or a shelf. A Python imports modules from there,
+unless it is started with -I, and libraries look there for their settings.
+"""
 
 
 class InstallError(Exception):
@@ -50,6 +56,11 @@ def tell(event: str, **content) -> None:
 def venv_python(folder: Path) -> Path:
     """The path of the Python program in the virtual environment `folder`."""
     return folder / Path(*(("Scripts", "python.exe") if os.name == "nt" else ("bin", "python")))
+
+
+def whole_path(program: str) -> str:
+    """The absolute path of a program. A name without a folder stays: PATH says where that program is."""
+    return str(Path(program).absolute()) if os.path.dirname(program) else program
 
 
 def installed_python(folder: Path) -> str:
@@ -105,6 +116,7 @@ class ProgramRunner:
             with open(output_file, "wb") as output:
                 self._process = subprocess.Popen(
                     command,
+                    cwd=NEUTRAL_FOLDER,
                     stdin=subprocess.DEVNULL,
                     stdout=output,
                     stderr=subprocess.STDOUT,
@@ -300,6 +312,7 @@ def main() -> int:
     parser.add_argument("--build", choices=("cpu", "cuda"), default="cpu")
     options = parser.parse_args()
     options.folder, options.source = options.folder.absolute(), options.source.absolute()
+    options.python = whole_path(options.python)
     programs = ProgramRunner()
     try:
         install(options, programs)

@@ -8,6 +8,7 @@ import tempfile
 from pathlib import Path
 
 from .command import engine_environment
+from .install import NEUTRAL_FOLDER
 
 
 class StartedProcess:
@@ -25,6 +26,7 @@ class StartedProcess:
             # asks the process to stop.
             self.process = subprocess.Popen(
                 command,
+                cwd=NEUTRAL_FOLDER,
                 env=engine_environment(),
                 stdout=events,
                 stderr=log,

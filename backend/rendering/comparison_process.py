@@ -16,6 +16,8 @@ from pathlib import Path
 
 import bpy
 
+from ..engine.install import NEUTRAL_FOLDER
+
 SCRIPT = Path(__file__).resolve().parent.parent / "render_comparison.py"
 KILL_AFTER_S = 5.0  # the process is killed if it still runs this long after its standard input was closed
 LOG_LINES = 5  # lines from the end of the log that the message of a failure shows
@@ -29,7 +31,10 @@ class ComparisonProcess:
     """
 
     def __init__(self, arguments: list[str]):
-        """Start the process with the command line `arguments`. Raises OSError where it cannot be started."""
+        """Start the process with the command line `arguments`, whose paths are absolute.
+
+        Raises OSError where the process cannot be started.
+        """
         self.done, self.total = 0, 0
         self.path: Path | None = None
         self.error = ""
@@ -43,6 +48,7 @@ class ComparisonProcess:
         temporary = dict.fromkeys(("TMPDIR", "TEMP", "TMP"), self._scratch.name)
         self.process = subprocess.Popen(
             [*_blender(), *arguments],
+            cwd=NEUTRAL_FOLDER,
             env={name: value for name, value in os.environ.items() if name != "OCIO"} | temporary,
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
@@ -106,4 +112,4 @@ def _blender() -> list[str]:
     """The command that runs SCRIPT: this Blender's program, or this Python where bpy is a wheel, which has no program."""
     if bpy.app.binary_path:
         return [bpy.app.binary_path, "-b", "--factory-startup", "--python-exit-code", "1", "-P", str(SCRIPT), "--"]
-    return [sys.executable, str(SCRIPT)]
+    return [sys.executable, "-I", str(SCRIPT)]

@@ -28,6 +28,7 @@ from benchmarks.studies.ray_nodes import RayNodes
 from benchmarks.suite.harness import markdown, resumed
 from blender_nep.batch import runner
 from blender_nep.batch.settings import BatchSettings
+from blender_nep.isolated_python import isolated_python
 from blender_nep.job.reporting.events import Events
 from blender_nep.stop_request import StopRequest
 
@@ -108,7 +109,7 @@ def measure(nodes: int, cores: int, seconds: float, rounds: int) -> dict[str, fl
             folder = Path(name)
             make_captures(folder / "captures", count)
             (folder / "stand_in.py").write_text(STAND_IN)
-            engine = (sys.executable, str(folder / "stand_in.py"), str(seconds))
+            engine = (*isolated_python(), str(folder / "stand_in.py"), str(seconds))
             settings = BatchSettings(
                 (folder / "captures",), folder / "shelf", preset="preview", threads=1, ray=cluster.address, engine=engine
             )

@@ -6,13 +6,12 @@ import os
 import shutil
 import socket
 import subprocess
-import sys
 import tempfile
-from pathlib import Path
 
 import psutil
 
-ROOT = Path(__file__).resolve().parents[2]
+from benchmarks.suite.harness import ROOT
+from blender_nep.isolated_python import NEUTRAL_FOLDER, isolated_python
 
 
 class RayNodes:
@@ -35,7 +34,8 @@ class RayNodes:
         has += ["--node-ip-address=127.0.0.1", "--disable-usage-stats"]
         before = self._processes()
         subprocess.run(
-            [sys.executable, "-m", "ray.scripts.scripts", "start", *where, *has],
+            [*isolated_python(), "-m", "ray.scripts.scripts", "start", *where, *has],
+            cwd=NEUTRAL_FOLDER,
             env=os.environ | {"PYTHONPATH": str(ROOT)},
             capture_output=True,
             check=True,

@@ -22,10 +22,24 @@ from pathlib import Path
 from benchmarks.row_files import read_row, write_row
 from blender_nep.errors import NepError, Stopped
 from blender_nep.files import write_text
+from blender_nep.isolated_python import NEUTRAL_FOLDER, isolated_python
 from blender_nep.presets import Preset
 
 _POLL = 0.2
 """Seconds between two checks whether a running step has ended."""
+
+
+ROOT = Path(__file__).resolve().parents[2]
+"""The folder of the checkout. The benchmarks are not installed, so a Python that runs one must be told where they are."""
+
+
+def command_of(module: str, *arguments: object) -> list[str]:
+    """The command that runs a module of the benchmarks in a Python of its own, which imports nothing of its current folder.
+
+    Paths among the arguments are absolute: `Children` runs a command in a neutral folder.
+    """
+    start = f"import runpy, sys; sys.path.insert(0, {str(ROOT)!r}); runpy.run_module({module!r}, run_name='__main__')"
+    return [*isolated_python(), "-c", start, *map(str, arguments)]
 
 
 def with_changes(preset: Preset, changes: dict[str, dict]) -> Preset:
@@ -67,15 +81,22 @@ class Children:
     def run(self, command: Sequence[str], log: Path, threads: int, limit: float) -> Ended:
         """Run a command to its end. After `limit` seconds it is killed, together with its own children.
 
-        What the command prints is added to the file `log`. Its libraries use `threads` threads. Where this call is
-        interrupted, for example by Ctrl-C, the command is killed together with its children, and the interrupt goes on.
+        The command has a neutral current folder. What it prints is added to the file `log`. Its libraries use `threads`
+        threads. Where this call is interrupted, for example by Ctrl-C, the command is killed together with its children, and
+        the interrupt goes on.
         """
         named = {f"{library}_NUM_THREADS": str(threads) for library in ("OMP", "NUMBA", "OPENBLAS", "MKL")}
         start = time.perf_counter()
         with open(log, "ab") as output:
             # The child's standard input closes when this process ends, for any reason. A job stops when that happens.
             child = subprocess.Popen(
-                command, stdin=subprocess.PIPE, stdout=output, stderr=output, env=os.environ | named, start_new_session=True
+                command,
+                cwd=NEUTRAL_FOLDER,
+                stdin=subprocess.PIPE,
+                stdout=output,
+                stderr=output,
+                env=os.environ | named,
+                start_new_session=True,
             )
             timed_out = False
             try:
@@ -127,7 +148,7 @@ def resumed(file: Path, row: dict, run: Callable[[], dict]) -> dict:
 def commit_now() -> str:
     """The commit of this code, with 8 digits and "-dirty" where files differ from it; empty where git does not know it."""
     git = ["git", "-C", str(Path(__file__).parent), "describe", "--always", "--dirty", "--abbrev=8", "--exclude=*"]
-    return subprocess.run(git, capture_output=True, text=True, check=False).stdout.strip()
+    return subprocess.run(git, cwd=NEUTRAL_FOLDER, capture_output=True, text=True, check=False).stdout.strip()
 
 
 MADE_FROM = "made_from.txt"

@@ -25,7 +25,7 @@ from datetime import datetime
 from pathlib import Path
 
 from benchmarks.row_files import read_row, write_row
-from benchmarks.suite.harness import Children, commit_now
+from benchmarks.suite.harness import Children, command_of, commit_now
 from benchmarks.suite.plan import Run
 from benchmarks.suite.step import STAGE_1
 
@@ -50,6 +50,9 @@ class Suite:
     children: Children = field(default_factory=Children)
     made_from: dict[str, dict] = field(default_factory=dict)
     """Name of a run -> what it is made from now. `run_all` fills it."""
+
+    def __post_init__(self) -> None:
+        self.out = self.out.absolute()  # the steps have another current folder
 
     def run_all(self, runs: Sequence[Run], jobs: int) -> int:
         """Run all runs in their order, `jobs` of them at once. Returns how many have failed.
@@ -130,7 +133,7 @@ class Suite:
         log = self.out / "logs" / "identity.log"
         order, result = (self.out / "logs" / f"identity.{os.getpid()}.{kind}.json" for kind in ("order", "result"))
         write_row(order, {run.name: run.as_json() for run in runs})
-        command = [sys.executable, "-m", "benchmarks.suite.identity", str(order), str(result)]
+        command = command_of("benchmarks.suite.identity", order, result)
         ended = self.children.run(command, log, self.threads, self.limit)
         found = read_row(result)
         for file in (order, result):
@@ -187,9 +190,7 @@ class Suite:
             },
         )
         log = folder / f"{run.name}.log"
-        ended = self.children.run(
-            [sys.executable, "-m", "benchmarks.suite.step", str(order), str(result)], log, self.threads, self.limit
-        )
+        ended = self.children.run(command_of("benchmarks.suite.step", order, result), log, self.threads, self.limit)
         found = read_row(result)
         if ended.timed_out:
             found = {"error": f"killed after {self.limit:.0f} s"}

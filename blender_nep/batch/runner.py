@@ -267,7 +267,7 @@ class Batch:
         options += ["--device", device, *(["--clean"] if s.clean else [])]
         return Job(
             name=one.name,
-            capture=Path(one.capture),
+            capture=Path(one.capture).absolute(),
             out=s.out.resolve() / one.name,
             photos_alone=one.photos_alone,
             options=tuple(options),

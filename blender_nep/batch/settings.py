@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-import sys
 from dataclasses import dataclass
 from pathlib import Path
 
-ENGINE = (sys.executable, "-m", "blender_nep")
+from blender_nep.isolated_python import isolated_python
+
+ENGINE = (*isolated_python(), "-m", "blender_nep")
 """The program that runs one job; the command and its options follow"""
 
 

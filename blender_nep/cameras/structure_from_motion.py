@@ -11,7 +11,6 @@ import shutil
 import signal
 import sqlite3
 import subprocess
-import sys
 import tempfile
 import threading
 import time
@@ -31,6 +30,7 @@ from blender_nep.cameras.reduction import Reduction
 from blender_nep.capture.cameras.camera import Camera
 from blender_nep.capture.formats import colmap
 from blender_nep.errors import CaptureError, NepError, OutputError, Stopped
+from blender_nep.isolated_python import NEUTRAL_FOLDER, isolated_python
 from blender_nep.stop_request import StopRequest
 
 LONGEST_SIDE = 1600
@@ -233,8 +233,10 @@ def _pose(camera: Camera) -> dict[str, list[float]]:
 
 def _run(folder: Path, report: Report, stop: StopRequest) -> None:
     """Run `matching_process` to its end."""
-    command = [sys.executable, "-m", "blender_nep.cameras.matching_process", str(folder)]
-    process = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+    command = [*isolated_python(), "-m", "blender_nep.cameras.matching_process", str(folder.absolute())]
+    process = subprocess.Popen(
+        command, cwd=NEUTRAL_FOLDER, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.PIPE
+    )
     said: queue.SimpleQueue[bytes | None] = queue.SimpleQueue()
     log: deque[bytes] = deque(maxlen=_LOG_LINES)  # in memory: a log on a full disk would say nothing
 

@@ -12,6 +12,7 @@ import pytest
 
 from benchmarks.studies.ray_nodes import RayNodes
 from blender_nep.batch.workers.machine import jobs_in
+from support.traps import set_traps
 from support.waiting import wait_until
 
 pytest.importorskip("ray", reason="ray is not installed: it is only in the extra `cluster`, and 200 MB large")
@@ -69,6 +70,16 @@ def test_captures_assets_and_checkpoints_can_be_sent(batch, cluster):
     there, out = Path(command[1]), Path(command[command.index("--out") + 1])
     assert there != batch.captures / "a" and not there.exists(), "it has worked on a copy"
     assert os.path.relpath(there, out) == os.path.relpath(batch.captures / "a", batch.out / "a")
+
+
+def test_a_node_runs_nothing_from_the_current_folder(batch, cluster, tmp_path, monkeypatch):
+    """Ray lets its processes import from the folder in which it was joined. That folder may hold files of strangers."""
+    sprung = set_traps(tmp_path / "stranger", "blender_nep")
+    monkeypatch.chdir(sprung.parent)
+    batch.add("a")
+    code, events = batch.run(ray=cluster.address, memory_mb=None)
+    assert not sprung.exists()
+    assert code == 0 and Path.cwd() == sprung.parent, events[-1]
 
 
 def test_no_cluster_is_told(batch):

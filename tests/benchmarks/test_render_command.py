@@ -89,7 +89,7 @@ def test_captures_of_another_size_are_refused_before_anything_is_rendered(words,
 def test_captures_of_the_size_that_is_asked_for_are_kept(tmp_path, monkeypatch):
     class FakeChildren:
         def run(self, arguments, *_):
-            rendered.append(arguments[3])
+            rendered.append(arguments[-6])
             return Ended(0, 1.0, 1.0, 1.0, False)
 
     rendered: list[str] = []

@@ -1,6 +1,7 @@
 """The suite's plans, its runner (with steps that learn nothing) and its captures with fewer photos."""
 
 import json
+import os
 import shutil
 import subprocess
 import sys
@@ -17,7 +18,7 @@ from benchmarks.__main__ import main
 from benchmarks.row_files import read_row, write_row
 from benchmarks.suite import runner
 from benchmarks.suite.fewer_views import spread, with_fewer_views
-from benchmarks.suite.harness import Children, Ended
+from benchmarks.suite.harness import Children, Ended, command_of
 from benchmarks.suite.plan import ABLATIONS, AS_TAKEN, PLANS, WITHOUT_F_E, Run, expand
 from benchmarks.suite.runner import OtherRowsError, Suite, failure
 from benchmarks.suite.step import STAGE_1, NoLight, learn, take_stage_1
@@ -28,6 +29,7 @@ from blender_nep.presets import PRESETS, preset
 from blender_nep.shading.unseen_light import UnseenLight
 from blender_nep.stop_request import StopRequest
 from support.paths import SUZANNE_SMALL
+from support.traps import set_traps
 
 
 class FakeSuite(Suite):
@@ -130,8 +132,8 @@ def test_a_stage_1_of_other_code_is_not_taken_over(learned, now, taken, tmp_path
 
     class Recorder(Children):
         def run(self, command, log, threads, limit):
-            orders.append(read_row(Path(command[3])))
-            write_row(Path(command[4]), {"resumed_stages": ["fields_learning"] if orders[-1]["stage_1"] else []})
+            orders.append(read_row(Path(command[-2])))
+            write_row(Path(command[-1]), {"resumed_stages": ["fields_learning"] if orders[-1]["stage_1"] else []})
             return Ended(0, 1.0, 1.0, 1.0, False)
 
     monkeypatch.setattr(runner, "commit_now", lambda: now)
@@ -258,6 +260,22 @@ def test_a_step_that_crashes_or_hangs_is_an_error(tmp_path):
     children.stopped = False
     missing = Suite(tmp_path).run(Run(tmp_path / "nothing", "preview"))
     assert "there is no folder" in failure(missing) and str(tmp_path) not in failure(missing)
+
+
+def test_a_step_runs_nothing_from_the_current_folder(tmp_path, monkeypatch):
+    """It may hold files of strangers. A suite whose folder is named by a relative path finds it all the same."""
+    sprung = set_traps(tmp_path / "stranger")
+    monkeypatch.chdir(sprung.parent)
+    write_row(tmp_path / "order", {})
+    ended = Children().run(
+        command_of("benchmarks.suite.identity", tmp_path / "order", tmp_path / "result"), tmp_path / "log", 1, 60
+    )
+    assert ended.code == 0 and (tmp_path / "result").is_file(), (tmp_path / "log").read_text()
+    assert not sprung.exists()
+    where = [sys.executable, "-c", "import os; print(os.getcwd())"]
+    Children().run(where, tmp_path / "where", 1, 60)
+    assert (tmp_path / "where").read_text().strip() == os.path.abspath(os.sep)
+    assert Suite(Path("out")).out == tmp_path / "stranger" / "out"
 
 
 def test_memory_and_cpu_seconds_are_those_of_the_step_alone(tmp_path):

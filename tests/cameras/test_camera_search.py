@@ -2,14 +2,16 @@
 
 import io
 import json
+import os
 import shutil
+from pathlib import Path
 
 import numpy as np
 import pytest
 from PIL import Image
 
 from benchmarks.scoring.cameras import errors
-from blender_nep.cameras import object_sphere
+from blender_nep.cameras import object_sphere, structure_from_motion
 from blender_nep.cameras.alignment import similarity
 from blender_nep.cameras.found_cameras import FoundCameras
 from blender_nep.cameras.object_sphere import ObjectSphere
@@ -24,6 +26,7 @@ from blender_nep.job.commands.camera_search import CameraSearch
 from blender_nep.job.reporting.events import Events
 from blender_nep.stop_request import StopRequest
 from support.printed_room import BALLS, FOCAL, LENS, camera, photograph, write_photos
+from support.traps import set_traps
 
 COUNT = 16
 OTHER_SCENE = 7
@@ -200,6 +203,21 @@ def test_photos_that_cannot_be_placed_end_in_a_hint(tmp_path, write):
     error = one(events, "error")
     assert (code, error["name"]) == (CaptureError.code, "capture.cameras_not_found") and "print" in error["hint"]
     assert not (tmp_path / "out").exists()
+
+
+def test_pycolmap_runs_nothing_from_the_current_folder(tmp_path, monkeypatch):
+    """It may hold files of strangers."""
+    (tmp_path / "photos").mkdir()
+    gray(tmp_path / "photos", 3)
+    sprung = set_traps(tmp_path / "stranger", "blender_nep")
+    monkeypatch.chdir(sprung.parent)
+    started, popen = [], structure_from_motion.subprocess.Popen
+    monkeypatch.setattr(
+        structure_from_motion.subprocess, "Popen", lambda *a, **named: started.append(named["cwd"]) or popen(*a, **named)
+    )
+    code, events = found(Path("../photos"), Path("../out"))
+    assert (code, one(events, "error")["name"]) == (3, "capture.cameras_not_found")
+    assert not sprung.exists() and started == [os.path.abspath(os.sep)]
 
 
 @pytest.mark.parametrize(

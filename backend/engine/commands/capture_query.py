@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from ..command import ENGINE_MODULE, EngineError, NoEngineError, engine_environment, find_engine_python, info_arguments
+from ..install import NEUTRAL_FOLDER
 
 NO_ANSWER = "The engine could not look at the capture."
 OUTDATED = "The installed engine is older than this add-on, and cannot check photos."
@@ -49,6 +50,7 @@ class CaptureQuery:
                     return
                 self._process = subprocess.Popen(
                     [python, "-I", "-m", ENGINE_MODULE, *self._arguments],
+                    cwd=NEUTRAL_FOLDER,
                     env=engine_environment(),
                     stdin=subprocess.DEVNULL,
                     text=True,

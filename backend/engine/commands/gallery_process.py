@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from ..command import ENGINE_MODULE, EngineError, NoEngineError
+from ..command import ENGINE_MODULE, EngineError, NoEngineError, gallery_arguments
 from ..results.job_files import last_lines
 from ..started_process import StartedProcess
 from .short_command import UNKNOWN_COMMAND
@@ -22,7 +22,7 @@ class GalleryProcess:
         self.page = folder / PAGE
         self.failed: EngineError | None = None
         try:
-            command = [python, "-I", "-m", ENGINE_MODULE, COMMAND, str(folder)]
+            command = [python, "-I", "-m", ENGINE_MODULE, *gallery_arguments(folder)]
             self._process = StartedProcess(command, keep_going=True)
         except OSError as error:
             raise NoEngineError(f"The engine cannot be started: {error}.") from error

@@ -16,6 +16,7 @@ from blender_nep.batch.outcome import NOT_STARTED
 from blender_nep.batch.workers.jobs import Heard, Job
 from blender_nep.batch.workers.machine import OUT_OF_JOB, Meter, kill
 from blender_nep.errors import NepError
+from blender_nep.isolated_python import NEUTRAL_FOLDER
 
 CAPTURE = "capture"
 """The folder in an asset that holds the cameras of photos alone"""
@@ -83,6 +84,7 @@ class JobProcess:
         # Ctrl-C in a terminal reaches a whole group of processes. A group of its own leaves it to us to stop the job.
         self._process = subprocess.Popen(
             self._command(),
+            cwd=NEUTRAL_FOLDER,
             env=os.environ | {OUT_OF_JOB: str(self.job.out)},
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,

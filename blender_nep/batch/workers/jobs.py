@@ -13,6 +13,7 @@ class Job:
 
     name: str
     capture: Path
+    """Absolute, as `out` and `files`: the job has another current folder"""
     out: Path
     photos_alone: bool
     options: tuple[str, ...]

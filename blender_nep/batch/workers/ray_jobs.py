@@ -25,6 +25,7 @@ from blender_nep.batch.workers.jobs import Heard, Job
 from blender_nep.batch.workers.machine import jobs_in, wait_for_end
 from blender_nep.batch.workers.shipping import pack, unpack
 from blender_nep.errors import UsageError
+from blender_nep.isolated_python import NEUTRAL_FOLDER
 from blender_nep.job.folders.job_folder import wait_until_free
 
 _POLL_S = 0.5
@@ -113,7 +114,8 @@ def _join(address: str) -> None:
     try:
         if port.isdigit():
             socket.create_connection((host, int(port)), timeout=_CONNECT_S).close()  # Ray itself would try for minutes
-        ray.init(address=address, log_to_driver=False, logging_level="error")
+        with contextlib.chdir(NEUTRAL_FOLDER):  # Ray lets the processes of the nodes import from the current folder
+            ray.init(address=address, log_to_driver=False, logging_level="error")
     except (OSError, ValueError, RuntimeError) as error:
         hint = "Start one with `ray start --head`, and name its address."
         raise UsageError(f"there is no Ray cluster at {address}: {error}", hint, "usage.no_ray", address=address) from error

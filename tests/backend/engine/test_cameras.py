@@ -50,10 +50,10 @@ def has_begun(process: CameraProcess) -> bool:
 
 
 def test_the_library_understands_the_arguments():
-    found = command_line.parser().parse_args(cameras_arguments("photos", threads=2, overwrite=True))
-    assert (found.command, str(found.photos), found.out, found.threads) == ("cameras", "photos", None, 2)
+    found = command_line.parser().parse_args(cameras_arguments("/photos", threads=2, overwrite=True))
+    assert (found.command, str(found.photos), found.out, found.threads) == ("cameras", "/photos", None, 2)
     assert found.overwrite and found.watch_stdin and found.features == "everywhere"
-    assert cameras_arguments("photos") == ["cameras", "photos", "--watch-stdin"]
+    assert cameras_arguments("/photos") == ["cameras", "/photos", "--watch-stdin"]
     found = command_line.parser().parse_args(cameras_arguments("photos", overwrite=True, improve=True, features="object"))
     assert (found.improve, found.overwrite, found.features) == (True, True, "object")
 

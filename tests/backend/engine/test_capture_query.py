@@ -35,10 +35,10 @@ def asked(python: str, tmp_path, **options) -> CaptureQuery:
 
 
 def test_the_library_understands_the_arguments(tmp_path):
-    found = command_line.parser().parse_args(info_arguments("photos", picture=tmp_path / "a.png", bounds=BOUNDS))
-    assert (found.command, str(found.capture), found.json, found.picture) == ("info", "photos", True, tmp_path / "a.png")
+    found = command_line.parser().parse_args(info_arguments("/photos", picture=tmp_path / "a.png", bounds=BOUNDS))
+    assert (found.command, str(found.capture), found.json, found.picture) == ("info", "/photos", True, tmp_path / "a.png")
     assert command_line.sphere(found) == ((-1.0, 2.0, 3.0), 0.5)
-    assert info_arguments("photos") == ["info", "photos", "--json"]
+    assert info_arguments("/photos") == ["info", "/photos", "--json"]
 
 
 def test_a_query_gives_the_sphere_the_facts_and_the_picture(engine, tmp_path):

@@ -32,9 +32,9 @@ def test_the_engine_does_not_get_blenders_variables(monkeypatch):
 @pytest.mark.parametrize("keep_going", [True, False])
 def test_only_what_was_chosen_is_handed_on(keep_going):
     found = reconstruct_arguments(
-        "photos", "out", seed=0, metal="yes", resume=True, keep_going=keep_going, more=("--x", "1")
+        "/photos", "/out", seed=0, metal="yes", resume=True, keep_going=keep_going, more=("--x", "1")
     )
-    assert found[:4] == ["reconstruct", "photos", "--out", "out"]
+    assert found[:4] == ["reconstruct", "/photos", "--out", "/out"]
     assert found[found.index("--seed") + 1] == "0" and found[found.index("--metal") + 1] == "yes"
     assert "--resume" in found and found[found.index("--x") + 1] == "1"
     assert ("--watch-stdin" in found) is not keep_going
@@ -61,8 +61,8 @@ def test_the_engine_understands_every_argument():
     assert (found.preset, found.device, found.seed, found.masks, found.metal) == ("quality", "cpu", 3, "ignore", "no")
     assert found.faces == 5000 and found.threads == 2
     assert found.resume and found.overwrite and found.preview and found.watch_stdin and found.job_files
-    known = command_line.parser().parse_args(reconstruct_arguments("photos", "out", mesh="known.obj"))
-    assert str(known.mesh) == "known.obj" and known.faces is None
+    known = command_line.parser().parse_args(reconstruct_arguments("/photos", "/out", mesh="/known.obj"))
+    assert str(known.mesh) == "/known.obj" and known.faces is None
 
 
 def test_both_sides_know_the_smallest_number_of_faces(capsys):

@@ -69,9 +69,9 @@ def test_the_library_understands_the_arguments():
 
 
 def test_the_arguments_name_all_corrections_or_take_all_back():
-    given = materials_arguments("asset", {0: {"roughness": 0.2}, 11: {"metallic": 1.0, "roughness": 0.0}})
-    assert given == ["materials", "asset", "--set", "0:roughness=0.2", "--set", "11:metallic=1", "--set", "11:roughness=0"]
-    assert materials_arguments("asset", {}) == ["materials", "asset", "--reset"]
+    given = materials_arguments("/asset", {0: {"roughness": 0.2}, 11: {"metallic": 1.0, "roughness": 0.0}})
+    assert given == ["materials", "/asset", "--set", "0:roughness=0.2", "--set", "11:metallic=1", "--set", "11:roughness=0"]
+    assert materials_arguments("/asset", {}) == ["materials", "/asset", "--reset"]
 
 
 def test_the_engine_corrects_the_asset(asset, tmp_path):

@@ -1,5 +1,6 @@
 """The comparison picture: exposure of its tiles, and resizing."""
 
+import os
 import sys
 from pathlib import Path
 
@@ -8,6 +9,8 @@ import pytest
 
 from support.captures import write_exr
 from support.own_process import in_blender
+from support.traps import set_traps
+from support.waiting import wait_until
 
 GRAY = 0.25
 GAINS = ((1.0, 1.0, 1.0), (2.0, 2.0, 1.5), (0.25, 0.3, 0.25))
@@ -111,6 +114,28 @@ def check_resize():
     np.testing.assert_allclose(resize(image, 7, 5).mean(axis=(0, 1)), image.mean(axis=(0, 1)))
     ramp = np.broadcast_to(np.arange(10.0)[None, :, None], (4, 10, 3))
     np.testing.assert_allclose(resize(ramp, 20, 8)[3, 1:-1, 0], np.arange(1, 19) / 2 - 0.25)
+
+
+def test_the_second_blender_runs_nothing_of_a_stranger(tmp_path):
+    """Neither the current folder nor PYTHONPATH say what its Python imports."""
+    set_traps(tmp_path / "stranger")
+    in_blender(check_second_blender, tmp_path)
+
+
+def check_second_blender(folder):
+    import psutil
+
+    from backend.rendering.comparison_process import ComparisonProcess
+
+    stranger = Path(folder) / "stranger"
+    os.chdir(stranger)
+    os.environ["PYTHONPATH"] = str(stranger)
+    render = ComparisonProcess(["--asset", f"{folder}/nothing", "--capture", f"{folder}/nothing"])
+    assert psutil.Process(render.process.pid).cwd() == os.path.abspath(os.sep)
+    wait_until(render.poll)
+    render.close()
+    assert "nothing" in render.error, render.error
+    assert not (stranger / "sprung.txt").exists()
 
 
 if __name__ == "__main__":

@@ -1,0 +1,48 @@
+"""A Python that the user or the package starts runs nothing from the current folder, which may hold files of strangers."""
+
+from __future__ import annotations
+
+import os
+import site
+import subprocess
+import sys
+
+import pytest
+
+from blender_nep.isolated_python import NEUTRAL_FOLDER, isolated_python
+from support.paths import SUZANNE_SMALL
+from support.traps import set_traps
+
+LIMIT_S = 120
+
+
+@pytest.mark.parametrize("own", [(), ("-I",)], ids=["plain", "isolated"])
+def test_python_m_leaves_the_current_folder_out(own, tmp_path):
+    sprung = set_traps(tmp_path / "stranger")
+    command = [sys.executable, *own, "-m", "blender_nep", "info", SUZANNE_SMALL]
+    ended = subprocess.run(command, cwd=sprung.parent, capture_output=True, text=True, timeout=LIMIT_S)
+    assert ended.returncode == 0 and "40 photos" in ended.stdout, ended.stderr
+    assert not sprung.exists()
+
+
+def test_the_neutral_folder_is_the_top_of_a_disk():
+    assert os.path.isabs(NEUTRAL_FOLDER) and os.path.dirname(NEUTRAL_FOLDER) == NEUTRAL_FOLDER
+
+
+@pytest.mark.parametrize("with_user_packages", [False, True])
+def test_packages_of_the_user_alone_are_found_again(with_user_packages, tmp_path, monkeypatch):
+    """Neither way, the current folder or PYTHONPATH say what is imported."""
+    sprung = set_traps(tmp_path / "stranger")
+    monkeypatch.setattr(site, "getusersitepackages", lambda: str(tmp_path / "user"))
+    monkeypatch.setattr(sys, "path", [*sys.path, str(tmp_path / "user")] if with_user_packages else sys.path)
+    script = "import sys, tqdm; print(sys.flags.safe_path, sys.flags.ignore_environment, sys.flags.no_user_site)"
+    ended = subprocess.run(
+        [*isolated_python(), "-c", script],
+        cwd=sprung.parent,
+        env=os.environ | {"PYTHONPATH": str(sprung.parent)},
+        capture_output=True,
+        text=True,
+        timeout=LIMIT_S,
+    )
+    assert ended.stdout.split() == ["True", "1", "0" if with_user_packages else "1"], ended.stderr
+    assert not sprung.exists()
