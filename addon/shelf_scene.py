@@ -7,6 +7,7 @@ from bpy.app.handlers import persistent
 
 from ..backend.engine.results.batch_file import BatchFile
 from ..backend.scene_io.blend_backup import put_in_place
+from ..backend.scene_io.image_files import fresh_partial
 from ..backend.shelf.bring_in import BATCH, catalog_of_collection, not_in_scene, objects_of
 from ..backend.shelf.catalogs import add_catalogs, catalog_of
 from .folders import folder_key
@@ -95,7 +96,7 @@ def _is_open(path: Path) -> bool:
 
 
 def _write(path: Path, items: list[bpy.types.Object]) -> None:
-    partial = path.with_name("partial_" + path.name)
+    partial = fresh_partial(path, "partial_" + path.name)
     shown = bpy.data.scenes.new(path.stem)  # so that the objects are seen where the file is opened
     try:
         for item in items:

@@ -98,7 +98,7 @@ def main(arguments: list[str]) -> int:
     try:
         return reconstruct_object(options, stop) if options.captures is None else reconstruct_shelf(options, stop)
     except EngineError as error:
-        say(f"run.py: {error}")
+        say(f"run.py: {error.message}", *(text for text in (error.hint, *error.log.split("\n")) if text))
         return error.code
     except (OSError, ValueError, RuntimeError) as error:
         say(f"run.py: Blender's part failed: {error}")

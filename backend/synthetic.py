@@ -36,6 +36,7 @@ if __package__ in (None, ""):
     sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 from backend.arguments import path_argument, script_arguments
+from backend.engine.printed_text import one_line
 from backend.scene_io.image_files import write_png, write_whole
 from backend.synthetic_capture import scenes
 from backend.synthetic_capture.exr_channels import write_channels
@@ -123,7 +124,7 @@ def main(arguments: list[str]) -> int:
         else:
             write_random_capture(options)
     except (ValueError, OSError) as error:
-        print(f"synthetic.py: {error}", file=sys.stderr)
+        print(one_line(f"synthetic.py: {error}"), file=sys.stderr)
         return 2
     return 0
 

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from blender_nep.command_line import parser, sphere
+from blender_nep.printed_text import one_line
 
 if TYPE_CHECKING:
     from blender_nep.errors import NepError
@@ -43,7 +44,8 @@ def main(arguments: list[str] | None = None) -> int:
 
 def _told(error: NepError) -> int:
     """Tell a person the error, and return its exit code."""
-    print(f"error: {error.message}" + (f"\n       {error.hint}" if error.hint else ""), file=sys.stderr)
+    lines = [f"error: {error.message}", *([f"       {error.hint}"] if error.hint else [])]
+    print(*map(one_line, lines), sep="\n", file=sys.stderr)
     return error.code
 
 
@@ -197,5 +199,5 @@ def _gallery(options: argparse.Namespace) -> int:
         write_gallery(options.folder)
     except NepError as error:
         return _told(error)
-    print(options.folder / "index.html")
+    print(one_line(options.folder / "index.html"))
     return 0

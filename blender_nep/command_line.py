@@ -7,8 +7,10 @@ import math
 import re
 from collections.abc import Callable
 from pathlib import Path
+from typing import NoReturn
 
 from blender_nep import __version__
+from blender_nep.printed_text import one_line
 
 LEAST_FACES = 2000
 """Smallest --faces. With fewer, the mesh is no longer near enough to the surface for a normal map."""
@@ -29,9 +31,17 @@ Events for programs are JSON lines on standard output (none when that is a termi
 """
 
 
+class _Parser(argparse.ArgumentParser):
+    """A parser whose errors are one line, whatever the arguments are: a shell's `*` gives names that strangers chose."""
+
+    def error(self, message: str) -> NoReturn:
+        """Say the message, and end with exit code 2."""
+        super().error(one_line(message))
+
+
 def parser() -> argparse.ArgumentParser:
     """The parser of the command line's arguments."""
-    top = argparse.ArgumentParser(
+    top = _Parser(
         prog="blender-nep",
         description="Photos of a glossy object to a relightable mesh (NeP, CVPR 2024).",
         epilog=EXIT_CODES,

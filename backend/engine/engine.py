@@ -16,7 +16,8 @@ from pathlib import Path
 
 from .command import ENGINE_MODULE, EngineError, NoEngineError
 from .exit_codes import OUTPUT_FAILED, STOPPED
-from .results.job_files import FOLDER, EventFile, is_running, last_lines, read_job
+from .printed_text import one_line
+from .results.job_files import FOLDER, EventFile, is_running, last_lines, make_file, read_job
 from .started_process import StartedProcess
 
 STOP_GRACE_S = 45.0  # time to write the checkpoint after a request to stop; after it the process is terminated
@@ -112,8 +113,8 @@ class Engine:
             elif event["event"] == "error":
                 self.error = EngineError(
                     int(event.get("code") or 1),
-                    str(event.get("message", "")),
-                    str(event.get("hint", "")),
+                    one_line(event.get("message", "")),
+                    "\n".join(map(one_line, str(event.get("hint", "")).split("\n"))),
                     name=str(event.get("name", "")),
                     values=event.get("values"),
                 )
@@ -133,7 +134,7 @@ class Engine:
         asked = self._process.ask_to_stop()
         if self._in_output:
             try:
-                (self.folder / "stop").touch()
+                make_file(self.folder / "stop")
                 asked = True
             except OSError:
                 pass  # the disk is full, or the folder is gone: only a signal can stop the engine now

@@ -13,6 +13,8 @@ from dataclasses import dataclass, field
 from types import MappingProxyType
 from typing import Any
 
+from .printed_text import one_line
+
 Translate = Callable[[str], str]
 
 PARTS = {
@@ -312,6 +314,10 @@ ERRORS = {
     "objects_failed": ("Some objects failed: {names}", "The list says why. Reconstruct Shelf tries only these again."),
     "bounds": ("", "Press Propose Bounds. Then move and scale the sphere: the whole object inside, no camera inside."),
     "output.is_a_file": ("{path} is a file, not a folder", "Choose another output folder."),
+    "output.is_a_link": (
+        "{path} is a link, and nothing is written through a link",
+        "Remove the link, or choose another output folder.",
+    ),
     "output.disk_full": ("The disk is full: {path} cannot be written", "Free some space, then Resume."),
     "output.not_permitted": (
         "{path} may not be written ({reason})",
@@ -401,9 +407,9 @@ class Said:
     def of(cls, told: object) -> "Said":
         """The message that an event, or a part of an event, holds. Older engines send a plain string instead of a dict."""
         if not isinstance(told, dict):
-            return cls(message=str(told))
+            return cls(message=one_line(told))
         values = told.get("values")
-        return cls(str(told.get("code", "")), values if isinstance(values, dict) else {}, str(told.get("message", "")))
+        return cls(str(told.get("code", "")), values if isinstance(values, dict) else {}, one_line(told.get("message", "")))
 
     def words(self, translate: Translate = str) -> str:
         """The text that the panel shows: the panel's own words, or the engine's where the panel has none."""
@@ -452,11 +458,12 @@ def _filled(template: str, values: dict[str, Any], translate: Translate) -> str 
 
 
 class _Formatter(string.Formatter):
-    """Fills values into a text, by four rules beside those of `str.format`.
+    """Fills values into a text, by five rules beside those of `str.format`.
 
     `{count:photo|photos}` gives the first form for 1 and the second for all other numbers. `{parts:parts}` gives a list of
-    PARTS in words. A list of names is shortened to MOST_NAMES. A value that is a message itself is put into words. The
-    formatter of blender_nep/messages.py has the same rules, but Blender's Python cannot import it.
+    PARTS in words. A list of names is shortened to MOST_NAMES. A value that is a message itself is put into words. Control
+    characters in a text are escaped. The formatter of blender_nep/messages.py has the same rules but the last, but Blender's
+    Python cannot import it.
     """
 
     def __init__(self, translate: Translate):
@@ -472,7 +479,7 @@ class _Formatter(string.Formatter):
             found = said.own_words(self._translate)
             return self._translate(said.message) if found is None else found
         if isinstance(value, list):
-            names = ", ".join(map(str, value[:MOST_NAMES]))
+            names = ", ".join(map(one_line, value[:MOST_NAMES]))
             more = len(value) - MOST_NAMES
             return names if more <= 0 else self._translate(AND_MORE).format(names=names, count=more)
-        return super().format_field(value, format_spec)
+        return super().format_field(one_line(value) if isinstance(value, str) else value, format_spec)

@@ -5,6 +5,7 @@ from pathlib import Path
 import bpy
 
 from ..scene_io.blend_backup import put_in_place
+from ..scene_io.image_files import fresh_partial
 
 
 def save_packed(path: Path) -> None:
@@ -13,6 +14,6 @@ def save_packed(path: Path) -> None:
     A file that was there stays beside it (`put_in_place`).
     """
     bpy.ops.file.pack_all()
-    partial = path.with_name("partial_" + path.name)
+    partial = fresh_partial(path, "partial_" + path.name)
     bpy.ops.wm.save_as_mainfile(filepath=str(partial.resolve()), copy=True, compress=True)
     put_in_place(partial, path)

@@ -5,9 +5,12 @@ import signal
 import sys
 import threading
 
+from ..engine.printed_text import one_line
 
-def say(text: str) -> None:
-    print(text, file=sys.stderr, flush=True)
+
+def say(*lines: str) -> None:
+    """Tell people some lines. Control characters in them are escaped, line breaks among them."""
+    print(*map(one_line, lines), sep="\n", file=sys.stderr, flush=True)
 
 
 class StopRequests:

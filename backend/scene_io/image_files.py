@@ -49,7 +49,8 @@ def write_half_exr(path: Path, rgb: np.ndarray) -> None:
     height, width = rgb.shape[:2]
     pixels = np.ones((height, width, 4), np.float32)
     pixels[..., :3] = rgb[::-1]
-    partial = _partial(path).absolute()  # Blender 5 cannot write to a path without a folder
+    # Blender 5 cannot write to a path without a folder.
+    partial = fresh_partial(path, Path(path).name + ".partial").absolute()
     scene = bpy.data.scenes.new("nep.save")  # holds the file's settings, so that the settings of the artist's scene stay
     image = bpy.data.images.new("nep.save", width, height, float_buffer=True, is_data=True)
     try:
@@ -98,7 +99,7 @@ def set_media_type(settings, *, multilayer: bool = False) -> None:
 
 def write_whole(path: Path, data: bytes) -> None:
     """Write `data` under a temporary name and then rename the file. Raises OSError where it cannot be written."""
-    partial = _partial(path)
+    partial = fresh_partial(path, Path(path).name + ".partial")
     try:
         partial.write_bytes(data)
         os.replace(partial, path)
@@ -107,9 +108,14 @@ def write_whole(path: Path, data: bytes) -> None:
         raise
 
 
-def _partial(path: Path) -> Path:
-    path = Path(path)
-    return path.with_name(path.name + ".partial")
+def fresh_partial(path: Path, name: str) -> Path:
+    """The path beside `path` of a file `name`, under which it is written before it is renamed. No such file is there then.
+
+    One that was there may be a link of a stranger, through which a file elsewhere would be overwritten. Raises OSError.
+    """
+    partial = Path(path).with_name(name)
+    partial.unlink(missing_ok=True)
+    return partial
 
 
 def relative_path(path: Path | str, folder: str | None = None) -> str:

@@ -21,7 +21,7 @@ from PIL import Image
 
 from blender_nep.asset.cameras_file import CAMERAS
 from blender_nep.color import linear_to_srgb, to_bytes
-from blender_nep.files import jsonable, output_errors
+from blender_nep.files import jsonable, output_errors, refuse_links
 from blender_nep.geometry.mesh import Surface
 
 TEXTURES = ("albedo", "roughness", "metallic", "confidence")
@@ -39,6 +39,8 @@ FILES = (
 """Every file of an asset, in the order in which they are moved into its folder. No other file is replaced or removed."""
 PARTIAL = ".partial"
 """The folder in which the files of an asset are made."""
+WRITTEN = (*(name for name in FILES if "/" not in name), TEXTURES_FOLDER, PARTIAL)
+"""The files and folders in the folder of an asset that `write_asset` writes"""
 
 _HALF_MAX = 65504.0
 _HALF_LOSS = 1e-3
@@ -88,13 +90,14 @@ def write_asset(
     cameras: dict | None,
     report: Callable[[], dict],
 ) -> None:
-    """Write an asset into `folder`. Raises OutputError.
+    """Write an asset into `folder`. Raises OutputError; where one of its files or folders is a link, nothing is written.
 
     `picture` [h, w, 3] uint8 is the preview picture, `light` [H, 2H, 3] the environment as bright as the photos, and
     `cameras` the content of cameras.json; where one is None, the file that is there stays. `report` gives the content of
     report.json; it is called last, when everything else is on the disk.
     """
     with output_errors(folder):
+        refuse_links(folder, WRITTEN)
         partial = folder / PARTIAL
         _remove(partial)
         (partial / TEXTURES_FOLDER).mkdir(parents=True, exist_ok=True)

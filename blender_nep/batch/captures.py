@@ -11,7 +11,7 @@ from blender_nep.cameras.photo_folder import find_photos
 from blender_nep.capture.formats.photo_search import photos_in
 from blender_nep.capture.loading import MINIMUM_VIEWS, describe, recognized
 from blender_nep.errors import UsageError
-from blender_nep.job.own_files import is_ours
+from blender_nep.job.folders.own_files import is_ours
 
 _PARTS = {"images", "image", "masks", "mask", "test", "test_masks", "gt", "sparse"}
 """Folders that belong to a capture, and are none themselves"""

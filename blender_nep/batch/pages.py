@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-import traceback
 from pathlib import Path
 
 from blender_nep.errors import NepError
@@ -35,7 +34,7 @@ class GalleryPages:
         except Exception as error:  # also what nobody foresaw: the gallery is no reason to stop the jobs
             if not self._warned:
                 self._warned = True
-                self._events.log("".join(traceback.format_exception(error)))
+                self._events.log_traceback(error)
                 reason = error.message if isinstance(error, NepError) else str(error)
                 self._events.warning(Message("batch.no_gallery", {"reason": reason}))
         ended = time.monotonic()

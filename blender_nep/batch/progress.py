@@ -121,13 +121,13 @@ class BatchProgress(Listener):
                 shared += left / min(self._plan.at_once(memory), len(self._work))
         return done / whole if whole else 1.0, max(shared, *running)
 
-    def table(self) -> str:
-        """All objects of this start: name, state, time, and what was made or what is to do."""
+    def table(self) -> list[str]:
+        """The lines of a table of all objects of this start: name, state, time, and what was made or what is to do."""
         rows = [("object", "state", "time", "memory", "result")]
         for one in self._work:
             rows.append((one.name, one.state, time_text(one.seconds), f"{one.peak_memory_mb:.0f} MB", self._result(one)))
         widths = [max(len(row[column]) for row in rows) for column in range(4)]
-        return "\n".join("  ".join([*(f"{text:{w}}" for text, w in zip(row, widths, strict=False)), row[4]]) for row in rows)
+        return ["  ".join([*(f"{text:{w}}" for text, w in zip(row, widths, strict=False)), row[4]]) for row in rows]
 
     def _result(self, one: ObjectState) -> str:
         if one.state == DONE:

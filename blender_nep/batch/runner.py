@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import os
-import traceback
 from collections.abc import Iterable
 from pathlib import Path
 
@@ -33,12 +32,19 @@ from blender_nep.batch.workers.needs import Needs
 from blender_nep.batch.workers.scheduler import Plan, Scheduler
 from blender_nep.cameras.written_capture import is_written_by_us
 from blender_nep.errors import NepError, ObjectsFailed, OutputError, Stopped, UsageError
-from blender_nep.files import output_errors
+from blender_nep.files import output_errors, refuse_links
 from blender_nep.gallery.gallery import INDEX, SHARED, VENDOR
 from blender_nep.job.device import choose_device, usable_cores
 from blender_nep.job.exit_code import exit_code, unexpected
 from blender_nep.job.folders.job_folder import is_held, is_lock, lock_file
-from blender_nep.job.own_files import discard_run, is_ours, refuse_captures_folder, refuse_files, refuse_foreign_files
+from blender_nep.job.folders.own_files import (
+    ENTRIES,
+    discard_run,
+    is_ours,
+    refuse_captures_folder,
+    refuse_files,
+    refuse_foreign_files,
+)
 from blender_nep.job.reporting.events import Events
 from blender_nep.messages import Message
 from blender_nep.presets import preset
@@ -115,6 +121,7 @@ class Batch:
             raise OutputError(f"{s.out} is a file, not a folder", "Choose another --out.", "output.is_a_file", path=s.out)
         if not captures and not (s.out / FILE).is_file():
             raise _no_batch(s.out)
+        refuse_links(s.out, (FILE, _LOCK, _STOP, "log.txt"))
         for capture in captures:  # in a folder of captures, an object would have the name of its capture
             for folder in (capture.path, capture.path.parent):
                 refuse_captures_folder(s.out, folder)
@@ -139,6 +146,9 @@ class Batch:
         work = state.take(captures) if captures else state.objects
         if not work:
             raise _no_batch(s.out)
+        refuse_links(s.out, (one.name for one in work))
+        for one in work:  # a job looks at its other files itself; what Ray has sent is written here
+            refuse_links(s.out / one.name, (CAPTURE, *(ENTRIES if s.ship else ())))
         with output_errors(s.out):
             self._events.open_log(s.out / "log.txt")
         self._end_leftovers()
@@ -161,7 +171,7 @@ class Batch:
                     one.interrupt()
             progress.end()
         progress.show()
-        self._events.say(progress.table())
+        self._events.say(*progress.table())
         self._tell_end(work)
 
     def _state(self, captures: list[FoundCapture]) -> BatchState:
@@ -242,7 +252,7 @@ class Batch:
                 one.size, self._files[one.name] = size.told(), size.files
             except Exception as error:  # whatever is wrong with one capture stops no other one
                 if not isinstance(error, NepError):
-                    self._events.log("".join(traceback.format_exception(error)))
+                    self._events.log_traceback(error)
                     error = unexpected(error, "The details are in log.txt.")
                 one.state, one.error = FAILED, error.told()
                 progress.changed(one)

@@ -10,7 +10,7 @@ from functools import partial
 from pathlib import Path
 
 from blender_nep.errors import UsageError
-from blender_nep.files import output_errors, write_atomically, write_text
+from blender_nep.files import is_link, output_errors, refuse_links, write_atomically, write_text
 from blender_nep.gallery.asset_summary import AssetSummary, read_summary
 from blender_nep.gallery.batch_file import Batch, BatchObject, State, read_batch
 from blender_nep.gallery.pages import GROUP_WORDS, render, templates_digest
@@ -60,9 +60,11 @@ def write_gallery(folder: Path) -> None:
     not changed stay. Each file is replaced as a whole.
 
     Raises UsageError if there is no batch, its batch.json is damaged or index.html is not ours, OutputError if the pages
-    cannot be written. Missing or damaged files of an object leave gaps on its card, and raise nothing.
+    cannot be written or one is a link. Missing or damaged files of an object leave gaps on its card, and raise nothing. An
+    object whose folder is a link gets no page.
     """
     batch = read_batch(folder)
+    refuse_links(folder, (SHARED, INDEX))
     index = folder / INDEX
     if os.path.lexists(index) and GENERATOR not in _begin(index):
         hint = "Move that file away."
@@ -106,7 +108,7 @@ def _card(folder: Path, found: BatchObject) -> Card:
         warnings=tuple(dict.fromkeys(warnings)),
         picture=_picture(asset) if finished else None,
         strip=thumbnail(asset / "turntable.png", STRIP_WIDTH) if finished else None,
-        view=finished and _write_view(asset, found, summary),
+        view=finished and not is_link(asset) and _write_view(asset, found, summary),
         files=tuple(name for name in FILES if (asset / name).is_file()),
     )
 

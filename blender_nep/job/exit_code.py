@@ -26,7 +26,7 @@ def exit_code(work: Callable[[], None], events: Events, asset: Path, interrupted
         return 0
     except NepError as error:
         if not isinstance(error, Stopped | ObjectsFailed):
-            events.log("".join(traceback.format_exception(error)))
+            events.log_traceback(error)
         events.error(error)
         return error.code
     except KeyboardInterrupt:
@@ -34,7 +34,7 @@ def exit_code(work: Callable[[], None], events: Events, asset: Path, interrupted
         events.error(interrupted)
         return interrupted.code
     except Exception as error:  # a bug, or no memory
-        events.log("".join(traceback.format_exception(error)))
+        events.log_traceback(error)
         where = f"The details are in {asset / 'log.txt'}."
         if not events.has_log:
             where = "".join(traceback.format_exception(error))

@@ -17,16 +17,17 @@ from blender_nep.capture.doctor.turntable import refuse_turntable
 from blender_nep.capture.exposure import find_exposures
 from blender_nep.capture.rays.pixel_store import PixelMemory
 from blender_nep.errors import OutputError, Stopped, UsageError
-from blender_nep.files import output_errors
+from blender_nep.files import output_errors, refuse_links
 from blender_nep.job.device import usable_cores
-from blender_nep.job.folders.run_folder import RunFolder, fingerprint, refuse_other_run
-from blender_nep.job.own_files import (
+from blender_nep.job.folders.own_files import (
     CHECKPOINTS,
+    ENTRIES,
     LOG,
     refuse_captures_folder,
     refuse_folder_of_photos,
     refuse_foreign_files,
 )
+from blender_nep.job.folders.run_folder import RunFolder, fingerprint, refuse_other_run
 from blender_nep.job.reporting.events import Events
 from blender_nep.job.reporting.tracker import Tracker
 from blender_nep.job.scene_analysis import Plan, SceneAnalysis
@@ -56,11 +57,12 @@ def refuse_to_overwrite(settings: Settings) -> None:
     """Raises UsageError when the output folder is the capture's, or holds what a job would replace and may not replace.
 
     That is an asset or a run, where neither --resume nor --overwrite is given, and always files that are not ours. Raises
-    OutputError when the output path is not a folder.
+    OutputError when the output path is not a folder, and when something there that a run writes is a link.
     """
     out = settings.out
     if out.exists() and not out.is_dir():
         raise OutputError(f"{out} is a file, not a folder", "Choose another --out.", "output.is_a_file", path=out)
+    refuse_links(out, ENTRIES)
     refuse_captures_folder(out, settings.capture)
     refuse_foreign_files(out)
     if settings.resume or settings.overwrite or not out.exists():

@@ -18,9 +18,9 @@ from blender_nep.checkpoints import Checkpoint
 from blender_nep.job.device import choose_device
 from blender_nep.job.exit_code import exit_code
 from blender_nep.job.folders.job_folder import JobFolder
+from blender_nep.job.folders.own_files import PREVIEW, PROFILE
 from blender_nep.job.folders.run_folder import RunFolder
 from blender_nep.job.heap import keep_freed_memory
-from blender_nep.job.own_files import PREVIEW, PROFILE
 from blender_nep.job.preparation import (
     Preparation,
     Prepared,
@@ -114,7 +114,7 @@ class Job:
         with profile.recording():
             self._run(profile)
         profile.write(self._settings.out / PROFILE)
-        self._events.say(profile.table())
+        self._events.say(*profile.table().split("\n"))
 
     def close(self) -> None:
         """Let another run have the output folder. Before this, all events must be written."""

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import os
 import sys
+import threading
 from pathlib import Path
 
 from blender_nep.batch.settings import ENGINE
 from blender_nep.batch.workers.job_process import JobProcess
 from blender_nep.batch.workers.jobs import Job
+from blender_nep.stop_request import StopRequest
 from support.traps import set_traps
 from support.waiting import wait_until
 
@@ -16,14 +18,23 @@ WHERE = "import os, pathlib, sys; pathlib.Path(sys.argv[4], 'where').write_text(
 
 
 def test_a_job_runs_no_module_of_the_current_folder(batch, tmp_path, monkeypatch):
-    """The photos are too small for a job, which says so in a second."""
-    batch.add("a", views=6)
+    """The batch is stopped as soon as its job has told its first stage."""
+    batch.add("a")
     sprung = set_traps(tmp_path / "stranger", "blender_nep")
     monkeypatch.chdir(sprung.parent)
-    code, _ = batch.run(engine=ENGINE)
-    error = batch.objects()["a"]["error"]
+    stop, ended = StopRequest(), threading.Event()
+
+    def stop_it():
+        wait_until(lambda: ended.is_set() or ((batch.out / "batch.json").exists() and batch.objects()["a"]["stage"]))
+        stop.request("test")
+
+    stopper = threading.Thread(target=stop_it)
+    stopper.start()
+    code, _ = batch.run(stop, engine=ENGINE)
+    ended.set()
+    stopper.join()
     assert not sprung.exists()
-    assert code == 9 and error is not None and error["code"] > 1, error
+    assert code == 7 and batch.objects()["a"]["state"] == "stopped", batch.said
 
 
 def test_the_current_folder_of_a_job_is_neutral(tmp_path, monkeypatch):

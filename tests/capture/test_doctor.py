@@ -144,6 +144,8 @@ def test_a_healthy_capture_is_called_healthy(tmp_path, photos):
     assert found["largest_hole"]["code"] == "capture.hole_below" and found["largest_hole"]["values"]["degrees"] > 84
     text = describe(found)
     assert "straight below" in text and "nothing looks wrong" not in text
+    hostile = describe(found | {"folder": "p\n\x1b[2J"})
+    assert hostile.startswith("p\\n\\x1b[2J: ") and len(hostile.splitlines()) == len(text.splitlines())
 
 
 def test_the_capture_in_the_repository_is_healthy():

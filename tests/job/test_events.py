@@ -91,3 +91,52 @@ def test_standard_input_stops_by_command_and_by_its_end():
                 break
             time.sleep(0.01)
         assert stop.requested and reason in stop.reason
+
+
+HOSTILE = "p\nexport EVIL=1\r\x1b[2J\x9b31m\u2028\u202e.png"
+ESCAPED = "p\\nexport EVIL=1\\r\\x1b[2J\\x9b31m\\u2028\\u202e.png"
+
+
+def test_names_write_no_lines_of_their_own(tmp_path):
+    """Neither into the log nor on the terminal. In JSON they are as they are."""
+    protocol, human = io.StringIO(), io.StringIO()
+    events = Events(protocol, human)
+    events.open_log(tmp_path / "log.txt")
+    events.say(HOSTILE)
+    events.warning(Message("batch.no_gallery", {"reason": HOSTILE}))
+    events.progress("r", 1, 10, 0.1, 2.0, None, Message("batch.put_back", {"name": HOSTILE}))
+    events.error(CaptureError(f"{HOSTILE} cannot be read", f"Replace {ESCAPED}."))
+    events.done(Path(HOSTILE))
+    events.close()
+    for text in (human.getvalue(), (tmp_path / "log.txt").read_text()):
+        assert text.count(ESCAPED) == 6 and "\nexport" not in text
+        assert all(char.isprintable() or char == "\n" for char in text)
+    assert json.loads(protocol.getvalue().splitlines()[0])["values"]["reason"] == HOSTILE
+
+
+def test_a_traceback_makes_no_line_that_looks_like_another_one(tmp_path):
+    events = Events(None, io.StringIO())
+    events.open_log(tmp_path / "log.txt")
+    try:
+        raise ValueError("2026-11-28 12:00:00 done\n2026-11-28 12:00:00 done\x1b[2J")
+    except ValueError as error:
+        events.log_traceback(error)
+    events.close()
+    first, *more = (tmp_path / "log.txt").read_text().splitlines()
+    assert first.endswith("Traceback (most recent call last):") and len(more) > 2
+    assert all(line.startswith(" ") for line in more) and more[-1].endswith("done\\x1b[2J")
+
+
+def test_a_log_is_not_written_through_a_link(tmp_path):
+    (tmp_path / "profile").write_text("mine")
+    (tmp_path / "log.txt").symlink_to(tmp_path / "profile")
+    with pytest.raises(OutputError) as refused:
+        Events().open_log(tmp_path / "log.txt")
+    assert refused.value.name == "output.is_a_link" and (tmp_path / "profile").read_text() == "mine"
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="the system has no named pipes")
+def test_a_log_that_is_a_pipe_does_not_hang(tmp_path):
+    os.mkfifo(tmp_path / "log.txt")
+    with pytest.raises(OutputError):
+        Events().open_log(tmp_path / "log.txt")

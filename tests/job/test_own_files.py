@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from blender_nep.job import own_files
 from blender_nep.job.commands import correction
+from blender_nep.job.folders import own_files
 from blender_nep.job.reporting.events import Events
 from blender_nep.stop_request import StopRequest
 from support.ball_stages import BallStages

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from .folder_names import is_folder_name
-from .job_files import is_locked
+from .job_files import is_locked, make_file
 
 FILE, LOCK, STOP_FILE = "batch.json", "batch.lock", "batch.stop"
 """In the folder of a batch: its state, what is locked as long as a batch is at work, and what asks that batch to stop"""
@@ -76,7 +76,7 @@ def is_batch_running(folder: Path) -> bool:
 
 def ask_to_stop(folder: Path) -> None:
     """Ask the batch that is at work in the folder to stop. Raises OSError where the folder cannot be written."""
-    (Path(folder) / STOP_FILE).touch()
+    make_file(Path(folder) / STOP_FILE)
 
 
 def read_batch(folder: Path) -> BatchFile:

@@ -66,6 +66,13 @@ def is_locked(path: Path) -> bool:
     return False
 
 
+def make_file(path: Path) -> None:
+    """Make an empty file, or leave the one that is there. Raises OSError, also where a link is there: it leads elsewhere."""
+    if os.path.islink(path):
+        raise OSError(errno.ELOOP, os.strerror(errno.ELOOP), str(path))
+    path.touch()
+
+
 class EventFile:
     """Reads the events that another process appends to a file as JSON lines. Lines that are no events are left out."""
 

@@ -14,7 +14,7 @@ from blender_nep.batch.workers.jobs import Heard, Job, Jobs
 from blender_nep.batch.workers.needs import Needs, threads_for
 from blender_nep.errors import NepError
 from blender_nep.job.folders.job_folder import is_held
-from blender_nep.job.own_files import discard_run
+from blender_nep.job.folders.own_files import discard_run
 from blender_nep.messages import Message
 from blender_nep.stop_request import StopRequest
 

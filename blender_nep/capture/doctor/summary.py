@@ -21,6 +21,7 @@ from blender_nep.capture.loading import load_capture
 from blender_nep.capture.rays.pixel_rays import BRIGHTEST_CLIPPED, SATURATED, PixelRays
 from blender_nep.capture.rays.pixel_store import PixelMemory
 from blender_nep.messages import Message
+from blender_nep.printed_text import one_line
 
 MOST_CLIPPED = 0.02
 """Share of clipped pixels from which on an artist is told to expose less."""
@@ -155,7 +156,7 @@ def _doubts(found: dict) -> list[Message]:
 
 
 def describe(found: dict) -> str:
-    """The facts of `summarize` as text for people."""
+    """The facts of `summarize` as text for people. Control characters in names are escaped."""
     stops_apart = found["exposure_stops"]
     exposure = (
         "not known" if stops_apart is None else f"up to {stops_apart} stops apart" if stops_apart else "no clear difference"
@@ -179,7 +180,8 @@ def describe(found: dict) -> str:
         + (f"the object covers {found['mask_coverage']:.0%} of the pixels" if found["masks"] else "none")
         + (" (cut-outs)" if found["cut_outs"] else ""),
     ]
-    return "\n".join(lines + ([f"  warning: {w['message']}" for w in found["warnings"]] or ["  nothing looks wrong"]))
+    lines += [f"  warning: {w['message']}" for w in found["warnings"]] or ["  nothing looks wrong"]
+    return "\n".join(map(one_line, lines))
 
 
 def _counts(counts: dict[str, int]) -> str:

@@ -13,11 +13,11 @@ import numpy as np
 from blender_nep.asset.export import TEXTURES, Placement, write_asset
 from blender_nep.asset.preview import PreviewView
 from blender_nep.errors import UsageError
-from blender_nep.files import output_errors
+from blender_nep.files import output_errors, refuse_links
 from blender_nep.job.exit_code import exit_code
 from blender_nep.job.folders.job_folder import held
+from blender_nep.job.folders.own_files import ENTRIES, LOG, PREVIEW
 from blender_nep.job.folders.run_folder import FORMAT, RunFolder
-from blender_nep.job.own_files import LOG, PREVIEW
 from blender_nep.job.reporting.events import Events
 from blender_nep.job.stage_names import StageName
 from blender_nep.job.stages import SurfaceResult, surface_result
@@ -47,6 +47,7 @@ def run(asset: Path, corrections: Mapping[int, Correction], events: Events) -> i
 
     def work() -> None:
         read_report(asset)  # to refuse a folder that is no asset of ours before a lock is made in it
+        refuse_links(asset, ENTRIES)
         with held(asset), StopRequest().signals():  # nobody asks for the stop
             _correct(asset, corrections, events)
 

@@ -26,7 +26,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from blender_nep.errors import OutputError, UsageError
-from blender_nep.files import output_error, output_errors, write_atomically
+from blender_nep.files import open_in_place, output_error, output_errors, refuse_links, write_atomically
 
 FOLDER = "job"
 PREVIEW_MESH, PREVIEW_PICTURE = "preview.npz", "preview.png"
@@ -65,8 +65,7 @@ class Journal:
     """A file to which lines are appended. Lines that a full disk does not take are kept and written later, in order."""
 
     def __init__(self, path: Path) -> None:
-        flags = os.O_WRONLY | os.O_CREAT | os.O_APPEND | getattr(os, "O_BINARY", 0)
-        self._descriptor = os.open(path, flags, 0o666)
+        self._descriptor = open_in_place(path, os.O_WRONLY | os.O_CREAT | os.O_APPEND)
         self._waiting = b""
 
     def write(self, text: str) -> None:
@@ -91,6 +90,7 @@ class JobFolder:
         """
         self.path = asset / FOLDER
         with output_errors(self.path):
+            refuse_links(asset, [FOLDER])
             refuse_foreign_files(asset)
             self.path.mkdir(parents=True, exist_ok=True)
             self._lock = lock_file(self.path / _LOCK, asset, needed=followed)
@@ -131,7 +131,7 @@ class JobFolder:
         """
         with output_errors(self.path):
             sys.stderr.flush()
-            log = os.open(self.path / "engine.log", os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o666)
+            log = open_in_place(self.path / "engine.log", os.O_WRONLY | os.O_CREAT | os.O_APPEND)
             os.dup2(log, 2)
             os.close(log)
 
@@ -148,6 +148,7 @@ def held(asset: Path) -> Iterator[None]:
         yield
         return
     with output_errors(path):
+        refuse_links(asset, [FOLDER])
         path.parent.mkdir(exist_ok=True)
         hint = "Stop it or wait for its end, then correct the materials again."
         descriptor = lock_file(path, asset, needed=False, hint=hint)
@@ -188,7 +189,7 @@ def lock_file(
 
     A program that follows the run locks the file for an instant, to see whether the run lives. So the lock is tried again.
     """
-    descriptor = os.open(path, os.O_RDWR | os.O_CREAT, 0o666)
+    descriptor = open_in_place(path, os.O_RDWR | os.O_CREAT)
     for attempt in range(20):
         try:
             if sys.platform == "win32":

@@ -13,7 +13,7 @@ from blender_nep.capture import Capture
 from blender_nep.checkpoints import Checkpoint, load_state, save_state
 from blender_nep.errors import UsageError
 from blender_nep.files import write_atomically
-from blender_nep.job.own_files import (
+from blender_nep.job.folders.own_files import (
     CHECKPOINTS,
     RUN_FILE,
     discard_run,

@@ -8,6 +8,7 @@ import math
 import os
 import sys
 import time
+import traceback
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TextIO
@@ -15,9 +16,10 @@ from typing import TYPE_CHECKING, Any, TextIO
 from tqdm import tqdm
 
 from blender_nep.errors import NepError
-from blender_nep.files import jsonable
+from blender_nep.files import jsonable, open_in_place
 from blender_nep.job.reporting.timeline import time_text
 from blender_nep.messages import Message
+from blender_nep.printed_text import one_line
 
 if TYPE_CHECKING:
     from blender_nep.job.folders.job_folder import Journal
@@ -53,8 +55,9 @@ class Events:
         self.warnings: list[Message] = []
 
     def open_log(self, path: Path) -> None:
-        """Open the log file and write what was said before. From now on everything is appended to it."""
-        self._log = open(path, "a", encoding="utf-8", errors="backslashreplace")  # names of files may be no UTF-8
+        """Open the log file and write what was said before. From now on everything is appended to it. Raises OutputError."""
+        descriptor = open_in_place(path, os.O_WRONLY | os.O_CREAT | os.O_APPEND)
+        self._log = open(descriptor, "a", encoding="utf-8", errors="backslashreplace")  # names of files may be no UTF-8
         for line in self._pending:
             self._log.write(line)
         self._pending.clear()
@@ -70,9 +73,18 @@ class Events:
         """Whether a log file is open."""
         return self._log is not None
 
-    def log(self, text: str) -> None:
-        """Write a line with the time to the log only. Before `open_log`, the line is kept for the log."""
-        line = f"{time.strftime('%Y-%m-%d %H:%M:%S')} {text}\n"
+    def log(self, *lines: str) -> None:
+        """Write lines to the log only. Before `open_log`, they are kept for the log.
+
+        The first line has the time, and the others are indented. Control characters are escaped, line breaks among them: no
+        name of a file makes a line of its own.
+        """
+        first, *more = map(one_line, lines)
+        stamped = (
+            f"{time.strftime('%Y-%m-%d %H:%M:%S')} {first}",
+            *(text if text.startswith(" ") else f"    {text}" for text in more),
+        )
+        line = "".join(f"{text}\n" for text in stamped)
         if self._log is None:
             self._pending.append(line)
             return
@@ -82,18 +94,22 @@ class Events:
         except OSError:  # the disk is full: the log ends, but the error itself must still reach the user
             self._log = None
 
-    def say(self, text: str) -> None:
-        """Write a line for people, and to the log."""
-        self.log(text)
+    def log_traceback(self, error: BaseException) -> None:
+        """Write the traceback of an error to the log only."""
+        self.log(*"".join(traceback.format_exception(error)).rstrip("\n").split("\n"))
+
+    def say(self, *lines: str) -> None:
+        """Write lines for people, and to the log. Control characters are escaped, line breaks among them."""
+        self.log(*lines)
         if self._human is None:
             return
         if self._bar is not None:
             self._bar.clear()
-        self._print(text)
+        self._print(*lines)
 
-    def _print(self, text: str) -> None:
+    def _print(self, *lines: str) -> None:
         with contextlib.suppress(OSError):  # stderr may be a file on a full disk
-            print(text, file=self._human, flush=True)
+            print(*map(one_line, lines), sep="\n", file=self._human, flush=True)
 
     def emit(self, event: str, **content: Any) -> None:
         """Send one JSON line to programs. If the pipe is closed, or the disk of a file is full, nothing more is sent."""
@@ -144,7 +160,7 @@ class Events:
                 form = "{desc}: {percentage:3.0f}%|{bar}| {unit}"
                 self._bar = tqdm(total=1.0, file=self._human, bar_format=form, dynamic_ncols=True)
             self._bar.n = fraction
-            self._bar.unit = f"{place}{figure}, {time_text(eta)} left"
+            self._bar.unit = one_line(f"{place}{figure}, {time_text(eta)} left")
             self._bar.set_description_str(stage.replace("_", " "))
         if self._clock() - self._last_line >= 10:
             self._last_line = self._clock()
@@ -176,7 +192,7 @@ class Events:
     def error(self, error: NepError) -> None:
         """Send that the job failed."""
         self.emit("error", **error.told())
-        self.say(f"error: {error.message}" + (f"\n       {error.hint}" if error.hint else ""))
+        self.say(f"error: {error.message}", *(f"       {line}" for line in error.hint.split("\n") if error.hint))
 
     def close(self) -> None:
         """Close the progress bar and the log."""

@@ -112,5 +112,25 @@ def test_a_file_that_cannot_be_read_or_written_is_an_oserror_and_leaves_nothing(
     assert left == ["file", "folder.exr", "folder.png", "torn.exr"]
 
 
+def test_nothing_is_written_through_a_link(tmp_path):
+    """A shelf from a stranger may hold links to files of the user, also under the temporary names."""
+    in_blender(write_where_links_are, tmp_path)
+    assert (tmp_path / "mine").read_text() == "mine"
+    assert not [path.name for path in tmp_path.iterdir() if path.is_symlink()]
+
+
+def write_where_links_are(folder):
+    from backend.headless.blend_file import save_packed
+    from backend.scene_io.image_files import write_half_exr, write_png
+
+    (Path(folder) / "mine").write_text("mine")
+    for name in ("a.png", "b.exr", "c.blend"):
+        for link in (name, f"{name}.partial" if name != "c.blend" else f"partial_{name}"):
+            (Path(folder) / link).symlink_to(Path(folder) / "mine")
+    write_png(Path(folder) / "a.png", GRAY)
+    write_half_exr(Path(folder) / "b.exr", RADIANCE)
+    save_packed(Path(folder) / "c.blend")
+
+
 if __name__ == "__main__":
     globals()[sys.argv[1]](*sys.argv[2:])

@@ -15,7 +15,7 @@ import re
 from collections.abc import Iterable
 from pathlib import Path
 
-from blender_nep.asset.export import FILES, PARTIAL, REPORT, TEXTURES_FOLDER
+from blender_nep.asset.export import FILES, PARTIAL, REPORT, TEXTURES_FOLDER, WRITTEN
 from blender_nep.capture.capture import Capture
 from blender_nep.capture.formats.photo_search import photos_in
 from blender_nep.errors import UsageError
@@ -27,6 +27,8 @@ CHECKPOINTS, RUN_FILE = "checkpoints", "run.json"
 PREVIEW = "preview"
 """Name under which the view of the preview picture is kept in `checkpoints/`."""
 LOG, PROFILE = "log.txt", "profile.json"
+ENTRIES = (*WRITTEN, CHECKPOINTS, job_folder.FOLDER, LOG, PROFILE)
+"""The files and folders that a run writes into the folder of its asset"""
 _BLENDERS = ("asset.blend", "comparison.png", "turntable.png")
 """Files that Blender adds to an asset: backend/headless"""
 _RUN_KEYS = {"format", "capture", "preset", "seed"}
