@@ -101,6 +101,9 @@ def _write(path: Path, items: list[bpy.types.Object]) -> None:
     try:
         for item in items:
             shown.collection.objects.link(item)
+        # Blender 5.2 ends with a segmentation fault where it writes a scene that was made after the last update of a scene.
+        # One update serves all scenes of the file, also those that the objects refer to.
+        shown.view_layers[0].update()
         bpy.data.libraries.write(str(partial), {shown, *items}, fake_user=True, compress=True)
     finally:
         bpy.data.scenes.remove(shown)

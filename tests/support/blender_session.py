@@ -288,6 +288,7 @@ def check_shelf(asset: Path, folder: Path) -> None:
     assert item.name == "thing" and tuple(item.preview.image_size) == (16, 16) and item.asset_data.description
     bpy.context.view_layer.update()
     assert abs(min((item.matrix_world @ vertex.co).z for vertex in item.data.vertices)) < 1e-4
+    item["made for"] = bpy.data.scenes.new("never shown")  # it is written, too
     assert bpy.ops.nep.add_asset_library() == {"FINISHED"}
     assert item.asset_data.catalog_id in (shelf / "blender_assets.cats.txt").read_text()
     with bpy.data.libraries.load(str(shelf / "shelf.blend"), assets_only=True) as (there, _):
