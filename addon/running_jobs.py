@@ -168,16 +168,16 @@ def _show_previews(job: Job) -> None:
 
 def on_job_ended(job: Job) -> None:
     """Remove the job's live preview, and remember how long a successful job took."""
-    remove_old_previews()
+    if remove_old_previews():
+        clock.call_until_false(remove_old_previews)
     halved_pictures.remove_picture(job.key)
     if job.failed is None:
         timings.remember(engine_paths.timings_file(), job.output)
 
 
 def remove_old_previews() -> bool:
-    """Remove the preview meshes of jobs that do not run. Returns False: one call is enough."""
-    live_preview.remove_meshes_except([job.key for job in _jobs.values() if not job.ended])
-    return False
+    """Remove the preview meshes of jobs that do not run. Returns whether another call is needed: one is being edited."""
+    return live_preview.remove_meshes_except([job.key for job in _jobs.values() if not job.ended])
 
 
 @persistent

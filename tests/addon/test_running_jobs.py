@@ -361,6 +361,60 @@ def check_save_as(folder):
         assert right(), file
 
 
+def test_damaged_previews_change_nothing(package):
+    in_blender(check_damaged_previews, package)
+
+
+def check_damaged_previews(folder):
+    import bpy
+
+    addon, scene, file = register(), bpy.context.scene, folder / "mesh.npz"
+    corners, faces = np.eye(3, dtype=np.float32), np.array([[0, 1, 2]])
+    np.savez(file, vertices=corners, faces=np.concatenate([faces, faces, faces * 0]))
+    addon.live_preview.show_mesh(scene, "job", file)
+    mesh = bpy.data.objects["NeP preview"].data
+    assert len(mesh.vertices) == 3 and len(mesh.polygons) == 1, "no triangle with a vertex twice"
+    for bad in (
+        {"faces": np.array([[0, 1, 3]])},  # Blender ends where it draws it
+        {"faces": np.array([[0, 1, -1]])},
+        {"faces": np.array([[0, 1, 2**32]])},
+        {"faces": faces.astype(float)},
+        {"faces": faces.ravel()},
+        {"vertices": corners[:, :2]},
+        {"vertices": corners * np.nan},
+        {"vertices": np.array({})},
+    ):
+        np.savez(file, **{"vertices": corners * 2, "faces": faces} | bad)
+        addon.live_preview.show_mesh(scene, "job", file)
+        assert len(mesh.polygons) == 1 and mesh.vertices[0].co.x == 1, bad
+    addon.live_preview.MOST_BYTES = 10
+    np.savez(file, vertices=corners * 2, faces=faces)
+    addon.live_preview.show_mesh(scene, "job", file)
+    assert mesh.vertices[0].co.x == 1
+
+
+def test_a_preview_that_is_edited_stays_until_then(package):
+    in_blender(check_edited_preview, package)
+
+
+def check_edited_preview(folder):
+    """Blender ends at an undo after a mesh was removed in Edit Mode, and refuses to replace one there."""
+    import bpy
+
+    addon, scene, file = register(), bpy.context.scene, folder / "mesh.npz"
+    np.savez(file, vertices=np.eye(3, dtype=np.float32), faces=np.array([[0, 1, 2]]))
+    addon.live_preview.show_mesh(scene, "job", file)
+    preview = bpy.data.objects["NeP preview"]
+    preview.hide_select = False
+    bpy.context.view_layer.objects.active = preview
+    bpy.ops.object.mode_set(mode="EDIT")
+    addon.live_preview.show_mesh(scene, "job", file)
+    addon.running_jobs.on_undone()
+    assert addon.clock.tick() is not None and preview.mode == "EDIT"
+    bpy.ops.object.mode_set(mode="OBJECT")
+    rounds(addon, lambda: "NeP preview" not in bpy.data.objects)
+
+
 def test_a_picture_is_shown_in_two_halves(folders):
     in_blender(check_halves, folders)
 
