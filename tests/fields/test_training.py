@@ -281,15 +281,9 @@ def test_what_the_schedule_wants_done_is_done(rays):
         assert learning.object_field.level_count == (p.last_levels if joint and before >= p.refine_at else p.first_levels)
         assert (learning.object_pixels is None) != joint and bool(len(learning.validation_pixels)) == joint
         assert bool(learning.schedule.validation_errors) == (joint and before >= p.validate_from)
-    done = learning.refinements.state()
-    assert [done[name]["passed"] for name in ("hull", "levels", "carve", "cavities", "relief", "object_pixels")] == [
-        1,
-        1,
-        2,
-        1,
-        2,
-        4,
-    ]
+    passed = {name: record["passed"] for name, record in learning.refinements.state().items()}
+    assert (passed["hull"], passed["levels"], passed["carve"]) == (1, 1, 2)
+    assert (passed["cavities"], passed["relief"], passed["object_pixels"]) == (1, 1, 4)
     assert len(learning.object_pixels) < len(whole)
     held_out = learning.validation_pixels
     assert (held_out % p.held_out_every == 0).all()
