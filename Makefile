@@ -1,4 +1,5 @@
 # make demo   makes an asset, a .blend file and a comparison picture from the capture in the repository
+# make extension  builds the zip that Blender installs, dist/blender_nep-VERSION.zip (needs no environment)
 # make test   runs make lint and all tests
 # make lint   checks style (ruff), the directions of imports (import-linter) and types (mypy)
 # make stress CASES=500 SEED=1   runs whole small jobs on hostile captures (docs/stress.md). The same command continues a
@@ -35,11 +36,15 @@ ifdef PIP_EXTRA_INDEX_URL
 export PIP_EXTRA_INDEX_URL
 endif
 
-.PHONY: demo test stress test-blender wheels lint bench clean
+.PHONY: demo extension test stress test-blender wheels lint bench clean
 
 demo: $(VENV)/installed
 	$(BIN)/python backend/run.py --capture $(CAPTURE) --out $(OUT) --preset preview --relight 3 --overwrite
 	@echo "Look at $(OUT)/comparison.png; the .blend and the asset are in $(OUT) too."
+
+# The Python of the environment, where there is one, has Blender's own check of the zip.
+extension:
+	$(or $(wildcard $(BIN)/python),$(PYTHON)) release/extension.py
 
 test: lint
 	$(BIN)/python -m pytest -q

@@ -6,11 +6,11 @@ import re
 import subprocess
 import sys
 import tomllib
-import zipfile
 from pathlib import Path
 
 import numpy as np
 
+from release.extension import build
 from support.blender_checks import drawn_by, fails, rounds
 from support.executable import write_executable
 from support.own_process import run_file
@@ -21,18 +21,6 @@ LIMIT_S = 120
 NEEDED = {"schema_version", "id", "name", "tagline", "version", "type", "maintainer", "license", "blender_version_min"}
 ADDON_TAGS = {"3D View", "Bake", "Import-Export", "Material", "Render"}  # those of Blender's list that could apply here
 PERMISSIONS = {"files", "network", "clipboard", "camera", "microphone"}
-PACKED = (
-    "blender_manifest.toml",
-    "__init__.py",
-    "addon",
-    "backend",
-    "blender_nep",
-    "pyproject.toml",
-    "README.md",
-    "LICENSE",
-    "constraints.txt",
-)
-
 FAKE_ENGINE = """
 import json, os, pathlib, shutil, sys
 if sys.argv[2] == "-c":
@@ -89,12 +77,7 @@ def test_backend_and_addon_import_no_engine():
 
 
 def test_extension_installs_reconstructs_and_goes(tmp_path):
-    archive = tmp_path / "blender_nep.zip"
-    with zipfile.ZipFile(archive, "w") as packed:
-        for name in PACKED:
-            path = ROOT / name
-            for file in [path] if path.is_file() else sorted(path.rglob("*.py")):
-                packed.write(file, file.relative_to(ROOT))
+    archive = build(tmp_path / "blender_nep.zip")
     fake = write_executable(tmp_path / "fake-python", FAKE_ENGINE)
     played_python(tmp_path)
     user = tmp_path / "user"

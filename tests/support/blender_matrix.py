@@ -14,14 +14,18 @@ import sys
 import tempfile
 from pathlib import Path
 
-import extension
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))  # for support
+sys.path.insert(0, str(Path(__file__).resolve().parents[2]))  # for release
 
 from blender_nep.errors import UsageError
+from release.extension import build
+from support.extension import session
+from support.paths import ROOT
 
 PYTHON_OF = {"4.2": "3.11", "4.5": "3.11", "5.0": "3.11", "5.2": "3.13"}  # the one Python that each wheel is built for
-ENVIRONMENTS = extension.ROOT / ".venv-blender"
-CAPTURE = extension.ROOT / "data" / "suzanne_small"
-ASSET = extension.ROOT / "out" / "blender_matrix"
+ENVIRONMENTS = ROOT / ".venv-blender"
+CAPTURE = ROOT / "data" / "suzanne_small"
+ASSET = ROOT / "out" / "blender_matrix"
 INSTALL_LIMIT_S, ENGINE_LIMIT_S, SESSION_LIMIT_S = 1800, 1800, 600
 
 
@@ -47,19 +51,17 @@ def environment(version: str) -> str:
 
 def main(versions: list[str]) -> int:
     command = [sys.executable, "-m", "blender_nep", "reconstruct", CAPTURE, "--out", ASSET, "--preset", "preview"]
-    ended = subprocess.run([*command, "--resume"], timeout=ENGINE_LIMIT_S, cwd=extension.ROOT)
+    ended = subprocess.run([*command, "--resume"], timeout=ENGINE_LIMIT_S, cwd=ROOT)
     if ended.returncode == UsageError.code:  # the asset there is of another preset or version
-        ended = subprocess.run([*command, "--overwrite"], timeout=ENGINE_LIMIT_S, cwd=extension.ROOT)
+        ended = subprocess.run([*command, "--overwrite"], timeout=ENGINE_LIMIT_S, cwd=ROOT)
     ended.check_returncode()
     failed = []
     for version in versions:
         python = environment(version)
         with tempfile.TemporaryDirectory() as folder:
-            archive = extension.build(Path(folder) / "blender_nep.zip")
+            archive = build(Path(folder) / "blender_nep.zip")
             try:
-                ended = extension.session(
-                    python, sys.executable, archive, CAPTURE, ASSET, Path(folder) / "session", SESSION_LIMIT_S
-                )
+                ended = session(python, sys.executable, archive, CAPTURE, ASSET, Path(folder) / "session", SESSION_LIMIT_S)
                 told, code = ended.stdout, ended.returncode
             except subprocess.TimeoutExpired as error:
                 told, code = (error.stdout or b"").decode(errors="replace"), f"none after {SESSION_LIMIT_S} s"
