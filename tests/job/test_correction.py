@@ -14,53 +14,14 @@ from blender_nep.job.commands import correction
 from blender_nep.job.folders.job_folder import JobFolder
 from blender_nep.job.reporting.events import Events
 from blender_nep.job.stages import SurfaceResult
-from blender_nep.materials.corrections import CorrectablePalette, Correction, KeptMaterials
-from blender_nep.materials.labels.blending import BlendedPoints
-from blender_nep.materials.palette.palette import Palette
-from blender_nep.materials.shown_faces import ShownParts
-from blender_nep.materials.training import Materials
-from blender_nep.shading.light_moments import LightMoments
+from blender_nep.materials.corrections import Correction
 from blender_nep.surface.normal_map import LeanMesh
-from support.ball_stages import BallStages, BallSurface, ball_surface
+from support.ball_stages import BallSurface, ball_surface
+from support.two_materials import KeepingStages, two_materials
 
 SHARE = round(float((ball_surface().normals[:, 2] <= 0).mean()), 4)
 """Share of the points that show the metal of `two_materials`"""
 FILES = ("mesh.obj", "asset.glb", "preview.png", "environment.exr", "report.json", "textures/roughness.exr")
-
-
-def two_materials() -> KeptMaterials:
-    """A metal on the lower half of the ball and paint on the upper half, in gray light."""
-    surface = ball_surface()
-    n = len(surface.vertices)
-    upper = surface.normals[:, 2] > 0
-    full = torch.ones(n, 4, 1, 3)
-    levels = torch.tensor([0.05, 0.2, 0.5, 1.0])
-    light = LightMoments(
-        torch.cat([full, 0.1 * full, 0.05 * full], 2), torch.ones(n, 3), torch.ones(n, 4), torch.full((n,), 0.8), levels
-    )
-    palette = Palette(torch.tensor([[0.9, 0.7, 0.3], [0.5, 0.1, 0.1]]), torch.tensor([0.2, 0.5]), torch.tensor([1.0, 0.0]))
-    label = torch.from_numpy(upper.astype(np.int64))
-    points = BlendedPoints(
-        surface.vertices,
-        surface.normals,
-        np.arange(n) % 5,
-        np.zeros(n),
-        label.numpy(),
-        label.numpy(),
-        np.zeros(n, np.float32),
-    )
-    target = palette.albedo[label]
-    materials = CorrectablePalette(light, target, label, palette, points)
-    return KeptMaterials(materials, 32, ShownParts(np.ones(len(surface.faces), np.int64), np.ones(len(surface.faces), bool)))
-
-
-class KeepingStages(BallStages):
-    """A job that learns two materials, and keeps what a correction needs."""
-
-    def learn_materials(self, given, progress, checkpoint):
-        kept = two_materials()
-        textures, _ = kept.bake(ball_surface(), {}, given.preset)
-        return Materials(*textures, report={}, kept=kept)
 
 
 @pytest.fixture
@@ -194,7 +155,7 @@ def test_paint_is_refused_where_the_light_for_it_was_not_gathered(start, monkeyp
     kept = two_materials()
     light = kept.materials.light
     light.diffuse = torch.zeros_like(light.diffuse)  # as after --metal yes
-    monkeypatch.setattr(f"{__name__}.two_materials", lambda: kept)
+    monkeypatch.setattr("support.two_materials.two_materials", lambda: kept)
     assert start(KeepingStages())[0] == 0
     before = contents(start.out)
     code, events = correct(start.out, {0: Correction(metallic=0.0)})
