@@ -1,17 +1,20 @@
-# make demo   makes an asset, a .blend file and a comparison picture from the capture in the repository
-# make extension  builds the zip that Blender installs, dist/blender_nep-VERSION.zip (needs no environment)
-# make test   runs make lint and all tests
-# make lint   checks style (ruff), the directions of imports (import-linter) and types (mypy)
+# make            says this
+# make demo       makes an asset, a .blend file and a comparison picture from the capture in the repository
+# make extension  builds the zip that Blender installs, dist/blender_nep-VERSION.zip. It needs no environment
+# make test       runs make lint and all tests
+# make lint       checks style (ruff), the directions of imports (import-linter) and types (mypy)
 # make stress CASES=500 SEED=1   runs whole small jobs on hostile captures (docs/stress.md). The same command continues a
-#             campaign that was stopped.
-# make bench  runs the suite, the peer and the study of skipping, and writes docs/benchmarks.md and docs/peer.md. This takes
-#             many hours. These variables make it shorter:
-#             CAPTURES="a b" PLAN=presets SEEDS=0 JOBS=2, RENDER="--views 24 --size 160 --samples 8"
-# make test-blender   tests the extension in Blender 4.2, 4.5, 5.0 and 5.2 (bpy wheels, 4 GB; needs Python 3.13 too)
-# make wheels  says which dependencies of the engine have a wheel, for each system and Python (needs the package index)
+#                 campaign that was stopped
+# make bench      runs the suite, the peer and the study of skipping, and writes docs/benchmarks.md and docs/peer.md. This
+#                 takes many hours. These variables make it shorter:
+#                 CAPTURES="a b" PLAN=presets SEEDS=0 JOBS=2, RENDER="--views 24 --size 160 --samples 8"
+# make test-blender  tests the extension in Blender 4.2, 4.5, 5.0 and 5.2 (bpy wheels, 4 GB; needs Python 3.13 too)
+# make wheels     says which dependencies of the engine have a wheel, for each system and Python (needs the package index)
+# make clean      deletes what was installed and made here: .venv, .venv-blender, out, dist, build
 #
-# Everything is installed into .venv, with the versions of constraints.txt. Python 3.11 is needed, because bpy 5.0 is built
-# for no other version. On Linux, torch from PyPI contains CUDA (gigabytes). This installs torch without CUDA:
+# All commands but make extension and make clean install into .venv first (2.5 GB and more), with the versions of
+# constraints.txt. Python 3.11 is needed, because bpy 5.0 is built for no other version. On Linux, torch from PyPI contains
+# CUDA (gigabytes). This installs torch without CUDA:
 #   make demo PIP_EXTRA_INDEX_URL=https://download.pytorch.org/whl/cpu
 
 PYTHON ?= $(shell for p in python3.11 python3 python; do \
@@ -36,7 +39,10 @@ ifdef PIP_EXTRA_INDEX_URL
 export PIP_EXTRA_INDEX_URL
 endif
 
-.PHONY: demo extension test stress test-blender wheels lint bench clean
+.PHONY: help demo extension test stress test-blender wheels lint bench clean
+
+help:
+	@sed -n '/^$$/q; s/^# \{0,1\}//p' Makefile
 
 demo: $(VENV)/installed
 	$(BIN)/python backend/run.py --capture $(CAPTURE) --out $(OUT) --preset preview --relight 3 --overwrite
@@ -44,7 +50,7 @@ demo: $(VENV)/installed
 
 # The Python of the environment, where there is one, has Blender's own check of the zip.
 extension:
-	$(or $(wildcard $(BIN)/python),$(PYTHON)) release/extension.py
+	$(or $(wildcard $(BIN)/python),$(PYTHON),python3) release/extension.py
 
 test: lint
 	$(BIN)/python -m pytest -q
@@ -89,4 +95,4 @@ $(VENV)/installed-dev: $(VENV)/installed
 	touch $@
 
 clean:
-	rm -rf $(VENV) .venv-blender out build *.egg-info
+	rm -rf $(VENV) .venv-blender out dist build *.egg-info
