@@ -27,3 +27,9 @@ def test_every_file_that_a_document_names_is_there(document):
     linked = {link.partition("#")[0] for link in re.findall(r"\]\(([^)\s]+)\)", text) if "://" not in link}
     missing += [link for link in linked if link and not (document.parent / link).exists()]
     assert not missing
+
+
+def test_readme_is_short_and_has_both_commands():
+    text = (ROOT / "README.md").read_text(encoding="utf-8")
+    assert len(text.split()) <= 1000
+    assert "    make demo " in text and "    make test " in text
