@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from blender_nep.command_line import parser, sphere
-from blender_nep.printed_text import one_line
+from blender_nep.safety.printed_text import one_line
 
 if TYPE_CHECKING:
     from blender_nep.errors import NepError

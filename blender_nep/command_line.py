@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import NoReturn
 
 from blender_nep import __version__
-from blender_nep.printed_text import one_line
+from blender_nep.safety.printed_text import one_line
 
 LEAST_FACES = 2000
 """Smallest --faces. With fewer, the mesh is no longer near enough to the surface for a normal map."""

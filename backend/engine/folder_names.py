@@ -1,4 +1,4 @@
-"""Which names a folder of an object may have: a second copy of blender_nep/folder_names.py. No bpy in this file.
+"""Which names a folder of an object may have: a second copy of blender_nep/safety/folder_names.py. No bpy in this file.
 
 Blender's Python does not import that file. A test compares the two.
 """

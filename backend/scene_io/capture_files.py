@@ -123,11 +123,11 @@ def with_exposures(frames: list[Frame], asset: Path) -> list[Frame]:
     """
     try:
         report = json.loads((Path(asset) / "report.json").read_text(encoding="utf-8"))
-        gains = [tuple(float(g) for g in gain) for gain in report["capture"]["photo_gains"]]
+        gains = [(float(red), float(green), float(blue)) for red, green, blue in report["capture"]["photo_gains"]]
     except (OSError, ValueError, KeyError, TypeError):  # all photos have one exposure, or another program wrote the asset
         return frames
     # Where the numbers of gains and of frames differ, the asset was made from other photos.
-    fit = len(gains) == len(frames) and all(len(gain) == 3 for gain in gains)
+    fit = len(gains) == len(frames)
     return [replace(frame, gain=gain) for frame, gain in zip(frames, gains, strict=True)] if fit else frames
 
 

@@ -28,8 +28,8 @@ from benchmarks.studies.ray_nodes import RayNodes
 from benchmarks.suite.harness import markdown, resumed
 from blender_nep.batch import runner
 from blender_nep.batch.settings import BatchSettings
-from blender_nep.isolated_python import isolated_python
 from blender_nep.job.reporting.events import Events
+from blender_nep.safety.isolated_python import isolated_python
 from blender_nep.stop_request import StopRequest
 
 STAND_IN = """

@@ -11,7 +11,7 @@ import tempfile
 import psutil
 
 from benchmarks.suite.harness import ROOT
-from blender_nep.isolated_python import NEUTRAL_FOLDER, isolated_python
+from blender_nep.safety.isolated_python import NEUTRAL_FOLDER, isolated_python
 
 
 class RayNodes:

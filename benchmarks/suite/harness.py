@@ -22,8 +22,8 @@ from pathlib import Path
 from benchmarks.row_files import read_row, write_row
 from blender_nep.errors import NepError, Stopped
 from blender_nep.files import write_text
-from blender_nep.isolated_python import NEUTRAL_FOLDER, isolated_python
 from blender_nep.presets import Preset
+from blender_nep.safety.isolated_python import NEUTRAL_FOLDER, isolated_python
 
 _POLL = 0.2
 """Seconds between two checks whether a running step has ended."""

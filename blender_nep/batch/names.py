@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
-from blender_nep.folder_names import is_folder_name
+from blender_nep.safety.folder_names import is_folder_name
 
 _LONGEST, _LONGEST_BYTES = 80, 180
 """Of the part that is taken from the capture's name, in letters and in UTF-8"""

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from blender_nep.isolated_python import isolated_python
+from blender_nep.safety.isolated_python import isolated_python
 
 ENGINE = (*isolated_python(), "-m", "blender_nep")
 """The program that runs one job; the command and its options follow"""

@@ -15,7 +15,7 @@ from blender_nep.batch.names import object_name
 from blender_nep.batch.settings import BatchSettings
 from blender_nep.errors import UsageError
 from blender_nep.files import jsonable, write_text
-from blender_nep.folder_names import is_folder_name
+from blender_nep.safety.folder_names import is_folder_name
 
 FILE = "batch.json"
 FORMAT = 1

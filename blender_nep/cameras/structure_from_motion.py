@@ -30,7 +30,7 @@ from blender_nep.cameras.reduction import Reduction
 from blender_nep.capture.cameras.camera import Camera
 from blender_nep.capture.formats import colmap
 from blender_nep.errors import CaptureError, NepError, OutputError, Stopped
-from blender_nep.isolated_python import NEUTRAL_FOLDER, isolated_python
+from blender_nep.safety.isolated_python import NEUTRAL_FOLDER, isolated_python
 from blender_nep.stop_request import StopRequest
 
 LONGEST_SIDE = 1600

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from blender_nep.errors import UsageError
-from blender_nep.folder_names import is_folder_name
+from blender_nep.safety.folder_names import is_folder_name
 
 BATCH = "batch.json"
 """The file in the folder of a batch."""

@@ -9,7 +9,7 @@ import sys
 
 import pytest
 
-from blender_nep.isolated_python import NEUTRAL_FOLDER, isolated_python
+from blender_nep.safety.isolated_python import NEUTRAL_FOLDER, isolated_python
 from support.paths import SUZANNE_SMALL
 from support.traps import set_traps
 

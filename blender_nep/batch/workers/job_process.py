@@ -16,7 +16,7 @@ from blender_nep.batch.outcome import NOT_STARTED
 from blender_nep.batch.workers.jobs import Heard, Job
 from blender_nep.batch.workers.machine import OUT_OF_JOB, Meter, kill
 from blender_nep.errors import NepError
-from blender_nep.isolated_python import NEUTRAL_FOLDER
+from blender_nep.safety.isolated_python import NEUTRAL_FOLDER
 
 CAPTURE = "capture"
 """The folder in an asset that holds the cameras of photos alone"""

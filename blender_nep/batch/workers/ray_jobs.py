@@ -25,8 +25,8 @@ from blender_nep.batch.workers.jobs import Heard, Job
 from blender_nep.batch.workers.machine import jobs_in, wait_for_end
 from blender_nep.batch.workers.shipping import pack, unpack
 from blender_nep.errors import UsageError
-from blender_nep.isolated_python import NEUTRAL_FOLDER
 from blender_nep.job.folders.job_folder import wait_until_free
+from blender_nep.safety.isolated_python import NEUTRAL_FOLDER
 
 _POLL_S = 0.5
 _LONGEST_WAIT_S = 240.0

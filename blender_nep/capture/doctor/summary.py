@@ -21,7 +21,7 @@ from blender_nep.capture.loading import load_capture
 from blender_nep.capture.rays.pixel_rays import BRIGHTEST_CLIPPED, SATURATED, PixelRays
 from blender_nep.capture.rays.pixel_store import PixelMemory
 from blender_nep.messages import Message
-from blender_nep.printed_text import one_line
+from blender_nep.safety.printed_text import one_line
 
 MOST_CLIPPED = 0.02
 """Share of clipped pixels from which on an artist is told to expose less."""

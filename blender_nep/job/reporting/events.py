@@ -19,7 +19,7 @@ from blender_nep.errors import NepError
 from blender_nep.files import jsonable, open_in_place
 from blender_nep.job.reporting.timeline import time_text
 from blender_nep.messages import Message
-from blender_nep.printed_text import one_line
+from blender_nep.safety.printed_text import one_line
 
 if TYPE_CHECKING:
     from blender_nep.job.folders.job_folder import Journal

@@ -6,8 +6,8 @@ from pathlib import Path
 import pytest
 
 from backend.engine import folder_names as blenders
-from blender_nep import folder_names as engines
 from blender_nep.batch.names import object_name
+from blender_nep.safety import folder_names as engines
 
 GOOD = ("vase", "vase-2", "große_Vase", "con_old", "console", "vase 100% #2 é", "花瓶", "a.b", "com10", "x" * 200)
 BAD = (

@@ -10,7 +10,7 @@ from backend.engine.results import job_files
 from backend.engine.results.batch_file import ask_to_stop
 from backend.engine.words import Said, error_words
 from backend.headless.stop_requests import say
-from blender_nep.printed_text import one_line
+from blender_nep.safety.printed_text import one_line
 
 HOSTILE, ESCAPED = "p\n\x1b[2J\x9b31m.png", "p\\n\\x1b[2J\\x9b31m.png"
 

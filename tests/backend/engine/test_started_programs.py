@@ -15,7 +15,7 @@ from backend.engine.commands.capture_query import CaptureQuery
 from backend.engine.commands.gallery_process import GalleryProcess
 from backend.engine.engine import Engine
 from backend.engine.started_process import StartedProcess
-from blender_nep import isolated_python
+from blender_nep.safety import isolated_python
 from support.executable import write_executable
 from support.paths import ROOT
 from support.waiting import wait_until

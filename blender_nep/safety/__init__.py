@@ -1,0 +1,1 @@
+"""What keeps the files of strangers from doing harm: names of folders, started Pythons, printed text."""
