@@ -71,7 +71,7 @@ bench: $(VENV)/installed-dev
 	-$(BIN)/python -m benchmarks run $(SHOWN) --plan $(PLAN) $(if $(SEEDS),--seed $(SEEDS)) \
 		--relight --jobs $(JOBS) --out $(BENCH)
 	-$(BIN)/python -m benchmarks run $(BENCH)/captures/gold_*/ --plan roughness --jobs $(JOBS) --out $(BENCH)
-	$(BIN)/python -m benchmarks report --out $(BENCH) --write docs/benchmarks.md
+	$(BIN)/python -m benchmarks report --from $(BENCH) --write docs/benchmarks.md
 	-$(BIN)/python -m benchmarks.baselines.peer_mitsuba $(SHOWN) --minutes 3 --materials texture --out $(BENCH)/peer \
 		--beside $(BENCH) --write docs/peer.md
 	-$(BIN)/python -m benchmarks.studies.skipping $(SCENES) --seeds $(or $(SEEDS),0 1 2) --out $(BENCH)/skipping --write docs/benchmarks.md

@@ -4,7 +4,8 @@ python -m benchmarks run CAPTURE... --plan presets ablations views pixels true_m
 python -m benchmarks render shapes roughness
 python -m benchmarks run CAPTURE... --preset preview balanced --ablation full "no cones" --seed 0 1 2
 python -m benchmarks random
-python -m benchmarks report --write docs/benchmarks.md
+python -m benchmarks report --from 1234abc --write docs/benchmarks.md
+python -m benchmarks diff 1234abc HEAD
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ from pathlib import Path
 
 from benchmarks.row_files import read_row
 from benchmarks.suite.harness import Children, command_of
+from benchmarks.suite.kept_rows import ROWS, SourceError
 from benchmarks.suite.plan import ABLATIONS, CHOICES, PLANS, Run, expand
 from benchmarks.suite.render import RANDOM, SETS
 from benchmarks.suite.runner import OtherRowsError, Suite
@@ -25,6 +27,8 @@ from blender_nep.presets import PRESETS
 SCENES = range(1, 13)
 """The seeds of the random scenes. Odd seeds are for working, even seeds are only reported."""
 INTERRUPTED, REFUSED = 130, 2
+SOURCES = "a commit, the name of a file in the folder of the rows, a file or folder of rows, or a suite's --out"
+DOCUMENTS = [Path("docs/benchmarks.md"), Path("docs/random-scenes.md"), Path("docs/lab/whole-jobs.md")]
 
 
 def _count(text: str) -> int | None:
@@ -64,13 +68,21 @@ def parser() -> argparse.ArgumentParser:
     drawn.add_argument("--samples", type=int, default=4)
     drawn.add_argument("--write", type=Path, default=Path("docs/random-scenes.md"), help="the document (%(default)s)")
     for command in (run, drawn):
+        command.add_argument("--rows", type=Path, default=ROWS, help="folder in which each job's row is kept (%(default)s)")
         command.add_argument("--jobs", type=int, default=1, help="at once (%(default)s)")
         command.add_argument("--device", choices=("auto", "cpu", "cuda"), default="auto")
         command.add_argument("--limit", type=float, default=7200, help="seconds after which a step is killed (%(default)s)")
         command.add_argument("--retry", action="store_true", help="do failed steps, and rows of another capture, again")
-    report = commands.add_parser("report", help="tables and plots of what was run (needs matplotlib)")
-    report.add_argument("--write", type=Path, default=Path("docs/benchmarks.md"), help="the document (%(default)s)")
-    for command in (run, render, drawn, report):
+    report = commands.add_parser("report", help="tables and plots of kept rows (needs matplotlib)")
+    instead = f"the rows, instead of those that each marker names: {SOURCES}"
+    report.add_argument("--from", nargs="+", default=[], dest="sources", metavar="SOURCE", help=instead)
+    report.add_argument("--write", nargs="+", type=Path, default=DOCUMENTS, help="the documents (default: all)")
+    diff = commands.add_parser("diff", help="what got better or worse from A to B; exit code 1 where anything got worse")
+    for name in ("A", "B"):
+        diff.add_argument(name, help=SOURCES)
+    for command in (report, diff):
+        command.add_argument("--rows", type=Path, default=ROWS, help="folder of the kept rows (%(default)s)")
+    for command in (run, render, drawn):
         command.add_argument("--out", type=Path, default=Path("out/benchmarks"))
     for command in (run, render, drawn):
         command.add_argument("--threads", type=int, default=1, help="of a process (%(default)s)")
@@ -144,7 +156,7 @@ def run_all(options: argparse.Namespace, runs: list[Run], relight: bool = False)
 
     Returns 1 where a run failed, REFUSED where rows of another capture or preset are in the way, otherwise 0.
     """
-    suite = Suite(options.out, options.threads, options.device, options.limit, relight, options.retry)
+    suite = Suite(options.out, options.threads, options.device, options.limit, relight, options.retry, rows=options.rows)
     try:
         return int(suite.run_all(runs, options.jobs) > 0)
     except OtherRowsError as error:
@@ -152,24 +164,37 @@ def run_all(options: argparse.Namespace, runs: list[Run], relight: bool = False)
         return REFUSED
 
 
-def report(out: Path, document: Path) -> int:
-    """Write the tables into `document`, and the plots into the folder that has the document's name without its ending.
+def report(documents: Sequence[Path], sources: Sequence[str], rows: Path) -> int:
+    """Write the tables of the documents, and the plots into the folders that have the documents' names without ending.
 
-    Returns 1 where `out` holds no results, otherwise 0.
+    Returns REFUSED, and writes nothing more, where a source holds no rows, otherwise 0.
     """
     from benchmarks.reports.plots import draw_all
     from benchmarks.reports.report import write_report
-    from benchmarks.reports.rows import Results, load
 
-    rows = load(out)
-    if not rows:
-        print(f"{out} holds no rows: nothing was run", file=sys.stderr)
-        return 1
-    results = Results(rows)
-    for name in write_report(rows, results, document):
-        print(f"{document} has no marker {name!r}", file=sys.stderr)
-    draw_all(results, document.with_suffix(""))
+    for document in documents:
+        try:
+            used = write_report(document, sources, rows)
+        except SourceError as error:
+            print(error, file=sys.stderr)
+            return REFUSED
+        draw_all(used, document.with_suffix(""))
+        print(f"{document}: {', '.join(used) or 'nothing to fill'}", file=sys.stderr)
     return 0
+
+
+def diff(options: argparse.Namespace) -> int:
+    """Print what got better or worse. Returns 1 where anything got worse, REFUSED where nothing can be compared, else 0."""
+    from benchmarks.reports.diff import compare
+    from benchmarks.suite.kept_rows import rows_of
+
+    try:
+        comparison = compare(rows_of(options.A, options.rows), rows_of(options.B, options.rows))
+    except SourceError as error:
+        print(error, file=sys.stderr)
+        return REFUSED
+    print(comparison.text(options.A, options.B))
+    return REFUSED if not comparison.pairs else int(comparison.got_worse)
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -199,9 +224,12 @@ def run_command(arguments: list[str] | None) -> int:
             top.error(f"{options.write} is no file: give a copy of docs/random-scenes.md, whose markers the report fills")
         return random_scenes(options)
     if options.command == "report":
-        if not options.write.is_file():
-            top.error(f"{options.write} is no file: give a copy of docs/benchmarks.md, whose markers the report fills")
-        return report(options.out, options.write)
+        for document in options.write:
+            if not document.is_file():
+                top.error(f"{document} is no file: give a copy of a document of docs, whose markers the report fills")
+        return report(options.write, options.sources, options.rows)
+    if options.command == "diff":
+        return diff(options)
     captures = [capture.resolve() for capture in options.captures]
     for capture in captures:
         if not (capture / "transforms.json").is_file():

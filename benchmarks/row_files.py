@@ -1,4 +1,4 @@
-"""Rows: one JSON file for each run, with its settings, scores and seconds."""
+"""Rows of the suite: one JSON file for each run, with its settings, scores and seconds."""
 
 from __future__ import annotations
 
@@ -17,3 +17,10 @@ def write_row(file: Path, row: dict) -> None:
 def read_row(file: Path) -> dict:
     """The row in a file that `write_row` has written; {} where there is no such file."""
     return json.loads(file.read_text(encoding="utf-8")) if file.is_file() else {}
+
+
+def failure(row: dict) -> str:
+    """The message of the first step that failed; an empty string where none failed."""
+    return next(
+        (f"{step}: {row[step]['error']}" for step in ("learn", "score", "relight") if "error" in row.get(step, {})), ""
+    )

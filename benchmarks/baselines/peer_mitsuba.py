@@ -30,12 +30,13 @@ import numpy as np
 from PIL import Image
 
 from benchmarks.reports.report import fill, require_markers
-from benchmarks.reports.rows import Results, load
+from benchmarks.reports.rows import Results
 from benchmarks.reports.tables import presets_of
 from benchmarks.scoring.geometry import load_test_views
 from benchmarks.scoring.materials import score
 from benchmarks.suite.harness import markdown, resumed, use_threads
 from benchmarks.suite.identity import looked_at
+from benchmarks.suite.kept_rows import load
 from blender_nep.capture import PixelRays, load_capture
 from blender_nep.color import linear_to_srgb
 from blender_nep.errors import LearningError

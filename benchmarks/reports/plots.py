@@ -158,8 +158,13 @@ def error_against_roughness(results: Results, file: Path) -> None:
 
 
 def time_against_size(results: Results, file: Path) -> None:
-    """Draw the seconds of the surface stage against faces, and those of the asset stage against texels."""
+    """Draw the seconds of the surface stage against faces, and those of the asset stage against texels.
+
+    No file is written where no run tells them.
+    """
     full = results.whole()
+    if not (full.figure("faces") and full.figure("cpu_seconds_surface")):
+        return
     figure, axes = plt.subplots(1, 2, figsize=(7, 3.1), layout="constrained")
     pairs = (
         ("faces", "cpu_seconds_surface", "surface stage, CPU seconds against faces"),
@@ -167,7 +172,8 @@ def time_against_size(results: Results, file: Path) -> None:
     )
     for panel, (size, seconds, title) in zip(axes, pairs, strict=True):
         for number, preset in enumerate(presets_of(full)):
-            found = [(v[size], v[seconds]) for _, v in full.where(preset=preset).runs if size in v and seconds in v]
+            each = [values.means for _, values in full.where(preset=preset).runs]
+            found = [(v[size], v[seconds]) for v in each if size in v and seconds in v]
             if found:
                 panel.plot(*zip(*found, strict=True), MARKS[preset], color=f"C{number}", ms=4, alpha=0.6, label=preset)
         panel.set(xscale="log", yscale="log")
@@ -177,17 +183,18 @@ def time_against_size(results: Results, file: Path) -> None:
     _legend_and_file(figure, axes, file)
 
 
-PLOTS: dict[str, Callable[[Results, Path], None]] = {
-    "time": error_against_time,
-    "views": lambda results, file: error_against_sweep(results, "views", file),
-    "pixels": lambda results, file: error_against_sweep(results, "pixels", file),
-    "roughness": error_against_roughness,
-    "size": time_against_size,
+PLOTS: dict[str, tuple[str, Callable[[Results, Path], None]]] = {
+    "time": ("presets", error_against_time),
+    "views": ("views", lambda results, file: error_against_sweep(results, "views", file)),
+    "pixels": ("pixels", lambda results, file: error_against_sweep(results, "pixels", file)),
+    "roughness": ("roughness", error_against_roughness),
+    "size": ("costs", time_against_size),
 }
-"""File name without ending -> the function that draws the plot."""
+"""File name without ending -> (the table whose rows it draws, the function that draws it)."""
 
 
-def draw_all(results: Results, folder: Path) -> None:
-    """Draw all plots as PNG files into `folder`."""
-    for name, draw in PLOTS.items():
-        draw(results, folder / f"{name}.png")
+def draw_all(rows: dict[str, list[dict]], folder: Path) -> None:
+    """Draw the plots of `rows` {table: its kept rows} as PNG files into `folder`. Other tables' plots stay as they are."""
+    for name, (table, draw) in PLOTS.items():
+        if table in rows:
+            draw(Results(rows[table]), folder / f"{name}.png")

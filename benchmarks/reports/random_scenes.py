@@ -1,71 +1,25 @@
-"""Fills `docs/random-scenes.md`: the scores of random scenes, odd and even seeds apart, and pictures of the worst.
-
-Odd seeds are for working. Even seeds are only reported, so nothing may be changed for the sake of one of them.
-"""
+"""Fills `docs/random-scenes.md` after a run: the tables of random scenes, and pictures of the worst."""
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from PIL import Image
 
+from benchmarks.reports.random_tables import COLUMNS, SETS, Scored, mean_table, part_of, scene_table, worst_scenes
 from benchmarks.reports.report import fill, head
-from benchmarks.reports.rows import figures, name_of
-from benchmarks.reports.tables import COSTS, NONE, SCORES
-from benchmarks.row_files import read_row
-from benchmarks.suite.harness import markdown
+from benchmarks.reports.rows import values_of
+from benchmarks.row_files import failure, read_row
+from benchmarks.suite.kept_rows import kept
 from benchmarks.suite.plan import Run
 from benchmarks.suite.render import RANDOM
-from benchmarks.suite.runner import failure, last_line
+from benchmarks.suite.runner import last_line
 from blender_nep.files import write_atomically
 
-COLUMNS = {
-    name: (SCORES | COSTS)[name]
-    for name in (
-        "cd_visible",
-        "normal_deg",
-        "mask_iou",
-        "background_psnr",
-        "mse_roughness",
-        "mse_metallic",
-        "mse_albedo",
-        "cpu_seconds",
-    )
-}
-WANTED = {"cd_visible": 0.008, "mse_roughness": 0.01, "mse_metallic": 0.05, "mse_albedo": 0.015}
-"""Figure -> the mean over even seeds that the project wants to reach at most."""
-HIGHER_IS_BETTER = ("mask_iou", "background_psnr")
-WORST = 3
-SETS = {"odd": (1, "odd seeds, for working"), "even": (0, "even seeds, only reported")}
-"""Marker -> (remainder of the seed by 2, heading)."""
 TILE = 160
 """Width and height, in pixels, of a picture in the strips of the worst scenes."""
-
-
-@dataclass
-class Scored:
-    """What became of a random scene."""
-
-    seed: int
-    summary: str
-    """the scene in words; empty where it was not rendered"""
-    values: dict[str, float]
-    """figures of COLUMNS; empty where the job failed"""
-    message: str
-    """why there are no figures; empty where there are"""
-    name: str
-    """the name of the run's files"""
-
-    @property
-    def badness(self) -> float:
-        """The mean of the figures of WANTED, each divided by what is wanted; infinite where one is missing."""
-        if not WANTED.keys() <= self.values.keys():
-            return math.inf
-        return float(np.mean([self.values[name] / wanted for name, wanted in WANTED.items()]))
 
 
 def scored_scenes(out: Path, captures: Path, seeds: Sequence[int], runs: Sequence[Run]) -> list[Scored]:
@@ -86,49 +40,9 @@ def scored_scenes(out: Path, captures: Path, seeds: Sequence[int], runs: Sequenc
         else:
             message = failure(row)
             if "error" not in row["learn"]:
-                values = {k: v for k, v in figures(row, {name_of(row): row}).items() if k in COLUMNS}
+                values = {k: v for k, v in values_of(kept(row)).means.items() if k in COLUMNS}
         scenes.append(Scored(seed, summary, values, message, run.name if run else ""))
     return scenes
-
-
-def scene_table(scenes: Sequence[Scored]) -> str:
-    """A table with a line for each scene. A scene without figures has its message instead."""
-    rows = [
-        [scene.seed, scene.summary or NONE, *(_cell(scene.values.get(name), name) for name in COLUMNS), scene.message or ""]
-        for scene in scenes
-    ]
-    return markdown(["seed", "scene", *(heading for heading, _ in COLUMNS.values()), "failed"], rows)
-
-
-def mean_table(scenes: Sequence[Scored]) -> str:
-    """The means and the worst values of odd and of even seeds, and how many scenes they count."""
-    rows = []
-    for remainder, heading in SETS.values():
-        own = [scene for scene in scenes if scene.seed % 2 == remainder]
-        scored = [scene for scene in own if not scene.message]
-        for word, pick in (("mean", _mean), ("worst", _worst)):
-            cells = [_cell(pick([s.values[name] for s in scored if name in s.values], name), name) for name in COLUMNS]
-            rows.append([heading, word, f"{len(scored)} of {len(own)}", *cells])
-    wanted = [_cell(WANTED.get(name), name) for name in COLUMNS]
-    rows.append(["**wanted for even seeds**", "mean", "all", *wanted])
-    return markdown(["scenes", "", "scored", *(heading for heading, _ in COLUMNS.values())], rows)
-
-
-def _cell(value: float | None, name: str) -> str:
-    return NONE if value is None else f"{value:.{COLUMNS[name][1]}f}"
-
-
-def _mean(values: list[float], name: str) -> float | None:
-    return float(np.mean(values)) if values else None
-
-
-def _worst(values: list[float], name: str) -> float | None:
-    return (min if name in HIGHER_IS_BETTER else max)(values) if values else None
-
-
-def worst_scenes(scenes: Sequence[Scored]) -> list[Scored]:
-    """The WORST scenes of all, the worst first. A scene without figures is worse than any scene with figures."""
-    return sorted(scenes, key=lambda scene: -scene.badness)[:WORST]
 
 
 def write_random_report(out: Path, captures: Path, seeds: Sequence[int], runs: Sequence[Run], document: Path) -> list[str]:
@@ -138,9 +52,9 @@ def write_random_report(out: Path, captures: Path, seeds: Sequence[int], runs: S
     """
     scenes = scored_scenes(out, captures, seeds, runs)
     rows = [row for row in (read_row(out / "rows" / f"{run.name}.json") for run in runs) if "learn" in row]
-    parts = {"head": head(rows), "means": mean_table(scenes)}
-    for marker, (remainder, _) in SETS.items():
-        parts[marker] = scene_table([scene for scene in scenes if scene.seed % 2 == remainder])
+    parts = {"head": head([kept(row) for row in rows]), "means": mean_table(scenes)}
+    for marker in SETS:
+        parts[marker] = scene_table(part_of(scenes, marker))
     pictures = document.with_suffix("")
     for old in pictures.glob("*.png"):  # `pictures` may be `out`, so nothing else is deleted
         if old.stem.isdigit():

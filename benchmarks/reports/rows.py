@@ -1,17 +1,17 @@
-"""Reads figures from the suite's JSON files: a flat dict for each run, and means over seeds and captures."""
+"""Figures of kept rows: a flat dict for each run, and means over seeds and captures."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+import math
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 
-from benchmarks.row_files import read_row
-from benchmarks.suite.runner import failure
-from benchmarks.suite.step import STAGE_1
-from blender_nep.job.stage_names import StageName
+from benchmarks.suite.kept_rows import run_of
+
+PARTS = ("scores", "seconds", "size")
+"""The parts of a kept row that hold figures."""
 
 
 @dataclass
@@ -23,55 +23,37 @@ class Figure:
     runs: int
 
 
-def load(out: Path) -> list[dict]:
-    """All rows of a suite's folder, sorted by the names of their files."""
-    return [read_row(file) for file in sorted((out / "rows").glob("*.json"))]
+@dataclass
+class Values:
+    """The figures of one kept row: means of `runs` seeds, and their deviations (none for one seed)."""
+
+    means: dict[str, float]
+    deviations: dict[str, float]
+    runs: int
 
 
-def name_of(row: dict) -> tuple:
-    """A key that differs from run to run: the sorted fields of the run and their values."""
-    return tuple(sorted((key, str(value)) for key, value in row["run"].items()))
+def values_of(row: dict) -> Values:
+    """The figures of a kept row: its scores, seconds and sizes."""
+    means = {key: float(value) for part in PARTS for key, value in row.get(part, {}).items()}
+    return Values(means, row.get("deviations", {}), row.get("seeds", 1))
 
 
-def figures(row: dict, full: dict[tuple, dict]) -> dict[str, float]:
-    """The scores and costs of a row.
-
-    `full` holds rows by their `name_of`. Where a run has taken over the stage 1 of another run, the costs of that stage 1
-    count as its own.
-    """
-    learned = row["learn"]
-    out = {
-        key: value
-        for step in ("score", "relight")
-        for key, value in row.get(step, {}).items()
-        if isinstance(value, int | float)
-    }
-    out |= {f"seconds_{stage}": learned["seconds"][stage] for stage in StageName}
-    out |= {f"cpu_seconds_{stage}": seconds for stage, seconds in learned["stage_cpu_seconds"].items()}
-    out |= {"seconds": learned["seconds_total"], "cpu_seconds": learned["cpu_seconds"], "peak_mb": learned["peak_mb"]}
-    out |= {"views_of_run": learned["views"], "pixels_of_run": learned["pixels"] / learned["views"]}
-    if "texture_rows" in out:
-        out["texels"] = out.pop("texture_rows") ** 2
-    if "stage_1_of" in learned:
-        other = full.get(name_of({"run": row["run"] | {"ablation": "full"}}))
-        if other is None:
-            del out["cpu_seconds"]
-        else:
-            out["cpu_seconds"] += sum(other["learn"]["stage_cpu_seconds"].get(r, 0) for r in STAGE_1)
-            out["peak_mb"] = max(out["peak_mb"], other["learn"]["peak_mb"])
-    return {key: float(value) for key, value in out.items()}
+def pooled(parts: Sequence[tuple[float, float, int]]) -> Figure:
+    """The figure of all runs, where each of `parts` has (mean, deviation, number) of some of them."""
+    runs = sum(number for _, _, number in parts)
+    mean = sum(own * number for own, _, number in parts) / runs
+    squares = sum((number - 1) * spread**2 + number * (own - mean) ** 2 for own, spread, number in parts)
+    return Figure(mean, math.sqrt(squares / (runs - 1)) if runs > 1 else 0.0, runs)
 
 
 class Results:
-    """The runs that did not fail, with their figures. `runs` is [(the run's fields, its figures)]."""
+    """The runs whose learning did not fail, with their figures. `runs` is [(the run's fields, its figures)]."""
 
     def __init__(self, rows: Iterable[dict]) -> None:
         rows = list(rows)
-        self.tried = [row["run"] for row in rows]
+        self.tried = [run_of(row) for row in rows]
         """The fields of all runs, those that failed too."""
-        done = [row for row in rows if "learn" in row and "error" not in row["learn"]]
-        full = {name_of(row): row for row in done}
-        self.runs = [(row["run"], figures(row, full)) for row in done]
+        self.runs = [(run_of(row), values_of(row)) for row in rows if not row.get("error", "").startswith("learn:")]
 
     def where(self, **conditions: object) -> Results:
         """The runs whose fields meet the conditions.
@@ -98,11 +80,19 @@ class Results:
         """The different values that a field of the runs has, in the order of the runs."""
         return list(dict.fromkeys(run[key] for run, _ in self.runs))
 
+    @property
+    def count(self) -> int:
+        """How many runs there are. A row of means of several seeds counts as that many."""
+        return sum(values.runs for _, values in self.runs)
+
     def figure(self, name: str) -> Figure | None:
         """The mean of a figure over all runs that have it; None where no run has it."""
-        found = [values[name] for _, values in self.runs if name in values]
-        spread = float(np.std(found, ddof=1)) if len(found) > 1 else 0.0
-        return Figure(float(np.mean(found)), spread, len(found)) if found else None
+        found = [
+            (values.means[name], values.deviations.get(name, 0.0), values.runs)
+            for _, values in self.runs
+            if name in values.means
+        ]
+        return pooled(found) if found else None
 
     def mean_of_captures(self, name: str, captures: Iterable[str]) -> Figure | None:
         """The mean over captures of the means over seeds; None where a capture does not have the figure.
@@ -122,4 +112,4 @@ class Results:
 
 def failures(rows: Iterable[dict]) -> list[tuple[dict, str]]:
     """(the run's fields, its message) of each run that failed."""
-    return [(row["run"], failure(row)) for row in rows if failure(row)]
+    return [(run_of(row), row["error"]) for row in rows if "error" in row]

@@ -28,7 +28,11 @@ SCORES = {
     "psnr_rescaled": ("relit, albedo rescaled, dB", 1),
     "ssim_rescaled": ("SSIM, rescaled", 3),
 }
-"""Figure -> (heading of its column, digits after the point)."""
+"""Score -> (heading of its column, digits after the point)."""
+HIGHER_IS_BETTER = frozenset(
+    ("fscore_005", "mask_iou", "background_psnr", "psnr_mean", "ssim_mean", "psnr_rescaled", "ssim_rescaled")
+)
+"""Of SCORES, those of which a larger one is better. Of all others, a smaller one is."""
 COSTS = {"seconds": ("seconds", 0), "cpu_seconds": ("CPU s", 0), "peak_mb": ("MB", 0)}
 STAGE_COSTS = {
     "cpu_seconds_fields_learning": ("fields, CPU s", 0),
@@ -36,6 +40,20 @@ STAGE_COSTS = {
     "cpu_seconds_material_learning": ("materials, CPU s", 0),
     "cpu_seconds_asset": ("asset, CPU s", 1),
 }
+FOUR = ("suzanne", "bunny", "box", "nefertiti")
+"""The captures whose means tell how the method does from commit to commit."""
+HISTORY = (
+    "cd_visible",
+    "normal_deg",
+    "shading_normal_deg",
+    "background_psnr",
+    "mse_roughness",
+    "mse_metallic",
+    "mse_albedo",
+    "psnr_mean",
+    "cpu_seconds",
+)
+"""The columns of the table of commits."""
 NONE = "-"
 BASELINES = ("plain NeuS color", "environment at infinity")
 """Ablations that make the assumptions of other methods: the first those of NeuS, the second those of NeRO and nvdiffrec."""
@@ -135,7 +153,7 @@ def presets(results: Results, columns: dict[str, tuple[str, int]] = SCORES) -> s
             [
                 capture,
                 preset,
-                chosen.where(capture=capture).figure("seconds").runs,
+                chosen.where(capture=capture).count,
                 *cells(chosen.where(capture=capture), columns),
             ]
             for capture in chosen.values("capture")
@@ -144,6 +162,34 @@ def presets(results: Results, columns: dict[str, tuple[str, int]] = SCORES) -> s
         mean = cells(chosen, columns, captures)
         rows.append(["**mean**", preset, "", *(f"**{text}**" if text != NONE else text for text in mean)])
     return markdown(["capture", "preset", "seeds", *headings(columns)], rows)
+
+
+def summary(results: Results) -> str:
+    """The short table: a line for each preset, with means over the main captures and their costs."""
+    full, captures = results.whole(ablation="full"), main_captures(results)
+    header = ["preset", "distance", "normals", "roughness / metallic / albedo", "fields", "materials", "whole job", "memory"]
+    rows = []
+    for preset in presets_of(full):
+        chosen = full.where(preset=preset)
+
+        def mean(name: str, form: str, chosen: Results = chosen) -> str:
+            found = chosen.mean_of_captures(name, captures)
+            return NONE if found is None else form.format(found.mean)
+
+        errors = " / ".join(mean(f"mse_{name}", "{:.4f}") for name in ("roughness", "metallic", "albedo"))
+        stages = [mean(f"cpu_seconds{stage}", "{:.0f} s") for stage in ("_fields_learning", "_material_learning", "")]
+        memory = chosen.mean_of_captures("peak_mb", captures)
+        rows.append(
+            [
+                preset,
+                mean("cd_visible", "{:.4f}"),
+                mean("normal_deg", "{:.1f} degrees"),
+                errors,
+                *stages,
+                NONE if memory is None else f"{memory.mean / 1000:.1f} GB",
+            ]
+        )
+    return markdown(header, rows)
 
 
 def costs(results: Results) -> str:
@@ -159,6 +205,24 @@ def costs(results: Results) -> str:
             "texels": ("texels", 0),
         },
     )
+
+
+def history(rows: list[dict]) -> str:
+    """A table with a line for each commit and preset that was run on all of FOUR: means over them, the newest first.
+
+    Rows of several commits, such as "25ca25c+a950af3", are left out, because their parts have lines of their own.
+    """
+    columns = {name: (SCORES | COSTS)[name] for name in HISTORY}
+    lines = []
+    for commit, date in sorted({(row["commit"], row.get("date", "")) for row in rows if "+" not in row["commit"]}):
+        results = Results([row for row in rows if (row["commit"], row.get("date", "")) == (commit, date)])
+        for preset in presets_of(results):
+            one = results.whole(ablation="full", preset=preset, capture=FOUR.__contains__)
+            if set(one.values("capture")) == set(FOUR):
+                seeds = f"{one.count / len(FOUR):g}"
+                lines.append((date, commit, [commit, date, preset, seeds, *cells(one, columns, FOUR)]))
+    ordered = sorted(lines, key=lambda line: line[:2], reverse=True)
+    return markdown(["commit", "date", "preset", "seeds", *headings(columns)], [line for *_, line in ordered])
 
 
 def ablations(results: Results, geometry: str = "own") -> str:
@@ -183,7 +247,7 @@ def ablations(results: Results, geometry: str = "own") -> str:
             one = at.where(ablation=name)
             captures = [capture for capture in compared if capture in one.values("capture")]
             if captures:
-                runs = sum(run["capture"] in captures for run, _ in one.runs)
+                runs = one.where(capture=captures.__contains__).count
                 rows.append(
                     [name if name != "full" else f"**full** ({preset})", len(captures), runs, *cells(one, columns, captures)]
                 )

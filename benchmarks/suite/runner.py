@@ -5,6 +5,7 @@
     OUT/assets/NAME/       the asset; a run without ablation keeps the checkpoints of its stage 1
     OUT/pictures/          materials and relit objects beside the true ones
     OUT/logs/              what the steps printed
+    ROWS/COMMIT.jsonl      what is kept of the rows, one line a run (kept_rows.py), where a commit holds the code
 
 A step that is in the row is not done again. A step that failed is in the row too, with its message. `made_from` tells the
 capture and the preset (see identity.py). Rows of another capture or preset are refused, or done again with `retry`. Older
@@ -24,8 +25,9 @@ from dataclasses import dataclass, field
 from datetime import datetime
 from pathlib import Path
 
-from benchmarks.row_files import read_row, write_row
+from benchmarks.row_files import failure, read_row, write_row
 from benchmarks.suite.harness import Children, command_of, commit_now
+from benchmarks.suite.kept_rows import keep, kept
 from benchmarks.suite.plan import Run
 from benchmarks.suite.step import STAGE_1
 
@@ -47,6 +49,8 @@ class Suite:
     """Whether whole jobs, as a user would run them (`Run.is_plain`), are scored in Cycles too."""
     retry: bool = False
     """Whether steps that failed, and rows of another capture or preset, are done again."""
+    rows: Path | None = None
+    """The folder in which kept rows are; None to keep none."""
     children: Children = field(default_factory=Children)
     made_from: dict[str, dict] = field(default_factory=dict)
     """Name of a run -> what it is made from now. `run_all` fills it."""
@@ -61,7 +65,9 @@ class Suite:
         """
         self.made_from = self.identify(runs)
         self._refuse_other_rows(runs)
-        failed = 0
+        commit, failed = commit_now(), 0
+        if self.rows and not is_same_code(commit, commit):
+            print(f"no commit holds this code: rows are in {self.out} alone, none in {self.rows}", file=sys.stderr)
         with ThreadPoolExecutor(jobs) as pool:
             started: dict[str, Future] = {}
             for run in runs:
@@ -102,6 +108,8 @@ class Suite:
         if not row:
             made_from = self.made_from.get(run.name)
             row = {"run": run.as_row()} | ({"made_from": made_from} if made_from else {})
+        if scene := read_row(run.capture / "scene.json").get("summary"):
+            row["scene"] = scene
         steps = ["learn", "score", *(["relight"] if self.relight and run.is_plain else [])]
         for step in steps:
             if step in row and not (self.retry and "error" in row[step]):
@@ -121,11 +129,18 @@ class Suite:
             row[step] = result
             row["commits"] = row.get("commits", {}) | {step: commit}
             write_row(file, row)
+            self._keep(row, run)
             if step == "learn" and "error" in result:
                 break
             if step == "score" and "error" not in result:
                 _drop_checkpoints(asset, keep=STAGE_1 if run.ablation == "full" else ())
         return row
+
+    def _keep(self, row: dict, run: Run) -> None:
+        """Put what is kept of a row into `rows`."""
+        if self.rows:
+            donor = run.same_stage_1
+            keep(kept(row, read_row(self._row_file(donor)) if donor else None), self.rows)
 
     def identify(self, runs: Sequence[Run]) -> dict[str, dict]:
         """Name -> what each run is made from now (`identity.made_from`). Raises OSError where that cannot be found out."""
@@ -203,13 +218,6 @@ class Suite:
         for file in (order, result):
             file.unlink(missing_ok=True)
         return found
-
-
-def failure(row: dict) -> str:
-    """The message of the first step that failed; an empty string where none failed."""
-    return next(
-        (f"{step}: {row[step]['error']}" for step in ("learn", "score", "relight") if "error" in row.get(step, {})), ""
-    )
 
 
 def last_line(log: Path) -> str:

@@ -19,6 +19,8 @@ from benchmarks.suite.plan import WITHOUT_F_E, Run
 from blender_nep.job.stage_names import StageName
 
 REPORTED = ("device", "threads", "versions", "seconds", "seconds_total", "resumed_stages", "skipped", "losses", "warnings")
+ACTED = ("refinements", "evidence")
+"""Parts of the report that say of each mechanism what it found, or why it was skipped; {} where a stage has none."""
 STAGE_1 = (StageName.FIELDS_LEARNING, StageName.SURFACE)
 
 
@@ -118,6 +120,7 @@ def learn(run: Run, asset: Path, order: dict) -> dict:
         return {"error": events.failure.replace(str(run.capture), run.capture.name)}
     report = read_row(asset / "report.json")
     found = {key: report[key] for key in REPORTED}
+    found |= {key: report[key] for key in ACTED if key in report}
     found["views"], found["pixels"] = report["capture"]["views"], report["capture"]["pixels"]
     found["faces"] = report["stages"][StageName.SURFACE].get("faces")
     found["materials"] = report["stages"][StageName.MATERIAL_LEARNING].get("materials")

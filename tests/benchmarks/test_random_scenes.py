@@ -12,9 +12,11 @@ from PIL import Image
 pytest.importorskip("fcntl", reason="the suite runs on POSIX systems")
 pytest.importorskip("igl")
 import benchmarks.__main__ as command
-from benchmarks.reports.random_scenes import mean_table, scene_table, scored_scenes, worst_scenes, write_random_report
+from benchmarks.reports.random_scenes import scored_scenes, write_random_report
+from benchmarks.reports.random_tables import history, mean_table, part_of, scene_table, scenes_of, worst_scenes
 from benchmarks.row_files import read_row, write_row
 from benchmarks.suite.harness import Ended
+from benchmarks.suite.kept_rows import rows_of
 from benchmarks.suite.plan import PLANS, Run, expand
 from benchmarks.suite.runner import Suite
 from support.paths import ROOT, SUZANNE_SMALL
@@ -70,7 +72,7 @@ def out(tmp_path) -> Path:
     return tmp_path
 
 
-def scenes_of(out: Path):
+def made_up(out: Path):
     return scored_scenes(out, out / "captures", SEEDS, [run_of(seed) for seed in SEEDS if seed != 6])
 
 
@@ -79,7 +81,7 @@ def lines_of(table: str) -> list[list[str]]:
 
 
 def test_odd_and_even_seeds_have_means_and_worst_values_of_their_own(out):
-    header, _, *lines = lines_of(mean_table(scenes_of(out)))
+    header, _, *lines = lines_of(mean_table(made_up(out)))
     at = header.index("cd visible")
     found = {(line[0].split()[0], line[1]): line for line in lines}
     assert found["odd", "mean"][2] == "2 of 4" and found["even", "mean"][2] == "2 of 3"
@@ -89,7 +91,7 @@ def test_odd_and_even_seeds_have_means_and_worst_values_of_their_own(out):
 
 
 def test_a_scene_that_fails_anywhere_is_a_line_with_its_message(out):
-    lines = {line[0]: line for line in lines_of(scene_table(scenes_of(out)))[2:]}
+    lines = {line[0]: line for line in lines_of(scene_table(made_up(out)))[2:]}
     assert lines["1"][1:3] == ["scene 1", "0.0040"] and lines["1"][-1] == ""
     assert lines["5"][2] == "-" and lines["5"][-1] == "learn: no surface was found"
     assert lines["6"][1] == "-" and lines["6"][-1] == "render: synthetic.py: no free place for a camera in this scene"
@@ -97,7 +99,7 @@ def test_a_scene_that_fails_anywhere_is_a_line_with_its_message(out):
 
 
 def test_the_worst_scenes_are_those_that_failed_and_then_those_of_the_largest_errors(out):
-    scenes = scenes_of(out)
+    scenes = made_up(out)
     assert [scene.seed for scene in worst_scenes(scenes)] == [5, 6, 7]
     assert [scene.seed for scene in worst_scenes([scene for scene in scenes if not scene.message])] == [4, 2, 3]
 
@@ -172,13 +174,16 @@ def test_the_command_renders_what_is_missing_and_reports_a_render_that_fails(tmp
     monkeypatch.setattr(Suite, "run_step", run_step)
     monkeypatch.setattr(Suite, "identify", lambda suite, runs: {})
     monkeypatch.setattr("benchmarks.reports.random_scenes.draw", lambda *_: False)
+    monkeypatch.setattr("benchmarks.suite.runner.commit_now", lambda: "1234abcd")
     arguments = ["random", "--scenes", "1", "2", "3", "--out", str(out), "--write", str(document), "--size", "64"]
+    arguments += ["--rows", str(tmp_path / "kept")]
     assert command.main(arguments) == 1
     assert rendered == [("random_1", "0", "64", "4", "1"), ("random_2", "0", "64", "4", "1")]
     text = document.read_text()
     assert "render: synthetic.py: no free place" in text and "learn: no surface was found" in text
     assert read_row(out / "rows" / "random_1-preview-full-seed_0.json")["score"]["cd_visible"] == 0.002
     assert "0.0020" in text
+    assert [scene.values.get("cd_visible") for scene in scenes_of(rows_of("1234abc", tmp_path / "kept"))] == [0.002, None]
 
 
 def test_without_any_score_the_document_and_its_pictures_stay_as_they_are(tmp_path, monkeypatch, capsys):
@@ -202,3 +207,27 @@ def test_a_document_that_is_not_there_is_refused_before_anything_runs(tmp_path, 
         command.main(["random", "--out", str(tmp_path / "out"), "--write", str(tmp_path / "missing.md")])
     assert ended.value.code == 2 and "missing.md is no file" in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
+
+
+def test_kept_rows_of_scenes_make_the_same_tables(out):
+    rows = [{"commit": "a", "date": "2026-11-22", "capture": "box", "preset": "preview", "seed": 0}]
+    for scene in (one for one in made_up(out) if one.values):
+        run = {"capture": f"random_{scene.seed}", "preset": "preview", "seed": 0, "scene": scene.summary, "commit": "a"}
+        rows.append(run | {"scores": {key: value for key, value in scene.values.items() if key != "cpu_seconds"}})
+        rows[-1]["seconds"] = {"cpu_seconds": scene.values["cpu_seconds"]}
+    scored = [scene for scene in made_up(out) if scene.values]
+    for marker in ("odd", "even"):
+        assert scene_table(part_of(scenes_of(rows[::-1]), marker)) == scene_table(part_of(scored, marker))
+
+
+def test_the_history_of_scenes_has_only_whole_sets_of_six():
+    def rows(commit, seeds):
+        run = {"commit": commit, "date": "2026-11-22", "preset": "preview", "seed": 0}
+        return [run | {"capture": f"random_{k}", "scores": {"cd_visible": 0.001 * k}} for k in seeds]
+
+    lines = lines_of(history(rows("a", range(1, 13)) + rows("b", range(2, 13, 2)) + rows("c", range(1, 11))))[2:]
+    assert [line[:5] for line in lines] == [
+        ["b", "2026-11-22", "preview", "even", "0.0070"],
+        ["a", "2026-11-22", "preview", "odd", "0.0060"],
+        ["a", "2026-11-22", "preview", "even", "0.0070"],
+    ]

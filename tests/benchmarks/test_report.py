@@ -7,17 +7,20 @@ from pathlib import Path
 import pytest
 
 pytest.importorskip("igl")
+from benchmarks.__main__ import DOCUMENTS
 from benchmarks.baselines.peer_mitsuba import our_cells
 from benchmarks.reports import tables
-from benchmarks.reports.report import fill, head, write_report
-from benchmarks.reports.rows import Results, failures, load
+from benchmarks.reports.report import fill, head, sources_of, write_report
+from benchmarks.reports.rows import Results, failures
 from benchmarks.row_files import read_row, write_row
 from benchmarks.suite.harness import markdown
+from benchmarks.suite.kept_rows import kept, load, write_lines
 from benchmarks.suite.plan import Run
 from blender_nep.errors import OutputError
 from support.paths import ROOT
 
 DOCUMENT = ROOT / "docs" / "benchmarks.md"
+NONE = tables.NONE
 PRESETS = {"preview": (0.004, 100.0), "balanced": (0.002, 300.0)}
 
 
@@ -188,19 +191,116 @@ def test_a_failed_run_is_reported_and_counts_in_no_mean(out):
     assert line_of(table, "**mean**", "quality")[3] == "-"  # suzanne alone is no mean of two
 
 
-def test_a_report_replaces_only_the_text_between_its_markers(out, tmp_path):
-    document, rows = tmp_path / "figures.md", load(out)
+def test_a_report_replaces_only_what_is_between_markers(out, tmp_path):
+    document = tmp_path / "figures.md"
     document.write_text(
-        "before\n<!-- presets -->\nold\n<!-- end of presets -->\nafter\n<!-- head -->\n<!-- end of head -->\n"
+        "before\n<!-- presets from 1234abc -->\nold\n<!-- end of presets -->\nafter\n<!-- head -->\n<!-- end of head -->\n"
+        "<!-- views -->\nby hand\n<!-- end of views -->\n<!-- other -->\nelse\n<!-- end of other -->\n"
     )
-    missing = write_report(rows, Results(rows), document)
+    assert sources_of(document) == {"presets": ["1234abc"], "head": [], "views": []}
+    used = write_report(document, [str(out)], tmp_path / "kept")
     text = document.read_text()
-    assert text.startswith("before\n<!-- presets -->\n| capture") and "\nafter\n" in text and "old" not in text
-    assert "failures" in missing and "presets" not in missing
+    assert text.startswith(f"before\n<!-- presets from {out} -->\n| capture") and "\nafter\n" in text and "old" not in text
     assert "of commit 1234abc\n" in text and "2026-11-20 to 2026-11-21" in text and "torch 2.13.0" in text
-    write_report(rows, Results(rows), document)
+    assert "else" in text and "by hand" not in text and set(used) == {"presets", "head", "views"}
+    write_report(document, [str(out)], tmp_path / "kept")
     assert document.read_text() == text
-    assert write_report(rows, Results(rows), Path(shutil.copy(DOCUMENT, tmp_path))) == []
+
+
+def test_a_marker_without_sources_is_left_as_it_is(out, tmp_path):
+    document = tmp_path / "figures.md"
+    text = "<!-- presets -->\nby hand\n<!-- end of presets -->\n"
+    document.write_text(text)
+    assert write_report(document) == {} and document.read_text() == text
+
+
+def test_a_table_without_lines_stays_as_it_is(out, tmp_path):
+    document = tmp_path / "figures.md"
+    text = "<!-- odd from elsewhere -->\na table of random scenes\n<!-- end of odd -->\n"
+    document.write_text(text)
+    assert write_report(document, [str(out)], tmp_path / "kept") == {} and document.read_text() == text
+
+
+def test_a_marker_names_commits_whose_rows_are_kept(out, tmp_path):
+    document, rows = tmp_path / "figures.md", tmp_path / "kept"
+    rows.mkdir()
+    found = [row | {"commit": "1234abc"} for row in load(out)]
+    write_lines(rows / "1234abc.jsonl", found)
+    write_lines(tmp_path / "trial.jsonl", found)
+    document.write_text("<!-- presets -->\n<!-- end of presets -->\n")
+    write_report(document, [str(tmp_path / "trial.jsonl")], rows)
+    assert "<!-- presets from 1234abc -->" in document.read_text()
+
+
+def test_a_history_keeps_its_older_commits(tmp_path):
+    document = tmp_path / "figures.md"
+    for commit, date in (("aaaaaaa", "2026-11-20"), ("bbbbbbb", "2026-11-22")):
+        run = {"commit": commit, "date": date, "preset": "preview", "seed": 0, "scores": {"cd_visible": 0.1}}
+        write_lines(tmp_path / f"{commit}.jsonl", [run | {"capture": name} for name in tables.FOUR])
+    document.write_text("<!-- history from aaaaaaa -->\n<!-- end of history -->\n")
+    write_report(document, ["bbbbbbb"], tmp_path)
+    text = document.read_text()
+    assert "<!-- history from aaaaaaa+bbbbbbb -->" in text
+    assert [line.split("|")[1].strip() for line in text.splitlines()[3:5]] == ["bbbbbbb", "aaaaaaa"]
+    write_report(document, ["aaaaaaa", "bbbbbbb"], tmp_path)
+    assert document.read_text() == text
+
+
+def test_rows_of_the_source_named_first_count(out, tmp_path):
+    document, rows = tmp_path / "figures.md", tmp_path / "kept"
+    rows.mkdir()
+    run = {"capture": "box", "preset": "preview"}
+    write_lines(rows / "aaaaaaa.jsonl", [run | {"commit": "aaaaaaa", "seed": 5, "scores": {"cd_visible": 0.1}}])
+    others = [run | {"commit": "bbbbbbb", "seed": seed, "scores": {"cd_visible": 0.3}} for seed in (0, 1)]
+    write_lines(rows / "bbbbbbb.jsonl", others)
+    for sources, line in (("aaaaaaa bbbbbbb", ["1", "0.1000"]), ("bbbbbbb aaaaaaa", ["2", "0.3000"])):
+        document.write_text(f"<!-- presets from {sources} -->\n<!-- end of presets -->\n")
+        write_report(document, (), rows)
+        assert line_of(document.read_text(), "box", "preview")[2:4] == line
+    document.write_text("<!-- presets from aaaaaaa+bbbbbbb -->\n<!-- end of presets -->\n")
+    write_report(document, (), rows)
+    assert line_of(document.read_text(), "box", "preview")[2:4] == ["3", "0.2333 ± 0.1155"]
+
+
+@pytest.mark.parametrize("document", DOCUMENTS, ids=str)
+def test_the_tables_of_the_documents_are_those_of_the_rows(document, tmp_path):
+    """A table that is changed by hand, or not written again after a change of its rows, fails here."""
+    copy = tmp_path / document.name
+    shutil.copy(ROOT / document, copy)
+    assert write_report(copy), "no marker of this document names its rows"
+    assert copy.read_text() == (ROOT / document).read_text()
+
+
+def test_a_row_of_means_counts_as_its_seeds():
+    run = {"capture": "box", "preset": "preview", "commit": "a"}
+    each = [run | {"seed": seed, "scores": {"cd_visible": seed + 1.0}} for seed in range(5)]
+    means = run | {"seeds": 3, "scores": {"cd_visible": 2.0}}
+    both = Results([means | {"deviations": {"cd_visible": 1.0}}, *each[3:]])
+    assert both.count == 5 and both.figure("cd_visible") == Results(each).figure("cd_visible")
+
+
+def test_the_short_table_has_a_line_for_each_preset(out):
+    table = tables.summary(Results(load(out)))
+    assert line_of(table, "preview")[1:] == [
+        "0.0055",
+        "5.5 degrees",
+        "0.0055 / 0.0000 / 0.0055",
+        "50 s",
+        NONE,
+        "100 s",
+        "1.0 GB",
+    ]
+
+
+def test_the_history_has_a_line_for_each_commit_with_all_four():
+    def rows(commit, date, captures, error):
+        run = {"commit": commit, "date": date, "preset": "preview", "seed": 0, "scores": {"cd_visible": error}}
+        return [run | {"capture": capture} for capture in captures]
+
+    found = rows("aaaaaaa", "2026-11-20", tables.FOUR, 0.002) + rows("bbbbbbb", "2026-11-22", tables.FOUR, 0.001)
+    table = tables.history(found + rows("ccccccc", "2026-11-23", tables.FOUR[:3], 0.1))
+    assert [line.split("|")[1].strip() for line in table.splitlines()[2:]] == ["bbbbbbb", "aaaaaaa"]
+    assert line_of(table, "bbbbbbb")[1:5] == ["2026-11-22", "preview", "1", "0.0010"]
 
 
 def half_written(path: Path, data: str | bytes, *_, **__) -> None:
@@ -230,8 +330,9 @@ def test_a_message_of_several_lines_stays_in_its_cell():
 
 
 def test_the_head_lists_the_commits_of_all_steps_with_seven_digits():
-    older = {"machine": {"commit": "1234abcd", "date": "2026-11-21"}}
-    newer = {"machine": {"date": "2026-11-22"}, "commits": {"learn": "1234abcd", "score": "99ff00aa-dirty"}}
+    run = {"run": Run(Path("box")).as_row()}
+    older = kept(run | {"machine": {"commit": "1234abcd", "date": "2026-11-21"}})
+    newer = kept(run | {"machine": {"date": "2026-11-22"}, "commits": {"learn": "1234abcd", "score": "99ff00aa-dirty"}})
     assert head([older]).startswith("- 1 runs, 2026-11-21, of commit 1234abc\n")
     assert head([older, newer]).startswith("- 2 runs, 2026-11-21 to 2026-11-22, of commits 1234abc, 99ff00a-dirty\n")
 
@@ -266,15 +367,14 @@ def test_every_plot_of_the_report_is_drawn_as_a_small_picture(out, tmp_path):
     pytest.importorskip("matplotlib", reason="the extra `bench`")
     from benchmarks.reports.plots import PLOTS, draw_all
 
-    rows, document = load(out), Path(shutil.copy(DOCUMENT, tmp_path))
-    draw_all(Results(rows), tmp_path / "figures")
+    document = Path(shutil.copy(DOCUMENT, tmp_path))
+    draw_all(write_report(document, [str(out)], tmp_path), tmp_path / "figures")
     assert all(1000 < (tmp_path / "figures" / f"{name}.png").stat().st_size < 150_000 for name in PLOTS)
-    write_report(rows, Results(rows), document)
     assert set(re.findall(r"\(benchmarks/(\w+)\.png\)", document.read_text())) == set(PLOTS)
 
 
 @pytest.mark.parametrize("unscored", [{"error": "killed after 7200 s"}, {}])
-def test_a_report_without_any_scored_run_is_written_without_plots_of_scores(unscored, out, tmp_path, capsys):
+def test_a_report_without_any_scored_run_has_no_plots(unscored, out, tmp_path, capsys):
     pytest.importorskip("matplotlib", reason="the extra `bench`")
     from benchmarks.__main__ import main
 
@@ -282,9 +382,9 @@ def test_a_report_without_any_scored_run_is_written_without_plots_of_scores(unsc
         row = read_row(file)
         write_row(file, {key: value for key, value in row.items() if key != "relight"} | {"score": unscored})
     document = Path(shutil.copy(DOCUMENT, tmp_path))
-    assert main(["report", "--out", str(out), "--write", str(document)]) == 0
+    assert main(["report", "--from", str(out), "--write", str(document)]) == 0
     assert "of commit 1234abc" in document.read_text()
-    assert [file.name for file in document.with_suffix("").iterdir()] == ["size.png"]
+    assert not document.with_suffix("").exists()
 
 
 def test_a_document_that_cannot_be_filled_ends_the_command_before_its_work(tmp_path, monkeypatch, capsys):
@@ -293,7 +393,7 @@ def test_a_document_that_cannot_be_filled_ends_the_command_before_its_work(tmp_p
     from benchmarks.studies import skipping
 
     with pytest.raises(SystemExit) as ended:
-        main(["report", "--out", str(tmp_path), "--write", str(tmp_path / "missing.md")])
+        main(["report", "--write", str(tmp_path / "missing.md")])
     assert ended.value.code == 2 and "missing.md is no file" in capsys.readouterr().err
 
     (tmp_path / "other.md").write_text("<!-- skip -->\n<!-- end of skip -->\n")
