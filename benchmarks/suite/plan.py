@@ -14,6 +14,13 @@ from blender_nep.presets import PRESETS, FieldsPreset, Preset
 
 WITHOUT_F_E = "no F_e in stage 2"
 AS_TAKEN = "exposures as taken"
+
+
+def without_each(part: str, names: Iterable[str]) -> dict[str, dict[str, dict]]:
+    """An ablation "without NAME" for each name that the field `without` of a part of the preset may hold."""
+    return {f"without {name}": {part: {"without": (name,)}} for name in names}
+
+
 ABLATIONS: dict[str, dict[str, dict]] = {
     "full": {},
     "w_s as printed": {"fields": {"dynamic_weight": "paper"}},

@@ -15,12 +15,12 @@ import pytest
 
 pytest.importorskip("fcntl", reason="the suite runs on POSIX systems")
 from benchmarks.__main__ import main
-from benchmarks.row_files import read_row, write_row
+from benchmarks.row_files import failure, read_row, write_row
 from benchmarks.suite import runner
 from benchmarks.suite.fewer_views import spread, with_fewer_views
 from benchmarks.suite.harness import Children, Ended, command_of
-from benchmarks.suite.plan import ABLATIONS, AS_TAKEN, PLANS, WITHOUT_F_E, Run, expand
-from benchmarks.suite.runner import OtherRowsError, Suite, failure
+from benchmarks.suite.plan import ABLATIONS, AS_TAKEN, PLANS, WITHOUT_F_E, Run, expand, without_each
+from benchmarks.suite.runner import OtherRowsError, Suite
 from benchmarks.suite.step import STAGE_1, NoLight, learn, take_stage_1
 from blender_nep.capture import load_capture
 from blender_nep.checkpoints import save_state
@@ -57,6 +57,13 @@ def test_a_plan_crosses_what_it_names_and_what_is_wanted_overrides_it():
     assert everything == {run.name for name in PLANS for run in expand([name], two, {})}
     assert len(expand([], two, {"ablation": tuple(ABLATIONS)})) == 2 * len(ABLATIONS)
     assert not any(run.ablation == AS_TAKEN for run in expand(["all"], two, {})), "no plan has photos of differing exposure"
+
+
+def test_each_name_has_an_ablation_without_it():
+    assert without_each("fields", ("hull", "hidden_pixels")) == {
+        "without hull": {"fields": {"without": ("hull",)}},
+        "without hidden_pixels": {"fields": {"without": ("hidden_pixels",)}},
+    }
 
 
 def test_only_whole_jobs_as_a_user_would_run_them_are_relit(tmp_path):
