@@ -33,3 +33,9 @@ def test_readme_is_short_and_has_both_commands():
     text = (ROOT / "README.md").read_text(encoding="utf-8")
     assert len(text.split()) <= 1000
     assert "    make demo " in text and "    make test " in text
+
+
+@pytest.mark.parametrize("page", sorted((ROOT / "docs" / "lab").glob("*.md")), ids=lambda path: path.name)
+def test_a_lab_page_begins_with_its_answer(page):
+    if page.name != "README.md":
+        assert page.read_text(encoding="utf-8").splitlines()[2].startswith("**Answer.** ")
