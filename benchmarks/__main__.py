@@ -80,6 +80,7 @@ def parser() -> argparse.ArgumentParser:
     diff = commands.add_parser("diff", help="what got better or worse from A to B; exit code 1 where anything got worse")
     for name in ("A", "B"):
         diff.add_argument(name, help=SOURCES)
+    diff.add_argument("--ablation", help="compare the whole jobs of A with those of B that have this ablation")
     for command in (report, diff):
         command.add_argument("--rows", type=Path, default=ROWS, help="folder of the kept rows (%(default)s)")
     for command in (run, render, drawn):
@@ -185,15 +186,17 @@ def report(documents: Sequence[Path], sources: Sequence[str], rows: Path) -> int
 
 def diff(options: argparse.Namespace) -> int:
     """Print what got better or worse. Returns 1 where anything got worse, REFUSED where nothing can be compared, else 0."""
-    from benchmarks.reports.diff import compare
+    from benchmarks.reports.diff import compare, with_ablation
     from benchmarks.suite.kept_rows import rows_of
 
+    name = f"{options.B}, {options.ablation}" if options.ablation else options.B
     try:
-        comparison = compare(rows_of(options.A, options.rows), rows_of(options.B, options.rows))
+        a, b = (rows_of(source, options.rows) for source in (options.A, options.B))
+        comparison = compare(*with_ablation(a, b, options.ablation) if options.ablation else (a, b))
     except SourceError as error:
         print(error, file=sys.stderr)
         return REFUSED
-    print(comparison.text(options.A, options.B))
+    print(comparison.text(options.A, name))
     return REFUSED if not comparison.pairs else int(comparison.got_worse)
 
 

@@ -17,7 +17,7 @@ from scipy.stats import t as student
 from benchmarks.reports.rows import Figure, Results
 from benchmarks.reports.tables import HIGHER_IS_BETTER, SCORES
 from benchmarks.suite.harness import markdown
-from benchmarks.suite.kept_rows import group_of
+from benchmarks.suite.kept_rows import group_of, run_of
 from benchmarks.suite.step import ACTED
 
 CHANCE = 0.05
@@ -123,12 +123,13 @@ class Comparison:
         if not self.pairs:
             return f"{a} and {b} share no capture and preset: nothing can be compared"
         beyond = {(name, one.name): ("better" if one.gain > 0 else "WORSE") for name, one in self.better + self.worse}
+        several = any(sum(pair.seeds) > 2 for pair in self.pairs)
         parts = []
         for heading, found in (("Worse", self.worse), ("Better", self.better)):
             lines = [f"- {name}: {_line(one)}" for name, one in found]
             if found is self.worse:
                 lines += [f"- {pair.name}: more runs fail" for pair in self.pairs if pair.fails]
-            lines = lines or ["- nothing beyond the spread of seeds"]
+            lines = lines or ["- nothing beyond the spread of seeds" if several else "- nothing can be said of one seed"]
             parts.append(f"{heading} from {a} to {b}:\n\n" + "\n".join(lines))
         if silent := [pair.name for pair in self.pairs if sum(pair.seeds) == 2]:
             parts.append(
@@ -194,6 +195,13 @@ def compare(a: Iterable[dict], b: Iterable[dict]) -> Comparison:
     }
     alone = tuple([_name(group) for group in one if group not in other] for one, other in (sides, sides[::-1]))
     return Comparison(pairs, means, (alone[0], alone[1]))
+
+
+def with_ablation(a: Iterable[dict], b: Iterable[dict], ablation: str) -> tuple[list[dict], list[dict]]:
+    """The whole jobs of a, and the rows of b with `ablation` as if they had none, so that `compare` pairs them."""
+    whole = [row for row in a if run_of(row)["ablation"] == "full"]
+    changed = [row for row in b if run_of(row)["ablation"] == ablation]
+    return whole, [{key: value for key, value in row.items() if key != "ablation"} for row in changed]
 
 
 def _name(group: tuple) -> str:

@@ -95,6 +95,13 @@ class Run:
         only_materials = {"material"} <= set(ABLATIONS[self.ablation]) <= {"material", "preset"}
         return replace(self, ablation="full") if only_materials else None
 
+    @property
+    def without(self) -> tuple[str, ...]:
+        """The names that the ablation leaves out; empty where it changes anything else."""
+        changes = ABLATIONS[self.ablation].values()
+        only_names = all(set(values) == {"without"} for values in changes)
+        return tuple(name for values in changes for name in values["without"]) if only_names else ()
+
     def as_row(self) -> dict:
         """This run for the row's JSON. The capture is given by the name of its folder, without the path."""
         return asdict(self) | {"capture": self.capture.name}

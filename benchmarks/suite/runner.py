@@ -21,7 +21,7 @@ import shutil
 import sys
 from collections.abc import Sequence
 from concurrent.futures import Future, ThreadPoolExecutor, as_completed, wait
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from datetime import datetime
 from pathlib import Path
 
@@ -29,7 +29,7 @@ from benchmarks.row_files import failure, read_row, write_row
 from benchmarks.suite.harness import Children, command_of, commit_now
 from benchmarks.suite.kept_rows import keep, kept
 from benchmarks.suite.plan import Run
-from benchmarks.suite.step import STAGE_1
+from benchmarks.suite.step import ACTED, STAGE_1
 
 
 class OtherRowsError(Exception):
@@ -71,14 +71,15 @@ class Suite:
         with ThreadPoolExecutor(jobs) as pool:
             started: dict[str, Future] = {}
             for run in runs:
-                # The run whose stage 1 this run uses was given to the pool before this run. So waiting for it always ends.
-                donor = run.same_stage_1
+                # The run that this run waits for was given to the pool before this run. So waiting for it always ends.
+                donor = run.same_stage_1 or (replace(run, ablation="full") if run.without else None)
                 started[run.name] = pool.submit(self._run_after, run, started.get(donor.name) if donor else None)
             try:
                 for done, future in enumerate(as_completed(started.values()), 1):
                     row, name = future.result(), next(n for n, f in started.items() if f is future)
                     failed += bool(failure(row))
-                    print(f"{done}/{len(runs)} {name}: {failure(row) or 'done'}", file=sys.stderr, flush=True)
+                    said = "not run, because what it leaves out does not act" if "idle" in row else failure(row) or "done"
+                    print(f"{done}/{len(runs)} {name}: {said}", file=sys.stderr, flush=True)
             except KeyboardInterrupt:
                 self.children.stopped = True
                 pool.shutdown(cancel_futures=True)
@@ -88,7 +89,19 @@ class Suite:
     def _run_after(self, run: Run, other: Future | None) -> dict:
         if other is not None:
             wait([other])
-        return self.run(run)
+        return {"idle": True} if self._is_idle(run) else self.run(run)
+
+    def _is_idle(self, run: Run) -> bool:
+        """Whether all that the run's ablation leaves out was skipped in the run without ablation, by the same code.
+
+        Then both runs are the same, bit for bit, and this one need not run.
+        """
+        row, now = read_row(self._row_file(replace(run, ablation="full"))), commit_now()
+        learned = row.get("learn", {})
+        found = {name: what for part in ACTED for name, what in learned.get(part, {}).items()}
+        if not run.without or not is_same_code(row.get("commits", {}).get("learn", ""), now):
+            return False
+        return all("skipped" in found.get(name, {}) for name in run.without)
 
     def run(self, run: Run) -> dict:
         """Do the steps of one run that its row does not hold yet, and return the row.

@@ -46,7 +46,7 @@ def test_of_one_seed_each_nothing_can_be_said():
     found = compare(rows([0.001]), rows([0.1]))
     assert not found.worse and not found.got_worse
     assert "One seed on each side, so nothing can be said of box preview." in found.text("a", "b")
-    assert "one seed" in found.text("a", "b")
+    assert "nothing can be said of one seed" in found.text("a", "b") and "beyond the spread" not in found.text("a", "b")
 
 
 def test_the_seeds_of_either_side_tell_the_spread():
@@ -117,6 +117,13 @@ def test_the_command_ends_with_1_where_anything_is_worse(after, code, tmp_path, 
         write_lines(tmp_path / f"{name}.jsonl", rows(scores))
     assert main(["diff", "aaaaaaa", "bbbbbbb", "--rows", str(tmp_path)]) == code
     assert "Worse from aaaaaaa to bbbbbbb" in capsys.readouterr().out
+
+
+def test_an_ablation_is_compared_with_whole_jobs(tmp_path, capsys):
+    whole, ablated = rows([0.1, 0.1]), rows([0.2, 0.2], ablation="without relief") + rows([0.3, 0.3], ablation="no cones")
+    write_lines(tmp_path / "aaaaaaa.jsonl", whole + ablated)
+    assert main(["diff", "aaaaaaa", "aaaaaaa", "--ablation", "without relief", "--rows", str(tmp_path)]) == 1
+    assert "box preview: cd visible 0.10000 -> 0.20000" in capsys.readouterr().out
 
 
 def test_the_command_refuses_what_cannot_be_compared(tmp_path, capsys):

@@ -255,6 +255,28 @@ def test_a_run_that_takes_over_a_stage_1_waits_for_it(tmp_path):
     assert suite.done == [(step, run.name) for run in (full, other) for step in ("learn", "score")]
 
 
+@pytest.mark.parametrize(
+    ("commit", "runs"),
+    [("aaaaaaaa", {"full", "without hull"}), ("aaaaaaaa-dirty", {"full", "without hull", "without relief"})],
+)
+def test_what_does_not_act_is_not_left_out(commit, runs, tmp_path, monkeypatch, capsys):
+    """The hull acts and the relief does not. Code that no commit holds may be any code, so all of its runs are run."""
+
+    class Acting(FakeSuite):
+        def run_step(self, step, run, asset):
+            acted = {"hull": {"acted": [0.0]}, "relief": {"skipped": "the photos are too coarse"}}
+            return super().run_step(step, run, asset) | {"refinements": acted}
+
+    names = without_each("fields", ("hull", "relief"))
+    for name, changes in names.items():
+        monkeypatch.setitem(ABLATIONS, name, changes)
+    monkeypatch.setattr(runner, "commit_now", lambda: commit)
+    suite = Acting(tmp_path)
+    assert suite.run_all(expand([], [SUZANNE_SMALL], {"ablation": ("full", *names)}), 1) == 0
+    assert {name.split("-")[2].replace("_", " ") for _, name in suite.done} == runs
+    assert ("without_relief-seed_0: not run" in capsys.readouterr().err) == ("without relief" not in runs)
+
+
 def test_a_step_that_crashes_or_hangs_is_an_error(tmp_path):
     children, log = Children(), tmp_path / "log"
     dead = children.run([sys.executable, "-c", "import os; os.abort()"], log, 1, 60)
