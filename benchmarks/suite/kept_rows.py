@@ -77,11 +77,18 @@ def kept(row: dict, donor: dict | None = None) -> dict:
     for key, values in (("scores", scores), ("seconds", seconds), ("size", size)):
         if found := {name: _rounded(value) for name, value in values.items() if value is not None}:
             out[key] = found
-    out |= {key: learned[key] for key in (*ACTED, "skipped", "versions") if learned.get(key)}
+    out |= {key: _by_code(learned[key]) for key in (*ACTED, "skipped", "versions") if learned.get(key)}
     machine = {key: value for key, value in row.get("machine", {}).items() if key not in ("date", "commit")}
     if machine:
         out["machine"] = machine | ({"device": learned["device"]} if "device" in learned else {})
     return out
+
+
+def _by_code(value: object) -> object:
+    """`value` with each message of the report replaced by its code, because the words of a code stand in the program."""
+    if not isinstance(value, dict):
+        return value
+    return value["code"] if "code" in value else {key: _by_code(part) for key, part in value.items()}
 
 
 def _rounded(value: float) -> float:
