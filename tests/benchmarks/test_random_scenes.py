@@ -158,7 +158,8 @@ def test_the_command_renders_what_is_missing_and_reports_a_render_that_fails(tmp
 
     class FakeChildren:
         def run(self, command, log, threads, limit):
-            name, folder, numbers = command[3], Path(command[4]), command[5:]
+            name, folder, *numbers = command[-6:]
+            folder = Path(folder)
             rendered.append((name, *numbers))
             log.write_text("synthetic.py: no free place\n" if name == "random_2" else "")
             if name != "random_2":
