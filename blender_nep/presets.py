@@ -134,8 +134,8 @@ class FieldsPreset:
     highlight_threshold: float = 3.0
     """Radiance above which an object pixel is a highlight, as a multiple of the photos' typical radiance. Highlights count
     little: they move with the camera and would dominate the error. inf: they count in full (an ablation)."""
-    dynamic_weight: str = "none"
-    """Kind of the weight w_s: none, paper (eq. 4 as printed) or scaled, see `fields.rendering.dynamic_weight`."""
+    dynamic_weight: bool = False
+    """True: the weight w_s of eq. 4, see `fields.rendering.dynamic_weight` (an ablation)."""
     dynamic_weight_cap: float = 1.5
     """u of eq. 4: the largest w_s. The paper's value."""
     decomposition: bool = True

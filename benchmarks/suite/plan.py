@@ -36,8 +36,7 @@ def without_each(part: str, names: Iterable[str]) -> dict[str, dict[str, dict]]:
 
 ABLATIONS: dict[str, dict[str, dict]] = {
     "full": {},
-    "w_s as printed": {"fields": {"dynamic_weight": "paper"}},
-    "w_s scaled": {"fields": {"dynamic_weight": "scaled"}},
+    "w_s as printed": {"fields": {"dynamic_weight": True}},
     "plain NeuS color": {"fields": {"decomposition": False}},
     "environment at infinity": {"environment": {"model": "infinite"}},
     "F_e not first": {"fields": {"background_steps": 0}},

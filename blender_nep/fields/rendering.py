@@ -20,7 +20,6 @@ from blender_nep.fields.environment.field import EnvironmentField
 from blender_nep.fields.object.field import Appearance, ObjectField, SplineShape
 from blender_nep.presets import FieldsPreset
 from blender_nep.profiling import profiled, section
-from blender_nep.tone_mapping import tone_map
 
 _LEAST_OPACITY = 0.01
 """Rays that are there for the object alone count from this opacity of the object on."""
@@ -95,23 +94,14 @@ class EnvironmentParts:
     """Scalar, as in `Rendering`"""
 
 
-def dynamic_weight(appearance: Appearance, kind: str, cap: float, epsilon: float = 1e-3) -> Tensor:
+def dynamic_weight(appearance: Appearance, cap: float, epsilon: float = 1e-3) -> Tensor:
     """The paper's w_s (eq. 4) [n, 1]. It is small where the color differs much from the albedo, as in reflections.
 
     w_s has no gradient; otherwise a growing |c_o - c_a| would lower the loss.
 
-    kind: `paper` is the equation as printed. `scaled` takes the difference in tone-mapped space, relative to its mean square
-    in the batch, because the printed weight is below its cap only where |c_o - c_a| > 0.816. `none` gives 1.
     cap: the paper's u. epsilon: the paper's "small value", which keeps the fraction finite.
     """
-    color, albedo = appearance.color.detach(), appearance.albedo.detach()
-    if kind == "none":
-        return torch.ones_like(color[:, :1])
-    if kind == "paper":
-        square = ((color - albedo) ** 2).mean(-1, keepdim=True)
-    else:
-        square = ((tone_map(color) - tone_map(albedo)) ** 2).mean(-1, keepdim=True)
-        square = square / square.mean().clamp(min=1e-6)  # the mean is 0 if all colors equal their albedos
+    square = ((appearance.color.detach() - appearance.albedo.detach()) ** 2).mean(-1, keepdim=True)
     return (1 / (square + epsilon)).clamp(max=cap)
 
 
@@ -159,9 +149,10 @@ class FieldsRenderer:
             inside = inside.index_add(0, below, clear[below, None] * support)
         radiance = parts.front.index_add(0, meets, parts.transmittance[meets, None] * inside)
         opacities = torch.zeros(n, device=device).index_add(0, ray, opacity)
-        w_s = dynamic_weight(appearance, p.dynamic_weight if p.decomposition else "none", p.dynamic_weight_cap)
-        weight = torch.ones(n, 1, device=device).index_add(0, ray, opacity.detach()[:, None] * (w_s - 1))
-        weight = weight * ~idle[:, None]
+        weight = (~idle).float()[:, None]
+        if p.dynamic_weight and p.decomposition:
+            w_s = dynamic_weight(appearance, p.dynamic_weight_cap)
+            weight = weight.index_add(0, ray, (opacity.detach() * ~idle[ray])[:, None] * (w_s - 1))
         nothing = radiance.sum() * 0
         eikonal = surface.eikonal.mean() if len(ray) else nothing
         with section("curvature"):

@@ -36,12 +36,9 @@ def test_dynamic_weight_is_equation_4_and_passes_no_gradient():
     albedo = torch.tensor([[0.2, 0.5, 0.9], [0.1, 0.1, 0.1]], requires_grad=True)
     light = torch.tensor([[1.0, 1.0, 1.0], [30.0, 30.0, 30.0]], requires_grad=True)
     appearance = Appearance(albedo, light, torch.zeros(2, 1))
-    weight = dynamic_weight(appearance, "paper", cap=1.5, epsilon=1e-3)
+    weight = dynamic_weight(appearance, cap=1.5, epsilon=1e-3)
     assert not weight.requires_grad
     torch.testing.assert_close(weight[:, 0], torch.tensor([1.5, 1 / (2.9**2 + 1e-3)]))
-    assert (dynamic_weight(appearance, "none", cap=1.5) == 1).all()
-    scaled = dynamic_weight(appearance, "scaled", cap=1.5)
-    assert scaled[0] > scaled[1], "where the color is the albedo, the pixel counts more"
 
 
 def test_a_support_plane_ends_rays_in_the_sphere_and_hides_what_the_sdf_is_below_it():
@@ -150,18 +147,19 @@ def test_nothing_is_nearer_to_a_camera_than_camera_near():
     assert 0 < opacity[1] < 0.8 * opacity[0]
 
 
-@pytest.mark.parametrize("kind", ["none", "paper", "scaled"])
-def test_the_loss_weight_is_w_s_where_the_object_is_and_1_elsewhere(kind):
-    fields = renderer(brief_preset(dynamic_weight=kind))
+@pytest.mark.parametrize("on", [False, True])
+def test_the_loss_weight_is_w_s_where_the_object_is(on):
+    """Elsewhere, and without w_s, it is 1."""
+    fields = renderer(brief_preset(dynamic_weight=on))
     weight = fields.render(rays([0.0, 0.1, 0.8, 1.5]), SHARP, None).weight[:, 0]
-    assert (weight[2:] == 1).all() and (weight[:2] == 1).all() == (kind == "none")
-    capped = renderer(brief_preset(dynamic_weight=kind, dynamic_weight_cap=0.5))
-    if kind != "none":
+    assert (weight[2:] == 1).all() and (weight[:2] == 1).all() == (not on)
+    capped = renderer(brief_preset(dynamic_weight=on, dynamic_weight_cap=0.5))
+    if on:
         assert (capped.render(rays([0.0, 0.1]), SHARP, None).weight < 0.51).all()
 
 
 def test_without_decomposition_there_is_no_w_s():
-    fields = renderer(brief_preset(dynamic_weight="paper", decomposition=False))
+    fields = renderer(brief_preset(dynamic_weight=True, decomposition=False))
     assert (fields.render(rays([0.0, 0.1]), SHARP, None).weight == 1).all()
 
 

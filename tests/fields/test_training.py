@@ -189,8 +189,7 @@ def test_each_ablation_changes_what_is_learned(masked_rays, unchanged, ablation)
     "ablation",
     [
         {"decomposition": False},
-        {"dynamic_weight": "paper"},
-        {"dynamic_weight": "scaled"},
+        {"dynamic_weight": True},
         {"curvature": 0.0},
         {"background_steps": 0},
     ],
