@@ -7,8 +7,9 @@ Row 0 of a texture is its top (v = 1). The center of texel (i, j) of an [H, W] t
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from scipy import ndimage
+
+from blender_nep.ops.compilation import kernel
 
 
 def rasterize(uv: np.ndarray, faces: np.ndarray, size: int) -> tuple[np.ndarray, np.ndarray]:
@@ -26,7 +27,7 @@ def rasterize(uv: np.ndarray, faces: np.ndarray, size: int) -> tuple[np.ndarray,
     return face, barycentric
 
 
-@njit(cache=True)
+@kernel()
 def _rasterize(corners, faces, face, barycentric):
     height, width = face.shape
     for f in range(len(faces)):

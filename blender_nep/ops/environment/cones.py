@@ -12,13 +12,14 @@ from typing import NamedTuple
 import numba
 import numpy as np
 import torch
-from numba import njit, prange
+from numba import prange
 
+from blender_nep.ops.compilation import kernel
 from blender_nep.ops.environment.contracted_rays import contraction_border, place_on_ray
 from blender_nep.ops.environment.spherical_grid import angular_cell, bilinear_2d, bilinear_weights, cell, cell_columns, polar
 
 
-@njit(cache=True, inline="always", fastmath=True, error_model="numpy")
+@kernel(inline="always", fastmath=True, error_model="numpy")
 def _add_level(grid, k, turn, fall, share, out):
     """Add share * (bilinear value of shell k) to out [5], in the direction of the `polar` angles turn, fall."""
     rows, columns = grid.shape[0], grid.shape[1]
@@ -34,7 +35,7 @@ def _add_level(grid, k, turn, fall, share, out):
         )
 
 
-@njit(cache=True, inline="always", fastmath=True, error_model="numpy")
+@kernel(inline="always", fastmath=True, error_model="numpy")
 def _sharpen(detail, turn, fall, share, out):
     """Multiply the color of out [5] by the bilinear value of the detail [D, 2 D, 3], mixed with 1 by `share`, 0..1."""
     rows, columns = detail.shape[0], detail.shape[1]
@@ -77,7 +78,7 @@ def _neighbors_first(directions: torch.Tensor, half_angle: torch.Tensor, ratio: 
     return ((level * (_STRIPS + 1) + strip).double() * 2 + turn).argsort()
 
 
-@njit(cache=True, fastmath=True, error_model="numpy")
+@kernel(fastmath=True, error_model="numpy")
 def _composite_block(block, levels_of, radii, dense_from, detail, shell_radii, occupied, far, cones, out, blocks):
     """What `_composite` does in one of its tasks."""
     origins, directions, near, half_angle, order = cones
@@ -129,7 +130,7 @@ def _composite_block(block, levels_of, radii, dense_from, detail, shell_radii, o
         out[i, 3] = seen * scale
 
 
-@njit(cache=True, parallel=True, fastmath=True, error_model="numpy")
+@kernel(parallel=True, fastmath=True, error_model="numpy")
 def _composite(levels_of, radii, dense_from, detail, shell_radii, occupied, far, cones, out, blocks):
     """Fill out [n, 4]: mean radiance and coverage of n `_Cones`, in `blocks` parallel tasks. See `composite_cones`.
 
@@ -141,7 +142,7 @@ def _composite(levels_of, radii, dense_from, detail, shell_radii, occupied, far,
         )
 
 
-@njit(cache=True)
+@kernel()
 def accumulate_coverage(raw, rays, medium, seen):
     """Add to seen [K, H, W] the weights with which rays see nodes. Each sample counts for its nearest node.
 

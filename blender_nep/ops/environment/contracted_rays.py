@@ -4,20 +4,20 @@ from __future__ import annotations
 
 import math
 
-from numba import njit
+from blender_nep.ops.compilation import kernel
 
 SMALLEST_ANGLE = 1e-9
 """Smallest angle z outside the contraction radius. At 0 the place would lie at infinity."""
 
 
-@njit(cache=True, inline="always", fastmath=True, error_model="numpy")
+@kernel(inline="always", fastmath=True, error_model="numpy")
 def contraction_border(b, contraction_radius):
     """(w, z) at which a ray with the closest distance b crosses the contraction radius, w >= 0."""
     border = min(b / contraction_radius, 1.0)
     return math.acosh(1.0 / border), math.asin(border)
 
 
-@njit(cache=True, inline="always", fastmath=True, error_model="numpy")
+@kernel(inline="always", fastmath=True, error_model="numpy")
 def place_on_ray(w, exp_w, b, border, contraction_radius, to_shell):
     """(signed distance from the closest point, shell coordinate) at w. exp_w is exp(w), border is `contraction_border`.
 
@@ -35,7 +35,7 @@ def place_on_ray(w, exp_w, b, border, contraction_radius, to_shell):
     return t, u * to_shell
 
 
-@njit(cache=True, inline="always", fastmath=True, error_model="numpy")
+@kernel(inline="always", fastmath=True, error_model="numpy")
 def far_share(shell, border, spacing):
     """Share of the color detail at a shell coordinate: 0 inside the contraction radius, 1 beyond twice that radius.
 

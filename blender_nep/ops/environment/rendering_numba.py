@@ -12,9 +12,10 @@ from typing import NamedTuple
 
 import numpy as np
 import torch
-from numba import njit, prange
+from numba import prange
 from torch import Tensor
 
+from blender_nep.ops.compilation import kernel
 from blender_nep.ops.environment.contracted_rays import contraction_border, far_share, place_on_ray
 from blender_nep.ops.environment.samples import Medium, RaySamples
 from blender_nep.ops.environment.spherical_grid import (
@@ -53,13 +54,13 @@ class SampleRecords(NamedTuple):
     on the ray from its start, width of its step; the last two in units of the contracted length from |x| = 1 to infinity"""
 
 
-@njit(cache=True, inline="always", fastmath=True, error_model="numpy")
+@kernel(inline="always", fastmath=True, error_model="numpy")
 def _radiance(raw):
     """Linear radiance of a raw color."""
     return math.exp(min(max(raw, -COLOR_LIMIT), COLOR_LIMIT))
 
 
-@njit(cache=True, inline="always", fastmath=True, error_model="numpy")
+@kernel(inline="always", fastmath=True, error_model="numpy")
 def _detail_at(detail, place, share):
     """The three logarithms that the color detail adds in a cell; `place` is that of `cell`, `share` that of `far_share`."""
     red, green, blue = 0.0, 0.0, 0.0
@@ -72,7 +73,7 @@ def _detail_at(detail, place, share):
     return red, green, blue
 
 
-@njit(cache=True, fastmath=True, error_model="numpy")
+@kernel(fastmath=True, error_model="numpy")
 def _march_ray(i, raw, detail, rays, medium, rendered, records, keep):
     """What `_march` does with ray i."""
     origins, directions, t_closest, b, w_near, w_length, infinite, offsets, jitter = rays
@@ -157,7 +158,7 @@ def _march_ray(i, raw, detail, rays, medium, rendered, records, keep):
     records.kept[i] = count
 
 
-@njit(cache=True, parallel=True, fastmath=True, error_model="numpy")
+@kernel(parallel=True, fastmath=True, error_model="numpy")
 def _march(raw, detail, rays, medium, rendered, records, keep):
     """Composite every ray front to back into `rendered`. With `keep`, also fill the records.
 
@@ -171,7 +172,7 @@ def _march(raw, detail, rays, medium, rendered, records, keep):
         _march_ray(np.int64(i), raw, detail, rays, medium, rendered, records, keep)
 
 
-@njit(cache=True, parallel=True, fastmath=True, error_model="numpy")
+@kernel(parallel=True, fastmath=True, error_model="numpy")
 def _sample_gradients(records, rendered, g_rendered, scattered, used):
     """Fill the gradients of the raw values at every kept sample into `records.scattered`, which is given once more:
     Numba loses what a parallel loop writes to an array that was taken from a tuple. `used` [m] marks the places that are
@@ -216,7 +217,7 @@ def _sample_gradients(records, rendered, g_rendered, scattered, used):
             used[m] = 1
 
 
-@njit(cache=True)
+@kernel()
 def _order_by_row(used, cells, rows):
     """Sort the used samples by the row of their cell (counting sort). Returns their order, and start [rows + 2].
 
@@ -238,7 +239,7 @@ def _order_by_row(used, cells, rows):
     return order, start
 
 
-@njit(cache=True, parallel=True, fastmath=True, error_model="numpy")
+@kernel(parallel=True, fastmath=True, error_model="numpy")
 def _scatter_rows(order, start, records, g_raw, g_detail, parity):
     """Add the sample gradients to both grids for the cells in all rows of one parity.
 

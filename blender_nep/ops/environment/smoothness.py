@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 import torch
-from numba import njit, prange
+from numba import prange
 
+from blender_nep.ops.compilation import kernel
 from blender_nep.ops.precision import at_least_float32
 
 
-@njit(cache=True, inline="always", fastmath=True, error_model="numpy")
+@kernel(inline="always", fastmath=True, error_model="numpy")
 def _pull(low, high, scale, softness, pull):
     """The cost of the differences between low and high [m]: the sum of scale * sqrt((high - low)^2 + softness^2).
 
@@ -24,7 +25,7 @@ def _pull(low, high, scale, softness, pull):
     return total
 
 
-@njit(cache=True, parallel=True, fastmath=True, error_model="numpy")
+@kernel(parallel=True, fastmath=True, error_model="numpy")
 def _add_variation(grid, channels, scale, softness, value, gradient):
     """Add the gradient of `total_variation` to gradient [K, H, W C], and fill value [H] with the part of each row.
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 
-from numba import njit
+from blender_nep.ops.compilation import kernel
 
 COLOR_LIMIT = 9.0
 """Raw colors are logarithms of radiance. They are clamped to -9..9, so that radiance is at most e^9 = 8100."""
@@ -30,7 +30,7 @@ _ARC_TANGENT = (
 The angle is right to 1e-15."""
 
 
-@njit(cache=True, inline="always", fastmath=True, error_model="numpy")
+@kernel(inline="always", fastmath=True, error_model="numpy")
 def arc_tangent(y, x):
     """math.atan2(y, x) of finite numbers. The larger of |x| and |y| is at least 1e-300, or both are 0. It is right to 1e-14.
 
@@ -50,14 +50,14 @@ def arc_tangent(y, x):
     return math.copysign(angle, y)
 
 
-@njit(cache=True, inline="always", fastmath=True, error_model="numpy")
+@kernel(inline="always", fastmath=True, error_model="numpy")
 def polar(x, y, z):
     """(turn, fall) of a direction: the azimuth from -x in turns, 0..1, and the angle from +z in half turns, 0..1."""
     fall = arc_tangent(math.sqrt(x * x + y * y), z) * (1.0 / math.pi)
     return arc_tangent(y, x) * (0.5 / math.pi) + 0.5, fall
 
 
-@njit(cache=True, inline="always", fastmath=True, error_model="numpy")
+@kernel(inline="always", fastmath=True, error_model="numpy")
 def cell(turn, fall, rows, columns):
     """The cell of `polar` angles in a cell-centered equirectangular grid. The result is that of `angular_cell`."""
     v = fall * rows + 0.5
@@ -67,7 +67,7 @@ def cell(turn, fall, rows, columns):
     return j, c - columns if c >= columns else c, v - j, u - c
 
 
-@njit(cache=True, inline="always", fastmath=True, error_model="numpy")
+@kernel(inline="always", fastmath=True, error_model="numpy")
 def angular_cell(x, y, z, rows, columns):
     """The cell of a direction in a cell-centered equirectangular grid: (row + 1, column, row fraction, column fraction).
 
@@ -78,7 +78,7 @@ def angular_cell(x, y, z, rows, columns):
     return cell(turn, fall, rows, columns)
 
 
-@njit(cache=True, inline="always", fastmath=True, error_model="numpy")
+@kernel(inline="always", fastmath=True, error_model="numpy")
 def cell_columns(j, c, rows, columns):
     """The two rows of a cell, and two columns for each row. Across a pole, the columns are shifted by half a turn.
 
@@ -97,13 +97,13 @@ def cell_columns(j, c, rows, columns):
     return top, bottom, top_left, top_right, bottom_left, bottom_right
 
 
-@njit(cache=True, inline="always", fastmath=True, error_model="numpy")
+@kernel(inline="always", fastmath=True, error_model="numpy")
 def bilinear_weights(fj, fc):
     """Weights of a cell's corners, in the order of `cell_columns`, at the row fraction fj and the column fraction fc."""
     return (1.0 - fj) * (1.0 - fc), (1.0 - fj) * fc, fj * (1.0 - fc), fj * fc
 
 
-@njit(cache=True, inline="always", fastmath=True, error_model="numpy")
+@kernel(inline="always", fastmath=True, error_model="numpy")
 def bilinear(grid, k, corners, weights, channel):
     """The bilinear value of one channel of shell k, for `corners` of `cell_columns` and `weights` of `bilinear_weights`."""
     top, bottom, tl, tr, bl, br = corners
@@ -116,7 +116,7 @@ def bilinear(grid, k, corners, weights, channel):
     )
 
 
-@njit(cache=True, inline="always", fastmath=True, error_model="numpy")
+@kernel(inline="always", fastmath=True, error_model="numpy")
 def bilinear_2d(image, corners, weights, channel):
     """The bilinear value of one channel of an image [H, 2 H, C] of all directions. The arguments are those of `bilinear`."""
     top, bottom, tl, tr, bl, br = corners
@@ -125,7 +125,7 @@ def bilinear_2d(image, corners, weights, channel):
     return upper + w2 * image[bottom, bl, channel] + w3 * image[bottom, br, channel]
 
 
-@njit(cache=True, inline="always", fastmath=True, error_model="numpy")
+@kernel(inline="always", fastmath=True, error_model="numpy")
 def trilinear(grid, k, shell_weights, corners, weights, channel):
     """The trilinear value of one channel between the shells k and k + 1, whose two `shell_weights` add up to 1.
 

@@ -6,8 +6,9 @@ import math
 
 import numpy as np
 import torch
-from numba import njit, prange
+from numba import prange
 
+from blender_nep.ops.compilation import kernel
 from blender_nep.ops.environment.spherical_grid import COLOR_LIMIT, angular_cell, bilinear, bilinear_weights, cell_columns
 
 RADIAL_STEPS = 4
@@ -18,7 +19,7 @@ LEAST_LEFT = 1e-4
 """If less than this part of the view is left, a node becomes opaque: its opacity would be a ratio of rounding errors."""
 
 
-@njit(cache=True, fastmath=True, error_model="numpy")
+@kernel(fastmath=True, error_model="numpy")
 def _row_weights_from_center(row, raw, coverage, density_gain, spacing, out):
     """What `_weights_from_center` does with a row of `out`."""
     shells, rows, columns = raw.shape[0], raw.shape[1], raw.shape[2]
@@ -72,7 +73,7 @@ def _row_weights_from_center(row, raw, coverage, density_gain, spacing, out):
         out[-1, row, column, 4] += passed * node[4]
 
 
-@njit(cache=True, parallel=True, fastmath=True, error_model="numpy")
+@kernel(parallel=True, fastmath=True, error_model="numpy")
 def _weights_from_center(raw, coverage, density_gain, spacing, out):
     """Fill out [K, rows, 2 rows, 5], as `weights_from_center`.
 
@@ -82,7 +83,7 @@ def _weights_from_center(raw, coverage, density_gain, spacing, out):
         _row_weights_from_center(np.int64(row), raw, coverage, density_gain, spacing, out)
 
 
-@njit(cache=True, parallel=True, error_model="numpy")
+@kernel(parallel=True, error_model="numpy")
 def _from_weights(weighted, out):
     shells = weighted.shape[0]
     for row in prange(weighted.shape[1]):

@@ -8,10 +8,12 @@ summed in a fixed number of parts.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit, prange
+from numba import prange
+
+from blender_nep.ops.compilation import kernel
 
 
-@njit(cache=True, parallel=True, fastmath=True)
+@kernel(parallel=True, fastmath=True)
 def send(starts, texel, weight, response, levels, out):
     """Add to out [n, L, 3] the radiance that the points send for the map `levels` [texels, 3], on L lines.
 
@@ -33,7 +35,7 @@ def send(starts, texel, weight, response, levels, out):
                 out[i, line, 2] += response[c, line, 2] * blue
 
 
-@njit(cache=True, parallel=True, fastmath=True)
+@kernel(parallel=True, fastmath=True)
 def collect(starts, bounds, texel, weight, response, gradient, parts):
     """Add the adjoint of `send` for gradient [n, L, 3] to parts [P, texels, 3]. The sum over the parts is the result.
 

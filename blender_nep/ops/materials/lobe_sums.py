@@ -5,10 +5,12 @@ The points are independent, so results do not depend on the number of threads.
 
 from __future__ import annotations
 
-from numba import njit, prange
+from numba import prange
+
+from blender_nep.ops.compilation import kernel
 
 
-@njit(cache=True, parallel=True)
+@kernel(parallel=True)
 def add_to_lobes(starts, weight, fresnel, light, diffuse, specular):
     """Add the light of k cones to diffuse [n, 3] and specular [n, R, 3, 3] (three moments with three colors each).
 

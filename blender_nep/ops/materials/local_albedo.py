@@ -7,12 +7,13 @@ that results do not depend on the number of threads.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit, prange
+from numba import prange
 
+from blender_nep.ops.compilation import kernel
 from blender_nep.ops.tone import tone
 
 
-@njit(cache=True, parallel=True, fastmath=True, error_model="numpy")
+@kernel(parallel=True, fastmath=True, error_model="numpy")
 def fit_local_albedos(index, weight, offset, slope, metallic, goal, clip, iterations, albedo, residual):
     """Fill albedo [m, 3] in 0..1 and residual [m] for m pixels; all arrays but `index` are float32.
 

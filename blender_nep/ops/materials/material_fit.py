@@ -10,12 +10,13 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit, prange
+from numba import prange
 
+from blender_nep.ops.compilation import kernel
 from blender_nep.ops.tone import tone
 
 
-@njit(cache=True, inline="always", fastmath=True, error_model="numpy")
+@kernel(inline="always", fastmath=True, error_model="numpy")
 def _multiscatter_gain(albedo, ratio, average):
     """Factor of a metal's radiance that adds the light that is scattered more than once.
 
@@ -66,7 +67,7 @@ class FitHypotheses(NamedTuple):
     """[M] float32, the largest albedo"""
 
 
-@njit(cache=True, inline="always", fastmath=True, error_model="numpy")
+@kernel(inline="always", fastmath=True, error_model="numpy")
 def _affine_terms(samples, roughness, first, count, j):
     """The radiance of `count` samples from `first` on, at the j-th roughness, as terms of functions of the albedo.
 
@@ -91,7 +92,7 @@ def _affine_terms(samples, roughness, first, count, j):
     return edge, span, specular_part, diffuse_part, total
 
 
-@njit(cache=True, parallel=True, fastmath=True, error_model="numpy")
+@kernel(parallel=True, fastmath=True, error_model="numpy")
 def fit_albedos(starts, samples, roughness, hypotheses, clip, iterations, cost, albedo):
     """Fill cost [M, R, G] and albedo [M, R, G, 3] for M values of metallic, R roughness values and G groups.
 

@@ -14,12 +14,13 @@ from functools import lru_cache
 import numba
 import numpy as np
 import torch
-from numba import njit, prange
+from numba import prange
 
+from blender_nep.ops.compilation import kernel
 from blender_nep.ops.precision import at_least_float32
 
 
-@njit(cache=True, inline="always")
+@kernel(inline="always")
 def axis_taps(x, cells, w, dw, ddw):
     """Index of the first of three taps at x in [-1, 1]. Fills their weights w and derivatives dw, ddw with respect to x."""
     p = (x * 0.5 + 0.5) * cells
@@ -42,7 +43,7 @@ def axis_taps(x, cells, w, dw, ddw):
     return i
 
 
-@njit(cache=True, parallel=True, fastmath=True)
+@kernel(parallel=True, fastmath=True)
 def _forward(coef, points, out, threads):
     cells = coef.shape[0] - 2
     n, hessian = points.shape[0], out.shape[1] == 10
@@ -87,7 +88,7 @@ def _forward(coef, points, out, threads):
                 out[k, 9] = hyz
 
 
-@njit(cache=True, inline="always")
+@kernel(inline="always")
 def row_adjoint(grad, k, w, d, e, a, c, hessian):
     """What grad[k] [4 or 10] of point k gives to the row of taps (a, c): the factors of w[2], d[2] and e[2]."""
     ww, wd, dw = w[0, a] * w[1, c], w[0, a] * d[1, c], d[0, a] * w[1, c]
@@ -101,7 +102,7 @@ def row_adjoint(grad, k, w, d, e, a, c, hessian):
     return a0, a1, a2
 
 
-@njit(cache=True, parallel=True, fastmath=True)
+@kernel(parallel=True, fastmath=True)
 def _backward(points, grad, coef_grad, threads):
     """Add the adjoint of `_forward` to coef_grad. Each thread has its own slab of the first axis, so threads never race."""
     size = coef_grad.shape[0]
@@ -248,7 +249,7 @@ class Spline:
         return _Sample.apply(self._share, self._coef.detach(), self._gradient, points.contiguous(), channels)
 
 
-@njit(cache=True, parallel=True, fastmath=True)
+@kernel(parallel=True, fastmath=True)
 def _refine(coef, level, fine):
     """Chaikin's rule along three axes: each block of 2^3 neighboring coefficients gives 2^3 finer ones.
 
@@ -278,7 +279,7 @@ def _refine(coef, level, fine):
                             out[k] += more[k]
 
 
-@njit(cache=True, parallel=True, fastmath=True)
+@kernel(parallel=True, fastmath=True)
 def _refine_adjoint(grad, coef_grad):
     """The transpose of `_refine`: every coarse coefficient sums over 4^3 finer ones."""
     weight = np.array([0.25, 0.75, 0.75, 0.25], grad.dtype)

@@ -11,9 +11,10 @@ from typing import NamedTuple
 import numba
 import numpy as np
 import torch
-from numba import njit, prange
+from numba import prange
 from torch import Tensor
 
+from blender_nep.ops.compilation import kernel
 from blender_nep.ops.object.bspline import axis_taps, contract_torch, row_adjoint, taps_torch
 from blender_nep.ops.precision import at_least_float32
 
@@ -36,7 +37,7 @@ def bricks_along_axis(cells: int) -> int:
     return -(-(cells + 2) // BRICK)
 
 
-@njit(cache=True, inline="always")
+@kernel(inline="always")
 def _empty(slot, i, j, m):
     """Whether no brick holds any of the 3^3 taps that begin at (i, j, m)."""
     for a in (i // BRICK, (i + 2) // BRICK):
@@ -47,7 +48,7 @@ def _empty(slot, i, j, m):
     return True
 
 
-@njit(cache=True, inline="always")
+@kernel(inline="always")
 def _row(slot, coef, i, j, m, taps):
     """Fill `taps` with the three coefficients that begin at (i, j, m), along the last axis."""
     for q in range(3):
@@ -55,7 +56,7 @@ def _row(slot, coef, i, j, m, taps):
         taps[q] = coef[s, i % BRICK, j % BRICK, (m + q) % BRICK] if s >= 0 else coef.dtype.type(0)
 
 
-@njit(cache=True, inline="always")
+@kernel(inline="always")
 def brick_value(slot, coef, cells, x, y, z, w, d, e):
     """The value at one point. `w`, `d` and `e` [3, 3] are overwritten."""
     i = axis_taps(x, cells, w[0], d[0], e[0])
@@ -74,7 +75,7 @@ def brick_value(slot, coef, cells, x, y, z, w, d, e):
     return v
 
 
-@njit(cache=True, parallel=True, fastmath=True)
+@kernel(parallel=True, fastmath=True)
 def _forward(slot, coef, cells, points, out, threads):
     n, hessian = points.shape[0], out.shape[1] == 10
     blocks = threads * 4
@@ -110,7 +111,7 @@ def _forward(slot, coef, cells, points, out, threads):
                         out[k, 9] += wd * s1
 
 
-@njit(cache=True, parallel=True, fastmath=True)
+@kernel(parallel=True, fastmath=True)
 def _backward(slot, cells, points, grad, coef_grad, threads):
     """Add the adjoint of `_forward` to coef_grad. Each thread has its own rows of coefficients, so threads never race."""
     n, hessian, rows = points.shape[0], grad.shape[1] == 10, coef_grad.shape[0]

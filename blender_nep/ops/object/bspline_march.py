@@ -8,8 +8,9 @@ from typing import NamedTuple
 import numba
 import numpy as np
 import torch
-from numba import njit, prange
+from numba import prange
 
+from blender_nep.ops.compilation import kernel
 from blender_nep.ops.object.bspline import axis_taps, sample_torch
 from blender_nep.ops.object.bspline_bricks import Bricks, brick_value, sample_bricks_torch
 from blender_nep.ops.precision import at_least_float32
@@ -17,7 +18,7 @@ from blender_nep.ops.precision import at_least_float32
 _NO_SLOTS, _NO_COEFFICIENTS = np.empty((0, 0, 0), np.int32), np.empty((0, 1, 1, 1), np.float32)
 
 
-@njit(cache=True, inline="always")
+@kernel(inline="always")
 def _value(coef, x, y, z, w, d, e):
     cells = coef.shape[0] - 2
     i = axis_taps(x, cells, w[0], d[0], e[0])
@@ -48,7 +49,7 @@ class _Rays(NamedTuple):
     t_far: np.ndarray
 
 
-@njit(cache=True, parallel=True, fastmath=True)
+@kernel(parallel=True, fastmath=True)
 def _march(coef, fine, rays, band, step, spans, count, threads):
     """Fill spans [n, most, 2] and count [n]; see `march`. The threads share the rays in blocks."""
     origins, directions, t_near, t_far = rays

@@ -11,13 +11,14 @@ from functools import lru_cache
 
 import numpy as np
 import torch
-from numba import njit, prange
+from numba import prange
 from torch.autograd.function import once_differentiable
 
+from blender_nep.ops.compilation import kernel
 from blender_nep.ops.precision import at_least_float32
 
 
-@njit(cache=True, parallel=True, fastmath=True, error_model="numpy")
+@kernel(parallel=True, fastmath=True, error_model="numpy")
 def _encode_positions(x, octaves, out):
     """Fill out [n, 3 + 6 octaves]. Each octave follows from the one before by the formulas of the double angle."""
     for i in prange(x.shape[0]):
@@ -30,7 +31,7 @@ def _encode_positions(x, octaves, out):
                 sine, cosine = 2 * sine * cosine, 1 - 2 * sine * sine
 
 
-@njit(cache=True, parallel=True, fastmath=True, error_model="numpy")
+@kernel(parallel=True, fastmath=True, error_model="numpy")
 def _positions_backward(encoded, grad, octaves, grad_x):
     """Fill grad_x [n, 3], the adjoint of `_encode_positions`, whose result is `encoded`."""
     for i in prange(encoded.shape[0]):
@@ -107,7 +108,7 @@ _LANES = 16
 """Number of directions that are encoded side by side. The loops over them become vector instructions."""
 
 
-@njit(cache=True, inline="always")
+@kernel(inline="always")
 def _powers(direction, first, count, top):
     """The real and imaginary parts of (x + iy)^m, and z^m, each [top + 1, _LANES], for m = 0 .. top.
 
@@ -127,7 +128,7 @@ def _powers(direction, first, count, top):
     return re, im, z_power
 
 
-@njit(cache=True, inline="always")
+@kernel(inline="always")
 def _attenuations(kappa_inv, first, count, rate, attenuation):
     """Fill attenuation [_LANES] with exp(rate * kappa^-1) of the directions from `first` on."""
     for lane in range(_LANES):
@@ -135,7 +136,7 @@ def _attenuations(kappa_inv, first, count, rate, attenuation):
         attenuation[lane] = np.exp(rate * max(value, value * 0))
 
 
-@njit(cache=True, parallel=True, fastmath=True, error_model="numpy")
+@kernel(parallel=True, fastmath=True, error_model="numpy")
 def _encode_directions(direction, kappa_inv, table, out):
     """Fill out [n, 2 pairs], as `integrated_directional_encoding`. table: as that of `_legendre_table`."""
     n, pairs, top = direction.shape[0], table.shape[0], table.shape[1] - 1
@@ -161,7 +162,7 @@ def _encode_directions(direction, kappa_inv, table, out):
             degree *= 2
 
 
-@njit(cache=True, parallel=True, fastmath=True, error_model="numpy")
+@kernel(parallel=True, fastmath=True, error_model="numpy")
 def _directions_backward(direction, kappa_inv, table, grad, grads):
     """Fill grads [n, 4]: the adjoint of `_encode_directions` for the direction and kappa^-1."""
     n, pairs, top = direction.shape[0], table.shape[0], table.shape[1] - 1

@@ -11,9 +11,10 @@ from typing import NamedTuple
 
 import numpy as np
 import torch
-from numba import njit, prange
+from numba import prange
 from torch.autograd.function import once_differentiable
 
+from blender_nep.ops.compilation import kernel
 from blender_nep.ops.precision import at_least_float32
 
 _LEAST_OPACITY = 1e-6
@@ -38,7 +39,7 @@ class Composited(NamedTuple):
     """[m] mean of (|gradient of the SDF| - 1)^2 over the samples"""
 
 
-@njit(cache=True, parallel=True, error_model="numpy")
+@kernel(parallel=True, error_model="numpy")
 def _place(spans, count, jitter, t):
     """Fill t [m, samples + 1], as `place_samples`."""
     last = t.shape[1] - 1
@@ -97,7 +98,7 @@ def neus_weights(sdf: torch.Tensor, sharpness: float) -> torch.Tensor:
     return before.exp() * -torch.expm1(delta)
 
 
-@njit(cache=True, parallel=True, error_model="numpy")
+@kernel(parallel=True, error_model="numpy")
 def _composite(field, inverse, t, out):
     """Fill out [m, 6]: opacity, depth, gradient and eikonal of `Composited`.
 
@@ -126,7 +127,7 @@ def _composite(field, inverse, t, out):
         out[ray, 2], out[ray, 3], out[ray, 4], out[ray, 5] = gx, gy, gz, eikonal / (last + 1)
 
 
-@njit(cache=True, parallel=True, error_model="numpy")
+@kernel(parallel=True, error_model="numpy")
 def _composite_backward(field, inverse, t, sharpness, out, grad, field_grad):
     """Fill field_grad [m, k + 1, 4], the adjoint of `_composite`. out, grad [m, 6]: its result, and the gradient of that."""
     last = field.shape[1] - 1

@@ -7,15 +7,16 @@ from __future__ import annotations
 
 import numpy as np
 import torch
-from numba import njit, prange
+from numba import prange
 
+from blender_nep.ops.compilation import kernel
 from blender_nep.ops.precision import at_least_float32
 
 PART = 1 << 16
 """Number of entries in one part. The number is fixed, so that the result does not depend on the number of threads."""
 
 
-@njit(cache=True, parallel=True, fastmath={"reassoc", "contract"})
+@kernel(parallel=True, fastmath={"reassoc", "contract"})
 def _sums(values, squares, touched):
     """Fill squares and touched [parts]: of each part of values [n], the sum of squares and the number of nonzero entries."""
     for part in prange(squares.shape[0]):

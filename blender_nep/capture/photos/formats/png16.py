@@ -6,14 +6,15 @@ import struct
 import zlib
 from pathlib import Path
 
-import numba
 import numpy as np
+
+from blender_nep.ops.compilation import kernel
 
 _CHANNELS = {0: 1, 2: 3, 4: 2, 6: 4}
 _SMALL_CHUNK = 64
 
 
-@numba.njit(cache=True)
+@kernel()
 def _unfilter(rows: np.ndarray, kinds: np.ndarray, step: int) -> None:
     """Undo the five PNG scan-line filters in place; rows [h, bytes] uint8, `step` bytes a pixel."""
     for y in range(rows.shape[0]):
