@@ -1,7 +1,8 @@
 # make            says this
 # make demo       makes an asset, a .blend file and a comparison picture from the capture in the repository
 # make extension  builds the zip that Blender installs, dist/blender_nep-VERSION.zip. It needs no environment
-# make test       runs make lint and all tests
+# make test       runs make lint and the quick tests
+# make test-all   runs make test and the slow tests (docs/tests.md)
 # make lint       checks style (ruff), the directions of imports (import-linter) and types (mypy)
 # make stress CASES=500 SEED=1   runs whole small jobs on hostile captures (docs/stress.md). The same command continues a
 #                 campaign that was stopped
@@ -39,7 +40,7 @@ ifdef PIP_EXTRA_INDEX_URL
 export PIP_EXTRA_INDEX_URL
 endif
 
-.PHONY: help demo extension test stress test-blender wheels lint bench clean
+.PHONY: help demo extension test test-slow test-all stress test-blender wheels lint bench clean
 
 help:
 	@sed -n '/^$$/q; s/^# \{0,1\}//p' Makefile
@@ -53,7 +54,13 @@ extension:
 	$(or $(wildcard $(BIN)/python),$(PYTHON),python3) release/extension.py
 
 test: lint
-	$(BIN)/python -m pytest -q
+	$(BIN)/python -m pytest -q -m "not slow"
+
+test-slow: $(VENV)/installed-dev
+	$(BIN)/python -m pytest -q -m slow
+
+test-all: test
+	$(MAKE) test-slow
 
 stress: $(VENV)/installed-dev
 	$(BIN)/python -m benchmarks.stress.campaign --cases $(CASES) --seed $(SEED) --out out/stress-$(SEED)

@@ -31,6 +31,7 @@ from xdist.scheduler import LoadScopeScheduling  # noqa: E402
 
 numba.set_num_threads(min(len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else 1, 4))
 
+from support import cpu_costs  # noqa: E402
 from support.captures import CENTER, RADIUS, TinyCapture, look_at, write_exr  # noqa: E402
 
 
@@ -74,6 +75,15 @@ def make_capture(tmp_path):
         return tiny
 
     return make
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    parser.addoption("--cpu-costs", metavar="FILE", help="write the CPU seconds of every test to FILE")
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    if config.getoption("--cpu-costs"):
+        cpu_costs.measure(config)
 
 
 class SharedFixturesScheduling(LoadScopeScheduling):

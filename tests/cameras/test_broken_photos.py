@@ -180,6 +180,18 @@ CASES = [
 ]
 
 
+SLOW = {
+    *("EXIF: all 8 orientations", "EXIF: the focal length is 5 times too long", "EXIF: the focal length is 0"),
+    *("EXIF: nonsense", "two lenses, which EXIF tells", "two lenses, no EXIF", "one photo is zoomed, no EXIF"),
+    *("one photo is cropped", "one photo of another scene", "one photo twice", "all photos alike", "2 photos are blurred"),
+    *("every second photo is 3 stops darker", "noise", ".JPG", "a path of over 400 characters", "--out among the photos"),
+    *("photos in the folder images, a picture beside it", "the folder is a symbolic link", "the disk is full at the end"),
+    *("pycolmap prints to standard output", "places are mirrored, rotations are not", "two photos are exchanged"),
+    *("cameras and sphere in millimeters", "the focal length is twice too long"),
+}
+"""Cases that search for cameras in 1 to 3 CPU seconds. Of each way in which such a search ends, a quick case stays."""
+
+
 @pytest.fixture(scope="module")
 def room():
     return Room.photographed()
@@ -245,7 +257,9 @@ def accuracy(shoot: Shoot, doubtful: set[str]) -> tuple[int, dict[str, float], f
     return len(views), errors(found, true, CENTER), float(np.degrees(np.arccos(min(1.0, up[2]))))
 
 
-@pytest.mark.parametrize("case", CASES, ids=[case.name for case in CASES])
+@pytest.mark.parametrize(
+    "case", [pytest.param(case, id=case.name, marks=[pytest.mark.slow] * (case.name in SLOW)) for case in CASES]
+)
 def test_a_broken_capture(shoot, case, tmp_path, record_property):
     shoot.keep(case.photos)
     case.broken(shoot)
