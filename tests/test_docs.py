@@ -4,8 +4,6 @@ import re
 import subprocess
 from pathlib import Path
 
-import pytest
-
 from support.paths import ROOT
 
 FOLDERS = ("", "blender_nep/", "backend/", "addon/", "tests/", "benchmarks/")
@@ -19,13 +17,16 @@ def documents() -> list[Path]:
     return [ROOT / name for name in names] or sorted([*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md")])
 
 
-@pytest.mark.parametrize("document", documents(), ids=lambda path: path.name)
-def test_every_file_that_a_document_names_is_there(document):
-    text = document.read_text(encoding="utf-8")
-    named = set(re.findall(r"`([\w./-]+/[\w-]+\.(?:py|md|toml|png))", text)) - EXAMPLES
-    missing = [name for name in named if not any((ROOT / folder / name).is_file() for folder in FOLDERS)]
-    linked = {link.partition("#")[0] for link in re.findall(r"\]\(([^)\s]+)\)", text) if "://" not in link}
-    missing += [link for link in linked if link and not (document.parent / link).exists()]
+def test_every_file_that_a_document_names_is_there():
+    missing = []
+    for document in documents():
+        text = document.read_text(encoding="utf-8")
+        named = set(re.findall(r"`([\w./-]+/[\w-]+\.(?:py|md|toml|png))", text)) - EXAMPLES
+        missing += [
+            (document.name, name) for name in named if not any((ROOT / folder / name).is_file() for folder in FOLDERS)
+        ]
+        linked = {link.partition("#")[0] for link in re.findall(r"\]\(([^)\s]+)\)", text) if "://" not in link}
+        missing += [(document.name, link) for link in linked if link and not (document.parent / link).exists()]
     assert not missing
 
 

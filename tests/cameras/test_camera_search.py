@@ -141,6 +141,7 @@ def test_progress_rises_to_the_end(search):
     assert fractions[-1] == 1 and min(fractions) < 0.2 and len(fractions) > 5
 
 
+@pytest.mark.slow
 def test_a_photo_of_another_scene_is_named_and_left_out(photos, tmp_path):
     room = tmp_path / "photos"
     shutil.copytree(photos, room)
@@ -151,6 +152,7 @@ def test_a_photo_of_another_scene_is_named_and_left_out(photos, tmp_path):
     assert len(load_capture(room).views) == COUNT
 
 
+@pytest.mark.slow
 def test_portrait_photos_stand_upright(photos, tmp_path):
     """The stored photos are turned, and EXIF says so. The found cameras fit the stored pixels."""
     room = tmp_path / "photos"
@@ -196,7 +198,7 @@ def strangers(folder, count):
         photograph(camera(number, COUNT), seed=100 + number).save(folder / f"{number}.jpg")
 
 
-@pytest.mark.parametrize("write", [gray, alike, strangers])
+@pytest.mark.parametrize("write", [gray, *(pytest.param(write, marks=pytest.mark.slow) for write in (alike, strangers))])
 def test_photos_that_cannot_be_placed_end_in_a_hint(tmp_path, write):
     write(tmp_path, 5)
     code, events = found(tmp_path, tmp_path / "out")

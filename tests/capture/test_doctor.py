@@ -325,7 +325,10 @@ def on_turntable(elevations, turns=tuple(range(0, 360, 30)), surroundings=room) 
     return cameras, found
 
 
-@pytest.mark.parametrize("elevations", [(20,), (0, 25, 50)], ids=["one height", "three heights"])
+@pytest.mark.parametrize(
+    "elevations",
+    [pytest.param((20,), id="one height"), pytest.param((0, 25, 50), id="three heights", marks=pytest.mark.slow)],
+)
 def test_a_turntable_is_refused(tmp_path, elevations):
     cameras, found = on_turntable(elevations)
     gain = 2 ** np.random.default_rng(0).normal(0, 0.3, len(found))

@@ -63,7 +63,9 @@ def test_a_short_learning_with_masks_comes_nearer_to_the_truth(masked_rays):
     )
 
 
-@pytest.mark.parametrize("paint", [-1.0, 2.0], ids=["with fine paint", "without"])
+@pytest.mark.parametrize(
+    "paint", [pytest.param(-1.0, id="with fine paint"), pytest.param(2.0, id="without", marks=pytest.mark.slow)]
+)
 def test_a_resumed_run_gives_the_same_fields(masked_rays, rays, paint):
     # masks give a hull, without which there is no fine paint
     rays, chosen = (masked_rays, brief_preset(least_fine_paint=paint)) if paint < 1 else (rays, brief_preset())

@@ -28,6 +28,7 @@ from blender_nep.optimizers import Adam, UniformAdam
 PLAIN = Case(told="yes", pixels="saturated", suffix=".png")
 
 
+@pytest.mark.slow
 @settings(
     max_examples=10,
     derandomize=True,

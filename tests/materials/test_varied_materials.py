@@ -73,6 +73,7 @@ def test_many_paints_and_gold_leaf_get_materials_of_their_own(ball, photos_of_pa
     assert albedo < 0.75 * worse[0] and roughness < worse[1]
 
 
+@pytest.mark.slow
 def test_paint_does_not_follow_the_light(ball, varied):
     """The error of the albedo must not follow the irradiance: light and shade are not paint."""
     result = varied
@@ -146,6 +147,7 @@ def test_a_speck_takes_the_class_of_the_pixels_around_it_but_a_stripe_keeps_its_
     assert np.array_equal(majority(places, stripe | speck, 0.4), stripe | speck)  # no vote where points lie far apart
 
 
+@pytest.mark.slow
 def test_a_gradual_patina_is_blended_from_unblended_materials(ball):
     result = learn(ball, make_photos(patina, views=16, side=48, rays=64), MORE)
     assert "segments" not in result.report, "two materials and their blends explain it"
@@ -155,7 +157,7 @@ def test_a_gradual_patina_is_blended_from_unblended_materials(ball):
     assert len(np.unique((shares * 50).astype(int))) > 30, "shares are continuous, not steps of a quarter"
 
 
-@pytest.mark.parametrize("metallic", [0.0, 1.0])
+@pytest.mark.parametrize("metallic", [0.0, pytest.param(1.0, marks=pytest.mark.slow)])
 def test_a_uniform_object_stays_uniform(ball, metallic):
     def uniform(points):
         n = len(points)

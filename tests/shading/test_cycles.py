@@ -72,11 +72,16 @@ def suzanne() -> trimesh.Trimesh:
 BODIES = {"sphere": lambda: trimesh.creation.icosphere(subdivisions=5, radius=0.9), "suzanne": suzanne}
 
 
-@pytest.fixture(scope="module", params=list(BODIES))
+RENDERED = [("sphere", (0, 2)), ("sphere", (1, 3, 4, 5)), ("suzanne", tuple(range(len(MATERIALS))))]
+"""Bodies, and numbers of the materials that one Blender renders them in. The first is quick: a metal and a paint."""
+
+
+@pytest.fixture(scope="module")
 def reference(request, tmp_path_factory):
-    """A body, the sky, and Cycles' images of it in all materials."""
-    folder = tmp_path_factory.mktemp(request.param)
-    mesh, bounces = BODIES[request.param](), 0 if request.param == "sphere" else 1
+    """A body, the sky, Cycles' images {number of a material: image}, and the number of bounces."""
+    body, numbers = request.param
+    folder = tmp_path_factory.mktemp(body)
+    mesh, bounces = BODIES[body](), 0 if body == "sphere" else 1
     np.savez(folder / "mesh.npz", vertices=mesh.vertices, faces=mesh.faces, bounces=bounces)
     light = sky()
     OpenEXR.File({"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}, {"RGB": light}).write(
@@ -84,11 +89,24 @@ def reference(request, tmp_path_factory):
     )
     script = TESTS / "support" / "cycles_reference.py"
     files = [folder / name for name in ("mesh.npz", "light.exr", "out.npz")]
-    subprocess.run([sys.executable, script, *files, json.dumps(MATERIALS)], check=True, timeout=300, capture_output=True)
-    return mesh, light, np.load(folder / "out.npz")["images"], bounces
+    materials = json.dumps([MATERIALS[number] for number in numbers])
+    subprocess.run([sys.executable, script, *files, materials], check=True, timeout=300, capture_output=True)
+    return mesh, light, dict(zip(numbers, np.load(folder / "out.npz")["images"], strict=True)), bounces
 
 
-@pytest.mark.parametrize("index", range(len(MATERIALS)), ids=[f"r {m['roughness']} m {m['metallic']}" for m in MATERIALS])
+def case(rendered, number):
+    """Parameters of the test for one material of a body."""
+    values = MATERIALS[number]
+    name = f"{rendered[0]}-r {values['roughness']} m {values['metallic']}"
+    return pytest.param(rendered, number, id=name, marks=[pytest.mark.slow] * (rendered is not RENDERED[0]))
+
+
+@pytest.mark.parametrize(
+    ("reference", "index"),
+    [case(rendered, number) for rendered in RENDERED for number in rendered[1]],
+    indirect=["reference"],
+    scope="module",
+)
 def test_our_shading_is_that_of_cycles(reference, index):
     """Mean relative error over the pixels that see the body away from its edge: under 3 %."""
     mesh, light, images, bounces = reference
