@@ -23,6 +23,7 @@ def archive(tmp_path_factory):
     return build(tmp_path_factory.mktemp("extension") / "blender_nep.zip")
 
 
+@pytest.mark.slow
 def test_an_artists_session(make_capture, tmp_path, archive):
     """See blender_session.py. Asset and engine are real but for what was learned, which BallStages knows."""
     capture, asset = make_capture(masks=True).folder, tmp_path / "ball"

@@ -16,6 +16,7 @@ from support.traps import set_traps
 from support.waiting import wait_until
 
 pytest.importorskip("ray", reason="ray is not installed: it is only in the extra `cluster`, and 200 MB large")
+pytestmark = pytest.mark.slow
 
 WHOLE = ["0", "1", "2", "3"]
 

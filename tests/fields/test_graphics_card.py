@@ -27,7 +27,9 @@ def learn(capture, use_masks, device, preset=BRIEF):
     return learning, losses
 
 
-@pytest.mark.parametrize("use_masks", [True, False], ids=["with masks", "without"])
+@pytest.mark.parametrize(
+    "use_masks", [pytest.param(True, id="with masks"), pytest.param(False, id="without", marks=pytest.mark.slow)]
+)
 def test_fields_are_those_of_the_cpu(monkeypatch, make_capture, use_masks):
     capture = load_capture(make_capture(views=8, size=32, masks=True).folder, use_masks=use_masks)
     expected, losses = learn(capture, use_masks, CPU)

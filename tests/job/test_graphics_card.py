@@ -4,6 +4,8 @@ import io
 import json
 from dataclasses import replace
 
+import pytest
+
 from blender_nep.job import runner as job
 from blender_nep.job.reporting.events import Events
 from blender_nep.presets import Preset
@@ -21,6 +23,7 @@ def brief() -> Preset:
     return replace(p, surface=surface, material=material)
 
 
+@pytest.mark.slow
 def test_a_job_ends_with_an_asset(make_capture, tmp_path, monkeypatch):
     capture, asset = make_capture(masks=True), tmp_path / "asset"
     settings = job.Settings(capture=capture.folder, out=asset, preset=brief(), preview=True)
