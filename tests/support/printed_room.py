@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from pathlib import Path
 
 import numpy as np
@@ -53,13 +54,20 @@ def camera(number: int, count: int) -> Camera:
     return Camera(WIDTH, HEIGHT, FOCAL, FOCAL, WIDTH / 2, HEIGHT / 2, matrix, LENS)
 
 
+@functools.lru_cache(maxsize=32)
+def own_directions(focal: float, row_shift: float, column_shift: float) -> np.ndarray:
+    """Unit directions [n, 3] in a camera's own axes, for all pixels. To undo the distortion takes most of a photo's time."""
+    row, column = np.mgrid[:HEIGHT, :WIDTH].reshape(2, -1) + np.array([[row_shift], [column_shift]])
+    return Camera(WIDTH, HEIGHT, focal, focal, WIDTH / 2, HEIGHT / 2, np.eye(4), LENS).directions(column, row)
+
+
 def photograph(seen_by: Camera, seed: int = 0, samples: int = 3) -> Image.Image:
-    """The photo of a camera, with samples x samples rays in each pixel."""
+    """The photo of a camera of this size and lens, of any focal length; samples x samples rays in each pixel."""
     total = np.zeros(WIDTH * HEIGHT)
     for i in range(samples):
         for j in range(samples):
-            row, column = np.mgrid[:HEIGHT, :WIDTH].reshape(2, -1) + np.array([[i + 0.5], [j + 0.5]]) / samples
-            total += gray(seen_by.position, seen_by.directions(column, row), seed)
+            own = own_directions(seen_by.fl_x, (i + 0.5) / samples, (j + 0.5) / samples)
+            total += gray(seen_by.position, own @ seen_by.camera_to_world[:3, :3].T, seed)
     return Image.fromarray(np.round(255 * total.reshape(HEIGHT, WIDTH) / samples**2).astype(np.uint8))
 
 
