@@ -85,6 +85,7 @@ def test_shaken_cameras_come_back(photos, tmp_path):
     )
 
 
+@pytest.mark.slow
 def test_exact_cameras_are_kept_to_the_last_digit(photos, tmp_path):
     capture, events = improved(capture_with(photos, TRUE, tmp_path / "given"), tmp_path / "out")
     assert code_of(events) == "cameras.good_as_given"
@@ -93,6 +94,7 @@ def test_exact_cameras_are_kept_to_the_last_digit(photos, tmp_path):
         assert view.camera.lens == true.lens and view.camera.fl_x == true.fl_x
 
 
+@pytest.mark.slow
 def test_a_guessed_sphere_is_not_written_so_that_the_masks_decide_later(photos, tmp_path):
     """The capture says no sphere. Its masks show a smaller one than the cameras suggest."""
     masked = []
@@ -110,6 +112,7 @@ def test_a_guessed_sphere_is_not_written_so_that_the_masks_decide_later(photos, 
     assert capture.object_radius == pytest.approx(before.object_radius, rel=0.05)
 
 
+@pytest.mark.slow
 def test_a_photo_that_shows_little_keeps_its_camera_or_hardly_changes_it(photos, tmp_path):
     """Photo 5 is blank. Photo 8 is blank but for one corner with a few dozen points, which alone turn its camera away."""
     blank = tmp_path / "blank.png"
@@ -126,6 +129,7 @@ def test_a_photo_that_shows_little_keeps_its_camera_or_hardly_changes_it(photos,
     assert (after < 0.8 * before).all()
 
 
+@pytest.mark.slow
 def test_photos_that_show_little_do_not_leave_their_places_together(photos, tmp_path):
     """Three neighbors show one corner only, and share its points. pycolmap's adjustment alone moves them far away."""
     changed, given, few = list(photos), shaken(0.3, 0.01), (7, 8, 9)
