@@ -22,6 +22,7 @@ def ball(tmp_path, monkeypatch):
     return load_capture(write_table_scene(tmp_path / "ball", radius=0, photos=16))
 
 
+@pytest.mark.slow
 def test_the_sphere_shrinks_around_the_ball_in_any_units(ball, monkeypatch):
     rounds, one_round = [], object_sphere._hull_sphere
     monkeypatch.setattr(object_sphere, "_hull_sphere", lambda *given: rounds.append(one_round(*given)) or rounds[-1])

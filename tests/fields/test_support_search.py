@@ -24,6 +24,7 @@ def test_a_patterned_table_is_found_at_its_height_and_tilt(tmp_path, tilt):
     assert support.normal @ (turn(tilt) @ [0, 0, 1]) > np.cos(np.radians(1))
 
 
+@pytest.mark.slow
 def test_a_glossy_table_is_found_by_its_pattern(tmp_path, monkeypatch):
     rays = rays_of(write_table_scene(tmp_path / "capture", glossy=True))
     support = find_support_by_photos(rays)

@@ -62,6 +62,7 @@ def test_the_colors_are_shown_by_rays_that_meet_the_plane_in_the_sphere(table):
     assert (texture.shown(upwards, black) == 0).all()
 
 
+@pytest.mark.parametrize("table", [pytest.param("patterned", marks=pytest.mark.slow), "plain"], indirect=True)
 def test_the_hull_loses_its_mound_and_keeps_the_ball(table):
     """The background shows the table beside the sphere, and walls in its place in the sphere, as F_e does."""
     rays, true = table
