@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from .folder_names import is_folder_name
+from ..folder_names import is_folder_name
 from .job_files import is_locked, make_file
 
 FILE, LOCK, STOP_FILE = "batch.json", "batch.lock", "batch.stop"
