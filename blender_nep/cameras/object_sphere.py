@@ -17,7 +17,9 @@ from blender_nep.capture.brightness import to_brightness
 from blender_nep.capture.capture import Capture
 from blender_nep.capture.exposure import find_exposures
 from blender_nep.capture.rays.pixel_rays import PixelRays
-from blender_nep.evidence.surface_photos import traced_mesh
+from blender_nep.evidence.observation import visible
+from blender_nep.evidence.occluders import MeshOccluder
+from blender_nep.evidence.sdf_grid import SdfGrid
 from blender_nep.fields.refinements.hull import hull_without_masks
 from blender_nep.fields.refinements.support import support_by_hull
 from blender_nep.fields.training import FieldsLearning
@@ -31,7 +33,8 @@ _MARGIN = 1.08
 _BORDER, _MOST_AT_BORDER = 0.95, 0.005
 """The sphere cuts the hull off if more than this share of its seen surface lies beyond 0.95 of the radius."""
 _FACING = 0.05
-"""A photo shows a place of the hull if the cosine of the viewing angle is at least this."""
+"""A photo shows a place of the hull if the cosine of the viewing angle is above this. A hull's faces are only roughly
+right, so nearly all angles count."""
 _LEAST_SEEN = 100
 """Faces of the hull that photos must show. With fewer, there may be no sphere around them."""
 _WORTHWHILE = 0.95
@@ -132,16 +135,15 @@ def _seen_surface(hull: np.ndarray, rays: PixelRays) -> np.ndarray:
     Under an object that few photos show from below, the hull may reach the end of the sphere. Photos show that part of its
     surface at a grazing angle only.
     """
-    shape = traced_mesh(hull)
+    grid, device = SdfGrid(hull), rays.radiance.device
+    shape = grid.traced_mesh()
     if shape is None:
         return np.zeros((0, 3))
-    points, cell = shape.vertices[shape.faces].mean(1), 2 / len(hull)
+    points = shape.vertices[shape.faces].mean(1)
+    at, normals = torch.from_numpy(points).to(device), torch.from_numpy(shape.face_normals).to(device)
+    occluder = MeshOccluder(shape, ahead=grid.cell)  # the hull is known to a cell
     photos = np.zeros(len(points), np.int64)
     for view in range(rays.views):
-        towards = rays.camera(view)[0].cpu().numpy() - points
-        towards /= np.linalg.norm(towards, axis=1, keepdims=True)
-        place, ahead = rays.project(view, torch.from_numpy(points).to(rays.radiance.device))
-        framed = (ahead & (place.abs() < 1).all(-1)).cpu().numpy()
-        framed &= np.abs((towards * shape.face_normals).sum(1)) > _FACING
-        photos += framed & ~shape.occluded(points + cell * towards, towards)
+        seen = visible(rays, view, at, normals, occluder, least_cosine=_FACING, two_sided=True)
+        photos[seen.index.cpu().numpy()] += 1
     return points[photos > 1 + LOWEST_SHARE * rays.views]

@@ -24,6 +24,7 @@ from torch.nn import functional
 from blender_nep.capture.rays.pixel_rays import PixelRays
 from blender_nep.capture.rays.pixel_width import pixel_width
 from blender_nep.capture.rays.ray_bundle import RayBundle
+from blender_nep.evidence.sdf_grid import SdfGrid, cell_centers, distances_to
 from blender_nep.tone_mapping import tone_map
 
 LOWEST_SHARE = 0.05
@@ -118,7 +119,7 @@ def score_cells(rays: PixelRays, silhouettes: list[torch.Tensor], cells: int) ->
 
     NaN outside the unit sphere, and where no view sees the cell.
     """
-    axis = (np.arange(cells) + 0.5) / cells * 2 - 1
+    axis = cell_centers(cells)
     centers = np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), -1)
     in_sphere = np.linalg.norm(centers, axis=-1) < 1
     points = torch.from_numpy(centers[in_sphere].astype(np.float32)).to(rays.radiance.device)
@@ -132,7 +133,7 @@ def carve(score: np.ndarray, on_support: bool = False) -> VisualHull | None:
 
     on_support: whether the object stands on a support plane, which it may mirror.
     """
-    cells, known = len(score), np.isfinite(score)
+    known = np.isfinite(score)
     if not known.any() or np.ptp(score[known]) < 1e-6:
         return None
     solid = np.nan_to_num(score) > threshold_otsu(score[known]) * (ON_SUPPORT if on_support else 1)
@@ -147,10 +148,8 @@ def carve(score: np.ndarray, on_support: bool = False) -> VisualHull | None:
         return None
     above = known & solid
     contrast = float(score[above].mean() / max(score[known & ~above].mean(), 1e-6)) if above.any() else 0.0
-    # The distances are to centers of cells. The border lies half a cell nearer.
-    distance = ndimage.distance_transform_edt(~solid) - ndimage.distance_transform_edt(solid)
-    distance = (distance - np.sign(distance) * 0.5) * (2 / cells)
-    return VisualHull(ndimage.gaussian_filter(distance, 1.0).astype(np.float32), float(volume), contrast)
+    sdf = ndimage.gaussian_filter(SdfGrid.of_solid(solid).values, 1.0).astype(np.float32)
+    return VisualHull(sdf, float(volume), contrast)
 
 
 def excess(rays: PixelRays, silhouettes: list[torch.Tensor], sdf: np.ndarray) -> np.ndarray:
@@ -159,20 +158,17 @@ def excess(rays: PixelRays, silhouettes: list[torch.Tensor], sdf: np.ndarray) ->
     sdf and the result belong to the centers of n^3 cells of [-1, 1]^3, in radii of the object's sphere. A cell of the object
     is free if nearly all views agree that the background alone explains the photos there.
     """
-    cells = len(sdf)
-    axis = (np.arange(cells) + 0.5) / cells * 2 - 1
-    solid = sdf < 0
+    grid = SdfGrid(sdf)
+    solid = grid.solid
     if not solid.any():
         return np.zeros(sdf.shape, np.float32)
-    centers = np.stack([axis[index] for index in np.nonzero(solid)], -1).astype(np.float32)
+    centers = grid.centers_of(solid).astype(np.float32)
     score = _score(rays, silhouettes, torch.from_numpy(centers).to(rays.radiance.device)).cpu().numpy()
     free = np.zeros_like(solid)
     free[solid] = score < EXCESS_SHARE * np.nanmedian(score)  # False where no view sees the cell
     labels, _ = ndimage.label(free)
     free &= np.bincount(labels.ravel())[labels] >= LEAST_EXCESS
-    # The distances are to centers of cells. The border lies half a cell nearer.
-    distance = (ndimage.distance_transform_edt(free | ~solid) - 0.5) * (2 / cells)
-    return np.where(free, distance - sdf, 0.0).astype(np.float32)
+    return np.where(free, distances_to(solid & ~free, grid.cell) - sdf, 0.0).astype(np.float32)
 
 
 def _score(rays: PixelRays, silhouettes: list[torch.Tensor], points: torch.Tensor, values: int = 1 << 22) -> torch.Tensor:

@@ -16,6 +16,10 @@ import torch
 from blender_nep.capture.exposure import stops
 from blender_nep.capture.rays.pixel_rays import BRIGHTEST_CLIPPED, SATURATED
 from blender_nep.capture.rays.pixel_width import pixel_width
+from blender_nep.evidence.agreement import variation
+from blender_nep.evidence.full_photos import FullPhotos, Sampling
+from blender_nep.evidence.observation import observe
+from blender_nep.evidence.occluders import MeshOccluder
 from blender_nep.geometry.ray_tracing import RayTracer
 from blender_nep.messages import Message, Part
 
@@ -268,34 +272,21 @@ def view_dependence(
 ) -> float | None:
     """How much the brightness of surface points varies over the photos that see them (`SurfaceAnalysis.view_dependence`).
 
-    A photo sees a point if nothing hides it, and if the cosine between normal and view is above `least_cosine`. Points that
-    fewer than `least_views` photos see are left out. None if less than a tenth of the points are left.
+    A photo sees a point if nothing hides it, and if the cosine between normal and view is above `least_cosine`. At smaller
+    ones, even a dull surface reflects much, and a pixel spans a wide place. Points that fewer than `least_views` photos see
+    are left out. None if less than a tenth of the points are left.
     """
     face, barycentric = _spread(tracer, points, rng)
-    place = tracer.interpolate(tracer.vertices, face, barycentric).astype(np.float32)
-    normal = tracer.smooth_normals(normals, face, barycentric)
-    at = torch.from_numpy(place).to(rays.radiance.device)
-    count, total, square = (np.zeros(points) for _ in range(3))
-    for view, (height, width) in enumerate(rays.size):
-        image, ahead = rays.project(view, at)
-        column, row = (((image + 1) / 2 * torch.tensor([width, height], device=at.device)).floor().long()).unbind(-1)
-        inside = ahead & (column >= 0) & (column < width) & (row >= 0) & (row < height)
-        index = rays.offset[view] + (row * width + column).clamp(0, height * width - 1)
-        eye, _, _ = rays.rays(index)
-        to_eye = eye.cpu().numpy() - place
-        to_eye /= np.maximum(np.linalg.norm(to_eye, axis=1, keepdims=True), 1e-9)
-        seen = (inside & rays.valid[index]).cpu().numpy() & ((normal * to_eye).sum(1) > least_cosine)
-        seen[seen] = ~tracer.occluded(tracer.leave(place[seen], face[seen], to_eye[seen]), to_eye[seen])
-        value = rays.photo(index).mean(-1).cpu().numpy()
-        count[seen] += 1
-        total[seen] += value[seen]
-        square[seen] += value[seen].astype(np.float64) ** 2
-    often = count >= least_views
+    place = torch.from_numpy(tracer.interpolate(tracer.vertices, face, barycentric).astype(np.float32))
+    normal = torch.from_numpy(tracer.smooth_normals(normals, face, barycentric))
+    device, occluder = rays.radiance.device, MeshOccluder(tracer, faces=face)
+    photos = FullPhotos(rays, Sampling.PIXEL)  # interpolated pixels would vary less
+    seen = observe(photos, place.to(device), normal.to(device), occluder, least_cosine=least_cosine)
+    varies, views = variation(seen, points)
+    often = views >= least_views
     if often.sum() < 0.1 * points:
         return None
-    mean = total[often] / count[often]
-    deviation = np.sqrt(np.maximum(square[often] / count[often] - mean**2, 0))
-    return float(np.quantile(deviation / np.maximum(mean, 1e-6), 0.9))
+    return float(np.quantile(varies[often], 0.9))
 
 
 def _spread(tracer: RayTracer, count: int, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:

@@ -8,6 +8,8 @@ import numpy as np
 import torch
 
 from blender_nep.capture.rays.pixel_rays import PixelRays
+from blender_nep.evidence.observation import visible
+from blender_nep.evidence.occluders import MeshOccluder
 from blender_nep.geometry.mesh import Surface
 from blender_nep.geometry.ray_tracing import RayTracer
 from blender_nep.profiling import profiled
@@ -70,14 +72,11 @@ def _parts(surface: Surface) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 @profiled("shown faces")
 def _shown(center: np.ndarray, face: np.ndarray, tracer: RayTracer, rays: PixelRays) -> np.ndarray:
     """Whether a photo shows each point `center` [P, 3] of the faces [P]: [P] bool."""
-    shown = np.zeros(len(center), bool)
+    shown, device = np.zeros(len(center), bool), rays.radiance.device
     for view in range(rays.views):
-        place, ahead = rays.project(view, torch.from_numpy(center).to(rays.radiance.device))
-        in_frame = (ahead & (place.abs() < 1).all(-1)).cpu().numpy()
-        direction = rays.camera(view)[0].cpu().numpy().astype(np.float32) - center
-        direction /= np.maximum(np.linalg.norm(direction, axis=1, keepdims=True), 1e-9)
-        facing = np.einsum("ij,ij->i", direction, tracer.face_normals[face]) > 0
-        asked = np.flatnonzero(in_frame & facing & ~shown)
-        start = tracer.leave(center[asked], face[asked], direction[asked])
-        shown[asked] = ~tracer.occluded(start, direction[asked])
+        left = np.flatnonzero(~shown)
+        points, normals = (torch.from_numpy(part).to(device) for part in (center[left], tracer.face_normals[face[left]]))
+        # every angle counts: what a photo shows at all is not invented
+        seen = visible(rays, view, points, normals, MeshOccluder(tracer, faces=face[left]), least_cosine=0.0)
+        shown[left[seen.index.cpu().numpy()]] = True
     return shown

@@ -14,6 +14,11 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
+from blender_nep.evidence.agreement import median_color, views_that_show
+from blender_nep.evidence.full_photos import FullPhotos, Sampling
+from blender_nep.evidence.observation import colors_of, observe
+from blender_nep.evidence.occluders import MeshOccluder
+from blender_nep.evidence.sdf_grid import cell_centers
 from blender_nep.geometry.ray_tracing import RayTracer
 from blender_nep.profiling import profiled
 from blender_nep.support.plane import Support
@@ -58,16 +63,11 @@ class SupportLight:
         """
         if support.radius == 0:
             return None
-        points = _texel_centers(support)
-        colors = []
-        for view in range(0, rays.views, max(1, -(-rays.views // MOST_PHOTOS))):
-            colors.append(_colors_in(view, rays, points, support, tracer))
-        shown = torch.stack(colors)
-        seen = torch.isfinite(shown[..., 0]).sum(0) >= LEAST_PHOTOS
+        colors = _texel_colors(support, rays, tracer)
+        seen = views_that_show(colors) >= LEAST_PHOTOS
         if not seen.any():
             return None
-        median = shown.nanmedian(0).values
-        grid = torch.where(seen[:, None], median, 0).reshape(TEXELS, TEXELS, 3)
+        grid = torch.where(seen[:, None], median_color(colors), 0).reshape(TEXELS, TEXELS, 3)
         return cls(support, filled(grid, seen.reshape(TEXELS, TEXELS)))
 
     def query_cone(self, origins: Tensor, directions: Tensor, half_angle: Tensor) -> tuple[Tensor, Tensor]:
@@ -108,29 +108,21 @@ class SupportLight:
 
 def _texel_centers(support: Support) -> np.ndarray:
     """Centers [TEXELS^2, 3] of the texels, row by row."""
-    line = ((np.arange(TEXELS) + 0.5) / TEXELS * 2 - 1) * SIDE * support.radius
+    line = cell_centers(TEXELS) * SIDE * support.radius
     across, along = support.axes()
     points = line[:, None, None] * across + line[None, :, None] * along + support.height * np.asarray(support.normal)
     return points.reshape(-1, 3).astype(np.float32)
 
 
-def _colors_in(view: int, rays: PixelRays, points: np.ndarray, support: Support, tracer: RayTracer) -> Tensor:
-    """Linear radiance [n, 3] of points [n, 3] of the plane in a photo; NaN where the photo does not show them."""
-    device = rays.radiance.device
-    height, width = rays.size[view]
-    first, last = rays.offset[view], rays.offset[view + 1]
-    photo = rays.photo(torch.arange(first, last, device=device))
-    photo = torch.where(rays.valid[first:last, None], photo, torch.nan).reshape(1, height, width, 3).permute(0, 3, 1, 2)
-    at = torch.from_numpy(points).to(device)
-    place, ahead = rays.project(view, at)
-    color = functional.grid_sample(photo, place[None, :, None], align_corners=False)[0, :, :, 0].T
-    to_camera = rays.camera(view)[0].cpu().numpy() - points
-    to_camera /= np.linalg.norm(to_camera, axis=1, keepdims=True)
-    free = to_camera @ support.normal > LEAST_COSINE
-    lifted = points + np.asarray(support.normal, np.float32) * 10 * tracer.offset
-    free[free] = ~tracer.occluded(lifted[free], to_camera[free])
-    seen = ahead & (place.abs() < 1).all(-1) & torch.from_numpy(free).to(device)
-    return torch.where(seen[:, None], color, torch.nan)
+def _texel_colors(support: Support, rays: PixelRays, tracer: RayTracer) -> Tensor:
+    """Linear radiance [views, TEXELS^2, 3] of the texels in the photos; NaN where a photo does not show them."""
+    points = torch.from_numpy(_texel_centers(support)).to(rays.radiance.device)
+    normal = np.asarray(support.normal)
+    above = normal.astype(np.float32) * 10 * tracer.offset  # the object may touch the plane
+    normals = torch.from_numpy(normal).to(points.device).expand(len(points), 3)
+    photos = FullPhotos(rays, Sampling.TO_THE_EDGE, MOST_PHOTOS)
+    seen = observe(photos, points, normals, MeshOccluder(tracer, above=above), least_cosine=LEAST_COSINE)
+    return colors_of(seen, len(points))
 
 
 def filled(grid: Tensor, known: Tensor) -> Tensor:

@@ -14,9 +14,12 @@ import numpy as np
 import torch
 from scipy.ndimage import distance_transform_edt
 from torch import Tensor
-from torch.nn import functional
 
 from blender_nep.capture.rays.pixel_rays import PixelRays
+from blender_nep.evidence.agreement import spread, views_that_show
+from blender_nep.evidence.observation import colors_of, observe
+from blender_nep.evidence.occluders import SdfOccluder
+from blender_nep.evidence.sdf_grid import SdfGrid
 from blender_nep.evidence.small_photos import SmallPhotos
 from blender_nep.profiling import profiled
 from blender_nep.support.plane import Support
@@ -53,10 +56,10 @@ def find_plain_support(rays: PixelRays, hull_sdf: np.ndarray) -> Support | None:
     if not len(heights):
         return None
     near_foot = _NearFoot(rays, hull_sdf, up)
-    spread = np.array([near_foot.spread(float(height)) for height in heights])
-    for k in range(len(spread) - 1 - round(RISE / STEP), -1, -1):
-        agrees = spread[k] <= MOST_SPREAD and spread[k] <= NEAR_LEAST * np.nanquantile(spread[: k + 1], LOW_SHARE)
-        if agrees and spread[k + round(RISE / STEP)] >= LEAST_RISE * spread[k]:
+    spreads = np.array([near_foot.spread(float(height)) for height in heights])
+    for k in range(len(spreads) - 1 - round(RISE / STEP), -1, -1):
+        agrees = spreads[k] <= MOST_SPREAD and spreads[k] <= NEAR_LEAST * np.nanquantile(spreads[: k + 1], LOW_SHARE)
+        if agrees and spreads[k + round(RISE / STEP)] >= LEAST_RISE * spreads[k]:
             return Support(up, float(heights[k]))
     return None
 
@@ -65,44 +68,34 @@ class _NearFoot:
     """Compares the photos around the foot that an object would have on a plane."""
 
     def __init__(self, rays: PixelRays, hull_sdf: np.ndarray, up: np.ndarray) -> None:
-        self._photos, self._up = SmallPhotos(rays), up
-        device = rays.radiance.device
-        self._cameras = [rays.camera(view)[0].to(device) for view in self._photos.views]
-        self._sdf = torch.from_numpy(hull_sdf.astype(np.float32)).to(device)[None, None]
-        self._margin = 2 / len(hull_sdf)
+        self._photos, self._up, self._hull = SmallPhotos(rays), up, SdfGrid(hull_sdf)
+        self._device = rays.radiance.device
         axis = np.arange(-_SIDE, _SIDE, _CELL)
         across, along = Support(up, 0.0).axes()
         self._square = axis[:, None, None] * across + axis[None, :, None] * along
 
     def spread(self, height: float) -> float:
         """Median spread of the colors around the foot on the plane at `height`; NaN where hardly anything is seen."""
+        up = self._tensor(self._up)
         points = self._tensor(self._square + height * self._up)
-        foot = (self._hull(points + LIFT * self._tensor(self._up)) < 0).cpu().numpy()
+        foot = (self._hull.sample(points + LIFT * up) < 0).cpu().numpy()
         if not foot.any():
             return float("nan")
         distance = distance_transform_edt(~foot) * _CELL
         points = points[torch.from_numpy((distance > NEAREST) & (distance < FARTHEST)).to(points.device)]
-        colors = self._photos.colors(points)
-        colors[torch.stack([self._hidden(points, camera, height) for camera in self._cameras])] = torch.nan
-        seen = torch.isfinite(colors[..., 0]).sum(0) >= _LEAST_VIEWS
+        occluder = SdfOccluder(
+            self._hull,
+            level=self._hull.cell,  # a cell larger than the hull, which may be too small by as much
+            first=_FIRST,
+            last=_LAST,
+            steps=_STEPS,
+            counts=lambda places: places @ up > height + LIFT,
+        )
+        colors = colors_of(observe(self._photos, points, occluder=occluder), len(points))
+        seen = views_that_show(colors) >= _LEAST_VIEWS
         if int(seen.sum()) < _LEAST_POINTS:
             return float("nan")
-        colors = colors[:, seen]
-        return float((colors - colors.nanmedian(0).values).abs().nanmedian(0).values.mean(-1).median())
-
-    def _hidden(self, points: Tensor, camera: Tensor, height: float) -> Tensor:
-        """Whether the hull, which is taken a cell larger, hides each point [n, 3] from the camera [3]: [n] bool."""
-        direction = functional.normalize(camera - points, dim=-1)
-        way = torch.linspace(_FIRST, _LAST, _STEPS, device=points.device)
-        between = points[:, None] + way[:, None] * direction[:, None]
-        lifted = between @ self._tensor(self._up) > height + LIFT
-        return (lifted & (self._hull(between) < self._margin)).any(1)
-
-    def _hull(self, points: Tensor) -> Tensor:
-        """The hull's SDF [...] at points [..., 3]; outside the cube, that of its border."""
-        place = points.flip(-1).reshape(1, 1, 1, -1, 3)
-        found = functional.grid_sample(self._sdf, place, align_corners=False, padding_mode="border")
-        return found.reshape(points.shape[:-1])
+        return float(spread(colors[:, seen]).median())
 
     def _tensor(self, array: np.ndarray) -> Tensor:
-        return torch.from_numpy(array.astype(np.float32)).to(self._sdf.device)
+        return torch.from_numpy(array.astype(np.float32)).to(self._device)

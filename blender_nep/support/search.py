@@ -22,6 +22,8 @@ from scipy.optimize import minimize
 
 from blender_nep.capture.cameras.upright import upward
 from blender_nep.capture.rays.pixel_rays import PixelRays
+from blender_nep.evidence.agreement import majority, spread, views_that_show
+from blender_nep.evidence.sdf_grid import cell_centers
 from blender_nep.evidence.small_photos import SmallPhotos
 from blender_nep.profiling import profiled
 from blender_nep.support.plane import Support
@@ -49,6 +51,8 @@ below the plane. Measured: 1.16 for a patterned plate that ends in the sphere; a
 support, with the photos from above only, and 1.06 at a wrong height over a glossy plate."""
 _NOISE = 0.002
 """A spread below this is noise, as in the details of a plain wall."""
+_LEAST_VIEWS = 4
+"""A point is compared if at least so many photos show it, and at least a quarter of all."""
 _SIDE = 50
 """The plane inside the sphere is looked at in so many points along each side of the square around it."""
 _POINTS, _FINE_POINTS = 400, 1600
@@ -110,12 +114,12 @@ def _inner_plane(photos: SmallPhotos, planes: list[Support]) -> Support | None:
 
     This finds a patterned plate that ends in the sphere.
     """
-    axis, apart = (np.arange(_SIDE) + 0.5) / _SIDE * 2 - 1, round(REACH / STEP)
+    axis, apart = cell_centers(_SIDE), round(REACH / STEP)
 
     def share(plane: Support) -> float:
         points = plane_points(plane, axis).astype(np.float32)
         inside = torch.from_numpy(points[np.linalg.norm(points, axis=-1) < 1]).to(photos.photos.device)
-        return float(photos.agreement(inside)[1].mean())
+        return float(majority(photos.colors(inside)).share.mean())
 
     if len(planes) <= 2 * apart:
         return None
@@ -136,9 +140,16 @@ def plane_points(support: Support, axis: np.ndarray) -> np.ndarray:
 
 def _ring_spread(photos: SmallPhotos, support: Support, inner: float, width: float) -> float:
     """Median spread of the points of a ring between the radii `inner` and `inner` + `width`; inf if hardly seen."""
-    spread = photos.spread(ring(support, inner, width, _POINTS))
-    known = np.isfinite(spread)
-    return float(np.median(spread[known])) if known.mean() >= 0.2 else float("inf")
+    spreads = _spreads(photos, ring(support, inner, width, _POINTS))
+    known = np.isfinite(spreads)
+    return float(np.median(spreads[known])) if known.mean() >= 0.2 else float("inf")
+
+
+def _spreads(photos: SmallPhotos, points: np.ndarray) -> np.ndarray:
+    """The spread [n] float64 of the colors of points [n, 3]; NaN where hardly seen."""
+    colors = photos.colors(torch.from_numpy(points.astype(np.float32)).to(photos.photos.device))
+    seen = views_that_show(colors) >= max(_LEAST_VIEWS, len(colors) // 4)
+    return torch.where(seen, spread(colors), torch.nan).double().cpu().numpy()
 
 
 def _contrast(photos: SmallPhotos, plane: Support, width: float) -> float:
@@ -184,14 +195,14 @@ def _moved(photos: SmallPhotos, start: Support, width: float, tilts: bool) -> tu
     """
     points = ring(start, start.radius, width, _FINE_POINTS)
     # a little above and below, too: else those would be chosen that agree with the start by chance
-    nearby = [photos.spread(points + rise * start.normal) for rise in (-0.5 * STEP, 0.0, 0.5 * STEP)]
-    spread = np.min(nearby, axis=0)
-    points = points[spread <= np.nanmedian(spread)]
+    nearby = [_spreads(photos, points + rise * start.normal) for rise in (-0.5 * STEP, 0.0, 0.5 * STEP)]
+    least = np.min(nearby, axis=0)
+    points = points[least <= np.nanmedian(least)]
     across, along = start.axes()
     lever = np.stack([np.ones(len(points)), points @ across, points @ along], 1)[:, : 3 if tilts else 1]
 
     def mean_spread(x: np.ndarray) -> float:
-        moved = photos.spread(points + (lever @ x)[:, None] * start.normal)
+        moved = _spreads(photos, points + (lever @ x)[:, None] * start.normal)
         return float(np.nanmean(moved)) if np.isfinite(moved).any() else float("inf")
 
     steps = np.array([0.5 * STEP, 0.02, 0.02])[: lever.shape[1]]

@@ -20,10 +20,15 @@ from torch.nn import functional
 
 from blender_nep.capture.rays.pixel_rays import PixelRays
 from blender_nep.capture.rays.ray_bundle import RayBundle
+from blender_nep.evidence.agreement import majority
+from blender_nep.evidence.observation import colors_of, observe
+from blender_nep.evidence.occluders import SdfOccluder
+from blender_nep.evidence.sdf_grid import SdfGrid, cell_centers
 from blender_nep.evidence.small_photos import SmallPhotos
 from blender_nep.profiling import profiled
 from blender_nep.support.plane import Support
 from blender_nep.support.search import REACH, plane_points, ring
+from blender_nep.tone_mapping import inverse_tone_map
 
 LEAST_SHARE = 0.4
 """A color is known if this share of the photos that count agree on it."""
@@ -57,10 +62,9 @@ class SupportColors:
     def __init__(self, rays: PixelRays, support: Support) -> None:
         """Find colors that the plane surely has. Takes about a CPU second."""
         self._support, self._photos = support, SmallPhotos(rays)
-        square = plane_points(support, (np.arange(_TEXELS) + 0.5) / _TEXELS * 2 - 1)
+        square = plane_points(support, cell_centers(_TEXELS))
         self._points = torch.from_numpy(square.astype(np.float32)).to(rays.radiance.device)
         self._inside = self._points.norm(dim=-1) < 1
-        self._cameras = [rays.camera(view)[0].to(self._points) for view in self._photos.views]
         self._sure = _surely_plane(self._photos, support, self._points[self._inside])
 
     @profiled("support texture")
@@ -70,9 +74,10 @@ class SupportColors:
 
         sdf [n, n, n]: the object's shape as it is known so far, at the centers of n^3 cells of [-1, 1]^3, negative inside.
         """
-        points, shape = self._points[self._inside], torch.from_numpy(sdf).to(self._points)
-        counts = torch.stack([~_hidden(points, camera, shape) for camera in self._cameras], 1)
-        found, share, count = self._photos.agreement(points, counts)
+        points = self._points[self._inside]
+        core = SdfOccluder(SdfGrid(sdf), level=-CORE, first=_FIRST, last=_LAST, steps=_STEPS)
+        found, share, count = majority(colors_of(observe(self._photos, points, occluder=core), len(points)))
+        found = inverse_tone_map(found)
         color, known = torch.zeros_like(self._points), torch.zeros_like(self._inside)
         color[self._inside] = found
         known[self._inside] = (share > LEAST_SHARE) & (count >= LEAST_VIEWS) & _like_the_plane(found, self._sure)
@@ -109,28 +114,19 @@ class SupportTexture:
         return torch.where(use[:, None], found[:, :3], radiance)
 
 
-def _hidden(points: Tensor, camera: Tensor, sdf: Tensor) -> Tensor:
-    """Whether the core of the shape hides each point [n, 3] from the camera [3]: [n] bool."""
-    way = torch.linspace(_FIRST, _LAST, _STEPS, device=points.device)
-    between = points[:, None] + way[:, None] * functional.normalize(camera - points, dim=-1)[:, None]
-    place = between.flip(-1).reshape(1, 1, 1, -1, 3)
-    depth = functional.grid_sample(sdf[None, None], place, align_corners=False, padding_mode="border")
-    return (depth.reshape(between.shape[:-1]) < -CORE).any(1)
-
-
 def _surely_plane(photos: SmallPhotos, support: Support, inside: Tensor) -> Tensor:
     """Colors [m, 3] that the plane surely has: those beside the sphere, and the sharp ones among points [n, 3] inside.
 
     A color is sharp if clearly fewer photos agree on it REACH above and below the plane. That of a plain object is not.
     """
     around = ring(support, support.radius, _BESIDE, _BESIDE_POINTS).astype(np.float32)
-    color, share, count = photos.agreement(torch.from_numpy(around).to(inside.device))
+    color, share, count = majority(photos.colors(torch.from_numpy(around).to(inside.device)))
     beside = color[(share > LEAST_SHARE) & (count >= LEAST_VIEWS)]
     rise = REACH * torch.as_tensor(np.asarray(support.normal), dtype=inside.dtype, device=inside.device)
-    color, share, count = photos.agreement(inside)
-    elsewhere = torch.maximum(photos.agreement(inside - rise)[1], photos.agreement(inside + rise)[1])
+    color, share, count = majority(photos.colors(inside))
+    elsewhere = torch.maximum(*(majority(photos.colors(moved)).share for moved in (inside - rise, inside + rise)))
     sharp = (share > _SHARP_SHARE) & (elsewhere < _SHARP * share) & (count >= LEAST_VIEWS)
-    return torch.cat([beside, color[sharp]])
+    return inverse_tone_map(torch.cat([beside, color[sharp]]))
 
 
 def _like_the_plane(color: Tensor, sure: Tensor) -> Tensor:

@@ -92,7 +92,7 @@ def test_lid_and_inside_are_compared_in_the_same_photos(on_the_lid, opens):
     inside[:4], inside[4:] = 0.2, torch.nan
 
     class Photos:
-        def colors(self, points, normals, shape, cell):
+        def surface_colors(self, points, normals, surface, inexact):
             return inside[:, : len(points)]
 
     down = torch.tensor([[0.0, 0.0, -1.0]]).expand(20, 3)

@@ -14,6 +14,7 @@ import numpy as np
 import torch
 from torch import nn
 
+from blender_nep.evidence.sdf_grid import cell_centers
 from blender_nep.fields.object.albedo_detail import AlbedoDetail
 from blender_nep.fields.object.fine_level import FineLevel
 from blender_nep.fields.object.volume_rendering import SurfaceSamples, render_surface, sphere_interval
@@ -300,9 +301,9 @@ class ObjectField(SurfaceColor):
         It is 1 where no object can be: outside the sphere, and below the support plane.
         """
         n = n or round(2 / self.cell)
-        axis = (torch.arange(n) + 0.5) / n * 2 - 1
-        sdf = self._sdf_on(axis)
-        place = np.stack(np.meshgrid(*[axis.numpy()] * 3, indexing="ij"), -1)
+        axis = cell_centers(n).astype(np.float32)
+        sdf = self._sdf_on(torch.from_numpy(axis))
+        place = np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), -1)
         nothing = np.linalg.norm(place, axis=-1) > 1
         if self.support is not None:
             nothing |= self.support.distance(place) < 0

@@ -22,7 +22,9 @@ from scipy import ndimage
 from torch import Tensor
 
 from blender_nep.capture.rays.pixel_rays import PixelRays
-from blender_nep.evidence.surface_photos import SurfacePhotos, agreement, normals_of_cells, traced_mesh
+from blender_nep.evidence.agreement import difference, median_color, views_that_show
+from blender_nep.evidence.sdf_grid import SdfGrid, distances_to
+from blender_nep.evidence.small_photos import SmallPhotos
 from blender_nep.fields.object.field import ObjectField
 from blender_nep.fields.refinements.refinement import Change
 from blender_nep.fields.stage import StageOne
@@ -52,6 +54,8 @@ MOST_DIFFERENCE = 0.1
 """And by less than this (tone-mapped)."""
 LEAST_KNOWN, LEAST_MOVED = 0.3, 0.25
 """Share of the pixels behind the lid whose color is known, and share of the lid's pixels that see what is behind it."""
+LEAST_VIEWS = 4
+"""A color of the surface is known if at least so many photos show it."""
 _PIXELS = 2000
 """Largest number of a lid's pixels that are compared."""
 
@@ -89,7 +93,7 @@ def cavities(rays: PixelRays, sdf: np.ndarray) -> np.ndarray:
 
     sdf and the result belong to the centers of n^3 cells of [-1, 1]^3, in radii of the object's sphere.
     """
-    photos, opened = SurfacePhotos(rays), sdf
+    photos, opened = SmallPhotos(rays), sdf
     for lid in _lids(photos, sdf):
         opened = np.maximum(opened, _inside_behind(lid, photos, opened))
     return opened - sdf
@@ -117,43 +121,41 @@ class _Lid:
     """[k] how much the pixels differ from the color of the lid"""
 
 
-def _lids(photos: SurfacePhotos, sdf: np.ndarray) -> list[_Lid]:
+def _lids(photos: SmallPhotos, sdf: np.ndarray) -> list[_Lid]:
     """The parts of the surface on whose colors the photos disagree, largest first."""
-    cell, solid = 2 / len(sdf), sdf < 0
-    surface = solid & ndimage.binary_dilation(~solid)
-    place = np.stack(np.nonzero(surface), -1)
-    normals = normals_of_cells(sdf, place)
-    points = torch.from_numpy(((place + 0.5) * cell - 1 - normals * sdf[surface][:, None]).astype(np.float32))
-    shape = traced_mesh(sdf)
+    grid = SdfGrid(sdf)
+    shape = grid.traced_mesh()
     if shape is None:
         return []
-    colors = photos.colors(points, torch.from_numpy(normals), shape, cell)
-    median, spread, known = agreement(colors)
+    surface, cameras = grid.surface(), photos.cameras.cpu()
+    points, normals = torch.from_numpy(surface.points), surface.normals
+    colors = photos.surface_colors(points, torch.from_numpy(normals), shape, inexact=grid.cell)
+    median, known = median_color(colors), views_that_show(colors) >= LEAST_VIEWS
+    differs = difference(colors, median)
     if not known.any():
         return []
-    disagree = (known & (spread > DISAGREE * spread[known].median())).numpy()
-    nearest = ndimage.distance_transform_edt(~surface, return_distances=False, return_indices=True)
+    disagree = (known & (differs > DISAGREE * differs[known].median())).numpy()
+    nearest = ndimage.distance_transform_edt(~surface.mask, return_distances=False, return_indices=True)
     lids = []
-    for part in _parts(place[disagree], normals[disagree], len(sdf)):
-        cells = _without_holes(_closed(part, round(CLOSE / cell)) & surface, surface)
-        row = torch.from_numpy(np.flatnonzero(cells[surface]))
+    for part in _parts(surface.place[disagree], normals[disagree], len(sdf)):
+        cells = _without_holes(_closed(part, round(CLOSE / grid.cell)) & surface.mask, surface.mask)
+        row = torch.from_numpy(np.flatnonzero(cells[surface.mask]))
         view, each = torch.isfinite(colors[:, row, 0]).nonzero().T
         chosen = torch.randperm(len(view), generator=torch.Generator().manual_seed(0))[:_PIXELS]
         view, each = view[chosen], row[each[chosen]]
-        color, towards = colors[view, each], points[each] - photos.cameras[view]
-        distance = towards.norm(dim=-1)
-        difference = (color - median[each]).abs().mean(-1)
-        directions = towards / distance[:, None]
+        color, away = colors[view, each], points[each] - cameras[view]
+        distance = away.norm(dim=-1)
+        directions = away / distance[:, None]
         lids.append(
             _Lid(
                 cells,
                 cells[tuple(nearest)] | _above(cells, normals[row.numpy()]),
-                photos.cameras[view],
+                cameras[view],
                 directions,
                 distance,
                 color,
                 colors[:, each],
-                difference,
+                (color - median[each]).abs().mean(-1),
             )
         )
     return lids
@@ -207,14 +209,14 @@ def _above(cells: np.ndarray, normals: np.ndarray) -> np.ndarray:
     return height > np.quantile(height[cells], RIM)
 
 
-def _inside_behind(lid: _Lid, photos: SurfacePhotos, sdf: np.ndarray) -> np.ndarray:
+def _inside_behind(lid: _Lid, photos: SmallPhotos, sdf: np.ndarray) -> np.ndarray:
     """How far the cells [n, n, n] are inside of the best vessel behind the lid; -inf if there is none.
 
     Positive inside. With what lies above the lid, because the lid would stay as a thin sheet else.
     """
-    cell, solid = 2 / len(sdf), sdf < 0
-    depth, box = np.full(sdf.shape, -0.5 * cell), _bounding_box(solid)
-    depth[box] = (ndimage.distance_transform_edt((solid | lid.above)[box]) - 0.5) * cell
+    grid = SdfGrid(sdf)
+    depth, box = np.full(sdf.shape, -0.5 * grid.cell), _bounding_box(grid.solid)
+    depth[box] = distances_to(~(grid.solid | lid.above)[box], grid.cell)
     trials: dict[float, _Trial] = {}
 
     def error(wall: float) -> float:
@@ -249,25 +251,26 @@ class _Trial(NamedTuple):
     """Whether the photos agree on the inside"""
 
 
-def _trial(lid: _Lid, photos: SurfacePhotos, vessel: np.ndarray) -> _Trial:
+def _trial(lid: _Lid, photos: SmallPhotos, vessel: np.ndarray) -> _Trial:
     """Try a vessel (SDF [n, n, n]) behind the lid."""
     nothing = _Trial(float("inf"), False)
-    shape = traced_mesh(vessel)
+    grid = SdfGrid(vessel)
+    shape = grid.traced_mesh()
     if shape is None:
         return nothing
     distance, face, _ = shape.intersect(lid.origins.numpy(), lid.directions.numpy())
-    distance, cell = torch.from_numpy(distance), 2 / len(vessel)
+    distance, cell = torch.from_numpy(distance), grid.cell
     moved = distance.isfinite() & (distance > lid.distance + 1.5 * cell)
     if moved.float().mean() < LEAST_MOVED:
         return nothing
     points = (lid.origins + distance[:, None] * lid.directions)[moved]
     normals = torch.from_numpy(shape.face_normals[face[moved.numpy()]])
     normals = normals * -torch.sign((normals * lid.directions[moved]).sum(-1, keepdim=True))
-    inside, outside = photos.colors(points, normals, shape, cell), lid.shown[:, moved]
+    inside, outside = photos.surface_colors(points, normals, shape, inexact=cell), lid.shown[:, moved]
     both = torch.isfinite(inside + outside)  # Few photos show the inside. Fewer photos agree better on any colors.
-    inside, _, known = agreement(torch.where(both, inside, torch.nan))
-    outside, _, _ = agreement(torch.where(both, outside, torch.nan))
-    before, after = ((lid.colors[moved] - color).abs().mean(-1)[known] for color in (outside, inside))
+    inside, outside = (torch.where(both, colors, torch.nan) for colors in (inside, outside))
+    known = views_that_show(inside) >= LEAST_VIEWS
+    before, after = ((lid.colors[moved] - median_color(colors)).abs().mean(-1)[known] for colors in (outside, inside))
     agrees = float(after.mean()) < min(LEAST_GAIN * float(before.mean()), MOST_DIFFERENCE)
     left = lid.difference.clone()
     left[moved.nonzero().squeeze(1)[known]] = after

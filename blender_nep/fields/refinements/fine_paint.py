@@ -10,13 +10,15 @@ from __future__ import annotations
 
 import numpy as np
 import torch
-from scipy import ndimage
 from scipy.spatial import cKDTree
 from torch import Tensor
 from torch.nn import functional
 
+from blender_nep.capture.cameras.upright import upward
 from blender_nep.capture.rays.pixel_rays import PixelRays
-from blender_nep.evidence.surface_photos import SurfacePhotos, agreement, normals_of_cells, traced_mesh
+from blender_nep.evidence.agreement import median_color, views_that_show
+from blender_nep.evidence.sdf_grid import SdfGrid
+from blender_nep.evidence.small_photos import SmallPhotos
 from blender_nep.fields.refinements.hull import start_sdf
 from blender_nep.fields.refinements.refinement import Change
 from blender_nep.fields.stage import StageOne
@@ -28,6 +30,8 @@ AROUND = 25
 FAINT = 0.06
 """Fine colors that are weaker than this (tone-mapped) hardly count. At edges the background shines through in all photos.
 A dull metal is darker in all its creases, which the surface does not have yet."""
+LEAST_VIEWS = 4
+"""The color of a place is known if at least so many photos of a half show it."""
 MOST_PLACES, LEAST_PLACES = 20_000, 200
 """At most so many places are compared, and with fewer nothing is said."""
 
@@ -61,20 +65,18 @@ def fine_paint(rays: PixelRays, sdf: np.ndarray) -> float:
     Near 0: the object has no fine paint, or it is faint, or the photos do not show it. 0 where they show too little of the
     surface.
     """
-    shape, solid, cell = traced_mesh(sdf), sdf < 0, 2 / len(sdf)
+    grid = SdfGrid(sdf)
+    shape = grid.traced_mesh()
     if shape is None:
         return 0.0
-    surface = solid & ndimage.binary_dilation(~solid)
-    place = np.stack(np.nonzero(surface), -1)
-    normals = normals_of_cells(sdf, place)
-    points = ((place + 0.5) * cell - 1 - normals * sdf[surface][:, None]).astype(np.float32)
-    photos = SurfacePhotos(rays)
-    colors = photos.colors(torch.from_numpy(points), torch.from_numpy(normals), shape, cell)
-    (high, _, known), (low, _, known_too) = (agreement(half) for half in _halves(colors, photos, points, normals))
-    shown = (known & known_too).numpy()
+    surface, photos = grid.surface(), SmallPhotos(rays)
+    points, normals = torch.from_numpy(surface.points), torch.from_numpy(surface.normals)
+    halves = _halves(photos.surface_colors(points, normals, shape, inexact=grid.cell), photos, points, normals)
+    shown = torch.stack([views_that_show(half) >= LEAST_VIEWS for half in halves]).all(0).numpy()
     if shown.sum() < LEAST_PLACES:
         return 0.0
-    points, normals, medians = points[shown], normals[shown], np.concatenate([high[shown].numpy(), low[shown].numpy()], 1)
+    medians = np.concatenate([median_color(half).numpy()[shown] for half in halves], 1)
+    points, normals = surface.points[shown], surface.normals[shown]
     chosen = slice(None, None, -(-len(points) // MOST_PLACES))
     around = cKDTree(points).query(points[chosen], AROUND)[1]
     fine, bends = medians[chosen] - medians[around].mean(1), normals[chosen] - normals[around].mean(1)
@@ -85,10 +87,12 @@ def fine_paint(rays: PixelRays, sdf: np.ndarray) -> float:
     return float((from_above * from_below).mean() / (power + FAINT**2))
 
 
-def _halves(colors: Tensor, photos: SurfacePhotos, points: np.ndarray, normals: np.ndarray) -> tuple[Tensor, Tensor]:
+def _halves(colors: Tensor, photos: SmallPhotos, points: Tensor, normals: Tensor) -> tuple[Tensor, Tensor]:
     """The colors [views, n, 3] that each place [n, 3] shows to the upper and to the lower half of its photos; else NaN."""
-    towards = functional.normalize(photos.cameras - torch.from_numpy(points)[:, None], dim=-1)
-    tangent = photos.up - torch.from_numpy(normals) * (torch.from_numpy(normals) @ photos.up)[:, None]
+    axes = torch.stack([photos.rays.camera(view)[1] for view in photos.views]).double().cpu().numpy()
+    up = torch.from_numpy(upward(axes[:, :, 0], axes[:, :, 1])).float()
+    towards = functional.normalize(photos.cameras.cpu() - points[:, None], dim=-1)
+    tangent = up - normals * (normals @ up)[:, None]
     height = (towards * tangent[:, None]).sum(-1).T
     height = torch.where(torch.isfinite(colors[..., 0]), height, torch.nan)
     above = (height > height.nanmedian(0).values)[..., None]

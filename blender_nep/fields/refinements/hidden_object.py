@@ -17,6 +17,7 @@ from scipy import ndimage
 from torch import Tensor
 
 from blender_nep.capture.rays.pixel_rays import PixelRays
+from blender_nep.evidence.sdf_grid import SdfGrid
 from blender_nep.fields.refinements.refinement import Change
 from blender_nep.fields.stage import StageOne
 from blender_nep.fields.visual_hull import mask_silhouettes
@@ -63,7 +64,10 @@ def hidden_pixels(rays: PixelRays, hull: np.ndarray, unexplained: Callable[[Tens
     """
     if rays.mask is None:
         raise ValueError("hidden pixels need masks")
-    solid, core = (_centers(hull, depth) for depth in (0.0, CORE))
+    grid = SdfGrid(hull)
+    solid, core = (
+        torch.from_numpy(grid.centers_of(hull < -depth).astype(np.float32)).to(rays.mask.device) for depth in (0.0, CORE)
+    )
     found = []
     for view, (height, width) in enumerate(rays.size):
         block = max(1, round(height / _ROWS))
@@ -83,14 +87,9 @@ def hidden_pixels(rays: PixelRays, hull: np.ndarray, unexplained: Callable[[Tens
     return index[rays.mask[index] < 255]
 
 
-def _centers(sdf: np.ndarray, depth: float) -> Tensor:
-    """The centers [k, 3] float32 of the cells that lie at least `depth` below the surface of an SDF [n, n, n]."""
-    return torch.from_numpy(((np.stack(np.nonzero(sdf < -depth), 1) + 0.5) * (2 / len(sdf)) - 1).astype(np.float32))
-
-
 def _shown(rays: PixelRays, view: int, points: Tensor, shape: tuple[int, ...]) -> np.ndarray:
     """Which blocks [rows, columns] bool of a photo show one of the points [k, 3]; small gaps between them are closed."""
-    place, ahead = rays.project(view, points.to(rays.radiance.device))
+    place, ahead = rays.project(view, points)
     row, column = (
         (((place[:, axis] + 1) / 2 * size).floor().long().cpu().numpy()) for axis, size in ((1, shape[0]), (0, shape[1]))
     )

@@ -21,6 +21,9 @@ from torch.nn import functional
 
 from blender_nep.capture.rays.pixel_rays import PixelRays
 from blender_nep.capture.rays.pixel_width import pixel_footprint
+from blender_nep.evidence.full_photos import FullPhotos, Sampling
+from blender_nep.evidence.observation import LinesOfSight, observe
+from blender_nep.evidence.sdf_grid import SdfGrid
 from blender_nep.fields.object.field import ObjectField, Paint, SplineShape
 from blender_nep.fields.object.fine_level import FineLevel
 from blender_nep.fields.refinements.refinement import Change
@@ -55,7 +58,7 @@ LEAST_VIEWS = 4
 _SAMPLE = 8
 """One of so many places is tried first."""
 _FACING = 0.35
-"""A photo shows a place if the cosine of the viewing angle is at least this."""
+"""A photo shows a place if the cosine of the viewing angle is above this. At smaller ones, a pixel spans several places."""
 _HIDDEN = 0.03
 """A photo shows a place if the surface lies at most so far before it, in object radii."""
 _NEAR = 0.004
@@ -177,8 +180,9 @@ def _promising(field: ObjectField, rays: PixelRays, places: _Places, width: floa
 def _surface_places(field: ObjectField, width: float) -> _Places:
     """The places of the zero level: one for each cell of that width through which it passes."""
     shape = field.shape()
-    cells = np.stack(np.nonzero(np.abs(field.sdf_in_cells(round(2 / width))) < 0.5 * width), 1)
-    near = torch.from_numpy(((cells + 0.5) * width - 1).astype(np.float32)).to(field.levels[0].device)
+    grid = SdfGrid(field.sdf_in_cells(round(2 / width)))
+    centers = grid.centers_of(np.abs(grid.values) < 0.5 * width)
+    near = torch.from_numpy(centers.astype(np.float32)).to(field.levels[0].device)
     for _ in range(2):
         sampled = shape.sample(near)
         square = sampled[:, 1:4].square().sum(-1, keepdim=True).clamp(min=0.1)
@@ -217,45 +221,31 @@ def _hypotheses(like: Tensor) -> Tensor:
     return torch.tensor(tilts, dtype=like.dtype, device=like.device)
 
 
+class _SurfaceOccluder:
+    """The surface of F_o, which hides what lies more than `_HIDDEN` behind it."""
+
+    def __init__(self, shape: SplineShape) -> None:
+        self._shape = shape
+
+    def hides(self, lines: LinesOfSight) -> Tensor:
+        """Whether the surface lies on each of k lines of sight: [k] bool."""
+        distance = (lines.points - lines.camera).norm(dim=-1)
+        origins, directions = lines.camera.expand(len(distance), 3).contiguous(), (-lines.towards).contiguous()
+        entry = self._shape.interval(origins, directions)[0]
+        spans, count = self._shape.march(origins, directions, entry, distance + _HIDDEN, _NEAR, _NEAR)
+        return ~((count > 0) & (spans[:, 0, 0] > distance - _HIDDEN))
+
+
 def _observe(field: ObjectField, rays: PixelRays, places: _Places) -> _Observations:
-    """What the photos show of the places, bilinearly interpolated."""
-    shape, found = field.shape(), []
-    step = -(-rays.views // MOST_VIEWS)
-    for view in range(0, rays.views, step):
-        height, width = rays.size[view]
-        camera = rays.camera(view)[0].to(places.points)
-        away = places.points - camera
-        distance = away.norm(dim=-1)
-        direction = away / distance[:, None]
-        place, ahead = rays.project(view, places.points)
-        column, row = ((place[:, 0] + 1) / 2 * width - 0.5, (place[:, 1] + 1) / 2 * height - 0.5)
-        shown = ahead & (-(direction * places.normals).sum(-1) > _FACING)
-        shown &= (column > 0) & (column < width - 1) & (row > 0) & (row < height - 1)
-        k = shown.nonzero()[:, 0]
-        origins, directions = camera.expand(len(k), 3).contiguous(), direction[k].contiguous()
-        entry = shape.interval(origins, directions)[0]
-        spans, count = shape.march(origins, directions, entry, distance[k] + _HIDDEN, _NEAR, _NEAR)
-        k = k[(count > 0) & (spans[:, 0, 0] > distance[k] - _HIDDEN)]
-        usable, color = _interpolated(rays, view, row[k], column[k])
-        found.append((k[usable], direction[k[usable]], tone_map(color[usable])))
+    """What the photos show of the places."""
+    found, photos = [], FullPhotos(rays, Sampling.FOUR_PIXELS, MOST_VIEWS)
+    for seen in observe(photos, places.points, places.normals, _SurfaceOccluder(field.shape()), least_cosine=_FACING):
+        found.append((seen.index, -seen.towards, tone_map(seen.color)))
     place, directions, color = (torch.cat(part) for part in zip(*found, strict=True))
     order = place.argsort(stable=True)
     place = place[order]
     rank = torch.arange(len(place), device=place.device) - torch.searchsorted(place, place)
     return _Observations(place, directions[order], color[order], rank % 2 == 1)
-
-
-def _interpolated(rays: PixelRays, view: int, row: Tensor, column: Tensor) -> tuple[Tensor, Tensor]:
-    """Whether the four pixels around fractional positions [n] of a photo can be used [n] bool, and their mean radiance."""
-    top, left = row.floor().long(), column.floor().long()
-    down, right = (row - top)[:, None], (column - left)[:, None]
-    usable, color = torch.ones_like(top, dtype=torch.bool), torch.zeros(len(top), 3, device=top.device)
-    for dy, weight_y in ((0, 1 - down), (1, down)):
-        for dx, weight_x in ((0, 1 - right), (1, right)):
-            index = rays.offset[view] + (top + dy) * rays.size[view][1] + left + dx
-            usable &= rays.valid[index]
-            color = color + weight_y * weight_x * rays.photo(index)
-    return usable, color
 
 
 def _errors(field: ObjectField, places: _Places, seen: _Observations, slopes: Tensor) -> tuple[Tensor, Tensor]:
