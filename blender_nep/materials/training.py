@@ -55,7 +55,6 @@ from blender_nep.materials.unseen_light_training import learn_unseen_light
 from blender_nep.messages import Message, Part
 from blender_nep.shading.incoming_light import IncomingLight
 from blender_nep.shading.light_moments import LightMoments
-from blender_nep.shading.support_light import SupportLight
 from blender_nep.shading.unseen_light import UnseenLight
 
 if TYPE_CHECKING:
@@ -113,9 +112,7 @@ def learn_materials(
     """
     device, start = torch.device(device), time.monotonic()
     generator = torch.Generator().manual_seed(seed)
-    seen = Observations.of(surface, environment, rays, preset, seed, device)
-    if support is not None:
-        seen.f_p.support_light = SupportLight.of(support, rays, seen.f_p.tracer)
+    seen = Observations.of(surface, environment, rays, preset, seed, device, support)
     report = MaterialReport(samples=len(seen.samples), left_out=seen.samples.skipped)
     steps = TrainingProgress(progress, checkpoint, report.seconds, start)
     steps.phase_ended("select")
@@ -137,7 +134,7 @@ class _MaterialLearner:
         progress: TrainingProgress,
     ) -> None:
         """Fit one material to all samples. `run` does the rest."""
-        self.seen, self.light, self.preset, self.seed = seen, light, preset, seed
+        self.seen, self.preset, self.seed = seen, preset, seed
         self.generator, self.report, self.progress = generator, report, progress
         self.known_metallic: Tensor | None = None
         """[K] metallic of the palette's materials. None if the photos have not decided it clearly."""
@@ -145,11 +142,9 @@ class _MaterialLearner:
         """Seconds that the last trial of every material as the other class (metal or dielectric) took"""
         self.unseen_learned = False
         """Whether the unseen light is more than what F_e holds where no photo looks"""
-        if preset.residual and not light.in_photos:
-            self._begin_with_gray_light()
-        else:
-            self._add_unseen_light(UnseenLight.expected_beside(seen.f_p.environment, preset.unseen_rows))
-        self.search = PaletteSearch(seen.samples, light, preset, seen.device)
+        self.light = light.with_unseen(self._first_unseen_light(light.in_photos))
+        """The known and the unseen light, with the materials found so far"""
+        self.search = PaletteSearch(seen.samples, self.light, preset, seen.device)
 
     def run(self) -> Materials:
         """Learn the palette, label the points of the surface, and bake the textures. Raises LearningError and Stopped."""
@@ -223,18 +218,22 @@ class _MaterialLearner:
         return self.progress.loss
 
     def _reflect_itself(self) -> None:
-        self.light.update(self.search.materials_at, self.generator)
+        self._set_light(self.light.updated(self.search.materials_at, self.generator))
         self._residual()
 
-    def _begin_with_gray_light(self) -> None:
-        """Begin with a gray unseen light if the photos show no light (cut-outs). Without light, all materials look alike."""
-        unseen = UnseenLight(self.preset.unseen_rows, self.seen.f_p.environment.typical_distance(), self.seen.device)
-        unseen.radiance += 2 * float(self.seen.samples.radiance.mean(-1).median())
-        self._add_unseen_light(unseen)
+    def _set_light(self, light: IncomingLight) -> None:
+        self.light = self.search.light = light
 
-    def _add_unseen_light(self, unseen: UnseenLight) -> None:
-        self.light.unseen = self.seen.f_p.unseen = unseen
-        self.light.add_unseen()
+    def _first_unseen_light(self, in_photos: bool) -> UnseenLight:
+        """The unseen light to begin with; in_photos: whether the photos show any light.
+
+        It is gray if they show none (cut-outs), because without light all materials look alike.
+        """
+        environment, rows = self.seen.f_p.environment, self.preset.unseen_rows
+        if in_photos or not self.preset.residual:
+            return UnseenLight.expected_beside(environment, rows)
+        gray = 2 * float(self.seen.samples.radiance.mean(-1).median())
+        return UnseenLight.uniform(rows, environment.typical_distance(), self.seen.device, gray)
 
     def _find_unseen_light(self, by_hue: bool = False) -> None:
         """Learn the light that no photo shows, and improve the palette with it.
@@ -261,15 +260,14 @@ class _MaterialLearner:
         scan = time.monotonic() - start
         said = search.metal_by_hue() if by_hue else torch.zeros_like(search.palette.metallic)
         most_trials = _LATER_TRIALS if by_hue else _FIRST_TRIALS
-        light.unseen, search.palette, margins = learn_unseen_light(
+        unseen, search.palette, margins = learn_unseen_light(
             light, search.palette, others, search.label, search.target, said, most_trials, p, self.generator, tried
         )
         if margins:
             self.report.metal_or_not_margin = round(min(margins), 4)
             self.known_metallic = search.palette.metallic if min(margins) >= p.sure_margin else None
             self.trial_seconds = scan + trials[len(margins)] - trials[0]
-        self.seen.f_p.unseen = light.unseen
-        light.add_unseen()
+        self._set_light(light.with_unseen(unseen))
         self._residual()
         search.weight = torch.ones_like(search.weight)
 
@@ -302,8 +300,7 @@ class _MaterialLearner:
         if self.light.unseen is not None and self.unseen_learned:
             gain = gain_of_unseen_light(lit, label, segments, p)
             self.report.unseen_light_gain = round(gain, 3)
-            self.light.unseen.radiance *= gain
-            self.light.add_unseen()
+            self._set_light(self.light.with_unseen(self.light.unseen.scaled(gain)))
             lit = lit.with_unseen(gain)
         self.report.samples, self.report.segments = len(lit.samples), len(segments)
         return VariedMaterials(segments, fit_segments(lit.light, lit.samples.radiance, label, segments, p)), lit

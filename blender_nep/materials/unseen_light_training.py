@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -153,7 +153,7 @@ class UnseenLightProblem:
         on the color is needed because colored light on a gray object looks like gray light on a colored object.
         """
         p, device, light, samples = self.preset, self.goal.device, self.light, self.samples
-        missing, rows = self.unseen.missing, len(self.unseen.missing)
+        missing = self.unseen.missing
         material = palette.at(self.label)
         moments = light.known_moments(material.roughness, samples)
         offset, slope = affine_in_albedo(material, moments, light.known_diffuse[samples], light.cos_v[samples])
@@ -189,9 +189,7 @@ class UnseenLightProblem:
             error = float(photometric.detach() + prior.detach())
             ((levels * torch.from_numpy(gradient).to(device)).sum() + prior).backward()
             optimizer.step()
-        unseen = UnseenLight(rows, self.unseen.radius, device)
-        unseen.expected, unseen.missing = self.unseen.expected, missing
-        unseen.radiance = raw.detach().clamp(_DARKEST, _BRIGHTEST).exp()
+        unseen = replace(self.unseen, radiance=raw.detach().clamp(_DARKEST, _BRIGHTEST).exp())
         return UnseenFit(unseen, torch.sigmoid(logit).detach(), error)
 
     def _prior(self, radiance: Tensor) -> Tensor:

@@ -9,7 +9,7 @@ that meet the object again depend on the materials. They are kept in a list, and
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -109,26 +109,48 @@ class TracedLight:
         )
 
 
+@dataclass(frozen=True, eq=False)
 class IncomingLight(LightMoments):
-    """Light moments of n surface points at R roughness levels, and their diffuse irradiance.
+    """Light moments of n surface points at R roughness levels, and their diffuse irradiance: the known and the unseen light.
 
-    `specular` [n, R, 3, 3] and `diffuse` [n, 3] (irradiance divided by pi) are the whole light, under the present materials
-    and the present unseen light. `known_specular` and `known_diffuse` are the light without the unseen light: the light of
-    F_e and, from the first `update` on, the light that the object reflects to itself. The known irradiance is a
-    mean over neighboring points (`IrradianceMean`).
+    `specular` and `diffuse` are the whole light. It does not change: `updated` and `with_unseen` return a new one, which
+    shares with this one what stays the same.
     """
 
-    def __init__(
-        self, plenoptic: PlenopticFunction, points: SurfacePoints, roughness_levels: tuple[float, ...], traced: TracedLight
-    ):
-        """`points` are the n surface points; `traced` is the trace result of their cones (`gathered` computes it)."""
-        self.plenoptic, self.points, self.traced = plenoptic, points, traced
-        self._mean = IrradianceMean(points.position, points.normal)
-        self.known_specular, self.known_diffuse = traced.specular, self._mean(traced.diffuse)
+    plenoptic: PlenopticFunction
+    """f_p with the same unseen light"""
+    points: SurfacePoints
+    """[n]"""
+    traced: TracedLight
+    """The trace result of the cones of the points"""
+    known_specular: Tensor
+    """[n, R, 3, 3] `specular` without the unseen light: the light of F_e and, from the first `updated` on, the light that
+    the object reflects to itself"""
+    known_diffuse: Tensor
+    """[n, 3] the same of `diffuse`. It is a mean over neighboring points"""
+    mean: IrradianceMean
+    """Takes that mean"""
+
+    @classmethod
+    def of(
+        cls, plenoptic: PlenopticFunction, points: SurfacePoints, roughness_levels: tuple[float, ...], traced: TracedLight
+    ) -> IncomingLight:
+        """The light of F_e alone at n surface points; `traced` is the trace result of their cones (`gathered` computes it).
+
+        Raises ValueError if f_p has an unseen light: `with_unseen` adds it.
+        """
+        if plenoptic.unseen is not None:
+            raise ValueError("the unseen light is added by `with_unseen`")
+        mean = IrradianceMean(points.position, points.normal)
+        known = traced.specular, mean(traced.diffuse)
         levels = torch.tensor(roughness_levels, device=points.position.device)
         cos_v = (points.normal * points.view).sum(-1)
-        super().__init__(self.known_specular, self.known_diffuse, traced.coverage, cos_v, levels)
-        self.unseen: UnseenLight | None = None
+        return cls(*known, traced.coverage, cos_v, levels, plenoptic, points, traced, *known, mean)
+
+    @property
+    def unseen(self) -> UnseenLight | None:
+        """The light that no photo shows. None: there is none."""
+        return self.plenoptic.unseen
 
     @classmethod
     @profiled("gather light")
@@ -155,42 +177,49 @@ class IncomingLight(LightMoments):
             own = points[rows], reflection_variance[rows]
             parts.append(_trace(plenoptic, *own, int(rows[0]), levels, irradiance, generator))
             progress((int(rows[-1]) + 1) / n)
-        return cls(plenoptic, points, roughness_levels, TracedLight.joined(parts))
+        return cls.of(plenoptic, points, roughness_levels, TracedLight.joined(parts))
 
     @profiled("self reflection")
-    def update(self, materials_at: Callable[[SurfacePoints], Material], generator: torch.Generator) -> None:
-        """Compute the moments anew under the present materials: the light that the object reflects to itself changes."""
-        traced = self.traced
+    def updated(
+        self,
+        materials_at: Callable[[SurfacePoints], Material],
+        generator: torch.Generator,
+        unseen: UnseenLight | None = None,
+    ) -> IncomingLight:
+        """The light under the present materials: the light that the object reflects to itself is another.
+
+        `unseen` takes the place of the present unseen light, unless it is None.
+        """
+        traced, unseen = self.traced, self.unseen if unseen is None else unseen
         specular, diffuse = traced.specular.clone(), traced.diffuse.clone()
         if len(traced.hit_index) and self.plenoptic.settings.levels > 0:
-            light = self.plenoptic.outgoing(traced.hits, materials_at, 2, generator)
+            light = replace(self.plenoptic, unseen=unseen).outgoing(traced.hits, materials_at, 2, generator)
             for part in torch.arange(len(light), device=light.device).split(1 << 15):
                 share = traced.hit_weight[part, ..., None] * light[part, None, None, :]
                 diffuse.index_add_(0, traced.hit_index[part], share[:, 0, 0])
                 specular.index_add_(0, traced.hit_index[part], share[:, 1:])
-        self.known_specular, self.known_diffuse = specular, self._mean(diffuse)
-        self.add_unseen()
+        return replace(self, known_specular=specular, known_diffuse=self.mean(diffuse)).with_unseen(unseen)
 
     @profiled("add the unseen light")
-    def add_unseen(self) -> None:
-        """Set `specular` and `diffuse` to the known light plus the present unseen light."""
-        self.specular, self.diffuse = self.known_specular, self.known_diffuse
-        if self.unseen is None:
-            return
+    def with_unseen(self, unseen: UnseenLight | None) -> IncomingLight:
+        """The known light plus this unseen light."""
+        plenoptic = replace(self.plenoptic, unseen=unseen)
+        if unseen is None:
+            return replace(self, plenoptic=plenoptic, specular=self.known_specular, diffuse=self.known_diffuse)
         far, position = self.traced.uncovered, self.points.position
         parts = torch.arange(len(far), device=position.device).split(_UNSEEN_CHUNK)
-        light = torch.cat([self._unseen_light(far[part]) for part in parts])
+        light = torch.cat([self._unseen_light(unseen, far[part]) for part in parts])
         # `row` is ascending, so the cones of a point lie together.
         starts = torch.searchsorted(far.row, torch.arange(len(position) + 1, device=far.row.device))
         specular, diffuse = self.known_specular.cpu().numpy().copy(), self.known_diffuse.cpu().numpy().copy()
         starts, weight, fresnel, light = (x.contiguous().cpu() for x in (starts, far.weight, far.fresnel, light))
         add_to_lobes(starts.numpy(), weight.numpy(), fresnel.numpy(), light.numpy(), diffuse, specular)
-        self.specular, self.diffuse = (torch.from_numpy(x).to(position.device) for x in (specular, diffuse))
+        whole = [torch.from_numpy(x).to(position.device) for x in (specular, diffuse)]
+        return replace(self, plenoptic=plenoptic, specular=whole[0], diffuse=whole[1])
 
-    def _unseen_light(self, cones: UncoveredCones) -> Tensor:
+    def _unseen_light(self, unseen: UnseenLight, cones: UncoveredCones) -> Tensor:
         """The unseen light [k, 3] in k cones, times the share of each cone that the photos do not show."""
-        assert self.unseen is not None
-        return self.unseen(self.points.position[cones.row], cones.direction, cones.half_angle) * cones.share[:, None]
+        return unseen(self.points.position[cones.row], cones.direction, cones.half_angle) * cones.share[:, None]
 
     def without_unseen(self) -> LightMoments:
         """The known light alone."""
@@ -202,8 +231,7 @@ class IncomingLight(LightMoments):
         place[rows] = torch.arange(len(rows), device=rows.device)
         cones = self.traced.uncovered
         cones = cones[(place[cones.row] >= 0).nonzero().squeeze(-1)]
-        cones.row = place[cones.row]
-        return cones
+        return replace(cones, row=place[cones.row])
 
     def uncovered_response(self, cones: UncoveredCones, rows: Tensor, material: Material) -> tuple[Tensor, Tensor]:
         """Radiance that a point sends to the eye for a radiance of 1 in one of its uncovered cones.

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import torch
 from torch import Tensor
 
@@ -12,20 +14,20 @@ _NO_LIGHT = 0.02
 """If the photos show less than this share of the light, they count as showing none of it."""
 
 
+@dataclass(frozen=True, eq=False)
 class LightMoments:
     """The whole light of n surface points at R roughness levels, under the materials and the unseen light found so far."""
 
-    def __init__(self, specular: Tensor, diffuse: Tensor, coverage: Tensor, cos_v: Tensor, roughness_levels: Tensor) -> None:
-        self.specular = specular
-        """[n, R, 3, 3] light through the specular lobe of each level: three moments with three colors each"""
-        self.diffuse = diffuse
-        """[n, 3] irradiance divided by pi"""
-        self.coverage = coverage
-        """[n, R] in 0..1: share of the specular lobe whose light the photos show"""
-        self.cos_v = cos_v
-        """[n] cosine between the normal and the direction to the camera"""
-        self.roughness_levels = roughness_levels
-        """[R]"""
+    specular: Tensor
+    """[n, R, 3, 3] light through the specular lobe of each level: three moments with three colors each"""
+    diffuse: Tensor
+    """[n, 3] irradiance divided by pi"""
+    coverage: Tensor
+    """[n, R] in 0..1: share of the specular lobe whose light the photos show"""
+    cos_v: Tensor
+    """[n] cosine between the normal and the direction to the camera"""
+    roughness_levels: Tensor
+    """[R]"""
 
     @property
     def in_photos(self) -> bool:

@@ -121,28 +121,24 @@ class PlenopticSettings:
     """False: all cones are as narrow as a ray (an ablation)"""
 
 
+@dataclass(frozen=True, eq=False)
 class PlenopticFunction:
-    """The plenoptic function f_p for one mesh and one environment field.
+    """The plenoptic function f_p for one mesh in one light.
 
     In its methods, materials_at(points) gives the present Material at surface points.
     """
 
-    def __init__(
-        self,
-        tracer: RayTracer,
-        normals: np.ndarray,
-        environment: Environment,
-        terminal: TerminalRadiance,
-        settings: PlenopticSettings,
-        device: torch.device | str,
-    ):
-        self.tracer, self.normals, self.environment, self.terminal = tracer, normals, environment, terminal
-        self.settings = settings
-        self.device = torch.device(device)
-        self.unseen: UnseenLight | None = None
-        """Light that no photo shows. None: there is none."""
-        self.support_light: SupportLight | None = None
-        """The light of the plane on which the object stands. None if it stands on none."""
+    tracer: RayTracer
+    normals: np.ndarray
+    """[V, 3] unit normals of the mesh's vertices"""
+    environment: Environment
+    terminal: TerminalRadiance
+    settings: PlenopticSettings
+    device: torch.device | str
+    support_light: SupportLight | None = None
+    """The light of the plane on which the object stands. None if it stands on none"""
+    unseen: UnseenLight | None = None
+    """Light that no photo shows. None: there is none"""
 
     def points(self, face: np.ndarray, barycentric: np.ndarray, view: Tensor) -> SurfacePoints:
         """Surface points from hits of the ray tracer, face [n] and barycentric [n, 3]; view [n, 3] points to the eye."""

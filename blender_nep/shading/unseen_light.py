@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor
@@ -28,26 +28,35 @@ _LEAST_MISSING = 1e-3
 """Smallest weight of a texel, so that every cone has a mean."""
 
 
+@dataclass(frozen=True, eq=False)
 class UnseenLight:
-    """A map of radiance [rows, 2 rows, 3] >= 0 on a sphere of `radius` in the unit frame; inf means infinitely far."""
+    """A map of radiance on a sphere around the object's center."""
 
-    def __init__(self, rows: int, radius: float, device: torch.device | str) -> None:
-        self.radius = radius
-        self.radiance = torch.zeros(rows, 2 * rows, 3, device=device)
-        self.missing = torch.ones(rows, 2 * rows, device=device)
-        """[rows, 2 rows] share of each texel that no photo shows, 1e-3 to 1. Means over several texels are weighted by it"""
-        self.expected = torch.zeros_like(self.radiance)
-        """The radiance that is likely before the object's reflections are known. Only the learning needs it."""
+    radius: float
+    """Of the sphere, in the unit frame; inf means infinitely far"""
+    radiance: Tensor
+    """[rows, 2 rows, 3] >= 0"""
+    missing: Tensor
+    """[rows, 2 rows] share of each texel that no photo shows, 1e-3 to 1. Means over several texels are weighted by it"""
+    expected: Tensor
+    """[rows, 2 rows, 3] the radiance that is likely before the object's reflections are known. Only the learning needs it"""
+
+    @classmethod
+    def uniform(cls, rows: int, radius: float, device: torch.device | str, radiance: float = 0.0) -> UnseenLight:
+        """The same radiance everywhere, of which photos show nothing and black is expected."""
+        everywhere = torch.full((rows, 2 * rows, 3), radiance, device=device)
+        return cls(radius, everywhere, torch.ones(rows, 2 * rows, device=device), torch.zeros_like(everywhere))
 
     @classmethod
     def expected_beside(cls, environment: Environment, rows: int) -> UnseenLight:
         """The map of all radiance that F_e holds, shown by photos or not, as seen from the center."""
         _, coverage = environment.equirect(rows)
-        light = cls(rows, environment.typical_distance(), coverage.device)
-        light.expected = environment.extrapolated(rows)
-        light.missing = (1 - coverage).clamp(_LEAST_MISSING, 1)
-        light.radiance = light.expected.clone()
-        return light
+        expected = environment.extrapolated(rows)
+        return cls(environment.typical_distance(), expected, (1 - coverage).clamp(_LEAST_MISSING, 1), expected)
+
+    def scaled(self, gain: float) -> UnseenLight:
+        """The same light, `gain` times as bright."""
+        return replace(self, radiance=self.radiance * gain)
 
     def __call__(self, origins: Tensor, directions: Tensor, half_angle: Tensor) -> Tensor:
         """Mean radiance [n, 3] in cones from origins [n, 3] along unit directions [n, 3] with half_angle [n] radians."""
@@ -61,9 +70,7 @@ class UnseenLight:
     @classmethod
     def from_state(cls, state: dict) -> UnseenLight:
         """The inverse of `state`."""
-        light = cls(len(state["radiance"]), state["radius"], state["radiance"].device)
-        light.radiance, light.missing = state["radiance"], state["missing"]
-        return light
+        return cls(state["radius"], state["radiance"], state["missing"], torch.zeros_like(state["radiance"]))
 
     def equirect(self, height: int) -> Tensor:
         """The map at another resolution: radiance [height, 2 height, 3] as seen from the center."""

@@ -2,6 +2,7 @@
 
 import io
 import json
+from dataclasses import replace
 
 import numpy as np
 import OpenEXR
@@ -154,7 +155,7 @@ def test_an_unknown_material_is_refused(asset):
 def test_paint_is_refused_where_the_light_for_it_was_not_gathered(start, monkeypatch):
     kept = two_materials()
     light = kept.materials.light
-    light.diffuse = torch.zeros_like(light.diffuse)  # as after --metal yes
+    kept.materials.light = replace(light, diffuse=torch.zeros_like(light.diffuse))  # as after --metal yes
     monkeypatch.setattr("support.two_materials.two_materials", lambda: kept)
     assert start(KeepingStages())[0] == 0
     before = contents(start.out)

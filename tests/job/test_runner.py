@@ -159,8 +159,7 @@ def test_the_light_that_no_photo_shows_is_in_the_environment_map(start, coverage
 
         def learn_materials(self, *arguments, **keywords):
             materials = super().learn_materials(*arguments, **keywords)
-            materials.unseen = UnseenLight(8, 4.0, "cpu")
-            materials.unseen.radiance += 2.0
+            materials.unseen = UnseenLight.uniform(8, 4.0, "cpu", 2.0)
             return materials
 
     assert start(Lit())[0] == 0

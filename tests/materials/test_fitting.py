@@ -1,5 +1,7 @@
 """Fits of albedos to groups of photo samples: the kernel against torch in float64 and against the truth."""
 
+from dataclasses import replace
+
 import numba
 import numpy as np
 import pytest
@@ -13,20 +15,20 @@ from blender_nep.tone_mapping import tone_map
 CLIP, LEAST, MOST_DIFFUSE = 0.25, 0.05, 2.5
 
 
-class Lit(LightMoments):
+def lit(n: int) -> LightMoments:
     """The light of n samples at several roughness levels: random, but smooth from level to level."""
-
-    def __init__(self, n: int) -> None:
-        generator = torch.Generator().manual_seed(3)
-        ends = 0.5 + torch.rand(n, 2, 3, generator=generator)
-        full = torch.lerp(ends[:, :1], ends[:, 1:], torch.linspace(1, 0, 5)[None, :, None])
-        specular = torch.stack([full, 0.15 * full, 0.06 * full], 2)
-        diffuse = 0.3 + torch.rand(n, 3, generator=generator)
-        cos_v = 0.3 + 0.7 * torch.rand(n, generator=generator)
-        super().__init__(specular, diffuse, torch.ones(n, 5), cos_v, torch.tensor([0.05, 0.15, 0.3, 0.6, 1.0]))
+    generator = torch.Generator().manual_seed(3)
+    ends = 0.5 + torch.rand(n, 2, 3, generator=generator)
+    full = torch.lerp(ends[:, :1], ends[:, 1:], torch.linspace(1, 0, 5)[None, :, None])
+    specular = torch.stack([full, 0.15 * full, 0.06 * full], 2)
+    diffuse = 0.3 + torch.rand(n, 3, generator=generator)
+    cos_v = 0.3 + 0.7 * torch.rand(n, generator=generator)
+    return LightMoments(specular, diffuse, torch.ones(n, 5), cos_v, torch.tensor([0.05, 0.15, 0.3, 0.6, 1.0]))
 
 
-def by_torch(light: Lit, target: torch.Tensor, weight: torch.Tensor, metallic: float, j: int) -> tuple[float, torch.Tensor]:
+def by_torch(
+    light: LightMoments, target: torch.Tensor, weight: torch.Tensor, metallic: float, j: int
+) -> tuple[float, torch.Tensor]:
     """Cost and albedo of all samples, at the j-th roughness: reweighted least squares, all at once."""
     n, a = len(target), torch.full((3,), 0.5, dtype=torch.float64)
     r = roughness_scan(LEAST, target.device)[j].expand(n)
@@ -48,7 +50,7 @@ def by_torch(light: Lit, target: torch.Tensor, weight: torch.Tensor, metallic: f
     return float((residual.abs().mean(-1).clamp_max(CLIP) * weight).sum() / weight.sum()), a
 
 
-def photos(light: Lit) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+def photos(light: LightMoments) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
     """Target, weight and group: of four groups 1 is too bright for any metal, 2 is empty, 3 has one color black; a sixth of
     the samples is in none."""
     n, generator = len(light.cos_v), torch.Generator().manual_seed(8)
@@ -62,7 +64,7 @@ def photos(light: Lit) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
 
 
 def test_the_kernel_fits_what_torch_fits():
-    light = Lit(900)
+    light = lit(900)
     target, weight, group = photos(light)
     hypotheses = (0.0, 0.3, 1.0)
     cost, albedo = fit_groups(
@@ -70,8 +72,7 @@ def test_the_kernel_fits_what_torch_fits():
     )
     for g in (0, 1, 3):
         rows = (group == g).nonzero().squeeze(-1)
-        part = Lit(900)
-        part.specular, part.diffuse, part.cos_v = light.specular[rows], light.diffuse[rows], light.cos_v[rows]
+        part = replace(light, specular=light.specular[rows], diffuse=light.diffuse[rows], cos_v=light.cos_v[rows])
         for i, metallic in enumerate(hypotheses):
             for j in (0, 9, 20, cost.shape[1] - 1):
                 expected, a = by_torch(part, target[rows], weight[rows], metallic, j)
@@ -83,7 +84,7 @@ def test_the_kernel_fits_what_torch_fits():
 
 
 def test_the_number_of_threads_does_not_matter():
-    light = Lit(900)
+    light = lit(900)
     target, weight, group = photos(light)
     found, threads = [], numba.get_num_threads()
     try:
@@ -98,7 +99,7 @@ def test_the_number_of_threads_does_not_matter():
 @pytest.mark.parametrize("metallic", [0.0, 1.0])
 def test_the_material_that_made_the_photo_is_the_best_of_all(metallic):
     n = 400
-    light, scan = Lit(n), roughness_scan(LEAST, torch.device("cpu"))
+    light, scan = lit(n), roughness_scan(LEAST, torch.device("cpu"))
     albedo, j = torch.tensor([0.7, 0.4, 0.2]), 11
     material = Material(albedo.expand(n, 3), scan[j].expand(n), torch.full((n,), metallic))
     photo = reflected(material, light.moments(scan[j].expand(n)), light.diffuse, light.cos_v)
@@ -111,7 +112,7 @@ def test_the_material_that_made_the_photo_is_the_best_of_all(metallic):
 
 def test_no_sample_is_no_material():
     nothing = torch.zeros(0)
-    cost, albedo = fit_groups(Lit(0), torch.zeros(0, 3), nothing, nothing.long(), 2, least_roughness=LEAST, clip=CLIP)
+    cost, albedo = fit_groups(lit(0), torch.zeros(0, 3), nothing, nothing.long(), 2, least_roughness=LEAST, clip=CLIP)
     assert (cost == 0).all() and (albedo == 0).all()
 
 
@@ -121,15 +122,15 @@ def test_a_metal_keeps_its_brightness_although_its_reflections_are_misplaced():
     Least squares would give 0.53 for an albedo of 0.8.
     """
     n, generator = 4000, torch.Generator().manual_seed(5)
-    light = Lit(n)
+    light = lit(n)
     scene = torch.exp(0.8 * torch.randn(n, 1, 1, 1, generator=generator))
     known, shown = (scene * torch.exp(0.5 * torch.randn(n, 1, 1, 1, generator=generator)) for _ in range(2))
     albedo, ones = torch.tensor([0.8, 0.6, 0.3]), torch.ones(1, 5, 3, 3) * torch.tensor([1.0, 0.05, 0.04])[:, None]
-    light.specular = shown * ones
+    light = replace(light, specular=shown * ones)
     rough = torch.full((n,), 0.3)
     material = Material(albedo.expand(n, 3), rough, torch.ones(n))
     photo = reflected(material, light.moments(rough), light.diffuse, light.cos_v)
-    light.specular = known * ones
+    light = replace(light, specular=known * ones)
     group = torch.zeros(n, dtype=torch.int64)
     _, found = fit_groups(light, photo, torch.ones(n), group, 1, least_roughness=LEAST, clip=10.0, hypotheses=(1.0,))
     j = int((roughness_scan(LEAST, torch.device("cpu")) - 0.3).abs().argmin())

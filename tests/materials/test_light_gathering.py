@@ -55,11 +55,9 @@ def two_balls():
         torch.Generator().manual_seed(1),
         lambda _: None,
     )
-    light.unseen = UnseenLight(LIT.unseen_rows, 4.0, "cpu")
-    light.unseen.radiance += 0.5
-    light.unseen.radiance[1:5, :10] += 20  # a lamp
-    light.update(white_metal, torch.Generator().manual_seed(2))
-    return seen, light
+    unseen = UnseenLight.uniform(LIT.unseen_rows, 4.0, "cpu", 0.5)
+    unseen.radiance[1:5, :10] += 20  # a lamp
+    return seen, light.updated(white_metal, torch.Generator().manual_seed(2), unseen)
 
 
 @pytest.fixture(scope="module")

@@ -25,21 +25,19 @@ PRESET = replace(MaterialPreset(), roughness_levels=(0.05, 0.1, 0.2, 0.4, 1.0), 
 SCAN = roughness_scan(PRESET.least_roughness, torch.device("cpu"))
 
 
-class Lit(LightMoments):
+def lit(n: int) -> LightMoments:
     """The light of n samples: a random lamp beside the reflected direction, which wider lobes see more and more of."""
-
-    def __init__(self, n: int) -> None:
-        generator = torch.Generator().manual_seed(3)
-        sharp, soft = 3 * torch.rand(2, n, 1, 3, generator=generator) ** 3
-        full = torch.lerp(sharp, soft.mean(0), torch.tensor([0.0, 0.25, 0.5, 0.75, 1.0])[None, :, None])
-        specular = torch.stack([full, 0.15 * full, 0.06 * full], 2)
-        diffuse = 0.3 + torch.rand(n, 3, generator=generator)
-        cos_v = 0.3 + 0.7 * torch.rand(n, generator=generator)
-        levels = torch.tensor(PRESET.roughness_levels)
-        super().__init__(specular, diffuse, torch.ones(n, len(levels)), cos_v, levels)
+    generator = torch.Generator().manual_seed(3)
+    sharp, soft = 3 * torch.rand(2, n, 1, 3, generator=generator) ** 3
+    full = torch.lerp(sharp, soft.mean(0), torch.tensor([0.0, 0.25, 0.5, 0.75, 1.0])[None, :, None])
+    specular = torch.stack([full, 0.15 * full, 0.06 * full], 2)
+    diffuse = 0.3 + torch.rand(n, 3, generator=generator)
+    cos_v = 0.3 + 0.7 * torch.rand(n, generator=generator)
+    levels = torch.tensor(PRESET.roughness_levels)
+    return LightMoments(specular, diffuse, torch.ones(n, len(levels)), cos_v, levels)
 
 
-def photos(light: Lit, palette: Palette, label: torch.Tensor) -> torch.Tensor:
+def photos(light: LightMoments, palette: Palette, label: torch.Tensor) -> torch.Tensor:
     material = palette.at(label)
     return reflected(material, light.moments(material.roughness), light.diffuse, light.cos_v)
 
@@ -51,13 +49,14 @@ def minimum(residual: torch.Tensor) -> torch.Tensor:
 
 def test_reflections_tell_the_roughness_although_the_irradiance_is_wrong():
     n = 4000
-    light, random = Lit(n), np.random.default_rng(1)
+    light, random = lit(n), np.random.default_rng(1)
     palette = Palette(torch.tensor([[0.8, 0.8, 0.7], [0.9, 0.6, 0.3]]), torch.tensor([0.12, 0.3]), torch.zeros(2))
     label = torch.from_numpy(random.integers(2, size=n))
     position = random.random((n, 3)).astype(np.float32) * 2
     photo = photos(light, palette, label)
     region = np.floor(position / PRESET.region).astype(int) @ [1, 4, 16]
-    light.diffuse = light.diffuse * torch.from_numpy(random.uniform(0.6, 1.4, 64)[region]).float()[:, None]
+    wrong = light.diffuse * torch.from_numpy(random.uniform(0.6, 1.4, 64)[region]).float()[:, None]
+    light = replace(light, diffuse=wrong)
     residual, weight = residual_of_reflections(light, photo, position, label, len(palette), PRESET)
     torch.testing.assert_close(minimum(residual), palette.roughness, rtol=0, atol=0.02)
     torch.testing.assert_close(weight, 1.05 * torch.bincount(label).float(), rtol=0.02, atol=0)
@@ -67,7 +66,7 @@ def test_reflections_tell_the_roughness_although_the_irradiance_is_wrong():
 
 def test_samples_without_known_light_hardly_count():
     n = 2000
-    light, random = Lit(n), np.random.default_rng(2)
+    light, random = lit(n), np.random.default_rng(2)
     palette = Palette(torch.tensor([[0.8, 0.8, 0.7]]), torch.tensor([0.12]), torch.tensor([0.0]))
     position, label = random.random((n, 3)).astype(np.float32), torch.zeros(n, dtype=torch.int64)
     photo = photos(light, palette, label)
@@ -80,7 +79,7 @@ def test_samples_without_known_light_hardly_count():
 
 
 def test_too_few_samples_tell_nothing():
-    light = Lit(4)
+    light = lit(4)
     label = torch.zeros(4, dtype=torch.int64)
     residual, weight = residual_of_reflections(light, torch.ones(4, 3), np.zeros((4, 3)), label, 1, PRESET)
     assert float(weight) == 0 and (residual == 0).all()
@@ -112,7 +111,7 @@ def test_materials_without_samples_do_not_take_part():
 
 
 def test_samples_of_no_material_do_not_count():
-    light, random = Lit(900), np.random.default_rng(3)
+    light, random = lit(900), np.random.default_rng(3)
     palette = Palette(torch.tensor([[0.8, 0.8, 0.7]]), torch.tensor([0.12]), torch.zeros(1))
     position, label = random.random((900, 3)).astype(np.float32), torch.zeros(900, dtype=torch.int64)
     photo = photos(light, palette, label)
@@ -164,7 +163,7 @@ def test_among_lobes_as_sharp_as_a_mirror_the_residual_decides(fall, of_mirror, 
 
 def test_a_mirror_whose_reflections_are_misplaced_stays_sharp():
     n = 4000
-    light, random = Lit(n), np.random.default_rng(5)
+    light, random = lit(n), np.random.default_rng(5)
     albedo, rough = torch.tensor([0.8, 0.7, 0.6]), torch.full((n,), 0.1)
     region = torch.from_numpy(random.integers(40, size=n))
     photo = reflected(Material(albedo.expand(n, 3), rough, torch.ones(n)), light.moments(rough), light.diffuse, light.cos_v)

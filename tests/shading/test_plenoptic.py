@@ -1,6 +1,7 @@
 """f_p in a furnace: in uniform light a white object shines like the light, however often it reflects itself."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -69,7 +70,7 @@ class RecordingLight(UniformLight):
 @pytest.mark.parametrize("use_cones", [True, False])
 def test_without_cones_the_environment_is_asked_for_rays_only(two_balls, use_cones):
     f_p, points = scene(two_balls, 1, use_cones=use_cones)
-    f_p.environment = RecordingLight()
+    f_p = replace(f_p, environment=RecordingLight())
     f_p.outgoing(points, white(0.0), 1, torch.Generator().manual_seed(2))
     assert (f_p.environment.widest > 0.1) == use_cones and (f_p.environment.widest < 0.01) != use_cones
 
@@ -110,8 +111,7 @@ class HalfSky:
 @pytest.mark.parametrize("half_angle", [0.05, 0.5, 1.2])
 def test_field_and_unseen_light_together_are_the_whole_sky_also_at_the_border_of_what_photos_show(two_balls, half_angle):
     f_p, points = scene(two_balls, 1)
-    f_p.environment = HalfSky()
-    f_p.unseen = UnseenLight.expected_beside(f_p.environment, 32)
+    f_p = replace(f_p, environment=HalfSky(), unseen=UnseenLight.expected_beside(HalfSky(), 32))
     outward = torch.nn.functional.normalize(points.normal + 0.3 * points.view, dim=-1)
     angle = torch.full((len(points),), half_angle)
     traced = f_p.trace(points, outward, angle)
@@ -129,7 +129,7 @@ def test_without_indirect_light_what_the_object_sees_of_itself_is_black(two_ball
     light = IncomingLight.gathered(
         f_p, points, (0.1, 0.5, 1.0), 32, torch.zeros(len(points)), torch.Generator().manual_seed(3), lambda _: None
     )
-    light.update(white(1.0), torch.Generator())
+    light = light.updated(white(1.0), torch.Generator())
     assert len(light.traced.hit_index) > 0
     assert 0.5 < light.diffuse.mean().item() < 0.99
 
@@ -139,7 +139,7 @@ def test_prefiltered_light_is_exact_in_a_furnace(two_balls):
     light = IncomingLight.gathered(
         f_p, points, (0.1, 0.3, 0.6, 1.0), 32, torch.zeros(len(points)), torch.Generator().manual_seed(4), lambda _: None
     )
-    light.update(white(1.0), torch.Generator().manual_seed(5))
+    light = light.updated(white(1.0), torch.Generator().manual_seed(5))
     for roughness in (0.1, 0.2, 0.6, 1.0):
         r = torch.full((len(points),), roughness)
         out = reflected(

@@ -1,5 +1,7 @@
 """The light of the table under an object: the photos' colors, also where the object hides them; averaged in wide cones."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
@@ -72,8 +74,7 @@ def test_the_object_is_lit_by_the_table_in_the_sphere_and_by_the_environment_els
     _, face, barycentric = tracer.intersect((CENTER + np.array([[0.3, 0.0, -1.0]])).astype(np.float32), -down.numpy())
     start = f_p.points(face, barycentric, down)
     assert f_p.trace(start, down, torch.tensor([0.05])).coverage == 0
-    f_p.support_light = light
-    traced = f_p.trace(start, down, torch.tensor([0.05]))
+    traced = replace(f_p, support_light=light).trace(start, down, torch.tensor([0.05]))
     assert traced.coverage == 1
     below = np.array([[CENTER[0] + 0.3, 0.0, HEIGHT]])
     np.testing.assert_allclose(traced.radiance.numpy(), pattern(below), atol=0.1)

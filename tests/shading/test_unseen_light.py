@@ -1,7 +1,7 @@
 """Light that no photo shows: its map against brute force, its transport's adjoint, and that reflections reveal a lamp."""
 
 import math
-from dataclasses import replace
+from dataclasses import FrozenInstanceError, replace
 from types import SimpleNamespace
 
 import numba
@@ -32,6 +32,10 @@ def centers(rows: int) -> torch.Tensor:
     return torch.stack([polar.sin() * around.cos(), polar.sin() * around.sin(), polar.cos()], -1)
 
 
+def map_of(radiance: torch.Tensor, radius: float = math.inf) -> UnseenLight:
+    return replace(UnseenLight.uniform(len(radiance), radius, "cpu"), radiance=radiance)
+
+
 def smooth(d: torch.Tensor) -> torch.Tensor:
     """A radiance that varies slowly over directions."""
     return 2 + d + 0.5 * d[..., :1] * d[..., 1:2]
@@ -54,8 +58,7 @@ def test_levels_keep_the_flux_of_the_map():
 
 @pytest.mark.parametrize("half_angle", [0.02, 0.2, 0.5])
 def test_a_cone_returns_the_mean_over_its_directions(half_angle):
-    light = UnseenLight(32, math.inf, "cpu")
-    light.radiance = smooth(centers(32))
+    light = map_of(smooth(centers(32)))
     axis = directions(200, 1)
     found = light(torch.zeros(200, 3), axis, torch.full((200,), half_angle))
     generator = torch.Generator().manual_seed(2)
@@ -76,24 +79,21 @@ def test_a_cone_returns_the_mean_over_its_directions(half_angle):
 def test_a_near_lamp_is_seen_where_it_is_from_off_the_center():
     rows, radius = 64, 4.0
     lamp = torch.tensor([0.6, 0.64, 0.48])
-    light = UnseenLight(rows, radius, "cpu")
-    light.radiance = torch.exp((centers(rows) @ lamp - 1) * 200)[..., None].expand(-1, -1, 3).contiguous()
+    light = map_of(torch.exp((centers(rows) @ lamp - 1) * 200)[..., None].expand(-1, -1, 3).contiguous(), radius)
     origin = 0.8 * directions(50, 4)
     towards = torch.nn.functional.normalize(radius * lamp - origin, dim=-1)
     angle = torch.full((50,), 0.01)
     assert (light(origin, towards, angle) > 0.9).all()
     assert (light(origin, -towards, angle) < 0.1).all()
-    far = UnseenLight(rows, math.inf, "cpu")
-    far.radiance = light.radiance
+    far = replace(light, radius=math.inf)
     assert (far(origin, lamp.expand(50, 3), angle) > 0.9).all()
 
 
 @pytest.mark.parametrize("half_angle", [0.02, 0.3, 0.9])
 def test_what_photos_show_does_not_count_in_the_mean_over_a_cone(half_angle):
-    light = UnseenLight(32, math.inf, "cpu")
     shown = centers(32)[..., 2] < 0
-    light.radiance = torch.where(shown, 7.0, 2.0)[..., None].expand(-1, -1, 3).contiguous()
-    light.missing = torch.where(shown, 1e-3, 1.0)
+    light = map_of(torch.where(shown, 7.0, 2.0)[..., None].expand(-1, -1, 3).contiguous())
+    light = replace(light, missing=torch.where(shown, 1e-3, 1.0))
     axis = directions(300, 9)
     axis = axis[axis[:, 2] > 0.1]
     found = light(torch.zeros_like(axis), axis, torch.full((len(axis),), half_angle))
@@ -103,8 +103,7 @@ def test_what_photos_show_does_not_count_in_the_mean_over_a_cone(half_angle):
 
 
 def test_seen_from_the_center_it_is_the_map():
-    light = UnseenLight(16, 3.0, "cpu")
-    light.radiance = smooth(centers(16))
+    light = map_of(smooth(centers(16)), 3.0)
     torch.testing.assert_close(light.equirect(16), light.radiance)
     fine = light.equirect(64)
     assert fine.shape == (64, 128, 3)
@@ -143,24 +142,22 @@ def ball():
     light = IncomingLight.gathered(
         f_p, points, roughness_levels, 32, torch.zeros(len(points)), torch.Generator().manual_seed(6), lambda _: None
     )
-    light.update(None, torch.Generator())
-    return light
+    return light.updated(None, torch.Generator())
 
 
 def lamp(rows: int) -> UnseenLight:
-    light = UnseenLight(rows, 4.0, "cpu")
-    light.radiance = 10 * (centers(rows) @ torch.tensor([0.48, 0.0, 0.877]) > 0.95)[..., None].expand(-1, -1, 3).float()
-    return light
+    return map_of(10 * (centers(rows) @ torch.tensor([0.48, 0.0, 0.877]) > 0.95)[..., None].expand(-1, -1, 3).float(), 4.0)
+
+
+def unlit(ball: IncomingLight) -> IncomingLight:
+    """The ball with a black map, from which the learning of the unseen light goes on."""
+    return ball.with_unseen(UnseenLight.uniform(16, 4.0, "cpu"))
 
 
 def photographed_under_a_lamp(ball, material):
-    """What 4000 samples of this material send to the eye under lamp(16), which no photo shows. The ball then has no lamp."""
-    ball.unseen = lamp(16)
-    ball.update(None, torch.Generator())
-    target = reflected(material, ball.moments(material.roughness), ball.diffuse, ball.cos_v)
-    ball.unseen = None
-    ball.update(None, torch.Generator())
-    return target
+    """What 4000 samples of this material send to the eye under lamp(16), which no photo shows."""
+    lit = ball.with_unseen(lamp(16))
+    return reflected(material, lit.moments(material.roughness), lit.diffuse, lit.cos_v)
 
 
 def test_the_transport_is_what_the_cones_receive_and_its_adjoint_fits(ball):
@@ -175,17 +172,14 @@ def test_the_transport_is_what_the_cones_receive_and_its_adjoint_fits(ball):
     lines = transport.sent(response, pyramid(light.radiance, light.missing).numpy())
     sent = lines[:, 0] + lines[:, 1] * palette.albedo.numpy()
     before = reflected(material, ball.moments(material.roughness), ball.diffuse, ball.cos_v)
-    ball.unseen = light
-    ball.update(None, torch.Generator())
-    after = reflected(material, ball.moments(material.roughness), ball.diffuse, ball.cos_v)
+    lit = ball.updated(None, torch.Generator(), light)
+    after = reflected(material, lit.moments(material.roughness), lit.diffuse, lit.cos_v)
     np.testing.assert_allclose(sent, (after - before)[rows].numpy(), rtol=2e-3, atol=2e-4)
     other = np.random.default_rng(1).normal(size=lines.shape).astype(np.float32)
     levels = np.random.default_rng(2).normal(size=(len(pyramid(light.radiance, light.missing)), 3)).astype(np.float32)
     assert (transport.sent(response, levels) * other).sum() == pytest.approx(
         (transport.adjoint(response, other) * levels).sum(), rel=1e-3
     )
-    ball.unseen = None
-    ball.update(None, torch.Generator())
     found, threads = [], numba.get_num_threads()
     try:
         for count in (1, 4):
@@ -205,6 +199,21 @@ def test_the_transport_is_what_the_cones_receive_and_its_adjoint_fits(ball):
     )
 
 
+def test_light_is_a_value_and_an_update_returns_a_new_one(ball):
+    before = ball.moments_state()
+    lit = ball.with_unseen(lamp(16))
+    assert ball.unseen is None and all(torch.equal(x, before[name]) for name, x in ball.moments_state().items())
+    assert lit.unseen is not None and float((lit.diffuse - ball.diffuse).max()) > 0.1
+    assert lit.known_specular is ball.known_specular and lit.traced is ball.traced, "what stays the same is shared"
+    again = lit.updated(None, torch.Generator())
+    assert again.unseen is lit.unseen and torch.equal(again.specular, lit.specular)
+    assert torch.equal(lit.with_unseen(None).diffuse, ball.diffuse)
+    with pytest.raises(ValueError, match="with_unseen"):
+        IncomingLight.of(lit.plenoptic, lit.points, (0.1, 0.2, 0.4, 1.0), lit.traced)
+    with pytest.raises(FrozenInstanceError):
+        lit.diffuse = ball.diffuse
+
+
 def test_a_palette_with_one_material_of_another():
     ours = Palette(torch.tensor([[0.1, 0.2, 0.3], [0.4, 0.5, 0.6]]), torch.tensor([0.2, 0.3]), torch.tensor([0.0, 1.0]))
     other = Palette(1 - ours.albedo, 1 - ours.roughness, 1 - ours.metallic)
@@ -219,14 +228,11 @@ def test_metal_is_told_from_paint_together_with_the_lamp_that_no_photo_shows(bal
     painted, gold = (Palette(torch.tensor([[0.8, 0.5, 0.2]]), torch.tensor([0.25]), torch.tensor([m])) for m in (0.0, 1.0))
     real, taken_for = (gold, painted) if truth else (painted, gold)
     target = photographed_under_a_lamp(ball, real.at(label))
-    ball.unseen = UnseenLight(16, 4.0, "cpu")
     preset = replace(MaterialPreset(), unseen_samples=2000)
     _, found, margins = learn_unseen_light(
-        ball, taken_for, real, label, target, torch.zeros(1), 6, preset, torch.Generator(), lambda: None
+        unlit(ball), taken_for, real, label, target, torch.zeros(1), 6, preset, torch.Generator(), lambda: None
     )
     assert found.metallic.tolist() == [truth] and margins[0] > 0.1
-    ball.unseen = None
-    ball.update(None, torch.Generator())
 
 
 def test_a_wrong_roughness_comes_nearer_with_every_trial_that_is_allowed(ball):
@@ -234,16 +240,13 @@ def test_a_wrong_roughness_comes_nearer_with_every_trial_that_is_allowed(ball):
     gold = Palette(torch.tensor([[0.8, 0.5, 0.2]]), torch.tensor([0.25]), torch.ones(1))
     too_rough = replace(gold, roughness=torch.tensor([0.4]))
     target = photographed_under_a_lamp(ball, gold.at(label))
-    ball.unseen = UnseenLight(16, 4.0, "cpu")
     preset = replace(MaterialPreset(), unseen_samples=2000)
     found = []
     for most_trials in (0, 1, 6):
         fitted = learn_unseen_light(
-            ball, too_rough, None, label, target, torch.zeros(1), most_trials, preset, torch.Generator(), lambda: None
+            unlit(ball), too_rough, None, label, target, torch.zeros(1), most_trials, preset, torch.Generator(), lambda: None
         )[1]
         found.append(float(fitted.roughness))
-    ball.unseen = None
-    ball.update(None, torch.Generator())
     assert found[:2] == pytest.approx([0.4, 0.32]), "no trial, and one trial"
     assert found[2] == pytest.approx(0.25, rel=0.2)
 
@@ -253,12 +256,10 @@ def test_a_roughness_at_its_limit_is_not_tried_again(ball):
     preset = replace(MaterialPreset(), unseen_samples=1000, unseen_roughness_factors=(0.8,))
     smoothest = Palette(torch.full((1, 3), 0.5), torch.tensor([preset.least_roughness]), torch.ones(1))
     trials = []
-    ball.unseen = UnseenLight(16, 4.0, "cpu")
     target = torch.full((4000, 3), 0.3)
     learn_unseen_light(
-        ball, smoothest, None, label, target, torch.zeros(1), 6, preset, torch.Generator(), lambda: trials.append(1)
+        unlit(ball), smoothest, None, label, target, torch.zeros(1), 6, preset, torch.Generator(), lambda: trials.append(1)
     )
-    ball.unseen = None
     assert len(trials) == 1, "only the light of the palette as it is"
 
 
@@ -269,7 +270,7 @@ def test_reflections_reveal_a_lamp_that_no_photo_shows(ball, metallic):
     truth = lamp(16)
     target = photographed_under_a_lamp(ball, palette.at(label))
     wrong = replace(palette, albedo=torch.full((1, 3), 0.5))
-    start = UnseenLight(16, 4.0, "cpu")
+    start = UnseenLight.uniform(16, 4.0, "cpu")
     fit = UnseenLightProblem(ball, start, label, target, torch.arange(4000), MaterialPreset()).solve(wrong, start, 150)
     area = torch.sin((torch.arange(16) + 0.5) * math.pi / 16)[:, None, None]
     bright = truth.radiance > 1
@@ -282,17 +283,11 @@ def test_reflections_reveal_a_lamp_that_no_photo_shows(ball, metallic):
 def test_paint_that_is_far_too_bright_under_a_sky_that_is_far_too_dark_is_found_in_few_steps(ball):
     palette = Palette(torch.tensor([[0.4, 0.3, 0.2]]), torch.tensor([0.3]), torch.zeros(1))
     label = torch.zeros(4000, dtype=torch.int64)
-    sky = UnseenLight(16, 4.0, "cpu")
-    sky.radiance += 4.0
-    ball.unseen = sky
-    ball.update(None, torch.Generator())
+    lit = ball.with_unseen(UnseenLight.uniform(16, 4.0, "cpu", 4.0))
     material = palette.at(label)
-    target = reflected(material, ball.moments(material.roughness), ball.diffuse, ball.cos_v)
-    ball.unseen = None
-    ball.update(None, torch.Generator())
-    dark = UnseenLight(16, 4.0, "cpu")
-    dark.expected += 0.2
-    dark.radiance += 0.2
+    target = reflected(material, lit.moments(material.roughness), lit.diffuse, lit.cos_v)
+    dark = UnseenLight.uniform(16, 4.0, "cpu", 0.2)
+    dark = replace(dark, expected=dark.radiance)
     bright = replace(palette, albedo=torch.full((1, 3), 0.98))
     fit = UnseenLightProblem(ball, dark, label, target, torch.arange(4000), MaterialPreset()).solve(bright, dark, 30)
     torch.testing.assert_close(fit.albedo, palette.albedo, rtol=0.2, atol=0.0)
@@ -319,7 +314,7 @@ def test_many_samples_on_many_threads_are_solved_the_same_each_time():
     )
     palette = Palette(random(2, 3), torch.full((2,), 0.3), torch.tensor([0.0, 1.0]))
     label, target = torch.arange(n) % 2, random(n, 3)
-    start = UnseenLight(8, 4.0, "cpu")
+    start = UnseenLight.uniform(8, 4.0, "cpu")
     problem = UnseenLightProblem(light, start, label, target, torch.arange(n), MaterialPreset())
     threads = torch.get_num_threads()
     try:

@@ -20,11 +20,13 @@ from blender_nep.shading.incoming_light import IncomingLight, TracedLight
 from blender_nep.shading.light_moments import LightMoments
 from blender_nep.shading.plenoptic import Material, PlenopticFunction, PlenopticSettings, SurfacePoints, TerminalRadiance
 from blender_nep.shading.smooth_irradiance import IrradianceMean
+from blender_nep.shading.support_light import SupportLight
 
 if TYPE_CHECKING:
     from blender_nep.capture.rays.pixel_rays import PixelRays
     from blender_nep.fields.environment.field import EnvironmentField
     from blender_nep.presets import MaterialPreset
+    from blender_nep.support.plane import Support
 
 
 @dataclass(frozen=True)
@@ -51,8 +53,12 @@ class Observations:
         preset: MaterialPreset,
         seed: int,
         device: torch.device,
+        support: Support | None = None,
     ) -> Observations:
-        """Select the samples and set up f_p. Raises LearningError when no photo shows the surface well enough."""
+        """Select the samples and set up f_p. Raises LearningError when no photo shows the surface well enough.
+
+        The object stands on the plane `support`.
+        """
         tracer = RayTracer(surface.vertices, surface.faces)
         samples = _selected(rays, tracer, surface.normals, preset, np.random.default_rng(seed))
         settings = PlenopticSettings(
@@ -62,7 +68,8 @@ class Observations:
             use_cones=preset.use_cones,
         )
         terminal = TerminalRadiance().to(device)
-        f_p = PlenopticFunction(tracer, surface.normals, environment, terminal, settings, device)
+        support_light = None if support is None else SupportLight.of(support, rays, tracer)
+        f_p = PlenopticFunction(tracer, surface.normals, environment, terminal, settings, device, support_light)
         points = f_p.points(samples.face, samples.barycentric, samples.view)
         return cls(surface, rays, samples, points, f_p, pixel_footprint(rays), device)
 
@@ -85,7 +92,7 @@ def gathered_light(
     if "light" in saved:
         f_p.terminal.load_state_dict(saved["terminal"])
         traced = TracedLight.from_state(saved["light"], seen.points.position.device)
-        light = IncomingLight(f_p, seen.points, preset.roughness_levels, traced)
+        light = IncomingLight.of(f_p, seen.points, preset.roughness_levels, traced)
         generator.set_state(saved["generator"])
     else:
         if preset.levels > 0:
@@ -123,12 +130,10 @@ class LitSamples:
         known, light = self.known, self.light
         return replace(
             self,
-            light=LightMoments(
-                torch.lerp(known.specular, light.specular, gain),
-                torch.lerp(known.diffuse, light.diffuse, gain),
-                light.coverage,
-                light.cos_v,
-                light.roughness_levels,
+            light=replace(
+                light,
+                specular=torch.lerp(known.specular, light.specular, gain),
+                diffuse=torch.lerp(known.diffuse, light.diffuse, gain),
             ),
         )
 
@@ -154,13 +159,12 @@ def with_more_samples(
     of_more = IncomingLight.gathered(
         seen.f_p, points, preset.roughness_levels, preset.irradiance_cones, more.reflection_variance, generator, progress
     )
-    of_more.unseen = light.unseen
-    of_more.update(materials_at, generator)
+    of_more = of_more.updated(materials_at, generator, light.unseen)
     both = LightMoments.joined(light, of_more)
     known = LightMoments.joined(light.without_unseen(), of_more.without_unseen())
     position, normal = torch.cat([light.points.position, points.position]), torch.cat([light.points.normal, points.normal])
-    both.diffuse = known.diffuse + IrradianceMean(position, normal)(both.diffuse - known.diffuse)
-    return LitSamples(PhotoSamples.joined(seen.samples, more), both, known)
+    diffuse = known.diffuse + IrradianceMean(position, normal)(both.diffuse - known.diffuse)
+    return LitSamples(PhotoSamples.joined(seen.samples, more), replace(both, diffuse=diffuse), known)
 
 
 @profiled("terminal MLP")
