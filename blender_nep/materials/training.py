@@ -142,20 +142,22 @@ class _MaterialLearner:
         """Seconds that the last trial of every material as the other class (metal or dielectric) took"""
         self.unseen_learned = False
         """Whether the unseen light is more than what F_e holds where no photo looks"""
-        self.light = light.with_unseen(self._first_unseen_light(light.in_photos))
-        """The known and the unseen light, with the materials found so far"""
-        self.search = PaletteSearch(seen.samples, self.light, preset, seen.device)
+        lit = light.with_unseen(self._first_unseen_light(light.in_photos))
+        self.search = PaletteSearch.of(seen.samples, lit, preset, seen.device)
+        """The samples, under the known and the unseen light that go with the materials found so far"""
+        self.found = self.search.one()
+        """The palette, and the material of every sample"""
 
     def run(self) -> Materials:
         """Learn the palette, label the points of the surface, and bake the textures. Raises LearningError and Stopped."""
         single = self._learn_palette()
-        seen, search, shares = self.seen, self.search, self.search.shares().tolist()
-        by_hue = search.metal_by_hue().tolist()
-        search.blend()
+        seen, shares = self.seen, self.found.shares().tolist()
+        by_hue = self.search.metal_by_hue(self.found).tolist()
+        self.found = self.search.blended(self.found)
         self._finish_report(single, shares, by_hue)
         varied = self._varied_materials()
         self.progress.phase_ended("materials")
-        uniform = len(search.palette) == 1 and varied is None
+        uniform = len(self.found.palette) == 1 and varied is None
         finer = 1 if varied is None else _TEXELS_OF_VARIED
         wanted = texture_size(seen.surface, seen.footprint / finer, finer * self.preset.most_texels)
         self.report.texture_texels = size = min(wanted, self.preset.uniform_texels) if uniform else wanted
@@ -182,9 +184,9 @@ class _MaterialLearner:
 
     def _learn_palette(self) -> float:
         """Fit one material, then learn the palette and the unseen light in turns. Returns the residual with one material."""
-        search, preset = self.search, self.preset
+        preset = self.preset
         self._reflect_itself()
-        search.fit_one()
+        self.found = self.search.one()
         single = self._residual()
         self._grow_palette()
         for k in range(preset.rounds):
@@ -194,35 +196,37 @@ class _MaterialLearner:
         self._reflect_itself()
         for k in range(preset.rounds):
             self._find_unseen_light(by_hue=True)
-            search.merge_shades(by_hue=True)
-            search.drop_superfluous()
-            search.assign()
+            merged = self.search.with_shades_merged(self.found, by_hue=True)
+            fewer = self.search.without_superfluous(merged)
+            self.found = self.search.assigned(fewer, fewer.palette)
             self.progress.step(85 + 5 * k)
         return single
 
     def _grow_palette(self) -> None:
-        self.search.grow(lambda: self.progress.step(75))
+        self.found = self.search.grown(self.found, lambda: self.progress.step(75))
 
     def _metallic_swapped(self) -> Palette | None:
         """The palette with metals and dielectrics swapped. None where the preset or the photos have decided the class."""
         if len(self.preset.metallic) == 1:
             return None
-        if self.known_metallic is not None and torch.equal(self.known_metallic, self.search.palette.metallic):
+        if self.known_metallic is not None and torch.equal(self.known_metallic, self.found.palette.metallic):
             before = self.report.seconds_saved.get(Part.METAL_AGAIN, 0.0)
             self._skip(Part.METAL_AGAIN, Message("reason.metal_known"), before + self.trial_seconds)
             return None
-        return self.search.metallic_swapped()
+        return self.search.metallic_swapped(self.found)
 
     def _residual(self) -> float:
-        self.progress.loss = self.search.residual()
+        self.progress.loss = self.search.residual(self.found)
         return self.progress.loss
 
     def _reflect_itself(self) -> None:
-        self._set_light(self.light.updated(self.search.materials_at, self.generator))
+        self.search = self.search.under(self.light.updated(self.search.materials_at(self.found), self.generator))
         self._residual()
 
-    def _set_light(self, light: IncomingLight) -> None:
-        self.light = self.search.light = light
+    @property
+    def light(self) -> IncomingLight:
+        """The known and the unseen light, with the materials found so far."""
+        return self.search.light
 
     def _first_unseen_light(self, in_photos: bool) -> UnseenLight:
         """The unseen light to begin with; in_photos: whether the photos show any light.
@@ -241,7 +245,7 @@ class _MaterialLearner:
         With `by_hue`, what the hues of each material say counts for its class, and a roughness goes one step at most. The
         fits of the palette, which follow, took longer walks back.
         """
-        p, light, search = self.preset, self.light, self.search
+        p, light, found = self.preset, self.light, self.found
         uncovered = float(1 - light.coverage.mean())
         self.report.light_not_in_photos = round(uncovered, 4)
         if not p.residual or uncovered < 0.005:
@@ -258,30 +262,31 @@ class _MaterialLearner:
 
         others = self._metallic_swapped()
         scan = time.monotonic() - start
-        said = search.metal_by_hue() if by_hue else torch.zeros_like(search.palette.metallic)
+        said = self.search.metal_by_hue(found) if by_hue else torch.zeros_like(found.palette.metallic)
         most_trials = _LATER_TRIALS if by_hue else _FIRST_TRIALS
-        unseen, search.palette, margins = learn_unseen_light(
-            light, search.palette, others, search.label, search.target, said, most_trials, p, self.generator, tried
+        unseen, palette, margins = learn_unseen_light(
+            light, found.palette, others, found.label, self.search.target, said, most_trials, p, self.generator, tried
         )
+        self.found = replace(found, palette=palette)
         if margins:
             self.report.metal_or_not_margin = round(min(margins), 4)
-            self.known_metallic = search.palette.metallic if min(margins) >= p.sure_margin else None
+            self.known_metallic = palette.metallic if min(margins) >= p.sure_margin else None
             self.trial_seconds = scan + trials[len(margins)] - trials[0]
-        self._set_light(light.with_unseen(unseen))
+        self.search = self.search.under(light.with_unseen(unseen))
         self._residual()
-        search.weight = torch.ones_like(search.weight)
+        self.search = self.search.evenly_weighted()
 
     def _varied_materials(self) -> tuple[VariedMaterials, LitSamples] | None:
         """Materials that vary from place to place, if they explain held-out photos much better than the palette does.
 
         With them come the samples to which they were fitted. The unseen light gets another brightness.
         """
-        search, p = self.search, self.preset
+        p = self.preset
         if math.isinf(p.varied_gain):
             self._skip(Part.VARIED_MATERIALS, Message("reason.preset"))
             return None
-        segments = segments_of(search.samples, self.seed)
-        gain = gain_of_segments(search, segments)
+        segments = segments_of(self.seen.samples, self.seed)
+        gain = gain_of_segments(self.search, self.found, segments)
         self.report.varied_gain = round(gain, 4)
         if gain < p.varied_gain:
             self._skip(Part.VARIED_MATERIALS, Message("reason.palette_explains"))
@@ -289,7 +294,7 @@ class _MaterialLearner:
         lit = with_more_samples(
             self.seen,
             self.light,
-            search.materials_at,
+            self.search.materials_at(self.found),
             p,
             self.seed,
             self.generator,
@@ -300,7 +305,7 @@ class _MaterialLearner:
         if self.light.unseen is not None and self.unseen_learned:
             gain = gain_of_unseen_light(lit, label, segments, p)
             self.report.unseen_light_gain = round(gain, 3)
-            self._set_light(self.light.with_unseen(self.light.unseen.scaled(gain)))
+            self.search = self.search.under(self.light.with_unseen(self.light.unseen.scaled(gain)))
             lit = lit.with_unseen(gain)
         self.report.samples, self.report.segments = len(lit.samples), len(segments)
         return VariedMaterials(segments, fit_segments(lit.light, lit.samples.radiance, label, segments, p)), lit
@@ -316,13 +321,14 @@ class _MaterialLearner:
 
         They are label pixels if the light of the samples predicts the light of label pixels.
         """
-        search, tracer, normals, rays = self.search, self.seen.f_p.tracer, self.seen.surface.normals, self.seen.rays
-        of_samples = labeled_samples(search)
-        if len(search.palette) == 1 and varied is None:
+        search, found = self.search, self.found
+        tracer, normals, rays = self.seen.f_p.tracer, self.seen.surface.normals, self.seen.rays
+        of_samples = labeled_samples(search, found)
+        if len(found.palette) == 1 and varied is None:
             self._skip(Part.VOTES, Message("reason.one_material"))
             return self._correctable_palette(of_samples)
-        samples, shown = surfels(self.seen.samples, tracer, normals), search.shown()
-        error = error_of_neighbors(search, samples, shown)
+        samples, shown = surfels(self.seen.samples, tracer, normals), search.shown(found.palette)
+        error = error_of_neighbors(found, samples, shown)
         self.report.neighbors_error = round(error, 4)
         predicted = error <= np.median(of_samples.residual)
         if not predicted:
@@ -334,19 +340,20 @@ class _MaterialLearner:
             pixels = PlacedPixels.of(surfels(chosen, tracer, normals), chosen.radiance, near, self.seen.footprint)
             return CorrectableSegments(lit.light, lit.samples.radiance, materials, groups_of_segments(materials), pixels)
         if predicted:
-            return self._correctable_palette(labeled_pixels(search, samples, shown, rays, tracer, normals, self.seed))
+            points = labeled_pixels(found.palette, self.preset, samples, shown, rays, tracer, normals, self.seed)
+            return self._correctable_palette(points)
         return self._correctable_palette(of_samples)
 
     def _correctable_palette(self, points: BlendedPoints) -> CorrectablePalette:
-        search, count = self.search, len(self.search.palette) - self.search.palette.blends
-        label = torch.where(search.label < count, search.label, -1)
-        palette = search.palette.pick(list(range(count)))
-        return CorrectablePalette(LightMoments(**self.light.moments_state()), search.target, label, palette, points)
+        found, count = self.found, len(self.found.palette) - self.found.palette.blends
+        label = torch.where(found.label < count, found.label, -1)
+        palette = found.palette.pick(list(range(count)))
+        return CorrectablePalette(LightMoments(**self.light.moments_state()), self.search.target, label, palette, points)
 
     def _finish_report(self, single: float, shares: list[float], by_hue: list[float]) -> None:
         """Report what was learned; shares [K] and by_hue [K] are of the palette's materials before they were blended."""
-        report, palette = self.report, self.search.palette
-        report.merged_shades = self.search.merged
+        report, palette = self.report, self.found.palette
+        report.merged_shades = self.found.merged
         report.tell_materials(palette.pick(list(range(len(shares)))), shares, by_hue)
         report.residual_one_material, report.residual = round(single, 5), round(self._residual(), 5)
         report.cones_traced = self.light.traced.rays

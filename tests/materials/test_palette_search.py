@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from blender_nep.materials.palette.palette import Palette, error
-from blender_nep.materials.palette.search import PaletteSearch
+from blender_nep.materials.palette.search import FoundPalette, PaletteSearch
 from blender_nep.presets import MaterialPreset
 from blender_nep.shading.light_moments import LightMoments
 
@@ -21,15 +21,13 @@ def dropped(materials, raised):
 
     one = torch.linspace(0.1, 0.9, materials)
     search = SimpleNamespace(
-        palette=Palette(one[:, None].expand(-1, 3), one, one),
         preset=PRESET,
-        shares=lambda: torch.full((len(search.palette),), 1 / len(search.palette)),
-        assign=lambda: None,
+        assigned=lambda _, palette: FoundPalette(palette, torch.arange(len(palette))),  # equal shares
         _left_out=left_out,
-        drop_superfluous=lambda: PaletteSearch.drop_superfluous(search),
+        without_superfluous=lambda found: PaletteSearch.without_superfluous(search, found),
     )
-    search.drop_superfluous()
-    return len(search.palette)
+    palette = Palette(one[:, None].expand(-1, 3), one, one)
+    return len(search.without_superfluous(FoundPalette(palette, torch.arange(materials))).palette)
 
 
 @pytest.mark.parametrize(

@@ -17,7 +17,8 @@ from blender_nep.tone_mapping import tone_map
 if TYPE_CHECKING:
     from blender_nep.capture.rays.pixel_rays import PixelRays
     from blender_nep.geometry.ray_tracing import RayTracer
-    from blender_nep.materials.palette.search import PaletteSearch
+    from blender_nep.materials.palette.palette import Palette
+    from blender_nep.materials.palette.search import FoundPalette, PaletteSearch
     from blender_nep.materials.samples.photo_samples import PhotoSamples
     from blender_nep.presets import MaterialPreset
 
@@ -29,32 +30,28 @@ _WIDER, _STRIDE = 32, 4
 neighbors, so fewer pixels are enough."""
 
 
-def labeled_samples(search: PaletteSearch) -> BlendedPoints:
+def labeled_samples(search: PaletteSearch, found: FoundPalette) -> BlendedPoints:
     """The photo samples, for which the light was gathered, as blended points."""
-    cost = search.costs().cpu().numpy()
-    label = search.label.cpu().numpy()
+    cost = search.costs(found.palette).cpu().numpy()
+    label = found.label.cpu().numpy()
     own = cost[np.arange(len(label)), label] / search.weight.cpu().numpy()
     samples = Surfels(*search.places, search.samples.photo.cpu().numpy())
-    return _blended(search, samples, search.smoothed(cost), own)
+    return BlendedPoints(*samples, own, *find_blends(search.smoothed(cost), found.palette, search.preset.blend_margin))
 
 
-def _blended(search: PaletteSearch, points: Surfels, cost: np.ndarray, residual: np.ndarray) -> BlendedPoints:
-    """Points with the materials, or blends, that have the least cost [n, K]."""
-    return BlendedPoints(*points, residual, *find_blends(cost, search.palette, search.preset.blend_margin))
-
-
-def error_of_neighbors(search: PaletteSearch, samples: Surfels, shown: np.ndarray) -> float:
+def error_of_neighbors(found: FoundPalette, samples: Surfels, shown: np.ndarray) -> float:
     """Median error of predicting a sample's radiance from the nearest other samples of the same photo.
 
     The radiance is that of the sample's own material, tone-mapped; shown [n, K, 3] is that of every material.
     """
-    label = search.label.cpu().numpy()
+    label = found.label.cpu().numpy()
     return float(np.median(left_out_error(samples, shown)[np.arange(len(label)), label]))
 
 
 @profiled("votes of all pixels")
 def labeled_pixels(
-    search: PaletteSearch,
+    palette: Palette,
+    preset: MaterialPreset,
     samples: Surfels,
     shown: np.ndarray,
     rays: PixelRays,
@@ -67,7 +64,7 @@ def labeled_pixels(
     The light of a pixel is taken from the nearest samples of its photo. shown [n, K, 3] is the tone-mapped radiance that
     each sample would have with each material.
     """
-    p, palette = search.preset, search.palette
+    p = preset
     label_pixels = select_label_pixels(rays, tracer, normals, p, seed)
     pixels = surfels(label_pixels, tracer, normals)
     cost = pixel_costs(samples, shown, pixels, tone_map(label_pixels.radiance).cpu().numpy(), p.clip)
@@ -80,7 +77,7 @@ def labeled_pixels(
     inner = shows_one_material(smoothed, blended, tree)
     smoothed[np.ix_(inner, blended)] *= (1 + p.inner_blend_margin) / (1 + p.blend_margin)
     own = cost[np.arange(len(cost)), smoothed.argmin(1)]
-    return _blended(search, pixels, smoothed, own)
+    return BlendedPoints(*pixels, own, *find_blends(smoothed, palette, p.blend_margin))
 
 
 def shows_one_material(cost: np.ndarray, blended: np.ndarray, tree: cKDTree) -> np.ndarray:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -45,55 +46,90 @@ _SHADES = 2.5
 """Largest albedo of a dielectric until shades of one hue are merged. It is above 1, because F_e may be too dark."""
 
 
+@dataclass(frozen=True, eq=False)
+class FoundPalette:
+    """The result of a palette search: the palette, and the material of every sample."""
+
+    palette: Palette
+    label: Tensor
+    """[n] int64: each sample's index into the palette"""
+    merged: int = 0
+    """Number of materials that the last merge has removed"""
+
+    def shares(self) -> Tensor:
+        """Share [K] of the samples that have each material."""
+        return torch.bincount(self.label, minlength=len(self.palette)) / len(self.label)
+
+
+@dataclass(frozen=True, eq=False)
 class PaletteSearch:
-    """The palette, and the material of every sample. At first, one material is fitted to all samples."""
+    """Photo samples in the light that is known so far. Its methods take and return palettes, and change nothing."""
 
-    def __init__(self, samples: PhotoSamples, light: IncomingLight, preset: MaterialPreset, device: torch.device) -> None:
-        self.samples, self.light, self.preset, self.device = samples, light, preset, device
-        self.target = samples.radiance
-        self.label = torch.zeros(len(samples), dtype=torch.int64, device=device)
-        """[n] int64: each sample's index into the palette"""
-        self.weight = weight_of_known_light(light)
-        """[n] how much a sample counts. Until the unseen light is found: 0.05 + the share of its light that is known"""
-        self.merged = 0
-        """Number of materials that the last merge has removed"""
-        self._tree = cKDTree(samples.position)
-        self.places = Places(samples.position, light.points.normal.cpu().numpy())
-        """Where the samples are"""
-        around = neighbors(self._tree, samples.position, 2 * NEIGHBORS)
-        self._around = on_same_side(around, self.places, self.places)
-        self._place = places(*self.places)
-        self.palette = self._fit(self.label, 1)
+    samples: PhotoSamples
+    light: IncomingLight
+    preset: MaterialPreset
+    device: torch.device
+    weight: Tensor
+    """[n] how much a sample counts. Until the unseen light is found: 0.05 + the share of its light that is known"""
+    places: Places
+    """Where the samples are"""
+    _tree: cKDTree
+    _around: tuple[np.ndarray, np.ndarray]
+    """Distances and indices of the neighbors of each sample"""
+    _place: np.ndarray
+    """[n] the place of each sample, as `evidence.dichromatic` has it"""
 
-    def fit_one(self) -> None:
-        """Fit one material to all samples, under the present light."""
-        self.palette = self._fit(self.label, 1)
+    @classmethod
+    def of(cls, samples: PhotoSamples, light: IncomingLight, preset: MaterialPreset, device: torch.device) -> PaletteSearch:
+        """The samples, and their neighbors on the surface."""
+        tree = cKDTree(samples.position)
+        where = Places(samples.position, light.points.normal.cpu().numpy())
+        around = on_same_side(neighbors(tree, samples.position, 2 * NEIGHBORS), where, where)
+        return cls(samples, light, preset, device, weight_of_known_light(light), where, tree, around, places(*where))
 
-    def metallic_swapped(self) -> Palette:
+    def under(self, light: IncomingLight) -> PaletteSearch:
+        """The same samples in another light."""
+        return replace(self, light=light)
+
+    def evenly_weighted(self) -> PaletteSearch:
+        """The same samples, all of which count alike."""
+        return replace(self, weight=torch.ones_like(self.weight))
+
+    @property
+    def target(self) -> Tensor:
+        """[n, 3] linear radiance of the samples."""
+        return self.samples.radiance
+
+    def one(self) -> FoundPalette:
+        """One material, fitted to all samples."""
+        label = torch.zeros(len(self.samples), dtype=torch.int64, device=self.device)
+        return FoundPalette(self._fit(label, 1), label)
+
+    def metallic_swapped(self, found: FoundPalette) -> Palette:
         """The palette with every metal fitted as a dielectric, and every dielectric fitted as a metal."""
-        p, swapped = self.preset, self.palette
-        cost, albedo = self._scan(self.label, len(self.palette))
+        p, swapped = self.preset, found.palette
+        cost, albedo = self._scan(found.label, len(found.palette))
         for i, metallic in enumerate(p.metallic):
-            found = best_of(cost[i : i + 1], albedo[i : i + 1], p.least_roughness, (metallic,), 1.0)
-            for k in (self.palette.metallic != metallic).nonzero().squeeze(-1).tolist():
-                swapped = swapped.with_one(k, found)
+            fitted = best_of(cost[i : i + 1], albedo[i : i + 1], p.least_roughness, (metallic,), 1.0)
+            for k in (found.palette.metallic != metallic).nonzero().squeeze(-1).tolist():
+                swapped = swapped.with_one(k, fitted)
         return swapped
 
-    def metal_by_hue(self) -> Tensor:
+    def metal_by_hue(self, found: FoundPalette) -> Tensor:
         """What the hues of each material's samples say: from -1 (dielectric) to 1 (metal), [K].
 
         It is right only once the palette is: where samples of a metal are among those of a dielectric, these say metal.
         """
-        return evidence_of_metal(self.light, self.target, self._place, self.label, len(self.palette))
+        return evidence_of_metal(self.light, self.target, self._place, found.label, len(found.palette))
 
-    def grow(self, after_choice: Callable[[], None]) -> None:
-        """Choose materials among candidates from small regions of the surface, and give every sample its material.
+    def grown(self, found: FoundPalette, after_choice: Callable[[], None]) -> FoundPalette:
+        """Choose materials among those found and candidates from small regions of the surface, and assign the samples.
 
         after_choice() is called when the materials are chosen.
         """
         p = self.preset
         if p.most_materials == 1:
-            return
+            return found
         group, count = self._regions(self.samples.position)
         groups = len(count)
         regional = self._fit(group, groups, _SHADES)
@@ -101,149 +137,140 @@ class PaletteSearch:
         large = np.flatnonzero(count >= max(20, np.median(count) / 2))
         if len(large) > p.candidates:
             large = large[np.argsort(-count[large])[: p.candidates]]
-        candidates = self.palette.joined(regional.pick(large.tolist()))
+        candidates = found.palette.joined(regional.pick(large.tolist()))
         cost = torch.stack([self._by_group(self._error(candidates, k), group, groups) for k in range(len(candidates))])
         chosen = choose(cost / size.clamp_min(1e-9), size, p.most_materials, p.gain)
         after_choice()
-        self.palette = candidates.pick(chosen)
-        self.assign()
+        found = self.assigned(found, candidates.pick(chosen))
         # A material that hardly any sample takes comes from a badly lit corner and not from the object.
         for _ in range(2):
-            share = self.shares()
+            share = found.shares()
             keep = (share >= p.least_share).nonzero().squeeze(-1).tolist() or [int(share.argmax())]
-            self.palette = self.palette.pick(keep)
-            self.assign()
-            self.palette = self._fit(self.label, len(self.palette), _SHADES)
-            self.assign()
-        self.merge_shades()
-        self.drop_superfluous()
+            found = self.assigned(found, found.palette.pick(keep))
+            found = self.assigned(found, self._fit(found.label, len(found.palette), _SHADES))
+        return self.without_superfluous(self.with_shades_merged(found))
 
-    def drop_superfluous(self) -> None:
-        """Drop the materials that explain hardly more than the other materials and their blends.
+    def without_superfluous(self, found: FoundPalette) -> FoundPalette:
+        """Without the materials that explain hardly more than the other materials and their blends.
 
         Such materials come from soft boundaries between two materials, and from gradual changes of one into another.
         """
-        gain = self.preset.gain if len(self.palette) == 2 else self.preset.blended_gain
-        for k in self.shares().argsort().tolist():
-            if len(self.palette) == 1:
-                return
-            others = self.palette.pick([j for j in range(len(self.palette)) if j != k])
-            with_it, without = (self._left_out(palette.with_blends()) for palette in (self.palette, others))
+        count = len(found.palette)
+        if count == 1:
+            return found
+        gain = self.preset.gain if count == 2 else self.preset.blended_gain
+        for k in found.shares().argsort().tolist():
+            others = found.palette.pick([j for j in range(count) if j != k])
+            with_it, without = (self._left_out(palette.with_blends()) for palette in (found.palette, others))
             if without <= (1 + gain) * with_it:
-                self.palette = others
-                self.assign()
-                self.drop_superfluous()
-                return
+                return self.without_superfluous(self.assigned(found, others))
+        return found
 
-    def merge_shades(self, by_hue: bool = False) -> None:
+    def with_shades_merged(self, found: FoundPalette, by_hue: bool = False) -> FoundPalette:
         """Merge materials of one hue: a difference in brightness alone more likely comes from F_e than from the object.
 
         Then each material is fitted again. With `by_hue`, what its hues say counts for its class (`metal_by_hue`).
         """
-        into = same_material(self.palette, self.shares(), self.preset.merge_hue, self.preset.merge_roughness)
-        kept = sorted(set(into))
-        if len(kept) < len(self.palette):
-            self.merged = len(self.palette) - len(kept)
-            self.label = torch.tensor([kept.index(k) for k in into], device=self.device)[self.label]
         p = self.preset
-        cost, albedos = self._scan(self.label, len(kept))
-        self.palette = self.palette.pick(kept)
-        prior = 1 - p.hue_margin * self.metal_by_hue() if by_hue else 1.0
-        self.palette = best_of(cost, albedos, p.least_roughness, p.metallic, (1 + p.metal_margin) * prior)
-        self._find_roughness(cost, albedos)
+        into = same_material(found.palette, found.shares(), p.merge_hue, p.merge_roughness)
+        kept = sorted(set(into))
+        if len(kept) < len(found.palette):
+            label = torch.tensor([kept.index(k) for k in into], device=self.device)[found.label]
+            found = FoundPalette(found.palette.pick(kept), label, len(found.palette) - len(kept))
+        cost, albedos = self._scan(found.label, len(kept))
+        prior = 1 - p.hue_margin * self.metal_by_hue(found) if by_hue else 1.0
+        palette = best_of(cost, albedos, p.least_roughness, p.metallic, (1 + p.metal_margin) * prior)
+        return self._with_roughness(replace(found, palette=palette), cost, albedos)
 
-    def blend(self) -> None:
+    def blended(self, found: FoundPalette) -> FoundPalette:
         """Add blends of two materials, and fit the materials to the samples that show one material alone.
 
         A material that was fitted to blends, too, is too much like its partner. The fit is repeated as long as it lowers the
         left-out residual.
         """
-        self.palette = self.palette.with_blends()
-        self.assign()
-        if not self.palette.blends:
-            return
-        left_out = self._left_out(self.palette)
+        found = self.assigned(found, found.palette.with_blends())
+        if not found.palette.blends:
+            return found
+        left_out = self._left_out(found.palette)
         for _ in range(_MOST_REFITS):
-            before = self.palette, self.label
-            if not self._fit_unblended():
-                return
-            error = self._left_out(self.palette)
+            refitted = self._fitted_unblended(found)
+            if refitted is None:
+                return found
+            error = self._left_out(refitted.palette)
             if error >= left_out:
-                self.palette, self.label = before
-                return
-            left_out = error
+                return found
+            found, left_out = refitted, error
+        return found
 
-    def _fit_unblended(self) -> bool:
-        """Fit each material to its unblended samples, in its class. False, and no change, if one has hardly any."""
-        count = len(self.palette) - self.palette.blends
-        alone = torch.where(self.label < count, self.label, -1)  # -1: in no group of the fits
+    def _fitted_unblended(self, found: FoundPalette) -> FoundPalette | None:
+        """Each material fitted to its unblended samples, in its class, with blends. None if one has hardly any."""
+        count = len(found.palette) - found.palette.blends
+        alone = torch.where(found.label < count, found.label, -1)  # -1: in no group of the fits
         if int(torch.bincount(alone + 1, minlength=count + 1)[1:].min()) < self.preset.least_share * len(alone):
-            return False
-        self.palette, self.label = self.palette.pick(list(range(count))), alone
+            return None
+        palette = found.palette.pick(list(range(count)))
         cost, albedos = self._scan(alone, count)
-        place = place_of_least(torch.stack([cost[i, :, k] for k, i in enumerate(self._classes())], 1))
-        self._set(place, torch.ones_like(self.palette.metallic, dtype=torch.bool), albedos)
-        self._find_roughness(cost, albedos)
-        self.palette = self.palette.with_blends()
-        self.assign()
-        return True
+        place = place_of_least(torch.stack([cost[i, :, k] for k, i in enumerate(self._classes(palette))], 1))
+        palette = self._at(palette, place, torch.ones_like(palette.metallic, dtype=torch.bool), albedos)
+        own = self._with_roughness(replace(found, palette=palette, label=alone), cost, albedos)
+        return self.assigned(own, own.palette.with_blends())
 
-    def _classes(self) -> list[int]:
+    def _classes(self, palette: Palette) -> list[int]:
         """For each material, the index of its metallic among the preset's values."""
-        return [self.preset.metallic.index(metallic) for metallic in self.palette.metallic.tolist()]
+        return [self.preset.metallic.index(metallic) for metallic in palette.metallic.tolist()]
 
-    def _set(self, place: Tensor, found: Tensor, albedos: Tensor) -> None:
-        """Set roughness and albedo of the materials that are `found` [K] to those at place [K] of `roughness_scan`.
+    def _at(self, palette: Palette, place: Tensor, known: Tensor, albedos: Tensor) -> Palette:
+        """The materials whose place [K] of `roughness_scan` is `known` [K], with the roughness and the albedo there.
 
-        albedos [M, R, K, 3] are those of the hypotheses.
+        albedos [M, R, K, 3] are those of the hypotheses. The other materials stay as they are.
         """
-        scan, k = roughness_scan(self.preset.least_roughness, self.device), len(self.palette)
+        scan, k = roughness_scan(self.preset.least_roughness, self.device), len(palette)
         values = [between(each, place) for each in albedos]
-        albedo = torch.stack([values[i][j] for j, i in enumerate(self._classes())])
-        self.palette = Palette(
-            torch.where(found[:, None], albedo, self.palette.albedo),
-            torch.where(found, between(scan.sqrt()[:, None].expand(-1, k), place) ** 2, self.palette.roughness),
-            self.palette.metallic,
+        albedo = torch.stack([values[i][j] for j, i in enumerate(self._classes(palette))])
+        return Palette(
+            torch.where(known[:, None], albedo, palette.albedo),
+            torch.where(known, between(scan.sqrt()[:, None].expand(-1, k), place) ** 2, palette.roughness),
+            palette.metallic,
         )
 
-    def _find_roughness(self, cost: Tensor, albedos: Tensor) -> None:
+    def _with_roughness(self, found: FoundPalette, cost: Tensor, albedos: Tensor) -> FoundPalette:
         """Find the roughness of each material by what tells it (`roughness`), and its albedo with that roughness.
 
         cost [M, R, K] and albedos [M, R, K, 3] are those of the hypotheses for all samples of each material.
         """
-        p, palette = self.preset, self.palette
+        p, palette, of = self.preset, found.palette, found.label
         dielectric = palette.metallic < 0.5
-        place, found = torch.zeros(len(palette), device=self.device), ~dielectric
+        place, known = torch.zeros(len(palette), device=self.device), ~dielectric
         if dielectric.any():
-            label = torch.where(dielectric[self.label], self.label, -1)
+            label = torch.where(dielectric[of], of, -1)
             residual, weight = residual_of_reflections(
                 self.light, self.target, self.samples.position, label, len(palette), p
             )
             place = place_of_least(share_roughness(residual, weight, p.roughness_margin))
-            found = weight > 0
-            colored = self._evidence_of_colored(dielectric)
+            known = weight > 0
+            colored = self._evidence_of_colored(found, dielectric)
             for k, own in zip(colored, places_of_colored([*colored.values()], p.hue_residual_margin), strict=True):
-                place[k], found[k] = own, True
+                place[k], known[k] = own, True
         for metal in (~dielectric).nonzero().squeeze(-1).tolist():
-            place[metal] = self._place_of_metal(metal, cost[p.metallic.index(1.0), :, metal])
-            found[metal] = True
-        self._set(place, found, albedos)
+            place[metal] = self._place_of_metal(found, metal, cost[p.metallic.index(1.0), :, metal])
+            known[metal] = True
+        return replace(found, palette=self._at(palette, place, known, albedos))
 
-    def _evidence_of_colored(self, dielectric: Tensor) -> dict[int, Evidence]:
+    def _evidence_of_colored(self, found: FoundPalette, dielectric: Tensor) -> dict[int, Evidence]:
         """What the hue of their reflections tells of the dielectrics, by their indices. `dielectric` [K] says which are."""
-        found = {}
+        told = {}
         for k in dielectric.nonzero().squeeze(-1).tolist():
-            own = (self.label == k).nonzero().squeeze(-1)
+            own = (found.label == k).nonzero().squeeze(-1)
             region, _ = self._regions(self.samples.position[own.cpu().numpy()])
-            evidence = evidence_of_colored(self.light, self.target, own, region, self.palette.albedo[k], self.preset)
+            evidence = evidence_of_colored(self.light, self.target, own, region, found.palette.albedo[k], self.preset)
             if evidence is not None:
-                found[k] = evidence
-        return found
+                told[k] = evidence
+        return told
 
-    def _place_of_metal(self, k: int, residual: Tensor) -> float:
+    def _place_of_metal(self, found: FoundPalette, k: int, residual: Tensor) -> float:
         """The place of the roughness of material k, a metal, in `roughness_scan`. residual [R] is that of its samples."""
         p, scan = self.preset, roughness_scan(self.preset.least_roughness, self.device)
-        own = (self.label == k).nonzero().squeeze(-1)
+        own = (found.label == k).nonzero().squeeze(-1)
         region, _ = self._regions(self.samples.position[own.cpu().numpy()])
         weight = weight_of_known_light(self.light)[own]
         photo = self.target[own].mean(-1)
@@ -252,7 +279,7 @@ class PaletteSearch:
 
         def log_ratio(row: int) -> float:
             roughness = scan[row].expand(len(own))
-            material = Material(self.palette.albedo[k].expand(len(own), 3), roughness, torch.ones_like(roughness))
+            material = Material(found.palette.albedo[k].expand(len(own), 3), roughness, torch.ones_like(roughness))
             shown = reflected(
                 material, self.light.moments(roughness, own), self.light.diffuse[own], self.light.cos_v[own]
             ).mean(-1)
@@ -260,26 +287,21 @@ class PaletteSearch:
 
         return place_of_metal(residual, p.spread_margin, log_ratio)
 
-    def assign(self) -> None:
-        """Give every sample the material for which its neighbors vote."""
-        if len(self.palette) == 1:
-            self.label.zero_()
-            return
-        costs = self.costs().cpu().numpy()
+    def assigned(self, found: FoundPalette, palette: Palette) -> FoundPalette:
+        """What was found, with another palette. Every sample gets the material for which its neighbors vote."""
+        if len(palette) == 1:
+            return replace(found, palette=palette, label=torch.zeros_like(found.label))
+        costs = self.costs(palette).cpu().numpy()
         with section("votes"):
-            self.label = torch.from_numpy(vote(costs, *self._around)).to(self.device)
-
-    def shares(self) -> Tensor:
-        """Share [K] of the samples that have each material."""
-        return torch.bincount(self.label, minlength=len(self.palette)) / len(self.label)
+            label = torch.from_numpy(vote(costs, *self._around)).to(self.device)
+        return replace(found, palette=palette, label=label)
 
     @profiled("residuals")
-    def costs(self, palette: Palette | None = None) -> Tensor:
-        """Weighted residuals [n, K] of every sample under each material of `palette` (None: this search's palette).
+    def costs(self, palette: Palette) -> Tensor:
+        """Weighted residuals [n, K] of every sample under each material of a palette.
 
         The residuals of blends are raised by `preset.blend_margin`: a blend must be clearly better than one material.
         """
-        palette = self.palette if palette is None else palette
         costs = torch.stack([self._error(palette, k) for k in range(len(palette))], 1)
         return costs * torch.where(palette.blended, 1 + self.preset.blend_margin, 1.0)
 
@@ -291,20 +313,20 @@ class PaletteSearch:
         """
         return weighted_mean(costs, *(values[:, first:] for values in self._around))
 
-    def residual(self) -> float:
+    def residual(self, found: FoundPalette) -> float:
         """Mean clipped tone-mapped error of all samples under their materials, weighted by `weight`."""
-        return float(self.costs().gather(1, self.label[:, None]).sum() / self.weight.sum())
+        return float(self.costs(found.palette).gather(1, found.label[:, None]).sum() / self.weight.sum())
 
-    def materials_at(self, points: SurfacePoints) -> Material:
-        """The material at each point: that of the nearest sample."""
-        return self.palette.at(labels_at(self._tree, self.places, self.label, points))
+    def materials_at(self, found: FoundPalette) -> Callable[[SurfacePoints], Material]:
+        """A function that gives the material at each point: that of the nearest sample."""
+        return lambda points: found.palette.at(labels_at(self._tree, self.places, found.label, points))
 
-    def shown(self) -> np.ndarray:
+    def shown(self, palette: Palette) -> np.ndarray:
         """The tone-mapped radiance [n, K, 3] that each sample would have with each material."""
-        return torch.stack([self._shown(k) for k in range(len(self.palette))], 1).cpu().numpy()
+        return torch.stack([self._shown(palette, k) for k in range(len(palette))], 1).cpu().numpy()
 
-    def _shown(self, k: int) -> Tensor:
-        material = self.palette.at(torch.full((len(self.samples),), k, device=self.device))
+    def _shown(self, palette: Palette, k: int) -> Tensor:
+        material = palette.at(torch.full((len(self.samples),), k, device=self.device))
         return tone_map(reflected(material, self.light.moments(material.roughness), self.light.diffuse, self.light.cos_v))
 
     def _scan(self, group: Tensor, groups: int, most_diffuse: float = 1.0) -> tuple[Tensor, Tensor]:

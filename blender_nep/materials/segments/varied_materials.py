@@ -29,7 +29,7 @@ from blender_nep.profiling import profiled
 from blender_nep.shading.plenoptic import Material, affine_in_albedo
 
 if TYPE_CHECKING:
-    from blender_nep.materials.palette.search import PaletteSearch
+    from blender_nep.materials.palette.search import FoundPalette, PaletteSearch
     from blender_nep.materials.samples.light_gathering import LitSamples
     from blender_nep.materials.samples.photo_samples import PhotoSamples
     from blender_nep.presets import MaterialPreset
@@ -136,8 +136,8 @@ def segments_of(samples: PhotoSamples, seed: int, pixels: PhotoSamples | None = 
     return Segments.of(samples.position, color, max(1, len(samples) // _SAMPLES_OF_SEGMENT), seed)
 
 
-def gain_of_segments(search: PaletteSearch, segments: Segments) -> float:
-    """Share by which the materials of segments lower the residual of the palette, on photos that were held out.
+def gain_of_segments(search: PaletteSearch, found: FoundPalette, segments: Segments) -> float:
+    """Share by which the materials of segments lower the residual of the palette `found`, on photos that were held out.
 
     The palette has seen these photos, so the gain is rather too small than too large. 0 if there are too few photos.
     """
@@ -149,7 +149,7 @@ def gain_of_segments(search: PaletteSearch, segments: Segments) -> float:
     trained = fit_segments(light, search.target, torch.where(held_out, -1, label), segments, p)
     even = torch.ones_like(search.weight)
     of_segments = error(light, search.target, even, trained.at(label), p.clip)[held_out].mean()
-    of_palette = error(light, search.target, even, search.palette.at(search.label), p.clip)[held_out].mean()
+    of_palette = error(light, search.target, even, found.palette.at(found.label), p.clip)[held_out].mean()
     return float(1 - of_segments / of_palette.clamp_min(1e-9))
 
 
