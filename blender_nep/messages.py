@@ -45,6 +45,10 @@ class Part(StrEnum):
     CAVITIES = "cavities"
     RELIEF = "relief"
     OBJECT_PIXELS = "object_pixels"
+    # evidence of stage 2: its names in `MaterialPreset.without`, too
+    SPREAD = "spread"
+    HUE = "hue"
+    THIRD_MOMENT = "third_moment"
 
 
 @dataclass(frozen=True)
@@ -129,6 +133,9 @@ PARTS: dict[str, str] = {
     Part.CAVITIES: "opening the inside",
     Part.RELIEF: "fine relief",
     Part.OBJECT_PIXELS: "finding the photos' pixels of the object",
+    Part.SPREAD: "how rough a metal is, from how much its light varies",
+    Part.HUE: "metal or not, from the hue of its reflections",
+    Part.THIRD_MOMENT: "how rough a colored paint is, from its reflections alone",
 }
 """{part: its name in sentences for people}"""
 
@@ -295,6 +302,10 @@ WORDS: dict[str, str] = {
     "reason.metal_known": "the photos have already decided it clearly",
     "reason.light_seen": "the photos show all light that matters",
     "reason.preset": "turned off by the preset",
+    "reason.class_chosen": "it was chosen whether the object is metal (--metal)",
+    "reason.no_metal": "nothing is metal",
+    "reason.all_metal": "all of the object is metal",
+    "reason.evidence_silent": "it says nothing of these materials",
     "reason.light_changes_fast": "light changes too fast between the samples of a photo",
     "reason.found_nothing": "nothing was found",
     "reason.few_pixels_beside": "too few pixels of the photos pass the object by",

@@ -262,6 +262,10 @@ class SurfacePreset:
     """Free texels of the atlas between charts. Textures of half its side, or less, have less than two texels there."""
 
 
+EVIDENCE = ("residual", "spread", "hue", "third_moment")
+"""What tells the roughness or the class of a material (`materials.evidence`)."""
+
+
 @dataclass(frozen=True)
 class MaterialPreset:
     """Settings of material learning. Residuals and costs are in tone-mapped radiance: black is 0, white is 1.
@@ -322,11 +326,13 @@ class MaterialPreset:
     are three times as many if the materials vary."""
     metallic: tuple[float, ...] = (0.0, 1.0)
     """Values of metallic that are tried."""
+    without: tuple[str, ...] = ()
+    """Names of `EVIDENCE` that does not count (ablations). The field `residual` is about the unseen light instead."""
     metal_margin: float = -0.03
     """Share by which the residual of a metal must be lower than that of a dielectric; below 0: may be higher. This prior
     decides where the photos do not. On rendered objects, the residual of the wrong class is 18 to 48 % higher."""
     hue_margin: float = 0.15
-    """Largest share by which the hue of what differs between photos changes a metal's residual (`evidence.dichromatic`)."""
+    """Largest share by which the hue of what differs between photos changes a metal's residual (`evidence.hue`)."""
     sure_margin: float = 0.15
     """Where all residuals are higher by this share in the other class, that class is not tried again. inf: never sure."""
     least_roughness: float = 0.03
@@ -354,9 +360,9 @@ class MaterialPreset:
     """Dielectrics share one roughness if that raises the residual of none of them by more than this share."""
     spread_margin: float = 0.03
     """For a metal, roughness values are possible whose residual is up to this share above the least. Among these, the spread
-    of the reflected light decides, except among lobes as sharp as a mirror (`materials.evidence.roughness`)."""
+    of the reflected light decides, except among lobes as sharp as a mirror (`materials.evidence.decision`)."""
     hue_residual_margin: float = 0.1
-    """The same for colored dielectrics, whose third moments of reflected light decide (`evidence.diffuse_free`)."""
+    """The same for colored dielectrics, whose third moments of reflected light decide (`evidence.third_moment`)."""
     blend_margin: float = 0.05
     """Share by which a mixture of two materials must be better than one material alone."""
     inner_blend_margin: float = 0.25
@@ -374,6 +380,11 @@ class MaterialPreset:
     """Largest side of the textures in texels, twice as large if the materials vary. Wide pixels on the surface lower it."""
     uniform_texels: int = 128
     """Largest side of the textures in texels if one material explains the photos."""
+
+    def __post_init__(self) -> None:
+        unknown = [name for name in self.without if name not in EVIDENCE]
+        if unknown:
+            raise ValueError(f"there is no evidence named {', '.join(unknown)}: choose among {', '.join(EVIDENCE)}")
 
 
 @dataclass(frozen=True)

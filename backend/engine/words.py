@@ -44,6 +44,9 @@ PARTS = {
     "cavities": "opening the inside",
     "relief": "fine relief",
     "object_pixels": "finding the photos' pixels of the object",
+    "spread": "how rough a metal is, from how much its light varies",
+    "hue": "metal or not, from the hue of its reflections",
+    "third_moment": "how rough a colored paint is, from its reflections alone",
 }
 """Parts of the work that the engine may leave out: the engine's name of a part -> the panel's words."""
 
@@ -199,6 +202,10 @@ MESSAGES = {
     "reason.metal_known": "the photos have already decided it clearly",
     "reason.light_seen": "the photos show all light that matters",
     "reason.preset": "the preset turns it off",
+    "reason.class_chosen": "it was chosen whether the object is metal",
+    "reason.no_metal": "nothing is metal",
+    "reason.all_metal": "all of the object is metal",
+    "reason.evidence_silent": "it says nothing of these materials",
     "reason.light_changes_fast": "light changes too fast between the samples of a photo",
     "reason.found_nothing": "nothing was found",
     "reason.few_pixels_beside": "too few pixels of the photos pass the object by",

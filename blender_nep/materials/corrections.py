@@ -21,9 +21,9 @@ from torch import Tensor
 from blender_nep.color import linear_to_srgb
 from blender_nep.geometry.mesh import Surface
 from blender_nep.materials.baking import LabeledPoints, bake
-from blender_nep.materials.fitting import fit_groups, place_in_scan, roughness_at
+from blender_nep.materials.fitting import between, fit_groups, place_in_scan, place_of_least, roughness_at
 from blender_nep.materials.labels.blending import BlendedPoints
-from blender_nep.materials.palette.palette import Palette, between, place_of_least
+from blender_nep.materials.palette.palette import Palette
 from blender_nep.materials.segments.segments import Segments
 from blender_nep.materials.segments.varied_materials import PlacedPixels, VariedMaterials, fit_segments, varied_points
 from blender_nep.materials.shown_faces import ShownParts

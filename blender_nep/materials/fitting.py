@@ -41,6 +41,39 @@ def roughness_at(place: Tensor, least: float) -> Tensor:
     return (least**0.5 + (1 - least**0.5) * place / (_ROUGHNESS - 1)) ** 2
 
 
+def place_of_least(values: Tensor) -> Tensor:
+    """Where each column of values [R, K] is least: a place [K] in 0..R-1, refined by a parabola through three rows."""
+    j, each = values.argmin(0), torch.arange(values.shape[1], device=values.device)
+    inner = j.clamp(1, len(values) - 2)
+    left, middle, right = (values[inner + k, each] for k in (-1, 0, 1))
+    curve = left - 2 * middle + right
+    shift = torch.where((curve > 1e-9) & (j == inner), 0.5 * (left - right) / curve.clamp_min(1e-9), 0.0)
+    return j + shift.clamp(-0.5, 0.5)
+
+
+def between(values: Tensor, place: Tensor) -> Tensor:
+    """The values [R, K, ...] at a place [K] in 0..R-1 of each column, linear between the rows: [K, ...]."""
+    low = place.long().clamp(0, len(values) - 2)
+    each = torch.arange(len(place), device=place.device)
+    share = (place - low).reshape(-1, *[1] * (values.ndim - 2)).to(values.dtype)
+    return torch.lerp(values[low, each], values[low + 1, each], share)
+
+
+def weight_of_known_light(light: LightMoments) -> Tensor:
+    """Weight [n] of the samples: 0.05 + the share of a sample's reflected light that the photos show.
+
+    The narrower half of the roughness levels counts: wide lobes see much that no photo shows, and tell little.
+    """
+    return 0.05 + light.coverage[:, : light.coverage.shape[1] // 2].mean(1)
+
+
+def regions(position: np.ndarray, width: float) -> tuple[np.ndarray, np.ndarray]:
+    """The region [n] int64 of each position [n, 3], a cube of this width, and the number of positions in each region."""
+    voxel = np.floor(position / width).astype(np.int64)
+    _, inverse, count = np.unique(voxel, axis=0, return_inverse=True, return_counts=True)
+    return inverse.ravel(), count
+
+
 @profiled("fits")
 def fit_groups(
     light: LightMoments,

@@ -29,6 +29,7 @@ from blender_nep.materials.corrections import (
     KeptMaterials,
     groups_of_segments,
 )
+from blender_nep.materials.evidence.residual import Residual
 from blender_nep.materials.labels.blending import BlendedPoints
 from blender_nep.materials.labels.labeled_points import (
     error_of_neighbors,
@@ -152,9 +153,8 @@ class _MaterialLearner:
         """Learn the palette, label the points of the surface, and bake the textures. Raises LearningError and Stopped."""
         single = self._learn_palette()
         seen, shares = self.seen, self.found.shares().tolist()
-        by_hue = self.search.metal_by_hue(self.found).tolist()
         self.found = self.search.blended(self.found)
-        self._finish_report(single, shares, by_hue)
+        self._finish_report(single, shares)
         varied = self._varied_materials()
         self.progress.phase_ended("materials")
         uniform = len(self.found.palette) == 1 and varied is None
@@ -282,7 +282,7 @@ class _MaterialLearner:
         With them come the samples to which they were fitted. The unseen light gets another brightness.
         """
         p = self.preset
-        if math.isinf(p.varied_gain):
+        if math.isinf(p.varied_gain) or Residual.name in p.without:  # nothing else tells the materials of segments
             self._skip(Part.VARIED_MATERIALS, Message("reason.preset"))
             return None
         segments = segments_of(self.seen.samples, self.seed)
@@ -307,8 +307,10 @@ class _MaterialLearner:
             self.report.unseen_light_gain = round(gain, 3)
             self.search = self.search.under(self.light.with_unseen(self.light.unseen.scaled(gain)))
             lit = lit.with_unseen(gain)
-        self.report.samples, self.report.segments = len(lit.samples), len(segments)
-        return VariedMaterials(segments, fit_segments(lit.light, lit.samples.radiance, label, segments, p)), lit
+        self.report.samples = len(lit.samples)
+        palette = fit_segments(lit.light, lit.samples.radiance, label, segments, p)
+        self.report.tell_segments(palette)
+        return VariedMaterials(segments, palette), lit
 
     @cached_property
     def _label_pixels(self) -> PhotoSamples:
@@ -350,11 +352,12 @@ class _MaterialLearner:
         palette = found.palette.pick(list(range(count)))
         return CorrectablePalette(LightMoments(**self.light.moments_state()), self.search.target, label, palette, points)
 
-    def _finish_report(self, single: float, shares: list[float], by_hue: list[float]) -> None:
-        """Report what was learned; shares [K] and by_hue [K] are of the palette's materials before they were blended."""
+    def _finish_report(self, single: float, shares: list[float]) -> None:
+        """Report what was learned; shares [K] are those of the palette's materials before they were blended."""
         report, palette = self.report, self.found.palette
         report.merged_shades = self.found.merged
-        report.tell_materials(palette.pick(list(range(len(shares)))), shares, by_hue)
+        report.tell_materials(palette.pick(list(range(len(shares)))), shares)
+        report.evidence = self.found.account.report()
         report.residual_one_material, report.residual = round(single, 5), round(self._residual(), 5)
         report.cones_traced = self.light.traced.rays
         report.self_reflection_rays = hits = len(self.light.traced.hit_index)

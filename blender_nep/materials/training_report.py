@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, field, fields
 from typing import TYPE_CHECKING, Any
 
+import torch
+
 if TYPE_CHECKING:
     from blender_nep.materials.palette.palette import Palette
 
@@ -31,7 +33,9 @@ class MaterialReport:
     merged_shades: int = 0
     """Number of materials that were merged into another material of their hue"""
     materials: list[dict[str, Any]] = field(default_factory=list)
-    """For each material: share of the samples, albedo, roughness, metallic, and what its hues say (`dichromatic`)"""
+    """For each material: share of the samples, albedo, roughness, metallic"""
+    evidence: dict[str, dict[str, Any]] = field(default_factory=dict)
+    """{name of an evidence: what it decided (`acted`), or the message `skipped`} (`Account.report`)"""
     residual_one_material: float | None = None
     """Mean tone-mapped error with one material for all samples"""
     residual: float | None = None
@@ -54,20 +58,26 @@ class MaterialReport:
     seconds_saved: dict[str, float] = field(default_factory=dict)
     """{part that was left out: seconds that this saved, estimated}"""
 
-    def tell_materials(self, palette: Palette, shares: list[float], by_hue: list[float]) -> None:
-        """Fill `materials` from the palette; shares [K] are the shares of the samples, by_hue [K] are in -1..1."""
+    def tell_materials(self, palette: Palette, shares: list[float]) -> None:
+        """Fill `materials` from the palette; shares [K] are the shares of the samples."""
         self.materials = [
             {
                 "share": round(share, 4),
                 "albedo": [round(x, 4) for x in albedo],
                 "roughness": round(roughness, 4),
                 "metallic": metallic,
-                "metal_by_hue": round(said, 3),
             }
-            for share, albedo, roughness, metallic, said in zip(
-                shares, palette.albedo.tolist(), palette.roughness.tolist(), palette.metallic.tolist(), by_hue, strict=True
+            for share, albedo, roughness, metallic in zip(
+                shares, palette.albedo.tolist(), palette.roughness.tolist(), palette.metallic.tolist(), strict=True
             )
         ]
+
+    def tell_segments(self, palette: Palette) -> None:
+        """Report the materials of segments: how many there are, and what the residual has decided of them."""
+        self.segments = len(palette)
+        spread = palette.roughness.quantile(torch.tensor([0.1, 0.5, 0.9], device=palette.roughness.device)).tolist()
+        decided = {"metal": round(float(palette.metallic.mean()), 3), "roughness": [round(value, 4) for value in spread]}
+        self.evidence = self.evidence | {"residual": self.evidence.get("residual", {}) | {"segments": decided}}
 
     def as_dict(self) -> dict[str, Any]:
         """The report as plain values, for report.json."""

@@ -10,6 +10,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from blender_nep.materials.evidence.decision import factors_of_change
 from blender_nep.materials.palette.palette import Palette
 from blender_nep.optimizers import Adam
 from blender_nep.presets import MaterialPreset
@@ -73,7 +74,7 @@ def learn_unseen_light(
             other = palette.with_one(k, swapped)
             fit = solve(other, preset.unseen_steps, start)
             change = float(other.metallic[k] - palette.metallic[k])
-            prior, by_hue = 1 + preset.metal_margin * change, 1 - preset.hue_margin * float(metal_by_hue[k]) * change
+            prior, by_hue = factors_of_change(change, float(metal_by_hue[k]), preset)
             if by_hue * prior * fit.error < best.error:
                 best, fit, palette, by_hue = fit, best, other, 1 / by_hue  # by_hue is for `fit`, which is now the other
             margins.append(by_hue * fit.error / best.error - 1)

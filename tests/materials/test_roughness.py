@@ -7,16 +7,11 @@ import numpy as np
 import pytest
 import torch
 
-from blender_nep.materials.evidence.roughness import (
-    place_by_both,
-    place_of_metal,
-    place_where_equal,
-    residual_of_reflections,
-    share_roughness,
-    spread,
-)
-from blender_nep.materials.fitting import fit_groups, roughness_scan
-from blender_nep.materials.palette.palette import Palette, between, place_of_least
+from blender_nep.materials.evidence.decision import place_by_both, place_of_metal, place_where_equal, share_roughness
+from blender_nep.materials.evidence.residual import residual_of_reflections
+from blender_nep.materials.evidence.spread import spread
+from blender_nep.materials.fitting import between, fit_groups, place_of_least, roughness_scan
+from blender_nep.materials.palette.palette import Palette
 from blender_nep.presets import MaterialPreset
 from blender_nep.shading.light_moments import LightMoments
 from blender_nep.shading.plenoptic import Material, reflected

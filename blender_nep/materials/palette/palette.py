@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from blender_nep.materials.fitting import roughness_scan
+from blender_nep.materials.fitting import between, place_of_least, roughness_scan
 from blender_nep.shading.light_moments import LightMoments
 from blender_nep.shading.plenoptic import Material, reflected
 from blender_nep.tone_mapping import tone_map
@@ -98,16 +98,22 @@ def error(light: LightMoments, target: Tensor, weight: Tensor, material: Materia
 
 
 def best_of(
-    cost: Tensor, albedo: Tensor, least_roughness: float, hypotheses: tuple[float, ...], metal_factor: float | Tensor
+    cost: Tensor, albedo: Tensor, least_roughness: float, hypotheses: tuple[float, ...], metal_factor: float
 ) -> Palette:
     """The best hypothesis of each group, from cost [M, R, groups] and albedo [M, R, groups, 3] of `fit_groups`.
 
-    The roughness is refined to a fraction of a step (`place_of_least`). The residual of a metal is multiplied by
-    metal_factor, a number or [groups].
+    The residual of a metal is multiplied by metal_factor.
+    """
+    prior = 1 + torch.tensor(hypotheses, device=cost.device)[:, None] * (metal_factor - 1)
+    return of_classes((cost.amin(1) * prior).argmin(0), cost, albedo, least_roughness, hypotheses)
+
+
+def of_classes(i: Tensor, cost: Tensor, albedo: Tensor, least_roughness: float, hypotheses: tuple[float, ...]) -> Palette:
+    """The best hypothesis of each group among those with its metallic value, whose index is i [groups].
+
+    The roughness is refined to a fraction of a step (`place_of_least`).
     """
     scan = roughness_scan(least_roughness, cost.device)
-    prior = 1 + torch.tensor(hypotheses, device=cost.device)[:, None] * (metal_factor - 1)
-    i = (cost.amin(1) * prior).argmin(0)
     each = torch.arange(cost.shape[2], device=cost.device)
     place = place_of_least(cost[i, :, each].T)
     return Palette(
@@ -115,24 +121,6 @@ def best_of(
         between(scan.sqrt()[:, None].expand(-1, len(each)), place) ** 2,
         torch.tensor(hypotheses, device=cost.device)[i],
     )
-
-
-def place_of_least(values: Tensor) -> Tensor:
-    """Where each column of values [R, K] is least: a place [K] in 0..R-1, refined by a parabola through three rows."""
-    j, each = values.argmin(0), torch.arange(values.shape[1], device=values.device)
-    inner = j.clamp(1, len(values) - 2)
-    left, middle, right = (values[inner + k, each] for k in (-1, 0, 1))
-    curve = left - 2 * middle + right
-    shift = torch.where((curve > 1e-9) & (j == inner), 0.5 * (left - right) / curve.clamp_min(1e-9), 0.0)
-    return j + shift.clamp(-0.5, 0.5)
-
-
-def between(values: Tensor, place: Tensor) -> Tensor:
-    """The values [R, K, ...] at a place [K] in 0..R-1 of each column, linear between the rows: [K, ...]."""
-    low = place.long().clamp(0, len(values) - 2)
-    each = torch.arange(len(place), device=place.device)
-    share = (place - low).reshape(-1, *[1] * (values.ndim - 2)).to(values.dtype)
-    return torch.lerp(values[low, each], values[low + 1, each], share)
 
 
 def choose(cost: Tensor, size: Tensor, most: int, gain: float) -> list[int]:

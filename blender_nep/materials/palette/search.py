@@ -7,9 +7,8 @@ merged into one material. A material that blends of others explain as well is dr
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -18,17 +17,18 @@ from scipy.spatial import cKDTree
 from torch import Tensor
 
 from blender_nep.materials.baking import NEIGHBORS, Places, labels_at, neighbors, on_same_side, vote, weighted_mean
-from blender_nep.materials.evidence.dichromatic import evidence_of_metal, places
-from blender_nep.materials.evidence.diffuse_free import Evidence, evidence_of_colored, places_of_colored
-from blender_nep.materials.evidence.roughness import (
-    place_of_metal,
-    residual_of_reflections,
-    share_roughness,
-    spread,
+from blender_nep.materials.evidence.decision import Account, decide_metallic, decide_roughness
+from blender_nep.materials.evidence.hue import Hue, evidence_of_metal, places
+from blender_nep.materials.evidence.protocol import FittedMaterials
+from blender_nep.materials.fitting import (
+    between,
+    fit_groups,
+    place_of_least,
+    regions,
+    roughness_scan,
     weight_of_known_light,
 )
-from blender_nep.materials.fitting import fit_groups, roughness_scan
-from blender_nep.materials.palette.palette import Palette, best_of, between, choose, error, place_of_least, same_material
+from blender_nep.materials.palette.palette import Palette, best_of, choose, error, of_classes, same_material
 from blender_nep.profiling import profiled, section
 from blender_nep.shading.plenoptic import Material, SurfacePoints, reflected
 from blender_nep.tone_mapping import tone_map
@@ -40,8 +40,6 @@ if TYPE_CHECKING:
 
 _MOST_REFITS = 4
 """Largest number of fits to the samples that show one material alone."""
-_LEAST_SPREAD = 1e-6
-"""Smallest spread of the log radiance. It stands for 0, where no region has enough samples."""
 _SHADES = 2.5
 """Largest albedo of a dielectric until shades of one hue are merged. It is above 1, because F_e may be too dark."""
 
@@ -55,6 +53,8 @@ class FoundPalette:
     """[n] int64: each sample's index into the palette"""
     merged: int = 0
     """Number of materials that the last merge has removed"""
+    account: Account = field(default_factory=Account)
+    """What told the class and the roughness of the materials. It is empty as long as they were fitted alone"""
 
     def shares(self) -> Tensor:
         """Share [K] of the samples that have each material."""
@@ -77,7 +77,7 @@ class PaletteSearch:
     _around: tuple[np.ndarray, np.ndarray]
     """Distances and indices of the neighbors of each sample"""
     _place: np.ndarray
-    """[n] the place of each sample, as `evidence.dichromatic` has it"""
+    """[n] the place of each sample, as `evidence.hue` has it"""
 
     @classmethod
     def of(cls, samples: PhotoSamples, light: IncomingLight, preset: MaterialPreset, device: torch.device) -> PaletteSearch:
@@ -118,8 +118,11 @@ class PaletteSearch:
     def metal_by_hue(self, found: FoundPalette) -> Tensor:
         """What the hues of each material's samples say: from -1 (dielectric) to 1 (metal), [K].
 
-        It is right only once the palette is: where samples of a metal are among those of a dielectric, these say metal.
+        It is right only once the palette is: where samples of a metal are among those of a dielectric, these say metal. 0 if
+        the hue is left out.
         """
+        if Hue.name in self.preset.without:
+            return torch.zeros_like(found.palette.metallic)
         return evidence_of_metal(self.light, self.target, self._place, found.label, len(found.palette))
 
     def grown(self, found: FoundPalette, after_choice: Callable[[], None]) -> FoundPalette:
@@ -130,8 +133,8 @@ class PaletteSearch:
         p = self.preset
         if p.most_materials == 1:
             return found
-        group, count = self._regions(self.samples.position)
-        groups = len(count)
+        region, count = regions(self.samples.position, p.region)
+        group, groups = torch.from_numpy(region).to(self.device), len(count)
         regional = self._fit(group, groups, _SHADES)
         size = self._by_group(self.weight, group, groups)
         large = np.flatnonzero(count >= max(20, np.median(count) / 2))
@@ -160,16 +163,18 @@ class PaletteSearch:
             return found
         gain = self.preset.gain if count == 2 else self.preset.blended_gain
         for k in found.shares().argsort().tolist():
-            others = found.palette.pick([j for j in range(count) if j != k])
+            kept = [j for j in range(count) if j != k]
+            others = found.palette.pick(kept)
             with_it, without = (self._left_out(palette.with_blends()) for palette in (found.palette, others))
             if without <= (1 + gain) * with_it:
-                return self.without_superfluous(self.assigned(found, others))
+                fewer = replace(found, account=found.account.pick(kept))
+                return self.without_superfluous(self.assigned(fewer, others))
         return found
 
     def with_shades_merged(self, found: FoundPalette, by_hue: bool = False) -> FoundPalette:
         """Merge materials of one hue: a difference in brightness alone more likely comes from F_e than from the object.
 
-        Then each material is fitted again. With `by_hue`, what its hues say counts for its class (`metal_by_hue`).
+        Then each material is fitted again. With `by_hue`, what its hues say counts for its class (`evidence.hue`).
         """
         p = self.preset
         into = same_material(found.palette, found.shares(), p.merge_hue, p.merge_roughness)
@@ -178,9 +183,9 @@ class PaletteSearch:
             label = torch.tensor([kept.index(k) for k in into], device=self.device)[found.label]
             found = FoundPalette(found.palette.pick(kept), label, len(found.palette) - len(kept))
         cost, albedos = self._scan(found.label, len(kept))
-        prior = 1 - p.hue_margin * self.metal_by_hue(found) if by_hue else 1.0
-        palette = best_of(cost, albedos, p.least_roughness, p.metallic, (1 + p.metal_margin) * prior)
-        return self._with_roughness(replace(found, palette=palette), cost, albedos)
+        chosen, account = decide_metallic(self._fitted(found, cost), () if by_hue else (Hue.name,))
+        palette = of_classes(chosen, cost, albedos, p.least_roughness, p.metallic)
+        return self._decided(replace(found, palette=palette, account=account), cost, albedos)
 
     def blended(self, found: FoundPalette) -> FoundPalette:
         """Add blends of two materials, and fit the materials to the samples that show one material alone.
@@ -212,7 +217,7 @@ class PaletteSearch:
         cost, albedos = self._scan(alone, count)
         place = place_of_least(torch.stack([cost[i, :, k] for k, i in enumerate(self._classes(palette))], 1))
         palette = self._at(palette, place, torch.ones_like(palette.metallic, dtype=torch.bool), albedos)
-        own = self._with_roughness(replace(found, palette=palette, label=alone), cost, albedos)
+        own = self._decided(replace(found, palette=palette, label=alone), cost, albedos)
         return self.assigned(own, own.palette.with_blends())
 
     def _classes(self, palette: Palette) -> list[int]:
@@ -233,59 +238,21 @@ class PaletteSearch:
             palette.metallic,
         )
 
-    def _with_roughness(self, found: FoundPalette, cost: Tensor, albedos: Tensor) -> FoundPalette:
-        """Find the roughness of each material by what tells it (`roughness`), and its albedo with that roughness.
+    def _decided(self, found: FoundPalette, cost: Tensor, albedos: Tensor) -> FoundPalette:
+        """The roughness of each material by what tells it (`evidence`), and its albedo with that roughness.
 
         cost [M, R, K] and albedos [M, R, K, 3] are those of the hypotheses for all samples of each material.
         """
-        p, palette, of = self.preset, found.palette, found.label
-        dielectric = palette.metallic < 0.5
-        place, known = torch.zeros(len(palette), device=self.device), ~dielectric
-        if dielectric.any():
-            label = torch.where(dielectric[of], of, -1)
-            residual, weight = residual_of_reflections(
-                self.light, self.target, self.samples.position, label, len(palette), p
-            )
-            place = place_of_least(share_roughness(residual, weight, p.roughness_margin))
-            known = weight > 0
-            colored = self._evidence_of_colored(found, dielectric)
-            for k, own in zip(colored, places_of_colored([*colored.values()], p.hue_residual_margin), strict=True):
-                place[k], known[k] = own, True
-        for metal in (~dielectric).nonzero().squeeze(-1).tolist():
-            place[metal] = self._place_of_metal(found, metal, cost[p.metallic.index(1.0), :, metal])
-            known[metal] = True
-        return replace(found, palette=self._at(palette, place, known, albedos))
+        place, known, account = decide_roughness(self._fitted(found, cost))
+        palette = self._at(found.palette, place, known, albedos)
+        return replace(found, palette=palette, account=found.account.and_then(account))
 
-    def _evidence_of_colored(self, found: FoundPalette, dielectric: Tensor) -> dict[int, Evidence]:
-        """What the hue of their reflections tells of the dielectrics, by their indices. `dielectric` [K] says which are."""
-        told = {}
-        for k in dielectric.nonzero().squeeze(-1).tolist():
-            own = (found.label == k).nonzero().squeeze(-1)
-            region, _ = self._regions(self.samples.position[own.cpu().numpy()])
-            evidence = evidence_of_colored(self.light, self.target, own, region, found.palette.albedo[k], self.preset)
-            if evidence is not None:
-                told[k] = evidence
-        return told
-
-    def _place_of_metal(self, found: FoundPalette, k: int, residual: Tensor) -> float:
-        """The place of the roughness of material k, a metal, in `roughness_scan`. residual [R] is that of its samples."""
-        p, scan = self.preset, roughness_scan(self.preset.least_roughness, self.device)
-        own = (found.label == k).nonzero().squeeze(-1)
-        region, _ = self._regions(self.samples.position[own.cpu().numpy()])
-        weight = weight_of_known_light(self.light)[own]
-        photo = self.target[own].mean(-1)
-        darkest = 0.1 * photo.median().clamp_min(1e-6)  # what is darker says more about noise than about the light
-        of_photo = max(spread(photo + darkest, weight, region), _LEAST_SPREAD)
-
-        def log_ratio(row: int) -> float:
-            roughness = scan[row].expand(len(own))
-            material = Material(found.palette.albedo[k].expand(len(own), 3), roughness, torch.ones_like(roughness))
-            shown = reflected(
-                material, self.light.moments(roughness, own), self.light.diffuse[own], self.light.cos_v[own]
-            ).mean(-1)
-            return math.log(max(spread(shown + darkest, weight, region), _LEAST_SPREAD) / of_photo)
-
-        return place_of_metal(residual, p.spread_margin, log_ratio)
+    def _fitted(self, found: FoundPalette, cost: Tensor) -> FittedMaterials:
+        """What is known of the materials, for the evidence. cost [M, R, K] is that of the hypotheses."""
+        light, position, palette = self.light, self.samples.position, found.palette
+        return FittedMaterials(
+            light, self.target, position, self._place, found.label, palette.albedo, palette.metallic, cost, self.preset
+        )
 
     def assigned(self, found: FoundPalette, palette: Palette) -> FoundPalette:
         """What was found, with another palette. Every sample gets the material for which its neighbors vote."""
@@ -359,12 +326,6 @@ class PaletteSearch:
         costs = self.costs(palette).cpu().numpy()
         label = self.smoothed(costs, first=1).argmin(1)
         return float(costs[np.arange(len(label)), label].mean())
-
-    def _regions(self, position: np.ndarray) -> tuple[Tensor, np.ndarray]:
-        """The region [n] int64 of each position [n, 3], and the number of positions in each region."""
-        voxel = np.floor(position / self.preset.region).astype(np.int64)
-        _, inverse, count = np.unique(voxel, axis=0, return_inverse=True, return_counts=True)
-        return torch.from_numpy(inverse.ravel()).to(self.device), count
 
     def _by_group(self, values: Tensor, group: Tensor, groups: int) -> Tensor:
         return torch.zeros(groups, device=self.device).index_add_(0, group, values)

@@ -19,10 +19,18 @@ from scipy.spatial import cKDTree
 from torch import Tensor
 
 from blender_nep.materials.baking import LabeledPoints, Places, kernel, neighbors, on_same_side
-from blender_nep.materials.evidence.roughness import weight_of_known_light
-from blender_nep.materials.fitting import fit_groups, place_in_scan, roughness_scan
+from blender_nep.materials.evidence.decision import decide_segments
+from blender_nep.materials.evidence.residual import NEAR_SEGMENTS, SegmentResidual
+from blender_nep.materials.fitting import (
+    between,
+    fit_groups,
+    place_in_scan,
+    place_of_least,
+    roughness_scan,
+    weight_of_known_light,
+)
 from blender_nep.materials.labels.pixel_votes import Surfels, nearest_samples
-from blender_nep.materials.palette.palette import Palette, between, error, place_of_least
+from blender_nep.materials.palette.palette import Palette, error
 from blender_nep.materials.segments.segments import Segments, features, median_color
 from blender_nep.ops.materials.local_albedo import fit_local_albedos
 from blender_nep.profiling import profiled
@@ -41,19 +49,12 @@ _FEW_PIXELS = 8
 """Samples around a sample whose median is its color. Samples lie far apart, so more would be of other paint."""
 _MANY_PIXELS = 12
 """Label pixels around a point whose median is its color. More would give thin outlines the color of their surroundings."""
-_ROUGHNESS_SEGMENTS, _ROUGHNESS_REACH = 48, 3.3
-"""Number of the near segments whose residuals tell the roughness, and the distance at which their weight falls to 1/e."""
-_CLASS_SEGMENTS, _CLASS_REACH = 12, 1.5
-"""The same for the class: metal or dielectric."""
-_LEAST_RESIDUAL = 1e-3
-"""It is added to residuals before a logarithm is taken, so that samples without any error do not decide all."""
 _BLEND_SEGMENTS, _BLEND_REACH = 8, 1.5
-"""The same for the roughness between the centers of segments."""
+"""Number of the near segments that share their roughness between their centers, and the distance at which their weight falls
+to 1/e."""
 _VOTERS, _VOTE_REACH = 33, 3.0
 """Number of the label pixels nearest to a label pixel, itself among them, whose majority is its class, and the largest
 distance of the farthest one, in pixels of a photo. Farther ones would outvote thin outlines."""
-_OTHER_CLASS = 1e-3
-"""Weight of segments of the other class when the roughness is chosen. It is not 0, for a segment may be alone."""
 _HELD_OUT = 4
 """One photo of this many is held out while the gain is measured."""
 _UNSEEN_GAINS = (0.6, 0.75, 0.9, 1.05, 1.2)
@@ -168,13 +169,8 @@ def fit_segments(
     metallic [K] are the classes, if they are known. Else the photos decide between those of the preset. roughness [K] are
     values that are given; NaN, and None for all of them, where the photos decide.
 
-    Residuals are averaged over near segments. The class has the least mean logarithm of the residuals, each at the
-    segment's own best roughness: a roughness that suits its neighbors may hide what it is. The mean logarithm is the
-    likelihood of errors with a Laplace distribution whose scale differs from segment to segment.
-
-    For the roughness, the mean over the whole object is added with the weight `preset.segment_prior`: it decides where the
-    photos of a place hardly tell the roughness. Segments whose samples do not count get the roughness and the class of their
-    neighbors, and no sensible albedo.
+    The residuals of near segments decide (`SegmentResidual`). Segments whose samples do not count get the roughness and the
+    class of their neighbors, and no sensible albedo.
     """
     p, count = preset, len(segments)
     classes = p.metallic if metallic is None else (0.0, 1.0)
@@ -191,23 +187,10 @@ def fit_segments(
     )
     mass = torch.bincount(label.clamp_min(0), weight * (label >= 0), minlength=count).cpu().numpy()
     scan, cost = roughness_scan(p.least_roughness, light.cos_v.device), residual.cpu().numpy()
-    distance, index = segments.near(segments.center, _ROUGHNESS_SEGMENTS)
-    if metallic is None:
-        close = mass[index] * np.exp(-((distance / _CLASS_REACH) ** 2)) * (np.arange(index.shape[1]) < _CLASS_SEGMENTS)
-        margin = np.array([1 + p.segment_metal_margin * m for m in classes])
-        log_residual = np.log(margin[:, None] * (cost.min(1) + _LEAST_RESIDUAL))
-        chosen = _averaged(log_residual, close, index).argmin(0)
-    else:
-        chosen = (metallic > 0.5).long().cpu().numpy()
-    # the roughness, from segments of the same class
-    near = mass[index] * np.exp(-((distance / _ROUGHNESS_REACH) ** 2))
-    same = near * np.where(chosen[index] == chosen[:, None], 1, _OTHER_CLASS)
-    each = np.arange(count)
-    curve = _averaged(cost, same, index)[chosen, :, each]
-    for k in np.unique(chosen):
-        members = np.flatnonzero(chosen == k)
-        curve[members] += p.segment_prior * _averaged(cost[k], mass[members], members)
-    place = place_of_least(torch.from_numpy(curve.T).to(residual))
+    near = segments.near(segments.center, NEAR_SEGMENTS)
+    known = None if metallic is None else (metallic > 0.5).long().cpu().numpy()
+    chosen, place = decide_segments(SegmentResidual(cost, mass, *near), p, classes, known)
+    each, place = np.arange(count), place.to(residual)
     found = between(scan.sqrt()[:, None].expand(-1, count), place) ** 2
     if roughness is not None:
         place = torch.where(roughness.isnan(), place, place_in_scan(roughness, p.least_roughness))
@@ -217,11 +200,6 @@ def fit_segments(
         found,
         torch.tensor(classes, device=residual.device)[torch.from_numpy(chosen)],
     )
-
-
-def _averaged(values: np.ndarray, weight: np.ndarray, index: np.ndarray) -> np.ndarray:
-    """Weighted means of values [..., K] over the segments index [..., near], with weight [..., near]."""
-    return (values[..., index] * weight).sum(-1) / np.maximum(weight.sum(-1), 1e-9)
 
 
 @profiled("varied materials")

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from blender_nep.materials.evidence.dichromatic import evidence_of_metal, places
+from blender_nep.materials.evidence.hue import evidence_of_metal, places
 from blender_nep.shading.light_moments import LightMoments
 from blender_nep.shading.plenoptic import Material, reflected
 

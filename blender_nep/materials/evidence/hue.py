@@ -14,6 +14,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from blender_nep.materials.evidence.protocol import Evidence, FittedMaterials, OfMetallic
+from blender_nep.messages import Message, Part
 from blender_nep.profiling import profiled
 
 if TYPE_CHECKING:
@@ -35,6 +37,21 @@ _UNCLEAR, they may come from a wrong shape. Then they have the hue of the object
 Measured: 0.1 to 0.25 for dull paints, 0.5 to 0.9 for metals of roughness up to 0.3, 0.65 for embossed gold."""
 _HUE_NOISE = 0.15
 """Standard deviation of the error of a hue, in log radiance. White metals and white paints differ by less than this."""
+
+
+class Hue(Evidence):
+    """The hue of what differs between the photos."""
+
+    name = Part.HUE
+
+    def skipped(self, fitted: FittedMaterials) -> Message | None:
+        return Message("reason.class_chosen") if len(fitted.preset.metallic) == 1 else None
+
+    def of_metallic(self, fitted: FittedMaterials) -> OfMetallic:
+        said = evidence_of_metal(fitted.light, fitted.target, fitted.place, fitted.label, len(fitted))
+        metallic = torch.tensor(fitted.preset.metallic, device=said.device)[:, None]
+        told = {k: {"metal": round(value, 3)} for k, value in enumerate(said.tolist()) if value}
+        return OfMetallic(1 - fitted.preset.hue_margin * said * metallic, told)
 
 
 def places(position: np.ndarray, normal: np.ndarray) -> np.ndarray:

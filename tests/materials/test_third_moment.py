@@ -6,13 +6,8 @@ import numpy as np
 import pytest
 import torch
 
-from blender_nep.materials.evidence.diffuse_free import (
-    _LEAST_MOMENT,
-    Evidence,
-    _DiffuseFree,
-    evidence_of_colored,
-    places_of_colored,
-)
+from blender_nep.materials.evidence.decision import places_of_colored
+from blender_nep.materials.evidence.third_moment import _LEAST_MOMENT, _DiffuseFree, evidence_of_colored
 from blender_nep.materials.fitting import place_in_scan, roughness_at, roughness_scan
 from blender_nep.presets import MaterialPreset
 from blender_nep.shading.light_moments import LightMoments
@@ -23,6 +18,8 @@ LEVELS = torch.tensor(PRESET.roughness_levels)
 N, DIRECTIONS = 6000, 720
 RED = torch.tensor([0.6, 0.2, 0.1])
 ALL = torch.arange(N)
+Told = tuple[torch.Tensor, list[float]]
+"""The residual [R] of a paint, and the logs [R] of the ratios of its third moments"""
 
 
 def lamps() -> torch.Tensor:
@@ -65,7 +62,7 @@ def evidence(
     paint: torch.Tensor | None = None,
     wrong_by: float = 1.0,
     preset: MaterialPreset = PRESET,
-) -> Evidence | None:
+) -> Told | None:
     """What tells the roughness if normals are wrong by `wrong_by` degrees, and the irradiance by 25 %.
 
     `paint` [N, 3] is the true albedo, if it is not the one that is known.
@@ -77,10 +74,11 @@ def evidence(
     material = Material((albedo if paint is None else paint).expand(N, 3), roughness * one, 0 * one)
     photos = reflected(material, real.moments(material.roughness), real.diffuse, real.cos_v)
     region = torch.randint(64, (N,), generator=generator)
-    return evidence_of_colored(light(wrong, one), photos, samples, region[samples], albedo, preset)
+    told = evidence_of_colored(light(wrong, one), photos, samples, region[samples], albedo, preset)
+    return None if told is None else (told.cost, [told.log_ratio(row) for row in range(len(told.cost))])
 
 
-def roughness_of(evidence: list[Evidence], margin: float = PRESET.hue_residual_margin) -> list[float]:
+def roughness_of(evidence: list[Told], margin: float = PRESET.hue_residual_margin) -> list[float]:
     return roughness_at(torch.tensor(places_of_colored(evidence, margin)), PRESET.least_roughness).tolist()
 
 
@@ -97,7 +95,7 @@ def test_the_third_moment_takes_back_the_blur_that_misplaced_reflections_favor()
 
 def test_the_range_of_the_residual_is_wider_where_reflections_explain_much(monkeypatch):
     assert found(0.3, wrong_by=8.0) == pytest.approx(0.3, abs=0.01)
-    monkeypatch.setattr("blender_nep.materials.evidence.diffuse_free._WELL_EXPLAINED", np.inf)
+    monkeypatch.setattr("blender_nep.materials.evidence.third_moment._WELL_EXPLAINED", np.inf)
     assert found(0.3, wrong_by=8.0) > 0.32
 
 
@@ -106,11 +104,11 @@ def test_the_range_of_the_residual_is_wider_where_reflections_explain_much(monke
 )
 def test_the_third_moment_is_that_of_the_photos_wherever_the_reflections_are(roughness, wrong_by):
     place = float(place_in_scan(torch.tensor(roughness), PRESET.least_roughness))
-    moment = evidence(roughness, wrong_by=wrong_by).moment
+    _, moment = evidence(roughness, wrong_by=wrong_by)
     assert np.interp(place, range(len(moment)), moment) == pytest.approx(0, abs=0.03)
 
 
-def told(third_moment: float, least_residual_at: float) -> Evidence:
+def told(third_moment: float, least_residual_at: float) -> Told:
     """A paint whose third moment is that of the photos at one roughness, and whose residual is least at another.
 
     The residual allows values up to e times as rough and as sharp.
@@ -118,7 +116,7 @@ def told(third_moment: float, least_residual_at: float) -> Evidence:
     scan = roughness_scan(PRESET.least_roughness, torch.device("cpu"))
     log = torch.log(scan)
     residual = 1 + PRESET.hue_residual_margin * (log - np.log(least_residual_at)) ** 2
-    return Evidence(residual, (0.5 * (np.log(third_moment) - log)).tolist())
+    return residual, (0.5 * (np.log(third_moment) - log)).tolist()
 
 
 def test_paints_whose_third_moments_are_nearly_right_at_a_common_roughness_share_it():
@@ -139,12 +137,12 @@ def test_one_paint_that_is_apart_leaves_the_others_together():
     assert common == pytest.approx([0.1386, 0.1386, 0.6], rel=0.05)
 
 
-def alike_below(sharp: float, rise: float, least_residual_at: float, log_of_mirror: float) -> Evidence:
+def alike_below(sharp: float, rise: float, least_residual_at: float, log_of_mirror: float) -> Told:
     """A paint with the third moment of a mirror below a roughness of `sharp`; a mirror's residual is higher by `rise`."""
     scan = roughness_scan(PRESET.least_roughness, torch.device("cpu"))
     away = torch.log(scan / least_residual_at)
     moment = log_of_mirror - torch.log(scan / sharp).clamp_min(0)
-    return Evidence(1 + rise * (away / away[0]) ** 2, moment.tolist())
+    return 1 + rise * (away / away[0]) ** 2, moment.tolist()
 
 
 @pytest.mark.parametrize("rise", [0.04, 0.11])  # the mirror is in the residual's range, and it is not
@@ -163,7 +161,7 @@ def test_what_the_residual_says_fades_out():
     scan = roughness_scan(PRESET.least_roughness, torch.device("cpu"))
     log_ratio = torch.log(scan / scan[0])
     residual = (1 + 0.02 * (1 - log_ratio / log_ratio[-1])).flip(0)  # least for a mirror
-    found = [roughness_of([Evidence(residual, (high - 0.04 * log_ratio).tolist())])[0] for high in np.linspace(0, 0.08, 33)]
+    found = [roughness_of([(residual, (high - 0.04 * log_ratio).tolist())])[0] for high in np.linspace(0, 0.08, 33)]
     assert found[0] == pytest.approx(0.03, abs=0.001) and found[-1] > 0.2
     assert np.abs(np.diff(found)).max() < 0.04
 
@@ -171,7 +169,7 @@ def test_what_the_residual_says_fades_out():
 def test_third_moments_that_ask_for_a_rougher_paint_are_not_taken_for_alike():
     scan = roughness_scan(PRESET.least_roughness, torch.device("cpu"))
     residual = 1 + PRESET.hue_residual_margin * torch.log(scan / 0.08) ** 2
-    dull = Evidence(residual, (-1.2 * torch.log(scan / 0.7)).tolist())
+    dull = residual, (-1.2 * torch.log(scan / 0.7)).tolist()
     assert roughness_of([dull]) == pytest.approx([0.201], abs=0.003)  # the rough end of the residual's range
 
 
@@ -180,7 +178,7 @@ def test_third_moments_that_are_told_apart_are_not_overruled():
 
 
 def test_a_least_residual_at_the_mirror_and_no_margin_give_the_mirror():
-    rising = Evidence(torch.linspace(1, 2, 32), [-0.3] * 32)
+    rising = torch.linspace(1, 2, 32), [-0.3] * 32
     assert roughness_of([rising]) == pytest.approx([0.03])
     assert roughness_of([rising], margin=0.0) == pytest.approx([0.03])
 

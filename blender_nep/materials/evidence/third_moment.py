@@ -17,16 +17,15 @@ among lobes so sharp that their third moments hardly differ, the residual decide
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from blender_nep.materials.evidence.roughness import place_by_both, weight_of_known_light
-from blender_nep.materials.fitting import roughness_scan
+from blender_nep.materials.evidence.protocol import Evidence, FittedMaterials, OfRoughness
+from blender_nep.materials.fitting import roughness_scan, weight_of_known_light
+from blender_nep.messages import Message, Part
 from blender_nep.profiling import profiled
 from blender_nep.shading.plenoptic import Material, affine_in_albedo
 
@@ -54,68 +53,40 @@ _TAIL = 0.005
 """This share of the largest and of the smallest values is clipped before third powers are taken."""
 _LEAST_MOMENT = 1e-6
 """Smaller cube roots of third moments, and negative ones, count as this. They tell nothing."""
-_MOST_LOG = 1.0
-"""Logs of ratios of third moments are limited to this, so that one paint does not outweigh all others in a mean."""
-_APART = 0.3
-"""Paints have a roughness of their own if the log of (predicted third moment / that of the photos) is farther from 0 than
-this with a common one. Measured with the true roughness: -0.26 to 0.13 for four paints (`balanced`, three seeds of three of
-them), and -0.48 to 0.28 for six (`preview`)."""
-_ALIKE = 0.05
-"""Third moments whose logs differ by less are not told apart. With the true roughness they are wrong by more."""
 _WELL_EXPLAINED = 0.3
 """How much higher the residual is without reflections, as a share of the least residual. Where it is higher by more, the
 range of the residual is wider in proportion, because then the third moment is that of reflections. Measured: 0.4 to 0.9 for
 paints whose third moment helps, and 0.01 to 0.25 for four paints whose third moment misleads."""
 
 
-@dataclass(frozen=True)
-class Evidence:
-    """What tells the roughness of one paint, at the R values of `roughness_scan`."""
+class ThirdMoment(Evidence):
+    """The third moment of the light that colored dielectrics reflect."""
 
-    residual: Tensor
-    """[R] mean absolute difference between prediction and photos, divided by the least one. What is above 1 is smaller where
-    reflections explain much of what the photos show, so that more values are possible there"""
-    moment: list[float]
-    """[R] log of the ratio of the predicted third moment to that of the photos (of their cube roots), -1 .. 1"""
+    name = Part.THIRD_MOMENT
 
+    def skipped(self, fitted: FittedMaterials) -> Message | None:
+        return None if fitted.dielectrics else Message("reason.all_metal")
 
-def places_of_colored(evidence: Sequence[Evidence], margin: float) -> list[float]:
-    """The place of each paint's roughness in `roughness_scan`.
-
-    All paints share one, except those that are far apart from the others; these keep their own. A residual may be up to the
-    share `margin` above its least. Within this range the third moment decides, or the mean of the logs of the third moments'
-    ratios where paints share a roughness.
-    """
-    found = [place_by_both(own.residual, margin, own.moment.__getitem__, _ALIKE) for own in evidence]
-    shared = list(range(len(evidence)))
-    while len(shared) > 1:
-        common, leaves = _common_place([evidence[k] for k in shared], margin)
-        if leaves is None:
-            for k in shared:
-                found[k] = common
-            break
-        del shared[leaves]
-    return found
-
-
-def _common_place(evidence: list[Evidence], margin: float) -> tuple[float, int | None]:
-    """A place for several paints, and the index of the paint that it fits least; None if it fits all."""
-    raised = torch.stack([own.residual / own.residual.min().clamp_min(1e-9) for own in evidence])
-    worst = raised.amax(0)
-    best = int(worst.argmin())
-    if float(worst[best]) > 1 + margin:
-        return float(best), int(raised[:, best].argmax())
-    moment = np.mean([np.clip(own.moment, -_MOST_LOG, _MOST_LOG) for own in evidence], 0)
-    common = place_by_both(worst, (1 + margin) / float(worst[best]) - 1, moment.tolist().__getitem__, _ALIKE)
-    apart = [abs(float(np.interp(common, np.arange(len(moment)), own.moment))) for own in evidence]
-    return common, int(np.argmax(apart)) if max(apart) > _APART else None
+    def of_roughness(self, fitted: FittedMaterials) -> dict[int, OfRoughness]:
+        found = {}
+        for k in fitted.dielectrics:
+            own = fitted.samples_of(k)
+            told = evidence_of_colored(
+                fitted.light, fitted.target, own, fitted.region_of(own), fitted.albedo[k], fitted.preset
+            )
+            if told is not None:
+                found[k] = told
+        return found
 
 
 @profiled("roughness by hue")
 def evidence_of_colored(
     light: LightMoments, target: Tensor, samples: Tensor, region: Tensor, albedo: Tensor, preset: MaterialPreset
-) -> Evidence | None:
+) -> OfRoughness | None:
     """What tells a dielectric's roughness, from its `samples` [m] (indices). None if nothing does.
+
+    The cost is the residual in this channel, divided by the least one. What is above 1 is smaller where reflections explain
+    much of what the photos show, so that more values are possible there. The measure is the cube root of the third moment.
 
     Nothing does if the material is gray, dull, or painted in several colors, or if there are too few samples. target [n, 3]
     linear; region [m] int64, the region of the surface in which each of the samples lies; albedo [3].
@@ -138,7 +109,8 @@ def evidence_of_colored(
         return None  # what the photos show is not the light of lamps
     log_ratio = np.log([channel.third_moment(each) / photo for each in reflected])
     above_least = residual / residual.min().clamp_min(1e-9) - 1
-    return Evidence(1 + above_least / max(1.0, explained / _WELL_EXPLAINED), log_ratio.tolist())
+    cost = 1 + above_least / max(1.0, explained / _WELL_EXPLAINED)
+    return OfRoughness(cost, log_ratio.tolist().__getitem__)
 
 
 class _DiffuseFree:
