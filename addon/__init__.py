@@ -2,23 +2,18 @@
 
 The modules form layers. A module imports only modules of the layers below its own:
 
-    __init__                                                                registers and unregisters everything
-    preferences, panels/                                                    what Blender draws
-    operators/                                                              what a button or a script calls
-    running_jobs                                                            the jobs that this Blender follows
-    bounds_estimate, camera_search, comparison_render, engine_setup,
-        imported_result, material_correction, photo_check, shelf_batch,
-        shelf_scene                                                         other work under way, and results
-    object_bounds, comparison_image, coverage_image, live_preview,
-        imported_materials                                                  objects and images in the .blend file
-    engine_errors, engine_paths, clock, editors, halved_pictures,
-        wrapped_text, swatches                                              what Blender and the preferences offer
-    saved_elsewhere                                                         the settings' paths after Save As
-    capture_folder, folders, properties                                     the settings, `scene.nep`, and their folders
-    folder_changes, opened_file                                             who is told of a changed folder or file
+    __init__                                                              registers and unregisters everything
+    preferences, panels/                                                  what Blender draws
+    operators/                                                            what a button or a script calls
+    tasks/                                                                jobs and all other work in other processes
+    scene/                                                                objects, images and settings in the .blend file
+    engine_errors, engine_paths, editors, halved_pictures, wrapped_text   what Blender and the preferences offer
+    saved_elsewhere                                                       the settings' paths after Save As
+    capture_folder, folders, properties                                   the settings, `scene.nep`, and their folders
+    folder_changes                                                        who is told of a changed folder
 
 `register` puts functions of the upper layers among the callbacks of `folder_changes`.
-Panels and `running_jobs` call operators by their names in Blender (`nep.import_result`), not by an import.
+Panels and `tasks/running_jobs` call operators by their names in Blender (`nep.import_result`), not by an import.
 What needs no sidebar is in backend/, below all of these layers: the engine's process, captures, assets, renders.
 """
 
@@ -26,26 +21,20 @@ import atexit
 
 import bpy
 
-from . import (
+from . import folder_changes, halved_pictures, operators, panels, preferences, properties, saved_elsewhere
+from .panels import swatches
+from .scene import shelf_scene
+from .tasks import (
     bounds_estimate,
     camera_search,
     clock,
     comparison_render,
     engine_setup,
-    folder_changes,
-    halved_pictures,
     material_correction,
     opened_file,
-    operators,
-    panels,
     photo_check,
-    preferences,
-    properties,
     running_jobs,
-    saved_elsewhere,
     shelf_batch,
-    shelf_scene,
-    swatches,
 )
 
 CLASSES = (

@@ -7,8 +7,8 @@ import bpy
 from bpy.app.translations import pgettext_iface
 
 from ..backend.engine.install import NAME
-from . import engine_setup
 from .engine_paths import EXTENSION_PACKAGE, engine_python
+from .tasks import engine_setup
 from .wrapped_text import draw_wrapped
 
 BUILDS = (

@@ -3,11 +3,11 @@
 import bpy
 
 from ...backend.scene_io.capture_files import read_bounds
-from .. import bounds_estimate
-from ..camera_search import CHOOSE_CAPTURE, usable_capture
 from ..engine_errors import error_text
 from ..engine_paths import engine_python
-from ..object_bounds import bounds_object, place_bounds
+from ..scene.object_bounds import bounds_object, place_bounds
+from ..tasks import bounds_estimate
+from ..tasks.camera_search import CHOOSE_CAPTURE, usable_capture
 
 
 class NEP_OT_propose_bounds(bpy.types.Operator):

@@ -5,12 +5,12 @@ from bpy.app.translations import pgettext_iface
 
 from ...backend.engine.command import EngineError, find_engine_python
 from ...backend.engine.commands.camera_process import check_writable
-from .. import camera_search
 from ..capture_folder import last_look_into, look_into
 from ..engine_errors import error_text
 from ..engine_paths import engine_python
 from ..folders import SAVE_FILE_FIRST, resolve_folder
-from ..running_jobs import job_of
+from ..tasks import camera_search
+from ..tasks.running_jobs import job_of
 
 
 class CameraOperator:

@@ -7,7 +7,7 @@ import bpy
 from ...backend.scene_io.capture_files import read_frames
 from ...backend.scene_io.photo_cameras import camera_collections, load_cameras, remove_cameras
 from ...backend.scene_io.scene_capture import MINIMUM_PHOTOS, photo_cameras, write_scene_capture
-from ..camera_search import usable_capture
+from ..tasks.camera_search import usable_capture
 
 
 class NEP_OT_load_cameras(bpy.types.Operator):

@@ -8,11 +8,11 @@ from pathlib import Path
 import bpy
 
 from ...backend.scene_io.asset_import import check_asset
-from .. import clock, comparison_render
-from ..comparison_image import comparison_image
 from ..editors import fit_image, open_editor
 from ..folders import SAVE_FILE_FIRST, resolve_folder
 from ..properties import LIGHTS
+from ..scene.comparison_image import comparison_image
+from ..tasks import clock, comparison_render
 
 
 class NEP_OT_render_comparison(bpy.types.Operator):

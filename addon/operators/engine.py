@@ -3,7 +3,8 @@
 import bpy
 
 from ...backend.engine.command import EngineError, find_engine_python
-from .. import camera_search, engine_paths, engine_setup, material_correction, running_jobs, shelf_batch
+from .. import engine_paths
+from ..tasks import camera_search, engine_setup, material_correction, running_jobs, shelf_batch
 
 
 def engine_at_work() -> bool:

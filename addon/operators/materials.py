@@ -8,11 +8,11 @@ from bpy.app.translations import pgettext_iface
 from ...backend.engine.command import EngineError, find_engine_python
 from ...backend.engine.exit_codes import OUTPUT_FAILED
 from ...backend.engine.results.job_files import has_checkpoint, is_asset, is_running
-from .. import material_correction
 from ..engine_errors import error_text
 from ..engine_paths import engine_python
 from ..folders import SAVE_FILE_FIRST, resolve_folder
-from ..imported_materials import chosen_corrections, is_list_of
+from ..scene.imported_materials import chosen_corrections, is_list_of
+from ..tasks import material_correction
 
 
 class NEP_OT_correct_materials(bpy.types.Operator):

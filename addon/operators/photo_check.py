@@ -6,14 +6,14 @@ import bpy
 from bpy.app.translations import pgettext_iface
 
 from ...backend.engine.results.capture_facts import facts_of, warnings_of
-from .. import clock, photo_check
-from ..camera_search import CHOOSE_CAPTURE, usable_capture
-from ..coverage_image import load_coverage
 from ..editors import fit_image, open_editor
 from ..engine_errors import error_text
 from ..engine_paths import engine_python
 from ..folders import resolve_folder
-from ..object_bounds import bounds_arguments
+from ..scene.coverage_image import load_coverage
+from ..scene.object_bounds import bounds_arguments
+from ..tasks import clock, photo_check
+from ..tasks.camera_search import CHOOSE_CAPTURE, usable_capture
 
 
 class NEP_OT_check_photos(bpy.types.Operator):

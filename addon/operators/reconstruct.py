@@ -13,14 +13,14 @@ import bpy
 from ...backend.engine.command import EngineError, find_engine_python, reconstruct_arguments
 from ...backend.engine.engine import Engine
 from ...backend.engine.results.job_files import FOLDER, has_checkpoint, is_asset, is_running
-from .. import clock, material_correction, running_jobs
-from ..camera_search import why_not_usable
 from ..editors import open_editor
 from ..engine_paths import engine_python
 from ..folders import SAVE_FILE_FIRST, resolve_folder
-from ..object_bounds import bounds_arguments, bounds_warning
 from ..properties import PRESETS
-from ..running_jobs import Job, job_of
+from ..scene.object_bounds import bounds_arguments, bounds_warning
+from ..tasks import clock, material_correction, running_jobs
+from ..tasks.camera_search import why_not_usable
+from ..tasks.running_jobs import Job, job_of
 
 LOG_LETTERS = 200_000  # of the end of each log file
 

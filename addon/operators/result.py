@@ -3,7 +3,7 @@
 import bpy
 
 from ..folders import resolve_folder
-from ..imported_result import is_recovered_light_used, place_result, switch_light
+from ..scene.imported_result import is_recovered_light_used, place_result, switch_light
 
 
 class NEP_OT_import_result(bpy.types.Operator):

@@ -8,10 +8,11 @@ from ...backend.engine.command import EngineError, find_engine_python
 from ...backend.engine.commands.gallery_process import GalleryProcess
 from ...backend.engine.results.batch_file import BatchFile, has_batch, read_batch
 from ...backend.shelf.bring_in import bring_in
-from .. import clock, shelf_batch, shelf_scene
 from ..engine_errors import error_text
 from ..engine_paths import engine_python
 from ..folders import SAVE_FILE_FIRST, resolve_folder
+from ..scene import shelf_scene
+from ..tasks import clock, shelf_batch
 
 REPLACES_LISTED = "This replaces the results of all objects of the listed captures."
 REPLACES_ALL = "This replaces the results of all objects in the folder."

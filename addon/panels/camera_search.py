@@ -7,10 +7,10 @@ from bpy.app.translations import pgettext_iface
 
 from ...backend.engine.exit_codes import STOPPED
 from ...backend.engine.results.capture_contents import LEAST_PHOTOS
-from .. import camera_search
-from ..camera_search import CameraSearch
 from ..capture_folder import CaptureFolder, last_look_into
 from ..folders import resolve_folder
+from ..tasks import camera_search
+from ..tasks.camera_search import CameraSearch
 from ..wrapped_text import draw_wrapped
 
 NO_CAMERAS_YET = "{count} photos, no cameras yet"

@@ -3,13 +3,13 @@
 import bpy
 from bpy.app.translations import pgettext_iface
 
-from .. import material_correction
 from ..folders import resolve_folder
-from ..imported_materials import applied_correction, applied_corrections, chosen_corrections
 from ..properties import NepMaterial, NepSettings
-from ..swatches import swatch_icon
+from ..scene.imported_materials import applied_correction, applied_corrections, chosen_corrections
+from ..tasks import material_correction
 from ..wrapped_text import draw_wrapped
 from .subpanels import SubPanel
+from .swatches import swatch_icon
 
 CORRECTED = "GREASEPENCIL"  # the icon beside a value that the artist corrects
 MOST_ROWS = 12

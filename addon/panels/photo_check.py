@@ -5,9 +5,9 @@ from bpy.app.translations import pgettext_iface
 
 from ...backend.engine.command import NoEngineError
 from ...backend.engine.results.capture_facts import facts_of, warnings_of
-from .. import photo_check
 from ..engine_errors import error_text
 from ..folders import resolve_folder
+from ..tasks import photo_check
 from ..wrapped_text import draw_wrapped
 from .pictures import draw_halves
 

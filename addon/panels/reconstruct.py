@@ -9,8 +9,8 @@ from ...backend.engine.results.job_files import has_checkpoint, is_asset
 from ...backend.engine.timings import expected_seconds
 from ..engine_paths import engine_python, timings_file
 from ..folders import resolve_folder
-from ..imported_result import has_new_result
-from ..running_jobs import Job, job_of
+from ..scene.imported_result import has_new_result
+from ..tasks.running_jobs import Job, job_of
 from ..wrapped_text import draw_wrapped
 from .camera_search import draw_camera_search
 from .pictures import draw_halves

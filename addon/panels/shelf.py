@@ -9,9 +9,10 @@ from ...backend.engine.command import NoEngineError
 from ...backend.engine.exit_codes import STOPPED as STOPPED_CODE
 from ...backend.engine.results.batch_file import DONE, FAILED, RUNNING, STOPPED, WAITING, BatchObject
 from ...backend.engine.words import BATCH_HINTS, error_words
-from .. import shelf_batch, shelf_scene
 from ..folders import resolve_folder
-from ..shelf_batch import ShelfBatch
+from ..scene import shelf_scene
+from ..tasks import shelf_batch
+from ..tasks.shelf_batch import ShelfBatch
 from ..wrapped_text import draw_wrapped
 from .subpanels import SubPanel
 

@@ -2,11 +2,11 @@
 
 import bpy
 
-from .. import bounds_estimate, comparison_render
-from ..comparison_image import comparison_image
 from ..engine_errors import error_text
-from ..imported_result import is_recovered_light_used
-from ..object_bounds import bounds_object, bounds_warning
+from ..scene.comparison_image import comparison_image
+from ..scene.imported_result import is_recovered_light_used
+from ..scene.object_bounds import bounds_object, bounds_warning
+from ..tasks import bounds_estimate, comparison_render
 from ..wrapped_text import draw_wrapped
 from .camera_search import draw_find_again
 from .photo_check import draw_photo_check

@@ -37,7 +37,7 @@ def set_up(folder: Path):
 def begin(folder: Path, addon):
     """Begin a search as the button does, which does not wait for its end."""
     python = os.environ["NEP_ENGINE_PYTHON"]
-    return addon.camera_search.start_search(python, folder / "photos", threads=None, replace=False, wait=False)
+    return addon.tasks.camera_search.start_search(python, folder / "photos", threads=None, replace=False, wait=False)
 
 
 def panel(bpy, addon) -> list[str]:
@@ -95,7 +95,7 @@ def check_found_capture(bpy, addon):
     assert bpy.ops.nep.propose_bounds() == {"FINISHED"}
     layer = bpy.context.view_layer
     assert list(layer.objects.selected) == [layer.objects.active] == [bpy.context.scene.nep.bounds]
-    given = addon.object_bounds.bounds_arguments(bpy.context.scene)
+    given = addon.scene.object_bounds.bounds_arguments(bpy.context.scene)
     assert [float(number) for number in (*given[1:4], given[5])] == [0, 0, 0, 1]
 
 
@@ -121,12 +121,12 @@ def check_beside(folder):
     assert "Stopping" in panel(bpy, addon)
     rounds(addon, bpy.ops.nep.find_cameras.poll)
     assert json.loads((folder / "stopped").read_text()) == {"cmd": "stop"} and search.failed is not None
-    assert addon.clock.tick() is None, "the timer rests"
+    assert addon.tasks.clock.tick() is None, "the timer rests"
     calls = []
-    addon.clock.call_until_false(lambda: 1 / 0)
-    addon.clock.call_until_false(lambda: len(calls) < 2 and not calls.append(0))
+    addon.tasks.clock.call_until_false(lambda: 1 / 0)
+    addon.tasks.clock.call_until_false(lambda: len(calls) < 2 and not calls.append(0))
     with contextlib.redirect_stderr(io.StringIO()) as printed:
-        assert addon.clock.tick() and addon.clock.tick() and addon.clock.tick() is None and len(calls) == 2
+        assert addon.tasks.clock.tick() and addon.tasks.clock.tick() and addon.tasks.clock.tick() is None and len(calls) == 2
     assert printed.getvalue().count("ZeroDivisionError") == 1, "an error ends one task, and is told in the console"
     told = " ".join(panel(bpy, addon))
     assert "Stopped. No cameras were written" in told and "6 photos, no cameras yet" in told and "nep.find_cameras" in told
@@ -138,7 +138,7 @@ def check_beside(folder):
     bpy.context.scene.nep.capture = str(folder / "photos")
     assert "25 %" in panel(bpy, addon)
     (folder / "go").touch()
-    rounds(addon, lambda: addon.camera_search.current is None)
+    rounds(addon, lambda: addon.tasks.camera_search.current is None)
     assert "5 of 6 photos were placed." in " ".join(panel(bpy, addon))
 
 
@@ -207,7 +207,7 @@ def check_no_start(folder):
     assert "nep.open_preferences" in panel(bpy, addon)
     os.environ["NEP_ENGINE_PYTHON"] = engine
 
-    from nep_addon.backend.engine import camera_process
+    from nep_addon.backend.engine.commands import camera_process
 
     def refused(**_):
         raise PermissionError(errno.EACCES, "Permission denied")

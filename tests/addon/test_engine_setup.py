@@ -15,7 +15,7 @@ def test_a_cancelled_installation_has_minutes_to_clean_up(package):
 
 
 def check_cancel(folder):
-    setup = register().engine_setup
+    setup = register().tasks.engine_setup
     installation = setup.Installation([sys.executable, "-c", SLOW_CLEANUP], folder / "log")
     installation.cancel()
     for _ in range(1000):  # periods of 0.1 s

@@ -155,8 +155,8 @@ def check_beside(folder):
     bpy, addon, settings = imported(folder)
     (folder / "mode").write_text("slow")
     settings.materials[0].metal = "METAL"
-    start = addon.material_correction.start_correction
-    chosen = addon.imported_materials.chosen_corrections(settings)
+    start = addon.tasks.material_correction.start_correction
+    chosen = addon.scene.imported_materials.chosen_corrections(settings)
     start(os.environ["NEP_ENGINE_PYTHON"], folder / "asset", chosen, wait=False)
     rounds(addon, lambda: "50 %" in panel(bpy, addon))
     assert "Learning the materials" in panel(bpy, addon) and "nep.correct_materials" not in panel(bpy, addon)
@@ -170,14 +170,14 @@ def check_beside(folder):
     second = bpy.context.view_layer.objects.active.data.materials[0].node_tree.nodes["metallic"].image
     (folder / "go").touch()
     rounds(addon, bpy.ops.nep.correct_materials.poll)
-    assert texels(bpy, "metallic") == [1, 1, 0] and second.pixels[0] == 1 and addon.clock.tick() is None
+    assert texels(bpy, "metallic") == [1, 1, 0] and second.pixels[0] == 1 and addon.tasks.clock.tick() is None
     assert settings.materials[0].metal == "METAL" and "nep.correct_materials" in panel(bpy, addon)
 
     (folder / "go").unlink()
     start(os.environ["NEP_ENGINE_PYTHON"], folder / "asset", {}, wait=False)
     bpy.ops.wm.read_factory_settings(use_empty=True)  # File > New, in the middle
     (folder / "go").touch()
-    rounds(addon, lambda: addon.material_correction.current is None)
+    rounds(addon, lambda: addon.tasks.material_correction.current is None)
     assert not bpy.context.scene.nep.materials and not bpy.ops.nep.correct_materials.poll()
     assert "Import a result first: its materials" in panel(bpy, addon)[0]
 
@@ -197,7 +197,7 @@ def check_undo(folder):
     assert bpy.ops.ed.undo() == {"FINISHED"}
     for step in (bpy.ops.ed.undo, bpy.ops.ed.redo, bpy.ops.ed.redo):
         materials = bpy.context.scene.nep.materials
-        assert materials[0].metal == "METAL" and addon.imported_materials.applied_correction(materials[0])
+        assert materials[0].metal == "METAL" and addon.scene.imported_materials.applied_correction(materials[0])
         assert texels(bpy, "metallic") == [1, 1, 0]
         step()
     assert bpy.context.scene.nep.materials[2].metal == "METAL", "what is chosen but not applied is undone and redone as ever"

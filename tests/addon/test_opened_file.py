@@ -21,15 +21,15 @@ def check_bounds(folder):
 
     addon = register()
     answer = SimpleNamespace(sphere=((0.0, 0.0, 0.0), 1.0), error=None, poll=lambda: True, close=lambda: None)
-    addon.bounds_estimate.CaptureQuery = lambda *_: answer
+    addon.tasks.bounds_estimate.CaptureQuery = lambda *_: answer
 
     def ask() -> None:
         bpy.context.scene.nep.capture = str(folder)
-        addon.bounds_estimate.start_estimate(bpy.context.scene, folder, sys.executable, wait=False)
+        addon.tasks.bounds_estimate.start_estimate(bpy.context.scene, folder, sys.executable, wait=False)
 
     def bounds() -> object:
-        rounds(addon, lambda: addon.bounds_estimate.current is None)
-        return addon.object_bounds.bounds_object(bpy.context.scene)
+        rounds(addon, lambda: addon.tasks.bounds_estimate.current is None)
+        return addon.scene.object_bounds.bounds_object(bpy.context.scene)
 
     ask()
     bpy.ops.wm.save_as_mainfile(filepath=str(folder / "saved.blend"))
@@ -41,12 +41,12 @@ def check_bounds(folder):
     assert bounds() is None
     answer.sphere, answer.error = None, ERROR
     ask()
-    assert bounds() is None and addon.bounds_estimate.last_error == ERROR
+    assert bounds() is None and addon.tasks.bounds_estimate.last_error == ERROR
     bpy.ops.wm.read_factory_settings(use_empty=True)
-    assert addon.bounds_estimate.last_error is None, "an error of the file before"
+    assert addon.tasks.bounds_estimate.last_error is None, "an error of the file before"
     ask()
     bpy.ops.wm.read_factory_settings(use_empty=True)
-    assert bounds() is None and addon.bounds_estimate.last_error is None
+    assert bounds() is None and addon.tasks.bounds_estimate.last_error is None
 
 
 def test_bounds_are_placed_after_the_file_was_saved_in_another_folder(package):
@@ -58,17 +58,17 @@ def check_bounds_elsewhere(folder):
 
     addon = register()
     answer = SimpleNamespace(sphere=((0.0, 0.0, 0.0), 1.0), error=None, poll=lambda: True, close=lambda: None)
-    addon.bounds_estimate.CaptureQuery = lambda *_: answer
+    addon.tasks.bounds_estimate.CaptureQuery = lambda *_: answer
     for name in ("photos", "other"):
         (folder / name).mkdir()
     bpy.ops.wm.save_as_mainfile(filepath=str(folder / "saved.blend"))
     bpy.context.scene.nep.capture = "//photos"
     capture = addon.folders.resolve_folder("//photos")
-    addon.bounds_estimate.start_estimate(bpy.context.scene, capture, sys.executable, wait=False)
+    addon.tasks.bounds_estimate.start_estimate(bpy.context.scene, capture, sys.executable, wait=False)
     bpy.ops.wm.save_as_mainfile(filepath=str(folder / "other" / "saved.blend"))
     assert bpy.context.scene.nep.capture == "//../photos"
-    rounds(addon, lambda: addon.bounds_estimate.current is None)
-    assert addon.object_bounds.bounds_object(bpy.context.scene) is not None
+    rounds(addon, lambda: addon.tasks.bounds_estimate.current is None)
+    assert addon.scene.object_bounds.bounds_object(bpy.context.scene) is not None
 
 
 def test_bounds_count_beside_linked_ones_of_the_same_name(package):
@@ -79,7 +79,7 @@ def check_linked_bounds(folder):
     import bpy
 
     addon = register()
-    bounds, file = addon.object_bounds, str(folder / "linked.blend")
+    bounds, file = addon.scene.object_bounds, str(folder / "linked.blend")
     bounds.place_bounds(bpy.context.scene, folder, (0, 0, 0), 1.0)
     bpy.ops.wm.save_as_mainfile(filepath=file)
     bpy.ops.wm.read_factory_settings(use_empty=True)
@@ -108,20 +108,20 @@ def check_comparison(folder):
     picture = folder / "comparison.png"
     state = {"path": picture, "error": "", "done": 1, "total": 1, "cancelled": False}
     process = SimpleNamespace(**state, poll=lambda: True, close=lambda: None)
-    addon.comparison_render.ComparisonProcess = lambda *_: process
+    addon.tasks.comparison_render.ComparisonProcess = lambda *_: process
 
     def shown() -> bool:
-        rounds(addon, lambda: addon.comparison_render.current is None)
-        return addon.comparison_image.comparison_image() is not None
+        rounds(addon, lambda: addon.tasks.comparison_render.current is None)
+        return addon.scene.comparison_image.comparison_image() is not None
 
-    addon.comparison_render.start_render([], wait=False)
+    addon.tasks.comparison_render.start_render([], wait=False)
     bpy.ops.wm.save_as_mainfile(filepath=str(folder / "saved.blend"))
-    assert shown() and addon.comparison_render.last_message == f"Written: {picture}"
+    assert shown() and addon.tasks.comparison_render.last_message == f"Written: {picture}"
     bpy.ops.wm.read_factory_settings(use_empty=True)
-    assert not addon.comparison_render.last_message, "a message of the file before"
-    addon.comparison_render.start_render([], wait=False)
+    assert not addon.tasks.comparison_render.last_message, "a message of the file before"
+    addon.tasks.comparison_render.start_render([], wait=False)
     bpy.ops.wm.read_factory_settings(use_empty=True)  # neither of both files has a path
-    assert not shown() and not addon.comparison_render.last_message
+    assert not shown() and not addon.tasks.comparison_render.last_message
 
 
 if __name__ == "__main__":

@@ -49,7 +49,7 @@ def told(bpy, addon) -> str:
 
 def begin(folder: Path, addon):
     """Begin a check as the button does, which does not wait for its end."""
-    return addon.photo_check.start_check(folder / "photos", os.environ["NEP_ENGINE_PYTHON"], (), wait=False)
+    return addon.tasks.photo_check.start_check(folder / "photos", os.environ["NEP_ENGINE_PYTHON"], (), wait=False)
 
 
 def test_the_panel_shows_what_the_engine_finds(folder):
@@ -68,7 +68,7 @@ def check_result(folder):
     ):
         assert text in told(bpy, addon), text
     assert "nep.show_coverage" in texts and "Nothing looks wrong" not in texts
-    above, below = addon.halved_pictures.picture_halves(addon.photo_check.PICTURE)
+    above, below = addon.halved_pictures.picture_halves(addon.tasks.photo_check.PICTURE)
     for half, color in ((above, [1, 0, 0, 1]), (below, [0, 1, 0, 1])):
         assert tuple(half.image_size) == (50, 39), "title and legend are cut off"
         pixels = np.array(half.image_pixels_float).reshape(39, 50, 4)
@@ -95,7 +95,7 @@ def check_forgetting(folder):
     bpy, addon, settings = set_up(folder)
     fact = "41 % of all directions are near a photo"
     assert bpy.ops.nep.check_photos() == {"FINISHED"} and fact in told(bpy, addon)
-    picture = addon.photo_check.last_check(folder / "photos").picture
+    picture = addon.tasks.photo_check.last_check(folder / "photos").picture
     settings.capture = str(camera_engine.write_photos(folder / "others"))
     assert fact not in told(bpy, addon) and not picture.exists()
     fails(bpy.ops.nep.check_photos, "press Find Cameras first")
@@ -108,7 +108,7 @@ def check_forgetting(folder):
     assert fact in told(bpy, addon), "this scene still names the folder"
     other.nep.capture = str(folder / "photos")
     settings.capture = str(folder / "others")
-    assert addon.photo_check.last_check(folder / "photos") is not None, "the other scene still names it"
+    assert addon.tasks.photo_check.last_check(folder / "photos") is not None, "the other scene still names it"
     bpy.data.scenes.remove(other)
     settings.capture = str(folder / "photos")
 
@@ -138,12 +138,12 @@ def check_beside(folder):
         end()
         assert "nep.check_photos" in panel(bpy, addon) and not bpy.ops.nep.cancel_check_photos.poll()
         rounds(addon, check.poll)
-        addon.clock.tick()
+        addon.tasks.clock.tick()
         settings.capture = str(folder / "photos")
-        assert addon.photo_check.last_check(folder / "photos") is None
+        assert addon.tasks.photo_check.last_check(folder / "photos") is None
     begin(folder, addon)
     (folder / "go").touch()
-    rounds(addon, lambda: addon.photo_check.current is None)
+    rounds(addon, lambda: addon.tasks.photo_check.current is None)
     assert "41 % of all directions are near a photo" in told(bpy, addon)
 
 
@@ -177,7 +177,7 @@ def check_failure(folder, mode, message, hint):
     assert told(bpy, addon).count(message) == 1, "the check was of other cameras"
     (folder / "info_mode").write_text("well")
     assert bpy.ops.nep.propose_bounds() == {"FINISHED"} and message not in told(bpy, addon)
-    given = addon.object_bounds.bounds_arguments(bpy.context.scene)
+    given = addon.scene.object_bounds.bounds_arguments(bpy.context.scene)
     np.testing.assert_allclose([float(number) for number in (*given[1:4], given[5])], [0.1, 0.2, 0.3, 0.7], atol=1e-6)
 
 

@@ -81,7 +81,7 @@ def set_up(folder: Path):
 def start(bpy, addon, scene=None):
     """Press the button; returns the job."""
     assert bpy.ops.nep.reconstruct(wait=False) == {"FINISHED"}
-    return addon.running_jobs.job_of(scene or bpy.context.scene)
+    return addon.tasks.running_jobs.job_of(scene or bpy.context.scene)
 
 
 def meshes(bpy) -> list[str]:
@@ -134,12 +134,14 @@ def check_life_of_a_job(folder):
     bpy.data.objects.remove(preview)  # as undo does
     rounds(addon, lambda: job.progress.stage == "Learning the materials")
     bpy.ops.wm.read_factory_settings(use_empty=True)  # File > New, in the middle
-    assert addon.running_jobs.job_of(bpy.context.scene) is None
+    assert addon.tasks.running_jobs.job_of(bpy.context.scene) is None
     bpy.context.scene.nep.capture, bpy.context.scene.nep.output = str(folder / "capture"), str(folder / "out")
-    assert addon.running_jobs.job_of(bpy.context.scene) is job and not job.ended
+    assert addon.tasks.running_jobs.job_of(bpy.context.scene) is job and not job.ended
     rounds(addon, lambda: job.ended and not job.import_when_ended)
-    assert job.failed is None and meshes(bpy) == ["out"] and not addon.imported_result.has_new_result(bpy.context.scene)
-    assert addon.clock.tick() is None and not addon.operators.engine.engine_at_work(), "the timer rests"
+    assert (
+        job.failed is None and meshes(bpy) == ["out"] and not addon.scene.imported_result.has_new_result(bpy.context.scene)
+    )
+    assert addon.tasks.clock.tick() is None and not addon.operators.engine.engine_at_work(), "the timer rests"
     assert Said("scene.masks_used", {}, "Masks are there and are used.") in job.scene_analysis
     assert job.scene_analysis[-1].code == "scene.left_out" and "Left out: " in job.scene_analysis[-1].words()
     assert "stage fields_learning" in log(bpy)
@@ -178,31 +180,31 @@ def check_kept(folder):
     addon = register()
     bpy.ops.wm.open_mainfile(filepath=str(folder / "scene.blend"))
     scene = bpy.context.scene
-    job = addon.running_jobs.job_of(scene)
+    job = addon.tasks.running_jobs.job_of(scene)
     assert job is not None and job.progress.fraction > 0
     rounds(addon, lambda: job.ended and not job.import_when_ended)
     assert job.failed is None and meshes(bpy) == ["out"]
     # the file was not saved with the object: the result waits again, and is not forced upon anybody
     bpy.ops.wm.open_mainfile(filepath=str(folder / "scene.blend"))
-    addon.clock.tick()
-    assert meshes(bpy) == [] and addon.imported_result.has_new_result(bpy.context.scene)
+    addon.tasks.clock.tick()
+    assert meshes(bpy) == [] and addon.scene.imported_result.has_new_result(bpy.context.scene)
     assert bpy.ops.nep.import_result() == {"FINISHED"} and meshes(bpy) == ["out"]
-    assert not addon.imported_result.has_new_result(bpy.context.scene)
+    assert not addon.scene.imported_result.has_new_result(bpy.context.scene)
     # a new file that names the folder finds the ended job, and its result waits for the artist
     bpy.ops.wm.read_factory_settings(use_empty=True)
-    assert addon.running_jobs.job_of(bpy.context.scene) is None
+    assert addon.tasks.running_jobs.job_of(bpy.context.scene) is None
     bpy.context.scene.nep.output = str(folder / "out")
-    again = addon.running_jobs.job_of(bpy.context.scene)
+    again = addon.tasks.running_jobs.job_of(bpy.context.scene)
     assert again is not None and again.ended and again.failed is None
-    addon.clock.tick()
-    assert meshes(bpy) == [] and addon.imported_result.has_new_result(bpy.context.scene)
+    addon.tasks.clock.tick()
+    assert meshes(bpy) == [] and addon.scene.imported_result.has_new_result(bpy.context.scene)
     # an undo step may hold a preview
     preview = bpy.data.objects.new("NeP preview", bpy.data.meshes.new("NeP preview"))
-    preview[addon.live_preview.JOB_PROPERTY] = again.key
+    preview[addon.scene.live_preview.JOB_PROPERTY] = again.key
     bpy.context.scene.collection.objects.link(preview)
     for handler in bpy.app.handlers.undo_post:
         handler(bpy.context.scene, None)
-    addon.clock.tick()
+    addon.tasks.clock.tick()
     assert meshes(bpy) == []
 
 
@@ -211,9 +213,9 @@ def check_stopped(folder):
 
     addon = register()
     bpy.ops.wm.open_mainfile(filepath=str(folder / "scene.blend"))
-    job = addon.running_jobs.job_of(bpy.context.scene)
+    job = addon.tasks.running_jobs.job_of(bpy.context.scene)
     rounds(addon, lambda: job.ended)
-    assert job.was_stopped and not addon.imported_result.has_new_result(bpy.context.scene)
+    assert job.was_stopped and not addon.scene.imported_result.has_new_result(bpy.context.scene)
     assert bpy.ops.nep.reconstruct(resume=True) == {"FINISHED"} and meshes(bpy) == ["out"]
 
 
@@ -231,17 +233,17 @@ def check_cancel_and_crash(folder):
     assert job.was_stopped and meshes(bpy) == []
     sign.unlink()
     assert bpy.ops.nep.reconstruct(resume=True, wait=False) == {"FINISHED"}
-    job = addon.running_jobs.job_of(bpy.context.scene)
+    job = addon.tasks.running_jobs.job_of(bpy.context.scene)
     rounds(addon, sign.exists)
-    from nep_addon.backend.engine.job_files import read_job
+    from nep_addon.backend.engine.results.job_files import read_job
 
     os.kill(read_job(folder / "out")["pid"], signal.SIGKILL)
     rounds(addon, lambda: job.ended)
-    assert "killed" in job.failed.message and not job.was_stopped and addon.clock.tick() is None
+    assert "killed" in job.failed.message and not job.was_stopped and addon.tasks.clock.tick() is None
     # no engine, no capture: said where the artist looks
     os.environ["NEP_ENGINE_PYTHON"] = str(folder / "no-python")
     fails(lambda: bpy.ops.nep.reconstruct(resume=True), "cannot be started")
-    assert "cannot be started" in addon.running_jobs.job_of(bpy.context.scene).failed.message
+    assert "cannot be started" in addon.tasks.running_jobs.job_of(bpy.context.scene).failed.message
     settings.output = "//beside"
     fails(bpy.ops.nep.reconstruct, "Save the file first")
 
@@ -299,7 +301,11 @@ def check_two_jobs(folder):
     scene.nep.capture, scene.nep.output, scene.nep.preset = str(folder / "second capture"), str(folder / "two"), "preview"
     with bpy.context.temp_override(scene=scene):
         two = start(bpy, addon, scene)
-    assert one is not two and addon.running_jobs.job_of(bpy.context.scene) is one and addon.running_jobs.job_of(scene) is two
+    assert (
+        one is not two
+        and addon.tasks.running_jobs.job_of(bpy.context.scene) is one
+        and addon.tasks.running_jobs.job_of(scene) is two
+    )
     rounds(addon, lambda: all(job.ended for job in (one, two)) and not one.import_when_ended)
     assert meshes(bpy) == ["out"], "what belongs to a scene that is not shown waits"
     bpy.context.window.scene = scene
@@ -346,10 +352,10 @@ def check_save_as(folder):
         return same and relative and shelf == folder / "one" and settings.asset == str(folder / "an absolute path stays")
 
     job = start(bpy, addon)
-    assert bpy.ops.nep.check_photos() == {"FINISHED"} and addon.photo_check.last_check(folder / "capture") is not None
+    assert bpy.ops.nep.check_photos() == {"FINISHED"} and addon.tasks.photo_check.last_check(folder / "capture") is not None
     save(filepath=str(folder / "two/deep/scene.blend"))
-    assert right() and addon.running_jobs.job_of(bpy.context.scene) is job
-    assert addon.photo_check.last_check(folder / "capture") is not None, "it is the same capture"
+    assert right() and addon.tasks.running_jobs.job_of(bpy.context.scene) is job
+    assert addon.tasks.photo_check.last_check(folder / "capture") is not None, "it is the same capture"
     save(filepath=str(folder / "copies/scene.blend"), copy=True)
     fails(lambda: save(filepath=str(folder / "not there/scene.blend")), "Cannot open file")
     assert right(), "the open file is where it was"
@@ -371,7 +377,7 @@ def check_damaged_previews(folder):
     addon, scene, file = register(), bpy.context.scene, folder / "mesh.npz"
     corners, faces = np.eye(3, dtype=np.float32), np.array([[0, 1, 2]])
     np.savez(file, vertices=corners, faces=np.concatenate([faces, faces, faces * 0]))
-    addon.live_preview.show_mesh(scene, "job", file)
+    addon.scene.live_preview.show_mesh(scene, "job", file)
     mesh = bpy.data.objects["NeP preview"].data
     assert len(mesh.vertices) == 3 and len(mesh.polygons) == 1, "no triangle with a vertex twice"
     for bad in (
@@ -385,11 +391,11 @@ def check_damaged_previews(folder):
         {"vertices": np.array({})},
     ):
         np.savez(file, **{"vertices": corners * 2, "faces": faces} | bad)
-        addon.live_preview.show_mesh(scene, "job", file)
+        addon.scene.live_preview.show_mesh(scene, "job", file)
         assert len(mesh.polygons) == 1 and mesh.vertices[0].co.x == 1, bad
-    addon.live_preview.MOST_BYTES = 10
+    addon.scene.live_preview.MOST_BYTES = 10
     np.savez(file, vertices=corners * 2, faces=faces)
-    addon.live_preview.show_mesh(scene, "job", file)
+    addon.scene.live_preview.show_mesh(scene, "job", file)
     assert mesh.vertices[0].co.x == 1
 
 
@@ -403,14 +409,14 @@ def check_edited_preview(folder):
 
     addon, scene, file = register(), bpy.context.scene, folder / "mesh.npz"
     np.savez(file, vertices=np.eye(3, dtype=np.float32), faces=np.array([[0, 1, 2]]))
-    addon.live_preview.show_mesh(scene, "job", file)
+    addon.scene.live_preview.show_mesh(scene, "job", file)
     preview = bpy.data.objects["NeP preview"]
     preview.hide_select = False
     bpy.context.view_layer.objects.active = preview
     bpy.ops.object.mode_set(mode="EDIT")
-    addon.live_preview.show_mesh(scene, "job", file)
-    addon.running_jobs.on_undone()
-    assert addon.clock.tick() is not None and preview.mode == "EDIT"
+    addon.scene.live_preview.show_mesh(scene, "job", file)
+    addon.tasks.running_jobs.on_undone()
+    assert addon.tasks.clock.tick() is not None and preview.mode == "EDIT"
     bpy.ops.object.mode_set(mode="OBJECT")
     rounds(addon, lambda: "NeP preview" not in bpy.data.objects)
 

@@ -50,7 +50,7 @@ def panel(bpy, addon) -> list[str]:
 def begin(folder: Path, addon, *captures: str, keep_going: bool = False):
     """Begin a batch as the button does, which does not wait for its end."""
     python, named = os.environ["NEP_ENGINE_PYTHON"], [folder / name for name in captures]
-    return addon.shelf_batch.start_batch(python, named, folder / "shelf", keep_going=keep_going, wait=False)
+    return addon.tasks.shelf_batch.start_batch(python, named, folder / "shelf", keep_going=keep_going, wait=False)
 
 
 def test_a_shelf_is_made_and_brought_in(folder):
@@ -83,7 +83,7 @@ def check_shelf(folder):
     assert bpy.ops.nep.reconstruct_shelf.poll()
     (folder / "shelf" / "batch.json").write_text("{")
     fails(bpy.ops.nep.bring_in_objects, "batch.json is damaged")
-    addon.shelf_batch.batch_in(folder / "shelf").forget()
+    addon.tasks.shelf_batch.batch_in(folder / "shelf").forget()
     assert "is damaged. Start the batch again" in " ".join(panel(bpy, addon))
 
 
@@ -140,7 +140,7 @@ def check_updated_scenes(folder):
         bpy.data.libraries.write(path, blocks, **options)
 
     data = SimpleNamespace(scenes=bpy.data.scenes, libraries=SimpleNamespace(write=write), is_saved=False)
-    addon.shelf_scene.bpy = SimpleNamespace(data=data, context=bpy.context, path=bpy.path)
+    addon.scene.shelf_scene.bpy = SimpleNamespace(data=data, context=bpy.context, path=bpy.path)
     assert bpy.ops.nep.add_asset_library() == {"FINISHED"} and updated == {"shelf": True}
     with bpy.data.libraries.load(str(folder / "shelf" / "shelf.blend")) as (there, _):
         assert sorted(there.scenes) == ["never shown", "shelf"] and there.objects == ["ant"]
@@ -156,7 +156,7 @@ def check_made_anew(folder):
     mesh, report = folder / "shelf" / "ant" / "mesh.obj", folder / "shelf" / "ant" / "report.json"
     mesh.write_text(mesh.read_text() + "v 0 0 3\nf 1/1 2/2 4/3\n")
     report.write_text('{"seed": 1}')
-    addon.shelf_batch.batch_in(folder / "shelf").forget()
+    addon.tasks.shelf_batch.batch_in(folder / "shelf").forget()
     assert "New objects: 1" in panel(bpy, addon)
     fails(bpy.ops.nep.add_asset_library, "Press Bring In Objects first")
     assert bpy.ops.nep.bring_in_objects() == {"FINISHED"} and bpy.ops.nep.add_asset_library() == {"FINISHED"}
@@ -212,7 +212,7 @@ def check_beside(folder):
     (folder / "go").touch()
     assert bpy.ops.nep.reconstruct_shelf() == {"FINISHED"} and bpy.ops.nep.bring_in_objects() == {"FINISHED"}
     assert {"ant", "bee"} <= set(bpy.data.objects.keys()) and "ant.001" not in bpy.data.objects
-    assert addon.clock.tick() is None, "the timer rests"
+    assert addon.tasks.clock.tick() is None, "the timer rests"
 
 
 def test_a_batch_that_keeps_going_is_stopped_before_it_has_begun(folder):
@@ -224,7 +224,7 @@ def test_a_batch_that_keeps_going_is_stopped_before_it_has_begun(folder):
 def check_early_stop(folder):
     bpy, addon, _settings = set_up(folder)
     batch = begin(folder, addon, "ant", "bee", keep_going=True)
-    assert addon.clock.tick() is not None and addon.shelf_batch.any_at_work(), "the timer follows it"
+    assert addon.tasks.clock.tick() is not None and addon.tasks.shelf_batch.any_at_work(), "the timer follows it"
     assert bpy.ops.nep.stop_shelf() == {"FINISHED"} and not bpy.ops.nep.stop_shelf.poll()
     (folder / "begin").touch()
     rounds(addon, lambda: not batch.running)

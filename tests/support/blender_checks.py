@@ -45,7 +45,7 @@ def rounds(addon, until) -> None:
     deadline = time.monotonic() + LIMIT_S
     while not until():
         assert time.monotonic() < deadline, "nothing came"
-        addon.clock.tick()
+        addon.tasks.clock.tick()
         time.sleep(0.02)
 
 

@@ -134,14 +134,14 @@ def check_bounds(capture: Path, from_scene: Path) -> None:
     """The capture's own sphere; the engine's estimate where it has none; what an artist does to it reaches the engine."""
 
     def told() -> list[float]:
-        given = addon("object_bounds").bounds_arguments(bpy.context.scene)
+        given = addon("scene.object_bounds").bounds_arguments(bpy.context.scene)
         assert (given[0], given[4]) == ("--object-center", "--object-radius") and len(given) == 6
         assert not any("e" in number for number in (*given[1:4], given[5])), given
         return [float(number) for number in (*given[1:4], given[5])]
 
     meta = json.loads((capture / "transforms.json").read_text())
     own = [*meta["object_center"], meta["object_radius"]]
-    assert addon("object_bounds").bounds_arguments(bpy.context.scene) == []
+    assert addon("scene.object_bounds").bounds_arguments(bpy.context.scene) == []
     nep().capture = str(capture)
     assert bpy.ops.nep.propose_bounds() == {"FINISHED"}
     np.testing.assert_allclose(told(), own, atol=1e-6)
@@ -149,7 +149,7 @@ def check_bounds(capture: Path, from_scene: Path) -> None:
     assert item.name == f"NeP bounds: {capture.name}" and item.empty_display_type == "SPHERE"
     item.location, item.scale = (-1e-5, 2.5, -3), (-0.5, 0.25, 0.25)
     np.testing.assert_allclose(told(), [-1e-5, 2.5, -3, 0.5], rtol=1e-6)
-    assert "longest axis" in addon("object_bounds").bounds_warning(bpy.context.scene)
+    assert "longest axis" in addon("scene.object_bounds").bounds_warning(bpy.context.scene)
 
     nep().capture = str(from_scene)  # no masks, no sphere: estimated from the cameras alone
     assert bpy.ops.nep.propose_bounds() == {"FINISHED"} and nep().bounds == item
@@ -157,7 +157,9 @@ def check_bounds(capture: Path, from_scene: Path) -> None:
     assert np.linalg.norm(center - own[:3]) < 0.3 * own[3] and 0.6 * own[3] < radius < 2 * own[3]
     nep().capture = str(from_scene / "none")
     fails(lambda: bpy.ops.nep.propose_bounds(), "cannot be read")
-    assert bpy.ops.nep.clear_bounds() == {"FINISHED"} and addon("object_bounds").bounds_arguments(bpy.context.scene) == []
+    assert (
+        bpy.ops.nep.clear_bounds() == {"FINISHED"} and addon("scene.object_bounds").bounds_arguments(bpy.context.scene) == []
+    )
     nep().capture = str(capture)
 
 
@@ -264,14 +266,16 @@ def check_comparison(asset: Path, folder: Path) -> None:
     for row, column in [(58, 6 + 326 * n) for n in range(4)] + [(58 + 326 + 34, 6 + 326 * n) for n in range(4)]:
         assert tiles[row : row + 300, column : column + 300].std() > 0.02, (row, column)
     assert tiles[58 + 326 : 58 + 326 + 34].max() > 0.8, "the strip has a title"
-    assert (scenes, objects) == (len(bpy.data.scenes), len(bpy.data.objects)) and addon("comparison_render").current is None
+    assert (scenes, objects) == (len(bpy.data.scenes), len(bpy.data.objects)) and addon(
+        "tasks.comparison_render"
+    ).current is None
 
     never = ["--asset", str(asset), "--capture", nep().capture, "--out", str(folder / "never.png"), "--samples", "100000"]
-    addon("comparison_render").start_render(never, wait=False)
+    addon("tasks.comparison_render").start_render(never, wait=False)
     assert not bpy.ops.nep.render_comparison.poll() and bpy.ops.nep.cancel_comparison() == {"FINISHED"}
     rounds(importlib.import_module(f"{NAME}.addon"), bpy.ops.nep.render_comparison.poll)
     assert bpy.ops.nep.show_comparison.poll()
-    assert addon("comparison_render").last_message == "Cancelled" and not (folder / "never.png").exists()
+    assert addon("tasks.comparison_render").last_message == "Cancelled" and not (folder / "never.png").exists()
 
 
 def check_shelf(asset: Path, folder: Path) -> None:

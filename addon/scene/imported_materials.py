@@ -8,10 +8,10 @@ from pathlib import Path
 
 import bpy
 
-from ..backend.engine.results.asset_materials import AssetMaterial, read_materials
-from ..backend.scene_io.asset_import import reload_textures
-from .folders import folder_key, resolve_folder
-from .properties import NepMaterial, NepSettings
+from ...backend.engine.results.asset_materials import AssetMaterial, read_materials
+from ...backend.scene_io.asset_import import reload_textures
+from ..folders import folder_key, resolve_folder
+from ..properties import NepMaterial, NepSettings
 
 METALLIC = {"METAL": 1.0, "NOT_METAL": 0.0}  # "AS_LEARNED" has no value
 DIGITS = 4  # after the point, of a roughness: Blender stores it in single precision

@@ -8,11 +8,11 @@ from pathlib import Path
 from bpy.app.handlers import persistent
 from bpy.app.translations import pgettext_iface
 
-from ..backend.engine.command import EngineError
-from ..backend.engine.commands.camera_process import CameraError, CameraProcess
+from ...backend.engine.command import EngineError
+from ...backend.engine.commands.camera_process import CameraError, CameraProcess
+from ..capture_folder import forget_looks, look_into
+from ..folders import SAVE_FILE_FIRST, folder_key, resolve_folder
 from . import clock
-from .capture_folder import forget_looks, look_into
-from .folders import SAVE_FILE_FIRST, folder_key, resolve_folder
 
 NO_CAMERAS = "{folder} holds photos, but no cameras yet: press Find Cameras first"
 CHOOSE_CAPTURE = "Choose a capture folder first"

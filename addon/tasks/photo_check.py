@@ -10,13 +10,13 @@ from typing import Any
 import bpy
 from bpy.app.handlers import persistent
 
-from ..backend.engine.command import EngineError
-from ..backend.engine.commands.capture_query import CaptureQuery
-from ..backend.engine.results.capture_facts import DISCS_ROWS
+from ...backend.engine.command import EngineError
+from ...backend.engine.commands.capture_query import CaptureQuery
+from ...backend.engine.results.capture_facts import DISCS_ROWS
+from ..capture_folder import forget_looks, last_look_into, look_into
+from ..folders import folder_key, resolve_folder
+from ..halved_pictures import load_picture, remove_picture
 from . import clock
-from .capture_folder import forget_looks, last_look_into, look_into
-from .folders import folder_key, resolve_folder
-from .halved_pictures import load_picture, remove_picture
 
 PICTURE = "photo check"  # key of the picture of the photos' directions
 

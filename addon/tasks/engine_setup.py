@@ -6,14 +6,14 @@ from pathlib import Path
 
 import bpy
 
-from ..backend.engine import install as installer
-from ..backend.engine.check import EngineCheck
-from ..backend.engine.results.job_files import EventFile, last_lines
-from ..backend.engine.started_process import StartedProcess
+from ...backend.engine import install as installer
+from ...backend.engine.check import EngineCheck
+from ...backend.engine.results.job_files import EventFile, last_lines
+from ...backend.engine.started_process import StartedProcess
+from ..engine_paths import addon_preferences
 from . import clock
-from .engine_paths import addon_preferences
 
-EXTENSION = Path(__file__).resolve().parent.parent
+EXTENSION = Path(__file__).resolve().parent.parent.parent
 ALLOW_ONLINE_ACCESS = "It is a download: allow it in Preferences, System, Network, Allow Online Access"
 CANCEL_GRACE_PERIODS = 3000  # of the clock, 300 s: a cancelled installation may have gigabytes to delete
 

@@ -6,7 +6,7 @@ import bpy
 import bpy.utils.previews
 import numpy as np
 
-from ..backend.scene_io.srgb import linear_to_srgb
+from ...backend.scene_io.srgb import linear_to_srgb
 
 SIZE = 32  # pixels of an icon's side
 

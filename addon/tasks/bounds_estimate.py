@@ -5,11 +5,11 @@ from pathlib import Path
 import bpy
 from bpy.app.handlers import persistent
 
-from ..backend.engine.command import EngineError
-from ..backend.engine.commands.capture_query import CaptureQuery
+from ...backend.engine.command import EngineError
+from ...backend.engine.commands.capture_query import CaptureQuery
+from ..folders import folder_key, resolve_folder
+from ..scene.object_bounds import place_bounds
 from . import clock
-from .folders import folder_key, resolve_folder
-from .object_bounds import place_bounds
 from .opened_file import opened_file
 
 

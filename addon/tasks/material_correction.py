@@ -8,12 +8,12 @@ from pathlib import Path
 
 from bpy.app.handlers import persistent
 
-from ..backend.engine.command import EngineError
-from ..backend.engine.commands.correction_process import CorrectionError, CorrectionProcess
-from ..backend.engine.results.job_files import is_asset
+from ...backend.engine.command import EngineError
+from ...backend.engine.commands.correction_process import CorrectionError, CorrectionProcess
+from ...backend.engine.results.job_files import is_asset
+from ..folders import folder_key
+from ..scene.imported_materials import Corrections, applied_corrections, reload_result, scenes_with
 from . import clock
-from .folders import folder_key
-from .imported_materials import Corrections, applied_corrections, reload_result, scenes_with
 
 NOT_IN_FILE = "This file shows none of the result's textures any more. Import the result again to see the correction."
 

@@ -5,12 +5,12 @@ from pathlib import Path
 import bpy
 from bpy.app.handlers import persistent
 
-from ..backend.engine.results.batch_file import BatchFile
-from ..backend.scene_io.blend_backup import put_in_place
-from ..backend.scene_io.image_files import fresh_partial
-from ..backend.shelf.bring_in import BATCH, catalog_of_collection, not_in_scene, objects_of
-from ..backend.shelf.catalogs import add_catalogs, catalog_of
-from .folders import folder_key
+from ...backend.engine.results.batch_file import BatchFile
+from ...backend.scene_io.blend_backup import put_in_place
+from ...backend.scene_io.image_files import fresh_partial
+from ...backend.shelf.bring_in import BATCH, catalog_of_collection, not_in_scene, objects_of
+from ...backend.shelf.catalogs import add_catalogs, catalog_of
+from ..folders import folder_key
 
 BLEND_FILE = "shelf.blend"
 

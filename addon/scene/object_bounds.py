@@ -7,7 +7,7 @@ import bpy
 import numpy as np
 from mathutils import Matrix, Vector
 
-from ..backend.engine.command import sphere_arguments
+from ...backend.engine.command import sphere_arguments
 
 NAME = "NeP bounds: {}"
 STRETCH_TOLERANCE = 1e-3  # relative difference of the axes up to which an empty counts as a sphere

@@ -10,13 +10,15 @@ from pathlib import Path
 import bpy
 from bpy.app.handlers import persistent
 
-from ..backend.engine import timings
-from ..backend.engine.command import EngineError
-from ..backend.engine.engine import STOPPED, Engine
-from ..backend.engine.progress import Progress
-from ..backend.engine.words import Said
-from . import clock, engine_paths, halved_pictures, live_preview
-from .folders import folder_key, resolve_folder
+from ...backend.engine import timings
+from ...backend.engine.command import EngineError
+from ...backend.engine.engine import STOPPED, Engine
+from ...backend.engine.progress import Progress
+from ...backend.engine.words import Said
+from .. import engine_paths, halved_pictures
+from ..folders import folder_key, resolve_folder
+from ..scene import live_preview
+from . import clock
 
 
 class Job:

@@ -4,10 +4,10 @@ from pathlib import Path
 
 import bpy
 
-from ..backend.engine.results.job_files import is_asset, read_job
-from ..backend.scene_io.image_files import relative_path
-from ..backend.scene_io.result import import_result
-from .folders import folder_key, resolve_folder
+from ...backend.engine.results.job_files import is_asset, read_job
+from ...backend.scene_io.image_files import relative_path
+from ...backend.scene_io.result import import_result
+from ..folders import folder_key, resolve_folder
 from .imported_materials import fill_materials
 
 

@@ -9,11 +9,11 @@ from collections.abc import Callable, Sequence
 from contextlib import suppress
 from pathlib import Path
 
-from ..backend.engine.command import EngineError
-from ..backend.engine.commands.batch_process import BatchError, BatchProcess
-from ..backend.engine.results.batch_file import BatchFile, ask_to_stop, has_batch, is_batch_running, read_batch
+from ...backend.engine.command import EngineError
+from ...backend.engine.commands.batch_process import BatchError, BatchProcess
+from ...backend.engine.results.batch_file import BatchFile, ask_to_stop, has_batch, is_batch_running, read_batch
+from ..folders import folder_key
 from . import clock
-from .folders import folder_key
 
 KEPT_S = 1.0
 """So long what was read of a folder is kept at least."""

@@ -2,9 +2,9 @@
 
 from bpy.app.handlers import persistent
 
-from ..backend.rendering.comparison_process import ComparisonProcess
+from ...backend.rendering.comparison_process import ComparisonProcess
+from ..scene.comparison_image import load_comparison
 from . import clock
-from .comparison_image import load_comparison
 from .opened_file import opened_file
 
 
