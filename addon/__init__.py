@@ -24,18 +24,7 @@ import bpy
 from . import folder_changes, halved_pictures, operators, panels, preferences, properties, saved_elsewhere
 from .panels import swatches
 from .scene import shelf_scene
-from .tasks import (
-    bounds_estimate,
-    camera_search,
-    clock,
-    comparison_render,
-    engine_setup,
-    material_correction,
-    opened_file,
-    photo_check,
-    running_jobs,
-    shelf_batch,
-)
+from .tasks import clock, material_correction, photo_check, registry, running_jobs
 
 CLASSES = (
     preferences.NepPreferences,
@@ -46,13 +35,9 @@ CLASSES = (
     *panels.CLASSES,
 )
 HANDLERS = (
-    ("load_post", opened_file.on_file_loaded),
-    ("load_post", bounds_estimate.on_file_loaded),
-    ("load_post", comparison_render.on_file_loaded),
-    ("load_post", running_jobs.on_file_loaded),
+    ("load_post", registry.on_file_loaded),
+    ("load_post", running_jobs.on_file_loaded),  # after the registry has forgotten what ended in the file before
     ("load_post", material_correction.on_file_loaded),
-    ("load_post", camera_search.on_file_loaded),
-    ("load_post", photo_check.on_file_loaded),
     ("save_pre", saved_elsewhere.on_save_begins),
     ("save_post", saved_elsewhere.on_save_ended),
     ("save_post_fail", saved_elsewhere.on_save_ended),
@@ -100,13 +85,6 @@ def _close_all() -> None:
     for event, handler in HANDLERS:
         if handler in getattr(bpy.app.handlers, event):
             getattr(bpy.app.handlers, event).remove(handler)
-    running_jobs.close_all()
-    engine_setup.close_all()
-    bounds_estimate.close_all()
-    camera_search.close_all()
-    comparison_render.close_all()
-    shelf_batch.close_all()
-    material_correction.close_all()
-    photo_check.close_all()
+    registry.close_all()
     halved_pictures.remove_all_pictures()
     swatches.remove_all_swatches()

@@ -8,7 +8,8 @@ from bpy.app.translations import pgettext_iface
 
 from ..backend.engine.install import NAME
 from .engine_paths import EXTENSION_PACKAGE, engine_python
-from .tasks import engine_setup
+from .tasks import registry
+from .tasks.engine_setup import ALLOW_ONLINE_ACCESS, Installation, PythonCheck
 from .wrapped_text import draw_wrapped
 
 BUILDS = (
@@ -25,7 +26,7 @@ REPLACED = "Engine Python was {}. It is empty now, so that jobs use the installe
 
 def _forget_failure(preferences: "NepPreferences", context: bpy.types.Context) -> None:
     """What was chosen for the installation has changed, so that the failure of the last one no longer concerns it."""
-    engine_setup.forget_failure()
+    registry.forget_ended(Installation)
 
 
 class NepPreferences(bpy.types.AddonPreferences):
@@ -68,24 +69,25 @@ def _draw_engine(box: bpy.types.UILayout, context: bpy.types.Context, preference
 
 
 def _draw_check(column: bpy.types.UILayout, context: bpy.types.Context) -> None:
-    check = engine_setup.check
-    if engine_setup.checking:
-        column.label(text="Asking the Python; the first time this takes half a minute", icon="TIME")
-    elif check is None:
+    check = registry.find(PythonCheck)
+    if check is None:
         named = os.path.basename(engine_python(context))
         column.label(
             text="Not checked yet" if named else "No engine yet: install it below, or choose a Python that has it",
             icon="QUESTION" if named else "ERROR",
         )
+    elif not check.ended:
+        column.label(text="Asking the Python; the first time this takes half a minute", icon="TIME")
     else:
-        draw_wrapped(column, context, check.python, "CHECKMARK" if check.works else "ERROR")
-        for line in check.lines:
+        draw_wrapped(column, context, check.answer.python, "CHECKMARK" if check.answer.works else "ERROR")
+        for line in check.answer.lines:
             draw_wrapped(column, context, line, "BLANK1")
 
 
 def _draw_installation(box: bpy.types.UILayout, context: bpy.types.Context, preferences: NepPreferences) -> None:
     """The choices for an installation, its progress, and its failure."""
-    installing, installation = engine_setup.installing, engine_setup.installation
+    installation = registry.find(Installation)
+    installing = installation is not None and not installation.ended
     box.label(text="Installation", icon="IMPORT")
     column = box.column()
     column.enabled = not installing
@@ -102,7 +104,7 @@ def _draw_installation(box: bpy.types.UILayout, context: bpy.types.Context, pref
         box.operator("nep.cancel_install", icon="CANCEL")
         return
     if not bpy.app.online_access:
-        box.label(text=engine_setup.ALLOW_ONLINE_ACCESS, icon="INFO")
+        box.label(text=ALLOW_ONLINE_ACCESS, icon="INFO")
     box.operator("nep.install_engine", icon="IMPORT")
     if installation is not None and installation.error is not None:
         for text, icon in zip(installation.error, ("ERROR", "BLANK1"), strict=True):

@@ -6,7 +6,8 @@ from ...backend.scene_io.capture_files import read_bounds
 from ..engine_errors import error_text
 from ..engine_paths import engine_python
 from ..scene.object_bounds import bounds_object, place_bounds
-from ..tasks import bounds_estimate
+from ..tasks import registry
+from ..tasks.bounds_estimate import BoundsEstimate
 from ..tasks.camera_search import CHOOSE_CAPTURE, usable_capture
 
 
@@ -21,7 +22,7 @@ class NEP_OT_propose_bounds(bpy.types.Operator):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        if bounds_estimate.current is not None:
+        if registry.running(BoundsEstimate) is not None:
             cls.poll_message_set("The bounds are being estimated")
             return False
         if not context.scene.nep.capture:
@@ -37,7 +38,7 @@ class NEP_OT_propose_bounds(bpy.types.Operator):
 
     def _propose(self, context: bpy.types.Context, wait: bool) -> set[str]:
         scene = context.scene
-        bounds_estimate.forget_last_error()
+        registry.forget_ended(BoundsEstimate)  # the panel no longer shows why the last one failed
         try:
             capture = usable_capture(scene.nep.capture)
         except ValueError as error:
@@ -52,11 +53,11 @@ class NEP_OT_propose_bounds(bpy.types.Operator):
             place_bounds(scene, capture, *known)
             self.report({"INFO"}, "Bounds of transforms.json")
             return {"FINISHED"}
-        bounds_estimate.start_estimate(scene, capture, engine_python(context), wait=wait)
+        estimate = registry.start(BoundsEstimate(scene, capture, engine_python(context)), wait=wait)
         if not wait:
             return {"FINISHED"}
-        if bounds_estimate.last_error is not None:
-            self.report({"ERROR"}, error_text(bounds_estimate.last_error))
+        if estimate.error is not None:
+            self.report({"ERROR"}, error_text(estimate.error))
             return {"CANCELLED"}
         self.report({"INFO"}, "Bounds estimated from the photos")
         return {"FINISHED"}

@@ -9,7 +9,8 @@ from ..capture_folder import last_look_into, look_into
 from ..engine_errors import error_text
 from ..engine_paths import engine_python
 from ..folders import SAVE_FILE_FIRST, resolve_folder
-from ..tasks import camera_search
+from ..tasks import registry
+from ..tasks.camera_search import CameraSearch, start_search
 from ..tasks.running_jobs import job_of
 
 
@@ -18,7 +19,7 @@ class CameraOperator:
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        if camera_search.current is not None:
+        if registry.running(CameraSearch) is not None:
             cls.poll_message_set("Cameras are being found")
             return False
         job = job_of(context.scene)
@@ -39,7 +40,7 @@ class CameraOperator:
         try:
             check_writable(folder)
             python = find_engine_python(configured=engine_python(context))
-            search = camera_search.start_search(
+            search = start_search(
                 python,
                 folder,
                 threads=settings.threads or None,
@@ -49,7 +50,7 @@ class CameraOperator:
                 wait=wait,
             )
         except EngineError as error:
-            return self._failed(camera_search.keep_failed_start(folder, error))
+            return self._failed(CameraSearch.keep_failed_start(folder, error))
         if not wait:
             return {"FINISHED"}
         if search.failed is not None:
@@ -137,16 +138,17 @@ class NEP_OT_cancel_find_cameras(bpy.types.Operator):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        if camera_search.current is None:
+        search = registry.running(CameraSearch)
+        if search is None:
             cls.poll_message_set("No cameras are being found")
             return False
-        if camera_search.current.process.stopping:
+        if search.process.stopping:
             cls.poll_message_set("It is stopping already")
             return False
         return True
 
     def execute(self, context: bpy.types.Context) -> set[str]:
-        camera_search.current.process.stop()
+        registry.running(CameraSearch).process.stop()
         return {"FINISHED"}
 
 

@@ -12,7 +12,8 @@ from ..editors import fit_image, open_editor
 from ..folders import SAVE_FILE_FIRST, resolve_folder
 from ..properties import LIGHTS
 from ..scene.comparison_image import comparison_image
-from ..tasks import clock, comparison_render
+from ..tasks import clock, registry
+from ..tasks.comparison_render import ComparisonRender, start_render
 
 
 class NEP_OT_render_comparison(bpy.types.Operator):
@@ -53,7 +54,7 @@ class NEP_OT_render_comparison(bpy.types.Operator):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        if comparison_render.current is not None:
+        if registry.running(ComparisonRender) is not None:
             cls.poll_message_set("A comparison is being rendered")
             return False
         return True
@@ -66,17 +67,17 @@ class NEP_OT_render_comparison(bpy.types.Operator):
 
     def _render(self, context: bpy.types.Context, wait: bool) -> set[str]:
         try:
-            render = comparison_render.start_render(self._arguments(context.scene), wait=wait)
+            render = start_render(self._arguments(context.scene), wait=wait)
         except (OSError, ValueError) as error:
-            comparison_render.show_message(str(error))
+            registry.keep(ComparisonRender(None, str(error)))
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
         if not wait:
             return {"FINISHED"}
         if render.process.path is None:
-            self.report({"ERROR"}, comparison_render.last_message)
+            self.report({"ERROR"}, render.message)
             return {"CANCELLED"}
-        self.report({"INFO"}, comparison_render.last_message)
+        self.report({"INFO"}, render.message)
         return {"FINISHED"}
 
     def _arguments(self, scene: bpy.types.Scene) -> list[str]:
@@ -143,14 +144,14 @@ class NEP_OT_cancel_comparison(bpy.types.Operator):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        render = comparison_render.current
+        render = registry.running(ComparisonRender)
         if render is None or render.process.cancelled:
             cls.poll_message_set("No comparison is being rendered" if render is None else "Already stopping")
             return False
         return True
 
     def execute(self, context: bpy.types.Context) -> set[str]:
-        comparison_render.current.process.cancel()
+        registry.running(ComparisonRender).process.cancel()
         return {"FINISHED"}
 
 

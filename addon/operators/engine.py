@@ -4,13 +4,17 @@ import bpy
 
 from ...backend.engine.command import EngineError, find_engine_python
 from .. import engine_paths
-from ..tasks import camera_search, engine_setup, material_correction, running_jobs, shelf_batch
+from ..tasks import engine_setup, registry
+from ..tasks.camera_search import CameraSearch
+from ..tasks.engine_setup import Installation, PythonCheck
+from ..tasks.material_correction import MaterialCorrection
+from ..tasks.running_jobs import Job
+from ..tasks.shelf_batch import ShelfBatch
 
 
 def engine_at_work() -> bool:
     """Whether a job, a batch, a search for cameras or a correction uses the engine, so that it must stay where it is."""
-    searched, corrected = camera_search.current, material_correction.current
-    return running_jobs.any_at_work() or shelf_batch.any_at_work() or searched is not None or corrected is not None
+    return any(registry.running(kind) is not None for kind in (Job, ShelfBatch, CameraSearch, MaterialCorrection))
 
 
 class NEP_OT_check_engine(bpy.types.Operator):
@@ -20,16 +24,17 @@ class NEP_OT_check_engine(bpy.types.Operator):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        if engine_setup.checking:
+        if registry.running(PythonCheck) is not None:
             cls.poll_message_set("The Python is being asked")
-        return not engine_setup.checking
+            return False
+        return True
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         try:
             engine_setup.start_check(find_engine_python(configured=engine_paths.engine_python(context)))
         except EngineError as error:
             self.report({"WARNING"}, str(error))
-            engine_setup.forget_check()
+            registry.forget_ended(PythonCheck)  # there is no Python to ask
             return {"CANCELLED"}
         return {"FINISHED"}
 
@@ -41,7 +46,7 @@ class NEP_OT_install_engine(bpy.types.Operator):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        if engine_setup.installing:
+        if registry.running(Installation) is not None:
             cls.poll_message_set("It is being installed")
             return False
         if engine_at_work():
@@ -72,16 +77,17 @@ class NEP_OT_cancel_install(bpy.types.Operator):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        if not engine_setup.installing:
+        installation = registry.running(Installation)
+        if installation is None:
             cls.poll_message_set("Nothing is being installed")
             return False
-        if engine_setup.installation.cancelling:
+        if installation.cancelling:
             cls.poll_message_set("It is being cancelled")
             return False
         return True
 
     def execute(self, context: bpy.types.Context) -> set[str]:
-        engine_setup.installation.cancel()
+        registry.running(Installation).cancel()
         return {"FINISHED"}
 
 

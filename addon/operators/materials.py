@@ -12,7 +12,8 @@ from ..engine_errors import error_text
 from ..engine_paths import engine_python
 from ..folders import SAVE_FILE_FIRST, resolve_folder
 from ..scene.imported_materials import chosen_corrections, is_list_of
-from ..tasks import material_correction
+from ..tasks import registry
+from ..tasks.material_correction import NOT_IN_FILE, MaterialCorrection, start_correction
 
 
 class NEP_OT_correct_materials(bpy.types.Operator):
@@ -33,7 +34,7 @@ class NEP_OT_correct_materials(bpy.types.Operator):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        if material_correction.current is not None:
+        if registry.running(MaterialCorrection) is not None:
             cls.poll_message_set("Materials are being corrected")
             return False
         if not context.scene.nep.materials:
@@ -57,15 +58,15 @@ class NEP_OT_correct_materials(bpy.types.Operator):
             _check(context.scene, asset)
             corrections = {} if self.reset else chosen_corrections(settings)
             python = find_engine_python(configured=engine_python(context))
-            correction = material_correction.start_correction(python, asset, corrections, wait=wait)
+            correction = start_correction(python, asset, corrections, wait=wait)
         except EngineError as error:
-            return self._failed(material_correction.keep_failed_start(asset, error))
+            return self._failed(MaterialCorrection.keep_failed_start(asset, error))
         if not wait:
             return {"FINISHED"}
         if correction.failed is not None:
             return self._failed(correction.failed)
         if not correction.is_seen:
-            self.report({"WARNING"}, pgettext_iface(material_correction.NOT_IN_FILE))
+            self.report({"WARNING"}, pgettext_iface(NOT_IN_FILE))
         return {"FINISHED"}
 
     def _failed(self, error: EngineError) -> set[str]:

@@ -12,8 +12,9 @@ from ..engine_paths import engine_python
 from ..folders import resolve_folder
 from ..scene.coverage_image import load_coverage
 from ..scene.object_bounds import bounds_arguments
-from ..tasks import clock, photo_check
+from ..tasks import clock, registry
 from ..tasks.camera_search import CHOOSE_CAPTURE, usable_capture
+from ..tasks.photo_check import PhotoCheck, last_check
 
 
 class NEP_OT_check_photos(bpy.types.Operator):
@@ -26,7 +27,7 @@ class NEP_OT_check_photos(bpy.types.Operator):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        if photo_check.current is not None:
+        if registry.running(PhotoCheck) is not None:
             cls.poll_message_set("Photos are being checked")
             return False
         if not context.scene.nep.capture:
@@ -47,7 +48,7 @@ class NEP_OT_check_photos(bpy.types.Operator):
         except ValueError as error:
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
-        check = photo_check.start_check(capture, engine_python(context), bounds, wait=wait)
+        check = registry.start(PhotoCheck(capture, engine_python(context), bounds), wait=wait)
         if not wait:
             return {"FINISHED"}
         if check.error is not None:
@@ -66,13 +67,13 @@ class NEP_OT_cancel_check_photos(bpy.types.Operator):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        if photo_check.current is None:
+        if registry.running(PhotoCheck) is None:
             cls.poll_message_set("No photos are being checked")
             return False
         return True
 
     def execute(self, context: bpy.types.Context) -> set[str]:
-        photo_check.cancel()
+        registry.forget(registry.running(PhotoCheck))
         clock.redraw("VIEW_3D")
         return {"FINISHED"}
 
@@ -84,14 +85,14 @@ class NEP_OT_show_coverage(bpy.types.Operator):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        check = photo_check.last_check(resolve_folder(context.scene.nep.capture))
+        check = last_check(resolve_folder(context.scene.nep.capture))
         if check is None or check.picture is None:
             cls.poll_message_set("Check the photos first")
             return False
         return True
 
     def execute(self, context: bpy.types.Context) -> set[str]:
-        image = load_coverage(photo_check.last_check(resolve_folder(context.scene.nep.capture)).picture)
+        image = load_coverage(last_check(resolve_folder(context.scene.nep.capture)).picture)
         if not bpy.app.background:
             open_editor(context, "IMAGE_EDITOR").image = image
             clock.call_until_false(partial(fit_image, image.name))  # one period later: a new window has no size yet

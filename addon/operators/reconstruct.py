@@ -5,7 +5,6 @@ until the object is in the scene.
 """
 
 import os
-import time
 from pathlib import Path
 
 import bpy
@@ -18,9 +17,10 @@ from ..engine_paths import engine_python
 from ..folders import SAVE_FILE_FIRST, resolve_folder
 from ..properties import PRESETS
 from ..scene.object_bounds import bounds_arguments, bounds_warning
-from ..tasks import clock, material_correction, running_jobs
+from ..tasks import registry
 from ..tasks.camera_search import why_not_usable
-from ..tasks.running_jobs import Job, job_of
+from ..tasks.material_correction import MaterialCorrection
+from ..tasks.running_jobs import Job, import_job_result, job_of
 
 LOG_LETTERS = 200_000  # of the end of each log file
 
@@ -80,21 +80,17 @@ class NEP_OT_reconstruct(bpy.types.Operator):
                 confirm_text="Start Again",
                 message="This replaces the result or the unfinished job in the output folder.",
             )
-        return {"FINISHED"} if self._start(context) else {"CANCELLED"}
+        return {"FINISHED"} if self._start(context, wait=False) else {"CANCELLED"}
 
     def execute(self, context: bpy.types.Context) -> set[str]:
-        job = self._start(context)
+        wait = self.wait and not self.options.is_invoke  # is_invoke: the artist has confirmed the question of `invoke`
+        job = self._start(context, wait)
         if job is None:
             return {"CANCELLED"}
-        if self.options.is_invoke or not self.wait:  # is_invoke: the artist has confirmed the question of `invoke`
+        if not wait:
             return {"FINISHED"}
-        job.import_when_ended = False  # it is imported below, also where the scene has another output folder
-        while not job.ended:
-            job.advance()
-            time.sleep(clock.PERIOD_S)
-        running_jobs.on_job_ended(job)
         if job.failed is None:
-            running_jobs.import_job_result(job)
+            import_job_result(job)
         if job.failed is not None:
             self.report({"WARNING" if job.was_stopped else "ERROR"}, str(job.failed))
             return {"CANCELLED"}
@@ -103,7 +99,7 @@ class NEP_OT_reconstruct(bpy.types.Operator):
     def _output(self, scene: bpy.types.Scene) -> Path | None:
         return resolve_folder(self.output or scene.nep.output)
 
-    def _start(self, context: bpy.types.Context) -> Job | None:
+    def _start(self, context: bpy.types.Context, wait: bool) -> Job | None:
         """Start the job. None where it cannot be started: then a report, or the panel, says why."""
         scene, settings = context.scene, context.scene.nep
         capture, output = resolve_folder(self.capture or settings.capture), self._output(scene)
@@ -114,7 +110,8 @@ class NEP_OT_reconstruct(bpy.types.Operator):
         if refused := why_not_usable(capture):
             self.report({"ERROR"}, refused)
             return None
-        if material_correction.is_at_work_in(output):  # asked first, because a correction holds the lock of a job
+        # asked before `is_running`, because a correction holds the lock of a job
+        if registry.running(MaterialCorrection, output) is not None:
             self.report({"ERROR"}, f"The materials in {output} are being corrected; wait until that has ended")
             return None
         if is_running(output):
@@ -130,14 +127,14 @@ class NEP_OT_reconstruct(bpy.types.Operator):
             self.report({"ERROR"}, str(error))
             return None
         except EngineError as error:
-            running_jobs.keep_failed_start(output, scene, error)
+            registry.keep(Job(output, scene, None, error))  # the panel says why
             self.report({"ERROR"}, str(error))
             return None
         if bounds_warning(scene):
             self.report({"WARNING"}, bounds_warning(scene))
         job = Job(output, scene, engine)
-        running_jobs.follow_job(job)
-        return job
+        job.import_when_ended = not wait  # a script imports it itself, also where the scene has another output folder
+        return registry.start(job, wait=wait)
 
     def _engine_arguments(self, scene: bpy.types.Scene, capture: Path, output: Path) -> list[str]:
         """The engine's command line for this scene. ValueError where the object bounds have no size."""

@@ -5,14 +5,15 @@ from pathlib import Path
 import bpy
 
 from ...backend.engine.command import EngineError, find_engine_python
-from ...backend.engine.commands.gallery_process import GalleryProcess
 from ...backend.engine.results.batch_file import BatchFile, has_batch, read_batch
 from ...backend.shelf.bring_in import bring_in
 from ..engine_errors import error_text
 from ..engine_paths import engine_python
 from ..folders import SAVE_FILE_FIRST, resolve_folder
 from ..scene import shelf_scene
-from ..tasks import clock, shelf_batch
+from ..tasks import registry
+from ..tasks.gallery_pages import GalleryPages
+from ..tasks.shelf_batch import batch_in, keep_failed_start, start_batch
 
 REPLACES_LISTED = "This replaces the results of all objects of the listed captures."
 REPLACES_ALL = "This replaces the results of all objects in the folder."
@@ -75,7 +76,7 @@ class NEP_OT_reconstruct_shelf(bpy.types.Operator):
         if folder is None:
             cls.poll_message_set(NO_FOLDER)
             return False
-        if shelf_batch.batch_in(folder).running:
+        if not batch_in(folder).ended:
             cls.poll_message_set("A batch is at work in this folder")
             return False
         if not _captures(context.scene) and not has_batch(folder):
@@ -104,7 +105,7 @@ class NEP_OT_reconstruct_shelf(bpy.types.Operator):
             self.report({"ERROR"}, SAVE_FILE_FIRST)
             return {"CANCELLED"}
         try:
-            batch = shelf_batch.start_batch(
+            batch = start_batch(
                 find_engine_python(configured=engine_python(context)),
                 captures,
                 folder,
@@ -119,7 +120,7 @@ class NEP_OT_reconstruct_shelf(bpy.types.Operator):
                 overwrite=self.overwrite,
             )
         except EngineError as error:
-            return self._failed(shelf_batch.keep_failed_start(folder, error))
+            return self._failed(keep_failed_start(folder, error))
         return {"FINISHED"} if batch.failed is None else self._failed(batch.failed)
 
     def _failed(self, error: EngineError) -> set[str]:
@@ -140,8 +141,8 @@ class NEP_OT_stop_shelf(bpy.types.Operator):
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
         folder = _folder(context.scene)
-        batch = None if folder is None else shelf_batch.batch_in(folder)
-        if batch is None or not batch.running:
+        batch = None if folder is None else batch_in(folder)
+        if batch is None or batch.ended:
             cls.poll_message_set("No batch is at work in this folder")
             return False
         if batch.stopping:
@@ -151,7 +152,7 @@ class NEP_OT_stop_shelf(bpy.types.Operator):
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         try:
-            shelf_batch.batch_in(_folder(context.scene)).stop()
+            batch_in(_folder(context.scene)).stop()
         except OSError as error:
             self.report({"ERROR"}, f"The batch cannot be asked to stop: {error}. Stop it where it was started")
             return {"CANCELLED"}
@@ -237,36 +238,12 @@ class NEP_OT_open_gallery(BatchOperator, bpy.types.Operator):
     def execute(self, context: bpy.types.Context) -> set[str]:
         folder = _folder(context.scene)
         try:
-            gallery = _Gallery(GalleryProcess(find_engine_python(configured=engine_python(context)), folder))
+            pages = GalleryPages(find_engine_python(configured=engine_python(context)), folder)
         except EngineError as error:
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
-        clock.follow(gallery, wait=bpy.app.background)
+        registry.start(pages, wait=bpy.app.background)
         return {"FINISHED"}
-
-
-class _Gallery:
-    """The pages that are being written; `clock.follow` follows it. They are opened when they are there."""
-
-    def __init__(self, process: GalleryProcess) -> None:
-        self._process = process
-
-    def poll(self) -> bool:
-        return self._process.poll()
-
-    def displayed_state(self) -> object:
-        return None
-
-    def finish(self) -> None:
-        failed, page = self._process.failed, self._process.page
-        shelf_batch.batch_in(page.parent).gallery_problem = "" if failed is None else str(failed)
-        if failed is None:
-            _open(page)
-
-
-def _open(page: Path) -> None:
-    if not bpy.app.background:
-        bpy.ops.wm.url_open(url=page.resolve().as_uri())
 
 
 CLASSES = (

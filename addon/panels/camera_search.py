@@ -5,13 +5,13 @@ import os
 import bpy
 from bpy.app.translations import pgettext_iface
 
-from ...backend.engine.exit_codes import STOPPED
 from ...backend.engine.results.capture_contents import LEAST_PHOTOS
 from ..capture_folder import CaptureFolder, last_look_into
 from ..folders import resolve_folder
-from ..tasks import camera_search
+from ..tasks import registry
 from ..tasks.camera_search import CameraSearch
 from ..wrapped_text import draw_wrapped
+from .failure import draw_failure
 
 NO_CAMERAS_YET = "{count} photos, no cameras yet"
 TOO_FEW = "Too few photos: {count} of at least {least}"
@@ -22,7 +22,6 @@ REPLACED = "They replace the earlier cameras: press Load Cameras and Propose Bou
 STOPPING = "Stopping"
 IMPROVED = "cameras.improved"  # the engine's message that other cameras were written
 PROGRESS_LINES = 3  # always as many, so that the buttons below do not move while a search runs
-NEEDS_ENGINE = ("engine.missing", "unexpected.no_pycolmap")  # names of the errors that the preferences can mend
 
 
 def draw_camera_search(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
@@ -30,17 +29,18 @@ def draw_camera_search(layout: bpy.types.UILayout, context: bpy.types.Context) -
     folder = resolve_folder(context.scene.nep.capture)
     if folder is None:
         return
-    if camera_search.is_at_work_in(folder):
-        _draw_progress(layout.box())
+    running = registry.running(CameraSearch, folder)
+    if running is not None:
+        _draw_progress(layout.box(), running)
         return
-    holds, search = last_look_into(folder), camera_search.last_search(folder)
+    holds, search = last_look_into(folder), registry.ended(CameraSearch, folder)
     if holds.lacks_cameras:
         box = layout.box()
         _draw_offer(box, context, holds)
         if search is not None and search.failed is not None:
-            _draw_failure(box, context, search)
+            draw_failure(box, context, search.failed)
     elif search is not None and search.failed is not None:
-        _draw_failure(layout.box(), context, search)
+        draw_failure(layout.box(), context, search.failed)
     elif search is not None:
         header, body = layout.panel("nep_cameras_found")  # an artist who has read the long text can fold it
         header.label(text=FOUND)
@@ -64,10 +64,9 @@ def _draw_features(layout: bpy.types.UILayout, context: bpy.types.Context, holds
         layout.prop(context.scene.nep, "features")
 
 
-def _draw_progress(box: bpy.types.UILayout) -> None:
+def _draw_progress(box: bpy.types.UILayout, search: CameraSearch) -> None:
     """The bar, with Cancel beside it: a second click on Find Cameras, which stood below, must not cancel."""
-    process = camera_search.current.process
-    progress = process.progress
+    process, progress = search.process, search.process.progress
     row = box.split(factor=0.66, align=True)
     row.progress(factor=progress.fraction, text=f"{100 * progress.fraction:.0f} %")
     row.operator("nep.cancel_find_cameras")
@@ -87,15 +86,6 @@ def _draw_found(box: bpy.types.UILayout, context: bpy.types.Context, search: Cam
     draw_wrapped(box, context, "\n".join(texts), "CHECKMARK")
     for warning in search.process.warnings:
         draw_wrapped(box, context, warning.words(pgettext_iface), "INFO")
-
-
-def _draw_failure(box: bpy.types.UILayout, context: bpy.types.Context, search: CameraSearch) -> None:
-    failed = search.failed
-    message, hint = failed.words(pgettext_iface)
-    draw_wrapped(box, context, message, "PAUSE" if failed.code == STOPPED else "ERROR")
-    draw_wrapped(box, context, "\n".join(text for text in (hint, failed.log) if text), "BLANK1")
-    if failed.name in NEEDS_ENGINE:
-        box.operator("nep.open_preferences", icon="PREFERENCES")
 
 
 def draw_find_again(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:

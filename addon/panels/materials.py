@@ -6,8 +6,10 @@ from bpy.app.translations import pgettext_iface
 from ..folders import resolve_folder
 from ..properties import NepMaterial, NepSettings
 from ..scene.imported_materials import applied_correction, applied_corrections, chosen_corrections
-from ..tasks import material_correction
+from ..tasks import registry
+from ..tasks.material_correction import NOT_IN_FILE, MaterialCorrection
 from ..wrapped_text import draw_wrapped
+from .failure import draw_failure
 from .subpanels import SubPanel
 from .swatches import swatch_icon
 
@@ -67,8 +69,8 @@ class NEP_PT_materials(SubPanel, bpy.types.Panel):
             text = NO_MATERIALS if settings.asset else "Import a result first: its materials are listed here."
             draw_wrapped(layout, context, pgettext_iface(text), "INFO")
             return
-        column = layout.column()
-        column.enabled = material_correction.current is None
+        column, running = layout.column(), registry.running(MaterialCorrection)
+        column.enabled = running is None
         for heading, text in zip(_columns(column), ("Share", "Roughness", "Metal"), strict=True):
             heading.label(text=text)
         rows = min(len(settings.materials), MOST_ROWS)
@@ -76,8 +78,8 @@ class NEP_PT_materials(SubPanel, bpy.types.Panel):
             NEP_UL_materials.bl_idname, "", settings, "materials", settings, "material_index", rows=rows, maxrows=MOST_ROWS
         )
         _draw_correction(column, context, settings)
-        if material_correction.current is not None:
-            _draw_progress(layout)
+        if running is not None:
+            _draw_progress(layout, running)
         else:
             _draw_buttons(layout, settings)
             _draw_end(layout, context)
@@ -115,8 +117,8 @@ def _draw_buttons(layout: bpy.types.UILayout, settings: NepSettings) -> None:
         layout.label(text="Not applied yet", icon="INFO")
 
 
-def _draw_progress(layout: bpy.types.UILayout) -> None:
-    progress = material_correction.current.process.progress
+def _draw_progress(layout: bpy.types.UILayout, correction: MaterialCorrection) -> None:
+    progress = correction.process.progress
     layout.progress(factor=progress.fraction, text=f"{100 * progress.fraction:.0f} %")
     column = layout.column(align=True)
     for line in progress.lines(pgettext_iface):
@@ -125,21 +127,16 @@ def _draw_progress(layout: bpy.types.UILayout) -> None:
 
 def _draw_end(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
     asset = resolve_folder(context.scene.nep.asset)
-    correction = material_correction.last_correction(asset) if asset is not None else None
+    correction = registry.ended(MaterialCorrection, asset) if asset is not None else None
     if correction is None:
         return
-    failed = correction.failed
-    if failed is not None:
-        message, hint = failed.words(pgettext_iface)
-        draw_wrapped(layout, context, message, "ERROR")
-        draw_wrapped(layout, context, "\n".join(text for text in (hint, failed.log) if text), "BLANK1")
-        if failed.name == "engine.missing":
-            layout.operator("nep.open_preferences", icon="PREFERENCES")
+    if correction.failed is not None:
+        draw_failure(layout, context, correction.failed)
         return
     for warning in correction.process.warnings[-2:]:
         draw_wrapped(layout, context, warning.words(pgettext_iface), "INFO")
     if not correction.is_seen:
-        draw_wrapped(layout, context, pgettext_iface(material_correction.NOT_IN_FILE), "INFO")
+        draw_wrapped(layout, context, pgettext_iface(NOT_IN_FILE), "INFO")
 
 
 CLASSES = (NEP_UL_materials, NEP_PT_materials)

@@ -7,7 +7,8 @@ from ...backend.engine.command import NoEngineError
 from ...backend.engine.results.capture_facts import facts_of, warnings_of
 from ..engine_errors import error_text
 from ..folders import resolve_folder
-from ..tasks import photo_check
+from ..tasks import registry
+from ..tasks.photo_check import PICTURE, PhotoCheck, last_check
 from ..wrapped_text import draw_wrapped
 from .pictures import draw_halves
 
@@ -19,13 +20,13 @@ ALL_WELL = "Nothing looks wrong"
 def draw_photo_check(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
     """Draw the button, or that the check is under way, and below it the result of the last check of this folder."""
     folder = resolve_folder(context.scene.nep.capture)
-    if folder is not None and photo_check.is_at_work_in(folder):
+    if folder is not None and registry.running(PhotoCheck, folder) is not None:
         row = layout.row(align=True)
         row.label(text="Looking at the photos...", icon="TIME")
         row.operator("nep.cancel_check_photos", text="", icon="X")
         return
     layout.operator("nep.check_photos", icon="VIEWZOOM")
-    check = photo_check.last_check(folder)
+    check = last_check(folder)
     if check is None:
         return
     box = layout.box()
@@ -36,7 +37,7 @@ def draw_photo_check(layout: bpy.types.UILayout, context: bpy.types.Context) -> 
         return
     warnings = warnings_of(check.found)
     if check.picture is not None:
-        draw_halves(box, context, photo_check.PICTURE, SIDES)
+        draw_halves(box, context, PICTURE, SIDES)
         draw_wrapped(box, context, SHADES)
         box.operator("nep.show_coverage", icon="IMAGE_DATA")
     column = box.column(align=True)

@@ -89,7 +89,7 @@ def _draw_buttons(layout: bpy.types.UILayout, scene: bpy.types.Scene) -> None:
 
 
 def _draw_running(layout: bpy.types.UILayout, context: bpy.types.Context, job: Job) -> None:
-    layout.label(text=job.output.name, icon="FILE_FOLDER")
+    layout.label(text=job.folder.name, icon="FILE_FOLDER")
     progress = job.progress
     layout.progress(factor=progress.fraction, text=f"{100 * progress.fraction:.0f} %")
     column = layout.column(align=True)

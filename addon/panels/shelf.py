@@ -5,15 +5,13 @@ from dataclasses import replace
 import bpy
 from bpy.app.translations import pgettext_iface
 
-from ...backend.engine.command import NoEngineError
-from ...backend.engine.exit_codes import STOPPED as STOPPED_CODE
 from ...backend.engine.results.batch_file import DONE, FAILED, RUNNING, STOPPED, WAITING, BatchObject
 from ...backend.engine.words import BATCH_HINTS, error_words
 from ..folders import resolve_folder
 from ..scene import shelf_scene
-from ..tasks import shelf_batch
-from ..tasks.shelf_batch import ShelfBatch
+from ..tasks.shelf_batch import ShelfBatch, batch_in
 from ..wrapped_text import draw_wrapped
+from .failure import draw_failure
 from .subpanels import SubPanel
 
 COUNTS = "{done} of {count} done, {failed} failed"
@@ -37,8 +35,8 @@ class NEP_PT_shelf(SubPanel, bpy.types.Panel):
     def draw(self, context: bpy.types.Context) -> None:
         layout, scene = self.layout, context.scene
         folder = resolve_folder(scene.nep.shelf_output)
-        batch = None if folder is None else shelf_batch.batch_in(folder)
-        running = batch is not None and batch.running
+        batch = None if folder is None else batch_in(folder)
+        running = batch is not None and not batch.ended
         _draw_captures(layout, scene.nep, enabled=not running)
         column = layout.column()
         column.use_property_split, column.use_property_decorate = True, False
@@ -52,7 +50,8 @@ class NEP_PT_shelf(SubPanel, bpy.types.Panel):
             _draw_progress(layout, context, batch)
         else:
             _draw_start(layout, batch)
-            _draw_end(layout, context, batch)
+            if batch.failed is not None:
+                draw_failure(layout, context, batch.failed)
         if batch.file is not None:
             _draw_objects(layout, context, batch)
         elif batch.problem:
@@ -91,18 +90,6 @@ def _draw_progress(layout: bpy.types.UILayout, context: bpy.types.Context, batch
     else:  # without what the list says
         without = replace(progress, note=None, steps=0) if progress.note and progress.note.code == COUNTED else progress
         draw_wrapped(layout, context, "\n".join(without.lines(pgettext_iface)))
-
-
-def _draw_end(layout: bpy.types.UILayout, context: bpy.types.Context, batch: ShelfBatch) -> None:
-    """How the last batch has ended that was started here."""
-    failed = batch.failed
-    if failed is None:
-        return
-    message, hint = failed.words(pgettext_iface)
-    draw_wrapped(layout, context, message, "PAUSE" if failed.code == STOPPED_CODE else "ERROR")
-    draw_wrapped(layout, context, "\n".join(text for text in (hint, failed.log) if text), "BLANK1")
-    if isinstance(failed, NoEngineError) or failed.name == "engine.missing":
-        layout.operator("nep.open_preferences", icon="PREFERENCES")
 
 
 def _draw_objects(layout: bpy.types.UILayout, context: bpy.types.Context, batch: ShelfBatch) -> None:

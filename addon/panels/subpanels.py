@@ -6,7 +6,9 @@ from ..engine_errors import error_text
 from ..scene.comparison_image import comparison_image
 from ..scene.imported_result import is_recovered_light_used
 from ..scene.object_bounds import bounds_object, bounds_warning
-from ..tasks import bounds_estimate, comparison_render
+from ..tasks import registry
+from ..tasks.bounds_estimate import BoundsEstimate
+from ..tasks.comparison_render import ComparisonRender, last_message
 from ..wrapped_text import draw_wrapped
 from .camera_search import draw_find_again
 from .photo_check import draw_photo_check
@@ -37,7 +39,8 @@ class NEP_PT_cameras_and_bounds(SubPanel, bpy.types.Panel):
         row = column.row(align=True)
         row.operator("nep.propose_bounds", icon="MESH_UVSPHERE")
         row.operator("nep.clear_bounds", text="", icon="X")
-        if bounds_estimate.current is not None:
+        estimate = registry.find(BoundsEstimate)
+        if estimate is not None and not estimate.ended:
             column.label(text="Looking for the object...", icon="TIME")
         elif bounds_object(context.scene) is None:
             column.label(text="Bounds: found automatically")
@@ -48,8 +51,8 @@ class NEP_PT_cameras_and_bounds(SubPanel, bpy.types.Panel):
                 "Move (G) and scale (S) the sphere: the whole object inside, no camera inside. Look from two sides",
             )
             draw_wrapped(column, context, bounds_warning(context.scene), "ERROR")
-        if bounds_estimate.last_error is not None:
-            draw_wrapped(column, context, error_text(bounds_estimate.last_error), "ERROR")
+        if estimate is not None and estimate.ended and estimate.error is not None:
+            draw_wrapped(column, context, error_text(estimate.error), "ERROR")
         draw_photo_check(self.layout.column(), context)
 
 
@@ -77,7 +80,7 @@ class NEP_PT_relit_comparison(SubPanel, bpy.types.Panel):
     bl_order = 4
 
     def draw(self, context: bpy.types.Context) -> None:
-        layout, settings, render = self.layout, context.scene.nep, comparison_render.current
+        layout, settings, render = self.layout, context.scene.nep, registry.running(ComparisonRender)
         column = layout.column()
         column.enabled = render is None
         column.label(text="Show the object under:")
@@ -95,7 +98,7 @@ class NEP_PT_relit_comparison(SubPanel, bpy.types.Panel):
                 text = "Starting a second Blender"
             layout.progress(factor=process.done / max(process.total, 1), text=text)
             layout.operator("nep.cancel_comparison", icon="CANCEL")
-        draw_wrapped(layout, context, comparison_render.last_message)
+        draw_wrapped(layout, context, last_message())
         if comparison_image() is not None:
             layout.operator("nep.show_comparison", icon="IMAGE_DATA")
 

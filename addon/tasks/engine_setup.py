@@ -11,14 +11,38 @@ from ...backend.engine.check import EngineCheck
 from ...backend.engine.results.job_files import EventFile, last_lines
 from ...backend.engine.started_process import StartedProcess
 from ..engine_paths import addon_preferences
-from . import clock
+from . import registry
+from .registry import Task
 
 EXTENSION = Path(__file__).resolve().parent.parent.parent
 ALLOW_ONLINE_ACCESS = "It is a download: allow it in Preferences, System, Network, Allow Online Access"
 CANCEL_GRACE_PERIODS = 3000  # of the clock, 300 s: a cancelled installation may have gigabytes to delete
 
 
-class Installation:
+class PreferencesTask(Task):
+    """A task that the preferences show. They are not part of any .blend file."""
+
+    shown_in = "PREFERENCES"
+
+    def outlives_file(self) -> bool:
+        return True
+
+
+class PythonCheck(PreferencesTask):
+    """A question to a Python which parts of the engine it has. `answer` is there when the check has ended."""
+
+    def __init__(self, python: str) -> None:
+        super().__init__()
+        self.answer = EngineCheck(python)
+
+    def poll(self) -> bool:
+        return self.answer.poll()
+
+    def close(self) -> None:
+        self.answer.close()
+
+
+class Installation(PreferencesTask):
     """An installer process.
 
     `python` is the result of a success. `replaced` is the Engine Python that the preferences named until then. `error`
@@ -27,6 +51,7 @@ class Installation:
 
     def __init__(self, command: list[str], log: Path) -> None:
         """Start `command`. OSError where the process cannot be started. `log`: where the log of a failure is kept."""
+        super().__init__()
         self.process = StartedProcess(command)
         self._log = log
         self._events = EventFile(self.process.folder / "events.jsonl")
@@ -41,7 +66,6 @@ class Installation:
         return self._periods_since_cancel > 0
 
     def poll(self) -> bool:
-        """Read what the installer has written, once every clock period; returns whether it has ended."""
         ended = not self.process.running()
         for event in self._events.read():
             if event["event"] == "progress":
@@ -64,6 +88,18 @@ class Installation:
                 self.process.send(kill=True)
         return ended
 
+    def displayed_state(self) -> object:
+        return self.fraction, self.message
+
+    def finish(self) -> None:
+        if self.python:
+            self.replaced = _forget_chosen_python()
+            start_check(self.python)
+
+    def close(self) -> None:
+        """An installation that is under way cleans up and ends."""
+        self.process.close()
+
     def _keep_log(self) -> None:
         """Save what pip has printed, and add to the hint where it is: the process's own folder is removed."""
         try:
@@ -81,59 +117,16 @@ class Installation:
         self.process.ask_to_stop()
 
 
-check: EngineCheck | None = None  # the last check, or the one under way
-checking = False
-installation: Installation | None = None  # the last installation, or the one under way
-installing = False
-_displayed: tuple | None = None  # what the preferences show of these
-
-
 def start_check(python: str) -> None:
     """Start a process that finds out which parts of the engine this Python has."""
-    global check, checking, _displayed
-    if checking:
-        check.close()
-    check, checking, _displayed = EngineCheck(python), True, None
-    clock.call_until_false(_advance)
-
-
-def forget_check() -> None:
-    """Show no check: there is no Python to ask."""
-    global check
-    check = None
+    registry.start(PythonCheck(python))
 
 
 def start_installation(folder: Path, base_python: str, build: str) -> None:
     """Start a process that installs the engine into `folder`. OSError where the process cannot be started."""
-    global installation, installing, _displayed
     command = [sys.executable, "-I", installer.__file__, "--source", str(EXTENSION), "--folder", str(folder)]
-    installation = Installation([*command, "--python", base_python, "--build", build], folder / f"{installer.NAME}.log")
-    installing, _displayed = True, None
-    clock.call_until_false(_advance)
-
-
-def forget_failure() -> None:
-    """Show no failure of the last installation."""
-    global installation
-    if not installing:
-        installation = None
-
-
-def _advance() -> bool:
-    """Follow the check and the installation, once every clock period; returns whether one of them still runs."""
-    global checking, installing, _displayed
-    if checking and check.poll():
-        checking = False
-    if installing and installation.poll():
-        installing = False
-        if installation.python:
-            installation.replaced = _forget_chosen_python()
-            start_check(installation.python)
-    displayed = checking, installing, installation and (installation.fraction, installation.message)
-    if displayed != _displayed:  # drawing them in each period would take the processor from the engine
-        _displayed = displayed
-        clock.redraw("PREFERENCES")
-    return checking or installing
+    log = folder / f"{installer.NAME}.log"
+    registry.start(Installation([*command, "--python", base_python, "--build", build], log))
 
 
 def _forget_chosen_python() -> str:
@@ -144,13 +137,3 @@ def _forget_chosen_python() -> str:
     chosen, preferences.engine_python = preferences.engine_python, ""
     bpy.context.preferences.is_dirty = True  # so that Blender saves it
     return chosen
-
-
-def close_all() -> None:
-    """Blender or the add-on ends: the check ends, and the installation cleans up and ends."""
-    global checking, installing
-    if checking:
-        check.close()
-    if installing:
-        installation.process.close()
-    checking = installing = False

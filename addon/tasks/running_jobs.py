@@ -1,8 +1,7 @@
 """The jobs that this Blender follows, at most one for each output folder.
 
 A job's state lies in the files of its output folder (backend/engine/engine.py). So the job of an earlier session, or of
-another .blend file, is found again when a scene names its output folder. No reference to Blender's data is kept: undo
-and File > New may end the life of such data at any moment.
+another .blend file, is found again when a scene names its output folder.
 """
 
 from pathlib import Path
@@ -16,34 +15,35 @@ from ...backend.engine.engine import STOPPED, Engine
 from ...backend.engine.progress import Progress
 from ...backend.engine.words import Said
 from .. import engine_paths, halved_pictures
-from ..folders import folder_key, resolve_folder
+from ..folders import resolve_folder
 from ..scene import live_preview
-from . import clock
+from . import clock, registry
+from .registry import Task
 
 
-class Job:
-    """A job in the folder `output`. It runs, or has `ended`: with an asset, or with `failed`, which says why."""
+class Job(Task):
+    """A job in its output folder. When it has ended, there is an asset, or `failed` says why not."""
+
+    one_per_folder = True
 
     def __init__(
         self, output: Path, scene: bpy.types.Scene, engine: Engine | None, failed: EngineError | None = None
     ) -> None:
         """A job that `scene` has started or found. `engine` is None for a job that could not be started."""
-        self.output, self.engine, self.failed = output, engine, failed
+        super().__init__(output)
+        self.engine, self.failed, self.ended = engine, failed, engine is None
         self.scene_name = scene.name
-        self.key = folder_key(output)
         self.progress = Progress()
         self.warnings: list[Said] = []
         self.scene_analysis: list[Said] = []  # sentences: what the photos show, and what the engine leaves out for it
         self.stopping = False
-        self.ended = engine is None
-        self.import_when_ended = True  # False once the result is imported, or where the artist is to decide about it
-        self.previews: dict[str, Path] = {}  # file ending -> the newest preview file that is not shown yet
+        self.import_when_ended = True  # False once the result is imported, or where somebody else decides about it
+        self._events_read = 0
+        self._previews: dict[str, Path] = {}  # file ending -> the newest preview file that is not shown yet
 
-    def advance(self) -> bool:
-        """Read what the engine has said since the last call; returns whether anything has changed. Sets `ended`."""
-        if self.ended:
-            return False
+    def poll(self) -> bool:
         events, ended = self.engine.poll()
+        self._events_read += len(events)
         for event in events:
             if event["event"] == "progress":
                 self.progress = Progress.of(event)
@@ -53,12 +53,43 @@ class Job:
                 self.scene_analysis = [Said.of(line) for line in event.get("lines") or ()]
             elif event["event"] == "preview":
                 path = Path(str(event.get("path", "")))
-                self.previews[path.suffix] = path
+                self._previews[path.suffix] = path
         if ended:
-            self.ended = True
             self.failed = self.engine.outcome()
             self.engine.close()
-        return bool(events) or ended
+        elif self.import_when_ended:  # a script that waits for the job needs no previews
+            self._show_previews()
+        return ended
+
+    def _show_previews(self) -> None:
+        picture, mesh = self._previews.pop(".png", None), self._previews.pop(".npz", None)
+        if picture is not None:
+            halved_pictures.load_picture(self.key, picture)
+        scene = None if mesh is None else scene_of(self)
+        if scene is not None:
+            live_preview.show_mesh(scene, self.key, mesh)
+
+    def displayed_state(self) -> object:
+        return self._events_read
+
+    def finish(self) -> None:
+        """Remove the live preview, remember how long a successful job took, and import the result as soon as possible."""
+        if remove_old_previews():
+            clock.call_until_false(remove_old_previews)
+        halved_pictures.remove_picture(self.key)
+        if self.failed is None:
+            timings.remember(engine_paths.timings_file(), self.folder)
+        if self._waits_for_import():
+            clock.call_until_false(self._waits_for_import)
+
+    def _waits_for_import(self) -> bool:
+        self.import_when_ended = self.import_when_ended and not _import_if_possible(self)
+        return self.import_when_ended
+
+    def close(self) -> None:
+        """A job that was not started to keep going writes its checkpoint and ends."""
+        if self.engine is not None:
+            self.engine.close()
 
     def stop(self) -> None:
         """Ask the engine to write its checkpoint and to end."""
@@ -71,18 +102,10 @@ class Job:
         return self.failed is not None and self.failed.code == STOPPED
 
 
-_jobs: dict[str, Job] = {}  # by the key of the output folder
-
-
 def job_of(scene: bpy.types.Scene) -> Job | None:
     """The job in the scene's output folder; None where this Blender knows of no job there."""
     output = resolve_folder(scene.nep.output)
-    return _jobs.get(folder_key(output)) if output is not None else None
-
-
-def any_at_work() -> bool:
-    """Whether a job of this Blender has not ended."""
-    return any(not job.ended for job in _jobs.values())
+    return None if output is None else registry.find(Job, output)
 
 
 def scene_of(job: Job) -> bpy.types.Scene | None:
@@ -94,33 +117,22 @@ def scene_of(job: Job) -> bpy.types.Scene | None:
     return next((scene for scene in scenes if scene.name == job.scene_name), scenes[0] if scenes else None)
 
 
-def follow_job(job: Job) -> None:
-    """Follow a running job to its end, in place of an earlier job in the same folder."""
-    _jobs[job.key] = job
-    clock.call_until_false(advance_jobs)
-
-
-def keep_failed_start(output: Path, scene: bpy.types.Scene, error: EngineError) -> None:
-    """Keep, for the panel, why a job in this folder could not be started."""
-    job = Job(output, scene, None, error)
-    _jobs[job.key] = job
-
-
 def attach_job(scene: bpy.types.Scene) -> None:
     """Find the job that runs, or has ended, in the scene's output folder, and follow it where it runs."""
     output = resolve_folder(scene.nep.output)
-    if output is None or folder_key(output) in _jobs:
+    if output is None or registry.find(Job, output) is not None:
         return
     engine = Engine.attach(output)
     if engine is None:
         return
     job = Job(output, scene, engine)
-    job.advance()
+    job.import_when_ended = False  # where it ended unseen: the artist decides about its result
+    job.ended = job.poll()
     if job.ended:
-        job.import_when_ended = False  # it ended unseen: the artist decides about its result
-        _jobs[job.key] = job
+        registry.keep(job)
     else:
-        follow_job(job)
+        job.import_when_ended = True
+        registry.start(job)
 
 
 def attach_jobs_of_all_scenes() -> None:
@@ -131,55 +143,17 @@ def attach_jobs_of_all_scenes() -> None:
 
 @persistent
 def on_file_loaded(*_: object) -> None:
-    """Blender's handler after another file was opened: forget the ended jobs, and find those that the file names.
+    """Blender's handler after another file was opened, and the ended jobs were forgotten: find those that the file names.
 
     What became of an ended job is read again from its files where this file names its folder.
     """
-    for ended in [job for job in _jobs.values() if job.ended]:
-        del _jobs[ended.key]
     attach_jobs_of_all_scenes()
     remove_old_previews()
 
 
-def advance_jobs() -> bool:
-    """Advance all jobs, once every clock period; returns whether one of them needs another call."""
-    changed = False
-    for job in list(_jobs.values()):
-        was_running = not job.ended
-        changed |= job.advance()
-        _show_previews(job)
-        if job.ended and was_running:
-            on_job_ended(job)
-        if job.ended and job.import_when_ended:
-            job.import_when_ended = not _import_if_possible(job)
-    if changed:
-        clock.redraw_sidebars_soon()
-    return any(not job.ended or job.import_when_ended for job in _jobs.values())
-
-
-def _show_previews(job: Job) -> None:
-    if job.ended or not job.previews:
-        return
-    picture, mesh = job.previews.pop(".png", None), job.previews.pop(".npz", None)
-    if picture is not None:
-        halved_pictures.load_picture(job.key, picture)
-    scene = scene_of(job)
-    if mesh is not None and scene is not None:
-        live_preview.show_mesh(scene, job.key, mesh)
-
-
-def on_job_ended(job: Job) -> None:
-    """Remove the job's live preview, and remember how long a successful job took."""
-    if remove_old_previews():
-        clock.call_until_false(remove_old_previews)
-    halved_pictures.remove_picture(job.key)
-    if job.failed is None:
-        timings.remember(engine_paths.timings_file(), job.output)
-
-
 def remove_old_previews() -> bool:
     """Remove the preview meshes of jobs that do not run. Returns whether another call is needed: one is being edited."""
-    return live_preview.remove_meshes_except([job.key for job in _jobs.values() if not job.ended])
+    return live_preview.remove_meshes_except([job.key for job in registry.tasks_of(Job) if not job.ended])
 
 
 @persistent
@@ -209,14 +183,6 @@ def import_job_result(job: Job) -> None:
     The operator is called by its name, as a script would call it: so Blender makes the undo step.
     """
     try:
-        bpy.ops.nep.import_result("EXEC_DEFAULT", True, folder=str(job.output))
+        bpy.ops.nep.import_result("EXEC_DEFAULT", True, folder=str(job.folder))
     except RuntimeError as error:  # this is how an operator's error report arrives
         job.failed = EngineError(1, str(error).removeprefix("Error: ").strip(), "Press Import Result to try again.")
-
-
-def close_all() -> None:
-    """Blender or the add-on ends: jobs that were not started to keep going write their checkpoint and end."""
-    for job in _jobs.values():
-        if job.engine is not None:
-            job.engine.close()
-    _jobs.clear()

@@ -12,8 +12,8 @@ from pathlib import Path
 from ...backend.engine.command import EngineError
 from ...backend.engine.commands.batch_process import BatchError, BatchProcess
 from ...backend.engine.results.batch_file import BatchFile, ask_to_stop, has_batch, is_batch_running, read_batch
-from ..folders import folder_key
-from . import clock
+from . import registry
+from .registry import Task
 
 KEPT_S = 1.0
 """So long what was read of a folder is kept at least."""
@@ -21,18 +21,21 @@ KEPT_TIMES = 30
 """It is kept so many times as long as it took to read, so that a large batch or a slow drive does not slow down Blender."""
 
 
-class ShelfBatch:
-    """What is known of the batch in `folder`.
+class ShelfBatch(Task):
+    """What is known of the batch in `folder`. It has `ended` where no batch is at work there.
 
-    `file`: its batch.json; None where there is none. `problem`: why batch.json cannot be read. `running`: whether a batch is
-    at work there. `process`: the engine, if this Blender has started it. `failed`: how that ended. `gallery_problem`: why
-    its pages cannot be written.
+    `file`: its batch.json; None where there is none. `problem`: why batch.json cannot be read. `process`: the engine, if
+    this Blender has started it. `failed`: how that ended. `gallery_problem`: why its pages cannot be written.
     """
 
+    one_per_folder = True
+
     def __init__(self, folder: Path) -> None:
-        self.folder, self.process, self.failed = folder, None, None
+        super().__init__(folder)
+        self.process: BatchProcess | None = None
+        self.failed: BatchError | None = None
         self.file: BatchFile | None = None
-        self.problem, self.running, self.stopping = "", False, False
+        self.problem, self.stopping = "", False
         self.gallery_problem = ""
         self._kept_until = 0.0
         self._keeps_going = False
@@ -47,19 +50,18 @@ class ShelfBatch:
             self.file = read_batch(self.folder) if has_batch(self.folder) else None
         except ValueError as error:
             self.problem = str(error)
-        self.running = self.process is not None or is_batch_running(self.folder)
-        self.stopping = self.stopping and self.running
+        self.ended = self.process is None and not is_batch_running(self.folder)
+        self.stopping = self.stopping and not self.ended
         end = now()
         self._kept_until = end + max(KEPT_S, KEPT_TIMES * (end - began))
 
-    def start(self, process: BatchProcess, keeps_going: bool) -> None:
-        """Follow an engine that was just started in the folder."""
+    def begin(self, process: BatchProcess, keeps_going: bool) -> None:
+        """An engine was just started in the folder."""
         self.process, self._keeps_going, self.failed, self.stopping = process, keeps_going, None, False
-        self.running = True  # from now on, so that the timer follows it
+        self.ended = False
         self.forget()
 
     def poll(self) -> bool:
-        """Read what is new. Returns whether the batch goes on."""
         if self.process is not None and self.process.poll():
             self.failed, self.process = self.process.failed, None
             self.forget()
@@ -68,7 +70,7 @@ class ShelfBatch:
             with suppress(OSError):  # the next call tries again
                 ask_to_stop(self.folder)
         self.look()
-        return self.running
+        return self.ended
 
     def stop(self) -> None:
         """Ask the batch to write its checkpoints and to end.
@@ -87,26 +89,26 @@ class ShelfBatch:
         self._kept_until = 0.0
 
     def displayed_state(self) -> object:
-        """What the sidebar shows of it."""
         progress = None if self.process is None else self.process.progress
-        return self.file, self.problem, self.running, self.stopping, progress
+        return self.file, self.problem, self.stopping, progress
 
+    def close(self) -> None:
+        """A batch that was not started to keep going writes its checkpoints and ends."""
+        if self.process is not None:
+            self.process.close()
 
-_batches: dict[str, ShelfBatch] = {}  # by the key of the folder
+    def outlives_file(self) -> bool:
+        """The batch lies in its folder, and another file may name the same folder."""
+        return True
 
 
 def batch_in(folder: Path) -> ShelfBatch:
     """What is known of the batch in the folder. A batch that is at work is followed from now on."""
-    batch = _batches.setdefault(folder_key(folder), ShelfBatch(folder))
+    batch = registry.find(ShelfBatch, folder) or registry.keep(ShelfBatch(folder))
     batch.look()
-    if batch.running:
-        clock.call_until_false(_advance)
+    if not batch.ended:
+        registry.start(batch)
     return batch
-
-
-def any_at_work() -> bool:
-    """Whether a batch that this Blender knows is at work."""
-    return any(batch.running for batch in _batches.values())
 
 
 def start_batch(
@@ -119,11 +121,8 @@ def start_batch(
     """
     process = BatchProcess(python, captures, folder, keep_going=keep_going, **options)
     batch = batch_in(folder)
-    batch.start(process, keep_going)
-    clock.call_until_false(_advance)
-    while wait and batch.poll():
-        time.sleep(clock.PERIOD_S)
-    return batch
+    batch.begin(process, keep_going)
+    return registry.start(batch, wait=wait)
 
 
 def keep_failed_start(folder: Path, error: EngineError) -> BatchError:
@@ -131,23 +130,3 @@ def keep_failed_start(folder: Path, error: EngineError) -> BatchError:
     batch = batch_in(folder)
     batch.failed = BatchError.of(error)
     return batch.failed
-
-
-def _advance() -> bool:
-    """Follow all batches that are at work, once every clock period. Returns whether there is one."""
-    going = False
-    for batch in _batches.values():
-        if batch.running:
-            before = batch.displayed_state()
-            going |= batch.poll()
-            if batch.displayed_state() != before:
-                clock.redraw_sidebars_soon()
-    return going
-
-
-def close_all() -> None:
-    """Blender or the add-on ends: batches that were not started to keep going write their checkpoints and end."""
-    for batch in _batches.values():
-        if batch.process is not None:
-            batch.process.close()
-    _batches.clear()

@@ -132,13 +132,13 @@ def check_beside(folder):
     assert "Stopped. No cameras were written" in told and "6 photos, no cameras yet" in told and "nep.find_cameras" in told
     assert not (folder / "photos" / "transforms.json").exists()
 
-    begin(folder, addon)
+    search = begin(folder, addon)
     rounds(addon, lambda: "25 %" in panel(bpy, addon))
     bpy.ops.wm.read_factory_settings(use_empty=True)  # File > New, in the middle
     bpy.context.scene.nep.capture = str(folder / "photos")
     assert "25 %" in panel(bpy, addon)
     (folder / "go").touch()
-    rounds(addon, lambda: addon.tasks.camera_search.current is None)
+    rounds(addon, lambda: search.ended)
     assert "5 of 6 photos were placed." in " ".join(panel(bpy, addon))
 
 

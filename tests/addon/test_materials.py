@@ -174,10 +174,10 @@ def check_beside(folder):
     assert settings.materials[0].metal == "METAL" and "nep.correct_materials" in panel(bpy, addon)
 
     (folder / "go").unlink()
-    start(os.environ["NEP_ENGINE_PYTHON"], folder / "asset", {}, wait=False)
+    second_correction = start(os.environ["NEP_ENGINE_PYTHON"], folder / "asset", {}, wait=False)
     bpy.ops.wm.read_factory_settings(use_empty=True)  # File > New, in the middle
     (folder / "go").touch()
-    rounds(addon, lambda: addon.tasks.material_correction.current is None)
+    rounds(addon, lambda: second_correction.ended)
     assert not bpy.context.scene.nep.materials and not bpy.ops.nep.correct_materials.poll()
     assert "Import a result first: its materials" in panel(bpy, addon)[0]
 

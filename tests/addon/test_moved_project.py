@@ -57,7 +57,9 @@ def check_result(folder, images):
     assert addon.folders.resolve_folder(settings.asset) == place / "result"
     settings.materials[0].metal = "METAL"
     assert bpy.ops.nep.correct_materials() == {"FINISHED"}
-    assert addon.tasks.material_correction.last_correction(place / "result").is_seen, "the images were read again"
+    assert addon.tasks.registry.find(addon.tasks.material_correction.MaterialCorrection).is_seen, (
+        "the images were read again"
+    )
     settings.output = str(place / "result")
     assert bpy.ops.nep.import_result() == {"FINISHED"} and settings.asset == str(place / "result")
 

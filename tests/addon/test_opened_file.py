@@ -22,13 +22,14 @@ def check_bounds(folder):
     addon = register()
     answer = SimpleNamespace(sphere=((0.0, 0.0, 0.0), 1.0), error=None, poll=lambda: True, close=lambda: None)
     addon.tasks.bounds_estimate.CaptureQuery = lambda *_: answer
+    estimates = addon.tasks.bounds_estimate.BoundsEstimate
 
     def ask() -> None:
         bpy.context.scene.nep.capture = str(folder)
-        addon.tasks.bounds_estimate.start_estimate(bpy.context.scene, folder, sys.executable, wait=False)
+        addon.tasks.registry.start(estimates(bpy.context.scene, folder, sys.executable))
 
     def bounds() -> object:
-        rounds(addon, lambda: addon.tasks.bounds_estimate.current is None)
+        rounds(addon, lambda: addon.tasks.registry.running(estimates) is None)
         return addon.scene.object_bounds.bounds_object(bpy.context.scene)
 
     ask()
@@ -41,12 +42,12 @@ def check_bounds(folder):
     assert bounds() is None
     answer.sphere, answer.error = None, ERROR
     ask()
-    assert bounds() is None and addon.tasks.bounds_estimate.last_error == ERROR
+    assert bounds() is None and addon.tasks.registry.find(estimates).error == ERROR
     bpy.ops.wm.read_factory_settings(use_empty=True)
-    assert addon.tasks.bounds_estimate.last_error is None, "an error of the file before"
+    assert addon.tasks.registry.find(estimates) is None, "an error of the file before"
     ask()
     bpy.ops.wm.read_factory_settings(use_empty=True)
-    assert bounds() is None and addon.tasks.bounds_estimate.last_error is None
+    assert bounds() is None and addon.tasks.registry.find(estimates) is None
 
 
 def test_bounds_are_placed_after_the_file_was_saved_in_another_folder(package):
@@ -59,15 +60,16 @@ def check_bounds_elsewhere(folder):
     addon = register()
     answer = SimpleNamespace(sphere=((0.0, 0.0, 0.0), 1.0), error=None, poll=lambda: True, close=lambda: None)
     addon.tasks.bounds_estimate.CaptureQuery = lambda *_: answer
+    estimates = addon.tasks.bounds_estimate.BoundsEstimate
     for name in ("photos", "other"):
         (folder / name).mkdir()
     bpy.ops.wm.save_as_mainfile(filepath=str(folder / "saved.blend"))
     bpy.context.scene.nep.capture = "//photos"
     capture = addon.folders.resolve_folder("//photos")
-    addon.tasks.bounds_estimate.start_estimate(bpy.context.scene, capture, sys.executable, wait=False)
+    estimate = addon.tasks.registry.start(estimates(bpy.context.scene, capture, sys.executable))
     bpy.ops.wm.save_as_mainfile(filepath=str(folder / "other" / "saved.blend"))
     assert bpy.context.scene.nep.capture == "//../photos"
-    rounds(addon, lambda: addon.tasks.bounds_estimate.current is None)
+    rounds(addon, lambda: estimate.ended)
     assert addon.scene.object_bounds.bounds_object(bpy.context.scene) is not None
 
 
@@ -111,17 +113,17 @@ def check_comparison(folder):
     addon.tasks.comparison_render.ComparisonProcess = lambda *_: process
 
     def shown() -> bool:
-        rounds(addon, lambda: addon.tasks.comparison_render.current is None)
+        rounds(addon, bpy.ops.nep.render_comparison.poll)
         return addon.scene.comparison_image.comparison_image() is not None
 
     addon.tasks.comparison_render.start_render([], wait=False)
     bpy.ops.wm.save_as_mainfile(filepath=str(folder / "saved.blend"))
-    assert shown() and addon.tasks.comparison_render.last_message == f"Written: {picture}"
+    assert shown() and addon.tasks.comparison_render.last_message() == f"Written: {picture}"
     bpy.ops.wm.read_factory_settings(use_empty=True)
-    assert not addon.tasks.comparison_render.last_message, "a message of the file before"
+    assert not addon.tasks.comparison_render.last_message(), "a message of the file before"
     addon.tasks.comparison_render.start_render([], wait=False)
     bpy.ops.wm.read_factory_settings(use_empty=True)  # neither of both files has a path
-    assert not shown() and not addon.tasks.comparison_render.last_message
+    assert not shown() and not addon.tasks.comparison_render.last_message()
 
 
 if __name__ == "__main__":

@@ -49,7 +49,8 @@ def told(bpy, addon) -> str:
 
 def begin(folder: Path, addon):
     """Begin a check as the button does, which does not wait for its end."""
-    return addon.tasks.photo_check.start_check(folder / "photos", os.environ["NEP_ENGINE_PYTHON"], (), wait=False)
+    check = addon.tasks.photo_check.PhotoCheck(folder / "photos", os.environ["NEP_ENGINE_PYTHON"], ())
+    return addon.tasks.registry.start(check)
 
 
 def test_the_panel_shows_what_the_engine_finds(folder):
@@ -141,9 +142,9 @@ def check_beside(folder):
         addon.tasks.clock.tick()
         settings.capture = str(folder / "photos")
         assert addon.tasks.photo_check.last_check(folder / "photos") is None
-    begin(folder, addon)
+    check = begin(folder, addon)
     (folder / "go").touch()
-    rounds(addon, lambda: addon.tasks.photo_check.current is None)
+    rounds(addon, lambda: check.ended)
     assert "41 % of all directions are near a photo" in told(bpy, addon)
 
 

@@ -224,10 +224,10 @@ def test_a_batch_that_keeps_going_is_stopped_before_it_has_begun(folder):
 def check_early_stop(folder):
     bpy, addon, _settings = set_up(folder)
     batch = begin(folder, addon, "ant", "bee", keep_going=True)
-    assert addon.tasks.clock.tick() is not None and addon.tasks.shelf_batch.any_at_work(), "the timer follows it"
+    assert addon.tasks.clock.tick() is not None and addon.operators.engine.engine_at_work(), "the timer follows it"
     assert bpy.ops.nep.stop_shelf() == {"FINISHED"} and not bpy.ops.nep.stop_shelf.poll()
     (folder / "begin").touch()
-    rounds(addon, lambda: not batch.running)
+    rounds(addon, lambda: batch.ended)
     assert (folder / "stopped").exists() and batch.failed.name == "stopped.batch"
 
 

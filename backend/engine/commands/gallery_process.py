@@ -36,5 +36,9 @@ class GalleryProcess:
             self.failed = EngineError(self._process.code, "The gallery cannot be written.", log=said)
             if UNKNOWN_COMMAND.format(COMMAND) in said:
                 self.failed = NoEngineError(OUTDATED)
-        self._process.close()
+        self.close()
         return True
+
+    def close(self) -> None:
+        """Stop following the engine, which goes on."""
+        self._process.close()
