@@ -90,7 +90,9 @@ def test_same_seed_same_textures_also_when_resumed(ball):
         assert (a.albedo == other.albedo).all() and (a.roughness == other.roughness).all()
 
 
-@pytest.mark.parametrize(("albedo", "metallic"), [((0.9, 0.6, 0.3), 1.0), ((0.6, 0.3, 0.15), 0.0)])
+@pytest.mark.parametrize(
+    ("albedo", "metallic"), [pytest.param((0.9, 0.6, 0.3), 1.0, marks=pytest.mark.slow), ((0.6, 0.3, 0.15), 0.0)]
+)
 def test_light_that_no_photo_shows_is_found_in_the_reflections(ball, albedo, metallic):
     photos = make_photos(constant(albedo, 0.2, metallic))
     preset = replace(PRESET, most_materials=1, unseen_steps=60)
