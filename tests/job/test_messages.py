@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import functools
 import string
 from pathlib import Path
 
@@ -29,6 +30,7 @@ def calls() -> list[tuple[Path, ast.Call, str]]:
     return found
 
 
+@functools.cache
 def emitted() -> dict[str, set[frozenset[str]]]:
     """{code: the names of its values at each place where the library makes such a message}."""
     found: dict[str, set[frozenset[str]]] = {}
