@@ -8,10 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import trimesh
 from PIL import Image
-
-from blender_nep.asset.export import TexturedMesh, write_exr, write_glb
 
 SPOTS = {
     (1, 0, 0): (1, 0, 0),
@@ -42,6 +39,11 @@ def write_batch(folder: Path, objects: list[dict[str, Any]], **keys: Any) -> Pat
 def write_mirror_ball(folder: Path, **report: Any) -> Path:
     """Write the asset of a mirror ball of radius 1 in the light of `SPOTS`, into a new folder."""
     folder.mkdir(parents=True)
+    # not at the top: Blender, which runs files of tests as scripts, would import torch in two seconds and not use it
+    import trimesh
+
+    from blender_nep.asset.export import TexturedMesh, write_exr, write_glb
+
     ball = trimesh.creation.icosphere(4)
     vertices = np.asarray(ball.vertices)
     small = np.ones((4, 4), np.float32)

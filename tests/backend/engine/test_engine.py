@@ -93,7 +93,7 @@ os.kill(os.getpid(), 9)
 """
 
 
-@pytest.mark.parametrize("keep_going", [True, False])
+@pytest.mark.parametrize("keep_going", [True, pytest.param(False, marks=pytest.mark.slow)])
 def test_a_job_outlives_its_starter_only_with_keep_going(ball, keep_going):
     """With keep_going the job goes on, is found, stopped by its file and resumed. Otherwise it writes its checkpoint."""
     arguments = reconstruct_arguments(ball.capture, ball.out, preset="preview", keep_going=keep_going)
@@ -155,6 +155,7 @@ def test_a_process_of_another_computer_is_not_ended_here(tmp_path, host, ended):
         os.close(lock)
 
 
+@pytest.mark.slow
 def test_two_jobs_cannot_work_in_one_folder(ball):
     first = ball(slow=True)
     at_work(ball.out)

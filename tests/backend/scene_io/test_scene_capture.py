@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from blender_nep.capture import load_capture
 from support.captures import look_at
 from support.own_process import in_blender
 
@@ -36,6 +35,8 @@ def test_distortion_and_masks_survive_blender(tmp_path, lens):
     meta = {"w": 48, "h": 32, "fl_x": 50.0, "cx": 25.0, "frames": frames, **lens}
     (capture / "transforms.json").write_text(json.dumps(meta))
     in_blender(check_copy, capture, tmp_path / "made", tmp_path / "moved")
+    from blender_nep.capture import load_capture  # at the top, Blender would import torch, too, in two seconds
+
     before, after = (load_capture(folder) for folder in (tmp_path / "moved", tmp_path / "made"))
     assert len(after.views) == 4
     for old, new in zip(before.views, after.views, strict=True):
