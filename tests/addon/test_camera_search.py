@@ -243,7 +243,7 @@ def check_offers(folder):
     assert not [text for text in panel(bpy, addon) if "photos" in text and "small photos" not in text]
 
 
-def test_a_look_into_a_folder_is_kept_for_a_while_and_longer_on_a_slow_drive(folder):
+def test_a_look_into_a_folder_is_kept_longer_on_a_slow_drive(folder):
     in_blender(check_kept_looks, folder)
 
 

@@ -101,7 +101,7 @@ def check_list(folder):
 
 
 @pytest.mark.parametrize("images", ["PACKED", "RELATIVE"])
-def test_a_correction_changes_the_textures_and_a_reset_brings_them_back(folder, images):
+def test_a_correction_changes_textures_and_a_reset_restores_them(folder, images):
     in_blender(check_correction, folder, images)
 
 
@@ -286,7 +286,7 @@ def check_no_start(folder):
     assert bpy.ops.nep.correct_materials() == {"FINISHED"}
 
 
-def test_a_moved_file_a_file_without_textures_and_an_older_result_are_told_or_shown(folder):
+def test_moved_textureless_and_older_results_are_told_or_shown(folder):
     in_blender(check_unusual_files, folder)
 
 

@@ -50,7 +50,7 @@ def check_bounds(folder):
     assert bounds() is None and addon.tasks.registry.find(estimates) is None
 
 
-def test_bounds_are_placed_after_the_file_was_saved_in_another_folder(package):
+def test_bounds_are_placed_after_a_save_in_another_folder(package):
     in_blender(check_bounds_elsewhere, package)
 
 

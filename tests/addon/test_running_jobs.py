@@ -93,7 +93,7 @@ def drawn(bpy, addon) -> list[str]:
     return drawn_by(bpy, addon.panels.reconstruct.NEP_PT_reconstruct)
 
 
-def test_what_the_photos_show_stands_below_the_buttons_also_after_a_stop(folders):
+def test_what_photos_show_is_below_the_buttons_also_after_a_stop(folders):
     in_blender(check_box_of_the_photos, folders, **SLOW)
 
 
@@ -248,7 +248,7 @@ def check_cancel_and_crash(folder):
     fails(bpy.ops.nep.reconstruct, "Save the file first")
 
 
-def test_a_button_does_not_begin_with_what_another_button_has_set(played):
+def test_a_button_does_not_begin_with_what_another_has_set(played):
     in_blender(check_forgotten_options, played)
 
 
@@ -315,7 +315,7 @@ def check_two_jobs(folder):
     assert "out" not in scene.objects and "two" not in bpy.data.scenes[0].objects
 
 
-def test_of_two_scenes_with_one_folder_the_one_that_began_gets_the_result(played):
+def test_of_scenes_with_one_folder_the_starter_gets_the_result(played):
     in_blender(check_shared_folder, played)
 
 
@@ -459,7 +459,7 @@ def check_wrapping(folder):
     assert wrap("", 20) == []
 
 
-def test_registering_twice_leaves_nothing_behind_and_warns_of_nothing(package):
+def test_registering_twice_leaves_nothing_and_warns_of_nothing(package):
     assert in_blender(check_registration, package).strip() == ""
 
 

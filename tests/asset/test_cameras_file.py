@@ -86,7 +86,7 @@ def test_both_sides_read_a_file_with_a_byte_order_mark(make_capture):
     assert read_bounds(tiny.folder) is not None
 
 
-def test_the_sidebar_asks_the_engine_for_the_bounds_of_other_forms(make_capture):
+def test_the_sidebar_asks_the_engine_for_bounds_of_other_forms(make_capture):
     tiny = make_capture(views=4)
     assert read_bounds(tiny.folder) is not None
     (tiny.folder / "transforms.json").unlink()

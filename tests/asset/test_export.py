@@ -192,7 +192,7 @@ def test_the_report_is_removed_first_and_put_in_place_last(write, monkeypatch):
     assert len(moved) == 4 and not (folder / "report.json").exists()
 
 
-def test_preview_shows_a_photo_and_beside_it_the_same_view_of_the_asset(write, tmp_path):
+def test_preview_shows_a_photo_beside_the_same_view_of_the_asset(write, tmp_path):
     """The photos show a gray ball before a background that changes. The asset has a colored ball in gray light."""
     picture = np.asarray(Image.open(write() / "preview.png"), np.float64)
     assert picture.shape == (24, 48, 3)

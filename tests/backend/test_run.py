@@ -72,7 +72,7 @@ def test_an_error_of_the_engine_and_its_exit_code_are_passed_on(engine_python, t
         ("--captures", "x", "--object-center", "0", "0", "0", "--object-radius", "1"),
     ],
 )
-def test_half_a_sphere_and_one_sphere_for_many_objects_are_refused(options, capsys):
+def test_half_a_sphere_and_one_for_many_objects_are_refused(options, capsys):
     with pytest.raises(SystemExit) as ended:
         parse([*options, "--out", "y"])
     assert ended.value.code == 2 and "--object-center" in capsys.readouterr().err
@@ -117,7 +117,7 @@ def test_stopping_lets_the_engine_write_its_checkpoint(engine_python, tmp_path, 
     assert (tmp_path / "out" / "checkpoint").read_text() == "saved"
 
 
-def test_an_engine_writes_its_checkpoint_when_its_parent_is_killed(engine_python, tmp_path):
+def test_an_engine_writes_a_checkpoint_when_its_parent_is_killed(engine_python, tmp_path):
     process = start_run(engine_python, "wait", tmp_path / "out")
     wait_for_file(tmp_path / "out" / "waiting", process)
     process.kill()
@@ -125,7 +125,7 @@ def test_an_engine_writes_its_checkpoint_when_its_parent_is_killed(engine_python
     wait_until((tmp_path / "out" / "checkpoint").exists)
 
 
-def test_run_makes_a_relit_asset_and_needs_no_engine_for_a_finished_one(engine_python, asset, tmp_path):
+def test_run_relights_an_asset_and_a_done_one_needs_no_engine(engine_python, asset, tmp_path):
     """run.py from end to end: engine, import, World, comparison.png, asset.blend; then again without the engine."""
     out = tmp_path / "out"
     small = ("--relight", "1", "--photos", "1", "--samples", "2")

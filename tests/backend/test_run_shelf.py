@@ -43,7 +43,7 @@ def ended(process: subprocess.Popen) -> str:
     return process.communicate(timeout=LIMIT_S)[1]
 
 
-def test_a_shelf_is_made_and_the_next_start_does_only_what_is_missing(folder):
+def test_a_shelf_is_made_and_the_next_start_does_what_is_missing(folder):
     process = start(folder, *SMALL)
     told, shelf = ended(process), folder / "shelf"
     assert process.returncode == 9 and "bad_bee: the photos are no good. Take others." in told, told
@@ -78,7 +78,7 @@ def check_file(path):
     assert all(image.packed_file for image in bpy.data.images if image.source == "FILE") and bpy.context.scene.world
 
 
-def test_an_object_that_blender_cannot_show_does_not_stop_the_others(folder, asset):
+def test_an_object_that_cannot_be_shown_does_not_stop_others(folder, asset):
     (asset / "environment.exr").write_bytes(b"torn")
     process = start(folder, *SMALL, captures=("ant",))
     told = ended(process)

@@ -165,7 +165,7 @@ def test_the_same_seed_gives_the_same_cameras_at_any_image_size(capture, tmp_pat
         assert first == second
 
 
-def test_a_mesh_file_is_scaled_to_fit_and_a_missing_one_is_refused(tmp_path):
+def test_a_mesh_file_is_scaled_to_fit_or_refused_if_missing(tmp_path):
     mesh = trimesh.creation.icosphere(subdivisions=2, radius=7.0)
     mesh.apply_translation([100, 0, -3])
     mesh.export(tmp_path / "ball.ply")
@@ -190,7 +190,7 @@ def test_a_mesh_file_is_scaled_to_fit_and_a_missing_one_is_refused(tmp_path):
     assert not (tmp_path / "none").exists()
 
 
-def test_a_random_scene_becomes_a_capture_whose_photos_have_its_format_and_brightness(tmp_path):
+def test_a_random_scene_has_photos_of_its_format_and_brightness(tmp_path):
     done = render(tmp_path, "--random", "1", "--views", "4", "--test-views", "1", "--size", str(SIZE), "--samples", "8")
     assert done.returncode == 0, done.stderr
     scene = json.loads((tmp_path / "scene.json").read_text())

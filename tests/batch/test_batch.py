@@ -195,7 +195,7 @@ def test_a_stop_leaves_checkpoints_and_the_next_start_goes_on(batch):
     assert batch.run()[0] == 0 and batch.steps("a") == batch.steps("b") == WHOLE
 
 
-def test_a_file_in_its_folder_stops_the_batch_and_not_the_next_start(batch):
+def test_a_file_in_its_folder_stops_the_batch_but_no_next_start(batch):
     slow = batch.add("a", "slow")
     code, events = stopped_run(batch, (batch.out / "batch.stop").touch)
     assert code == 7 and events[-1]["values"] == {"reason": "stop file", "left": 1}
@@ -282,7 +282,7 @@ def test_other_settings_need_all_objects_to_start_again(batch):
     assert batch.steps("a") == batch.steps("b") == WHOLE * 3
 
 
-def test_every_job_gets_the_number_of_faces_and_a_batch_keeps_to_it(batch):
+def test_every_job_of_a_batch_gets_its_number_of_faces(batch):
     batch.add("a")
     assert batch.run(faces=5000)[0] == 0
     given = json.loads((batch.out / "a" / "arguments.json").read_text())
@@ -353,7 +353,7 @@ def test_a_killed_batch_leaves_no_orphans_and_goes_on(batch, monkeypatch, plays)
 
 
 @pytest.mark.parametrize("held", [False, True])
-def test_what_a_killed_batch_has_left_is_stopped_if_the_next_start_does_not_name_it(batch, held):
+def test_jobs_of_a_killed_batch_that_are_not_named_are_stopped(batch, held):
     """Unless a process is at work there, such as a run that somebody has started by hand."""
     one, other = batch.add("a"), batch.add("b")
     batch.run()
@@ -419,7 +419,7 @@ def deaf_job(batch):
         process.communicate()
 
 
-def test_a_job_that_somebody_else_has_started_in_the_folder_goes_on(batch, deaf_job, monkeypatch):
+def test_a_job_that_somebody_else_started_goes_on(batch, deaf_job, monkeypatch):
     monkeypatch.setattr("blender_nep.batch.workers.machine._LONGEST_WAIT_S", 0.2)
     process = deaf_job("theirs", by_batch=False)
     other = batch.add("ours")

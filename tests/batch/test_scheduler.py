@@ -105,7 +105,7 @@ def test_the_largest_come_first(tmp_path):
     assert jobs.begun == ["01", "03", "02", "00"]
 
 
-def test_small_ones_fill_the_gap_but_do_not_push_a_large_one_back_for_ever(tmp_path):
+def test_small_ones_fill_the_gap_but_delay_no_large_one_for_ever(tmp_path):
     jobs = schedule(tmp_path, [9, 8] + [1] * 12, Plan(3, 3, 1000.0, 1))
     assert jobs.begun[:2] == ["00", "02"], "a small one fits beside the first"
     assert jobs.begun.index("01") <= 5
@@ -116,7 +116,7 @@ def test_an_object_that_needs_more_than_there_is_runs_alone(tmp_path):
     assert [len(together) for together in jobs.moments] == [1, 1, 2]
 
 
-def test_the_youngest_is_put_back_if_a_job_takes_more_than_it_was_promised(tmp_path):
+def test_the_youngest_is_put_back_if_a_job_exceeds_its_promise(tmp_path):
     jobs = schedule(tmp_path, [5, 4, 1], Plan(2, 2, 1000.0, 1), needed={"00": 700.0})
     assert jobs.begun.count("01") == 2 and jobs.begun.count("00") == 1
 
@@ -127,7 +127,7 @@ def test_a_job_that_itself_takes_too_much_is_put_back_once(tmp_path):
     assert [sum(job.memory_mb for job in together) for together in jobs.moments] == [5000, 5400, 700]
 
 
-def test_the_cores_are_divided_among_the_jobs_that_fit_into_the_memory(tmp_path):
+def test_cores_are_divided_among_the_jobs_that_fit_into_memory(tmp_path):
     jobs = schedule(tmp_path, [27] * 40, Plan(16, 16, 9000.0, None))
     *others, last = jobs.moments
     assert {job.threads for together in others for job in together} == {5} and max(map(len, others)) == 3
@@ -157,7 +157,7 @@ def test_the_promise_covers_what_was_measured_and_learns(name, most):
 
 
 @pytest.mark.parametrize(("name", "most"), [("preview", 2629), ("balanced", 3040)])
-def test_the_promise_covers_what_was_measured_with_a_graphics_card(name, most):
+def test_the_promise_covers_what_a_graphics_card_was_measured(name, most):
     """The largest peaks of jobs with CUDA (docs/batch.md)."""
     size = {"photos": 60, "pixels": 9_600_000}
     promised = Needs(preset(name), on_card=True).memory_mb(size, False)

@@ -68,7 +68,7 @@ def test_a_complete_asset_of_another_run_keeps_its_checkpoints(batch, other_run)
 
 
 @pytest.mark.parametrize("overwrite", [False, True])
-def test_a_run_that_somebody_else_has_started_keeps_its_checkpoints(batch, other_run, overwrite):
+def test_a_run_that_somebody_else_started_keeps_its_checkpoints(batch, other_run, overwrite):
     folder = other_run()
     run = JobFolder(folder, followed=True)
     try:
@@ -153,7 +153,7 @@ def test_a_job_whose_cameras_are_found_may_start_later(batch, no_process):
     assert batch.run()[0] == 0 and batch.objects()["shots"]["attempts"] == 2
 
 
-def test_a_job_without_a_thread_to_listen_is_ended_and_tried_again(batch, monkeypatch):
+def test_a_job_without_a_listening_thread_is_tried_again(batch, monkeypatch):
     """The process is there already. It must not go on beside the second attempt."""
     counted, start, left = itertools.count(), threading.Thread.start, []
 

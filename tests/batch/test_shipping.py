@@ -35,7 +35,7 @@ def test_files_and_folders_keep_their_paths(tmp_path, node):
     assert files_of(node) == {"meta.json": b"{}", "asset/checkpoints/step": b"3"}
 
 
-def test_photos_that_are_symbolic_links_arrive_where_the_job_looks_for_them(tmp_path, store, node):
+def test_photos_that_are_symbolic_links_arrive_at_the_job(tmp_path, store, node):
     images = tmp_path / "vase/images"
     images.mkdir(parents=True)
     for name in ("0.jpg", "1.jpg"):

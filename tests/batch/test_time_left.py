@@ -55,7 +55,7 @@ def test_only_objects_that_are_large_wait_for_memory(tmp_path):
     assert place(tmp_path, objects(900, 900, *[100] * 8), Plan(4, 4, 1000.0, 1))[1] == pytest.approx((2 + 8 / 4) * SECONDS)
 
 
-def test_objects_that_are_done_or_running_take_less_of_the_time_left(tmp_path):
+def test_objects_done_or_running_take_less_of_the_time_left(tmp_path):
     work = objects(*[100] * 6)
     work[0].state, work[1].state, work[1].eta_s, work[1].fraction = DONE, RUNNING, 40.0, 0.5
     fraction, left = place(tmp_path, work, Plan(8, 8, 250.0, None))

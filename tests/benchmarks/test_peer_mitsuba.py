@@ -65,7 +65,7 @@ def test_a_metal_mirrors_the_texel_that_the_mesh_shows(ball):
     assert np.abs(found.numpy() - upside_down).mean() > 0.1
 
 
-def test_what_the_photos_show_of_the_world_is_what_the_map_lights_with(ball):
+def test_what_photos_show_of_the_world_is_what_the_map_lights(ball):
     rays = PixelRays.from_capture(load_capture(SUZANNE_SMALL), 2500, False)
     everything = torch.arange(rays.count)[rays.valid]
     rows = 32

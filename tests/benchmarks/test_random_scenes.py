@@ -80,7 +80,7 @@ def lines_of(table: str) -> list[list[str]]:
     return [[cell.strip() for cell in line.strip("|").split("|")] for line in table.splitlines()]
 
 
-def test_odd_and_even_seeds_have_means_and_worst_values_of_their_own(out):
+def test_odd_and_even_seeds_have_their_own_means_and_worst(out):
     header, _, *lines = lines_of(mean_table(made_up(out)))
     at = header.index("cd visible")
     found = {(line[0].split()[0], line[1]): line for line in lines}
@@ -98,7 +98,7 @@ def test_a_scene_that_fails_anywhere_is_a_line_with_its_message(out):
     assert lines["7"][-1] == "not run"
 
 
-def test_the_worst_scenes_are_those_that_failed_and_then_those_of_the_largest_errors(out):
+def test_the_worst_scenes_are_the_failed_and_then_largest_errors(out):
     scenes = made_up(out)
     assert [scene.seed for scene in worst_scenes(scenes)] == [5, 6, 7]
     assert [scene.seed for scene in worst_scenes([scene for scene in scenes if not scene.message])] == [4, 2, 3]
@@ -149,7 +149,7 @@ def test_the_plan_is_one_preview_of_each_scene():
     assert "random" in PLANS
 
 
-def test_the_command_renders_what_is_missing_and_reports_a_render_that_fails(tmp_path, monkeypatch):
+def test_the_command_renders_what_is_missing_or_reports_failure(tmp_path, monkeypatch):
     """Seed 2 cannot be rendered, and seed 3 is rendered already. The job of seed 3 fails."""
     out, document, rendered = tmp_path / "out", tmp_path / "random-scenes.md", []
     shutil.copy(DOCUMENT, document)
@@ -187,7 +187,7 @@ def test_the_command_renders_what_is_missing_and_reports_a_render_that_fails(tmp
     assert [scene.values.get("cd_visible") for scene in scenes_of(rows_of("1234abc", tmp_path / "kept"))] == [0.002, None]
 
 
-def test_without_any_score_the_document_and_its_pictures_stay_as_they_are(tmp_path, monkeypatch, capsys):
+def test_without_a_score_the_document_and_its_pictures_stay(tmp_path, monkeypatch, capsys):
     document, picture = tmp_path / "random-scenes.md", tmp_path / "random-scenes" / "12.png"
     shutil.copy(DOCUMENT, document)
     picture.parent.mkdir()
@@ -203,7 +203,7 @@ def test_without_any_score_the_document_and_its_pictures_stay_as_they_are(tmp_pa
     assert f"no scene has a score: {document} stays as it is" in capsys.readouterr().err
 
 
-def test_a_document_that_is_not_there_is_refused_before_anything_runs(tmp_path, capsys):
+def test_a_missing_document_is_refused_before_anything_runs(tmp_path, capsys):
     with pytest.raises(SystemExit) as ended:
         command.main(["random", "--out", str(tmp_path / "out"), "--write", str(tmp_path / "missing.md")])
     assert ended.value.code == 2 and "missing.md is no file" in capsys.readouterr().err

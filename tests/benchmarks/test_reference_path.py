@@ -45,7 +45,7 @@ def test_it_starts_as_a_sphere_of_the_radius_asked_for(seed, size):
     assert ((field.normal(at) * directions(200, 1)).sum(1) > 0.8).all()
 
 
-def test_normals_are_the_differences_of_the_sdf_and_their_norm_can_be_learned():
+def test_normals_are_differences_of_the_sdf_with_a_learned_norm():
     torch.manual_seed(0)
     field = ReferenceField(0.6, width=48).double()
     with torch.no_grad():  # not the sphere: every frequency at work
@@ -75,7 +75,7 @@ def test_normals_are_the_differences_of_the_sdf_and_their_norm_can_be_learned():
     torch.testing.assert_close(slope, (ends[0] - ends[1]) / (2 * step), rtol=1e-3, atol=1e-7)
 
 
-def test_half_of_the_samples_stand_at_the_surface_and_its_depth_is_the_zero_of_the_sdf(monkeypatch):
+def test_half_of_the_samples_stand_at_the_zero_of_the_sdf(monkeypatch):
     torch.manual_seed(0)
     field = ReferenceField(0.6)
     direction = directions(64, 2)
@@ -101,7 +101,7 @@ def test_half_of_the_samples_stand_at_the_surface_and_its_depth_is_the_zero_of_t
     assert not field.near(origin + 0.95 * beside, direction, 0.05).any()
 
 
-def test_it_takes_the_place_of_the_object_field_and_a_resumed_learning_goes_on_the_same(monkeypatch):
+def test_it_replaces_the_object_field_and_resumes_the_same(monkeypatch):
     monkeypatch.setattr(ReferenceField, "cell", 2 / 16)
     rays = PixelRays.from_capture(load_capture(SUZANNE_SMALL), 2500, False)
     settings = with_changes(preset("preview"), {"fields": REFERENCE["fields"]})

@@ -33,7 +33,7 @@ def with_document(words: tuple[str, ...], folder: Path) -> tuple[str, ...]:
 
 @pytest.mark.parametrize("words", [RENDER, RANDOM], ids=["render", "random"])
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_an_interrupt_ends_the_render_and_what_the_render_has_started(number, words, tmp_path):
+def test_an_interrupt_ends_the_render_and_what_it_started(number, words, tmp_path):
     """A shell script plays Blender. It starts a program of its own, and writes both process numbers."""
     blender, pids = tmp_path / "blender", tmp_path / "pids"
     blender.write_text(f"#!/bin/sh\nsleep 100 &\necho $$ $! > {pids}.part\nmv {pids}.part {pids}\nwait\n")
@@ -73,7 +73,7 @@ def wait_for(find):
 
 
 @pytest.mark.parametrize("words", [RENDER, RANDOM], ids=["render", "random"])
-def test_captures_of_another_size_are_refused_before_anything_is_rendered(words, tmp_path, monkeypatch, capsys):
+def test_captures_of_another_size_are_refused_before_rendering(words, tmp_path, monkeypatch, capsys):
     class FakeChildren:
         def run(self, *_):
             raise AssertionError("something is rendered")

@@ -119,7 +119,7 @@ def previews(tmp_path) -> Path:
     return tmp_path
 
 
-def test_captures_of_special_plans_are_in_no_mean_where_all_captures_have_one_preset(previews):
+def test_special_plans_are_in_no_mean_of_all_captures(previews):
     results = Results(load(previews))
     assert tables.main_captures(results) == ["box", "bunny"]
     table = tables.presets(results)
@@ -129,7 +129,7 @@ def test_captures_of_special_plans_are_in_no_mean_where_all_captures_have_one_pr
     assert dict(zip(line_of(table, "scene"), line_of(table, "Avg."), strict=True))["preview"] == "0.0050"
 
 
-def test_the_runs_without_ablation_are_those_of_the_captures_that_have_one(previews):
+def test_runs_without_ablation_are_of_captures_that_have_one(previews):
     table = tables.ablations(Results(load(previews)))
     assert line_of(table, "**full** (preview)")[1:4] == ["1", "1", "0.0020"]
     assert line_of(table, "no cones")[1:4] == ["1", "1", "0.0040"]
@@ -159,7 +159,7 @@ def test_costs_are_those_of_the_rows(out):
     assert line["seconds"] == "100" and line["fields, CPU s"] == "50" and line["texels"] == "65536" and line["MB"] == "1000"
 
 
-def test_a_sweep_includes_the_whole_runs_and_is_sorted_by_what_was_learned_from(out):
+def test_a_sweep_has_the_whole_runs_and_is_sorted_by_photos(out):
     table = tables.swept(Results(load(out)), "views", "photos")
     assert [line_of(table, "**mean**", "balanced", views)[3] for views in ("8", "16")] == ["0.0125", "0.0063"]
     assert line_of(table, "**mean**", "balanced", "60")[3] == "0.0035 ± 0.0005"
@@ -329,7 +329,7 @@ def test_a_message_of_several_lines_stays_in_its_cell():
     assert table.splitlines()[2:] == ["| box | a \\| b c |", "| bunny | 0.1235 |"]
 
 
-def test_the_head_lists_the_commits_of_all_steps_with_seven_digits():
+def test_the_head_lists_commits_of_all_steps_with_seven_digits():
     run = {"run": Run(Path("box")).as_row()}
     older = kept(run | {"machine": {"commit": "1234abcd", "date": "2026-11-21"}})
     newer = kept(run | {"machine": {"date": "2026-11-22"}, "commits": {"learn": "1234abcd", "score": "99ff00aa-dirty"}})
@@ -351,7 +351,7 @@ def test_a_picture_that_cannot_be_written_leaves_the_old_one(out, tmp_path, monk
     assert picture.read_bytes() == b"an older picture"
 
 
-def test_a_study_of_scaling_with_nothing_to_draw_ends_without_a_plot(tmp_path, capsys):
+def test_a_study_of_scaling_without_points_ends_without_a_plot(tmp_path, capsys):
     from benchmarks.studies import scaling
 
     one = {"factor": "views", "value": 5, "cpu_seconds": {"decode photos": 0.5}, "peak_mb": 500.0}
@@ -387,7 +387,7 @@ def test_a_report_without_any_scored_run_has_no_plots(unscored, out, tmp_path, c
     assert not document.with_suffix("").exists()
 
 
-def test_a_document_that_cannot_be_filled_ends_the_command_before_its_work(tmp_path, monkeypatch, capsys):
+def test_an_unfillable_document_ends_the_command_before_its_work(tmp_path, monkeypatch, capsys):
     from benchmarks.__main__ import main
     from benchmarks.baselines import peer_mitsuba
     from benchmarks.studies import skipping

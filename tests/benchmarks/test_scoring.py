@@ -33,7 +33,7 @@ from support.paths import SUZANNE_SMALL
 from support.rescaled_albedo import check_rescaled_albedo
 
 
-def test_the_truth_scores_perfectly_and_a_moved_copy_by_its_shift():
+def test_the_truth_scores_perfectly_and_a_copy_by_its_shift():
     capture = load_capture(SUZANNE_SMALL)
     test = load_test_views(SUZANNE_SMALL, capture)
     mesh = trimesh.load(SUZANNE_SMALL / "gt_mesh.ply", process=False, force="mesh")
@@ -49,14 +49,14 @@ def test_the_truth_scores_perfectly_and_a_moved_copy_by_its_shift():
     assert 0.002 < moved["cd_visible"] < 0.02 and 0.8 < moved["mask_iou"] < 0.99
 
 
-def test_distances_between_concentric_balls_are_the_difference_of_their_radii():
+def test_distances_of_concentric_balls_are_differences_of_radii():
     small, large = (trimesh.creation.icosphere(subdivisions=4, radius=r) for r in (0.5, 0.6))
     distance = Body(large.vertices, large.faces).distance(np.asarray(small.vertices))
     assert distance == pytest.approx(0.1, abs=2e-3)
 
 
 @pytest.mark.parametrize("depth", [0.3, 0.6, 1.0])
-def test_the_sky_is_seen_from_a_round_hollow_as_from_every_place_of_a_sphere(depth):
+def test_a_round_hollow_sees_the_sky_as_places_of_a_sphere_do(depth):
     # A point of a sphere sees each part of it with a share that is that part's share of the whole area.
     ball = trimesh.creation.icosphere(subdivisions=6)
     bowl = ball.submesh([ball.triangles_center[:, 2] < depth - 1], append=True)
@@ -69,7 +69,7 @@ def test_the_sky_is_seen_from_a_round_hollow_as_from_every_place_of_a_sphere(dep
     assert found == pytest.approx(np.full(len(found), 1 - depth / 2), abs=0.08)
 
 
-def test_a_silhouette_has_no_inner_pixels_at_the_border_of_the_picture():
+def test_a_silhouette_has_no_inner_pixels_at_the_border():
     mask = np.ones((5, 6), bool)
     mask[2, 3] = False
     expected = np.zeros_like(mask)
@@ -78,7 +78,7 @@ def test_a_silhouette_has_no_inner_pixels_at_the_border_of_the_picture():
     assert (inner(mask) == expected).all()
 
 
-def test_normals_that_are_wrong_in_hollows_alone_are_scored_there(monkeypatch):
+def test_normals_that_are_wrong_only_in_hollows_are_scored_there(monkeypatch):
     capture = load_capture(SUZANNE_SMALL)
     test = load_test_views(SUZANNE_SMALL, capture)
     surface, _ = load_surface(SUZANNE_SMALL / "gt_mesh.ply", capture, preset("preview").surface)
@@ -105,7 +105,7 @@ def test_an_ablation_changes_the_fields_it_names_and_no_others():
         assert found == expected, ablation
 
 
-def test_a_failed_run_is_a_row_with_its_message_and_a_done_one_is_not_run_again(tmp_path):
+def test_a_failed_run_is_a_row_and_a_done_one_is_not_run_again(tmp_path):
     def fail():
         raise LearningError("no surface was found", "look again")
 
@@ -126,7 +126,7 @@ def test_a_failed_run_is_a_row_with_its_message_and_a_done_one_is_not_run_again(
     assert not (tmp_path / "stopped.json").exists()
 
 
-def test_an_asset_that_is_the_truth_scores_perfectly_except_for_an_error_that_is_put_in(tmp_path, monkeypatch):
+def test_the_truth_scores_perfectly_except_for_a_planted_error(tmp_path, monkeypatch):
     gold = {
         name: read_channels(SUZANNE_SMALL / "gt" / "000.exr")[channel]
         for name, channel in (
@@ -161,7 +161,7 @@ def test_an_asset_that_is_the_truth_scores_perfectly_except_for_an_error_that_is
     assert score_asset(SUZANNE_SMALL, asset, preset("preview"), "cpu", picture)["seen_from_behind"] > 0.999
 
 
-def test_the_rendered_truth_is_kept_under_a_name_that_tells_its_scene_cameras_and_settings(tmp_path, monkeypatch):
+def test_rendered_truth_has_a_name_of_scene_cameras_and_settings(tmp_path, monkeypatch):
     pytest.importorskip("bpy")
     from benchmarks.scoring import relighting
 
@@ -190,7 +190,7 @@ def test_the_rendered_truth_is_kept_under_a_name_that_tells_its_scene_cameras_an
     assert all(file.name.startswith("gold_0.05-") for file in (tmp_path / "truth").iterdir())
 
 
-def test_f_e_is_scored_without_the_exposure_that_each_test_photo_has_of_its_own():
+def test_f_e_is_scored_without_the_exposure_of_each_test_photo():
     """A field of one radiance, test photos that show it with known gains, and a little more light in one pixel of ten."""
     capture = load_capture(SUZANNE_SMALL)
     rays = PixelRays.from_capture(load_test_views(SUZANNE_SMALL, capture), 900, False).with_exposure(2.0)
@@ -215,7 +215,7 @@ def test_f_e_is_scored_without_the_exposure_that_each_test_photo_has_of_its_own(
     assert without == pytest.approx(float(-10 * torch.log10(0.1 * error.square().mean())), abs=0.2)
 
 
-def test_only_a_scene_that_tells_of_automatic_exposure_has_test_photos_of_differing_exposure(tmp_path):
+def test_only_automatic_exposure_gives_differing_test_photos(tmp_path):
     assert not exposures_differ(SUZANNE_SMALL)
     for auto in (False, True):
         write_row(tmp_path / "scene.json", draw_scene_with(auto_exposure=auto))
@@ -228,7 +228,7 @@ def draw_scene_with(auto_exposure: bool) -> dict:
     return next(scene.as_json() for scene in scenes if scene.photography.auto_exposure == auto_exposure)
 
 
-def test_relit_pictures_that_differ_by_a_tenth_have_a_psnr_of_20_over_the_object_alone():
+def test_a_tenth_of_difference_has_a_psnr_of_20_over_the_object():
     pytest.importorskip("bpy")
     from benchmarks.scoring.relighting import agreement, exposed
 
@@ -247,7 +247,7 @@ def test_relit_pictures_that_differ_by_a_tenth_have_a_psnr_of_20_over_the_object
     assert bright == pytest.approx(dark, abs=1e-5) and (bright == other).all()
 
 
-def test_an_exponent_is_that_of_the_power_law_and_is_nan_where_a_cost_is_too_small():
+def test_an_exponent_is_that_of_the_power_law_or_nan():
     values = [5, 10, 20, 40]
     assert scaling.exponent(values, [3e-2 * v**1.5 for v in values]) == pytest.approx(1.5)
     assert np.isnan(scaling.exponent(values, [0.0, 1e-5, 1.0, 2.0]))
@@ -260,7 +260,7 @@ def test_an_exponent_is_that_of_the_power_law_and_is_nan_where_a_cost_is_too_sma
     assert "| views | decode | 5, 10, 20 | 0.05, 0.1, 0.2 | 1.00 |" in scaling.table(rows)
 
 
-def test_every_value_of_a_varied_size_changes_the_work_that_is_measured():
+def test_every_value_of_a_varied_size_changes_the_measured_work():
     class Recorder:
         def __getattr__(self, kind):
             return lambda *arguments, **keywords: (kind, arguments, tuple(keywords.items()))

@@ -51,7 +51,7 @@ def test_a_scene_is_parsed_and_an_unknown_word_is_refused(tmp_path):
         Scene.parse(f"{SUZANNE_SMALL}:glas", tmp_path)
 
 
-def test_a_missing_capture_is_left_out_with_a_message_and_the_others_are_studied(tmp_path, monkeypatch, capsys):
+def test_a_missing_capture_is_told_and_the_others_are_studied(tmp_path, monkeypatch, capsys):
     gone = tmp_path / "gone"
     for word in ("", ":masks", ":clipped"):
         assert found_scenes([f"{gone}{word}", f"{SUZANNE_SMALL}"], tmp_path) == [

@@ -26,7 +26,7 @@ def failures_of(mesh: trimesh.Trimesh, faces: np.ndarray, folder) -> list[str]:
     [trimesh.creation.icosphere(subdivisions=2, radius=0.6), trimesh.creation.torus(0.5, 0.16)],
     ids=["sphere", "ring"],
 )
-def test_a_closed_mesh_that_is_inside_out_is_a_failure_and_an_open_one_is_not(mesh, tmp_path):
+def test_a_closed_mesh_inside_out_fails_and_an_open_one_does_not(mesh, tmp_path):
     faces = np.asarray(mesh.faces)
     assert failures_of(mesh, faces, tmp_path) == []
     (failure,) = failures_of(mesh, faces[:, ::-1], tmp_path)

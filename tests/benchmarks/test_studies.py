@@ -39,7 +39,7 @@ def without(file: str, folder: Path) -> Path:
 
 
 @pytest.mark.parametrize("module", [reference_path, peer_mitsuba])
-def test_a_capture_that_cannot_be_used_is_told_before_the_first_run(module, call, tmp_path, monkeypatch, capsys):
+def test_an_unusable_capture_is_told_before_the_first_run(module, call, tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(module, "run", lambda *_: pytest.fail("a run has begun"))
     bad = {tmp_path / "mistyped": "mistyped", without("gt_mesh.ply", tmp_path / "bare"): "gt_mesh.ply is missing"}
     bad |= {tmp_path / "again" / SUZANNE_SMALL.name: f"two captures have the name {SUZANNE_SMALL.name}"}
@@ -57,7 +57,7 @@ def test_a_mistyped_capture_of_the_study_of_scaling_is_told(call, tmp_path, caps
     assert ended.value.code == 2 and "mistyped" in capsys.readouterr().err
 
 
-def test_a_row_of_the_reference_is_not_taken_for_a_run_of_other_hours_or_steps(call, tmp_path, monkeypatch):
+def test_a_row_of_the_reference_is_of_its_hours_and_steps(call, tmp_path, monkeypatch):
     done = []
     monkeypatch.setattr(reference_path, "run", lambda *_: done.append("run") or dict.fromkeys(COLUMNS, 1.0) | {"steps": 9})
     for words, other in ((("--hours", 2), ("--hours", 3)), (("--steps", 9), ("--steps", 8))):
@@ -70,7 +70,7 @@ def test_a_row_of_the_reference_is_not_taken_for_a_run_of_other_hours_or_steps(c
     assert len(done) == 2
 
 
-def test_a_plan_of_the_reference_is_not_taken_for_other_hours_or_steps(tmp_path, monkeypatch):
+def test_a_plan_of_the_reference_is_of_its_hours_and_steps(tmp_path, monkeypatch):
     monkeypatch.setattr(reference_path, "step_seconds", lambda *_: 2.0)
     given = (None, preset("balanced"), "small")
     plan = planned(tmp_path / "plan.json", *given, 1.0, None, 0)
@@ -83,7 +83,7 @@ def test_a_plan_of_the_reference_is_not_taken_for_other_hours_or_steps(tmp_path,
         planned(tmp_path / "older.json", *given, 1.0, None, 0)
 
 
-def test_a_row_of_skipping_is_not_taken_for_a_run_with_other_threads(call, monkeypatch):
+def test_a_row_of_skipping_is_of_its_threads(call, monkeypatch):
     monkeypatch.setattr(skipping, "Job", lambda *_: SimpleNamespace(run=lambda: None, close=lambda: None))
     monkeypatch.setattr(skipping, "run", lambda *_: SCORES)
     for _ in range(2):
@@ -92,7 +92,7 @@ def test_a_row_of_skipping_is_not_taken_for_a_run_with_other_threads(call, monke
         call(skipping, SUZANNE_SMALL, "--threads", 2)
 
 
-def test_small_jobs_run_before_the_first_run_of_skipping_is_timed(call, tmp_path, monkeypatch):
+def test_small_jobs_run_before_a_run_of_skipping_is_timed(call, tmp_path, monkeypatch):
     """They are whole jobs: every stage runs. Where no run is missing, there are none."""
     begun, job = [], skipping.Job
 
@@ -110,7 +110,7 @@ def test_small_jobs_run_before_the_first_run_of_skipping_is_timed(call, tmp_path
     assert len(rows) == 4 and {row["threads"] for row in rows} == {1} and "stage_1" not in json.dumps(rows)
 
 
-def test_the_drivers_cpu_seconds_do_not_contain_those_of_the_watch(monkeypatch):
+def test_the_drivers_cpu_seconds_are_without_those_of_the_watch(monkeypatch):
     """The watch works for half a second of CPU time. The driver only sleeps."""
 
     def busy(_):

@@ -48,7 +48,7 @@ class FakeSuite(Suite):
         return {"error": "no surface was found"} if step == "learn" and run.seed == 1 else {"figure": 1.0}
 
 
-def test_a_plan_crosses_what_it_names_and_what_is_wanted_overrides_it():
+def test_a_plan_crosses_what_it_names_and_wishes_override_it():
     two = [Path("a/box"), Path("b/bunny")]
     runs = expand(["presets"], two, {})
     assert len(runs) == 2 * 3 * 3 and len({run.name for run in runs}) == len(runs)
@@ -95,7 +95,7 @@ def test_only_whole_jobs_as_a_user_would_run_them_are_relit(tmp_path):
         ([SUZANNE_SMALL.parent / "nothing"], "is no capture: it has no transforms.json"),
     ],
 )
-def test_captures_of_one_name_and_folders_without_a_capture_are_refused(captures, message, tmp_path, capsys):
+def test_captures_of_one_name_and_empty_folders_are_refused(captures, message, tmp_path, capsys):
     with pytest.raises(SystemExit) as ended:
         main(["run", *map(str, captures), "--out", str(tmp_path), "--list"])
     assert ended.value.code == 2 and message in capsys.readouterr().err
@@ -170,7 +170,7 @@ def test_a_changed_preset_has_the_image_size_and_the_ablation():
     assert changed.fields == preset("quality").fields and not changed.skip_needless
 
 
-def test_a_step_that_is_done_is_not_done_again_and_a_failed_run_is_a_row(tmp_path):
+def test_a_step_is_done_once_and_a_failed_run_is_a_row(tmp_path):
     runs = [Run(SUZANNE_SMALL, "preview", seed=seed) for seed in (0, 1)]
     suite = FakeSuite(tmp_path)
     assert suite.run_all(runs, 2) == 1
@@ -186,7 +186,7 @@ def test_a_step_that_is_done_is_not_done_again_and_a_failed_run_is_a_row(tmp_pat
 
 
 @pytest.mark.parametrize("changed", ["capture", "preset"])
-def test_a_row_of_another_capture_or_preset_is_refused_before_anything_runs_and_done_again_with_retry(changed, tmp_path):
+def test_a_row_of_another_capture_or_preset_is_refused_or_redone(changed, tmp_path):
     runs = [Run(SUZANNE_SMALL, "preview", seed=seed) for seed in (2, 3)]
     FakeSuite(tmp_path, relight=True).run_all(runs[1:], 1)
     before = read_row(tmp_path / "rows" / f"{runs[1].name}.json")
@@ -212,7 +212,7 @@ def test_each_step_has_its_own_commit(tmp_path, monkeypatch):
     assert commits["bbbbbbbb"] == commits["aaaaaaaa"] | {"relight": "bbbbbbbb"}
 
 
-def test_a_row_that_does_not_say_what_it_was_made_from_is_taken_as_it_is(tmp_path):
+def test_a_row_that_does_not_say_its_origin_is_taken_as_it_is(tmp_path):
     run = Run(SUZANNE_SMALL, "preview")
     older = {"run": run.as_row(), "machine": {}, "learn": {"figure": 2.0}, "score": {"figure": 3.0}}
     write_row(tmp_path / "rows" / f"{run.name}.json", older)
@@ -221,7 +221,7 @@ def test_a_row_that_does_not_say_what_it_was_made_from_is_taken_as_it_is(tmp_pat
     assert not suite.done and read_row(tmp_path / "rows" / f"{run.name}.json") == older
 
 
-def test_the_command_tells_of_a_row_of_a_rendered_again_capture_of_the_same_name(tmp_path, capsys):
+def test_the_command_tells_of_a_row_of_a_rerendered_capture(tmp_path, capsys):
     runs = [Run(SUZANNE_SMALL, "preview"), Run(SUZANNE_SMALL, "preview", "no cones")]
     found = Suite(tmp_path).identify([*runs, Run(tmp_path / "nothing")])
     assert found[runs[0].name]["capture"] == found[runs[1].name]["capture"], "one capture"
@@ -350,7 +350,7 @@ def test_fewer_views_are_spread_and_are_the_beginning_of_more():
     assert len(spread(circle, 100)) == 64
 
 
-def test_a_capture_with_fewer_views_is_a_capture_of_the_same_object(tmp_path):
+def test_a_capture_with_fewer_views_is_of_the_same_object(tmp_path):
     whole, few = load_capture(SUZANNE_SMALL), load_capture(with_fewer_views(SUZANNE_SMALL, 8, tmp_path / "few"))
     assert len(few.views) == 8 and few.object_radius == whole.object_radius
     places = {tuple(view.camera.position): view.image_path.resolve() for view in whole.views}
@@ -362,7 +362,7 @@ def test_a_capture_with_fewer_views_is_a_capture_of_the_same_object(tmp_path):
     assert str(SUZANNE_SMALL) not in json.dumps((tmp_path / "few" / "transforms.json").read_text())
 
 
-def test_a_capture_with_fewer_views_follows_a_source_that_was_rendered_again(tmp_path):
+def test_a_capture_with_fewer_views_follows_a_rerendered_source(tmp_path):
     source, few = tmp_path / "source", tmp_path / "few"
     shutil.copytree(SUZANNE_SMALL, source)
     made = (with_fewer_views(source, 4, few) / "transforms.json").read_text()
@@ -379,7 +379,7 @@ def test_a_capture_with_fewer_views_follows_a_source_that_was_rendered_again(tmp
     assert (few / "images").resolve() == elsewhere / "images"
 
 
-def test_a_run_without_f_e_in_stage_2_has_the_same_mesh_from_the_same_stage_1_and_other_light(tmp_path, monkeypatch):
+def test_without_f_e_in_stage_2_the_mesh_is_the_same(tmp_path, monkeypatch):
     from benchmarks.scoring.materials import read_materials
     from benchmarks.stress.scenes import Case, tiny_preset, write_capture
 

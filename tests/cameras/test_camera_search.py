@@ -114,7 +114,7 @@ def test_the_lens_is_found(search):
     assert np.abs(bent - truly).max() < 0.005
 
 
-def test_the_frame_stands_upright_around_what_the_cameras_look_at(search):
+def test_the_frame_stands_upright_around_what_cameras_look_at(search):
     capture, _ = search
     true = [camera(number, COUNT) for number in range(COUNT)]
     turn, scale, shift = similarity([view.camera for view in capture.views], true)

@@ -22,7 +22,7 @@ def darker(rays, factor):
     return replace(rays, radiance=rays.radiance / factor)
 
 
-def test_the_typical_radiance_is_the_geometric_mean_of_what_sees_the_sphere(rays):
+def test_typical_radiance_is_a_geometric_mean_over_the_sphere(rays):
     index = rays.sphere.tensor()
     half = replace(rays, radiance=torch.full_like(rays.radiance, 0.5).index_fill(0, index[::2], 0.125))
     assert typical_radiance(half, pixels=len(index)) == pytest.approx(0.25, rel=1e-2)

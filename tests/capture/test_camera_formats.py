@@ -60,7 +60,7 @@ WRITERS = [write_llff, write_cameras_sphere, write_metashape, write_bundler]
 
 
 @pytest.mark.parametrize("case", CASES)
-def test_known_cameras_come_back_and_follow_the_formats_own_formula(tmp_path, case):
+def test_known_cameras_come_back_and_follow_the_formats_formula(tmp_path, case):
     write, truth = CASES[case]
     formulas = write(tmp_path, truth)
     capture = load_capture(tmp_path)
@@ -119,7 +119,7 @@ def test_neus_without_a_sphere_and_with_the_other_names(tmp_path):
     assert capture.bounds_source == "cameras" and capture.files == (tmp_path / "cameras.npz",)
 
 
-def test_projections_of_any_scale_in_single_precision_are_decomposed(tmp_path):
+def test_float32_projections_of_any_scale_are_decomposed(tmp_path):
     truth = known_cameras(square=False)
     write_cameras_sphere(tmp_path, truth, skew=0.001)
     path = tmp_path / "cameras_sphere.npz"
@@ -146,7 +146,7 @@ def test_metashape_leaves_out_what_has_no_pose(tmp_path):
     assert str(said.warnings[0]).startswith("2 photos are left out, because they have no camera pose or are disabled")
 
 
-def test_a_geographic_reference_keeps_the_scale_and_stays_near_the_origin(tmp_path):
+def test_a_geographic_reference_keeps_scale_near_the_origin(tmp_path):
     truth, transform = known_cameras(), similarity(5, distance=6e6)
     write_metashape(tmp_path, truth, transform=transform, of_component=True, reference=GEOGRAPHIC)
     found = [view.camera for view in metashape.read(tmp_path).views]
@@ -211,7 +211,7 @@ def test_photos_are_found_by_what_the_list_says(tmp_path, form, place):
     assert all(one.samefile(folder / place / name) for one, name in zip(found, NAMES, strict=True))
 
 
-def test_bundlers_own_folders_and_other_names_of_the_files_are_known(tmp_path):
+def test_bundlers_folders_and_other_names_of_files_are_known(tmp_path):
     write_bundler(tmp_path, known_cameras())
     (tmp_path / "bundle").mkdir()
     (tmp_path / "bundle.out").rename(tmp_path / "bundle/scan.out")

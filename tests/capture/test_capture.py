@@ -221,7 +221,7 @@ def test_photos_whose_masks_show_nothing_are_left_out(make_capture, bounds):
 
 @pytest.mark.parametrize("how", [{"alpha": True}, {"masks": True}], ids=["alpha", "masks"])
 @pytest.mark.parametrize("suffix", [".png", ".exr"])
-def test_coarse_masks_read_little_and_do_not_keep_whole_ones_in_memory(make_capture, monkeypatch, how, suffix):
+def test_coarse_masks_read_little_and_keep_no_whole_ones(make_capture, monkeypatch, how, suffix):
     """The sphere needs masks of 200 to 400 pixels. No photo is made linear for them, and few rows of mask files."""
     tiny = make_capture(views=4, size=820, bounds=False, suffix=suffix, **how)
     lengths = record_rows(monkeypatch)
@@ -263,7 +263,7 @@ def test_a_scene_of_any_size_anywhere_has_the_same_rays(make_capture, scale, off
         assert (one - other).abs().max() < 3e-6
 
 
-def test_photos_from_the_same_place_give_a_warning_and_only_two_places_are_refused(make_capture):
+def test_photos_from_one_place_warn_and_two_places_are_refused(make_capture):
     tiny = make_capture()
     frames = tiny.meta["frames"]
     frames[4]["transform_matrix"] = frames[1]["transform_matrix"]

@@ -155,7 +155,7 @@ def test_the_capture_in_the_repository_is_healthy():
 # ---------------------------------------------------------------------------------------------------------------- coverage
 
 
-def test_a_gap_beside_the_object_is_named_with_the_photos_at_its_sides(tmp_path, photos):
+def test_a_gap_beside_the_object_is_named_with_the_photos_beside(tmp_path, photos):
     cameras = around((10,), np.arange(0, 241, 20))
     found = warned(write(tmp_path / "a", cameras, photos[: len(cameras)]))
     assert set(found) >= {"capture.hole_above"}, "a single ring shows nothing from above"

@@ -69,7 +69,7 @@ def test_photos_of_one_exposure_are_left_alone(in_a_ball):
 
 
 @pytest.mark.parametrize("deviation", [0.25, 0.7])
-def test_exposures_of_rendered_photos_are_found_within_a_tenth_of_a_stop(deviation):
+def test_exposures_of_renderings_are_found_to_a_tenth_of_a_stop(deviation):
     rays = PixelRays.from_capture(load_capture(SUZANNE_SMALL), 40_000, False)
     true = gains(rays.views, deviation, 4)
     assert difference(find_exposures(taken_with(rays, true)).gain, true) < TENTH_OF_A_STOP
@@ -121,7 +121,7 @@ def test_no_exposures_are_found_where_photos_cannot_tell(in_a_ball, make_capture
 
 
 @pytest.mark.parametrize("shows", [0, 5])
-def test_a_photo_that_shares_little_or_nothing_is_guessed_by_its_brightness_and_named(in_a_ball, shows):
+def test_a_photo_that_shares_little_is_guessed_and_named(in_a_ball, shows):
     true = gains(in_a_ball.views, 0.4, 6)
     rays = taken_with(in_a_ball, true)
     start, end = rays.offset[3:5]
@@ -143,7 +143,7 @@ def test_no_exposures_are_found_from_too_few_photos(make_capture):
     assert find_exposures(rays) == Exposures(None) == find_exposures(taken_with(rays, gains(6, 0.5, 0)))
 
 
-def test_photos_are_read_as_of_one_exposure_and_the_scene_says_so(in_a_ball):
+def test_photos_are_read_as_of_one_exposure_as_the_scene_says(in_a_ball):
     true = gains(in_a_ball.views, 0.5, 7)
     rays = taken_with(in_a_ball, true).with_gain(true)
     index = torch.tensor([0, 5, rays.offset[9] + 3, rays.count - 1])

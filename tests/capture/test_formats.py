@@ -67,7 +67,7 @@ def test_of_several_models_the_one_with_the_most_photos_counts(tmp_path, small, 
     assert len(colmap.read(folder).views) == 4 and not colmap.read(folder).warnings
 
 
-def test_photos_beside_the_project_and_masks_of_all_names_are_found(tmp_path):
+def test_photos_beside_the_project_and_masks_are_found(tmp_path):
     folder = project(tmp_path / "capture", "txt", photos="")
     (folder / "masks").mkdir()
     (folder / "masks/side a").mkdir()
@@ -255,7 +255,7 @@ def test_a_camera_model_that_no_lens_has_is_refused(tmp_path):
         colmap.read(with_model(tmp_path / "capture", "FULL_OPENCV", "0 0 0.01 0"))
 
 
-def test_a_full_model_without_its_denominator_is_opencvs_model_with_k3(tmp_path):
+def test_a_full_model_without_denominator_is_opencvs_with_k3(tmp_path):
     plain = colmap.read(project(tmp_path / "plain", "txt")).views[0].camera.lens
     lens = colmap.read(with_model(tmp_path / "capture", "FULL_OPENCV", "0.003 0 0 0")).views[0].camera.lens
     assert lens == replace(plain, k3=0.003)

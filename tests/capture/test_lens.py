@@ -109,7 +109,7 @@ def test_no_place_inside_the_fold_is_lost(lens, dtype):
     np.testing.assert_allclose(back, directions, atol=1e-3 if dtype == torch.float32 else 1e-7)
 
 
-def test_one_fisheye_lens_holds_for_many_places_in_single_precision(flat):
+def test_a_fisheye_lens_holds_for_many_places_in_float32(flat):
     u, v = map(torch.from_numpy, 0.8 * flat)
     exact = Lenses.of([FISHEYE]).directions(u, v)
     found = Lenses.of([FISHEYE, FISHEYE], dtype=torch.float32).at(1).directions(u.float(), v.float())
@@ -137,7 +137,7 @@ def distorted_camera(lens: Lens = ALL_TERMS) -> Camera:
 
 
 @pytest.mark.parametrize("lens", [ALL_TERMS, FISHEYE])
-def test_a_camera_projects_back_to_the_pixel_and_keeps_its_lens_when_scaled(lens):
+def test_a_camera_projects_back_and_keeps_its_lens_when_scaled(lens):
     camera = distorted_camera(lens)
     x, y = np.random.default_rng(0).uniform(0, 1, (2, 50)) * [[60], [40]]
     points = camera.position + 3 * camera.directions(x, y)
@@ -160,7 +160,7 @@ def test_the_shown_pixels_are_those_that_every_pixel_says(lens, focal, center):
     np.testing.assert_array_equal(camera.shown_pixels(60, 40), Lenses.of([lens]).directions(u, v)[2])
 
 
-def test_a_lens_that_shows_the_border_is_asked_for_no_other_pixel(monkeypatch):
+def test_a_lens_that_shows_the_border_is_asked_for_no_other(monkeypatch):
     asked, directions = [], Lenses.directions
 
     def counted(lenses, u, v):
@@ -223,7 +223,7 @@ def test_distortion_of_one_frame_overrides_the_top(make_capture):
     assert [view.camera.lens.k1 for view in capture.views] == [-0.1, 0.05, -0.1, -0.1]
 
 
-def test_instant_ngps_word_for_a_fisheye_counts_where_no_camera_model_is_given(make_capture):
+def test_instant_ngps_fisheye_counts_without_a_camera_model(make_capture):
     tiny = make_capture(views=4)
     tiny.meta["frames"][1]["is_fisheye"] = False
     tiny.meta["frames"][2]["camera_model"] = "OPENCV"

@@ -197,7 +197,7 @@ def test_profiles_of_srgb_change_no_bit(tmp_path, suffix):
         np.testing.assert_array_equal(open_image(tmp_path / f"{number}.{suffix}", "srgb").rows()[0], plain)
 
 
-def test_a_profile_with_tables_is_followed_for_8_bits_and_refused_for_more(tmp_path):
+def test_a_profile_with_tables_is_followed_for_8_bits_only(tmp_path):
     profile = icc.ink_profile()
     black = np.linspace(0, 255, 16).round().astype(np.uint8).reshape(4, 4)
     inks = np.zeros((64, 64, 4), np.uint8)
@@ -345,7 +345,7 @@ def test_the_chromaticities_of_openexr_count(tmp_path, places, to_rec709, tolera
         np.testing.assert_allclose(color, radiance @ to_rec709.T, atol=tolerance, rtol=tolerance)
 
 
-def test_a_gray_copy_of_an_exr_file_with_chromaticities_is_exposed(tmp_path):
+def test_a_gray_copy_of_an_exr_with_chromaticities_is_exposed(tmp_path):
     radiance = np.full((20, 30, 3), 1e-3, np.float32)
     OpenEXR.File({"chromaticities": REC2020}, {"RGB": radiance}).write(str(tmp_path / "a.exr"))
     gray = gray_copy(Photo(tmp_path / "a.exr", 30, 20, None, ()), Reduction.of(30, 20, 100))
@@ -354,7 +354,7 @@ def test_a_gray_copy_of_an_exr_file_with_chromaticities_is_exposed(tmp_path):
 
 @pytest.mark.parametrize("curves", [1, 3])
 @pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
-def test_whole_numbers_are_looked_up_and_give_what_the_curve_gives(dtype, curves):
+def test_whole_numbers_are_looked_up_as_the_curve_gives_them(dtype, curves):
     """The curve is asked once for each value that the type has, not for each pixel."""
     asked = []
 

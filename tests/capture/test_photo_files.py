@@ -345,7 +345,7 @@ def test_captures_of_new_formats_load(make_capture, suffix):
     ("kind", "profile", "space"),
     [("float32", False, "linear"), ("float16", False, "linear"), ("float32", True, "srgb"), ("uint16", False, "srgb")],
 )
-def test_a_capture_of_tiff_files_is_linear_where_they_hold_radiance(make_capture, kind, profile, space, said):
+def test_a_capture_of_tiff_files_of_radiance_is_linear(make_capture, kind, profile, space, said):
     """A profile says how even floats are encoded, and it would not count if the capture were linear."""
     tiny = make_capture(suffix=".png")
     icc = rgb_profile(SRGB, SRGB_CURVE)

@@ -78,7 +78,7 @@ def write_usual(path, pixels):
 
 
 @pytest.mark.parametrize("mode", ["L", "RGB", "RGBA"])
-def test_the_pixels_are_not_copied_as_a_whole_beside_those_of_pillow(tmp_path, mode):
+def test_pixels_are_not_copied_as_a_whole_beside_pillows(tmp_path, mode):
     """What Pillow itself holds is not traced."""
     size, channels = (1000, 900), max(3, len(mode))
     path = tmp_path / "photo.png"

@@ -68,7 +68,7 @@ def test_a_full_disk_is_the_documented_error(tmp_path, monkeypatch):
         store.append(np.zeros((2, 3), np.float32))
 
 
-def test_a_budget_for_all_photos_filters_each_down_further_and_says_so(make_capture):
+def test_a_budget_for_all_photos_filters_each_down_and_says_so(make_capture):
     capture = load_capture(make_capture(views=6, size=24).folder)
     rays = PixelRays.from_capture(capture, 24 * 24, False, memory=PixelMemory(most=6 * 12 * 12))
     assert rays.size == [(12, 12)] * 6
@@ -118,7 +118,7 @@ def test_no_more_photos_are_decoded_at_once_than_memory_allows(make_capture, mon
     assert PixelRays.from_capture(capture, 100, False).views == 8 and most == at_once
 
 
-def test_a_job_reports_how_many_photos_are_read_and_stops_between_two(make_capture, tmp_path, monkeypatch):
+def test_a_job_reports_the_photos_read_and_stops_between_two(make_capture, tmp_path, monkeypatch):
     capture, out, stop = make_capture(views=6).folder, tmp_path / "asset", StopRequest()
     read, open_photo = 0, Capture.open_photo
 

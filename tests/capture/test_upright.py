@@ -36,7 +36,7 @@ def test_a_rolled_camera_does_not_tip_it(rotations):
     assert of(rotations) @ UP > 0.99
 
 
-def test_cameras_that_look_along_one_line_give_the_mean_of_their_own(rotations):
+def test_cameras_along_one_line_give_the_mean_of_their_own(rotations):
     nearly_alike = np.stack([turn(angle)[np.ix_([0, 2, 1], [0, 2, 1])] for angle in (-0.02, 0.0, 0.02)])
     alike = rotations[:1] @ nearly_alike
     np.testing.assert_allclose(of(alike), rotations[0][:, 1], atol=1e-6)

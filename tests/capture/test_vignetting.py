@@ -45,7 +45,7 @@ def test_the_gain_is_a_polynomial_of_its_logarithm():
 
 
 @pytest.mark.parametrize("lens", [HALF_A_STOP, A_STOP])
-def test_a_known_vignetting_is_found_beside_exposures_and_divided_out(rays, lens):
+def test_a_known_vignetting_is_found_and_divided_out(rays, lens):
     gain = torch.linspace(-0.5, 0.5, rays.views).exp()
     dark = seen_through(rays, lens)
     taken = replace(dark, radiance=dark.radiance * gain[rays.view_of(torch.arange(rays.count))][:, None])
@@ -59,7 +59,7 @@ def test_a_known_vignetting_is_found_beside_exposures_and_divided_out(rays, lens
     assert even[shown].log().std() < TENTH_OF_A_STOP < (taken.photo(index) / rays.photo(index))[shown].log().std() / 4
 
 
-def test_nothing_is_found_without_vignetting_or_where_corners_are_brighter(rays):
+def test_nothing_is_found_without_vignetting_or_dark_corners(rays):
     assert find_exposures(rays).vignetting is None
     assert find_exposures(seen_through(rays, Vignetting(0.5, 0.2))).vignetting is None
 

@@ -109,7 +109,7 @@ def test_lid_and_inside_are_compared_in_the_same_photos(on_the_lid, opens):
     assert cavity_search._trial(lid, Photos(), in_cells(of_thickness(0.1))).agrees == opens
 
 
-def test_a_place_of_the_lid_on_which_photos_agree_belongs_to_the_lid():
+def test_a_point_of_the_lid_on_which_photos_agree_is_the_lids():
     surface = (CLOSED < 0) & ndimage.binary_dilation(CLOSED >= 0)
     x, y, z = (in_cells(lambda points, k=k: points[..., k]) for k in range(3))
     top = surface & (z > TOP - 0.05) & (np.hypot(x, y) < 0.45)

@@ -150,7 +150,7 @@ def test_coverage_is_high_only_where_cameras_looked():
         assert (coverage > 0.6).all() if seen else (coverage < 0.1).all()
 
 
-def test_what_no_photo_shows_does_not_count_in_a_cone_and_is_extrapolated():
+def test_what_no_photo_shows_counts_in_no_cone():
     field = EnvironmentField(PRESET, mean_radiance=3.0)
     rows = field.raw.shape[1]
     field.coverage[:, rows // 2 :] = 1  # below the horizon
@@ -195,7 +195,7 @@ def test_far_walls_get_a_color_detail_and_near_walls_do_not(size, far):
     assert restored.detail_decided and restored.detail.shape == field.detail.shape
 
 
-def test_resampling_a_smooth_grid_keeps_its_values_at_the_directions():
+def test_resampling_a_smooth_grid_keeps_its_values():
     def grid(rows):
         theta = (torch.arange(rows) + 0.5) * math.pi / rows
         phi = (torch.arange(2 * rows) + 0.5) * math.pi / rows - math.pi
@@ -227,7 +227,7 @@ def test_cones_follow_a_changed_field():
     torch.testing.assert_close(after, before * math.e, rtol=1e-3, atol=0)
 
 
-def test_regularization_prefers_smooth_and_empty_and_adds_the_gradient_of_its_value():
+def test_regularization_prefers_smooth_and_empty_by_its_gradient():
     generator = torch.Generator().manual_seed(0)
     smooth = EnvironmentField(PRESET).regularize(generator)
     rough = EnvironmentField(PRESET)
@@ -249,7 +249,7 @@ def test_regularization_prefers_smooth_and_empty_and_adds_the_gradient_of_its_va
 
 
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64, torch.bfloat16], ids=str)
-def test_regularization_adds_what_automatic_differentiation_gives(dtype):
+def test_regularization_adds_what_autograd_gives(dtype):
     generator = torch.Generator().manual_seed(0)
     field = EnvironmentField(dataclasses.replace(PRESET, regularized_fraction=1.0))
     with torch.no_grad():
@@ -293,7 +293,7 @@ def learn_room(seed: int):
     return field, seen
 
 
-def test_environment_learning_that_never_gives_a_finite_loss_is_given_up():
+def test_environment_learning_without_a_finite_loss_is_given_up():
     rays = pixel_rays(box_field(), 500, 20)
     rays.radiance[:] = math.nan
     with pytest.raises(LearningError, match="not finite"):
@@ -320,7 +320,7 @@ def test_a_step_whose_loss_is_not_finite_changes_nothing():
     assert not torch.equal(field.raw, before) and torch.isfinite(field.raw).all()
 
 
-def test_learning_explains_rays_that_it_did_not_see_and_is_deterministic():
+def test_learning_explains_unseen_rays_and_is_deterministic():
     field, seen = learn_room(0)
     assert [s[0] for s in seen] == list(range(1, 121)) and seen[-1][2] < 0.3 * seen[0][2]
     test = pixel_rays(box_field(), 3000, 50)

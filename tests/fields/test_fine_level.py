@@ -25,7 +25,7 @@ def field():
     return field
 
 
-def test_it_changes_nothing_at_first_and_is_complete_around_the_points(field):
+def test_it_changes_nothing_at_first_and_is_complete_near_points(field):
     seen = points_near(0.6, 0.3, 2000)
     before = field.shape().sample(seen, hessian=True)
     points = points_near(0.6, 0.0, 3000, seed=1)[:20]
@@ -71,7 +71,7 @@ def test_its_state_is_restored(field):
     assert torch.equal(again.sdf(points), field.sdf(points))
 
 
-def test_it_holds_relief_for_which_the_other_levels_are_too_coarse(field):
+def test_it_holds_relief_that_is_too_fine_for_the_other_levels(field):
     """Waves of 1.8 coarse cells: the least-squares fit of the coarse levels misses them, and that of the bricks does not."""
     points = points_near(0.6, 0.0, 30_000)
     wave = 2 * math.pi / (1.8 * 2 / 32)

@@ -39,7 +39,7 @@ def rays_of(folder) -> PixelRays:
     return PixelRays.from_capture(load_capture(folder), 10_000, False, torch.device("cpu"))
 
 
-def test_painted_spots_are_found_also_if_the_surface_is_not_exact(tmp_path):
+def test_painted_spots_are_found_although_the_surface_is_inexact(tmp_path):
     rays = rays_of(write_pot_scene(tmp_path / "spots", block, painted=spots))
     assert fine_paint(rays, SHAPE) > 2 * ENOUGH
     assert fine_paint(rays, SHAPE + 0.02) > ENOUGH

@@ -96,7 +96,7 @@ def test_learning_does_not_hold_the_object_back_there(rays, monkeypatch):
     assert (handed["gradient"][is_hidden] == 0).all() and (handed["gradient"][~is_hidden] != 0).any()
 
 
-def test_the_error_of_f_e_is_measured_against_that_beside_the_object(rays):
+def test_the_error_of_f_e_is_measured_against_that_beside_it(rays):
     """A short F_e alone: about 1 beside the sphere, and larger where the object stands."""
     learning = FieldsLearning(rays, brief_preset(background_steps=60), 0, CPU)
     while learning.schedule.learns_background:

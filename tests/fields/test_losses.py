@@ -84,7 +84,7 @@ def test_each_prior_counts_by_its_weight():
 
 
 @pytest.mark.parametrize("cut", [False, True])
-def test_a_highlight_is_what_stands_out_of_what_is_shown_and_not_of_black_around_it(rays, masked_rays, cut):
+def test_a_highlight_stands_out_of_what_is_shown_not_of_black(rays, masked_rays, cut):
     black = replace(rays, radiance=rays.radiance * (masked_rays.mask > 127)[:, None], mask=masked_rays.mask if cut else None)
     shown = masked_rays.radiance[(masked_rays.mask > 127) & masked_rays.valid]
     found = highlight_threshold(black, PRESET) / PRESET.highlight_threshold

@@ -70,7 +70,7 @@ def test_an_object_that_is_nowhere_may_be_anywhere_in_its_sphere(rays):
     assert pixels.veiled is rays.sphere and not len(pixels.clear)
 
 
-def test_clear_and_veiled_pixels_are_drawn_alike_and_held_out_ones_never():
+def test_clear_and_veiled_pixels_are_drawn_and_held_out_ones_not():
     flags = torch.ones(500, dtype=torch.bool)
     pixels = ObjectPixels(PixelSet.where(flags), PixelSet.where(flags[:101], 500))
     clear, veiled = pixels.draw(30_000, 101, torch.Generator().manual_seed(0))
@@ -118,7 +118,7 @@ def test_learning_holds_out_pixels_of_all_columns(make_capture):
     assert (drawn % every).all() and not (drawn % 101).all()
 
 
-def test_held_out_pixels_are_never_drawn_unless_there_are_no_others():
+def test_held_out_pixels_are_drawn_only_if_there_are_no_others():
     generator = torch.Generator().manual_seed(0)
     drawn = draw_pixels(PixelSet.where(torch.ones(500, dtype=torch.bool)), 4000, 101, generator)
     assert sorted(set(range(500)) - set(drawn.tolist())) == [0, 101, 202, 303, 404]

@@ -60,7 +60,7 @@ def test_what_no_photo_shows_below_the_ball_does_not_count(tmp_path):
     assert CENTER[2] - 0.5 * BALL < seen[:, 2].min() < CENTER[2] - 0.25 * BALL
 
 
-def test_a_sphere_that_cuts_the_object_is_moved_if_it_is_large_enough(tmp_path, monkeypatch):
+def test_a_large_enough_sphere_that_cuts_the_object_is_moved(tmp_path, monkeypatch):
     """The object is a ball of radius 0.5 around (0.7, 0, 0). What is seen of it is what lies in the sphere."""
     capture = load_capture(write_table_scene(tmp_path / "ball", radius=0))
 
@@ -77,7 +77,7 @@ def test_a_sphere_that_cuts_the_object_is_moved_if_it_is_large_enough(tmp_path, 
     assert np.abs(found.center - [0.7, 0, 0]).max() < 1e-9
 
 
-def test_the_search_can_be_ended_between_two_photos_and_between_two_steps(ball):
+def test_the_search_can_be_ended_between_photos_and_steps(ball):
     photos = len(ball.views)
 
     class Ended(Exception):

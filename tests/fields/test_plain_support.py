@@ -23,7 +23,7 @@ def ball(tilt: float = 0.0, radius: float = BALL) -> np.ndarray:
 
 @pytest.mark.parametrize("tilt", [0.0, 0.5])
 @pytest.mark.parametrize("plain", [True, False])
-def test_a_table_is_found_at_its_height_whether_it_is_plain_or_not(tmp_path, plain, tilt):
+def test_a_table_is_found_at_its_height_plain_or_not(tmp_path, plain, tilt):
     support = find_plain_support(rays_of(write_table_scene(tmp_path / "capture", plain=plain, tilt=tilt)), ball(tilt))
     assert support is not None
     assert support.height == pytest.approx(HEIGHT, abs=0.04)
@@ -48,7 +48,7 @@ def test_nothing_is_found_without_an_object(tmp_path):
     assert find_plain_support(rays_of(write_table_scene(tmp_path / "capture", plain=True)), np.ones((16, 16, 16))) is None
 
 
-def test_a_lowest_plane_that_agrees_better_does_not_hide_the_table(tmp_path, monkeypatch):
+def test_a_lowest_plane_that_agrees_more_does_not_hide_a_table(tmp_path, monkeypatch):
     """Few points of the lowest plane are seen, so its spread may be small by chance."""
 
     def spread(near_foot, height):

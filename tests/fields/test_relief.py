@@ -129,7 +129,7 @@ def test_halves_are_correlated_block_by_block():
     np.testing.assert_allclose(found[block == 1], 0.0, atol=0.05)
 
 
-def test_learning_searches_when_it_is_due_and_a_resumed_run_goes_on_the_same(rays, monkeypatch):
+def test_a_search_comes_when_due_and_a_resumed_run_is_the_same(rays, monkeypatch):
     searched = []
 
     def search(field, rays, most_pixel):

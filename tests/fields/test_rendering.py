@@ -41,7 +41,7 @@ def test_dynamic_weight_is_equation_4_and_passes_no_gradient():
     torch.testing.assert_close(weight[:, 0], torch.tensor([1.5, 1 / (2.9**2 + 1e-3)]))
 
 
-def test_a_support_plane_ends_rays_in_the_sphere_and_hides_what_the_sdf_is_below_it():
+def test_a_support_ends_rays_and_hides_the_sdf_below_it():
     fields, seen = renderer(brief_preset()), rays([0.0, 0.8, 1.5])
     above = fields.render(seen, SHARP, None)
     fields.object_field.support = Support(np.array([0.0, 0.0, 1.0]), -0.3)
@@ -61,7 +61,7 @@ def test_a_support_plane_ends_rays_in_the_sphere_and_hides_what_the_sdf_is_below
 
 
 @pytest.mark.parametrize("support", [None, Support(np.array([0.0, 0.0, 1.0]), -0.3)])
-def test_the_background_is_what_is_rendered_where_the_object_is_empty(support):
+def test_the_background_is_rendered_where_the_object_is_empty(support):
     fields, seen = renderer(brief_preset()), rays([0.0, 0.4, 0.8, 1.5])
     fields.object_field.support = support
     background = fields.background(seen)
@@ -90,7 +90,7 @@ def test_a_ray_sees_the_environment_the_object_or_both():
     torch.testing.assert_close(out.foreground_opacity, (1 - clear[:2]).mean())
 
 
-def test_rays_for_the_object_alone_have_nothing_in_front_and_do_not_count_beside_it():
+def test_rays_for_the_object_alone_do_not_count_beside_it():
     fields, seen = renderer(brief_preset()), rays([0.0, 0.8, 1.5, 0.0, 0.8])
     full, out = fields.render(seen, SHARP, None), fields.render(seen, SHARP, None, clear_rays=3)
     color = fields.object_field.appearance(
@@ -105,7 +105,7 @@ def test_rays_for_the_object_alone_have_nothing_in_front_and_do_not_count_beside
     torch.testing.assert_close(out.foreground_opacity, opacity[[3, 4]].sum() / 4)
 
 
-def test_behind_the_border_of_the_object_the_environment_is_rendered():
+def test_behind_the_objects_border_the_environment_is_rendered():
     fields, seen = renderer(brief_preset(coarsest_cells=16)), rays([0.601])
     out = fields.render(seen, SHARP, None, clear_rays=1)
     assert 0.1 < out.opacity < 0.9 and out.weight == 1
@@ -127,7 +127,7 @@ def test_distortion_is_that_of_the_segments_that_are_rendered():
     torch.testing.assert_close(alone.distortion, before[2] / 3)
 
 
-def test_the_prior_on_opacity_in_front_is_not_scaled_down_with_the_pixels_of_the_object():
+def test_the_prior_on_opacity_in_front_is_not_scaled_down():
     gradients = []
     for scale in (1.0, 0.1):
         fields = renderer(brief_preset())
@@ -163,7 +163,7 @@ def test_without_decomposition_there_is_no_w_s():
     assert (fields.render(rays([0.0, 0.1]), SHARP, None).weight == 1).all()
 
 
-def test_the_gradient_scale_holds_for_rays_that_meet_the_sphere_alone_and_changes_no_radiance():
+def test_the_gradient_scale_is_for_sphere_rays_and_no_radiance():
     found = {}
     for scale in (1.0, 0.25):
         for off_axis in (0.5, 0.8, 1.5):
@@ -178,14 +178,14 @@ def test_the_gradient_scale_holds_for_rays_that_meet_the_sphere_alone_and_change
         torch.testing.assert_close(smaller, share * gradient, rtol=1e-4, atol=1e-7)
 
 
-def test_the_curvature_is_that_of_the_surface_and_is_not_computed_without_its_loss():
+def test_the_curvature_is_not_computed_without_its_loss():
     # an SDF of a sphere of radius r bends by 2 / r^2 in its squared Hessian
     found = renderer(brief_preset()).render(rays([0.0, 0.1, 0.2]), SHARP, None).curvature.item()
     assert found == pytest.approx(math.sqrt(2 / 0.6**2 + 1), rel=0.05)
     assert renderer(brief_preset(curvature=0.0)).render(rays([0.0]), SHARP, None).curvature.item() == 0
 
 
-def test_what_lies_behind_the_object_counts_as_far_as_the_object_is_clear():
+def test_what_lies_behind_counts_as_far_as_the_object_is_clear():
     seen, clear = rays([0.0]), replace(SHARP, sharpness=2.0)
 
     def radiance(limit: float, settings: RenderSettings) -> torch.Tensor:

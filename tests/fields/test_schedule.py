@@ -28,11 +28,11 @@ def test_a_geometric_decay_is_1_then_falls_by_equal_factors():
 
 
 @pytest.mark.parametrize(("outside", "steps"), [(0, 0), (4, 0), (5, 10), (100, 10)])
-def test_without_surroundings_in_the_photos_there_are_no_steps_of_f_e_alone(outside, steps):
+def test_without_surroundings_there_are_no_steps_of_f_e_alone(outside, steps):
     assert Schedule.at_start(PRESET, outside, 100).background_steps == steps
 
 
-def test_steps_of_f_e_alone_come_first_and_are_no_learning_of_both_fields():
+def test_steps_of_f_e_alone_come_first_and_learn_no_f_o():
     now, joint = Schedule.at_start(PRESET, 50, 100), []
     while now.fraction < 1:
         joint.append(not now.learns_background)
@@ -66,7 +66,7 @@ def test_samples_and_gradient_scale_change_at_their_fractions():
         assert [getattr(schedule(f), name) for f in (0, at - 0.01, at, 1)] == [before, before, after, after], name
 
 
-def test_the_curvature_weight_holds_and_then_falls_to_its_last_value():
+def test_the_curvature_weight_holds_and_then_falls():
     p = PRESET
     assert schedule(0).curvature_weight == schedule(p.curvature_decay_from).curvature_weight == p.curvature
     assert schedule(0.75).curvature_weight == pytest.approx((p.curvature * p.last_curvature) ** 0.5)
@@ -75,7 +75,7 @@ def test_the_curvature_weight_holds_and_then_falls_to_its_last_value():
     assert [schedule(f, off).curvature_weight for f in (0, 0.75, 1)] == [0, 0, 0]
 
 
-def test_learning_rates_warm_up_and_decay_and_the_sdf_s_falls_with_the_sharpness():
+def test_rates_warm_up_and_decay_and_the_sdfs_with_sharpness():
     p = PRESET
     assert schedule(0).head_rate == pytest.approx(p.head_rate / p.warm_up_steps)
     assert schedule(0).sdf_rate == pytest.approx(p.sdf_rate / p.warm_up_steps)
@@ -87,7 +87,7 @@ def test_learning_rates_warm_up_and_decay_and_the_sdf_s_falls_with_the_sharpness
     assert schedule(1, even).sdf_rate == pytest.approx(p.sdf_rate * p.last_rate)
 
 
-def test_from_a_hull_the_colors_are_learned_first_and_then_the_sdf_warms_up():
+def test_from_a_hull_colors_come_first_and_then_the_sdf_warms_up():
     p = replace(PRESET, colors_first_steps=30, warm_up_steps=20)
     now, rates, heads, expected = Schedule.at_start(p, 50, 100), [], [], []
     while now.fraction < 1:
@@ -125,7 +125,7 @@ def test_validation_errors_are_due_at_their_fractions():
 
 
 @pytest.mark.parametrize(("after", "plateaued"), [(FELL, False), (STOPPED_FALLING, True)])
-def test_learning_ends_early_only_where_the_error_stopped_falling_on_the_finest_grid(after, plateaued):
+def test_learning_ends_early_only_on_the_finest_grid(after, plateaued):
     now = schedule(0.7, validation_errors=[*COARSE, *after])
     assert now.plateaued == plateaued
     assert now.step_multiplier == (PRESET.plateau_step_multiplier if plateaued else 1)

@@ -30,7 +30,7 @@ def test_cells_beside_the_ball_are_free_and_those_in_it_are_not():
     assert free[(AWAY > BALL + cell) & (AWAY < 1)].mean() > 0.95
 
 
-def test_one_photo_alone_and_points_before_the_sphere_free_nothing():
+def test_one_photo_and_points_before_the_sphere_free_nothing():
     assert not seen_through(lines(photos=1), CENTER, RADIUS).any()
     assert not seen_through(lines(length=2.0), CENTER, RADIUS).any(), "the points lie before the sphere"
     assert not seen_through([], CENTER, RADIUS).any()

@@ -33,14 +33,14 @@ def test_a_glossy_table_is_found_by_its_pattern(tmp_path, monkeypatch):
     assert find_support_by_photos(rays) is None, "its colors change too much from photo to photo"
 
 
-def test_a_plate_is_found_at_its_height_and_tilt_though_it_ends_soon(tmp_path):
+def test_a_small_plate_is_found_at_its_height_and_tilt(tmp_path):
     """Its rim is 0.25 radii outside the object's sphere. What lies behind must not draw the plane away."""
     support = find_support_by_photos(rays_of(write_table_scene(tmp_path / "capture", radius=1.05)))
     assert support is not None and support.height == pytest.approx(HEIGHT, abs=0.01)
     assert support.normal @ [0, 0, 1] > np.cos(np.radians(0.3))
 
 
-def test_a_patterned_plate_that_ends_in_the_sphere_is_found_at_its_height(tmp_path):
+def test_a_patterned_plate_in_the_sphere_is_found_at_its_height(tmp_path):
     support = find_support_by_photos(rays_of(write_table_scene(tmp_path / "capture", radius=0.7)))
     assert support is not None and support.height == pytest.approx(HEIGHT, abs=0.015)
 

@@ -36,7 +36,7 @@ def texels(texture: SupportTexture) -> tuple[np.ndarray, np.ndarray, np.ndarray]
     return points.reshape(-1, 3), texture.color.reshape(-1, 3).numpy(), texture.known.flatten().numpy()
 
 
-def test_known_colors_are_those_of_the_table_and_not_those_of_the_ball(table):
+def test_known_colors_are_the_tables_and_not_the_balls(table):
     rays, true = table
     points, color, known = texels(SupportColors(rays, PLANE).texture(BALL_SDF))
     beside = np.hypot(*(points - CENTER)[:, :2].T) > BALL
@@ -48,7 +48,7 @@ def test_known_colors_are_those_of_the_table_and_not_those_of_the_ball(table):
     assert np.median(wrong[known]) < 0.01 and (wrong[known] > 0.05).mean() < 0.05
 
 
-def test_the_colors_are_shown_by_rays_that_meet_the_plane_in_the_sphere(table):
+def test_rays_that_meet_the_plane_in_the_sphere_show_the_colors(table):
     rays, true = table
     texture = SupportColors(rays, PLANE).texture(BALL_SDF)
     points = np.array([[-0.6, 0.1, HEIGHT], [-0.3, -0.55, HEIGHT], [0.0, -1.5, HEIGHT]])
@@ -109,7 +109,7 @@ def test_the_object_is_carved_again_with_the_colors_of_the_table(table, monkeypa
     assert np.quantile(np.abs(shown - true(points[seen].numpy())), 0.95) < 0.05
 
 
-def test_nothing_is_known_if_the_photos_show_nothing_beside_the_object(tmp_path):
+def test_nothing_is_known_if_photos_show_the_object_alone(tmp_path):
     """A table as small as the foot: beside it are the walls, far below the plane."""
     folder = write_table_scene(tmp_path / "capture", radius=0.2)
     rays = PixelRays.from_capture(load_capture(folder), 10_000, False, torch.device("cpu"))

@@ -90,7 +90,7 @@ def test_a_resumed_run_gives_the_same_fields(masked_rays, rays, paint):
         assert torch.equal(whole.environment.raw, resumed.environment.raw), learned
 
 
-def test_with_a_mesh_the_environment_learns_from_the_pixels_beside_it(rays):
+def test_with_a_mesh_f_e_learns_from_the_pixels_beside_it(rays):
     ball = trimesh.creation.icosphere(subdivisions=3, radius=0.7)
     surface = Surface(np.asarray(ball.vertices), np.asarray(ball.faces), np.asarray(ball.vertex_normals))
     chosen = brief_preset()
@@ -114,7 +114,7 @@ def test_a_mesh_that_covers_all_pixels_is_refused(rays):
     assert "without the floor" in error.value.hint
 
 
-def test_few_pixels_beside_the_sphere_do_not_decide_what_the_photos_show(rays):
+def test_few_pixels_beside_the_sphere_do_not_decide(rays):
     """Rays beside the sphere decide on F_e's coverage. A few of them would say that hardly any light is known."""
     few = replace(rays, outside=PixelSet.of(rays.outside[:20]))
     assert FieldsLearning(few, brief_preset(), 0, CPU).background is few.sphere
@@ -203,7 +203,7 @@ def test_ablations_of_the_object_field_learn(rays, ablation):
 
 
 @pytest.mark.parametrize("steps", [0, 3])
-def test_f_e_is_learned_alone_for_as_many_steps_as_the_preset_says(rays, steps):
+def test_f_e_is_learned_alone_for_the_steps_of_the_preset(rays, steps):
     learning = FieldsLearning(rays, brief_preset(background_steps=steps), 0, CPU)
     before = [p.detach().clone() for p in learning.object_field.parameters()]
     raw = learning.environment.raw.detach().clone()
@@ -217,9 +217,7 @@ def test_f_e_is_learned_alone_for_as_many_steps_as_the_preset_says(rays, steps):
 
 
 @pytest.mark.parametrize(("least_contrast", "from_hull"), [(2.0, True), (math.inf, False)])
-def test_the_sdf_starts_from_a_hull_only_where_that_tells_the_object_from_its_surroundings(
-    masked_rays, least_contrast, from_hull
-):
+def test_the_sdf_starts_from_a_hull_only_where_a_hull_tells_more(masked_rays, least_contrast, from_hull):
     chosen = brief_preset(background_steps=0, coarsest_cells=16, least_contrast=least_contrast)
     learning = FieldsLearning(masked_rays, chosen, 0, CPU)
     points = 0.6 * torch.nn.functional.normalize(torch.randn(100, 3, generator=torch.Generator().manual_seed(0)), dim=-1)
@@ -293,7 +291,7 @@ def test_what_the_schedule_wants_done_is_done(rays):
     assert learning.validation_error() == pytest.approx(difference.abs().mean().item())
 
 
-def test_rays_for_clear_pixels_come_first_once_f_e_has_learned_what_is_in_front(rays, monkeypatch):
+def test_rays_for_clear_pixels_come_first_once_f_e_is_learned(rays, monkeypatch):
     clear_rays, render = [], FieldsRenderer.render
 
     def spy(renderer, bundle, settings, generator, clear=0):
@@ -322,7 +320,7 @@ def test_the_report_says_how_it_went_in_plain_values():
     assert replace(report, steps_not_finite=2).as_dict() == plain | {"steps_not_finite": 2}
 
 
-def test_without_decomposition_the_color_is_one_radiance_of_the_view_direction():
+def test_without_decomposition_color_is_one_radiance_of_the_view():
     field = ObjectField(8, 0.6, decomposed=False)
     points = torch.tensor([[0.6, 0, 0]]).expand(2, 3)
     normal = torch.tensor([[1.0, 0, 0]]).expand(2, 3)

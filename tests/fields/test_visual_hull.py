@@ -84,7 +84,7 @@ def intersection(one, other):
 
 
 @pytest.mark.parametrize(("strength", "found"), [(0.18, True), (0.06, False)])
-def test_on_a_support_a_foot_of_weak_silhouettes_is_found_and_free_space_is_not(rays, strength, found):
+def test_on_a_support_a_weak_foot_is_found_and_free_space_is_not(rays, strength, found):
     """Two balls: the maps hold 0.4 for one, `strength` for the other, and 0.02 for the background."""
     body, foot, cells = torch.tensor([0.0, 0.0, 0.35]), torch.tensor([0.0, 0.0, -0.35]), 48
     maps = [
@@ -133,7 +133,7 @@ def test_the_background_is_asked_only_of_the_wanted_rays(rays):
 
 
 @pytest.mark.parametrize("block", [2, 4])
-def test_the_scores_are_those_of_all_rays_although_only_those_near_the_sphere_are_asked(rays, block):
+def test_scores_are_of_all_rays_though_only_near_ones_are_asked(rays, block):
     def every(bundle):
         return bundle.half_angle > 0
 

@@ -63,7 +63,7 @@ def test_rays_leave_a_convex_surface_without_meeting_it(sphere):
     assert tracer.occluded(start[cosine < -1e-2], away[cosine < -1e-2]).all()
 
 
-def test_meshes_without_triangles_or_with_vertices_that_are_not_finite_are_refused():
+def test_empty_meshes_and_vertices_not_finite_are_refused():
     with pytest.raises(ValueError, match="at least one triangle"):
         RayTracer(np.zeros((3, 3)), np.zeros((0, 3), int))
     with pytest.raises(ValueError, match="not finite"):

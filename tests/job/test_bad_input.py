@@ -251,7 +251,7 @@ def test_out_that_is_a_file_or_below_one(make_capture, tmp_path):
     assert (tmp_path / "file").read_text() == "mine"
 
 
-def test_a_mesh_that_is_not_usable_is_refused_before_anything_is_learned(make_capture, tmp_path):
+def test_an_unusable_mesh_is_refused_before_anything_is_learned(make_capture, tmp_path):
     (tmp_path / "flat.obj").write_text("v 0 0 0\nv 0.5 0 0\nv 0.2 0 0\nf 1 2 3\n")
     code, events, _ = reconstruct(make_capture().folder, tmp_path / "asset", mesh=tmp_path / "flat.obj")
     assert code == 3 and "flat.obj" in events[-1]["message"]

@@ -57,7 +57,7 @@ def test_a_torn_checkpoint_falls_back_to_the_one_before(tmp_path):
     assert Checkpoint(tmp_path, "stage", StopRequest(), warnings.append).load() is None
 
 
-def test_whatever_the_unpickler_raises_the_file_counts_as_damaged(tmp_path, monkeypatch):
+def test_whatever_unpickling_raises_the_file_counts_as_damaged(tmp_path, monkeypatch):
     first = Checkpoint(tmp_path, "stage", StopRequest(), [].append)
     first.save({"step": 1})
     first.save({"step": 2})
@@ -98,7 +98,7 @@ def test_a_state_that_has_not_changed_is_not_written_again(tmp_path):
         checkpoint.raise_if_stopped(saves=True)
 
 
-def test_a_checkpoint_is_due_every_fifteen_seconds_and_counts_time(tmp_path):
+def test_a_checkpoint_is_due_every_15_seconds_and_counts_time(tmp_path):
     now = [0.0]
     stop = StopRequest()
     checkpoint = Checkpoint(tmp_path, "stage", stop, print, clock=lambda: now[0])
@@ -121,7 +121,7 @@ def test_a_checkpoint_is_due_every_fifteen_seconds_and_counts_time(tmp_path):
 
 
 @pytest.mark.parametrize("refusals", [2, 100])
-def test_a_file_that_another_program_reads_is_replaced_a_moment_later(tmp_path, monkeypatch, refusals):
+def test_a_file_that_another_program_reads_is_replaced_later(tmp_path, monkeypatch, refusals):
     """So Windows refuses to replace it for an instant."""
     left, replace = [refusals], os.replace
 

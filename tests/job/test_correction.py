@@ -61,7 +61,7 @@ def test_the_report_of_a_job_lists_the_materials(asset):
     }
 
 
-def test_a_correction_rewrites_the_asset_and_taking_it_back_restores_every_byte(asset):
+def test_taking_a_correction_back_restores_every_byte(asset):
     before = contents(asset)
     code, events = correct(asset, {1: Correction(metallic=1.0, roughness=0.3)})
     assert code == 0 and events[-1] == {"event": "done", "asset": str(asset)}
@@ -152,7 +152,7 @@ def test_an_unknown_material_is_refused(asset):
     assert events[-1]["values"] == {"number": 2, "count": 2}
 
 
-def test_paint_is_refused_where_the_light_for_it_was_not_gathered(start, monkeypatch):
+def test_paint_is_refused_where_its_light_was_not_gathered(start, monkeypatch):
     kept = two_materials()
     light = kept.materials.light
     kept.materials.light = replace(light, diffuse=torch.zeros_like(light.diffuse))  # as after --metal yes
@@ -202,7 +202,7 @@ def test_an_asset_that_was_cleaned_is_refused(start):
     assert code == 2 and events[-1]["name"] == "usage.not_correctable"
 
 
-def test_an_asset_whose_materials_come_from_the_disk_can_be_corrected(start):
+def test_an_asset_with_materials_from_the_disk_can_be_corrected(start):
     """A resumed job takes the materials from the disk, with what a correction needs."""
     assert start(KeepingStages())[0] == 0
     (start.out / "report.json").unlink()

@@ -52,7 +52,7 @@ def test_a_folder_at_which_a_run_works_is_refused_to_another(start, options):
     assert not is_held(start.out) and start(BallStages(), overwrite=True)[0] == 0, "the folder is free again"
 
 
-def test_a_folder_at_which_a_correction_works_is_refused_to_a_run(start):
+def test_a_folder_in_correction_is_refused_to_a_run(start):
     """The message is true of a run and of a correction: the lock does not tell which of them holds it."""
     assert start(BallStages())[0] == 0
     with held(start.out):

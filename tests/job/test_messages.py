@@ -165,11 +165,11 @@ def test_a_message_survives_the_disk():
         "it has two moons",
     ],
 )
-def test_what_the_panel_does_not_know_is_shown_in_the_engines_words(told):
+def test_an_unknown_message_is_shown_in_the_engines_words(told):
     assert words.Said.of(told).words() == "It has two moons"
 
 
-def test_a_reason_that_the_panel_does_not_know_is_shown_in_the_engines_words():
+def test_an_unknown_reason_is_shown_in_the_engines_words():
     reason = {"code": "reason.of_tomorrow", "values": {}, "message": "it is Sunday"}
     left_out = {"code": "scene.left_out", "values": {"parts": ["the moons"], "reason": reason}, "message": "-"}
     assert words.Said.of(left_out).words() == "Left out: the moons, because it is Sunday."

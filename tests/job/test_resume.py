@@ -115,7 +115,7 @@ def test_an_asset_of_another_version_is_refused_and_left_alone(start, older, nam
     assert start(BallStages(), overwrite=True)[0] == 0
 
 
-def test_checkpoints_of_an_unknown_run_are_refused_and_left_alone(start):
+def test_checkpoints_of_an_unknown_run_are_refused_and_kept(start):
     start(BallStages(on_step=lambda r, s: stop.request("test")), stop := StopRequest())
     (start.out / "checkpoints" / "run.json").unlink()
     before = contents(start.out)
@@ -128,7 +128,7 @@ def test_checkpoints_of_an_unknown_run_are_refused_and_left_alone(start):
     assert start(BallStages(), resume=True)[0] == 0, "a run that was killed before its first checkpoint"
 
 
-def test_a_damaged_description_of_the_run_is_told_and_the_run_starts_again(start):
+def test_a_damaged_description_is_told_and_the_run_starts_again(start):
     start(BallStages(on_step=lambda r, s: stop.request("test")), stop := StopRequest())
     (start.out / "checkpoints" / "run.json").write_text('{"format": 3')
     code, events = start(stages := BallStages(), resume=True)
@@ -213,7 +213,7 @@ def test_a_killed_process_is_resumed(start, file):
         assert stages.started_at[expected] > 0
 
 
-def test_photos_on_another_drive_than_the_capture_have_a_fingerprint(make_capture, monkeypatch):
+def test_photos_on_another_drive_have_a_fingerprint(make_capture, monkeypatch):
     """So it may be on Windows, where no relative path leads from one drive to another."""
 
     def refuse(path, start):

@@ -74,7 +74,7 @@ def test_threads_are_those_that_were_asked_for(start):
         numba.set_num_threads(before[1])
 
 
-def test_what_the_scene_needs_is_told_before_it_is_done_and_stands_in_the_report(start):
+def test_what_the_scene_needs_is_told_first_and_in_the_report(start):
     class Asked(BallStages):
         def learn_fields(self, *arguments, **keywords):
             found = super().learn_fields(*arguments, **keywords)
@@ -120,7 +120,7 @@ def test_what_the_scene_needs_is_told_before_it_is_done_and_stands_in_the_report
 
 
 @pytest.mark.parametrize("even", [True, False])
-def test_photos_of_differing_exposure_are_evened_out_and_the_report_says_by_how_much(start, monkeypatch, even):
+def test_the_report_says_how_exposures_were_evened_out(start, monkeypatch, even):
     class Looked(BallStages):
         def learn_fields(self, given, *how):
             seen.append(given.rays.gain)

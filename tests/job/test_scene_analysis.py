@@ -178,7 +178,7 @@ def test_facts_are_plain_and_finite(make_capture):
     assert json.loads(json.dumps(facts, allow_nan=False)) == facts
 
 
-def test_known_metal_gathers_no_irradiance_and_the_saving_is_in_proportion(make_capture):
+def test_known_metal_gathers_no_irradiance_and_saves_as_much(make_capture):
     p = preset("preview")
     metal = replace(p, material=replace(p.material, metallic=(1.0,)))
     photos, _ = look(make_capture())

@@ -54,7 +54,7 @@ def at_pole(ball, texture, sign):
     return texture[row, column].mean(0)
 
 
-def test_without_corrections_the_textures_are_those_that_were_learned(ball, learned):
+def test_without_corrections_the_textures_are_as_learned(ball, learned):
     textures, listed = learned.kept.bake(ball, {}, MORE)
     assert all(np.array_equal(a, getattr(learned, name)) for a, name in zip(textures, TEXTURES, strict=True))
     assert listed == learned.kept.listed() and len(listed) == 2
@@ -72,7 +72,7 @@ def test_what_is_kept_survives_the_disk(ball, request, name, tmp_path):
         np.testing.assert_array_equal(one, other)
 
 
-def test_saying_that_it_is_metal_finds_the_true_albedo_and_roughness(ball, without_metal):
+def test_saying_that_it_is_metal_finds_albedo_and_roughness(ball, without_metal):
     """The lower half is gold. It was learned as a dielectric, so only the artist can know."""
     k = number_of(without_metal, GOLD)
     textures, listed = without_metal.kept.bake(ball, {k: Correction(metallic=1.0)}, MORE)
@@ -86,7 +86,7 @@ def test_saying_that_it_is_metal_finds_the_true_albedo_and_roughness(ball, witho
     assert error < 0.1 and before > 0.4, "the dielectric has another albedo"
 
 
-def test_a_given_roughness_is_taken_exactly_and_nothing_else_changes(ball, learned):
+def test_a_given_roughness_is_taken_and_nothing_else_changes(ball, learned):
     k = number_of(learned, GOLD)
     (albedo, roughness, metallic, _), listed = learned.kept.bake(ball, {k: Correction(roughness=0.55)}, MORE)
     assert listed[k]["roughness"] == pytest.approx(0.55, abs=1e-4)
@@ -99,7 +99,7 @@ def test_a_given_roughness_is_taken_exactly_and_nothing_else_changes(ball, learn
     assert listed[1 - k] == learned.kept.listed()[1 - k]
 
 
-def test_a_material_that_only_blends_show_keeps_albedo_and_roughness(learned):
+def test_a_material_shown_by_blends_alone_keeps_its_values(learned):
     materials = learned.kept.materials
     k = number_of(learned, RED)
     blended = replace(materials, label=torch.where(materials.label == k, -1, materials.label))
@@ -108,7 +108,7 @@ def test_a_material_that_only_blends_show_keeps_albedo_and_roughness(learned):
     assert torch.equal(palette.albedo[k], materials.palette.albedo[k])
 
 
-def test_a_correction_tries_no_lobes_that_the_job_has_not_gathered(ball, without_metal):
+def test_a_correction_tries_no_lobes_that_were_not_gathered(ball, without_metal):
     """The light of matte objects is gathered in wide lobes alone."""
     kept, k = without_metal.kept, number_of(without_metal, GOLD)
     light = kept.materials.light

@@ -116,7 +116,7 @@ def test_no_sample_is_no_material():
     assert (cost == 0).all() and (albedo == 0).all()
 
 
-def test_a_metal_keeps_its_brightness_although_its_reflections_are_misplaced():
+def test_a_metal_with_misplaced_reflections_keeps_its_brightness():
     """The light of the photo and the known light differ by errors of one kind: each is the other's, misplaced.
 
     Least squares would give 0.53 for an albedo of 0.8.

@@ -36,7 +36,7 @@ def said(target: torch.Tensor, color: torch.Tensor, group: torch.Tensor, groups:
 
 
 @pytest.mark.parametrize("color", [(1.0, 1.0, 1.0), (1.0, 0.7, 0.4), (0.5, 0.8, 1.0)], ids=["white", "warm", "cold"])
-def test_metal_and_paint_of_one_color_are_told_apart_in_any_light(color):
+def test_metal_and_paint_of_a_color_are_told_apart_in_any_light(color):
     color, group = torch.tensor(color), torch.zeros(N, dtype=torch.int64)
     assert said(photos(GOLD, 1.0, color), color, group) == [1.0]
     assert said(photos(GOLD, 0.0, color), color, group) == [-1.0]
@@ -53,7 +53,7 @@ def test_gray_says_nothing_nor_do_few_places():
     assert evidence_of_metal(light(0, white), photos(GOLD, 1.0, white), alone, group, 1).tolist() == [0.0]
 
 
-def test_differences_as_small_as_those_of_a_wrong_shape_do_not_say_metal():
+def test_differences_as_of_a_wrong_shape_do_not_say_metal():
     white, group = torch.ones(3), torch.zeros(N, dtype=torch.int64)
     generator = torch.Generator().manual_seed(2)
     dull = GOLD * torch.exp(0.2 * torch.randn(N, 1, generator=generator))
@@ -61,7 +61,7 @@ def test_differences_as_small_as_those_of_a_wrong_shape_do_not_say_metal():
     assert said(GOLD + 0.2 * GOLD.mean() * torch.randn(N, 1, generator=generator), white, group) == [-1.0]
 
 
-def test_each_group_speaks_for_itself_and_samples_of_none_do_not_count():
+def test_groups_speak_for_themselves_and_loose_samples_for_none():
     white, one = torch.ones(3), torch.ones(N)
     half = torch.arange(N) // PHOTOS % 2
     target = torch.where(half[:, None] == 0, photos(GOLD, 1.0, white), photos(GOLD, 0.0, white))

@@ -15,7 +15,7 @@ def plane_of_two(points, width):
     return np.where(np.arange(3) == true[:, None], 0.02, 0.1)
 
 
-def test_noise_within_one_material_is_found_and_a_broad_boundary_is_none():
+def test_noise_in_a_material_is_found_not_in_a_broad_boundary():
     random = np.random.default_rng(4)
     points = random.uniform(size=(20_000, 3)) * [1, 1, 0]
     cost = plane_of_two(points, 0.1)

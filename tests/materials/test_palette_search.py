@@ -40,12 +40,12 @@ def dropped(materials, raised):
         (5, 0.08, 2),
     ],
 )
-def test_a_material_that_blends_can_replace_must_explain_more_than_one_that_they_cannot(materials, raised, left):
+def test_a_material_that_blends_can_replace_must_explain_more(materials, raised, left):
     assert PRESET.gain == 0.05 and 0.08 < PRESET.blended_gain < 0.15
     assert dropped(materials, raised) == left
 
 
-def test_the_residual_of_one_material_is_that_of_the_same_material_at_each_sample():
+def test_the_residual_of_one_material_is_that_at_each_sample():
     generator, n = torch.Generator().manual_seed(0), 60
     levels = torch.tensor([0.03, 0.2, 0.5, 1.0])
     light = LightMoments(

@@ -36,7 +36,7 @@ def test_stripes_finer_than_the_samples_are_found_by_the_pixels():
     assert np.median(right) < 0.02
 
 
-def test_light_of_another_photo_or_of_the_other_side_is_not_asked():
+def test_light_of_another_photo_or_the_other_side_is_not_asked():
     position, normal, photo = plane(600, 0)
     both = Surfels(np.tile(position, (2, 1)), np.concatenate([normal, -normal]), np.tile(photo, 2))
     bright = light(position, photo)[:, None] * ALBEDO
@@ -48,7 +48,7 @@ def test_light_of_another_photo_or_of_the_other_side_is_not_asked():
     assert lonely == pytest.approx(0.25)
 
 
-def test_samples_predict_each_other_in_slow_light_and_not_in_fast_light():
+def test_samples_predict_each_other_in_slow_light_only():
     samples = plane(600, 0)
     slow = light(samples.position, samples.photo)[:, None] * ALBEDO
     assert np.median(left_out_error(samples, slow)) < 0.01

@@ -61,7 +61,7 @@ def plane(rise: float = 0.0, end: float = 1.0) -> trimesh.Trimesh:
 
 
 @pytest.mark.parametrize("across", [0.1, 0.5])
-def test_on_a_plane_the_mirrored_direction_turns_only_with_the_ray(across):
+def test_on_a_plane_the_mirror_direction_turns_only_with_the_ray(across):
     edge, variance = seen(plane(), across)
     assert not edge and variance == pytest.approx(WIDTH**2 / 12, rel=0.01)
 

@@ -42,7 +42,7 @@ def minimum(residual: torch.Tensor) -> torch.Tensor:
     return between(SCAN.sqrt()[:, None].expand(-1, len(place)), place) ** 2
 
 
-def test_reflections_tell_the_roughness_although_the_irradiance_is_wrong():
+def test_reflections_tell_the_roughness_in_wrong_irradiance():
     n = 4000
     light, random = lit(n), np.random.default_rng(1)
     palette = Palette(torch.tensor([[0.8, 0.8, 0.7], [0.9, 0.6, 0.3]]), torch.tensor([0.12, 0.3]), torch.zeros(2))
@@ -93,7 +93,7 @@ def test_a_flat_residual_borrows_the_roughness_of_a_curved_one():
     torch.testing.assert_close(place_of_least(chosen), torch.full((2,), 4.18 / 1.02), rtol=0, atol=0.02)
 
 
-def test_two_clear_roughnesses_stay_apart_and_a_third_borrows_from_the_nearer():
+def test_two_roughnesses_stay_apart_and_a_third_joins_the_nearer():
     residual, weight = bowls((2, 1.0), (20, 1.0), (5, 0.02)), torch.tensor([3.0, 1.0, 1.0])
     place = place_of_least(share_roughness(residual, weight, 0.03))
     assert float(place[1]) == pytest.approx(20, abs=0.01)
@@ -187,7 +187,7 @@ def test_a_mirror_whose_reflections_are_misplaced_stays_sharp():
         (0.05, 0.3, 6.0),  # no mirror: the spread is that of the photos at row 6
     ],
 )
-def test_the_spread_tells_less_where_the_photos_vary_more_than_a_mirror(fall, of_mirror, expected):
+def test_the_spread_tells_less_where_photos_outvary_a_mirror(fall, of_mirror, expected):
     row = torch.arange(28.0)
     residual = 0.05 * (1 + 0.03 * ((row - 5) / 5) ** 2)
     assert place_of_metal(residual, 0.0301, lambda r: of_mirror - fall * r) == pytest.approx(expected, abs=0.01)

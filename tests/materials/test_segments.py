@@ -13,7 +13,7 @@ def checkered(n, seed):
     return position, (np.floor(position[:, :2] / 0.25).sum(1) % 2).astype(bool)
 
 
-def test_highlights_in_few_photos_do_not_change_the_color_of_a_place():
+def test_highlights_in_few_photos_do_not_change_a_color():
     random = np.random.default_rng(0)
     position = np.repeat(random.uniform(0, 1, (200, 3)), 9, 0)
     paint = np.repeat(random.uniform(0.1, 0.8, (200, 3)), 9, 0)
@@ -30,7 +30,7 @@ def test_the_color_does_not_depend_on_the_block(monkeypatch):
     assert np.array_equal(median_color(cKDTree(position), radiance, position, 5), whole)
 
 
-def test_segments_do_not_cross_the_boundary_of_two_colors_and_are_small():
+def test_segments_are_small_and_do_not_cross_a_color_boundary():
     position, white = checkered(6000, 1)
     color = np.log(np.where(white[:, None], [0.8, 0.5, 0.2], [0.2, 0.3, 0.6]))
     segments = Segments.of(position, color, 120, seed=0)

@@ -43,7 +43,7 @@ def cameras_of(rays: PixelRays) -> np.ndarray:
 
 
 @pytest.mark.parametrize("photos", [FirstView, lambda rays: rays])
-def test_a_face_of_a_ball_is_shown_if_a_camera_is_above_its_plane(rays, photos):
+def test_a_face_of_a_ball_is_shown_to_a_camera_above_its_plane(rays, photos):
     rays = photos(rays)
     ball = trimesh.creation.icosphere(subdivisions=4, radius=0.5)
     above = cameras_of(rays) @ ball.face_normals.T - (ball.triangles_center * ball.face_normals).sum(1)

@@ -61,7 +61,7 @@ def test_paint_and_metal_are_told_apart_where_they_lie(ball):
     assert ((result.roughness[known][clear] - np.where(metal, 0.25, 0.15)) ** 2).mean() < 0.001
 
 
-def test_textures_do_not_depend_on_the_block_and_faces_that_no_photo_shows_have_no_confidence(ball, monkeypatch):
+def test_unseen_faces_have_no_confidence_whatever_the_block(ball, monkeypatch):
     random = np.random.default_rng(2)
     at = random.integers(len(ball.vertices), size=300)
     position, normal = ball.vertices[at].astype(np.float32), ball.normals[at].astype(np.float32)
@@ -111,7 +111,7 @@ def test_light_that_no_photo_shows_is_found_in_the_reflections(ball, albedo, met
     assert np.corrcoef(light.mean(-1).log().flatten(), true.mean(-1).log().flatten())[0, 1] > 0.85
 
 
-def test_what_the_field_holds_where_no_photo_looks_does_not_darken_a_metal(ball):
+def test_what_no_photo_shows_does_not_darken_a_metal(ball):
     albedo = (0.9, 0.6, 0.3)
     photos = make_photos(constant(albedo, 0.2, 1.0))
     result = learn(ball, photos, replace(PRESET, most_materials=1, unseen_steps=60), environment=Misled())
@@ -128,7 +128,7 @@ BLACK_MIRRORING_PAINT, WHITE_ROUGH_METAL = (0.0, 0.0, 0.02), (1.0, 1.0, 1.0)
         for values in itertools.product((0.0, 1.0), (0.0, 1.0), (0.02, 1.0))
     ],
 )
-def test_extreme_materials_under_a_blinding_lamp_stay_finite_and_sensible(ball, albedo, metallic, roughness):
+def test_extreme_materials_under_a_blinding_lamp_stay_sensible(ball, albedo, metallic, roughness):
     class Blinding(HalfSeen):
         def __init__(self):
             super().__init__()

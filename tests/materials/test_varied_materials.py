@@ -136,7 +136,7 @@ def test_pixels_of_a_photo_without_samples_are_left_out():
     assert placed.sample[:, 0].tolist() == [0, 1] and placed.share.sum(1) == pytest.approx(1)
 
 
-def test_a_speck_takes_the_class_of_the_pixels_around_it_but_a_stripe_keeps_its_own():
+def test_a_speck_takes_the_class_around_it_but_a_stripe_does_not():
     """Label pixels a fifth of a photo's pixel apart; the stripe is three pixels wide."""
     x, y = (a.ravel() for a in np.meshgrid(np.arange(60) / 5, np.arange(60) / 5))
     places = cKDTree(np.stack([x, y, 0 * x], 1))
@@ -175,7 +175,7 @@ def shown_at(position, radiance):
     return PhotoSamples(np.zeros(n, int), np.zeros((n, 3)), position, unused, photo, radiance, torch.zeros(n), {})
 
 
-def test_a_thin_outline_gets_segments_of_its_own_by_the_color_of_label_pixels():
+def test_a_thin_outline_gets_its_own_segments_by_color():
     """The outline is narrower than the distance between samples, and wider than that between label pixels."""
     random = np.random.default_rng(3)
 

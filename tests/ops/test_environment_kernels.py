@@ -160,7 +160,7 @@ def test_radial_medium_against_quadrature(body):
 
 
 @pytest.mark.parametrize("body", ["numba", "torch"])
-def test_distortion_of_a_uniform_fog_before_the_sky_against_its_integral(body):
+def test_distortion_of_a_fog_before_the_sky_is_its_integral(body):
     """The distortion is the mean distance between two random bits of a ray's light. A fog's light falls exponentially."""
     raw = torch.full((4, 6, 12, 4), 0.3, dtype=torch.float64)
     origins, directions, near, _ = random_rays(20, 15)

@@ -59,7 +59,7 @@ def test_the_fit_is_the_least_absolute_tone_mapped_residual():
     assert residual == pytest.approx((own * weight[0]).sum() / weight.sum(), rel=1e-3)
 
 
-def test_neighbors_of_no_weight_and_black_slopes_give_finite_albedos():
+def test_no_weights_and_black_slopes_give_finite_albedos():
     offset, slope, metallic, goal = scene(0.0)
     albedo, residual = fitted(offset, 0 * slope, metallic, goal)
     assert np.isfinite(albedo).all() and np.isfinite(residual)

@@ -8,7 +8,7 @@ from blender_nep.ops.object.surface_rendering import composite, neus_weights, pl
 BODIES = pytest.mark.parametrize("body", ["numba", "torch"])
 
 
-def test_weights_equal_the_published_quotient_and_stay_finite_deep_inside():
+def test_weights_equal_the_published_quotient_and_are_finite():
     sdf = torch.linspace(0.3, -0.3, 33, dtype=torch.float64)[None]
     s = 20.0
     weights = neus_weights(sdf, s)[0]
@@ -94,7 +94,7 @@ def test_compositing_gradcheck(body, sharpness):
 
 
 @BODIES
-def test_a_ray_that_begins_far_inside_a_sharp_surface_gets_finite_gradients(body):
+def test_a_ray_from_inside_a_sharp_surface_has_finite_gradients(body):
     field = torch.full((1, 4, 4), -1000.0, requires_grad=True)
     composite(field, torch.linspace(1, 2, 4)[None], 1e8, body).opacity.sum().backward()
     torch.testing.assert_close(field.grad[0, :, 0], torch.tensor([1e8, 0, 0, -1e8]))
@@ -110,7 +110,7 @@ def test_a_ray_through_nothing_gets_finite_gradients(body):
     assert found.opacity == 0 and found.depth == 0 and torch.isfinite(field.grad).all()
 
 
-def test_both_bodies_agree_in_float32_also_deep_inside_and_far_outside():
+def test_both_bodies_agree_in_float32_also_far_inside_and_out():
     generator = torch.Generator().manual_seed(5)
     field, t = _rays(400, 8, torch.float32, seed=2)
     field[..., 0] += torch.randn(400, 1, generator=generator)

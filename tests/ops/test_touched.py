@@ -17,6 +17,6 @@ def test_mean_square_is_that_of_the_touched_entries(n, dtype, body):
     torch.testing.assert_close(touched_mean_square(gradient, body), expected, rtol=1e-5, atol=0)
 
 
-def test_mean_square_of_an_untouched_gradient_and_of_one_that_is_not_contiguous():
+def test_mean_square_of_untouched_and_not_contiguous_gradients():
     assert touched_mean_square(torch.zeros(7)) == 0
     assert touched_mean_square(torch.tensor([[3.0, 0.0], [0.0, 5.0], [2.0, 0.0]]).T) == pytest.approx((9 + 25 + 4) / 3)

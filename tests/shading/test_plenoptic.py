@@ -109,7 +109,7 @@ class HalfSky:
 
 
 @pytest.mark.parametrize("half_angle", [0.05, 0.5, 1.2])
-def test_field_and_unseen_light_together_are_the_whole_sky_also_at_the_border_of_what_photos_show(two_balls, half_angle):
+def test_field_and_unseen_light_together_are_the_whole_sky(two_balls, half_angle):
     f_p, points = scene(two_balls, 1)
     f_p = replace(f_p, environment=HalfSky(), unseen=UnseenLight.expected_beside(HalfSky(), 32))
     outward = torch.nn.functional.normalize(points.normal + 0.3 * points.view, dim=-1)
@@ -124,7 +124,7 @@ def test_field_and_unseen_light_together_are_the_whole_sky_also_at_the_border_of
     torch.testing.assert_close(whole, torch.ones_like(whole), atol=0.02, rtol=0)
 
 
-def test_without_indirect_light_what_the_object_sees_of_itself_is_black(two_balls):
+def test_without_indirect_light_the_object_sees_itself_black(two_balls):
     f_p, points = scene(two_balls, 0)
     light = IncomingLight.gathered(
         f_p, points, (0.1, 0.5, 1.0), 32, torch.zeros(len(points)), torch.Generator().manual_seed(3), lambda _: None

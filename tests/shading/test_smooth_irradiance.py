@@ -22,7 +22,7 @@ def test_it_is_the_mean_of_the_nearest_that_are_in_reach():
     torch.testing.assert_close(IrradianceMean(position, normal)(values), expected, rtol=0, atol=1e-5)
 
 
-def test_the_noisy_irradiance_of_a_lamp_comes_nearer_to_the_truth():
+def test_a_lamps_noisy_irradiance_comes_nearer_to_the_truth():
     position, normal = sphere(20_000)
     truth = (normal @ torch.tensor([0.6, 0.0, 0.8])).clamp_min(0)[:, None].expand(-1, 3)  # a lamp at infinity: n.l
     noise = 0.1 * torch.randn(20_000, 3, generator=torch.Generator().manual_seed(6))

@@ -63,7 +63,7 @@ def test_a_wide_cone_averages_and_upward_or_outer_cones_miss(scene):
     assert not light.query_cone(origins + torch.tensor([0.4, 0, 0]), sideways, angle)[1].any()
 
 
-def test_the_object_is_lit_by_the_table_in_the_sphere_and_by_the_environment_elsewhere(scene):
+def test_the_table_in_the_sphere_lights_the_object(scene):
     class Nothing:
         def query_cone(self, origins, directions, half_angle):
             return torch.zeros_like(origins), torch.zeros(len(origins))

@@ -160,7 +160,7 @@ def photographed_under_a_lamp(ball, material):
     return reflected(material, lit.moments(material.roughness), lit.diffuse, lit.cos_v)
 
 
-def test_the_transport_is_what_the_cones_receive_and_its_adjoint_fits(ball):
+def test_the_transport_is_what_cones_receive_with_its_adjoint(ball):
     palette = Palette(torch.tensor([[0.8, 0.5, 0.2]]), torch.tensor([0.3]), torch.tensor([0.4]))
     material = palette.at(torch.zeros(4000, dtype=torch.int64))
     rows = torch.arange(0, 4000, 3)
@@ -223,7 +223,7 @@ def test_a_palette_with_one_material_of_another():
 
 
 @pytest.mark.parametrize("truth", [0.0, 1.0])
-def test_metal_is_told_from_paint_together_with_the_lamp_that_no_photo_shows(ball, truth):
+def test_metal_is_told_from_paint_with_a_lamp_that_is_not_shown(ball, truth):
     label = torch.zeros(4000, dtype=torch.int64)
     painted, gold = (Palette(torch.tensor([[0.8, 0.5, 0.2]]), torch.tensor([0.25]), torch.tensor([m])) for m in (0.0, 1.0))
     real, taken_for = (gold, painted) if truth else (painted, gold)
@@ -235,7 +235,7 @@ def test_metal_is_told_from_paint_together_with_the_lamp_that_no_photo_shows(bal
     assert found.metallic.tolist() == [truth] and margins[0] > 0.1
 
 
-def test_a_wrong_roughness_comes_nearer_with_every_trial_that_is_allowed(ball):
+def test_a_wrong_roughness_comes_nearer_with_every_trial(ball):
     label = torch.zeros(4000, dtype=torch.int64)
     gold = Palette(torch.tensor([[0.8, 0.5, 0.2]]), torch.tensor([0.25]), torch.ones(1))
     too_rough = replace(gold, roughness=torch.tensor([0.4]))
@@ -280,7 +280,7 @@ def test_reflections_reveal_a_lamp_that_no_photo_shows(ball, metallic):
     torch.testing.assert_close(fit.albedo, palette.albedo, rtol=0.1, atol=0.02)
 
 
-def test_paint_that_is_far_too_bright_under_a_sky_that_is_far_too_dark_is_found_in_few_steps(ball):
+def test_bright_paint_under_a_dark_sky_is_found_in_few_steps(ball):
     palette = Palette(torch.tensor([[0.4, 0.3, 0.2]]), torch.tensor([0.3]), torch.zeros(1))
     label = torch.zeros(4000, dtype=torch.int64)
     lit = ball.with_unseen(UnseenLight.uniform(16, 4.0, "cpu", 4.0))
@@ -293,7 +293,7 @@ def test_paint_that_is_far_too_bright_under_a_sky_that_is_far_too_dark_is_found_
     torch.testing.assert_close(fit.albedo, palette.albedo, rtol=0.2, atol=0.0)
 
 
-def test_many_samples_on_many_threads_are_solved_the_same_each_time():
+def test_many_samples_on_many_threads_are_solved_the_same():
     """From 32,768 numbers on, torch sums the gradient of x[index] with atomic additions of all threads, in any order."""
     n, generator = 40_000, torch.Generator().manual_seed(0)
 

@@ -7,7 +7,7 @@ import sys
 from support.executable import write_executable
 
 
-def test_a_script_runs_where_the_path_of_python_has_a_space_and_is_long(tmp_path):
+def test_a_script_runs_where_pythons_path_is_long_with_spaces(tmp_path):
     folder = tmp_path / f"a {'long ' * 40}path"
     folder.mkdir()
     python = folder / "python"

@@ -104,7 +104,7 @@ def test_a_uv_map_with_seams_at_shared_vertices_is_kept(tmp_path):
     ],
     ids=["mirrored", "one side without a chart", "tiled"],
 )
-def test_a_uv_map_in_which_places_have_no_texel_of_their_own_is_replaced(tmp_path, uv):
+def test_a_uv_map_of_shared_texels_is_replaced(tmp_path, uv):
     write_cube(tmp_path / "cube.obj", uv=uv)
     surface, report = load_surface(tmp_path / "cube.obj", UnitCapture(), PRESET)
     assert not report["own_uv_map"]

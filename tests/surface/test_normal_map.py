@@ -53,7 +53,7 @@ def seen_from_x(size):
     return FIELD.normal(place).numpy(), inside.numpy()
 
 
-def test_a_lean_mesh_has_few_faces_and_the_uv_map_of_the_fine_one(extracted):
+def test_a_lean_mesh_has_few_faces_and_the_fine_ones_uv_map(extracted):
     surface, report, lean = extracted
     assert len(lean.surface.faces) == report["faces"] <= 1000 < len(surface.faces) == report["faces_learned_on"]
     np.testing.assert_array_equal(surface.uv[: len(lean.surface.uv)], lean.surface.uv)
@@ -75,7 +75,7 @@ def test_the_map_turns_the_lean_normals_into_those_of_the_ball(extracted):
     assert angles(normal, true).mean() > 2 and angles(mapped, true).mean() < 0.25 * angles(normal, true).mean()
 
 
-def test_the_report_says_how_wrong_the_normals_are_without_the_map(extracted):
+def test_the_report_says_how_wrong_normals_are_without_the_map(extracted):
     said = extracted.report["normals_without_map_deg"]
     lean = extracted.lean.surface
     middle = lean.vertices[lean.faces].mean(1)

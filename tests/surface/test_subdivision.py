@@ -37,7 +37,7 @@ def uv_areas(surface):
     return 0.5 * ((b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0])
 
 
-def test_edges_of_a_ball_are_halved_until_their_chords_are_good_enough():
+def test_edges_of_a_ball_are_halved_until_chords_are_good_enough():
     tolerance = 1e-3
     surface, report, *_ = extract_surface(BALL, replace(COARSE, faces=100_000, chord_error=tolerance))
     distance = np.linalg.norm(surface.vertices - CENTER, axis=1)
@@ -82,7 +82,7 @@ def test_relief_may_have_more_faces():
     assert 1900 < len(plain.faces) <= 2000 and 5900 < len(fine.faces) <= 6000
 
 
-def test_faces_become_no_thinner_where_the_surface_bends_in_one_direction():
+def test_faces_become_no_thinner_on_a_surface_bent_in_one_way():
     """Halving longest edges, too, keeps every angle above half of the least one (Rivara 1984)."""
 
     def least_angles(**changes):

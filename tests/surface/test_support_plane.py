@@ -95,7 +95,7 @@ def test_a_ball_on_a_table_is_closed_where_it_touches():
     check_foot(mesh, -0.4, np.pi * (0.5**2 - 0.45**2))
 
 
-def test_a_cup_is_cut_off_a_plate_that_is_smaller_than_the_sphere():
+def test_a_cup_is_cut_off_a_plate_smaller_than_the_sphere():
     cup = cylinder(0.25, -0.35, 0.3)
     plate = cylinder(0.7, -0.45, -0.35)
     mesh, _ = extracted(np.minimum(cup, plate), Support(UP, -0.35))

@@ -80,7 +80,7 @@ def test_a_batch_runs_stops_and_goes_on(asset, tmp_path):
     assert process.failed is None and len(read_batch(out).done) == 2
 
 
-def test_an_engine_that_was_killed_or_knows_no_batches_is_reported(tmp_path):
+def test_an_engine_that_died_or_knows_no_batches_is_reported(tmp_path):
     python = shelf_engine.make(tmp_path)
     for mode, code, message in (("crash", 137, "was killed"), ("old", 2, "knows no batches")):
         (tmp_path / "mode").write_text(mode)
@@ -93,7 +93,7 @@ def test_an_engine_that_was_killed_or_knows_no_batches_is_reported(tmp_path):
     assert set(words.BATCH_HINTS.values()) <= set(words.texts())
 
 
-def test_the_hints_of_a_failed_object_do_not_speak_of_a_single_job():
+def test_hints_of_a_failed_object_do_not_speak_of_a_single_job():
     told = words.error_words("output.disk_full", {"path": "/out"}, "m", "h", hints=words.BATCH_HINTS)
     assert "Reconstruct Shelf" in told[1] and "Resume" not in told[1]
     told = words.error_words(

@@ -148,7 +148,7 @@ def test_a_python_without_the_engine_is_told_as_in_a_job(photos, tmp_path):
         CameraProcess(str(tmp_path / "no-python"), photos)
 
 
-def test_a_folder_that_may_not_be_written_is_told_before_the_search(photos, tmp_path, monkeypatch):
+def test_a_read_only_folder_is_told_before_the_search(photos, tmp_path, monkeypatch):
     before = sorted(photos.iterdir())
     check_writable(photos)
     check_writable(tmp_path / "none")  # what is wrong with it, the engine says

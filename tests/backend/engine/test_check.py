@@ -19,7 +19,7 @@ def answer(python: str) -> EngineCheck:
     return check
 
 
-def test_a_python_without_the_engine_does_not_work_and_its_missing_parts_are_named(tmp_path):
+def test_missing_parts_of_a_python_without_the_engine_are_named(tmp_path):
     lacking = answer(bare_python(tmp_path))
     assert not lacking.works and lacking.lines[0] == f"Python {platform.python_version()}"
     assert lacking.lines[-1].startswith("Missing: blender_nep, torch.")
@@ -31,7 +31,7 @@ def test_a_program_that_is_no_python_does_not_work():
         assert not found.works and found.lines[0].startswith(message)
 
 
-def test_a_python_that_does_not_answer_in_time_is_ended_and_the_message_says_what_to_do(monkeypatch):
+def test_a_python_that_does_not_answer_is_ended_with_advice(monkeypatch):
     monkeypatch.setattr("backend.engine.check.LIMIT_S", 0.0)
     found = EngineCheck(sys.executable)  # its imports take longer than no time
     process = found._process
@@ -40,7 +40,7 @@ def test_a_python_that_does_not_answer_in_time_is_ended_and_the_message_says_wha
     assert process.returncode is not None, "the process still runs"
 
 
-def test_a_python_with_the_engine_works_and_its_versions_are_named():
+def test_versions_of_a_python_with_the_engine_are_named():
     found = answer(sys.executable)
     assert found.works, found.lines
     assert found.versions["torch"] == torch.__version__ and found.versions["blender_nep"] == blender_nep.__version__

@@ -63,7 +63,7 @@ def at_work(out: Path):
     return read_job(out)
 
 
-def test_a_job_is_followed_to_its_asset_which_another_job_may_not_replace(ball):
+def test_a_followed_job_has_an_asset_that_no_other_job_replaces(ball):
     engine = ball()
     told = follow(engine)
     assert engine.outcome() is None and is_asset(ball.out) and not is_running(ball.out)
@@ -117,7 +117,7 @@ def test_a_job_outlives_its_starter_only_with_keep_going(ball, keep_going):
     assert not (ball.out / "job" / "stop").exists()
 
 
-def test_a_killed_engine_is_reported_to_its_starter_and_to_who_attached_to_it(ball, monkeypatch):
+def test_a_killed_engine_is_reported_to_starter_and_follower(ball, monkeypatch):
     engine = ball(slow=True, keep_going=True)
     wait_until(lambda: engine.poll() and (ball.out / "checkpoints" / "fields_learning.pt").exists())
     os.kill(read_job(ball.out)["pid"], signal.SIGKILL)

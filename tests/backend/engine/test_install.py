@@ -105,7 +105,7 @@ def test_a_cancelled_installation_leaves_nothing(base, tmp_path, how):
     assert code == 7 and "cancelled" in told[-1]["message"] and not (base.folder / "nep-engine").exists()
 
 
-def test_a_killed_installation_counts_as_not_installed_and_is_replaced(base, tmp_path):
+def test_a_killed_installation_counts_as_none_and_is_replaced(base, tmp_path):
     base("slow")
     process = begin(base)
     wait_until((tmp_path / "slow").exists)
@@ -139,7 +139,7 @@ def test_a_working_engine_comes_back_where_its_replacement_fails(base, tmp_path,
     assert [path.name for path in base.folder.iterdir()] == ["nep-engine"]
 
 
-def test_a_working_engine_comes_back_after_its_replacement_was_killed(base, tmp_path):
+def test_an_engine_comes_back_after_its_replacement_was_killed(base, tmp_path):
     code, told = end(begin(base))
     assert code == 0
     base("slow")

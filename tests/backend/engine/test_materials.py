@@ -108,6 +108,6 @@ def test_a_python_without_the_engine_is_told_as_in_a_job(asset, tmp_path):
         CorrectionProcess(str(tmp_path / "no-python"), asset, {})
 
 
-def test_hints_of_a_correction_belong_to_errors_and_are_translated():
+def test_hints_of_a_correction_have_errors_and_are_translated():
     assert set(words.CORRECTION_HINTS) <= set(words.ERRORS)
     assert set(words.CORRECTION_HINTS.values()) <= set(words.texts())

@@ -63,7 +63,7 @@ def check_asset_and_render(asset, texture, linear):
     np.testing.assert_allclose(seen.mean((0, 1)), 0.5, rtol=0.05)  # one sample, denoised
 
 
-def test_renderings_have_the_primaries_of_the_light_where_a_studio_works_with_others(asset, monkeypatch):
+def test_renderings_keep_the_primaries_of_the_light_in_a_studio(asset, monkeypatch):
     """The configuration works with the primaries of ACEScg. The matrix is that from Rec.709 to them."""
     configuration = CONFIGURATION.format(texture="sRGB - Texture", linear="ACEScg")
     configuration += """

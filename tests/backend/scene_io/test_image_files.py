@@ -105,7 +105,7 @@ def find_errors(folder):
     folder.with_name("errors.json").write_text(json.dumps(messages))
 
 
-def test_a_file_that_cannot_be_read_or_written_is_an_oserror_and_leaves_nothing(folder):
+def test_an_unusable_file_is_an_oserror_and_leaves_nothing(folder):
     messages = json.loads((folder / "errors.json").read_text())
     assert len(messages) == 6 and all(str(folder / "errors") in message for message in messages), messages
     left = sorted(path.name for path in (folder / "errors").iterdir())

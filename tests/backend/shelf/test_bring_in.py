@@ -118,7 +118,7 @@ def check_two_shelves(bpy, folder, scene):
     assert len({item.asset_data.catalog_id for item in before + found.items}) == 2
 
 
-def test_an_object_that_was_made_anew_takes_the_place_of_the_old_one(shelf, asset):
+def test_an_object_made_anew_takes_the_place_of_the_old_one(shelf, asset):
     in_blender(check_made_anew, shelf, asset)
 
 
@@ -175,7 +175,7 @@ def data_blocks(bpy) -> list[int]:
     return [len(kind) for kind in (bpy.data.objects, bpy.data.meshes, bpy.data.materials, bpy.data.images)]
 
 
-def test_an_object_that_is_linked_from_a_library_is_not_in_the_scene(shelf, tmp_path):
+def test_an_object_linked_from_a_library_is_not_in_the_scene(shelf, tmp_path):
     in_blender(check_linked, shelf, tmp_path / "library.blend")
 
 
@@ -210,7 +210,7 @@ def check_no_overlap(bpy, items):
     return boxes
 
 
-def test_the_catalog_file_keeps_blenders_format_and_what_is_in_it(shelf, tmp_path):
+def test_the_catalog_file_keeps_its_format_and_what_is_in_it(shelf, tmp_path):
     in_blender(check_catalogs, shelf, tmp_path / "library")
 
 

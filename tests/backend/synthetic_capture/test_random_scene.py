@@ -36,7 +36,7 @@ from support.own_process import in_blender
 SEEDS = range(100)
 
 
-def test_the_same_seed_draws_the_same_scene_and_other_seeds_draw_others():
+def test_a_seed_draws_one_scene_and_other_seeds_draw_others():
     assert [draw_scene(seed) for seed in SEEDS] == [draw_scene(seed) for seed in SEEDS]
     assert len({replace(draw_scene(seed), seed=0) for seed in SEEDS}) == len(SEEDS)
 
@@ -70,7 +70,7 @@ def check_ranges(scene):
 
 
 @pytest.mark.parametrize("first", [1, 2], ids=["odd", "even"])
-def test_six_odd_or_even_seeds_have_all_objects_supports_and_places(first):
+def test_six_odd_or_even_seeds_have_all_objects_and_places(first):
     scenes = [draw_scene(seed) for seed in range(first, first + 12, 2)]
     assert sorted(scene.object for scene in scenes) == sorted(OBJECT_KINDS)
     assert sorted(scene.support.kind for scene in scenes) == sorted(SUPPORTS * 2)
@@ -88,7 +88,7 @@ def test_a_hundred_seeds_draw_every_choice():
     assert min(widths) < 5 and max(widths) > 40
 
 
-def test_mesh_files_are_drawn_too_and_the_saved_description_has_only_their_names():
+def test_mesh_files_are_drawn_and_described_by_their_names():
     scenes = [draw_scene(seed, ["/somewhere/cow.ply"]) for seed in SEEDS]
     drawn = [scene for scene in scenes if scene.object == MESH_FILE]
     assert 5 < len(drawn) < 30 and drawn[0].mesh == "/somewhere/cow.ply"
@@ -131,7 +131,7 @@ def built(tmp_path_factory):
 
 
 @pytest.mark.parametrize("kind", OBJECT_KINDS)
-def test_the_object_is_closed_has_the_right_size_and_stands_on_its_support(kind, built):
+def test_the_object_is_closed_sized_and_stands_on_its_support(kind, built):
     for support in SUPPORTS:
         found = np.load(built / f"{kind}, {support}.npz")
         mesh = trimesh.Trimesh(found["vertices"], found["faces"])
@@ -185,7 +185,7 @@ def build(folder):
         )
 
 
-def test_a_gain_gives_photos_their_brightness_and_automatic_exposure_varies_a_little():
+def test_a_gain_sets_brightness_and_automatic_exposure_varies():
     in_blender(check_gains)
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from support.own_process import in_blender
 
 
-def test_options_that_have_no_effect_and_seeds_that_are_none_are_refused():
+def test_options_without_effect_and_no_seeds_are_refused():
     in_blender(check_options)
 
 
@@ -76,7 +76,7 @@ def check_meshes(folder):
             raise AssertionError(f"{name} is taken for a mesh")
 
 
-def test_a_scene_without_a_place_for_a_camera_says_what_helps_with_every_option():
+def test_a_scene_without_a_place_for_a_camera_says_what_helps():
     in_blender(check_places)
 
 
@@ -91,7 +91,7 @@ def check_places():
         raise AssertionError("a camera stands nowhere")
 
 
-def test_two_renderers_of_a_scene_share_camera_and_passes_and_depths_fit_into_half_floats():
+def test_two_renderers_share_a_camera_and_depths_fit_half_floats():
     in_blender(check_renderers)
 
 
