@@ -156,7 +156,7 @@ def log(bpy) -> str:
     return bpy.data.texts["NeP log"].as_string()
 
 
-@pytest.mark.parametrize("closing", ["KEEP", "STOP"])
+@pytest.mark.parametrize("closing", ["KEEP", pytest.param("STOP", marks=pytest.mark.slow)])
 def test_blender_closes_in_the_middle(folders, closing):
     in_blender(check_close, folders, CLOSING=closing, **(BRISK if closing == "KEEP" else SLOW))
     in_blender(check_kept if closing == "KEEP" else check_stopped, folders)
@@ -289,6 +289,7 @@ def check_own_world(folder):
     assert bpy.ops.nep.use_recovered_light() == {"FINISHED"} and bpy.context.scene.world is own
 
 
+@pytest.mark.slow
 def test_two_scenes_have_two_jobs(folders):
     shutil.copytree(folders / "capture", folders / "second capture")
     in_blender(check_two_jobs, folders, **BRISK)
@@ -330,6 +331,7 @@ def check_shared_folder(folder):
     assert [item.name for item in bpy.data.scenes["Scene"].objects if item.type == "MESH"] == ["out"]
 
 
+@pytest.mark.slow
 def test_save_as_into_another_folder_keeps_the_job_and_all_paths(folders):
     in_blender(check_save_as, folders, **BRISK)
 

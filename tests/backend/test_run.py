@@ -125,6 +125,7 @@ def test_an_engine_writes_a_checkpoint_when_its_parent_is_killed(engine_python, 
     wait_until((tmp_path / "out" / "checkpoint").exists)
 
 
+@pytest.mark.slow
 def test_run_relights_an_asset_and_a_done_one_needs_no_engine(engine_python, asset, tmp_path):
     """run.py from end to end: engine, import, World, comparison.png, asset.blend; then again without the engine."""
     out = tmp_path / "out"

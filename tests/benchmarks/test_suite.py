@@ -221,6 +221,7 @@ def test_a_row_that_does_not_say_its_origin_is_taken_as_it_is(tmp_path):
     assert not suite.done and read_row(tmp_path / "rows" / f"{run.name}.json") == older
 
 
+@pytest.mark.slow
 def test_the_command_tells_of_a_row_of_a_rerendered_capture(tmp_path, capsys):
     runs = [Run(SUZANNE_SMALL, "preview"), Run(SUZANNE_SMALL, "preview", "no cones")]
     found = Suite(tmp_path).identify([*runs, Run(tmp_path / "nothing")])

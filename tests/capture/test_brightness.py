@@ -52,6 +52,7 @@ def test_gains_and_exposure_work_together(rays):
     torch.testing.assert_close(found.photo(index), to_brightness(rays, 0.18).photo(index), rtol=1e-4, atol=1e-6)
 
 
+@pytest.mark.slow
 def test_dark_photos_give_the_same_object_as_bright_ones(rays):
     """Before, a loss on dark photos was small beside the priors."""
 

@@ -276,6 +276,7 @@ def test_photos_of_another_exposure_are_named(tmp_path, photos):
     assert found["capture.photos_darker"]["stops"] == pytest.approx(-math.log2(0.3), abs=0.25)
 
 
+@pytest.mark.slow
 def test_automatic_exposure_is_no_fault(tmp_path, photos):
     gain = 2 ** np.random.default_rng(1).uniform(-0.9, 0.9, len(photos))
     folder = write(tmp_path / "a", CAMERAS, [k * pixels for k, pixels in zip(gain, photos, strict=True)])

@@ -54,6 +54,7 @@ def check_exposure(folder, color_space):
         assert np.ptp(photos) < 20, "linear photos are exposed alike"
 
 
+@pytest.mark.slow
 def test_photos_of_two_shapes_and_one_that_blender_does_not_show(tmp_path):
     """A ball stays round in the renderings of a wide and a high photo. The raw photo's row has the renderings."""
     write_exr(tmp_path / "gray.exr", np.full((4, 8, 3), GRAY))
