@@ -15,7 +15,7 @@ def gray(*values: float) -> torch.Tensor:
     return torch.tensor(values)[:, None, None].expand(-1, 1, 3).clone()
 
 
-def test_a_majority_is_the_largest_group_of_photos_that_are_alike():
+def test_a_majority_is_the_largest_group_of_alike_photos():
     found = majority(gray(0.2, 0.22, 0.21, 0.6, 0.6, NAN))
     torch.testing.assert_close(found.color, torch.full((1, 3), 0.21))
     assert found.share.item() == pytest.approx(3 / 5) and found.views.item() == 5
@@ -52,7 +52,7 @@ def test_photos_that_do_not_show_a_point_do_not_count():
     assert spread(colors).item() == pytest.approx(0.1) and difference(colors, median).item() == pytest.approx(0.1)
 
 
-def test_variation_is_the_relative_standard_deviation_of_the_brightness():
+def test_variation_is_the_relative_deviation_of_brightness():
     nothing = torch.zeros(0, 3)
 
     def seen(view: int, index: list[int], values: list[float]) -> Observation:

@@ -85,7 +85,7 @@ def test_a_lifted_point_is_looked_at_from_above_the_surface(rays):
     assert torch.equal(seen.place, rays.project(0, points)[0][seen.index]), "its color is that of the point itself"
 
 
-def test_what_lies_beside_the_frame_or_behind_the_camera_is_not_shown(rays):
+def test_what_lies_beside_or_behind_the_camera_is_not_shown(rays):
     camera, rotation = rays.camera(0)
     beside = rays.rays(torch.tensor([0]))
     edge = beside.directions[0] - 0.05 * rotation[:, 0] + 0.05 * rotation[:, 1]  # to the left of the first pixel, and above
@@ -140,7 +140,7 @@ def test_a_point_on_a_face_is_not_hidden_by_its_own_face(rays):
     assert torch.equal(seen.index, (expected_cosine(rays, 0, points, normals) > 0).nonzero()[:, 0])
 
 
-def test_lines_of_sight_may_begin_above_a_plane_that_a_body_touches(rays):
+def test_lines_of_sight_may_begin_above_a_touched_plane(rays):
     """Points in the middle of a thin plate lie in it. From above it, nothing hides them."""
     plate = trimesh.creation.box((1.0, 1.0, 0.02))
     tracer, points = RayTracer(plate.vertices, plate.faces), torch.tensor([[0.1, 0.2, 0.0], [-0.3, 0.1, 0.0]])
@@ -151,7 +151,7 @@ def test_lines_of_sight_may_begin_above_a_plane_that_a_body_touches(rays):
 
 
 @pytest.mark.parametrize(("level", "reach"), [(0.0, 0.3), (0.1, 0.4), (-0.1, 0.2)])
-def test_the_level_of_an_sdf_takes_the_object_larger_or_its_core_alone(rays, level, reach):
+def test_the_level_of_an_sdf_makes_the_object_larger_or_smaller(rays, level, reach):
     camera, center = rays.camera(0)[0], torch.tensor([0.2, 0.1, -0.1])
     points = 2 * torch.rand(3000, 3, generator=torch.Generator().manual_seed(1)) - 1
     points = points[((points - center).norm(dim=-1) > 0.45) & (points.norm(dim=-1) < 0.8)]

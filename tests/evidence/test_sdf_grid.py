@@ -90,7 +90,7 @@ def test_nothing_has_no_mesh():
 
 
 @pytest.mark.parametrize("d", [2, 3])
-def test_sampling_a_linear_function_gives_it_and_its_border_outside(d):
+def test_sampling_a_linear_function_gives_it(d):
     axes = np.meshgrid(*[cell_centers(10)] * d, indexing="ij")
     slope = np.array([0.3, -0.7, 0.2])[:d]
     values = torch.from_numpy(sum(a * axis for a, axis in zip(slope, axes, strict=True)))

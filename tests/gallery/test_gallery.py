@@ -152,7 +152,7 @@ def test_pages_of_somebody_else_are_not_replaced(batch):
         assert "ball/view.html" in index_of(folder).links
 
 
-def test_a_picture_of_an_earlier_run_is_not_shown_while_the_job_runs(batch):
+def test_an_old_picture_is_not_shown_while_the_job_runs(batch):
     folder, finished = batch
     page = index_of(write_batch(folder, [finished("ball") | {"state": "running", "stage": "capture", "fraction": 0.01}]))
     assert not page.all("img") and not (folder / "ball" / "view.html").exists()

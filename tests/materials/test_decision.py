@@ -130,7 +130,7 @@ def test_the_class_has_the_least_product_of_all_costs(monkeypatch, without, expe
     assert decide_metallic(materials(), without=("hue",))[0].tolist() == [0, 0, 0], "as long as the hue is not asked"
 
 
-def test_the_account_follows_the_materials_and_says_why_evidence_did_not_act():
+def test_the_account_says_why_evidence_did_not_act():
     classes = Account(({"hue": {"metal": 1.0}}, {}, {"hue": {"metal": -0.5}}), {})
     roughness = Account(({"spread": {"roughness": 0.2}}, {}, {}), {"third_moment": Message("reason.all_metal")})
     report = classes.and_then(roughness).pick([2, 0]).report()

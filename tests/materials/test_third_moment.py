@@ -177,13 +177,8 @@ def test_third_moments_that_are_told_apart_are_not_overruled():
     assert roughness_of([alike_below(0.06, 0.04, 0.25, 0.5)]) == pytest.approx([0.06 * np.exp(0.5)], rel=0.03)
 
 
-<<<<<<< HEAD:tests/materials/test_third_moment.py
-def test_a_least_residual_at_the_mirror_and_no_margin_give_the_mirror():
-    rising = torch.linspace(1, 2, 32), [-0.3] * 32
-=======
 def test_a_least_residual_at_the_mirror_gives_the_mirror():
-    rising = Evidence(torch.linspace(1, 2, 32), [-0.3] * 32)
->>>>>>> 072736b (Test names have at most 60 characters):tests/materials/test_diffuse_free.py
+    rising = torch.linspace(1, 2, 32), [-0.3] * 32
     assert roughness_of([rising]) == pytest.approx([0.03])
     assert roughness_of([rising], margin=0.0) == pytest.approx([0.03])
 
