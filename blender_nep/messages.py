@@ -28,7 +28,7 @@ class Part(StrEnum):
     INDIRECT_LIGHT = "indirect light"
     SECOND_BOUNCES = "second bounces"
     NARROW_CONES = "narrow cones"
-    RESIDUAL = "residual"
+    UNSEEN_LIGHT = "unseen light"
     FURTHER_STEPS = "further steps of both fields"
     MATERIAL_BOUNDARIES = "material boundaries"
     VARIED_MATERIALS = "materials that vary from place to place"
@@ -46,6 +46,7 @@ class Part(StrEnum):
     RELIEF = "relief"
     OBJECT_PIXELS = "object_pixels"
     # evidence of stage 2: its names in `MaterialPreset.without`, too
+    RESIDUAL = "residual"
     SPREAD = "spread"
     HUE = "hue"
     THIRD_MOMENT = "third_moment"
@@ -117,7 +118,7 @@ PARTS: dict[str, str] = {
     Part.INDIRECT_LIGHT: "reflections of the object in itself",
     Part.SECOND_BOUNCES: "light that the object reflects twice",
     Part.NARROW_CONES: "sharp reflections",
-    Part.RESIDUAL: "light that no photo shows",
+    Part.UNSEEN_LIGHT: "light that no photo shows",
     Part.FURTHER_STEPS: "the rest of learning shape and light",
     Part.MATERIAL_BOUNDARIES: "boundaries between materials",
     Part.VARIED_MATERIALS: "materials that vary from place to place",
@@ -133,6 +134,7 @@ PARTS: dict[str, str] = {
     Part.CAVITIES: "opening the inside",
     Part.RELIEF: "fine relief",
     Part.OBJECT_PIXELS: "finding the photos' pixels of the object",
+    Part.RESIDUAL: "materials, from what they leave unexplained",
     Part.SPREAD: "how rough a metal is, from how much its light varies",
     Part.HUE: "metal or not, from the hue of its reflections",
     Part.THIRD_MOMENT: "how rough a colored paint is, from its reflections alone",

@@ -8,8 +8,8 @@ from pathlib import Path
 EXPECTED_SECONDS = {"preview": 94.0, "balanced": 288.0, "quality": 870.0}
 """Seconds that a whole job takes with each preset: 60 photos of 400 x 400 on two cores.
 
-Each number is the sum of `fields_seconds`, `surface_seconds` and `material_seconds` in blender_nep/presets.py. The sums are
-copied here, because Blender's Python does not import the library. A test compares both files.
+Each number is the sum of `fields_seconds`, `surface_seconds` and `material_seconds` in blender_nep/presets/preset.py. The
+sums are copied here, because Blender's Python does not import the library. A test compares both files.
 """
 JOBS_REMEMBERED = 5  # for each preset
 

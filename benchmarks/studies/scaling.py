@@ -125,7 +125,14 @@ class Bench:
 
 def base(**changes: dict) -> Preset:
     """The preset that is varied: `preview` with a short stage 2, and with the fields that `changes` gives."""
-    short = {"rounds": 1, "most_materials": 1, "residual": False, "samples": 3000, "terminal_steps": 20, "most_texels": 256}
+    short = {
+        "rounds": 1,
+        "most_materials": 1,
+        "learn_unseen_light": False,
+        "samples": 3000,
+        "terminal_steps": 20,
+        "most_texels": 256,
+    }
     parts = {"material": short, "surface": {"grid": 96, "unwrapped_faces": 6000, "faces": 6000, "atlas_texels": 512}}
     for part, values in changes.items():
         parts[part] = parts.get(part, {}) | values

@@ -9,24 +9,10 @@ from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 
 from benchmarks.suite.harness import with_changes
-from blender_nep.presets import PRESETS, Preset
+from blender_nep.presets import EVIDENCE, PRESETS, REFINEMENTS, Preset
 
 WITHOUT_F_E = "no F_e in stage 2"
 AS_TAKEN = "exposures as taken"
-REFINEMENTS = (
-    "support",
-    "hull",
-    "hidden_pixels",
-    "fine_paint",
-    "levels",
-    "carve",
-    "cavities",
-    "relief",
-    "object_pixels",
-)
-"""The names of the refinements of stage 1 (a test compares them with the catalog).
-
-The catalog is not imported: it needs torch, and the suite's runner, which imports this file, must stay small."""
 
 
 def without_each(part: str, names: Iterable[str]) -> dict[str, dict[str, dict]]:
@@ -45,7 +31,7 @@ ABLATIONS: dict[str, dict[str, dict]] = {
     "full gradients of F_e": {"fields": {"environment_gradient_scale": 1.0}},
     WITHOUT_F_E: {"material": {}},
     "no cones": {"material": {"use_cones": False}},
-    "no residual": {"material": {"residual": False}},
+    "no residual": {"material": {"learn_unseen_light": False}},
     "no indirect light": {"material": {"levels": 0}},
     **{f"N = {n}": {"material": {"levels": n}, "preset": {"skip_needless": False}} for n in (1, 2, 3)},
     AS_TAKEN: {"preset": {"even_exposure": False}},
@@ -53,8 +39,9 @@ ABLATIONS: dict[str, dict[str, dict]] = {
     "one material": {"material": {"most_materials": 1, "varied_gain": math.inf}},
     "a palette for all objects": {"material": {"varied_gain": math.inf}},
     **without_each("fields", REFINEMENTS),
+    **without_each("material", EVIDENCE),
 }
-"""Name of an ablation -> the preset fields that it changes. Each refinement of stage 1 is one.
+"""Name of an ablation -> the preset fields that it changes. Each refinement of stage 1 and each evidence of stage 2 is one.
 
 In all presets w_s is off, and N is 2 where the scene needs it. The ablations of N turn skip_needless off, because with it
 N = 2 and N = 3 would become 1 on most objects. "F_e not first" has no visual hull either, because the hull needs steps of

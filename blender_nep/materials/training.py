@@ -234,7 +234,7 @@ class _MaterialLearner:
         It is gray if they show none (cut-outs), because without light all materials look alike.
         """
         environment, rows = self.seen.f_p.environment, self.preset.unseen_rows
-        if in_photos or not self.preset.residual:
+        if in_photos or not self.preset.learn_unseen_light:
             return UnseenLight.expected_beside(environment, rows)
         gray = 2 * float(self.seen.samples.radiance.mean(-1).median())
         return UnseenLight.uniform(rows, environment.typical_distance(), self.seen.device, gray)
@@ -248,8 +248,8 @@ class _MaterialLearner:
         p, light, found = self.preset, self.light, self.found
         uncovered = float(1 - light.coverage.mean())
         self.report.light_not_in_photos = round(uncovered, 4)
-        if not p.residual or uncovered < 0.005:
-            self._skip(Part.RESIDUAL, Message("reason.light_seen") if p.residual else Message("reason.preset"))
+        if not p.learn_unseen_light or uncovered < 0.005:
+            self._skip(Part.UNSEEN_LIGHT, Message("reason.light_seen") if p.learn_unseen_light else Message("reason.preset"))
             return
         assert light.unseen is not None  # it was added before the first fit
         self.unseen_learned = True

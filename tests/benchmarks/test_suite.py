@@ -19,14 +19,14 @@ from benchmarks.row_files import failure, read_row, write_row
 from benchmarks.suite import runner
 from benchmarks.suite.fewer_views import spread, with_fewer_views
 from benchmarks.suite.harness import Children, Ended, command_of
-from benchmarks.suite.plan import ABLATIONS, AS_TAKEN, PLANS, REFINEMENTS, WITHOUT_F_E, Run, expand, without_each
+from benchmarks.suite.plan import ABLATIONS, AS_TAKEN, PLANS, WITHOUT_F_E, Run, expand, without_each
 from benchmarks.suite.runner import OtherRowsError, Suite
 from benchmarks.suite.step import STAGE_1, NoLight, learn, take_stage_1
 from blender_nep.capture import load_capture
 from blender_nep.checkpoints import save_state
 from blender_nep.fields.refinements.catalog import refinements_of
 from blender_nep.job.folders.run_folder import RunFolder, fingerprint
-from blender_nep.presets import PRESETS, FieldsPreset, preset
+from blender_nep.presets import EVIDENCE, PRESETS, REFINEMENTS, FieldsPreset, preset
 from blender_nep.shading.unseen_light import UnseenLight
 from blender_nep.stop_request import StopRequest
 from support.paths import ROOT, SUZANNE_SMALL
@@ -60,9 +60,9 @@ def test_a_plan_crosses_what_it_names_and_wishes_override_it():
     assert not any(run.ablation == AS_TAKEN for run in expand(["all"], two, {})), "no plan has photos of differing exposure"
 
 
-def test_each_refinement_has_an_ablation_without_it():
+def test_each_refinement_and_evidence_has_an_ablation():
     assert tuple(str(one.name) for one in refinements_of(FieldsPreset())) == REFINEMENTS
-    assert {f"without {name}" for name in REFINEMENTS} <= set(ABLATIONS)
+    assert {f"without {name}" for name in (*REFINEMENTS, *EVIDENCE)} <= set(ABLATIONS)
 
 
 def test_the_runner_needs_no_torch():

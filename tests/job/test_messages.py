@@ -138,7 +138,7 @@ def test_one_and_many():
 
 
 def test_all_that_is_inserted_can_be_translated():
-    told = Message("scene.left_out", {"parts": ["residual", "irradiance"], "reason": Message("reason.metal")}).told()
+    told = Message("scene.left_out", {"parts": ["unseen light", "irradiance"], "reason": Message("reason.metal")}).told()
     translated = {
         "Left out: {parts:parts}, because {reason}.": "Fort: {parts:parts}, denn {reason}.",
         "the object is metal": "das Objekt ist Metall",

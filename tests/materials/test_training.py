@@ -97,14 +97,14 @@ def test_light_that_no_photo_shows_is_found_in_the_reflections(ball, albedo, met
     photos = make_photos(constant(albedo, 0.2, metallic))
     preset = replace(PRESET, most_materials=1, unseen_steps=60)
     found, ignored = (
-        learn(ball, photos, replace(preset, residual=residual), environment=HalfSeen()) for residual in (True, False)
+        learn(ball, photos, replace(preset, learn_unseen_light=learned), environment=HalfSeen()) for learned in (True, False)
     )
     error, error_ignored = (np.abs(result.albedo - albedo).max() for result in (found, ignored))
     # A metal's albedo is nearly right without the light, too, because its fit does not follow what is unexplained.
     assert error < 0.1 and error < (0.5 if metallic == 0 else 1) * error_ignored
     assert found.report["residual"] < 0.6 * ignored.report["residual"]
     assert found.metallic.mean() == metallic and np.abs(found.roughness - 0.2).max() < 0.06
-    assert torch.equal(ignored.unseen.radiance, ignored.unseen.expected) and "residual" in ignored.report["skipped"]
+    assert torch.equal(ignored.unseen.radiance, ignored.unseen.expected) and "unseen light" in ignored.report["skipped"]
     area = torch.sin((torch.arange(5) + 0.5) * math.pi / 16)[:, None, None]  # the rows that no photo shows
     light, true = (whole[:5] for whole in (found.unseen.equirect(16), AnalyticEnvironment().equirect(16)[0]))
     assert abs((light * area).sum() / (true * area).sum() - 1) < 0.1
