@@ -7,6 +7,7 @@ import json
 import os
 import shutil
 import struct
+import sys
 import zlib
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
@@ -16,7 +17,7 @@ import numpy as np
 import pytest
 from PIL import Image, ImageFilter
 
-from blender_nep.cameras import written_capture
+from blender_nep.cameras import structure_from_motion, written_capture
 from blender_nep.cameras.found_cameras import FoundCameras
 from blender_nep.cameras.photo_folder import Photo
 from blender_nep.cameras.structure_from_motion import PlacedPhoto
@@ -131,9 +132,10 @@ class Shoot:
         return json.loads(written_capture.write_capture(found, self.folder).read_text())
 
     def fake_pycolmap(self, text: str) -> None:
-        """Let the process that finds cameras import this text as pycolmap."""
+        """Let the process that finds cameras import this text as pycolmap. For that, it is not isolated here."""
         (self.spare / "fake").mkdir()
         (self.spare / "fake" / "pycolmap.py").write_text(text)
+        self.patch.setattr(structure_from_motion, "isolated_python", lambda: (sys.executable, "-P"))
         self.patch.setenv("PYTHONPATH", os.pathsep.join([str(self.spare / "fake"), os.environ.get("PYTHONPATH", "")]))
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, field
 
@@ -10,6 +9,7 @@ from blender_nep.errors import UsageError
 from blender_nep.fields.refinements.refinement import Refinement
 from blender_nep.fields.stage import StageOne
 from blender_nep.messages import Message, Part
+from blender_nep.profiling import section
 
 _DIGITS = 4
 """What a refinement has found is reported with so many significant digits."""
@@ -27,17 +27,14 @@ class Record:
     """What it has found last"""
     skipped: dict | None = None
     """The state of the message that says why it was skipped last; None if it was not"""
-    cpu_s: float = 0.0
-    """CPU seconds that it took"""
 
     def report(self) -> dict:
         """The entry in report.json: `acted` or `skipped`, and what was found."""
         found = {name: float(f"{value:.{_DIGITS}g}") for name, value in self.found.items()}
-        took = {"cpu_s": round(self.cpu_s, 2)} if self.cpu_s else {}
         if self.acted:
-            return {"acted": [round(fraction, 3) for fraction in self.acted], **found, **took}
+            return {"acted": [round(fraction, 3) for fraction in self.acted], **found}
         why = Message("reason.found_nothing") if self.skipped is None else Message.from_state(self.skipped)
-        return {"skipped": why.told(), **found, **took}
+        return {"skipped": why.told(), **found}
 
 
 class RefinementDriver:
@@ -63,17 +60,16 @@ class RefinementDriver:
     def apply_due(self, stage: StageOne) -> None:
         """Apply the refinements that are due now."""
         for refinement, record in self._due(stage.schedule.fraction):
-            start = time.process_time()
             why = refinement.skipped(stage)
             if why is None:
-                change = refinement.apply(stage)
+                with section(str(refinement.name)):
+                    change = refinement.apply(stage)
                 for name in change.renewed:
                     stage.optimizers.restart(name)
                 if change.acted:
                     record.acted.append(stage.schedule.fraction)
                 record.found = dict(change.found)
             record.skipped = None if why is None else why.state()
-            record.cpu_s += time.process_time() - start
 
     def _due(self, fraction: float) -> Iterator[tuple[Refinement, Record]]:
         for refinement in self._refinements:
