@@ -54,7 +54,7 @@ def seen_from_x(size):
 
 
 def test_a_lean_mesh_has_few_faces_and_the_fine_ones_uv_map(extracted):
-    surface, report, lean = extracted
+    surface, report, lean, _ = extracted
     assert len(lean.surface.faces) == report["faces"] <= 1000 < len(surface.faces) == report["faces_learned_on"]
     np.testing.assert_array_equal(surface.uv[: len(lean.surface.uv)], lean.surface.uv)
     assert lean.normal_map.shape == (512, 512, 3) and 0 <= lean.normal_map.min() <= lean.normal_map.max() <= 1

@@ -24,6 +24,8 @@ def snapshots(tmp_path_factory):
     folder = tmp_path_factory.mktemp("snapshots")
     (folder / "photos").mkdir()
     (folder / "photos" / "IMG_0004.jpg").write_bytes(b"a photo of an earlier run with more views")
+    (folder / "with_cameras").mkdir()
+    (folder / "with_cameras" / "gt_mesh.ply").write_bytes(b"its mesh, which shows that the run was ours")
     options = ("--snapshots", "--scene", "box", "--views", 3, "--test-views", 1, "--size", SIZE, "--samples", 4)
     done = run_file("backend/synthetic.py", *options, "--out", folder, timeout=200)
     assert done.returncode == 0, done.stderr
