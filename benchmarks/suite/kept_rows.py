@@ -20,6 +20,7 @@ from benchmarks.row_files import failure, read_row
 from benchmarks.suite.plan import Run
 from benchmarks.suite.step import ACTED, STAGE_1
 from blender_nep.files import write_text
+from blender_nep.safety.isolated_python import NEUTRAL_FOLDER
 
 ROWS = Path(__file__).parents[1] / "rows"
 """The folder of the kept rows in this checkout."""
@@ -199,8 +200,9 @@ def rows_of(source: str, folder: Path = ROWS) -> list[dict]:
 
 def _commit_of(name: str, folder: Path) -> str:
     """The 7 digits of the commit that git knows by `name`, such as a branch; `name` cut to 7 where git knows none."""
-    git = ["git", "-C", str(folder if folder.is_dir() else Path(__file__).parent), "rev-parse", "--verify", "--quiet"]
-    found = subprocess.run([*git, f"{name}^{{commit}}"], capture_output=True, text=True, check=False).stdout.strip()
+    checkout = (folder if folder.is_dir() else Path(__file__).parent).absolute()
+    git = ["git", "-C", str(checkout), "rev-parse", "--verify", "--quiet", f"{name}^{{commit}}"]
+    found = subprocess.run(git, cwd=NEUTRAL_FOLDER, capture_output=True, text=True, check=False).stdout.strip()
     return (found or name)[:7]
 
 
