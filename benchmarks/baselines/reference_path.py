@@ -38,7 +38,7 @@ from blender_nep.fields.training import Fields, FieldsLearning, learn_fields
 from blender_nep.geometry.mesh import Surface
 from blender_nep.job.stages import SurfaceResult, SurfaceStage
 from blender_nep.materials.training import learn_materials
-from blender_nep.presets import Preset, preset
+from blender_nep.presets import REFINEMENTS, Preset, preset
 from blender_nep.stop_request import StopRequest
 from blender_nep.surface.extraction import extract_surface
 
@@ -59,7 +59,7 @@ SIZES = {
 """Sizes of the MLP and of a step. Half of the rays that meet the sphere go to object pixels."""
 REFERENCE = {
     "fields": {
-        "relief_at": (),
+        "without": tuple(name for name in REFINEMENTS if name not in ("support", "object_pixels")),
         "sdf_rate": 5e-4,
         "sdf_betas": (0.9, 0.999),
         "head_rate": 5e-4,
@@ -67,14 +67,13 @@ REFERENCE = {
         "curvature": 0.0,
         "first_levels": 1,
         "last_levels": 1,
-        "least_contrast": float("inf"),
         "patience": 1_000_000,
     },
     "material": {"use_cones": False, "diffuse_cones": 256, "irradiance_cones": 256, "specular_cones": 128, "samples": 1500},
 }
 """Changes of the preset `balanced`: NeuS's rates and weights.
 
-Learning starts from a sphere and not from the visual hull, and takes all its steps. Stage 2 has fewer photo samples, since
+Learning starts from a sphere and not from the visual hull, an MLP cannot be carved, and learning takes all its steps. Stage 2 has fewer photo samples, since
 each costs as much as 45 do with cones."""
 TIMED_STEPS = 3
 """Steps of both fields together that are timed, to learn how long a step takes."""

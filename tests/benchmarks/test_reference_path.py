@@ -125,7 +125,7 @@ def test_it_replaces_the_object_field_and_resumes_the_same(monkeypatch):
     first, other = learning(0), learning(1)
     before = first.object_field.sdf_grid(8)
     losses = [first.learn_step() for _ in range(12)]
-    assert np.isfinite(losses).all() and first.schedule.object_pixels_updates == 1
+    assert np.isfinite(losses).all() and first.refinements.state()["object_pixels"]["passed"] == 1
     other.load(deepcopy(first.state()))
     assert [first.learn_step() for _ in range(3)] == [other.learn_step() for _ in range(3)]
     assert np.abs(first.object_field.sdf_grid(8) - before).max() > 1e-3
