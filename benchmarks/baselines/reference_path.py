@@ -73,8 +73,8 @@ REFERENCE = {
 }
 """Changes of the preset `balanced`: NeuS's rates and weights.
 
-Learning starts from a sphere and not from the visual hull, an MLP cannot be carved, and learning takes all its steps. Stage 2 has fewer photo samples, since
-each costs as much as 45 do with cones."""
+Learning starts from a sphere and not from the visual hull, because an MLP cannot be carved, and it takes all its steps.
+Stage 2 has fewer photo samples, since each costs as much as 45 do with cones."""
 TIMED_STEPS = 3
 """Steps of both fields together that are timed, to learn how long a step takes."""
 
