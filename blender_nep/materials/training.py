@@ -20,7 +20,6 @@ from torch import Tensor
 
 from blender_nep.errors import LearningError
 from blender_nep.geometry.mesh import Surface
-from blender_nep.materials.baked_light import correlations
 from blender_nep.materials.baking import bake, texture_size
 from blender_nep.materials.corrections import (
     Correctable,
@@ -164,7 +163,6 @@ class _MaterialLearner:
         shown = ShownParts.of(seen.surface, seen.f_p.tracer, seen.rays)
         kept = KeptMaterials(self._correctable(varied), size, shown)
         points = kept.materials.labeled(self.preset)
-        self.report.albedo_follows = correlations(points, self.light, seen.samples.position)
         albedo, roughness, metallic, confidence = bake(seen.surface, points, size, shown)
         self.progress.phase_ended("textures")
         if uniform:

@@ -51,8 +51,6 @@ class MaterialReport:
     """Share by which a material for each segment lowers the palette's residual, on held-out photos"""
     segments: int | None = None
     """Number of segments, if each has a material of its own"""
-    albedo_follows: dict[str, float] = field(default_factory=dict)
-    """{irradiance, visibility, highlights: correlation of the log albedo with it} (`baked_light`)"""
     skipped: dict[str, dict] = field(default_factory=dict)
     """{part that was left out: state of the message that says why}"""
     seconds_saved: dict[str, float] = field(default_factory=dict)
