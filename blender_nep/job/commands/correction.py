@@ -46,8 +46,8 @@ def run(asset: Path, corrections: Mapping[int, Correction], events: Events) -> i
     """
 
     def work() -> None:
-        read_report(asset)  # to refuse a folder that is no asset of ours before a lock is made in it
         refuse_links(asset, ENTRIES)
+        read_report(asset)  # to refuse a folder that is no asset of ours before a lock is made in it
         with held(asset), StopRequest().signals():  # nobody asks for the stop
             _correct(asset, corrections, events)
 

@@ -49,7 +49,7 @@ NEAR_SEGMENTS = _ROUGHNESS_SEGMENTS
 class Residual(Evidence):
     """The residual of each hypothesis."""
 
-    name = "residual"
+    name = Part.RESIDUAL
 
     def skipped(self, fitted: FittedMaterials) -> Message | None:
         return None
