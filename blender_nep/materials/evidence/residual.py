@@ -23,10 +23,10 @@ from torch import Tensor
 
 from blender_nep.materials.evidence.protocol import Evidence, FittedMaterials, OfMetallic, OfRoughness
 from blender_nep.materials.fitting import fit_groups, weight_of_known_light
+from blender_nep.messages import Message, Part
 from blender_nep.profiling import profiled
 
 if TYPE_CHECKING:
-    from blender_nep.messages import Message
     from blender_nep.presets import MaterialPreset
     from blender_nep.shading.light_moments import LightMoments
 
