@@ -16,7 +16,7 @@ _told = True
 
 
 @contextmanager
-def nobody_is_told() -> Iterator[None]:
+def without_notices() -> Iterator[None]:
     """Within this context a setting may get another name for the same folder, and no function is called."""
     global _told
     _told = False
@@ -26,13 +26,13 @@ def nobody_is_told() -> Iterator[None]:
         _told = True
 
 
-def tell_output(settings: Any, _context: Any) -> None:
+def notify_output(settings: Any, _context: Any) -> None:
     """What Blender calls after `scene.nep.output` has changed; `settings` is `scene.nep`."""
     for callback in output_callbacks if _told else ():
         callback(settings.id_data)
 
 
-def tell_capture(settings: Any, _context: Any) -> None:
+def notify_capture(settings: Any, _context: Any) -> None:
     """The same for `scene.nep.capture`."""
     for callback in capture_callbacks if _told else ():
         callback(settings.id_data)

@@ -102,14 +102,14 @@ class NepSettings(bpy.types.PropertyGroup):
         "project of COLMAP, Metashape or RealityScan), or Find Cameras finds them",
         subtype="DIR_PATH",
         options=PATH_OPTIONS,
-        update=folder_changes.tell_capture,
+        update=folder_changes.notify_capture,
     )
     output: bpy.props.StringProperty(
         name="Output",
         description="Folder for the result; a job in it is found again when this file is opened",
         subtype="DIR_PATH",
         options=PATH_OPTIONS,
-        update=folder_changes.tell_output,
+        update=folder_changes.notify_output,
     )
     preset: bpy.props.EnumProperty(name="Preset", description="How much time to spend", items=PRESETS, default="balanced")
     use_masks: bpy.props.BoolProperty(

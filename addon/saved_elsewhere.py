@@ -56,5 +56,5 @@ def _same_folder(path: str, other: str) -> bool:
 
 
 def _change(settings: bpy.types.PropertyGroup, name: str, value: str) -> None:
-    with folder_changes.nobody_is_told():  # the same folder gets another name
+    with folder_changes.without_notices():  # the same folder gets another name
         setattr(settings, name, value)

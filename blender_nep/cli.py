@@ -42,7 +42,7 @@ def main(arguments: list[str] | None = None) -> int:
     return commands[options.command](options)
 
 
-def _told(error: NepError) -> int:
+def _report_error(error: NepError) -> int:
     """Tell a person the error, and return its exit code."""
     lines = [f"error: {error.message}", *([f"       {error.hint}"] if error.hint else [])]
     print(*map(one_line, lines), sep="\n", file=sys.stderr)
@@ -58,8 +58,8 @@ def _info(options: argparse.Namespace) -> int:
         found = summarize(options.capture, options.picture, sphere(options))
     except NepError as error:
         if options.json:
-            print(json.dumps({"error": jsonable(error.told())}, indent=1))
-        return _told(error)
+            print(json.dumps({"error": jsonable(error.to_dict())}, indent=1))
+        return _report_error(error)
     print(json.dumps(found, indent=1) if options.json else describe(found))
     return 0
 
@@ -182,7 +182,7 @@ def _list_materials(asset: Path) -> int:
     try:
         materials = read_report(asset)["materials"]
     except NepError as error:
-        return _told(error)
+        return _report_error(error)
     print("number  share  roughness  metal  albedo (linear)")
     for number, found in enumerate(materials):
         color = " ".join(f"{x:.3f}" for x in found["albedo"])
@@ -198,6 +198,6 @@ def _gallery(options: argparse.Namespace) -> int:
     try:
         write_gallery(options.folder)
     except NepError as error:
-        return _told(error)
+        return _report_error(error)
     print(one_line(options.folder / "index.html"))
     return 0

@@ -27,7 +27,7 @@ class NepError(Exception):
         self.name = name or type(self).name
         self.values = values
 
-    def told(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, Any]:
         """The error as plain values, for the `error` event and `blender-nep info --json`."""
         return {"code": self.code, "name": self.name, "values": self.values, "message": self.message, "hint": self.hint}
 

@@ -73,9 +73,9 @@ class Message:
         """The inverse of `state`, for messages whose values are not messages themselves."""
         return cls(state["code"], state["values"])
 
-    def told(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, Any]:
         """The message as plain values for events and reports: `code`, `values`, and the words as `message`."""
-        values = {k: _plain(v, Message.told) for k, v in self.values.items()}
+        values = {k: _plain(v, Message.to_dict) for k, v in self.values.items()}
         return {"code": self.code, "values": values, "message": str(self)}
 
 

@@ -13,7 +13,7 @@ from ...backend.engine import timings
 from ...backend.engine.command import EngineError
 from ...backend.engine.engine import STOPPED, Engine
 from ...backend.engine.progress import Progress
-from ...backend.engine.words import Said
+from ...backend.engine.words import EngineMessage
 from .. import engine_paths, halved_pictures
 from ..folders import resolve_folder
 from ..scene import live_preview
@@ -34,8 +34,10 @@ class Job(Task):
         self.engine, self.failed, self.ended = engine, failed, engine is None
         self.scene_name = scene.name
         self.progress = Progress()
-        self.warnings: list[Said] = []
-        self.scene_analysis: list[Said] = []  # sentences: what the photos show, and what the engine leaves out for it
+        self.warnings: list[EngineMessage] = []
+        self.scene_analysis: list[
+            EngineMessage
+        ] = []  # sentences: what the photos show, and what the engine leaves out for it
         self.stopping = False
         self.import_when_ended = True  # False once the result is imported, or where somebody else decides about it
         self._events_read = 0
@@ -48,9 +50,9 @@ class Job(Task):
             if event["event"] == "progress":
                 self.progress = Progress.of(event)
             elif event["event"] == "warning":
-                self.warnings.append(Said.of(event))
+                self.warnings.append(EngineMessage.of(event))
             elif event["event"] == "scene":
-                self.scene_analysis = [Said.of(line) for line in event.get("lines") or ()]
+                self.scene_analysis = [EngineMessage.of(line) for line in event.get("lines") or ()]
             elif event["event"] == "preview":
                 path = Path(str(event.get("path", "")))
                 self._previews[path.suffix] = path

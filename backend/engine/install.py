@@ -49,7 +49,7 @@ class Cancelled(Exception):
     """The installation was cancelled, or the program that started it has ended."""
 
 
-def tell(event: str, **content) -> None:
+def emit(event: str, **content) -> None:
     print(json.dumps({"event": event, **content}), flush=True)
 
 
@@ -185,9 +185,9 @@ def pip_install(
         nonlocal fraction
         if line.startswith(("Collecting", "Processing", "Downloading", "Using", "Building", "Installing", "  Downloading")):
             fraction += 0.06 * (end - fraction)
-            tell("progress", fraction=round(fraction, 3), message=line.strip()[:100])
+            emit("progress", fraction=round(fraction, 3), message=line.strip()[:100])
 
-    tell("progress", fraction=fraction, message=what)
+    emit("progress", fraction=fraction, message=what)
     code, text = programs.run([str(python), *PIP, *arguments], on_line)
     if code == 0:
         return
@@ -209,7 +209,7 @@ def pip_install(
 def install(options: argparse.Namespace, programs: ProgramRunner) -> None:
     """Make the environment and install the engine into it. Raises InstallError, Cancelled and OSError."""
     environment = options.folder / NAME
-    tell("progress", fraction=0.0, message="Looking at the base Python")
+    emit("progress", fraction=0.0, message="Looking at the base Python")
     version = check_base(programs, options.python)
     if (
         environment.exists()
@@ -220,7 +220,7 @@ def install(options: argparse.Namespace, programs: ProgramRunner) -> None:
     set_aside(environment)
     environment.mkdir(parents=True, exist_ok=True)  # an empty folder may be there
     (environment / UNFINISHED).touch()
-    tell("progress", fraction=0.02, message="Making the environment")
+    emit("progress", fraction=0.02, message="Making the environment")
     code, text = programs.run([options.python, "-I", "-m", "venv", str(environment)])
     if code != 0:
         raise InstallError(
@@ -242,7 +242,7 @@ def install(options: argparse.Namespace, programs: ProgramRunner) -> None:
             else:
                 shutil.copy(place, Path(copy, name))
         pip_install(programs, python, [copy, *pinned], "Fetching what else the engine needs", (0.5, 0.95), version)
-    tell("progress", fraction=0.95, message="Trying the engine")
+    emit("progress", fraction=0.95, message="Trying the engine")
     script = "import torch, blender_nep; print('versions', torch.__version__, blender_nep.__version__)"
     code, text = programs.run([str(python), "-I", "-c", script])
     if code != 0:
@@ -254,7 +254,7 @@ def install(options: argparse.Namespace, programs: ProgramRunner) -> None:
     (environment / UNFINISHED).unlink()
     os.replace(partial, environment / DONE)
     _remove(_aside(environment))
-    tell("done", python=str(python), **{k: v for k, v in about.items() if k != "python"})
+    emit("done", python=str(python), **{k: v for k, v in about.items() if k != "python"})
 
 
 def _aside(environment: Path) -> Path:
@@ -327,7 +327,7 @@ def main() -> int:
     environment = options.folder / NAME
     with contextlib.suppress(OSError):
         bring_back(environment)
-    tell("error", code=code, message=message, hint=hint)
+    emit("error", code=code, message=message, hint=hint)
     return code
 
 

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 
-from .words import Said, Translate
+from .words import EngineMessage, Translate
 
 # The keys are the stage names of blender_nep/job/stage_names.py, which Blender's Python cannot import.
 STAGES = {
@@ -30,7 +30,7 @@ class Progress:
     step: int = 0
     steps: int = 0
     eta_s: float | None = None
-    note: Said | None = None
+    note: EngineMessage | None = None
 
     @classmethod
     def of(cls, event: dict) -> "Progress":
@@ -42,7 +42,7 @@ class Progress:
             int(event.get("step") or 0),
             int(event.get("steps") or 0),
             None if eta is None else float(eta),
-            Said.of(event["note"]) if event.get("note") else None,
+            EngineMessage.of(event["note"]) if event.get("note") else None,
         )
 
     def lines(self, translate: Translate = str) -> list[str]:
@@ -92,5 +92,5 @@ def describe(event: dict) -> str:
     if event["event"] == "warning":
         return f"warning: {event.get('message', '')}"
     if event["event"] == "scene":
-        return " ".join(Said.of(line).message for line in event.get("lines") or ())
+        return " ".join(EngineMessage.of(line).message for line in event.get("lines") or ())
     return str(event.get("message") or event.get("path") or event.get("asset") or event["event"])

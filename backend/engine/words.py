@@ -403,7 +403,7 @@ def texts() -> list[str]:
 
 
 @dataclass(frozen=True)
-class Said:
+class EngineMessage:
     """A message of the engine: a warning, a sentence about the scene, or a note on progress."""
 
     code: str = ""
@@ -412,7 +412,7 @@ class Said:
     """The message in the engine's own English."""
 
     @classmethod
-    def of(cls, told: object) -> "Said":
+    def of(cls, told: object) -> "EngineMessage":
         """The message that an event, or a part of an event, holds. Older engines send a plain string instead of a dict."""
         if not isinstance(told, dict):
             return cls(message=one_line(told))
@@ -483,7 +483,7 @@ class _Formatter(string.Formatter):
         if format_spec == "parts":
             return ", ".join(self._translate(PARTS.get(part, part)) for part in value)
         if isinstance(value, dict):
-            said = Said.of(value)
+            said = EngineMessage.of(value)
             found = said.own_words(self._translate)
             return self._translate(said.message) if found is None else found
         if isinstance(value, list):

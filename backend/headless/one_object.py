@@ -8,7 +8,7 @@ from ..engine.engine import Engine
 from ..engine.exit_codes import STOPPED
 from ..engine.progress import describe
 from ..engine.results.job_files import is_asset
-from ..engine.words import Said
+from ..engine.words import EngineMessage
 from .configured_python import configured_python
 from .stop_requests import StopRequests, say
 
@@ -67,7 +67,7 @@ def _reconstruct(options: argparse.Namespace, stop: StopRequests) -> None:
                     last_said = time.monotonic()
                     say(describe(event))
                 elif event["event"] == "scene":  # each scene event repeats the lines of the scene events before it
-                    lines = [Said.of(line).message for line in event["lines"]]
+                    lines = [EngineMessage.of(line).message for line in event["lines"]]
                     for line in lines:
                         if line not in scene:
                             say(line)

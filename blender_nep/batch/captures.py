@@ -37,7 +37,7 @@ class Size:
     files: tuple[Path, ...] = ()
     """All files that a job reads: photos, masks and the capture's own files"""
 
-    def told(self) -> dict[str, int]:
+    def to_dict(self) -> dict[str, int]:
         """The plain values for batch.json."""
         return {"photos": self.photos, "pixels": self.pixels}
 

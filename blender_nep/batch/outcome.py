@@ -53,7 +53,7 @@ def failure(code: int | None, error: dict | None, words: str) -> dict[str, Any]:
         said = NepError(f"the job was ended by {name}", hint, "unexpected.job_killed", signal=name)
     else:
         said = NepError(f"the job ended with exit code {code}", hint, "unexpected.job_crashed", exit_code=code)
-    return said.told()
+    return said.to_dict()
 
 
 def read_report(asset: Path) -> dict[str, Any] | None:

@@ -34,13 +34,13 @@ class BatchProgress(Listener):
         self._pause, self._written, self._shown = 0.0, 0.0, 0.0
         self._changed = False
 
-    def told(self, message: Message) -> None:
+    def warn(self, message: Message) -> None:
         """Say it to people, and to programs as a warning."""
         self._events.warning(message)
 
     def changed(self, one: ObjectState) -> None:
         """Send the object to programs, say its end to people, and write batch.json."""
-        self._events.emit("object", **one.told())
+        self._events.emit("object", **one.to_dict())
         if one.state == DONE:
             faces, materials = _made(self._out / one.name)
             values = {"name": one.name, "time": time_text(one.seconds), "faces": faces, "materials": materials}

@@ -172,7 +172,7 @@ class Batch:
             progress.end()
         progress.show()
         self._events.say(*progress.table())
-        self._tell_end(work)
+        self._report_end(work)
 
     def _state(self, captures: list[FoundCapture]) -> BatchState:
         """The state of the folder, or a new one. Raises UsageError where another batch is there and goes on."""
@@ -213,7 +213,7 @@ class Batch:
             try:
                 self._make_ready(one, out)
             except NepError as error:
-                one.state, one.error = FAILED, error.told()
+                one.state, one.error = FAILED, error.to_dict()
                 continue
             report = read_report(out) if one.state == DONE else None
             if report is not None:
@@ -249,12 +249,12 @@ class Batch:
                 size: Size = size_of(FoundCapture(Path(one.capture), one.photos_alone))
                 if one.photos_alone and one.size is None:
                     _remove_old_cameras(self._settings.out / one.name / CAPTURE, Path(one.capture), size.files)
-                one.size, self._files[one.name] = size.told(), size.files
+                one.size, self._files[one.name] = size.to_dict(), size.files
             except Exception as error:  # whatever is wrong with one capture stops no other one
                 if not isinstance(error, NepError):
                     self._events.log_traceback(error)
                     error = unexpected(error, "The details are in log.txt.")
-                one.state, one.error = FAILED, error.told()
+                one.state, one.error = FAILED, error.to_dict()
                 progress.changed(one)
 
     def _jobs(self) -> tuple[Jobs, Plan]:
@@ -288,7 +288,7 @@ class Batch:
             files=self._files.get(one.name, ()),
         )
 
-    def _tell_end(self, work: list[ObjectState]) -> None:
+    def _report_end(self, work: list[ObjectState]) -> None:
         left = sum(one.state not in (DONE, FAILED) for one in work)
         failed = [one.name for one in work if one.state == FAILED]
         if left:

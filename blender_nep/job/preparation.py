@@ -175,11 +175,11 @@ class Preparation:
         )
         for warning in rays.warnings:
             self._events.warning(warning)
-        self._tracker.tell(StageName.CAPTURE, 1, 1)
+        self._tracker.report(StageName.CAPTURE, 1, 1)
         return rays
 
     def _photo_read(self, done: int, photos: int) -> None:
-        self._tracker.tell(StageName.CAPTURE, done, photos)
+        self._tracker.report(StageName.CAPTURE, done, photos)
         if self._stop.requested:
             message = f"stopped ({self._stop.reason}) while the photos were read"
             raise Stopped(message, "Start it again with --resume.", "stopped.reading_photos", reason=self._stop.reason)

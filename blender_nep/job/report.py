@@ -53,7 +53,7 @@ class JobReport:
             "materials": self.materials,
             "corrections": {},
             "stages": {str(stage): part.facts for stage, part in self.stages.items()},
-            "warnings": [warning.told() for warning in self.warnings],
+            "warnings": [warning.to_dict() for warning in self.warnings],
             "fingerprint": self.prepared.fingerprint,
         }
 

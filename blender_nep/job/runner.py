@@ -145,7 +145,7 @@ class Job:
         set_seed_and_threads(s)
         self._tracker.enter(StageName.CAPTURE)
         start = time.monotonic()
-        self._tracker.tell(StageName.CAPTURE, 0, 1)
+        self._tracker.report(StageName.CAPTURE, 0, 1)
         prepared = Preparation(s, device, self._tracker, self._events, self._stop, self._take_folder).run()
         if prepared is None:
             return None
@@ -173,13 +173,13 @@ class Job:
             rays, preset, s.seed, prepared.device, None if given is None else given.surface, self._live_preview(prepared)
         )
         fields = self._enter(self._stages.fields, fields_input, folder)
-        self._tell_of_fields(FieldsReportView.of(fields.report))
+        self._report_fields(FieldsReportView.of(fields.report))
         surface = given or self._enter(
             self._stages.surface,
             SurfaceInput(prepared.capture, preset.surface, object_field=fields.object_field),
             folder,
         )
-        self._tell_of_surface(SurfaceReportView.of(surface.report))
+        self._report_surface(SurfaceReportView.of(surface.report))
         with section("scene analysis"):
             shape = SurfaceAnalysis.of(surface.surface, rays, s.seed)
         plan = shape.plan(preset)
@@ -194,7 +194,7 @@ class Job:
             surface.support or fields.support,
         )
         materials = self._enter(self._stages.materials, materials_input, folder)
-        self._tell_of_materials(MaterialsReportView.of(materials.report), plan)
+        self._report_materials(MaterialsReportView.of(materials.report), plan)
         return Learned(fields, surface, materials)
 
     def _live_preview(self, prepared: Prepared) -> Callable | None:
@@ -204,18 +204,18 @@ class Job:
 
         return LivePreview(self._settings.out, prepared.rays, prepared.capture.from_unit, self._events)
 
-    def _tell_of_fields(self, report: FieldsReportView) -> None:
+    def _report_fields(self, report: FieldsReportView) -> None:
         self._scene.act(report.acted)
         self._scene.stopped_early(report.steps_saved, self._tracker.seconds[StageName.FIELDS_LEARNING])
         left_out = report.steps_not_finite
         if left_out:
             self._events.warning(Message("job.steps_left_out", {"count": left_out}))
 
-    def _tell_of_surface(self, report: SurfaceReportView) -> None:
+    def _report_surface(self, report: SurfaceReportView) -> None:
         if report.cut_by_sphere > _CUT:
             self._events.warning(Message("job.cut_by_sphere", {"percent": 100 * report.cut_by_sphere}))
 
-    def _tell_of_materials(self, report: MaterialsReportView, plan: Plan) -> None:
+    def _report_materials(self, report: MaterialsReportView, plan: Plan) -> None:
         self._scene.act(report.acted)
         if report.light_seconds > 0.5:  # about 0 where the light came from a checkpoint
             whole, less = self._settings.preset.material, plan.preset.material
@@ -240,13 +240,13 @@ class Job:
         checkpoint = folder.checkpoint(name)
         checkpoint.raise_if_stopped(saves=False)
         # A stage's kernels are compiled at its first step, once on each machine. Later runs take them from the cache.
-        self._tracker.tell(name, 0, 1, note=Message("progress.warming_up"))
+        self._tracker.report(name, 0, 1, note=Message("progress.warming_up"))
         with section(name):
             result = stage.run(given, self._progress(name, checkpoint), checkpoint)
         seconds = checkpoint.seconds()
         folder.save_result(name, stage.pack(result), seconds)
         checkpoint.remove()
-        self._tracker.tell(name, 1, 1, self._tracker.losses.get(name))
+        self._tracker.report(name, 1, 1, self._tracker.losses.get(name))
         self._tracker.leave(name, seconds)
         return result
 
@@ -259,7 +259,7 @@ class Job:
             if checkpoint.loaded and not begun:
                 self._tracker.begin_at(max(step - 1, 0) / max(steps, 1))
             begun = True
-            self._tracker.tell(name, step, steps, loss, **extra)
+            self._tracker.report(name, step, steps, loss, **extra)
             checkpoint.raise_if_stopped(saves=True)
 
         return progress
@@ -267,7 +267,7 @@ class Job:
     def _write_asset(self, prepared: Prepared, learned: Learned, profile: Profile | None) -> None:
         s, name = self._settings, StageName.ASSET
         self._tracker.enter(name)
-        self._tracker.tell(name, 0, 1)
+        self._tracker.report(name, 0, 1)
         start = time.monotonic()
         light, coverage = learned.fields.environment.equirect(s.preset.environment_height)
         if learned.materials.unseen is not None:
@@ -295,7 +295,7 @@ class Job:
             self._stages.asset.run(given)
         if s.clean:
             prepared.folder.remove()
-        self._tracker.tell(name, 1, 1)
+        self._tracker.report(name, 1, 1)
         self._tracker.leave(name, time.monotonic() - start)
         self._events.preview(s.out / "preview.png")
         self._events.done(s.out)

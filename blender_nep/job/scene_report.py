@@ -30,7 +30,7 @@ class SceneReport:
         self.facts[name] = found.facts()
         self.sentences += found.sentences()
         self.skipped |= plan.skipped
-        self._tell(found.sentences() + _lines(plan.skipped, {}))
+        self._emit(found.sentences() + _lines(plan.skipped, {}))
 
     def left_out(self, rays: PixelRays, *, masks_ignored: bool, mesh_given: bool) -> None:
         """Add the parts that have nothing to work on in this capture, whatever the preset says."""
@@ -47,7 +47,7 @@ class SceneReport:
         if parts:
             line = Message("scene.acted", {"parts": list(parts)})
             self.sentences.append(line)
-            self._tell([line])
+            self._emit([line])
 
     def skip(self, skipped: Mapping[str, Message], seconds: Mapping[str, float]) -> None:
         """Add what a stage has left out. A part that was left out before keeps its first reason."""
@@ -55,7 +55,7 @@ class SceneReport:
         self.skipped |= new
         self.seconds_saved |= {what: round(value, 2) for what, value in seconds.items()}
         if new or seconds:
-            self._tell(_lines(new, seconds))
+            self._emit(_lines(new, seconds))
 
     def stopped_early(self, steps_saved: float, seconds: float) -> None:
         """Add that fields learning stopped early. It took `seconds`; all steps would take `steps_saved` times that more."""
@@ -66,12 +66,12 @@ class SceneReport:
     def report(self) -> dict:
         """The keys `scene`, `skipped` and `skipped_seconds` of report.json."""
         return {
-            "scene": {**self.facts, "sentences": [line.told() for line in self.sentences]},
-            "skipped": {part: why.told() for part, why in self.skipped.items()},
+            "scene": {**self.facts, "sentences": [line.to_dict() for line in self.sentences]},
+            "skipped": {part: why.to_dict() for part, why in self.skipped.items()},
             "skipped_seconds": self.seconds_saved,
         }
 
-    def _tell(self, new: list[Message]) -> None:
+    def _emit(self, new: list[Message]) -> None:
         for line in new:
             self._events.say(f"  {line}")
         self._events.scene(self.sentences + _lines(self.skipped, self.seconds_saved))

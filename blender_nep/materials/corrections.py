@@ -59,7 +59,7 @@ class ListedMaterial:
     roughness: float
     metallic: float
 
-    def told(self, learned: ListedMaterial) -> dict[str, Any]:
+    def to_dict(self, learned: ListedMaterial) -> dict[str, Any]:
         """The entry for report.json; `learned` is the entry without corrections."""
         return {
             "share": round(self.share, 4),
@@ -251,7 +251,7 @@ class KeptMaterials:
 
     def listed(self) -> list[dict[str, Any]]:
         """The materials as they were learned, for report.json."""
-        return [entry.told(entry) for entry in self.materials.listed()]
+        return [entry.to_dict(entry) for entry in self.materials.listed()]
 
     def bake(
         self, surface: Surface, corrections: Mapping[int, Correction], preset: MaterialPreset
@@ -265,7 +265,7 @@ class KeptMaterials:
         corrected = self.materials.corrected(corrections, preset)
         entries = zip(corrected.listed(), self.materials.listed(), strict=True)
         textures = bake(surface, corrected.labeled(preset), self.texels, self.shown)
-        return textures, [now.told(learned) for now, learned in entries]
+        return textures, [now.to_dict(learned) for now, learned in entries]
 
 
 _KINDS: dict[str, type[CorrectablePalette] | type[CorrectableSegments]] = {

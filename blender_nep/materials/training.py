@@ -354,7 +354,7 @@ class _MaterialLearner:
         """Report what was learned; shares [K] are those of the palette's materials before they were blended."""
         report, palette = self.report, self.found.palette
         report.merged_shades = self.found.merged
-        report.tell_materials(palette.pick(list(range(len(shares)))), shares)
+        report.add_materials(palette.pick(list(range(len(shares)))), shares)
         report.evidence = self.found.account.report()
         report.residual_one_material, report.residual = round(single, 5), round(self._residual(), 5)
         report.cones_traced = self.light.traced.rays

@@ -56,7 +56,7 @@ class MaterialReport:
     seconds_saved: dict[str, float] = field(default_factory=dict)
     """{part that was left out: seconds that this saved, estimated}"""
 
-    def tell_materials(self, palette: Palette, shares: list[float]) -> None:
+    def add_materials(self, palette: Palette, shares: list[float]) -> None:
         """Fill `materials` from the palette; shares [K] are the shares of the samples."""
         self.materials = [
             {

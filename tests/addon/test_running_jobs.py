@@ -117,7 +117,7 @@ def test_a_job_runs_beside_blender_and_brings_its_object(folders):
 def check_life_of_a_job(folder):
     bpy, addon, _settings = set_up(folder)
 
-    from nep_addon.backend.engine.words import Said
+    from nep_addon.backend.engine.words import EngineMessage
 
     def texts_with(words: str) -> list[str]:
         return [text for text in drawn(bpy, addon) if words in text]
@@ -142,7 +142,7 @@ def check_life_of_a_job(folder):
         job.failed is None and meshes(bpy) == ["out"] and not addon.scene.imported_result.has_new_result(bpy.context.scene)
     )
     assert addon.tasks.clock.tick() is None and not addon.operators.engine.engine_at_work(), "the timer rests"
-    assert Said("scene.masks_used", {}, "Masks are there and are used.") in job.scene_analysis
+    assert EngineMessage("scene.masks_used", {}, "Masks are there and are used.") in job.scene_analysis
     assert job.scene_analysis[-1].code == "scene.left_out" and "Left out: " in job.scene_analysis[-1].words()
     assert "stage fields_learning" in log(bpy)
     bpy.context.scene.nep.preset = "preview"

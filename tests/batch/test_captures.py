@@ -81,9 +81,9 @@ def test_what_holds_no_captures_is_refused(shelf, name):
 
 
 def test_sizes(shelf):
-    assert size_of(FoundCapture(shelf / "phone", True)).told() == {"photos": 4, "pixels": 800}
+    assert size_of(FoundCapture(shelf / "phone", True)).to_dict() == {"photos": 4, "pixels": 800}
     size = size_of(FoundCapture(shelf / "vase", False))
-    assert size.told() == {"photos": 6, "pixels": 384} and shelf / "vase/transforms.json" in size.files
+    assert size.to_dict() == {"photos": 6, "pixels": 384} and shelf / "vase/transforms.json" in size.files
 
 
 @pytest.mark.parametrize(
@@ -123,4 +123,4 @@ def test_cameras_that_were_found_since_the_last_start_are_used(state):
 
 def test_an_object_survives_the_disk():
     one = ObjectState("a", "/a", size={"photos": 3, "pixels": 9}, state="failed", error={"name": "capture"}, seconds=1.5)
-    assert ObjectState.from_told(one.told() | {"of_tomorrow": 1}) == one
+    assert ObjectState.from_dict(one.to_dict() | {"of_tomorrow": 1}) == one

@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from blender_nep.batch.state import DONE, ObjectState
-from blender_nep.batch.workers.jobs import Heard, Job
+from blender_nep.batch.workers.jobs import Job, JobUpdate
 from blender_nep.batch.workers.local_jobs import LocalJobs
 from blender_nep.batch.workers.needs import Needs, threads_for
 from blender_nep.batch.workers.scheduler import Listener, Plan, Scheduler
@@ -29,19 +29,19 @@ class CountedJobs(LocalJobs):
         self.left: dict[str, int] = {}
         self.begun: list[str] = []
         self.moments: list[list[Job]] = []
-        self.heard: list[Heard] = []
+        self.heard: list[JobUpdate] = []
 
     def start(self, job: Job) -> None:
         self.begun.append(job.name)
         self.now[job.name] = job
         self.left[job.name] = 2 * self.objects[job.name].size["pixels"] // MEGAPIXEL
-        self.heard.append(Heard(job.name, "started", {"worker": "local"}))
+        self.heard.append(JobUpdate(job.name, "started", {"worker": "local"}))
         self.moments.append(list(self.now.values()))
 
-    def poll(self) -> list[Heard]:
+    def poll(self) -> list[JobUpdate]:
         for name in list(self.now):
             if name in self.needed:
-                self.heard.append(Heard(name, "measured", {"peak_mb": self.needed[name], "cpu_seconds": 0.0}))
+                self.heard.append(JobUpdate(name, "measured", {"peak_mb": self.needed[name], "cpu_seconds": 0.0}))
             self.left[name] -= 1
             if self.left[name] <= 0:
                 self.end(name, 0, None)
@@ -51,7 +51,7 @@ class CountedJobs(LocalJobs):
     def end(self, name: str, code: int, error: dict | None) -> None:
         if self.now.pop(name, None) is not None:
             content = {"code": code, "error": error, "words": "", "seconds": 1.0, "cpu_seconds": 1.0, "peak_mb": 0.0}
-            self.heard.append(Heard(name, "ended", content))
+            self.heard.append(JobUpdate(name, "ended", content))
 
     def stop(self, name: str) -> None:
         self.end(name, 7, {"name": "stopped", "message": "stopped"})

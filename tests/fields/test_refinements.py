@@ -93,9 +93,9 @@ def test_the_report_says_what_was_found_or_why_not():
     run(driver, [0.0, 0.5, 1.0])
     report = driver.report()
     assert report["hull"] == {"acted": [0.0, 0.5], "volume": 0.1235}
-    assert report["cavities"] == {"skipped": Message("reason.found_nothing").told(), "tried": 2}
-    assert report["hidden_pixels"] == {"skipped": masks.told()}
-    assert report["carve"] == report["relief"] == {"skipped": Message("reason.preset").told()}
+    assert report["cavities"] == {"skipped": Message("reason.found_nothing").to_dict(), "tried": 2}
+    assert report["hidden_pixels"] == {"skipped": masks.to_dict()}
+    assert report["carve"] == report["relief"] == {"skipped": Message("reason.preset").to_dict()}
 
 
 def test_what_is_switched_off_is_not_applied():
@@ -103,7 +103,7 @@ def test_what_is_switched_off_is_not_applied():
     driver = RefinementDriver([hull, carve], without=("hull",))
     run(driver, [0.0, 0.5])
     assert not hull.applied and carve.applied == [0.5]
-    assert driver.report()["hull"] == {"skipped": Message("reason.preset").told()}
+    assert driver.report()["hull"] == {"skipped": Message("reason.preset").to_dict()}
 
 
 def test_an_unknown_name_is_an_error():
@@ -134,6 +134,6 @@ def test_each_refinement_can_be_switched_off_alone():
         while learning.fraction < 1:
             learning.learn_step()
         report = learning.refinements.report()
-        assert report[name] == {"skipped": Message("reason.preset").told()}
+        assert report[name] == {"skipped": Message("reason.preset").to_dict()}
         others = [entry for other, entry in report.items() if other != name and "skipped" in entry]
         assert all(entry["skipped"]["code"] != "reason.preset" for entry in others)

@@ -89,7 +89,7 @@ def sample(name: str):
 def test_words_can_be_filled_in():
     for code in sorted(WORDS):
         message = Message(code, {name: sample(name) for name in placeholders(WORDS[code])})
-        said = words.Said.of(message.told())
+        said = words.EngineMessage.of(message.to_dict())
         for text in (str(message), said.words()):
             assert text and not set("{}|") & set(text) and "None" not in text, text
         assert said.message == str(message)
@@ -134,17 +134,17 @@ def test_one_and_many():
 
     assert str(black(1)) == "1 photo is black and is left out: 0.png"
     assert str(black(7)) == "7 photos are black and are left out: 0.png, 1.png, 2.png, 3.png, 4.png and 2 more"
-    assert words.Said.of(black(7).told()).words() == str(black(7))
+    assert words.EngineMessage.of(black(7).to_dict()).words() == str(black(7))
 
 
 def test_all_that_is_inserted_can_be_translated():
-    told = Message("scene.left_out", {"parts": ["unseen light", "irradiance"], "reason": Message("reason.metal")}).told()
+    told = Message("scene.left_out", {"parts": ["unseen light", "irradiance"], "reason": Message("reason.metal")}).to_dict()
     translated = {
         "Left out: {parts:parts}, because {reason}.": "Fort: {parts:parts}, denn {reason}.",
         "the object is metal": "das Objekt ist Metall",
         "diffuse light": "diffuses Licht",
     }
-    assert words.Said.of(told).words(lambda text: translated.get(text, text)) == (
+    assert words.EngineMessage.of(told).words(lambda text: translated.get(text, text)) == (
         "Fort: light that no photo shows, diffuses Licht, denn das Objekt ist Metall."
     )
 
@@ -166,17 +166,17 @@ def test_a_message_survives_the_disk():
     ],
 )
 def test_an_unknown_message_is_shown_in_the_engines_words(told):
-    assert words.Said.of(told).words() == "It has two moons"
+    assert words.EngineMessage.of(told).words() == "It has two moons"
 
 
 def test_an_unknown_reason_is_shown_in_the_engines_words():
     reason = {"code": "reason.of_tomorrow", "values": {}, "message": "it is Sunday"}
     left_out = {"code": "scene.left_out", "values": {"parts": ["the moons"], "reason": reason}, "message": "-"}
-    assert words.Said.of(left_out).words() == "Left out: the moons, because it is Sunday."
+    assert words.EngineMessage.of(left_out).words() == "Left out: the moons, because it is Sunday."
 
 
 def test_errors_in_the_words_of_the_panel():
-    error = errors.OutputError("the disk is full: /a cannot be written", "--resume", "output.disk_full", path="/a").told()
+    error = errors.OutputError("the disk is full: /a cannot be written", "--resume", "output.disk_full", path="/a").to_dict()
     shown = words.error_words(error["name"], error["values"], error["message"], error["hint"])
     assert shown == ("The disk is full: /a cannot be written", "Free some space, then Resume.")
     assert words.error_words("output", {}, "no", "use --out") == ("No", "Choose another output folder.")

@@ -7,7 +7,7 @@ from ..command import EngineError, NoEngineError
 from ..engine import Engine
 from ..progress import Progress
 from ..results.job_files import last_lines
-from ..words import Said, Translate
+from ..words import EngineMessage, Translate
 
 UNKNOWN_COMMAND = "invalid choice: '{}'"
 """What an engine prints that does not know the command {}."""
@@ -43,8 +43,8 @@ class ShortCommand:
     def __init__(self, python: str, arguments: list[str], *, keep_going: bool):
         """Start the engine. With `keep_going` it goes on when this program ends. Raises NoEngineError where it cannot."""
         self.progress = Progress()
-        self.warnings: list[Said] = []
-        self.found: list[Said] = []
+        self.warnings: list[EngineMessage] = []
+        self.found: list[EngineMessage] = []
         """Sentences on what the engine has found"""
         self.failed: CommandError | None = None
         self._command = arguments[0]
@@ -57,9 +57,9 @@ class ShortCommand:
             if event["event"] == "progress":
                 self.progress = Progress.of(event)
             elif event["event"] == "warning":
-                self.warnings.append(Said.of(event))
+                self.warnings.append(EngineMessage.of(event))
             elif event["event"] == "scene":
-                self.found = [Said.of(line) for line in event.get("lines") or ()]
+                self.found = [EngineMessage.of(line) for line in event.get("lines") or ()]
         if ended:
             error = self._outcome()
             self.failed = None if error is None else self.error_type.of(error)

@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from typing import Any
 
-from ..words import Said, Translate
+from ..words import EngineMessage, Translate
 
 PHOTOS = "{photos} photos of {size} pixels"
 PHOTOS_OF_SIZES = "{photos} photos of {sizes} sizes"
@@ -23,9 +23,9 @@ def texts() -> list[str]:
     return [PHOTOS, PHOTOS_OF_SIZES, COVERAGE, SPHERE, *exposure]
 
 
-def warnings_of(found: Mapping[str, Any]) -> list[Said]:
+def warnings_of(found: Mapping[str, Any]) -> list[EngineMessage]:
     """What looks wrong with the capture."""
-    return [Said.of(told) for told in found.get("warnings") or ()]
+    return [EngineMessage.of(told) for told in found.get("warnings") or ()]
 
 
 def facts_of(found: Mapping[str, Any], translate: Translate = str) -> list[str]:
@@ -39,7 +39,7 @@ def facts_of(found: Mapping[str, Any], translate: Translate = str) -> list[str]:
         lines.append(translate(COVERAGE).format(percent=100 * found["directions_covered"]))
     hole = found.get("largest_hole")
     if hole and hole not in (found.get("warnings") or ()):  # a large hole is told with the warnings
-        lines.append(Said.of(hole).words(translate))
+        lines.append(EngineMessage.of(hole).words(translate))
     if "sphere_width" in found:
         lines.append(translate(SPHERE).format(pixels=found["sphere_width"]))
     if "exposure_stops" in found:

@@ -13,7 +13,7 @@ from collections import deque
 from pathlib import Path
 
 from blender_nep.batch.outcome import NOT_STARTED
-from blender_nep.batch.workers.jobs import Heard, Job
+from blender_nep.batch.workers.jobs import Job, JobUpdate
 from blender_nep.batch.workers.machine import OUT_OF_JOB, Meter, kill
 from blender_nep.errors import NepError
 from blender_nep.safety.isolated_python import NEUTRAL_FOLDER
@@ -39,7 +39,7 @@ class JobProcess:
     def __init__(self, job: Job, worker: str) -> None:
         """Start. Raises OSError if there is no such program."""
         self.job = job
-        self._heard: list[Heard] = []
+        self._heard: list[JobUpdate] = []
         self._began = time.monotonic()
         self._peak_mb = self._cpu_seconds = 0.0
         self._error: dict | None = None
@@ -47,7 +47,7 @@ class JobProcess:
         self._ended = False
         found = self._cameras / "transforms.json"
         self._searching = job.photos_alone and not found.is_file()
-        self._tell("started", worker=worker)
+        self._update("started", worker=worker)
         self._start()
 
     @property
@@ -77,7 +77,7 @@ class JobProcess:
             reason = getattr(error, "strerror", None) or str(error)
             hint = "Close other programs, or try fewer --workers."
             said = NepError(f"the job's process could not be started: {reason}", hint, NOT_STARTED, reason=reason)
-            self._error = said.told()
+            self._error = said.to_dict()
             self._end(said.code, "", {"peak_mb": self._peak_mb, "cpu_seconds": self._cpu_seconds})
 
     def _open(self) -> None:
@@ -110,7 +110,7 @@ class JobProcess:
             raise
         self._meter = Meter(process.pid)
 
-    def poll(self) -> list[Heard]:
+    def poll(self) -> list[JobUpdate]:
         """What was heard since the last call. The last one is 'ended'."""
         if not self._ended:
             code = self._process.poll()
@@ -124,7 +124,7 @@ class JobProcess:
     def _look(self) -> None:
         self._listen()
         if self._meter.look():
-            self._tell("measured", **self._measured())
+            self._update("measured", **self._measured())
         if self._asked_at is not None and time.monotonic() - self._asked_at > _LONGEST_STOP_S:
             kill(self._process.pid)
 
@@ -149,7 +149,7 @@ class JobProcess:
     def _end(self, code: int, words: str, measured: dict[str, float]) -> None:
         self._ended = True
         seconds = time.monotonic() - self._began
-        self._tell("ended", code=code, error=self._error, words=words, seconds=seconds, **measured)
+        self._update("ended", code=code, error=self._error, words=words, seconds=seconds, **measured)
 
     def _measured(self) -> dict[str, float]:
         return {
@@ -176,10 +176,10 @@ class JobProcess:
             if self._searching:
                 event["eta_s"] = None  # that of the search alone
         if event["event"] != "done":
-            self._tell("event", **event)
+            self._update("event", **event)
 
-    def _tell(self, kind: str, **content: object) -> None:
-        self._heard.append(Heard(self.job.name, kind, content))
+    def _update(self, kind: str, **content: object) -> None:
+        self._heard.append(JobUpdate(self.job.name, kind, content))
 
     def stop(self) -> None:
         """Ask the job to write its checkpoint and to end."""

@@ -27,7 +27,7 @@ class Job:
 
 
 @dataclass(frozen=True)
-class Heard:
+class JobUpdate:
     """Something that is heard of a job."""
 
     name: str
@@ -52,7 +52,7 @@ class Jobs(Protocol):
     def start(self, job: Job) -> None:
         """Start a job. Returns at once."""
 
-    def poll(self) -> list[Heard]:
+    def poll(self) -> list[JobUpdate]:
         """What was heard since the last call, in order."""
 
     def stop(self, name: str) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from blender_nep.batch.workers.job_process import JobProcess
-from blender_nep.batch.workers.jobs import Heard, Job
+from blender_nep.batch.workers.jobs import Job, JobUpdate
 
 WORKER = "local"
 
@@ -35,7 +35,7 @@ class LocalJobs:
         """Start the process of a job. Raises OSError if there is no such program."""
         self._processes[job.name] = JobProcess(job, WORKER)
 
-    def poll(self) -> list[Heard]:
+    def poll(self) -> list[JobUpdate]:
         """What was heard since the last call."""
         heard = [one for process in self._processes.values() for one in process.poll()]
         self._processes = {name: process for name, process in self._processes.items() if process.running}

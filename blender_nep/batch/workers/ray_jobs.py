@@ -21,7 +21,7 @@ import ray
 from ray.util.scheduling_strategies import NodeAffinitySchedulingStrategy
 
 from blender_nep.batch.workers.job_process import JobProcess
-from blender_nep.batch.workers.jobs import Heard, Job
+from blender_nep.batch.workers.jobs import Job, JobUpdate
 from blender_nep.batch.workers.machine import jobs_in, wait_for_end
 from blender_nep.batch.workers.shipping import pack, unpack
 from blender_nep.errors import UsageError
@@ -43,15 +43,15 @@ class Mailbox:
     """An actor beside the driver: tasks leave what they have heard, and learn whether they should stop."""
 
     def __init__(self) -> None:
-        self._heard: list[Heard] = []
+        self._heard: list[JobUpdate] = []
         self._stopped: set[str] = set()
 
-    def tell(self, name: str, heard: list[Heard]) -> bool:
+    def deliver(self, name: str, heard: list[JobUpdate]) -> bool:
         """Leave what was heard of the object `name`. Returns whether its job should stop."""
         self._heard += heard
         return name in self._stopped
 
-    def take(self) -> list[Heard]:
+    def take(self) -> list[JobUpdate]:
         """Everything that was left since the last call."""
         heard, self._heard = self._heard, []
         return heard
@@ -98,7 +98,7 @@ def _follow(process: JobProcess, mailbox: ray.actor.ActorHandle) -> None:
         if answer is None or answer.done():
             if answer is not None and (answer.exception() is not None or answer.result()):
                 process.stop()
-            answer, asked = mailbox.tell.remote(process.job.name, process.poll()).future(), time.monotonic()
+            answer, asked = mailbox.deliver.remote(process.job.name, process.poll()).future(), time.monotonic()
         elif time.monotonic() - asked > _ANSWER_S:
             process.stop()
             process.poll()
@@ -144,7 +144,7 @@ class RayJobs:
         self._mailbox = ray.remote(Mailbox).options(num_cpus=0, scheduling_strategy=here).remote()
         self._tasks: dict[str, tuple[ray.ObjectRef, Job]] = {}
         self._begun: set[str] = set()
-        self._ends: dict[str, Heard] = {}
+        self._ends: dict[str, JobUpdate] = {}
 
     def fits(self, job: Job, running: list[Job]) -> bool:
         """Whether Ray's queue is short enough."""
@@ -168,7 +168,7 @@ class RayJobs:
         ray.get(self._mailbox.go_on.remote(job.name))
         self._tasks[job.name] = (task.remote(job, self._mailbox, shipped), job)
 
-    def poll(self) -> list[Heard]:
+    def poll(self) -> list[JobUpdate]:
         """What was heard since the last call. A job has ended when its task has: then its files are here."""
         heard = []
         ended = self._ended_tasks()
@@ -191,7 +191,7 @@ class RayJobs:
         ready, _ = ray.wait(list(names), num_returns=len(names), timeout=0)
         return [names[task] for task in ready]
 
-    def _end(self, name: str) -> Heard:
+    def _end(self, name: str) -> JobUpdate:
         task, job = self._tasks.pop(name)
         self._begun.discard(name)
         said = self._ends.pop(name, None)
@@ -218,6 +218,6 @@ class RayJobs:
         ray.shutdown()
 
 
-def _ended(name: str, code: int | None, words: str) -> Heard:
+def _ended(name: str, code: int | None, words: str) -> JobUpdate:
     nothing = {"peak_mb": 0.0, "cpu_seconds": 0.0, "seconds": 0.0}
-    return Heard(name, "ended", {"code": code, "error": None, "words": words, **nothing})
+    return JobUpdate(name, "ended", {"code": code, "error": None, "words": words, **nothing})

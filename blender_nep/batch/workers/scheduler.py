@@ -10,7 +10,7 @@ from pathlib import Path
 
 from blender_nep.batch.outcome import failure, is_crash, lacked_memory, read_report, refused_checkpoints
 from blender_nep.batch.state import DONE, FAILED, RUNNING, STOPPED, WAITING, ObjectState
-from blender_nep.batch.workers.jobs import Heard, Job, Jobs
+from blender_nep.batch.workers.jobs import Job, Jobs, JobUpdate
 from blender_nep.batch.workers.needs import Needs, threads_for
 from blender_nep.errors import NepError
 from blender_nep.job.folders.job_folder import is_held
@@ -51,7 +51,7 @@ class Listener:
     def changed(self, one: ObjectState) -> None:
         """The state of an object has changed."""
 
-    def told(self, message: Message) -> None:
+    def warn(self, message: Message) -> None:
         """There is something to say."""
 
     def tick(self) -> None:
@@ -97,7 +97,7 @@ class Scheduler:
         while True:
             if stop.requested and not self._stopping:
                 self._stopping = True
-                self._listener.told(Message("batch.stopping", {"count": len(self._running)}))
+                self._listener.warn(Message("batch.stopping", {"count": len(self._running)}))
                 for name in self._running:
                     self._jobs.stop(name)
             for heard in self._jobs.poll():
@@ -136,13 +136,13 @@ class Scheduler:
         if job.memory_mb > self._plan.memory_mb and one.name not in self._alone:
             self._alone.add(one.name)
             values = {"name": one.name, "needed": round(job.memory_mb), "memory": round(self._plan.memory_mb)}
-            self._listener.told(Message("batch.alone", values))
+            self._listener.warn(Message("batch.alone", values))
         one.promised_memory_mb, one.threads, one.error = round(job.memory_mb, 1), job.threads, None
         self._tries[one.name] += 1
         self._running[one.name] = job
         self._jobs.start(job)
 
-    def _take(self, heard: Heard) -> None:
+    def _take(self, heard: JobUpdate) -> None:
         one, content = self._objects[heard.name], heard.content
         if heard.kind == "started":
             one.attempts += 1
@@ -170,7 +170,7 @@ class Scheduler:
         others = [other for key, other in self._running.items() if key != youngest]
         if others and youngest not in self._put_back and not self._jobs.fits(self._running[youngest], others):
             self._put_back.add(youngest)
-            self._listener.told(Message("batch.put_back", {"name": youngest}))
+            self._listener.warn(Message("batch.put_back", {"name": youngest}))
             self._jobs.stop(youngest)
 
     def _end(self, one: ObjectState, content: dict) -> None:
@@ -221,7 +221,7 @@ class Scheduler:
         return True
 
     def _try_again(self, one: ObjectState, failed: dict) -> None:
-        self._listener.told(Message("batch.tried_again", {"name": one.name, "reason": failed["message"]}))
+        self._listener.warn(Message("batch.tried_again", {"name": one.name, "reason": failed["message"]}))
         self._wait_again(one)
 
     def _wait_again(self, one: ObjectState) -> None:

@@ -65,7 +65,7 @@ def summarize(folder: Path, picture: Path | None = None, sphere: tuple[Sequence[
         "camera_distance_radii": [round(float(distance.min()), 2), round(float(distance.max()), 2)],
         "directions_covered": round(coverage.share, 3),
         "z_up": coverage.z_up,
-        "largest_hole": coverage.largest_hole().message().told(),
+        "largest_hole": coverage.largest_hole().message().to_dict(),
         "sphere_pixels": round(len(rays.sphere) / rays.count, 4),
         "sphere_width": round(size.pixels, 1),
         "sphere_cut": round(size.cut, 4),
@@ -82,7 +82,7 @@ def summarize(folder: Path, picture: Path | None = None, sphere: tuple[Sequence[
     }
     warnings = [*capture.warnings, *rays.warnings, *_turntable(still), *camera_outliers(capture), *size.messages()]
     warnings += [*_photo_outliers(capture, rays, compared), *_holes(coverage), *_doubts(found)]
-    found["warnings"] = [warning.told() for warning in warnings]
+    found["warnings"] = [warning.to_dict() for warning in warnings]
     return found
 
 

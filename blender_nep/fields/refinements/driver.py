@@ -34,7 +34,7 @@ class Record:
         if self.acted:
             return {"acted": [round(fraction, 3) for fraction in self.acted], **found}
         why = Message("reason.found_nothing") if self.skipped is None else Message.from_state(self.skipped)
-        return {"skipped": why.told(), **found}
+        return {"skipped": why.to_dict(), **found}
 
 
 class RefinementDriver:

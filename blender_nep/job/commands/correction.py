@@ -59,7 +59,7 @@ def _correct(asset: Path, corrections: Mapping[int, Correction], events: Events)
     _refuse_unknown(report, corrections)
     with output_errors(asset):
         events.open_log(asset / LOG)
-    events.log(f"correction: {_told(corrections)}")
+    events.log(f"correction: {_to_dict(corrections)}")
     _progress(events, 0)
     found = _load(asset, events)
     _refuse_paint_without_irradiance(found.kept, corrections)
@@ -71,7 +71,7 @@ def _correct(asset: Path, corrections: Mapping[int, Correction], events: Events)
     capture = report["capture"]
     place = Placement(np.array(capture["object_center"]), capture["object_radius"])
     mesh = place.mesh(found.shape.of_asset, textures | found.shape.textures)
-    corrected = report | {"materials": materials, "corrections": _told(corrections)}
+    corrected = report | {"materials": materials, "corrections": _to_dict(corrections)}
     write_asset(asset, mesh, picture, None, None, lambda: corrected)
     _progress(events, _STEPS)
     events.preview(asset / "preview.png")
@@ -145,7 +145,7 @@ def _load(asset: Path, events: Events) -> _Finished:
     )
 
 
-def _told(corrections: Mapping[int, Correction]) -> dict[str, dict[str, float]]:
+def _to_dict(corrections: Mapping[int, Correction]) -> dict[str, dict[str, float]]:
     """The corrections for report.json."""
     return {
         str(number): {name: value for name, value in vars(correction).items() if value is not None}

@@ -148,7 +148,7 @@ class Events:
                 fraction=round(fraction, 4),
                 eta_s=round(eta, 1),
                 loss=loss,
-                **({} if note is None else {"note": note.told()}),
+                **({} if note is None else {"note": note.to_dict()}),
                 **extra,
             )
             self._show(stage, f"{step}/{steps}" if note is None else str(note), fraction, eta, loss)
@@ -177,12 +177,12 @@ class Events:
         """Send a warning to programs and people. The same warning is sent only once."""
         if message not in self.warnings:
             self.warnings.append(message)
-            self.emit("warning", **message.told())
+            self.emit("warning", **message.to_dict())
             self.say(f"warning: {message}")
 
     def scene(self, lines: list[Message]) -> None:
         """Send all sentences on the scene so far: what the photos show, and what is left out and why."""
-        self.emit("scene", lines=[line.told() for line in lines])
+        self.emit("scene", lines=[line.to_dict() for line in lines])
 
     def done(self, asset: Path) -> None:
         """Send that the asset is complete."""
@@ -191,7 +191,7 @@ class Events:
 
     def error(self, error: NepError) -> None:
         """Send that the job failed."""
-        self.emit("error", **error.told())
+        self.emit("error", **error.to_dict())
         self.say(f"error: {error.message}", *(f"       {line}" for line in error.hint.split("\n") if error.hint))
 
     def close(self) -> None:

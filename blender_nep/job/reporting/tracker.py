@@ -31,7 +31,7 @@ class Tracker:
         """Note that the current stage goes on from a checkpoint: `fraction` of it (0..1) was done before."""
         self._timeline.begin_at(fraction)
 
-    def tell(self, stage: StageName, step: int, steps: int, loss: float | None = None, **extra: Any) -> None:
+    def report(self, stage: StageName, step: int, steps: int, loss: float | None = None, **extra: Any) -> None:
         """Send how far the stage is. `extra["preview"]` is the path of a picture to show; the rest goes into the event."""
         if loss is not None:
             self.losses[stage] = float(loss)

@@ -56,7 +56,7 @@ def test_a_report_that_does_not_name_the_materials_gives_none(tmp_path, report):
 
 def test_a_report_of_the_library_is_understood(tmp_path):
     learned = ListedMaterial(0.25, (0.8, 0.2, 0.1), 0.5, 0.0)
-    told = ListedMaterial(0.25, (0.9, 0.7, 0.3), 0.1, 1.0).told(learned)
+    told = ListedMaterial(0.25, (0.9, 0.7, 0.3), 0.1, 1.0).to_dict(learned)
     (tmp_path / "report.json").write_text(json.dumps({"materials": [told], "corrections": {}}))
     expected = AssetMaterial(0.25, (0.9, 0.7, 0.3), 0.1, True, 0.5, False)
     assert read_materials(tmp_path) == [expected]

@@ -8,7 +8,7 @@ import pytest
 from backend.engine import printed_text
 from backend.engine.results import job_files
 from backend.engine.results.batch_file import ask_to_stop
-from backend.engine.words import Said, error_words
+from backend.engine.words import EngineMessage, error_words
 from backend.headless.stop_requests import say
 from blender_nep.safety.printed_text import one_line
 
@@ -32,7 +32,7 @@ def test_headless_scripts_say_lines(capsys):
 def test_the_panels_words_have_no_control_characters():
     """Blender prints what its operators report."""
     told = {"code": "capture.photos_blurred", "values": {"count": 1, "names": [HOSTILE]}, "message": HOSTILE}
-    for said in (Said.of(told), Said.of({"message": HOSTILE}), Said.of(HOSTILE)):
+    for said in (EngineMessage.of(told), EngineMessage.of({"message": HOSTILE}), EngineMessage.of(HOSTILE)):
         assert ESCAPED[1:] in said.words()
     message, _ = error_words("output.is_a_file", {"path": HOSTILE}, "", "")
     assert ESCAPED in message
