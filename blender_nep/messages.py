@@ -286,8 +286,8 @@ WORDS: dict[str, str] = {
     "scene.matte": "Its brightness hardly changes from photo to photo: it is matte.",
     "scene.left_out": "Left out: {parts:parts}, because {reason}.",
     "scene.left_out_saving": "Left out: {parts:parts}, because {reason} (saves about {seconds:.0f} s).",
+    "scene.acted": "Improved by: {parts:parts}.",
     # reasons for leaving something out
-    "scene.acted": "improved by: {parts:parts}",
     "reason.cut_outs": "the photos are cut-outs",
     "reason.near_surroundings": "the surroundings are near",
     "reason.metal": "the object is metal",
@@ -312,7 +312,7 @@ WORDS: dict[str, str] = {
     "reason.found_nothing": "nothing was found",
     "reason.few_pixels_beside": "too few pixels of the photos pass the object by",
     "reason.masks_show_outline": "the masks show the outline",
-    "reason.no_hull": "the photos show no clear outline",
+    "reason.no_hull": "the shape does not start from an outline",
     "reason.levels_there": "the shape has them already",
     "reason.wide_pixels": "the photos' pixels are too wide for it",
     "reason.no_self_reflection": "the object does not reflect in itself",

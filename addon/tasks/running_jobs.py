@@ -35,9 +35,8 @@ class Job(Task):
         self.scene_name = scene.name
         self.progress = Progress()
         self.warnings: list[EngineMessage] = []
-        self.scene_analysis: list[
-            EngineMessage
-        ] = []  # sentences: what the photos show, and what the engine leaves out for it
+        # sentences: what the photos show, what the engine has left out, and what has improved the shape
+        self.scene_analysis: list[EngineMessage] = []
         self.stopping = False
         self.import_when_ended = True  # False once the result is imported, or where somebody else decides about it
         self._events_read = 0

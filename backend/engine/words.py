@@ -211,7 +211,7 @@ MESSAGES = {
     "reason.found_nothing": "nothing was found",
     "reason.few_pixels_beside": "too few pixels of the photos pass the object by",
     "reason.masks_show_outline": "the masks show the outline",
-    "reason.no_hull": "the photos show no clear outline",
+    "reason.no_hull": "the shape does not start from an outline",
     "reason.levels_there": "the shape has them already",
     "reason.wide_pixels": "the photos' pixels are too wide for it",
     "reason.no_self_reflection": "the object does not reflect in itself",

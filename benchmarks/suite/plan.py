@@ -31,7 +31,7 @@ ABLATIONS: dict[str, dict[str, dict]] = {
     "full gradients of F_e": {"fields": {"environment_gradient_scale": 1.0}},
     WITHOUT_F_E: {"material": {}},
     "no cones": {"material": {"use_cones": False}},
-    "no residual": {"material": {"learn_unseen_light": False}},
+    "no unseen light": {"material": {"learn_unseen_light": False}},
     "no indirect light": {"material": {"levels": 0}},
     **{f"N = {n}": {"material": {"levels": n}, "preset": {"skip_needless": False}} for n in (1, 2, 3)},
     AS_TAKEN: {"preset": {"even_exposure": False}},

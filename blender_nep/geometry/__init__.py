@@ -1,1 +1,1 @@
-"""The mesh (`Surface`), ray tracing with Embree, the raster of the UV map, the support plane."""
+"""The mesh (`Surface`), ray tracing with Embree, the raster of the UV map."""

@@ -1,7 +1,7 @@
 """Material learning (stage 2 of the paper): albedo, roughness and metallic of the surface, by the rendering equation.
 
 The mesh and F_e do not change, so primary hits, visibility and prefiltered light are computed once (`light_gathering`). Then
-one material is fitted to all samples, and more are added as long as they explain clearly more (`palette_search`). In
+one material is fitted to all samples, and more are added as long as they explain clearly more (`palette.search`). In
 between, the light that the object reflects to itself is computed again with the new materials.
 """
 

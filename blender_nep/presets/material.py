@@ -69,7 +69,7 @@ class MaterialPreset:
     metallic: tuple[float, ...] = (0.0, 1.0)
     """Values of metallic that are tried."""
     without: tuple[str, ...] = ()
-    """Names of `EVIDENCE` that does not count (ablations). The field `residual` is about the unseen light instead."""
+    """Names of the evidence that does not count. Each is an ablation."""
     metal_margin: float = -0.03
     """Share by which the residual of a metal must be lower than that of a dielectric; below 0: may be higher. This prior
     decides where the photos do not. On rendered objects, the residual of the wrong class is 18 to 48 % higher."""

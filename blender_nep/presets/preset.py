@@ -33,10 +33,10 @@ class Preset:
     material_seconds: float = 70.0
     """First guess of the seconds of material learning, as `fields_seconds`."""
     even_exposure: bool = True
-    """Whether differences between the photos in exposure and white balance are found and evened out (`photos.exposure`)."""
+    """Whether differences between the photos in exposure and white balance are found and evened out (`capture.exposure`)."""
     brightness: float = 0.25
     """The photos are made so bright that the typical radiance of the pixels that see the object's sphere is this
-    (`photos.brightness`). Here the tone mapping turns from linear to logarithmic. 0: they stay as they are, which is an
+    (`capture.brightness`). Here the tone mapping turns from linear to logarithmic. 0: they stay as they are, which is an
     ablation."""
     skip_needless: bool = True
     """Whether parts that the scene does not need are left out (`scene_analysis`). False: nothing is left out."""

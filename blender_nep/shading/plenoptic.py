@@ -1,8 +1,8 @@
 """The neural plenoptic function f_p(x, d): the light that arrives at a surface point x from direction d (paper, eq. 6).
 
-A ray that leaves the object gets the radiance of the environment field F_e in a cone, or the unseen light where no photo
-shows the environment. A ray that meets the mesh again gets the radiance that the mesh reflects there. That radiance comes
-from the rendering equation down to N levels, and below that from the terminal MLP.
+A ray that leaves the object gets the radiance of the support plane or of the environment field F_e in a cone, or the unseen
+light where no photo shows the environment. A ray that meets the mesh again gets the radiance that the mesh reflects there.
+That radiance comes from the rendering equation down to N levels, and below that from the terminal MLP.
 """
 
 from __future__ import annotations
@@ -153,7 +153,8 @@ class PlenopticFunction:
     def trace(self, start: SurfacePoints, directions: Tensor, half_angle: Tensor) -> TraceResult:
         """Trace rays from the points start [n] along unit directions [n, 3].
 
-        A ray that leaves the object queries F_e with a cone of half_angle [n] radians; other rays hit the mesh.
+        A ray that leaves the object queries the support plane or F_e with a cone of half_angle [n] radians; other rays hit
+        the mesh.
         """
         d = directions.cpu().numpy()
         origins = self.tracer.leave(start.position.cpu().numpy(), start.face, d)

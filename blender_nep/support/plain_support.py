@@ -1,6 +1,6 @@
 """Finds the plane of a plain table, with the help of the visual hull.
 
-Far from the object, a plain table looks the same at all heights, so `support_search` does not find it. Near the foot it has
+Far from the object, a plain table looks the same at all heights, so `search` does not find it. Near the foot it has
 a texture: the object's shadow. There the object hides the plane in many photos, so only those photos are compared in which
 the hull does not hide the point.
 

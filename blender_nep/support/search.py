@@ -45,6 +45,7 @@ LEAST_CONTRAST = 1.3
 for a patterned table; at most 1.04 for seven objects without one, with the photos from above only. By the photos' details:
 1.32 for a glossy patterned table, at most 1.04 for the same seven, 1.15 at a wrong height over a plate."""
 REACH = 0.08
+"""A plane is compared with what lies so far above and below it, in object radii."""
 INNER_CONTRAST = 1.1
 """By this factor, the share of the photos that agree on the colors inside the sphere must be above that REACH above and
 below the plane. Measured: 1.16 for a patterned plate that ends in the sphere; at most 1.03 for nine objects without a

@@ -84,7 +84,7 @@ def test_the_report_says_what_was_found_or_why_not():
     driver = RefinementDriver(
         [
             Played(Part.HULL, (0.0, 0.5), Change(True, {"volume": 0.123456789})),
-            Played(Part.CAVITIES, (0.5,), Change(False, {"tried": 2})),
+            Played(Part.CAVITIES, (0.5,), Change(False, {"parts_tried": 2})),
             Played(Part.HIDDEN_PIXELS, (0.0,), why=masks),
             Played(Part.CARVE, ()),
             Played(Part.RELIEF, (math.inf,)),
@@ -93,7 +93,7 @@ def test_the_report_says_what_was_found_or_why_not():
     run(driver, [0.0, 0.5, 1.0])
     report = driver.report()
     assert report["hull"] == {"acted": [0.0, 0.5], "volume": 0.1235}
-    assert report["cavities"] == {"skipped": Message("reason.found_nothing").to_dict(), "tried": 2}
+    assert report["cavities"] == {"skipped": Message("reason.found_nothing").to_dict(), "parts_tried": 2}
     assert report["hidden_pixels"] == {"skipped": masks.to_dict()}
     assert report["carve"] == report["relief"] == {"skipped": Message("reason.preset").to_dict()}
 

@@ -12,7 +12,7 @@ directions from the center than what is behind them. F_e gets the color detail o
 small room it would learn noise.
 
 The paper uses a Mip-NeRF for F_e, which can be queried with cones. Here the volume is prefiltered after the learning
-(`environment_prefilter`), so that cones of any width can be queried.
+(`prefilter`), so that cones of any width can be queried.
 """
 
 from __future__ import annotations

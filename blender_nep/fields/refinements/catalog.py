@@ -5,7 +5,7 @@ from __future__ import annotations
 from blender_nep.fields.refinements.carve import Carving
 from blender_nep.fields.refinements.cavities import CavityOpening
 from blender_nep.fields.refinements.fine_paint import FinePaint
-from blender_nep.fields.refinements.hidden_object import HiddenPixels
+from blender_nep.fields.refinements.hidden_pixels import HiddenPixels
 from blender_nep.fields.refinements.hull import HullStart
 from blender_nep.fields.refinements.levels import FinestLevels
 from blender_nep.fields.refinements.object_pixels import ObjectPixelSearch

@@ -25,11 +25,9 @@ from blender_nep.capture.rays.pixel_rays import PixelRays
 from blender_nep.evidence.agreement import difference, median_color, views_that_show
 from blender_nep.evidence.sdf_grid import SdfGrid, distances_to
 from blender_nep.evidence.small_photos import SmallPhotos
-from blender_nep.fields.object.field import ObjectField
 from blender_nep.fields.refinements.refinement import Change
 from blender_nep.fields.stage import StageOne
 from blender_nep.messages import Message, Part
-from blender_nep.profiling import profiled
 
 DISAGREE = 1.6
 """A part of the surface may be a lid if the photos differ there by so many times the median of the whole surface."""
@@ -71,32 +69,36 @@ class CavityOpening:
     def skipped(self, stage: StageOne) -> Message | None:
         return None
 
+    @torch.no_grad()
     def apply(self, stage: StageOne) -> Change:
-        share = open_cavities(stage.object_field, stage.rays)
-        return Change(True, {"share": share}) if share else Change(False)
+        sdf = stage.object_field.sdf_in_cells()
+        found = find_cavities(stage.rays, sdf)
+        if not found.difference.any():
+            return Change(False, {"parts_tried": found.lids})
+        stage.object_field.add(stage.on_device(found.difference))
+        opened = ((sdf < 0) & (sdf + found.difference > 0)).sum() / (sdf < 0).sum()
+        return Change(True, {"parts_tried": found.lids, "share": float(opened)})
 
 
-@profiled("cavities")
-@torch.no_grad()
-def open_cavities(field: ObjectField, rays: PixelRays) -> float:
-    """Open the cavities of the object. The result is the share of its volume that they take, 0 if there are none."""
-    sdf = field.sdf_in_cells()
-    difference = cavities(rays, sdf)
-    if not difference.any():
-        return 0.0
-    field.add(torch.from_numpy(difference).to(rays.radiance.device))
-    return float(((sdf < 0) & (sdf + difference > 0)).sum() / (sdf < 0).sum())
+class Cavities(NamedTuple):
+    """The cavities of an object."""
+
+    difference: np.ndarray
+    """[n, n, n] what must be added to the SDF so that the cavities are open; 0 elsewhere"""
+    lids: int
+    """Number of the parts of the surface that were tried as lids"""
 
 
-def cavities(rays: PixelRays, sdf: np.ndarray) -> np.ndarray:
-    """What must be added to an object's SDF [n, n, n] so that its cavities are open; 0 elsewhere.
+def find_cavities(rays: PixelRays, sdf: np.ndarray) -> Cavities:
+    """The cavities of an object with the SDF [n, n, n].
 
-    sdf and the result belong to the centers of n^3 cells of [-1, 1]^3, in radii of the object's sphere.
+    The SDF belongs to the centers of n^3 cells of [-1, 1]^3, in radii of the object's sphere.
     """
     photos, opened = SmallPhotos(rays), sdf
-    for lid in _lids(photos, sdf):
+    lids = _lids(photos, sdf)
+    for lid in lids:
         opened = np.maximum(opened, _inside_behind(lid, photos, opened))
-    return opened - sdf
+    return Cavities(opened - sdf, len(lids))
 
 
 @dataclass

@@ -143,6 +143,8 @@ def _account(fitted: FittedMaterials, said: dict[str, dict[int, OfRoughness]], p
     told: list[dict[str, dict[str, float]]] = [{} for _ in range(len(fitted))]
     for name, each in said.items():
         for k, own in each.items():
+            if k not in places:  # nothing was decided for this material
+                continue
             place = places[k]
             if name == Residual.name and own.cost is not None:
                 place = float(place_of_least(own.cost[:, None])[0])

@@ -198,7 +198,7 @@ def composite_cones(
     the levels of a field on a GPU were copied once, when they were prefiltered.
 
     Args:
-        levels: each [H_l, W_l, K, 5], see `environment_weights.from_weights`; radii: angular radii of their discs in
+        levels: each [H_l, W_l, K, 5], see `weights.from_weights`; radii: angular radii of their discs in
             radians. Each is larger than the one before it by a constant ratio, and from the level `dense_from` (at least 1)
             on by the square root of this ratio.
         detail: [D, 2 D, 3], D > H_0: the color in each direction divided by its mean over the narrowest disc. Cones narrower

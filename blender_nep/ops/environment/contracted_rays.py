@@ -1,4 +1,4 @@
-"""Places on a ray in the contracted coordinate w (`environment_segments`). The functions are for the Numba kernels."""
+"""Places on a ray in the contracted coordinate w (`segments`). The functions are for the Numba kernels."""
 
 from __future__ import annotations
 

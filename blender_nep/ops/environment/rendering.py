@@ -26,7 +26,7 @@ class EnvironmentVolume:
     contraction_radius: float
     """Beyond this radius, shells lie at equal steps of 1 / |x|; unit frame, above 1"""
     density_gain: float
-    """Factor of softplus(raw density): optical depth per unit of the contracted coordinate w (`environment_segments`)"""
+    """Factor of softplus(raw density): optical depth per unit of the contracted coordinate w (`segments`)"""
     longest_step: float
     """Longest step of a ray in w"""
     gradient_near: float = 0.0

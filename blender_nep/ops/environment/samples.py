@@ -13,7 +13,7 @@ MAXIMUM_STEPS = 512
 
 
 class RaySamples(NamedTuple):
-    """n rays, and the samples on them: at equal steps of the coordinate w of `environment_segments`.
+    """n rays, and the samples on them: at equal steps of the coordinate w of `segments`.
 
     The fields are tensors. For the Numba kernels, they are NumPy arrays.
     """

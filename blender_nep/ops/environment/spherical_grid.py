@@ -1,6 +1,6 @@
 """Finds cells of the environment's spherical grid, and interpolates in them. The functions are for the Numba kernels.
 
-A grid is [K, H, W, C]: K shells, at the distances of `environment_segments`. Each shell is a cell-centered equirectangular
+A grid is [K, H, W, C]: K shells, at the distances of `segments`. Each shell is a cell-centered equirectangular
 image. Its H rows run from +z to -z; its W = 2 H columns run with atan2(y, x) and are periodic.
 """
 

@@ -8,7 +8,7 @@ import torch
 
 from blender_nep.capture import PixelRays, load_capture
 from blender_nep.fields.losses import FieldsLosses
-from blender_nep.fields.refinements.hidden_object import UNEXPLAINED, hidden_pixels
+from blender_nep.fields.refinements.hidden_pixels import UNEXPLAINED, hidden_pixels
 from blender_nep.fields.training import FieldsLearning
 from blender_nep.fields.visual_hull import carve, mask_silhouettes, score_cells
 from support.brief_preset import brief_preset
