@@ -47,6 +47,7 @@ def _read_mesh(file: Path) -> tuple[np.ndarray, np.ndarray]:
     for array, kinds in ((vertices, "f"), (faces, "iu")):
         if array.ndim != 2 or array.shape[1] != 3 or array.dtype.kind not in kinds:
             raise ValueError("not of the form [n,3]")
+    vertices = vertices.astype(np.float32)  # a large number becomes infinity
     if not np.isfinite(vertices).all() or (faces.size and not 0 <= faces.min() <= faces.max() < len(vertices)):
         raise ValueError("no such vertex")
     return vertices, faces

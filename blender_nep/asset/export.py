@@ -97,7 +97,7 @@ def write_asset(
     report.json; it is called last, when everything else is on the disk.
     """
     with output_errors(folder):
-        refuse_links(folder, WRITTEN)
+        refuse_links(folder, (*WRITTEN, f"{PARTIAL}/{TEXTURES_FOLDER}"))
         partial = folder / PARTIAL
         _remove(partial)
         (partial / TEXTURES_FOLDER).mkdir(parents=True, exist_ok=True)

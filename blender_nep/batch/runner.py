@@ -43,6 +43,7 @@ from blender_nep.job.folders.own_files import (
     is_ours,
     refuse_captures_folder,
     refuse_files,
+    refuse_folder_of_captures,
     refuse_foreign_files,
 )
 from blender_nep.job.reporting.events import Events
@@ -122,9 +123,10 @@ class Batch:
         if not captures and not (s.out / FILE).is_file():
             raise _no_batch(s.out)
         refuse_links(s.out, (FILE, _LOCK, _STOP, "log.txt"))
-        for capture in captures:  # in a folder of captures, an object would have the name of its capture
-            for folder in (capture.path, capture.path.parent):
-                refuse_captures_folder(s.out, folder)
+        for capture in captures:
+            refuse_folder_of_captures(s.out, capture.path.parent)
+            if not is_batch(s.out):  # a batch may hold pictures of its objects
+                refuse_captures_folder(s.out, capture.path)
         _refuse_foreign_batch(s.out)
         with output_errors(s.out):
             s.out.mkdir(parents=True, exist_ok=True)
@@ -147,8 +149,8 @@ class Batch:
         if not work:
             raise _no_batch(s.out)
         refuse_links(s.out, (one.name for one in work))
-        for one in work:  # a job looks at its other files itself; what Ray has sent is written here
-            refuse_links(s.out / one.name, (CAPTURE, *(ENTRIES if s.ship else ())))
+        for one in work:
+            refuse_links(s.out / one.name, (CAPTURE, *ENTRIES))
         with output_errors(s.out):
             self._events.open_log(s.out / "log.txt")
         self._end_leftovers()

@@ -127,9 +127,10 @@ class BatchState:
 
 def is_batch(folder: Path) -> bool:
     """Whether the folder holds a batch.json that has our keys, of whatever version."""
+    path = folder / FILE
     try:
-        content = json.loads((folder / FILE).read_text(encoding="utf-8"))
-    except (OSError, ValueError):
+        content = json.loads(path.read_text(encoding="utf-8")) if path.is_file() else None
+    except (OSError, ValueError, RecursionError):
         return False
     return isinstance(content, dict) and {"format", "preset", "objects"} <= content.keys()
 

@@ -7,7 +7,6 @@ import random
 from collections.abc import Callable
 from dataclasses import dataclass
 
-import numba
 import numpy as np
 import torch
 
@@ -33,6 +32,7 @@ from blender_nep.job.reporting.tracker import Tracker
 from blender_nep.job.scene_analysis import Plan, SceneAnalysis
 from blender_nep.job.settings import Settings
 from blender_nep.job.stage_names import StageName
+from blender_nep.ops import numba
 from blender_nep.profiling import profiled, section
 from blender_nep.stop_request import StopRequest
 from blender_nep.surface.mesh_file import read_mesh

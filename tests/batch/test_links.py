@@ -31,11 +31,15 @@ def test_a_link_in_the_folder_of_a_batch_is_refused(name, batch, tmp_path):
     refused(batch, name, tmp_path / "profile", overwrite=True)
 
 
-@pytest.mark.parametrize("name", ["a", "a/capture"])
+@pytest.mark.parametrize("name", ["a", "a/capture", "a/checkpoints", "a/textures"])
 def test_a_link_for_an_object_is_refused(name, batch, tmp_path):
     batch.add("a")
     (tmp_path / "victim").mkdir()
-    (tmp_path / "victim" / "transforms.json").write_text("mine")
+    for mine in ("transforms.json", "run.json", "surface.done.pt"):
+        (tmp_path / "victim" / mine).write_text("mine")
+    if name != "a":  # the mark of an asset, as a stranger may have put it there
+        (batch.out / "a").mkdir(parents=True)
+        (batch.out / "a" / "report.json").write_text('{"fingerprint": {"format": 15}}')
     refused(batch, name, tmp_path / "victim", overwrite=True)
 
 

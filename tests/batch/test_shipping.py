@@ -31,8 +31,9 @@ def test_files_and_folders_keep_their_paths(tmp_path, node):
     (tmp_path / "asset/checkpoints").mkdir(parents=True)
     (tmp_path / "asset/checkpoints/step").write_bytes(b"3")
     (tmp_path / "meta.json").write_bytes(b"{}")
-    unpack(pack([tmp_path / "meta.json", tmp_path / "asset", tmp_path / "missing"], tmp_path), node)
-    assert files_of(node) == {"meta.json": b"{}", "asset/checkpoints/step": b"3"}
+    (tmp_path / "asset/notes.txt").write_bytes(b"mine")
+    unpack(pack([tmp_path / "meta.json", tmp_path / "missing"], tmp_path, tmp_path / "asset"), node)
+    assert files_of(node) == {"meta.json": b"{}", "asset/checkpoints/step": b"3"}, "notes of the user stay at home"
 
 
 def test_photos_that_are_symbolic_links_arrive_at_the_job(tmp_path, store, node):
@@ -52,11 +53,29 @@ def test_a_folder_of_photos_that_is_a_symbolic_link(tmp_path, store, node):
     assert files_of(node / tmp_path.relative_to(tmp_path.anchor)) == {"vase/images/aa11.jpg": b"photo"}
 
 
-def test_a_link_in_a_folder_that_is_packed(tmp_path, store, node):
+def test_a_link_in_a_capture_is_packed_as_what_it_leads_to(tmp_path, store, node):
+    (tmp_path / "vase").mkdir()
+    (tmp_path / "vase/photo.jpg").symlink_to(store / "aa11.jpg")
+    unpack(pack([tmp_path / "vase"], tmp_path), node)
+    assert files_of(node) == {"vase/photo.jpg": b"photo"}
+
+
+def test_links_in_the_folder_of_a_run_are_left_out(tmp_path, store, node):
+    (tmp_path / "asset/checkpoints").mkdir(parents=True)
+    (tmp_path / "asset/checkpoints/surface.done.pt").symlink_to(store / "aa11.jpg")
+    (tmp_path / "asset/log.txt").symlink_to(store / "aa11.jpg")
+    unpack(pack([], tmp_path, tmp_path / "asset"), node)
+    assert not files_of(node)
+
+
+def test_nothing_is_unpacked_through_a_link(tmp_path, store, node):
     (tmp_path / "asset").mkdir()
-    (tmp_path / "asset/photo.jpg").symlink_to(store / "aa11.jpg")
-    unpack(pack([tmp_path / "asset"], tmp_path), node)
-    assert files_of(node) == {"asset/photo.jpg": b"photo"}
+    (tmp_path / "asset/report.json").write_bytes(b"{}")
+    packed = pack([], tmp_path, tmp_path / "asset")
+    (node / "asset").mkdir()
+    (node / "asset/report.json").symlink_to(store / "aa11.jpg")
+    unpack(packed, node)
+    assert (store / "aa11.jpg").read_bytes() == b"photo" and files_of(node) == {"asset/report.json": b"{}"}
 
 
 def test_a_root_that_is_not_absolute(tmp_path, node, monkeypatch):

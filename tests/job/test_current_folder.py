@@ -46,3 +46,20 @@ def test_packages_of_the_user_alone_are_found_again(with_user_packages, tmp_path
     )
     assert ended.stdout.split() == ["True", "1", "0" if with_user_packages else "1"], ended.stderr
     assert not sprung.exists()
+
+
+def test_numba_takes_no_settings_from_the_current_folder(tmp_path):
+    """They may name a folder of compiled kernels. PyYAML, without which Numba reads none, is played here."""
+    (tmp_path / ".numba_config.yaml").write_text("cache_dir: kernels")
+    code = (
+        "import sys, types; yaml = sys.modules['yaml'] = types.ModuleType('yaml')\n"
+        "yaml.safe_load = lambda _: {'cache_dir': 'kernels'}\n"
+        "import %s; import numba; print(repr(numba.config.CACHE_DIR))"
+    )
+
+    def cache_with(first: str) -> str:
+        command = [sys.executable, "-I", "-c", code % first]
+        return subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=True).stdout.strip()
+
+    assert "kernels" in cache_with("numba"), "Numba reads the file"
+    assert "kernels" not in cache_with("blender_nep.ops.compilation")

@@ -10,13 +10,13 @@ from pathlib import Path
 import pytest
 
 from blender_nep import cli
-from blender_nep.asset.export import WRITTEN
+from blender_nep.asset.export import WRITTEN, write_asset
 from blender_nep.errors import OutputError
 from blender_nep.files import refuse_links, write_atomically, write_text
 from blender_nep.job import runner
 from blender_nep.job.commands import correction
 from blender_nep.job.folders.job_folder import JobFolder, lock_file
-from blender_nep.job.folders.own_files import ENTRIES
+from blender_nep.job.folders.own_files import ENTRIES, discard_run, is_ours, remove_checkpoints
 from blender_nep.job.reporting.events import Events
 from blender_nep.job.settings import Settings
 from blender_nep.presets import preset
@@ -97,3 +97,32 @@ def test_arguments_write_no_lines_of_their_own(capsys):
     assert cli.main(["info", "no\n\x1b[31mfolder"]) == 3
     said = capsys.readouterr().err
     assert "x\\x1b[31m\\nerror: y" in said and "no\\n\\x1b[31mfolder" in said and "\x1b" not in said
+
+
+def test_checkpoints_that_are_a_link_are_not_discarded(tmp_path, victim):
+    before, out = content(victim), tmp_path / "out"
+    out.mkdir()
+    (out / "report.json").write_text('{"fingerprint": {"format": 15}}')
+    (out / "checkpoints").symlink_to(victim)
+    for remove in (discard_run, remove_checkpoints):
+        with pytest.raises(OutputError, match="link"):
+            remove(out)
+    assert content(victim) == before
+
+
+def test_textures_are_not_made_through_a_link(tmp_path, victim):
+    before, out = content(victim), tmp_path / "out"
+    (out / ".partial").mkdir(parents=True)
+    (out / ".partial/textures").symlink_to(victim / "textures")
+    with pytest.raises(OutputError, match="link"):
+        write_asset(out, None, None, None, None, dict)
+    assert content(victim) == before
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="POSIX")
+def test_a_pipe_or_deep_json_is_no_mark_and_stops_nothing(tmp_path):
+    os.mkfifo(tmp_path / "report.json")
+    assert not is_ours(tmp_path)
+    (tmp_path / "report.json").unlink()
+    (tmp_path / "report.json").write_text("[" * 100_000)
+    assert not is_ours(tmp_path)

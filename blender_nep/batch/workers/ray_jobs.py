@@ -80,7 +80,7 @@ def work(job: Job, mailbox: ray.actor.ActorHandle, shipped: bytes | None) -> byt
         unpack(shipped, root)
         here = replace(job, capture=_below(root, job.capture), out=_below(root, job.out))
         _follow(JobProcess(here, node), mailbox)
-        return pack([here.out], root)
+        return pack([], root, here.out)
 
 
 def _below(root: Path, path: Path) -> Path:
@@ -157,7 +157,7 @@ class RayJobs:
 
     def start(self, job: Job) -> None:
         """Hand a job to Ray."""
-        shipped = ray.put(pack([*job.files, job.out], Path(job.out.anchor))) if self._ship else None
+        shipped = ray.put(pack(job.files, Path(job.out.anchor), job.out)) if self._ship else None
         task = ray.remote(work).options(
             name=job.name,
             num_cpus=job.threads,

@@ -8,21 +8,35 @@ import tarfile
 from collections.abc import Iterable
 from pathlib import Path
 
+from blender_nep.files import is_link
+from blender_nep.job.folders.own_files import ENTRIES
 
-def pack(paths: Iterable[Path], root: Path) -> bytes:
-    """The files and folders `paths`, with their paths relative to `root`. What is not there is left out.
 
-    In the place of a symbolic link, what it leads to is packed: the job looks for it under the path of the link.
+def pack(paths: Iterable[Path], root: Path, run: Path | None = None) -> bytes:
+    """The files `paths` of a capture, and what our run has in its folder `run`, with their paths relative to `root`.
+
+    What is not there is left out. In the place of a symbolic link in a capture, what it leads to is packed: the job looks
+    for it under the path of the link. Of the run's folder, links and the files of others are left out.
     """
-    packed = io.BytesIO()
+    packed, base = io.BytesIO(), os.path.abspath(root)
     with tarfile.open(fileobj=packed, mode="w", dereference=True) as archive:
         for path in dict.fromkeys(Path(os.path.abspath(one)) for one in paths):
             if path.exists():
-                archive.add(path, path.relative_to(os.path.abspath(root)))
+                archive.add(path, path.relative_to(base))
+        archive.dereference = False
+        for own in () if run is None else (Path(os.path.abspath(run)) / name for name in ENTRIES):
+            if own.exists():
+                archive.add(own, own.relative_to(base), filter=lambda member: None if member.issym() else member)
     return packed.getvalue()
 
 
 def unpack(packed: bytes, root: Path) -> None:
-    """Write what was packed below `root`. Files that are there are replaced. Paths that leave `root` are refused."""
+    """Write what was packed below `root`. Files that are there are replaced, and so are links.
+
+    Paths that leave `root` are refused.
+    """
     with tarfile.open(fileobj=io.BytesIO(packed)) as archive:
-        archive.extractall(root, filter="data")
+        for member in archive:
+            if is_link(root / member.name):
+                (root / member.name).unlink()
+            archive.extract(member, root, filter="data")

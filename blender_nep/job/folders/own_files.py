@@ -19,7 +19,7 @@ from blender_nep.asset.export import FILES, PARTIAL, REPORT, TEXTURES_FOLDER, WR
 from blender_nep.capture.capture import Capture
 from blender_nep.capture.formats.photo_search import photos_in
 from blender_nep.errors import UsageError
-from blender_nep.files import output_errors, write_text
+from blender_nep.files import output_errors, refuse_links, write_text
 from blender_nep.job.folders import job_folder
 from blender_nep.job.stage_names import StageName
 
@@ -64,8 +64,8 @@ def _has_run(folder: Path) -> bool:
 def _read(path: Path) -> dict | None:
     """The JSON object in a file; None if there is no such file, or none that can be read."""
     try:
-        content = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError):
+        content = json.loads(path.read_text(encoding="utf-8")) if path.is_file() else None
+    except (OSError, ValueError, RecursionError):
         return None
     return content if isinstance(content, dict) else None
 
@@ -75,6 +75,12 @@ def _is_stage_file(path: Path) -> bool:
     return bool(_STAGE_FILE.fullmatch(unfinished[1] if unfinished else path.name))
 
 
+def _is_unfinished(path: Path) -> bool:
+    """Whether the path is a run.json of ours that was not finished, because the process was killed."""
+    unfinished = _UNFINISHED_FILE.fullmatch(path.name)
+    return unfinished is not None and unfinished[1] == RUN_FILE
+
+
 def refuse_foreign_files(folder: Path) -> None:
     """Raises UsageError where the folder holds files that a job would replace, and no mark shows that they are ours."""
     with output_errors(folder):
@@ -82,7 +88,8 @@ def refuse_foreign_files(folder: Path) -> None:
         if is_ours(folder):
             return
         checkpoints = folder / CHECKPOINTS
-        if os.path.lexists(checkpoints) and (not checkpoints.is_dir() or any(checkpoints.iterdir())):
+        empty = checkpoints.is_dir() and all(map(_is_unfinished, checkpoints.iterdir()))
+        if os.path.lexists(checkpoints) and not empty:
             raise UsageError(
                 f"nothing shows that {checkpoints} is of blender-nep: it has no {RUN_FILE} of ours",
                 "Choose another --out, or move that folder away.",
@@ -119,7 +126,19 @@ def refuse_captures_folder(out: Path, capture: Path) -> None:
     with output_errors(out):
         photos = photos_in(out) if capture.resolve() in out.resolve().parents else []
     if photos and not is_ours(out):
-        raise _in_capture(out, photos[0])
+        raise UsageError(
+            f"{out} cannot be --out: it lies in the capture's folder and holds {photos[0].name}, which may be a photo",
+            "Choose another --out: a folder of its own.",
+            "usage.output_is_capture",
+            folder=out,
+            path=photos[0],
+        )
+
+
+def refuse_folder_of_captures(out: Path, captures: Path) -> None:
+    """Raises UsageError where `out` is the folder that holds captures: an object has the name of its capture."""
+    if _is_same(out, captures):
+        raise _in_capture(out, captures)
 
 
 def refuse_folder_of_photos(out: Path, capture: Capture, mesh: Path | None) -> None:
@@ -160,8 +179,10 @@ def _is_same(one: Path, other: Path) -> bool:
 def discard_run(folder: Path) -> None:
     """Remove the checkpoints of the run in `folder`, and the reports of its asset. The folder stays ours.
 
-    From here on it holds no valid asset. Raises UsageError where the checkpoints are not ours, and OutputError.
+    From here on it holds no valid asset. Raises UsageError where the checkpoints are not ours, and OutputError, also where
+    one of our files or folders there is a link.
     """
+    refuse_links(folder, ENTRIES)
     refuse_foreign_files(folder)
     checkpoints = folder / CHECKPOINTS
     with output_errors(checkpoints):
@@ -178,7 +199,11 @@ def is_discarded(run: dict[str, object]) -> bool:
 
 
 def remove_checkpoints(folder: Path) -> None:
-    """Remove the checkpoints of a finished asset (--clean). Foreign files stay, and so the folder. Raises OutputError."""
+    """Remove the checkpoints of a finished asset (--clean). Foreign files stay, and so the folder.
+
+    Raises OutputError, also where the checkpoints are a link.
+    """
+    refuse_links(folder, [CHECKPOINTS])
     checkpoints = folder / CHECKPOINTS
     with output_errors(checkpoints):
         _remove_stage_files(checkpoints)
