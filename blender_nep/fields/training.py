@@ -28,8 +28,8 @@ from blender_nep.geometry.mesh import Surface
 from blender_nep.messages import Message, Part
 from blender_nep.presets import Preset
 from blender_nep.profiling import profiled, section
+from blender_nep.support.in_photos import support_in_photos
 from blender_nep.support.plane import Support
-from blender_nep.support.search import find_support_by_photos
 from blender_nep.tone_mapping import tone_map
 
 
@@ -226,7 +226,7 @@ def learn_fields(
             str(Part.OBJECT_FIELD): Message("reason.mesh_given").state(),
             **environment_training.skipped_detail(environment),
         }
-        return Fields(None, environment, {"skipped": skipped, **report.as_dict()}, find_support_by_photos(rays))
+        return Fields(None, environment, {"skipped": skipped, **report.as_dict()}, support_in_photos(rays))
     learning = FieldsLearning(rays, preset, seed, device, object_field)
     state = checkpoint.load()
     if state is not None:

@@ -18,8 +18,8 @@ from blender_nep.geometry.ray_tracing import RayTracer
 from blender_nep.shading import brdf
 from blender_nep.shading.cones import diffuse_cones, specular_cones
 from blender_nep.shading.environment import Environment
-from blender_nep.shading.support_light import SupportLight
 from blender_nep.shading.unseen_light import UnseenLight
+from blender_nep.support.light import SupportLight
 
 _CHUNK = 1 << 16
 

@@ -26,8 +26,8 @@ from blender_nep.evidence.occluders import SdfOccluder
 from blender_nep.evidence.sdf_grid import SdfGrid, cell_centers
 from blender_nep.evidence.small_photos import SmallPhotos
 from blender_nep.profiling import profiled
+from blender_nep.support.in_photos import REACH, plane_points, ring
 from blender_nep.support.plane import Support
-from blender_nep.support.search import REACH, plane_points, ring
 from blender_nep.tone_mapping import inverse_tone_map
 
 LEAST_SHARE = 0.4

@@ -15,10 +15,10 @@ from skimage import measure
 from blender_nep.errors import LearningError
 from blender_nep.geometry.mesh import Surface, angle_normals, normalized, weld
 from blender_nep.profiling import profiled, section
+from blender_nep.support.in_mesh import MARGIN, support_in_mesh
 from blender_nep.support.plane import Support
 from blender_nep.surface.normal_map import LeanMesh, lean_mesh
 from blender_nep.surface.subdivision import subdivide
-from blender_nep.surface.support_plane import MARGIN, find_support
 from blender_nep.surface.unwrap import unwrap
 
 if TYPE_CHECKING:
@@ -63,7 +63,7 @@ def extract_surface(object_field: ObjectField, preset: SurfacePreset) -> Extract
     with section("SDF grid"):
         sdf = object_field.sdf_grid(preset.grid)
     vertices, faces = zero_level(sdf if known is None else _above(sdf, known))
-    support = known or find_support(vertices, faces, _BORDER)
+    support = known or support_in_mesh(vertices, faces, _BORDER)
     if support is not None and known is None:
         vertices, faces = zero_level(_above(sdf, support))
     vertices, faces, report = keep_object(vertices, faces)

@@ -15,7 +15,7 @@ import torch
 
 from blender_nep.geometry.mesh import Surface, normalized
 from blender_nep.profiling import profiled
-from blender_nep.surface.support_plane import MARGIN
+from blender_nep.support.in_mesh import MARGIN
 
 if TYPE_CHECKING:
     from blender_nep.fields.object.field import ObjectField

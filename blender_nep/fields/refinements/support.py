@@ -7,9 +7,9 @@ from blender_nep.fields.refinements.refinement import Change
 from blender_nep.fields.stage import StageOne
 from blender_nep.fields.visual_hull import carve
 from blender_nep.messages import Message, Part
-from blender_nep.support.plain_support import find_plain_support
+from blender_nep.support.at_foot import support_at_foot
+from blender_nep.support.in_photos import support_in_photos
 from blender_nep.support.plane import Support
-from blender_nep.support.search import find_support_by_photos
 
 
 class SupportSearch:
@@ -22,7 +22,7 @@ class SupportSearch:
         return None
 
     def apply(self, stage: StageOne) -> Change:
-        found = find_support_by_photos(stage.rays)
+        found = support_in_photos(stage.rays)
         if found is None and stage.rays.mask is None and stage.schedule.background_steps:
             found = support_by_hull(stage)
         stage.object_field.support = found
@@ -32,4 +32,4 @@ class SupportSearch:
 def support_by_hull(stage: StageOne) -> Support | None:
     """The plane of a plain table, found with the hull's help. F_e must have been learned alone."""
     hull = carve(background_scores(stage))
-    return None if hull is None else find_plain_support(stage.rays, hull.sdf)
+    return None if hull is None else support_at_foot(stage.rays, hull.sdf)

@@ -20,7 +20,7 @@ from blender_nep.shading.incoming_light import IncomingLight, TracedLight
 from blender_nep.shading.light_moments import LightMoments
 from blender_nep.shading.plenoptic import Material, PlenopticFunction, PlenopticSettings, SurfacePoints, TerminalRadiance
 from blender_nep.shading.smooth_irradiance import IrradianceMean
-from blender_nep.shading.support_light import SupportLight
+from blender_nep.support.light import SupportLight
 
 if TYPE_CHECKING:
     from blender_nep.capture.rays.pixel_rays import PixelRays

@@ -7,8 +7,8 @@ import torch
 from blender_nep.capture import PixelRays, load_capture
 from blender_nep.evidence.small_photos import SmallPhotos
 from blender_nep.support.foot import FOOT, with_closed_foot
+from blender_nep.support.in_photos import support_in_photos
 from blender_nep.support.plane import Support
-from blender_nep.support.search import find_support_by_photos
 from support.table_scene import HEIGHT, turn, write_table_scene
 
 
@@ -18,7 +18,7 @@ def rays_of(folder):
 
 @pytest.mark.parametrize("tilt", [0.0, 0.5])
 def test_a_patterned_table_is_found_at_its_height_and_tilt(tmp_path, tilt):
-    support = find_support_by_photos(rays_of(write_table_scene(tmp_path / "capture", tilt=tilt)))
+    support = support_in_photos(rays_of(write_table_scene(tmp_path / "capture", tilt=tilt)))
     assert support is not None
     assert support.height == pytest.approx(HEIGHT, abs=0.01)
     assert support.normal @ (turn(tilt) @ [0, 0, 1]) > np.cos(np.radians(1))
@@ -27,21 +27,21 @@ def test_a_patterned_table_is_found_at_its_height_and_tilt(tmp_path, tilt):
 @pytest.mark.slow
 def test_a_glossy_table_is_found_by_its_pattern(tmp_path, monkeypatch):
     rays = rays_of(write_table_scene(tmp_path / "capture", glossy=True))
-    support = find_support_by_photos(rays)
+    support = support_in_photos(rays)
     assert support is not None and support.height == pytest.approx(HEIGHT, abs=0.01)
     monkeypatch.setattr(SmallPhotos, "details", lambda photos: photos)
-    assert find_support_by_photos(rays) is None, "its colors change too much from photo to photo"
+    assert support_in_photos(rays) is None, "its colors change too much from photo to photo"
 
 
 def test_a_small_plate_is_found_at_its_height_and_tilt(tmp_path):
     """Its rim is 0.25 radii outside the object's sphere. What lies behind must not draw the plane away."""
-    support = find_support_by_photos(rays_of(write_table_scene(tmp_path / "capture", radius=1.05)))
+    support = support_in_photos(rays_of(write_table_scene(tmp_path / "capture", radius=1.05)))
     assert support is not None and support.height == pytest.approx(HEIGHT, abs=0.01)
     assert support.normal @ [0, 0, 1] > np.cos(np.radians(0.3))
 
 
 def test_a_patterned_plate_in_the_sphere_is_found_at_its_height(tmp_path):
-    support = find_support_by_photos(rays_of(write_table_scene(tmp_path / "capture", radius=0.7)))
+    support = support_in_photos(rays_of(write_table_scene(tmp_path / "capture", radius=0.7)))
     assert support is not None and support.height == pytest.approx(HEIGHT, abs=0.015)
 
 
@@ -51,7 +51,7 @@ def test_a_patterned_plate_in_the_sphere_is_found_at_its_height(tmp_path):
     ids=["no table", "a table that some photos are taken from below", "a plain table"],
 )
 def test_nothing_is_found_where_the_photos_show_no_support(tmp_path, scene):
-    assert find_support_by_photos(rays_of(write_table_scene(tmp_path / "capture", **scene))) is None
+    assert support_in_photos(rays_of(write_table_scene(tmp_path / "capture", **scene))) is None
 
 
 def test_the_hull_of_an_object_on_a_plane_gets_a_closed_foot():

@@ -5,8 +5,8 @@ import pytest
 import torch
 
 from blender_nep.capture import PixelRays, load_capture
-from blender_nep.support import plain_support
-from blender_nep.support.plain_support import find_plain_support
+from blender_nep.support import at_foot
+from blender_nep.support.at_foot import support_at_foot
 from support.table_scene import BALL, CENTER, HEIGHT, turn, write_table_scene
 
 
@@ -24,14 +24,14 @@ def ball(tilt: float = 0.0, radius: float = BALL) -> np.ndarray:
 @pytest.mark.parametrize("tilt", [0.0, 0.5])
 @pytest.mark.parametrize("plain", [True, False])
 def test_a_table_is_found_at_its_height_plain_or_not(tmp_path, plain, tilt):
-    support = find_plain_support(rays_of(write_table_scene(tmp_path / "capture", plain=plain, tilt=tilt)), ball(tilt))
+    support = support_at_foot(rays_of(write_table_scene(tmp_path / "capture", plain=plain, tilt=tilt)), ball(tilt))
     assert support is not None
     assert support.height == pytest.approx(HEIGHT, abs=0.04)
     assert support.normal @ (turn(tilt) @ [0, 0, 1]) > np.cos(np.radians(1))
 
 
 def test_a_hull_that_is_a_little_too_large_does_not_matter(tmp_path):
-    support = find_plain_support(rays_of(write_table_scene(tmp_path / "capture", plain=True)), ball(radius=BALL + 0.05))
+    support = support_at_foot(rays_of(write_table_scene(tmp_path / "capture", plain=True)), ball(radius=BALL + 0.05))
     assert support is not None and support.height == pytest.approx(HEIGHT, abs=0.04)
 
 
@@ -41,11 +41,11 @@ def test_a_hull_that_is_a_little_too_large_does_not_matter(tmp_path):
     ids=["no table", "a table that some photos are taken from below"],
 )
 def test_nothing_is_found_where_nothing_can_support_the_object(tmp_path, scene):
-    assert find_plain_support(rays_of(write_table_scene(tmp_path / "capture", **scene)), ball()) is None
+    assert support_at_foot(rays_of(write_table_scene(tmp_path / "capture", **scene)), ball()) is None
 
 
 def test_nothing_is_found_without_an_object(tmp_path):
-    assert find_plain_support(rays_of(write_table_scene(tmp_path / "capture", plain=True)), np.ones((16, 16, 16))) is None
+    assert support_at_foot(rays_of(write_table_scene(tmp_path / "capture", plain=True)), np.ones((16, 16, 16))) is None
 
 
 def test_a_lowest_plane_that_agrees_more_does_not_hide_a_table(tmp_path, monkeypatch):
@@ -54,6 +54,6 @@ def test_a_lowest_plane_that_agrees_more_does_not_hide_a_table(tmp_path, monkeyp
     def spread(near_foot, height):
         return 0.008 if height < -0.97 else 0.012 * (1 + 15 * max(0.0, height - HEIGHT))
 
-    monkeypatch.setattr(plain_support._NearFoot, "spread", spread)
-    support = find_plain_support(rays_of(write_table_scene(tmp_path / "capture", plain=True)), ball())
+    monkeypatch.setattr(at_foot._NearFoot, "spread", spread)
+    support = support_at_foot(rays_of(write_table_scene(tmp_path / "capture", plain=True)), ball())
     assert support is not None and support.height == pytest.approx(HEIGHT, abs=0.04)

@@ -62,7 +62,7 @@ _POINTS, _FINE_POINTS = 400, 1600
 
 @profiled("support plane")
 @torch.no_grad()
-def find_support_by_photos(rays: PixelRays) -> Support | None:
+def support_in_photos(rays: PixelRays) -> Support | None:
     """The support plane of an object whose surroundings the photos show; None if they show no such plane.
 
     Takes a few seconds if no camera is below the object, and nearly no time otherwise.

@@ -1,6 +1,6 @@
 """Finds the plane of a plain table, with the help of the visual hull.
 
-Far from the object, a plain table looks the same at all heights, so `search` does not find it. Near the foot it has
+Far from the object, a plain table looks the same at all heights, so `in_photos` does not find it. Near the foot it has
 a texture: the object's shadow. There the object hides the plane in many photos, so only those photos are compared in which
 the hull does not hide the point.
 
@@ -22,8 +22,8 @@ from blender_nep.evidence.occluders import SdfOccluder
 from blender_nep.evidence.sdf_grid import SdfGrid
 from blender_nep.evidence.small_photos import SmallPhotos
 from blender_nep.profiling import profiled
+from blender_nep.support.in_photos import STEP, possible_planes
 from blender_nep.support.plane import Support
-from blender_nep.support.search import STEP, possible_planes
 
 MOST_SPREAD = 0.035
 """Largest tone-mapped spread of a support's colors. Measured: 0.007 to 0.019 on tables and plates (0.038 under a mirror on a
@@ -46,7 +46,7 @@ _FIRST, _LAST, _STEPS = 0.06, 1.6, 40
 
 @profiled("support plane")
 @torch.no_grad()
-def find_plain_support(rays: PixelRays, hull_sdf: np.ndarray) -> Support | None:
+def support_at_foot(rays: PixelRays, hull_sdf: np.ndarray) -> Support | None:
     """The support plane of an object with this visual hull; None if the photos show none.
 
     hull_sdf [n, n, n] belongs to the centers of n^3 cells of [-1, 1]^3, negative inside. Takes 1 to 2 CPU seconds if no

@@ -22,7 +22,7 @@ MARGIN = 0.02
 """Up to this far above the plane, in object radii, the surface may be that of the support instead of the object."""
 
 
-def find_support(vertices: np.ndarray, faces: np.ndarray, border: float, seed: int = 0) -> Support | None:
+def support_in_mesh(vertices: np.ndarray, faces: np.ndarray, border: float, seed: int = 0) -> Support | None:
     """The support plane of a mesh (vertices [V, 3], faces [F, 3]) that is capped at radius `border`; None without one."""
     radius = np.linalg.norm(vertices, axis=1)
     cap = (radius[faces] > border - 0.01).all(1)
