@@ -1,4 +1,4 @@
-"""Measures the CPU seconds of every test, for `pytest --cpu-costs FILE`.
+"""Measures the CPU seconds of every test, for `pytest --cpu-costs=FILE`.
 
 CPU seconds say what a test costs also where other programs take most of the machine. They contain the fixtures that a test
 is the first to ask for, the kernels that it is the first to compile, and the processes that it starts.
