@@ -134,10 +134,10 @@ PARTS: dict[str, str] = {
     Part.CAVITIES: "opening the inside",
     Part.RELIEF: "fine relief",
     Part.OBJECT_PIXELS: "finding the photos' pixels of the object",
-    Part.RESIDUAL: "materials, from what they leave unexplained",
-    Part.SPREAD: "how rough a metal is, from how much its light varies",
-    Part.HUE: "metal or not, from the hue of its reflections",
-    Part.THIRD_MOMENT: "how rough a colored paint is, from its reflections alone",
+    Part.RESIDUAL: "what materials leave unexplained",
+    Part.SPREAD: "how much the light of a metal varies",
+    Part.HUE: "the hue of reflections",
+    Part.THIRD_MOMENT: "the reflections of colored paint",
 }
 """{part: its name in sentences for people}"""
 

@@ -44,10 +44,10 @@ PARTS = {
     "cavities": "opening the inside",
     "relief": "fine relief",
     "object_pixels": "finding the photos' pixels of the object",
-    "residual": "materials, from what they leave unexplained",
-    "spread": "how rough a metal is, from how much its light varies",
-    "hue": "metal or not, from the hue of its reflections",
-    "third_moment": "how rough a colored paint is, from its reflections alone",
+    "residual": "what materials leave unexplained",
+    "spread": "how much the light of a metal varies",
+    "hue": "the hue of reflections",
+    "third_moment": "the reflections of colored paint",
 }
 """Parts of the work that the engine may leave out: the engine's name of a part -> the panel's words."""
 
