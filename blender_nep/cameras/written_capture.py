@@ -24,8 +24,8 @@ _MARK = {"written_by": "blender_nep"}
 def is_written_by_us(path: Path) -> bool:
     """Whether `write_capture` has written the file `path`."""
     try:
-        content = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError):
+        content = json.loads(path.read_text(encoding="utf-8")) if path.is_file() else None
+    except (OSError, ValueError, RecursionError):
         return False
     return isinstance(content, dict) and content.items() >= _MARK.items()
 

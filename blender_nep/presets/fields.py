@@ -159,3 +159,8 @@ class FieldsPreset:
     """Opacity above which the object covers a pixel, for the explanation ratio."""
     explanation_least_share: float = 0.001
     """If the object covers less than this share of `explanation_pixels`, the explanation ratio is 0."""
+
+    def __post_init__(self) -> None:
+        unknown = [name for name in self.without if name not in REFINEMENTS]
+        if unknown:
+            raise ValueError(f"there is no refinement named {', '.join(unknown)}: choose among {', '.join(REFINEMENTS)}")

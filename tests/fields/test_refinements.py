@@ -7,7 +7,6 @@ import pytest
 import torch
 
 from blender_nep.capture import PixelRays, load_capture
-from blender_nep.errors import UsageError
 from blender_nep.fields.refinements.catalog import refinements_of
 from blender_nep.fields.refinements.driver import RefinementDriver
 from blender_nep.fields.refinements.refinement import Change
@@ -107,8 +106,8 @@ def test_what_is_switched_off_is_not_applied():
 
 
 def test_an_unknown_name_is_an_error():
-    with pytest.raises(UsageError, match="no refinement is called dust"):
-        RefinementDriver([Played(Part.HULL, (0.0,))], without=("dust",))
+    with pytest.raises(ValueError, match="no refinement named dust"):
+        FieldsPreset(without=("dust",))
 
 
 def test_a_resumed_driver_goes_on():

@@ -28,6 +28,7 @@ from blender_nep.evidence.small_photos import SmallPhotos
 from blender_nep.fields.refinements.refinement import Change
 from blender_nep.fields.stage import StageOne
 from blender_nep.messages import Message, Part
+from blender_nep.profiling import profiled
 
 DISAGREE = 1.6
 """A part of the surface may be a lid if the photos differ there by so many times the median of the whole surface."""
@@ -89,6 +90,7 @@ class Cavities(NamedTuple):
     """Number of the parts of the surface that were tried as lids"""
 
 
+@profiled("cavities")
 def find_cavities(rays: PixelRays, sdf: np.ndarray) -> Cavities:
     """The cavities of an object with the SDF [n, n, n].
 

@@ -5,14 +5,12 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, field
 
-from blender_nep.errors import UsageError
 from blender_nep.fields.refinements.refinement import Refinement
 from blender_nep.fields.stage import StageOne
 from blender_nep.messages import Message, Part
-from blender_nep.profiling import section
 
 _DIGITS = 4
-"""What a refinement has found is reported with so many significant digits."""
+"""What a refinement has found is reported with so many significant digits; counts are whole."""
 
 
 @dataclass
@@ -30,7 +28,7 @@ class Record:
 
     def report(self) -> dict:
         """The entry in report.json: `acted` or `skipped`, and what was found."""
-        found = {name: float(f"{value:.{_DIGITS}g}") for name, value in self.found.items()}
+        found = {n: value if isinstance(value, int) else float(f"{value:.{_DIGITS}g}") for n, value in self.found.items()}
         if self.acted:
             return {"acted": [round(fraction, 3) for fraction in self.acted], **found}
         why = Message("reason.found_nothing") if self.skipped is None else Message.from_state(self.skipped)
@@ -41,16 +39,6 @@ class RefinementDriver:
     """Applies refinements in their order. The names in `without` are switched off."""
 
     def __init__(self, refinements: Sequence[Refinement], without: Sequence[str] = ()) -> None:
-        """Raises UsageError if a name in `without` is not that of a refinement."""
-        names = [str(refinement.name) for refinement in refinements]
-        unknown = sorted(set(without) - set(names))
-        if unknown:
-            raise UsageError(
-                f"no refinement is called {', '.join(unknown)}",
-                f"The names are {', '.join(names)}.",
-                "usage.unknown_refinement",
-                names=unknown,
-            )
         self._refinements, self._without = refinements, frozenset(without)
         self._records = {refinement.name: Record() for refinement in refinements}
         for refinement in refinements:
@@ -62,8 +50,7 @@ class RefinementDriver:
         for refinement, record in self._due(stage.schedule.fraction):
             why = refinement.skipped(stage)
             if why is None:
-                with section(str(refinement.name)):
-                    change = refinement.apply(stage)
+                change = refinement.apply(stage)
                 for name in change.renewed:
                     stage.optimizers.restart(name)
                 if change.acted:

@@ -80,9 +80,9 @@ class Account:
 
     def _report_of(self, name: str) -> dict[str, Any]:
         acted = [{"material": k, **told[name]} for k, told in enumerate(self.told) if name in told]
-        return (
-            {"acted": acted} if acted else {"skipped": self.skipped.get(name, Message("reason.evidence_silent")).to_dict()}
-        )
+        if acted:
+            return {"acted": acted}
+        return {"skipped": self.skipped.get(name, Message("reason.evidence_silent")).to_dict()}
 
 
 def _merged(before: dict[str, dict[str, float]], later: dict[str, dict[str, float]]) -> dict[str, dict[str, float]]:
