@@ -115,6 +115,11 @@ class NepSettings(bpy.types.PropertyGroup):
     use_masks: bpy.props.BoolProperty(
         name="Use Masks", description="Use the capture's object masks where it has them", default=True
     )
+    all_photos: bpy.props.BoolProperty(
+        name="Use All Photos",
+        description="Learn also from photos that were taken in another light than most, such as in the evening",
+        default=False,
+    )
     features: bpy.props.EnumProperty(
         name="Features",
         description="Where in the photos Find Cameras looks for details; the masks say where the object is",

@@ -54,6 +54,9 @@ def parse(arguments: list[str]) -> argparse.Namespace:
     parser.add_argument("--samples", type=int, default=48, help="Cycles samples a pixel of the comparison")
     parser.add_argument("--engine-python", help="the Python that has blender-nep and torch")
     parser.add_argument("--masks", choices=("use", "ignore"))
+    parser.add_argument(
+        "--all-photos", action="store_true", help="also learn from photos that were taken in another light than most"
+    )
     parser.add_argument("--metal", choices=("auto", "yes", "no"), help="whether it is metal, where photos do not tell")
     parser.add_argument(
         "--faces", type=int, metavar="N", help="largest number of faces of the mesh; the rest is a normal map"

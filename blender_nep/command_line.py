@@ -103,6 +103,7 @@ def _add_reconstruct(commands: argparse._SubParsersAction) -> None:
     run.add_argument("--device", choices=("auto", "cpu", "cuda"), default="auto", help="(%(default)s)")
     run.add_argument("--seed", type=_seed, default=0, metavar="N", help="the same seed gives the same asset (%(default)s)")
     run.add_argument("--masks", choices=("use", "ignore"), default="use", help="masks help, none are needed (%(default)s)")
+    _add_all_photos(run)
     run.add_argument("--mesh", type=_path, metavar="FILE", help="learn materials on this mesh (capture coordinates)")
     _add_sphere(run)
     run.add_argument(
@@ -144,6 +145,7 @@ def _add_batch(commands: argparse._SubParsersAction) -> None:
     batch.add_argument("--out", type=_path, required=True, metavar="FOLDER", help="folder of the assets and of batch.json")
     _add_preset(batch)
     batch.add_argument("--masks", choices=("use", "ignore"), default="use", help="(%(default)s)")
+    _add_all_photos(batch)
     batch.add_argument("--metal", choices=("auto", "yes", "no"), default="auto", help="(%(default)s)")
     _add_faces(batch)
     batch.add_argument("--seed", type=_seed, default=0, metavar="N", help="(%(default)s)")
@@ -188,6 +190,12 @@ def _add_preset(command: argparse.ArgumentParser) -> None:
         choices=("preview", "balanced", "quality"),
         default="balanced",
         help="time against error (%(default)s)",
+    )
+
+
+def _add_all_photos(command: argparse.ArgumentParser) -> None:
+    command.add_argument(
+        "--all-photos", action="store_true", help="also learn from photos that were taken in another light than most"
     )
 
 

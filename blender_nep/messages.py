@@ -211,6 +211,8 @@ WORDS: dict[str, str] = {
     "{elevation:.0f}: take some between {before} and {after}",
     "capture.photos_blurred": "{count} {count:photo is|photos are} clearly more blurred than the photos beside "
     "{count:it|them}: {names}. Leave {count:it|them} out or take {count:it|them} again",
+    "capture.other_light": "{count} {count:photo was|photos were} taken in another light than the others, and "
+    "{count:is|are} left out: {names}. To learn from them all the same, give --all-photos",
     "capture.photos_darker": "{count} {count:photo is|photos are} up to {stops:.1f} stops darker than the others: {names}. "
     "Develop all photos with one exposure, or leave {count:it|them} out",
     "capture.photos_brighter": "{count} {count:photo is|photos are} up to {stops:.1f} stops brighter than the others: "

@@ -150,6 +150,7 @@ class NEP_OT_reconstruct(bpy.types.Operator):
             faces=(settings.faces or None) if not settings.mesh else None,
             mesh=bpy.path.abspath(settings.mesh) if settings.mesh else None,
             threads=settings.threads or None,
+            all_photos=settings.all_photos,
             resume=self.resume,
             overwrite=self.overwrite,
             preview=settings.use_preview,

@@ -117,6 +117,7 @@ class NEP_OT_reconstruct_shelf(bpy.types.Operator):
                 masks="use" if settings.use_masks else "ignore",
                 metal=settings.metal,
                 faces=settings.faces or None,
+                all_photos=settings.all_photos,
                 overwrite=self.overwrite,
             )
         except EngineError as error:

@@ -119,6 +119,7 @@ def reconstruct_arguments(
     faces: int | None = None,
     mesh: str | None = None,
     threads: int | None = None,
+    all_photos: bool = False,
     resume: bool = False,
     overwrite: bool = False,
     preview: bool = False,
@@ -142,7 +143,8 @@ def reconstruct_arguments(
     ):
         if value is not None:
             arguments += [name, str(value)]
-    flags = {"--watch-stdin": not keep_going, "--resume": resume, "--overwrite": overwrite, "--preview": preview}
+    flags = {"--all-photos": all_photos, "--watch-stdin": not keep_going}
+    flags |= {"--resume": resume, "--overwrite": overwrite, "--preview": preview}
     return [*arguments, *more, *(name for name, wanted in flags.items() if wanted)]
 
 
@@ -214,6 +216,7 @@ def batch_arguments(
     faces: int | None = None,
     workers: int | None = None,
     threads: int | None = None,
+    all_photos: bool = False,
     overwrite: bool = False,
     keep_going: bool = False,
 ) -> list[str]:
@@ -234,5 +237,5 @@ def batch_arguments(
     ):
         if value is not None:
             arguments += [name, str(value)]
-    flags = {"--watch-stdin": not keep_going, "--overwrite": overwrite}
+    flags = {"--all-photos": all_photos, "--watch-stdin": not keep_going, "--overwrite": overwrite}
     return [*arguments, *(name for name, wanted in flags.items() if wanted)]

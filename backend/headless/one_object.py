@@ -48,6 +48,7 @@ def _reconstruct(options: argparse.Namespace, stop: StopRequests) -> None:
             faces=options.faces,
             mesh=options.mesh,
             threads=options.threads,
+            all_photos=options.all_photos,
             resume=options.resume,
             overwrite=options.overwrite,
             more=sphere,

@@ -57,6 +57,7 @@ def _reconstruct(python: str, options: argparse.Namespace, stop: StopRequests) -
         faces=options.faces,
         workers=options.workers,
         threads=options.threads,
+        all_photos=options.all_photos,
         overwrite=options.overwrite,
     )
     last_said, shown, warned = -SAY_EVERY_S, process.progress, 0

@@ -117,18 +117,22 @@ def read_bounds(folder: Path) -> tuple[list[float], float] | None:
 
 
 def with_exposures(frames: list[Frame], asset: Path) -> list[Frame]:
-    """The frames with the exposures that the report of `asset` gives; the frames unchanged where the report gives none.
+    """The frames from which `asset` was made, with the exposures that its report gives.
 
-    `frames` must be all frames of the capture.
+    `frames` must be all frames of the capture. They come back unchanged where the report does not fit them.
     """
     try:
-        report = json.loads((Path(asset) / "report.json").read_text(encoding="utf-8"))
-        gains = [(float(red), float(green), float(blue)) for red, green, blue in report["capture"]["photo_gains"]]
-    except (OSError, ValueError, KeyError, TypeError):  # all photos have one exposure, or another program wrote the asset
+        capture = json.loads((Path(asset) / "report.json").read_text(encoding="utf-8"))["capture"]
+        left_out = set(capture.get("photos_left_out", ()))
+        used = [frame for index, frame in enumerate(frames) if index not in left_out]
+        if len(used) != capture["views"]:  # the asset was made from other photos
+            return frames
+        if "photo_gains" not in capture:  # all photos have one exposure
+            return used
+        gains = [(float(red), float(green), float(blue)) for red, green, blue in capture["photo_gains"]]
+        return [replace(frame, gain=gain) for frame, gain in zip(used, gains, strict=True)]
+    except (OSError, ValueError, KeyError, TypeError, AttributeError):  # another program wrote the asset
         return frames
-    # Where the numbers of gains and of frames differ, the asset was made from other photos.
-    fit = len(gains) == len(frames)
-    return [replace(frame, gain=gain) for frame, gain in zip(frames, gains, strict=True)] if fit else frames
 
 
 def spread_frames(frames: list[Frame], count: int) -> list[Frame]:

@@ -274,6 +274,7 @@ class Batch:
         s = self._settings
         options = ["--preset", s.preset, "--masks", s.masks, "--metal", s.metal, "--seed", str(s.seed)]
         options += [] if s.faces is None else ["--faces", str(s.faces)]
+        options += ["--all-photos"] if s.all_photos else []
         # a task of Ray may use the cards of its node without being counted, if it has asked for none
         device = "cpu" if s.ray is not None and s.device == "auto" else s.device
         options += ["--device", device, *(["--clean"] if s.clean else [])]

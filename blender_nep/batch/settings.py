@@ -21,6 +21,8 @@ class BatchSettings:
     preset: str = "balanced"
     masks: str = "use"
     metal: str = "auto"
+    all_photos: bool = False
+    """Learn also from photos that were taken in another light than most"""
     faces: int | None = None
     """Largest number of faces of the meshes. None: the preset's"""
     seed: int = 0
@@ -46,6 +48,7 @@ class BatchSettings:
             "preset": self.preset,
             "masks": self.masks,
             "metal": self.metal,
+            "all_photos": self.all_photos,
             "faces": self.faces,
             "seed": self.seed,
         }

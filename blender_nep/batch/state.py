@@ -151,7 +151,7 @@ def read_state(folder: Path) -> BatchState | None:
             raise UsageError(message, hint, "usage.other_version", folder=folder)
         arguments = dict(content["arguments"])
         identity = {"preset": content["preset"], **{key: arguments[key] for key in ("masks", "metal", "seed")}}
-        identity["faces"] = arguments.get("faces")
+        identity |= {"faces": arguments.get("faces"), "all_photos": arguments.get("all_photos", False)}
         objects = [ObjectState.from_dict(told) for told in content["objects"]]
         _check_names(path, [one.name for one in objects])
         return BatchState(identity, arguments, content["started"], objects=objects)
@@ -185,7 +185,7 @@ def refuse_other_batch(folder: Path, before: BatchState, settings: BatchSettings
     wanted = settings.identity()
     different = [name for name in wanted if before.identity.get(name) != wanted[name]]
     if different:
-        which = ", ".join(f"--{name} {before.identity.get(name)}" for name in different)
+        which = ", ".join(f"--{name.replace('_', '-')} {before.identity.get(name)}" for name in different)
         raise UsageError(
             f"the batch in {folder} was started with {which}",
             "Give the same options as then, choose another --out, or name all captures and start again with --overwrite.",

@@ -127,6 +127,13 @@ class Comparison:
     _entries: _Entries
 
     @cached_property
+    def evened_cells(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """The photo [n] and the cell [n] of each entry, and its log radiance [n, 3] without gain and vignetting."""
+        entries = self._entries
+        value = entries.value - self.log[entries.view] - (entries.terms @ self.falloff)[:, None]
+        return entries.view, entries.cell, value
+
+    @cached_property
     def _halves(self) -> list[_Solution]:
         """Two solutions, each of which uses one half of the cells."""
         cell = self._entries.cell

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import random
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -13,7 +13,9 @@ import torch
 from blender_nep.capture import Capture, PixelRays, load_capture
 from blender_nep.capture.brightness import to_brightness
 from blender_nep.capture.doctor.turntable import refuse_turntable
-from blender_nep.capture.exposure import find_exposures
+from blender_nep.capture.exposure import Comparison, Exposures, compare_exposures
+from blender_nep.capture.loading import MINIMUM_VIEWS
+from blender_nep.capture.other_light import other_light, times_of
 from blender_nep.capture.rays.pixel_store import PixelMemory
 from blender_nep.errors import OutputError, Stopped, UsageError
 from blender_nep.files import output_errors, refuse_links
@@ -32,6 +34,7 @@ from blender_nep.job.reporting.tracker import Tracker
 from blender_nep.job.scene_analysis import Plan, SceneAnalysis
 from blender_nep.job.settings import Settings
 from blender_nep.job.stage_names import StageName
+from blender_nep.messages import Message
 from blender_nep.ops import numba
 from blender_nep.profiling import profiled, section
 from blender_nep.stop_request import StopRequest
@@ -51,6 +54,8 @@ class Prepared:
     fingerprint: dict[str, object]
     """All inputs that decide the result of the run (`run_folder.fingerprint`)"""
     folder: RunFolder
+    left_out: tuple[int, ...] = ()
+    """Which photos were taken in another light than most and left out, counted from 0. `capture` and `rays` lack them."""
 
 
 def refuse_to_overwrite(settings: Settings) -> None:
@@ -120,7 +125,7 @@ class Preparation:
         refuse_folder_of_photos(s.out, capture, s.mesh)
         if s.mesh is not None:
             read_mesh(s.mesh, capture)  # to refuse one that is not usable before the light is learned
-        what = fingerprint(capture, s.preset, s.seed, s.use_masks, s.mesh, s.sphere)
+        what = fingerprint(capture, s.preset, s.seed, s.use_masks, s.mesh, s.sphere, s.all_photos)
         if s.resume and (s.out / "report.json").is_file():
             self._finish_complete(what)
             return None
@@ -129,8 +134,17 @@ class Preparation:
         rays = self._read_photos(capture)
         with section("scene analysis"):
             refuse_turntable(rays)
+            compared = compare_exposures(rays)
+        left_out = () if compared is None else self._in_other_light(capture, compared)
+        if left_out:
+            capture = replace(capture, views=[view for i, view in enumerate(capture.views) if i not in left_out])
+            rays = self._read_photos(capture)
+            compared = compare_exposures(rays)
+        with section("scene analysis"):
+            for warning in rays.warnings:
+                self._events.warning(warning)
             if s.preset.even_exposure:
-                rays = self._even_out(rays)
+                rays = self._even_out(rays, compared)
             if s.preset.brightness > 0:
                 rays = to_brightness(rays, s.preset.brightness)
             photos = SceneAnalysis.of(rays)
@@ -141,7 +155,7 @@ class Preparation:
             self._folder.begin(what)
             if s.resume:
                 self._events.say(f"{s.out} holds no checkpoint yet: starting from the beginning")
-        return Prepared(capture, rays, photos, photos.plan(s.preset), self._device, what, self._folder)
+        return Prepared(capture, rays, photos, photos.plan(s.preset), self._device, what, self._folder, left_out)
 
     def _finish_complete(self, what: dict[str, object]) -> None:
         """End a resume of an asset that is complete. Raises UsageError if it is not the asset that was asked for."""
@@ -173,8 +187,6 @@ class Preparation:
         rays = PixelRays.from_capture(
             capture, s.preset.max_pixels_per_photo, s.use_masks, self._device, memory=memory, progress=self._photo_read
         )
-        for warning in rays.warnings:
-            self._events.warning(warning)
         self._tracker.report(StageName.CAPTURE, 1, 1)
         return rays
 
@@ -184,9 +196,18 @@ class Preparation:
             message = f"stopped ({self._stop.reason}) while the photos were read"
             raise Stopped(message, "Start it again with --resume.", "stopped.reading_photos", reason=self._stop.reason)
 
-    def _even_out(self, rays: PixelRays) -> PixelRays:
+    def _in_other_light(self, capture: Capture, compared: Comparison) -> tuple[int, ...]:
+        """The photos that are left out, because they were taken in another light than most. The user is told."""
+        found = () if self._settings.all_photos else other_light(compared, times_of(capture))
+        if not found or len(capture.views) - len(found) < MINIMUM_VIEWS:
+            return ()
+        names = [capture.views[i].name for i in found]
+        self._events.warning(Message("capture.other_light", {"count": len(found), "names": names}))
+        return found
+
+    def _even_out(self, rays: PixelRays, compared: Comparison | None) -> PixelRays:
         """The same pixels with the gains of the photos, if the photos' exposures differ, and without vignetting."""
-        found = find_exposures(rays)
+        found = Exposures(None) if compared is None else compared.exposures(rays.radiance.device)
         if found.warning:
             self._events.warning(found.warning)
         return rays.with_gain(found.gain, found.vignetting)

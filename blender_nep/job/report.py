@@ -62,6 +62,7 @@ class JobReport:
         return {
             "folder": os.path.abspath(capture.folder),
             "views": len(capture.views),
+            **({"photos_left_out": list(self.prepared.left_out)} if self.prepared.left_out else {}),
             "pixels": rays.count,
             "color_space": capture.color_space,
             "object_center": capture.object_center.tolist(),

@@ -18,6 +18,8 @@ class Settings:
     device: str = "auto"
     seed: int = 0
     use_masks: bool = True
+    all_photos: bool = False
+    """Learn from all photos, also from those that were taken in another light than most (`capture.other_light`)."""
     mesh: Path | None = None
     sphere: tuple[tuple[float, float, float], float] | None = None
     """Center and radius of the object's sphere in capture coordinates. None: from transforms.json, or estimated."""

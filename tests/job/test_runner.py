@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numba
 import numpy as np
@@ -13,6 +14,7 @@ import torch
 
 from backend.scene_io.capture_files import read_frames, with_exposures
 from blender_nep import checkpoints
+from blender_nep.capture import load_capture
 from blender_nep.capture.exposure import Exposures
 from blender_nep.errors import LearningError
 from blender_nep.job import preparation, runner
@@ -129,7 +131,9 @@ def test_the_report_says_how_exposures_were_evened_out(start, monkeypatch, even)
     seen: list[torch.Tensor | None] = []
     guessed = Message("capture.exposure_guessed", {"count": 2})
     gain = torch.tensor([2.0, 0.5, 1, 1, 1, 1])[:, None].expand(6, 3)
-    monkeypatch.setattr(preparation, "find_exposures", lambda rays: Exposures(gain, guessed))
+    compared = SimpleNamespace(exposures=lambda device: Exposures(gain, guessed))
+    monkeypatch.setattr(preparation, "compare_exposures", lambda rays: compared)
+    monkeypatch.setattr(preparation, "other_light", lambda compared, times: ())
     start(Looked(), preset=replace(preset("preview"), even_exposure=even))
     report = json.loads((start.out / "report.json").read_text())
     evened = {"code": "scene.exposure_differs", "values": {"stops": 2.0}}
@@ -141,6 +145,29 @@ def test_the_report_says_how_exposures_were_evened_out(start, monkeypatch, even)
         assert [frame.gain for frame in frames] == [tuple(g) for g in gain.tolist()]
         assert with_exposures(frames[:3], start.out) == frames[:3], "made from other photos"
     assert all(frame.gain == (1, 1, 1) for frame in with_exposures(read_frames(start.folder), start.folder))
+
+
+def test_photos_in_another_light_are_left_out(start, monkeypatch):
+    class Looked(BallStages):
+        def learn_fields(self, given, *how):
+            seen.append(given.rays.views)
+            return super().learn_fields(given, *how)
+
+    seen: list[int] = []
+    compared = SimpleNamespace(exposures=lambda device: Exposures(None))
+    monkeypatch.setattr(preparation, "compare_exposures", lambda rays: compared)
+    monkeypatch.setattr(preparation, "other_light", lambda compared, times: (0, 4))
+    monkeypatch.setattr(preparation, "MINIMUM_VIEWS", 4)
+    start(Looked())
+    report = json.loads((start.out / "report.json").read_text())
+    names = [load_capture(start.folder).views[i].name for i in (0, 4)]
+    assert report["warnings"][0]["values"] == {"count": 2, "names": names}
+    frames = read_frames(start.folder)
+    assert with_exposures(frames, start.out) == [frame for i, frame in enumerate(frames) if i not in (0, 4)]
+    start(Looked(), all_photos=True, overwrite=True)
+    monkeypatch.setattr(preparation, "MINIMUM_VIEWS", 5)
+    start(Looked(), overwrite=True)
+    assert seen == [4, 6, 6]
 
 
 def test_masks_ignored_are_reported_as_skipped(start):

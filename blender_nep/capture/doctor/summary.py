@@ -18,6 +18,7 @@ from blender_nep.capture.doctor.sharpness import blurred
 from blender_nep.capture.doctor.turntable import MOST_STILL, still_share
 from blender_nep.capture.exposure import Comparison, compare_exposures, stops
 from blender_nep.capture.loading import load_capture
+from blender_nep.capture.other_light import other_light, times_of
 from blender_nep.capture.rays.pixel_rays import BRIGHTEST_CLIPPED, SATURATED, PixelRays
 from blender_nep.capture.rays.pixel_store import PixelMemory
 from blender_nep.messages import Message
@@ -122,7 +123,10 @@ def _photo_outliers(capture: Capture, rays: PixelRays, compared: Comparison | No
     if compared is None:
         return found
     warning = compared.exposures().warning
-    off = compared.outliers()
+    evening = other_light(compared, times_of(capture))
+    if evening:
+        found.append(Message("capture.other_light", {"count": len(evening), "names": [names[i] for i in evening]}))
+    off = {photo: stop for photo, stop in compared.outliers().items() if photo not in evening}
     dark = [names[i] for i, stop in off.items() if stop < 0]
     bright = [names[i] for i, stop in off.items() if stop > 0]
     if dark:

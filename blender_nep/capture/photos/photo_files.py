@@ -17,10 +17,11 @@ from __future__ import annotations
 import struct
 import zlib
 from dataclasses import dataclass
+from datetime import datetime
 from pathlib import Path
 
 import numpy as np
-from PIL import Image
+from PIL import ExifTags, Image
 
 from blender_nep.capture.photos.formats import exr_files, heif_files, pillow_files, raw_files, tiff_files
 from blender_nep.capture.photos.formats.raster import Raster
@@ -111,6 +112,16 @@ def exif(path: Path) -> dict[int, object]:
         return tags.get(file_kind(path), pillow_files.tags)(path)
     except _UNREADABLE as error:
         raise _unreadable(path, error) from error
+
+
+def time_taken(path: Path) -> datetime | None:
+    """When a photo was taken, as EXIF says; None where it does not. Raises CaptureError where the photo cannot be read."""
+    tags = exif(path)
+    said = tags.get(ExifTags.Base.DateTimeOriginal) or tags.get(ExifTags.Base.DateTime)
+    try:
+        return datetime.strptime(str(said).strip("\0 "), "%Y:%m:%d %H:%M:%S")
+    except ValueError:
+        return None
 
 
 @dataclass

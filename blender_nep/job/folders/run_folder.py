@@ -43,11 +43,12 @@ def fingerprint(
     masks: bool,
     mesh: Path | None,
     sphere: tuple[tuple[float, float, float], float] | None = None,
+    all_photos: bool = False,
 ) -> dict[str, object]:
     """{name: value} of all inputs that decide the result of a run. A resume must agree with all of them.
 
     Photos and masks enter by their names and file sizes, the capture's own files and a given mesh by their content. The
-    object's sphere enters only if it was given as an option.
+    object's sphere and the wish for all photos enter only if they were given as options.
     """
     paths = [p for v in capture.views for p in (v.image_path, v.mask_path) if p is not None]
     photos = "\n".join(f"{_place(p, capture.folder)} {p.stat().st_size}" for p in paths)
@@ -64,6 +65,8 @@ def fingerprint(
         "faces": faces,
         "mesh": "" if mesh is None else _digest(mesh.read_bytes()),
     }
+    if all_photos:
+        what["photos"] = "all"
     return what if sphere is None else what | {"object bounds": [*map(float, sphere[0]), float(sphere[1])]}
 
 
