@@ -31,12 +31,13 @@ from blender_nep.job.folders.own_files import (
 from blender_nep.job.folders.run_folder import RunFolder, fingerprint, refuse_other_run
 from blender_nep.job.reporting.events import Events
 from blender_nep.job.reporting.tracker import Tracker
-from blender_nep.job.scene_analysis import Plan, SceneAnalysis
 from blender_nep.job.settings import Settings
 from blender_nep.job.stage_names import StageName
 from blender_nep.messages import Message
 from blender_nep.ops import numba
 from blender_nep.profiling import profiled, section
+from blender_nep.scene.analysis import Plan
+from blender_nep.scene.photo_analysis import PhotoAnalysis
 from blender_nep.stop_request import StopRequest
 from blender_nep.surface.mesh_file import read_mesh
 
@@ -47,7 +48,7 @@ class Prepared:
 
     capture: Capture
     rays: PixelRays
-    photos: SceneAnalysis
+    photos: PhotoAnalysis
     plan: Plan
     """The preset without the parts that this scene does not need"""
     device: torch.device
@@ -147,7 +148,7 @@ class Preparation:
                 rays = self._even_out(rays, compared)
             if s.preset.brightness > 0:
                 rays = to_brightness(rays, s.preset.brightness)
-            photos = SceneAnalysis.of(rays)
+            photos = PhotoAnalysis.of(rays)
         self._make_output()
         if s.resume and self._folder.can_be_resumed(what):
             self._events.say(f"resuming the run in {s.out}")

@@ -31,7 +31,6 @@ from blender_nep.job.preparation import (
 from blender_nep.job.report import JobReport
 from blender_nep.job.reporting.events import Events
 from blender_nep.job.reporting.tracker import Tracker
-from blender_nep.job.scene_analysis import Plan, SurfaceAnalysis, seconds_of_cones
 from blender_nep.job.scene_report import SceneReport
 from blender_nep.job.settings import Settings
 from blender_nep.job.stage_names import StageName
@@ -48,6 +47,8 @@ from blender_nep.job.stages import (
 )
 from blender_nep.messages import Message
 from blender_nep.profiling import Profile, section
+from blender_nep.scene.analysis import Plan, seconds_of_cones
+from blender_nep.scene.surface_analysis import SurfaceAnalysis
 from blender_nep.stop_request import StopRequest
 
 if TYPE_CHECKING:

@@ -6,8 +6,8 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
 from blender_nep.job.reporting.events import Events
-from blender_nep.job.scene_analysis import Plan, SceneAnalysis, SurfaceAnalysis
 from blender_nep.messages import Message, Part
+from blender_nep.scene.analysis import Analysis, Plan
 
 if TYPE_CHECKING:
     from blender_nep.capture import PixelRays
@@ -25,7 +25,7 @@ class SceneReport:
         self.seconds_saved: dict[str, float] = {}
         """{part that is left out: seconds saved}, only where this run measured the time of a similar part"""
 
-    def add(self, name: str, found: SceneAnalysis | SurfaceAnalysis, plan: Plan) -> None:
+    def add(self, name: str, found: Analysis, plan: Plan) -> None:
         """Add the facts of the photos or of the surface under `name`, and what `plan` leaves out."""
         self.facts[name] = found.facts()
         self.sentences += found.sentences()

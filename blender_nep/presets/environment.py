@@ -20,7 +20,7 @@ class EnvironmentPreset:
     """Fractions at which the next resolution starts."""
     model: str = "field"
     """Kind of F_e. field: the spherical volume. infinite: a 2-D environment map at infinity, as NeRO and nvdiffrec assume
-    (an ablation). none: the photos are cut-outs and show no surroundings (`scene_analysis` decides this)."""
+    (an ablation). none: the photos are cut-outs and show no surroundings (`PhotoAnalysis.plan` decides this)."""
     contraction_radius: float = 12.0
     """Nearer than this, the shells of the grid lie at equal steps of log |x|; beyond it, at equal steps of 1 / |x|. The
     last shell, the sky, lies at infinity."""

@@ -39,7 +39,7 @@ class Preset:
     (`capture.brightness`). Here the tone mapping turns from linear to logarithmic. 0: they stay as they are, which is an
     ablation."""
     skip_needless: bool = True
-    """Whether parts that the scene does not need are left out (`scene_analysis`). False: nothing is left out."""
+    """Whether parts that the scene does not need are left out (the package `scene`). False: nothing is left out."""
     environment_height: int = 256
     """Rows of environment.exr; there are twice as many columns."""
     fields: FieldsPreset = field(default_factory=FieldsPreset)

@@ -11,14 +11,14 @@ from benchmarks.studies.skipping import FieldsOnce, Scene, found_scenes, line, m
 from benchmarks.suite.derived_captures import derive
 from benchmarks.suite.fewer_views import with_fewer_views
 from blender_nep.capture import PixelRays, load_capture
-from blender_nep.job.scene_analysis import SceneAnalysis
 from blender_nep.job.stages import FieldsStage
 from blender_nep.presets import preset
+from blender_nep.scene.photo_analysis import PhotoAnalysis
 from support.paths import SUZANNE_SMALL
 
 
-def analyze(scene: Scene) -> SceneAnalysis:
-    return SceneAnalysis.of(PixelRays.from_capture(load_capture(scene.folder), 40_000, scene.masks, torch.device("cpu")))
+def analyze(scene: Scene) -> PhotoAnalysis:
+    return PhotoAnalysis.of(PixelRays.from_capture(load_capture(scene.folder), 40_000, scene.masks, torch.device("cpu")))
 
 
 def test_a_variant_of_a_capture_has_the_properties_of_its_name(tmp_path):

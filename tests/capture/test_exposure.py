@@ -13,10 +13,11 @@ from blender_nep.checkpoints import NoCheckpoint
 from blender_nep.fields.training import FieldsLearning, learn_fields
 from blender_nep.geometry.ray_tracing import RayTracer
 from blender_nep.job.reporting.live_preview import render_pair
-from blender_nep.job.scene_analysis import SceneAnalysis, view_dependence
 from blender_nep.materials.samples.photo_samples import select_samples
 from blender_nep.messages import Message
 from blender_nep.presets import preset
+from blender_nep.scene.photo_analysis import PhotoAnalysis
+from blender_nep.scene.surface_analysis import view_dependence
 from blender_nep.surface.mesh_file import load_surface
 from support.brief_preset import brief_preset
 from support.paths import SUZANNE_SMALL
@@ -93,7 +94,7 @@ def test_white_balance_alone_is_found_too(in_a_ball):
     rays = taken_with(in_a_ball, true)
     found = find_exposures(rays).gain
     assert difference(found, true) < TENTH_OF_A_STOP
-    assert Message("scene.white_balance_differs") in SceneAnalysis.of(rays.with_gain(true)).sentences()
+    assert Message("scene.white_balance_differs") in PhotoAnalysis.of(rays.with_gain(true)).sentences()
 
 
 def test_clipped_pixels_are_left_out_when_exposures_are_found(in_a_ball, monkeypatch):
@@ -151,8 +152,8 @@ def test_photos_are_read_as_of_one_exposure_as_the_scene_says(in_a_ball):
     assert torch.equal(in_a_ball.photo(index), in_a_ball.radiance[index])
     assert stops(true) == pytest.approx((true.log()[:, 0] / np.log(2)).tolist(), abs=0.006)
     spread = np.ptp(stops(true))
-    assert Message("scene.exposure_differs", {"stops": spread}) in SceneAnalysis.of(rays).sentences()
-    assert "exposure" not in " ".join(line.code for line in SceneAnalysis.of(in_a_ball).sentences())
+    assert Message("scene.exposure_differs", {"stops": spread}) in PhotoAnalysis.of(rays).sentences()
+    assert "exposure" not in " ".join(line.code for line in PhotoAnalysis.of(in_a_ball).sentences())
 
 
 def test_the_brightest_value_is_computed_once(in_a_ball):

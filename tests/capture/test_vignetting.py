@@ -10,7 +10,7 @@ from blender_nep.capture import PixelRays, load_capture
 from blender_nep.capture.doctor.summary import describe, summarize
 from blender_nep.capture.exposure import find_exposures
 from blender_nep.capture.rays.vignetting import Vignetting
-from blender_nep.job.scene_analysis import SceneAnalysis
+from blender_nep.scene.photo_analysis import PhotoAnalysis
 from support.paths import SUZANNE_SMALL
 
 HALF_A_STOP, A_STOP = Vignetting(-0.35, 0.0), Vignetting(-0.3, -0.4)
@@ -67,8 +67,8 @@ def test_nothing_is_found_without_vignetting_or_dark_corners(rays):
 def test_an_artist_is_told(rays, monkeypatch):
     dark = seen_through(rays, A_STOP)
     even = dark.with_gain(None, find_exposures(dark).vignetting)
-    assert any(line.code == "scene.vignetting" for line in SceneAnalysis.of(even).sentences())
-    assert not any(line.code == "scene.vignetting" for line in SceneAnalysis.of(rays).sentences())
+    assert any(line.code == "scene.vignetting" for line in PhotoAnalysis.of(even).sentences())
+    assert not any(line.code == "scene.vignetting" for line in PhotoAnalysis.of(rays).sentences())
     monkeypatch.setattr(PixelRays, "from_capture", lambda *_, **__: dark)
     found = summarize(SUZANNE_SMALL)
     assert found["corner_stops"] == pytest.approx(-1, abs=0.1) and "corners 1.0" in describe(found)

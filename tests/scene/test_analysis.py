@@ -15,20 +15,22 @@ from blender_nep.fields.environment.field import EnvironmentField
 from blender_nep.fields.training import FieldsLearning
 from blender_nep.geometry.mesh import Surface
 from blender_nep.geometry.ray_tracing import RayTracer
-from blender_nep.job.scene_analysis import Plan, SceneAnalysis, SurfaceAnalysis, seconds_of_cones, self_visibility
 from blender_nep.presets import preset
+from blender_nep.scene.analysis import Analysis, Plan, seconds_of_cones
+from blender_nep.scene.photo_analysis import PhotoAnalysis
+from blender_nep.scene.surface_analysis import SurfaceAnalysis, self_visibility
 from support.ball_stages import ball_surface
 from support.captures import CENTER, RADIUS, write_exr
 
 CPU = torch.device("cpu")
 
 
-def look(tiny, use_masks=True) -> tuple[SceneAnalysis, PixelRays]:
+def look(tiny, use_masks=True) -> tuple[PhotoAnalysis, PixelRays]:
     rays = PixelRays.from_capture(load_capture(tiny.folder, use_masks=use_masks), 40_000, use_masks, CPU)
-    return SceneAnalysis.of(rays), rays
+    return PhotoAnalysis.of(rays), rays
 
 
-def codes(found: SceneAnalysis | SurfaceAnalysis) -> list[str]:
+def codes(found: Analysis) -> list[str]:
     return [line.code for line in found.sentences()]
 
 
