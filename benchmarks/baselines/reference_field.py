@@ -63,7 +63,11 @@ class ReferenceField(SurfaceColor):
         self.activation = nn.Softplus(beta=100)
 
     support: Support | None = None
-    """The plane on which the object stands, if the photos show one"""
+    """The plane on which the object stands; None as long as none is known"""
+
+    def stand_on(self, support: Support | None) -> None:
+        """Let the object end at this plane: see `ObjectField.stand_on`."""
+        self.support = support
 
     fine: None = None
     """An MLP has no finer level."""

@@ -39,6 +39,7 @@ from blender_nep.geometry.mesh import Surface
 from blender_nep.job.stages import SurfaceResult, SurfaceStage
 from blender_nep.materials.training import learn_materials
 from blender_nep.presets import REFINEMENTS, Preset, preset
+from blender_nep.scene.scene import Scene
 from blender_nep.stop_request import StopRequest
 from blender_nep.surface.extraction import extract_surface
 
@@ -79,10 +80,10 @@ TIMED_STEPS = 3
 """Steps of both fields together that are timed, to learn how long a step takes."""
 
 
-def step_seconds(rays: PixelRays, settings: Preset, size: str, seed: int) -> float:
+def step_seconds(scene: Scene, settings: Preset, size: str, seed: int) -> float:
     """CPU seconds of a step of both fields. The learning in which the steps are timed is thrown away."""
     settings = with_changes(settings, {"fields": {"background_steps": 0}})
-    learning = FieldsLearning(rays, settings, seed, rays.radiance.device, reference_field(settings, size))
+    learning = FieldsLearning(scene, settings, seed, reference_field(settings, size))
     learning.learn_step()
     start = time.process_time()
     for _ in range(TIMED_STEPS):
@@ -97,7 +98,7 @@ def reference_field(settings: Preset, size: str) -> ReferenceField:
     )
 
 
-def planned(file: Path, rays: PixelRays, settings: Preset, size: str, hours: float, steps: int | None, seed: int) -> dict:
+def planned(file: Path, scene: Scene, settings: Preset, size: str, hours: float, steps: int | None, seed: int) -> dict:
     """The plan {"steps", "step_seconds", "hours", "asked_steps"} that `file` holds.
 
     Where there is no file, make the plan and write it first. A plan for other hours, or for another number of steps, is
@@ -105,7 +106,7 @@ def planned(file: Path, rays: PixelRays, settings: Preset, size: str, hours: flo
     """
     asked = asked_for(hours, steps)
     if not file.is_file():
-        seconds = step_seconds(rays, settings, size, seed)
+        seconds = step_seconds(scene, settings, size, seed)
         write_row(file, {"step_seconds": seconds, "steps": steps or max(1, round(3600 * hours / seconds))} | asked)
     plan = read_row(file)
     if any(plan.get(key) != value for key, value in asked.items()):
@@ -128,8 +129,8 @@ def run(folder: Path, size: str, hours: float, steps: int | None, seed: int, kep
     device = torch.device("cpu")
     settings = with_changes(replace(preset("balanced"), name="reference"), REFERENCE)
     settings = with_changes(settings, {part: SIZES[size][part] for part in ("fields", "environment")})
-    rays = PixelRays.from_capture(capture, settings.max_pixels_per_photo, False, device)
-    plan = planned(kept / "plan.json", rays, settings, size, hours, steps, seed)
+    scene = Scene.of(PixelRays.from_capture(capture, settings.max_pixels_per_photo, False, device))
+    plan = planned(kept / "plan.json", scene, settings, size, hours, steps, seed)
     settings = with_changes(settings, {"fields": {"steps": plan["steps"]}})
     done = kept / "fields.done.pt"
     if not done.is_file():
@@ -143,15 +144,14 @@ def run(folder: Path, size: str, hours: float, steps: int | None, seed: int, kep
         torch.manual_seed(seed)
         with stop.signals():
             fields = learn_fields(
-                rays,
+                scene,
                 settings,
                 seed=seed,
-                device=device,
                 progress=progress,
                 checkpoint=checkpoint,
                 object_field=reference_field(settings, size),
             )
-        mesh = SurfaceResult(*extract_surface(fields.object_field, settings.surface))
+        mesh = SurfaceResult(*extract_surface(fields.object_field, settings.surface, fields.support))
         save_state(
             done,
             {
@@ -164,7 +164,7 @@ def run(folder: Path, size: str, hours: float, steps: int | None, seed: int, kep
         checkpoint.remove()
     state = load_state(done)
     surface = Surface(**state["surface"]["arrays"])
-    learned = {"object": None, "environment": state["environment"], "report": {}}
+    learned = {"object": None, "environment": state["environment"], "report": {}, "support": None}
     environment = Fields.from_state(learned, settings, device).environment
     out = plan | {"seconds": state["seconds"], "fields": state["report"]}
     out |= geometry.score(surface, folder, capture, test)
@@ -176,10 +176,9 @@ def run(folder: Path, size: str, hours: float, steps: int | None, seed: int, kep
     learned = learn_materials(
         surface,
         environment,
-        rays,
+        scene,
         settings.material,
         seed=seed,
-        device=device,
         progress=lambda *_, **__: None,
         checkpoint=NoCheckpoint(),
     )

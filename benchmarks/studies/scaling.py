@@ -24,8 +24,7 @@ from benchmarks.suite.harness import markdown, resumed, use_threads, with_change
 from benchmarks.suite.identity import looked_at
 from blender_nep.capture import PixelRays, load_capture
 from blender_nep.checkpoints import NoCheckpoint
-from blender_nep.fields.environment.field import EnvironmentField
-from blender_nep.fields.object.field import ObjectField
+from blender_nep.fields.fields import Fields
 from blender_nep.fields.training import FieldsLearning, learn_fields
 from blender_nep.files import write_atomically
 from blender_nep.geometry.mesh import Surface
@@ -33,6 +32,7 @@ from blender_nep.materials.baking import LabeledPoints, bake
 from blender_nep.materials.training import learn_materials
 from blender_nep.presets import PRESETS, Preset
 from blender_nep.profiling import Profile
+from blender_nep.scene.scene import Scene
 from blender_nep.surface.extraction import extract_surface
 
 PIXELS = 36_864
@@ -56,11 +56,11 @@ class Bench:
         return PixelRays.from_capture(some, pixels, False, CPU)
 
     @cache  # noqa: B019  one bench a process
-    def learned(self) -> tuple[ObjectField, EnvironmentField, Surface]:
+    def learned(self) -> tuple[Fields, Surface]:
         """The fields and the surface of a short run of stage 1. Their shapes and sizes are those of a full run."""
         preset = base(fields={"background_steps": 60, "steps": 120, "least_explanation_ratio": 0.0})
-        fields = learn_fields(self.rays(), preset, seed=0, device=CPU, progress=lambda *_: None, checkpoint=NoCheckpoint())
-        return fields.object_field, fields.environment, extract_surface(fields.object_field, preset.surface)[0]
+        fields = learn_fields(Scene.of(self.rays()), preset, seed=0, progress=lambda *_: None, checkpoint=NoCheckpoint())
+        return fields, extract_surface(fields.object_field, preset.surface, fields.support).surface
 
     def learn(self, preset: Preset, views: int | None = None, pixels: int = PIXELS) -> Profile:
         """Load photos, do some steps of F_e alone, the hull and the object pixels, and some steps of both fields."""
@@ -68,7 +68,7 @@ class Bench:
         with profile.recording():
             rays = self.rays(views, pixels)
         fields = replace(preset.fields, background_steps=2 * STEPS, colors_first_steps=0)
-        learning = FieldsLearning(rays, replace(preset, fields=fields), 0, CPU)
+        learning = FieldsLearning(Scene.of(rays), replace(preset, fields=fields), 0)
         for _ in range(STEPS):
             learning.learn_step()
         with profile.recording():
@@ -84,15 +84,15 @@ class Bench:
 
     def surface(self, preset: Preset) -> Profile:
         """Extract the surface: all steps from marching cubes to the UV atlas."""
-        field = self.learned()[0]
+        fields = self.learned()[0]
         profile = Profile()
         with profile.recording():
-            extract_surface(field, preset.surface)
+            extract_surface(fields.object_field, preset.surface, fields.support)
         return profile
 
     def textures(self, size: int) -> Profile:
         """Bake textures of size x size texels from 3000 random samples."""
-        surface = self.learned()[2]
+        surface = self.learned()[1]
         random = np.random.default_rng(0)
         at = random.integers(len(surface.vertices), size=3000)
         position, normal = surface.vertices[at].astype(np.float32), surface.normals[at].astype(np.float32)
@@ -105,18 +105,17 @@ class Bench:
 
     def materials(self, preset: Preset) -> Profile:
         """Run stage 2 with one material, and without light that F_e does not have."""
-        _, environment, _ = self.learned()
-        surface = extract_surface(self.learned()[0], preset.surface)[0]
+        fields = self.learned()[0]
+        surface = extract_surface(fields.object_field, preset.surface, fields.support).surface
         profile = Profile()
-        rays = self.rays()
+        scene = Scene.of(self.rays())
         with profile.recording():
             learn_materials(
                 surface,
-                environment,
-                rays,
+                fields.environment,
+                scene,
                 preset.material,
                 seed=0,
-                device=CPU,
                 progress=lambda *_, **__: None,
                 checkpoint=NoCheckpoint(),
             )

@@ -25,6 +25,7 @@ from blender_nep.fields.refinements.support import support_by_hull
 from blender_nep.fields.training import FieldsLearning
 from blender_nep.fields.visual_hull import LOWEST_SHARE
 from blender_nep.presets import preset
+from blender_nep.scene.scene import Scene
 
 _PIXELS, _STEPS = 10_000, 150
 """Pixels of each photo, and steps of F_e. They suffice for a hull with cells of 1/32 of the radius."""
@@ -109,13 +110,13 @@ def _hull_sphere(capture: Capture, lines: Sightlines, seed: int, check: Callable
     rays = PixelRays.from_capture(capture, _PIXELS, use_masks=False, progress=check)
     exposures = find_exposures(rays)
     rays = to_brightness(rays.with_gain(exposures.gain, exposures.vignetting), quick.brightness)
-    learning = FieldsLearning(rays, quick, seed, torch.device("cpu"))
+    learning = FieldsLearning(Scene.of(rays), quick, seed)
     while learning.schedule.learns_background:
         learning.learn_step()
         check(learning.schedule.step, learning.schedule.background_steps)
     hull = None
     if learning.schedule.background_steps:
-        learning.object_field.support = support_by_hull(learning)
+        learning.stand_on(support_by_hull(learning))
         hull = hull_without_masks(learning)
     if hull is None or hull.contrast < quick.fields.least_contrast:
         return None

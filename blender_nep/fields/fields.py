@@ -72,7 +72,7 @@ class Fields:
             objects = new_object_field(preset, device)
             objects.grow(state["object"]["structure"])
             objects.load_state_dict(state["object"]["weights"])
-            objects.support = support
+            objects.stand_on(support)
         return cls(objects, environment, state["report"], support)
 
 

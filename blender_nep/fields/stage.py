@@ -1,4 +1,4 @@
-"""The state of stage 1: the photos, both fields, their optimizers, the schedule, and the pixels that are learned from.
+"""The state of stage 1: the scene, both fields, their optimizers, the schedule, and the pixels that are learned from.
 
 `training` takes the steps. Between them, refinements (`refinements.refinement`) look at this state and improve it.
 """
@@ -25,6 +25,8 @@ from blender_nep.fields.rendering import FieldsRenderer, Rendering, RenderSettin
 from blender_nep.fields.schedule import Schedule
 from blender_nep.fields.visual_hull import VisualHull
 from blender_nep.presets import Preset
+from blender_nep.scene.scene import Scene
+from blender_nep.support.plane import Support
 from blender_nep.tone_mapping import tone_map
 
 
@@ -35,14 +37,14 @@ class StageOne:
     numbers.
     """
 
-    def __init__(
-        self, rays: PixelRays, preset: Preset, seed: int, device: torch.device, object_field: ObjectField | None = None
-    ) -> None:
+    def __init__(self, scene: Scene, preset: Preset, seed: int, object_field: ObjectField | None = None) -> None:
         torch.manual_seed(seed)  # for the color heads
-        self.rays, self.preset = rays, fitted_to_widths(preset.fields, rays)
+        rays, device = scene.rays, scene.device
+        self.scene, self.preset = scene, fitted_to_widths(preset.fields, rays)
         self.generator = torch.Generator(device).manual_seed(seed)
         self.environment = EnvironmentField(preset.environment, environment_training.geometric_mean(rays)).to(device)
         self.object_field = object_field or new_object_field(preset, device)
+        self.stand_on(scene.support)
         self.object_field.add_levels(preset.fields.first_levels)
         self.schedule = Schedule.at_start(preset.fields, len(rays.outside), rays.count)
         self.renderer = FieldsRenderer(self.object_field, self.environment, preset.fields)
@@ -58,6 +60,19 @@ class StageOne:
         self.hull: VisualHull | None = None
         """The visual hull from which the SDF starts. Like `cell_scores`, it is known only before the first step of both
         fields, to the refinements that are applied then."""
+
+    def stand_on(self, support: Support | None) -> None:
+        """Let the object stand on the plane that was found, if one was: in the scene, and in the object field.
+
+        This is the one place where stage 1 learns of a plane. The field needs it because the SDF counts above it only.
+        """
+        self.scene = self.scene.with_support(support)
+        self.object_field.stand_on(self.scene.support)
+
+    @property
+    def rays(self) -> PixelRays:
+        """The pixels of the scene's photos."""
+        return self.scene.rays
 
     @property
     def background(self) -> PixelSet:

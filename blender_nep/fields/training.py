@@ -12,7 +12,6 @@ from collections.abc import Callable
 import torch
 from torch import Tensor
 
-from blender_nep.capture.rays.pixel_rays import PixelRays
 from blender_nep.checkpoints import Checkpoint
 from blender_nep.fields.environment import training as environment_training
 from blender_nep.fields.explanation import explanation_ratio, require_object
@@ -28,6 +27,7 @@ from blender_nep.geometry.mesh import Surface
 from blender_nep.messages import Message, Part
 from blender_nep.presets import Preset
 from blender_nep.profiling import profiled, section
+from blender_nep.scene.scene import Scene
 from blender_nep.support.in_photos import support_in_photos
 from blender_nep.support.plane import Support
 from blender_nep.tone_mapping import tone_map
@@ -36,11 +36,9 @@ from blender_nep.tone_mapping import tone_map
 class FieldsLearning(StageOne):
     """Fields learning: the state, the steps, and the refinements between them."""
 
-    def __init__(
-        self, rays: PixelRays, preset: Preset, seed: int, device: torch.device, object_field: ObjectField | None = None
-    ) -> None:
-        super().__init__(rays, preset, seed, device, object_field)
-        self.losses = FieldsLosses.of(preset, rays)
+    def __init__(self, scene: Scene, preset: Preset, seed: int, object_field: ObjectField | None = None) -> None:
+        super().__init__(scene, preset, seed, object_field)
+        self.losses = FieldsLosses.of(preset, scene.rays)
         self.refinements = RefinementDriver(refinements_of(self.preset), self.preset.without)
         self.monitor = NonFiniteMonitor()
         self.loss = float("nan")
@@ -177,7 +175,7 @@ class FieldsLearning(StageOne):
             "validation_pixels": self.validation_pixels,
             "hidden_pixels": self.hidden_pixels,
             "monitor": self.monitor.state(),
-            "support": None if self.object_field.support is None else self.object_field.support.state(),
+            "support": None if self.scene.support is None else self.scene.support.state(),
         }
 
     def load(self, state: dict) -> None:
@@ -195,22 +193,21 @@ class FieldsLearning(StageOne):
         self.validation_pixels = state["validation_pixels"].to(device)
         self.hidden_pixels = state["hidden_pixels"].to(device)
         self.monitor.load(state["monitor"])
-        self.object_field.support = None if state["support"] is None else Support.from_state(state["support"])
+        self.stand_on(None if state["support"] is None else Support.from_state(state["support"]))
 
 
 def learn_fields(
-    rays: PixelRays,
+    scene: Scene,
     preset: Preset,
     *,
     seed: int,
-    device: torch.device,
     progress: Callable[[int, int, float], None],
     checkpoint: Checkpoint,
     surface: Surface | None = None,
     watch: Callable[[FieldsLearning], None] | None = None,
     object_field: ObjectField | None = None,
 ) -> Fields:
-    """Learn F_o and F_e from the photos (Sec. 3.2).
+    """Learn F_o and F_e from the photos of the scene, on its device (Sec. 3.2).
 
     With `surface` (a given mesh in the unit frame), only F_e is learned, from the pixels whose rays miss the mesh. If
     `object_field` is given, it is learned; otherwise a new one is made from the preset. progress(step, steps, loss) and
@@ -218,16 +215,17 @@ def learn_fields(
     or stop. Raises LearningError when too many steps are not finite or the object's sphere is empty, and Stopped on request.
     """
     if surface is not None:
+        rays = scene.rays
         background = pixels_beside(surface, rays)
         environment, report = environment_training.learn_environment(
-            rays, background, preset.environment, seed=seed, device=device, progress=progress, checkpoint=checkpoint
+            rays, background, preset.environment, seed=seed, device=scene.device, progress=progress, checkpoint=checkpoint
         )
         skipped = {
             str(Part.OBJECT_FIELD): Message("reason.mesh_given").state(),
             **environment_training.skipped_detail(environment),
         }
         return Fields(None, environment, {"skipped": skipped, **report.as_dict()}, support_in_photos(rays))
-    learning = FieldsLearning(rays, preset, seed, device, object_field)
+    learning = FieldsLearning(scene, preset, seed, object_field)
     state = checkpoint.load()
     if state is not None:
         learning.load(state)
@@ -239,7 +237,7 @@ def learn_fields(
         environment_training.save_if_due(checkpoint, learning.state)
     ratio = learning.explanation_ratio()
     require_object(ratio, preset.fields.least_explanation_ratio)
-    environment_training.freeze(learning.environment, rays, learning.background, seed)
-    field = learning.object_field
+    environment_training.freeze(learning.environment, learning.rays, learning.background, seed)
     skipped = environment_training.skipped_detail(learning.environment)
-    return Fields(field, learning.environment, {"skipped": skipped, **learning.report(ratio).as_dict()}, field.support)
+    learned = {"skipped": skipped, **learning.report(ratio).as_dict()}
+    return Fields(learning.object_field, learning.environment, learned, learning.scene.support)

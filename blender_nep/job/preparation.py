@@ -37,7 +37,7 @@ from blender_nep.messages import Message
 from blender_nep.ops import numba
 from blender_nep.profiling import profiled, section
 from blender_nep.scene.analysis import Plan
-from blender_nep.scene.photo_analysis import PhotoAnalysis
+from blender_nep.scene.scene import Scene
 from blender_nep.stop_request import StopRequest
 from blender_nep.surface.mesh_file import read_mesh
 
@@ -47,8 +47,7 @@ class Prepared:
     """The result of the capture stage. All later stages work with it."""
 
     capture: Capture
-    rays: PixelRays
-    photos: PhotoAnalysis
+    scene: Scene
     plan: Plan
     """The preset without the parts that this scene does not need"""
     device: torch.device
@@ -148,7 +147,7 @@ class Preparation:
                 rays = self._even_out(rays, compared)
             if s.preset.brightness > 0:
                 rays = to_brightness(rays, s.preset.brightness)
-            photos = PhotoAnalysis.of(rays)
+            scene = Scene.of(rays)
         self._make_output()
         if s.resume and self._folder.can_be_resumed(what):
             self._events.say(f"resuming the run in {s.out}")
@@ -156,7 +155,7 @@ class Preparation:
             self._folder.begin(what)
             if s.resume:
                 self._events.say(f"{s.out} holds no checkpoint yet: starting from the beginning")
-        return Prepared(capture, rays, photos, photos.plan(s.preset), self._device, what, self._folder, left_out)
+        return Prepared(capture, scene, scene.photos.plan(s.preset), self._device, what, self._folder, left_out)
 
     def _finish_complete(self, what: dict[str, object]) -> None:
         """End a resume of an asset that is complete. Raises UsageError if it is not the asset that was asked for."""

@@ -58,7 +58,7 @@ class JobReport:
         }
 
     def _capture(self) -> dict:
-        capture, rays = self.prepared.capture, self.prepared.rays
+        capture, rays = self.prepared.capture, self.prepared.scene.rays
         return {
             "folder": os.path.abspath(capture.folder),
             "views": len(capture.views),

@@ -54,6 +54,7 @@ from blender_nep.stop_request import StopRequest
 if TYPE_CHECKING:
     from blender_nep.fields.fields import Fields
     from blender_nep.materials.training import Materials
+    from blender_nep.scene.scene import Scene
 
 _DOUBT = 0.03
 """If the validation errors of metal and dielectric differ by less than this share, the photos do not decide between them."""
@@ -83,8 +84,9 @@ def run(settings: Settings, events: Events, stop: StopRequest, stages: Stages | 
 
 @dataclass(frozen=True)
 class Learned:
-    """The results of the three long stages."""
+    """The results of the three long stages, and what is known about the scene after them."""
 
+    scene: Scene
     fields: Fields
     surface: SurfaceResult
     materials: Materials
@@ -151,8 +153,8 @@ class Job:
         if prepared is None:
             return None
         self._tracker.leave(StageName.CAPTURE, time.monotonic() - start)
-        self._scene.left_out(prepared.rays, masks_ignored=not s.use_masks, mesh_given=s.mesh is not None)
-        self._scene.add("photos", prepared.photos, prepared.plan)
+        self._scene.left_out(prepared.scene, masks_ignored=not s.use_masks, mesh_given=s.mesh is not None)
+        self._scene.add("photos", prepared.scene.photos, prepared.plan)
         return prepared
 
     def _follow_by_files(self) -> None:
@@ -166,44 +168,38 @@ class Job:
 
     def _learn(self, prepared: Prepared) -> Learned:
         """Run the three long stages."""
-        s, rays, preset, folder = self._settings, prepared.rays, prepared.plan.preset, prepared.folder
-        given = None
+        s, capture, preset, folder = self._settings, prepared.capture, prepared.plan.preset, prepared.folder
+        scene, given = prepared.scene, None
         if s.mesh is not None:
-            given = self._enter(self._stages.surface, SurfaceInput(prepared.capture, preset.surface, s.mesh), folder)
-        fields_input = FieldsInput(
-            rays, preset, s.seed, prepared.device, None if given is None else given.surface, self._live_preview(prepared)
+            given = self._enter(self._stages.surface, SurfaceInput(scene, capture, preset.surface, s.mesh), folder)
+        mesh = None if given is None else given.surface
+        fields = self._enter(
+            self._stages.fields, FieldsInput(scene, preset, s.seed, mesh, self._live_preview(prepared)), folder
         )
-        fields = self._enter(self._stages.fields, fields_input, folder)
+        scene = scene.with_support(fields.support)
         self._report_fields(FieldsReportView.of(fields.report))
         surface = given or self._enter(
             self._stages.surface,
-            SurfaceInput(prepared.capture, preset.surface, object_field=fields.object_field),
+            SurfaceInput(scene, capture, preset.surface, object_field=fields.object_field),
             folder,
         )
+        scene = scene.with_support(surface.support)
         self._report_surface(SurfaceReportView.of(surface.report))
         with section("scene analysis"):
-            shape = SurfaceAnalysis.of(surface.surface, rays, s.seed)
+            shape = SurfaceAnalysis.of(surface.surface, scene.rays, s.seed)
         plan = shape.plan(preset)
         self._scene.add("surface", shape, plan)
-        materials_input = MaterialsInput(
-            surface.surface,
-            fields.environment,
-            rays,
-            plan.preset.material,
-            s.seed,
-            prepared.device,
-            surface.support or fields.support,
-        )
+        materials_input = MaterialsInput(surface.surface, fields.environment, scene, plan.preset.material, s.seed)
         materials = self._enter(self._stages.materials, materials_input, folder)
         self._report_materials(MaterialsReportView.of(materials.report), plan)
-        return Learned(fields, surface, materials)
+        return Learned(scene, fields, surface, materials)
 
     def _live_preview(self, prepared: Prepared) -> Callable | None:
         if not self._settings.preview or self._settings.mesh is not None:
             return None
         from blender_nep.job.reporting.live_preview import LivePreview
 
-        return LivePreview(self._settings.out, prepared.rays, prepared.capture.from_unit, self._events)
+        return LivePreview(self._settings.out, prepared.scene.rays, prepared.capture.from_unit, self._events)
 
     def _report_fields(self, report: FieldsReportView) -> None:
         self._scene.act(report.acted)
@@ -284,14 +280,14 @@ class Job:
             self._tracker.seconds[name] = time.monotonic() - start
             return job_report.content()
 
-        capture, rays = prepared.capture, prepared.rays
+        capture, scene = prepared.capture, learned.scene
         with section(name), section("preview picture"):
-            view = PreviewView.best(rays, learned.surface.surface)
+            view = PreviewView.best(scene.rays, learned.surface.surface)
         radiance = light.detach().float().cpu().numpy()
         if not s.clean:
             prepared.folder.save_result(PREVIEW, {"view": vars(view), "light": radiance}, 0.0)
         place = Placement(capture.object_center, capture.object_radius)
-        given = AssetInput(s.out, capture, place, learned.surface, learned.materials, radiance, rays.exposure, view, report)
+        given = AssetInput(s.out, scene, capture, place, learned.surface, learned.materials, radiance, view, report)
         with section(name):
             self._stages.asset.run(given)
         if s.clean:

@@ -10,7 +10,7 @@ from blender_nep.messages import Message, Part
 from blender_nep.scene.analysis import Analysis, Plan
 
 if TYPE_CHECKING:
-    from blender_nep.capture import PixelRays
+    from blender_nep.scene.scene import Scene
 
 
 class SceneReport:
@@ -32,12 +32,12 @@ class SceneReport:
         self.skipped |= plan.skipped
         self._emit(found.sentences() + _lines(plan.skipped, {}))
 
-    def left_out(self, rays: PixelRays, *, masks_ignored: bool, mesh_given: bool) -> None:
-        """Add the parts that have nothing to work on in this capture, whatever the preset says."""
-        if rays.mask is None:
+    def left_out(self, scene: Scene, *, masks_ignored: bool, mesh_given: bool) -> None:
+        """Add the parts that have nothing to work on in this scene, whatever the preset says."""
+        if not scene.photos.masks:
             why = Message("reason.masks_ignored") if masks_ignored else Message("reason.no_masks")
             self.skipped[Part.MASK_TERM] = why
-        if rays.background and len(rays.outside) == 0:
+        if scene.photos.backdrop and len(scene.rays.outside) == 0:
             self.skipped[Part.PIXELS_OUTSIDE] = Message("reason.sphere_fills_photos")
         if mesh_given:
             self.skipped[Part.SURFACE_EXTRACTION] = Message("reason.mesh_given")

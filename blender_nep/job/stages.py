@@ -13,7 +13,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol, TypeVar
 
 import numpy as np
-import torch
 
 from blender_nep.job.stage_names import StageName
 from blender_nep.profiling import section
@@ -21,7 +20,7 @@ from blender_nep.profiling import section
 if TYPE_CHECKING:
     from blender_nep.asset.export import Placement
     from blender_nep.asset.preview import PreviewView
-    from blender_nep.capture import Capture, PixelRays
+    from blender_nep.capture import Capture
     from blender_nep.checkpoints import Checkpoint
     from blender_nep.fields.environment.field import EnvironmentField
     from blender_nep.fields.object.field import ObjectField
@@ -29,6 +28,7 @@ if TYPE_CHECKING:
     from blender_nep.geometry.mesh import Surface
     from blender_nep.materials.training import Materials
     from blender_nep.presets import MaterialPreset, Preset, SurfacePreset
+    from blender_nep.scene.scene import Scene
     from blender_nep.support.plane import Support
     from blender_nep.surface.normal_map import LeanMesh
 
@@ -71,10 +71,9 @@ class Stage(Protocol[Given, Result]):
 class FieldsInput:
     """The input of fields learning."""
 
-    rays: PixelRays
+    scene: Scene
     preset: Preset
     seed: int
-    device: torch.device
     surface: Surface | None = None
     """A given mesh. With it, only F_e is learned."""
     watch: Callable[[FieldsLearning], None] | None = None
@@ -93,10 +92,9 @@ class FieldsStage:
         from blender_nep.fields.training import learn_fields
 
         return learn_fields(
-            given.rays,
+            given.scene,
             given.preset,
             seed=given.seed,
-            device=given.device,
             progress=progress,
             checkpoint=checkpoint,
             surface=given.surface,
@@ -109,13 +107,14 @@ class FieldsStage:
     def unpack(self, state: dict, given: FieldsInput) -> Fields:
         from blender_nep.fields.fields import Fields
 
-        return Fields.from_state(state, given.preset, given.device)
+        return Fields.from_state(state, given.preset, given.scene.device)
 
 
 @dataclass(frozen=True)
 class SurfaceInput:
     """The input of the surface stage: the file of a given mesh, or else the object field."""
 
+    scene: Scene
     capture: Capture
     preset: SurfacePreset
     mesh: Path | None = None
@@ -163,7 +162,7 @@ class SurfaceStage:
         from blender_nep.surface.extraction import extract_surface
 
         assert given.object_field is not None, "a stage 1 without a given mesh learns the object field"
-        return SurfaceResult(*extract_surface(given.object_field, given.preset))
+        return SurfaceResult(*extract_surface(given.object_field, given.preset, given.scene.support))
 
     def pack(self, result: SurfaceResult) -> dict:
         lean = None
@@ -195,12 +194,9 @@ class MaterialsInput:
 
     surface: Surface
     environment: EnvironmentField
-    rays: PixelRays
+    scene: Scene
     preset: MaterialPreset
     seed: int
-    device: torch.device
-    support: Support | None = None
-    """The plane on which the object stands"""
 
 
 class MaterialsStage:
@@ -217,13 +213,11 @@ class MaterialsStage:
         return learn_materials(
             given.surface,
             given.environment,
-            given.rays,
+            given.scene,
             given.preset,
             seed=given.seed,
-            device=given.device,
             progress=progress,
             checkpoint=checkpoint,
-            support=given.support,
         )
 
     def pack(self, result: Materials) -> dict:
@@ -249,14 +243,13 @@ class AssetInput:
     """All that is written as the asset."""
 
     folder: Path
+    scene: Scene
     capture: Capture
     place: Placement
     surface: SurfaceResult
     materials: Materials
     light: np.ndarray
     """[H, 2H, 3] radiance of the environment map, as bright as the engine sees it"""
-    exposure: float
-    """By this factor, the engine sees the light brighter than the photos show it"""
     view: PreviewView
     """The view of the preview picture"""
     report: Callable[[], dict]
@@ -278,7 +271,7 @@ class AssetStage:
             picture = given.view.render(given.surface.surface, textures, given.light)
         mesh = given.place.mesh(given.surface.of_asset, textures | given.surface.textures)
         cameras = cameras_content(given.capture, given.folder)
-        write_asset(given.folder, mesh, picture, given.light / given.exposure, cameras, given.report)
+        write_asset(given.folder, mesh, picture, given.light / given.scene.rays.exposure, cameras, given.report)
 
 
 @dataclass

@@ -58,11 +58,10 @@ from blender_nep.shading.light_moments import LightMoments
 from blender_nep.shading.unseen_light import UnseenLight
 
 if TYPE_CHECKING:
-    from blender_nep.capture.rays.pixel_rays import PixelRays
     from blender_nep.fields.environment.field import EnvironmentField
     from blender_nep.materials.samples.photo_samples import PhotoSamples
     from blender_nep.presets import MaterialPreset
-    from blender_nep.support.plane import Support
+    from blender_nep.scene.scene import Scene
 
 
 _PIXELS_OF_VARIED = 3
@@ -96,23 +95,21 @@ class Materials:
 def learn_materials(
     surface: Surface,
     environment: EnvironmentField,
-    rays: PixelRays,
+    scene: Scene,
     preset: MaterialPreset,
     *,
     seed: int,
-    device: torch.device | str,
     progress: Callable,
     checkpoint,
-    support: Support | None = None,
 ) -> Materials:
-    """Learn the textures of the surface, which stands on the plane `support`. Raises LearningError and Stopped.
+    """Learn the textures of the surface from the photos of the scene, on its device. Raises LearningError and Stopped.
 
     LearningError: no photo shows the surface well enough, or the textures are not finite. A resumed run goes on from the
     gathered light if that was saved, and ends with the same textures.
     """
-    device, start = torch.device(device), time.monotonic()
+    start = time.monotonic()
     generator = torch.Generator().manual_seed(seed)
-    seen = Observations.of(surface, environment, rays, preset, seed, device, support)
+    seen = Observations.of(surface, environment, scene, preset, seed)
     report = MaterialReport(samples=len(seen.samples), left_out=seen.samples.skipped)
     steps = TrainingProgress(progress, checkpoint, report.seconds, start)
     steps.phase_ended("select")

@@ -1,1 +1,5 @@
-"""What a job knows of its scene: an analysis of the photos, and one of the mesh."""
+"""What a job knows about its scene. `scene` has the value that goes to every stage.
+
+`photo_analysis` and `surface_analysis` look at the photos and at the mesh, and say which parts of the method the scene does
+not need.
+"""

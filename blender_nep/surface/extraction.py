@@ -46,18 +46,17 @@ class Extracted(NamedTuple):
     """The plane on which the object stands and at which the mesh is cut; None without one"""
 
 
-def extract_surface(object_field: ObjectField, preset: SurfacePreset) -> Extracted:
+def extract_surface(object_field: ObjectField, preset: SurfacePreset, known: Support | None = None) -> Extracted:
     """Make one clean, unwrapped mesh of the SDF's zero level inside the unit sphere.
 
     The mesh of marching cubes is decimated and unwrapped, and then made finer where the surface bends. It may have
     `relief_faces` if the SDF has relief that is finer than its grid.
 
-    An object on a support plane is cut off there, and its foot is closed flat. The plane is the object field's, if the
-    photos showed one; else it is looked for in the mesh.
+    An object on a support plane is cut off there, and its foot is closed flat. The plane is `known` from the photos; else it
+    is looked for in the mesh.
 
     Raises LearningError when the field has no surface in the sphere, or is not finite.
     """
-    known = object_field.support
     if object_field.fine is not None:
         preset = replace(preset, faces=preset.relief_faces)
     with section("SDF grid"):

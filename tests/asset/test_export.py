@@ -17,6 +17,7 @@ from blender_nep.capture import PixelRays, load_capture
 from blender_nep.color import srgb_to_linear
 from blender_nep.errors import OutputError
 from blender_nep.job.stages import AssetInput, AssetStage, SurfaceResult, SurfaceStage
+from blender_nep.scene.scene import Scene
 from blender_nep.surface.normal_map import LeanMesh
 from support.ball_stages import GrayLight, ball_surface, ball_textures
 from support.captures import CENTER, RADIUS
@@ -38,11 +39,12 @@ def write(make_capture, tmp_path):
     folder.mkdir()
 
     def run(light=None, report=lambda: {"seed": 3}, center=CENTER, exposure=1.0, lean=None):
+        scene = Scene.of(seen.with_exposure(exposure))
         surface, radiance = ball_surface(), light if light is not None else GrayLight().equirect(16)[0].numpy()
-        view = PreviewView.best(seen.with_exposure(exposure), surface)
+        view = PreviewView.best(scene.rays, surface)
         place = asset.Placement(np.asarray(center), capture.object_radius)
         shape = SurfaceResult(surface, lean=lean)
-        AssetStage().run(AssetInput(folder, capture, place, shape, Textures(), radiance, exposure, view, report))
+        AssetStage().run(AssetInput(folder, scene, capture, place, shape, Textures(), radiance, view, report))
         return folder
 
     return run

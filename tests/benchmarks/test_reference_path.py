@@ -15,6 +15,7 @@ from benchmarks.suite.harness import with_changes
 from blender_nep.capture import PixelRays, load_capture
 from blender_nep.fields.training import FieldsLearning
 from blender_nep.presets import preset
+from blender_nep.scene.scene import Scene
 from blender_nep.surface.extraction import extract_surface
 from support.paths import SUZANNE_SMALL
 
@@ -120,7 +121,7 @@ def test_it_replaces_the_object_field_and_resumes_the_same(monkeypatch):
     def learning(seed: int) -> FieldsLearning:
         torch.manual_seed(seed)
         field = ReferenceField(0.6, width=48, layers=5)
-        return FieldsLearning(rays, settings, 0, torch.device("cpu"), field)
+        return FieldsLearning(Scene.of(rays), settings, 0, field)
 
     first, other = learning(0), learning(1)
     before = first.object_field.sdf_grid(8)

@@ -8,6 +8,7 @@ import torch
 from blender_nep.capture import PixelRays, load_capture
 from blender_nep.capture.brightness import MOST_EXPOSURE, to_brightness, typical_radiance
 from blender_nep.fields.training import FieldsLearning
+from blender_nep.scene.scene import Scene
 from support.brief_preset import brief_preset
 from support.paths import SUZANNE_SMALL
 
@@ -57,7 +58,7 @@ def test_dark_photos_give_the_same_object_as_bright_ones(rays):
     """Before, a loss on dark photos was small beside the priors."""
 
     def learned(photos):
-        learning = FieldsLearning(photos, brief_preset(coarsest_cells=16), 0, torch.device("cpu"))
+        learning = FieldsLearning(Scene.of(photos), brief_preset(coarsest_cells=16), 0)
         for _ in range(25):
             learning.learn_step()
         return learning.object_field.coefficients().detach()

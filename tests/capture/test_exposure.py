@@ -17,6 +17,7 @@ from blender_nep.materials.samples.photo_samples import select_samples
 from blender_nep.messages import Message
 from blender_nep.presets import preset
 from blender_nep.scene.photo_analysis import PhotoAnalysis
+from blender_nep.scene.scene import Scene
 from blender_nep.scene.surface_analysis import view_dependence
 from blender_nep.surface.mesh_file import load_surface
 from support.brief_preset import brief_preset
@@ -174,10 +175,9 @@ def test_no_result_depends_on_the_exposures_of_the_photos(tmp_path):
 
     def all_of(photos: PixelRays) -> list:
         fields = learn_fields(
-            photos,
+            Scene.of(photos),
             p,
             seed=0,
-            device=torch.device("cpu"),
             progress=lambda *_: None,
             checkpoint=NoCheckpoint(),
             watch=lambda learning: watched.append(learning),

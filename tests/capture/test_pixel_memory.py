@@ -147,7 +147,7 @@ def test_a_job_with_pixels_in_a_file_leaves_an_asset_and_no_file(make_capture, t
 
     class Stages(BallStages):
         def learn_fields(self, given, *how):
-            kinds.append(given.rays.radiance.dtype)
+            kinds.append(given.scene.rays.radiance.dtype)
             return super().learn_fields(given, *how)
 
     assert job.run(settings, Events(None, None), StopRequest(), Stages()) == 0

@@ -8,6 +8,7 @@ import torch
 from benchmarks.suite.harness import with_changes
 from blender_nep.capture import PixelRays, load_capture
 from blender_nep.fields.training import FieldsLearning
+from blender_nep.scene.scene import Scene
 from support.brief_preset import brief_preset
 from support.pretended_gpu import pretended_gpu
 
@@ -20,7 +21,7 @@ BRIEF = with_changes(
 
 def learn(capture, use_masks, device, preset=BRIEF):
     """Learn the fields; returns the learning and the loss of each step."""
-    learning = FieldsLearning(PixelRays.from_capture(capture, 2_000, use_masks, device), preset, 0, device)
+    learning = FieldsLearning(Scene.of(PixelRays.from_capture(capture, 2_000, use_masks, device)), preset, 0)
     losses = []
     while learning.fraction < 1:
         losses.append(learning.learn_step())
@@ -36,7 +37,7 @@ def test_fields_are_those_of_the_cpu(monkeypatch, make_capture, use_masks):
     with pretended_gpu(monkeypatch) as device:
         learning, found = learn(capture, use_masks, device)
         assert math.isfinite(learning.explanation_ratio(256)) and len(learning.object_pixels.clear)
-        resumed = FieldsLearning(learning.rays, BRIEF, 0, device)
+        resumed = FieldsLearning(learning.scene, BRIEF, 0)
         resumed.load(learning.state())
         sdf = resumed.object_field.sdf_in_cells(32)
     assert found[:4] == pytest.approx(losses[:4], rel=1e-5)  # of F_e alone

@@ -11,6 +11,7 @@ from blender_nep.fields.losses import FieldsLosses
 from blender_nep.fields.refinements.hidden_pixels import UNEXPLAINED, hidden_pixels
 from blender_nep.fields.training import FieldsLearning
 from blender_nep.fields.visual_hull import carve, mask_silhouettes, score_cells
+from blender_nep.scene.scene import Scene
 from support.brief_preset import brief_preset
 from support.paths import SUZANNE_SMALL
 
@@ -70,12 +71,12 @@ def test_learning_does_not_hold_the_object_back_there(rays, monkeypatch):
     # the brief preset's F_e explains nothing, neither behind nor beside the object
     nothing = lambda self: lambda index: torch.full((len(index),), 10.0)  # noqa: E731
     monkeypatch.setattr(FieldsLearning, "unexplained_by_environment", nothing)
-    learning = FieldsLearning(masked, brief_preset(), 0, CPU)
+    learning = FieldsLearning(Scene.of(masked), brief_preset(), 0)
     while not learning.hidden_pixels.numel() and learning.fraction < 0.3:
         learning.learn_step()
     hidden = learning.hidden_pixels
     assert len(np.intersect1d(hidden, missing)) > 0.9 * len(missing)
-    resumed = FieldsLearning(masked, brief_preset(), 0, CPU)
+    resumed = FieldsLearning(Scene.of(masked), brief_preset(), 0)
     resumed.load(learning.state())
     assert torch.equal(resumed.hidden_pixels, hidden)
     assert learning.refinements.report()["hidden_pixels"]["pixels"] == pytest.approx(len(hidden), rel=1e-3)
@@ -98,7 +99,7 @@ def test_learning_does_not_hold_the_object_back_there(rays, monkeypatch):
 
 def test_the_error_of_f_e_is_measured_against_that_beside_it(rays):
     """A short F_e alone: about 1 beside the sphere, and larger where the object stands."""
-    learning = FieldsLearning(rays, brief_preset(background_steps=60), 0, CPU)
+    learning = FieldsLearning(Scene.of(rays), brief_preset(background_steps=60), 0)
     while learning.schedule.learns_background:
         learning.learn_step()
     error = learning.unexplained_by_environment()

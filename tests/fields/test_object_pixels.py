@@ -18,6 +18,7 @@ from blender_nep.fields.object_pixels import (
 )
 from blender_nep.fields.training import FieldsLearning
 from blender_nep.presets import preset
+from blender_nep.scene.scene import Scene
 from support.paths import SUZANNE_SMALL
 
 
@@ -111,7 +112,7 @@ def test_held_out_pixels_are_no_columns_of_any_photo(widths, every):
 def test_learning_holds_out_pixels_of_all_columns(make_capture):
     """Photos of 202 x 202 pixels."""
     rays = PixelRays.from_capture(load_capture(make_capture(views=4, size=202).folder), 1 << 20, False)
-    learning = FieldsLearning(rays, preset("preview"), 0, torch.device("cpu"))
+    learning = FieldsLearning(Scene.of(rays), preset("preview"), 0)
     every = learning.preset.held_out_every
     assert len((held_out_pixels(rays.sphere, every, 1 << 20) % 202).unique()) > 100
     drawn = learning.draw(rays.sphere, 1 << 16)

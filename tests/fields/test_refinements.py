@@ -13,6 +13,7 @@ from blender_nep.fields.refinements.refinement import Change
 from blender_nep.fields.training import FieldsLearning
 from blender_nep.messages import Message, Part
 from blender_nep.presets import FieldsPreset
+from blender_nep.scene.scene import Scene
 from support.brief_preset import brief_preset
 from support.paths import SUZANNE_SMALL
 
@@ -129,7 +130,7 @@ def test_each_refinement_can_be_switched_off_alone():
     assert len(set(names)) == len(names)
     for name in names:
         preset = brief_preset(background_steps=1, steps=4, without=(str(name),), open_cavities_at=0.5)
-        learning = FieldsLearning(rays, replace(preset), 0, torch.device("cpu"))
+        learning = FieldsLearning(Scene.of(rays), replace(preset), 0)
         while learning.fraction < 1:
             learning.learn_step()
         report = learning.refinements.report()

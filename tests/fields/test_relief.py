@@ -15,6 +15,7 @@ from blender_nep.fields.object.fine_level import FineLevel
 from blender_nep.fields.refinements import relief
 from blender_nep.fields.refinements.relief import Relief, find_relief
 from blender_nep.fields.training import FieldsLearning
+from blender_nep.scene.scene import Scene
 from support.brief_preset import brief_preset
 from support.paths import SUZANNE_SMALL
 
@@ -150,10 +151,10 @@ def test_a_search_comes_when_due_and_a_resumed_run_is_the_same(rays, monkeypatch
             learning.learn_step()
         return learning
 
-    whole = advance(FieldsLearning(rays, chosen, 0, CPU), 20)
+    whole = advance(FieldsLearning(Scene.of(rays), chosen, 0), 20)
     assert len(searched) == 2
-    half = advance(FieldsLearning(rays, chosen, 0, CPU), 12)
-    resumed = FieldsLearning(rays, chosen, 0, CPU)
+    half = advance(FieldsLearning(Scene.of(rays), chosen, 0), 12)
+    resumed = FieldsLearning(Scene.of(rays), chosen, 0)
     resumed.load(half.state())
     advance(resumed, 8)
     assert len(searched) == 4, "the first search is not repeated"

@@ -44,7 +44,7 @@ def test_dynamic_weight_is_equation_4_and_passes_no_gradient():
 def test_a_support_ends_rays_and_hides_the_sdf_below_it():
     fields, seen = renderer(brief_preset()), rays([0.0, 0.8, 1.5])
     above = fields.render(seen, SHARP, None)
-    fields.object_field.support = Support(np.array([0.0, 0.0, 1.0]), -0.3)
+    fields.object_field.stand_on(Support(np.array([0.0, 0.0, 1.0]), -0.3))
     out = fields.render(seen, SHARP, None)
     torch.testing.assert_close(out.radiance[[0, 2]], above.radiance[[0, 2]])
     color = fields.object_field.appearance(
@@ -55,7 +55,7 @@ def test_a_support_ends_rays_and_hides_the_sdf_below_it():
     )
     torch.testing.assert_close(out.radiance[1:2], before + clear[:, None] * color)
     torch.testing.assert_close(out.opacity[1], torch.tensor(0.0), atol=1e-3, rtol=0)
-    fields.object_field.support = Support(np.array([0.0, 0.0, 1.0]), 0.7)
+    fields.object_field.stand_on(Support(np.array([0.0, 0.0, 1.0]), 0.7))
     hidden = fields.render(seen, SHARP, None)
     torch.testing.assert_close(hidden.opacity, torch.zeros(3), atol=1e-3, rtol=0)
 
@@ -63,7 +63,7 @@ def test_a_support_ends_rays_and_hides_the_sdf_below_it():
 @pytest.mark.parametrize("support", [None, Support(np.array([0.0, 0.0, 1.0]), -0.3)])
 def test_the_background_is_rendered_where_the_object_is_empty(support):
     fields, seen = renderer(brief_preset()), rays([0.0, 0.4, 0.8, 1.5])
-    fields.object_field.support = support
+    fields.object_field.stand_on(support)
     background = fields.background(seen)
     assert (background - fields.render(seen, SHARP, None).radiance)[:2].abs().max() > 1e-3, "here the object is in front"
     with torch.no_grad():

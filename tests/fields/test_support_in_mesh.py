@@ -34,8 +34,8 @@ def box(half, low, high):
 class Analytic:
     """Stands for an object field whose SDF is known."""
 
-    def __init__(self, sdf, support=None):
-        self.values, self.support, self.fine = sdf.astype(np.float32), support, None
+    def __init__(self, sdf):
+        self.values, self.fine = sdf.astype(np.float32), None
 
     def sdf_grid(self, n):
         return self.values
@@ -51,7 +51,7 @@ class Analytic:
 
 
 def extracted(sdf, support=None):
-    surface, report, *_ = extract_surface(Analytic(sdf, support), PRESET)
+    surface, report, *_ = extract_surface(Analytic(sdf), PRESET, support)
     assert report["watertight"]
     mesh = trimesh.Trimesh(surface.vertices, surface.faces, process=False)
     mesh.merge_vertices()  # the unwrapping cut it along its seams

@@ -10,6 +10,7 @@ from blender_nep.fields.refinements import carve as carve_again
 from blender_nep.fields.training import FieldsLearning
 from blender_nep.fields.visual_hull import background_silhouettes, carve, score_cells
 from blender_nep.presets import PRESETS
+from blender_nep.scene.scene import Scene
 from blender_nep.support.plane import Support
 from blender_nep.support.texture import SupportColors, SupportTexture
 from support.table_scene import BALL, CENTER, HEIGHT, pattern, shadow, write_table_scene
@@ -90,14 +91,14 @@ def test_the_hull_loses_its_mound_and_keeps_the_ball(table):
 def test_the_object_is_carved_again_with_the_colors_of_the_table(table, monkeypatch):
     """Without them, the background is that of an F_e and of color heads that have learned nothing."""
     rays, true = table
-    learning, asked = FieldsLearning(rays, PRESETS["preview"], 0, torch.device("cpu")), []
+    learning, asked = FieldsLearning(Scene.of(rays), PRESETS["preview"], 0), []
 
     def nothing(background, rays, wanted):
         asked.append(background)
         return [torch.zeros(size) for size in rays.size]
 
     monkeypatch.setattr(carve_again, "background_silhouettes", nothing)
-    learning.object_field.support = PLANE
+    learning.stand_on(PLANE)
     learning.object_field.start_from(torch.from_numpy(BALL_SDF))
     assert not carve_again.Carving((0.5,)).apply(learning).acted, "nothing is explained"
     index = torch.arange(rays.count)

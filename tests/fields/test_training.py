@@ -23,6 +23,7 @@ from blender_nep.fields.rendering import FieldsRenderer
 from blender_nep.fields.training import FieldsLearning, learn_fields
 from blender_nep.geometry.mesh import Surface
 from blender_nep.geometry.ray_tracing import RayTracer
+from blender_nep.scene.scene import Scene
 from blender_nep.stop_request import INPUT_CLOSED, StopRequest
 from blender_nep.tone_mapping import tone_map
 from support.brief_preset import brief_preset
@@ -51,8 +52,8 @@ def test_a_short_learning_with_masks_comes_nearer_to_the_truth(masked_rays):
     points = (trimesh.sample.sample_surface(truth, 2000, seed=0)[0] - capture.object_center) / capture.object_radius
     points = torch.from_numpy(points).float()
     chosen = brief_preset(steps=150, object_rays=512, sphere_rays=512, outside_rays=512, least_explanation_ratio=0.0)
-    before = FieldsLearning(masked_rays, chosen, 0, CPU).object_field.sdf(points).abs().mean()
-    learned = learn_fields(masked_rays, chosen, seed=0, device=CPU, progress=no_progress, checkpoint=NoCheckpoint())
+    before = FieldsLearning(Scene.of(masked_rays), chosen, 0).object_field.sdf(points).abs().mean()
+    learned = learn_fields(Scene.of(masked_rays), chosen, seed=0, progress=no_progress, checkpoint=NoCheckpoint())
     after = learned.object_field.sdf(points).abs().mean()
     assert after < 0.5 * before, f"{before:.4f} -> {after:.4f}"
     copy = Fields.from_state(learned.state(), chosen, CPU)
@@ -72,7 +73,7 @@ def test_a_resumed_run_gives_the_same_fields(masked_rays, rays, paint):
     chosen = replace(chosen, fields=replace(chosen.fields, colors_first_steps=4))
 
     stops = {4: "F_e alone", 6: "before the hull", 8: "colors", 16: "both fields"}
-    whole, states = FieldsLearning(rays, chosen, 3, CPU), {}
+    whole, states = FieldsLearning(Scene.of(rays), chosen, 3), {}
     for step in range(1, 25):
         whole.learn_step()
         if step in stops:
@@ -80,7 +81,7 @@ def test_a_resumed_run_gives_the_same_fields(masked_rays, rays, paint):
     detail = whole.object_field.albedo_detail
     assert detail.logits.any() if paint < 1 else detail is None
     for stop, learned in stops.items():
-        resumed = FieldsLearning(rays, chosen, 3, CPU)
+        resumed = FieldsLearning(Scene.of(rays), chosen, 3)
         resumed.load(states[stop])
         for _ in range(24 - stop):
             resumed.learn_step()
@@ -95,7 +96,7 @@ def test_with_a_mesh_f_e_learns_from_the_pixels_beside_it(rays):
     surface = Surface(np.asarray(ball.vertices), np.asarray(ball.faces), np.asarray(ball.vertex_normals))
     chosen = brief_preset()
     chosen = replace(chosen, environment=replace(chosen.environment, steps=5, rays_per_step=256, coverage_rays=1000))
-    fields = learn_fields(rays, chosen, seed=0, device=CPU, progress=no_progress, checkpoint=NoCheckpoint(), surface=surface)
+    fields = learn_fields(Scene.of(rays), chosen, seed=0, progress=no_progress, checkpoint=NoCheckpoint(), surface=surface)
     assert fields.object_field is None and "object field" in fields.report["skipped"]
     origins, directions, _ = rays.rays(rays.sphere[:5000])
     hit = RayTracer(surface.vertices, surface.faces).occluded(origins.numpy(), directions.numpy())
@@ -109,7 +110,7 @@ def test_a_mesh_that_covers_all_pixels_is_refused(rays):
     near = replace(rays, outside=PixelSet.of(rays.outside[:0]))
     with pytest.raises(LearningError, match="covers all pixels") as error:
         learn_fields(
-            near, brief_preset(), seed=0, device=CPU, progress=no_progress, checkpoint=NoCheckpoint(), surface=surface
+            Scene.of(near), brief_preset(), seed=0, progress=no_progress, checkpoint=NoCheckpoint(), surface=surface
         )
     assert "without the floor" in error.value.hint
 
@@ -117,8 +118,8 @@ def test_a_mesh_that_covers_all_pixels_is_refused(rays):
 def test_few_pixels_beside_the_sphere_do_not_decide(rays):
     """Rays beside the sphere decide on F_e's coverage. A few of them would say that hardly any light is known."""
     few = replace(rays, outside=PixelSet.of(rays.outside[:20]))
-    assert FieldsLearning(few, brief_preset(), 0, CPU).background is few.sphere
-    assert FieldsLearning(rays, brief_preset(), 0, CPU).background is rays.outside
+    assert FieldsLearning(Scene.of(few), brief_preset(), 0).background is few.sphere
+    assert FieldsLearning(Scene.of(rays), brief_preset(), 0).background is rays.outside
 
 
 def test_a_stop_tells_its_reason(rays, tmp_path):
@@ -129,7 +130,7 @@ def test_a_stop_tells_its_reason(rays, tmp_path):
         stop.request(INPUT_CLOSED)
 
     with pytest.raises(Stopped) as stopped:
-        learn_fields(rays, brief_preset(), seed=0, device=CPU, progress=stop_at_once, checkpoint=checkpoint)
+        learn_fields(Scene.of(rays), brief_preset(), seed=0, progress=stop_at_once, checkpoint=checkpoint)
     assert stopped.value.name == "stopped.input_closed" and stopped.value.values["reason"] == INPUT_CLOSED
     assert checkpoint.path.is_file()
 
@@ -143,7 +144,7 @@ def test_what_is_said_where_no_surface_was_found():
 
 
 def test_a_loss_that_is_not_finite_is_given_up_with_a_message(rays):
-    learning = FieldsLearning(rays, brief_preset(), 0, CPU)
+    learning = FieldsLearning(Scene.of(rays), brief_preset(), 0)
     with torch.no_grad():
         for parameter in learning.object_field.light_head.parameters():
             parameter.fill_(float("nan"))
@@ -168,7 +169,7 @@ def unchanged(masked_rays):
 def after(rays, changes: dict, steps: int = 12) -> list[torch.Tensor]:
     """What was learned after some steps, the first six of F_e alone and the others from a visual hull. The threshold is so
     low that some of the few pixels are highlights."""
-    learning = FieldsLearning(rays, with_changes(brief_preset(highlight_threshold=0.5), changes), 0, CPU)
+    learning = FieldsLearning(Scene.of(rays), with_changes(brief_preset(highlight_threshold=0.5), changes), 0)
     for _ in range(steps):
         learning.learn_step()
     return [parameter.detach() for parameter in (*learning.object_field.parameters(), learning.environment.raw)]
@@ -197,14 +198,14 @@ def test_each_ablation_changes_what_is_learned(masked_rays, unchanged, ablation)
     ],
 )
 def test_ablations_of_the_object_field_learn(rays, ablation):
-    learning = FieldsLearning(rays, brief_preset(**{"background_steps": 2, **ablation}), 0, CPU)
+    learning = FieldsLearning(Scene.of(rays), brief_preset(**{"background_steps": 2, **ablation}), 0)
     losses = [learning.learn_step() for _ in range(20)]
     assert np.isfinite(losses).all() and np.mean(losses[-4:]) < np.mean(losses[2:6])
 
 
 @pytest.mark.parametrize("steps", [0, 3])
 def test_f_e_is_learned_alone_for_the_steps_of_the_preset(rays, steps):
-    learning = FieldsLearning(rays, brief_preset(background_steps=steps), 0, CPU)
+    learning = FieldsLearning(Scene.of(rays), brief_preset(background_steps=steps), 0)
     before = [p.detach().clone() for p in learning.object_field.parameters()]
     raw = learning.environment.raw.detach().clone()
     for _ in range(steps):
@@ -219,7 +220,7 @@ def test_f_e_is_learned_alone_for_the_steps_of_the_preset(rays, steps):
 @pytest.mark.parametrize(("least_contrast", "from_hull"), [(2.0, True), (math.inf, False)])
 def test_the_sdf_starts_from_a_hull_only_where_a_hull_tells_more(masked_rays, least_contrast, from_hull):
     chosen = brief_preset(background_steps=0, coarsest_cells=16, least_contrast=least_contrast)
-    learning = FieldsLearning(masked_rays, chosen, 0, CPU)
+    learning = FieldsLearning(Scene.of(masked_rays), chosen, 0)
     points = 0.6 * torch.nn.functional.normalize(torch.randn(100, 3, generator=torch.Generator().manual_seed(0)), dim=-1)
     learning.prepare_joint_step()
     is_sphere = bool((learning.object_field.sdf(points).abs() < 0.02).all())
@@ -229,7 +230,7 @@ def test_the_sdf_starts_from_a_hull_only_where_a_hull_tells_more(masked_rays, le
 
 
 def test_from_a_hull_the_colors_are_learned_before_the_shape(masked_rays):
-    learning = FieldsLearning(masked_rays, brief_preset(background_steps=0, colors_first_steps=3), 0, CPU)
+    learning = FieldsLearning(Scene.of(masked_rays), brief_preset(background_steps=0, colors_first_steps=3), 0)
     field = learning.object_field
     learning.learn_step()
     assert learning.schedule.from_hull
@@ -254,7 +255,7 @@ def test_carving_again_takes_what_the_background_explains(rays, monkeypatch):
         return maps
 
     monkeypatch.setattr(carve, "background_silhouettes", shows_a_ball)
-    learning = FieldsLearning(rays, brief_preset(), 0, CPU)
+    learning = FieldsLearning(Scene.of(rays), brief_preset(), 0)
     way = torch.nn.functional.normalize(torch.randn(200, 3, generator=torch.Generator().manual_seed(0)), dim=-1)
     assert (learning.object_field.sdf(0.55 * way) < 0).all()
     assert carve.Carving((0.5,)).apply(learning).acted
@@ -264,13 +265,13 @@ def test_carving_again_takes_what_the_background_explains(rays, monkeypatch):
 
 def test_the_environment_is_the_one_of_the_preset(rays):
     preset = with_changes(brief_preset(background_steps=0), {"environment": {"model": "infinite"}})
-    assert FieldsLearning(rays, preset, 0, CPU).environment.infinite
+    assert FieldsLearning(Scene.of(rays), preset, 0).environment.infinite
 
 
 def test_what_the_schedule_wants_done_is_done(rays):
     """Levels, object pixels, cavities and the validation error, each when it is due."""
     chosen = brief_preset(background_steps=1, steps=12, first_sharpness=100.0, open_cavities_at=0.5)
-    learning = FieldsLearning(rays, chosen, 0, CPU)
+    learning = FieldsLearning(Scene.of(rays), chosen, 0)
     p, whole = learning.preset, learning.learned_pixels
     assert learning.validation_error() == math.inf, "no pixels have been chosen yet"
     while learning.fraction < 1:
@@ -301,13 +302,13 @@ def test_rays_for_clear_pixels_come_first_once_f_e_is_learned(rays, monkeypatch)
     monkeypatch.setattr(FieldsRenderer, "render", spy)
     brief = brief_preset(background_steps=2, steps=12, first_sharpness=100.0, validate_from=2.0)
     preset = with_changes(brief, {"environment": {"initial_raw_density": -9.0}})  # F_e is clear
-    learning = FieldsLearning(rays, preset, 0, CPU)
+    learning = FieldsLearning(Scene.of(rays), preset, 0)
     while learning.fraction < 0.5:
         learning.learn_step()
     assert clear_rays[:3] == [0, 0, 0] and min(clear_rays[3:]) > 200, "at a quarter of the learning F_e is asked first"
     index, clear = learning._draw_batch()
     assert clear > 200 and np.isin(index[:clear], learning.object_pixels.clear.tensor()).all()
-    resumed = FieldsLearning(rays, preset, 0, CPU)
+    resumed = FieldsLearning(Scene.of(rays), preset, 0)
     resumed.load(deepcopy(learning.state()))
     assert [learning.learn_step() for _ in range(3)] == [resumed.learn_step() for _ in range(3)]
 
@@ -331,7 +332,7 @@ def test_without_decomposition_color_is_one_radiance_of_the_view():
 @pytest.mark.parametrize("least", [-1.0, 2.0])
 def test_kept_fields_have_the_fine_paint_that_was_learned(masked_rays, least):
     chosen = brief_preset(least_fine_paint=least, least_explanation_ratio=0.0)
-    learned = learn_fields(masked_rays, chosen, seed=0, device=CPU, progress=no_progress, checkpoint=NoCheckpoint())
+    learned = learn_fields(Scene.of(masked_rays), chosen, seed=0, progress=no_progress, checkpoint=NoCheckpoint())
     assert (learned.object_field.albedo_detail is not None) == (least < 1)
     assert -1 <= learned.report["refinements"]["fine_paint"]["correlation"] <= 1
     copy = Fields.from_state(learned.state(), chosen, CPU).object_field
@@ -343,10 +344,9 @@ def test_kept_fields_have_the_fine_paint_that_was_learned(masked_rays, least):
 def test_a_sphere_without_an_object_is_refused(rays):
     with pytest.raises(LearningError, match="seems to contain nothing"):
         learn_fields(
-            rays,
+            Scene.of(rays),
             brief_preset(steps=4, least_explanation_ratio=1e9),
             seed=0,
-            device=CPU,
             progress=no_progress,
             checkpoint=NoCheckpoint(),
         )

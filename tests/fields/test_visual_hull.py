@@ -192,6 +192,6 @@ def test_a_field_tells_its_sdf_in_cells_and_takes_additions():
     field.add(torch.full((32, 32, 32), 0.25))
     inner = (centers.abs().amax(-1) < 0.9).numpy() & inside  # beyond the border, no cell is added to
     np.testing.assert_allclose((field.sdf_in_cells() - before)[inner], 0.25, atol=1e-5)
-    field.support = Support(np.array([0.0, 0.0, 1.0]), -0.3)
+    field.stand_on(Support(np.array([0.0, 0.0, 1.0]), -0.3))
     below = centers[..., 2].numpy() < -0.3
     assert (field.sdf_in_cells()[below] == 1).all() and (field.sdf_in_cells()[inside & ~below] < 1).all()

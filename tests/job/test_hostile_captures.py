@@ -24,6 +24,7 @@ from blender_nep.fields.training import FieldsLearning
 from blender_nep.geometry.mesh import weld
 from blender_nep.materials.corrections import KeptMaterials
 from blender_nep.optimizers import Adam, UniformAdam
+from blender_nep.scene.scene import Scene
 
 PLAIN = Case(told="yes", pixels="saturated", suffix=".png")
 
@@ -97,7 +98,7 @@ def test_a_scene_moved_a_million_units_gives_the_same_fields(plain_asset, tmp_pa
         rays.append(PixelRays.from_capture(load_capture(folder), 900, True))
     learned = []
     for these in rays:
-        learning = FieldsLearning(these, PLAIN.settings(tmp_path, tmp_path).preset, 0, torch.device("cpu"))
+        learning = FieldsLearning(Scene.of(these), PLAIN.settings(tmp_path, tmp_path).preset, 0)
         for _ in range(20):
             learning.learn_step()
         assert learning.schedule.learned > 10
@@ -203,7 +204,7 @@ def test_the_monitor_gives_up_after_many_failures_and_counts_all():
 def test_a_gradient_that_is_not_finite_changes_nothing(plain_asset):
     """A finite loss may have a gradient that is not; one such step would stay in Adam's moments for ever."""
     rays = PixelRays.from_capture(load_capture(plain_asset.parent / "capture"), 900, True)
-    learning = FieldsLearning(rays, PLAIN.settings(plain_asset, plain_asset).preset, 0, torch.device("cpu"))
+    learning = FieldsLearning(Scene.of(rays), PLAIN.settings(plain_asset, plain_asset).preset, 0)
     while learning.schedule.learned < 3:  # in the step before, F_e got a finer grid
         learning.learn_step()
     parameter = learning.object_field.levels[0]

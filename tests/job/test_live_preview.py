@@ -17,6 +17,7 @@ from blender_nep.fields.training import learn_fields
 from blender_nep.job.reporting import live_preview
 from blender_nep.job.reporting.events import Events
 from blender_nep.job.reporting.live_preview import LivePreview
+from blender_nep.scene.scene import Scene
 from support.brief_preset import brief_preset
 from support.paths import SUZANNE_SMALL
 
@@ -52,7 +53,7 @@ def test_learning_is_the_same_with_and_without(rays, capture, tmp_path, monkeypa
     watch = EveryStep(tmp_path, rays, capture.from_unit, Events(protocol))
     preset = brief_preset(steps=12, least_explanation_ratio=0.0)
     fields = [
-        learn_fields(rays, preset, seed=3, device=CPU, progress=lambda *_: None, checkpoint=NoCheckpoint(), **keywords)
+        learn_fields(Scene.of(rays), preset, seed=3, progress=lambda *_: None, checkpoint=NoCheckpoint(), **keywords)
         for keywords in ({}, {"watch": watch})
     ]
     without, with_preview = (flat(each.state()) for each in fields)
@@ -97,6 +98,6 @@ def test_a_preview_that_fails_is_one_warning(rays, capture, tmp_path):
     events = Events()
     watch = EveryStep(tmp_path, rays, capture.from_unit, events)
     preset = brief_preset(steps=4, background_steps=0, least_explanation_ratio=0.0)
-    fields = learn_fields(rays, preset, seed=3, device=CPU, progress=lambda *_: None, checkpoint=NoCheckpoint(), watch=watch)
+    fields = learn_fields(Scene.of(rays), preset, seed=3, progress=lambda *_: None, checkpoint=NoCheckpoint(), watch=watch)
     assert fields.object_field is not None
     assert len(events.warnings) == 1 and events.warnings[0].code == "job.preview_ended"

@@ -125,7 +125,7 @@ def test_what_the_scene_needs_is_told_first_and_in_the_report(start):
 def test_the_report_says_how_exposures_were_evened_out(start, monkeypatch, even):
     class Looked(BallStages):
         def learn_fields(self, given, *how):
-            seen.append(given.rays.gain)
+            seen.append(given.scene.rays.gain)
             return super().learn_fields(given, *how)
 
     seen: list[torch.Tensor | None] = []

@@ -17,7 +17,7 @@ from blender_nep.shading.incoming_light import IncomingLight
 from blender_nep.shading.light_moments import LightMoments
 from blender_nep.shading.plenoptic import Material, reflected
 from blender_nep.shading.unseen_light import UnseenLight
-from support.lit_ball import PRESET, HalfSeen, SyntheticRays
+from support.lit_ball import PRESET, HalfSeen, SyntheticRays, lit_scene
 
 LIT = replace(PRESET, samples=4000)
 
@@ -45,7 +45,7 @@ def two_balls():
     direction = torch.einsum("vij,nj->vni", frame, local).reshape(-1, 3)
     view = torch.arange(12).repeat_interleave(len(local))
     rays = SyntheticRays(torch.full_like(direction, 0.5), eye[view], direction, view)
-    seen = Observations.of(surface, HalfSeen(), rays, LIT, 0, torch.device("cpu"))
+    seen = Observations.of(surface, HalfSeen(), lit_scene(rays), LIT, 0)
     light = IncomingLight.gathered(
         seen.f_p,
         seen.points,

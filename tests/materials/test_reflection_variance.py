@@ -86,7 +86,7 @@ def test_predicted_reflections_are_as_blurred_as_those_in_photos(monkeypatch):
     mesh = trimesh.creation.icosphere(subdivisions=5, radius=lit_ball.RADIUS)
     vertices = np.asarray(mesh.vertices)
     surface = Surface(vertices, np.asarray(mesh.faces), vertices / lit_ball.RADIUS)
-    observed = Observations.of(surface, environment, photos, lit_ball.PRESET, 0, torch.device("cpu"))
+    observed = Observations.of(surface, environment, lit_ball.lit_scene(photos), lit_ball.PRESET, 0)
 
     def error(variance):
         light = IncomingLight.gathered(

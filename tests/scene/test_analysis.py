@@ -18,6 +18,7 @@ from blender_nep.geometry.ray_tracing import RayTracer
 from blender_nep.presets import preset
 from blender_nep.scene.analysis import Analysis, Plan, seconds_of_cones
 from blender_nep.scene.photo_analysis import PhotoAnalysis
+from blender_nep.scene.scene import Scene
 from blender_nep.scene.surface_analysis import SurfaceAnalysis, self_visibility
 from support.ball_stages import ball_surface
 from support.captures import CENTER, RADIUS, write_exr
@@ -84,7 +85,7 @@ def test_cut_outs_learn_no_environment(make_capture):
     plan = found.plan(preset("preview"))
     assert not found.backdrop and plan.preset.environment.model == "none" and "environment field" in plan.skipped
     assert codes(found)[0] == "scene.cut_outs"
-    learning = FieldsLearning(rays, plan.preset, 0, CPU)
+    learning = FieldsLearning(Scene.of(rays), plan.preset, 0)
     before = learning.environment.raw.detach().clone()
     first = learning.object_field.state_dict()["surface_head.0.weight"].clone()
     for _ in range(3):

@@ -6,11 +6,10 @@ import torch
 class AnalyticField(torch.nn.Module):
     """An SDF given as a function of points [n, 3]."""
 
-    def __init__(self, function, support=None, fine=None):
+    def __init__(self, function, fine=None):
         super().__init__()
         self.function = function
         self.anchor = torch.nn.Parameter(torch.zeros(1))
-        self.support = support
         self.fine = fine
 
     def sdf_and_gradient(self, points):

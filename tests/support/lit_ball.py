@@ -12,6 +12,7 @@ from blender_nep.capture.rays.pixel_width import pixel_width
 from blender_nep.geometry.mesh import Surface
 from blender_nep.materials.training import learn_materials
 from blender_nep.presets import MaterialPreset, SurfacePreset
+from blender_nep.scene.scene import Scene
 from blender_nep.shading import brdf
 from blender_nep.surface.unwrap import unwrap
 
@@ -204,15 +205,19 @@ def make_photos(materials, views=10, side=32, rays=160, environment=None):
     return SyntheticRays(radiance, origin, direction, torch.arange(views).repeat_interleave(side * side))
 
 
+def lit_scene(photos: SyntheticRays) -> Scene:
+    """The scene of these photos. Material learning does not ask for their analysis."""
+    return Scene(photos, photos=None)
+
+
 def learn(ball, photos, preset=PRESET, checkpoint=None, environment=None):
     steps = []
     result = learn_materials(
         ball,
         environment or AnalyticEnvironment(),
-        photos,
+        lit_scene(photos),
         preset,
         seed=0,
-        device="cpu",
         progress=lambda step, steps_, loss, **_: steps.append(step),
         checkpoint=checkpoint or MemoryCheckpoint(),
     )

@@ -104,8 +104,8 @@ def test_flat_sides_get_no_more_faces_than_their_rims_need():
 def test_cuts_stay_where_they_are():
     """The cap at the sphere's border, and the foot on the support plane, are not zero levels of the SDF."""
     plane = Support(np.array([0.0, 0.0, 1.0]), -0.3)
-    field = AnalyticField(ball([0.6, 0.0, 0.0], 0.7), plane)
-    surface, report, *_ = extract_surface(field, replace(COARSE, faces=8000, chord_error=1e-4))
+    field = AnalyticField(ball([0.6, 0.0, 0.0], 0.7))
+    surface, report, *_ = extract_surface(field, replace(COARSE, faces=8000, chord_error=1e-4), plane)
     assert report["faces"] > 4000 and welded(surface).is_watertight
     assert np.linalg.norm(surface.vertices, axis=1).max() < 1
     assert surface.vertices[:, 2].min() > -0.32

@@ -191,8 +191,16 @@ class ObjectField(SurfaceColor):
         self.levels = nn.ParameterList([nn.Parameter((x * x + y * y + z * z).sqrt() - initial_radius)])
         self.fine: FineLevel | None = None
         """A finer level where relief was found (`relief.find_relief`); None if none was found."""
-        self.support: Support | None = None
-        """The plane on which the object stands, if the photos show one."""
+        self._support: Support | None = None
+
+    @property
+    def support(self) -> Support | None:
+        """The plane on which the object stands; None as long as none is known."""
+        return self._support
+
+    def stand_on(self, support: Support | None) -> None:
+        """Let the object end at this plane from now on. None: let it end at the unit sphere only."""
+        self._support = support
 
     @property
     def level_count(self) -> int:

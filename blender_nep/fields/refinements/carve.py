@@ -24,7 +24,7 @@ class Carving:
         self.at = at
 
     def skipped(self, stage: StageOne) -> Message | None:
-        if stage.rays.mask is not None:
+        if stage.scene.photos.masks:
             return Message("reason.masks_show_outline")
         return None if stage.schedule.background_steps else Message("reason.few_pixels_beside")
 
@@ -33,8 +33,8 @@ class Carving:
         field, shape = stage.object_field, stage.object_field.shape()
         band, sdf = stage.band, field.sdf_in_cells()
         background: Callable[[RayBundle], Tensor] = stage.renderer.background
-        if field.support is not None:
-            background = SupportColors(stage.rays, field.support).texture(sdf).before(background)
+        if stage.scene.support is not None:
+            background = SupportColors(stage.rays, stage.scene.support).texture(sdf).before(background)
         silhouettes = background_silhouettes(
             background, stage.rays, wanted=lambda rays: shape.near(rays.origins, rays.directions, band)
         )

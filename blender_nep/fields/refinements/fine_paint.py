@@ -50,7 +50,7 @@ class FinePaint:
 
     def apply(self, stage: StageOne) -> Change:
         assert stage.hull is not None
-        found = fine_paint(stage.rays, start_sdf(stage.hull, stage.object_field.support))
+        found = fine_paint(stage.rays, start_sdf(stage.hull, stage.scene.support))
         if found < self._least:
             return Change(False, {"correlation": found})
         stage.object_field.add_albedo_detail()

@@ -42,7 +42,7 @@ class HiddenPixels:
     at = (0.0,)
 
     def skipped(self, stage: StageOne) -> Message | None:
-        if stage.rays.mask is None:
+        if not stage.scene.photos.masks:
             return Message("reason.no_masks")
         if not stage.schedule.background_steps:
             return Message("reason.few_pixels_beside")

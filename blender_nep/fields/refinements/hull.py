@@ -35,21 +35,21 @@ class HullStart:
     at = (0.0,)
 
     def skipped(self, stage: StageOne) -> Message | None:
-        if stage.rays.mask is None and not stage.schedule.background_steps:
+        if not stage.scene.photos.masks and not stage.schedule.background_steps:
             return Message("reason.few_pixels_beside")
         return None
 
     @profiled("visual hull")
     def apply(self, stage: StageOne) -> Change:
         rays = stage.rays
-        if rays.mask is not None:
+        if stage.scene.photos.masks:
             hull = carve(score_cells(rays, mask_silhouettes(rays), stage.cells))
         else:
             hull = hull_without_masks(stage)
         if hull is None or hull.contrast < stage.preset.least_contrast:
             return Change(False)
         stage.hull = hull
-        stage.object_field.start_from(stage.on_device(start_sdf(hull, stage.object_field.support)))
+        stage.object_field.start_from(stage.on_device(start_sdf(hull, stage.scene.support)))
         stage.schedule.start_from_hull()
         return Change(True, {"volume": hull.volume, "contrast": hull.contrast})
 
@@ -75,7 +75,7 @@ def hull_without_masks(stage: StageOne) -> VisualHull | None:
     On a support plane, the hull is carved again: with a lower threshold, and with the colors of the plane. F_e does not know
     these colors.
     """
-    scores, support = background_scores(stage), stage.object_field.support
+    scores, support = background_scores(stage), stage.scene.support
     hull = carve(scores)
     if hull is None or support is None:
         return hull

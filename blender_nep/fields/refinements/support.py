@@ -23,9 +23,9 @@ class SupportSearch:
 
     def apply(self, stage: StageOne) -> Change:
         found = support_in_photos(stage.rays)
-        if found is None and stage.rays.mask is None and stage.schedule.background_steps:
+        if found is None and not stage.scene.photos.masks and stage.schedule.background_steps:
             found = support_by_hull(stage)
-        stage.object_field.support = found
+        stage.stand_on(found)
         return Change(False) if found is None else Change(True, {"height": found.height})
 
 

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from blender_nep.capture.rays.pixel_rays import PixelRays
     from blender_nep.fields.environment.field import EnvironmentField
     from blender_nep.presets import MaterialPreset
-    from blender_nep.support.plane import Support
+    from blender_nep.scene.scene import Scene
 
 
 @dataclass(frozen=True)
@@ -49,16 +49,12 @@ class Observations:
         cls,
         surface: Surface,
         environment: EnvironmentField,
-        rays: PixelRays,
+        scene: Scene,
         preset: MaterialPreset,
         seed: int,
-        device: torch.device,
-        support: Support | None = None,
     ) -> Observations:
-        """Select the samples and set up f_p. Raises LearningError when no photo shows the surface well enough.
-
-        The object stands on the plane `support`.
-        """
+        """Select the samples and set up f_p. Raises LearningError when no photo shows the surface well enough."""
+        rays, device, support = scene.rays, scene.device, scene.support
         tracer = RayTracer(surface.vertices, surface.faces)
         samples = _selected(rays, tracer, surface.normals, preset, np.random.default_rng(seed))
         settings = PlenopticSettings(

@@ -1,0 +1,40 @@
+"""The scene of a job: one value that goes to every stage."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import torch
+
+from blender_nep.capture.rays.pixel_rays import PixelRays
+from blender_nep.scene.photo_analysis import PhotoAnalysis
+from blender_nep.support.plane import Support
+
+
+@dataclass(frozen=True)
+class Scene:
+    """The photos, and what is known about the scene before a stage begins.
+
+    What a stage finds is in its result; the next stage gets a new scene.
+    """
+
+    rays: PixelRays
+    """The pixels of all photos"""
+    photos: PhotoAnalysis
+    """What the photos show"""
+    support: Support | None = None
+    """The plane on which the object stands; None as long as none was found"""
+
+    @classmethod
+    def of(cls, rays: PixelRays) -> Scene:
+        """The scene of these photos, which are analyzed for it. Takes a tenth of a second."""
+        return cls(rays, PhotoAnalysis.of(rays))
+
+    @property
+    def device(self) -> torch.device:
+        """The device of the pixels. All stages compute there."""
+        return self.rays.radiance.device
+
+    def with_support(self, found: Support | None) -> Scene:
+        """The scene with the plane that was found. If none was found, the scene as it is."""
+        return self if found is None else replace(self, support=found)
