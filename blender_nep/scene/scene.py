@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import torch
 
 from blender_nep.capture.rays.pixel_rays import PixelRays
 from blender_nep.scene.photo_analysis import PhotoAnalysis
+from blender_nep.support.agreed_colors import AgreedColors
 from blender_nep.support.plane import Support
 
 
@@ -34,6 +36,11 @@ class Scene:
     def device(self) -> torch.device:
         """The device of the pixels. All stages compute there."""
         return self.rays.radiance.device
+
+    @cached_property
+    def plane_colors(self) -> AgreedColors | None:
+        """Finds the support plane's colors for stage 1; None without a plane. It is made once, in about a CPU second."""
+        return None if self.support is None else AgreedColors(self.rays, self.support)
 
     def with_support(self, found: Support | None) -> Scene:
         """The scene with the plane that was found. If none was found, the scene as it is."""

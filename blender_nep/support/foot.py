@@ -27,7 +27,7 @@ def with_closed_foot(sdf: np.ndarray, support: Support) -> np.ndarray:
     height = support.distance(points)
     low = height < FOOT
     across, along = support.axes()
-    layer = axis[:, None, None] * across + axis[None, :, None] * along + (support.height + FOOT) * np.asarray(support.normal)
+    layer = Support(support.normal, support.height + FOOT).square(axis)
     solid = binary_fill_holes(grid.sample(torch.from_numpy(layer)).numpy() < 0)
     distance = torch.from_numpy(signed_distances(solid, grid.cell))
     beside = sampled(distance, torch.from_numpy(np.stack([points[low] @ across, points[low] @ along], -1))).numpy()

@@ -118,7 +118,7 @@ def _inner_plane(photos: SmallPhotos, planes: list[Support]) -> Support | None:
     axis, apart = cell_centers(_SIDE), round(REACH / STEP)
 
     def share(plane: Support) -> float:
-        points = plane_points(plane, axis).astype(np.float32)
+        points = plane.square(axis).astype(np.float32)
         inside = torch.from_numpy(points[np.linalg.norm(points, axis=-1) < 1]).to(photos.photos.device)
         return float(majority(photos.colors(inside)).share.mean())
 
@@ -130,13 +130,6 @@ def _inner_plane(photos: SmallPhotos, planes: list[Support]) -> Support | None:
         return None
     found = planes[int(contrast.argmax()) + apart]
     return max((Support(found.normal, found.height + rise) for rise in np.linspace(-STEP, STEP, 9)), key=share)
-
-
-def plane_points(support: Support, axis: np.ndarray) -> np.ndarray:
-    """Points [n, n, 3] of the plane whose places along the support's two axes are those of axis [n]."""
-    across, along = support.axes()
-    square = axis[:, None, None] * across + axis[None, :, None] * along
-    return square + support.height * np.asarray(support.normal)
 
 
 def _ring_spread(photos: SmallPhotos, support: Support, inner: float, width: float) -> float:

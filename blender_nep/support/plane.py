@@ -27,6 +27,12 @@ class Support:
         across /= np.linalg.norm(across)
         return across, np.cross(normal, across)
 
+    def square(self, axis: np.ndarray) -> np.ndarray:
+        """Points [n, n, 3] of the plane whose places along its two axes are those of axis [n]."""
+        across, along = self.axes()
+        square = axis[:, None, None] * across + axis[None, :, None] * along
+        return square + self.height * np.asarray(self.normal)
+
     def distance(self, points: np.ndarray) -> np.ndarray:
         """Signed distances [...] of points [..., 3] from the plane, positive on the object's side."""
         return points @ np.asarray(self.normal) - self.height

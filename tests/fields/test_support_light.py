@@ -10,8 +10,9 @@ import trimesh
 from blender_nep.capture import PixelRays, load_capture
 from blender_nep.geometry.ray_tracing import RayTracer
 from blender_nep.shading.plenoptic import PlenopticFunction, PlenopticSettings, TerminalRadiance
-from blender_nep.support.light import SupportLight, filled
+from blender_nep.support.light import SupportLight
 from blender_nep.support.plane import Support
+from blender_nep.support.texture import filled
 from support.table_scene import BALL, CENTER, HEIGHT, pattern, write_table_scene
 
 SUPPORT = Support(np.array([0.0, 0.0, 1.0]), HEIGHT)

@@ -11,8 +11,9 @@ from blender_nep.fields.training import FieldsLearning
 from blender_nep.fields.visual_hull import background_silhouettes, carve, score_cells
 from blender_nep.presets import PRESETS
 from blender_nep.scene.scene import Scene
+from blender_nep.support.agreed_colors import AgreedColors
 from blender_nep.support.plane import Support
-from blender_nep.support.texture import SupportColors, SupportTexture
+from blender_nep.support.texture import PlaneTexture
 from support.table_scene import BALL, CENTER, HEIGHT, pattern, shadow, write_table_scene
 
 PLANE = Support(np.array([0.0, 0.0, 1.0]), HEIGHT)
@@ -29,7 +30,7 @@ def table(request, tmp_path):
     return PixelRays.from_capture(load_capture(folder), 10_000, False, torch.device("cpu")), shadow if plain else pattern
 
 
-def texels(texture: SupportTexture) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def texels(texture: PlaneTexture) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Points [n, 3], colors [n, 3] and whether they are known [n], of all texels."""
     axis = (np.arange(len(texture.known)) + 0.5) / len(texture.known) * 2 - 1
     across, along = PLANE.axes()
@@ -39,7 +40,7 @@ def texels(texture: SupportTexture) -> tuple[np.ndarray, np.ndarray, np.ndarray]
 
 def test_known_colors_are_the_tables_and_not_the_balls(table):
     rays, true = table
-    points, color, known = texels(SupportColors(rays, PLANE).texture(BALL_SDF))
+    points, color, known = texels(AgreedColors(rays, PLANE).texture(BALL_SDF))
     beside = np.hypot(*(points - CENTER)[:, :2].T) > BALL
     in_sphere = np.linalg.norm(points, axis=1) < 0.97
     assert known[beside & in_sphere].mean() > 0.95
@@ -51,7 +52,7 @@ def test_known_colors_are_the_tables_and_not_the_balls(table):
 
 def test_rays_that_meet_the_plane_in_the_sphere_show_the_colors(table):
     rays, true = table
-    texture = SupportColors(rays, PLANE).texture(BALL_SDF)
+    texture = AgreedColors(rays, PLANE).texture(BALL_SDF)
     points = np.array([[-0.6, 0.1, HEIGHT], [-0.3, -0.55, HEIGHT], [0.0, -1.5, HEIGHT]])
     origins = torch.tensor(points + np.array([-1.0, 0.5, 2.0]), dtype=torch.float32)
     directions = torch.nn.functional.normalize(torch.tensor(points, dtype=torch.float32) - origins, dim=-1)
@@ -77,7 +78,7 @@ def test_the_hull_loses_its_mound_and_keeps_the_ball(table):
         return torch.from_numpy(color.astype(np.float32))
 
     above, ball = PLANE.distance(CELLS) > 0, BALL_SDF < 0
-    colors, sdf, overlap = SupportColors(rays, PLANE), None, []
+    colors, sdf, overlap = AgreedColors(rays, PLANE), None, []
     for _ in range(9):
         background = walls if sdf is None else colors.texture(sdf).before(walls)
         hull = carve(score_cells(rays, background_silhouettes(background, rays), 64))
@@ -114,4 +115,4 @@ def test_nothing_is_known_if_photos_show_the_object_alone(tmp_path):
     """A table as small as the foot: beside it are the walls, far below the plane."""
     folder = write_table_scene(tmp_path / "capture", radius=0.2)
     rays = PixelRays.from_capture(load_capture(folder), 10_000, False, torch.device("cpu"))
-    assert float(SupportColors(rays, PLANE).texture(BALL_SDF).known.float().mean()) < 0.02
+    assert float(AgreedColors(rays, PLANE).texture(BALL_SDF).known.float().mean()) < 0.02

@@ -19,9 +19,11 @@ from blender_nep.capture.exposure import Exposures
 from blender_nep.errors import LearningError
 from blender_nep.job import preparation, runner
 from blender_nep.job.stage_names import StageName
+from blender_nep.job.stages import AssetStage
 from blender_nep.messages import Message
 from blender_nep.presets import preset
 from blender_nep.shading.unseen_light import UnseenLight
+from blender_nep.support.plane import Support
 from support.ball_stages import WHY, BallStages, BallSurface
 
 ONE_MATERIAL = WHY.state()
@@ -174,6 +176,37 @@ def test_masks_ignored_are_reported_as_skipped(start):
     start(BallStages(), use_masks=False)
     report = json.loads((start.out / "report.json").read_text())
     assert report["skipped"]["mask term"]["code"] == "reason.masks_ignored"
+
+
+@pytest.mark.parametrize("finder", ["fields", "mesh"])
+def test_a_plane_that_a_stage_finds_is_in_the_later_scenes(start, finder):
+    plane, seen = Support(np.array([0.0, 0.0, 1.0]), -0.4), {}
+
+    class Found(BallStages):
+        def learn_fields(self, given, *how):
+            seen["fields"] = given.scene.support
+            fields = super().learn_fields(given, *how)
+            fields.support = plane if finder == "fields" else None
+            return fields
+
+        def learn_materials(self, given, *how):
+            seen["materials"] = given.scene.support
+            return super().learn_materials(given, *how)
+
+    class InMesh(BallSurface):
+        def run(self, given, *how):
+            seen["mesh"] = given.scene.support
+            return replace(super().run(given, *how), support=plane if finder == "mesh" else None)
+
+    class Asset(AssetStage):
+        def run(self, given):
+            seen["asset"] = given.scene.support
+            super().run(given)
+
+    stages = Found()
+    stages.surface, stages.asset = InMesh(stages), Asset()
+    assert start(stages)[0] == 0
+    assert seen == {"fields": None, "mesh": plane if finder == "fields" else None, "materials": plane, "asset": plane}
 
 
 @pytest.mark.parametrize("coverage", [1.0, 0.5, 0.0])

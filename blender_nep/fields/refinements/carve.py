@@ -12,7 +12,6 @@ from blender_nep.fields.stage import StageOne
 from blender_nep.fields.visual_hull import background_silhouettes, excess
 from blender_nep.messages import Message, Part
 from blender_nep.profiling import profiled
-from blender_nep.support.texture import SupportColors
 
 
 class Carving:
@@ -33,8 +32,8 @@ class Carving:
         field, shape = stage.object_field, stage.object_field.shape()
         band, sdf = stage.band, field.sdf_in_cells()
         background: Callable[[RayBundle], Tensor] = stage.renderer.background
-        if stage.scene.support is not None:
-            background = SupportColors(stage.rays, stage.scene.support).texture(sdf).before(background)
+        if stage.scene.plane_colors is not None:
+            background = stage.scene.plane_colors.texture(sdf).before(background)
         silhouettes = background_silhouettes(
             background, stage.rays, wanted=lambda rays: shape.near(rays.origins, rays.directions, band)
         )

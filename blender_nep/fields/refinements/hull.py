@@ -19,9 +19,9 @@ from blender_nep.fields.visual_hull import (
 )
 from blender_nep.messages import Message, Part
 from blender_nep.profiling import profiled
+from blender_nep.support.agreed_colors import AgreedColors
 from blender_nep.support.foot import with_closed_foot
 from blender_nep.support.plane import Support
-from blender_nep.support.texture import SupportColors
 
 _CARVINGS, _LEAST_CARVED = 8, 0.02
 """With the colors of the support plane, the visual hull is carved up to so many times, as long as it loses this share of its
@@ -75,16 +75,16 @@ def hull_without_masks(stage: StageOne) -> VisualHull | None:
     On a support plane, the hull is carved again: with a lower threshold, and with the colors of the plane. F_e does not know
     these colors.
     """
-    scores, support = background_scores(stage), stage.scene.support
+    scores = background_scores(stage)
     hull = carve(scores)
-    if hull is None or support is None:
-        return hull
-    return _hull_on_support(stage, carve(scores, on_support=True) or hull, support)
+    if hull is None:
+        return None
+    colors = stage.scene.plane_colors
+    return hull if colors is None else _hull_on_support(stage, carve(scores, on_support=True) or hull, colors)
 
 
-def _hull_on_support(stage: StageOne, hull: VisualHull, support: Support) -> VisualHull:
+def _hull_on_support(stage: StageOne, hull: VisualHull, colors: AgreedColors) -> VisualHull:
     """The hull carved with the colors of the support plane, which are known better the smaller the hull is."""
-    colors = SupportColors(stage.rays, support)
     for _ in range(_CARVINGS):
         background = colors.texture(hull.sdf).before(stage.environment_alone)
         carved, before = carve(_scores(stage, background), on_support=True), hull.volume
