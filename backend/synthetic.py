@@ -4,6 +4,8 @@
     blender -b -P backend/synthetic.py -- --scene statue.obj --out DIR ...
     python backend/synthetic.py --random SEED --out DIR [--meshes FILE...]
     python backend/synthetic.py --scene suzanne --snapshots --out DIR
+    python backend/synthetic.py --scene suzanne --photograph EFFECT... --out DIR
+    python backend/synthetic.py --develop CAPTURE --photograph EFFECT... --out DIR
 
 DIR becomes a capture (transforms.json, images/NNN.exr, masks/NNN.png). The capture has test views (transforms_test.json,
 test/, test_masks/), the ground truth of the test views (gt/NNN.exr) and the true mesh (gt_mesh.ply). transforms.json is
@@ -16,6 +18,11 @@ photos are exposed and stored. What was drawn is written as scene.json. The phot
 by up to half a stop up or down, and nothing that tells the cameras. The surroundings have prints. DIR/with_cameras is a
 capture of the same photos with the true cameras, test views, and ground truth.
 
+`--photograph` gives the photos to learn from what photos of people have: the photographer in the reflections, a living room,
+depth of field, a camera's tone curve and noise, and others (docs/photographs.md), which DIR/photographs.json tells. The test
+views and the ground truth stay clean. `--develop` does the camera's part of it with the photos of a capture of linear
+radiance, without rendering again.
+
 The same arguments give the same capture in the same version of Blender, except for the last digits of the photos, because
 Cycles adds in no fixed order. Blender 5 draws other Voronoi cells for the pattern `patches` than Blender 4.
 """
@@ -26,6 +33,7 @@ import math
 import os
 import sys
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -40,12 +48,19 @@ from backend.engine.printed_text import one_line
 from backend.scene_io.image_files import write_png, write_whole
 from backend.synthetic_capture import scenes
 from backend.synthetic_capture.exr_channels import write_channels
+from backend.synthetic_capture.fixed_scene import build_fixed_scene
 from backend.synthetic_capture.ground_truth import ViewRenderer
-from backend.synthetic_capture.photo_files import ENDINGS, automatic_gain, gain_for, write_photo
+from backend.synthetic_capture.photo_files import BRIGHTNESS, ENDINGS, automatic_gain, gain_for, write_photo
+from backend.synthetic_capture.photograph import effects as photograph
+from backend.synthetic_capture.photograph import session as photographs
+from backend.synthetic_capture.photograph.develop_capture import develop_capture
+from backend.synthetic_capture.photograph.framing import arranged
+from backend.synthetic_capture.photograph.living_room import in_living_room
+from backend.synthetic_capture.photograph.object_changes import change_object
 from backend.synthetic_capture.random_build import build_random_scene
 from backend.synthetic_capture.random_scene import Photography, draw_scene
-from backend.synthetic_capture.snapshots import BRIGHTNESS, Phone
-from backend.synthetic_capture.viewpoints import FIELD_OF_VIEW, Surroundings, Viewpoint, choose_viewpoints
+from backend.synthetic_capture.snapshots import Phone
+from backend.synthetic_capture.viewpoints import FIELD_OF_VIEW, Viewpoint
 
 MARK = "gt_mesh.ply"
 """The first file of a capture that is written. It shows that the folder is ours."""
@@ -55,6 +70,13 @@ PARTS = ("images", "masks", "test", "test_masks", "gt")
 """The folders of a capture"""
 METER_SIZE, METER_SAMPLES, METER_VIEWS = 48, 8, 8
 """Pixels, samples and photos of the small renders that the exposure of a random scene is found on."""
+SCENE_OPTIONS = ("views", "test_views", "size", "samples", "threads")
+UNUSED = {
+    None: ("meshes",),
+    "random": ("seed", "snapshots", "material"),
+    "develop": ("meshes", "snapshots", "material", *SCENE_OPTIONS),
+}
+"""What is rendered, where it is no --scene -> options without effect"""
 LARGEST_SEED = 2**31 - 1
 """Cycles keeps its seed as a signed number of 32 bits."""
 
@@ -64,6 +86,7 @@ def parse(arguments: list[str]) -> argparse.Namespace:
     what = parser.add_mutually_exclusive_group()
     what.add_argument("--scene", default="suzanne", help="suzanne, box, or a mesh file (obj, ply, stl, glb, gltf)")
     what.add_argument("--random", type=_seed, metavar="SEED", help="draw the whole scene from this seed, 0 or more")
+    what.add_argument("--develop", type=path_argument, metavar="CAPTURE", help="develop the photos of a capture; no render")
     parser.add_argument("--meshes", nargs="+", default=[], metavar="FILE", help="further objects that --random may draw")
     parser.add_argument("--out", type=path_argument, required=True, help="the capture folder to write")
     parser.add_argument("--views", type=int, help="photos to learn from; default: 62, or what --random draws")
@@ -78,13 +101,31 @@ def parse(arguments: list[str]) -> argparse.Namespace:
         help="photos as a phone takes them, in OUT/photos, which loses its IMG_*.jpg; not with --random",
     )
     parser.add_argument(
+        "--photograph",
+        nargs="+",
+        default=[],
+        choices=[*photograph.EFFECTS, *photograph.GROUPS],
+        metavar="EFFECT",
+        help=f"photos as people take them: {', '.join(photograph.EFFECTS)}; camera (the last four); all",
+    )
+    parser.add_argument(
         "--material", choices=sorted(scenes.MATERIALS), help="default: gold; the box: patches; not with --random"
     )
     options = parser.parse_args(arguments)
-    unused = ("meshes",) if options.random is None else ("seed", "snapshots", "material")
-    for name in unused:
+    named = next((name for name in ("random", "develop") if getattr(options, name) is not None), None)
+    for name in UNUSED[named]:
         if getattr(options, name) != parser.get_default(name):
-            parser.error(f"--{name} has no effect {'without' if options.random is None else 'with'} --random")
+            option = f"--{name.replace('_', '-')}"
+            parser.error(f"{option} has no effect {f'with --{named}' if named else 'without --random'}")
+    options.photograph = photograph.chosen(options.photograph)
+    if options.photograph and options.snapshots:
+        parser.error("--photograph and --snapshots are two ways to take photos: give one of them")
+    rendered = sorted(options.photograph.intersection(photograph.SCENE))
+    if options.develop is not None and (rendered or not options.photograph):
+        parser.error(
+            f"--develop does not render {', '.join(rendered) or 'anything'}: give --photograph with some of "
+            f"{', '.join(photograph.DEVELOPMENT)}"
+        )
     options.seed = options.seed or 0
     return options
 
@@ -113,14 +154,18 @@ def main(arguments: list[str]) -> int:
     if options.threads:
         bpy.context.scene.render.threads_mode, bpy.context.scene.render.threads = "FIXED", options.threads
     try:
-        if options.random is None:
-            target, train, test = fixed_scene(options)
-            photographing = Photographing()
+        if options.develop is not None:
+            develop_capture(options.develop, options.out, options.photograph, options.seed)
+        elif options.random is None:
+            views = (62 if options.views is None else options.views, options.test_views)
+            chosen = (options.scene, options.material, options.seed)
+            built = build_fixed_scene(*chosen, views, options.snapshots, options.photograph)
+            photographing = Photographing(session=session_of(options, FIELD_OF_VIEW, built.stage, len(built.train)))
             if options.snapshots:
                 photographing = Photographing(phone=Phone(options.size, FIELD_OF_VIEW))
                 options.out /= WITH_CAMERAS
                 (options.out.parent / "photos").mkdir(parents=True, exist_ok=True)
-            write_capture(options, target, train, test, photographing)
+            write_capture(options, built.target, built.train, built.test, photographing)
         else:
             write_random_capture(options)
     except (ValueError, OSError) as error:
@@ -138,7 +183,8 @@ def refuse_foreign_files(out: Path, snapshots: bool) -> None:
         return
     folders = [out / name for name in PARTS if (out / name).is_dir()]
     there = [f"{folder.name}/{path.name}" for folder in folders for path in sorted(folder.iterdir())[:1]]
-    there += [name for name in ("transforms.json", "transforms_test.json", "scene.json") if os.path.lexists(out / name)]
+    files = ("transforms.json", "transforms_test.json", "scene.json", photographs.FILE)
+    there += [name for name in files if os.path.lexists(out / name)]
     there += [f"../photos/{path.name}" for path in _phone_photos(out)[:1]] if snapshots else []
     if there:
         raise ValueError(f"{out} holds {', '.join(there)}, which are of no synthetic capture: choose another --out")
@@ -148,14 +194,15 @@ def _phone_photos(out: Path) -> list[Path]:
     return sorted((out.parent / "photos").glob("IMG_*.jpg"))
 
 
-def fixed_scene(options: argparse.Namespace) -> tuple[bpy.types.Object, list[Viewpoint], list[Viewpoint]]:
-    """Build the scene that `--scene` names: (object, viewpoints to learn from, test viewpoints). Raises ValueError."""
-    rng = np.random.default_rng(options.seed)
-    material = options.material or scenes.DEFAULT_MATERIAL.get(options.scene, "gold")
-    target, obstacles = scenes.build_scene(options.scene, material, rng, patterned=options.snapshots)
-    surroundings = Surroundings(obstacles)
-    train = choose_viewpoints(62 if options.views is None else options.views, surroundings, rng)
-    return target, train, choose_viewpoints(options.test_views, surroundings, rng)
+def session_of(
+    options: argparse.Namespace, field_of_view: float, stage: photograph.Stage, photos: int, brightness: float = BRIGHTNESS
+) -> photographs.Session | None:
+    """The session that takes the photographs; None without --photograph."""
+    if not options.photograph:
+        return None
+    focal_length = 0.5 / math.tan(field_of_view / 2)
+    camera = photographs.Camera(options.photograph, options.seed, photos, focal_length, brightness)
+    return photographs.Session(camera, stage)
 
 
 def write_random_capture(options: argparse.Namespace) -> None:
@@ -163,16 +210,22 @@ def write_random_capture(options: argparse.Namespace) -> None:
     scene = draw_scene(options.random, options.meshes)
     if options.views is not None:
         scene = replace(scene, cameras=replace(scene.cameras, views=options.views))
-    built = build_random_scene(scene, options.test_views)
-    field_of_view = math.radians(scene.cameras.field_of_view)
+    if photograph.ROOM in options.photograph:
+        scene = in_living_room(scene)
     options.seed = scene.seed
+    built = build_random_scene(
+        scene, options.test_views, lambda target: change_object(target, options.photograph, options.seed)
+    )
+    field_of_view = math.radians(scene.cameras.field_of_view)
+    train = arranged(built.train, options.photograph, options.seed)
     options.out.mkdir(parents=True, exist_ok=True)
     write_whole(options.out / "scene.json", (json.dumps(scene.as_json(), indent=1) + "\n").encode())
     # The finer filter of the denoiser's guides takes as much time as eight samples. Without the light tree a sample takes
     # 40 % less time, and a room has only a few lamps to choose from.
     bpy.context.scene.cycles.denoising_prefilter, bpy.context.scene.cycles.use_light_tree = "FAST", False
-    photographing = Photographing(field_of_view, scene.photography)
-    write_capture(options, built.target, built.train, built.test, photographing)
+    session = session_of(options, field_of_view, built.stage, len(train), scene.photography.brightness)
+    photographing = Photographing(field_of_view, scene.photography, session=session)
+    write_capture(options, built.target, train, built.test, photographing)
 
 
 @dataclass(frozen=True)
@@ -185,29 +238,48 @@ class Photographing:
     """None: radiance as it is, as OpenEXR"""
     phone: Phone | None = None
     """Takes the photos to learn from as JPEG files instead. None: no phone"""
+    session: photographs.Session | None = None
+    """Takes the photos to learn from as people do. None: clean renders"""
+
+    @property
+    def develops(self) -> bool:
+        """Whether the session's camera writes the photos to learn from."""
+        return self.session is not None and self.session.develops
 
     @property
     def format(self) -> str:
-        """The format of the photos, one of photo_files.ENDINGS."""
-        return self.photography.format if self.photography else "EXR half linear"
+        """The format of the photos that neither a phone nor the session's camera writes, one of photo_files.ENDINGS."""
+        return self.photography.format if self.photography and not self.develops else "EXR half linear"
 
-    def meter(self, options: argparse.Namespace, train: list[Viewpoint]) -> float:
+    def set_up(self, camera: bpy.types.Camera, viewpoint: Viewpoint, number: int | None) -> None:
+        """Prepare the scene for the photo with this number, or for a test view (None)."""
+        if self.session:
+            self.session.set_up(camera, viewpoint.matrix, number)
+
+    def meter(self, options: argparse.Namespace, train: Sequence[Viewpoint]) -> float:
         """The gain of all photos, found on small renders of some viewpoints; 1 where photos hold plain radiance.
+
+        The session's camera finds the gains of its photos, too. The gain that is returned is that of its first day.
 
         The gain is approximate, because only every n-th viewpoint is rendered. Where the cameras stand on two rings and n is
         even, all these viewpoints are on one ring. The choice stays as it is, because the photos of recorded scenes depend
         on it.
         """
-        if self.photography is None and self.phone is None:
+        if self.photography is None and self.phone is None and not self.develops:
             return 1.0
         renderer = ViewRenderer(bpy.context.scene, METER_SIZE, METER_SAMPLES, self.field_of_view, options.seed)
-        chosen = train[:: max(1, len(train) // METER_VIEWS)]
-        photos = [renderer.render(viewpoint.matrix)[0] for viewpoint in chosen]
-        return gain_for(photos, self.photography.brightness if self.photography else BRIGHTNESS)
+        photos = []
+        for number in range(0, len(train), max(1, len(train) // METER_VIEWS)):
+            self.set_up(renderer.camera.data, train[number], number)
+            photos.append((number, renderer.render(train[number].matrix)[0]))
+        if self.session and self.develops:
+            self.session.camera.meter(photos)
+            return self.session.camera.gains[0]
+        return gain_for([photo for _, photo in photos], self.photography.brightness if self.photography else BRIGHTNESS)
 
     def exposed(self, photo: np.ndarray, gain: float) -> np.ndarray:
         """The photo [H,W,3] with the exposure that it is taken with. `gain` is that of `meter`."""
-        if self.photography and self.photography.auto_exposure:
+        if self.photography and self.photography.auto_exposure and not self.develops:
             gain = automatic_gain(photo, self.photography.brightness, gain)
         return photo * np.float32(gain)
 
@@ -236,12 +308,13 @@ def write_capture(
     field_of_view = phone.rendered_field_of_view if phone else photographing.field_of_view
     renderer = ViewRenderer(bpy.context.scene, size, options.samples, field_of_view, options.seed)
     started, total = time.monotonic(), len(train) + len(test)
-    frames = {"test": [], "train": []}
+    frames, taken = {"test": [], "train": []}, []
     for number, viewpoint in enumerate(test + train):
         group = "test" if number < len(test) else "train"
         index = len(frames[group])
         images, masks = ("test", "test_masks") if group == "test" else ("images", "masks")
         renderer.scene.cycles.seed = (options.seed + number) % (LARGEST_SEED + 1)  # two photos must not have the same noise
+        photographing.set_up(renderer.camera.data, viewpoint, index if group == "train" else None)
         photo, truth = renderer.render(viewpoint.matrix)
         frame = {
             "file_path": f"{images}/{index:03d}{ENDINGS[photographing.format]}",
@@ -253,6 +326,10 @@ def write_capture(
             frame["file_path"] = f"../photos/IMG_{index + 1:04d}.jpg"
             truth["mask.V"] = phone.resampled(truth["mask.V"]).clip(0, 1)
             phone.take(out / frame["file_path"], phone.resampled(photo), gain)
+        elif photographing.develops and group == "train":
+            frame["file_path"] = f"{images}/{index:03d}.jpg"
+            settings = photographing.session.camera.take(out / frame["file_path"], photo, index)
+            taken.append({"file_path": frame["file_path"]} | settings)
         else:
             write_photo(out / frame["file_path"], photographing.exposed(photo, gain), photographing.format)
         write_png(out / frame["mask_path"], np.round(truth["mask.V"] * 255).astype(np.uint8))
@@ -261,15 +338,18 @@ def write_capture(
         left = (time.monotonic() - started) / (number + 1) * (total - number - 1)
         print(f"view {number + 1}/{total}, {left:.0f} s left", file=sys.stderr, flush=True)
     color_space = "linear" if photographing.format.startswith("EXR") else "srgb"
-    write_transforms(out, renderer, color_space, frames, phone)
+    if photographing.session:
+        photographs.write_description(out, photographing.session.camera, taken)
+    own = phone.intrinsics if phone else {"color_space": "srgb"} if photographing.develops else {}
+    write_transforms(out, renderer, color_space, frames, own)
 
 
 def write_transforms(
-    out: Path, renderer: ViewRenderer, color_space: str, frames: dict[str, list[dict]], phone: Phone | None = None
+    out: Path, renderer: ViewRenderer, color_space: str, frames: dict[str, list[dict]], own: dict | None = None
 ) -> None:
-    """Write transforms_test.json and, last, transforms.json. The phone has taken the photos of the latter, if any.
+    """Write transforms_test.json and, last, transforms.json, some of whose keys have values of their `own`.
 
-    `color_space` is that of the photos that no phone has taken. A phone's photos are sRGB-encoded.
+    `color_space` is that of the rendered photos.
     """
     size = renderer.scene.render.resolution_x
     shared = {
@@ -284,12 +364,8 @@ def write_transforms(
         "object_center": [0.0, 0.0, 0.0],
         "object_radius": scenes.OBJECT_RADIUS,
     }
-    lens = {}
-    if phone:
-        lens = {"camera_model": "OPENCV", "w": phone.size, "h": phone.size, "cx": phone.size / 2, "cy": phone.size / 2}
-        lens |= {"k1": phone.k1, "k2": phone.k2, "color_space": "srgb"}
-    for group, name, own in (("test", "transforms_test.json", {}), ("train", "transforms.json", lens)):
-        text = json.dumps(shared | own | {"frames": frames[group]}, indent=1) + "\n"
+    for group, name, changed in (("test", "transforms_test.json", {}), ("train", "transforms.json", own or {})):
+        text = json.dumps(shared | changed | {"frames": frames[group]}, indent=1) + "\n"
         write_whole(out / name, text.encode())
 
 

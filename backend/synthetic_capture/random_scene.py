@@ -19,6 +19,8 @@ ROUGHNESS = (0.03, 0.7)
 HALF_WIDTH = (3.0, 60.0)
 INDOOR_HDRIS = ("interior", "studio")
 OUTDOOR_HDRIS = ("city", "courtyard", "forest", "night", "sunrise", "sunset")
+LIVING_ROOM = "living room"
+"""A kind of place that no seed draws: `synthetic.py --photograph room`"""
 SUPPORTS = ("none", "table", "plate")
 WHOLE_SPHERE, UPPER_HALF, TWO_RINGS = "whole sphere", "upper half", "two rings"
 VIEWS = (30, 80)
@@ -61,7 +63,7 @@ class Place:
     """What surrounds the object."""
 
     kind: str
-    """'room' or 'HDRI'"""
+    """'room', 'HDRI' or LIVING_ROOM"""
     half_width: float | None
     """of the room, in object radii; None with an HDRI, which is at infinity"""
     hdri: str | None
@@ -122,7 +124,7 @@ class SceneDescription:
             for part in self.substances
         ]
         place = self.place
-        where = f"room of {place.half_width:.0f} radii" if place.kind == "room" else f"HDRI {place.hdri}"
+        where = f"HDRI {place.hdri}" if place.hdri else f"{place.kind} of {place.half_width:.0f} radii"
         exposure = "auto-exposure" if self.photography.auto_exposure else "one exposure"
         return "; ".join(
             [

@@ -8,7 +8,9 @@ import numpy as np
 
 from ..scene_io.world import blender_hdris, build_world
 from . import scenes
-from .random_scene import Place, SceneDescription, Support
+from .photograph import living_room
+from .photograph.effects import ROOM_HEIGHT, Stage
+from .random_scene import LIVING_ROOM, Place, Support
 
 LEAST_DISTANCE = 3.9
 """Of things that stand on the floor or on poles, in object radii; in a narrow room they stand nearer. Most cameras are
@@ -17,43 +19,56 @@ THICKNESS = 0.12
 """of a table or a plate"""
 
 
+FLOOR, CEILING, FAR = -7.0, 18.0, 12.0
+"""Without a room: the height of the floor, of a ceiling that only gives people their size, and how far things stand"""
+LIVING_ROOM_TABLE = 0.75
+"""meters"""
+
+
 @dataclass
 class Built:
     """The meshes around the object."""
 
+    stage: Stage
     support: list[bpy.types.Object] = field(default_factory=list)
     obstacles: list[bpy.types.Object] = field(default_factory=list)
     """all meshes but the object and its support"""
 
 
-def build_surroundings(scene: SceneDescription, foot: float, rng: np.random.Generator) -> Built:
+def build_surroundings(place: Place, support: Support, foot: float, rng: np.random.Generator) -> Built:
     """Add the surroundings. `foot` is the height of the object's lowest point, which the support touches.
 
     Raises ValueError where this Blender has no HDRI of that name.
     """
-    built = Built()
-    floor = _floor(scene.place, foot)
-    if scene.place.kind == "room":
-        built.obstacles += _room(scene.place.half_width, floor, rng)
+    stage = _stage(place, support, foot)
+    built, floor = Built(stage), stage.floor
+    if place.kind == LIVING_ROOM:
+        built.obstacles += living_room.build(place, floor, rng)
+    elif place.kind == "room":
+        built.obstacles += _room(place.half_width, floor, stage.ceiling, rng)
     else:
-        _shine(scene.place.hdri, rng)
-    if scene.support.kind != "none":
-        built.support += _support(scene.support, foot, floor, rng)
-    on_table = scene.support.kind == "table" and scene.support.half_width > 2.3
-    for number in range(scene.place.things):
+        _shine(place.hdri, rng)
+    if support.kind != "none":
+        built.support += _support(support, foot, floor, rng)
+    on_table = support.kind == "table" and support.half_width > 2.3
+    for number in range(place.things):
         if on_table and number % 2 == 0:
-            things = _on_table(number, scene.support, foot, rng)
-        else:
-            things = _on_floor(number, scene.place, floor, rng)
-        built.obstacles += things
+            built.obstacles += _on_table(number, support, foot, rng)
+        elif place.kind != LIVING_ROOM:
+            built.obstacles += _on_floor(number, place, floor, rng)
     return built
 
 
-def _floor(place: Place, foot: float) -> float:
-    """The height of the floor. The larger the room, the smaller the object in it, and the deeper its floor."""
+def _stage(place: Place, support: Support, foot: float) -> Stage:
+    """The larger the room, the smaller the object in it, and the deeper its floor."""
+    if place.kind == LIVING_ROOM:
+        meter = place.half_width / living_room.HALF_WIDTH
+        floor = foot - LIVING_ROOM_TABLE * meter
+        return Stage(floor, floor + ROOM_HEIGHT * meter, place.half_width, support.half_width)
     if place.kind == "room":
-        return min(-float(np.clip(0.3 * place.half_width, 1.5, 9.0)), foot - 0.4)
-    return -7.0
+        floor = min(-float(np.clip(0.3 * place.half_width, 1.5, 9.0)), foot - 0.4)
+        return Stage(floor, floor + max(1.1 * place.half_width, 4.8), place.half_width, support.half_width)
+    return Stage(FLOOR, CEILING, FAR, support.half_width)
 
 
 def _shine(name: str, rng: np.random.Generator) -> None:
@@ -70,10 +85,9 @@ def _shine(name: str, rng: np.random.Generator) -> None:
     bpy.context.scene.world = world
 
 
-def _room(half_width: float, floor: float, rng: np.random.Generator) -> list[bpy.types.Object]:
+def _room(half_width: float, floor: float, ceiling: float, rng: np.random.Generator) -> list[bpy.types.Object]:
     """Walls, floor, ceiling, pictures, a door, windows and lamps. All sizes grow with the room."""
     scale = half_width / 5.2
-    ceiling = floor + max(1.1 * half_width, 4.8)
     middle, height, reach = (floor + ceiling) / 2, ceiling - floor, half_width + 0.05
     parts = [
         _painted(scenes.box("floor", (0, 0, floor - 0.05), (2 * reach, 2 * reach, 0.1)), rng, 1.1 / scale),

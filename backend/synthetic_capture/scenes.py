@@ -36,18 +36,21 @@ GROUND_TRUTH_VALUES = ("roughness", "metallic", "mask")
 
 
 def build_scene(
-    source: str, material: str, rng: np.random.Generator, patterned: bool = False
+    source: str, material: str, rng: np.random.Generator, patterned: bool = False, alone: bool = False
 ) -> tuple[bpy.types.Object, list[bpy.types.Object]]:
     """Build a scene in the current file, which must be empty. Returns (object, obstacles).
 
     An obstacle is every mesh that is not the object. `source` is 'suzanne', 'box' or the path of an obj, ply, stl, glb or
     gltf file. `patterned`: the floor, the pictures and the things have prints, so that structure from motion finds features.
-    Raises ValueError for other sources, and for a mesh file that cannot be used (see `mesh_file`).
+    `alone`: only the object is built. Raises ValueError for other sources, and for a mesh file that cannot be used (see
+    `mesh_file`).
     """
     target = _object(source)
     normalize(target)
     target.data.materials.clear()
     target.data.materials.append(object_material(*MATERIALS[material], rng))
+    if alone:
+        return target, []
     room, lights, things = _room(rng), _lights(rng), _things(rng)
     prints = [item for item in room if item.name.startswith(("floor", "picture"))] + things
     for item in prints if patterned else ():
@@ -163,25 +166,34 @@ def normalize(item: bpy.types.Object) -> None:
 
 def object_material(pattern: str, substances: tuple[Substance, ...], rng: np.random.Generator) -> bpy.types.Material:
     """The object's Principled material. The values of its inputs also go to the AOVs, which become the ground truth."""
-    material = bpy.data.materials.new("object")
-    material.use_nodes = True
-    nodes, links = material.node_tree.nodes, material.node_tree.links
-    principled = next(node for node in nodes if node.type == "BSDF_PRINCIPLED")
+    material, nodes, links = new_material("object")
     factor = None if pattern == "uniform" else _pattern(nodes, links, pattern, rng)
     first, second = substances[0], substances[-1]
     sockets = {
-        "albedo": _blend(nodes, links, factor, first.color, second.color),
-        "roughness": _blend(nodes, links, factor, (first.roughness,) * 3, (second.roughness,) * 3),
-        "metallic": _blend(nodes, links, factor, (first.metallic,) * 3, (second.metallic,) * 3),
-        "mask": _blend(nodes, links, None, (1, 1, 1), (1, 1, 1)),
+        "albedo": blend(nodes, links, factor, first.color, second.color),
+        "roughness": blend(nodes, links, factor, (first.roughness,) * 3, (second.roughness,) * 3),
+        "metallic": blend(nodes, links, factor, (first.metallic,) * 3, (second.metallic,) * 3),
     }
+    link_with_truth(nodes, links, sockets)
+    return material
+
+
+def new_material(name: str) -> tuple[bpy.types.Material, bpy.types.Nodes, bpy.types.NodeLinks]:
+    """A new material with a Principled BSDF, its nodes, and its links."""
+    material = bpy.data.materials.new(name)
+    material.use_nodes = True
+    return material, material.node_tree.nodes, material.node_tree.links
+
+
+def link_with_truth(nodes: bpy.types.Nodes, links: bpy.types.NodeLinks, sockets: dict[str, bpy.types.NodeSocket]) -> None:
+    """Link the sockets 'albedo', 'roughness' and 'metallic' to the Principled BSDF and to the AOVs of the ground truth."""
+    principled = next(node for node in nodes if node.type == "BSDF_PRINCIPLED")
     for name, socket in (("albedo", "Base Color"), ("roughness", "Roughness"), ("metallic", "Metallic")):
         links.new(sockets[name], principled.inputs[socket])
-    for name, output in sockets.items():
+    for name, output in (sockets | {"mask": blend(nodes, links, None, (1, 1, 1), (1, 1, 1))}).items():
         aov = nodes.new("ShaderNodeOutputAOV")
         aov.aov_name = name
         links.new(output, aov.inputs["Color" if name == GROUND_TRUTH_COLOR else "Value"])
-    return material
 
 
 def _pattern(
@@ -213,21 +225,24 @@ def _pattern(
     return threshold.outputs[0]
 
 
-def _blend(
+def blend(
     nodes: bpy.types.Nodes,
     links: bpy.types.NodeLinks,
     factor: bpy.types.NodeSocket | None,
-    first: Sequence[float],
-    second: Sequence[float],
+    first: Sequence[float] | bpy.types.NodeSocket,
+    second: Sequence[float] | bpy.types.NodeSocket,
 ) -> bpy.types.NodeSocket:
     """A socket with the color `first` where `factor` is 0, and `second` where `factor` is 1.
 
-    Where `factor` is None, the color is `first` everywhere.
+    Where `factor` is None, the color is `first` everywhere. Both colors may be sockets.
     """
     mix = nodes.new("ShaderNodeMix")
     mix.data_type = "RGBA"
-    colors = [socket for socket in mix.inputs if socket.type == "RGBA"]
-    colors[0].default_value, colors[1].default_value = (*first, 1), (*second, 1)
+    for socket, color in zip((socket for socket in mix.inputs if socket.type == "RGBA"), (first, second), strict=True):
+        if isinstance(color, bpy.types.NodeSocket):
+            links.new(color, socket)
+        else:
+            socket.default_value = (*color, 1)
     mix.inputs[0].default_value = 0
     if factor is not None:
         links.new(factor, mix.inputs[0])
@@ -359,8 +374,20 @@ def surface(
     return material
 
 
-def printed(name: str, rng: np.random.Generator) -> bpy.types.Material:
-    """A dielectric material with a print of colored cells of several sizes, which repeats nowhere."""
+def plain(name: str, color: Sequence[float], roughness: float) -> bpy.types.Material:
+    """A dielectric material of one color."""
+    material, nodes, _ = new_material(name)
+    principled = next(node for node in nodes if node.type == "BSDF_PRINCIPLED")
+    principled.inputs["Base Color"].default_value = (*color, 1)
+    principled.inputs["Roughness"].default_value = roughness
+    return material
+
+
+def printed(name: str, rng: np.random.Generator, scale: float = 1.0) -> bpy.types.Material:
+    """A dielectric material with a print of colored cells of several sizes, which repeats nowhere.
+
+    The largest cells have a width of about 0.4 / `scale`.
+    """
     material = bpy.data.materials.new(name)
     material.use_nodes = True
     nodes, links = material.node_tree.nodes, material.node_tree.links
@@ -370,9 +397,9 @@ def printed(name: str, rng: np.random.Generator) -> bpy.types.Material:
     shift.inputs[1].default_value = rng.uniform(-50, 50, 3)
     links.new(nodes.new("ShaderNodeNewGeometry").outputs["Position"], shift.inputs[0])
     color = None
-    for scale in (2.5, 9.0, 30.0):
+    for cells_of_unit in (2.5, 9.0, 30.0):
         cells = nodes.new("ShaderNodeTexVoronoi")
-        cells.inputs["Scale"].default_value = scale
+        cells.inputs["Scale"].default_value = cells_of_unit * scale
         links.new(shift.outputs[0], cells.inputs["Vector"])
         if color is None:
             color = cells.outputs["Color"]

@@ -4,25 +4,14 @@ Cycles renders without distortion, and with a margin. The photo is then resample
 """
 
 import math
-import os
-import struct
-import tempfile
 from dataclasses import dataclass
 from pathlib import Path
 
-import bpy
 import numpy as np
 
-from ..scene_io.image_files import write_whole
 from ..scene_io.srgb import linear_to_srgb
-from .photo_files import automatic_gain
-
-BRIGHTNESS = 0.36
-"""Mean sRGB value of the photos that the exposure aims at."""
-QUALITY = 93
-"""of the JPEG files"""
-FILM_DIAGONAL = 43.2666
-"""mm; EXIF tells the focal length for film of this diagonal"""
+from .exif import FILM_FOCAL_LENGTH
+from .photo_files import BRIGHTNESS, automatic_gain, film_focal_length, write_jpeg
 
 
 @dataclass(frozen=True)
@@ -40,6 +29,13 @@ class Phone:
     def focal_length(self) -> float:
         """in pixels"""
         return 0.5 * self.size / math.tan(0.5 * self.field_of_view)
+
+    @property
+    def intrinsics(self) -> dict:
+        """The keys of `transforms.json` that tell the camera and the encoding of its photos."""
+        middle = self.size / 2
+        camera = {"camera_model": "OPENCV", "w": self.size, "h": self.size, "cx": middle, "cy": middle}
+        return camera | {"k1": self.k1, "k2": self.k2, "color_space": "srgb"}
 
     @property
     def rendered_size(self) -> int:
@@ -83,9 +79,8 @@ class Phone:
 
         The file is written under a temporary name and then renamed. Raises OSError where it cannot be written.
         """
-        data = jpeg(linear_to_srgb(radiance * automatic_gain(radiance, BRIGHTNESS, gain)))
-        film = FILM_DIAGONAL * self.focal_length / (self.size * math.sqrt(2))
-        write_whole(path, data[:2] + exif(film) + data[2:])
+        encoded = linear_to_srgb(radiance * automatic_gain(radiance, BRIGHTNESS, gain))
+        write_jpeg(path, encoded, {FILM_FOCAL_LENGTH: film_focal_length(self.focal_length, self.size)})
 
 
 def _catmull_rom(t: np.ndarray) -> list[np.ndarray]:
@@ -96,31 +91,3 @@ def _catmull_rom(t: np.ndarray) -> list[np.ndarray]:
         0.5 * t * (1 + t * (4 - 3 * t)),
         0.5 * t * t * (t - 1),
     ]
-
-
-def jpeg(encoded: np.ndarray) -> bytes:
-    """The JPEG file of sRGB-encoded values [H, W, 3] in 0..1. Raises OSError where Blender cannot write it."""
-    height, width = encoded.shape[:2]
-    image = bpy.data.images.new("photo", width, height, alpha=False)
-    try:
-        pixels = np.ones((height, width, 4), np.float32)
-        pixels[..., :3] = encoded[::-1]
-        image.pixels.foreach_set(pixels.ravel())
-        image.file_format = "JPEG"
-        with tempfile.TemporaryDirectory() as folder:
-            path = Path(folder) / "photo.jpg"
-            image.save(filepath=os.fspath(path), quality=QUALITY)
-            return path.read_bytes()
-    except RuntimeError as error:
-        raise OSError(f"Blender cannot write a photo: {error}") from error
-    finally:
-        bpy.data.images.remove(image)
-
-
-def exif(focal_length: float) -> bytes:
-    """The JPEG segment with EXIF data that say one thing: the focal length [mm] for film of 36 x 24 mm."""
-    entry = struct.pack("<HHIHH", 0xA405, 3, 1, round(focal_length), 0)
-    pointer = struct.pack("<HHII", 0x8769, 4, 1, 26)
-    tiff = struct.pack("<2sHI", b"II", 42, 8) + struct.pack("<H", 1) + pointer + struct.pack("<I", 0)
-    body = b"Exif\0\0" + tiff + struct.pack("<H", 1) + entry + struct.pack("<I", 0)
-    return b"\xff\xe1" + struct.pack(">H", len(body) + 2) + body
