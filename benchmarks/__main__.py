@@ -4,6 +4,7 @@ python -m benchmarks run CAPTURE... --plan presets ablations views pixels true_m
 python -m benchmarks render shapes roughness
 python -m benchmarks run CAPTURE... --preset preview balanced --ablation full "no cones" --seed 0 1 2
 python -m benchmarks random
+python -m benchmarks photographs --objects suzanne box random_3 statue.obj --effects room camera all
 python -m benchmarks report --from 1234abc --write docs/benchmarks.md
 python -m benchmarks diff 1234abc HEAD
 """
@@ -13,14 +14,15 @@ from __future__ import annotations
 import argparse
 import signal
 import sys
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
+from backend.synthetic_capture.photograph.effects import EFFECTS, GROUPS
 from benchmarks.row_files import read_row
 from benchmarks.suite.harness import Children, command_of
 from benchmarks.suite.kept_rows import ROWS, SourceError
 from benchmarks.suite.plan import ABLATIONS, CHOICES, PLANS, Run, expand
-from benchmarks.suite.render import RANDOM, SETS
+from benchmarks.suite.render import CLEAN, RANDOM, SETS, photograph_name
 from benchmarks.suite.runner import OtherRowsError, Suite
 from blender_nep.presets import PRESETS
 
@@ -67,7 +69,16 @@ def parser() -> argparse.ArgumentParser:
     drawn.add_argument("--size", type=int, default=200)
     drawn.add_argument("--samples", type=int, default=4)
     drawn.add_argument("--write", type=Path, default=Path("docs/random-scenes.md"), help="the document (%(default)s)")
-    for command in (run, drawn):
+    taken = commands.add_parser("photographs", help="the same with photographs of objects, for each effect")
+    taken.add_argument("--objects", nargs="+", default=["suzanne", "box"], help="suzanne, box, random_SEED or a mesh file")
+    taken.add_argument("--effects", nargs="+", default=[*EFFECTS, "all"], choices=[*EFFECTS, *GROUPS], metavar="EFFECT")
+    taken.add_argument("--captures", type=Path, help="folder of the rendered captures (OUT/captures)")
+    taken.add_argument("--preset", choices=list(PRESETS), help="this overrides the plan's")
+    taken.add_argument("--views", type=int, default=40)
+    taken.add_argument("--size", type=int, default=256)
+    taken.add_argument("--samples", type=int, default=16)
+    taken.add_argument("--write", type=Path, default=Path("docs/photographs.md"), help="the document (%(default)s)")
+    for command in (run, drawn, taken):
         command.add_argument("--rows", type=Path, default=ROWS, help="folder in which each job's row is kept (%(default)s)")
         command.add_argument("--jobs", type=int, default=1, help="at once (%(default)s)")
         command.add_argument("--device", choices=("auto", "cpu", "cuda"), default="auto")
@@ -83,9 +94,9 @@ def parser() -> argparse.ArgumentParser:
     diff.add_argument("--ablation", help="compare the whole jobs of A with those of B that have this ablation")
     for command in (report, diff):
         command.add_argument("--rows", type=Path, default=ROWS, help="folder of the kept rows (%(default)s)")
-    for command in (run, render, drawn):
+    for command in (run, render, drawn, taken):
         command.add_argument("--out", type=Path, default=Path("out/benchmarks"))
-    for command in (run, render, drawn):
+    for command in (run, render, drawn, taken):
         command.add_argument("--threads", type=int, default=1, help="of a process (%(default)s)")
     return top
 
@@ -105,8 +116,10 @@ def other_size(names: Iterable[str], captures: Path, size: int) -> str:
     return ""
 
 
-def render_captures(names: Sequence[str], captures: Path, views: int, options: argparse.Namespace) -> int:
-    """Render the captures of these names into the folder `captures`. What is there is kept.
+def render_captures(names: Mapping[str, str], captures: Path, views: int, options: argparse.Namespace) -> int:
+    """Render captures into the folder `captures`. `names`: {name of a capture: what suite/render.py calls it}.
+
+    What is there is kept.
 
     Returns 1 where a render failed, REFUSED where photos of another size are there (nothing is rendered then), otherwise 0.
     """
@@ -114,13 +127,13 @@ def render_captures(names: Sequence[str], captures: Path, views: int, options: a
         print(refusal, file=sys.stderr)
         return REFUSED
     failed, children = 0, Children()
-    for name in names:
+    for name, what in names.items():
         folder, log = captures / name, captures / f"{name}.log"
         if (folder / "transforms.json").is_file():
             continue
         folder.mkdir(parents=True, exist_ok=True)
         numbers = (views, options.size, options.samples, options.threads)
-        command = command_of("benchmarks.suite.render", name, folder.absolute(), *numbers)
+        command = command_of("benchmarks.suite.render", what, folder.absolute(), *numbers)
         ended = children.run(command, log, options.threads, 24 * 3600)
         print(f"{folder}: {'failed, see its log' if ended.code else 'rendered'}", file=sys.stderr, flush=True)
         failed += ended.code != 0
@@ -135,7 +148,7 @@ def random_scenes(options: argparse.Namespace) -> int:
     from benchmarks.reports.random_scenes import write_random_report
 
     captures = (options.captures or options.out / "captures").resolve()
-    names = [f"{RANDOM}{seed}" for seed in options.scenes]
+    names = {f"{RANDOM}{seed}": f"{RANDOM}{seed}" for seed in options.scenes}
     failed = render_captures(names, captures, 0, options)
     if failed == REFUSED:
         return REFUSED
@@ -149,6 +162,32 @@ def random_scenes(options: argparse.Namespace) -> int:
         missing = write_random_report(options.out, captures, options.scenes, runs, options.write)
         for marker in missing:
             print(f"{options.write} has no marker {marker!r}", file=sys.stderr)
+    return ended or failed
+
+
+def photographs(options: argparse.Namespace) -> int:
+    """Render photographs of each object with each effect, run and score a job on each, and fill the table of costs.
+
+    Returns 1 where anything failed, REFUSED where captures or rows that are there are in the way, otherwise 0.
+    """
+    from benchmarks.reports.photograph_tables import photograph_table
+    from benchmarks.reports.report import fill
+    from benchmarks.suite.kept_rows import load
+
+    captures, names = (options.captures or options.out / "captures").resolve(), {}
+    for thing in options.objects:
+        what = str(Path(thing).resolve()) if Path(thing).suffix else thing
+        names |= {photograph_name(thing, effect): f"{what}+{effect}" for effect in (CLEAN, *options.effects)}
+    failed = render_captures(names, captures, options.views, options)
+    if failed == REFUSED:
+        return REFUSED
+    rendered = [captures / name for name in names if (captures / name / "transforms.json").is_file()]
+    ended = run_all(options, expand(["photographs"], rendered, {"preset": (options.preset,)} if options.preset else {}))
+    if ended == REFUSED:
+        return REFUSED
+    table = photograph_table(row for row in load(options.out) if row["capture"] in names)
+    print(table)
+    fill(options.write, {"photographs": table})
     return ended or failed
 
 
@@ -220,12 +259,17 @@ def run_command(arguments: list[str] | None) -> int:
     top = parser()
     options = top.parse_args(arguments)
     if options.command == "render":
-        names = [name for chosen in options.sets for name in SETS[chosen]]
+        names = {name: name for chosen in options.sets for name in SETS[chosen]}
         return render_captures(names, options.out / "captures", options.views, options)
     if options.command == "random":
         if not options.write.is_file():
             top.error(f"{options.write} is no file: give a copy of docs/random-scenes.md, whose markers the report fills")
         return random_scenes(options)
+    if options.command == "photographs":
+        from benchmarks.reports.report import require_markers
+
+        require_markers(top, options.write, "photographs")
+        return photographs(options)
     if options.command == "report":
         for document in options.write:
             if not document.is_file():

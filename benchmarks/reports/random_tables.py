@@ -68,7 +68,7 @@ def scenes_of(rows: Iterable[dict]) -> list[Scored]:
             row.get("error", ""),
         )
         for row in rows
-        if row["capture"].startswith(RANDOM)
+        if row["capture"].startswith(RANDOM) and row["capture"].removeprefix(RANDOM).isdigit()
     ]
     return sorted(scenes, key=lambda scene: scene.seed)
 

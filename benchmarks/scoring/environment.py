@@ -16,8 +16,13 @@ from blender_nep.tone_mapping import tone_map
 
 
 def exposures_differ(folder: Path) -> bool:
-    """Whether the photos of a capture, the test photos too, were taken with automatic exposure, as its scene.json says."""
-    return bool(read_row(folder / "scene.json").get("photography", {}).get("auto_exposure"))
+    """Whether the test photos of a capture have exposures of their own.
+
+    They have where all photos were taken with automatic exposure, as its scene.json says, and where the photos to learn from
+    are photographs that a camera developed, as its photographs.json says.
+    """
+    automatic = read_row(folder / "scene.json").get("photography", {}).get("auto_exposure")
+    return bool(automatic or read_row(folder / "photographs.json").get("photos"))
 
 
 def background_psnr(environment: EnvironmentField, test_rays: PixelRays, truth: Body, own_exposures: bool = False) -> float:

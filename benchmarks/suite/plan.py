@@ -130,12 +130,13 @@ PLANS: dict[str, tuple[dict[str, Sequence], ...]] = {
     ),
     "roughness": ({"preset": ("preview",), "seed": (0,)},),
     "random": ({"preset": ("preview",), "seed": (0,)},),
+    "photographs": ({"preset": ("preview",), "seed": (0,)},),
 }
 """Name of a plan -> the values of Run's fields that it combines, each with each.
 
-A field that a plan does not name has Run's default. `roughness` is for the captures that `render` makes, and `random` is for
-the scenes that `python -m benchmarks random` renders. Sweeps and ablations use the preset `preview`. It takes a third of the
-time, and the differences that they look for show there too."""
+A field that a plan does not name has Run's default. `roughness` is for the captures that `render` makes. `random` and
+`photographs` are for the captures that the commands of these names render. Sweeps and ablations use the preset `preview`. It
+takes a third of the time, and the differences that they look for show there too."""
 
 
 def expand(names: Iterable[str], captures: Sequence[Path], wanted: dict[str, Sequence]) -> list[Run]:

@@ -5,18 +5,53 @@
 suzanne and box are shapes of Blender in the room of `backend/synthetic.py`. gold_0.05 ... gold_0.8 show suzanne in the same
 room, with the same cameras and the same gold, but each has another roughness. `scene.blend` is written for relighting.
 random_1, random_2 ... are scenes that `backend/synthetic.py --random` draws from that seed, with as many photos as the scene
-says, whatever VIEWS is. They have no `scene.blend`. This file needs the extra `bpy`.
+says, whatever VIEWS is. They have no `scene.blend`. OBJECT+EFFECT is a capture of photographs (`--photograph EFFECT`) of
+suzanne, box, a mesh file or random_1, random_2 ...; OBJECT+clean has no effect. This file needs the extra `bpy`.
 """
 
 from __future__ import annotations
 
+import json
 import sys
 from pathlib import Path
 
 ROUGHNESSES = (0.05, 0.1, 0.2, 0.35, 0.55, 0.8)
 RANDOM = "random_"
 RANDOM_TEST_VIEWS = 4
+CLEAN = "clean"
+"""Takes the place of an effect in the name of a capture without effects"""
 SETS = {"shapes": ("suzanne", "box"), "roughness": tuple(f"gold_{roughness:g}" for roughness in ROUGHNESSES)}
+
+
+def photograph_name(thing: str, effect: str) -> str:
+    """The name of the capture of an object with an effect, or CLEAN. A mesh file is named without its folder and ending."""
+    return f"{Path(thing).stem}+{effect}"
+
+
+def random_options(name: str, folder: Path, size: int, samples: int, threads: int) -> list[str]:
+    """The options of `synthetic.py` for a random scene."""
+    options = ["--random", name.removeprefix(RANDOM), "--out", str(folder), "--test-views", str(RANDOM_TEST_VIEWS)]
+    return [*options, "--size", str(size), "--samples", str(samples), "--threads", str(threads)]
+
+
+def photograph_options(
+    thing: str, effect: str, folder: Path, views: int, size: int, samples: int, threads: int
+) -> list[str]:
+    """The options of `synthetic.py` for photographs of an object with an effect, or CLEAN.
+
+    What a camera's development alone changes is made from the clean capture beside `folder`, where that holds radiance.
+    """
+    from backend.synthetic_capture.photograph.effects import SCENE, chosen
+
+    clean = folder.parent / photograph_name(thing, CLEAN) / "transforms.json"
+    photograph = [] if effect == CLEAN else ["--photograph", effect]
+    if photograph and not chosen([effect]).intersection(SCENE) and clean.is_file():
+        if json.loads(clean.read_text(encoding="utf-8"))["color_space"] == "linear":
+            return ["--develop", str(clean.parent), "--out", str(folder), *photograph]
+    if thing.startswith(RANDOM):
+        return [*random_options(thing, folder, size, samples, threads), *photograph]
+    options = ["--scene", thing, "--out", str(folder), "--views", str(views), "--size", str(size)]
+    return [*options, "--samples", str(samples), "--threads", str(threads), *photograph]
 
 
 def render(name: str, folder: Path, views: int, size: int, samples: int, threads: int) -> int:
@@ -27,10 +62,11 @@ def render(name: str, folder: Path, views: int, size: int, samples: int, threads
     from backend.synthetic_capture import scenes
     from benchmarks.scoring.relighting import OBJECT
 
+    thing, _, effect = name.rpartition("+")
+    if thing:
+        return synthetic.main(photograph_options(thing, effect, folder, views, size, samples, threads))
     if name.startswith(RANDOM):
-        chosen = {"random": name.removeprefix(RANDOM), "out": folder, "test-views": RANDOM_TEST_VIEWS}
-        chosen |= {"size": size, "samples": samples, "threads": threads}
-        return synthetic.main([part for key, value in chosen.items() for part in (f"--{key}", str(value))])
+        return synthetic.main(random_options(name, folder, size, samples, threads))
     scene, material = name, scenes.DEFAULT_MATERIAL.get(name)
     if name.startswith("gold_"):
         scene, material = "suzanne", name
