@@ -51,14 +51,14 @@ from backend.synthetic_capture.exr_channels import write_channels
 from backend.synthetic_capture.fixed_scene import build_fixed_scene
 from backend.synthetic_capture.ground_truth import ViewRenderer
 from backend.synthetic_capture.photo_files import BRIGHTNESS, ENDINGS, automatic_gain, gain_for, write_photo
-from backend.synthetic_capture.photograph import effects as photograph
-from backend.synthetic_capture.photograph import session as photographs
 from backend.synthetic_capture.photograph.develop_capture import develop_capture
+from backend.synthetic_capture.photograph.effects import DEVELOPMENT, EFFECTS, GROUPS, MATERIALS, ROOM, SCENE, Stage, chosen
 from backend.synthetic_capture.photograph.framing import arranged
 from backend.synthetic_capture.photograph.living_room import in_living_room
-from backend.synthetic_capture.photograph.object_changes import change_object
+from backend.synthetic_capture.photograph.object_changes import SUBSTANCES, change_object
+from backend.synthetic_capture.photograph.session import PHOTOGRAPHS, Camera, Session, write_description
 from backend.synthetic_capture.random_build import build_random_scene
-from backend.synthetic_capture.random_scene import Photography, draw_scene
+from backend.synthetic_capture.random_scene import Photography, SceneDescription, draw_scene
 from backend.synthetic_capture.snapshots import Phone
 from backend.synthetic_capture.viewpoints import FIELD_OF_VIEW, Viewpoint
 
@@ -104,9 +104,9 @@ def parse(arguments: list[str]) -> argparse.Namespace:
         "--photograph",
         nargs="+",
         default=[],
-        choices=[*photograph.EFFECTS, *photograph.GROUPS],
+        choices=[*EFFECTS, *GROUPS],
         metavar="EFFECT",
-        help=f"photos as people take them: {', '.join(photograph.EFFECTS)}; camera (the last four); all",
+        help=f"photos as people take them: {', '.join(EFFECTS)}; camera (the last four); all",
     )
     parser.add_argument(
         "--material", choices=sorted(scenes.MATERIALS), help="default: gold; the box: patches; not with --random"
@@ -117,14 +117,14 @@ def parse(arguments: list[str]) -> argparse.Namespace:
         if getattr(options, name) != parser.get_default(name):
             option = f"--{name.replace('_', '-')}"
             parser.error(f"{option} has no effect {f'with --{named}' if named else 'without --random'}")
-    options.photograph = photograph.chosen(options.photograph)
+    options.photograph = chosen(options.photograph)
     if options.photograph and options.snapshots:
         parser.error("--photograph and --snapshots are two ways to take photos: give one of them")
-    rendered = sorted(options.photograph.intersection(photograph.SCENE))
+    rendered = sorted(options.photograph.intersection(SCENE))
     if options.develop is not None and (rendered or not options.photograph):
         parser.error(
             f"--develop does not render {', '.join(rendered) or 'anything'}: give --photograph with some of "
-            f"{', '.join(photograph.DEVELOPMENT)}"
+            f"{', '.join(DEVELOPMENT)}"
         )
     options.seed = options.seed or 0
     return options
@@ -158,8 +158,8 @@ def main(arguments: list[str]) -> int:
             develop_capture(options.develop, options.out, options.photograph, options.seed)
         elif options.random is None:
             views = (62 if options.views is None else options.views, options.test_views)
-            chosen = (options.scene, options.material, options.seed)
-            built = build_fixed_scene(*chosen, views, options.snapshots, options.photograph)
+            drawn = (options.scene, options.material, options.seed)
+            built = build_fixed_scene(*drawn, views, options.snapshots, options.photograph)
             photographing = Photographing(session=session_of(options, FIELD_OF_VIEW, built.stage, len(built.train)))
             if options.snapshots:
                 photographing = Photographing(phone=Phone(options.size, FIELD_OF_VIEW))
@@ -183,7 +183,7 @@ def refuse_foreign_files(out: Path, snapshots: bool) -> None:
         return
     folders = [out / name for name in PARTS if (out / name).is_dir()]
     there = [f"{folder.name}/{path.name}" for folder in folders for path in sorted(folder.iterdir())[:1]]
-    files = ("transforms.json", "transforms_test.json", "scene.json", photographs.FILE)
+    files = ("transforms.json", "transforms_test.json", "scene.json", PHOTOGRAPHS)
     there += [name for name in files if os.path.lexists(out / name)]
     there += [f"../photos/{path.name}" for path in _phone_photos(out)[:1]] if snapshots else []
     if there:
@@ -195,14 +195,14 @@ def _phone_photos(out: Path) -> list[Path]:
 
 
 def session_of(
-    options: argparse.Namespace, field_of_view: float, stage: photograph.Stage, photos: int, brightness: float = BRIGHTNESS
-) -> photographs.Session | None:
+    options: argparse.Namespace, field_of_view: float, stage: Stage, photos: int, brightness: float = BRIGHTNESS
+) -> Session | None:
     """The session that takes the photographs; None without --photograph."""
     if not options.photograph:
         return None
     focal_length = 0.5 / math.tan(field_of_view / 2)
-    camera = photographs.Camera(options.photograph, options.seed, photos, focal_length, brightness)
-    return photographs.Session(camera, stage)
+    camera = Camera(options.photograph, options.seed, photos, focal_length, brightness)
+    return Session(camera, stage)
 
 
 def write_random_capture(options: argparse.Namespace) -> None:
@@ -210,7 +210,7 @@ def write_random_capture(options: argparse.Namespace) -> None:
     scene = draw_scene(options.random, options.meshes)
     if options.views is not None:
         scene = replace(scene, cameras=replace(scene.cameras, views=options.views))
-    if photograph.ROOM in options.photograph:
+    if ROOM in options.photograph:
         scene = in_living_room(scene)
     options.seed = scene.seed
     built = build_random_scene(
@@ -219,13 +219,21 @@ def write_random_capture(options: argparse.Namespace) -> None:
     field_of_view = math.radians(scene.cameras.field_of_view)
     train = arranged(built.train, options.photograph, options.seed)
     options.out.mkdir(parents=True, exist_ok=True)
-    write_whole(options.out / "scene.json", (json.dumps(scene.as_json(), indent=1) + "\n").encode())
+    write_whole(options.out / "scene.json", (json.dumps(told(scene, options.photograph), indent=1) + "\n").encode())
     # The finer filter of the denoiser's guides takes as much time as eight samples. Without the light tree a sample takes
     # 40 % less time, and a room has only a few lamps to choose from.
     bpy.context.scene.cycles.denoising_prefilter, bpy.context.scene.cycles.use_light_tree = "FAST", False
     session = session_of(options, field_of_view, built.stage, len(train), scene.photography.brightness)
     photographing = Photographing(field_of_view, scene.photography, session=session)
     write_capture(options, built.target, train, built.test, photographing)
+
+
+def told(scene: SceneDescription, effects: frozenset[str]) -> dict:
+    """The values for `scene.json`. The summary names the effects of photographs."""
+    if MATERIALS in effects:
+        scene = replace(scene, pattern="cells", substances=SUBSTANCES)
+    values = scene.as_json()
+    return values | ({"summary": f"{values['summary']}; photographs: {', '.join(sorted(effects))}"} if effects else {})
 
 
 @dataclass(frozen=True)
@@ -238,7 +246,7 @@ class Photographing:
     """None: radiance as it is, as OpenEXR"""
     phone: Phone | None = None
     """Takes the photos to learn from as JPEG files instead. None: no phone"""
-    session: photographs.Session | None = None
+    session: Session | None = None
     """Takes the photos to learn from as people do. None: clean renders"""
 
     @property
@@ -299,7 +307,8 @@ def write_capture(
     for name in PARTS:
         (out / name).mkdir(parents=True, exist_ok=True)
     write_ply(out / MARK, *scenes.triangles(target))
-    (out / "transforms.json").unlink(missing_ok=True)
+    for name in ("transforms.json", PHOTOGRAPHS):
+        (out / name).unlink(missing_ok=True)
     phone = photographing.phone
     for old in _phone_photos(out) if phone else ():
         old.unlink()
@@ -339,7 +348,7 @@ def write_capture(
         print(f"view {number + 1}/{total}, {left:.0f} s left", file=sys.stderr, flush=True)
     color_space = "linear" if photographing.format.startswith("EXR") else "srgb"
     if photographing.session:
-        photographs.write_description(out, photographing.session.camera, taken)
+        write_description(out, photographing.session.camera, taken)
     own = phone.intrinsics if phone else {"color_space": "srgb"} if photographing.develops else {}
     write_transforms(out, renderer, color_space, frames, own)
 

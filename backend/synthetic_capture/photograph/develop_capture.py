@@ -38,7 +38,10 @@ def develop_capture(source: Path, out: Path, effects: frozenset[str], seed: int)
         shutil.rmtree(out / name, ignore_errors=True)
         shutil.copytree(source / name, out / name, copy_function=shutil.copyfile)
         os.chmod(out / name, 0o755)
-    shutil.copyfile(source / "transforms_test.json", out / "transforms_test.json")
+    for name in ("transforms_test.json", "scene.json"):
+        (out / name).unlink(missing_ok=True)
+        if (source / name).is_file():
+            shutil.copyfile(source / name, out / name)
     camera = Camera(effects, seed, len(frames), focal_length)
     step = max(1, len(frames) // METERED)
     camera.meter([(k, load_pixels(sources[k])[..., :3]) for k in range(0, len(frames), step)])

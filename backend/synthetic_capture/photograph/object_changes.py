@@ -15,6 +15,7 @@ BRASS, TARNISH = Substance((0.72, 0.52, 0.24), 0.3, 1.0), Substance((0.42, 0.28,
 PATINA = Substance((0.13, 0.3, 0.24), 0.75, 0.0)
 PLASTIC = Substance((0.025, 0.025, 0.027), 0.4, 0.0)
 WOOD, GRAIN = Substance((0.3, 0.12, 0.045), 0.14, 0.0), Substance((0.13, 0.045, 0.02), 0.14, 0.0)
+SUBSTANCES = (BRASS, TARNISH, PATINA, PLASTIC, WOOD, GRAIN)
 BRASS_SHARE, PLASTIC_SHARE = 0.45, 0.68
 """A cell of the object whose random number, 0..1, is below the first is brass; plastic below the second; above it wood."""
 
@@ -82,11 +83,10 @@ def things_material(rng: np.random.Generator) -> bpy.types.Material:
         wood = scenes.blend(nodes, links, grain, values[WOOD], values[GRAIN])
         return scenes.blend(nodes, links, is_wood, scenes.blend(nodes, links, is_plastic, brass, values[PLASTIC]), wood)
 
-    substances = (BRASS, TARNISH, PATINA, PLASTIC, WOOD, GRAIN)
     sockets = {
-        "albedo": property_of({part: part.color for part in substances}),
-        "roughness": property_of({part: (part.roughness,) * 3 for part in substances}),
-        "metallic": property_of({part: (part.metallic,) * 3 for part in substances}),
+        "albedo": property_of({part: part.color for part in SUBSTANCES}),
+        "roughness": property_of({part: (part.roughness,) * 3 for part in SUBSTANCES}),
+        "metallic": property_of({part: (part.metallic,) * 3 for part in SUBSTANCES}),
     }
     scenes.link_with_truth(nodes, links, sockets)
     return material

@@ -16,7 +16,7 @@ from .effects import APERTURE, EXPOSURE, NOISE, PHOTOGRAPHER, TWO_DAYS, Stage, d
 from .photographer import Photographer
 from .settings import balance_of_day, draw_look, draw_settings
 
-FILE = "photographs.json"
+PHOTOGRAPHS = "photographs.json"
 """What was drawn, beside transforms.json"""
 SENSOR, FILM = 23.6, 36.0
 """Widths [mm] of the sensor whose depth of field a photo has, and of the film that Blender's lens is for"""
@@ -63,7 +63,7 @@ def write_description(folder: Path, camera: Camera, taken: list[dict]) -> None:
     """Write `photographs.json`: the effects, the camera's look, and the settings of the photos. Raises OSError."""
     look = vars(camera.look) if camera.look else None
     values = {"effects": sorted(camera.effects), "seed": camera.seed, "look": look, "photos": taken}
-    write_whole(folder / FILE, (json.dumps(values, indent=1) + "\n").encode())
+    write_whole(folder / PHOTOGRAPHS, (json.dumps(values, indent=1) + "\n").encode())
 
 
 class Session:

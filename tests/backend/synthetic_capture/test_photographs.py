@@ -83,6 +83,20 @@ def test_a_capture_is_developed_without_rendering(clean, tmp_path):
     assert 50 < np.mean(means) < 150
 
 
+def test_a_random_scene_tells_its_photographs(tmp_path):
+    small = ("--views", 3, "--test-views", 1, "--size", 16, "--samples", 1)
+    synthesize(tmp_path, "--random", 3, *small, "--photograph", "room", "materials", "noise")
+    scene = meta_of(tmp_path, "scene.json")
+    assert scene["place"]["kind"] == "living room" and scene["support"]["kind"] == "table"
+    assert (
+        scene["summary"].endswith("; photographs: materials, noise, room") and "in cells; living room of" in scene["summary"]
+    )
+    truth, greens = channels(tmp_path / "gt" / "000.exr"), [part["color"][1] for part in scene["substances"]]
+    inside = truth["albedo.G"][truth["mask.V"] == 1]
+    assert len(inside) and min(greens) - 1e-3 <= inside.min() and inside.max() <= max(greens) + 1e-3
+    assert [Path(frame["file_path"]).suffix for frame in meta_of(tmp_path)["frames"]] == [".jpg"] * 3
+
+
 def test_what_cannot_be_developed_is_refused(clean, tmp_path):
     for source, words in ((tmp_path / "none", "no capture"), (clean, "its own folder")):
         out = tmp_path / "out" if words == "no capture" else source
