@@ -48,17 +48,15 @@ from backend.engine.printed_text import one_line
 from backend.scene_io.image_files import write_png, write_whole
 from backend.synthetic_capture import scenes
 from backend.synthetic_capture.exr_channels import write_channels
-from backend.synthetic_capture.fixed_scene import build_fixed_scene
 from backend.synthetic_capture.ground_truth import ViewRenderer
 from backend.synthetic_capture.photo_files import BRIGHTNESS, ENDINGS, automatic_gain, gain_for, write_photo
 from backend.synthetic_capture.photograph.develop_capture import develop_capture
 from backend.synthetic_capture.photograph.effects import DEVELOPMENT, EFFECTS, GROUPS, MATERIALS, ROOM, SCENE, Stage, chosen
-from backend.synthetic_capture.photograph.framing import arranged
 from backend.synthetic_capture.photograph.living_room import in_living_room
-from backend.synthetic_capture.photograph.object_changes import SUBSTANCES, change_object
+from backend.synthetic_capture.photograph.object_changes import SUBSTANCES
 from backend.synthetic_capture.photograph.session import PHOTOGRAPHS, Camera, Session, write_description
-from backend.synthetic_capture.random_build import build_random_scene
 from backend.synthetic_capture.random_scene import Photography, SceneDescription, draw_scene
+from backend.synthetic_capture.scene_building import build_fixed_scene, build_random_scene
 from backend.synthetic_capture.snapshots import Phone
 from backend.synthetic_capture.viewpoints import FIELD_OF_VIEW, Viewpoint
 
@@ -213,19 +211,16 @@ def write_random_capture(options: argparse.Namespace) -> None:
     if ROOM in options.photograph:
         scene = in_living_room(scene)
     options.seed = scene.seed
-    built = build_random_scene(
-        scene, options.test_views, lambda target: change_object(target, options.photograph, options.seed)
-    )
+    built = build_random_scene(scene, options.test_views, options.photograph)
     field_of_view = math.radians(scene.cameras.field_of_view)
-    train = arranged(built.train, options.photograph, options.seed)
     options.out.mkdir(parents=True, exist_ok=True)
     write_whole(options.out / "scene.json", (json.dumps(told(scene, options.photograph), indent=1) + "\n").encode())
     # The finer filter of the denoiser's guides takes as much time as eight samples. Without the light tree a sample takes
     # 40 % less time, and a room has only a few lamps to choose from.
     bpy.context.scene.cycles.denoising_prefilter, bpy.context.scene.cycles.use_light_tree = "FAST", False
-    session = session_of(options, field_of_view, built.stage, len(train), scene.photography.brightness)
+    session = session_of(options, field_of_view, built.stage, len(built.train), scene.photography.brightness)
     photographing = Photographing(field_of_view, scene.photography, session=session)
-    write_capture(options, built.target, train, built.test, photographing)
+    write_capture(options, built.target, built.train, built.test, photographing)
 
 
 def told(scene: SceneDescription, effects: frozenset[str]) -> dict:

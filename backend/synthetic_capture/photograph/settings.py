@@ -7,9 +7,9 @@ from fractions import Fraction
 
 import numpy as np
 
+from ..exif import EXPOSURE_TIME, F_NUMBER, FILM_FOCAL_LENGTH, ISO, TAKEN_AT
 from .development import Look
 from .effects import APERTURE, CURVE, EXPOSURE, NOISE, TWO_DAYS, draws
-from .exif import EXPOSURE_TIME, F_NUMBER, FILM_FOCAL_LENGTH, ISO, TAKEN_AT
 
 START, PAUSE, NEXT_DAY = datetime(2026, 5, 2, 10, 5), timedelta(seconds=9), timedelta(hours=35)
 """When the first photo is taken, the time between photos, and from the first photo to the first one of the second day"""

@@ -8,6 +8,7 @@ import pytest
 from PIL import ExifTags, Image
 
 from backend.scene_io.srgb import linear_to_srgb, srgb_to_linear
+from backend.synthetic_capture.exif import exif
 from backend.synthetic_capture.photograph import effects
 from backend.synthetic_capture.photograph.development import (
     FULL_WELL,
@@ -22,7 +23,6 @@ from backend.synthetic_capture.photograph.development import (
     toned,
     with_detail,
 )
-from backend.synthetic_capture.photograph.exif import exif
 from backend.synthetic_capture.photograph.settings import (
     F_NUMBERS,
     ISOS,

@@ -166,9 +166,9 @@ def check_room():
     from mathutils import Vector
 
     from backend.synthetic_capture import scenes
-    from backend.synthetic_capture.fixed_scene import build_fixed_scene
     from backend.synthetic_capture.photograph.effects import chosen
     from backend.synthetic_capture.photograph.living_room import RADII
+    from backend.synthetic_capture.scene_building import build_fixed_scene
     from backend.synthetic_capture.viewpoints import FIELD_OF_VIEW
 
     edge = math.tan(FIELD_OF_VIEW / 2)
@@ -218,9 +218,9 @@ def test_the_light_and_the_lens_change_for_photos_alone():
 def check_settings():
     import bpy
 
-    from backend.synthetic_capture.fixed_scene import build_fixed_scene
     from backend.synthetic_capture.photograph.effects import chosen
     from backend.synthetic_capture.photograph.session import FOCUS, SENSOR, Camera, Session
+    from backend.synthetic_capture.scene_building import build_fixed_scene
 
     bpy.ops.wm.read_factory_settings(use_empty=True)
     effects = chosen(["two_days", "aperture"])

@@ -155,18 +155,18 @@ def build(folder):
     """Build a scene with each kind of object on each support. Write what the test measures into KIND, SUPPORT.npz."""
     import bpy
 
-    from backend.synthetic_capture import random_build, scenes
+    from backend.synthetic_capture import scene_building, scenes
     from backend.synthetic_capture.viewpoints import Surroundings
 
-    build_surroundings, around = random_build.build_surroundings, []
-    random_build.build_surroundings = lambda *given: around.append(build_surroundings(*given)) or around[-1]
+    build_surroundings, around = scene_building.build_surroundings, []
+    scene_building.build_surroundings = lambda *given: around.append(build_surroundings(*given)) or around[-1]
     for kind, support in itertools.product(OBJECT_KINDS, SUPPORTS):
         seed = next(
             seed for seed in range(500) if (draw_scene(seed).object, draw_scene(seed).support.kind) == (kind, support)
         )
         scene = draw_scene(seed)
         bpy.ops.wm.read_factory_settings(use_empty=True)
-        built = random_build.build_random_scene(replace(scene, cameras=replace(scene.cameras, views=30)), 2)
+        built = scene_building.build_random_scene(replace(scene, cameras=replace(scene.cameras, views=30)), 2)
         vertices, faces = scenes.triangles(built.target)
         others = [item for item in bpy.data.objects if item.type == "MESH" and item != built.target]
         stand = bpy.data.objects.get("support")

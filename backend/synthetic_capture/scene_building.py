@@ -1,4 +1,4 @@
-"""Builds the scene that `synthetic.py --scene` names, and chooses its cameras."""
+"""Builds a scene in the current file of Blender, a random one or one that is named, and chooses its cameras."""
 
 import math
 from dataclasses import dataclass
@@ -11,12 +11,18 @@ from .photograph import living_room
 from .photograph.effects import ROOM, Stage, draws
 from .photograph.framing import arranged
 from .photograph.object_changes import change_object
+from .random_objects import build_object
+from .random_scene import TWO_RINGS, SceneDescription, details
 from .random_surroundings import build_surroundings
 from .viewpoints import Layout, Surroundings, Viewpoint, choose_viewpoints
 
+MARGIN = 1.03
+FARTHEST = 1.2
+"""The cameras stand at distances from 1 to FARTHEST times the one at which the object's sphere fits into the photo."""
+
 
 @dataclass
-class FixedScene:
+class BuiltScene:
     """A scene that is built, with the poses of its cameras."""
 
     target: bpy.types.Object
@@ -27,7 +33,7 @@ class FixedScene:
 
 def build_fixed_scene(
     source: str, material: str | None, seed: int, views: tuple[int, int], patterned: bool, effects: frozenset[str]
-) -> FixedScene:
+) -> BuiltScene:
     """Build the scene in the current file, which must be empty.
 
     `source`, `material` and `patterned` as in `scenes.build_scene`; `material` None: the object's usual one. `views`: the
@@ -47,4 +53,30 @@ def build_fixed_scene(
     surroundings = surroundings or Surroundings(obstacles)
     train = choose_viewpoints(views[0], surroundings, rng, layout)
     test = choose_viewpoints(views[1], surroundings, rng, layout)
-    return FixedScene(target, arranged(train, effects, seed), test, stage)
+    return BuiltScene(target, arranged(train, effects, seed), test, stage)
+
+
+def build_random_scene(scene: SceneDescription, test_views: int, effects: frozenset[str] = frozenset()) -> BuiltScene:
+    """Build the scene in the current file, which must be empty. Of the `effects`, `room` is in the description already.
+
+    Raises ValueError where the scene cannot be built, or has no place for a camera.
+    """
+    target = build_object(scene)
+    change_object(target, effects, scene.seed)
+    vertices, _ = scenes.triangles(target)
+    foot = float(vertices[:, 2].min())
+    rng = details(scene.seed, "surroundings")
+    built = build_surroundings(scene.place, scene.support, foot, rng)
+    surroundings = Surroundings(built.obstacles, built.support)
+    layout = layout_of(scene)
+    train = choose_viewpoints(scene.cameras.views, surroundings, details(scene.seed, "cameras"), layout)
+    test = choose_viewpoints(test_views, surroundings, details(scene.seed, "test cameras"), layout)
+    return BuiltScene(target, arranged(train, effects, scene.seed), test, built.stage)
+
+
+def layout_of(scene: SceneDescription) -> Layout:
+    """Where the cameras of the scene may stand. Walls and floors limit the places too."""
+    nearest = MARGIN / math.sin(math.radians(scene.cameras.field_of_view) / 2)
+    return Layout(
+        scene.cameras.elevations, (nearest, FARTHEST * nearest), (-math.inf, math.inf), scene.cameras.kind == TWO_RINGS
+    )
