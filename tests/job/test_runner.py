@@ -152,7 +152,7 @@ def test_the_report_says_how_exposures_were_evened_out(start, monkeypatch, even)
 def test_photos_in_another_light_are_left_out(start, monkeypatch):
     class Looked(BallStages):
         def learn_fields(self, given, *how):
-            seen.append(given.rays.views)
+            seen.append(given.scene.rays.views)
             return super().learn_fields(given, *how)
 
     seen: list[int] = []
