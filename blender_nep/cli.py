@@ -119,6 +119,7 @@ def _reconstruct(options: argparse.Namespace) -> int:
         all_photos=options.all_photos,
         mesh=options.mesh,
         sphere=sphere(options),
+        hold_out=options.hold_out,
         resume=options.resume,
         overwrite=options.overwrite,
         clean=options.clean,

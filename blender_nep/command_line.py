@@ -113,6 +113,12 @@ def _add_reconstruct(commands: argparse._SubParsersAction) -> None:
         help="whether the object is metal, where photos alone cannot tell (%(default)s)",
     )
     _add_faces(run)
+    run.add_argument(
+        "--hold-out",
+        type=_at_least(2),
+        metavar="N",
+        help="do not learn from every N-th photo, and say how well the asset explains these (none)",
+    )
     run.add_argument("--resume", action="store_true", help="go on with the run in ASSET that was stopped or killed")
     run.add_argument("--overwrite", action="store_true", help="replace an asset or a run in ASSET")
     run.add_argument("--clean", action="store_true", help="remove the checkpoints when the asset is written")

@@ -147,6 +147,12 @@ MESSAGES = {
     "cut): make the bounds larger, and reconstruct it again",
     "job.metal_unclear": "The photos hardly show whether the object is metal: if the result is wrong, choose it in "
     "Advanced > Material",
+    "job.photos_not_explained": "The result does not explain its photos: {decibels:.0f} dB, and hues differ by "
+    "{degrees:.0f} degrees. A usable one has at least {least:.0f} dB, and at most {most:.0f} degrees: shape, materials or "
+    "light are wrong. Look at it beside its photos. Were all of them taken in one light? Then try the preset Balanced, or masks",
+    "job.surroundings_not_explained": "The recovered light explains what the photos show beside the object to "
+    "{decibels:.0f} dB only, and {least:.0f} dB is the least that usable light has: do not trust the materials. Were all "
+    "photos taken in one light, and did nothing move? Look whether the cameras are right",
     # what a batch says
     "batch.looking": "Looking at capture {step} of {steps}",
     "batch.progress": "{done} of {objects} objects are done, {running} running, {waiting} waiting, {failed} failed",
@@ -185,6 +191,11 @@ MESSAGES = {
     "scene.glossy": "Its brightness changes much from photo to photo: it is glossy.",
     "scene.hardly_glossy": "Its brightness changes a little from photo to photo: it is hardly glossy.",
     "scene.matte": "Its brightness hardly changes from photo to photo: it is matte.",
+    "scene.explains_photos": "The result explains its photos to {decibels:.0f} dB; hues differ by {degrees:.0f} degrees.",
+    "scene.explains_held_out": "The result explains held-out photos to {decibels:.0f} dB; hues differ by "
+    "{degrees:.0f} degrees.",
+    "scene.surroundings_explained": "The recovered light explains what the photos show beside the object to "
+    "{decibels:.0f} dB.",
     "scene.acted": "Improved by: {parts:parts}.",
     "scene.left_out": "Left out: {parts:parts}, because {reason}.",
     "scene.left_out_saving": "Left out: {parts:parts}, because {reason} (saves about {seconds:.0f} s).",
@@ -270,6 +281,10 @@ ERRORS = {
     "capture.turntable": (
         "The object turned while the camera and the surroundings stood still, so no light fits the photos",
         "Mask the surroundings out (cut-outs with alpha), or photograph by walking around the object.",
+    ),
+    "usage.too_many_held_out": (
+        "Of {photos} photos, only {learned} are left to learn from",
+        "Hold fewer photos out.",
     ),
     "usage.no_mesh": ("There is no mesh {path}", "Check Advanced > Known Mesh."),
     "usage.report_damaged": ("{path} is damaged", "Start Again."),

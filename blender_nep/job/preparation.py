@@ -14,6 +14,7 @@ from blender_nep.capture import Capture, PixelRays, load_capture
 from blender_nep.capture.brightness import to_brightness
 from blender_nep.capture.doctor.turntable import refuse_turntable
 from blender_nep.capture.exposure import Comparison, Exposures, compare_exposures
+from blender_nep.capture.held_out import split
 from blender_nep.capture.loading import MINIMUM_VIEWS
 from blender_nep.capture.other_light import other_light, times_of
 from blender_nep.capture.rays.pixel_store import PixelMemory
@@ -48,6 +49,8 @@ class Prepared:
 
     capture: Capture
     scene: Scene
+    held_out: PixelRays | None
+    """The pixels of the photos that were held out from learning, as bright as the scene's. None: no photo was"""
     plan: Plan
     """The preset without the parts that this scene does not need"""
     device: torch.device
@@ -56,6 +59,21 @@ class Prepared:
     folder: RunFolder
     left_out: tuple[int, ...] = ()
     """Which photos were taken in another light than most and left out, counted from 0. `capture` and `rays` lack them."""
+
+
+@dataclass(frozen=True)
+class _Photos:
+    """The photos to learn from."""
+
+    capture: Capture
+    """Only with these photos"""
+    rays: PixelRays
+    compared: Comparison | None
+    """Their exposures; None: they share too little"""
+    left_out: tuple[int, ...]
+    """`Prepared.left_out`"""
+    held_out: Capture | None
+    """The capture with the photos that are held out; None: no photo is"""
 
 
 def refuse_to_overwrite(settings: Settings) -> None:
@@ -122,32 +140,20 @@ class Preparation:
         """
         s = self._settings
         capture = self._load_capture()
+        what = fingerprint(capture, s.preset, s.seed, s.use_masks, s.mesh, s.sphere, s.all_photos, s.hold_out)
         refuse_folder_of_photos(s.out, capture, s.mesh)
+        if s.hold_out is not None:
+            split(capture, s.hold_out)  # to refuse too small a number before the photos are read
         if s.mesh is not None:
             read_mesh(s.mesh, capture)  # to refuse one that is not usable before the light is learned
-        what = fingerprint(capture, s.preset, s.seed, s.use_masks, s.mesh, s.sphere, s.all_photos)
         if s.resume and (s.out / "report.json").is_file():
             self._finish_complete(what)
             return None
         if s.resume:
             self._folder.can_be_resumed(what)  # to refuse another run before the photos are read
-        rays = self._read_photos(capture)
-        with section("scene analysis"):
-            refuse_turntable(rays)
-            compared = compare_exposures(rays)
-        left_out = () if compared is None else self._in_other_light(capture, compared)
-        if left_out:
-            capture = replace(capture, views=[view for i, view in enumerate(capture.views) if i not in left_out])
-            rays = self._read_photos(capture)
-            compared = compare_exposures(rays)
-        with section("scene analysis"):
-            for warning in rays.warnings:
-                self._events.warning(warning)
-            if s.preset.even_exposure:
-                rays = self._even_out(rays, compared)
-            if s.preset.brightness > 0:
-                rays = to_brightness(rays, s.preset.brightness)
-            scene = Scene.of(rays)
+        photos = self._choose_photos(capture)
+        scene = self._look(photos)
+        scored = None if photos.held_out is None else self._read_held_out(photos.held_out, scene.rays)
         self._make_output()
         if s.resume and self._folder.can_be_resumed(what):
             self._events.say(f"resuming the run in {s.out}")
@@ -155,7 +161,41 @@ class Preparation:
             self._folder.begin(what)
             if s.resume:
                 self._events.say(f"{s.out} holds no checkpoint yet: starting from the beginning")
-        return Prepared(capture, scene, scene.photos.plan(s.preset), self._device, what, self._folder, left_out)
+        plan = scene.photos.plan(s.preset)
+        return Prepared(photos.capture, scene, scored, plan, self._device, what, self._folder, photos.left_out)
+
+    def _choose_photos(self, capture: Capture) -> _Photos:
+        """Read the photos, but for those in another light than most and those that are held out.
+
+        Raises CaptureError for photos of a turntable.
+        """
+        rays, held_out = self._read_photos(capture), None
+        with section("scene analysis"):
+            refuse_turntable(rays)
+            compared = compare_exposures(rays)
+            left_out = () if compared is None else self._in_other_light(capture, compared)
+        if left_out:
+            capture = replace(capture, views=[view for i, view in enumerate(capture.views) if i not in left_out])
+        if self._settings.hold_out is not None:
+            capture, held_out = split(capture, self._settings.hold_out)
+        if left_out or held_out is not None:
+            del rays  # before the others are in memory, too
+            rays = self._read_photos(capture)
+            with section("scene analysis"):
+                compared = compare_exposures(rays)
+        for warning in rays.warnings:
+            self._events.warning(warning)
+        return _Photos(capture, rays, compared, left_out, held_out)
+
+    @profiled("scene analysis")
+    def _look(self, photos: _Photos) -> Scene:
+        """The photos as bright as they are learned from, and what they show."""
+        preset, rays = self._settings.preset, photos.rays
+        if preset.even_exposure:
+            rays = self._even_out(rays, photos.compared)
+        if preset.brightness > 0:
+            rays = to_brightness(rays, preset.brightness)
+        return Scene.of(rays)
 
     def _finish_complete(self, what: dict[str, object]) -> None:
         """End a resume of an asset that is complete. Raises UsageError if it is not the asset that was asked for."""
@@ -189,6 +229,13 @@ class Preparation:
         )
         self._tracker.report(StageName.CAPTURE, 1, 1)
         return rays
+
+    @profiled("capture")
+    def _read_held_out(self, held_out: Capture, learned: PixelRays) -> PixelRays:
+        """The pixels of the photos that are held out, with the vignetting and the exposure of those that are not."""
+        s = self._settings
+        rays = PixelRays.from_capture(held_out, s.preset.max_pixels_per_photo, s.use_masks, self._device)
+        return rays.with_gain(None, learned.vignetting).with_exposure(learned.exposure)
 
     def _photo_read(self, done: int, photos: int) -> None:
         self._tracker.report(StageName.CAPTURE, done, photos)

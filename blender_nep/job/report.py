@@ -9,6 +9,7 @@ import numpy as np
 import torch
 
 from blender_nep.job.device import peak_memory, versions
+from blender_nep.job.explained import ExplainedReport
 from blender_nep.job.preparation import Prepared
 from blender_nep.job.reporting.tracker import Tracker
 from blender_nep.job.scene_report import SceneReport
@@ -29,6 +30,7 @@ class JobReport:
     materials: list[dict]
     """The materials that an artist can correct"""
     scene: SceneReport
+    explained: ExplainedReport
     tracker: Tracker
     warnings: list[Message]
     profile: Profile | None
@@ -52,6 +54,7 @@ class JobReport:
             **({} if self.profile is None else {"profile": self.profile.report()}),
             "materials": self.materials,
             "corrections": {},
+            "explained": self.explained.to_dict(),
             "stages": {str(stage): part.facts for stage, part in self.stages.items()},
             "warnings": [warning.to_dict() for warning in self.warnings],
             "fingerprint": self.prepared.fingerprint,

@@ -17,6 +17,7 @@ from blender_nep.asset.preview import PreviewView
 from blender_nep.checkpoints import Checkpoint
 from blender_nep.job.device import choose_device
 from blender_nep.job.exit_code import exit_code
+from blender_nep.job.explained import ExplainedReport, explained
 from blender_nep.job.folders.job_folder import JobFolder
 from blender_nep.job.folders.own_files import PREVIEW, PROFILE
 from blender_nep.job.folders.run_folder import RunFolder
@@ -261,6 +262,24 @@ class Job:
 
         return progress
 
+    def _explained(self, prepared: Prepared, learned: Learned) -> ExplainedReport:
+        """Say how well the asset explains the photos."""
+        s = self._settings
+        score = explained(
+            prepared.rays,
+            prepared.held_out,
+            s.hold_out,
+            learned.fields,
+            learned.surface,
+            learned.materials,
+            s.preset,
+            s.seed,
+        )
+        self._scene.explain(score.sentences())
+        for warning in score.warnings():
+            self._events.warning(warning)
+        return score
+
     def _write_asset(self, prepared: Prepared, learned: Learned, profile: Profile | None) -> None:
         s, name = self._settings, StageName.ASSET
         self._tracker.enter(name)
@@ -269,12 +288,16 @@ class Job:
         light, coverage = learned.fields.environment.equirect(s.preset.environment_height)
         if learned.materials.unseen is not None:
             light = learned.materials.unseen.completed(light, coverage)
+        with section(name):
+            score = self._explained(prepared, learned)
         reports = learned.reports()
         for part in reports.values():
             self._scene.skip(part.skipped, part.seconds_saved)
         kept = learned.materials.kept
         materials = [] if kept is None else kept.listed()
-        job_report = JobReport(s, prepared, reports, materials, self._scene, self._tracker, self._events.warnings, profile)
+        job_report = JobReport(
+            s, prepared, reports, materials, self._scene, score, self._tracker, self._events.warnings, profile
+        )
 
         def report() -> dict:
             self._tracker.seconds[name] = time.monotonic() - start

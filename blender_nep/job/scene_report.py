@@ -49,6 +49,11 @@ class SceneReport:
             self.sentences.append(line)
             self._emit([line])
 
+    def explain(self, lines: list[Message]) -> None:
+        """Add how well the photos are explained."""
+        self.sentences += lines
+        self._emit(lines)
+
     def skip(self, skipped: Mapping[str, Message], seconds: Mapping[str, float]) -> None:
         """Add what a stage has left out. A part that was left out before keeps its first reason."""
         new = {what: why for what, why in skipped.items() if what not in self.skipped}

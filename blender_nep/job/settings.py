@@ -23,6 +23,8 @@ class Settings:
     mesh: Path | None = None
     sphere: tuple[tuple[float, float, float], float] | None = None
     """Center and radius of the object's sphere in capture coordinates. None: from transforms.json, or estimated."""
+    hold_out: int | None = None
+    """One photo of this many is held out from learning, and the asset is scored on these. None: no photo is held out."""
     resume: bool = False
     overwrite: bool = False
     clean: bool = False

@@ -9,7 +9,7 @@ from blender_nep.capture.rays.pixel_width import pixel_width
 from blender_nep.geometry.mesh import Surface
 from blender_nep.geometry.ray_tracing import RayTracer
 from blender_nep.materials.samples.light_gathering import Observations
-from blender_nep.materials.samples.photo_samples import _edges_and_reflection_variance
+from blender_nep.materials.samples.photo_samples import edges_and_reflection_variance
 from blender_nep.shading.incoming_light import IncomingLight
 from blender_nep.shading.plenoptic import Material, reflected
 from support import lit_ball
@@ -35,7 +35,7 @@ def seen(mesh: trimesh.Trimesh, across: float) -> tuple[bool, float]:
     smooth = tracer.smooth_normals(normals, face, barycentric)
     cosine = -(smooth * direction).sum(1)
     half_angle, on = np.array([WIDTH / pixel_width(1.0)]), np.ones(1, bool)
-    edge, variance = _edges_and_reflection_variance(tracer, normals, origin, direction, t, half_angle, smooth, cosine, on)
+    edge, variance = edges_and_reflection_variance(tracer, normals, origin, direction, t, half_angle, smooth, cosine, on)
     return bool(edge[0]), float(variance[0])
 
 

@@ -97,6 +97,14 @@ class GrayLight:
     """A uniform environment."""
 
     coverage = 1.0
+    known = True
+    preset = SimpleNamespace(camera_near=0.1)
+
+    def query_cone(self, origins, directions, half_angle):
+        return torch.full_like(origins, 0.5), torch.full_like(origins[:, 0], self.coverage)
+
+    def render(self, origins, directions, t_near, t_far, half_angle):
+        return SimpleNamespace(radiance=torch.full_like(origins, 0.5))
 
     def equirect(self, height):
         return torch.full((height, 2 * height, 3), 0.5), torch.full((height, 2 * height), self.coverage)

@@ -44,11 +44,12 @@ def fingerprint(
     mesh: Path | None,
     sphere: tuple[tuple[float, float, float], float] | None = None,
     all_photos: bool = False,
+    hold_out: int | None = None,
 ) -> dict[str, object]:
     """{name: value} of all inputs that decide the result of a run. A resume must agree with all of them.
 
     Photos and masks enter by their names and file sizes, the capture's own files and a given mesh by their content. The
-    object's sphere and the wish for all photos enter only if they were given as options.
+    object's sphere, the wish for all photos and `hold_out` enter only if they were given as options.
     """
     paths = [p for v in capture.views for p in (v.image_path, v.mask_path) if p is not None]
     photos = "\n".join(f"{_place(p, capture.folder)} {p.stat().st_size}" for p in paths)
@@ -67,6 +68,8 @@ def fingerprint(
     }
     if all_photos:
         what["photos"] = "all"
+    if hold_out is not None:
+        what["photos held out"] = hold_out
     return what if sphere is None else what | {"object bounds": [*map(float, sphere[0]), float(sphere[1])]}
 
 

@@ -104,7 +104,7 @@ def select_samples(
     cosine = -np.einsum("ij,ij->i", tracer.face_normals[np.maximum(face, 0)], d)
     cosine = np.minimum(np.abs(cosine), -np.einsum("ij,ij->i", smooth, d) * np.sign(cosine))
     leave_out("grazing", cosine < least_cosine)
-    edge, variance = _edges_and_reflection_variance(tracer, normals, o, d, t, angle, smooth, cosine, on)
+    edge, variance = edges_and_reflection_variance(tracer, normals, o, d, t, angle, smooth, cosine, on)
     leave_out("edge", on & edge)
     if rays.brightest <= BRIGHTEST_CLIPPED:
         leave_out("saturated", (rays.radiance[index].amax(-1) > SATURATED).cpu().numpy())
@@ -132,7 +132,7 @@ def select_samples(
     )
 
 
-def _edges_and_reflection_variance(
+def edges_and_reflection_variance(
     tracer: RayTracer,
     normals: np.ndarray,
     o: np.ndarray,

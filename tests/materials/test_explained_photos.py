@@ -1,0 +1,88 @@
+"""The score of a ball whose photos were made by brute-force Monte Carlo: a right asset, and assets with one thing wrong."""
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+import torch
+
+from blender_nep.geometry.ray_tracing import RayTracer
+from blender_nep.materials.explained_photos import OF_HITS, NoRadiance, TexturedSurface, explain_photos
+from blender_nep.shading.plenoptic import PlenopticFunction
+from support.lit_ball import AnalyticEnvironment, constant, make_photos, unwrapped_ball
+
+
+class Light(AnalyticEnvironment):
+    """The same light, which a camera sees as black."""
+
+    preset = SimpleNamespace(camera_near=0.1)
+
+    def render(self, origins, directions, t_near, t_far, half_angle):
+        return SimpleNamespace(radiance=torch.zeros_like(origins))
+
+
+ALBEDO, ROUGHNESS = np.float32([0.8, 0.5, 0.3]), 0.3
+
+
+@pytest.fixture(scope="module")
+def photos():
+    rays = make_photos(constant(tuple(ALBEDO.tolist()), ROUGHNESS, 1.0), views=6)
+    rays.background = False
+    return rays
+
+
+@pytest.fixture(scope="module")
+def score(photos):
+    """score(albedo, roughness, metallic, every) is that of a ball with these textures on one of `every` pixels."""
+    ball = unwrapped_ball()
+    tracer = RayTracer(ball.vertices, ball.faces)
+    light = Light()
+    f_p = PlenopticFunction(tracer, ball.normals, light, NoRadiance(), OF_HITS, "cpu")
+
+    def of(albedo=ALBEDO, roughness=ROUGHNESS, metallic=1.0, every=1, shown=photos):
+        flat = np.ones((8, 8), np.float32)
+        textures = {"albedo": flat[..., None] * albedo, "roughness": roughness * flat, "metallic": metallic * flat}
+        asset = TexturedSurface(ball, textures)
+        found = explain_photos(asset, f_p, light, shown, every, True, 0)
+        assert found.surroundings is None  # the photos are cut-outs
+        return found.object
+
+    return of
+
+
+def test_the_right_asset_explains_the_photos(score):
+    found = score()
+    assert found.psnr > 28 and found.hue_deg < 2 and found.pixels > 500
+    assert all(gain == pytest.approx(1, abs=0.05) for gain in found.gains.values())
+
+
+def test_a_wrong_hue_shows_as_much_as_it_is_wrong(score, photos):
+    wrong = np.float32([0.7, 1, 1])
+    shown = photos.radiance[(photos.radiance > 0).all(1)].double().numpy()
+    cosine = (shown * shown * wrong).sum(1) / np.linalg.norm(shown, axis=1) / np.linalg.norm(shown * wrong, axis=1)
+    found = score(albedo=ALBEDO * wrong)
+    assert found.hue_deg == pytest.approx(np.degrees(np.arccos(cosine)).mean(), rel=0.1)
+    assert found.psnr < score().psnr - 2
+
+
+@pytest.mark.parametrize("wrong", [{"roughness": 0.4}, {"roughness": 0.2}, {"metallic": 0.0}])
+def test_a_wrong_material_lowers_the_score(score, wrong):
+    assert score(**wrong).psnr < score().psnr - 2
+
+
+def test_the_more_a_roughness_is_off_the_lower_the_score(score):
+    scores = [score(roughness=ROUGHNESS + more).psnr for more in (0, 0.05, 0.1, 0.2)]
+    assert scores == sorted(scores, reverse=True)
+
+
+def test_only_held_out_pixels_are_scored(score, photos):
+    spoiled = torch.where(torch.arange(len(photos.radiance))[:, None] % 5 == 0, photos.radiance, 3.0)
+    other = replace(photos, radiance=spoiled)
+    other.background = False
+    assert score(every=5, shown=other) == score(every=5)
+    assert score(every=1, shown=other).psnr < score().psnr - 10
+
+
+def test_the_score_is_the_same_each_time(score):
+    assert score() == score()
