@@ -247,7 +247,8 @@ WORDS: dict[str, str] = {
     "or --metal no",
     "job.photos_not_explained": "the asset does not explain its photos: {decibels:.0f} dB, and hues differ by "
     "{degrees:.0f} degrees. A usable one has at least {least:.0f} dB, and at most {most:.0f} degrees: shape, materials or "
-    "light are wrong. Look at it beside its photos. Were all of them taken in one light? Then try --preset balanced, or masks",
+    "light are wrong. Look at it beside its photos. Were all of them taken in one light? Then try --preset balanced, or "
+    "masks",
     "job.surroundings_not_explained": "the recovered light explains what the photos show beside the object to "
     "{decibels:.0f} dB only, and {least:.0f} dB is the least that usable light has: do not trust the materials. Were all "
     "photos taken in one light, and did nothing move? Look whether the cameras are right",
@@ -295,8 +296,7 @@ WORDS: dict[str, str] = {
     "scene.explains_photos": "The asset explains its photos to {decibels:.0f} dB; hues differ by {degrees:.0f} degrees.",
     "scene.explains_held_out": "The asset explains held-out photos to {decibels:.0f} dB; hues differ by "
     "{degrees:.0f} degrees.",
-    "scene.surroundings_explained": "The recovered light explains what the photos show beside the object to "
-    "{decibels:.0f} dB.",
+    "scene.surroundings_explained": "The recovered light explains what they show beside the object to {decibels:.0f} dB.",
     "scene.left_out": "Left out: {parts:parts}, because {reason}.",
     "scene.left_out_saving": "Left out: {parts:parts}, because {reason} (saves about {seconds:.0f} s).",
     "scene.acted": "Improved by: {parts:parts}.",

@@ -32,7 +32,11 @@ class ExplainedReport:
     """One photo of this many was held out from learning, and these were scored. None: those that were learned from"""
 
     def sentences(self) -> list[Message]:
-        """What was found, for everybody."""
+        """What was found, for everybody.
+
+        Of the surroundings nothing is said where all photos were learned from: F_e remembers what they show
+        (docs/lab/score-without-truth.md).
+        """
         lines, one, beside = [], self.found.object, self.found.surroundings
         if one is not None:
             values = {"decibels": one.psnr, "degrees": one.hue_deg or 0.0}
@@ -40,7 +44,7 @@ class ExplainedReport:
                 lines.append(Message("scene.explains_held_out", values))
             else:
                 lines.append(Message("scene.explains_photos", values))
-        if beside is not None:
+        if beside is not None and self.hold_out is not None:
             lines.append(Message("scene.surroundings_explained", {"decibels": beside.psnr}))
         return lines
 

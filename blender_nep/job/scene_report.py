@@ -51,8 +51,9 @@ class SceneReport:
 
     def explain(self, lines: list[Message]) -> None:
         """Add how well the photos are explained."""
-        self.sentences += lines
-        self._emit(lines)
+        if lines:
+            self.sentences += lines
+            self._emit(lines)
 
     def skip(self, skipped: Mapping[str, Message], seconds: Mapping[str, float]) -> None:
         """Add what a stage has left out. A part that was left out before keeps its first reason."""

@@ -23,12 +23,12 @@ def report(of_object: float, beside: float, hold_out: int | None = None) -> Expl
 
 def test_a_good_asset_is_told_in_a_sentence_without_warning():
     found = report(24.4, 27.0)
-    assert [str(line) for line in found.sentences()] == [
-        "The asset explains its photos to 24 dB; hues differ by 3 degrees.",
-        "The recovered light explains what the photos show beside the object to 27 dB.",
-    ]
+    assert [str(line) for line in found.sentences()] == ["The asset explains its photos to 24 dB; hues differ by 3 degrees."]
     assert found.warnings() == []
-    assert str(report(24.4, 27.0, 8).sentences()[0]).startswith("The asset explains held-out photos to 24 dB")
+    assert [str(line) for line in report(24.4, 27.0, 8).sentences()] == [
+        "The asset explains held-out photos to 24 dB; hues differ by 3 degrees.",
+        "The recovered light explains what they show beside the object to 27 dB.",
+    ]
 
 
 @pytest.mark.parametrize(
