@@ -266,7 +266,7 @@ class Job:
         """Say how well the asset explains the photos."""
         s = self._settings
         score = explained(
-            prepared.rays,
+            prepared.scene.rays,
             prepared.held_out,
             s.hold_out,
             learned.fields,

@@ -191,7 +191,7 @@ def burnt_out(rays: PixelRays, index: Tensor) -> np.ndarray:
 
 def _support_shown(f_p: PlenopticFunction, origins: np.ndarray, directions: np.ndarray) -> np.ndarray:
     light = f_p.support_light
-    return np.zeros(len(origins), bool) if light is None else shows_support(light.support, origins, directions)
+    return np.zeros(len(origins), bool) if light is None else shows_support(light.texture.support, origins, directions)
 
 
 def shows_support(support: Support, origins: np.ndarray, directions: np.ndarray) -> np.ndarray:
