@@ -151,6 +151,11 @@ WORDS: dict[str, str] = {
     "cameras.sure": "the cameras look right",
     "cameras.not_placed": "{count} {count:photo was|photos were} not placed, because {count:it shares|they share} too few "
     "points with the others: {names}. Take more photos in between, or leave {count:it|them} out",
+    "cameras.many_not_placed": "only {count} of {photos} photos were placed, so a part of the object may be missing. The "
+    "others share too few points with them: {list}. Take more photos in between, or take these out of the folder if the "
+    "placed ones show the whole object",
+    "cameras.next_way": "{count} of {photos} photos are placed so far: trying another way, which takes longer",
+    "cameras.way_all_pairs": "the second way found them: finer features, and all photos compared with each other",
     "cameras.groups": "the photos fall into {count} groups that share no points; the largest one is used. Take photos "
     "between the groups",
     "cameras.unsure": "the {count:place of this photo is|places of these photos are} unsure: {names}. Look whether "

@@ -61,6 +61,11 @@ MESSAGES = {
     "cameras.sure": "The cameras look right.",
     "cameras.not_placed": "{count} {count:photo was|photos were} not placed, because {count:it shares|they share} too few "
     "details with the others: {names}. Take more photos in between, or leave {count:it|them} out",
+    "cameras.many_not_placed": "Only {count} of {photos} photos were placed, so a part of the object may be missing. The "
+    "others share too few details with them: {list}. Take more photos in between, or take these out of the folder if the "
+    "placed ones show the whole object",
+    "cameras.next_way": "{count} of {photos} photos are placed so far: trying another way, which takes longer",
+    "cameras.way_all_pairs": "The second way found them: finer details, and all photos compared with each other.",
     "cameras.groups": "The photos fall into {count} groups that share no details; the largest one is used. Take photos "
     "between the groups",
     "cameras.unsure": "The {count:place of this photo is|places of these photos are} unsure: {names}. Look whether "

@@ -11,14 +11,13 @@ import numpy as np
 from blender_nep.cameras.alignment import moved
 from blender_nep.cameras.photo_folder import Photo
 from blender_nep.cameras.structure_from_motion import LONGEST_SIDE, Group, PlacedPhoto
+from blender_nep.cameras.ways import ENOUGH, LEAST, WAYS
 from blender_nep.capture.bounds import sphere_from_cameras
 from blender_nep.capture.cameras.upright import upward
 from blender_nep.capture.loading import MINIMUM_VIEWS
 from blender_nep.errors import CaptureError
 from blender_nep.messages import Message
 
-_ENOUGH = 20
-"""So many placed photos are enough to go on, even if they are less than half of all."""
 _FEW_POINTS = 60
 """A photo with fewer scene points is unsure."""
 _LARGE_ERROR = 2.0
@@ -56,21 +55,30 @@ class FoundCameras:
 def choose(photos: Sequence[Photo], groups: Sequence[Group]) -> FoundCameras:
     """The largest group, in a frame with z up, the object's center at 0, and the object's sphere of radius 1.
 
-    Raises CaptureError where too few photos were placed.
+    Raises CaptureError where too few photos were placed: less than `LEAST`.
     """
     count = len(groups[0].placed) if groups else 0
-    if count < MINIMUM_VIEWS or (2 * count < len(photos) and count < _ENOUGH):
-        few = f"only {count} of {len(photos)} photos could be placed" if count else "no photo could be placed"
-        hint = _PATTERN if any(any(photo.camera) for photo in photos) else f"{_PATTERN} {_NO_EXIF}"
-        why = "the photos share too few points, or were taken from one place"
-        raise CaptureError(f"{few}: {why}", hint, "capture.cameras_not_found", placed=count)
+    names = {found.photo.path for found in groups[0].placed} if groups else set()
+    left = [photo for photo in photos if photo.path not in names]
+    if count < MINIMUM_VIEWS or count < LEAST * len(photos):
+        raise _not_found(count, photos, [photo.path.name for photo in left])
     best = groups[0]
     turn = _upright([found.photo for found in best.placed], [found.camera.camera_to_world for found in best.placed])
     center, radius = sphere_from_cameras([moved(found.camera, turn, 1.0, np.zeros(3)) for found in best.placed])
     placed = [found.moved(turn, 1 / radius, -center / radius) for found in best.placed]
-    names = {found.photo.path for found in best.placed}
-    left = [photo for photo in photos if photo.path not in names]
     return FoundCameras(placed, (best.points @ turn.T - center) / radius, left)
+
+
+def _not_found(count: int, photos: Sequence[Photo], missing: Sequence[str]) -> CaptureError:
+    """The error where only `count` of the photos were placed; `missing`: names of the others."""
+    few = f"only {count} of {len(photos)} photos could be placed" if count else "no photo could be placed"
+    hint = _PATTERN if any(any(photo.camera) for photo in photos) else f"{_PATTERN} {_NO_EXIF}"
+    if count >= MINIMUM_VIEWS:
+        hint += f" If the other photos show the whole object, take these out of the folder: {', '.join(missing)}."
+    why = "the photos share too few points, or were taken from one place"
+    return CaptureError(
+        f"{few}: {why}", hint, "capture.cameras_not_found", placed=count, photos=len(photos), names=list(missing)
+    )
 
 
 def _upright(photos: Sequence[Photo], poses: Sequence[np.ndarray]) -> np.ndarray:
@@ -94,9 +102,15 @@ def messages(found: FoundCameras, groups: Sequence[Group]) -> tuple[list[Message
     said = [
         Message("cameras.placed", {"count": len(found.placed), "photos": total, "error": found.median_error}),
     ]
+    way = WAYS[groups[0].way]
+    if way.found is not None:
+        said.append(way.found)
     warnings = []
-    if found.not_placed:
-        names = [photo.path.name for photo in found.not_placed]
+    names = [photo.path.name for photo in found.not_placed]
+    if len(found.placed) < ENOUGH * total:
+        values = {"count": len(found.placed), "photos": total, "list": ", ".join(names)}  # all of them: not shortened
+        warnings.append(Message("cameras.many_not_placed", values))
+    elif names:
         warnings.append(Message("cameras.not_placed", {"count": len(names), "names": names}))
     others = [len(group.placed) for group in groups[1:] if len(group.placed) >= MINIMUM_VIEWS]
     if others and found.not_placed:

@@ -27,6 +27,7 @@ from scipy.spatial.transform import Rotation
 from blender_nep.cameras.alignment import moved
 from blender_nep.cameras.photo_folder import Photo, gray_copy, mask_copy
 from blender_nep.cameras.reduction import Reduction
+from blender_nep.cameras.ways import ENOUGH, WAYS, Way
 from blender_nep.capture.cameras.camera import Camera
 from blender_nep.capture.formats import colmap
 from blender_nep.errors import CaptureError, NepError, OutputError, Stopped
@@ -35,12 +36,6 @@ from blender_nep.stop_request import StopRequest
 
 LONGEST_SIDE = 1600
 """Pixels. Larger photos are scaled down for the features."""
-_FEATURES = 6000
-"""Largest number of features in a photo"""
-_PARTNERS = 24
-"""Photos that each photo is compared with, if there are more"""
-_SMALL = 1100
-"""Photos whose longest side is shorter than this [pixels] are doubled before features are sought, as SIFT's paper does."""
 _POLL_S = 0.2
 _LOOK_S = 1.0
 """How often the database is asked how far the process is"""
@@ -59,7 +54,8 @@ _SIGKILL = 9
 """The signal by which Linux ends a process where memory is short"""
 
 Report = Callable[[str, int, int], None]
-"""Called with the stage ('photos', 'features', 'matches' or 'places'), the step, and the number of steps"""
+"""Called with the stage ('photos', 'features', 'matches' or 'places'), the step, and the number of steps. Before a further
+way is tried: with 'way', the number of photos placed so far, and that of all"""
 
 
 @dataclass(frozen=True)
@@ -91,6 +87,8 @@ class Group:
     """[n, 3] scene points that three photos show, or more"""
     error_before: float | None = None
     """As the median `PlacedPhoto.error` of all photos, but with the given cameras; None where none were given"""
+    way: int = 0
+    """The number of the way of `WAYS` that found it, from 0"""
 
 
 def find_groups(
@@ -105,6 +103,8 @@ def find_groups(
 ) -> list[Group]:
     """Groups of photos whose places were found, the largest one first. Working files are left in the empty `folder`.
 
+    While less than `ENOUGH` of the photos are in one group, the next way of `WAYS` is tried. The result is that of the way
+    with the largest group.
     masked: None uses features everywhere; True only those on the object that the masks show, False only those beside it.
     given: cameras of the photos that are only improved. There is one group then, in a frame near the given one. Raises
     CaptureError where a photo cannot be read, OutputError where the disk is full, Stopped on request, and NepError where
@@ -119,15 +119,45 @@ def find_groups(
         _save(gray_copy(photo, reduction), folder / "images" / name)
         if masked is not None and (mask := mask_copy(photo, reduction)) is not None:
             _save(np.uint8(255) * (mask == masked), folder / "masks" / f"{name}.png")
-    settings = _settings(photos, reductions, given) | {
-        "masked": masked is not None,
-        "threads": threads or os.cpu_count() or 1,
+    lenses = _lenses(photos, reductions, given)
+    longest = max(max(reduction.width, reduction.height) for reduction in reductions.values())
+    best: list[Group] = []
+    for number, way in enumerate(WAYS if given is None else WAYS[:1]):
+        if number:
+            report("way", _placed(best), len(photos))
+        place = folder / f"way_{number}"
+        settings = _of_way(way, longest) | {
+            "lenses": lenses,
+            "given": {} if given is None else {name: _pose(camera) for name, camera in zip(reductions, given, strict=True)},
+            "images": str((folder / "images").absolute()),
+            "masks": "" if masked is None else str((folder / "masks").absolute()),
+            "threads": threads or os.cpu_count() or 1,
+        }
+        with _working_file(folder):
+            place.mkdir()
+            (place / "settings.json").write_text(json.dumps(settings), encoding="utf-8")
+        report("photos", len(photos), len(photos))
+        _run(place, report, stop)
+        best = max(best, [replace(group, way=number) for group in _read(place, photos, reductions)], key=_placed)
+        shutil.rmtree(place, ignore_errors=True)  # a database of many photos has gigabytes
+        if _placed(best) >= ENOUGH * len(photos):
+            break
+    return best
+
+
+def _placed(groups: Sequence[Group]) -> int:
+    """Photos in the largest group"""
+    return len(groups[0].placed) if groups else 0
+
+
+def _of_way(way: Way, longest: int) -> dict:
+    """What settings.json says of a way; `longest`: pixels of the longest side of a photo's copy."""
+    return {
+        "features": way.features,
+        "first_octave": way.first_octave(longest),
+        "all_pairs_up_to": way.all_pairs_up_to,
+        "partners": way.partners,
     }
-    with _working_file(folder):
-        (folder / "settings.json").write_text(json.dumps(settings), encoding="utf-8")
-    report("photos", len(photos), len(photos))
-    _run(folder, report, stop)
-    return _read(folder, photos, reductions)
 
 
 @contextmanager
@@ -174,8 +204,8 @@ def _disk_full(folder: Path) -> OutputError:
     )
 
 
-def _settings(photos: Sequence[Photo], reductions: dict[str, Reduction], given: Sequence[Camera] | None) -> dict:
-    """The file settings.json of `matching_process`. Photos of one lens share a camera."""
+def _lenses(photos: Sequence[Photo], reductions: dict[str, Reduction], given: Sequence[Camera] | None) -> list[dict]:
+    """The lenses of `matching_process`, with the names of their copies. Photos of one lens share a camera."""
     lenses: dict[tuple, dict] = {}
     for number, ((name, reduction), photo) in enumerate(zip(reductions.items(), photos, strict=True)):
         if given is None:
@@ -185,14 +215,7 @@ def _settings(photos: Sequence[Photo], reductions: dict[str, Reduction], given: 
             intrinsics = (camera.width, camera.height, camera.fl_x, camera.fl_y, camera.cx, camera.cy, camera.lens)
             lens = lenses.setdefault(intrinsics, _given_lens(reduction.in_copy(camera)))
         lens["names"].append(name)
-    longest = max(max(reduction.width, reduction.height) for reduction in reductions.values())
-    return {
-        "lenses": list(lenses.values()),
-        "given": {} if given is None else {name: _pose(camera) for name, camera in zip(reductions, given, strict=True)},
-        "features": _FEATURES,
-        "first_octave": -1 if longest < _SMALL else 0,
-        "partners": _PARTNERS,
-    }
+    return list(lenses.values())
 
 
 def _unknown_lens(photo: Photo, reduction: Reduction) -> dict:
@@ -313,7 +336,7 @@ def _failure(log: str, code: int, folder: Path) -> NepError:
     if "No module named 'pycolmap'" in log:
         return NepError("pycolmap is not installed", "Install it: pip install pycolmap.", "unexpected.no_pycolmap")
     if any(words in log for words in _DISK_FULL) or shutil.disk_usage(folder).free < _LEAST_FREE:
-        return _disk_full(folder.parent)
+        return _disk_full(folder.parents[1])
     if code == -_SIGKILL or any(words in log for words in _NO_MEMORY):
         return NepError("out of memory", "Close other programs, or use fewer or smaller photos.", "unexpected.no_memory")
     how = f"ended with exit code {code}"

@@ -330,7 +330,9 @@ def test_progress_is_counted_while_pycolmap_writes(shoot, tmp_path, monkeypatch)
     )
     assert len(groups[0].placed) == COUNT
     assert [step for step in steps if step[0] == "features" and 0 < step[1] < COUNT]
-    assert "sqlite3" not in imported(Path(matching_process.__file__))
+    folder = Path(matching_process.__file__).parent
+    for name in ("matching_process", "feature_matching", "mapping", "adjustment", "given_adjustment", "matching_output"):
+        assert not {"sqlite3", "PIL", "zlib"} & imported(folder / f"{name}.py")
 
 
 def imported(path: Path) -> set[str]:

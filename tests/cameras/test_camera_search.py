@@ -18,6 +18,7 @@ from blender_nep.cameras.object_sphere import ObjectSphere
 from blender_nep.cameras.photo_folder import Photo, find_photos, mask_copy
 from blender_nep.cameras.reduction import Reduction
 from blender_nep.cameras.structure_from_motion import Group, PlacedPhoto
+from blender_nep.cameras.ways import WAYS
 from blender_nep.cameras.written_capture import is_written_by_us, write_capture
 from blender_nep.capture import load_capture
 from blender_nep.errors import CaptureError
@@ -219,7 +220,7 @@ def test_pycolmap_runs_nothing_from_the_current_folder(tmp_path, monkeypatch):
     )
     code, events = found(Path("../photos"), Path("../out"))
     assert (code, one(events, "error")["name"]) == (3, "capture.cameras_not_found")
-    assert not sprung.exists() and started == [os.path.abspath(os.sep)]
+    assert not sprung.exists() and started == [os.path.abspath(os.sep)] * len(WAYS)
 
 
 @pytest.mark.parametrize(

@@ -18,7 +18,7 @@ def in_pycolmap() -> None:
     """
     import pycolmap
 
-    from blender_nep.cameras.matching_process import _adjust_robustly, _adjustment
+    from blender_nep.cameras.adjustment import adjust_robustly, adjustment
 
     pycolmap.set_random_seed(0)
     random = np.random.default_rng(0)
@@ -33,8 +33,8 @@ def in_pycolmap() -> None:
             reflected = point.has_point3D() and point.point3D_id % 8 == 0
             point.xy = point.xy + random.normal(size=2) * 0.2 + (8 * np.sin(place @ bends) if reflected else 0)
     robust = pycolmap.Reconstruction(model)
-    pycolmap.bundle_adjustment(model, _adjustment(pycolmap, 1))
-    _adjust_robustly(pycolmap, robust, 1)
+    pycolmap.bundle_adjustment(model, adjustment(pycolmap, 1))
+    adjust_robustly(pycolmap, robust, 1)
     print(json.dumps([error(pycolmap, positions(adjusted), truth) for adjusted in (model, robust)]))
 
 

@@ -144,11 +144,20 @@ class _Progress:
     """Turns the steps of structure from motion into progress events with the time left."""
 
     def __init__(self, events: Events, photos: int) -> None:
-        self._events = events
-        self._timeline = Timeline({name: seconds * photos for name, seconds in _SECONDS.items()})
+        self._events, self._photos = events, photos
+        self._begin()
+
+    def _begin(self) -> None:
+        self._timeline = Timeline({name: seconds * self._photos for name, seconds in _SECONDS.items()})
         self._stage = ""
 
     def __call__(self, stage: str, step: int, steps: int) -> None:
+        if stage == "way":  # the work begins anew, and nobody knows before how many ways it takes
+            self._begin()
+            note = Message("cameras.next_way", {"count": step, "photos": steps})
+            self._events.say(str(note))
+            self._events.progress(CAMERA_SEARCH, 0, steps, 0.0, sum(self._timeline.expected.values()), None, note)
+            return
         if stage != self._stage:
             if self._stage:
                 self._timeline.leave()
