@@ -86,3 +86,10 @@ def test_only_held_out_pixels_are_scored(score, photos):
 
 def test_the_score_is_the_same_each_time(score):
     assert score() == score()
+
+
+def test_photos_that_hardly_show_the_object_have_no_score(score, photos):
+    assert score(every=10**9, shown=photos) is None
+    other = replace(photos)
+    other.background, other.sphere = False, other.sphere[:0]
+    assert score(shown=other) is None
