@@ -272,7 +272,7 @@ def test_every_value_of_a_varied_size_changes_the_measured_work():
 def test_textures_of_random_points_can_be_measured():
     """The points that the study makes up are those that the baking takes."""
     bench = scaling.Bench(SUZANNE_SMALL)
-    bench.learned = lambda: (None, None, ball_surface())
+    bench.learned = lambda: (None, ball_surface())
     measured = scaling.measure(bench, 64, *scaling.FACTORS["texels a side"][1:])
     assert measured["cpu_seconds"]["textures"] > 0
 
