@@ -32,8 +32,14 @@ def adjust_robustly(pycolmap: Any, model: Any, threads: int) -> None:
     """Adjust the model to its features once more, so that features which do not fit count little.
 
     The mapping sums squares of errors. Some features are reflections, which move over the object with the camera. There are
-    few of them, and they are far enough off to pull all cameras.
+    few of them, and they are far enough off to pull all cameras. A lens that was mapped with one number for its distortion
+    gets a second one here. While few photos are placed, two numbers can take any values, and further photos do not fit then.
     """
+    for camera in model.cameras.values():
+        if camera.model == pycolmap.CameraModelId.SIMPLE_RADIAL:
+            one = list(camera.params)
+            camera.model = pycolmap.CameraModelId.RADIAL
+            camera.params = [*one, 0.0]
     options = adjustment(pycolmap, threads)
     options.ceres.loss_function_type = pycolmap.LossFunctionType.CAUCHY
     for _ in range(_ADJUSTMENTS):

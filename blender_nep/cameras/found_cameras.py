@@ -10,8 +10,8 @@ import numpy as np
 
 from blender_nep.cameras.alignment import moved
 from blender_nep.cameras.photo_folder import Photo
-from blender_nep.cameras.structure_from_motion import LONGEST_SIDE, Group, PlacedPhoto
-from blender_nep.cameras.ways import ENOUGH, LEAST, WAYS
+from blender_nep.cameras.structure_from_motion import Group, PlacedPhoto
+from blender_nep.cameras.ways import LEAST, LONGEST_SIDE, WAYS, enough
 from blender_nep.capture.bounds import sphere_from_cameras
 from blender_nep.capture.cameras.upright import upward
 from blender_nep.capture.loading import MINIMUM_VIEWS
@@ -107,7 +107,7 @@ def messages(found: FoundCameras, groups: Sequence[Group]) -> tuple[list[Message
         said.append(way.found)
     warnings = []
     names = [photo.path.name for photo in found.not_placed]
-    if len(found.placed) < ENOUGH * total:
+    if len(found.placed) < enough(total):
         values = {"count": len(found.placed), "photos": total, "list": ", ".join(names)}  # all of them: not shortened
         warnings.append(Message("cameras.many_not_placed", values))
     elif names:

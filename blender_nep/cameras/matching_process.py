@@ -23,7 +23,7 @@ from typing import Any
 from blender_nep.cameras.adjustment import SEED, adjust_robustly
 from blender_nep.cameras.feature_matching import extract, near_pairs, similar_pairs
 from blender_nep.cameras.given_adjustment import improve
-from blender_nep.cameras.mapping import forget_focal_lengths, mapped, placed
+from blender_nep.cameras.mapping import forget_focal_lengths, globally_mapped, mapped, placed
 from blender_nep.cameras.matching_output import say, write
 
 _LEAST_MATCHES_OF_GIVEN = 8
@@ -69,6 +69,8 @@ def _find(pycolmap: Any, folder: Path, settings: dict) -> None:
         if placed(found) < len(names) / 2 and any(lens["params"] for lens in settings["lenses"]):
             forget_focal_lengths(pycolmap, folder, verification)
             found = max(found, mapped(pycolmap, folder, settings), key=placed)
+        if settings["global"] and 0 < placed(found) < settings["enough"]:
+            found = max(found, globally_mapped(pycolmap, folder, settings), key=placed)
         for model in found:
             adjust_robustly(pycolmap, model, settings["threads"])
         write(folder, [(model, {}) for model in found])

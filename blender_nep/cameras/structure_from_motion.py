@@ -27,15 +27,13 @@ from scipy.spatial.transform import Rotation
 from blender_nep.cameras.alignment import moved
 from blender_nep.cameras.photo_folder import Photo, gray_copy, mask_copy
 from blender_nep.cameras.reduction import Reduction
-from blender_nep.cameras.ways import ENOUGH, WAYS, Way
+from blender_nep.cameras.ways import LONGEST_SIDE, WAYS, enough
 from blender_nep.capture.cameras.camera import Camera
 from blender_nep.capture.formats import colmap
 from blender_nep.errors import CaptureError, NepError, OutputError, Stopped
 from blender_nep.safety.isolated_python import NEUTRAL_FOLDER, isolated_python
 from blender_nep.stop_request import StopRequest
 
-LONGEST_SIDE = 1600
-"""Pixels. Larger photos are scaled down for the features."""
 _POLL_S = 0.2
 _LOOK_S = 1.0
 """How often the database is asked how far the process is"""
@@ -103,7 +101,7 @@ def find_groups(
 ) -> list[Group]:
     """Groups of photos whose places were found, the largest one first. Working files are left in the empty `folder`.
 
-    While less than `ENOUGH` of the photos are in one group, the next way of `WAYS` is tried. The result is that of the way
+    While fewer photos than `enough` are in one group, the next way of `WAYS` is tried. The result is that of the way
     with the largest group.
     masked: None uses features everywhere; True only those on the object that the masks show, False only those beside it.
     given: cameras of the photos that are only improved. There is one group then, in a frame near the given one. Raises
@@ -126,7 +124,7 @@ def find_groups(
         if number:
             report("way", _placed(best), len(photos))
         place = folder / f"way_{number}"
-        settings = _of_way(way, longest) | {
+        settings = way.settings(longest, len(photos)) | {
             "lenses": lenses,
             "given": {} if given is None else {name: _pose(camera) for name, camera in zip(reductions, given, strict=True)},
             "images": str((folder / "images").absolute()),
@@ -140,7 +138,7 @@ def find_groups(
         _run(place, report, stop)
         best = max(best, [replace(group, way=number) for group in _read(place, photos, reductions)], key=_placed)
         shutil.rmtree(place, ignore_errors=True)  # a database of many photos has gigabytes
-        if _placed(best) >= ENOUGH * len(photos):
+        if _placed(best) >= enough(len(photos)):
             break
     return best
 
@@ -148,16 +146,6 @@ def find_groups(
 def _placed(groups: Sequence[Group]) -> int:
     """Photos in the largest group"""
     return len(groups[0].placed) if groups else 0
-
-
-def _of_way(way: Way, longest: int) -> dict:
-    """What settings.json says of a way; `longest`: pixels of the longest side of a photo's copy."""
-    return {
-        "features": way.features,
-        "first_octave": way.first_octave(longest),
-        "all_pairs_up_to": way.all_pairs_up_to,
-        "partners": way.partners,
-    }
 
 
 @contextmanager
@@ -222,8 +210,8 @@ def _unknown_lens(photo: Photo, reduction: Reduction) -> dict:
     """A lens whose focal length EXIF may tell."""
     size = {"width": reduction.width, "height": reduction.height}
     center = [reduction.width / 2, reduction.height / 2]
-    params = [photo.focal_length / reduction.scale, *center, 0.0, 0.0] if photo.focal_length else None
-    return {"model": "RADIAL", "params": params, "refined": True, "names": []} | size
+    params = [photo.focal_length / reduction.scale, *center, 0.0] if photo.focal_length else None
+    return {"model": "SIMPLE_RADIAL", "params": params, "refined": True, "names": []} | size
 
 
 def _given_lens(camera: Camera) -> dict:

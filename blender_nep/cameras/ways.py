@@ -5,14 +5,22 @@ docs/lab/cameras.md says what each way finds and costs.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 from blender_nep.messages import Message
 
 ENOUGH = 0.9
-"""No further way is tried if this share of the photos is placed. Below, a warning lists the photos that are missing."""
+"""No further way is tried if this share of the photos is placed, or all but one. Below, a warning lists those missing."""
+LONGEST_SIDE = 1600
+"""Pixels. Larger photos are scaled down before pycolmap sees them."""
 LEAST = 0.5
 """Cameras of fewer photos than this share are an error."""
+
+
+def enough(photos: int) -> int:
+    """The number of placed photos that is enough."""
+    return min(math.ceil(ENOUGH * photos), photos - 1)
 
 
 @dataclass(frozen=True)
@@ -27,16 +35,35 @@ class Way:
     """Photos whose longest side is shorter [pixels] are doubled before features are sought, as SIFT's paper does."""
     all_pairs_up_to: int
     """Up to so many photos are all compared with each other."""
-    partners: int
+    partners: int = 24
     """Photos that each photo is compared with, if there are more"""
+    globally: bool = False
+    """If one photo after the other does not place enough, all are placed together (global mapping)."""
 
-    def first_octave(self, longest: int) -> int:
-        """pycolmap's first octave of features for photos whose longest side has so many pixels."""
-        return -1 if longest < self.doubled_below else 0
+    def settings(self, longest: int, photos: int) -> dict:
+        """What the settings of `matching_process` say of the way.
+
+        longest: pixels of the longest side of all photos. photos: their number.
+        """
+        return {
+            "features": self.features,
+            "first_octave": -1 if longest < self.doubled_below else 0,
+            "all_pairs_up_to": self.all_pairs_up_to,
+            "partners": self.partners,
+            "global": self.globally,
+            "enough": enough(photos),
+        }
 
 
 WAYS = (
-    Way(None, features=6000, doubled_below=1100, all_pairs_up_to=25, partners=24),
-    Way(Message("cameras.way_all_pairs"), features=8192, doubled_below=10_000, all_pairs_up_to=150, partners=24),
+    Way(None, features=6000, doubled_below=1100, all_pairs_up_to=25),
+    Way(
+        Message("cameras.way_all_pairs"),
+        features=8192,
+        doubled_below=LONGEST_SIDE + 1,
+        all_pairs_up_to=150,
+        globally=True,
+    ),
 )
-"""From the cheapest to the most expensive one"""
+"""The first one is cheap and finds the cameras of most captures. The second one has pycolmap's own features
+and pairs."""

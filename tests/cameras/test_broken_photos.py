@@ -83,6 +83,7 @@ def refused(name: str, broken: Callable[[Shoot], None], code: int, error: str, s
 
 
 NOT_FOUND = "capture.cameras_not_found"
+FEW_PLACED = "cameras.many_not_placed"
 UNREADABLE = "capture.photo_unreadable"
 KINDS = "CMYK, gray, palettes, alpha and 16 bits, one photo of each"
 CASES = [
@@ -96,7 +97,7 @@ CASES = [
     Case(KINDS, photos.kinds_of_pixels),
     # EXIF
     Case("EXIF: all 8 orientations", photos.all_orientations),
-    Case("2 photos are mirrored", photos.two_mirrored, placed=6, warns={"cameras.not_placed": ["photo_00", "photo_07"]}),
+    Case("2 photos are mirrored", photos.two_mirrored, placed=6, warns={FEW_PLACED: ["photo_00", "photo_07"]}),
     Case("EXIF: the focal length is 5 times too long", photos.focal_length_too_long),
     Case("EXIF: the focal length is 0", photos.focal_length_zero),
     Case("EXIF: nonsense", photos.nonsense_in_exif),
@@ -113,7 +114,7 @@ CASES = [
         photos.half_strangers,
         placed=5,
         warns={
-            "cameras.not_placed": [f"z_stranger_{n}" for n in range(4)],
+            FEW_PLACED: [f"z_stranger_{n}" for n in range(4)],
             "cameras.groups": [],
             "cameras.unsure": ["photo_04"],
         },
@@ -121,7 +122,7 @@ CASES = [
     Case("one photo twice", photos.one_twice, placed=9),
     refused("all photos alike", photos.all_alike, 3, NOT_FOUND, "from one place"),
     refused("blank photos", photos.blank, 3, NOT_FOUND, "print"),
-    Case("2 photos are blurred", photos.two_blurred, placed=6, warns={"cameras.not_placed": ["photo_00", "photo_07"]}),
+    Case("2 photos are blurred", photos.two_blurred, placed=6, warns={FEW_PLACED: ["photo_00", "photo_07"]}),
     Case("every second photo is 3 stops darker", photos.exposures),
     Case("noise", photos.noise, warns={"cameras.unsure": ["photo_00"]}),
     # names and places
@@ -243,7 +244,8 @@ def contents(folder: Path) -> dict[Path, bytes]:
 def named(events: list[dict]) -> dict[str, list[str]]:
     """{code of a warning: names of the photos that it names, without endings}."""
     warnings = [event for event in events if event["event"] == "warning"]
-    return {w["code"]: [Path(name).stem for name in w["values"].get("names", [])] for w in warnings}
+    texts = {w["code"]: w["values"].get("names") or w["values"].get("list", "").split(", ") for w in warnings}
+    return {code: [Path(name).stem for name in names if name] for code, names in texts.items()}
 
 
 def accuracy(shoot: Shoot, doubtful: set[str]) -> tuple[int, dict[str, float], float]:

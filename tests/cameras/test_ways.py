@@ -13,7 +13,7 @@ from blender_nep.cameras import structure_from_motion
 from blender_nep.cameras.found_cameras import choose, messages
 from blender_nep.cameras.photo_folder import Photo, find_photos
 from blender_nep.cameras.structure_from_motion import Group, PlacedPhoto, find_groups
-from blender_nep.cameras.ways import WAYS
+from blender_nep.cameras.ways import WAYS, enough
 from blender_nep.errors import CaptureError
 from blender_nep.stop_request import StopRequest
 from support.printed_room import camera
@@ -76,7 +76,7 @@ def test_the_way_that_places_most_photos_counts(climbed):
 
 
 def test_large_photos_are_doubled_by_the_second_way_only():
-    assert [way.first_octave(1600) for way in WAYS[:2]] == [0, -1]
+    assert [way.settings(1600, COUNT)["first_octave"] for way in WAYS[:2]] == [0, -1]
 
 
 def test_less_than_half_of_the_photos_is_an_error(photos):
@@ -104,3 +104,7 @@ def test_the_way_is_said_where_it_was_not_the_first(photos):
     found = choose(photos, [group(photos, COUNT)])
     codes = [[said.code for said in messages(found, [replace(group(photos, COUNT), way=way)])[0]] for way in (0, 1)]
     assert "cameras.way_all_pairs" in codes[1] and "cameras.way_all_pairs" not in codes[0]
+
+
+def test_all_but_one_photo_is_enough():
+    assert [enough(photos) for photos in (3, 9, 10, 20, 67)] == [2, 8, 9, 18, 61]
