@@ -136,7 +136,9 @@ def find_groups(
             (place / "settings.json").write_text(json.dumps(settings), encoding="utf-8")
         report("photos", len(photos), len(photos))
         _run(place, report, stop)
-        best = max(best, [replace(group, way=number) for group in _read(place, photos, reductions)], key=_placed)
+        found = [replace(group, way=number) for group in _read(place, photos, reductions)]
+        if not best or _placed(found) > _placed(best):  # a group of given cameras may have no photo that is placed
+            best = found
         shutil.rmtree(place, ignore_errors=True)  # a database of many photos has gigabytes
         if _placed(best) >= enough(len(photos)):
             break
