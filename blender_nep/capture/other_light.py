@@ -18,12 +18,13 @@ import numpy as np
 
 from blender_nep.capture.capture import Capture
 from blender_nep.capture.exposure import Comparison
+from blender_nep.capture.loading import MINIMUM_VIEWS
 from blender_nep.capture.photos.photo_files import time_taken
 from blender_nep.errors import CaptureError
 
 COLOR_GAP = 0.5
 """Photos are two groups where the logarithms of red to blue have such a gap. Measured on one series of photographs: 1.0
-between daylight and lamps; the largest step within daylight was 0.2."""
+between daylight and lamps; the largest step within daylight was 0.1."""
 PAUSE = timedelta(hours=1)
 """Photos before and after such a pause are two groups."""
 LEAST_APART, DEVIATIONS_APART = 0.3, 3.0
@@ -31,8 +32,8 @@ LEAST_APART, DEVIATIONS_APART = 0.3, 3.0
 group by the first, and by so many of the deviations within the groups. Measured on the same series: 1.8 and 6."""
 CONTRAST = 1.2
 """... and the surroundings must differ between the groups by this multiple of how much they differ within them. Measured on
-the same series: 1.8 and 2.6 between lamps and two days of daylight, 1.0 between these days. Where a white balance alone was
-changed: 0.7 to 1.2 if both groups have cameras on all sides. It may be 2 where all cameras of a group are close together."""
+the same series: 1.8 and 2.6 between lamps and two days of daylight, 1.0 between these days. In one light: 0.7 to 1.2 if both
+groups have cameras on all sides, and up to 2.2 where all cameras of a group are close together."""
 LEAST_CELLS = 300
 """Groups are compared if they share at least so many cells of the surroundings."""
 _CALM = 0.25
@@ -42,7 +43,8 @@ _CALM = 0.25
 def other_light(compared: Comparison, times: Sequence[datetime | None]) -> tuple[int, ...]:
     """The photos that were taken in another light than most, rising; empty if all were taken in one light.
 
-    times: when each photo was taken; None where nobody knows.
+    Empty, too, if the others are fewer than MINIMUM_VIEWS, from which nothing can be learned. times: when each photo was
+    taken; None where nobody knows.
     """
     by_color, by_time = _groups_by_color(compared.log), _groups_by_time(times)
     labels = by_color * (by_time.max() + 1) + by_time
@@ -52,6 +54,8 @@ def other_light(compared: Comparison, times: Sequence[datetime | None]) -> tuple
     while same := [group for group in others if not _differs(compared, main, group)]:
         main = np.concatenate([main, *same])
         others = [group for group in others if not any(group is one for one in same)]
+    if len(main) < MINIMUM_VIEWS:
+        return ()
     return tuple(sorted(int(photo) for group in others for photo in group))
 
 

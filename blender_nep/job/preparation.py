@@ -15,7 +15,6 @@ from blender_nep.capture.brightness import to_brightness
 from blender_nep.capture.doctor.turntable import refuse_turntable
 from blender_nep.capture.exposure import Comparison, Exposures, compare_exposures
 from blender_nep.capture.held_out import split
-from blender_nep.capture.loading import MINIMUM_VIEWS
 from blender_nep.capture.other_light import other_light, times_of
 from blender_nep.capture.rays.pixel_store import PixelMemory
 from blender_nep.errors import OutputError, Stopped, UsageError
@@ -246,10 +245,9 @@ class Preparation:
     def _in_other_light(self, capture: Capture, compared: Comparison) -> tuple[int, ...]:
         """The photos that are left out, because they were taken in another light than most. The user is told."""
         found = () if self._settings.all_photos else other_light(compared, times_of(capture))
-        if not found or len(capture.views) - len(found) < MINIMUM_VIEWS:
-            return ()
-        names = [capture.views[i].name for i in found]
-        self._events.warning(Message("capture.other_light", {"count": len(found), "names": names}))
+        if found:
+            names = [capture.views[i].name for i in found]
+            self._events.warning(Message("capture.other_light", {"count": len(found), "names": names}))
         return found
 
     def _even_out(self, rays: PixelRays, compared: Comparison | None) -> PixelRays:

@@ -8,6 +8,7 @@ import torch
 from PIL import ExifTags, Image
 
 from blender_nep.capture import PixelRays, load_capture
+from blender_nep.capture import other_light as other_light_module
 from blender_nep.capture.exposure import SPHERES, compare_exposures
 from blender_nep.capture.other_light import other_light, times_of
 from blender_nep.capture.photos.photo_files import time_taken
@@ -64,6 +65,11 @@ def test_photos_by_lamps_are_found_without_times(room):
 
 def test_the_light_of_most_photos_stays(room):
     assert found(room[0](LAMP, torch.ones(3)), no_times()) == EVENING
+
+
+def test_too_few_photos_in_one_light_are_all_kept(room, monkeypatch):
+    monkeypatch.setattr(other_light_module, "MINIMUM_VIEWS", PHOTOS - len(EVENING) + 1)
+    assert found(room[0](torch.ones(3), LAMP), no_times()) == ()
 
 
 def test_another_white_balance_is_no_other_light(room):
