@@ -29,6 +29,7 @@ class Part(StrEnum):
     SECOND_BOUNCES = "second bounces"
     NARROW_CONES = "narrow cones"
     UNSEEN_LIGHT = "unseen light"
+    CAMERA_RESPONSE = "camera response"
     FURTHER_STEPS = "further steps of both fields"
     MATERIAL_BOUNDARIES = "material boundaries"
     VARIED_MATERIALS = "materials that vary from place to place"
@@ -119,6 +120,7 @@ PARTS: dict[str, str] = {
     Part.SECOND_BOUNCES: "light that the object reflects twice",
     Part.NARROW_CONES: "sharp reflections",
     Part.UNSEEN_LIGHT: "light that no photo shows",
+    Part.CAMERA_RESPONSE: "the camera's tone curve",
     Part.FURTHER_STEPS: "the rest of learning shape and light",
     Part.MATERIAL_BOUNDARIES: "boundaries between materials",
     Part.VARIED_MATERIALS: "materials that vary from place to place",
@@ -333,5 +335,8 @@ WORDS: dict[str, str] = {
     "reason.no_hull": "the shape does not start from an outline",
     "reason.levels_there": "the shape has them already",
     "reason.wide_pixels": "the photos have too few pixels for it",
+    "reason.linear_photos": "the photos hold linear values",
+    "reason.no_tone_curve": "the photos show none",
+    "reason.light_not_shown": "the photos show too little of the light",
     "reason.no_self_reflection": "the object does not reflect in itself",
 }

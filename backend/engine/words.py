@@ -29,6 +29,7 @@ PARTS = {
     "second bounces": "light that the object reflects twice",
     "narrow cones": "sharp reflections",
     "unseen light": "light that no photo shows",
+    "camera response": "the camera's tone curve",
     "further steps of both fields": "the rest of learning shape and light",
     "material boundaries": "boundaries between materials",
     "materials that vary from place to place": "materials that vary from place to place",
@@ -232,6 +233,9 @@ MESSAGES = {
     "reason.no_hull": "the shape does not start from an outline",
     "reason.levels_there": "the shape has them already",
     "reason.wide_pixels": "the photos have too few pixels for it",
+    "reason.linear_photos": "the photos hold linear values",
+    "reason.no_tone_curve": "the photos show none",
+    "reason.light_not_shown": "the photos show too little of the light",
     "reason.no_self_reflection": "the object does not reflect in itself",
 }
 

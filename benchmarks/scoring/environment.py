@@ -10,8 +10,10 @@ import torch
 from benchmarks.row_files import read_row
 from benchmarks.scoring.geometry import Body
 from blender_nep.capture import PixelRays
+from blender_nep.capture.rays.response_curve import ResponseCurve
 from blender_nep.fields.environment.field import EnvironmentField
 from blender_nep.geometry.ray_tracing import RayTracer
+from blender_nep.job.stage_names import StageName
 from blender_nep.tone_mapping import tone_map
 
 
@@ -25,11 +27,24 @@ def exposures_differ(folder: Path) -> bool:
     return bool(automatic or read_row(folder / "photographs.json").get("photos"))
 
 
-def background_psnr(environment: EnvironmentField, test_rays: PixelRays, truth: Body, own_exposures: bool = False) -> float:
+def response_of(report: dict) -> ResponseCurve | None:
+    """The camera's response curve that a job's report tells; None if there is none."""
+    found = report.get("stages", {}).get(str(StageName.MATERIAL_LEARNING), {}).get("response")
+    return None if found is None else ResponseCurve(**found)
+
+
+def background_psnr(
+    environment: EnvironmentField,
+    test_rays: PixelRays,
+    truth: Body,
+    own_exposures: bool = False,
+    response: ResponseCurve | None = None,
+) -> float:
     """PSNR (dB) of F_e in tone-mapped space, over the pixels of the test views whose rays miss the true mesh.
 
     The exposure of `test_rays` is that of the photos from which F_e was learned. With `own_exposures`, each test photo also
     has its own, which no file tells: F_e is brightened or darkened to suit each photo.
+    `response` is the curve that F_e has and the test photos have not.
     """
     tracer = RayTracer(np.asarray(truth.mesh.vertices), np.asarray(truth.mesh.faces))
     sphere = test_rays.sphere.tensor()
@@ -42,7 +57,8 @@ def background_psnr(environment: EnvironmentField, test_rays: PixelRays, truth: 
         near = torch.full_like(half_angle, environment.preset.camera_near)
         with torch.no_grad():
             shown = environment.render(origins, directions, near, torch.full_like(near, torch.inf), half_angle)
-        rendered.append(shown.radiance / test_rays.exposure)
+        light = shown.radiance if response is None else response.light(shown.radiance)
+        rendered.append(light / test_rays.exposure)
     photo, radiance = test_rays.radiance[scored].float(), torch.cat(rendered)
     if own_exposures:
         radiance = radiance * _gains(photo, radiance, test_rays.view_of(scored), test_rays.views)

@@ -23,6 +23,7 @@ from backend.rendering.relight import RelitScene
 from backend.scene_io.capture_files import Frame
 from backend.scene_io.result import import_result
 from benchmarks.row_files import read_row
+from benchmarks.scoring.environment import response_of
 from benchmarks.scoring.geometry import load_test_views
 from blender_nep.asset.photo_score import PhotoScore, photo_score
 from blender_nep.capture import PixelRays, load_capture
@@ -74,13 +75,14 @@ def score(folder: Path, asset: Path, photos: int | None = None, samples: int = S
         held.views = [held.views[number] for number in chosen]
     rays = PixelRays.from_capture(held, PIXELS, report["capture"]["masks"] or bool(held.views[0].mask_path))
     fields, support = _learned(asset, report["preset"])
+    exposure, response = report["capture"]["exposure"], response_of(report)
     shown, rendered, numbers, kinds, surroundings = [], [], [], [], []
     for number, picture in enumerate(_render(asset, held, rays, samples)):
         index = torch.arange(rays.offset[number], rays.offset[number + 1])
         covered = picture.reshape(-1, 4)[:, 3]
         around = np.zeros((len(index), 3), np.float32)
         if fields is not None:
-            around = behind(fields.environment, rays, index) / report["capture"]["exposure"]
+            around = behind(fields.environment, rays, index) / exposure
         usable = rays.valid[index].numpy() & ~burnt_out(rays, index)
         mask = covered if rays.mask is None else rays.mask[index].numpy() / 255
         beside = usable & (mask <= _NONE) & (covered <= _NONE)
@@ -88,7 +90,11 @@ def score(folder: Path, asset: Path, photos: int | None = None, samples: int = S
             origins, directions, _ = (x.numpy() for x in rays.rays(index))
             beside &= ~shows_support(support, origins, directions)
         shown.append(rays.photo(index).numpy())
-        rendered.append(picture.reshape(-1, 4)[:, :3] + (1 - covered[:, None]) * around)
+        of_asset = picture.reshape(-1, 4)[:, :3]
+        if response is not None:  # the renderings lack the camera's curve, which photos and F_e have
+            light = of_asset / covered.clip(1e-3, 1)[:, None]
+            of_asset = covered[:, None] * response.photo(torch.from_numpy(exposure * light)).numpy() / exposure
+        rendered.append(of_asset + (1 - covered[:, None]) * around)
         numbers.append(np.full(len(index), number))
         kinds.append(usable & (mask >= _WHOLE))
         surroundings.append(beside)

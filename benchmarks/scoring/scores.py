@@ -50,8 +50,13 @@ def _background_psnr(
     folder: Path, asset: Path, kept: Path, capture: Capture, test: Capture, preset: Preset, device: torch.device
 ) -> float:
     environment = Fields.from_state(load_state(kept)["result"], preset, device).environment
-    learned = read_row(asset / "report.json")["capture"]  # F_e has the unit frame and exposure of the job that learned it
+    report = read_row(asset / "report.json")
+    learned, response = (
+        report["capture"],
+        fields.response_of(report),
+    )  # F_e has the unit frame and exposure of the job that learned it
     for one in (capture, test):
         one.object_center, one.object_radius = np.array(learned["object_center"]), learned["object_radius"]
     rays = PixelRays.from_capture(test, BACKGROUND_PIXELS, False, device).with_exposure(learned["exposure"])
-    return fields.background_psnr(environment, rays, geometry.true_mesh(folder, capture), fields.exposures_differ(folder))
+    own, truth = fields.exposures_differ(folder), geometry.true_mesh(folder, capture)
+    return fields.background_psnr(environment, rays, truth, own, response)

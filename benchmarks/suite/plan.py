@@ -31,6 +31,8 @@ ABLATIONS: dict[str, dict[str, dict]] = {
     "full gradients of F_e": {"fields": {"environment_gradient_scale": 1.0}},
     WITHOUT_F_E: {"material": {}},
     "no cones": {"material": {"use_cones": False}},
+    "no camera response": {"material": {"camera_response": False}},
+    "metals of any brightness": {"material": {"metals_are_bright": 0.0}},
     "no unseen light": {"material": {"learn_unseen_light": False}},
     "no indirect light": {"material": {"levels": 0}},
     **{f"N = {n}": {"material": {"levels": n}, "preset": {"skip_needless": False}} for n in (1, 2, 3)},

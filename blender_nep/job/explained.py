@@ -93,17 +93,19 @@ def explained(
     from blender_nep.fields.object_pixels import fitted_to_widths
     from blender_nep.geometry.ray_tracing import RayTracer
     from blender_nep.materials.explained_photos import OF_HITS, NoRadiance, TexturedSurface, explain_photos
+    from blender_nep.shading.light_of_photos import LightOfPhotos
     from blender_nep.shading.plenoptic import PlenopticFunction
     from blender_nep.support.light import SupportLight
 
     mesh, plane, device = surface.surface, surface.support or fields.support, rays.valid.device
     tracer = RayTracer(mesh.vertices, mesh.faces)
-    support = None if plane is None else SupportLight.of(plane, rays, tracer)
-    f_p = PlenopticFunction(
-        tracer, mesh.normals, fields.environment, NoRadiance(), OF_HITS, device, support, materials.unseen
-    )
+    curve, light = materials.response, fields.environment
+    lit = rays if curve is None else rays.with_response(curve)
+    support = None if plane is None else SupportLight.of(plane, lit, tracer)
+    environment = light if curve is None else LightOfPhotos(light, curve)
+    f_p = PlenopticFunction(tracer, mesh.normals, environment, NoRadiance(), OF_HITS, device, support, materials.unseen)
     asset = TexturedSurface(mesh, {name: getattr(materials, name) for name in TEXTURES})
     scored = rays if held_out is None else held_out
     every = fitted_to_widths(preset.fields, rays).held_out_every if held_out is None else 1
-    found = explain_photos(asset, f_p, fields.environment, scored, every, held_out is not None, seed)
+    found = explain_photos(asset, f_p, light, scored, every, held_out is not None, seed, curve)
     return ExplainedReport(found, hold_out)

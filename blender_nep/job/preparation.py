@@ -12,6 +12,7 @@ import torch
 
 from blender_nep.capture import Capture, PixelRays, load_capture
 from blender_nep.capture.brightness import to_brightness
+from blender_nep.capture.camera_settings import expected_response, told_exposures, told_gains
 from blender_nep.capture.doctor.turntable import refuse_turntable
 from blender_nep.capture.exposure import Comparison, Exposures, compare_exposures
 from blender_nep.capture.held_out import split
@@ -191,10 +192,10 @@ class Preparation:
         """The photos as bright as they are learned from, and what they show."""
         preset, rays = self._settings.preset, photos.rays
         if preset.even_exposure:
-            rays = self._even_out(rays, photos.compared)
+            rays = self._even_out(rays, photos)
         if preset.brightness > 0:
             rays = to_brightness(rays, preset.brightness)
-        return Scene.of(rays)
+        return Scene.of(rays, expected_response(photos.capture))
 
     def _finish_complete(self, what: dict[str, object]) -> None:
         """End a resume of an asset that is complete. Raises UsageError if it is not the asset that was asked for."""
@@ -250,9 +251,15 @@ class Preparation:
             self._events.warning(Message("capture.other_light", {"count": len(found), "names": names}))
         return found
 
-    def _even_out(self, rays: PixelRays, compared: Comparison | None) -> PixelRays:
-        """The same pixels with the gains of the photos, if the photos' exposures differ, and without vignetting."""
-        found = Exposures(None) if compared is None else compared.exposures(rays.radiance.device)
+    def _even_out(self, rays: PixelRays, photos: _Photos) -> PixelRays:
+        """The same pixels with the gains of the photos, if the photos' exposures differ, and without vignetting.
+
+        What the files tell of the exposures counts more than what the surroundings tell.
+        """
+        compared, device = photos.compared, rays.radiance.device
+        found = told_exposures(told_gains(photos.capture), compared, device)
+        if found is None:
+            found = Exposures(None) if compared is None else compared.exposures(device)
         if found.warning:
             self._events.warning(found.warning)
         return rays.with_gain(found.gain, found.vignetting)

@@ -56,6 +56,7 @@ if TYPE_CHECKING:
     from blender_nep.fields.fields import Fields
     from blender_nep.materials.training import Materials
     from blender_nep.scene.scene import Scene
+    from blender_nep.shading.environment import Environment
 
 _DOUBT = 0.03
 """If the validation errors of metal and dielectric differ by less than this share, the photos do not decide between them."""
@@ -91,6 +92,13 @@ class Learned:
     fields: Fields
     surface: SurfaceResult
     materials: Materials
+
+    def light(self) -> Environment:
+        """F_e as light, without the camera's response curve."""
+        from blender_nep.shading.light_of_photos import LightOfPhotos
+
+        environment, curve = self.fields.environment, self.materials.response
+        return environment if curve is None else LightOfPhotos(environment, curve)
 
     def reports(self) -> dict[StageName, StageReportView]:
         """{stage: its report} of the three long stages."""
@@ -285,7 +293,7 @@ class Job:
         self._tracker.enter(name)
         self._tracker.report(name, 0, 1)
         start = time.monotonic()
-        light, coverage = learned.fields.environment.equirect(s.preset.environment_height)
+        light, coverage = learned.light().equirect(s.preset.environment_height)
         if learned.materials.unseen is not None:
             light = learned.materials.unseen.completed(light, coverage)
         with section(name):

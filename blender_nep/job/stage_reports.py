@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any, Self
 
-from blender_nep.messages import Message
+from blender_nep.messages import Message, Part
 
 
 @dataclass(frozen=True)
@@ -30,7 +30,10 @@ class StageReportView:
             facts={k: v for k, v in report.items() if k not in ("skipped", "seconds_saved")},
             skipped={part: Message.from_state(why) for part, why in skipped.items()},
             seconds_saved=report.get("seconds_saved", {}),
-            acted=tuple(name for name, entry in entries.items() if "acted" in entry),
+            acted=(
+                *((Part.CAMERA_RESPONSE,) if "response" in report else ()),
+                *(name for name, entry in entries.items() if "acted" in entry),
+            ),
         )
 
 

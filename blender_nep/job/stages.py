@@ -226,16 +226,19 @@ class MaterialsStage:
         textures = {name: getattr(result, name) for name in TEXTURES}
         unseen = result.unseen.state() if result.unseen is not None else None
         kept = result.kept.state() if result.kept is not None else None
-        return {"textures": textures, "unseen": unseen, "report": result.report, "kept": kept}
+        response = result.response.state() if result.response is not None else None
+        return {"textures": textures, "unseen": unseen, "report": result.report, "kept": kept, "response": response}
 
     def unpack(self, state: dict, given: MaterialsInput) -> Materials:
+        from blender_nep.capture.rays.response_curve import ResponseCurve
         from blender_nep.materials.corrections import KeptMaterials
         from blender_nep.materials.training import Materials
         from blender_nep.shading.unseen_light import UnseenLight
 
         kept = KeptMaterials.from_state(state["kept"]) if state["kept"] is not None else None
         unseen = UnseenLight.from_state(state["unseen"]) if state["unseen"] is not None else None
-        return Materials(**state["textures"], unseen=unseen, report=state["report"], kept=kept)
+        response = ResponseCurve(**state["response"]) if state["response"] is not None else None
+        return Materials(**state["textures"], unseen=unseen, report=state["report"], kept=kept, response=response)
 
 
 @dataclass(frozen=True)

@@ -21,6 +21,7 @@ from torch import Tensor, nn
 from blender_nep.asset.photo_score import PhotoScore, photo_score
 from blender_nep.capture.rays.pixel_rays import BRIGHTEST_CLIPPED, SATURATED, PixelRays
 from blender_nep.capture.rays.pixel_set import PixelSet
+from blender_nep.capture.rays.response_curve import ResponseCurve
 from blender_nep.fields.environment.field import EnvironmentField
 from blender_nep.fields.object_pixels import held_out
 from blender_nep.geometry.mesh import Surface
@@ -105,11 +106,14 @@ def explain_photos(
     every: int,
     own_gains: bool,
     seed: int,
+    response: ResponseCurve | None = None,
 ) -> Explained:
     """Score one of `every` pixels of the photos, at most _PIXELS of the object and as many beside it.
 
     f_p is that of the asset's mesh in the light that was found, with `OF_HITS` and `NoRadiance`; `environment` is F_e. With
     `own_gains`, each photo has a gain of its own. Without, all have one, because their exposures are evened out.
+
+    `response` is the camera's response curve, which photos and F_e have, and the asset has not. None: there is none.
     """
     random = np.random.default_rng(seed)
     index = _drawn(rays.sphere, every, _TRIED * _PIXELS, random)
@@ -137,7 +141,8 @@ def explain_photos(
     device = index.device
     of_asset = np.zeros((len(index), 3), np.float32)
     points = f_p.points(face[seen], barycentric[seen], -torch.from_numpy(directions[seen]).to(device))
-    of_asset[seen] = _radiance(asset, f_p, points, torch.from_numpy(variance[seen]).float().to(device), generator).cpu()
+    light = _radiance(asset, f_p, points, torch.from_numpy(variance[seen]).float().to(device), generator)
+    of_asset[seen] = (light if response is None else response.photo(light)).cpu()
     missed = chosen[~hit[chosen]]
     of_asset[missed] = behind(environment, rays, index[torch.from_numpy(missed).to(device)])
     at = torch.from_numpy(chosen).to(device)

@@ -18,9 +18,11 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from blender_nep.capture.rays.response_curve import ResponseCurve
 from blender_nep.errors import LearningError
 from blender_nep.geometry.mesh import Surface
 from blender_nep.materials.baking import bake, texture_size
+from blender_nep.materials.camera_response import found_curve, with_light_itself
 from blender_nep.materials.corrections import (
     Correctable,
     CorrectablePalette,
@@ -90,6 +92,8 @@ class Materials:
     """`MaterialReport.as_dict`"""
     kept: KeptMaterials | None = None
     """What a correction by the artist needs"""
+    response: ResponseCurve | None = None
+    """The camera's response curve, which F_e and the photos still have, and `unseen` has not. None: there is none"""
 
 
 def learn_materials(
@@ -113,8 +117,30 @@ def learn_materials(
     report = MaterialReport(samples=len(seen.samples), left_out=seen.samples.skipped)
     steps = TrainingProgress(progress, checkpoint, report.seconds, start)
     steps.phase_ended("select")
+    seen = _before_the_camera(seen, scene.expected_response, preset, seed, report)
+    steps.phase_ended("response")
     light = gathered_light(seen, preset, generator, steps)
     return _MaterialLearner(seen, light, preset, seed, generator, report, steps).run()
+
+
+def _before_the_camera(
+    seen: Observations, expected: float | None, preset: MaterialPreset, seed: int, report: MaterialReport
+) -> Observations:
+    """The observations without the camera's response curve, if there is one. The report tells what was found."""
+    part = str(Part.CAMERA_RESPONSE)
+    if not preset.camera_response or expected is None:
+        why = Message("reason.linear_photos") if preset.camera_response else Message("reason.preset")
+        report.skipped[part] = why.state()
+        return seen
+    curve, tried = found_curve(seen, expected, preset, seed)
+    if tried is not None:
+        report.response_errors = {f"{strength:g}": round(e, 5) for strength, e in zip(*vars(tried).values(), strict=True)}
+    if curve is None:
+        why = Message("reason.light_not_shown") if tried is None else Message("reason.no_tone_curve")
+        report.skipped[part] = why.state()
+        return seen
+    report.response = {name: round(value, 4) for name, value in curve.state().items()}
+    return with_light_itself(seen, curve)
 
 
 class _MaterialLearner:
@@ -175,7 +201,8 @@ class _MaterialLearner:
             message = "material learning diverged: its textures are not finite"
             raise LearningError(message, "Try another --seed.", "learning.diverged")
         report = self.report.as_dict()
-        return Materials(albedo, roughness, metallic, confidence, self.light.unseen, report, kept)
+        response = seen.rays.response
+        return Materials(albedo, roughness, metallic, confidence, self.light.unseen, report, kept, response)
 
     def _learn_palette(self) -> float:
         """Fit one material, then learn the palette and the unseen light in turns. Returns the residual with one material."""
@@ -237,10 +264,12 @@ class _MaterialLearner:
     def _find_unseen_light(self, by_hue: bool = False) -> None:
         """Learn the light that no photo shows, and improve the palette with it.
 
-        With `by_hue`, what the hues of each material say counts for its class, and a roughness goes one step at most. The
-        fits of the palette, which follow, took longer walks back.
+        With `by_hue`, what the hues of each material say counts for its class, metals are as bright as is likely, and a
+        roughness goes one step at most. The fits of the palette, which follow, took longer walks back.
         """
-        p, light, found = self.preset, self.light, self.found
+        # Which class a material has must be clear before a metal's brightness is.
+        p = self.preset if by_hue else replace(self.preset, metals_are_bright=0.0)
+        light, found = self.light, self.found
         uncovered = float(1 - light.coverage.mean())
         self.report.light_not_in_photos = round(uncovered, 4)
         if not p.learn_unseen_light or uncovered < 0.005:

@@ -21,6 +21,10 @@ class MaterialReport:
     """{reason: share of the tried pixels that were left out for it}"""
     seconds: dict[str, float] = field(default_factory=dict)
     """{phase: seconds}"""
+    response: dict[str, float] | None = None
+    """The camera's response curve (`ResponseCurve.state`), if there is one"""
+    response_errors: dict[str, float] = field(default_factory=dict)
+    """{strength of the response curve that was tried: mean tone-mapped error}"""
     unseen_light_radius: float | None = None
     """Radius of the sphere on which the unseen light lies, in the unit frame"""
     unseen_light_gain: float | None = None

@@ -11,6 +11,7 @@ import torch
 from torch import Tensor
 
 from blender_nep.materials.evidence.decision import factors_of_change
+from blender_nep.materials.metal_brightness import brightened, missing_brightness
 from blender_nep.materials.palette.palette import Palette
 from blender_nep.optimizers import Adam
 from blender_nep.presets import MaterialPreset
@@ -27,6 +28,8 @@ _GAINS = (1.0, 2.0, 4.0, 8.0, 16.0, 32.0)
 """Factors by which the map may be too dark when its learning begins. A sky can be 20 times as bright as the forest."""
 _ALBEDOS = tuple(0.02 * k for k in range(1, 50))
 """Albedos that are tried with each factor."""
+_METAL_GAINS = (1.25, 1.6, 2.0, 2.5, 3.2, 4.0)
+"""Factors by which all metals together may be too dark"""
 _LEAST_START = 0.005
 """Darker texels start from this radiance, because the gradient of the log radiance vanishes at black."""
 
@@ -51,7 +54,8 @@ def learn_unseen_light(
     as in `swapped`, where metals and dielectrics are swapped (None: the classes are known). Then its roughness is lowered
     or raised by a quarter, as long as that helps, at most `most_trials` times. The light is learned anew in each trial, and
     after_trial() is called. `preset.metal_margin` and what the hues of each material say, metal_by_hue [K] in -1..1, favor
-    one of the classes.
+    one of the classes. In the end, metals that are darker than is likely become brighter, and the light dimmer, as far as
+    the photos allow it (`preset.metals_are_bright`).
 
     Returns the light, the palette, and for each material the share by which the error grows if the material changes its
     class, with what its hues say. 0 means that both classes explain the photos equally well; below 0 the prior decided. The
@@ -93,7 +97,35 @@ def learn_unseen_light(
                 best, palette = fit, other
             if best is not first:
                 break
+    if preset.metals_are_bright > 0:
+        best = _with_likely_metals(problem, best, palette, preset, after_trial)
     return best.light, Palette(best.albedo, palette.roughness, palette.metallic), margins
+
+
+def _with_likely_metals(
+    problem: UnseenLightProblem, best: UnseenFit, palette: Palette, preset: MaterialPreset, after_trial: Callable[[], None]
+) -> UnseenFit:
+    """The fit with all metals brighter by one factor and the light learned anew, if that is more plausible than `best`.
+
+    The cost of a fit is its error, times 1 + `preset.metals_are_bright` times the logarithm by which metals are darker than
+    is likely, a mean over the samples. The fit with the least cost is the most plausible one.
+    """
+
+    def cost(fit: UnseenFit) -> float:
+        missing = missing_brightness(fit.albedo, palette.metallic)[problem.label].mean()
+        return fit.error * (1 + preset.metals_are_bright * float(missing))
+
+    first = best
+    most = float(missing_brightness(first.albedo, palette.metallic).max().exp())
+    for factor in _METAL_GAINS:
+        if factor > most * _METAL_GAINS[0]:
+            break
+        albedo = brightened(first.albedo, palette.metallic, factor)
+        fit = problem.solve(palette, first.light.scaled(1 / factor), preset.unseen_steps, albedo)
+        after_trial()
+        if cost(fit) < cost(best):
+            best = fit
+    return best
 
 
 def _unexplained_samples(
@@ -145,10 +177,11 @@ class UnseenLightProblem:
         area = torch.sin((torch.arange(rows, device=self.goal.device) + 0.5) * math.pi / rows)[:, None, None]
         self._area, self._expected = area / area.mean(), tone_map(unseen.expected)
 
-    def solve(self, palette: Palette, start: UnseenLight, steps: int) -> UnseenFit:
+    def solve(self, palette: Palette, start: UnseenLight, steps: int, known: Tensor | None = None) -> UnseenFit:
         """Find the map and the albedos that explain the photos best, with the palette's roughness and metallic.
 
-        Adam starts from `start`, brightened if that helps; texels darker than _LEAST_START are raised to that radiance.
+        Adam starts from `start`, brightened if that helps; texels darker than _LEAST_START are raised to that radiance. With
+        `known` albedos [K, 3], Adam starts from `start` as it is and from these albedos, and those of metals stay.
         There are three priors on the map: the total variation of its tone-mapped radiance, the mean deviation of that from
         the expected one, and its color. The prior on the deviation makes a few lamps more likely than a bright sky. The one
         on the color is needed because colored light on a gray object looks like gray light on a colored object.
@@ -167,7 +200,11 @@ class UnseenLightProblem:
             levels = pyramid(part, missing).cpu().numpy().astype(np.float32)
             return torch.from_numpy(transport.sent(response, levels)).to(device)
 
-        first, albedo = self._brightened(start.radiance.clamp_min(_LEAST_START), offset, slope, sent_by, len(palette))
+        first, held = start.radiance.clamp_min(_LEAST_START), torch.zeros_like(palette.metallic, dtype=torch.bool)
+        if known is None:
+            first, albedo = self._brightened(first, offset, slope, sent_by, len(palette))
+        else:
+            albedo, held = known.clamp(1e-3, 1 - 1e-3), palette.metallic > 0.5
         raw, logit = first.log().requires_grad_(), torch.logit(albedo).requires_grad_()
         optimizer = Adam([{"params": [raw]}, {"params": [logit]}])
         error = float("nan")
@@ -189,6 +226,8 @@ class UnseenLightProblem:
             prior = self._prior(radiance)
             error = float(photometric.detach() + prior.detach())
             ((levels * torch.from_numpy(gradient).to(device)).sum() + prior).backward()
+            assert logit.grad is not None
+            logit.grad[held] = 0
             optimizer.step()
         unseen = replace(self.unseen, radiance=raw.detach().clamp(_DARKEST, _BRIGHTEST).exp())
         return UnseenFit(unseen, torch.sigmoid(logit).detach(), error)

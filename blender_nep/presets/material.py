@@ -39,6 +39,11 @@ class MaterialPreset:
     """Adam's learning rate for the terminal MLP."""
     terminal_batch: int = 4096
     """Photo samples a step for the terminal MLP."""
+    camera_response: bool = True
+    """Whether the camera's response curve is found and undone. False is an ablation."""
+    response_prior: float = 0.01
+    """Cost of a response curve whose strength is off by 1 from the one that the photo files make likely, as a share of the
+    error."""
     learn_unseen_light: bool = True
     """Whether the light that no photo shows is learned from the object's reflections of it. False is an ablation."""
     unseen_rows: int = 32
@@ -75,6 +80,9 @@ class MaterialPreset:
     decides where the photos do not. On rendered objects, the residual of the wrong class is 18 to 48 % higher."""
     hue_margin: float = 0.15
     """Largest share by which the hue of what differs between photos changes a metal's residual (`evidence.hue`)."""
+    metals_are_bright: float = 0.17
+    """Share of the error that a metal costs for each unit of the logarithm by which it is darker than metals are, where the
+    light that no photo shows decides (`materials.metal_brightness`). 0 turns this prior off."""
     sure_margin: float = 0.15
     """Where all residuals are higher by this share in the other class, that class is not tried again. inf: never sure."""
     least_roughness: float = 0.03

@@ -26,11 +26,13 @@ class Scene:
     """What the photos show"""
     support: Support | None = None
     """The plane on which the object stands; None as long as none was found"""
+    expected_response: float | None = None
+    """The strength of the camera's response curve that the photo files make likely. None: their values are linear"""
 
     @classmethod
-    def of(cls, rays: PixelRays) -> Scene:
+    def of(cls, rays: PixelRays, expected_response: float | None = None) -> Scene:
         """The scene of these photos, which are analyzed for it. Takes a tenth of a second."""
-        return cls(rays, PhotoAnalysis.of(rays))
+        return cls(rays, PhotoAnalysis.of(rays), expected_response=expected_response)
 
     @property
     def device(self) -> torch.device:

@@ -7,6 +7,8 @@ the object. The texture is prefiltered, so that cones of any width can be querie
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -62,6 +64,10 @@ class SupportLight:
             return None
         texture = _texture_past_object(support, rays, tracer)
         return cls(texture.filled()) if texture.known.any() else None
+
+    def with_colors(self, change: Callable[[Tensor], Tensor]) -> SupportLight:
+        """The same plane with other colors: change(radiance [n, n, 3] of its finest texels)."""
+        return SupportLight(replace(self.texture, color=change(self.texture.color)))
 
     def query_cone(self, origins: Tensor, directions: Tensor, half_angle: Tensor) -> tuple[Tensor, Tensor]:
         """Mean radiance [n, 3] of the plane in cones of half_angle [n] radians, and which meet it in the sphere [n] bool.

@@ -18,6 +18,7 @@ from blender_nep.shading.incoming_light import IncomingLight
 from blender_nep.shading.plenoptic import PlenopticFunction, PlenopticSettings, SpecularMoments, TerminalRadiance, reflected
 from blender_nep.shading.unseen_light import UncoveredCones, UnseenLight, level_sizes, pyramid
 from blender_nep.shading.unseen_transport import UnseenTransport
+from blender_nep.tone_mapping import tone_map
 
 
 def directions(n: int, seed: int) -> torch.Tensor:
@@ -118,16 +119,27 @@ class DarkCeiling:
         return 0.3 * seen[:, None].expand(-1, 3).contiguous(), seen
 
 
+class NothingShown:
+    """An environment of which no photo shows anything."""
+
+    def query_cone(self, origins, direction, half_angle):
+        return torch.zeros_like(direction), torch.zeros(len(direction))
+
+
 @pytest.fixture(scope="module")
 def ball():
-    """Samples of a sphere, its light without the lamp, and where they are."""
+    """4000 points of a sphere under the dark ceiling, and their light without the lamp."""
+    return ball_in(DarkCeiling())
+
+
+def ball_in(environment):
     mesh = trimesh.creation.icosphere(subdivisions=4, radius=0.7)
     vertices, faces = np.asarray(mesh.vertices), np.asarray(mesh.faces)
     normals = vertices / 0.7
     f_p = PlenopticFunction(
         RayTracer(vertices, faces),
         normals,
-        DarkCeiling(),
+        environment,
         TerminalRadiance(),
         PlenopticSettings(levels=1, diffuse=8, specular=4, use_cones=True),
         "cpu",
@@ -253,7 +265,7 @@ def test_a_wrong_roughness_comes_nearer_with_every_trial(ball):
 
 def test_a_roughness_at_its_limit_is_not_tried_again(ball):
     label = torch.zeros(4000, dtype=torch.int64)
-    preset = replace(MaterialPreset(), unseen_samples=1000, unseen_roughness_factors=(0.8,))
+    preset = replace(MaterialPreset(), unseen_samples=1000, unseen_roughness_factors=(0.8,), metals_are_bright=0.0)
     smoothest = Palette(torch.full((1, 3), 0.5), torch.tensor([preset.least_roughness]), torch.ones(1))
     trials = []
     target = torch.full((4000, 3), 0.3)
@@ -261,6 +273,38 @@ def test_a_roughness_at_its_limit_is_not_tried_again(ball):
         unlit(ball), smoothest, None, label, target, torch.zeros(1), 6, preset, torch.Generator(), lambda: trials.append(1)
     )
     assert len(trials) == 1, "only the light of the palette as it is"
+
+
+def test_where_no_photo_shows_the_light_a_dark_metal_becomes_bright():
+    ball, label = ball_in(NothingShown()), torch.zeros(4000, dtype=torch.int64)
+    dark = Palette(torch.tensor([[0.3, 0.2, 0.08]]), torch.tensor([0.2]), torch.ones(1))
+    target = photographed_under_a_lamp(ball, dark.at(label))
+    albedos, errors = [], []
+    for weight in (0.0, MaterialPreset().metals_are_bright):
+        preset = replace(
+            MaterialPreset(), unseen_samples=2000, unseen_roughness_factors=(), metals_are_bright=weight, unseen_color=0.0
+        )
+        light = ball.with_unseen(lamp(16))
+        unseen, palette, _ = learn_unseen_light(
+            light, dark, None, label, target, torch.zeros(1), 0, preset, torch.Generator(), lambda: None
+        )
+        lit, material = light.with_unseen(unseen), palette.at(label)
+        sent = reflected(material, lit.moments(material.roughness), lit.diffuse, lit.cos_v)
+        albedos.append(palette.albedo[0])
+        errors.append(float((tone_map(sent) - tone_map(target)).abs().mean()))
+    assert albedos[1].amax() > 1.3 * albedos[0].amax() and errors[1] < errors[0] + 0.01
+    assert (albedos[1] / albedos[1].amax() - albedos[0] / albedos[0].amax()).abs().max() < 0.05
+
+
+def test_where_photos_show_half_of_the_light_it_stays_dark(ball):
+    label = torch.zeros(4000, dtype=torch.int64)
+    dark = Palette(torch.tensor([[0.3, 0.2, 0.08]]), torch.tensor([0.2]), torch.ones(1))
+    target = photographed_under_a_lamp(ball, dark.at(label))
+    preset = replace(MaterialPreset(), unseen_samples=2000, unseen_roughness_factors=())
+    _, palette, _ = learn_unseen_light(
+        unlit(ball), dark, None, label, target, torch.zeros(1), 0, preset, torch.Generator(), lambda: None
+    )
+    assert 0.27 < palette.albedo[0, 0] < 0.4, "it is likely to have 0.85"
 
 
 @pytest.mark.parametrize("metallic", [0.0, 1.0])

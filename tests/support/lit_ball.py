@@ -9,6 +9,7 @@ import torch
 import trimesh
 
 from blender_nep.capture.rays.pixel_width import pixel_width
+from blender_nep.capture.rays.response_curve import ResponseCurve
 from blender_nep.geometry.mesh import Surface
 from blender_nep.materials.training import learn_materials
 from blender_nep.presets import MaterialPreset, SurfacePreset
@@ -112,6 +113,8 @@ class SyntheticRays:
     direction: torch.Tensor
     view: torch.Tensor
     mask: None = None
+    exposure: float = 1.0
+    response: ResponseCurve | None = None
 
     @property
     def views(self) -> int:
@@ -135,7 +138,10 @@ class SyntheticRays:
         return self.view[index]
 
     def photo(self, index):
-        return self.radiance[index]
+        return self.radiance[index] if self.response is None else self.response.light(self.radiance[index])
+
+    def with_response(self, response):
+        return replace(self, response=response)
 
 
 class MemoryCheckpoint:

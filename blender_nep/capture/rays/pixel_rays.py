@@ -19,6 +19,7 @@ from blender_nep.capture.capture import Capture
 from blender_nep.capture.rays.pixel_set import GrowingPixelSet, PixelSet
 from blender_nep.capture.rays.pixel_store import PixelMemory
 from blender_nep.capture.rays.ray_bundle import RayBundle
+from blender_nep.capture.rays.response_curve import ResponseCurve
 from blender_nep.capture.rays.vignetting import Vignetting
 from blender_nep.errors import BoundsError, CaptureError
 from blender_nep.messages import Message
@@ -72,6 +73,8 @@ class PixelRays:
     """How much darker photos are towards their corners. None: they are not, or nobody can tell."""
     exposure: float = 1.0
     """`photo` multiplies the radiance by this, so that the method sees all captures about equally bright."""
+    response: ResponseCurve | None = None
+    """The camera's response curve, which `photo` undoes. None: photos are taken as they are."""
 
     @property
     def count(self) -> int:
@@ -96,7 +99,9 @@ class PixelRays:
         radiance = self.radiance[index].float() * self.exposure
         if self.vignetting is not None:
             radiance = radiance / self.vignetting.at(self.from_middle(index))[:, None]
-        return radiance if self.gain is None else radiance / self.gain[self.view_of(index)]
+        if self.gain is not None:
+            radiance = radiance / self.gain[self.view_of(index)]
+        return radiance if self.response is None else self.response.light(radiance)
 
     def with_gain(self, gain: Tensor | None, vignetting: Vignetting | None = None) -> PixelRays:
         """The same pixels, with these gains [views, 3] of the photos and this vignetting."""
@@ -105,6 +110,10 @@ class PixelRays:
     def with_exposure(self, exposure: float) -> PixelRays:
         """The same pixels, with this exposure."""
         return self._still_knowing_the_brightest(replace(self, exposure=exposure))
+
+    def with_response(self, response: ResponseCurve | None) -> PixelRays:
+        """The same pixels, as light before this response curve."""
+        return self._still_knowing_the_brightest(replace(self, response=response))
 
     def _still_knowing_the_brightest(self, rays: PixelRays) -> PixelRays:
         if "brightest" in vars(self):  # all pixels need not be searched again

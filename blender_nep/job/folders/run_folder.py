@@ -25,14 +25,15 @@ from blender_nep.messages import Message
 from blender_nep.presets import Preset
 from blender_nep.stop_request import StopRequest
 
-FORMAT = 15
+FORMAT = 16
 """Version of the files in `checkpoints/` and of `report.json`. A run of another version is refused.
 
 Version 3 has new names: the stages (rooms before), and the fields of the preset. Version 6 keeps what a correction of the
 materials needs. Version 7 keeps the lean mesh and its normal map. Version 8 keeps the SDF's fine level.
 Version 9 keeps clear and veiled object pixels apart. Version 11 counts F_e as light only as far as photos show it.
 Version 12 keeps the normals of labeled points. Version 13 keeps which parts of a face the photos show. Version 14
-keeps the moments of our own optimizers. Version 15 keeps what each refinement of stage 1 has done.
+keeps the moments of our own optimizers. Version 15 keeps what each refinement of stage 1 has done. Version 16 keeps the
+camera's response curve.
 """
 
 
