@@ -40,7 +40,7 @@ _DIFFUSE, _SPECULAR = 16, 8
 stronger curve enlarges the noise."""
 _REGION = 1.5
 """Width of the regions in which the material counts as one, in widths of the preset's regions: there are fewer samples"""
-_BRIGHTEST = 0.5
+_BRIGHTEST = 0.7
 """Light above this share of white does not count: F_e blurs lamps and photos clip them, and both look like a curve"""
 _STRENGTHS = tuple(np.linspace(0, MOST_STRENGTH, 9).tolist())
 """Strengths that are tried"""
