@@ -17,6 +17,7 @@ from blender_nep.capture.loading import MINIMUM_VIEWS
 from blender_nep.capture.photos.photo_files import SUFFIXES, MaskRaster, Raster, exif, file_kind, image_size, open_image
 from blender_nep.color import linear_to_srgb, to_bytes
 from blender_nep.errors import CaptureError
+from blender_nep.safety.pictures import open_picture
 
 _MAKE, _MODEL, _ORIENTATION = 0x010F, 0x0110, 0x0112
 _FOCAL_LENGTH, _FILM_LENGTH, _LENS_MODEL = 0x920A, 0xA405, 0xA434
@@ -200,7 +201,7 @@ def _linear_gray(raster: Raster, start: int, end: int) -> np.ndarray:
 
 
 def _opened(path: Path) -> Image.Image:
-    with Image.open(path) as image:
+    with open_picture(path) as image:
         if image.mode.startswith("I"):  # 16 bits
             return Image.fromarray((np.asarray(image, np.float32) / 257).clip(0, 255).astype(np.uint8))
         return image.convert("L")

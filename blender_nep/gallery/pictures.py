@@ -13,6 +13,8 @@ import numpy as np
 import OpenEXR
 from PIL import Image
 
+from blender_nep.safety.pictures import open_picture
+
 WEBP_QUALITY = 78
 """Of thumbnails: a picture of 480 x 240 pixels takes about 9 kB."""
 
@@ -40,7 +42,7 @@ def thumbnail(path: Path, width: int) -> Thumbnail | None:
 
 @lru_cache(maxsize=4096)
 def _thumbnail(path: Path, width: int, _changed: int, _size: int) -> Thumbnail:
-    with Image.open(path) as opened:
+    with open_picture(path) as opened:
         small = opened.convert("RGB")
     if small.width > width:
         small = small.resize((width, max(1, round(small.height * width / small.width))), Image.Resampling.LANCZOS)

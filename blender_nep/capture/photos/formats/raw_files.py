@@ -15,6 +15,7 @@ from blender_nep.capture.photos.formats.color_encoding import LINEAR
 from blender_nep.capture.photos.formats.pillow_files import DAMAGED_TAGS
 from blender_nep.capture.photos.formats.raster import Raster
 from blender_nep.errors import CaptureError
+from blender_nep.safety.pictures import open_picture
 
 SUFFIXES = (".dng", ".cr2", ".cr3", ".nef", ".arw", ".raf", ".orf", ".rw2")
 _ORIENTATIONS = {0: 1, 3: 3, 5: 8, 6: 6}
@@ -84,7 +85,7 @@ def _exif(data: bytes) -> Iterator[Image.Exif]:
     """The places in a raw file that hold EXIF, for the layouts of the endings in `SUFFIXES`."""
     if data.startswith(_FUJI):
         offset, length = struct.unpack_from(">II", data, 84)
-        with Image.open(io.BytesIO(data[offset : offset + length])) as preview:
+        with open_picture(io.BytesIO(data[offset : offset + length]), ("JPEG",)) as preview:
             yield preview.getexif()
         return
     if data[4:12] == b"ftypcrx ":

@@ -22,6 +22,8 @@ _ICC_PROFILE = 34675
 _WHITE_IS_0, _BLACK_IS_0, _RGB, _PALETTE, _YCBCR = 0, 1, 2, 3, 6
 _JPEG = (6, 7, 34892, 33007)
 """Compressions by JPEG, whose decoder makes YCbCr to RGB"""
+_COMPRESSIONS = (1, 5, 8, 32946, 32773, 34925, 50000, *_JPEG)
+"""None, LZW, deflate (two numbers), PackBits, LZMA, Zstandard and JPEG. tifffile knows thirty more."""
 _ASSOCIATED, _NOT_ASSOCIATED = 1, 2
 _MOST_VALUES = 1 << 30
 """A file that says it has more is taken as damaged: it would not fit into memory."""
@@ -89,6 +91,9 @@ def _check(page: tifffile.TiffPage) -> None:
         raise ValueError(f"its colors are {name}: save it as RGB")
     if page.imagewidth * page.imagelength * page.samplesperpixel > _MOST_VALUES:
         raise ValueError(f"its size is {page.imagewidth} x {page.imagelength} x {page.samplesperpixel}")
+    if page.compression not in _COMPRESSIONS:
+        name = getattr(page.compression, "name", page.compression)
+        raise ValueError(f"its compression {name} is not supported: save it with LZW or deflate")
     if page.sampleformat not in (1, 3) or page.imagedepth != 1:
         raise ValueError("its values are neither whole numbers without sign nor floats")
     if not page.dataoffsets or 0 in page.databytecounts:  # tifffile would fill in zeros
