@@ -9,6 +9,9 @@ from typing import Any
 from blender_nep.capture.capture import View
 from blender_nep.messages import Message
 
+MOST_VIEWS = 20_000
+"""Photos of a capture. Files that list more are refused, because each photo is looked for on the disk."""
+
 
 @dataclass
 class CaptureDescription:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from blender_nep.color import linear_to_srgb, to_bytes
+from blender_nep.safety.plain_files import read_json
 
 
 @dataclass(frozen=True)
@@ -44,7 +44,7 @@ class AssetSummary:
 def read_summary(folder: Path) -> AssetSummary | None:
     """The summary of the asset in `folder`, or None if its report.json is missing or damaged."""
     try:
-        return _summary(json.loads((folder / "report.json").read_text(encoding="utf-8")))
+        return _summary(read_json(folder / "report.json"))
     except (OSError, AttributeError, KeyError, TypeError, ValueError):
         return None
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import StrEnum
@@ -11,6 +10,7 @@ from typing import Any
 
 from blender_nep.errors import UsageError
 from blender_nep.safety.folder_names import is_folder_name
+from blender_nep.safety.plain_files import read_json
 
 BATCH = "batch.json"
 """The file in the folder of a batch."""
@@ -84,7 +84,7 @@ def read_batch(folder: Path) -> Batch:
     """The batch in `folder`. Raises UsageError if there is none, or if its file is damaged."""
     path = folder / BATCH
     try:
-        told = json.loads(path.read_text(encoding="utf-8"))
+        told = read_json(path)
     except FileNotFoundError as error:
         hint = "Name the folder that blender-nep batch has written."
         raise UsageError(f"{folder} holds no batch: {BATCH} is missing", hint, "usage.no_batch", folder=folder) from error

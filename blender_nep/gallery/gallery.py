@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import os
 import shutil
+import sys
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -15,6 +16,7 @@ from blender_nep.gallery.asset_summary import AssetSummary, read_summary
 from blender_nep.gallery.batch_file import Batch, BatchObject, State, read_batch
 from blender_nep.gallery.pages import GROUP_WORDS, render, templates_digest
 from blender_nep.gallery.pictures import Thumbnail, data_uri, thumbnail, viewer_light
+from blender_nep.safety.plain_files import MEGABYTE, open_plain, read_bytes
 
 VENDOR = Path(__file__).with_name("vendor")
 """The viewer script and its licenses (THIRD_PARTY.md)."""
@@ -30,6 +32,8 @@ GENERATOR = b'<meta name="generator" content="blender-nep '
 STAMP = b'<meta name="made-from" content="'
 """Before the hash of what an object's page is made from"""
 _BEGIN_BYTES = 1500
+_MOST_MODEL = 256 * MEGABYTE
+"""Of asset.glb. Browsers open no page that is much larger."""
 FILES = ("comparison.png", "asset.glb", "report.json", "log.txt")
 """The files that a card links to, where they are there."""
 
@@ -126,7 +130,7 @@ def _write_view(asset: Path, found: BatchObject, summary: AssetSummary) -> bool:
     if begin.partition(STAMP)[2][: len(made_from)].decode(errors="replace") == made_from:
         return True
     try:
-        model = data_uri((asset / "asset.glb").read_bytes(), "model/gltf-binary")
+        model = data_uri(read_bytes(asset / "asset.glb", _MOST_MODEL), "model/gltf-binary")
     except OSError:
         return False
     page = render(
@@ -157,7 +161,7 @@ def _made_from(asset: Path, found: BatchObject) -> str:
 def _begin(page: Path) -> bytes:
     """The first bytes of a page, in which its marks stand; nothing if it cannot be read."""
     try:
-        with open(page, "rb") as file:
+        with open_plain(page, sys.maxsize) as file:
             return file.read(_BEGIN_BYTES)
     except OSError:
         return b""

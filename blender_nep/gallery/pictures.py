@@ -13,10 +13,13 @@ import numpy as np
 import OpenEXR
 from PIL import Image
 
+from blender_nep.capture.photos.formats import exr_files
 from blender_nep.safety.pictures import open_picture
 
 WEBP_QUALITY = 78
 """Of thumbnails: a picture of 480 x 240 pixels takes about 9 kB."""
+_MOST_PIXELS, _MOST_LIGHT = 1 << 26, 1 << 25
+"""Pixels of a picture, and values of a light, that are opened. An asset of ours has far smaller ones."""
 
 
 @dataclass(frozen=True)
@@ -43,6 +46,8 @@ def thumbnail(path: Path, width: int) -> Thumbnail | None:
 @lru_cache(maxsize=4096)
 def _thumbnail(path: Path, width: int, _changed: int, _size: int) -> Thumbnail:
     with open_picture(path) as opened:
+        if opened.width * opened.height > _MOST_PIXELS:
+            raise ValueError(f"{path.name} is larger than any picture of ours")
         small = opened.convert("RGB")
     if small.width > width:
         small = small.resize((width, max(1, round(small.height * width / small.width))), Image.Resampling.LANCZOS)
@@ -72,6 +77,7 @@ def viewer_light(path: Path) -> ViewerLight | None:
     (x, z, -y) for (x, y, z), and the viewer looks up u = 0.5 + atan2(z, x) / (2 pi) there. So no pixel moves.
     """
     try:
+        exr_files.check(path, _MOST_LIGHT)
         light = np.asarray(OpenEXR.File(str(path)).channels()["RGB"].pixels, np.float32)
     except (OSError, RuntimeError, KeyError, ValueError, TypeError):  # OpenEXR's, for damaged files
         return None

@@ -16,10 +16,13 @@ from blender_nep.capture.photos.formats.pillow_files import DAMAGED_TAGS
 from blender_nep.capture.photos.formats.raster import Raster
 from blender_nep.errors import CaptureError
 from blender_nep.safety.pictures import open_picture
+from blender_nep.safety.plain_files import read_bytes
 
 SUFFIXES = (".dng", ".cr2", ".cr3", ".nef", ".arw", ".raf", ".orf", ".rw2")
 _ORIENTATIONS = {0: 1, 3: 3, 5: 8, 6: 6}
 """{LibRaw's flip: EXIF's orientation}"""
+_MOST_BYTES = 1 << 30
+"""Of a raw file. In a larger one, no EXIF is searched."""
 _FUJI = b"FUJIFILMCCD-RAW"
 _CANON_TAGS, _CANON_EXIF = b"CMT1", b"CMT2"
 _CANON_HEADER = 1 << 16
@@ -56,7 +59,7 @@ def tags(path: Path) -> dict[int, object]:
         orientation = _ORIENTATIONS.get(raw.sizes.flip, 1)
     found: dict[int, object] = {}
     try:
-        for exif in _exif(path.read_bytes()):
+        for exif in _exif(read_bytes(path, _MOST_BYTES)):
             found |= {**exif, **exif.get_ifd(ExifTags.IFD.Exif)}
     except DAMAGED_TAGS:
         pass  # without it, the focal length is not known, and the photo can be used all the same
