@@ -179,19 +179,24 @@ def _materials(options: argparse.Namespace) -> int:
 
 
 def _list_materials(asset: Path) -> int:
-    from blender_nep.errors import NepError
+    from blender_nep.errors import NepError, UsageError
     from blender_nep.job.commands.correction import read_report
 
     try:
-        materials = read_report(asset)["materials"]
+        lines = [_material_line(number, found) for number, found in enumerate(read_report(asset)["materials"])]
     except NepError as error:
         return _report_error(error)
-    print("number  share  roughness  metal  albedo (linear)")
-    for number, found in enumerate(materials):
-        color = " ".join(f"{x:.3f}" for x in found["albedo"])
-        metal = "yes" if found["metallic"] > 0.5 else "no"
-        print(f"{number:6}  {found['share']:5.1%}  {found['roughness']:9.3f}  {metal:>5}  {color}")
+    except (KeyError, TypeError, ValueError, OverflowError):
+        hint = "Give the folder of a finished reconstruction."
+        return _report_error(UsageError(f"{asset / 'report.json'} is damaged", hint))
+    print("number  share  roughness  metal  albedo (linear)", *lines, sep="\n")
     return 0
+
+
+def _material_line(number: int, found: dict) -> str:
+    color = " ".join(f"{x:.3f}" for x in found["albedo"])
+    metal = "yes" if found["metallic"] > 0.5 else "no"
+    return f"{number:6}  {found['share']:5.1%}  {found['roughness']:9.3f}  {metal:>5}  {color}"
 
 
 def _gallery(options: argparse.Namespace) -> int:

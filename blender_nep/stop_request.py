@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-import json
 import os
 import signal
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+
+from blender_nep.safety.plain_files import parse_json
 
 INPUT_CLOSED = "standard input was closed"
 """The reason for the stop if the program that started the job has ended."""
@@ -70,7 +71,7 @@ class StopRequest:
             *lines, rest = (rest + received).split(b"\n")
             for line in lines:
                 try:
-                    command = json.loads(line)
+                    command = parse_json(line)
                 except ValueError:
                     continue
                 if isinstance(command, dict) and command.get("cmd") == "stop":

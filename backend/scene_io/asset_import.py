@@ -127,6 +127,8 @@ def load_image(path: Path, *, color_space: str, pack: bool) -> bpy.types.Image:
 
     With `pack` the image is stored in the .blend. It refers to its file, by a relative path if the .blend is saved.
     """
+    if not path.is_file():  # Blender would wait for ever for a pipe
+        raise OSError(f"there is no image file {path}")
     try:
         image = bpy.data.images.load(str(path), check_existing=False)
     except RuntimeError as error:

@@ -14,7 +14,7 @@ import OpenEXR
 from PIL import Image
 
 from blender_nep.capture.photos.formats import exr_files
-from blender_nep.safety.pictures import open_picture
+from blender_nep.safety.pictures import DAMAGED, open_picture
 
 WEBP_QUALITY = 78
 """Of thumbnails: a picture of 480 x 240 pixels takes about 9 kB."""
@@ -39,7 +39,7 @@ def thumbnail(path: Path, width: int) -> Thumbnail | None:
     try:
         state = path.stat()
         return _thumbnail(path, width, state.st_mtime_ns, state.st_size)
-    except (OSError, ValueError, SyntaxError, Image.DecompressionBombError):  # Pillow's, for damaged files
+    except DAMAGED:
         return None
 
 
@@ -79,12 +79,12 @@ def viewer_light(path: Path) -> ViewerLight | None:
     try:
         exr_files.check(path, _MOST_LIGHT)
         light = np.asarray(OpenEXR.File(str(path)).channels()["RGB"].pixels, np.float32)
-    except (OSError, RuntimeError, KeyError, ValueError, TypeError):  # OpenEXR's, for damaged files
+        light = np.ascontiguousarray(np.clip(np.nan_to_num(light), 0, 65504))
+        area = np.sin((np.arange(len(light)) + 0.5) * np.pi / len(light))
+        mean = float(np.average(light.mean((1, 2)), weights=area))
+        # `out` is the size in bytes: imagecodecs' own guess is too small for pixels that cannot be packed
+        packed = bytes(imagecodecs.rgbe_encode(light, header=True, rle=True, out=2 * light.size + 1000))
+    except DAMAGED:
         return None
-    light = np.ascontiguousarray(np.clip(np.nan_to_num(light), 0, 65504))
-    area = np.sin((np.arange(len(light)) + 0.5) * np.pi / len(light))
-    mean = float(np.average(light.mean((1, 2)), weights=area))
-    # `out` is the size in bytes: imagecodecs' own guess is too small for pixels that cannot be packed
-    packed = bytes(imagecodecs.rgbe_encode(light, header=True, rle=True, out=2 * light.size + 1000))
     # the viewer knows a Radiance file by the end of its name
     return ViewerLight(data_uri(packed, "image/vnd.radiance") + "#.hdr", 0.8 / max(mean, 1e-6))

@@ -7,6 +7,8 @@ to Ghostscript, which runs the program in that file.
 from __future__ import annotations
 
 import os
+import struct
+import zlib
 from typing import IO
 
 from PIL import EpsImagePlugin, Image
@@ -16,6 +18,12 @@ FORMATS = ("JPEG", "PNG", "WEBP")
 
 # Phones take photos of 200 megapixels. Pillow warns above this limit and refuses more than twice as many pixels.
 Image.MAX_IMAGE_PIXELS = 1 << 28
+
+DAMAGED = (
+    *(OSError, ValueError, RuntimeError, SyntaxError, LookupError, TypeError, AttributeError, EOFError, AssertionError),
+    *(ArithmeticError, struct.error, zlib.error, Image.DecompressionBombError),
+)
+"""What Pillow, and the packages for other formats, raise for damaged files"""
 
 
 def forbid_ghostscript() -> None:
@@ -27,5 +35,7 @@ forbid_ghostscript()
 
 
 def open_picture(source: str | os.PathLike[str] | IO[bytes], formats: tuple[str, ...] = FORMATS) -> Image.Image:
-    """The picture in a file; its pixels are read later. Raises what Pillow raises, OSError for another format."""
+    """The picture in a file; its pixels are read later. Raises one of `DAMAGED`, OSError for another format or a pipe."""
+    if isinstance(source, str | os.PathLike) and not os.path.isfile(source):
+        raise OSError(f"there is no file {source}")
     return Image.open(source, formats=formats)

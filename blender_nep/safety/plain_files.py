@@ -1,7 +1,7 @@
 """Reads files that somebody else may have made: no pipes and devices, and not more than a limit.
 
 A pipe in the place of a file never ends, and a file of a few kilobytes on the disk can say that it has terabytes.
-`backend/engine/plain_files.py` repeats this for Blender's Python. A test compares the two.
+`backend/plain_files.py` repeats this for Blender's Python. A test compares the two.
 """
 
 from __future__ import annotations

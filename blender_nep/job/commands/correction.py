@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -23,6 +22,7 @@ from blender_nep.job.stage_names import StageName
 from blender_nep.job.stages import SurfaceResult, surface_result
 from blender_nep.materials.corrections import Correction, KeptMaterials
 from blender_nep.presets import preset
+from blender_nep.safety.plain_files import read_json
 from blender_nep.stop_request import StopRequest
 
 _STEPS = 3
@@ -85,7 +85,7 @@ def _progress(events: Events, step: int) -> None:
 def read_report(asset: Path) -> dict[str, Any]:
     """The content of report.json. Raises UsageError where `asset` is no finished asset of this version."""
     try:
-        report = json.loads((asset / "report.json").read_text(encoding="utf-8"))
+        report = read_json(asset / "report.json")
         version = report["fingerprint"]["format"]
     except (OSError, ValueError, KeyError, TypeError) as error:
         hint = "Give the folder of a finished reconstruction."

@@ -43,6 +43,8 @@ def _color_channels(names: list[str]) -> list[str] | None:
 
 def check(path: Path, most_values: int = MOST_VALUES) -> None:
     """Raises ValueError if the pixels, or the display window around them, would not fit into memory."""
+    if not path.is_file():  # OpenEXR would wait for ever for a pipe
+        raise OSError(f"there is no file {path}")
     values = 0
     for part in OpenEXR.File(str(path), header_only=True).parts:
         stored, frame = _window(part.header, "dataWindow"), _window(part.header, "displayWindow")

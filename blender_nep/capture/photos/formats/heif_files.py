@@ -45,8 +45,9 @@ def tags(path: Path) -> dict[int, object]:
 def read(path: Path, tagged: bool) -> Raster:
     """The primary image. Not `tagged`: the values count as linear, whatever the file says."""
     file = _open(path)
-    check_values(*file.size, len(file.mode.partition(";")[0]))
     kind, _, bits = file.mode.partition(";")
+    width, height = file.size
+    check_values(width, height, len(kind))
     encoding = _encoding(file.info) if tagged else LINEAR
     pixels = np.asarray(file)
     pixels = pixels[..., None] if pixels.ndim == 2 else pixels
