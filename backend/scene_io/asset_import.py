@@ -229,7 +229,7 @@ def _import_mesh(path: Path, collection: bpy.types.Collection) -> bpy.types.Obje
     objects, materials, images = set(bpy.data.objects), set(bpy.data.materials), set(bpy.data.images)
     try:
         # With these axes Blender does not turn the mesh: it keeps the capture's coordinates.
-        bpy.ops.wm.obj_import(filepath=str(path), forward_axis="Y", up_axis="Z")
+        bpy.ops.wm.obj_import(filepath=str(path), forward_axis="Y", up_axis="Z", validate_meshes=True)
     except RuntimeError as error:
         raise OSError(f"Blender cannot read the mesh {path}: {error}") from error
     imported = [item for item in bpy.data.objects if item not in objects]
