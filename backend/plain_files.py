@@ -9,6 +9,7 @@ import errno
 import json
 import os
 import stat
+import string
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -58,6 +59,28 @@ def parse_json(text: str | bytes) -> Any:
         return json.loads(text)
     except RecursionError as error:
         raise ValueError("it is nested too deeply") from error
+
+
+def is_on_other_computer(name: str, folder: Path) -> bool:
+    r"""Whether a path that a file in `folder` names leads to another computer, such as \\server\share\photo.png.
+
+    Windows would tell that computer the user's name, and a hash of the password. The computers of `folder` itself and of
+    connected drives know both already.
+    """
+    wanted = _share(name)
+    return bool(wanted) and wanted not in {_share(os.path.abspath(folder)), *_connected()}
+
+
+def _share(path: str) -> str:
+    r"""The beginning \\server\share of a path, in lower case; empty where the path is one of this computer."""
+    parts = str(path).replace("/", "\\").lower().split("\\")
+    return "\\".join(parts[:4]) if parts[:2] == ["", ""] and len(parts) > 2 else ""
+
+
+def _connected() -> set[str]:
+    """The shares that have a drive's letter."""
+    drives = [f"{letter}:\\" for letter in string.ascii_uppercase] if os.name == "nt" else []
+    return {_share(os.path.realpath(drive)) for drive in drives if os.path.exists(drive)} - {""}
 
 
 def _too_large(path: Path, most: int) -> OSError:

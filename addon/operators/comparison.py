@@ -6,7 +6,7 @@ from pathlib import Path
 
 import bpy
 
-from ...backend.plain_files import read_json
+from ...backend.plain_files import is_on_other_computer, read_json
 from ...backend.scene_io.asset_import import check_asset
 from ..editors import fit_image, open_editor
 from ..folders import SAVE_FILE_FIRST, resolve_folder
@@ -123,7 +123,8 @@ def capture_of_asset(asset: Path) -> str:
         folder = read_json(asset / "report.json")["capture"]["folder"]
     except (OSError, ValueError, KeyError, TypeError):
         return ""
-    return folder if isinstance(folder, str) and os.path.isdir(folder) else ""
+    known = isinstance(folder, str) and not is_on_other_computer(folder, asset)
+    return folder if known and os.path.isdir(folder) else ""
 
 
 def _folder_of(setting: str) -> Path:

@@ -3,6 +3,7 @@
 Undo and File > New may remove the mesh at any moment. So it is found each time by its custom property JOB_PROPERTY.
 """
 
+import tokenize
 import zipfile
 import zlib
 from collections.abc import Collection
@@ -17,7 +18,16 @@ NAME = "NeP preview"
 JOB_PROPERTY = "nep_preview_of"  # the key of the job whose preview the object is
 DAMAGED = (
     *(OSError, ValueError, KeyError, EOFError, MemoryError, zipfile.BadZipFile, zlib.error),
-    *(AttributeError, TypeError, SyntaxError, RecursionError, NotImplementedError, RuntimeError, OverflowError),
+    *(
+        AttributeError,
+        TypeError,
+        SyntaxError,
+        tokenize.TokenError,
+        RecursionError,
+        NotImplementedError,
+        RuntimeError,
+        OverflowError,
+    ),
 )  # what numpy and zipfile raise for damaged files
 MOST_BYTES = 1 << 29  # of the arrays of a preview: a hundred times as many as the engine writes
 

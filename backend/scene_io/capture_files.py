@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from ..plain_files import read_json
+from ..plain_files import is_on_other_computer, read_json
 from .image_files import load_pixels
 from .image_size import image_size
 from .photo_formats import HEIF, RAW, color_space
@@ -167,6 +167,9 @@ def _frame(folder: Path, meta: dict, entry: dict) -> Frame:
             raise ValueError(f"{folder}: a frame has no {name}")
         return found
 
+    for name in (str(value("file_path")), str(entry.get("mask_path") or "")):
+        if is_on_other_computer(name, folder):
+            raise ValueError(f"{name} lies on another computer. Copy the photos into the capture's folder")
     path = folder / str(value("file_path"))
     if not path.suffix:
         path = path.with_suffix(".png")  # instant-ngp's form for synthetic captures leaves out the ending of file names

@@ -298,6 +298,14 @@ def test_arrays_without_numbers_are_refused(values, tmp_path):
         read_npy(tmp_path / "a.npy", lambda shape: True)
 
 
+@pytest.mark.parametrize("header", [b"(" * 16, b"{'descr': '<f8', 'shape': (9999999999999,)", b"\xff" * 9, b"[" * 3000])
+def test_a_crafted_header_is_damage(header, tmp_path):
+    """numpy reads it as Python's own syntax."""
+    (tmp_path / "a.npy").write_bytes(b"\x93NUMPY\1\0" + struct.pack("<H", len(header)) + header)
+    with pytest.raises(DAMAGED):
+        read_npy(tmp_path / "a.npy", lambda shape: True)
+
+
 def test_a_compression_without_a_limit_is_refused(tmp_path):
     with zipfile.ZipFile(tmp_path / "a.npz", "w", zipfile.ZIP_BZIP2) as archive:
         archive.writestr("one.npy", npy_header((1,)) + bytes(8))

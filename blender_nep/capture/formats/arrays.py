@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import math
 import re
+import tokenize
 import zipfile
 import zlib
 from collections.abc import Callable
@@ -18,7 +19,7 @@ from blender_nep.safety.plain_files import MEGABYTE, open_plain
 
 DAMAGED = (
     *(OSError, ValueError, TypeError, EOFError, AttributeError, KeyError, NotImplementedError, RuntimeError),
-    *(SyntaxError, OverflowError, MemoryError, zipfile.BadZipFile, zlib.error),
+    *(SyntaxError, OverflowError, RecursionError, MemoryError, tokenize.TokenError, zipfile.BadZipFile, zlib.error),
 )
 """What numpy and zipfile raise for files that are damaged or too large"""
 _MOST_BYTES = 128 * MEGABYTE

@@ -26,7 +26,7 @@ from blender_nep.capture.photos.formats import exr_files, heif_files, pillow_fil
 from blender_nep.capture.photos.formats.raster import Raster
 from blender_nep.errors import CaptureError
 from blender_nep.safety.pictures import DAMAGED
-from blender_nep.safety.plain_files import open_plain
+from blender_nep.safety.plain_files import is_on_other_computer, open_plain
 
 SUFFIXES = (".exr", ".png", ".jpg", ".jpeg", ".tif", ".tiff", ".webp", ".heic", ".heif", ".hif", *raw_files.SUFFIXES)
 
@@ -34,8 +34,12 @@ SUFFIXES = (".exr", ".png", ".jpg", ".jpeg", ".tif", ".tiff", ".webp", ".heic", 
 def find_image(folder: Path, name: str) -> Path | None:
     """The path of the image `name` in `folder`, or None if there is no such file.
 
-    Where `name` has no extension (as in Blender datasets), the extensions of `SUFFIXES` are tried in their order.
+    Where `name` has no extension (as in Blender datasets), the extensions of `SUFFIXES` are tried in their order. Raises
+    CaptureError where the name leads to another computer.
     """
+    if is_on_other_computer(name, folder):
+        hint = "Copy the photos into the capture's folder, or connect that computer as a drive."
+        raise CaptureError(f"{name} lies on another computer", hint)
     path = folder / name
     if path.is_file():
         return path
