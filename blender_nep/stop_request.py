@@ -67,7 +67,7 @@ class StopRequest:
     def _listen(self, descriptor: int) -> None:
         # os.read and not sys.stdin: a thread that waits in a buffered reader makes the interpreter abort at exit
         rest = b""
-        while received := os.read(descriptor, 4096):
+        while received := _read(descriptor):
             *lines, rest = (rest + received).split(b"\n")
             for line in lines:
                 try:
@@ -77,3 +77,11 @@ class StopRequest:
                 if isinstance(command, dict) and command.get("cmd") == "stop":
                     self.request("stop command")
         self.request(INPUT_CLOSED)
+
+
+def _read(descriptor: int) -> bytes:
+    """The next bytes; none at the end, and where the descriptor is closed."""
+    try:
+        return os.read(descriptor, 4096)
+    except OSError:
+        return b""

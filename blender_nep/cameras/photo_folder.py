@@ -10,6 +10,7 @@ from PIL import Image
 
 from blender_nep.cameras.reduction import Reduction
 from blender_nep.capture.capture import Capture
+from blender_nep.capture.description import check_number
 from blender_nep.capture.formats.photo_search import named_mask
 from blender_nep.capture.loading import MINIMUM_VIEWS
 from blender_nep.capture.photos.photo_files import SUFFIXES, MaskRaster, Raster, exif, file_kind, image_size, open_image
@@ -84,6 +85,7 @@ def find_photos(folder: Path) -> list[Photo]:
             "capture.too_few_photos",
             photos=len(paths),
         )
+    check_number(len(paths), str(folder))
     return [_photo(path, folder) for path in paths]
 
 

@@ -21,7 +21,7 @@ import numpy as np
 from blender_nep.capture.cameras.camera import Camera
 from blender_nep.capture.cameras.lens import Lens
 from blender_nep.capture.capture import View
-from blender_nep.capture.description import CaptureDescription
+from blender_nep.capture.description import CaptureDescription, check_number
 from blender_nep.capture.formats.photo_search import check_distinct, found_photo, mask_of, mask_warnings, view_name
 from blender_nep.capture.formats.photos import check_readable
 from blender_nep.capture.formats.poses import camera_to_world, check_intrinsics, rotation_of, without_pose_warnings
@@ -126,6 +126,7 @@ def _read_entries(path: Path) -> list[_Entry]:
     try:
         numbers = _numbers(path)
         cameras, points = (int(value) for value in _next(numbers, 2))
+        check_number(cameras, path.name)
         entries = []
         for _ in range(cameras):
             values = np.array(_next(numbers, 15))

@@ -14,7 +14,7 @@ from scipy.linalg import rq
 
 from blender_nep.capture.cameras.camera import Camera
 from blender_nep.capture.capture import View
-from blender_nep.capture.description import CaptureDescription
+from blender_nep.capture.description import CaptureDescription, check_number
 from blender_nep.capture.formats.arrays import DAMAGED, read_npz
 from blender_nep.capture.formats.photo_search import first_with_photos
 from blender_nep.capture.formats.poses import FROM_OPENCV, camera_to_world, check_count, check_intrinsics, rotation_of
@@ -41,6 +41,7 @@ def read(folder: Path) -> CaptureDescription:
     path = next(folder / file for file in FILES if (folder / file).is_file())
     stored = _read_matrices(path)
     cameras = sum(name.startswith("world_mat_") for name in stored)
+    check_number(cameras, path.name)
     place, photos = first_with_photos(folder, _PHOTOS)
     check_count(path.name, cameras, f"{place}/", len(photos))
     mask_place, masks = first_with_photos(folder, _MASKS)

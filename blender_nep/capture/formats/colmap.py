@@ -18,7 +18,7 @@ import numpy as np
 from blender_nep.capture.cameras.camera import Camera
 from blender_nep.capture.cameras.lens import Lens
 from blender_nep.capture.capture import View
-from blender_nep.capture.description import CaptureDescription
+from blender_nep.capture.description import CaptureDescription, check_number
 from blender_nep.capture.formats.photo_search import mask_warnings, named_mask
 from blender_nep.capture.formats.photos import check_readable, fitted, rescaled_warnings
 from blender_nep.capture.photos.photo_files import find_image
@@ -105,6 +105,7 @@ def read(folder: Path) -> CaptureDescription:
     files, cameras, poses = _read_model(model)
     if not poses:
         raise CaptureError(f"the COLMAP project in {model} has no photos with a pose", "Run COLMAP's mapper again.")
+    check_number(len(poses), "the COLMAP project")
     rescaled: list[str] = []
     views = [_view(folder, cameras, pose, rescaled) for pose in sorted(poses, key=lambda pose: pose.name)]
     warnings += mask_warnings(folder, views) + rescaled_warnings(rescaled)

@@ -30,7 +30,7 @@ import numpy as np
 from blender_nep.capture.cameras.camera import Camera
 from blender_nep.capture.cameras.lens import Lens
 from blender_nep.capture.capture import View
-from blender_nep.capture.description import CaptureDescription
+from blender_nep.capture.description import CaptureDescription, check_number
 from blender_nep.capture.formats.photo_search import check_distinct, found_photo, mask_of, mask_warnings, view_name
 from blender_nep.capture.formats.photos import check_readable, fitted, rescaled_warnings
 from blender_nep.capture.formats.poses import (
@@ -94,6 +94,7 @@ def read(folder: Path) -> CaptureDescription:
     file = found[0].name
     chunk = _read_chunk(found[0])
     cameras = list(chunk.iterfind("cameras//camera"))
+    check_number(len(cameras), file)
     placed = [camera for camera in cameras if _has_pose(camera)]
     if not placed:
         raise CaptureError(

@@ -15,7 +15,7 @@ import numpy as np
 from blender_nep.capture.cameras.camera import Camera
 from blender_nep.capture.cameras.lens import Lens
 from blender_nep.capture.capture import View
-from blender_nep.capture.description import CaptureDescription
+from blender_nep.capture.description import CaptureDescription, check_number
 from blender_nep.capture.formats.photos import check_readable, fitted, rescaled_warnings
 from blender_nep.capture.photos.photo_files import find_image, image_size
 from blender_nep.errors import CaptureError
@@ -38,6 +38,7 @@ def read(folder: Path, file: str = FILE) -> CaptureDescription:
     frames = meta.get("frames")
     if not isinstance(frames, list) or not frames:
         raise CaptureError(f"{file} lists no frames", "It needs a list 'frames' with file_path and transform_matrix.")
+    check_number(len(frames), file)
     rescaled: list[str] = []
     views = [_view(folder, file, meta, _dict(frame, n), n, rescaled) for n, frame in enumerate(frames)]
     return CaptureDescription(
