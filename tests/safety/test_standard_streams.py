@@ -18,6 +18,7 @@ from blender_nep.capture.loading import describe
 from blender_nep.cli import main
 from blender_nep.errors import CaptureError
 from blender_nep.stop_request import INPUT_CLOSED, StopRequest
+from support.batch_folder import write_batch
 from support.camera_exports import (
     known_cameras,
     write_bundler,
