@@ -9,7 +9,9 @@ the old file or the new file, even if the process is killed.
 from __future__ import annotations
 
 import os
+import sys
 import time
+import zipfile
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -20,9 +22,12 @@ import torch
 from blender_nep.errors import Stopped
 from blender_nep.files import output_errors, write_atomically
 from blender_nep.messages import Message
+from blender_nep.safety.plain_files import open_plain
 from blender_nep.stop_request import INPUT_CLOSED, StopRequest
 
 _NUMPY = "__numpy__"
+DAMAGED = (ValueError, LookupError, TypeError, AttributeError, RuntimeError, ArithmeticError, AssertionError)
+"""What is raised where a state is not what its class has written"""
 
 
 def save_state(path: Path, state: dict) -> None:
@@ -33,11 +38,19 @@ def save_state(path: Path, state: dict) -> None:
 def load_state(path: Path) -> dict:
     """Read a file of `save_state`; its tensors are on the CPU. No code of the file is run. Raises ValueError if damaged."""
     try:
+        _refuse_packed(path)
         return _unpack(torch.load(path, map_location="cpu", weights_only=True))
     except MemoryError:
         raise
     except Exception as error:  # the unpickler raises nearly anything on damaged bytes
         raise ValueError(f"{path.name} is damaged ({type(error).__name__})") from error
+
+
+def _refuse_packed(path: Path) -> None:
+    """Raises ValueError where a part of the file is compressed: torch writes none, and such a part may become gigabytes."""
+    with open_plain(path, sys.maxsize) as file, zipfile.ZipFile(file) as archive:
+        if any(part.compress_type != zipfile.ZIP_STORED for part in archive.infolist()):
+            raise ValueError("a part of it is compressed")
 
 
 def _pack(value: Any) -> Any:
@@ -50,17 +63,30 @@ def _pack(value: Any) -> Any:
         return {k: _pack(v) for k, v in value.items()}
     if isinstance(value, list | tuple):
         return [_pack(v) for v in value] if isinstance(value, list) else tuple(_pack(v) for v in value)
+    if isinstance(value, torch.Tensor) and 0 in value.stride():  # one number that stands for many
+        return value.contiguous()
     return value
 
 
 def _unpack(value: Any) -> Any:
     if isinstance(value, dict):
         if _NUMPY in value:
-            return value[_NUMPY].cpu().numpy()
+            _check_tensor(value[_NUMPY])
+            return value[_NUMPY].numpy()
         return {k: _unpack(v) for k, v in value.items()}
     if isinstance(value, list | tuple):
         return [_unpack(v) for v in value] if isinstance(value, list) else tuple(_unpack(v) for v in value)
+    if isinstance(value, torch.Tensor):
+        _check_tensor(value)
     return value
+
+
+def _check_tensor(value: torch.Tensor) -> None:
+    """Raises ValueError for a tensor that no checkpoint has: a sparse one, or one that is larger than its numbers."""
+    if value.layout != torch.strided or value.is_quantized or value.device.type != "cpu":
+        raise ValueError("it holds a tensor of another kind")
+    if value.numel() * value.element_size() > value.untyped_storage().nbytes():
+        raise ValueError("it holds a tensor that is larger than its numbers")
 
 
 class Checkpoint:

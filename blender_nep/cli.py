@@ -7,11 +7,13 @@ import io
 import json
 import sys
 from dataclasses import replace
+from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from blender_nep.command_line import parser, sphere
 from blender_nep.safety.printed_text import one_line
+from blender_nep.safety.standard_streams import open_closed_streams, tell
 
 if TYPE_CHECKING:
     from blender_nep.errors import NepError
@@ -21,6 +23,7 @@ if TYPE_CHECKING:
 
 def main(arguments: list[str] | None = None) -> int:
     """Run the command line and return its exit code."""
+    open_closed_streams()
     if isinstance(sys.stdout, io.TextIOWrapper):
         sys.stdout.reconfigure(errors="backslashreplace")  # names of files may be no UTF-8
     top = parser()
@@ -31,6 +34,8 @@ def main(arguments: list[str] | None = None) -> int:
         top.error("--faces does not work with --mesh: the asset has the given mesh")
     if options.command == "batch" and options.ship and options.ray is None:
         top.error("--ship works only with --ray")
+    if options.command == "batch" and options.ray is not None and find_spec("ray") is None:
+        top.error("--ray needs the package ray: pip install 'blender-nep[cluster]'")
     commands = {
         "info": _info,
         "cameras": _cameras,
@@ -58,10 +63,19 @@ def _info(options: argparse.Namespace) -> int:
         found = summarize(options.capture, options.picture, sphere(options))
     except NepError as error:
         if options.json:
-            print(json.dumps({"error": jsonable(error.to_dict())}, indent=1))
+            _tell(json.dumps({"error": jsonable(error.to_dict())}, indent=1))
         return _report_error(error)
-    print(json.dumps(found, indent=1) if options.json else describe(found))
-    return 0
+    return _tell(json.dumps(found, indent=1) if options.json else describe(found))
+
+
+def _tell(*lines: str) -> int:
+    """Print lines on standard output, and return the exit code. Perhaps nobody reads them (`blender-nep info | true`)."""
+    error = tell(*lines)
+    if error is None:
+        return 0
+    from blender_nep.files import output_error
+
+    return _report_error(output_error(Path("standard output"), error))
 
 
 def _events() -> Events:
@@ -179,19 +193,23 @@ def _materials(options: argparse.Namespace) -> int:
 
 
 def _list_materials(asset: Path) -> int:
-    from blender_nep.errors import NepError
+    from blender_nep.errors import NepError, UsageError
     from blender_nep.job.commands.correction import read_report
 
     try:
-        materials = read_report(asset)["materials"]
+        lines = [_material_line(number, found) for number, found in enumerate(read_report(asset)["materials"])]
     except NepError as error:
         return _report_error(error)
-    print("number  share  roughness  metal  albedo (linear)")
-    for number, found in enumerate(materials):
-        color = " ".join(f"{x:.3f}" for x in found["albedo"])
-        metal = "yes" if found["metallic"] > 0.5 else "no"
-        print(f"{number:6}  {found['share']:5.1%}  {found['roughness']:9.3f}  {metal:>5}  {color}")
-    return 0
+    except (KeyError, TypeError, ValueError, OverflowError):
+        hint = "Give the folder of a finished reconstruction."
+        return _report_error(UsageError(f"{asset / 'report.json'} is damaged", hint))
+    return _tell("number  share  roughness  metal  albedo (linear)", *lines)
+
+
+def _material_line(number: int, found: dict) -> str:
+    color = " ".join(f"{x:.3f}" for x in found["albedo"])
+    metal = "yes" if found["metallic"] > 0.5 else "no"
+    return f"{number:6}  {found['share']:5.1%}  {found['roughness']:9.3f}  {metal:>5}  {color}"
 
 
 def _gallery(options: argparse.Namespace) -> int:
@@ -202,5 +220,4 @@ def _gallery(options: argparse.Namespace) -> int:
         write_gallery(options.folder)
     except NepError as error:
         return _report_error(error)
-    print(one_line(options.folder / "index.html"))
-    return 0
+    return _tell(one_line(options.folder / "index.html"))

@@ -39,6 +39,10 @@ class _Parser(argparse.ArgumentParser):
         super().error(one_line(message))
 
 
+MOST_THREADS = 1024
+"""Libraries end the process where they are asked for a hundred million."""
+
+
 def parser() -> argparse.ArgumentParser:
     """The parser of the command line's arguments."""
     top = _Parser(
@@ -91,7 +95,7 @@ def _add_cameras(commands: argparse._SubParsersAction) -> None:
         "--improve", action="store_true", help="PHOTOS has cameras: improve them by the photos, in the same frame"
     )
     find.add_argument("--overwrite", action="store_true", help="replace cameras that are there")
-    find.add_argument("--threads", type=_at_least(1), metavar="N", help="CPU threads (all cores)")
+    find.add_argument("--threads", type=_at_least(1, MOST_THREADS), metavar="N", help="CPU threads (all cores)")
     _add_watch_stdin(find)
 
 
@@ -122,7 +126,7 @@ def _add_reconstruct(commands: argparse._SubParsersAction) -> None:
     run.add_argument("--resume", action="store_true", help="go on with the run in ASSET that was stopped or killed")
     run.add_argument("--overwrite", action="store_true", help="replace an asset or a run in ASSET")
     run.add_argument("--clean", action="store_true", help="remove the checkpoints when the asset is written")
-    run.add_argument("--threads", type=_at_least(1), metavar="N", help="CPU threads (all cores)")
+    run.add_argument("--threads", type=_at_least(1, MOST_THREADS), metavar="N", help="CPU threads (all cores)")
     run.add_argument(
         "--job-files",
         action="store_true",
@@ -158,8 +162,12 @@ def _add_batch(commands: argparse._SubParsersAction) -> None:
     batch.add_argument("--device", choices=("auto", "cpu", "cuda"), default="auto", help="(%(default)s)")
     batch.add_argument("--clean", action="store_true", help="remove the checkpoints of finished objects")
     batch.add_argument("--overwrite", action="store_true", help="start the named objects again, or all if none is named")
-    batch.add_argument("--workers", type=_at_least(1), metavar="N", help="jobs at once (as many as there are cores)")
-    batch.add_argument("--threads", type=_at_least(1), metavar="N", help="CPU threads of each job (the cores are divided)")
+    batch.add_argument(
+        "--workers", type=_at_least(1, MOST_THREADS), metavar="N", help="jobs at once (as many as there are cores)"
+    )
+    batch.add_argument(
+        "--threads", type=_at_least(1, MOST_THREADS), metavar="N", help="CPU threads of each job (the cores are divided)"
+    )
     batch.add_argument("--memory", type=_positive, metavar="MB", help="memory of all jobs together (what is free)")
     batch.add_argument("--ray", metavar="ADDRESS", help="run the jobs on this Ray cluster; auto: the one of this machine")
     batch.add_argument("--ship", action="store_true", help="with --ray: the nodes do not share the disk")
@@ -266,11 +274,13 @@ def _seed(text: str) -> int:
     return value
 
 
-def _at_least(least: int) -> Callable[[str], int]:
+def _at_least(least: int, most: int | None = None) -> Callable[[str], int]:
     def whole_number(text: str) -> int:
         value = int(text)
         if value < least:
             raise argparse.ArgumentTypeError(f"must be at least {least}")
+        if most is not None and value > most:
+            raise argparse.ArgumentTypeError(f"must be at most {most}")
         return value
 
     return whole_number

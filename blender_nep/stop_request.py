@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-import json
 import os
 import signal
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+
+from blender_nep.safety.plain_files import parse_json
 
 INPUT_CLOSED = "standard input was closed"
 """The reason for the stop if the program that started the job has ended."""
@@ -66,13 +67,21 @@ class StopRequest:
     def _listen(self, descriptor: int) -> None:
         # os.read and not sys.stdin: a thread that waits in a buffered reader makes the interpreter abort at exit
         rest = b""
-        while received := os.read(descriptor, 4096):
+        while received := _read(descriptor):
             *lines, rest = (rest + received).split(b"\n")
             for line in lines:
                 try:
-                    command = json.loads(line)
+                    command = parse_json(line)
                 except ValueError:
                     continue
                 if isinstance(command, dict) and command.get("cmd") == "stop":
                     self.request("stop command")
         self.request(INPUT_CLOSED)
+
+
+def _read(descriptor: int) -> bytes:
+    """The next bytes; none at the end, and where the descriptor is closed."""
+    try:
+        return os.read(descriptor, 4096)
+    except OSError:
+        return b""

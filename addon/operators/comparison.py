@@ -1,12 +1,12 @@
 """The operators of the relit comparison: render it, cancel the render, show the picture."""
 
-import json
 import os
 from functools import partial
 from pathlib import Path
 
 import bpy
 
+from ...backend.plain_files import is_on_other_computer, read_json
 from ...backend.scene_io.asset_import import check_asset
 from ..editors import fit_image, open_editor
 from ..folders import SAVE_FILE_FIRST, resolve_folder
@@ -120,10 +120,11 @@ def capture_of_asset(asset: Path) -> str:
     An empty string where the report does not say it, or where the folder is gone.
     """
     try:
-        folder = json.loads((asset / "report.json").read_text(encoding="utf-8"))["capture"]["folder"]
+        folder = read_json(asset / "report.json")["capture"]["folder"]
     except (OSError, ValueError, KeyError, TypeError):
         return ""
-    return folder if os.path.isdir(folder) else ""
+    known = isinstance(folder, str) and not is_on_other_computer(folder, asset)
+    return folder if known and os.path.isdir(folder) else ""
 
 
 def _folder_of(setting: str) -> Path:

@@ -3,6 +3,7 @@
 Undo and File > New may remove the mesh at any moment. So it is found each time by its custom property JOB_PROPERTY.
 """
 
+import tokenize
 import zipfile
 import zlib
 from collections.abc import Collection
@@ -11,8 +12,23 @@ from pathlib import Path
 import bpy
 import numpy as np
 
+from ...backend.plain_files import open_plain
+
 NAME = "NeP preview"
 JOB_PROPERTY = "nep_preview_of"  # the key of the job whose preview the object is
+DAMAGED = (
+    *(OSError, ValueError, KeyError, EOFError, MemoryError, zipfile.BadZipFile, zlib.error),
+    *(
+        AttributeError,
+        TypeError,
+        SyntaxError,
+        tokenize.TokenError,
+        RecursionError,
+        NotImplementedError,
+        RuntimeError,
+        OverflowError,
+    ),
+)  # what numpy and zipfile raise for damaged files
 MOST_BYTES = 1 << 29  # of the arrays of a preview: a hundred times as many as the engine writes
 
 
@@ -23,7 +39,7 @@ def show_mesh(scene: bpy.types.Scene, job_key: str, file: Path) -> None:
     """
     try:
         vertices, faces = _read_mesh(file)
-    except (OSError, ValueError, KeyError, EOFError, MemoryError, zipfile.BadZipFile, zlib.error):
+    except DAMAGED:
         return  # the job was started again, or its folder is gone: the job itself reports that
     item = _preview_object(scene, job_key)
     if item is None:
@@ -40,7 +56,7 @@ def _read_mesh(file: Path) -> tuple[np.ndarray, np.ndarray]:
 
     The check is needed: Blender ends with a segmentation fault where it draws a triangle of a vertex that is not there.
     """
-    with np.load(file) as arrays:
+    with open_plain(file, MOST_BYTES) as opened, np.load(opened) as arrays:
         if sum(part.file_size for part in arrays.zip.infolist()) > MOST_BYTES:
             raise ValueError("the arrays are too large")
         vertices, faces = arrays["vertices"], arrays["faces"]

@@ -25,9 +25,20 @@ NAME = "nep-engine"
 DONE, UNFINISHED = "engine.json", "unfinished"
 CPU_INDEX = "https://download.pytorch.org/whl/cpu"
 OLDEST, NEWEST = (3, 11), (3, 13)  # all parts of the engine have builds for these
-PINNED = (3, 11)  # the Python that constraints.txt was written for
 SOURCES = ("pyproject.toml", "README.md", "LICENSE", "constraints.txt", "blender_nep")
-PIP = ("-I", "-m", "pip", "install", "--no-input", "--progress-bar", "off", "--disable-pip-version-check")
+PIP = (
+    *("-I", "-m", "pip", "install", "--no-input", "--progress-bar", "off", "--disable-pip-version-check"),
+    *("--only-binary", ":all:"),  # no code of a package runs while it is built; our own sources are built all the same
+)
+PIP_VARIABLES = frozenset(
+    f"PIP_{name}"
+    for name in (
+        *("INDEX_URL", "EXTRA_INDEX_URL", "FIND_LINKS", "NO_INDEX", "TRUSTED_HOST", "CERT", "CLIENT_CERT", "PROXY"),
+        *("TIMEOUT", "DEFAULT_TIMEOUT", "RETRIES", "RESUME_RETRIES", "KEYRING_PROVIDER", "CONFIG_FILE"),
+        *("CACHE_DIR", "NO_CACHE_DIR"),
+    )
+)
+"""Variables that say how pip reaches its index. Others, such as PIP_TARGET, say what it installs and where: we say that."""
 CANCELLED = 7  # exit code
 NEUTRAL_FOLDER = Path(sys.prefix).anchor
 """The current folder of every program that is started: the top of the disk that this Python is on.
@@ -35,6 +46,11 @@ NEUTRAL_FOLDER = Path(sys.prefix).anchor
 The current folder of Blender may hold files of strangers, such as a capture or a shelf. A Python imports modules from there,
 unless it is started with -I, and libraries look there for their settings.
 """
+
+
+def clean_environment() -> dict[str, str]:
+    """This process's environment without the variables of pip that are not in `PIP_VARIABLES`."""
+    return {name: value for name, value in os.environ.items() if not name.startswith("PIP_") or name in PIP_VARIABLES}
 
 
 class InstallError(Exception):
@@ -117,6 +133,7 @@ class ProgramRunner:
                 self._process = subprocess.Popen(
                     command,
                     cwd=NEUTRAL_FOLDER,
+                    env=clean_environment(),
                     stdin=subprocess.DEVNULL,
                     stdout=output,
                     stderr=subprocess.STDOUT,
@@ -228,7 +245,7 @@ def install(options: argparse.Namespace, programs: ProgramRunner) -> None:
             "Choose another Base Python, for example one from python.org.",
         )
     python = venv_python(environment)
-    pinned = ["--constraint", str(options.source / "constraints.txt")] if version == PINNED else []
+    pinned = ["--constraint", str(options.source / "constraints.txt")] if version <= NEWEST else []
     index = ["--index-url", CPU_INDEX] if options.build == "cpu" else []
     # torch comes without its dependencies here, because torch's own index has other versions of them. The second pip call
     # below takes them from pip's usual index.

@@ -1,9 +1,12 @@
 """Tells how long a job takes: the median of the last jobs on this computer, or a first guess where no job has ended yet."""
 
 import json
+import math
 import os
 import statistics
 from pathlib import Path
+
+from ..plain_files import read_json
 
 EXPECTED_SECONDS = {"preview": 94.0, "balanced": 288.0, "quality": 870.0}
 """Seconds that a whole job takes with each preset: 60 photos of 400 x 400 on two cores.
@@ -29,11 +32,11 @@ def remember(file: Path, asset: Path) -> None:
     The function does nothing where there is no such report, or where `file` cannot be written.
     """
     try:
-        report = json.loads((Path(asset) / "report.json").read_text(encoding="utf-8"))
+        report = read_json(Path(asset) / "report.json")
         preset, seconds = report["preset"], float(report["seconds_total"])
-    except (OSError, ValueError, KeyError, TypeError):
+    except (OSError, ValueError, KeyError, TypeError, OverflowError):
         return
-    if preset not in EXPECTED_SECONDS or not seconds > 0:
+    if preset not in EXPECTED_SECONDS or not 0 < seconds < math.inf:
         return
     known = _read(file)
     known[preset] = [*known.get(preset, []), seconds][-JOBS_REMEMBERED:]
@@ -48,7 +51,7 @@ def remember(file: Path, asset: Path) -> None:
 
 def _read(file: Path) -> dict[str, list[float]]:
     try:
-        found = json.loads(Path(file).read_text(encoding="utf-8"))
+        found = read_json(Path(file))
         return {preset: [float(seconds) for seconds in found[preset]] for preset in EXPECTED_SECONDS if preset in found}
-    except (OSError, ValueError, TypeError):
+    except (OSError, ValueError, TypeError, OverflowError):
         return {}

@@ -1,6 +1,7 @@
 """Imports an asset folder as a Blender object, where the capture saw it, with one Principled material."""
 
 import os
+import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -9,6 +10,7 @@ from pathlib import Path
 import bpy
 import numpy as np
 
+from ..plain_files import open_plain
 from .color_spaces import DATA, LINEAR, SRGB, set_color_space
 from .image_files import relative_path
 
@@ -30,6 +32,9 @@ class Texture:
 # The name of a texture, of its image node and of an attribute of the mesh. Their value is 1 where the photos decided the
 # material.
 CONFIDENCE = "confidence"
+_MOST_BYTES, _LONGEST_LINE = 1 << 32, 1 << 16
+_BLANKS = bytes(range(33))
+"""What Blender passes over at the beginning of a line"""
 FILE_OF_TEXTURE = "nep_file"  # an image's property: the absolute path of the asset's file that it shows
 NORMAL_MAP = Texture("normal", "Normal", False, "normal map")  # only assets with few faces have it
 TEXTURES = (
@@ -127,6 +132,8 @@ def load_image(path: Path, *, color_space: str, pack: bool) -> bpy.types.Image:
 
     With `pack` the image is stored in the .blend. It refers to its file, by a relative path if the .blend is saved.
     """
+    if not path.is_file():  # Blender would wait for ever for a pipe
+        raise OSError(f"there is no image file {path}")
     try:
         image = bpy.data.images.load(str(path), check_existing=False)
     except RuntimeError as error:
@@ -223,13 +230,30 @@ def _add_confidence(mesh: bpy.types.Mesh, image: bpy.types.Image) -> None:
     attribute.data.foreach_set("value", mean.astype(np.float32))
 
 
+def _copy_without_materials(path: Path, target: Path) -> None:
+    """Copy an OBJ file without the lines that name its .mtl files. Raises OSError.
+
+    The material is built from the textures anyway, and a .mtl file of a stranger makes Blender open pictures anywhere.
+    Blender also takes the .mtl file of the OBJ file's own name, if there is one beside it.
+    """
+    begins = True
+    with open_plain(path, _MOST_BYTES) as source, open(target, "wb") as out:
+        while line := source.readline(_LONGEST_LINE):
+            if not (begins and line.lstrip(_BLANKS).startswith(b"mtllib")):
+                out.write(line)
+            begins = line.endswith(b"\n")
+
+
 def _import_mesh(path: Path, collection: bpy.types.Collection) -> bpy.types.Object:
     objects, materials, images = set(bpy.data.objects), set(bpy.data.materials), set(bpy.data.images)
-    try:
-        # With these axes Blender does not turn the mesh: it keeps the capture's coordinates.
-        bpy.ops.wm.obj_import(filepath=str(path), forward_axis="Y", up_axis="Z")
-    except RuntimeError as error:
-        raise OSError(f"Blender cannot read the mesh {path}: {error}") from error
+    with tempfile.TemporaryDirectory() as folder:
+        alone = Path(folder) / path.name
+        _copy_without_materials(path, alone)
+        try:
+            # With these axes Blender does not turn the mesh: it keeps the capture's coordinates.
+            bpy.ops.wm.obj_import(filepath=str(alone), forward_axis="Y", up_axis="Z", validate_meshes=True)
+        except RuntimeError as error:
+            raise OSError(f"Blender cannot read the mesh {path}: {error}") from error
     imported = [item for item in bpy.data.objects if item not in objects]
     if len(imported) != 1 or not len(imported[0].data.polygons):
         raise OSError(f"{path} holds {len(imported)} objects, or one without faces; one with faces was expected")

@@ -4,7 +4,6 @@ The engine has its own reader, blender_nep/capture/formats/transforms.py. That r
 what a valid capture is. It is not used here, because Blender's Python cannot import it.
 """
 
-import json
 import math
 import os
 from dataclasses import dataclass, field, replace
@@ -13,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from ..plain_files import is_on_other_computer, read_json
 from .image_files import load_pixels
 from .image_size import image_size
 from .photo_formats import HEIF, RAW, color_space
@@ -122,7 +122,7 @@ def with_exposures(frames: list[Frame], asset: Path) -> list[Frame]:
     `frames` must be all frames of the capture. They come back unchanged where the report does not fit them.
     """
     try:
-        capture = json.loads((Path(asset) / "report.json").read_text(encoding="utf-8"))["capture"]
+        capture = read_json(Path(asset) / "report.json")["capture"]
         left_out = set(capture.get("photos_left_out", ()))
         used = [frame for index, frame in enumerate(frames) if index not in left_out]
         if len(used) != capture["views"]:  # the asset was made from other photos
@@ -150,7 +150,7 @@ def _read_meta(path: Path) -> dict:
     if not path.is_file():
         raise OSError(f"{path.parent} has no {path.name}" if path.parent.is_dir() else f"there is no folder {path.parent}")
     try:
-        meta = json.loads(path.read_text(encoding="utf-8-sig"))  # some editors write a byte order mark
+        meta = read_json(path, "utf-8-sig")  # some editors write a byte order mark
     except ValueError as error:
         raise ValueError(f"{path} is no JSON text: {error}") from error
     if not isinstance(meta, dict):
@@ -167,6 +167,9 @@ def _frame(folder: Path, meta: dict, entry: dict) -> Frame:
             raise ValueError(f"{folder}: a frame has no {name}")
         return found
 
+    for name in (str(value("file_path")), str(entry.get("mask_path") or "")):
+        if is_on_other_computer(name, folder):
+            raise ValueError(f"{name} lies on another computer. Copy the photos into the capture's folder")
     path = folder / str(value("file_path"))
     if not path.suffix:
         path = path.with_suffix(".png")  # instant-ngp's form for synthetic captures leaves out the ending of file names

@@ -24,6 +24,8 @@ def load_pixels(path: Path) -> np.ndarray:
 
     Raises OSError where Blender cannot read the file.
     """
+    if not path.is_file():  # Blender would wait for ever for a pipe
+        raise OSError(f"there is no image file {path}")
     try:
         image = bpy.data.images.load(str(path), check_existing=False)
     except RuntimeError as error:

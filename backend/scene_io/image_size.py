@@ -6,8 +6,10 @@ lacks.
 """
 
 import struct
+import sys
 from pathlib import Path
 
+from ..plain_files import open_plain
 from .photo_formats import TiffHeader
 
 JPEG_FRAMES = {*range(0xC0, 0xD0)} - {0xC4, 0xC8, 0xCC}  # start-of-frame markers (ITU T.81, table B.1)
@@ -20,7 +22,7 @@ def image_size(path: Path) -> tuple[int, int]:
 
     Raises OSError where the file cannot be read or is none of these.
     """
-    with open(path, "rb") as file:
+    with open_plain(path, sys.maxsize) as file:
         data = file.read(HEADER_BYTES)
     try:
         if data[:8] == b"\x89PNG\r\n\x1a\n":
@@ -42,7 +44,7 @@ def image_size(path: Path) -> tuple[int, int]:
 def _jpeg_size(path: Path) -> tuple[int, int]:
     """The size in the frame header. Phones may put megabytes before it, such as a depth map."""
     position = 2
-    with open(path, "rb") as file:
+    with open_plain(path, sys.maxsize) as file:
         while True:
             file.seek(position)
             segment = file.read(9)

@@ -112,6 +112,8 @@ def _photo(frame: Frame) -> bpy.types.Image | None:
 
     The path is relative to the .blend file if that is saved.
     """
+    if not frame.path.is_file():  # Blender would wait for ever for a pipe
+        return None
     known = len(bpy.data.images)
     try:
         image = bpy.data.images.load(str(frame.path.resolve()), check_existing=True)

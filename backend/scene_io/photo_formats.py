@@ -1,8 +1,11 @@
 """Which of the photos that the engine reads Blender can show, and what their name and header say. No bpy in this file."""
 
 import struct
+import sys
 from pathlib import Path
 from typing import BinaryIO
+
+from ..plain_files import open_plain
 
 SHOWN = (".exr", ".png", ".jpg", ".jpeg", ".tif", ".tiff", ".webp")
 """Every Blender shows photos with these endings."""
@@ -23,7 +26,7 @@ class TiffHeader:
     def __init__(self, path: Path) -> None:
         """Raises OSError where the file cannot be read or is no TIFF file."""
         try:
-            with open(path, "rb") as file:
+            with open_plain(path, sys.maxsize) as file:
                 tags = _tags(file)
             self.size: tuple[int, int] = (tags[_WIDTH], tags[_HEIGHT])
         except (struct.error, KeyError, ValueError) as error:

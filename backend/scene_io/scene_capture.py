@@ -6,6 +6,7 @@ from pathlib import Path
 
 import bpy
 
+from ..plain_files import read_json
 from .cameras import intrinsics
 from .color_spaces import is_linear
 from .image_files import write_whole
@@ -169,7 +170,7 @@ def _photo(camera: bpy.types.Object) -> bpy.types.Image | None:
 
 def _read_source(path: Path) -> str:
     try:
-        meta = json.loads(path.read_text(encoding="utf-8"))
+        meta = read_json(path)
     except ValueError:
         return ""
     return meta.get("source", "") if isinstance(meta, dict) else ""

@@ -17,6 +17,7 @@ from benchmarks.suite.plan import Run
 from benchmarks.suite.render import RANDOM
 from benchmarks.suite.runner import last_line
 from blender_nep.files import write_atomically
+from blender_nep.safety.pictures import open_picture
 
 TILE = 160
 """Width and height, in pixels, of a picture in the strips of the worst scenes."""
@@ -86,7 +87,7 @@ def draw(out: Path, capture: Path, name: str, picture: Path) -> bool:
     tiles.append(_photo(test))
     if (out / "assets" / name / "mesh.obj").is_file() and scores.is_file():
         tiles += _normals(out / "assets" / name, capture, test)
-        strip = np.asarray(Image.open(scores).convert("RGB"))
+        strip = np.asarray(open_picture(scores).convert("RGB"))
         size = strip.shape[1] // 6
         tiles += [strip[:size, k * size : (k + 1) * size] for k in range(6)]
     picture.parent.mkdir(parents=True, exist_ok=True)

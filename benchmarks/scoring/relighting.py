@@ -29,6 +29,7 @@ from backend.scene_io.asset_import import import_asset
 from backend.scene_io.capture_files import Frame, read_frames, spread_frames
 from backend.scene_io.srgb import linear_to_srgb
 from backend.scene_io.world import blender_hdris, build_world
+from blender_nep.safety.pictures import open_picture
 
 WORLDS, VIEWS, PIXELS, SAMPLES = 3, 3, 256, 64
 OBJECT = "target"
@@ -51,7 +52,7 @@ def true_object(blend: Path):
 def mask(folder: Path, frame: Frame, width: int, height: int) -> np.ndarray:
     """Which pixels lie wholly on the true object: [height, width] bool."""
     file = folder / "test_masks" / f"{frame.path.stem}.png"
-    with Image.open(file) as image:
+    with open_picture(file) as image:
         return np.asarray(image.convert("L").resize((width, height), Image.Resampling.BOX)) > 250
 
 

@@ -17,6 +17,7 @@ import torch
 from blender_nep.color import linear_to_srgb, to_bytes
 from blender_nep.geometry.ray_tracing import RayTracer
 from blender_nep.geometry.uv_raster import look_up
+from blender_nep.safety.arrays import check_array
 
 if TYPE_CHECKING:
     from blender_nep.capture import PixelRays
@@ -36,6 +37,12 @@ class PreviewView:
     """[3] the camera's place in the unit frame"""
     directions: np.ndarray
     """[h w, 3] unit vectors"""
+
+    def check(self) -> None:
+        """Raises ValueError unless the arrays fit each other."""
+        check_array("photo", self.photo, (None, None, 3))
+        check_array("origin", self.origin, (3,))
+        check_array("directions", self.directions, (self.photo.shape[0] * self.photo.shape[1], 3))
 
     @classmethod
     def best(cls, rays: PixelRays, surface: Surface) -> PreviewView:

@@ -12,7 +12,9 @@ from blender_nep.capture.formats.photo_search import photos_in
 from blender_nep.capture.loading import MINIMUM_VIEWS, describe, recognized
 from blender_nep.errors import UsageError
 from blender_nep.job.folders.own_files import is_ours
+from blender_nep.safety.plain_files import MEGABYTE, read_text
 
+_MOST_LIST = 16 * MEGABYTE
 _PARTS = {"images", "image", "masks", "mask", "test", "test_masks", "gt", "sparse"}
 """Folders that belong to a capture, and are none themselves"""
 
@@ -70,7 +72,7 @@ def find_captures(named: Sequence[Path], out: Path) -> list[FoundCapture]:
 def _listed(path: Path) -> Iterator[Path]:
     """The folders in a text file: one a line, relative to the file. `#` begins a comment."""
     try:
-        text = path.read_text(encoding="utf-8-sig")
+        text = read_text(path, _MOST_LIST, "utf-8-sig")
     except (OSError, UnicodeDecodeError) as error:
         hint = "A list is a text file (UTF-8) with one folder a line."
         raise UsageError(f"{path} is no list of folders", hint, "usage.no_list", path=path) from error

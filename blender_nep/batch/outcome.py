@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import json
 import signal
 from pathlib import Path
 from typing import Any
 
 from blender_nep.errors import NepError
+from blender_nep.safety.plain_files import read_json
 
 NOT_STARTED = "unexpected.job_not_started"
 """Name of the error if the system could not start the process of a job"""
@@ -59,7 +59,7 @@ def failure(code: int | None, error: dict | None, words: str) -> dict[str, Any]:
 def read_report(asset: Path) -> dict[str, Any] | None:
     """The asset's report.json; None if the asset is not complete."""
     try:
-        content = json.loads((asset / "report.json").read_text(encoding="utf-8"))
+        content = read_json(asset / "report.json")
     except (OSError, ValueError):
         return None
     return content if isinstance(content, dict) else None

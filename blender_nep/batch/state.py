@@ -16,6 +16,7 @@ from blender_nep.batch.settings import BatchSettings
 from blender_nep.errors import UsageError
 from blender_nep.files import jsonable, write_text
 from blender_nep.safety.folder_names import is_folder_name
+from blender_nep.safety.plain_files import read_json
 
 FILE = "batch.json"
 FORMAT = 1
@@ -129,8 +130,8 @@ def is_batch(folder: Path) -> bool:
     """Whether the folder holds a batch.json that has our keys, of whatever version."""
     path = folder / FILE
     try:
-        content = json.loads(path.read_text(encoding="utf-8")) if path.is_file() else None
-    except (OSError, ValueError, RecursionError):
+        content = read_json(path) if path.is_file() else None
+    except (OSError, ValueError):
         return False
     return isinstance(content, dict) and {"format", "preset", "objects"} <= content.keys()
 
@@ -145,7 +146,7 @@ def read_state(folder: Path) -> BatchState | None:
         return None
     hint = "Choose another --out, or name all captures and start again with --overwrite."
     try:
-        content = json.loads(path.read_text(encoding="utf-8"))
+        content = read_json(path)
         if content["format"] != FORMAT:
             message = f"{path} is of another version of blender_nep"
             raise UsageError(message, hint, "usage.other_version", folder=folder)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import struct
-import zlib
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -12,11 +10,13 @@ from PIL import Image
 
 from blender_nep.cameras.reduction import Reduction
 from blender_nep.capture.capture import Capture
+from blender_nep.capture.description import check_number
 from blender_nep.capture.formats.photo_search import named_mask
 from blender_nep.capture.loading import MINIMUM_VIEWS
 from blender_nep.capture.photos.photo_files import SUFFIXES, MaskRaster, Raster, exif, file_kind, image_size, open_image
 from blender_nep.color import linear_to_srgb, to_bytes
 from blender_nep.errors import CaptureError
+from blender_nep.safety.pictures import DAMAGED, open_picture
 
 _MAKE, _MODEL, _ORIENTATION = 0x010F, 0x0110, 0x0112
 _FOCAL_LENGTH, _FILM_LENGTH, _LENS_MODEL = 0x920A, 0xA405, 0xA434
@@ -27,8 +27,6 @@ _QUARTER_TURNS = {1: 0, 2: 0, 6: 1, 5: 1, 3: 2, 4: 2, 8: 3, 7: 3}
 
 The second of two equal ones says that the image is mirrored too, which does not change where its top is.
 """
-_DAMAGED = (OSError, ValueError, SyntaxError, EOFError, struct.error, zlib.error, Image.DecompressionBombError)
-"""What Pillow raises for damaged files"""
 _STRIP = 64
 """Rows of a photo that are made gray at a time"""
 _EXPOSURE_ROWS = 500
@@ -87,6 +85,7 @@ def find_photos(folder: Path) -> list[Photo]:
             "capture.too_few_photos",
             photos=len(paths),
         )
+    check_number(len(paths), str(folder))
     return [_photo(path, folder) for path in paths]
 
 
@@ -172,7 +171,7 @@ def gray_copy(photo: Photo, reduction: Reduction) -> np.ndarray:
     """
     try:
         image = _opened(photo.path) if file_kind(photo.path) == "pillow" else Image.fromarray(_gray(photo.path))
-    except (*_DAMAGED, CaptureError) as error:
+    except (*DAMAGED, CaptureError) as error:
         raise _unreadable(photo.path, error) from error
     return np.asarray(reduction.copy(image, Image.Resampling.LANCZOS))
 
@@ -200,7 +199,7 @@ def _linear_gray(raster: Raster, start: int, end: int) -> np.ndarray:
 
 
 def _opened(path: Path) -> Image.Image:
-    with Image.open(path) as image:
+    with open_picture(path) as image:
         if image.mode.startswith("I"):  # 16 bits
             return Image.fromarray((np.asarray(image, np.float32) / 257).clip(0, 255).astype(np.uint8))
         return image.convert("L")
@@ -214,6 +213,6 @@ def mask_copy(photo: Photo, reduction: Reduction) -> np.ndarray | None:
         mask = MaskRaster.of(photo.mask)
         starts = range(0, mask.size[0], _STRIP)
         gray = np.concatenate([to_bytes(mask.rows(start, start + _STRIP)) for start in starts])
-    except (CaptureError, *_DAMAGED) as error:
+    except (CaptureError, *DAMAGED) as error:
         raise _unreadable(photo.mask, error) from error
     return np.asarray(reduction.copy(Image.fromarray(gray), Image.Resampling.BOX)) > 127

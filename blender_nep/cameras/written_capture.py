@@ -16,6 +16,7 @@ from blender_nep.cameras.structure_from_motion import PlacedPhoto
 from blender_nep.capture.formats import transforms
 from blender_nep.errors import OutputError
 from blender_nep.files import output_errors, write_atomically, write_text
+from blender_nep.safety.plain_files import read_json
 
 _MARK = {"written_by": "blender_nep"}
 """A key of transforms.json, and its value. By it we know a file that may be replaced without a question"""
@@ -24,8 +25,8 @@ _MARK = {"written_by": "blender_nep"}
 def is_written_by_us(path: Path) -> bool:
     """Whether `write_capture` has written the file `path`."""
     try:
-        content = json.loads(path.read_text(encoding="utf-8")) if path.is_file() else None
-    except (OSError, ValueError, RecursionError):
+        content = read_json(path) if path.is_file() else None
+    except (OSError, ValueError):
         return False
     return isinstance(content, dict) and content.items() >= _MARK.items()
 

@@ -7,7 +7,17 @@ from pathlib import Path
 from typing import Any
 
 from blender_nep.capture.capture import View
+from blender_nep.errors import CaptureError
 from blender_nep.messages import Message
+
+MOST_VIEWS = 20_000
+"""Photos of a capture. Files that list more are refused, because each photo is looked for on the disk."""
+
+
+def check_number(photos: int, file: str) -> None:
+    """Raises CaptureError where a file lists more photos than a capture may have. No stop is asked while they are read."""
+    if photos > MOST_VIEWS:
+        raise CaptureError(f"{file} lists {photos:,} photos: at most {MOST_VIEWS:,} are possible", "Take photos out.")
 
 
 @dataclass

@@ -63,7 +63,7 @@ def recognized(folder: Path) -> bool:
     """Whether one of the formats recognizes the folder as a capture. A folder that may not be read is none."""
     try:
         return transforms.recognizes(folder) or any(other.recognizes(folder) for other in _OTHER_FORMATS)
-    except PermissionError:
+    except OSError:
         return False
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import json
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from blender_nep.color import linear_to_srgb, to_bytes
+from blender_nep.safety.plain_files import read_json
 
 
 @dataclass(frozen=True)
@@ -44,8 +45,8 @@ class AssetSummary:
 def read_summary(folder: Path) -> AssetSummary | None:
     """The summary of the asset in `folder`, or None if its report.json is missing or damaged."""
     try:
-        return _summary(json.loads((folder / "report.json").read_text(encoding="utf-8")))
-    except (OSError, AttributeError, KeyError, TypeError, ValueError):
+        return _summary(read_json(folder / "report.json"))
+    except (OSError, AttributeError, LookupError, TypeError, ValueError, OverflowError):
         return None
 
 
@@ -65,11 +66,14 @@ def _summary(report: Mapping[str, Any]) -> AssetSummary:
 
 
 def _number(told: float | None) -> float | None:
-    """The number that the report has at a place. Raises ValueError, TypeError where it has something else."""
-    return None if told is None else float(told)
+    """The number that the report has at a place, None where it is not finite. Raises ValueError, TypeError for others."""
+    return None if told is None or not math.isfinite(number := float(told)) else number
 
 
 def _material(told: Mapping[str, Any]) -> Material:
+    numbers = [*told["albedo"], told["roughness"], told["metallic"], told["share"]]
+    if not all(math.isfinite(number) for number in numbers):
+        raise ValueError("a material's numbers are not finite")
     red, green, blue = to_bytes(linear_to_srgb(np.array(told["albedo"], np.float32)))
     return Material(
         color=f"#{red:02x}{green:02x}{blue:02x}",

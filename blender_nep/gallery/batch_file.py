@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import json
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import StrEnum
@@ -11,6 +11,7 @@ from typing import Any
 
 from blender_nep.errors import UsageError
 from blender_nep.safety.folder_names import is_folder_name
+from blender_nep.safety.plain_files import read_json
 
 BATCH = "batch.json"
 """The file in the folder of a batch."""
@@ -59,7 +60,7 @@ class BatchObject:
             name=name,
             state=State(told["state"]),
             stage=told.get("stage"),
-            fraction=min(max(float(told.get("fraction") or 0), 0), 1),
+            fraction=min(max(_number(told.get("fraction")) or 0.0, 0.0), 1.0),
             eta_s=_number(told.get("eta_s")),
             seconds=_number(told.get("seconds")),
             peak_memory_mb=_number(told.get("peak_memory_mb")),
@@ -84,7 +85,7 @@ def read_batch(folder: Path) -> Batch:
     """The batch in `folder`. Raises UsageError if there is none, or if its file is damaged."""
     path = folder / BATCH
     try:
-        told = json.loads(path.read_text(encoding="utf-8"))
+        told = read_json(path)
     except FileNotFoundError as error:
         hint = "Name the folder that blender-nep batch has written."
         raise UsageError(f"{folder} holds no batch: {BATCH} is missing", hint, "usage.no_batch", folder=folder) from error
@@ -101,7 +102,7 @@ def read_batch(folder: Path) -> Batch:
             updated=str(told["updated"]),
             objects=tuple(map(BatchObject.of, told["objects"])),
         )
-    except (AttributeError, KeyError, TypeError, ValueError) as error:
+    except (AttributeError, KeyError, TypeError, ValueError, OverflowError) as error:
         raise _damaged(path, error) from error
 
 
@@ -112,4 +113,5 @@ def _damaged(path: Path, error: Exception) -> UsageError:
 
 
 def _number(value: Any) -> float | None:
-    return None if value is None else float(value)
+    """The number, None where it is not finite."""
+    return None if value is None or not math.isfinite(number := float(value)) else number

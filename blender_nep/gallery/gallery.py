@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import os
 import shutil
+import sys
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -15,6 +16,7 @@ from blender_nep.gallery.asset_summary import AssetSummary, read_summary
 from blender_nep.gallery.batch_file import Batch, BatchObject, State, read_batch
 from blender_nep.gallery.pages import GROUP_WORDS, render, templates_digest
 from blender_nep.gallery.pictures import Thumbnail, data_uri, thumbnail, viewer_light
+from blender_nep.safety.plain_files import MEGABYTE, open_plain, read_bytes
 
 VENDOR = Path(__file__).with_name("vendor")
 """The viewer script and its licenses (THIRD_PARTY.md)."""
@@ -30,6 +32,8 @@ GENERATOR = b'<meta name="generator" content="blender-nep '
 STAMP = b'<meta name="made-from" content="'
 """Before the hash of what an object's page is made from"""
 _BEGIN_BYTES = 1500
+_MOST_MODEL = 256 * MEGABYTE
+"""Of asset.glb. Browsers open no page that is much larger."""
 FILES = ("comparison.png", "asset.glb", "report.json", "log.txt")
 """The files that a card links to, where they are there."""
 
@@ -60,8 +64,9 @@ def write_gallery(folder: Path) -> None:
     not changed stay. Each file is replaced as a whole.
 
     Raises UsageError if there is no batch, its batch.json is damaged or index.html is not ours, OutputError if the pages
-    cannot be written or one is a link. Missing or damaged files of an object leave gaps on its card, and raise nothing. An
-    object whose folder is a link gets no page.
+    cannot be written or one is a link. Missing or damaged files of an object leave gaps on its card, and raise nothing, and
+    so do links: they may lead to private files, which would be copied into the page. An object whose folder is a link gets
+    no page.
     """
     batch = read_batch(folder)
     refuse_links(folder, (SHARED, INDEX))
@@ -97,8 +102,8 @@ def _index(folder: Path, batch: Batch, cards: list[Card]) -> str:
 
 def _card(folder: Path, found: BatchObject) -> Card:
     asset = folder / found.name
-    finished = found.state is State.DONE
-    summary = (read_summary(asset) if finished else None) or AssetSummary()
+    finished = found.state is State.DONE and not is_link(asset)
+    summary = (read_summary(asset) if finished and _is_own(asset / "report.json") else None) or AssetSummary()
     warnings = (*found.warnings, *summary.warnings)
     if finished and summary == AssetSummary():
         warnings = (*warnings, "report.json is missing or damaged, so the card shows no figures and no materials")
@@ -107,26 +112,35 @@ def _card(folder: Path, found: BatchObject) -> Card:
         summary=summary,
         warnings=tuple(dict.fromkeys(warnings)),
         picture=_picture(asset) if finished else None,
-        strip=thumbnail(asset / "turntable.png", STRIP_WIDTH) if finished else None,
-        view=finished and not is_link(asset) and _write_view(asset, found, summary),
-        files=tuple(name for name in FILES if (asset / name).is_file()),
+        strip=_thumbnail(asset / "turntable.png", STRIP_WIDTH) if finished else None,
+        view=finished and _write_view(asset, found, summary),
+        files=tuple(name for name in FILES if not is_link(asset) and _is_own(asset / name)),
     )
 
 
 def _picture(asset: Path) -> Thumbnail | None:
-    return thumbnail(asset / "preview.png", PICTURE_WIDTH) or thumbnail(asset / "comparison.png", PICTURE_WIDTH)
+    return _thumbnail(asset / "preview.png", PICTURE_WIDTH) or _thumbnail(asset / "comparison.png", PICTURE_WIDTH)
+
+
+def _thumbnail(path: Path, width: int) -> Thumbnail | None:
+    return thumbnail(path, width) if _is_own(path) else None
+
+
+def _is_own(path: Path) -> bool:
+    """Whether the path is a file, and no link to one."""
+    return path.is_file() and not is_link(path)
 
 
 def _write_view(asset: Path, found: BatchObject, summary: AssetSummary) -> bool:
     """Write the object's own page, if it has a model. A page that was made from the same files stays."""
     target, made_from = asset / "view.html", _made_from(asset, found)
     begin = _begin(target)
-    if not (asset / "asset.glb").is_file() or (os.path.lexists(target) and GENERATOR not in begin):
+    if not _is_own(asset / "asset.glb") or (os.path.lexists(target) and GENERATOR not in begin):
         return False
     if begin.partition(STAMP)[2][: len(made_from)].decode(errors="replace") == made_from:
         return True
     try:
-        model = data_uri((asset / "asset.glb").read_bytes(), "model/gltf-binary")
+        model = data_uri(read_bytes(asset / "asset.glb", _MOST_MODEL), "model/gltf-binary")
     except OSError:
         return False
     page = render(
@@ -136,9 +150,9 @@ def _write_view(asset: Path, found: BatchObject, summary: AssetSummary) -> bool:
         summary=summary,
         shared=f"../{SHARED}",
         model=model,
-        light=viewer_light(asset / "environment.exr"),
-        preview=(asset / "preview.png").is_file(),
-        files=[name for name in FILES if (asset / name).is_file()],
+        light=viewer_light(asset / "environment.exr") if _is_own(asset / "environment.exr") else None,
+        preview=_is_own(asset / "preview.png"),
+        files=[name for name in FILES if _is_own(asset / name)],
     )
     write_text(target, page)
     return True
@@ -149,7 +163,7 @@ def _made_from(asset: Path, found: BatchObject) -> str:
     parts = [templates_digest(), repr(found)]
     for name in ("preview.png", "environment.exr", *FILES):
         path = asset / name
-        state = path.stat() if path.is_file() else None
+        state = path.stat() if _is_own(path) else None
         parts.append(f"{name} {(state.st_mtime_ns, state.st_size) if state else None}")
     return hashlib.sha256("\n".join(parts).encode()).hexdigest()
 
@@ -157,7 +171,7 @@ def _made_from(asset: Path, found: BatchObject) -> str:
 def _begin(page: Path) -> bytes:
     """The first bytes of a page, in which its marks stand; nothing if it cannot be read."""
     try:
-        with open(page, "rb") as file:
+        with open_plain(page, sys.maxsize) as file:
             return file.read(_BEGIN_BYTES)
     except OSError:
         return b""

@@ -13,8 +13,13 @@ import numpy as np
 import OpenEXR
 from PIL import Image
 
+from blender_nep.capture.photos.formats import exr_files
+from blender_nep.safety.pictures import DAMAGED, open_picture
+
 WEBP_QUALITY = 78
 """Of thumbnails: a picture of 480 x 240 pixels takes about 9 kB."""
+_MOST_PIXELS, _MOST_LIGHT = 1 << 26, 1 << 25
+"""Pixels of a picture, and values of a light, that are opened. An asset of ours has far smaller ones."""
 
 
 @dataclass(frozen=True)
@@ -34,13 +39,15 @@ def thumbnail(path: Path, width: int) -> Thumbnail | None:
     try:
         state = path.stat()
         return _thumbnail(path, width, state.st_mtime_ns, state.st_size)
-    except (OSError, ValueError, SyntaxError, Image.DecompressionBombError):  # Pillow's, for damaged files
+    except DAMAGED:
         return None
 
 
 @lru_cache(maxsize=4096)
 def _thumbnail(path: Path, width: int, _changed: int, _size: int) -> Thumbnail:
-    with Image.open(path) as opened:
+    with open_picture(path) as opened:
+        if opened.width * opened.height > _MOST_PIXELS:
+            raise ValueError(f"{path.name} is larger than any picture of ours")
         small = opened.convert("RGB")
     if small.width > width:
         small = small.resize((width, max(1, round(small.height * width / small.width))), Image.Resampling.LANCZOS)
@@ -70,13 +77,14 @@ def viewer_light(path: Path) -> ViewerLight | None:
     (x, z, -y) for (x, y, z), and the viewer looks up u = 0.5 + atan2(z, x) / (2 pi) there. So no pixel moves.
     """
     try:
+        exr_files.check(path, _MOST_LIGHT)
         light = np.asarray(OpenEXR.File(str(path)).channels()["RGB"].pixels, np.float32)
-    except (OSError, RuntimeError, KeyError, ValueError, TypeError):  # OpenEXR's, for damaged files
+        light = np.ascontiguousarray(np.clip(np.nan_to_num(light), 0, 65504))
+        area = np.sin((np.arange(len(light)) + 0.5) * np.pi / len(light))
+        mean = float(np.average(light.mean((1, 2)), weights=area))
+        # `out` is the size in bytes: imagecodecs' own guess is too small for pixels that cannot be packed
+        packed = bytes(imagecodecs.rgbe_encode(light, header=True, rle=True, out=2 * light.size + 1000))
+    except DAMAGED:
         return None
-    light = np.ascontiguousarray(np.clip(np.nan_to_num(light), 0, 65504))
-    area = np.sin((np.arange(len(light)) + 0.5) * np.pi / len(light))
-    mean = float(np.average(light.mean((1, 2)), weights=area))
-    # `out` is the size in bytes: imagecodecs' own guess is too small for pixels that cannot be packed
-    packed = bytes(imagecodecs.rgbe_encode(light, header=True, rle=True, out=2 * light.size + 1000))
     # the viewer knows a Radiance file by the end of its name
     return ViewerLight(data_uri(packed, "image/vnd.radiance") + "#.hdr", 0.8 / max(mean, 1e-6))

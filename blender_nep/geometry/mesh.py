@@ -7,6 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 import trimesh
 
+from blender_nep.safety.arrays import check_array
+
 _CANCELLED = 1e-3
 """Length of a sum of unit normals, each weighted by an angle in radians, that says no direction"""
 
@@ -23,6 +25,15 @@ class Surface:
     """[V, 3] float64, smooth, unit length, outward"""
     uv: np.ndarray | None = None
     """[V, 2] in 0..1, v upwards; None before unwrapping"""
+
+    def check(self) -> None:
+        """Raises ValueError unless all arrays fit each other, and every face is one of vertices that are there."""
+        count = check_array("vertices", self.vertices, (None, 3))
+        if not check_array("faces", self.faces, (None, 3), low=0, high=count - 1):
+            raise ValueError("there are no faces")
+        check_array("normals", self.normals, (count, 3))
+        if self.uv is not None:
+            check_array("uv", self.uv, (count, 2), low=-1e-3, high=1 + 1e-3)
 
     @property
     def atlas(self) -> np.ndarray:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import random
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -37,6 +36,7 @@ from blender_nep.job.stage_names import StageName
 from blender_nep.messages import Message
 from blender_nep.ops import numba
 from blender_nep.profiling import profiled, section
+from blender_nep.safety.plain_files import read_json
 from blender_nep.scene.analysis import Plan
 from blender_nep.scene.scene import Scene
 from blender_nep.stop_request import StopRequest
@@ -201,7 +201,7 @@ class Preparation:
         """End a resume of an asset that is complete. Raises UsageError if it is not the asset that was asked for."""
         s = self._settings
         try:
-            before = dict(json.loads((s.out / "report.json").read_text(encoding="utf-8")).get("fingerprint", {}))
+            before = dict(read_json(s.out / "report.json").get("fingerprint", {}))
         except (OSError, TypeError, ValueError, AttributeError) as error:
             report = s.out / "report.json"
             hint = "Start again with --overwrite."

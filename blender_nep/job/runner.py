@@ -14,7 +14,7 @@ import torch
 
 from blender_nep.asset.export import Placement
 from blender_nep.asset.preview import PreviewView
-from blender_nep.checkpoints import Checkpoint
+from blender_nep.checkpoints import DAMAGED, Checkpoint
 from blender_nep.job.device import choose_device
 from blender_nep.job.exit_code import exit_code
 from blender_nep.job.explained import ExplainedReport, explained
@@ -239,9 +239,15 @@ class Job:
         self._tracker.enter(name)
         saved = folder.load_result(name)
         if saved is not None:
-            self._tracker.take_over(name, saved[1])
-            self._events.log(f"stage {name}: taken from the disk")
-            return stage.unpack(saved[0], given)
+            try:
+                result = stage.unpack(saved[0], given)
+            except DAMAGED as error:
+                values = {"file": f"{name}.done.pt", "reason": f"{type(error).__name__}: {error}"}
+                self._events.warning(Message("job.result_damaged", values))
+            else:
+                self._tracker.take_over(name, saved[1])
+                self._events.log(f"stage {name}: taken from the disk")
+                return result
         self._events.log(f"stage {name}")
         checkpoint = folder.checkpoint(name)
         checkpoint.raise_if_stopped(saves=False)

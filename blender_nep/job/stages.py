@@ -16,6 +16,7 @@ import numpy as np
 
 from blender_nep.job.stage_names import StageName
 from blender_nep.profiling import section
+from blender_nep.safety.arrays import check_array
 
 if TYPE_CHECKING:
     from blender_nep.asset.export import Placement
@@ -176,7 +177,7 @@ class SurfaceStage:
 
 
 def surface_result(state: dict) -> SurfaceResult:
-    """The result of the surface stage from its packed form."""
+    """The result of the surface stage from its packed form. Raises ValueError and other errors where that is damaged."""
     from blender_nep.geometry.mesh import Surface
     from blender_nep.support.plane import Support
     from blender_nep.surface.normal_map import LeanMesh
@@ -184,8 +185,12 @@ def surface_result(state: dict) -> SurfaceResult:
     lean, support = state["lean"], state["support"]
     if lean is not None:
         lean = LeanMesh(Surface(**lean["arrays"]), lean["normal_map"])
+        check_array("the normal map", lean.normal_map, (len(lean.normal_map), len(lean.normal_map), 3))
+        lean.surface.check()
     plane = None if support is None else Support.from_state(support)
-    return SurfaceResult(Surface(**state["arrays"]), state["report"], lean, plane)
+    surface = Surface(**state["arrays"])
+    surface.check()
+    return SurfaceResult(surface, state["report"], lean, plane)
 
 
 @dataclass(frozen=True)
@@ -235,6 +240,9 @@ class MaterialsStage:
         from blender_nep.materials.training import Materials
         from blender_nep.shading.unseen_light import UnseenLight
 
+        side = len(state["textures"]["albedo"])
+        for name, values in state["textures"].items():
+            check_array(name, values, (side, side, 3) if name == "albedo" else (side, side))
         kept = KeptMaterials.from_state(state["kept"]) if state["kept"] is not None else None
         unseen = UnseenLight.from_state(state["unseen"]) if state["unseen"] is not None else None
         response = ResponseCurve(**state["response"]) if state["response"] is not None else None

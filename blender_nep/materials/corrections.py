@@ -27,6 +27,7 @@ from blender_nep.materials.palette.palette import Palette
 from blender_nep.materials.segments.segments import Segments
 from blender_nep.materials.segments.varied_materials import PlacedPixels, VariedMaterials, fit_segments, varied_points
 from blender_nep.materials.shown_faces import ShownParts
+from blender_nep.safety.arrays import check_array
 from blender_nep.shading.light_moments import LightMoments
 
 if TYPE_CHECKING:
@@ -34,6 +35,8 @@ if TYPE_CHECKING:
 
 MOST_GROUPS = 6
 """Largest number of groups of segments in each class. More would make the artist's list too long."""
+_MOST_TEXELS = 1 << 14
+"""Of a side of a texture, in a file"""
 _SAME_COLOR = 0.12
 """Segments of one group differ by about this much in their sRGB albedo (0..1, Euclidean)."""
 
@@ -160,7 +163,18 @@ class CorrectablePalette:
     def from_state(cls, state: dict) -> CorrectablePalette:
         """The inverse of `state`."""
         light, palette = LightMoments(**state["light"]), Palette(**state["palette"])
-        return cls(light, state["target"], state["label"], palette, BlendedPoints(**state["points"]))
+        found = cls(light, state["target"], state["label"], palette, BlendedPoints(**state["points"]))
+        samples, last = light.check(), _check_palette(palette) - 1
+        check_array("target", found.target, (samples, 3))
+        check_array("label", found.label, (samples,), low=-1, high=last)
+        points = vars(found.points)
+        count = check_array("position", points["position"], (None, 3))
+        check_array("normal", points["normal"], (count, 3))
+        for name in ("photo", "residual", "share"):
+            check_array(name, points[name], (count,))
+        for name in ("first", "second"):
+            check_array(name, points[name], (count,), low=0, high=last)
+        return found
 
 
 @dataclass
@@ -218,10 +232,29 @@ class CorrectableSegments:
         """The inverse of `state`."""
         varied = VariedMaterials(Segments(**state["segments"]), Palette(**state["palette"]))
         light, pixels = LightMoments(**state["light"]), PlacedPixels(**state["pixels"])
+        samples, segments = light.check(), _check_palette(varied.palette)
+        check_array("target", state["target"], (samples, 3))
+        check_array("center", varied.segments.center, (segments, 7))
+        check_array("label", varied.segments.label, (samples,), low=0, high=segments - 1)
+        check_array("group", state["group"], (segments,), low=0, high=segments - 1)
+        count = check_array("position", pixels.position, (None, 3))
+        check_array("normal", pixels.normal, (count, 3))
+        check_array("photo", pixels.photo, (count,))
+        check_array("radiance", pixels.radiance, (count, 3))
+        check_array("sample", pixels.sample, (count, None), low=0, high=samples - 1)
+        check_array("share", pixels.share, pixels.sample.shape)
         return cls(light, state["target"], varied, state["group"], pixels)
 
 
 _MATERIAL = ("albedo", "roughness", "metallic")
+
+
+def _check_palette(palette: Palette) -> int:
+    """The number of materials. Raises ValueError unless the arrays fit each other."""
+    count = check_array("roughness", palette.roughness, (None,), low=0.0, high=1.0)
+    check_array("albedo", palette.albedo, (count, 3))
+    check_array("metallic", palette.metallic, (count,), low=0.0, high=1.0)
+    return count
 
 
 @dataclass
@@ -241,8 +274,17 @@ class KeptMaterials:
 
     @classmethod
     def from_state(cls, state: dict) -> KeptMaterials:
-        """The inverse of `state`, on the CPU."""
-        return cls(_KINDS[state["kind"]].from_state(state["materials"]), state["texels"], ShownParts(**state["shown"]))
+        """The inverse of `state`, on the CPU. Raises ValueError and other errors where that is damaged."""
+        texels, shown = state["texels"], ShownParts(**state["shown"])
+        if not isinstance(texels, int) or not 0 < texels <= _MOST_TEXELS:
+            raise ValueError(f"textures of {texels} texels a side")
+        check_array("edge_parts", shown.edge_parts, (None,), low=1, high=_MOST_TEXELS)
+        check_array("shown", shown.shown, (int((shown.edge_parts**2).sum()),))
+        return cls(_KINDS[state["kind"]].from_state(state["materials"]), texels, shown)
+
+    def check(self, surface: Surface) -> None:
+        """Raises ValueError unless this was kept for that surface."""
+        check_array("edge_parts", self.shown.edge_parts, (len(surface.faces),))
 
     @property
     def irradiance_known(self) -> bool:

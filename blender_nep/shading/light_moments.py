@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from blender_nep.safety.arrays import check_array
 from blender_nep.shading.plenoptic import SpecularMoments
 
 _FULL, _EDGE, _DIELECTRIC = range(3)
@@ -63,6 +64,17 @@ class LightMoments:
         return low, ((roughness - levels[low]) / (levels[low + 1] - levels[low])).clamp(0, 1)
 
     _TENSORS = ("specular", "diffuse", "coverage", "cos_v", "roughness_levels")
+
+    def check(self) -> int:
+        """The number of points. Raises ValueError unless the tensors fit each other."""
+        levels = check_array("roughness_levels", self.roughness_levels, (None,), low=0.0, high=1.0)
+        if levels < 2:
+            raise ValueError("there are fewer than 2 roughness levels")
+        count = check_array("specular", self.specular, (None, levels, 3, 3))
+        check_array("diffuse", self.diffuse, (count, 3))
+        check_array("coverage", self.coverage, (count, levels))
+        check_array("cos_v", self.cos_v, (count,))
+        return count
 
     def moments_state(self) -> dict[str, Tensor]:
         """The moments as a dict of tensors, from which `LightMoments` can be made again."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import trimesh
@@ -12,6 +12,7 @@ import trimesh
 from blender_nep.errors import CaptureError
 from blender_nep.geometry.mesh import Surface, angle_normals, normalized, own_normals, weld
 from blender_nep.geometry.uv_raster import rasterize
+from blender_nep.safety.pictures import forbid_ghostscript
 from blender_nep.surface.orientation import outward
 from blender_nep.surface.unwrap import unwrap
 
@@ -21,6 +22,10 @@ if TYPE_CHECKING:
 
 _Y_UP = (".glb", ".gltf")
 """Formats whose Y axis points up. All others are taken as they are, Z up as the capture."""
+_FORMATS = (".obj", ".ply", ".stl", ".off", *_Y_UP)
+"""What is read. trimesh also knows archives, whose size says nothing of what is in them."""
+_WITH_FILES = (".obj", ".ply")
+"""Formats that name pictures beside them. They are not needed, and so they are not opened."""
 _RASTER = 1024
 """Side of the raster that looks for charts which overlap"""
 _OVERLAP = 0.03
@@ -80,7 +85,7 @@ def read_mesh(mesh_path: Path, capture: Capture) -> GivenMesh:
     if not path.is_file():
         raise CaptureError(f"there is no mesh file {path}", "Check the path of --mesh.")
     try:
-        mesh = _joined(trimesh.load_scene(path, process=False))
+        mesh = _joined(_scene(path))
     except MemoryError:
         raise
     except Exception as error:  # its readers raise nearly anything, also that a package for the format is missing
@@ -97,6 +102,15 @@ def read_mesh(mesh_path: Path, capture: Capture) -> GivenMesh:
             "The mesh must be in the capture's own coordinates, Z up as captured.",
         )
     return mesh
+
+
+def _scene(path: Path) -> trimesh.Scene:
+    ending = path.suffix.lower()
+    if ending not in _FORMATS:
+        raise ValueError(f"its ending is {ending or 'missing'}")
+    forbid_ghostscript()
+    options: dict[str, Any] = {"skip_materials": True} if ending in _WITH_FILES else {}
+    return trimesh.load_scene(path, process=False, **options)
 
 
 def _joined(scene: trimesh.Scene) -> GivenMesh | None:

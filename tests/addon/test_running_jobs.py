@@ -395,6 +395,15 @@ def check_damaged_previews(folder):
         np.savez(file, **{"vertices": corners * 2, "faces": faces} | bad)
         addon.scene.live_preview.show_mesh(scene, "job", file)
         assert len(mesh.polygons) == 1 and mesh.vertices[0].co.x == 1, bad
+    for bad in (b"", b"PK", b"\x93NUMPY\1\0", b"\x93NUMPY\1\0\x10\0" + b"(" * 16):
+        file.write_bytes(bad)
+        addon.scene.live_preview.show_mesh(scene, "job", file)
+        assert mesh.vertices[0].co.x == 1, bad
+    if hasattr(os, "mkfifo"):
+        file.unlink()
+        os.mkfifo(file)  # Blender waited for it for ever
+        addon.scene.live_preview.show_mesh(scene, "job", file)
+        file.unlink()
     addon.scene.live_preview.MOST_BYTES = 10
     np.savez(file, vertices=corners * 2, faces=faces)
     addon.scene.live_preview.show_mesh(scene, "job", file)

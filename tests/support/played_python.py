@@ -24,6 +24,7 @@ elif what[:2] == ["-m", "venv"]:
 elif what[:3] == ["-m", "pip", "install"]:
     with open({folder!r} + "/pip.txt", "a") as told:
         print(*what[3:], file=told)
+        print(*sorted(name for name in os.environ if name.startswith("PIP_")), file=told)
     print("Collecting something", flush=True)
     if mode == "slow":
         pathlib.Path({folder!r}, "slow").touch()

@@ -2,9 +2,8 @@
 
     python tests/support/wheel_matrix.py
 
-For Python 3.11, every dependency of pyproject.toml is looked for in the version of constraints.txt, which is for that
-Python. For later ones it is looked for in any version that pyproject.toml allows. A dependency whose environment marker
-leaves a system out is not looked for there. The exit code is 1 if a wheel is missing.
+Every dependency of pyproject.toml is looked for in the version that constraints.txt has for that Python. A dependency whose
+environment marker leaves a system out is not looked for there. The exit code is 1 if a wheel is missing.
 """
 
 from __future__ import annotations
@@ -17,7 +16,7 @@ import tomllib
 from packaging.requirements import Requirement
 from paths import ROOT
 
-PYTHONS, PINNED = ("3.11", "3.13"), "3.11"
+PYTHONS = ("3.11", "3.12", "3.13")
 SYSTEMS = {
     "Linux x86-64": ("linux", "x86_64", [f"manylinux_2_{n}_x86_64" for n in (28, 27, 24, 17)] + ["manylinux2014_x86_64"]),
     "Linux arm64": ("linux", "aarch64", [f"manylinux_2_{n}_aarch64" for n in (28, 27, 24, 17)] + ["manylinux2014_aarch64"]),
@@ -29,14 +28,22 @@ SYSTEMS = {
 LIMIT_S = 120
 
 
-def dependencies() -> list[tuple[Requirement, str]]:
-    """The engine's dependencies, each with its version in constraints.txt."""
+def dependencies() -> list[tuple[Requirement, dict[str, str]]]:
+    """The engine's dependencies, each with its versions in constraints.txt: {Python: version}."""
     with open(ROOT / "pyproject.toml", "rb") as file:
         wanted = [Requirement(text) for text in tomllib.load(file)["project"]["dependencies"]]
     lines = (ROOT / "constraints.txt").read_text(encoding="utf-8").splitlines()
     pins = [Requirement(line) for line in lines if line and not line.startswith("#")]
-    versions = {normalized(pin.name): pin.specifier for pin in pins}
-    return [(requirement, str(versions[normalized(requirement.name)])) for requirement in wanted]
+    versions = {
+        python: {
+            normalized(pin.name): str(pin.specifier)
+            for pin in pins
+            if pin.marker is None or pin.marker.evaluate({"python_version": python})
+        }
+        for python in PYTHONS
+    }
+    names = [normalized(requirement.name) for requirement in wanted]
+    return [(one, {python: versions[python][name] for python in PYTHONS}) for one, name in zip(wanted, names, strict=True)]
 
 
 def normalized(name: str) -> str:
@@ -54,18 +61,18 @@ def has_wheel(wanted: str, tags: list[str], python: str) -> bool:
 def main() -> int:
     missing = 0
     print("| package | " + " | ".join(SYSTEMS) + " |\n" + "|---" * (1 + len(SYSTEMS)) + "|")
-    for requirement, pin in dependencies():
+    for requirement, pins in dependencies():
         cells, name = [], requirement.name
         for system, machine, tags in SYSTEMS.values():
             surroundings = {"sys_platform": system, "platform_machine": machine}
             if requirement.marker is not None and not requirement.marker.evaluate(surroundings):
                 cells.append("left out")
                 continue
-            asked = {python: f"{name}{pin if python == PINNED else requirement.specifier}" for python in PYTHONS}
-            lacking = [python for python in PYTHONS if not has_wheel(asked[python], tags, python)]
+            lacking = [python for python in PYTHONS if not has_wheel(f"{name}{pins[python]}", tags, python)]
             missing += len(lacking)
             cells.append("no: " + ", ".join(lacking) if lacking else "yes")
-        print(f"| {name} {pin} | " + " | ".join(cells) + " |", flush=True)
+        shown = ", ".join(dict.fromkeys(pins.values()))
+        print(f"| {name} {shown} | " + " | ".join(cells) + " |", flush=True)
     return 1 if missing else 0
 
 

@@ -1,8 +1,8 @@
 """Describes an asset in words, for the Asset Browser. No bpy in this file."""
 
-import json
 from pathlib import Path
 
+from ...plain_files import read_json
 from .asset_materials import AssetMaterial, read_materials
 
 METAL, PAINT = "metal", "not metal"
@@ -31,9 +31,9 @@ def describe_asset(asset: Path, preset: str = "") -> tuple[str, list[str]]:
 
 def _origin(asset: Path, preset: str) -> str:
     try:
-        report = json.loads((asset / "report.json").read_text(encoding="utf-8"))
+        report = read_json(asset / "report.json")
         photos, preset = int(report["capture"]["views"]), str(report.get("preset") or preset)
-    except (OSError, ValueError, KeyError, TypeError, AttributeError):
+    except (OSError, ValueError, KeyError, TypeError, AttributeError, OverflowError):
         return "Reconstructed from photos."
     return f"Reconstructed from {photos} photos, preset {preset}."
 

@@ -1,9 +1,10 @@
 """Reads from an asset's report which materials it has, and how they were corrected. No bpy in this file."""
 
-import json
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
+
+from ...plain_files import read_json
 
 
 @dataclass(frozen=True)
@@ -30,12 +31,12 @@ def read_materials(asset: Path) -> list[AssetMaterial]:
     An empty list where the report cannot be read, or names no materials, as the reports of older assets.
     """
     try:
-        report = json.loads((asset / "report.json").read_text(encoding="utf-8"))
+        report = read_json(asset / "report.json")
         corrections = report.get("corrections") or {}
         return [
             _material(described, corrections.get(str(number)) or {}) for number, described in enumerate(report["materials"])
         ]
-    except (OSError, ValueError, KeyError, TypeError, AttributeError):
+    except (OSError, ValueError, KeyError, TypeError, AttributeError, OverflowError):
         return []
 
 

@@ -5,12 +5,12 @@ The engine writes the file (blender_nep/batch/state.py), each time as a whole, w
 
 import functools
 import hashlib
-import json
 import os
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from ...plain_files import MOST_JSON, read_bytes, read_json
 from ..folder_names import is_folder_name
 from .job_files import is_locked, make_file
 
@@ -84,7 +84,7 @@ def read_batch(folder: Path) -> BatchFile:
     folder = Path(folder)
     path = folder / FILE
     try:
-        content = json.loads(path.read_text(encoding="utf-8"))
+        content = read_json(path)
     except OSError as error:
         reason = error.strerror or str(error)
         raise ValueError(f"There is no batch in {folder} ({reason}). Choose the folder of a batch") from error
@@ -95,7 +95,7 @@ def read_batch(folder: Path) -> BatchFile:
             raise ValueError(f"{path} is of another version. Take the add-on and the engine of one version")
         objects = tuple(_object(folder, told) for told in content["objects"])
         return BatchFile(folder, str(content.get("started", "")), str(content.get("preset", "")), objects)
-    except (KeyError, TypeError, AttributeError) as error:
+    except (KeyError, TypeError, AttributeError, OverflowError) as error:
         raise ValueError(f"{path} is damaged. Start the batch again with Start All Again") from error
 
 
@@ -131,4 +131,4 @@ def _made(asset: Path) -> str:
 @functools.cache
 def _digest(path: Path, _time: int, _size: int) -> str:
     """Of the content of a file. A file of the same time and size is not read again."""
-    return hashlib.sha256(path.read_bytes()).hexdigest()[:16]
+    return hashlib.sha256(read_bytes(path, MOST_JSON)).hexdigest()[:16]

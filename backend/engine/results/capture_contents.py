@@ -6,9 +6,13 @@ panel. Tests ask both sides about the same folders.
 """
 
 import os
+import sys
 from itertools import islice
 from pathlib import Path
+from typing import Any
 from xml.etree import ElementTree
+
+from ...plain_files import open_plain
 
 LEAST_PHOTOS = 3
 """The engine finds no cameras of fewer photos."""
@@ -24,6 +28,7 @@ _COLMAP_PLACES = ("sparse", "colmap/sparse", "")
 _COLMAP_MODELS = ("sparse/*", "colmap/sparse/*")
 _BUNDLER_PLACES = ("", "bundle")
 _BUNDLER_BEGIN = b"# Bundle file v0.3"
+_BEGIN_BYTES = 1 << 16
 _METASHAPE_BEGIN = ["document", "chunk"]
 """The first two elements of a Metashape export"""
 
@@ -92,9 +97,12 @@ def _has_metashape_export(folder: Path) -> bool:
 
 def _first_elements(path: Path) -> list[str]:
     try:
-        with open(path, "rb") as file:
-            return [element.tag for _, element in islice(ElementTree.iterparse(file, ("start",)), 2)]
-    except (OSError, ElementTree.ParseError):
+        parser: ElementTree.XMLPullParser = ElementTree.XMLPullParser(("start",))
+        with open_plain(path, sys.maxsize) as file:
+            parser.feed(file.read(_BEGIN_BYTES))
+        events: Any = parser.read_events()
+        return [element.tag for _, element in islice(events, 2)]
+    except (OSError, ElementTree.ParseError, LookupError, ValueError):  # the last two are of unknown encodings
         return []
 
 
@@ -104,7 +112,7 @@ def _has_bundle(folder: Path) -> bool:
 
 def _begins_as_bundle(path: Path) -> bool:
     try:
-        with open(path, "rb") as file:
+        with open_plain(path, sys.maxsize) as file:
             return file.read(len(_BUNDLER_BEGIN)) == _BUNDLER_BEGIN
     except OSError:
         return False

@@ -4,12 +4,15 @@ The engine writes `OUT/job/`; blender_nep/job/folders/job_folder.py lists its fi
 """
 
 import errno
-import json
 import os
 import sys
 from pathlib import Path
 
+from ...plain_files import open_plain, parse_json, read_json
+
 FOLDER = "job"
+_MOST_AT_ONCE = 16 << 20
+"""Bytes of events that are read at a time"""
 TEXTURE_NAMES = ("albedo", "roughness", "metallic", "confidence")
 """Every texture of an asset: a second copy of `TEXTURES` in blender_nep/asset/export.py, which Blender's Python does not
 import. A test compares the two."""
@@ -29,7 +32,7 @@ def has_checkpoint(out: Path) -> bool:
 def read_job(out: Path) -> dict | None:
     """The content of job.json (id, pid, preset, ...) of the last job in the folder; None where there was no job."""
     try:
-        job = json.loads((Path(out) / FOLDER / "job.json").read_text(encoding="utf-8"))
+        job = read_json(Path(out) / FOLDER / "job.json")
     except (OSError, ValueError):
         return None
     return job if isinstance(job, dict) and isinstance(job.get("pid"), int) else None
@@ -46,7 +49,7 @@ def is_running(out: Path) -> bool:
 def is_locked(path: Path) -> bool:
     """Whether a running engine holds the lock on this file. False where there is no such file."""
     try:
-        descriptor = os.open(path, os.O_RDWR)
+        descriptor = os.open(path, os.O_RDWR | getattr(os, "O_NONBLOCK", 0))
     except OSError:
         return False
     try:
@@ -84,19 +87,20 @@ class EventFile:
     def read(self) -> list[dict]:
         """The events that were added since the last call; an empty list where the file cannot be read."""
         try:
-            with open(self.path, "rb") as file:
+            with open_plain(self.path, sys.maxsize) as file:
                 file.seek(self._position)
-                new = file.read()
+                new = file.read(_MOST_AT_ONCE)
         except OSError:
             return []
         self._position += len(new)
-        *lines, self._begun = (self._begun + new).split(b"\n")
+        *lines, begun = (self._begun + new).split(b"\n")
+        self._begun = begun if len(begun) <= _MOST_AT_ONCE else b""  # an event is not so long
         return [event for event in map(_event, lines) if event]
 
 
 def _event(line: bytes) -> dict | None:
     try:
-        event = json.loads(line)
+        event = parse_json(line)
     except ValueError:
         return None
     return event if isinstance(event, dict) and "event" in event else None
@@ -105,7 +109,7 @@ def _event(line: bytes) -> dict | None:
 def last_lines(path: Path, count: int) -> str:
     """The last `count` lines of a text file, at most 8 KB; an empty string where the file cannot be read."""
     try:
-        with open(path, "rb") as file:
+        with open_plain(path, sys.maxsize) as file:
             file.seek(max(0, os.fstat(file.fileno()).st_size - 8192))
             return "\n".join(file.read().decode("utf-8", "replace").splitlines()[-count:])
     except OSError:

@@ -10,6 +10,7 @@ the right and y up. So the axes are ours. A photo whose f is 0 was not placed.
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Iterator
 from itertools import islice
 from pathlib import Path
@@ -20,16 +21,20 @@ import numpy as np
 from blender_nep.capture.cameras.camera import Camera
 from blender_nep.capture.cameras.lens import Lens
 from blender_nep.capture.capture import View
-from blender_nep.capture.description import CaptureDescription
+from blender_nep.capture.description import CaptureDescription, check_number
 from blender_nep.capture.formats.photo_search import check_distinct, found_photo, mask_of, mask_warnings, view_name
 from blender_nep.capture.formats.photos import check_readable
 from blender_nep.capture.formats.poses import camera_to_world, check_intrinsics, rotation_of, without_pose_warnings
 from blender_nep.capture.photos.photo_files import image_size
 from blender_nep.errors import CaptureError
+from blender_nep.safety.plain_files import MEGABYTE, open_plain, read_text
 
 _HEADER = b"# Bundle file v0.3"
 _PLACES = ("", "bundle")
 _LISTS = ("*list.txt", "*.lst", "*.imagelist")
+_MOST_BYTES, _MOST_NAMES = 4096 * MEGABYTE, 64 * MEGABYTE
+_LONGEST_LINE = 16 * MEGABYTE
+"""Bytes. A line may list all photos that see a point."""
 _POINTS = 1000
 """So many points are read to see on which side of the cameras they lie."""
 
@@ -60,7 +65,7 @@ def _bundles(folder: Path) -> list[Path]:
 
 def _is_bundle(path: Path) -> bool:
     try:
-        with open(path, "rb") as file:
+        with open_plain(path, sys.maxsize) as file:
             return file.read(len(_HEADER)) == _HEADER
     except OSError:
         return False
@@ -106,7 +111,7 @@ def _list_file(folder: Path, bundle: Path) -> Path:
 def _read_names(path: Path) -> list[str]:
     """The photos of the list. Bundler itself adds ' 0 FOCAL' to a name if the photo's metadata have a focal length."""
     try:
-        lines = [line.strip() for line in path.read_text(encoding="utf-8-sig").splitlines()]
+        lines = [line.strip() for line in read_text(path, _MOST_NAMES, "utf-8-sig").splitlines()]
     except (OSError, ValueError) as error:
         raise CaptureError(f"{path.name} cannot be read ({error})", "It must be text, with one photo a line.") from error
     names = []
@@ -121,6 +126,7 @@ def _read_entries(path: Path) -> list[_Entry]:
     try:
         numbers = _numbers(path)
         cameras, points = (int(value) for value in _next(numbers, 2))
+        check_number(cameras, path.name)
         entries = []
         for _ in range(cameras):
             values = np.array(_next(numbers, 15))
@@ -139,9 +145,11 @@ def _read_entries(path: Path) -> list[_Entry]:
 
 
 def _numbers(path: Path) -> Iterator[float]:
-    with open(path, encoding="utf-8") as file:
-        for line in file:
-            if not line.startswith("#"):
+    with open_plain(path, _MOST_BYTES) as file:
+        while line := file.readline(_LONGEST_LINE):
+            if len(line) == _LONGEST_LINE:
+                raise ValueError("a line is too long")
+            if not line.startswith(b"#"):
                 yield from map(float, line.split())
 
 

@@ -7,8 +7,6 @@ Photos lie in `image/` or `images/`, masks, if any, in `mask/` or `masks/`, both
 from __future__ import annotations
 
 import re
-import zipfile
-import zlib
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +14,8 @@ from scipy.linalg import rq
 
 from blender_nep.capture.cameras.camera import Camera
 from blender_nep.capture.capture import View
-from blender_nep.capture.description import CaptureDescription
+from blender_nep.capture.description import CaptureDescription, check_number
+from blender_nep.capture.formats.arrays import DAMAGED, read_npz
 from blender_nep.capture.formats.photo_search import first_with_photos
 from blender_nep.capture.formats.poses import FROM_OPENCV, camera_to_world, check_count, check_intrinsics, rotation_of
 from blender_nep.capture.photos.photo_files import image_size
@@ -24,6 +23,7 @@ from blender_nep.errors import CaptureError
 
 FILES = ("cameras_sphere.npz", "cameras.npz")
 _PHOTOS, _MASKS = ("image", "images"), ("mask", "masks")
+_MATRICES = re.compile(r"(world|scale)_mat_\d+")
 _MOST_SKEW = 0.005
 """More skew than this, relative to the focal length, is refused. Less is the rounding of float32, and is left out."""
 _CENTER = 0.5
@@ -41,6 +41,7 @@ def read(folder: Path) -> CaptureDescription:
     path = next(folder / file for file in FILES if (folder / file).is_file())
     stored = _read_matrices(path)
     cameras = sum(name.startswith("world_mat_") for name in stored)
+    check_number(cameras, path.name)
     place, photos = first_with_photos(folder, _PHOTOS)
     check_count(path.name, cameras, f"{place}/", len(photos))
     mask_place, masks = first_with_photos(folder, _MASKS)
@@ -60,10 +61,8 @@ def read(folder: Path) -> CaptureDescription:
 
 def _read_matrices(path: Path) -> dict[str, np.ndarray]:
     try:
-        with np.load(path) as stored:
-            names = [name for name in stored.files if re.fullmatch(r"(world|scale)_mat_\d+", name)]
-            return {name: np.asarray(stored[name], np.float64) for name in names}
-    except (OSError, ValueError, TypeError, EOFError, AttributeError, KeyError, zipfile.BadZipFile, zlib.error) as error:
+        return read_npz(path, _MATRICES, lambda shape: shape in ((3, 4), (4, 4)))
+    except DAMAGED as error:
         raise CaptureError(f"{path.name} cannot be read ({error})", "It must be a file of numpy.savez.") from error
 
 

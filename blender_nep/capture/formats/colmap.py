@@ -9,6 +9,7 @@ capture is COLMAP's own. The sparse points are not read.
 from __future__ import annotations
 
 import struct
+import sys
 from pathlib import Path
 from typing import NamedTuple
 
@@ -17,15 +18,18 @@ import numpy as np
 from blender_nep.capture.cameras.camera import Camera
 from blender_nep.capture.cameras.lens import Lens
 from blender_nep.capture.capture import View
-from blender_nep.capture.description import CaptureDescription
+from blender_nep.capture.description import CaptureDescription, check_number
 from blender_nep.capture.formats.photo_search import mask_warnings, named_mask
 from blender_nep.capture.formats.photos import check_readable, fitted, rescaled_warnings
 from blender_nep.capture.photos.photo_files import find_image
 from blender_nep.errors import CaptureError
 from blender_nep.messages import Message
+from blender_nep.safety.plain_files import MEGABYTE, open_plain, read_bytes, read_text
 
 NAME = "COLMAP"
 _PLACES = ("sparse/*", "sparse", "colmap/sparse/*", "colmap/sparse", ".")
+_MOST_BYTES = 2048 * MEGABYTE
+"""Of a file. A photo with 10,000 features takes a quarter of a megabyte."""
 _PANORAMA = "EQUIRECTANGULAR"
 _MODELS = {
     "SIMPLE_PINHOLE": ("f", "cx", "cy"),
@@ -101,6 +105,7 @@ def read(folder: Path) -> CaptureDescription:
     files, cameras, poses = _read_model(model)
     if not poses:
         raise CaptureError(f"the COLMAP project in {model} has no photos with a pose", "Run COLMAP's mapper again.")
+    check_number(len(poses), "the COLMAP project")
     rescaled: list[str] = []
     views = [_view(folder, cameras, pose, rescaled) for pose in sorted(poses, key=lambda pose: pose.name)]
     warnings += mask_warnings(folder, views) + rescaled_warnings(rescaled)
@@ -127,9 +132,9 @@ def _pose_count(model: Path) -> int:
     """The number of photos that a model has a pose of; 0 where its file cannot be read."""
     try:
         if _ending(model) == "bin":
-            with open(model / "images.bin", "rb") as file:
+            with open_plain(model / "images.bin", sys.maxsize) as file:
                 return _count(file.read(8))
-        return len(_text_pose_lines((model / "images.txt").read_text(encoding="utf-8")))
+        return len(_text_pose_lines(read_text(model / "images.txt", _MOST_BYTES)))
     except (OSError, ValueError, struct.error):
         return 0
 
@@ -146,8 +151,9 @@ def _read_model(model: Path) -> tuple[tuple[Path, Path], dict[int, _Intrinsics],
     files = (model / f"cameras.{ending}", model / f"images.{ending}")
     try:
         if ending == "bin":
-            return files, _binary_cameras(files[0].read_bytes()), _binary_poses(files[1].read_bytes())
-        cameras, poses = (file.read_text(encoding="utf-8") for file in files)
+            lenses, places = (read_bytes(file, _MOST_BYTES) for file in files)
+            return files, _binary_cameras(lenses), _binary_poses(places)
+        cameras, poses = (read_text(file, _MOST_BYTES) for file in files)
         return files, _text_cameras(cameras), _text_poses(poses)
     except (OSError, ValueError, IndexError, struct.error) as error:
         raise CaptureError(

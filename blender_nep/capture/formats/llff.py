@@ -8,13 +8,15 @@ there is no distortion. Masks, if any, lie in `masks/`.
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 
 import numpy as np
 
 from blender_nep.capture.cameras.camera import Camera
 from blender_nep.capture.capture import View
-from blender_nep.capture.description import CaptureDescription
+from blender_nep.capture.description import MOST_VIEWS, CaptureDescription
+from blender_nep.capture.formats.arrays import DAMAGED, read_npy
 from blender_nep.capture.formats.photo_search import first_with_photos, mask_of, mask_warnings
 from blender_nep.capture.formats.photos import fitted, rescaled_warnings
 from blender_nep.capture.formats.poses import camera_to_world, check_count, check_intrinsics, rotation_of
@@ -46,8 +48,8 @@ def read(folder: Path) -> CaptureDescription:
 def _read_poses(path: Path) -> np.ndarray:
     """The matrices [n, 3, 5] of the file."""
     try:
-        rows = np.asarray(np.load(path), np.float64)
-    except (OSError, ValueError, TypeError, EOFError) as error:
+        rows = read_npy(path, lambda shape: math.prod(shape) <= 17 * MOST_VIEWS)
+    except DAMAGED as error:
         raise CaptureError(f"{path.name} cannot be read ({error})", "It must be an array of numbers.") from error
     if rows.ndim != 2 or rows.shape[1] != 17:
         raise CaptureError(

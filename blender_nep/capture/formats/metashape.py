@@ -18,9 +18,10 @@ length atan(r), which is OpenCV's fisheye model if P1 and P2 are 0. An equisolid
 
 from __future__ import annotations
 
+import sys
 from itertools import islice
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element
 
@@ -29,7 +30,7 @@ import numpy as np
 from blender_nep.capture.cameras.camera import Camera
 from blender_nep.capture.cameras.lens import Lens
 from blender_nep.capture.capture import View
-from blender_nep.capture.description import CaptureDescription
+from blender_nep.capture.description import CaptureDescription, check_number
 from blender_nep.capture.formats.photo_search import check_distinct, found_photo, mask_of, mask_warnings, view_name
 from blender_nep.capture.formats.photos import check_readable, fitted, rescaled_warnings
 from blender_nep.capture.formats.poses import (
@@ -40,8 +41,13 @@ from blender_nep.capture.formats.poses import (
     without_pose_warnings,
 )
 from blender_nep.errors import CaptureError
+from blender_nep.safety.plain_files import MEGABYTE, open_plain
 
 _FISHEYE = ("fisheye", "equidistant_fisheye")
+_DAMAGED = (OSError, ElementTree.ParseError, LookupError, ValueError, RecursionError)
+"""What the parser raises: LookupError and ValueError are for encodings that Python does not know"""
+_BEGIN_BYTES = 1 << 16
+_MOST_BYTES = 256 * MEGABYTE
 _MOST_SKEW = 0.005
 """More of b2 than this, relative to the focal length, is refused. Less is left out."""
 
@@ -70,10 +76,12 @@ def _exports(folder: Path) -> list[Path]:
 def _is_export(path: Path) -> bool:
     """Whether the file begins as an export does. The rest is not read."""
     try:
-        with open(path, "rb") as file:
-            starts = islice(ElementTree.iterparse(file, ("start",)), 2)
-            return [element.tag for _, element in starts] == ["document", "chunk"]
-    except (OSError, ElementTree.ParseError):
+        with open_plain(path, sys.maxsize) as file:
+            parser: ElementTree.XMLPullParser = ElementTree.XMLPullParser(("start",))
+            parser.feed(file.read(_BEGIN_BYTES))
+        events: Any = parser.read_events()
+        return [element.tag for _, element in islice(events, 2)] == ["document", "chunk"]
+    except _DAMAGED:
         return False
 
 
@@ -86,6 +94,7 @@ def read(folder: Path) -> CaptureDescription:
     file = found[0].name
     chunk = _read_chunk(found[0])
     cameras = list(chunk.iterfind("cameras//camera"))
+    check_number(len(cameras), file)
     placed = [camera for camera in cameras if _has_pose(camera)]
     if not placed:
         raise CaptureError(
@@ -117,8 +126,9 @@ def read(folder: Path) -> CaptureDescription:
 
 def _read_chunk(path: Path) -> Element:
     try:
-        chunks = ElementTree.parse(path).getroot().findall("chunk")
-    except (OSError, ElementTree.ParseError) as error:
+        with open_plain(path, _MOST_BYTES) as file:
+            chunks = ElementTree.parse(file).getroot().findall("chunk")
+    except _DAMAGED as error:
         raise CaptureError(f"{path.name} cannot be read ({error})", "Export the cameras again.") from error
     with_cameras = [chunk for chunk in chunks if chunk.find("cameras//camera") is not None]
     if len(with_cameras) != 1:

@@ -7,7 +7,6 @@ k2 k3 k4 p1 p2` stand there, too. Where `camera_model` is missing, instant-ngp's
 
 from __future__ import annotations
 
-import json
 import math
 from pathlib import Path
 
@@ -16,10 +15,11 @@ import numpy as np
 from blender_nep.capture.cameras.camera import Camera
 from blender_nep.capture.cameras.lens import Lens
 from blender_nep.capture.capture import View
-from blender_nep.capture.description import CaptureDescription
+from blender_nep.capture.description import CaptureDescription, check_number
 from blender_nep.capture.formats.photos import check_readable, fitted, rescaled_warnings
 from blender_nep.capture.photos.photo_files import find_image, image_size
 from blender_nep.errors import CaptureError
+from blender_nep.safety.plain_files import read_json
 
 FILE = "transforms.json"
 _OPENCV = ("PINHOLE", "SIMPLE_PINHOLE", "OPENCV", "PERSPECTIVE", "SIMPLE_RADIAL", "RADIAL")
@@ -38,6 +38,7 @@ def read(folder: Path, file: str = FILE) -> CaptureDescription:
     frames = meta.get("frames")
     if not isinstance(frames, list) or not frames:
         raise CaptureError(f"{file} lists no frames", "It needs a list 'frames' with file_path and transform_matrix.")
+    check_number(len(frames), file)
     rescaled: list[str] = []
     views = [_view(folder, file, meta, _dict(frame, n), n, rescaled) for n, frame in enumerate(frames)]
     return CaptureDescription(
@@ -53,7 +54,7 @@ def read(folder: Path, file: str = FILE) -> CaptureDescription:
 
 def _read_json(path: Path) -> dict:
     try:
-        meta = json.loads(path.read_text(encoding="utf-8-sig"))  # some editors write a byte order mark
+        meta = read_json(path, "utf-8-sig")  # some editors write a byte order mark
     except (OSError, ValueError) as error:
         raise CaptureError(f"{path.name} cannot be read ({error})", "It must be JSON text.") from error
     if not isinstance(meta, dict):

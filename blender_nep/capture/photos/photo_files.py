@@ -14,33 +14,32 @@ its copy of `image_size` for the formats that Blender shows.
 
 from __future__ import annotations
 
-import struct
-import zlib
+import sys
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
 
 import numpy as np
-from PIL import ExifTags, Image
+from PIL import ExifTags
 
 from blender_nep.capture.photos.formats import exr_files, heif_files, pillow_files, raw_files, tiff_files
 from blender_nep.capture.photos.formats.raster import Raster
 from blender_nep.errors import CaptureError
+from blender_nep.safety.pictures import DAMAGED
+from blender_nep.safety.plain_files import is_on_other_computer, open_plain
 
 SUFFIXES = (".exr", ".png", ".jpg", ".jpeg", ".tif", ".tiff", ".webp", ".heic", ".heif", ".hif", *raw_files.SUFFIXES)
-
-_UNREADABLE = (
-    *(OSError, ValueError, RuntimeError, SyntaxError, KeyError, IndexError, TypeError, EOFError, AssertionError),
-    *(ZeroDivisionError, OverflowError, struct.error, zlib.error, Image.DecompressionBombError),
-)
-"""What the packages raise for damaged files"""
 
 
 def find_image(folder: Path, name: str) -> Path | None:
     """The path of the image `name` in `folder`, or None if there is no such file.
 
-    Where `name` has no extension (as in Blender datasets), the extensions of `SUFFIXES` are tried in their order.
+    Where `name` has no extension (as in Blender datasets), the extensions of `SUFFIXES` are tried in their order. Raises
+    CaptureError where the name leads to another computer.
     """
+    if is_on_other_computer(name, folder):
+        hint = "Copy the photos into the capture's folder, or connect that computer as a drive."
+        raise CaptureError(f"{name} lies on another computer", hint)
     path = folder / name
     if path.is_file():
         return path
@@ -55,10 +54,10 @@ def find_image(folder: Path, name: str) -> Path | None:
 def file_kind(path: Path) -> str:
     """'exr', 'raw', 'tiff', 'heif', or 'pillow' for all that Pillow reads. Raises OSError where the file cannot be read."""
     suffix = path.suffix.lower()
+    with open_plain(path, sys.maxsize) as file:
+        start = file.read(12)
     if suffix in raw_files.SUFFIXES:
         return "raw"
-    with open(path, "rb") as file:
-        start = file.read(12)
     if suffix == ".exr":
         return "exr"
     if tiff_files.recognizes(start):
@@ -71,7 +70,7 @@ def image_size(path: Path) -> tuple[int, int]:
     sizes = {"exr": exr_files.size, "raw": raw_files.size, "tiff": tiff_files.size, "heif": heif_files.size}
     try:
         return sizes.get(file_kind(path), pillow_files.size)(path)
-    except _UNREADABLE as error:
+    except DAMAGED as error:
         raise _unreadable(path, error) from error
 
 
@@ -83,7 +82,7 @@ def is_linear(path: Path) -> bool:
     try:
         kind = file_kind(path)
         return kind in ("exr", "raw") or (kind == "tiff" and tiff_files.is_linear(path))
-    except _UNREADABLE as error:
+    except DAMAGED as error:
         raise _unreadable(path, error) from error
 
 
@@ -98,7 +97,7 @@ def open_image(path: Path, color_space: str) -> Raster:
             return raw_files.read(path)
         reads = {"tiff": tiff_files.read, "heif": heif_files.read}
         return reads.get(kind, pillow_files.read)(path, tagged)
-    except _UNREADABLE as error:
+    except DAMAGED as error:
         raise _unreadable(path, error) from error
 
 
@@ -110,7 +109,7 @@ def exif(path: Path) -> dict[int, object]:
     tags = {"exr": lambda _: {}, "raw": raw_files.tags, "tiff": tiff_files.tags, "heif": heif_files.tags}
     try:
         return tags.get(file_kind(path), pillow_files.tags)(path)
-    except _UNREADABLE as error:
+    except DAMAGED as error:
         raise _unreadable(path, error) from error
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,6 +11,7 @@ import numpy as np
 
 from blender_nep.asset.export import TEXTURES, Placement, write_asset
 from blender_nep.asset.preview import PreviewView
+from blender_nep.checkpoints import DAMAGED
 from blender_nep.errors import UsageError
 from blender_nep.files import output_errors, refuse_links
 from blender_nep.job.exit_code import exit_code
@@ -23,6 +23,8 @@ from blender_nep.job.stage_names import StageName
 from blender_nep.job.stages import SurfaceResult, surface_result
 from blender_nep.materials.corrections import Correction, KeptMaterials
 from blender_nep.presets import preset
+from blender_nep.safety.arrays import check_array
+from blender_nep.safety.plain_files import read_json
 from blender_nep.stop_request import StopRequest
 
 _STEPS = 3
@@ -85,7 +87,7 @@ def _progress(events: Events, step: int) -> None:
 def read_report(asset: Path) -> dict[str, Any]:
     """The content of report.json. Raises UsageError where `asset` is no finished asset of this version."""
     try:
-        report = json.loads((asset / "report.json").read_text(encoding="utf-8"))
+        report = read_json(asset / "report.json")
         version = report["fingerprint"]["format"]
     except (OSError, ValueError, KeyError, TypeError) as error:
         hint = "Give the folder of a finished reconstruction."
@@ -137,12 +139,24 @@ def _load(asset: Path, events: Events) -> _Finished:
             folder=asset,
         )
     state = preview[0]
-    return _Finished(
-        KeptMaterials.from_state(materials[0]["kept"]),
-        surface_result(surface[0]),
-        PreviewView(**state["view"]),
-        state["light"],
-    )
+    try:
+        found = _Finished(
+            KeptMaterials.from_state(materials[0]["kept"]),
+            surface_result(surface[0]),
+            PreviewView(**state["view"]),
+            state["light"],
+        )
+        found.kept.check(found.shape.surface)
+        found.view.check()
+        check_array("light", found.light, (None, None, 3))
+    except DAMAGED as error:
+        raise UsageError(
+            f"the asset in {asset} cannot be corrected: its checkpoints are damaged ({type(error).__name__}: {error})",
+            "Reconstruct it again.",
+            "usage.not_correctable",
+            folder=asset,
+        ) from error
+    return found
 
 
 def _to_dict(corrections: Mapping[int, Correction]) -> dict[str, dict[str, float]]:

@@ -22,6 +22,7 @@ from blender_nep.errors import UsageError
 from blender_nep.files import output_errors, refuse_links, write_text
 from blender_nep.job.folders import job_folder
 from blender_nep.job.stage_names import StageName
+from blender_nep.safety.plain_files import read_json
 
 CHECKPOINTS, RUN_FILE = "checkpoints", "run.json"
 PREVIEW = "preview"
@@ -64,8 +65,8 @@ def _has_run(folder: Path) -> bool:
 def _read(path: Path) -> dict | None:
     """The JSON object in a file; None if there is no such file, or none that can be read."""
     try:
-        content = json.loads(path.read_text(encoding="utf-8")) if path.is_file() else None
-    except (OSError, ValueError, RecursionError):
+        content = read_json(path) if path.is_file() else None
+    except (OSError, ValueError):
         return None
     return content if isinstance(content, dict) else None
 

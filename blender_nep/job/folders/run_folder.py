@@ -23,6 +23,7 @@ from blender_nep.job.folders.own_files import (
 )
 from blender_nep.messages import Message
 from blender_nep.presets import Preset
+from blender_nep.safety.plain_files import read_json
 from blender_nep.stop_request import StopRequest
 
 FORMAT = 16
@@ -142,7 +143,7 @@ class RunFolder:
 
     def _read_run(self) -> dict[str, object]:
         try:
-            run = json.loads(self._run_file.read_text(encoding="utf-8"))
+            run = read_json(self._run_file)
             return run if isinstance(run, dict) else {}
         except ValueError:
             self._warn(Message("job.run_file_damaged"))

@@ -6,6 +6,7 @@ import subprocess
 import sys
 
 import pytest
+from packaging.requirements import Requirement
 
 from backend.engine import install
 from backend.engine.install import installed_python
@@ -59,11 +60,38 @@ def test_an_installation_makes_an_engine_with_the_chosen_build(base, tmp_path):
     assert installed_python(base.folder) == told[-1]["python"]
     fractions = [event["fraction"] for event in told[:-1]]
     assert fractions == sorted(fractions) and fractions[0] == 0 and fractions[-1] < 1
-    torch, rest = (tmp_path / "pip.txt").read_text().splitlines()
+    torch, _, rest, _ = (tmp_path / "pip.txt").read_text().splitlines()
     assert "--index-url https://download.pytorch.org/whl/cpu" in torch and "--index-url" not in rest
-    assert "--constraint" not in torch + rest, "the constraints are those of Python 3.11"
+    assert all("--constraint" in line and "--only-binary :all:" in line for line in (torch, rest))
     code, _ = end(begin(base, "--build", "cuda"))  # a second one in place of the first
-    assert code == 0 and "--index-url" not in (tmp_path / "pip.txt").read_text().splitlines()[2]
+    assert code == 0 and "--index-url" not in (tmp_path / "pip.txt").read_text().splitlines()[4]
+
+
+def test_variables_of_pip_say_only_how_the_index_is_reached(base, tmp_path, monkeypatch):
+    for name in (
+        "PIP_TARGET",
+        "PIP_PREFIX",
+        "PIP_ROOT",
+        "PIP_USER",
+        "PIP_NO_BINARY",
+        "PIP_CONSTRAINT",
+        "PIP_INDEX_URL",
+        "PIP_PROXY",
+    ):
+        monkeypatch.setenv(name, str(tmp_path / "elsewhere"))
+    code, _ = end(begin(base))
+    assert code == 0
+    for line in (tmp_path / "pip.txt").read_text().splitlines()[1::2]:
+        assert {"PIP_INDEX_URL", "PIP_PROXY"} <= set(line.split()) <= install.PIP_VARIABLES
+
+
+def test_constraints_name_a_version_for_each_python():
+    """Of numpy, the one of Python 3.11 has no builds for 3.13."""
+    lines = [line for line in (ROOT / "constraints.txt").read_text().splitlines() if line and not line.startswith("#")]
+    wanted = [Requirement(line) for line in lines]
+    for version in ("3.11", "3.12", "3.13"):
+        named = [one.name for one in wanted if one.marker is None or one.marker.evaluate({"python_version": version})]
+        assert len(named) == len(set(named)) and {"numpy", "torch", "pillow"} <= set(named), version
 
 
 @pytest.mark.parametrize(

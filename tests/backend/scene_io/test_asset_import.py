@@ -17,7 +17,8 @@ def test_assets_are_imported_as_their_files_say_or_refused(asset):
 
 def check_assets(asset):
     """Each check is on a copy of the asset, which it may change, and begins with a new file."""
-    for check in (check_import, check_confidence, check_exr_texture, check_without_mesh, check_damaged_texture):
+    checks = (check_import, check_confidence, check_exr_texture, check_without_mesh, check_damaged_texture)
+    for check in (*checks, check_foreign_materials):
         with told_in(check.__name__):
             check(Path(shutil.copytree(asset, Path(asset).with_name(check.__name__))))
 
@@ -46,6 +47,38 @@ def check_import(asset):
         assert link.from_node.name == name and link.from_node.image.colorspace_settings.name == space
     assert nodes["confidence"].image.colorspace_settings.name == "Non-Color"
     assert len(bpy.data.images) == 4 and all(image.packed_file for image in bpy.data.images)
+
+
+def check_foreign_materials(asset):
+    """A .mtl file of a stranger names a picture elsewhere. Blender itself opens it, however the OBJ file names the .mtl."""
+    import bpy
+
+    from backend.scene_io import asset_import
+
+    Image.new("RGB", (4, 4)).save(asset / "private.png")
+    (asset / "mesh.mtl").write_text(f"newmtl thing\nmap_Kd {asset / 'private.png'}\n")
+    lines = [line for line in (asset / "mesh.obj").read_text().splitlines() if not line.startswith(("mtllib", "usemtl"))]
+    first = next(number for number, line in enumerate(lines) if line.startswith("f "))
+    for naming in (
+        "mtllib mesh.mtl",
+        " \t mtllib mesh.mtl",
+        "o mtllib\n\r mtllib mesh.mtl",
+        "# no mtllib: that of its own name",
+    ):
+        bpy.ops.wm.read_factory_settings(use_empty=True)
+        (asset / "mesh.obj").write_text(
+            "\n".join([naming, *lines[:first], "usemtl thing", *lines[first:], ""]), newline="\n"
+        )
+        bpy.ops.wm.obj_import(filepath=str(asset / "mesh.obj"))
+        assert [image.name for image in bpy.data.images] == ["private.png"], naming
+        bpy.ops.wm.read_factory_settings(use_empty=True)
+        (asset / "alone").mkdir(exist_ok=True)
+        asset_import._copy_without_materials(asset / "mesh.obj", asset / "alone" / "mesh.obj")
+        bpy.ops.wm.obj_import(filepath=str(asset / "alone" / "mesh.obj"))
+        assert not bpy.data.images and len(bpy.data.objects) == 1, naming
+        bpy.ops.wm.read_factory_settings(use_empty=True)
+        asset_import.import_asset(asset, bpy.context.scene.collection)
+        assert len(bpy.data.images) == 4 and len(bpy.data.materials) == 1
 
 
 def check_confidence(asset):

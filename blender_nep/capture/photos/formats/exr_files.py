@@ -3,18 +3,21 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import OpenEXR
 
 from blender_nep.capture.photos.formats.color_encoding import LINEAR, ColorEncoding, from_chromaticities
-from blender_nep.capture.photos.formats.raster import Raster
+from blender_nep.capture.photos.formats.raster import MOST_VALUES, Raster, check_values
+
+_SMALL_FRAME, _LARGEST_PART = 1 << 25, 16
+"""A display window may have as many pixels as 8K, or else so many times those that are stored: the rest becomes NaN."""
 
 
 def size(path: Path) -> tuple[int, int]:
     """(width, height)"""
-    low, high = OpenEXR.File(str(path), header_only=True).header()["displayWindow"]
-    return int(high[0] - low[0]) + 1, int(high[1] - low[1]) + 1
+    return _window(OpenEXR.File(str(path), header_only=True).header(), "displayWindow")
 
 
 def read(path: Path) -> Raster:
@@ -38,7 +41,33 @@ def _color_channels(names: list[str]) -> list[str] | None:
     return None
 
 
+def check(path: Path, most_values: int = MOST_VALUES) -> None:
+    """Raises ValueError if the pixels, or the display window around them, would not fit into memory."""
+    if not path.is_file():  # OpenEXR would wait for ever for a pipe
+        raise OSError(f"there is no file {path}")
+    values = 0
+    for part in OpenEXR.File(str(path), header_only=True).parts:
+        stored, frame = _window(part.header, "dataWindow"), _window(part.header, "displayWindow")
+        channels = len(part.header["channels"])
+        values += stored[0] * stored[1] * channels
+        if values > most_values:
+            raise ValueError(f"its pixels are {stored[0]} x {stored[1]} with {channels} channels")
+        check_values(*frame, 4)
+        if frame[0] * frame[1] > max(_SMALL_FRAME, _LARGEST_PART * stored[0] * stored[1]):
+            raise ValueError(f"its frame is {frame[0]} x {frame[1]}, of which it stores {stored[0]} x {stored[1]} pixels")
+
+
+def _window(header: dict[str, Any], name: str) -> tuple[int, int]:
+    """(width, height) of a window. Raises ValueError if it is empty."""
+    low, high = header[name]
+    width, height = int(high[0]) - int(low[0]) + 1, int(high[1]) - int(low[1]) + 1
+    if min(width, height) < 1:
+        raise ValueError(f"its {name} is empty")
+    return width, height
+
+
 def _pixels(path: Path) -> tuple[np.ndarray, ColorEncoding]:
+    check(path)
     for part in OpenEXR.File(str(path), separate_channels=True).parts:
         channels = {n: np.asarray(c.pixels) for n, c in part.channels.items()}
         names = _color_channels(list(channels))

@@ -15,7 +15,7 @@ from PIL import ExifTags, Image
 
 from blender_nep.capture.photos.formats.color_encoding import LINEAR, SRGB, ColorEncoding, from_codes
 from blender_nep.capture.photos.formats.icc_profiles import from_icc
-from blender_nep.capture.photos.formats.raster import Raster
+from blender_nep.capture.photos.formats.raster import Raster, check_values
 
 _BRANDS = (b"heic", b"heix", b"heim", b"heis", b"hevc", b"hevx", b"hevm", b"hevs", b"mif1", b"msf1")
 
@@ -46,6 +46,8 @@ def read(path: Path, tagged: bool) -> Raster:
     """The primary image. Not `tagged`: the values count as linear, whatever the file says."""
     file = _open(path)
     kind, _, bits = file.mode.partition(";")
+    width, height = file.size
+    check_values(width, height, len(kind))
     encoding = _encoding(file.info) if tagged else LINEAR
     pixels = np.asarray(file)
     pixels = pixels[..., None] if pixels.ndim == 2 else pixels

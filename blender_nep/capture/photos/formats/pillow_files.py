@@ -1,4 +1,4 @@
-"""Reads PNG, JPEG and WebP files, and what else Pillow knows, with the colors that their tags say."""
+"""Reads PNG, JPEG and WebP files, with the colors that their tags say."""
 
 from __future__ import annotations
 
@@ -20,9 +20,7 @@ from blender_nep.capture.photos.formats.color_encoding import (
 )
 from blender_nep.capture.photos.formats.icc_profiles import TableProfile, from_icc
 from blender_nep.capture.photos.formats.raster import Raster
-
-# Phones take photos of 200 megapixels. Pillow warns above this limit and refuses more than twice as many pixels.
-Image.MAX_IMAGE_PIXELS = 1 << 28
+from blender_nep.safety.pictures import open_picture
 
 _STRIP_ROWS = 64
 """Rows of an image that are taken from Pillow at once"""
@@ -33,13 +31,13 @@ DAMAGED_TAGS = (OSError, ValueError, SyntaxError, LookupError, TypeError, Arithm
 
 def size(path: Path) -> tuple[int, int]:
     """(width, height)"""
-    with Image.open(path) as image:
+    with open_picture(path) as image:
         return image.size
 
 
 def tags(path: Path) -> dict[int, object]:
     """What EXIF says, {tag: value}. The orientation is not applied by `read`."""
-    with Image.open(path) as image:
+    with open_picture(path) as image:
         exif = image.getexif()
         return {**exif, **exif.get_ifd(ExifTags.IFD.Exif)}
 
@@ -49,7 +47,7 @@ def read(path: Path, tagged: bool) -> Raster:
 
     Not `tagged`: the values count as linear, whatever the file says.
     """
-    with Image.open(path) as image:
+    with open_picture(path) as image:
         if image.format == "PNG":
             _, _, bits, _, interlaced = png16.header(path)
             encoding = _png_encoding(png16.chunks(path), image) if tagged else LINEAR

@@ -8,10 +8,13 @@ from pathlib import Path
 
 import numpy as np
 
+from blender_nep.capture.photos.formats.raster import check_values
 from blender_nep.ops.compilation import kernel
 
 _CHANNELS = {0: 1, 2: 3, 4: 2, 6: 4}
 _SMALL_CHUNK = 64
+_PIECE = 1 << 20
+"""Bytes of a file that are inflated at a time"""
 
 
 @kernel()
@@ -63,6 +66,37 @@ def chunks(path: Path) -> dict[bytes, bytes]:
     return found
 
 
+def _inflated(path: Path, size: int) -> bytearray:
+    """The scan lines of a PNG, `size` bytes as its header says. Not more is inflated, whatever the file holds.
+
+    Raises ValueError if there are fewer or more.
+    """
+    inflater, raw = zlib.decompressobj(), bytearray()
+    try:
+        with open(path, "rb") as file:
+            file.seek(8)
+            while len(start := file.read(8)) == 8:
+                length, name = struct.unpack(">I4s", start)
+                if name == b"IEND":
+                    break
+                if name != b"IDAT":
+                    file.seek(length + 4, 1)
+                    continue
+                while length > 0 and (packed := file.read(min(length, _PIECE))):
+                    length -= len(packed)
+                    while packed and not inflater.eof:
+                        raw += inflater.decompress(packed, size + 1 - len(raw))
+                        packed = inflater.unconsumed_tail
+                        if len(raw) > size:
+                            raise ValueError("more PNG data than its size needs")
+                file.seek(length + 4, 1)
+    except zlib.error as error:
+        raise ValueError(f"damaged PNG data ({error})") from error
+    if len(raw) < size:
+        raise ValueError("truncated PNG data")
+    return raw
+
+
 def read_png16(path: Path) -> np.ndarray:
     """Read a non-interlaced 16-bit PNG: [H, W, C] uint16, C = 1 (gray), 2 (gray, alpha), 3 (RGB) or 4 (RGBA).
 
@@ -71,20 +105,9 @@ def read_png16(path: Path) -> np.ndarray:
     width, height, bits, kind, interlaced = header(path)
     if bits != 16 or interlaced or kind not in _CHANNELS:
         raise ValueError("not a plain 16-bit PNG")
-    data, position, packed = path.read_bytes(), 8, []
-    while position + 12 <= len(data):
-        size, name = struct.unpack(">I4s", data[position : position + 8])
-        if name == b"IDAT":
-            packed.append(data[position + 8 : position + 8 + size])
-        position += size + 12
+    check_values(width, height, _CHANNELS[kind])
     step = 2 * _CHANNELS[kind]
-    try:
-        raw = np.frombuffer(zlib.decompress(b"".join(packed)), np.uint8)
-    except zlib.error as error:
-        raise ValueError(f"damaged PNG data ({error})") from error
-    if raw.size != height * (1 + step * width):
-        raise ValueError("truncated PNG data")
-    raw = raw.reshape(height, 1 + step * width)
+    raw = np.frombuffer(_inflated(path, height * (1 + step * width)), np.uint8).reshape(height, 1 + step * width)
     rows = np.ascontiguousarray(raw[:, 1:])
     _unfilter(rows, np.ascontiguousarray(raw[:, 0]), step)
     return rows.reshape(height, width, step).view(">u2").astype(np.uint16)

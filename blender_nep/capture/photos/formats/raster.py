@@ -8,6 +8,16 @@ import numpy as np
 
 from blender_nep.capture.photos.formats.color_encoding import ColorEncoding
 
+MOST_VALUES = 1 << 30
+"""Values of an image: a file that says it has more is taken as damaged, because it would not fit into memory. A photo of 250
+megapixels has 750 million."""
+
+
+def check_values(width: int, height: int, channels: int) -> None:
+    """Raises ValueError if an image of this size has more than `MOST_VALUES`."""
+    if width * height * channels > MOST_VALUES:
+        raise ValueError(f"its size is {width} x {height} x {channels}")
+
 
 @dataclass
 class Raster:

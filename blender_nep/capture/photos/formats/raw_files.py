@@ -15,10 +15,14 @@ from blender_nep.capture.photos.formats.color_encoding import LINEAR
 from blender_nep.capture.photos.formats.pillow_files import DAMAGED_TAGS
 from blender_nep.capture.photos.formats.raster import Raster
 from blender_nep.errors import CaptureError
+from blender_nep.safety.pictures import open_picture
+from blender_nep.safety.plain_files import read_bytes
 
 SUFFIXES = (".dng", ".cr2", ".cr3", ".nef", ".arw", ".raf", ".orf", ".rw2")
 _ORIENTATIONS = {0: 1, 3: 3, 5: 8, 6: 6}
 """{LibRaw's flip: EXIF's orientation}"""
+_MOST_BYTES = 1 << 30
+"""Of a raw file. In a larger one, no EXIF is searched."""
 _FUJI = b"FUJIFILMCCD-RAW"
 _CANON_TAGS, _CANON_EXIF = b"CMT1", b"CMT2"
 _CANON_HEADER = 1 << 16
@@ -55,7 +59,7 @@ def tags(path: Path) -> dict[int, object]:
         orientation = _ORIENTATIONS.get(raw.sizes.flip, 1)
     found: dict[int, object] = {}
     try:
-        for exif in _exif(path.read_bytes()):
+        for exif in _exif(read_bytes(path, _MOST_BYTES)):
             found |= {**exif, **exif.get_ifd(ExifTags.IFD.Exif)}
     except DAMAGED_TAGS:
         pass  # without it, the focal length is not known, and the photo can be used all the same
@@ -84,7 +88,7 @@ def _exif(data: bytes) -> Iterator[Image.Exif]:
     """The places in a raw file that hold EXIF, for the layouts of the endings in `SUFFIXES`."""
     if data.startswith(_FUJI):
         offset, length = struct.unpack_from(">II", data, 84)
-        with Image.open(io.BytesIO(data[offset : offset + length])) as preview:
+        with open_picture(io.BytesIO(data[offset : offset + length]), ("JPEG",)) as preview:
             yield preview.getexif()
         return
     if data[4:12] == b"ftypcrx ":

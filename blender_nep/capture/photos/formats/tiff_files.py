@@ -12,7 +12,7 @@ from PIL import ExifTags, Image
 from blender_nep.capture.photos.formats.color_encoding import LINEAR, SRGB, ColorEncoding
 from blender_nep.capture.photos.formats.icc_profiles import from_icc
 from blender_nep.capture.photos.formats.pillow_files import DAMAGED_TAGS
-from blender_nep.capture.photos.formats.raster import Raster
+from blender_nep.capture.photos.formats.raster import Raster, check_values
 
 # tifffile tells of each odd tag, of which a damaged file has hundreds. What matters here is raised.
 logging.getLogger("tifffile").setLevel(logging.CRITICAL)
@@ -22,9 +22,9 @@ _ICC_PROFILE = 34675
 _WHITE_IS_0, _BLACK_IS_0, _RGB, _PALETTE, _YCBCR = 0, 1, 2, 3, 6
 _JPEG = (6, 7, 34892, 33007)
 """Compressions by JPEG, whose decoder makes YCbCr to RGB"""
+_COMPRESSIONS = (1, 5, 8, 32946, 32773, 34925, 50000, *_JPEG)
+"""None, LZW, deflate (two numbers), PackBits, LZMA, Zstandard and JPEG. tifffile knows thirty more."""
 _ASSOCIATED, _NOT_ASSOCIATED = 1, 2
-_MOST_VALUES = 1 << 30
-"""A file that says it has more is taken as damaged: it would not fit into memory."""
 
 
 def recognizes(start: bytes) -> bool:
@@ -87,8 +87,10 @@ def _check(page: tifffile.TiffPage) -> None:
     if not known and not (page.photometric == _YCBCR and page.compression in _JPEG):
         name = getattr(page.photometric, "name", page.photometric)
         raise ValueError(f"its colors are {name}: save it as RGB")
-    if page.imagewidth * page.imagelength * page.samplesperpixel > _MOST_VALUES:
-        raise ValueError(f"its size is {page.imagewidth} x {page.imagelength} x {page.samplesperpixel}")
+    check_values(page.imagewidth, page.imagelength, page.samplesperpixel)
+    if page.compression not in _COMPRESSIONS:
+        name = getattr(page.compression, "name", page.compression)
+        raise ValueError(f"its compression {name} is not supported: save it with LZW or deflate")
     if page.sampleformat not in (1, 3) or page.imagedepth != 1:
         raise ValueError("its values are neither whole numbers without sign nor floats")
     if not page.dataoffsets or 0 in page.databytecounts:  # tifffile would fill in zeros
