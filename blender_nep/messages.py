@@ -177,6 +177,7 @@ WORDS: dict[str, str] = {
     "intrinsics rescaled): {names}",
     "capture.photos_without_pose": "{count} {count:photo is|photos are} left out, because {count:it has|they have} no "
     "camera pose or {count:is|are} disabled: {names}",
+    "capture.photos_missing": "{count} of {photos} photos {count:is|are} missing and {count:is|are} left out: {names}",
     "capture.several_models": "the COLMAP project has {models} models: only the largest, {place}, with "
     "{photos} {photos:photo|photos} is used; {others} {others:photo is|photos are} in the others",
     "capture.masks_unmatched": "the folder masks holds images, but none has the name of a photo (such as {example}): "

@@ -85,6 +85,7 @@ MESSAGES = {
     "{count:is|are} used all the same: {names}",
     "capture.photos_without_pose": "{count} {count:photo is|photos are} left out, because {count:it has|they have} no "
     "camera pose or {count:is|are} disabled: {names}",
+    "capture.photos_missing": "{count} of {photos} photos {count:is|are} missing and {count:is|are} left out: {names}",
     "capture.several_models": "Of {models} COLMAP models the largest ({photos} photos) is used. The others have {others}",
     "capture.masks_unmatched": "No image in the folder masks has the name of a photo, such as {example}. They are not used",
     "capture.same_place": "{count} {count:photo was|photos were} taken from the same place in the same direction as others "
@@ -250,6 +251,10 @@ ERRORS = {
     ),
     "usage.no_masks": ("Each photo needs a mask for this", "Put the masks into {folder}."),
     "unexpected.no_pycolmap": ("The installed engine cannot find cameras", "Install the engine again in the preferences."),
+    "capture.photos_not_there": (
+        "{count} of {photos} photos {count:is|are} missing: {names}",
+        "Put {count:it|them} into {folder}. At least 3 photos are needed.",
+    ),
     "capture.too_few_photos": (
         "There {photos:is|are} {photos} {photos:photo|photos} in the folder: at least 3 are needed",
         "40 photos and more, all around the object, work well.",

@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from ..photo_lookup import PhotoLookup
 from .image_files import load_pixels
 from .image_size import image_size
 from .photo_formats import HEIF, RAW, color_space
@@ -75,18 +76,20 @@ def read_frames(folder: Path, transforms: str = "transforms.json") -> list[Frame
     entries = meta.get("frames")
     if not isinstance(entries, list) or not entries or not all(isinstance(entry, dict) for entry in entries):
         raise ValueError(f"{path} lists no frames")
-    return [_frame(Path(folder), meta, entry) for entry in entries]
+    lookup = PhotoLookup(Path(folder))
+    return [_frame(lookup, meta, entry) for entry in entries]
 
 
 def read_frames_of(capture: Path, asset: Path) -> list[Frame]:
     """The frames of the capture from which `asset` was made.
 
-    Where the capture has another form than transforms.json, they are read from the asset's cameras.json, whose photos must
-    lie in the capture's folder. Raises as `read_frames`.
+    The asset's cameras.json tells them as the engine has read them, whatever the form of the capture. Its photos must be
+    there. If the capture has been moved or has changed, its own transforms.json counts. Raises as `read_frames`.
     """
-    if not (Path(capture) / "transforms.json").is_file() and (Path(asset) / CAMERAS).is_file():
+    if (Path(asset) / CAMERAS).is_file():
         frames = read_frames(Path(asset).resolve(), CAMERAS)
-        if all(_lies_in(frame.path, Path(capture)) for frame in frames):
+        own = (Path(capture) / "transforms.json").is_file()
+        if all(frame.path.is_file() and (own or _lies_in(frame.path, Path(capture))) for frame in frames):
             return frames
     return read_frames(capture)
 
@@ -119,12 +122,15 @@ def read_bounds(folder: Path) -> tuple[list[float], float] | None:
 def with_exposures(frames: list[Frame], asset: Path) -> list[Frame]:
     """The frames from which `asset` was made, with the exposures that its report gives.
 
-    `frames` must be all frames of the capture. They come back unchanged where the report does not fit them.
+    `frames` must be all frames of the capture, or those from which the asset was made, as its cameras.json has them. They
+    come back unchanged where the report does not fit them.
     """
     try:
         capture = json.loads((Path(asset) / "report.json").read_text(encoding="utf-8"))["capture"]
         left_out = set(capture.get("photos_left_out", ()))
-        used = [frame for index, frame in enumerate(frames) if index not in left_out]
+        used = frames
+        if len(frames) != capture["views"]:
+            used = [frame for index, frame in enumerate(frames) if index not in left_out]
         if len(used) != capture["views"]:  # the asset was made from other photos
             return frames
         if "photo_gains" not in capture:  # all photos have one exposure
@@ -158,8 +164,9 @@ def _read_meta(path: Path) -> dict:
     return meta
 
 
-def _frame(folder: Path, meta: dict, entry: dict) -> Frame:
+def _frame(lookup: PhotoLookup, meta: dict, entry: dict) -> Frame:
     """The frame that `entry` describes. A value that `entry` does not have is taken from `meta`, which is for all frames."""
+    folder = lookup.folder
 
     def value(name: str, default: float | None = None) -> Any:
         found = entry.get(name, meta.get(name, default))
@@ -167,9 +174,8 @@ def _frame(folder: Path, meta: dict, entry: dict) -> Frame:
             raise ValueError(f"{folder}: a frame has no {name}")
         return found
 
-    path = folder / str(value("file_path"))
-    if not path.suffix:
-        path = path.with_suffix(".png")  # instant-ngp's form for synthetic captures leaves out the ending of file names
+    name = str(value("file_path"))
+    path = lookup.find(name) or folder / name
     if "w" in entry or "w" in meta:
         width, height = int(value("w")), int(value("h"))
     else:
@@ -193,7 +199,7 @@ def _frame(folder: Path, meta: dict, entry: dict) -> Frame:
         _matrix(value("transform_matrix"), path),
         space,
         distortion={name: found for name, found in distortion.items() if found},
-        mask=folder / str(mask) if mask else None,
+        mask=lookup.at(str(mask)) or folder / str(mask) if mask else None,
     )
 
 

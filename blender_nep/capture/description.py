@@ -9,6 +9,9 @@ from typing import Any
 from blender_nep.capture.capture import View
 from blender_nep.messages import Message
 
+MINIMUM_VIEWS = 3
+"""With fewer photos, neither the shape nor the surroundings are determined: two views cannot even contradict each other."""
+
 
 @dataclass
 class CaptureDescription:

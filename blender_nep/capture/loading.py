@@ -12,14 +12,12 @@ import numpy as np
 
 from blender_nep.capture.bounds import check_sphere, sphere_from_cameras, sphere_from_masks
 from blender_nep.capture.capture import Capture, View
-from blender_nep.capture.description import CaptureDescription
+from blender_nep.capture.description import MINIMUM_VIEWS, CaptureDescription
 from blender_nep.capture.formats import bundler, cameras_sphere, colmap, llff, metashape, nerf_synthetic, transforms
 from blender_nep.capture.photos.photo_files import is_linear
 from blender_nep.errors import CaptureError
 from blender_nep.messages import Message
 
-MINIMUM_VIEWS = 3
-"""With fewer photos, neither the shape nor the surroundings are determined: two views cannot even contradict each other."""
 _OTHER_FORMATS = (nerf_synthetic, colmap, llff, cameras_sphere, metashape, bundler)
 """All formats but the first one, in the order in which they are asked"""
 

@@ -18,9 +18,9 @@ from blender_nep.capture.cameras.camera import Camera
 from blender_nep.capture.cameras.lens import Lens
 from blender_nep.capture.capture import View
 from blender_nep.capture.description import CaptureDescription
-from blender_nep.capture.formats.photo_search import mask_warnings, named_mask
+from blender_nep.capture.formats.photo_search import check_distinct, mask_warnings, named_mask, photos_named
 from blender_nep.capture.formats.photos import check_readable, fitted, rescaled_warnings
-from blender_nep.capture.photos.photo_files import find_image
+from blender_nep.capture.photos.photo_lookup import stem
 from blender_nep.errors import CaptureError
 from blender_nep.messages import Message
 
@@ -101,9 +101,12 @@ def read(folder: Path) -> CaptureDescription:
     files, cameras, poses = _read_model(model)
     if not poses:
         raise CaptureError(f"the COLMAP project in {model} has no photos with a pose", "Run COLMAP's mapper again.")
+    photos, missing = photos_named(folder, [pose.name for pose in poses], NAME)
+    placed = sorted((pose for pose in poses if pose.name in photos), key=lambda pose: pose.name)
     rescaled: list[str] = []
-    views = [_view(folder, cameras, pose, rescaled) for pose in sorted(poses, key=lambda pose: pose.name)]
-    warnings += mask_warnings(folder, views) + rescaled_warnings(rescaled)
+    views = [_view(folder, cameras, pose, photos[pose.name], rescaled) for pose in placed]
+    check_distinct(views, NAME)
+    warnings += missing + mask_warnings(folder, views) + rescaled_warnings(rescaled)
     return CaptureDescription(name=NAME, files=files, views=views, warnings=warnings)
 
 
@@ -155,16 +158,13 @@ def _read_model(model: Path) -> tuple[tuple[Path, Path], dict[int, _Intrinsics],
         ) from error
 
 
-def _view(folder: Path, cameras: dict[int, _Intrinsics], pose: _Pose, rescaled: list[str]) -> View:
-    image = find_image(folder / "images", pose.name) or find_image(folder, pose.name)
-    if image is None:
-        raise CaptureError(f"photo {pose.name} is missing", f"Put it into {folder / 'images'}.")
+def _view(folder: Path, cameras: dict[int, _Intrinsics], pose: _Pose, image: Path, rescaled: list[str]) -> View:
     check_readable(image, pose.name)
     if pose.camera not in cameras:
         raise CaptureError(f"{pose.name}: the project has no camera {pose.camera}", "Export the project again.")
     mask = named_mask(folder, Path(pose.name))
     camera = fitted(_camera(cameras[pose.camera], pose), image, pose.name, NAME, rescaled)
-    return View(str(Path(pose.name).with_suffix("")), image, mask, camera)
+    return View(stem(pose.name), image, mask, camera)
 
 
 def _camera(intrinsics: _Intrinsics, pose: _Pose) -> Camera:

@@ -30,7 +30,7 @@ from blender_nep.capture.cameras.camera import Camera
 from blender_nep.capture.cameras.lens import Lens
 from blender_nep.capture.capture import View
 from blender_nep.capture.description import CaptureDescription
-from blender_nep.capture.formats.photo_search import check_distinct, found_photo, mask_of, mask_warnings, view_name
+from blender_nep.capture.formats.photo_search import check_distinct, mask_of, mask_warnings, photos_named, view_name
 from blender_nep.capture.formats.photos import check_readable, fitted, rescaled_warnings
 from blender_nep.capture.formats.poses import (
     FROM_OPENCV,
@@ -95,14 +95,17 @@ def read(folder: Path) -> CaptureDescription:
     found_sensors = [sensor for sensor in chunk.iterfind("sensors/sensor") if sensor.get("id") in used]
     sensors = {sensor.get("id"): _sensor(sensor, file) for sensor in found_sensors}
     frames = _frames(chunk, list(dict.fromkeys(camera.get("component_id") for camera in placed)), file)
+    photos, missing = photos_named(folder, [_label(camera, file) for camera in placed], file)
     rescaled: list[str] = []
     views = []
     for camera in placed:
         label = _label(camera, file)
+        if label not in photos:
+            continue
         sensor = sensors.get(camera.get("sensor_id"))
         if sensor is None:
             raise CaptureError(f"{file}: camera {label} has no sensor", "Export the cameras again.")
-        image = found_photo(folder, label, file)
+        image = photos[label]
         check_readable(image, label)
         matrix = _pose(camera, frames[camera.get("component_id")], f"{file}: {label}")
         ours = Camera(*sensor[:6], matrix, sensor.lens)
@@ -110,8 +113,8 @@ def read(folder: Path) -> CaptureDescription:
             View(view_name(folder, image), image, mask_of(folder, image), fitted(ours, image, label, file, rescaled))
         )
     check_distinct(views, file)
-    missing = [_label(camera, file) for camera in cameras if not _has_pose(camera)]
-    warnings = without_pose_warnings(missing) + mask_warnings(folder, views) + rescaled_warnings(rescaled)
+    without = [_label(camera, file) for camera in cameras if not _has_pose(camera)]
+    warnings = without_pose_warnings(without) + missing + mask_warnings(folder, views) + rescaled_warnings(rescaled)
     return CaptureDescription(name=file, files=(found[0],), views=views, warnings=warnings)
 
 

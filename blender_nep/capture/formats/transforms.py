@@ -17,8 +17,10 @@ from blender_nep.capture.cameras.camera import Camera
 from blender_nep.capture.cameras.lens import Lens
 from blender_nep.capture.capture import View
 from blender_nep.capture.description import CaptureDescription
+from blender_nep.capture.formats.photo_search import photos_named
 from blender_nep.capture.formats.photos import check_readable, fitted, rescaled_warnings
 from blender_nep.capture.photos.photo_files import find_image, image_size
+from blender_nep.capture.photos.photo_lookup import PLACES, stem
 from blender_nep.errors import CaptureError
 
 FILE = "transforms.json"
@@ -38,8 +40,10 @@ def read(folder: Path, file: str = FILE) -> CaptureDescription:
     frames = meta.get("frames")
     if not isinstance(frames, list) or not frames:
         raise CaptureError(f"{file} lists no frames", "It needs a list 'frames' with file_path and transform_matrix.")
+    named = [(_photo_name(frame, n), frame) for n, frame in enumerate(frames)]
+    photos, warnings = photos_named(folder, [name for name, _ in named], file, PLACES, absolute_first=True)
     rescaled: list[str] = []
-    views = [_view(folder, file, meta, _dict(frame, n), n, rescaled) for n, frame in enumerate(frames)]
+    views = [_view(folder, file, meta, frame, photos[name], rescaled) for name, frame in named if name in photos]
     return CaptureDescription(
         name=file,
         files=(folder / file,),
@@ -47,7 +51,7 @@ def read(folder: Path, file: str = FILE) -> CaptureDescription:
         color_space=meta.get("color_space"),
         object_center=meta.get("object_center"),
         object_radius=meta.get("object_radius"),
-        warnings=rescaled_warnings(rescaled),
+        warnings=warnings + rescaled_warnings(rescaled),
     )
 
 
@@ -77,10 +81,13 @@ def _lens(meta: dict, frame: dict, name: str) -> Lens:
     return lens
 
 
-def _dict(frame: object, n: int) -> dict:
+def _photo_name(frame: object, n: int) -> str:
+    """What frame `n` calls its photo."""
     if not isinstance(frame, dict):
         raise CaptureError(f"frame {n} is not a JSON object")
-    return frame
+    if not isinstance(frame.get("file_path"), str):
+        raise CaptureError(f"frame {n} has no file_path")
+    return frame["file_path"]
 
 
 def _number(frame: dict, meta: dict, key: str, name: str) -> float | None:
@@ -96,20 +103,15 @@ def _number(frame: dict, meta: dict, key: str, name: str) -> float | None:
     return number
 
 
-def _view(folder: Path, file: str, meta: dict, frame: dict, n: int, rescaled: list[str]) -> View:
-    if not isinstance(frame.get("file_path"), str):
-        raise CaptureError(f"frame {n} has no file_path")
+def _view(folder: Path, file: str, meta: dict, frame: dict, image: Path, rescaled: list[str]) -> View:
     name = frame["file_path"]
-    image = find_image(folder, name)
-    if image is None:
-        raise CaptureError(f"photo {name} is missing", f"Put it back into {folder}, or take its frame out of {file}.")
     check_readable(image, name)
     mask = None
     if frame.get("mask_path"):
         mask = find_image(folder, str(frame["mask_path"]))
         if mask is None:
             raise CaptureError(f"mask {frame['mask_path']} is missing", "Put it back, or take mask_path out of its frame.")
-    return View(Path(name).stem, image, mask, fitted(_camera(meta, frame, name, image), image, name, file, rescaled))
+    return View(stem(image.name), image, mask, fitted(_camera(meta, frame, name, image), image, name, file, rescaled))
 
 
 def _camera(meta: dict, frame: dict, name: str, image: Path) -> Camera:

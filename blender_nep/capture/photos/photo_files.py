@@ -23,11 +23,13 @@ from pathlib import Path
 import numpy as np
 from PIL import ExifTags, Image
 
+from blender_nep.capture.photos import photo_lookup
 from blender_nep.capture.photos.formats import exr_files, heif_files, pillow_files, raw_files, tiff_files
 from blender_nep.capture.photos.formats.raster import Raster
+from blender_nep.capture.photos.photo_lookup import PhotoLookup
 from blender_nep.errors import CaptureError
 
-SUFFIXES = (".exr", ".png", ".jpg", ".jpeg", ".tif", ".tiff", ".webp", ".heic", ".heif", ".hif", *raw_files.SUFFIXES)
+SUFFIXES = photo_lookup.ENDINGS
 
 _UNREADABLE = (
     *(OSError, ValueError, RuntimeError, SyntaxError, KeyError, IndexError, TypeError, EOFError, AssertionError),
@@ -37,19 +39,8 @@ _UNREADABLE = (
 
 
 def find_image(folder: Path, name: str) -> Path | None:
-    """The path of the image `name` in `folder`, or None if there is no such file.
-
-    Where `name` has no extension (as in Blender datasets), the extensions of `SUFFIXES` are tried in their order.
-    """
-    path = folder / name
-    if path.is_file():
-        return path
-    if path.suffix.lower() not in SUFFIXES:
-        for suffix in SUFFIXES:
-            for found in (path.with_name(path.name + suffix), path.with_name(path.name + suffix.upper())):
-                if found.is_file():
-                    return found
-    return None
+    """The path of the image `name` in `folder`, or None if there is no such file. See `PhotoLookup.at`."""
+    return PhotoLookup(folder).at(name)
 
 
 def file_kind(path: Path) -> str:
