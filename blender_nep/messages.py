@@ -177,6 +177,19 @@ WORDS: dict[str, str] = {
     "intrinsics rescaled): {names}",
     "capture.photos_without_pose": "{count} {count:photo is|photos are} left out, because {count:it has|they have} no "
     "camera pose or {count:is|are} disabled: {names}",
+    "capture.angles_disagree": "camera_angle_y (or y_fov) of {count} {count:photo|photos} does not fit camera_angle_x: "
+    "pixels would be no squares. It is not used: {names}",
+    "capture.focal_lengths_differ": "the lens of {count} {count:photo|photos} looks wrong: fl_x and fl_y differ by "
+    "{percent:.0f} % ({names}). Look whether the cameras are right",
+    "capture.principal_point_off": "the lens of {count} {count:photo|photos} looks wrong: the principal point is at "
+    "{across:.0f} % of the width and {down:.0f} % of the height ({names}). If the photos were not cropped, look whether the "
+    "cameras are right",
+    "capture.distortion_large": "the lens of {count} {count:photo|photos} looks wrong: its distortion is larger than that "
+    "of usual lenses ({names}). Look whether the cameras are right",
+    "capture.view_angle_odd": "the lens of {count} {count:photo|photos} looks wrong: its angle of view is {degrees:.1f} "
+    "degrees ({names}). Look whether the focal length is right, in pixels of the declared size",
+    "capture.skew_large": "the lens of {count} {count:photo|photos} looks wrong: its pixels are skewed by {percent:.1f} % "
+    "({names}). Look whether the cameras are right",
     "capture.photos_missing": "{count} of {photos} photos {count:is|are} missing and {count:is|are} left out: {names}",
     "capture.several_models": "the COLMAP project has {models} models: only the largest, {place}, with "
     "{photos} {photos:photo|photos} is used; {others} {others:photo is|photos are} in the others",

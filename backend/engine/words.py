@@ -85,6 +85,18 @@ MESSAGES = {
     "{count:is|are} used all the same: {names}",
     "capture.photos_without_pose": "{count} {count:photo is|photos are} left out, because {count:it has|they have} no "
     "camera pose or {count:is|are} disabled: {names}",
+    "capture.angles_disagree": "The vertical angle of view of {count} {count:photo|photos} does not fit the horizontal "
+    "one: it is not used ({names})",
+    "capture.focal_lengths_differ": "The focal lengths across and down of {count} {count:photo|photos} differ by "
+    "{percent:.0f} %, which no usual lens has: look whether the cameras are right ({names})",
+    "capture.principal_point_off": "The principal point of {count} {count:photo|photos} is far from the middle (at "
+    "{across:.0f} % of the width and {down:.0f} % of the height): look whether the cameras are right ({names})",
+    "capture.distortion_large": "The lens distortion of {count} {count:photo|photos} is larger than that of any usual lens: "
+    "look whether the cameras are right ({names})",
+    "capture.view_angle_odd": "The angle of view of {count} {count:photo|photos} is {degrees:.1f} degrees, which no usual "
+    "lens has: look whether the focal length is right ({names})",
+    "capture.skew_large": "The pixels of {count} {count:photo|photos} are skewed by {percent:.1f} %, which no usual "
+    "camera has: look whether the cameras are right ({names})",
     "capture.photos_missing": "{count} of {photos} photos {count:is|are} missing and {count:is|are} left out: {names}",
     "capture.several_models": "Of {models} COLMAP models the largest ({photos} photos) is used. The others have {others}",
     "capture.masks_unmatched": "No image in the folder masks has the name of a photo, such as {example}. They are not used",
@@ -281,7 +293,7 @@ ERRORS = {
         "The photos show too little, or the cameras are wrong. Press Find Cameras Again, which does not need them.",
     ),
     "capture.lens_not_improved": (
-        "The cameras have a lens model (k4) that cannot be improved",
+        "The cameras have a lens model (k4 or a skew) that cannot be improved",
         "Use them as they are, or press Find Cameras Again.",
     ),
     "output.no_working_files": (

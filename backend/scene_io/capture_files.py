@@ -20,7 +20,7 @@ from .photo_formats import HEIF, RAW, color_space
 from .srgb import srgb_to_linear
 
 CAMERAS = "cameras.json"  # the engine writes it into every asset: blender_nep/asset/cameras_file.py
-DISTORTION = ("camera_model", "k1", "k2", "k3", "k4", "p1", "p2")
+DISTORTION = ("camera_model", "k1", "k2", "k3", "k4", "p1", "p2", "distortion_params", "skew")
 GRAY = 0.18  # radiance that is shown where a photo is transparent
 
 
@@ -184,8 +184,9 @@ def _frame(lookup: PhotoLookup, meta: dict, entry: dict) -> Frame:
     if entry.get("is_fisheye", meta.get("is_fisheye")):  # as instant-ngp says it
         distortion["camera_model"] = distortion["camera_model"] or "OPENCV_FISHEYE"
     mask = entry.get("mask_path")
-    angle = entry.get("camera_angle_x", meta.get("camera_angle_x"))
-    fl_x = float(value("fl_x", None if angle is None else 0.5 * width / math.tan(0.5 * angle)))
+    across, down = (_focal_by_angle({**meta, **entry}, *axis) for axis in (("x", width), ("y", height)))
+    given_y = entry.get("fl_y", meta.get("fl_y"))
+    fl_x = float(value("fl_x", given_y if across is None and given_y else across or down))
     # As in the engine, OpenEXR is linear, whatever the capture says of its other photos.
     space = "linear" if path.suffix.lower() == ".exr" else meta.get("color_space") or _color_space(path)
     return Frame(
@@ -201,6 +202,14 @@ def _frame(lookup: PhotoLookup, meta: dict, entry: dict) -> Frame:
         distortion={name: found for name, found in distortion.items() if found},
         mask=lookup.at(str(mask)) or folder / str(mask) if mask else None,
     )
+
+
+def _focal_by_angle(keys: dict, axis: str, side: int) -> float | None:
+    """The focal length in pixels by the angle of view along an axis, in radians or in degrees; None where there is none."""
+    angle, degrees = keys.get(f"camera_angle_{axis}"), keys.get(f"{axis}_fov")
+    if angle is None and degrees is not None:
+        angle = math.radians(degrees)
+    return None if angle is None else 0.5 * side / math.tan(0.5 * angle)
 
 
 def _color_space(path: Path) -> str:

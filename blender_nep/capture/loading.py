@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from blender_nep.capture.bounds import check_sphere, sphere_from_cameras, sphere_from_masks
+from blender_nep.capture.cameras.plausible_lens import lens_warnings
 from blender_nep.capture.capture import Capture, View
 from blender_nep.capture.description import MINIMUM_VIEWS, CaptureDescription
 from blender_nep.capture.formats import bundler, cameras_sphere, colmap, llff, metashape, nerf_synthetic, transforms
@@ -45,6 +46,7 @@ def load_capture(
         )
     warnings = list(said.warnings)
     _check_places(said.views, warnings)
+    warnings += lens_warnings([v.name for v in said.views], [v.camera for v in said.views])
     color_space = _color_space(said, warnings)
     capture = Capture(folder, said.views, color_space, np.zeros(3), 1.0, "", warnings, said.files)
     if sphere is None:

@@ -350,7 +350,6 @@ BAD = [
     (write_metashape, sensor_text('sensor_id="1"', 'sensor_id="77"'), "cameras.xml: camera b 2.png has no sensor"),
     (write_metashape, sensor_text('type="frame"', 'type="spherical"'), "camera type spherical is not supported"),
     (write_metashape, sensor_text('type="frame"', 'type="equisolid_fisheye"'), "equisolid_fisheye is not supported"),
-    (write_metashape, sensor_text("</calibration>", "<b2>0.6</b2></calibration>"), "lens 0 has a skew b2 of 0.86 %"),
     (
         write_metashape,
         sensor_text("</calibration>", "<p3>0.1</p3></calibration>"),
@@ -388,12 +387,6 @@ def test_a_damaged_capture_ends_in_a_clear_message(tmp_path, write, damage, mess
     damage(tmp_path)
     with pytest.raises(CaptureError, match=re.escape(message)):
         load_capture(tmp_path)
-
-
-def test_skewed_pixels_are_refused(tmp_path):
-    write_cameras_sphere(tmp_path, known_cameras(), skew=0.006)
-    with pytest.raises(CaptureError, match=r"cameras_sphere.npz: world_mat_0 of a.png has a skew of 0.6 %"):
-        cameras_sphere.read(tmp_path)
 
 
 def test_tangential_distortion_of_a_fisheye_is_refused(tmp_path):

@@ -74,7 +74,7 @@ def text_as_photo(tiny):
 
 
 def other_format(tiny):
-    (tiny.folder / "images/000.tga").write_bytes(b"x")
+    (tiny.folder / "images/000.exr").rename(tiny.folder / "images/000.tga")
     tiny.meta["frames"][0]["file_path"] = "images/000.tga"
     tiny.save()
 

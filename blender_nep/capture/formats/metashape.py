@@ -42,8 +42,6 @@ from blender_nep.capture.formats.poses import (
 from blender_nep.errors import CaptureError
 
 _FISHEYE = ("fisheye", "equidistant_fisheye")
-_MOST_SKEW = 0.005
-"""More of b2 than this, relative to the focal length, is refused. Less is left out."""
 
 
 class _Sensor(NamedTuple):
@@ -226,11 +224,6 @@ def _sensor(sensor: Element, file: str) -> _Sensor:
     width, height = _values(size, 2, f"{what}: resolution").tolist()
     focal, b1, b2 = term("f"), term("b1"), term("b2")
     check_intrinsics(what, width, height, focal, focal + b1)
-    if abs(b2) > _MOST_SKEW * focal:
-        raise CaptureError(
-            f"{what} has a skew b2 of {100 * b2 / focal:.2g} % of the focal length",
-            "Calibrate it in Metashape with b2 fixed.",
-        )
     k1, k2, k3, k4, p1, p2 = (term(name) for name in ("k1", "k2", "k3", "k4", "p1", "p2"))
     refused = [name for name in (("p1", "p2", "p3", "p4") if kind in _FISHEYE else ("p3", "p4")) if term(name)]
     if refused:
@@ -238,6 +231,8 @@ def _sensor(sensor: Element, file: str) -> _Sensor:
             f"{what}: the distortion {', '.join(refused)} of camera type {kind} is not supported",
             "Calibrate it in Metashape with these fixed, or export the photos without distortion (Convert Images).",
         )
-    lens = Lens(k1, k2, k3, k4, p1=p2, p2=p1, fisheye=kind in _FISHEYE)  # see above: the two are swapped
+    lens = Lens(
+        k1, k2, k3, k4, p1=p2, p2=p1, fisheye=kind in _FISHEYE, skew=b2 / (focal + b1)
+    )  # see above: the two are swapped
     cx, cy = width / 2 + term("cx"), height / 2 + term("cy")
     return _Sensor(round(width), round(height), focal + b1, focal, cx, cy, lens)
