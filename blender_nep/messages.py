@@ -190,6 +190,21 @@ WORDS: dict[str, str] = {
     "degrees ({names}). Look whether the focal length is right, in pixels of the declared size",
     "capture.skew_large": "the lens of {count} {count:photo|photos} looks wrong: its pixels are skewed by {percent:.1f} % "
     "({names}). Look whether the cameras are right",
+    "capture.cameras_scaled": "transform_matrix of {count} {count:photo|photos} scales: only its rotation and its "
+    "position are used ({names})",
+    "capture.cameras_transposed": "transform_matrix has its rows as columns: it is read so",
+    "capture.world_to_camera": "transform_matrix leads from the world to the camera, and is read so: the cameras fit each "
+    "other and the photos better then",
+    "capture.rotations_turned": "the rotations of transform_matrix lead from the world to the camera, and are read so: "
+    "the cameras fit each other and the photos better then",
+    "capture.opencv_axes": "the cameras have OpenCV's axes (y down, looking along +z), and are read so: they fit each "
+    "other and the photos better then",
+    "capture.mitsuba_axes": "the cameras have Mitsuba's axes (x left, y up, looking along +z), and are read so: they fit "
+    "each other and the photos better then",
+    "capture.opengl_axes": "the cameras have OpenGL's axes (y up, looking down -z) although from_mitsuba is true, and are "
+    "read so: they fit each other and the photos better then",
+    "capture.cameras_of_upright": "the {count:camera is for a photo that EXIF turns|cameras are for photos that EXIF "
+    "turns} upright, and {count:was|were} turned to the pixels as the file stores them: {names}",
     "capture.photos_missing": "{count} of {photos} photos {count:is|are} missing and {count:is|are} left out: {names}",
     "capture.several_models": "the COLMAP project has {models} models: only the largest, {place}, with "
     "{photos} {photos:photo|photos} is used; {others} {others:photo is|photos are} in the others",

@@ -97,6 +97,21 @@ MESSAGES = {
     "lens has: look whether the focal length is right ({names})",
     "capture.skew_large": "The pixels of {count} {count:photo|photos} are skewed by {percent:.1f} %, which no usual "
     "camera has: look whether the cameras are right ({names})",
+    "capture.cameras_scaled": "{count} {count:camera is|cameras are} scaled: only {count:its rotation and its position "
+    "are|their rotations and positions are} used ({names})",
+    "capture.cameras_transposed": "The cameras have rows in the place of columns, and are read so",
+    "capture.world_to_camera": "The cameras are given from the world to the camera, and are read so: they fit each other "
+    "and the photos better then",
+    "capture.rotations_turned": "The rotations of the cameras are given from the world to the camera, and are read so: "
+    "they fit each other and the photos better then",
+    "capture.opencv_axes": "The cameras have OpenCV's axes (Y down, looking along +Z), and are read so: they fit each "
+    "other and the photos better then",
+    "capture.mitsuba_axes": "The cameras have Mitsuba's axes (X left, Y up, looking along +Z), and are read so: they fit "
+    "each other and the photos better then",
+    "capture.opengl_axes": "The cameras have OpenGL's axes, although the file says Mitsuba's, and are read so: they fit "
+    "each other and the photos better then",
+    "capture.cameras_of_upright": "The {count:camera is for a photo that EXIF turns|cameras are for photos that EXIF "
+    "turns} upright, and {count:was|were} turned to the pixels as they are stored: {names}",
     "capture.photos_missing": "{count} of {photos} photos {count:is|are} missing and {count:is|are} left out: {names}",
     "capture.several_models": "Of {models} COLMAP models the largest ({photos} photos) is used. The others have {others}",
     "capture.masks_unmatched": "No image in the folder masks has the name of a photo, such as {example}. They are not used",

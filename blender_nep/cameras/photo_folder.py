@@ -14,7 +14,16 @@ from blender_nep.cameras.reduction import Reduction
 from blender_nep.capture.capture import Capture
 from blender_nep.capture.formats.photo_search import named_mask
 from blender_nep.capture.loading import MINIMUM_VIEWS
-from blender_nep.capture.photos.photo_files import SUFFIXES, MaskRaster, Raster, exif, file_kind, image_size, open_image
+from blender_nep.capture.photos.photo_files import (
+    QUARTER_TURNS,
+    SUFFIXES,
+    MaskRaster,
+    Raster,
+    exif,
+    file_kind,
+    image_size,
+    open_image,
+)
 from blender_nep.color import linear_to_srgb, to_bytes
 from blender_nep.errors import CaptureError
 
@@ -22,11 +31,6 @@ _MAKE, _MODEL, _ORIENTATION = 0x010F, 0x0110, 0x0112
 _FOCAL_LENGTH, _FILM_LENGTH, _LENS_MODEL = 0x920A, 0xA405, 0xA434
 _FILM_DIAGONAL = 43.2666
 """mm, of film 36 x 24. A focal length "in 35 mm film" is for the same diagonal angle."""
-_QUARTER_TURNS = {1: 0, 2: 0, 6: 1, 5: 1, 3: 2, 4: 2, 8: 3, 7: 3}
-"""{EXIF orientation: by how many quarter turns clockwise the stored image must be turned to stand upright}
-
-The second of two equal ones says that the image is mirrored too, which does not change where its top is.
-"""
 _DAMAGED = (OSError, ValueError, SyntaxError, EOFError, struct.error, zlib.error, Image.DecompressionBombError)
 """What Pillow raises for damaged files"""
 _STRIP = 64
@@ -135,7 +139,7 @@ def _photo(path: Path, folder: Path) -> Photo:
     except CaptureError:  # damaged EXIF; whether the pixels are sound is seen when they are read
         tags = {}
     words = tuple(str(tags.get(tag, "")).strip("\0 ") for tag in (_MAKE, _MODEL, _LENS_MODEL, _FOCAL_LENGTH, _FILM_LENGTH))
-    turns = _QUARTER_TURNS.get(tags.get(_ORIENTATION, 1), 0)  # type: ignore[call-overload]
+    turns = QUARTER_TURNS.get(tags.get(_ORIENTATION, 1), 0)  # type: ignore[call-overload]
     return Photo(path, width, height, _focal_length(tags, width, height), words, turns, mask)
 
 

@@ -105,7 +105,7 @@ def text_focal_length(tiny):
 
 def scaled_matrix(tiny):
     matrix = np.array(tiny.meta["frames"][2]["transform_matrix"])
-    matrix[:3, :3] *= 2
+    matrix[:3, :3] *= [1, 2, 1]
     tiny.meta["frames"][2]["transform_matrix"] = matrix.tolist()
     tiny.save()
 

@@ -104,9 +104,10 @@ def read(folder: Path) -> CaptureDescription:
     photos, missing = photos_named(folder, [pose.name for pose in poses], NAME)
     placed = sorted((pose for pose in poses if pose.name in photos), key=lambda pose: pose.name)
     rescaled: list[str] = []
-    views = [_view(folder, cameras, pose, photos[pose.name], rescaled) for pose in placed]
+    turned: list[str] = []
+    views = [_view(folder, cameras, pose, photos[pose.name], rescaled, turned) for pose in placed]
     check_distinct(views, NAME)
-    warnings += missing + mask_warnings(folder, views) + rescaled_warnings(rescaled)
+    warnings += missing + mask_warnings(folder, views) + rescaled_warnings(rescaled, turned)
     return CaptureDescription(name=NAME, files=files, views=views, warnings=warnings)
 
 
@@ -158,12 +159,19 @@ def _read_model(model: Path) -> tuple[tuple[Path, Path], dict[int, _Intrinsics],
         ) from error
 
 
-def _view(folder: Path, cameras: dict[int, _Intrinsics], pose: _Pose, image: Path, rescaled: list[str]) -> View:
+def _view(
+    folder: Path,
+    cameras: dict[int, _Intrinsics],
+    pose: _Pose,
+    image: Path,
+    rescaled: list[str],
+    turned: list[str],
+) -> View:
     check_readable(image, pose.name)
     if pose.camera not in cameras:
         raise CaptureError(f"{pose.name}: the project has no camera {pose.camera}", "Export the project again.")
     mask = named_mask(folder, Path(pose.name))
-    camera = fitted(_camera(cameras[pose.camera], pose), image, pose.name, NAME, rescaled)
+    camera = fitted(_camera(cameras[pose.camera], pose), image, pose.name, NAME, rescaled, turned)
     return View(stem(pose.name), image, mask, camera)
 
 

@@ -95,6 +95,7 @@ def read(folder: Path) -> CaptureDescription:
     frames = _frames(chunk, list(dict.fromkeys(camera.get("component_id") for camera in placed)), file)
     photos, missing = photos_named(folder, [_label(camera, file) for camera in placed], file)
     rescaled: list[str] = []
+    turned: list[str] = []
     views = []
     for camera in placed:
         label = _label(camera, file)
@@ -107,12 +108,11 @@ def read(folder: Path) -> CaptureDescription:
         check_readable(image, label)
         matrix = _pose(camera, frames[camera.get("component_id")], f"{file}: {label}")
         ours = Camera(*sensor[:6], matrix, sensor.lens)
-        views.append(
-            View(view_name(folder, image), image, mask_of(folder, image), fitted(ours, image, label, file, rescaled))
-        )
+        ours = fitted(ours, image, label, file, rescaled, turned)
+        views.append(View(view_name(folder, image), image, mask_of(folder, image), ours))
     check_distinct(views, file)
     without = [_label(camera, file) for camera in cameras if not _has_pose(camera)]
-    warnings = without_pose_warnings(without) + missing + mask_warnings(folder, views) + rescaled_warnings(rescaled)
+    warnings = without_pose_warnings(without) + missing + mask_warnings(folder, views) + rescaled_warnings(rescaled, turned)
     return CaptureDescription(name=file, files=(found[0],), views=views, warnings=warnings)
 
 

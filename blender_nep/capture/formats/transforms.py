@@ -7,12 +7,16 @@ intrinsics and the lens, which stand at the top or in a frame.
 from __future__ import annotations
 
 import json
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 
 from blender_nep.capture.cameras.camera import Camera
+from blender_nep.capture.cameras.conventions import MITSUBA, OPENGL, read_poses
 from blender_nep.capture.cameras.lens_keys import LensKeys
+from blender_nep.capture.cameras.photo_agreement import PhotoAgreement
 from blender_nep.capture.capture import View
 from blender_nep.capture.description import CaptureDescription
 from blender_nep.capture.formats.photo_search import photos_named
@@ -38,11 +42,14 @@ def read(folder: Path, file: str = FILE) -> CaptureDescription:
         raise CaptureError(f"{file} lists no frames", "It needs a list 'frames' with file_path and transform_matrix.")
     named = [(_photo_name(frame, n), frame) for n, frame in enumerate(frames)]
     photos, warnings = photos_named(folder, [name for name, _ in named], file, PLACES, absolute_first=True)
+    named = [(name, frame) for name, frame in named if name in photos]
+    cameras, more = _cameras(meta, named, photos)
     rescaled: list[str] = []
-    odd_angles: list[str] = []
-    views = [_view(folder, file, meta, frame, photos[name], rescaled, odd_angles) for name, frame in named if name in photos]
-    if odd_angles:
-        warnings.append(Message("capture.angles_disagree", {"count": len(odd_angles), "names": odd_angles}))
+    turned: list[str] = []
+    views = []
+    for (name, frame), camera in zip(named, cameras, strict=True):
+        image, mask = photos[name], _mask(folder, frame)
+        views.append(View(stem(image.name), image, mask, fitted(camera, image, name, file, rescaled, turned)))
     return CaptureDescription(
         name=file,
         files=(folder / file,),
@@ -50,7 +57,7 @@ def read(folder: Path, file: str = FILE) -> CaptureDescription:
         color_space=meta.get("color_space"),
         object_center=meta.get("object_center"),
         object_radius=meta.get("object_radius"),
-        warnings=warnings + rescaled_warnings(rescaled),
+        warnings=warnings + more + rescaled_warnings(rescaled, turned),
     )
 
 
@@ -73,39 +80,60 @@ def _photo_name(frame: object, n: int) -> str:
     return frame["file_path"]
 
 
-def _view(folder: Path, file: str, meta: dict, frame: dict, image: Path, rescaled: list[str], odd_angles: list[str]) -> View:
-    name = frame["file_path"]
-    check_readable(image, name)
-    parts = LensKeys(meta, frame, name).camera_parts(lambda: image_size(image), odd_angles)
-    camera = Camera(camera_to_world=_matrix(frame, name), **parts)
-    mask = None
-    if frame.get("mask_path"):
-        mask = find_image(folder, str(frame["mask_path"]))
-        if mask is None:
-            raise CaptureError(f"mask {frame['mask_path']} is missing", "Put it back, or take mask_path out of its frame.")
-    return View(stem(image.name), image, mask, fitted(camera, image, name, file, rescaled))
+def _cameras(meta: dict, named: list[tuple[str, dict]], photos: dict[str, Path]) -> tuple[list[Camera], list[Message]]:
+    """The cameras of the frames, with the sizes that the file says, and what was not as it should be."""
+    cameras, matrices = [], []
+    odd_angles: list[str] = []
+    for name, frame in named:
+        image = photos[name]
+        check_readable(image, name)
+        parts = LensKeys(meta, frame, name).camera_parts(partial(image_size, image), odd_angles)
+        cameras.append(Camera(camera_to_world=np.eye(4), **parts))
+        matrices.append(_matrix(frame, name))
+    warnings = []
+    if odd_angles:
+        warnings.append(Message("capture.angles_disagree", {"count": len(odd_angles), "names": odd_angles}))
+    names = [name for name, _ in named]
+    poses, told = read_poses(
+        np.stack(matrices),
+        cameras,
+        names,
+        PhotoAgreement([photos[name] for name in names]),
+        given_axes=MITSUBA if meta.get("from_mitsuba") else OPENGL,
+        place=_place(meta),
+    )
+    cameras = [replace(camera, camera_to_world=pose) for camera, pose in zip(cameras, poses, strict=True)]
+    return cameras, warnings + told
+
+
+def _place(meta: dict) -> np.ndarray | None:
+    """The object's center [3] that the file says; None where it says none, or no usable one."""
+    try:
+        place = np.array(meta.get("object_center"), np.float64)
+    except (TypeError, ValueError, OverflowError):
+        return None
+    return place if place.shape == (3,) and np.isfinite(place).all() else None
+
+
+def _mask(folder: Path, frame: dict) -> Path | None:
+    if not frame.get("mask_path"):
+        return None
+    mask = find_image(folder, str(frame["mask_path"]))
+    if mask is None:
+        raise CaptureError(f"mask {frame['mask_path']} is missing", "Put it back, or take mask_path out of its frame.")
+    return mask
 
 
 def _matrix(frame: dict, name: str) -> np.ndarray:
-    """The frame's camera-to-world matrix [4, 4], with its rotation made exactly orthonormal.
-
-    Raises CaptureError if the matrix is missing, scales, shears or mirrors.
-    """
+    """The frame's matrix [4, 4] as the file has it, divided by its last number. Raises CaptureError if it is no matrix."""
     try:
         matrix = np.array(frame.get("transform_matrix"), np.float64)
     except (TypeError, ValueError, OverflowError):
         matrix = np.zeros(0)
+    if matrix.shape in ((16,), (12,)):
+        matrix = matrix.reshape(-1, 4)
     if matrix.shape == (3, 4):
         matrix = np.concatenate([matrix, [[0.0, 0.0, 0.0, 1.0]]])
     if matrix.shape != (4, 4) or not np.isfinite(matrix).all():
         raise CaptureError(f"{name}: transform_matrix is not a 4 x 4 matrix of numbers")
-    u, scale, v = np.linalg.svd(matrix[:3, :3])
-    if np.abs(scale - 1).max() > 0.01 or np.abs(matrix[3] - [0, 0, 0, 1]).max() > 1e-6:
-        raise CaptureError(
-            f"{name}: transform_matrix is not rigid (it scales or shears)",
-            "Camera-to-world needs a pure rotation and a position.",
-        )
-    if np.linalg.det(u @ v) < 0:
-        raise CaptureError(f"{name}: transform_matrix mirrors", "Cameras are right-handed, look down -z, x right, y up.")
-    matrix[:3, :3] = u @ v
-    return matrix
+    return matrix / matrix[3, 3] if matrix[3, 3] > 0 else matrix

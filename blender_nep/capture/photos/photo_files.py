@@ -31,6 +31,11 @@ from blender_nep.errors import CaptureError
 
 SUFFIXES = photo_lookup.ENDINGS
 
+QUARTER_TURNS = {1: 0, 2: 0, 6: 1, 5: 1, 3: 2, 4: 2, 8: 3, 7: 3}
+"""{EXIF orientation: by how many quarter turns clockwise the stored image must be turned to stand upright}
+
+The second of two equal ones says that the image is mirrored too, which does not change where its top is.
+"""
 _UNREADABLE = (
     *(OSError, ValueError, RuntimeError, SyntaxError, KeyError, IndexError, TypeError, EOFError, AssertionError),
     *(ZeroDivisionError, OverflowError, struct.error, zlib.error, Image.DecompressionBombError),
@@ -103,6 +108,14 @@ def exif(path: Path) -> dict[int, object]:
         return tags.get(file_kind(path), pillow_files.tags)(path)
     except _UNREADABLE as error:
         raise _unreadable(path, error) from error
+
+
+def quarter_turns(path: Path) -> int:
+    """By how many quarter turns clockwise EXIF says to turn the stored pixels; 0 without EXIF, or if it is damaged."""
+    try:
+        return QUARTER_TURNS.get(exif(path).get(ExifTags.Base.Orientation, 1), 0)  # type: ignore[call-overload]
+    except CaptureError:
+        return 0
 
 
 def time_taken(path: Path) -> datetime | None:
