@@ -11,7 +11,7 @@ umlaut as two characters, other systems write it as one.
 import os
 import unicodedata
 from collections.abc import Iterator
-from pathlib import Path, PureWindowsPath
+from pathlib import Path, PurePosixPath, PureWindowsPath
 
 ENDINGS = (
     *(".exr", ".png", ".jpg", ".jpeg", ".tif", ".tiff", ".webp", ".heic", ".heif", ".hif"),
@@ -49,7 +49,7 @@ class PhotoLookup:
             if parts[first] == ".." and first:  # without the folders before it, ".." means nothing
                 continue
             for place in places:
-                found = self._in(self.folder, ((place,) if place else ()) + parts[first:])
+                found = self._in(self.folder, (*PurePosixPath(place).parts, *parts[first:]))
                 if found:
                     return found
         # A job names photos relative to the capture's folder, which another drive does not allow.

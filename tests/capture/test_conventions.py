@@ -234,5 +234,5 @@ def test_a_camera_of_the_upright_photo_is_turned_to_the_stored_one(tmp_path, ori
 
 def test_other_aspects_without_exif_are_refused(tmp_path):
     folder = capture_with(tmp_path / "capture", poses_around(), w=180, h=240)
-    with pytest.raises(CaptureError, match="is 240 x 180 pixels, but transforms.json says 180 x 240"):
+    with pytest.raises(CaptureError, match=r"is 240 x 180 pixels, but transforms\.json says 180 x 240"):
         transforms.read(folder)

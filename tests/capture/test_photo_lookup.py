@@ -174,3 +174,13 @@ def test_blenders_part_reads_what_the_engine_has_read(make_capture, tmp_path):
     content["frames"][0]["fl_x"] = 77.0
     (asset / CAMERAS).write_text(json.dumps(content))
     assert read_frames_of(tiny.folder, asset)[0].fl_x == 77.0
+
+
+def test_two_photos_of_one_name_in_two_folders_are_not_one(make_capture):
+    tiny = make_capture(views=6, suffix=".png")
+    for number, name in ((0, "left/000.png"), (1, "right/000.png")):
+        tiny.meta["frames"][number]["file_path"] = name
+    tiny.save()
+    capture = load_capture(tiny.folder)
+    assert [view.name for view in capture.views] == ["002", "003", "004", "005"]
+    assert capture.warnings[0].values["names"] == ["left/000.png", "right/000.png"]

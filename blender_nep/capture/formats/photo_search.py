@@ -74,9 +74,10 @@ def photos_named(
 
 
 def _taken_by_others(found: dict[str, Path]) -> list[str]:
-    """The names that led to a photo which has the path of another name: their own photos are missing.
+    """The names that led to the photo of another name, or several of them to the same one: their own photos are missing.
 
-    So is `001.jpg` where only `001.png` is there, and the file names both.
+    So is `001.jpg` where only `001.png` is there and the file names both, or `left/001.png` and `right/001.png` where only
+    `001.png` is there.
     """
     names: dict[Path, list[str]] = {}
     for name, photo in found.items():
@@ -84,9 +85,9 @@ def _taken_by_others(found: dict[str, Path]) -> list[str]:
     out = []
     for photo, same in names.items():
         exact = [name for name in same if photo.as_posix().endswith(name.replace("\\", "/").removeprefix("./"))]
-        if exact:
-            longest = max(exact, key=len)
-            out += [name for name in same if name != longest and _has_ending(name)]
+        own = max(exact, key=len) if exact else None
+        if len(same) > 1:
+            out += [name for name in same if name != own and _has_ending(name)]
     return out
 
 
