@@ -205,6 +205,8 @@ WORDS: dict[str, str] = {
     "read so: they fit each other and the photos better then",
     "capture.cameras_of_upright": "the {count:camera is for a photo that EXIF turns|cameras are for photos that EXIF "
     "turns} upright, and {count:was|were} turned to the pixels as the file stores them: {names}",
+    "capture.brackets": "the {photos} photos seem to be brackets of {size} exposures each, {stops:.1f} stops apart: merge "
+    "each bracket to one photo (OpenEXR), or leave only one exposure of each",
     "capture.photos_missing": "{count} of {photos} photos {count:is|are} missing and {count:is|are} left out: {names}",
     "capture.several_models": "the COLMAP project has {models} models: only the largest, {place}, with "
     "{photos} {photos:photo|photos} is used; {others} {others:photo is|photos are} in the others",
@@ -288,6 +290,12 @@ WORDS: dict[str, str] = {
     "photos taken in one light, and did nothing move? Look whether the cameras are right",
     # what a batch says
     "batch.looking": "looking at capture {step} of {steps}",
+    "batch.passed_over": "{count} {count:folder is|folders are} passed over, because {count:it holds|they hold} neither a "
+    "capture nor photos: {names}",
+    "batch.captures_beside_photos": "{count} {count:folder with a capture or photos is|folders with captures or photos "
+    "are} passed over, because the folder around {count:it|them} holds photos itself: name {count:it|them}, too ({names})",
+    "batch.photos_deeper": "there are photos in {names}. Name {count:that folder|these folders}, or find their cameras "
+    "first: {command}",
     "batch.progress": "{done} of {objects} done, {running} running, {waiting} waiting, {failed} failed",
     "batch.object_done": "{name}: done in {time}, {faces} faces, {materials} {materials:material|materials}",
     "batch.object_failed": "{name}: failed: {reason}",

@@ -112,6 +112,8 @@ MESSAGES = {
     "each other and the photos better then",
     "capture.cameras_of_upright": "The {count:camera is for a photo that EXIF turns|cameras are for photos that EXIF "
     "turns} upright, and {count:was|were} turned to the pixels as they are stored: {names}",
+    "capture.brackets": "The {photos} photos seem to be brackets of {size} exposures each, {stops:.1f} stops apart: merge "
+    "each bracket to one photo, or leave only one exposure of each",
     "capture.photos_missing": "{count} of {photos} photos {count:is|are} missing and {count:is|are} left out: {names}",
     "capture.several_models": "Of {models} COLMAP models the largest ({photos} photos) is used. The others have {others}",
     "capture.masks_unmatched": "No image in the folder masks has the name of a photo, such as {example}. They are not used",
@@ -189,6 +191,12 @@ MESSAGES = {
     "photos taken in one light, and did nothing move? Look whether the cameras are right",
     # what a batch says
     "batch.looking": "Looking at capture {step} of {steps}",
+    "batch.passed_over": "{count} {count:folder is|folders are} passed over, because {count:it holds|they hold} neither a "
+    "capture nor photos: {names}",
+    "batch.captures_beside_photos": "{count} {count:folder with a capture or photos is|folders with captures or photos "
+    "are} passed over, because the folder around {count:it|them} holds photos itself: choose {count:it|them}, too "
+    "({names})",
+    "batch.photos_deeper": "There are photos in {names}. Choose {count:that folder|these folders} to reconstruct them, too",
     "batch.progress": "{done} of {objects} objects are done, {running} running, {waiting} waiting, {failed} failed",
     "batch.object_done": "{name} is done in {time}: {faces} faces, {materials} {materials:material|materials}",
     "batch.object_failed": "{name} has failed: {reason}",
@@ -282,6 +290,12 @@ ERRORS = {
         "{count} of {photos} photos {count:is|are} missing: {names}",
         "Put {count:it|them} into {folder}. At least 3 photos are needed.",
     ),
+    "capture.no_cameras": ("{folder} holds {photos} photos, but no cameras", "Press Find Cameras first."),
+    "capture.video": (
+        "{folder} holds a video ({video}), but no photos",
+        "Take photos, or make some of the video with another program, such as two a second.",
+    ),
+    "capture.photos_elsewhere": ("{folder} holds the photos ({photos})", "Choose that folder."),
     "capture.too_few_photos": (
         "There {photos:is|are} {photos} {photos:photo|photos} in the folder: at least 3 are needed",
         "40 photos and more, all around the object, work well.",

@@ -24,6 +24,7 @@ from blender_nep.capture.photos.photo_files import (
     image_size,
     open_image,
 )
+from blender_nep.capture.without_cameras import find_cameras, photos_below, video_hint, videos_in
 from blender_nep.color import linear_to_srgb, to_bytes
 from blender_nep.errors import CaptureError
 
@@ -58,6 +59,8 @@ class Photo:
     quarter_turns: int = 0
     """By how many quarter turns clockwise the stored image must be turned to stand upright"""
     mask: Path | None = None
+    has_exif: bool = False
+    """Whether the file has any EXIF"""
 
     @property
     def lens(self) -> tuple[object, ...]:
@@ -83,6 +86,23 @@ def find_photos(folder: Path) -> list[Photo]:
         raise CaptureError(
             message, "Change its permissions.", "capture.folder_unreadable", folder=folder, reason=reason
         ) from error
+    if not paths and (videos := videos_in(folder)):
+        raise CaptureError(
+            f"{folder} holds a video ({videos[0].name}), but no photos",
+            video_hint(folder, videos[0]),
+            "capture.video",
+            folder=folder,
+            video=videos[0].name,
+        )
+    place, inside = photos_below(folder)
+    if len(paths) < MINIMUM_VIEWS <= len(inside):
+        raise CaptureError(
+            f"{folder} holds {len(paths)} photo{'' if len(paths) == 1 else 's'}, but {place} holds {len(inside)}",
+            f"Name that folder: {find_cameras(place)}",
+            "capture.photos_elsewhere",
+            folder=place,
+            photos=len(inside),
+        )
     if len(paths) < MINIMUM_VIEWS:
         allowed = ", ".join(suffix[1:] for suffix in SUFFIXES)
         raise CaptureError(
@@ -140,7 +160,7 @@ def _photo(path: Path, folder: Path) -> Photo:
         tags = {}
     words = tuple(str(tags.get(tag, "")).strip("\0 ") for tag in (_MAKE, _MODEL, _LENS_MODEL, _FOCAL_LENGTH, _FILM_LENGTH))
     turns = QUARTER_TURNS.get(tags.get(_ORIENTATION, 1), 0)  # type: ignore[call-overload]
-    return Photo(path, width, height, _focal_length(tags, width, height), words, turns, mask)
+    return Photo(path, width, height, _focal_length(tags, width, height), words, turns, mask, bool(tags))
 
 
 def _size(path: Path) -> tuple[int, int]:
