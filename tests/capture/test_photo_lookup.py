@@ -137,7 +137,8 @@ def test_missing_photos_are_left_out_and_named(make_capture, tmp_path):
     asset.mkdir()
     (asset / CAMERAS).write_text(json.dumps(cameras_content(capture, asset)))
     gains = [[1, 1, 1], [2, 1, 1], [3, 1, 1]]
-    (asset / "report.json").write_text(json.dumps({"capture": {"views": 3, "photo_gains": gains}}))
+    report = {"views": 3, "photo_gains": gains, "photos_left_out": [1]}  # one in another light, which cameras.json lacks
+    (asset / "report.json").write_text(json.dumps({"capture": report}))
     frames = with_exposures(read_frames_of(tiny.folder, asset), asset)
     assert [(frame.path.stem, frame.gain[0]) for frame in frames] == [("000", 1), ("002", 2), ("004", 3)]
     (tiny.folder / "images/004.png").unlink()
