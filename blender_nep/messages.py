@@ -291,7 +291,7 @@ WORDS: dict[str, str] = {
     # what a batch says
     "batch.looking": "looking at capture {step} of {steps}",
     "batch.passed_over": "{count} {count:folder is|folders are} passed over, because {count:it holds|they hold} neither a "
-    "capture nor photos: {names}",
+    "capture nor photos (in itself or in images): {names}",
     "batch.captures_beside_photos": "{count} {count:folder with a capture or photos is|folders with captures or photos "
     "are} passed over, because the folder around {count:it|them} holds photos itself: name {count:it|them}, too ({names})",
     "batch.photos_deeper": "there are photos in {names}. Name {count:that folder|these folders}, or find their cameras "
