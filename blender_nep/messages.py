@@ -179,6 +179,37 @@ WORDS: dict[str, str] = {
     "intrinsics rescaled): {names}",
     "capture.photos_without_pose": "{count} {count:photo is|photos are} left out, because {count:it has|they have} no "
     "camera pose or {count:is|are} disabled: {names}",
+    "capture.angles_disagree": "camera_angle_y (or y_fov) of {count} {count:photo|photos} does not fit camera_angle_x: "
+    "pixels would be no squares. It is not used: {names}",
+    "capture.focal_lengths_differ": "the lens of {count} {count:photo|photos} looks wrong: fl_x and fl_y differ by "
+    "{percent:.0f} % ({names}). Look whether the cameras are right",
+    "capture.principal_point_off": "the lens of {count} {count:photo|photos} looks wrong: the principal point is at "
+    "{across:.0f} % of the width and {down:.0f} % of the height ({names}). If the photos were not cropped, look whether the "
+    "cameras are right",
+    "capture.distortion_large": "the lens of {count} {count:photo|photos} looks wrong: its distortion is larger than that "
+    "of usual lenses ({names}). Look whether the cameras are right",
+    "capture.view_angle_odd": "the lens of {count} {count:photo|photos} looks wrong: its angle of view is {degrees:.1f} "
+    "degrees ({names}). Look whether the focal length is right, in pixels of the declared size",
+    "capture.skew_large": "the lens of {count} {count:photo|photos} looks wrong: its pixels are skewed by {percent:.1f} % "
+    "({names}). Look whether the cameras are right",
+    "capture.cameras_scaled": "transform_matrix of {count} {count:photo|photos} scales: only its rotation and its "
+    "position are used ({names})",
+    "capture.cameras_transposed": "transform_matrix has its rows as columns: it is read so",
+    "capture.world_to_camera": "transform_matrix leads from the world to the camera, and is read so: the cameras fit each "
+    "other and the photos better then",
+    "capture.rotations_turned": "the rotations of transform_matrix lead from the world to the camera, and are read so: "
+    "the cameras fit each other and the photos better then",
+    "capture.opencv_axes": "the cameras have OpenCV's axes (y down, looking along +z), and are read so: they fit each "
+    "other and the photos better then",
+    "capture.mitsuba_axes": "the cameras have Mitsuba's axes (x left, y up, looking along +z), and are read so: they fit "
+    "each other and the photos better then",
+    "capture.opengl_axes": "the cameras have OpenGL's axes (y up, looking down -z) although from_mitsuba is true, and are "
+    "read so: they fit each other and the photos better then",
+    "capture.cameras_of_upright": "the {count:camera is for a photo that EXIF turns|cameras are for photos that EXIF "
+    "turns} upright, and {count:was|were} turned to the pixels as the file stores them: {names}",
+    "capture.brackets": "the {photos} photos seem to be brackets of {size} exposures each, {stops:.1f} stops apart: merge "
+    "each bracket to one photo (OpenEXR), or leave only one exposure of each",
+    "capture.photos_missing": "{count} of {photos} photos {count:is|are} missing and {count:is|are} left out: {names}",
     "capture.several_models": "the COLMAP project has {models} models: only the largest, {place}, with "
     "{photos} {photos:photo|photos} is used; {others} {others:photo is|photos are} in the others",
     "capture.masks_unmatched": "the folder masks holds images, but none has the name of a photo (such as {example}): "
@@ -261,6 +292,12 @@ WORDS: dict[str, str] = {
     "photos taken in one light, and did nothing move? Look whether the cameras are right",
     # what a batch says
     "batch.looking": "looking at capture {step} of {steps}",
+    "batch.passed_over": "{count} {count:folder is|folders are} passed over, because {count:it holds|they hold} neither a "
+    "capture nor photos (in itself or in images): {names}",
+    "batch.captures_beside_photos": "{count} {count:folder with a capture or photos is|folders with captures or photos "
+    "are} passed over, because the folder around {count:it|them} holds photos itself: name {count:it|them}, too ({names})",
+    "batch.photos_deeper": "there are photos in {names}. Name {count:that folder|these folders}, or find their cameras "
+    "first: {command}",
     "batch.progress": "{done} of {objects} done, {running} running, {waiting} waiting, {failed} failed",
     "batch.object_done": "{name}: done in {time}, {faces} faces, {materials} {materials:material|materials}",
     "batch.object_failed": "{name}: failed: {reason}",

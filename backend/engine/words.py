@@ -86,6 +86,36 @@ MESSAGES = {
     "{count:is|are} used all the same: {names}",
     "capture.photos_without_pose": "{count} {count:photo is|photos are} left out, because {count:it has|they have} no "
     "camera pose or {count:is|are} disabled: {names}",
+    "capture.angles_disagree": "The vertical angle of view of {count} {count:photo|photos} does not fit the horizontal "
+    "one: it is not used ({names})",
+    "capture.focal_lengths_differ": "The focal lengths across and down of {count} {count:photo|photos} differ by "
+    "{percent:.0f} %, which no usual lens has: look whether the cameras are right ({names})",
+    "capture.principal_point_off": "The principal point of {count} {count:photo|photos} is far from the middle (at "
+    "{across:.0f} % of the width and {down:.0f} % of the height): look whether the cameras are right ({names})",
+    "capture.distortion_large": "The lens distortion of {count} {count:photo|photos} is larger than that of any usual lens: "
+    "look whether the cameras are right ({names})",
+    "capture.view_angle_odd": "The angle of view of {count} {count:photo|photos} is {degrees:.1f} degrees, which no usual "
+    "lens has: look whether the focal length is right ({names})",
+    "capture.skew_large": "The pixels of {count} {count:photo|photos} are skewed by {percent:.1f} %, which no usual "
+    "camera has: look whether the cameras are right ({names})",
+    "capture.cameras_scaled": "{count} {count:camera is|cameras are} scaled: only {count:its rotation and its position "
+    "are|their rotations and positions are} used ({names})",
+    "capture.cameras_transposed": "The cameras have rows in the place of columns, and are read so",
+    "capture.world_to_camera": "The cameras are given from the world to the camera, and are read so: they fit each other "
+    "and the photos better then",
+    "capture.rotations_turned": "The rotations of the cameras are given from the world to the camera, and are read so: "
+    "they fit each other and the photos better then",
+    "capture.opencv_axes": "The cameras have OpenCV's axes (Y down, looking along +Z), and are read so: they fit each "
+    "other and the photos better then",
+    "capture.mitsuba_axes": "The cameras have Mitsuba's axes (X left, Y up, looking along +Z), and are read so: they fit "
+    "each other and the photos better then",
+    "capture.opengl_axes": "The cameras have OpenGL's axes, although the file says Mitsuba's, and are read so: they fit "
+    "each other and the photos better then",
+    "capture.cameras_of_upright": "The {count:camera is for a photo that EXIF turns|cameras are for photos that EXIF "
+    "turns} upright, and {count:was|were} turned to the pixels as they are stored: {names}",
+    "capture.brackets": "The {photos} photos seem to be brackets of {size} exposures each, {stops:.1f} stops apart: merge "
+    "each bracket to one photo, or leave only one exposure of each",
+    "capture.photos_missing": "{count} of {photos} photos {count:is|are} missing and {count:is|are} left out: {names}",
     "capture.several_models": "Of {models} COLMAP models the largest ({photos} photos) is used. The others have {others}",
     "capture.masks_unmatched": "No image in the folder masks has the name of a photo, such as {example}. They are not used",
     "capture.same_place": "{count} {count:photo was|photos were} taken from the same place in the same direction as others "
@@ -162,6 +192,12 @@ MESSAGES = {
     "photos taken in one light, and did nothing move? Look whether the cameras are right",
     # what a batch says
     "batch.looking": "Looking at capture {step} of {steps}",
+    "batch.passed_over": "{count} {count:folder is|folders are} passed over, because {count:it holds|they hold} neither a "
+    "capture nor photos (in itself or in images): {names}",
+    "batch.captures_beside_photos": "{count} {count:folder with a capture or photos is|folders with captures or photos "
+    "are} passed over, because the folder around {count:it|them} holds photos itself: choose {count:it|them}, too "
+    "({names})",
+    "batch.photos_deeper": "There are photos in {names}. Choose {count:that folder|these folders} to reconstruct them, too",
     "batch.progress": "{done} of {objects} objects are done, {running} running, {waiting} waiting, {failed} failed",
     "batch.object_done": "{name} is done in {time}: {faces} faces, {materials} {materials:material|materials}",
     "batch.object_failed": "{name} has failed: {reason}",
@@ -254,6 +290,16 @@ ERRORS = {
     ),
     "usage.no_masks": ("Each photo needs a mask for this", "Put the masks into {folder}."),
     "unexpected.no_pycolmap": ("The installed engine cannot find cameras", "Install the engine again in the preferences."),
+    "capture.photos_not_there": (
+        "{count} of {photos} photos {count:is|are} missing: {names}",
+        "Put {count:it|them} into {folder}. At least 3 photos are needed.",
+    ),
+    "capture.no_cameras": ("{folder} holds {photos} photos, but no cameras", "Press Find Cameras first."),
+    "capture.video": (
+        "{folder} holds a video ({video}), but no photos",
+        "Take photos, or make some of the video with another program, such as two a second.",
+    ),
+    "capture.photos_elsewhere": ("{folder} holds the photos ({photos})", "Choose that folder."),
     "capture.too_few_photos": (
         "There {photos:is|are} {photos} {photos:photo|photos} in the folder: at least 3 are needed",
         "40 photos and more, all around the object, work well.",
@@ -280,7 +326,7 @@ ERRORS = {
         "The photos show too little, or the cameras are wrong. Press Find Cameras Again, which does not need them.",
     ),
     "capture.lens_not_improved": (
-        "The cameras have a lens model (k4) that cannot be improved",
+        "The cameras have a lens model (k4 or a skew) that cannot be improved",
         "Use them as they are, or press Find Cameras Again.",
     ),
     "output.no_working_files": (

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from ..photo_lookup import PhotoLookup
 from ..plain_files import is_on_other_computer, read_json
 from .image_files import load_pixels
 from .image_size import image_size
@@ -19,7 +20,7 @@ from .photo_formats import HEIF, RAW, color_space
 from .srgb import srgb_to_linear
 
 CAMERAS = "cameras.json"  # the engine writes it into every asset: blender_nep/asset/cameras_file.py
-DISTORTION = ("camera_model", "k1", "k2", "k3", "k4", "p1", "p2")
+DISTORTION = ("camera_model", "k1", "k2", "k3", "k4", "p1", "p2", "distortion_params", "skew")
 GRAY = 0.18  # radiance that is shown where a photo is transparent
 
 
@@ -75,18 +76,20 @@ def read_frames(folder: Path, transforms: str = "transforms.json") -> list[Frame
     entries = meta.get("frames")
     if not isinstance(entries, list) or not entries or not all(isinstance(entry, dict) for entry in entries):
         raise ValueError(f"{path} lists no frames")
-    return [_frame(Path(folder), meta, entry) for entry in entries]
+    lookup = PhotoLookup(Path(folder))
+    return [_frame(lookup, meta, entry) for entry in entries]
 
 
 def read_frames_of(capture: Path, asset: Path) -> list[Frame]:
     """The frames of the capture from which `asset` was made.
 
-    Where the capture has another form than transforms.json, they are read from the asset's cameras.json, whose photos must
-    lie in the capture's folder. Raises as `read_frames`.
+    The asset's cameras.json tells them as the engine has read them, whatever the form of the capture. Its photos must be
+    there. If the capture has been moved or has changed, its own transforms.json counts. Raises as `read_frames`.
     """
-    if not (Path(capture) / "transforms.json").is_file() and (Path(asset) / CAMERAS).is_file():
+    if (Path(asset) / CAMERAS).is_file():
         frames = read_frames(Path(asset).resolve(), CAMERAS)
-        if all(_lies_in(frame.path, Path(capture)) for frame in frames):
+        own = (Path(capture) / "transforms.json").is_file()
+        if all(frame.path.is_file() and (own or _lies_in(frame.path, Path(capture))) for frame in frames):
             return frames
     return read_frames(capture)
 
@@ -119,12 +122,15 @@ def read_bounds(folder: Path) -> tuple[list[float], float] | None:
 def with_exposures(frames: list[Frame], asset: Path) -> list[Frame]:
     """The frames from which `asset` was made, with the exposures that its report gives.
 
-    `frames` must be all frames of the capture. They come back unchanged where the report does not fit them.
+    `frames` must be all frames of the capture, or those from which the asset was made, as its cameras.json has them. They
+    come back unchanged where the report does not fit them.
     """
     try:
         capture = read_json(Path(asset) / "report.json")["capture"]
         left_out = set(capture.get("photos_left_out", ()))
-        used = [frame for index, frame in enumerate(frames) if index not in left_out]
+        used = frames
+        if len(frames) != capture["views"]:
+            used = [frame for index, frame in enumerate(frames) if index not in left_out]
         if len(used) != capture["views"]:  # the asset was made from other photos
             return frames
         if "photo_gains" not in capture:  # all photos have one exposure
@@ -158,8 +164,9 @@ def _read_meta(path: Path) -> dict:
     return meta
 
 
-def _frame(folder: Path, meta: dict, entry: dict) -> Frame:
+def _frame(lookup: PhotoLookup, meta: dict, entry: dict) -> Frame:
     """The frame that `entry` describes. A value that `entry` does not have is taken from `meta`, which is for all frames."""
+    folder = lookup.folder
 
     def value(name: str, default: float | None = None) -> Any:
         found = entry.get(name, meta.get(name, default))
@@ -167,12 +174,11 @@ def _frame(folder: Path, meta: dict, entry: dict) -> Frame:
             raise ValueError(f"{folder}: a frame has no {name}")
         return found
 
-    for name in (str(value("file_path")), str(entry.get("mask_path") or "")):
-        if is_on_other_computer(name, folder):
-            raise ValueError(f"{name} lies on another computer. Copy the photos into the capture's folder")
-    path = folder / str(value("file_path"))
-    if not path.suffix:
-        path = path.with_suffix(".png")  # instant-ngp's form for synthetic captures leaves out the ending of file names
+    name = str(value("file_path"))
+    for said in (name, str(entry.get("mask_path") or "")):
+        if is_on_other_computer(said, folder):
+            raise ValueError(f"{said} lies on another computer. Copy the photos into the capture's folder")
+    path = lookup.find(name) or folder / name
     if "w" in entry or "w" in meta:
         width, height = int(value("w")), int(value("h"))
     else:
@@ -181,8 +187,9 @@ def _frame(folder: Path, meta: dict, entry: dict) -> Frame:
     if entry.get("is_fisheye", meta.get("is_fisheye")):  # as instant-ngp says it
         distortion["camera_model"] = distortion["camera_model"] or "OPENCV_FISHEYE"
     mask = entry.get("mask_path")
-    angle = entry.get("camera_angle_x", meta.get("camera_angle_x"))
-    fl_x = float(value("fl_x", None if angle is None else 0.5 * width / math.tan(0.5 * angle)))
+    across, down = (_focal_by_angle({**meta, **entry}, *axis) for axis in (("x", width), ("y", height)))
+    given_y = entry.get("fl_y", meta.get("fl_y"))
+    fl_x = float(value("fl_x", given_y if across is None and given_y else across or down))
     # As in the engine, OpenEXR is linear, whatever the capture says of its other photos.
     space = "linear" if path.suffix.lower() == ".exr" else meta.get("color_space") or _color_space(path)
     return Frame(
@@ -196,8 +203,16 @@ def _frame(folder: Path, meta: dict, entry: dict) -> Frame:
         _matrix(value("transform_matrix"), path),
         space,
         distortion={name: found for name, found in distortion.items() if found},
-        mask=folder / str(mask) if mask else None,
+        mask=lookup.at(str(mask)) or folder / str(mask) if mask else None,
     )
+
+
+def _focal_by_angle(keys: dict, axis: str, side: int) -> float | None:
+    """The focal length in pixels by the angle of view along an axis, in radians or in degrees; None where there is none."""
+    angle, degrees = keys.get(f"camera_angle_{axis}"), keys.get(f"{axis}_fov")
+    if angle is None and degrees is not None:
+        angle = math.radians(degrees)
+    return None if angle is None else 0.5 * side / math.tan(0.5 * angle)
 
 
 def _color_space(path: Path) -> str:

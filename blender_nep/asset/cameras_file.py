@@ -10,7 +10,7 @@ import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from blender_nep.capture.formats.transforms import intrinsics_of
+from blender_nep.capture.cameras.lens_keys import intrinsics_of
 
 if TYPE_CHECKING:
     from blender_nep.capture import Capture

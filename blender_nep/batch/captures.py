@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -10,8 +11,11 @@ from pathlib import Path
 from blender_nep.cameras.photo_folder import find_photos
 from blender_nep.capture.formats.photo_search import photos_in
 from blender_nep.capture.loading import MINIMUM_VIEWS, describe, recognized
+from blender_nep.capture.photos.photo_lookup import PLACES
+from blender_nep.capture.without_cameras import find_cameras, photos_below, video_hint, videos_in
 from blender_nep.errors import UsageError
 from blender_nep.job.folders.own_files import is_ours
+from blender_nep.messages import Message
 from blender_nep.safety.plain_files import MEGABYTE, read_text
 
 _MOST_LIST = 16 * MEGABYTE
@@ -60,13 +64,52 @@ def find_captures(named: Sequence[Path], out: Path) -> list[FoundCapture]:
         if not here:
             raise UsageError(
                 f"there are no captures in {path}",
-                "Name capture folders, a folder that holds captures, or a text file with one folder a line.",
+                _next_step(path),
                 "usage.no_captures",
                 path=path,
             )
         for one in here:
             found.setdefault(one.path, one)
     return list(found.values())
+
+
+def passed_over(named: Sequence[Path], out: Path, found: Sequence[FoundCapture]) -> list[Message]:
+    """What is passed over in the folders `named`, as messages: folders that hold neither a capture nor photos.
+
+    So are captures in a folder that counts itself, because it holds photos. Assets and the folders that belong to a capture
+    are no surprise, and not told.
+    """
+    used = {one.path: one for one in found}
+    over, deeper, beside = [], [], []
+    for folder in named:
+        itself = used.get(folder.resolve())
+        if not folder.is_dir() or not os.access(folder, os.R_OK | os.X_OK) or (itself and not itself.photos_alone):
+            continue
+        for inner in sorted(folder.iterdir()):
+            if not _may_hold_capture(inner, out) or inner.resolve() in used or is_ours(inner):
+                continue
+            if itself:
+                if inner.name not in PLACES and (recognized(inner) or _photo_count(inner) >= MINIMUM_VIEWS):
+                    beside.append(inner)
+                continue
+            over.append(inner)
+            with contextlib.suppress(OSError):
+                place, photos = photos_below(inner)
+                deeper += [place] if photos else []
+    said = []
+    if over:
+        said.append(Message("batch.passed_over", {"count": len(over), "names": [inner.name for inner in over]}))
+    if beside:
+        said.append(Message("batch.captures_beside_photos", {"count": len(beside), "names": [str(one) for one in beside]}))
+    if deeper:
+        values = {"count": len(deeper), "names": [str(place) for place in deeper], "command": find_cameras(deeper[0])}
+        said.append(Message("batch.photos_deeper", values))
+    return said
+
+
+def _may_hold_capture(inner: Path, out: Path) -> bool:
+    wanted = inner.is_dir() and not inner.name.startswith(".") and inner.name not in _PARTS
+    return wanted and inner.resolve() != out.resolve()
 
 
 def _listed(path: Path) -> Iterator[Path]:
@@ -80,6 +123,19 @@ def _listed(path: Path) -> Iterator[Path]:
         name = line.partition("#")[0].strip()
         if name:
             yield path.parent / name
+
+
+def _next_step(path: Path) -> str:
+    """What to do where a folder or a list holds no captures."""
+    if path.is_dir() and os.access(path, os.R_OK | os.X_OK):
+        place, photos = photos_below(path)
+        inner = [photos_below(folder)[0] for folder in sorted(path.iterdir()) if _may_hold_capture(folder, path)]
+        others = [folder for folder in inner if photos_below(folder)[1]]
+        if photos or others:
+            return f"There are photos in {place if photos else others[0]}: {find_cameras(place if photos else others[0])}"
+        if videos := videos_in(path):
+            return video_hint(path, videos[0])
+    return "Name capture folders, a folder that holds captures, or a text file with one folder a line."
 
 
 def _in_list(path: Path, out: Path) -> list[FoundCapture]:
@@ -96,8 +152,7 @@ def _in_folder(folder: Path, out: Path) -> Iterator[FoundCapture]:
         yield FoundCapture(folder.resolve(), True)
     elif os.access(folder, os.R_OK | os.X_OK):
         for inner in sorted(folder.iterdir()):
-            wanted = inner.is_dir() and not inner.name.startswith(".") and inner.name not in _PARTS
-            if not wanted or inner.resolve() == out.resolve():
+            if not _may_hold_capture(inner, out):
                 continue
             if recognized(inner):
                 yield FoundCapture(inner.resolve(), False)

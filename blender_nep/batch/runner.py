@@ -7,7 +7,7 @@ import os
 from collections.abc import Iterable
 from pathlib import Path
 
-from blender_nep.batch.captures import FoundCapture, Size, find_captures, size_of
+from blender_nep.batch.captures import FoundCapture, Size, find_captures, passed_over, size_of
 from blender_nep.batch.outcome import read_report
 from blender_nep.batch.progress import STAGE, BatchProgress
 from blender_nep.batch.settings import BatchSettings
@@ -153,6 +153,8 @@ class Batch:
             refuse_links(s.out / one.name, (CAPTURE, *ENTRIES))
         with output_errors(s.out):
             self._events.open_log(s.out / "log.txt")
+        for message in passed_over(s.captures, s.out, captures):
+            self._events.warning(message)
         self._end_leftovers()
         self._note_interrupted(state.objects, work)
         self._prepare(work)

@@ -33,6 +33,7 @@ _PATTERN = (
 )
 
 _NO_EXIF = "These photos have no EXIF. If the lens was zoomed, use the camera's own files, which tell the focal length."
+_NO_FOCAL_LENGTH = "EXIF of these photos does not tell the focal length. If the lens was zoomed, use the camera's own files."
 
 
 @dataclass(frozen=True)
@@ -72,7 +73,11 @@ def choose(photos: Sequence[Photo], groups: Sequence[Group]) -> FoundCameras:
 def _not_found(count: int, photos: Sequence[Photo], missing: Sequence[str]) -> CaptureError:
     """The error where only `count` of the photos were placed; `missing`: names of the others."""
     few = f"only {count} of {len(photos)} photos could be placed" if count else "no photo could be placed"
-    hint = _PATTERN if any(any(photo.camera) for photo in photos) else f"{_PATTERN} {_NO_EXIF}"
+    hint = _PATTERN
+    if not any(photo.has_exif for photo in photos):
+        hint += f" {_NO_EXIF}"
+    elif not any(any(photo.camera) for photo in photos):
+        hint += f" {_NO_FOCAL_LENGTH}"
     if count >= MINIMUM_VIEWS:
         hint += f" If the other photos show the whole object, take these out of the folder: {', '.join(missing)}."
     why = "the photos share too few points, or were taken from one place"

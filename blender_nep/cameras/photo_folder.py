@@ -13,7 +13,17 @@ from blender_nep.capture.capture import Capture
 from blender_nep.capture.description import check_number
 from blender_nep.capture.formats.photo_search import named_mask
 from blender_nep.capture.loading import MINIMUM_VIEWS
-from blender_nep.capture.photos.photo_files import SUFFIXES, MaskRaster, Raster, exif, file_kind, image_size, open_image
+from blender_nep.capture.photos.photo_files import (
+    QUARTER_TURNS,
+    SUFFIXES,
+    MaskRaster,
+    Raster,
+    exif,
+    file_kind,
+    image_size,
+    open_image,
+)
+from blender_nep.capture.without_cameras import find_cameras, photos_below, video_hint, videos_in
 from blender_nep.color import linear_to_srgb, to_bytes
 from blender_nep.errors import CaptureError
 from blender_nep.safety.pictures import DAMAGED, open_picture
@@ -22,11 +32,6 @@ _MAKE, _MODEL, _ORIENTATION = 0x010F, 0x0110, 0x0112
 _FOCAL_LENGTH, _FILM_LENGTH, _LENS_MODEL = 0x920A, 0xA405, 0xA434
 _FILM_DIAGONAL = 43.2666
 """mm, of film 36 x 24. A focal length "in 35 mm film" is for the same diagonal angle."""
-_QUARTER_TURNS = {1: 0, 2: 0, 6: 1, 5: 1, 3: 2, 4: 2, 8: 3, 7: 3}
-"""{EXIF orientation: by how many quarter turns clockwise the stored image must be turned to stand upright}
-
-The second of two equal ones says that the image is mirrored too, which does not change where its top is.
-"""
 _STRIP = 64
 """Rows of a photo that are made gray at a time"""
 _EXPOSURE_ROWS = 500
@@ -52,6 +57,8 @@ class Photo:
     quarter_turns: int = 0
     """By how many quarter turns clockwise the stored image must be turned to stand upright"""
     mask: Path | None = None
+    has_exif: bool = False
+    """Whether the file has any EXIF"""
 
     @property
     def lens(self) -> tuple[object, ...]:
@@ -77,6 +84,23 @@ def find_photos(folder: Path) -> list[Photo]:
         raise CaptureError(
             message, "Change its permissions.", "capture.folder_unreadable", folder=folder, reason=reason
         ) from error
+    if not paths and (videos := videos_in(folder)):
+        raise CaptureError(
+            f"{folder} holds a video ({videos[0].name}), but no photos",
+            video_hint(folder, videos[0]),
+            "capture.video",
+            folder=folder,
+            video=videos[0].name,
+        )
+    place, inside = photos_below(folder)
+    if len(paths) < MINIMUM_VIEWS <= len(inside):
+        raise CaptureError(
+            f"{folder} holds {len(paths)} photo{'' if len(paths) == 1 else 's'}, but {place} holds {len(inside)}",
+            f"Name that folder: {find_cameras(place)}",
+            "capture.photos_elsewhere",
+            folder=place,
+            photos=len(inside),
+        )
     if len(paths) < MINIMUM_VIEWS:
         allowed = ", ".join(suffix[1:] for suffix in SUFFIXES)
         raise CaptureError(
@@ -134,8 +158,8 @@ def _photo(path: Path, folder: Path) -> Photo:
     except CaptureError:  # damaged EXIF; whether the pixels are sound is seen when they are read
         tags = {}
     words = tuple(str(tags.get(tag, "")).strip("\0 ") for tag in (_MAKE, _MODEL, _LENS_MODEL, _FOCAL_LENGTH, _FILM_LENGTH))
-    turns = _QUARTER_TURNS.get(tags.get(_ORIENTATION, 1), 0)  # type: ignore[call-overload]
-    return Photo(path, width, height, _focal_length(tags, width, height), words, turns, mask)
+    turns = QUARTER_TURNS.get(tags.get(_ORIENTATION, 1), 0)  # type: ignore[call-overload]
+    return Photo(path, width, height, _focal_length(tags, width, height), words, turns, mask, bool(tags))
 
 
 def _size(path: Path) -> tuple[int, int]:

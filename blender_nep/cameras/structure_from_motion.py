@@ -48,6 +48,8 @@ _STACK = ("@", "***", "PC:")
 _NO_MEMORY = ("bad_alloc", "MemoryError", "Cannot allocate memory")
 _LEAST_FREE = 1_000_000
 """Bytes. With less space, the disk counts as full."""
+_MOST_SKEW = 5e-4
+"""COLMAP has no skew. Less than this, relative to the focal length, is left out of improved cameras."""
 _SIGKILL = 9
 """The signal by which Linux ends a process where memory is short"""
 
@@ -220,12 +222,12 @@ def _given_lens(camera: Camera) -> dict:
     """The lens of a copy, with COLMAP's model that has the fewest parameters for it. k3 of FULL_OPENCV is not refined."""
     k, center = camera.lens, [camera.cx, camera.cy]
     focal, refined = [camera.fl_x, camera.fl_y], True
+    if (k.k4 and not k.fisheye) or abs(k.skew) > _MOST_SKEW:
+        raise CaptureError(
+            "cameras with k4 or a skew cannot be improved", "Find them anew, without --improve.", "capture.lens_not_improved"
+        )
     if k.fisheye:
         model, params = "OPENCV_FISHEYE", [*focal, *center, k.k1, k.k2, k.k3, k.k4]
-    elif k.k4:
-        raise CaptureError(
-            "cameras with k4 cannot be improved", "Find them anew, without --improve.", "capture.lens_not_improved"
-        )
     elif k.k3:
         model, params, refined = "FULL_OPENCV", [*focal, *center, k.k1, k.k2, k.p1, k.p2, k.k3, 0.0, 0.0, 0.0], False
     elif k.p1 or k.p2 or abs(camera.fl_x / camera.fl_y - 1) > 1e-6:

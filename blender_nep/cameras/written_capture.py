@@ -13,6 +13,7 @@ from pathlib import Path
 
 from blender_nep.cameras.found_cameras import FoundCameras
 from blender_nep.cameras.structure_from_motion import PlacedPhoto
+from blender_nep.capture.cameras.lens_keys import intrinsics_of
 from blender_nep.capture.formats import transforms
 from blender_nep.errors import OutputError
 from blender_nep.files import output_errors, write_atomically, write_text
@@ -62,7 +63,7 @@ def write_capture(found: FoundCameras, folder: Path, color_space: str | None = N
 
     `with_sphere` False: the object's sphere is not written. Later jobs estimate it then, from the masks if there are any.
     """
-    lenses = [transforms.intrinsics_of(placed.camera) for placed in found.placed]
+    lenses = [intrinsics_of(placed.camera) for placed in found.placed]
     shared = lenses[0] if all(lens == lenses[0] for lens in lenses) else {}
     frames = [
         _frame(placed, folder) | (lens if not shared else {}) for placed, lens in zip(found.placed, lenses, strict=True)

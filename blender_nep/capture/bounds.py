@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from blender_nep.capture.cameras.camera import Camera
+from blender_nep.capture.cameras.common_place import common_place
 from blender_nep.errors import BoundsError
 from blender_nep.messages import Message
 
@@ -18,22 +19,15 @@ def sphere_from_cameras(cameras: list[Camera]) -> tuple[np.ndarray, float]:
     """Center [3] nearest to all optical axes, and radius of the largest sphere that a tenth of the cameras see whole.
 
     A tenth is enough: photos from farther away usually show the whole object. A sphere that is somewhat too large costs
-    resolution; a sphere that is too small cuts the object. The center is found by least squares on the distances from
-    the axes, reweighted five times towards the point of least absolute distances. The radius is at most 0.7 of the
+    resolution; a sphere that is too small cuts the object. `common_place` finds the center. The radius is at most 0.7 of the
     distance to the nearest camera. Raises BoundsError when the axes are parallel, or when fewer than two cameras see the
     center.
     """
     position = np.stack([c.position for c in cameras])
     axis = np.stack([c.optical_axis for c in cameras])
-    across = np.eye(3) - axis[:, :, None] * axis[:, None, :]
-    weight = np.ones(len(cameras))
-    for _ in range(5):
-        a = (weight[:, None, None] * across).sum(0)
-        if np.linalg.cond(a) > 1e6:
-            raise BoundsError("the cameras' optical axes are parallel: the object's place cannot be estimated", _HINT)
-        center = np.linalg.solve(a, (weight[:, None] * np.einsum("nij,nj->ni", across, position)).sum(0))
-        offset = np.linalg.norm(np.einsum("nij,nj->ni", across, center - position), axis=1)
-        weight = 1.0 / np.maximum(offset, 1e-3 * np.linalg.norm(position - center, axis=1).mean() + 1e-12)
+    center = common_place(position, axis)
+    if center is None:
+        raise BoundsError("the cameras' optical axes are parallel: the object's place cannot be estimated", _HINT)
     seen = np.array([c.side_distances(center).min() for c in cameras])
     in_front = ((center - position) * axis).sum(1) > 0
     if (in_front & (seen > 0)).sum() < 2:

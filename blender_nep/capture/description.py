@@ -10,6 +10,8 @@ from blender_nep.capture.capture import View
 from blender_nep.errors import CaptureError
 from blender_nep.messages import Message
 
+MINIMUM_VIEWS = 3
+"""With fewer photos, neither the shape nor the surroundings are determined: two views cannot even contradict each other."""
 MOST_VIEWS = 20_000
 """Photos of a capture. Files that list more are refused, because each photo is looked for on the disk."""
 

@@ -11,15 +11,16 @@ from pathlib import Path
 import numpy as np
 
 from blender_nep.capture.bounds import check_sphere, sphere_from_cameras, sphere_from_masks
+from blender_nep.capture.brackets import bracket_warnings
+from blender_nep.capture.cameras.plausible_lens import lens_warnings
 from blender_nep.capture.capture import Capture, View
-from blender_nep.capture.description import CaptureDescription
+from blender_nep.capture.description import MINIMUM_VIEWS, CaptureDescription
 from blender_nep.capture.formats import bundler, cameras_sphere, colmap, llff, metashape, nerf_synthetic, transforms
 from blender_nep.capture.photos.photo_files import is_linear
+from blender_nep.capture.without_cameras import no_capture
 from blender_nep.errors import CaptureError
 from blender_nep.messages import Message
 
-MINIMUM_VIEWS = 3
-"""With fewer photos, neither the shape nor the surroundings are determined: two views cannot even contradict each other."""
 _OTHER_FORMATS = (nerf_synthetic, colmap, llff, cameras_sphere, metashape, bundler)
 """All formats but the first one, in the order in which they are asked"""
 
@@ -47,6 +48,8 @@ def load_capture(
         )
     warnings = list(said.warnings)
     _check_places(said.views, warnings)
+    warnings += bracket_warnings([v.image_path for v in said.views])
+    warnings += lens_warnings([v.name for v in said.views], [v.camera for v in said.views])
     color_space = _color_space(said, warnings)
     capture = Capture(folder, said.views, color_space, np.zeros(3), 1.0, "", warnings, said.files)
     if sphere is None:
@@ -88,12 +91,7 @@ def describe(folder: Path, file: str = transforms.FILE) -> CaptureDescription:
         for other in _OTHER_FORMATS:
             if other.recognizes(folder):
                 return other.read(folder)
-    state = "is empty" if not any(folder.iterdir()) else f"has no {file}"
-    raise CaptureError(
-        f"{folder} {state}",
-        f"A capture is a folder with photos and their cameras: {file}, a COLMAP project, an export of Metashape (.xml) or "
-        "Bundler (.out), or a data set of NeRF, LLFF (poses_bounds.npy) or NeuS (cameras_sphere.npz).",
-    )
+    raise no_capture(folder, file, recognized)
 
 
 def _check_places(views: list[View], warnings: list[Message]) -> None:

@@ -73,7 +73,7 @@ def test_a_gallery_that_cannot_be_written_ends_no_batch(batch):
 
 
 def test_a_broken_capture_fails_without_a_job(batch):
-    (batch.add("a") / "images/003.png").unlink()
+    (batch.add("a") / "images/003.png").write_bytes(b"no photo")
     assert batch.run()[0] == 9
     one = batch.objects()["a"]
     assert one["state"] == "failed" and "003.png" in one["error"]["message"] and one["attempts"] == 0

@@ -153,8 +153,9 @@ def endless_focal_length(folder):
     path.write_bytes(data)
 
 
-def no_photo(folder):
+def two_photos(folder):
     (folder / "images/third.png").unlink()
+    (folder / "images/fourth.png").unlink()
 
 
 def model_of_the_future(folder):
@@ -177,7 +178,7 @@ def empty(folder):
     [
         (torn, "cannot be read"),
         (endless_focal_length, "cannot be read"),
-        (no_photo, "third.png is missing"),
+        (two_photos, "2 of 4 photos of COLMAP are missing, the first: "),
         (model_of_the_future, "^camera model 77 is not supported"),
         (other_photos, "third.png is 40 x 10 pixels, but COLMAP says 32 x 24"),
         (empty, "no photos with a pose"),

@@ -19,8 +19,9 @@ from support.ball_stages import BallStages
 from support.captures import CENTER, write_exr
 
 
-def remove_photo(tiny):
-    (tiny.folder / "images/002.exr").unlink()
+def remove_photos(tiny):
+    for number in range(2, len(tiny.meta["frames"])):
+        (tiny.folder / f"images/{number:03d}.exr").unlink()
 
 
 def remove_mask(tiny):
@@ -73,7 +74,7 @@ def text_as_photo(tiny):
 
 
 def other_format(tiny):
-    (tiny.folder / "images/000.tga").write_bytes(b"x")
+    (tiny.folder / "images/000.exr").rename(tiny.folder / "images/000.tga")
     tiny.meta["frames"][0]["file_path"] = "images/000.tga"
     tiny.save()
 
@@ -104,7 +105,7 @@ def text_focal_length(tiny):
 
 def scaled_matrix(tiny):
     matrix = np.array(tiny.meta["frames"][2]["transform_matrix"])
-    matrix[:3, :3] *= 2
+    matrix[:3, :3] *= [1, 2, 1]
     tiny.meta["frames"][2]["transform_matrix"] = matrix.tolist()
     tiny.save()
 
@@ -168,7 +169,7 @@ def sphere_beside_the_object(tiny):
 
 
 CASES = [
-    (remove_photo, 3, "002.exr is missing"),
+    (remove_photos, 3, "photos of transforms.json are missing, the first: images/002.exr"),
     (remove_mask, 3, "001.png is missing"),
     (no_transforms, 3, "has no transforms.json"),
     (broken_json, 3, "cannot be read"),

@@ -68,13 +68,13 @@ def write_llff(folder: Path, cameras: list[Camera]) -> list[Formula]:
 def write_cameras_sphere(
     folder: Path, cameras: list[Camera], file: str = "cameras_sphere.npz", sphere: bool = True, skew: float = 0.0
 ) -> list[Formula]:
-    """The object's sphere is around TARGET, with radius 0.7. `skew` in focal lengths."""
+    """The object's sphere is around TARGET, with radius 0.7. `skew` in focal lengths, beside that of the lens."""
     write_photos(folder / "image")
     stored, formulas = {}, []
     for i, camera in enumerate(cameras):
         intrinsics = np.array(
             [
-                [camera.fl_x, skew * camera.fl_x, camera.cx - 0.5],
+                [camera.fl_x, (skew + camera.lens.skew) * camera.fl_x, camera.cx - 0.5],
                 [0, camera.fl_y, camera.cy - 0.5],
                 [0, 0, 1],
             ]
@@ -152,7 +152,7 @@ def write_metashape(
         lens = replace(camera.lens, p1=camera.lens.p2, p2=camera.lens.p1)
         numbers = {name: getattr(lens, name) for name in ("k1", "k2", "k3", "k4", "p1", "p2")}
         numbers |= {"f": camera.fl_y, "b1": camera.fl_x - camera.fl_y, "cx": camera.cx - WIDTH / 2}
-        numbers |= {"cy": camera.cy - HEIGHT / 2}
+        numbers |= {"cy": camera.cy - HEIGHT / 2, "b2": camera.lens.skew * camera.fl_x}
         sensors.append(
             f'<sensor id="{i}" label="lens {i}" type="{kind}"><resolution width="{WIDTH}" height="{HEIGHT}"/>'
             f'<calibration type="{kind}" class="initial"><f>1</f></calibration><calibration type="{kind}" class="adjusted">'
@@ -200,8 +200,8 @@ def _metashape_formula(
         if kind != "frame":
             r0 = np.sqrt(x**2 + y**2)
             x, y = x * np.arctan(r0) / r0, y * np.arctan(r0) / r0
-        f, b1, cx, cy, k1, k2, k3, k4, p1, p2 = (
-            numbers[name] for name in ("f", "b1", "cx", "cy", "k1", "k2", "k3", "k4", "p1", "p2")
+        f, b1, b2, cx, cy, k1, k2, k3, k4, p1, p2 = (
+            numbers[name] for name in ("f", "b1", "b2", "cx", "cy", "k1", "k2", "k3", "k4", "p1", "p2")
         )
         r = np.sqrt(x**2 + y**2)
         radial = 1 + k1 * r**2 + k2 * r**4 + k3 * r**6 + k4 * r**8
@@ -209,6 +209,6 @@ def _metashape_formula(
             x * radial + (p1 * (r**2 + 2 * x**2) + 2 * p2 * x * y),
             y * radial + (p2 * (r**2 + 2 * y**2) + 2 * p1 * x * y),
         )
-        return WIDTH * 0.5 + cx + x_ * f + x_ * b1, HEIGHT * 0.5 + cy + y_ * f
+        return WIDTH * 0.5 + cx + x_ * f + x_ * b1 + y_ * b2, HEIGHT * 0.5 + cy + y_ * f
 
     return project

@@ -24,8 +24,14 @@ OTHER_ENDINGS = (
 """A photo with such an ending does not count beside a photo with the same name and a plain ending."""
 TRANSFORMS = "transforms.json"
 _FILES = (TRANSFORMS, "transforms_train.json", "poses_bounds.npy", "cameras_sphere.npz", "cameras.npz")
-_COLMAP_PLACES = ("sparse", "colmap/sparse", "")
-_COLMAP_MODELS = ("sparse/*", "colmap/sparse/*")
+_COLMAP_PLACES = (
+    *("sparse", "colmap/sparse", "", "dense/sparse", "undistorted/sparse", "distorted/sparse"),
+    *("colmap_sparse", "colmap_text"),
+)
+_COLMAP_MODELS = (
+    *("sparse/*", "colmap/sparse/*", "dense/*/sparse", "dense/*/sparse/*", "dense/sparse/*"),
+    *("undistorted/sparse/*", "distorted/sparse/*", "colmap_sparse/*"),
+)
 _BUNDLER_PLACES = ("", "bundle")
 _BUNDLER_BEGIN = b"# Bundle file v0.3"
 _BEGIN_BYTES = 1 << 16

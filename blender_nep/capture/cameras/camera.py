@@ -6,7 +6,7 @@ Cameras look down -z, x right, y up; matrices are camera-to-world; pixel centers
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
@@ -16,6 +16,10 @@ from blender_nep.capture.cameras.lens import NO_DISTORTION, Lens, Lenses
 
 _TO_OPENCV = np.array([1.0, -1.0, -1.0])
 """Turns the camera's own axes (y up, looking down -z) into those of `Lenses` (y down, looking along +z), and back."""
+
+
+_QUARTER = np.array([[0.0, 1, 0, 0], [-1, 0, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]])
+"""Turns the own axes of a camera of stored pixels into those of the image that was turned clockwise by a quarter"""
 
 
 @dataclass(frozen=True)
@@ -106,6 +110,19 @@ class Camera:
         )
         normals /= np.linalg.norm(normals, axis=1, keepdims=True)
         return normals @ local
+
+    def as_stored(self, quarter_turns: int) -> Camera:
+        """The camera of the stored pixels, if this is that of the image which was turned clockwise `quarter_turns` times.
+
+        The lens must have no skew.
+        """
+        camera = self
+        for _ in range(quarter_turns % 4):  # back by one quarter: x = y', y = width' - x'
+            lens = replace(camera.lens, p1=-camera.lens.p2, p2=camera.lens.p1)
+            matrix = camera.camera_to_world @ _QUARTER
+            center = camera.cy, camera.width - camera.cx
+            camera = Camera(camera.height, camera.width, camera.fl_y, camera.fl_x, *center, matrix, lens)
+        return camera
 
     def scaled(self, width: int, height: int) -> Camera:
         """The same camera, after its image was resampled to another size of the same aspect."""

@@ -33,6 +33,7 @@ class Lens:
     OpenCV: radial factor 1 + k1 r^2 + k2 r^4 + k3 r^6 + k4 r^8 with r^2 = (x^2 + y^2) / z^2, and tangential terms p1, p2.
     Fisheye: distance theta (1 + k1 theta^2 + k2 theta^4 + k3 theta^6 + k4 theta^8) from the principal point for an angle of
     theta radians to the optical axis; p1 and p2 must be 0.
+    Both: the pixels of the sensor may be no rectangles. Then `skew` v is added to the place u of what is distorted already.
     """
 
     k1: float = 0.0
@@ -42,6 +43,8 @@ class Lens:
     p1: float = 0.0
     p2: float = 0.0
     fisheye: bool = False
+    skew: float = 0.0
+    """Relative to the focal length fl_x: in a matrix K of pixels it is K[0, 1] / K[0, 0]"""
 
     @property
     def is_pinhole(self) -> bool:
@@ -56,7 +59,7 @@ class Lenses:
     """A batch of n lenses. Coefficients are float64 or float32 tensors; `at` picks rows."""
 
     def __init__(self, terms: Tensor, fisheye: Tensor, reach: Tensor, kinds: frozenset[bool]) -> None:
-        """terms [n, 6]: k1, k2, k3, k4, p1, p2; fisheye [n] bool; reach [n]: see `_reach`.
+        """terms [n, 7]: k1, k2, k3, k4, p1, p2, skew; fisheye [n] bool; reach [n]: see `_reach`.
 
         kinds: the values that `fisheye` may have, so that a model that no lens has is not computed.
         """
@@ -65,7 +68,7 @@ class Lenses:
     @classmethod
     def of(cls, lenses: Sequence[Lens], device: torch.device | str = "cpu", dtype: torch.dtype = torch.float64) -> Lenses:
         """The lenses as one batch."""
-        terms = torch.tensor([astuple(lens)[:6] for lens in lenses], dtype=dtype, device=device)
+        terms = torch.tensor([(*astuple(lens)[:6], lens.skew) for lens in lenses], dtype=dtype, device=device)
         fisheye = torch.tensor([lens.fisheye for lens in lenses], device=device)
         reach = torch.tensor([_reach(lens) for lens in lenses], dtype=dtype, device=device)
         return cls(terms, fisheye, reach, frozenset(lens.fisheye for lens in lenses))
@@ -81,6 +84,7 @@ class Lenses:
         Returns unit directions [n, 3], the solid angle [n] of an area of 1 at each place (sr per squared focal length), and
         whether any direction is shown there [n] bool. No direction is shown beyond the place where the distortion folds.
         """
+        u = u - self.terms[:, 6] * v
         if True not in self.kinds:
             return self._perspective(u, v)
         if False not in self.kinds:
@@ -111,7 +115,7 @@ class Lenses:
             scale = self._radial(theta * theta) * theta / radius.clamp_min(1e-12)
             u, v = torch.where(self.fisheye, scale * x, u), torch.where(self.fisheye, scale * y, v)
             shown = torch.where(self.fisheye, theta < self.reach, shown)
-        return u, v, shown
+        return u + self.terms[:, 6] * v, v, shown
 
     def _radial(self, squared: Tensor) -> Tensor:
         """1 + k1 s + k2 s^2 + k3 s^3 + k4 s^4 [n] for s = `squared`."""
@@ -125,7 +129,7 @@ class Lenses:
 
     def _distorted(self, x: Tensor, y: Tensor) -> tuple[Tensor, Tensor]:
         """The places of the directions (x, y, 1) by the OpenCV model."""
-        p1, p2 = self.terms[:, 4:].unbind(-1)
+        p1, p2 = self.terms[:, 4:6].unbind(-1)
         squared = x * x + y * y
         radial = self._radial(squared)
         u = x * radial + 2 * p1 * x * y + p2 * (squared + 2 * x * x)
@@ -133,7 +137,7 @@ class Lenses:
 
     def _slopes(self, x: Tensor, y: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
         """The derivatives du/dx, du/dy, dv/dx, dv/dy of `_distorted`."""
-        p1, p2 = self.terms[:, 4:].unbind(-1)
+        p1, p2 = self.terms[:, 4:6].unbind(-1)
         squared = x * x + y * y
         radial, slope = self._radial(squared), self._radial_slope(squared)
         mixed = 2 * x * y * slope + 2 * p1 * x + 2 * p2 * y

@@ -22,7 +22,7 @@ from blender_nep.capture.cameras.camera import Camera
 from blender_nep.capture.cameras.lens import Lens
 from blender_nep.capture.capture import View
 from blender_nep.capture.description import CaptureDescription, check_number
-from blender_nep.capture.formats.photo_search import check_distinct, found_photo, mask_of, mask_warnings, view_name
+from blender_nep.capture.formats.photo_search import check_distinct, mask_of, mask_warnings, photos_named, view_name
 from blender_nep.capture.formats.photos import check_readable
 from blender_nep.capture.formats.poses import camera_to_world, check_intrinsics, rotation_of, without_pose_warnings
 from blender_nep.capture.photos.photo_files import image_size
@@ -84,10 +84,11 @@ def read(folder: Path) -> CaptureDescription:
     placed = [(entry, name) for entry, name in zip(entries, names, strict=True) if entry.focal != 0]
     if not placed:
         raise CaptureError(f"{bundle.name} has no photos with a pose", "Compute the cameras again.")
-    views = [_view(folder, bundle, entry, name) for entry, name in placed]
+    photos, missing = photos_named(folder, [name for _, name in placed], names_file.name)
+    views = [_view(folder, bundle, entry, name, photos[name]) for entry, name in placed if name in photos]
     check_distinct(views, names_file.name)
-    missing = [name for entry, name in zip(entries, names, strict=True) if entry.focal == 0]
-    warnings = without_pose_warnings(missing) + mask_warnings(folder, views)
+    without = [name for entry, name in zip(entries, names, strict=True) if entry.focal == 0]
+    warnings = without_pose_warnings(without) + missing + mask_warnings(folder, views)
     return CaptureDescription(name=bundle.name, files=(bundle, names_file), views=views, warnings=warnings)
 
 
@@ -173,8 +174,7 @@ def _share_behind(numbers: Iterator[float], points: int, entries: list[_Entry]) 
     return float(np.mean(sides)) if sides else 0.0
 
 
-def _view(folder: Path, bundle: Path, entry: _Entry, name: str) -> View:
-    image = found_photo(folder, name, bundle.name)
+def _view(folder: Path, bundle: Path, entry: _Entry, name: str, image: Path) -> View:
     check_readable(image, name)
     what = f"{bundle.name}: {name}"
     check_intrinsics(what, entry.focal)

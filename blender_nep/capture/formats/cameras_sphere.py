@@ -13,6 +13,7 @@ import numpy as np
 from scipy.linalg import rq
 
 from blender_nep.capture.cameras.camera import Camera
+from blender_nep.capture.cameras.lens import NO_DISTORTION, Lens
 from blender_nep.capture.capture import View
 from blender_nep.capture.description import CaptureDescription, check_number
 from blender_nep.capture.formats.arrays import DAMAGED, read_npz
@@ -24,8 +25,8 @@ from blender_nep.errors import CaptureError
 FILES = ("cameras_sphere.npz", "cameras.npz")
 _PHOTOS, _MASKS = ("image", "images"), ("mask", "masks")
 _MATRICES = re.compile(r"(world|scale)_mat_\d+")
-_MOST_SKEW = 0.005
-"""More skew than this, relative to the focal length, is refused. Less is the rounding of float32, and is left out."""
+_LEAST_SKEW = 1e-4
+"""Less skew than this, relative to the focal length, is rounding, and is left out."""
 _CENTER = 0.5
 """Where these formats have the center of the first pixel at 0: NeuS casts the ray of column i through x = i, and its own
 script for photos of a COLMAP project writes (w - 1) / 2 for the middle. We have it at 0.5."""
@@ -87,13 +88,11 @@ def _camera(projection: np.ndarray, size: tuple[int, int], what: str) -> Camera:
     upper /= upper[2, 2]
     fl_x, fl_y = float(upper[0, 0]), float(upper[1, 1])
     check_intrinsics(what, fl_x, fl_y)
-    if abs(upper[0, 1]) > _MOST_SKEW * fl_x:
-        raise CaptureError(
-            f"{what} has a skew of {100 * upper[0, 1] / fl_x:.2g} % of the focal length", "Its pixels must be rectangles."
-        )
+    skew = float(upper[0, 1]) / fl_x
+    lens = Lens(skew=skew) if abs(skew) > _LEAST_SKEW else NO_DISTORTION
     position = -np.linalg.solve(left, projection[:, 3])
     matrix = camera_to_world(rotation_of(rotation.T * FROM_OPENCV, what), position, what)
-    return Camera(*size, fl_x, fl_y, float(upper[0, 2]) + _CENTER, float(upper[1, 2]) + _CENTER, matrix)
+    return Camera(*size, fl_x, fl_y, float(upper[0, 2]) + _CENTER, float(upper[1, 2]) + _CENTER, matrix, lens)
 
 
 def _sphere(stored: dict[str, np.ndarray], path: Path) -> tuple[list[float] | None, float | None]:

@@ -1,15 +1,18 @@
 """Reads a COLMAP project: `cameras` and `images`, binary or text.
 
-They lie in the folder, in a folder of `sparse` such as `sparse/0`, in `sparse`, or in these below `colmap/`. COLMAP makes
-several models where photos fall into groups that share no points: the one with the most photos counts. The photos lie in
-`images/` or in the folder itself. Masks, if any, lie in `masks/`, with the names of photo_search.py. The frame of the
-capture is COLMAP's own. The sparse points are not read.
+They lie in one of the places of `_PLACES`, such as `sparse/0`. COLMAP makes several models where photos fall into groups
+that share no points: the one with the most photos counts. Some workspaces hold the same model twice, before and after the
+photos were undistorted (COLMAP's `dense/0`, 3DGS's `distorted/`): the first one whose photos are there counts. The photos
+lie in `images/` or beside. Masks, if any, lie in `masks/`, with the names of photo_search.py. The frame of the capture is
+COLMAP's own. The sparse points are not read, and neither are rigs and frames (COLMAP 3.12 and later): each photo has its own
+pose in `images` all the same.
 """
 
 from __future__ import annotations
 
 import struct
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple
 
@@ -19,15 +22,30 @@ from blender_nep.capture.cameras.camera import Camera
 from blender_nep.capture.cameras.lens import Lens
 from blender_nep.capture.capture import View
 from blender_nep.capture.description import CaptureDescription, check_number
-from blender_nep.capture.formats.photo_search import mask_warnings, named_mask
+from blender_nep.capture.formats.photo_search import (
+    IMAGES,
+    IMAGES_FIRST,
+    check_distinct,
+    mask_warnings,
+    named_mask,
+    photos_named,
+)
 from blender_nep.capture.formats.photos import check_readable, fitted, rescaled_warnings
-from blender_nep.capture.photos.photo_files import find_image
+from blender_nep.capture.photos.photo_lookup import PhotoLookup, stem
 from blender_nep.errors import CaptureError
 from blender_nep.messages import Message
 from blender_nep.safety.plain_files import MEGABYTE, open_plain, read_bytes, read_text
 
 NAME = "COLMAP"
-_PLACES = ("sparse/*", "sparse", "colmap/sparse/*", "colmap/sparse", ".")
+_PLACES = (
+    *("sparse/*", "sparse", "colmap/sparse/*", "colmap/sparse", "."),
+    *("dense/*/sparse", "dense/sparse", "dense/*/sparse/*", "dense/sparse/*", "undistorted/sparse/*", "undistorted/sparse"),
+    *("distorted/sparse/*", "distorted/sparse", "colmap_sparse/*", "colmap_sparse", "colmap_text"),
+)
+_OF_INPUT = "distorted"
+"""In 3DGS's workspace: the model of the photos in `input/`. Those in `images/` are undistorted."""
+_OWN_PHOTOS = ("dense", "undistorted")
+"""Workspaces of image_undistorter, which have photos of their own"""
 _MOST_BYTES = 2048 * MEGABYTE
 """Of a file. A photo with 10,000 features takes a quarter of a megabyte."""
 _PANORAMA = "EQUIRECTANGULAR"
@@ -78,17 +96,47 @@ class _Pose(NamedTuple):
 
 def recognizes(folder: Path) -> bool:
     """Whether the folder holds a COLMAP project."""
-    return bool(_models(folder))
+    return next(_groups(folder), None) is not None
 
 
-def _models(folder: Path) -> list[Path]:
-    """The folders with models in the first of the places that has any, sorted by their names."""
+def _groups(folder: Path) -> Iterator[list[Path]]:
+    """For each of the places that has any, the folders with models, sorted by their names."""
     for place in _PLACES:
         candidates = sorted(folder.glob(place)) if "*" in place else [folder / place]
         found = [model for model in candidates if _ending(model) is not None]
         if found:
-            return found
-    return []
+            yield found
+
+
+def _photo_places(folder: Path, model: Path) -> tuple[str, ...]:
+    """Where the photos of a model may lie, relative to the folder."""
+    parts = model.relative_to(folder).parts
+    if parts and parts[0] in _OWN_PHOTOS:
+        own = "/".join(parts[: parts.index("sparse")])
+        return (f"{own}/{IMAGES}", own)
+    if parts and parts[0] == _OF_INPUT:
+        return ("input", *(place for place in IMAGES_FIRST if place != "input"))
+    if (folder / _OF_INPUT).is_dir():
+        return tuple(place for place in IMAGES_FIRST if place != "input")
+    return IMAGES_FIRST
+
+
+def _choose(folder: Path) -> tuple[Path, list[Message]]:
+    """The model to read, and a warning if there are others for other photos. Raises CaptureError."""
+    chosen = [_largest(folder, models) for models in _groups(folder)]
+    if len(chosen) == 1:
+        return chosen[0]
+    lookup = PhotoLookup(folder)
+
+    def present(model: Path) -> int:
+        try:
+            poses = _read_model(model)[2]
+        except CaptureError:
+            return 0
+        places = _photo_places(folder, model)
+        return sum(lookup.find(pose.name, places, absolute_first=False) is not None for pose in poses)
+
+    return max(chosen, key=lambda one: present(one[0]))  # the first one of equals
 
 
 def _ending(model: Path) -> str | None:
@@ -101,14 +149,18 @@ def _ending(model: Path) -> str | None:
 
 def read(folder: Path) -> CaptureDescription:
     """What the project says; photos are opened only for their size. Raises CaptureError."""
-    model, warnings = _largest(folder, _models(folder))
+    model, warnings = _choose(folder)
     files, cameras, poses = _read_model(model)
     if not poses:
         raise CaptureError(f"the COLMAP project in {model} has no photos with a pose", "Run COLMAP's mapper again.")
     check_number(len(poses), "the COLMAP project")
+    photos, missing = photos_named(folder, [pose.name for pose in poses], NAME, _photo_places(folder, model))
+    placed = sorted((pose for pose in poses if pose.name in photos), key=lambda pose: pose.name)
     rescaled: list[str] = []
-    views = [_view(folder, cameras, pose, rescaled) for pose in sorted(poses, key=lambda pose: pose.name)]
-    warnings += mask_warnings(folder, views) + rescaled_warnings(rescaled)
+    turned: list[str] = []
+    views = [_view(folder, cameras, pose, photos[pose.name], rescaled, turned) for pose in placed]
+    check_distinct(views, NAME)
+    warnings += missing + mask_warnings(folder, views) + rescaled_warnings(rescaled, turned)
     return CaptureDescription(name=NAME, files=files, views=views, warnings=warnings)
 
 
@@ -134,7 +186,7 @@ def _pose_count(model: Path) -> int:
         if _ending(model) == "bin":
             with open_plain(model / "images.bin", sys.maxsize) as file:
                 return _count(file.read(8))
-        return len(_text_pose_lines(read_text(model / "images.txt", _MOST_BYTES)))
+        return len(_text_pose_lines(read_text(model / "images.txt", _MOST_BYTES, "utf-8-sig")))
     except (OSError, ValueError, struct.error):
         return 0
 
@@ -153,7 +205,7 @@ def _read_model(model: Path) -> tuple[tuple[Path, Path], dict[int, _Intrinsics],
         if ending == "bin":
             lenses, places = (read_bytes(file, _MOST_BYTES) for file in files)
             return files, _binary_cameras(lenses), _binary_poses(places)
-        cameras, poses = (read_text(file, _MOST_BYTES) for file in files)
+        cameras, poses = (read_text(file, _MOST_BYTES, "utf-8-sig") for file in files)
         return files, _text_cameras(cameras), _text_poses(poses)
     except (OSError, ValueError, IndexError, struct.error) as error:
         raise CaptureError(
@@ -161,16 +213,20 @@ def _read_model(model: Path) -> tuple[tuple[Path, Path], dict[int, _Intrinsics],
         ) from error
 
 
-def _view(folder: Path, cameras: dict[int, _Intrinsics], pose: _Pose, rescaled: list[str]) -> View:
-    image = find_image(folder / "images", pose.name) or find_image(folder, pose.name)
-    if image is None:
-        raise CaptureError(f"photo {pose.name} is missing", f"Put it into {folder / 'images'}.")
+def _view(
+    folder: Path,
+    cameras: dict[int, _Intrinsics],
+    pose: _Pose,
+    image: Path,
+    rescaled: list[str],
+    turned: list[str],
+) -> View:
     check_readable(image, pose.name)
     if pose.camera not in cameras:
         raise CaptureError(f"{pose.name}: the project has no camera {pose.camera}", "Export the project again.")
     mask = named_mask(folder, Path(pose.name))
-    camera = fitted(_camera(cameras[pose.camera], pose), image, pose.name, NAME, rescaled)
-    return View(str(Path(pose.name).with_suffix("")), image, mask, camera)
+    camera = fitted(_camera(cameras[pose.camera], pose), image, pose.name, NAME, rescaled, turned)
+    return View(stem(pose.name), image, mask, camera)
 
 
 def _camera(intrinsics: _Intrinsics, pose: _Pose) -> Camera:
@@ -234,9 +290,36 @@ def _text_poses(text: str) -> list[_Pose]:
 
 
 def _text_pose_lines(text: str) -> list[str]:
-    """The lines with poses. Every photo has two lines: its pose, and its features, which may be an empty line."""
-    lines = [line for line in text.splitlines() if not line.startswith("#")]
-    return [line for line in lines[::2] if line.strip()]
+    """The lines with poses. COLMAP writes two lines a photo: its pose, and its features, which may be none.
+
+    Scripts leave out the lines of features, or the empty ones among them. So the lines are told by what they hold. Raises
+    ValueError where a line is neither.
+    """
+    out = []
+    for line in text.split("\n"):
+        line = line.strip()
+        if not line or line.startswith("#"):
+            continue
+        words = line.split(maxsplit=9)
+        if not all(map(_is_number, words[:9])):
+            raise ValueError(f"images.txt has the line {line[:60]!r}")
+        if len(words) == 10 and words[0].isdigit() and words[8].isdigit() and not _ends_as_features(words[9]):
+            out.append(line)
+    return out
+
+
+def _ends_as_features(text: str) -> bool:
+    """Whether a line has features, if `text` comes after nine numbers. A feature is x, y and the number of a scene point."""
+    words = text.split()
+    return len(words) % 3 == 0 and all(map(_is_number, words))
+
+
+def _is_number(word: str) -> bool:
+    try:
+        float(word)
+    except ValueError:
+        return False
+    return True
 
 
 def _binary_cameras(data: bytes) -> dict[int, _Intrinsics]:

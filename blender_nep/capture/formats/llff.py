@@ -37,11 +37,12 @@ def read(folder: Path) -> CaptureDescription:
     place, photos = first_with_photos(folder, _PLACES)
     check_count(FILE, len(poses), f"{place}/", len(photos))
     rescaled: list[str] = []
+    turned: list[str] = []
     views = []
     for pose, photo in zip(poses, photos, strict=True):
-        camera = fitted(_camera(pose, photo.name), photo, photo.name, FILE, rescaled)
+        camera = fitted(_camera(pose, photo.name), photo, photo.name, FILE, rescaled, turned)
         views.append(View(photo.stem, photo, mask_of(folder, photo), camera))
-    warnings = mask_warnings(folder, views) + rescaled_warnings(rescaled)
+    warnings = mask_warnings(folder, views) + rescaled_warnings(rescaled, turned)
     return CaptureDescription(name=FILE, files=(folder / FILE,), views=views, warnings=warnings)
 
 

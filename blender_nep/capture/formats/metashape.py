@@ -31,7 +31,7 @@ from blender_nep.capture.cameras.camera import Camera
 from blender_nep.capture.cameras.lens import Lens
 from blender_nep.capture.capture import View
 from blender_nep.capture.description import CaptureDescription, check_number
-from blender_nep.capture.formats.photo_search import check_distinct, found_photo, mask_of, mask_warnings, view_name
+from blender_nep.capture.formats.photo_search import check_distinct, mask_of, mask_warnings, photos_named, view_name
 from blender_nep.capture.formats.photos import check_readable, fitted, rescaled_warnings
 from blender_nep.capture.formats.poses import (
     FROM_OPENCV,
@@ -48,8 +48,6 @@ _DAMAGED = (OSError, ElementTree.ParseError, LookupError, ValueError, RecursionE
 """What the parser raises: LookupError and ValueError are for encodings that Python does not know"""
 _BEGIN_BYTES = 1 << 16
 _MOST_BYTES = 256 * MEGABYTE
-_MOST_SKEW = 0.005
-"""More of b2 than this, relative to the focal length, is refused. Less is left out."""
 
 
 class _Sensor(NamedTuple):
@@ -104,23 +102,26 @@ def read(folder: Path) -> CaptureDescription:
     found_sensors = [sensor for sensor in chunk.iterfind("sensors/sensor") if sensor.get("id") in used]
     sensors = {sensor.get("id"): _sensor(sensor, file) for sensor in found_sensors}
     frames = _frames(chunk, list(dict.fromkeys(camera.get("component_id") for camera in placed)), file)
+    photos, missing = photos_named(folder, [_label(camera, file) for camera in placed], file)
     rescaled: list[str] = []
+    turned: list[str] = []
     views = []
     for camera in placed:
         label = _label(camera, file)
+        if label not in photos:
+            continue
         sensor = sensors.get(camera.get("sensor_id"))
         if sensor is None:
             raise CaptureError(f"{file}: camera {label} has no sensor", "Export the cameras again.")
-        image = found_photo(folder, label, file)
+        image = photos[label]
         check_readable(image, label)
         matrix = _pose(camera, frames[camera.get("component_id")], f"{file}: {label}")
         ours = Camera(*sensor[:6], matrix, sensor.lens)
-        views.append(
-            View(view_name(folder, image), image, mask_of(folder, image), fitted(ours, image, label, file, rescaled))
-        )
+        ours = fitted(ours, image, label, file, rescaled, turned)
+        views.append(View(view_name(folder, image), image, mask_of(folder, image), ours))
     check_distinct(views, file)
-    missing = [_label(camera, file) for camera in cameras if not _has_pose(camera)]
-    warnings = without_pose_warnings(missing) + mask_warnings(folder, views) + rescaled_warnings(rescaled)
+    without = [_label(camera, file) for camera in cameras if not _has_pose(camera)]
+    warnings = without_pose_warnings(without) + missing + mask_warnings(folder, views) + rescaled_warnings(rescaled, turned)
     return CaptureDescription(name=file, files=(found[0],), views=views, warnings=warnings)
 
 
@@ -233,11 +234,6 @@ def _sensor(sensor: Element, file: str) -> _Sensor:
     width, height = _values(size, 2, f"{what}: resolution").tolist()
     focal, b1, b2 = term("f"), term("b1"), term("b2")
     check_intrinsics(what, width, height, focal, focal + b1)
-    if abs(b2) > _MOST_SKEW * focal:
-        raise CaptureError(
-            f"{what} has a skew b2 of {100 * b2 / focal:.2g} % of the focal length",
-            "Calibrate it in Metashape with b2 fixed.",
-        )
     k1, k2, k3, k4, p1, p2 = (term(name) for name in ("k1", "k2", "k3", "k4", "p1", "p2"))
     refused = [name for name in (("p1", "p2", "p3", "p4") if kind in _FISHEYE else ("p3", "p4")) if term(name)]
     if refused:
@@ -245,6 +241,8 @@ def _sensor(sensor: Element, file: str) -> _Sensor:
             f"{what}: the distortion {', '.join(refused)} of camera type {kind} is not supported",
             "Calibrate it in Metashape with these fixed, or export the photos without distortion (Convert Images).",
         )
-    lens = Lens(k1, k2, k3, k4, p1=p2, p2=p1, fisheye=kind in _FISHEYE)  # see above: the two are swapped
+    lens = Lens(
+        k1, k2, k3, k4, p1=p2, p2=p1, fisheye=kind in _FISHEYE, skew=b2 / (focal + b1)
+    )  # see above: the two are swapped
     cx, cy = width / 2 + term("cx"), height / 2 + term("cy")
     return _Sensor(round(width), round(height), focal + b1, focal, cx, cy, lens)

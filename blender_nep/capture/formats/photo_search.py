@@ -1,21 +1,25 @@
 """Where the photos and masks of other programs' exports lie.
 
-A photo lies in `images/` or in the folder itself, under the path that the file says, or the end of that path. Last, the
-absolute path counts. Masks, if any, lie in `masks/`, under the photo's name with `.png` added, or with `.png` or `_mask.png`
-in place of its ending.
+A photo lies in a folder of photos such as `images/`, or in the folder itself, under the path that the file says, or the end
+of that path; `photo_lookup.py` says how names may differ. Last, the absolute path counts. Masks, if any, lie in `masks/`,
+under the photo's name with `.png` added, or with `.png` or `_mask.png` in place of its ending.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from pathlib import Path, PureWindowsPath
+from pathlib import Path
 
 from blender_nep.capture.capture import View
-from blender_nep.capture.photos.photo_files import SUFFIXES, find_image
+from blender_nep.capture.description import MINIMUM_VIEWS
+from blender_nep.capture.photos.photo_files import SUFFIXES, refuse_other_computer
+from blender_nep.capture.photos.photo_lookup import PLACES, PhotoLookup, stem
 from blender_nep.errors import CaptureError
 from blender_nep.messages import Message
 
 IMAGES, MASKS = "images", "masks"
+IMAGES_FIRST = (IMAGES, *(place for place in PLACES if place != IMAGES))
+"""Where photos lie that a file names relative to the folder of photos"""
 
 
 def photos_in(folder: Path) -> list[Path]:
@@ -32,22 +36,65 @@ def first_with_photos(folder: Path, places: Iterable[str]) -> tuple[str, list[Pa
     return next(((place, found) for place in places if (found := photos_in(folder / place))), (places[0], []))
 
 
-def found_photo(folder: Path, name: str, file: str) -> Path:
-    """The photo that a file calls `name`. Raises CaptureError if it is not there."""
-    written = PureWindowsPath(name)  # it understands both kinds of slashes: the file may come from another machine
-    parts = written.parts[1:] if written.anchor else written.parts
-    for first in range(len(parts)):
-        for place in (folder / IMAGES, folder):
-            found = find_image(place, "/".join(parts[first:]))
-            if found:
-                return found
-    path = Path(name)
-    # A job names photos relative to the capture's folder, which another drive does not allow.
-    if path.is_absolute() and path.drive == folder.absolute().drive:
-        found = find_image(path.parent, path.name)
-        if found:
-            return found
-    raise CaptureError(f"photo {name} of {file} is missing", f"Put it into {folder / IMAGES}.")
+def photos_named(
+    folder: Path, names: Sequence[str], file: str, places: tuple[str, ...] = IMAGES_FIRST, *, absolute_first: bool = False
+) -> tuple[dict[str, Path], list[Message]]:
+    """{name: the photo} of the photos that a file calls `names`, and a warning about those that are missing.
+
+    `places` and `absolute_first`: see `PhotoLookup.find`. Raises CaptureError if too few photos are there, or where a
+    name leads to another computer.
+    """
+    lookup = PhotoLookup(folder)
+    found, missing = {}, []
+    for name in dict.fromkeys(names):
+        refuse_other_computer(folder, name)
+        photo = lookup.find(name, places, absolute_first=absolute_first)
+        if photo is None:
+            missing.append(name)
+        else:
+            found[name] = photo
+    for name in _taken_by_others(found):
+        del found[name]
+        missing.append(name)
+    if not missing:
+        return found, []
+    if len(found) < MINIMUM_VIEWS:
+        it = "it" if len(missing) == 1 else "them"
+        many = f"{len(missing)} of {len(found) + len(missing)} photos of {file} are missing, the first: {missing[0]}"
+        one = f"photo {missing[0]} of {file} is missing"
+        raise CaptureError(
+            one if len(missing) == 1 else many,
+            f"Put {it} into {folder / IMAGES}. At least {MINIMUM_VIEWS} photos are needed.",
+            "capture.photos_not_there",
+            count=len(missing),
+            photos=len(found) + len(missing),
+            names=missing,
+            folder=folder,
+        )
+    values = {"count": len(missing), "photos": len(found) + len(missing), "names": missing}
+    return found, [Message("capture.photos_missing", values)]
+
+
+def _taken_by_others(found: dict[str, Path]) -> list[str]:
+    """The names that led to the photo of another name, or several of them to the same one: their own photos are missing.
+
+    So is `001.jpg` where only `001.png` is there and the file names both, or `left/001.png` and `right/001.png` where only
+    `001.png` is there.
+    """
+    names: dict[Path, list[str]] = {}
+    for name, photo in found.items():
+        names.setdefault(photo, []).append(name)
+    out = []
+    for photo, same in names.items():
+        exact = [name for name in same if photo.as_posix().endswith(name.replace("\\", "/").removeprefix("./"))]
+        own = max(exact, key=len) if exact else None
+        if len(same) > 1:
+            out += [name for name in same if name != own and _has_ending(name)]
+    return out
+
+
+def _has_ending(name: str) -> bool:
+    return stem(name) != name
 
 
 def mask_of(folder: Path, image: Path) -> Path | None:

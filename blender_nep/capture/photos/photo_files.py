@@ -22,33 +22,37 @@ from pathlib import Path
 import numpy as np
 from PIL import ExifTags
 
+from blender_nep.capture.photos import photo_lookup
 from blender_nep.capture.photos.formats import exr_files, heif_files, pillow_files, raw_files, tiff_files
 from blender_nep.capture.photos.formats.raster import Raster
+from blender_nep.capture.photos.photo_lookup import PhotoLookup
 from blender_nep.errors import CaptureError
 from blender_nep.safety.pictures import DAMAGED
 from blender_nep.safety.plain_files import is_on_other_computer, open_plain
 
-SUFFIXES = (".exr", ".png", ".jpg", ".jpeg", ".tif", ".tiff", ".webp", ".heic", ".heif", ".hif", *raw_files.SUFFIXES)
+SUFFIXES = photo_lookup.ENDINGS
+
+QUARTER_TURNS = {1: 0, 2: 0, 6: 1, 5: 1, 3: 2, 4: 2, 8: 3, 7: 3}
+"""{EXIF orientation: by how many quarter turns clockwise the stored image must be turned to stand upright}
+
+The second of two equal ones says that the image is mirrored too, which does not change where its top is.
+"""
 
 
 def find_image(folder: Path, name: str) -> Path | None:
-    """The path of the image `name` in `folder`, or None if there is no such file.
+    """The path of the image `name` in `folder`, or None if there is no such file. See `PhotoLookup.at`.
 
-    Where `name` has no extension (as in Blender datasets), the extensions of `SUFFIXES` are tried in their order. Raises
-    CaptureError where the name leads to another computer.
+    Raises CaptureError where the name leads to another computer.
     """
+    refuse_other_computer(folder, name)
+    return PhotoLookup(folder).at(name)
+
+
+def refuse_other_computer(folder: Path, name: str) -> None:
+    """Raises CaptureError where the name of a photo, which a file in `folder` says, leads to another computer."""
     if is_on_other_computer(name, folder):
         hint = "Copy the photos into the capture's folder, or connect that computer as a drive."
         raise CaptureError(f"{name} lies on another computer", hint)
-    path = folder / name
-    if path.is_file():
-        return path
-    if path.suffix.lower() not in SUFFIXES:
-        for suffix in SUFFIXES:
-            for found in (path.with_name(path.name + suffix), path.with_name(path.name + suffix.upper())):
-                if found.is_file():
-                    return found
-    return None
 
 
 def file_kind(path: Path) -> str:
@@ -111,6 +115,14 @@ def exif(path: Path) -> dict[int, object]:
         return tags.get(file_kind(path), pillow_files.tags)(path)
     except DAMAGED as error:
         raise _unreadable(path, error) from error
+
+
+def quarter_turns(path: Path) -> int:
+    """By how many quarter turns clockwise EXIF says to turn the stored pixels; 0 without EXIF, or if it is damaged."""
+    try:
+        return QUARTER_TURNS.get(exif(path).get(ExifTags.Base.Orientation, 1), 0)  # type: ignore[call-overload]
+    except CaptureError:
+        return 0
 
 
 def time_taken(path: Path) -> datetime | None:

@@ -25,7 +25,11 @@ FILES = {
     "nerf_synthetic": [{"transforms_train.json": "{}"}],
     "colmap": [
         {f"{place}cameras.{ending}": "", f"{place}images.{ending}": ""}
-        for place in ("", "sparse/", "sparse/0/", "colmap/sparse/", "colmap/sparse/0/", "sparse/1/")
+        for place in (
+            *("", "sparse/", "sparse/0/", "colmap/sparse/", "colmap/sparse/0/", "sparse/1/", "dense/sparse/"),
+            *("dense/0/sparse/", "dense/0/sparse/0/", "dense/sparse/0/", "undistorted/sparse/", "undistorted/sparse/0/"),
+            *("distorted/sparse/", "distorted/sparse/0/", "colmap_sparse/", "colmap_sparse/0/", "colmap_text/"),
+        )
         for ending in ("bin", "txt")
     ],
     "llff": [{"poses_bounds.npy": ""}],

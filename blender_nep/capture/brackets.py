@@ -1,0 +1,67 @@
+"""Finds photos that were taken as brackets: several exposures of each view, to be merged to one with a large range (HDR)."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from pathlib import Path
+
+from PIL import ExifTags
+
+from blender_nep.capture.photos.photo_files import exif
+from blender_nep.errors import CaptureError
+from blender_nep.messages import Message
+
+_SIZES = (3, 5, 7, 9, 2)
+"""So many exposures cameras take of a view"""
+_LEAST_STOPS = 0.9
+"""Exposures of a bracket differ by more, from the darkest to the brightest"""
+_SAME_STOPS = 0.25
+"""The steps of all brackets are alike up to this."""
+_LEAST_SHARE = 0.8
+"""Brackets may be incomplete: so many of them must have the steps of the first one"""
+_LEAST_BRACKETS = 2
+
+
+def bracket_warnings(photos: Sequence[Path]) -> list[Message]:
+    """The warning about photos in brackets; none where EXIF tells no exposures. `photos` may have any order."""
+    stops = [_stops(photo) for photo in sorted(photos)]
+    known = [stop for stop in stops if stop is not None]
+    if len(known) < len(stops) or len(stops) < 2 * _LEAST_BRACKETS:
+        return []
+    for size in _SIZES:
+        groups = [known[start : start + size] for start in range(0, len(known) - size + 1, size)]
+        if len(groups) < _LEAST_BRACKETS or len(known) % size:
+            continue
+        steps = [[stop - group[0] for stop in group] for group in groups]
+        spread = max(steps[0]) - min(steps[0])
+        alike = sum(all(abs(a - b) < _SAME_STOPS for a, b in zip(one, steps[0], strict=True)) for one in steps)
+        distinct = all(abs(a - b) > _SAME_STOPS for n, a in enumerate(steps[0]) for b in steps[0][:n])
+        if spread > _LEAST_STOPS and distinct and alike >= _LEAST_SHARE * len(groups):
+            return [Message("capture.brackets", {"size": size, "photos": len(known), "stops": spread})]
+    return []
+
+
+def _stops(photo: Path) -> float | None:
+    """The exposure in stops, as EXIF tells it: by time, aperture and ISO; None where it does not tell the time."""
+    try:
+        tags = exif(photo)
+    except CaptureError:
+        return None
+    time, aperture, iso = (_number(tags.get(tag)) for tag in (ExifTags.Base.ExposureTime, ExifTags.Base.FNumber, _ISO))
+    if time is None:
+        return None
+    return math.log2(time) - 2 * math.log2(aperture or 1.0) + math.log2(iso or 100.0)
+
+
+_ISO = ExifTags.Base.ISOSpeedRatings
+
+
+def _number(value: object) -> float | None:
+    """A positive number of EXIF, or None."""
+    first = value[0] if isinstance(value, tuple) and value else value
+    try:
+        number = float(first)  # type: ignore[arg-type]
+    except (TypeError, ValueError, ZeroDivisionError):
+        return None
+    return number if math.isfinite(number) and number > 0 else None

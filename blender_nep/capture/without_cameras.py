@@ -1,0 +1,87 @@
+"""What to say of a folder that is no capture: what it holds instead, and what to do next."""
+
+from __future__ import annotations
+
+import shlex
+from collections.abc import Callable
+from pathlib import Path
+
+from blender_nep.capture.description import MINIMUM_VIEWS
+from blender_nep.capture.formats.photo_search import photos_in
+from blender_nep.capture.photos.photo_lookup import PLACES
+from blender_nep.errors import CaptureError
+
+_VIDEOS = (".mp4", ".mov", ".m4v", ".avi", ".mkv", ".webm", ".mts", ".m2ts", ".3gp", ".insv", ".360", ".wmv")
+_SHOWN = 3
+FORMS = (
+    "a COLMAP project, an export of Metashape (.xml) or Bundler (.out), or a data set of NeRF, LLFF (poses_bounds.npy) or "
+    "NeuS (cameras_sphere.npz)"
+)
+
+
+def no_capture(folder: Path, file: str, recognized: Callable[[Path], bool]) -> CaptureError:
+    """The error about a folder without `file` and without cameras of any other form. `recognized`: what a capture is."""
+    names = sorted(path.name for path in folder.iterdir())
+    place, photos = photos_below(folder)
+    state = "is empty" if not names else f"has no {file}"
+    if len(photos) >= MINIMUM_VIEWS:
+        return CaptureError(
+            f"{folder} holds {len(photos)} photos, but no cameras: it {state}",
+            f"Find the cameras first: {find_cameras(place)}",
+            "capture.no_cameras",
+            folder=folder,
+            photos=len(photos),
+        )
+    if videos := videos_in(folder):
+        return CaptureError(
+            f"{folder} holds a video ({videos[0].name}), but no photos and no cameras: it {state}",
+            video_hint(folder, videos[0]),
+            "capture.video",
+            folder=folder,
+            video=videos[0].name,
+        )
+    inner = [path.name for path in sorted(folder.iterdir()) if path.is_dir() and _is_or_could_be(path, recognized)]
+    if inner:
+        more = f" and {len(inner) - _SHOWN} more" if len(inner) > _SHOWN else ""
+        return CaptureError(
+            f"{folder} is no capture, but a folder with captures or photos ({', '.join(inner[:_SHOWN])}{more}): it {state}",
+            f"Name one of these, or make them all: blender-nep batch {shlex.quote(str(folder))} --out SHELF",
+        )
+    return CaptureError(f"{folder} {state}", f"A capture is a folder with photos and their cameras: {file}, {FORMS}.")
+
+
+def photos_below(folder: Path) -> tuple[Path, list[Path]]:
+    """The folder that holds the photos, `folder` itself or a usual folder in it, and the photos; none if there are few."""
+    for name in PLACES:
+        photos = photos_in(folder / name)
+        if len(photos) >= MINIMUM_VIEWS:
+            return (folder if name in ("", "images") else folder / name), photos
+    return folder, []
+
+
+def videos_in(folder: Path) -> list[Path]:
+    """The videos in a folder, sorted by their names."""
+    return sorted(path for path in folder.iterdir() if path.suffix.lower() in _VIDEOS and not path.name.startswith("."))
+
+
+def video_hint(folder: Path, video: Path) -> str:
+    """What to do with a video instead of photos."""
+    frames = folder / "frames"
+    source, target, made = (shlex.quote(str(path)) for path in (video, frames / "%04d.jpg", frames))
+    return (
+        f"Take photos, or make some of the video, such as two a second: mkdir {made} && ffmpeg -i {source} -vf fps=2 "
+        f"-qscale:v 2 {target}. Then find their cameras: {find_cameras(frames)}"
+    )
+
+
+def find_cameras(folder: Path) -> str:
+    """The command that finds the cameras of the photos in `folder`."""
+    return f"blender-nep cameras {shlex.quote(str(folder))}"
+
+
+def _is_or_could_be(folder: Path, recognized: Callable[[Path], bool]) -> bool:
+    """Whether a folder is a capture, or holds photos."""
+    try:
+        return not folder.name.startswith(".") and (recognized(folder) or bool(photos_below(folder)[1]))
+    except OSError:
+        return False
