@@ -108,11 +108,15 @@ def _with_likely_metals(
     """The fit with all metals brighter by one factor and the light learned anew, if that is more plausible than `best`.
 
     The cost of a fit is its error, times 1 + `preset.metals_are_bright` times the logarithm by which metals are darker than
-    is likely, a mean over the samples. The fit with the least cost is the most plausible one.
+    is likely, a mean over their samples. The fit with the least cost is the most plausible one.
     """
 
+    metal = palette.metallic[problem.label] > 0.5
+    if not metal.any():
+        return best
+
     def cost(fit: UnseenFit) -> float:
-        missing = missing_brightness(fit.albedo, palette.metallic)[problem.label].mean()
+        missing = missing_brightness(fit.albedo, palette.metallic)[problem.label[metal]].mean()
         return fit.error * (1 + preset.metals_are_bright * float(missing))
 
     first = best

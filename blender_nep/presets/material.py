@@ -41,7 +41,7 @@ class MaterialPreset:
     """Photo samples a step for the terminal MLP."""
     camera_response: bool = True
     """Whether the camera's response curve is found and undone. False is an ablation."""
-    response_prior: float = 0.01
+    response_prior: float = 0.02
     """Cost of a response curve whose strength is off by 1 from the one that the photo files make likely, as a share of the
     error."""
     learn_unseen_light: bool = True
