@@ -12,9 +12,10 @@ from PIL import Image
 
 from blender_nep.cameras.reduction import Reduction
 from blender_nep.capture.capture import Capture
-from blender_nep.capture.formats.photo_search import named_mask
+from blender_nep.capture.formats.mask_search import find_masks, masks_beside
 from blender_nep.capture.loading import MINIMUM_VIEWS
-from blender_nep.capture.photos.photo_files import SUFFIXES, MaskRaster, Raster, exif, file_kind, image_size, open_image
+from blender_nep.capture.photos.mask_files import MaskRaster
+from blender_nep.capture.photos.photo_files import SUFFIXES, Raster, exif, file_kind, image_size, open_image
 from blender_nep.color import linear_to_srgb, to_bytes
 from blender_nep.errors import CaptureError
 
@@ -62,7 +63,7 @@ class Photo:
 
 
 def find_photos(folder: Path) -> list[Photo]:
-    """The photos in `folder`, or in its folder `images`, sorted by name. Masks lie in `folder`'s folder `masks`.
+    """The photos in `folder`, or in its folder `images`, sorted by name, with their masks (capture/formats/mask_search.py).
 
     A file that is no photo is passed over if its ending is none of a photo. Raises CaptureError if the folder is missing, if
     a photo cannot be read, if a mask has not its photo's size, or if there are too few photos.
@@ -87,7 +88,8 @@ def find_photos(folder: Path) -> list[Photo]:
             "capture.too_few_photos",
             photos=len(paths),
         )
-    return [_photo(path, folder) for path in paths]
+    masks = find_masks(folder, paths).masks
+    return [_photo(path, mask) for path, mask in zip(paths, masks, strict=True)]
 
 
 def photos_of(capture: Capture) -> list[Photo]:
@@ -103,10 +105,12 @@ def _photo_files(folder: Path) -> list[Path]:
     """The photos in a folder, sorted by name.
 
     A photo is often there twice: a camera writes a JPEG beside a raw file, and people export TIFF or JPEG files into the
-    folder. Of files with one stem, EXR, PNG and JPEG files count, or else the file whose ending comes first in `SUFFIXES`.
+    folder. Masks beside their photos do not count. Of files with one stem, EXR, PNG and JPEG files count, or else the file
+    whose ending comes first in `SUFFIXES`.
     """
     named = (path for path in folder.iterdir() if path.suffix.lower() in SUFFIXES and not path.name.startswith("."))
-    files = sorted(path for path in named if path.is_file())
+    present = {path for path in named if path.is_file()}
+    files = sorted(present - masks_beside(present))
     best: dict[str, int] = {}
     for path in files:
         best[path.stem] = min(_rank(path), best.get(path.stem, len(SUFFIXES)))
@@ -117,9 +121,8 @@ def _rank(path: Path) -> int:
     return max(SUFFIXES.index(path.suffix.lower()), SUFFIXES.index(".jpeg"))
 
 
-def _photo(path: Path, folder: Path) -> Photo:
+def _photo(path: Path, mask: Path | None) -> Photo:
     width, height = _size(path)
-    mask = named_mask(folder, Path(path.name))
     if mask is not None and (size := _size(mask)) != (width, height):
         raise CaptureError(
             f"the mask {mask.name} is {size[0]} x {size[1]} pixels, but {path.name} is {width} x {height}",

@@ -2,8 +2,8 @@
 
 They lie in the folder, in a folder of `sparse` such as `sparse/0`, in `sparse`, or in these below `colmap/`. COLMAP makes
 several models where photos fall into groups that share no points: the one with the most photos counts. The photos lie in
-`images/` or in the folder itself. Masks, if any, lie in `masks/`, with the names of photo_search.py. The frame of the
-capture is COLMAP's own. The sparse points are not read.
+`images/` or in the folder itself. `mask_search.py` says where masks lie. The frame of the capture is COLMAP's own. The
+sparse points are not read.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from blender_nep.capture.cameras.camera import Camera
 from blender_nep.capture.cameras.lens import Lens
 from blender_nep.capture.capture import View
 from blender_nep.capture.description import CaptureDescription
-from blender_nep.capture.formats.photo_search import mask_warnings, named_mask
+from blender_nep.capture.formats.mask_search import with_masks
 from blender_nep.capture.formats.photos import check_readable, fitted, rescaled_warnings
 from blender_nep.capture.photos.photo_files import find_image
 from blender_nep.errors import CaptureError
@@ -103,7 +103,8 @@ def read(folder: Path) -> CaptureDescription:
         raise CaptureError(f"the COLMAP project in {model} has no photos with a pose", "Run COLMAP's mapper again.")
     rescaled: list[str] = []
     views = [_view(folder, cameras, pose, rescaled) for pose in sorted(poses, key=lambda pose: pose.name)]
-    warnings += mask_warnings(folder, views) + rescaled_warnings(rescaled)
+    views, found = with_masks(folder, views)
+    warnings += found + rescaled_warnings(rescaled)
     return CaptureDescription(name=NAME, files=files, views=views, warnings=warnings)
 
 
@@ -162,9 +163,8 @@ def _view(folder: Path, cameras: dict[int, _Intrinsics], pose: _Pose, rescaled: 
     check_readable(image, pose.name)
     if pose.camera not in cameras:
         raise CaptureError(f"{pose.name}: the project has no camera {pose.camera}", "Export the project again.")
-    mask = named_mask(folder, Path(pose.name))
     camera = fitted(_camera(cameras[pose.camera], pose), image, pose.name, NAME, rescaled)
-    return View(str(Path(pose.name).with_suffix("")), image, mask, camera)
+    return View(str(Path(pose.name).with_suffix("")), image, None, camera)
 
 
 def _camera(intrinsics: _Intrinsics, pose: _Pose) -> Camera:

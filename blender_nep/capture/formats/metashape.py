@@ -1,7 +1,7 @@
 """Reads the cameras that Agisoft Metashape exports: an `.xml` file with `<document><chunk>`.
 
-`photo_search.py` says where photos and masks lie. A photo's name is the camera's label. Disabled cameras and cameras without
-a pose are left out.
+`photo_search.py` says where photos lie, `mask_search.py` where masks. A photo's name is the camera's label. Disabled
+cameras and cameras without a pose are left out.
 
 The capture has Metashape's local coordinates: the transform of the camera's component counts, or else that of the chunk. If
 the chunk has a geographic reference, these transforms lead to coordinates around the center of the Earth. Then only their
@@ -30,7 +30,8 @@ from blender_nep.capture.cameras.camera import Camera
 from blender_nep.capture.cameras.lens import Lens
 from blender_nep.capture.capture import View
 from blender_nep.capture.description import CaptureDescription
-from blender_nep.capture.formats.photo_search import check_distinct, found_photo, mask_of, mask_warnings, view_name
+from blender_nep.capture.formats.mask_search import with_masks
+from blender_nep.capture.formats.photo_search import check_distinct, found_photo, view_name
 from blender_nep.capture.formats.photos import check_readable, fitted, rescaled_warnings
 from blender_nep.capture.formats.poses import (
     FROM_OPENCV,
@@ -106,12 +107,11 @@ def read(folder: Path) -> CaptureDescription:
         check_readable(image, label)
         matrix = _pose(camera, frames[camera.get("component_id")], f"{file}: {label}")
         ours = Camera(*sensor[:6], matrix, sensor.lens)
-        views.append(
-            View(view_name(folder, image), image, mask_of(folder, image), fitted(ours, image, label, file, rescaled))
-        )
+        views.append(View(view_name(folder, image), image, None, fitted(ours, image, label, file, rescaled)))
     check_distinct(views, file)
     missing = [_label(camera, file) for camera in cameras if not _has_pose(camera)]
-    warnings = without_pose_warnings(missing) + mask_warnings(folder, views) + rescaled_warnings(rescaled)
+    views, found_masks = with_masks(folder, views)
+    warnings = without_pose_warnings(missing) + found_masks + rescaled_warnings(rescaled)
     return CaptureDescription(name=file, files=(found[0],), views=views, warnings=warnings)
 
 

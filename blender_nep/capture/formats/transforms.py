@@ -17,6 +17,7 @@ from blender_nep.capture.cameras.camera import Camera
 from blender_nep.capture.cameras.lens import Lens
 from blender_nep.capture.capture import View
 from blender_nep.capture.description import CaptureDescription
+from blender_nep.capture.formats.mask_search import with_masks
 from blender_nep.capture.formats.photos import check_readable, fitted, rescaled_warnings
 from blender_nep.capture.photos.photo_files import find_image, image_size
 from blender_nep.errors import CaptureError
@@ -40,6 +41,7 @@ def read(folder: Path, file: str = FILE) -> CaptureDescription:
         raise CaptureError(f"{file} lists no frames", "It needs a list 'frames' with file_path and transform_matrix.")
     rescaled: list[str] = []
     views = [_view(folder, file, meta, _dict(frame, n), n, rescaled) for n, frame in enumerate(frames)]
+    views, found = with_masks(folder, views, named_by_file=True)
     return CaptureDescription(
         name=file,
         files=(folder / file,),
@@ -47,7 +49,7 @@ def read(folder: Path, file: str = FILE) -> CaptureDescription:
         color_space=meta.get("color_space"),
         object_center=meta.get("object_center"),
         object_radius=meta.get("object_radius"),
-        warnings=rescaled_warnings(rescaled),
+        warnings=found + rescaled_warnings(rescaled),
     )
 
 

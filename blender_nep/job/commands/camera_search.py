@@ -13,7 +13,7 @@ from blender_nep.cameras.photo_folder import Photo, find_photos, photos_of
 from blender_nep.cameras.structure_from_motion import find_groups, stop_if_asked, working_folder
 from blender_nep.cameras.written_capture import check_writable, keep_present_file, write_capture
 from blender_nep.capture.formats import transforms
-from blender_nep.capture.formats.photo_search import unmatched_mask_warnings
+from blender_nep.capture.formats.mask_search import photo_mask_messages
 from blender_nep.capture.loading import load_capture
 from blender_nep.errors import BoundsError, CaptureError, UsageError
 from blender_nep.job.exit_code import exit_code
@@ -52,8 +52,8 @@ def run(search: CameraSearch, events: Events, stop: StopRequest) -> int:
         capture = load_capture(search.photos, use_masks=False) if search.improve else None
         found = find_photos(search.photos) if capture is None else photos_of(capture)
         check_writable(folder)
-        no_masks = unmatched_mask_warnings(search.photos, found[0].path, (photo.mask for photo in found))
-        for warning in no_masks if capture is None else capture.warnings:
+        of_masks = photo_mask_messages(search.photos, [photo.path for photo in found])
+        for warning in of_masks if capture is None else capture.warnings:
             events.warning(warning)
         masked = _masked(search, found)
         progress = _Progress(events, len(found))
