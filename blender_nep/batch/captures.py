@@ -13,7 +13,7 @@ from blender_nep.capture.loading import MINIMUM_VIEWS, describe, recognized
 from blender_nep.errors import UsageError
 from blender_nep.job.folders.own_files import is_ours
 
-_PARTS = {"images", "image", "masks", "mask", "test", "test_masks", "gt", "sparse"}
+_PARTS = {"images", "image", "masks", "mask", "train_mask", "train_masks", "test", "test_mask", "test_masks", "gt", "sparse"}
 """Folders that belong to a capture, and are none themselves"""
 
 

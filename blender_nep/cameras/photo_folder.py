@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import struct
 import zlib
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +14,7 @@ from blender_nep.cameras.reduction import Reduction
 from blender_nep.capture.capture import Capture
 from blender_nep.capture.formats.mask_search import find_masks, masks_beside
 from blender_nep.capture.loading import MINIMUM_VIEWS
-from blender_nep.capture.photos.mask_files import MaskRaster
+from blender_nep.capture.photos.mask_files import MaskRaster, MaskReading
 from blender_nep.capture.photos.photo_files import SUFFIXES, Raster, exif, file_kind, image_size, open_image
 from blender_nep.color import linear_to_srgb, to_bytes
 from blender_nep.errors import CaptureError
@@ -55,6 +55,7 @@ class Photo:
     quarter_turns: int = 0
     """By how many quarter turns clockwise the stored image must be turned to stand upright"""
     mask: Path | None = None
+    mask_reading: MaskReading = field(default_factory=MaskReading)
 
     @property
     def lens(self) -> tuple[object, ...]:
@@ -214,7 +215,7 @@ def mask_copy(photo: Photo, reduction: Reduction) -> np.ndarray | None:
     if photo.mask is None:
         return None
     try:
-        mask = MaskRaster.of(photo.mask)
+        mask = MaskRaster.of(photo.mask, photo.mask_reading)
         starts = range(0, mask.size[0], _STRIP)
         gray = np.concatenate([to_bytes(mask.rows(start, start + _STRIP)) for start in starts])
     except (CaptureError, *_DAMAGED) as error:

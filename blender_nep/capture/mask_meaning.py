@@ -14,13 +14,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from pathlib import Path
 
 import numpy as np
 
 from blender_nep.capture.bounds import carve, sphere_from_masks
 from blender_nep.capture.cameras.camera import Camera
 from blender_nep.capture.capture import Capture
-from blender_nep.capture.photos.mask_files import MaskMeaning, MaskReading
+from blender_nep.capture.photos.mask_files import MaskMeaning, MaskRaster, MaskReading
 from blender_nep.messages import Message
 
 _MOST_MASKS = 24
@@ -85,6 +86,31 @@ def read_masks(capture: Capture, told: MaskMeaning | None = None) -> list[Messag
     return messages + said
 
 
+def read_photo_masks(paths: Sequence[Path]) -> tuple[MaskReading, list[Message]]:
+    """How the masks of photos without cameras are read, and what was assumed.
+
+    The middle of a photo counts as the place where its camera looks. Only inverted masks and masks with another white are
+    recognized. Raises CaptureError where a mask cannot be read.
+    """
+    chosen = np.unique(np.linspace(0, len(paths) - 1, _MOST_MASKS).round().astype(int))
+    files = [MaskRaster.of(paths[k]) for k in chosen]
+    raw = [file.coverage(max(1, min(max(file.size) // _ROWS, min(file.size)))) for file in files]
+    white, messages = _white(raw)
+    masks = [mask / white > 0.5 for mask in raw]
+    middles = [mask[len(mask) // 3 : -(len(mask) // 3), mask.shape[1] // 3 : -(mask.shape[1] // 3)] for mask in masks]
+    middle = float(np.median([part.mean() for part in middles]))
+    black = 1 - float(np.median([mask.mean() for mask in masks]))
+    inverted = len(set(paths)) > 1 and _border(masks) >= _BORDER and black >= _LEAST_OBJECT and middle < 0.5
+    if inverted:
+        return MaskReading(MaskMeaning.BACKGROUND, white), [*messages, *_background().messages]
+    return MaskReading(white=white), messages
+
+
+def _border(masks: Sequence[np.ndarray]) -> float:
+    """The part of a photo's border that is white, 0..1 (median). masks: [h, w] bool each."""
+    return float(np.median([np.concatenate([m[0], m[-1], m[:, 0], m[:, -1]]).mean() for m in masks]))
+
+
 def _coarse(capture: Capture, i: int) -> np.ndarray | None:
     """Values [h, w] in 0..1 of some pixels of mask `i`, as its file stores them."""
     camera = capture.views[i].camera
@@ -127,7 +153,7 @@ class Sides:
     @cached_property
     def border(self) -> float:
         """The part of a photo's border that is white, 0..1 (median)."""
-        return float(np.median([np.concatenate([m[0], m[-1], m[:, 0], m[:, -1]]).mean() for m in self.white]))
+        return _border(self.white)
 
     @cached_property
     def looked_at(self) -> float:
@@ -245,7 +271,7 @@ def _judge_alike(sides: Sides) -> Judgment:
 def _is_disc(mask: np.ndarray) -> bool:
     """Whether white is about as round as a ball in the middle of a photo, which looks alike from everywhere."""
     height, width = mask.any(1).sum(), mask.any(0).sum()
-    return bool(abs(height - width) <= 0.15 * width and abs(mask.sum() / (height * width) - np.pi / 4) < 0.06)
+    return bool(abs(height - width) <= 0.15 * width and abs(mask.sum() / (height * width) - np.pi / 4) < 0.1)
 
 
 def _background() -> Judgment:

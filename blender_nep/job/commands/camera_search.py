@@ -15,6 +15,7 @@ from blender_nep.cameras.written_capture import check_writable, keep_present_fil
 from blender_nep.capture.formats import transforms
 from blender_nep.capture.formats.mask_search import photo_mask_messages
 from blender_nep.capture.loading import load_capture
+from blender_nep.capture.mask_meaning import read_photo_masks
 from blender_nep.errors import BoundsError, CaptureError, UsageError
 from blender_nep.job.exit_code import exit_code
 from blender_nep.job.reporting.events import Events
@@ -56,6 +57,11 @@ def run(search: CameraSearch, events: Events, stop: StopRequest) -> int:
         for warning in of_masks if capture is None else capture.warnings:
             events.warning(warning)
         masked = _masked(search, found)
+        if masked is not None:
+            reading, said = read_photo_masks([photo.mask for photo in found if photo.mask is not None])
+            found = [replace(photo, mask_reading=reading) for photo in found]
+            for warning in said:
+                events.warning(warning)
         progress = _Progress(events, len(found))
         given = None if capture is None else [view.camera for view in capture.views]
         with working_folder() as scratch:
