@@ -53,7 +53,7 @@ def parse(arguments: list[str]) -> argparse.Namespace:
     parser.add_argument("--photos", type=int, default=2, metavar="N", help="photos to compare with")
     parser.add_argument("--samples", type=int, default=48, help="Cycles samples a pixel of the comparison")
     parser.add_argument("--engine-python", help="the Python that has blender-nep and torch")
-    parser.add_argument("--masks", choices=("use", "ignore"))
+    parser.add_argument("--masks", choices=("use", "object", "background", "usable", "ignore"))
     parser.add_argument(
         "--all-photos", action="store_true", help="also learn from photos that were taken in another light than most"
     )

@@ -16,6 +16,7 @@ from blender_nep.safety.printed_text import one_line
 from blender_nep.safety.standard_streams import open_closed_streams, tell
 
 if TYPE_CHECKING:
+    from blender_nep.capture.photos.mask_files import MaskMeaning
     from blender_nep.errors import NepError
     from blender_nep.job.reporting.events import Events
     from blender_nep.presets import Preset
@@ -60,7 +61,13 @@ def _info(options: argparse.Namespace) -> int:
     from blender_nep.files import jsonable
 
     try:
-        found = summarize(options.capture, options.picture, sphere(options))
+        found = summarize(
+            options.capture,
+            options.picture,
+            sphere(options),
+            use_masks=options.masks != "ignore",
+            mask_meaning=_mask_meaning(options),
+        )
     except NepError as error:
         if options.json:
             _tell(json.dumps({"error": jsonable(error.to_dict())}, indent=1))
@@ -103,6 +110,13 @@ def _cameras(options: argparse.Namespace) -> int:
         return camera_search.run(wanted, events, stop)
 
 
+def _mask_meaning(options: argparse.Namespace) -> MaskMeaning | None:
+    """What white in the masks means, as the user says; None: as the masks look."""
+    from blender_nep.capture.photos.mask_files import MaskMeaning
+
+    return None if options.masks in ("use", "ignore") else MaskMeaning(options.masks)
+
+
 def _chosen_preset(options: argparse.Namespace) -> Preset:
     from blender_nep.presets import preset
 
@@ -129,7 +143,8 @@ def _reconstruct(options: argparse.Namespace) -> int:
         preset=_chosen_preset(options),
         device=options.device,
         seed=options.seed,
-        use_masks=options.masks == "use",
+        use_masks=options.masks != "ignore",
+        mask_meaning=_mask_meaning(options),
         all_photos=options.all_photos,
         mesh=options.mesh,
         sphere=sphere(options),

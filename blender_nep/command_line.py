@@ -15,6 +15,9 @@ from blender_nep.safety.printed_text import one_line
 LEAST_FACES = 2000
 """Smallest --faces. With fewer, the mesh is no longer near enough to the surface for a normal map."""
 
+MASKS = ("use", "object", "background", "usable", "ignore")
+"""The values of --masks"""
+
 EXIT_CODES = """\
 exit codes:
   0  done
@@ -72,12 +75,23 @@ def _add_info(commands: argparse._SubParsersAction) -> None:
     info = _command_with_exit_codes(commands, "info", "say what a capture holds and what looks wrong")
     _add_capture(info)
     info.add_argument("--json", action="store_true", help="as one JSON object")
+    _add_masks(info)
     _add_sphere(info)
     info.add_argument(
         "--picture",
         type=_path,
         metavar="FILE.png",
         help="draw from which directions photos were taken, and where they are missing",
+    )
+
+
+def _add_masks(command: argparse.ArgumentParser) -> None:
+    command.add_argument(
+        "--masks",
+        choices=MASKS,
+        default="use",
+        help="masks help, none are needed. use: what white in them means is recognized; object, background, usable: white "
+        "is the object, its surroundings, or all that may be used (%(default)s)",
     )
 
 
@@ -106,7 +120,7 @@ def _add_reconstruct(commands: argparse._SubParsersAction) -> None:
     _add_preset(run)
     run.add_argument("--device", choices=("auto", "cpu", "cuda"), default="auto", help="(%(default)s)")
     run.add_argument("--seed", type=_seed, default=0, metavar="N", help="the same seed gives the same asset (%(default)s)")
-    run.add_argument("--masks", choices=("use", "ignore"), default="use", help="masks help, none are needed (%(default)s)")
+    _add_masks(run)
     _add_all_photos(run)
     run.add_argument("--mesh", type=_path, metavar="FILE", help="learn materials on this mesh (capture coordinates)")
     _add_sphere(run)
@@ -154,7 +168,7 @@ def _add_batch(commands: argparse._SubParsersAction) -> None:
     )
     batch.add_argument("--out", type=_path, required=True, metavar="FOLDER", help="folder of the assets and of batch.json")
     _add_preset(batch)
-    batch.add_argument("--masks", choices=("use", "ignore"), default="use", help="(%(default)s)")
+    _add_masks(batch)
     _add_all_photos(batch)
     batch.add_argument("--metal", choices=("auto", "yes", "no"), default="auto", help="(%(default)s)")
     _add_faces(batch)

@@ -214,6 +214,28 @@ WORDS: dict[str, str] = {
     "{photos} {photos:photo|photos} is used; {others} {others:photo is|photos are} in the others",
     "capture.masks_unmatched": "the folder masks holds images, but none has the name of a photo (such as {example}): "
     "no masks are used",
+    "capture.masks_found": "{count} of {photos} photos have a mask in {place}, which no file names: "
+    "{count:it is used|they are used} (--masks ignore leaves masks out)",
+    "capture.masks_beside": "{count} of {photos} photos have a mask beside them, which no file names: "
+    "{count:it is used|they are used} (--masks ignore leaves masks out)",
+    "capture.masks_other_size": "{count} {count:mask has|masks have} another size than {count:its photo|their photos}, and "
+    "{count:is|are} not used: {names}. Save {count:it|them} with the size of {count:its photo|their photos}",
+    "capture.masks_dim": "no value in the masks is above {percent:.2g} % of white: that value counts as white",
+    "capture.masks_background": "white in the masks covers the surroundings, and black the object: the masks are "
+    "inverted. If white is the object, give --masks object",
+    "capture.masks_usable": "white in the masks is not the object but what may be used: the black pixels ({percent:.1f} % "
+    "of a photo) are left out, and the object is found without masks. If white is the object, give --masks object",
+    "capture.masks_not_used": "the masks are not used: {percent:.0f} % of a photo is black, and white does not show the "
+    "object. If white is the object, give --masks object",
+    "capture.masks_white": "the masks are not used: they are white everywhere, so they do not show the object",
+    "capture.masks_one_for_all": "all photos have the same mask, so it cannot show the object",
+    "capture.masks_alike": "all masks are the same picture: look whether they show the object. If they do not, give "
+    "--masks usable or --masks ignore",
+    "capture.masks_unclear": "it is not clear what white in the masks means ({percent:.0f} % of a photo): it is taken as "
+    "the object. Otherwise give --masks background, usable or ignore",
+    "capture.masks_doubtful": "the masks are not used: white covers {percent:.0f} % of a photo and is not the object, and "
+    "black may be the object or not. Say what white means: --masks background or --masks usable",
+    "capture.masks_as_told": "white in the masks means {meaning}, as --masks says, although the masks look otherwise",
     "capture.same_place": "{count} {count:photo was|photos were} taken from the same place in the same direction as others "
     "and {count:adds|add} nothing to the shape: {names}",
     "capture.exr_is_linear": "OpenEXR photos are taken as linear, although color_space says srgb",

@@ -118,6 +118,27 @@ MESSAGES = {
     "capture.photos_missing": "{count} of {photos} photos {count:is|are} missing and {count:is|are} left out: {names}",
     "capture.several_models": "Of {models} COLMAP models the largest ({photos} photos) is used. The others have {others}",
     "capture.masks_unmatched": "No image in the folder masks has the name of a photo, such as {example}. They are not used",
+    "capture.masks_found": "{count} of {photos} photos have a mask in {place}, and {count:it is|they are} used. Turn Use "
+    "Masks off if {count:it is|they are} of something else",
+    "capture.masks_beside": "{count} of {photos} photos have a mask beside them, and {count:it is|they are} used. Turn Use "
+    "Masks off if {count:it is|they are} of something else",
+    "capture.masks_other_size": "{count} {count:mask has|masks have} another size than {count:its photo|their photos}, and "
+    "{count:is|are} not used: {names}",
+    "capture.masks_dim": "No value in the masks is above {percent:.2g} % of white: that value counts as white",
+    "capture.masks_background": "White in the masks covers the surroundings, and black the object: the masks are inverted. "
+    "Turn Use Masks off if that is wrong",
+    "capture.masks_usable": "White in the masks is not the object but what may be used: the black pixels ({percent:.1f} % "
+    "of a photo) are left out. Turn Use Masks off if that is wrong",
+    "capture.masks_not_used": "The masks are not used: {percent:.0f} % of a photo is black, and white does not show the "
+    "object",
+    "capture.masks_white": "The masks are not used: they are white everywhere, so they do not show the object",
+    "capture.masks_one_for_all": "All photos have the same mask, so it cannot show the object",
+    "capture.masks_alike": "All masks are the same picture: look whether they show the object. Turn Use Masks off if not",
+    "capture.masks_unclear": "It is not clear what white in the masks means ({percent:.0f} % of a photo). It is taken as "
+    "the object. Look at the masks, and turn Use Masks off if they show something else",
+    "capture.masks_doubtful": "The masks are not used: white covers {percent:.0f} % of a photo and is not the object, and "
+    "black may be the object or not. Paint the object white and the rest black, if you need the masks",
+    "capture.masks_as_told": "White in the masks means {meaning}, as was asked for, although the masks look otherwise",
     "capture.same_place": "{count} {count:photo was|photos were} taken from the same place in the same direction as others "
     "and {count:adds|add} nothing to the shape: {names}",
     "capture.exr_is_linear": "OpenEXR photos are taken as linear, although the capture says sRGB",

@@ -19,7 +19,7 @@ from blender_nep.messages import Message
 from blender_nep.safety.plain_files import MEGABYTE, read_text
 
 _MOST_LIST = 16 * MEGABYTE
-_PARTS = {"images", "image", "masks", "mask", "test", "test_masks", "gt", "sparse"}
+_PARTS = {"images", "image", "masks", "mask", "train_mask", "train_masks", "test", "test_mask", "test_masks", "gt", "sparse"}
 """Folders that belong to a capture, and are none themselves"""
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -11,12 +11,12 @@ from PIL import Image
 from blender_nep.cameras.reduction import Reduction
 from blender_nep.capture.capture import Capture
 from blender_nep.capture.description import check_number
-from blender_nep.capture.formats.photo_search import named_mask
+from blender_nep.capture.formats.mask_search import find_masks, masks_beside
 from blender_nep.capture.loading import MINIMUM_VIEWS
+from blender_nep.capture.photos.mask_files import MaskRaster, MaskReading
 from blender_nep.capture.photos.photo_files import (
     QUARTER_TURNS,
     SUFFIXES,
-    MaskRaster,
     Raster,
     exif,
     file_kind,
@@ -59,6 +59,7 @@ class Photo:
     mask: Path | None = None
     has_exif: bool = False
     """Whether the file has any EXIF"""
+    mask_reading: MaskReading = field(default_factory=MaskReading)
 
     @property
     def lens(self) -> tuple[object, ...]:
@@ -67,7 +68,7 @@ class Photo:
 
 
 def find_photos(folder: Path) -> list[Photo]:
-    """The photos in `folder`, or in its folder `images`, sorted by name. Masks lie in `folder`'s folder `masks`.
+    """The photos in `folder`, or in its folder `images`, sorted by name, with their masks (capture/formats/mask_search.py).
 
     A file that is no photo is passed over if its ending is none of a photo. Raises CaptureError if the folder is missing, if
     a photo cannot be read, if a mask has not its photo's size, or if there are too few photos.
@@ -110,7 +111,8 @@ def find_photos(folder: Path) -> list[Photo]:
             photos=len(paths),
         )
     check_number(len(paths), str(folder))
-    return [_photo(path, folder) for path in paths]
+    masks = find_masks(folder, paths).masks
+    return [_photo(path, mask) for path, mask in zip(paths, masks, strict=True)]
 
 
 def photos_of(capture: Capture) -> list[Photo]:
@@ -126,10 +128,12 @@ def _photo_files(folder: Path) -> list[Path]:
     """The photos in a folder, sorted by name.
 
     A photo is often there twice: a camera writes a JPEG beside a raw file, and people export TIFF or JPEG files into the
-    folder. Of files with one stem, EXR, PNG and JPEG files count, or else the file whose ending comes first in `SUFFIXES`.
+    folder. Masks beside their photos do not count. Of files with one stem, EXR, PNG and JPEG files count, or else the file
+    whose ending comes first in `SUFFIXES`.
     """
     named = (path for path in folder.iterdir() if path.suffix.lower() in SUFFIXES and not path.name.startswith("."))
-    files = sorted(path for path in named if path.is_file())
+    present = {path for path in named if path.is_file()}
+    files = sorted(present - masks_beside(present))
     best: dict[str, int] = {}
     for path in files:
         best[path.stem] = min(_rank(path), best.get(path.stem, len(SUFFIXES)))
@@ -140,9 +144,8 @@ def _rank(path: Path) -> int:
     return max(SUFFIXES.index(path.suffix.lower()), SUFFIXES.index(".jpeg"))
 
 
-def _photo(path: Path, folder: Path) -> Photo:
+def _photo(path: Path, mask: Path | None) -> Photo:
     width, height = _size(path)
-    mask = named_mask(folder, Path(path.name))
     if mask is not None and (size := _size(mask)) != (width, height):
         raise CaptureError(
             f"the mask {mask.name} is {size[0]} x {size[1]} pixels, but {path.name} is {width} x {height}",
@@ -159,7 +162,7 @@ def _photo(path: Path, folder: Path) -> Photo:
         tags = {}
     words = tuple(str(tags.get(tag, "")).strip("\0 ") for tag in (_MAKE, _MODEL, _LENS_MODEL, _FOCAL_LENGTH, _FILM_LENGTH))
     turns = QUARTER_TURNS.get(tags.get(_ORIENTATION, 1), 0)  # type: ignore[call-overload]
-    return Photo(path, width, height, _focal_length(tags, width, height), words, turns, mask, bool(tags))
+    return Photo(path, width, height, _focal_length(tags, width, height), words, turns, mask, has_exif=bool(tags))
 
 
 def _size(path: Path) -> tuple[int, int]:
@@ -234,7 +237,7 @@ def mask_copy(photo: Photo, reduction: Reduction) -> np.ndarray | None:
     if photo.mask is None:
         return None
     try:
-        mask = MaskRaster.of(photo.mask)
+        mask = MaskRaster.of(photo.mask, photo.mask_reading)
         starts = range(0, mask.size[0], _STRIP)
         gray = np.concatenate([to_bytes(mask.rows(start, start + _STRIP)) for start in starts])
     except (CaptureError, *DAMAGED) as error:

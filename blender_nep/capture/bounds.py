@@ -50,7 +50,7 @@ def sphere_from_masks(
     for _ in range(2):
         axes = [np.linspace(low[i], high[i], resolution) for i in range(3)]
         points = np.stack(np.meshgrid(*axes, indexing="ij"), -1).reshape(-1, 3)
-        inside = _carve(cameras, masks, points)
+        _, inside = carve(cameras, masks, points)
         if not inside.any():
             return None
         voxel = (high - low) / (resolution - 1)
@@ -60,7 +60,11 @@ def sphere_from_masks(
     return middle, float(1.05 * np.linalg.norm(kept - middle, axis=1).max() + np.linalg.norm(voxel) / 2)
 
 
-def _carve(cameras: list[Camera], masks: list[np.ndarray], points: np.ndarray) -> np.ndarray:
+def carve(cameras: list[Camera], masks: list[np.ndarray], points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Which of the points [n, 3] enough photos show [n] bool, and which the masks keep, too [n] bool.
+
+    `sphere_from_masks` says when.
+    """
     shown = [(camera, mask) for camera, mask in zip(cameras, masks, strict=True) if (mask > 0.5).any()]
     framed, covered = np.zeros(len(points)), np.zeros(len(points))
     for camera, mask in shown:
@@ -71,7 +75,8 @@ def _carve(cameras: list[Camera], masks: list[np.ndarray], points: np.ndarray) -
         ok = (depth > 0) & (row >= 0) & (row < mask.shape[0]) & (column >= 0) & (column < mask.shape[1])
         framed += ok
         covered[ok] += mask[row[ok], column[ok]] > 0.5
-    return (framed >= 0.5 * max(1, len(shown))) & (covered >= 0.95 * framed)
+    enough = framed >= 0.5 * max(1, len(shown))
+    return enough, enough & (covered >= 0.95 * framed)
 
 
 def check_sphere(names: list[str], cameras: list[Camera], center: np.ndarray, radius: float) -> list[Message]:

@@ -8,7 +8,8 @@ from pathlib import Path
 import numpy as np
 
 from blender_nep.capture.cameras.camera import Camera
-from blender_nep.capture.photos.photo_files import MaskRaster, Raster, open_image
+from blender_nep.capture.photos.mask_files import MaskMeaning, MaskRaster, MaskReading
+from blender_nep.capture.photos.photo_files import Raster, open_image
 from blender_nep.errors import CaptureError
 from blender_nep.messages import Message
 
@@ -38,6 +39,8 @@ class Capture:
     warnings: list[Message] = field(default_factory=list)
     files: tuple[Path, ...] = ()
     """The files that describe the capture, without photos and masks."""
+    mask_reading: MaskReading = field(default_factory=MaskReading)
+    """What the mask files mean. Photos' alpha always means the object."""
 
     @property
     def to_unit(self) -> np.ndarray:
@@ -63,11 +66,19 @@ class Capture:
         return raster
 
     def open_mask(self, i: int) -> MaskRaster | None:
-        """The mask file of view `i`, or None where there is none. Raises CaptureError."""
+        """The object's mask of view `i` from its file, or None where no file shows the object. Raises CaptureError."""
+        shows_object = self.mask_reading.meaning in (MaskMeaning.OBJECT, MaskMeaning.BACKGROUND)
+        return self._open_mask_file(i) if shows_object else None
+
+    def open_usable(self, i: int) -> MaskRaster | None:
+        """Which pixels of view `i` may be used, by its mask file; None: all of them. Raises CaptureError."""
+        return self._open_mask_file(i) if self.mask_reading.meaning == MaskMeaning.USABLE else None
+
+    def _open_mask_file(self, i: int) -> MaskRaster | None:
         view = self.views[i]
         if view.mask_path is None:
             return None
-        mask = MaskRaster.of(view.mask_path)
+        mask = MaskRaster.of(view.mask_path, self.mask_reading)
         self._check_size(view, view.mask_path, mask.size)
         return mask
 

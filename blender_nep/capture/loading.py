@@ -16,6 +16,8 @@ from blender_nep.capture.cameras.plausible_lens import lens_warnings
 from blender_nep.capture.capture import Capture, View
 from blender_nep.capture.description import MINIMUM_VIEWS, CaptureDescription
 from blender_nep.capture.formats import bundler, cameras_sphere, colmap, llff, metashape, nerf_synthetic, transforms
+from blender_nep.capture.mask_meaning import read_masks
+from blender_nep.capture.photos.mask_files import MaskMeaning
 from blender_nep.capture.photos.photo_files import is_linear
 from blender_nep.capture.without_cameras import no_capture
 from blender_nep.errors import CaptureError
@@ -29,6 +31,7 @@ def load_capture(
     folder: Path | str,
     *,
     use_masks: bool = True,
+    mask_meaning: MaskMeaning | None = None,
     file: str = transforms.FILE,
     sphere: tuple[Sequence[float], float] | None = None,
 ) -> Capture:
@@ -36,7 +39,8 @@ def load_capture(
 
     `file`: another file of the form of transforms.json in the folder, such as transforms_test.json. `sphere`: the object's
     (center [3], radius), which then counts instead of the file's. `use_masks` False: a missing sphere is estimated from the
-    cameras alone. Raises CaptureError, BoundsError.
+    cameras alone. `mask_meaning`: what white in the masks means; None: as they look (mask_meaning.py). Raises CaptureError,
+    BoundsError.
     """
     folder = Path(folder)
     said = describe(folder, file)
@@ -46,17 +50,21 @@ def load_capture(
             f"{photos} photo{'s'[: photos - 1]}: at least {MINIMUM_VIEWS} from different places are needed",
             "20 and more photos all around the object work well.",
         )
-    warnings = list(said.warnings)
+    warnings = [warning for warning in said.warnings if use_masks or not warning.code.startswith("capture.masks_")]
     _check_places(said.views, warnings)
     warnings += bracket_warnings([v.image_path for v in said.views])
     warnings += lens_warnings([v.name for v in said.views], [v.camera for v in said.views])
     color_space = _color_space(said, warnings)
     capture = Capture(folder, said.views, color_space, np.zeros(3), 1.0, "", warnings, said.files)
     if sphere is None:
-        _set_bounds(capture, said, use_masks)
+        _set_bounds(capture, said)
     else:
         capture.object_center, capture.object_radius = np.array(sphere[0], np.float64), float(sphere[1])
         capture.bounds_source = "options"
+    if use_masks:
+        warnings += read_masks(capture, mask_meaning)
+        if capture.bounds_source == "cameras":
+            _shrink_to_masks(capture)
     cameras = [v.camera for v in said.views]
     warnings += check_sphere([v.name for v in said.views], cameras, capture.object_center, capture.object_radius)
     return capture
@@ -131,8 +139,8 @@ def _color_space(said: CaptureDescription, warnings: list[Message]) -> str:
     return space
 
 
-def _set_bounds(capture: Capture, said: CaptureDescription, use_masks: bool) -> None:
-    """The object's sphere: as the files say, else estimated from the masks, else from the cameras."""
+def _set_bounds(capture: Capture, said: CaptureDescription) -> None:
+    """The object's sphere: as the files say, else estimated from the cameras."""
     center, radius = said.object_center, said.object_radius
     cameras = [v.camera for v in capture.views]
     if center is not None and radius is not None:
@@ -149,7 +157,12 @@ def _set_bounds(capture: Capture, said: CaptureDescription, use_masks: bool) -> 
         capture.warnings.append(Message("capture.half_a_sphere"))
     capture.object_center, capture.object_radius = sphere_from_cameras(cameras)
     capture.bounds_source = "cameras"
-    wanted = range(len(cameras)) if use_masks and _may_have_masks(capture) else range(0)
+
+
+def _shrink_to_masks(capture: Capture) -> None:
+    """The object's sphere as the masks show it, where every photo has one and they agree."""
+    cameras = [v.camera for v in capture.views]
+    wanted = range(len(cameras)) if _may_have_masks(capture) else range(0)
     masks = [mask for i in wanted if (mask := _coarse_mask(capture, i)) is not None]
     if len(masks) == len(cameras):
         sphere = sphere_from_masks(cameras, masks, capture.object_center, capture.object_radius)

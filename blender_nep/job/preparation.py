@@ -140,7 +140,9 @@ class Preparation:
         """
         s = self._settings
         capture = self._load_capture()
-        what = fingerprint(capture, s.preset, s.seed, s.use_masks, s.mesh, s.sphere, s.all_photos, s.hold_out)
+        what = fingerprint(
+            capture, s.preset, s.seed, s.use_masks, s.mesh, s.sphere, s.all_photos, s.hold_out, s.mask_meaning
+        )
         refuse_folder_of_photos(s.out, capture, s.mesh)
         if s.hold_out is not None:
             split(capture, s.hold_out)  # to refuse too small a number before the photos are read
@@ -215,7 +217,7 @@ class Preparation:
     @profiled("capture")
     def _load_capture(self) -> Capture:
         s = self._settings
-        capture = load_capture(s.capture, use_masks=s.use_masks, sphere=s.sphere)
+        capture = load_capture(s.capture, use_masks=s.use_masks, mask_meaning=s.mask_meaning, sphere=s.sphere)
         for warning in capture.warnings:
             self._events.warning(warning)
         return capture

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
+from blender_nep.capture.photos.mask_files import MaskMeaning
 from blender_nep.presets import Preset
 
 
@@ -18,6 +19,8 @@ class Settings:
     device: str = "auto"
     seed: int = 0
     use_masks: bool = True
+    mask_meaning: MaskMeaning | None = None
+    """What white in the masks means. None: as the masks look"""
     all_photos: bool = False
     """Learn from all photos, also from those that were taken in another light than most (`capture.other_light`)."""
     mesh: Path | None = None

@@ -160,7 +160,7 @@ def test_a_geographic_reference_keeps_scale_near_the_origin(tmp_path):
 def test_metashape_rescales_to_the_photos_and_finds_masks(tmp_path):
     write_metashape(tmp_path, known_cameras())
     write_photos(tmp_path / "images", size=(2 * WIDTH, 2 * HEIGHT))
-    write_photos(tmp_path / "masks", ["a.png", "c.png.png"])
+    write_photos(tmp_path / "masks", ["a.png", "c.png.png"], size=(2 * WIDTH, 2 * HEIGHT))
     said = metashape.read(tmp_path)
     assert [message.code for message in said.warnings] == ["capture.photos_rescaled"]
     assert said.views[0].camera.fl_x == pytest.approx(140)

@@ -222,12 +222,15 @@ def test_photos_whose_masks_show_nothing_are_left_out(make_capture, bounds):
 @pytest.mark.parametrize("how", [{"alpha": True}, {"masks": True}], ids=["alpha", "masks"])
 @pytest.mark.parametrize("suffix", [".png", ".exr"])
 def test_coarse_masks_read_little_and_keep_no_whole_ones(make_capture, monkeypatch, how, suffix):
-    """The sphere needs masks of 200 to 400 pixels. No photo is made linear for them, and few rows of mask files."""
+    """The sphere needs masks of 200 to 400 pixels, and what they mean masks of half of that.
+
+    No photo is made linear for them, and few rows of mask files.
+    """
     tiny = make_capture(views=4, size=820, bounds=False, suffix=suffix, **how)
     lengths = record_rows(monkeypatch)
     capture = load_capture(tiny.folder)
     assert capture.bounds_source == "masks"
-    assert sum(lengths) == (4 * 205 if "masks" in how else 0)
+    assert sum(lengths) == (4 * (205 + 102) if "masks" in how else 0)
     coarse = loading._coarse_mask(capture, 1)
     assert coarse.shape == (205, 205) and coarse.dtype == np.float32
     assert (coarse if coarse.base is None else coarse.base).size == 205 * 205

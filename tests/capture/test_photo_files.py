@@ -14,7 +14,8 @@ from PIL import Image
 
 from blender_nep.capture import load_capture
 from blender_nep.capture.formats.photos import check_readable
-from blender_nep.capture.photos.photo_files import SUFFIXES, MaskRaster, exif, image_size, open_image
+from blender_nep.capture.photos.mask_files import MaskRaster
+from blender_nep.capture.photos.photo_files import SUFFIXES, exif, image_size, open_image
 from blender_nep.errors import CaptureError
 from support.icc import SRGB, SRGB_CURVE, rgb_profile
 

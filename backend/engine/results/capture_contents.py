@@ -6,6 +6,7 @@ panel. Tests ask both sides about the same folders.
 """
 
 import os
+import re
 import sys
 from itertools import islice
 from pathlib import Path
@@ -24,6 +25,11 @@ OTHER_ENDINGS = (
 """A photo with such an ending does not count beside a photo with the same name and a plain ending."""
 TRANSFORMS = "transforms.json"
 _FILES = (TRANSFORMS, "transforms_train.json", "poses_bounds.npy", "cameras_sphere.npz", "cameras.npz")
+_MASK_BESIDE = re.compile(r"(.+)[._-]masks?", re.IGNORECASE)
+"""The stem of a mask beside its photo, as blender_nep/capture/formats/mask_search.py has it"""
+_MASK_FOLDER = re.compile(r"(?:(.+)[ ._-])?masks?(?:[ ._-](.+))?", re.IGNORECASE)
+_OTHER_PHOTOS = {"test", "val", "validation", "eval"}
+"""Folders of masks with such a word are of other photos."""
 _COLMAP_PLACES = (
     *("sparse", "colmap/sparse", "", "dense/sparse", "undistorted/sparse", "distorted/sparse"),
     *("colmap_sparse", "colmap_text"),
@@ -45,20 +51,33 @@ def photo_count(folder: Path) -> int:
 
 
 def _count(folder: Path) -> int:
-    plain, others = [], set()
+    images = _images_in(folder)
+    masks = _masks_beside(images)
+    names = [os.path.splitext(name) for name in images if name not in masks]
+    plain = [stem for stem, ending in names if ending.lower() in PLAIN_ENDINGS]
+    others = {stem for stem, ending in names if ending.lower() not in PLAIN_ENDINGS}
+    return len(plain) + len(others.difference(plain))
+
+
+def _images_in(folder: Path) -> list[str]:
+    """The names of the images in the folder; none where it cannot be read."""
+    found = []
     try:
         with os.scandir(folder) as entries:
             for entry in entries:
-                stem, ending = os.path.splitext(entry.name)
-                if entry.name.startswith(".") or ending.lower() not in PLAIN_ENDINGS + OTHER_ENDINGS or not entry.is_file():
-                    continue
-                if ending.lower() in PLAIN_ENDINGS:
-                    plain.append(stem)
-                else:
-                    others.add(stem)
+                ending = os.path.splitext(entry.name)[1].lower()
+                if ending in PLAIN_ENDINGS + OTHER_ENDINGS and not entry.name.startswith(".") and entry.is_file():
+                    found.append(entry.name)
     except OSError:
-        return 0
-    return len(plain) + len(others.difference(plain))
+        return []
+    return found
+
+
+def _masks_beside(names: list[str]) -> set[str]:
+    """Which of the images of one folder are masks of others of them, as their names say."""
+    known = {known for name in names for known in (name.lower(), os.path.splitext(name)[0].lower())}
+    added = ((name, _MASK_BESIDE.fullmatch(os.path.splitext(name)[0].lower())) for name in names)
+    return {name for name, match in added if match and match[1] in known}
 
 
 def transforms_time(folder: Path) -> int:
@@ -70,12 +89,18 @@ def transforms_time(folder: Path) -> int:
 
 
 def has_masks(folder: Path) -> bool:
-    """Whether the folder's folder `masks` holds masks. Whether each photo has one, the engine says."""
+    """Whether masks lie beside the photos or in a folder of masks. Whether each photo has one, the engine says."""
     try:
-        with os.scandir(folder / "masks") as entries:
-            return any(entry.name.lower().endswith(".png") and not entry.name.startswith(".") for entry in entries)
+        places = [path for path in folder.iterdir() if path.is_dir() and _is_mask_folder(path.name)]
     except OSError:
         return False
+    beside = any(_masks_beside(_images_in(place)) for place in (folder, folder / "images"))
+    return beside or any(map(_images_in, places))
+
+
+def _is_mask_folder(name: str) -> bool:
+    match = _MASK_FOLDER.fullmatch(name)
+    return match is not None and not {part.lower() for part in match.groups() if part} & _OTHER_PHOTOS
 
 
 def has_cameras(folder: Path) -> bool:

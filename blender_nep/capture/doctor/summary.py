@@ -19,6 +19,7 @@ from blender_nep.capture.doctor.turntable import MOST_STILL, still_share
 from blender_nep.capture.exposure import Comparison, compare_exposures, stops
 from blender_nep.capture.loading import load_capture
 from blender_nep.capture.other_light import other_light, times_of
+from blender_nep.capture.photos.mask_files import MaskMeaning
 from blender_nep.capture.rays.pixel_rays import BRIGHTEST_CLIPPED, SATURATED, PixelRays
 from blender_nep.capture.rays.pixel_store import PixelMemory
 from blender_nep.messages import Message
@@ -28,20 +29,27 @@ MOST_CLIPPED = 0.02
 """Share of clipped pixels from which on an artist is told to expose less."""
 
 
-def summarize(folder: Path, picture: Path | None = None, sphere: tuple[Sequence[float], float] | None = None) -> dict:
+def summarize(
+    folder: Path,
+    picture: Path | None = None,
+    sphere: tuple[Sequence[float], float] | None = None,
+    *,
+    use_masks: bool = True,
+    mask_meaning: MaskMeaning | None = None,
+) -> dict:
     """Facts about a capture as plain values, ready for JSON. Every photo is read once.
 
     picture: where a PNG of the directions of the photos is written. sphere: the object's (center [3], radius), which
-    then counts instead of the capture's. Raises CaptureError, BoundsError and OutputError, and UsageError where `picture` is
-    another file that is there.
+    then counts instead of the capture's. use_masks, mask_meaning: as in `load_capture`. Raises CaptureError,
+    BoundsError and OutputError, and UsageError where `picture` is another file that is there.
     """
     if picture is not None:
         refuse_foreign_picture(picture)
-    capture = load_capture(folder, sphere=sphere)
+    capture = load_capture(folder, use_masks=use_masks, mask_meaning=mask_meaning, sphere=sphere)
     coverage = Coverage.of(capture)
     if picture is not None:
         write_picture(coverage, picture)
-    rays = PixelRays.from_capture(capture, 250_000, use_masks=True, memory=PixelMemory(most=32_000_000))
+    rays = PixelRays.from_capture(capture, 250_000, use_masks, memory=PixelMemory(most=32_000_000))
     cameras = [v.camera for v in capture.views]
     distance = np.array([np.linalg.norm(c.position - capture.object_center) for c in cameras]) / capture.object_radius
     angles = [math.degrees(c.field_of_view) for c in cameras]
@@ -50,6 +58,7 @@ def summarize(folder: Path, picture: Path | None = None, sphere: tuple[Sequence[
     size = SphereSize.of(capture)
     compared = compare_exposures(rays)
     still = still_share(rays)
+    has_masks = use_masks and any(view.mask_path for view in capture.views)
     found: dict[str, Any] = {
         "folder": str(folder),
         "photos": len(capture.views),
@@ -59,6 +68,7 @@ def summarize(folder: Path, picture: Path | None = None, sphere: tuple[Sequence[
         "field_of_view_deg": [round(min(angles), 2), round(max(angles), 2)],
         "masks": rays.mask is not None,
         "mask_coverage": None if rays.mask is None else round(float(rays.mask.float().mean()) / 255, 4),
+        "mask_meaning": str(capture.mask_reading.meaning) if has_masks else None,
         "cut_outs": not rays.background,
         "object_center": [round(float(x), 6) for x in capture.object_center],
         "object_radius": round(capture.object_radius, 6),
@@ -182,7 +192,8 @@ def describe(found: dict) -> str:
         f"  pixels         {found['invalid_pixels']} unusable",
         "  masks          "
         + (f"the object covers {found['mask_coverage']:.0%} of the pixels" if found["masks"] else "none")
-        + (" (cut-outs)" if found["cut_outs"] else ""),
+        + (" (cut-outs)" if found["cut_outs"] else "")
+        + (", white is what may be used" if found["mask_meaning"] == MaskMeaning.USABLE else ""),
     ]
     lines += [f"  warning: {w['message']}" for w in found["warnings"]] or ["  nothing looks wrong"]
     return "\n".join(map(one_line, lines))

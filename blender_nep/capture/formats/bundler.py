@@ -2,7 +2,7 @@
 
 The file lies in the folder or in `bundle/`. It may have another name that ends in `.out`, if its first line is that of
 version 0.3. The list of photos is `list.txt`, or the only file `*list.txt`, `*.lst` or `*.imagelist`. It lies beside the
-file or in the folder. `photo_search.py` says where photos and masks lie.
+file or in the folder. `photo_search.py` says where photos lie, `mask_search.py` where masks.
 
 Bundler's manual: P = R X + t, p = -P / P.z, p' = f (1 + k1 |p|^2 + k2 |p|^4) p, in pixels from the middle of the image, x to
 the right and y up. So the axes are ours. A photo whose f is 0 was not placed.
@@ -22,7 +22,8 @@ from blender_nep.capture.cameras.camera import Camera
 from blender_nep.capture.cameras.lens import Lens
 from blender_nep.capture.capture import View
 from blender_nep.capture.description import CaptureDescription, check_number
-from blender_nep.capture.formats.photo_search import check_distinct, mask_of, mask_warnings, photos_named, view_name
+from blender_nep.capture.formats.mask_search import with_masks
+from blender_nep.capture.formats.photo_search import check_distinct, photos_named, view_name
 from blender_nep.capture.formats.photos import check_readable
 from blender_nep.capture.formats.poses import camera_to_world, check_intrinsics, rotation_of, without_pose_warnings
 from blender_nep.capture.photos.photo_files import image_size
@@ -88,7 +89,8 @@ def read(folder: Path) -> CaptureDescription:
     views = [_view(folder, bundle, entry, name, photos[name]) for entry, name in placed if name in photos]
     check_distinct(views, names_file.name)
     without = [name for entry, name in zip(entries, names, strict=True) if entry.focal == 0]
-    warnings = without_pose_warnings(without) + missing + mask_warnings(folder, views)
+    views, found = with_masks(folder, views)
+    warnings = without_pose_warnings(without) + missing + found
     return CaptureDescription(name=bundle.name, files=(bundle, names_file), views=views, warnings=warnings)
 
 
@@ -185,4 +187,4 @@ def _view(folder: Path, bundle: Path, entry: _Entry, name: str, image: Path) -> 
     width, height = image_size(image)
     lens = Lens(k1=entry.k1, k2=entry.k2)
     camera = Camera(width, height, entry.focal, entry.focal, width / 2, height / 2, matrix, lens)
-    return View(view_name(folder, image), image, mask_of(folder, image), camera)
+    return View(view_name(folder, image), image, None, camera)

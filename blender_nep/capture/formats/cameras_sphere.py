@@ -17,6 +17,7 @@ from blender_nep.capture.cameras.lens import NO_DISTORTION, Lens
 from blender_nep.capture.capture import View
 from blender_nep.capture.description import CaptureDescription, check_number
 from blender_nep.capture.formats.arrays import DAMAGED, read_npz
+from blender_nep.capture.formats.mask_search import with_masks
 from blender_nep.capture.formats.photo_search import first_with_photos
 from blender_nep.capture.formats.poses import FROM_OPENCV, camera_to_world, check_count, check_intrinsics, rotation_of
 from blender_nep.capture.photos.photo_files import image_size
@@ -56,8 +57,8 @@ def read(folder: Path) -> CaptureDescription:
         what = f"{path.name}: world_mat_{i} of {photo.name}"
         camera = _camera(_matrix(stored, f"world_mat_{i}", path), image_size(photo), what)
         views.append(View(photo.stem, photo, masks[i] if masks else None, camera))
-    center, radius = _sphere(stored, path)
-    return CaptureDescription(name=path.name, files=(path,), views=views, object_center=center, object_radius=radius)
+    views, found = with_masks(folder, views)
+    return CaptureDescription(path.name, (path,), views, None, *_sphere(stored, path), found)
 
 
 def _read_matrices(path: Path) -> dict[str, np.ndarray]:

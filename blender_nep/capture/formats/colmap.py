@@ -3,9 +3,9 @@
 They lie in one of the places of `_PLACES`, such as `sparse/0`. COLMAP makes several models where photos fall into groups
 that share no points: the one with the most photos counts. Some workspaces hold the same model twice, before and after the
 photos were undistorted (COLMAP's `dense/0`, 3DGS's `distorted/`): the first one whose photos are there counts. The photos
-lie in `images/` or beside. Masks, if any, lie in `masks/`, with the names of photo_search.py. The frame of the capture is
-COLMAP's own. The sparse points are not read, and neither are rigs and frames (COLMAP 3.12 and later): each photo has its own
-pose in `images` all the same.
+lie in `images/` or beside. `mask_search.py` says where masks lie. The frame of the capture is COLMAP's own. The sparse
+points are not read, and neither are rigs and frames (COLMAP 3.12 and later): each photo has its own pose in `images` all
+the same.
 """
 
 from __future__ import annotations
@@ -22,14 +22,8 @@ from blender_nep.capture.cameras.camera import Camera
 from blender_nep.capture.cameras.lens import Lens
 from blender_nep.capture.capture import View
 from blender_nep.capture.description import CaptureDescription, check_number
-from blender_nep.capture.formats.photo_search import (
-    IMAGES,
-    IMAGES_FIRST,
-    check_distinct,
-    mask_warnings,
-    named_mask,
-    photos_named,
-)
+from blender_nep.capture.formats.mask_search import with_masks
+from blender_nep.capture.formats.photo_search import IMAGES, IMAGES_FIRST, check_distinct, photos_named
 from blender_nep.capture.formats.photos import check_readable, fitted, rescaled_warnings
 from blender_nep.capture.photos.photo_lookup import PhotoLookup, stem
 from blender_nep.errors import CaptureError
@@ -158,9 +152,10 @@ def read(folder: Path) -> CaptureDescription:
     placed = sorted((pose for pose in poses if pose.name in photos), key=lambda pose: pose.name)
     rescaled: list[str] = []
     turned: list[str] = []
-    views = [_view(folder, cameras, pose, photos[pose.name], rescaled, turned) for pose in placed]
+    views = [_view(cameras, pose, photos[pose.name], rescaled, turned) for pose in placed]
     check_distinct(views, NAME)
-    warnings += missing + mask_warnings(folder, views) + rescaled_warnings(rescaled, turned)
+    views, found = with_masks(folder, views)
+    warnings += missing + found + rescaled_warnings(rescaled, turned)
     return CaptureDescription(name=NAME, files=files, views=views, warnings=warnings)
 
 
@@ -214,7 +209,6 @@ def _read_model(model: Path) -> tuple[tuple[Path, Path], dict[int, _Intrinsics],
 
 
 def _view(
-    folder: Path,
     cameras: dict[int, _Intrinsics],
     pose: _Pose,
     image: Path,
@@ -224,9 +218,8 @@ def _view(
     check_readable(image, pose.name)
     if pose.camera not in cameras:
         raise CaptureError(f"{pose.name}: the project has no camera {pose.camera}", "Export the project again.")
-    mask = named_mask(folder, Path(pose.name))
     camera = fitted(_camera(cameras[pose.camera], pose), image, pose.name, NAME, rescaled, turned)
-    return View(stem(pose.name), image, mask, camera)
+    return View(stem(pose.name), image, None, camera)
 
 
 def _camera(intrinsics: _Intrinsics, pose: _Pose) -> Camera:

@@ -3,7 +3,7 @@
 Where there is no `images/`, the smaller copies in `images_2/`, `images_4/` or `images_8/` count. A row is a matrix [3, 5],
 and the nearest and farthest depth, which are not needed. The columns of the matrix are the camera's axes down, right and
 backwards in the world, its position, and (height, width, focal length) in pixels. The principal point is the middle, and
-there is no distortion. Masks, if any, lie in `masks/`.
+there is no distortion. `mask_search.py` says where masks lie.
 """
 
 from __future__ import annotations
@@ -17,7 +17,8 @@ from blender_nep.capture.cameras.camera import Camera
 from blender_nep.capture.capture import View
 from blender_nep.capture.description import MOST_VIEWS, CaptureDescription
 from blender_nep.capture.formats.arrays import DAMAGED, read_npy
-from blender_nep.capture.formats.photo_search import first_with_photos, mask_of, mask_warnings
+from blender_nep.capture.formats.mask_search import with_masks
+from blender_nep.capture.formats.photo_search import first_with_photos
 from blender_nep.capture.formats.photos import fitted, rescaled_warnings
 from blender_nep.capture.formats.poses import camera_to_world, check_count, check_intrinsics, rotation_of
 from blender_nep.errors import CaptureError
@@ -41,8 +42,9 @@ def read(folder: Path) -> CaptureDescription:
     views = []
     for pose, photo in zip(poses, photos, strict=True):
         camera = fitted(_camera(pose, photo.name), photo, photo.name, FILE, rescaled, turned)
-        views.append(View(photo.stem, photo, mask_of(folder, photo), camera))
-    warnings = mask_warnings(folder, views) + rescaled_warnings(rescaled, turned)
+        views.append(View(photo.stem, photo, None, camera))
+    views, warnings = with_masks(folder, views)
+    warnings += rescaled_warnings(rescaled, turned)
     return CaptureDescription(name=FILE, files=(folder / FILE,), views=views, warnings=warnings)
 
 

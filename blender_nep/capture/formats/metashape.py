@@ -1,7 +1,7 @@
 """Reads the cameras that Agisoft Metashape exports: an `.xml` file with `<document><chunk>`.
 
-`photo_search.py` says where photos and masks lie. A photo's name is the camera's label. Disabled cameras and cameras without
-a pose are left out.
+`photo_search.py` says where photos lie, `mask_search.py` where masks. A photo's name is the camera's label. Disabled
+cameras and cameras without a pose are left out.
 
 The capture has Metashape's local coordinates: the transform of the camera's component counts, or else that of the chunk. If
 the chunk has a geographic reference, these transforms lead to coordinates around the center of the Earth. Then only their
@@ -31,7 +31,8 @@ from blender_nep.capture.cameras.camera import Camera
 from blender_nep.capture.cameras.lens import Lens
 from blender_nep.capture.capture import View
 from blender_nep.capture.description import CaptureDescription, check_number
-from blender_nep.capture.formats.photo_search import check_distinct, mask_of, mask_warnings, photos_named, view_name
+from blender_nep.capture.formats.mask_search import with_masks
+from blender_nep.capture.formats.photo_search import check_distinct, photos_named, view_name
 from blender_nep.capture.formats.photos import check_readable, fitted, rescaled_warnings
 from blender_nep.capture.formats.poses import (
     FROM_OPENCV,
@@ -118,10 +119,11 @@ def read(folder: Path) -> CaptureDescription:
         matrix = _pose(camera, frames[camera.get("component_id")], f"{file}: {label}")
         ours = Camera(*sensor[:6], matrix, sensor.lens)
         ours = fitted(ours, image, label, file, rescaled, turned)
-        views.append(View(view_name(folder, image), image, mask_of(folder, image), ours))
+        views.append(View(view_name(folder, image), image, None, ours))
     check_distinct(views, file)
     without = [_label(camera, file) for camera in cameras if not _has_pose(camera)]
-    warnings = without_pose_warnings(without) + missing + mask_warnings(folder, views) + rescaled_warnings(rescaled, turned)
+    views, of_masks = with_masks(folder, views)
+    warnings = without_pose_warnings(without) + missing + of_masks + rescaled_warnings(rescaled, turned)
     return CaptureDescription(name=file, files=(found[0],), views=views, warnings=warnings)
 
 

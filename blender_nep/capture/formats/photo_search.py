@@ -1,8 +1,8 @@
 """Where the photos and masks of other programs' exports lie.
 
 A photo lies in a folder of photos such as `images/`, or in the folder itself, under the path that the file says, or the end
-of that path; `photo_lookup.py` says how names may differ. Last, the absolute path counts. Masks, if any, lie in `masks/`,
-under the photo's name with `.png` added, or with `.png` or `_mask.png` in place of its ending.
+of that path; `photo_lookup.py` says how names may differ. Last, the absolute path counts. `mask_search.py` says where masks
+lie.
 """
 
 from __future__ import annotations
@@ -12,22 +12,27 @@ from pathlib import Path
 
 from blender_nep.capture.capture import View
 from blender_nep.capture.description import MINIMUM_VIEWS
+from blender_nep.capture.formats.mask_search import masks_beside
 from blender_nep.capture.photos.photo_files import SUFFIXES, refuse_other_computer
 from blender_nep.capture.photos.photo_lookup import PLACES, PhotoLookup, stem
 from blender_nep.errors import CaptureError
 from blender_nep.messages import Message
 
-IMAGES, MASKS = "images", "masks"
+IMAGES = "images"
 IMAGES_FIRST = (IMAGES, *(place for place in PLACES if place != IMAGES))
 """Where photos lie that a file names relative to the folder of photos"""
 
 
 def photos_in(folder: Path) -> list[Path]:
-    """The photos in a folder, sorted by their names; none if there is no such folder. Hidden files do not count."""
+    """The photos in a folder, sorted by their names; none if there is no such folder.
+
+    Hidden files and masks beside their photos do not count.
+    """
     if not folder.is_dir():
         return []
     names = (path for path in folder.iterdir() if path.suffix.lower() in SUFFIXES and not path.name.startswith("."))
-    return sorted((path for path in names if path.is_file()), key=lambda path: path.name)
+    files = [path for path in names if path.is_file()]
+    return sorted(set(files) - masks_beside(files), key=lambda path: path.name)
 
 
 def first_with_photos(folder: Path, places: Iterable[str]) -> tuple[str, list[Path]]:
@@ -95,34 +100,6 @@ def _taken_by_others(found: dict[str, Path]) -> list[str]:
 
 def _has_ending(name: str) -> bool:
     return stem(name) != name
-
-
-def mask_of(folder: Path, image: Path) -> Path | None:
-    """The mask of a photo, or None."""
-    return named_mask(folder, _place(folder, image))
-
-
-def named_mask(folder: Path, name: Path) -> Path | None:
-    """The mask of the photo `name`, a path relative to the folder of photos, or None."""
-    base = folder / MASKS / name
-    masks = (f"{base.name}.png", f"{base.stem}.png", f"{base.stem}_mask.png")
-    return next((path for path in map(base.with_name, masks) if path.is_file()), None)
-
-
-def unmatched_mask_warnings(folder: Path, photo: Path, masks: Iterable[Path | None]) -> list[Message]:
-    """The warning if `masks/` holds images and none is a photo's; none without images.
-
-    masks: those of all photos. photo: one of the photos, as an example of a name.
-    """
-    images = (path for path in (folder / MASKS).rglob("*") if path.suffix.lower() in SUFFIXES)
-    if any(masks) or not any(images):
-        return []
-    return [Message("capture.masks_unmatched", {"example": f"{photo.stem}.png"})]
-
-
-def mask_warnings(folder: Path, views: Sequence[View]) -> list[Message]:
-    """`unmatched_mask_warnings` for views."""
-    return unmatched_mask_warnings(folder, views[0].image_path, (view.mask_path for view in views))
 
 
 def view_name(folder: Path, image: Path) -> str:

@@ -18,6 +18,7 @@ from blender_nep.capture.cameras.lens_keys import LensKeys
 from blender_nep.capture.cameras.photo_agreement import PhotoAgreement
 from blender_nep.capture.capture import View
 from blender_nep.capture.description import CaptureDescription, check_number
+from blender_nep.capture.formats.mask_search import with_masks
 from blender_nep.capture.formats.photo_search import photos_named
 from blender_nep.capture.formats.photos import check_readable, fitted, rescaled_warnings
 from blender_nep.capture.photos.photo_files import find_image, image_size
@@ -51,6 +52,7 @@ def read(folder: Path, file: str = FILE) -> CaptureDescription:
     for (name, frame), camera in zip(named, cameras, strict=True):
         image, mask = photos[name], _mask(folder, frame)
         views.append(View(stem(image.name), image, mask, fitted(camera, image, name, file, rescaled, turned)))
+    views, found = with_masks(folder, views, named_by_file=True)
     return CaptureDescription(
         name=file,
         files=(folder / file,),
@@ -58,7 +60,7 @@ def read(folder: Path, file: str = FILE) -> CaptureDescription:
         color_space=meta.get("color_space"),
         object_center=meta.get("object_center"),
         object_radius=meta.get("object_radius"),
-        warnings=warnings + more + rescaled_warnings(rescaled, turned),
+        warnings=warnings + more + found + rescaled_warnings(rescaled, turned),
     )
 
 

@@ -15,11 +15,9 @@ its copy of `image_size` for the formats that Blender shows.
 from __future__ import annotations
 
 import sys
-from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
 
-import numpy as np
 from PIL import ExifTags
 
 from blender_nep.capture.photos import photo_lookup
@@ -133,41 +131,6 @@ def time_taken(path: Path) -> datetime | None:
         return datetime.strptime(str(said).strip("\0 "), "%Y:%m:%d %H:%M:%S")
     except ValueError:
         return None
-
-
-@dataclass
-class MaskRaster:
-    """A mask file. The coverage is its alpha, if some of that is below 1; else its first channel, without sRGB decoding."""
-
-    raster: Raster
-    from_alpha: bool
-
-    @classmethod
-    def of(cls, path: Path) -> MaskRaster:
-        """Open the mask file at `path`. Raises CaptureError."""
-        raster = open_image(path, "linear")
-        return cls(raster, raster.least_alpha() < 1.0)
-
-    @property
-    def size(self) -> tuple[int, int]:
-        """(H, W)"""
-        return self.raster.size
-
-    def rows(self, start: int = 0, end: int | None = None) -> np.ndarray:
-        """Coverage [h, W] float32 in 0..1 of the rows start to end - 1."""
-        color, alpha = self.raster.rows(start, end)
-        coverage = alpha if self.from_alpha and alpha is not None else color[..., 0]
-        return np.nan_to_num(np.clip(coverage, 0.0, 1.0)).astype(np.float32)
-
-    def coverage(self, step: int = 1) -> np.ndarray:
-        """Coverage [h, w] float32 in 0..1 of every `step`-th pixel in both directions, from pixel step // 2 on.
-
-        Only the rows of these pixels are read. step: at most the shorter side.
-        """
-        if step == 1:
-            return self.rows()
-        kept = range(step // 2, self.size[0], step)
-        return np.concatenate([self.rows(row, row + 1)[:, step // 2 :: step] for row in kept])
 
 
 def _unreadable(path: Path, error: Exception) -> CaptureError:

@@ -16,6 +16,7 @@ from torch import Tensor
 from blender_nep.capture.cameras.camera import Camera
 from blender_nep.capture.cameras.lens import Lenses
 from blender_nep.capture.capture import Capture
+from blender_nep.capture.rays.downscaling import box, factor_for
 from blender_nep.capture.rays.pixel_set import GrowingPixelSet, PixelSet
 from blender_nep.capture.rays.pixel_store import PixelMemory
 from blender_nep.capture.rays.ray_bundle import RayBundle
@@ -46,8 +47,8 @@ class PixelRays:
     radiance: Tensor
     """[N, 3] float32 or float16, linear, finite, 0 .. 6e4; 0 where not valid."""
     valid: Tensor
-    """[N] bool: the photo's radiance can be used here. False where it is not finite, at the edges of cut-outs, and in
-    black photos."""
+    """[N] bool: the photo's radiance can be used here. False where it is not finite, at the edges of cut-outs, in black
+    photos, and where masks say what may be used and are black."""
     mask: Tensor | None
     """[N] uint8: coverage by the object, 0..255. None: there are no masks, or they are not used."""
     offset: list[int]
@@ -201,7 +202,7 @@ class PixelRays:
         memory = memory or PixelMemory()
         cameras = [v.camera for v in capture.views]
         most = min(max_pixels_per_photo, max(1, memory.most // len(cameras)))
-        factors = [_factor(c.height, c.width, most) for c in cameras]
+        factors = [factor_for(c.height, c.width, most) for c in cameras]
         sizes = [(c.height // f, c.width // f) for c, f in zip(cameras, factors, strict=True)]
         offset = np.concatenate([[0], np.cumsum([h * w for h, w in sizes])]).tolist()
         stores = memory.stores(offset[-1], use_masks, device)
@@ -325,13 +326,6 @@ def _lenses(cameras: list[Camera], device: torch.device | str) -> Lenses | None:
     return Lenses.of([camera.lens for camera in cameras], device, torch.float32)
 
 
-def _factor(height: int, width: int, most: int) -> int:
-    factor = max(1, math.ceil(math.sqrt(height * width / most) - 1e-9))
-    while factor > 1 and min(height, width) < factor:
-        factor -= 1
-    return factor
-
-
 def _loaded(capture: Capture, factors: list[int], use_masks: bool) -> Iterator[_Photo]:
     """The photos in their order. As many are decoded at the same time as `_DECODED_PIXELS` allows."""
     largest = max(v.camera.height * v.camera.width for v in capture.views)
@@ -361,6 +355,7 @@ def _load(capture: Capture, i: int, factor: int, use_masks: bool) -> _Photo:
     has_alpha = photo.has_alpha  # looks at every pixel
     cut_out = has_alpha and photo.least_alpha() < 0.5
     coverage = capture.open_mask(i) if use_masks else None
+    usable = capture.open_usable(i) if use_masks else None
     height, width = photo.size
     rows = factor * max(1, _STRIP_PIXELS // (factor * width))
     strips, repaired, brightest = [], dict.fromkeys(("bad", "negative", "blinding"), 0), 0.0
@@ -381,19 +376,21 @@ def _load(capture: Capture, i: int, factor: int, use_masks: bool) -> _Photo:
             # neither the object's nor the surroundings'.
             finite &= (alpha > 0.98) | (alpha < 0.02)
             radiance[alpha < 0.02] = 0
+        if usable is not None:
+            finite &= usable.rows(start, start + rows) > 0.5
         if finite.all():
-            radiance = _box(radiance, factor)
+            radiance = box(radiance, factor)
             valid = np.ones(radiance.shape[:2], bool)
         else:
-            weight = _box(finite.astype(np.float32)[..., None], factor)
-            radiance = _box(radiance * finite[..., None], factor) / np.maximum(weight, 1e-6)
+            weight = box(finite.astype(np.float32)[..., None], factor)
+            radiance = box(radiance * finite[..., None], factor) / np.maximum(weight, 1e-6)
             valid = weight[..., 0] >= 0.5
             radiance[~valid] = 0
         mask = coverage.rows(start, start + rows) if coverage is not None else alpha if has_alpha else None
         if not use_masks or mask is None:
             mask = None
         else:
-            mask = np.round(255 * _box(mask[..., None], factor)[..., 0]).astype(np.uint8).ravel()
+            mask = np.round(255 * box(mask[..., None], factor)[..., 0]).astype(np.uint8).ravel()
         strips.append((radiance.reshape(-1, 3), valid.ravel(), mask))
     radiance, valid = (np.concatenate([s[k] for s in strips]) for k in (0, 1))
     mask = None if strips[0][2] is None else np.concatenate([s[2] for s in strips])
@@ -408,18 +405,6 @@ def _load(capture: Capture, i: int, factor: int, use_masks: bool) -> _Photo:
     if brightest <= _BLACK:
         valid[:] = False
     return _Photo(radiance, valid, mask, facts)
-
-
-def _box(pixels: np.ndarray, factor: int) -> np.ndarray:
-    """Means over blocks of factor x factor pixels of [H, W, C]. Pixels left over at the right and the bottom are dropped."""
-    if factor == 1:
-        return pixels
-    height, width = pixels.shape[0] // factor, pixels.shape[1] // factor
-    total = np.zeros((height, width, pixels.shape[2]), np.float32)
-    for i in range(factor):  # strided sums are ten times faster than a mean over two axes of a reshaped view
-        for j in range(factor):
-            total += pixels[i : height * factor : factor, j : width * factor : factor]
-    return total / factor**2
 
 
 def _sees_center(capture: Capture, camera: Camera) -> bool:

@@ -14,8 +14,9 @@ from blender_nep.cameras.structure_from_motion import find_groups, stop_if_asked
 from blender_nep.cameras.written_capture import check_writable, keep_present_file, write_capture
 from blender_nep.capture.brackets import bracket_warnings
 from blender_nep.capture.formats import transforms
-from blender_nep.capture.formats.photo_search import unmatched_mask_warnings
+from blender_nep.capture.formats.mask_search import photo_mask_messages
 from blender_nep.capture.loading import load_capture
+from blender_nep.capture.mask_meaning import read_photo_masks
 from blender_nep.errors import BoundsError, CaptureError, UsageError
 from blender_nep.job.exit_code import exit_code
 from blender_nep.job.reporting.events import Events
@@ -53,11 +54,16 @@ def run(search: CameraSearch, events: Events, stop: StopRequest) -> int:
         capture = load_capture(search.photos, use_masks=False) if search.improve else None
         found = find_photos(search.photos) if capture is None else photos_of(capture)
         check_writable(folder)
-        no_masks = unmatched_mask_warnings(search.photos, found[0].path, (photo.mask for photo in found))
+        of_masks = photo_mask_messages(search.photos, [photo.path for photo in found])
         brackets = bracket_warnings([photo.path for photo in found])
-        for warning in no_masks + brackets if capture is None else capture.warnings:
+        for warning in of_masks + brackets if capture is None else capture.warnings:
             events.warning(warning)
         masked = _masked(search, found)
+        if masked is not None:
+            reading, said = read_photo_masks([photo.mask for photo in found if photo.mask is not None])
+            found = [replace(photo, mask_reading=reading) for photo in found]
+            for warning in said:
+                events.warning(warning)
         progress = _Progress(events, len(found))
         given = None if capture is None else [view.camera for view in capture.views]
         with working_folder() as scratch:

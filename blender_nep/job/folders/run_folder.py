@@ -10,6 +10,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from blender_nep.capture import Capture
+from blender_nep.capture.photos.mask_files import MaskMeaning
 from blender_nep.checkpoints import Checkpoint, load_state, save_state
 from blender_nep.errors import UsageError
 from blender_nep.files import write_atomically
@@ -47,6 +48,7 @@ def fingerprint(
     sphere: tuple[tuple[float, float, float], float] | None = None,
     all_photos: bool = False,
     hold_out: int | None = None,
+    mask_meaning: MaskMeaning | None = None,
 ) -> dict[str, object]:
     """{name: value} of all inputs that decide the result of a run. A resume must agree with all of them.
 
@@ -63,7 +65,7 @@ def fingerprint(
         "capture": _digest(b"".join(file.read_bytes() for file in capture.files) + photos.encode()),
         "preset": preset.name + " " + _digest(json.dumps(settings, sort_keys=True).encode()),
         "seed": seed,
-        "masks": "use" if masks else "ignore",
+        "masks": str(mask_meaning or "use") if masks else "ignore",
         "choice of metal or not": list(metallic),
         "faces": faces,
         "mesh": "" if mesh is None else _digest(mesh.read_bytes()),
