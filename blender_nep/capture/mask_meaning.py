@@ -28,6 +28,8 @@ _MOST_MASKS = 24
 """So many masks are looked at. They are spread over the capture."""
 _ROWS = 100
 """The longer side of a mask that is looked at has this to twice this many pixels."""
+_GRID = 32
+"""Points along each side of the cube where the space that silhouettes leave is measured"""
 _DIM = 0.75
 """If no mask has a value above this, masks of two values have another white than the largest value of their files."""
 _WHITE_EVERYWHERE = 0.999
@@ -198,7 +200,7 @@ class Sides:
 
     def fill(self, masks: list[np.ndarray]) -> float:
         """The part of the space around the object that silhouettes leave, 0..1."""
-        axis = np.linspace(-1.5, 1.5, 32) * self.radius
+        axis = np.linspace(-1.5, 1.5, _GRID) * self.radius
         points = self.center + np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), -1).reshape(-1, 3)
         framed, kept = carve(self.cameras, masks, points)
         return float(kept.sum() / max(1, framed.sum()))

@@ -51,6 +51,12 @@ def tiny(make_capture, request):
     return make_capture(views=9, size=SIZE, suffix=".png", bounds=request.param)
 
 
+@pytest.fixture
+def ball(make_capture):
+    """`tiny` with a sphere, for what does not depend on where the sphere comes from."""
+    return make_capture(views=9, size=SIZE, suffix=".png")
+
+
 def rays_of(capture) -> PixelRays:
     return PixelRays.from_capture(capture, 10**6, use_masks=True)
 
@@ -131,20 +137,20 @@ def test_masks_of_what_may_be_used_leave_black_out(tiny, draw):
     assert capture.bounds_source == plain.bounds_source and capture.object_radius == plain.object_radius
 
 
-def test_masks_that_would_leave_most_of_the_photos_out_do_not(tiny):
+def test_masks_that_would_leave_most_of_the_photos_out_do_not(ball):
     """One small window for all photos."""
     mask = np.zeros((SIZE, SIZE), bool)
     mask[10:30, 15:40] = True
-    folder = with_masks(tiny, [mask] * 9)
-    for entry in tiny.meta["frames"]:
+    folder = with_masks(ball, [mask] * 9)
+    for entry in ball.meta["frames"]:
         entry["mask_path"] = "masks/000.png"
-    capture = load_capture(tiny.save())
+    capture = load_capture(ball.save())
     assert capture.mask_reading.meaning == MaskMeaning.NOTHING and rays_of(capture).valid.all()
     assert said(capture) == ["masks_one_for_all", "masks_not_used"] and folder == capture.folder
 
 
-def test_white_masks_are_passed_over(tiny):
-    capture = load_capture(with_masks(tiny, [blank()] * 9))
+def test_white_masks_are_passed_over(ball):
+    capture = load_capture(with_masks(ball, [blank()] * 9))
     assert said(capture) == ["masks_white"] and rays_of(capture).mask is None and capture.bounds_source != "masks"
 
 
@@ -156,17 +162,17 @@ def test_masks_that_may_mean_two_things_are_passed_over(tiny):
     assert rays_of(capture).mask is None and rays_of(capture).valid.all()
 
 
-def test_equal_masks_in_the_middle_are_believed_with_a_warning(tiny):
+def test_equal_masks_in_the_middle_are_believed_with_a_warning(ball):
     mask = np.zeros((SIZE, SIZE), bool)
     mask[14:34, 14:34] = True
-    capture = load_capture(with_masks(tiny, [mask] * 9))
+    capture = load_capture(with_masks(ball, [mask] * 9))
     assert capture.mask_reading.meaning == MaskMeaning.OBJECT and said(capture) == ["masks_alike"]
 
 
 @pytest.mark.parametrize("meaning", ["object", "background", "usable"])
-def test_what_the_artist_says_counts(tiny, meaning):
-    masks = silhouettes(tiny)
-    capture = load_capture(with_masks(tiny, masks), mask_meaning=MaskMeaning(meaning), sphere=(CENTER, 0.8))
+def test_what_the_artist_says_counts(ball, meaning):
+    masks = silhouettes(ball)
+    capture = load_capture(with_masks(ball, masks), mask_meaning=MaskMeaning(meaning), sphere=(CENTER, 0.8))
     assert capture.mask_reading.meaning == meaning
     assert said(capture) == ([] if meaning == "object" else ["masks_as_told"])
     rays, first = rays_of(capture), torch.from_numpy(masks[0].ravel())
@@ -181,22 +187,22 @@ def stored(white: int, kind: type):
 
 
 @pytest.mark.parametrize(("white", "kind"), [(1, np.uint8), (100, np.uint8), (1, np.uint16), (255, np.uint16)])
-def test_white_may_be_a_small_value(tiny, white, kind):
-    masks = silhouettes(tiny)
-    capture = load_capture(with_masks(tiny, masks, stored(white, kind)))
+def test_white_may_be_a_small_value(ball, white, kind):
+    masks = silhouettes(ball)
+    capture = load_capture(with_masks(ball, masks, stored(white, kind)))
     assert said(capture) == ["masks_dim"] and set(rays_of(capture).mask.tolist()) == {0, 255}
     assert torch.equal(rays_of(capture).mask > 127, torch.from_numpy(np.stack(masks).ravel()))
 
 
-def test_empty_masks_still_end_with_a_message(tiny):
-    capture = load_capture(with_masks(tiny, [~blank()] * 9))
+def test_empty_masks_still_end_with_a_message(ball):
+    capture = load_capture(with_masks(ball, [~blank()] * 9))
     with pytest.raises(Exception, match="masks are empty"):
         rays_of(capture)
 
 
-def test_noise_of_jpeg_masks_is_cleaned(tiny):
-    masks = silhouettes(tiny, CENTER)
-    folder = with_masks(tiny, masks, lambda mask, path: Image.fromarray(np.uint8(255) * mask).save(path, quality=80), "jpg")
+def test_noise_of_jpeg_masks_is_cleaned(ball):
+    masks = silhouettes(ball, CENTER)
+    folder = with_masks(ball, masks, lambda mask, path: Image.fromarray(np.uint8(255) * mask).save(path, quality=80), "jpg")
     capture = load_capture(folder)
     assert not said(capture) and MaskRaster.of(folder / "masks/000.jpg").noisy
     mask = rays_of(capture).mask[: SIZE * SIZE].numpy()
@@ -205,15 +211,15 @@ def test_noise_of_jpeg_masks_is_cleaned(tiny):
     assert (((mask > 127) != masks[0].ravel()).mean()) < 0.02
 
 
-def test_inverted_masks_of_photos_without_cameras_are_turned(tiny, tmp_path):
+def test_inverted_masks_of_photos_without_cameras_are_turned(ball, tmp_path):
     paths = []
-    for number, mask in enumerate(silhouettes(tiny)):
+    for number, mask in enumerate(silhouettes(ball)):
         paths.append(tmp_path / f"{number}.png")
         Image.fromarray((~mask).astype(np.uint8)).save(paths[-1])
     reading, messages = read_photo_masks(paths)
     assert (reading.meaning, reading.white) == (MaskMeaning.BACKGROUND, pytest.approx(1 / 255))
     assert [message.code for message in messages] == ["capture.masks_dim", "capture.masks_background"]
-    for number, mask in enumerate(silhouettes(tiny)):
+    for number, mask in enumerate(silhouettes(ball)):
         Image.fromarray(mask).save(paths[number])
     assert read_photo_masks(paths)[0].meaning == MaskMeaning.OBJECT
     for number in range(9):
@@ -222,8 +228,8 @@ def test_inverted_masks_of_photos_without_cameras_are_turned(tiny, tmp_path):
 
 
 @pytest.mark.parametrize(("option", "meaning"), [("use", "background"), ("object", "object"), ("ignore", None)])
-def test_info_says_what_masks_mean(tiny, capsys, option, meaning):
-    folder = with_masks(tiny, [~mask for mask in silhouettes(tiny)])
+def test_info_says_what_masks_mean(ball, capsys, option, meaning):
+    folder = with_masks(ball, [~mask for mask in silhouettes(ball)])
     assert cli.main(["info", str(folder), "--json", "--masks", option, *sphere_options()]) == 0
     found = json.loads(capsys.readouterr().out)
     codes = [warning["code"] for warning in found["warnings"]]
@@ -236,8 +242,8 @@ def sphere_options() -> list[str]:
     return ["--object-center", *(f"{x:g}" for x in CENTER), "--object-radius", "0.8"]
 
 
-def test_a_description_of_usable_masks_says_so(tiny, capsys):
-    folder: Path = with_masks(tiny, [people(number) for number in range(9)])
+def test_a_description_of_usable_masks_says_so(ball, capsys):
+    folder: Path = with_masks(ball, [people(number) for number in range(9)])
     assert cli.main(["info", str(folder)]) == 0
     told = capsys.readouterr().out
     assert (
