@@ -22,6 +22,7 @@ from blender_nep.capture.bounds import carve, sphere_from_masks
 from blender_nep.capture.cameras.camera import Camera
 from blender_nep.capture.capture import Capture
 from blender_nep.capture.photos.mask_files import MaskMeaning, MaskRaster, MaskReading
+from blender_nep.errors import CaptureError
 from blender_nep.messages import Message
 
 _MOST_MASKS = 24
@@ -88,6 +89,16 @@ def read_masks(capture: Capture, told: MaskMeaning | None = None) -> list[Messag
     return messages + said
 
 
+def _first_look(path: Path) -> np.ndarray:
+    """The coverage of a mask at a small size. Raises CaptureError."""
+    try:
+        file = MaskRaster.of(path)
+        return file.coverage(max(1, min(max(file.size) // _ROWS, min(file.size))))
+    except CaptureError as error:
+        hint = "Take it out, or copy it again."
+        raise CaptureError(str(error), hint, "capture.photo_unreadable", photo=path.name) from error
+
+
 def read_photo_masks(paths: Sequence[Path]) -> tuple[MaskReading, list[Message]]:
     """How the masks of photos without cameras are read, and what was assumed.
 
@@ -95,8 +106,7 @@ def read_photo_masks(paths: Sequence[Path]) -> tuple[MaskReading, list[Message]]
     recognized. Raises CaptureError where a mask cannot be read.
     """
     chosen = np.unique(np.linspace(0, len(paths) - 1, _MOST_MASKS).round().astype(int))
-    files = [MaskRaster.of(paths[k]) for k in chosen]
-    raw = [file.coverage(max(1, min(max(file.size) // _ROWS, min(file.size)))) for file in files]
+    raw = [_first_look(paths[k]) for k in chosen]
     white, messages = _white(raw)
     masks = [mask / white > 0.5 for mask in raw]
     middles = [mask[len(mask) // 3 : -(len(mask) // 3), mask.shape[1] // 3 : -(mask.shape[1] // 3)] for mask in masks]

@@ -170,7 +170,7 @@ CASES = [
         "mirrored",
         **IMPROVE,
     ),
-    refused("cameras look along +z", cameras.opencv_axes, 4, "bounds", "no photo sees", **IMPROVE),
+    Case("cameras look along +z", cameras.opencv_axes, IMPROVE, warns={"capture.opencv_axes": []}),
     refused("a lens that COLMAP does not know", cameras.wide_fisheye, 3, "capture.lens_not_improved", "anew", **IMPROVE),
     Case("cameras and sphere in millimeters", cameras.all_in_millimeters, IMPROVE),
     Case("cameras in millimeters, the sphere in meters", cameras.millimeters, IMPROVE, warns={"capture.cameras_far": []}),
