@@ -22,8 +22,9 @@ import numpy as np
 import pytest
 
 from benchmarks.scoring.cameras import errors
-from blender_nep.cameras import matching_process, structure_from_motion
+from blender_nep.cameras import structure_from_motion
 from blender_nep.cameras.alignment import similarity
+from blender_nep.cameras.matching import matching_process
 from blender_nep.cameras.object_sphere import ObjectSphere
 from blender_nep.cameras.photo_folder import find_photos
 from blender_nep.cameras.seen_through import Sightlines
