@@ -1,13 +1,67 @@
 """Cameras of programs that others use: known cameras come back, and files that are not read say whose they are."""
 
+import json
+from functools import partial
 from pathlib import Path
 
+import numpy as np
 import pytest
 from PIL import Image
 
 from blender_nep.capture import load_capture
+from blender_nep.capture.cameras.camera import Camera
+from blender_nep.capture.cameras.lens import Lens
 from blender_nep.capture.foreign_cameras import foreign_cameras
 from blender_nep.errors import CaptureError
+from support.camera_exports import HEIGHT, NAMES, TARGET, WIDTH, known_cameras
+from support.peer_exports import (
+    NEWER_REALITYSCAN,
+    write_meshroom,
+    write_opensfm,
+    write_polycam,
+    write_realityscan,
+    write_visualsfm,
+)
+
+BROWN = Lens(k1=-0.2, k2=0.07, k3=0.01, p1=0.004, p2=-0.006)
+BROWN_4 = Lens(k1=-0.2, k2=0.07, k3=0.01, k4=-0.002, p1=0.004, p2=-0.006)
+RADIAL = Lens(k1=-0.12, k2=0.03)
+RADIAL_3 = Lens(k1=-0.12, k2=0.03, k3=0.01)
+FISHEYE = Lens(k1=0.04, k2=-0.012, k3=0.003, k4=-0.0004, fisheye=True)
+FISHEYE_2 = Lens(k1=0.04, k2=-0.012, fisheye=True)
+CASES = {
+    "realityscan": (write_realityscan, known_cameras(BROWN_4), []),
+    "realityscan, newer": (partial(write_realityscan, header=NEWER_REALITYSCAN), known_cameras(BROWN_4), []),
+    "meshroom, brown": (write_meshroom, known_cameras(BROWN, square=False), ["capture.photos_without_pose"]),
+    "meshroom, fisheye": (partial(write_meshroom, kind="fisheye"), known_cameras(FISHEYE), ["capture.photos_without_pose"]),
+    **{
+        f"meshroom {version}": (
+            partial(write_meshroom, kind="radial3", version=version),
+            known_cameras(RADIAL_3, square=version < (1, 2, 0)),
+            ["capture.photos_without_pose"],
+        )
+        for version in ((1, 0, 0), (1, 2, 0), (1, 2, 1), (1, 2, 4), (1, 2, 5))
+    },
+    "opensfm, perspective": (
+        partial(write_opensfm, kind="perspective"),
+        known_cameras(RADIAL, centered=True),
+        ["capture.photos_without_pose"],
+    ),
+    "opensfm, brown": (write_opensfm, known_cameras(BROWN, square=False), ["capture.photos_without_pose"]),
+    "opensfm, fisheye": (
+        partial(write_opensfm, kind="fisheye"),
+        known_cameras(FISHEYE_2, centered=True),
+        ["capture.photos_without_pose"],
+    ),
+    "odm": (
+        partial(write_opensfm, kind="fisheye_opencv", place="opensfm"),
+        known_cameras(FISHEYE, square=False),
+        ["capture.photos_without_pose"],
+    ),
+    "visualsfm": (write_visualsfm, known_cameras(centered=True), ["capture.photos_without_pose"]),
+    "polycam": (write_polycam, known_cameras(square=False), []),
+    "polycam, not improved": (partial(write_polycam, corrected=False), known_cameras(square=False), []),
+}
 
 FOREIGN = {
     "scan.psx": ("Metashape", "<document/>"),
@@ -28,6 +82,120 @@ def refused(folder: Path) -> CaptureError:
     with pytest.raises(CaptureError) as caught:
         load_capture(folder)
     return caught.value
+
+
+def check(folder: Path, truth: list, formulas: list, *, pixels: float = 1e-6):
+    """The capture's poses are those of `truth`, and it shows points where the other program's formulas put them."""
+    capture = load_capture(folder)
+    assert [view.name for view in capture.views] == [Path(name).stem for name in NAMES]
+    points = TARGET + np.random.default_rng(1).uniform(-0.6, 0.6, (200, 3))
+    for view, expected, formula in zip(capture.views, truth, formulas, strict=True):
+        np.testing.assert_allclose(view.camera.camera_to_world, expected.camera_to_world, atol=1e-6)
+        u, v, depth = view.camera.project(points)
+        assert (depth > 0).all()
+        np.testing.assert_allclose([u, v], formula(points), atol=pixels)
+    return capture
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_known_cameras_come_back_and_follow_the_formula(tmp_path, case):
+    write, truth, codes = CASES[case]
+    capture = check(tmp_path, truth, write(tmp_path, truth))
+    assert [warning.code for warning in capture.warnings] == codes
+    for view, expected in zip(capture.views, truth, strict=True):
+        assert view.camera.lens == expected.lens
+        for name in ("width", "height", "fl_x", "fl_y", "cx", "cy"):
+            assert getattr(view.camera, name) == pytest.approx(getattr(expected, name), abs=1e-6)
+
+
+@pytest.mark.parametrize("radial", [-0.15, 0.3])
+def test_the_inverse_distortion_of_visualsfm_is_fitted(tmp_path, radial):
+    truth = known_cameras(centered=True)
+    capture = check(tmp_path, truth, write_visualsfm(tmp_path, truth, radial), pixels=1e-3)
+    assert capture.views[0].camera.lens.k1 == pytest.approx(-radial, abs=0.01)
+
+
+def test_fixed_intrinsics_of_visualsfm_count(tmp_path):
+    truth = [Camera(WIDTH, HEIGHT, 71.5, 70.0, 33.7, 21.7, camera.camera_to_world) for camera in known_cameras()]
+    check(tmp_path, truth, write_visualsfm(tmp_path, truth, fixed=True))
+
+
+def test_map_coordinates_of_realityscan_are_moved_to_the_origin(tmp_path):
+    write_realityscan(tmp_path, known_cameras(), shift=4e6)
+    far = np.stack([view.camera.position for view in load_capture(tmp_path).views])
+    near = np.stack([camera.position for camera in known_cameras()])
+    assert np.abs(far).max() < 10
+    np.testing.assert_allclose(far - far[0], near - near[0], atol=1e-6)
+
+
+def in_json(path: str, change):
+    """A change of a JSON file."""
+
+    def apply(folder: Path) -> None:
+        content = json.loads((folder / path).read_text())
+        change(content)
+        (folder / path).write_text(json.dumps(content))
+
+    return apply
+
+
+def in_text(path: str, old: str, new: str):
+    """A change of a text file."""
+
+    def apply(folder: Path) -> None:
+        text = (folder / path).read_text()
+        assert old in text
+        (folder / path).write_text(text.replace(old, new))
+
+    return apply
+
+
+BROKEN = {
+    "a line of realityscan is too short": (write_realityscan, in_text("export.csv", "a.png,", ""), "line 3: 15 values"),
+    "realityscan has no roll": (write_realityscan, in_text("export.csv", ",roll", ",rock"), "no column roll"),
+    "a word in a line of realityscan": (write_realityscan, in_text("export.csv", "a.png,", "a.png,x"), "line 3: x is not"),
+    "meshroom's file is torn": (write_meshroom, in_text("cameras.sfm", '"poses"', ""), "cannot be read"),
+    "meshroom's pose scales": (
+        write_meshroom,
+        in_json("cameras.sfm", lambda scene: scene["poses"][0]["pose"]["transform"].update(rotation=["2"] * 9)),
+        "not rigid",
+    ),
+    "meshroom's lens is unknown": (
+        write_meshroom,
+        in_json("cameras.sfm", lambda scene: scene["intrinsics"][0].update(type="3declassicld")),
+        "camera type 3declassicld with distortion 3declassicld is not supported",
+    ),
+    "opensfm's camera is a sphere": (
+        write_opensfm,
+        in_text("reconstruction.json", '"brown"', '"spherical"'),
+        "projection type spherical is not supported",
+    ),
+    "opensfm's camera is missing": (
+        write_opensfm,
+        in_json("reconstruction.json", lambda parts: parts[1]["cameras"].pop("v2 a.png")),
+        "no JSON object 'v2 a.png'",
+    ),
+    "visualsfm's file ends early": (write_visualsfm, in_text("model.nvm", "\n4\n", "\n40\n"), "has not 11 parts"),
+    "polycam's number is missing": (
+        write_polycam,
+        in_json("keyframes/corrected_cameras/a.json", lambda said: said.pop("t_12")),
+        "a.json: t_12 is not a number",
+    ),
+    "polycam's focal length is 0": (
+        write_polycam,
+        in_json("keyframes/corrected_cameras/a.json", lambda said: said.update(fx=0)),
+        "must be positive",
+    ),
+}
+
+
+@pytest.mark.parametrize("case", BROKEN)
+def test_a_broken_file_says_what_is_wrong(tmp_path, case):
+    write, spoil, message = BROKEN[case]
+    write(tmp_path, known_cameras())
+    spoil(tmp_path)
+    error = refused(tmp_path)
+    assert error.code == 3 and message in error.message and error.hint
 
 
 @pytest.mark.parametrize("photos", [0, 3])

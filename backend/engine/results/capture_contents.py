@@ -43,6 +43,16 @@ _BUNDLER_BEGIN = b"# Bundle file v0.3"
 _BEGIN_BYTES = 1 << 16
 _METASHAPE_BEGIN = ["document", "chunk"]
 """The first two elements of a Metashape export"""
+_PEERS = (
+    ("*.csv", b"#name,x,y,alt,"),
+    ("*.sfm", b'"version"'),
+    ("reconstruction.json", b'"cameras"'),
+    ("opensfm/reconstruction.json", b'"cameras"'),
+    ("*.nvm", b"NVM_V3"),
+    ("keyframes/corrected_cameras/*.json", b'"t_00"'),
+    ("keyframes/cameras/*.json", b'"t_00"'),
+)
+"""Where the other programs of blender_nep/capture/formats/peers/ put their cameras, and what these files begin with"""
 
 
 def photo_count(folder: Path) -> int:
@@ -105,7 +115,7 @@ def _is_mask_folder(name: str) -> bool:
 
 def has_cameras(folder: Path) -> bool:
     """Whether the folder holds cameras, in any of the forms that the engine reads. A folder that cannot be read has none."""
-    forms = (_is_colmap_project, _has_metashape_export, _has_bundle)
+    forms = (_is_colmap_project, _has_metashape_export, _has_bundle, _has_peer)
     try:
         return any((folder / name).is_file() for name in _FILES) or any(is_form(folder) for is_form in forms)
     except OSError:  # such as no permission, or a name that is too long
@@ -145,5 +155,17 @@ def _begins_as_bundle(path: Path) -> bool:
     try:
         with open_plain(path, sys.maxsize) as file:
             return file.read(len(_BUNDLER_BEGIN)) == _BUNDLER_BEGIN
+    except OSError:
+        return False
+
+
+def _has_peer(folder: Path) -> bool:
+    return any(_holds(path, mark) for pattern, mark in _PEERS for path in folder.glob(pattern) if path.name[0] != ".")
+
+
+def _holds(path: Path, mark: bytes) -> bool:
+    try:
+        with open_plain(path, sys.maxsize) as file:
+            return mark in file.read(_BEGIN_BYTES)
     except OSError:
         return False

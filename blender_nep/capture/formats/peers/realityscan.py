@@ -1,0 +1,114 @@
+"""Reads the CSV file of RealityScan and RealityCapture: *Internal/External camera parameters*.
+
+Its line of names is `#name,x,y,alt,heading,pitch,roll,f,px,py,k1,k2,k3,k4,t1,t2`. Newer versions call four of them `yaw`,
+`f_35mm`, `px_norm` and `py_norm`. The coordinates are x to the east, y to the north, z up.
+
+With all angles 0, the camera looks down, and the top of its photo is in the north. The matrix from the camera (x right, y
+up, z back) to the world is Rz(-heading) Rx(pitch) Ry(roll). A camera of which RealityCapture wrote both a CSV and an XMP
+file agrees with this to 0.0001.
+
+The focal length is that for film of 36 mm. RealityScan's own templates for exports make pixels of it and of the principal
+point by one factor, the longer side: f / 36 * side, and px * side + width / 2. By the template for OpenCV, t1 is OpenCV's
+p2, and t2 is its p1. The file does not say whether k1 is that of the model Division. That differs from ours in higher orders
+only.
+"""
+
+from __future__ import annotations
+
+import csv
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+
+from blender_nep.capture.cameras.lens import Lens
+from blender_nep.capture.description import CaptureDescription, check_number
+from blender_nep.capture.formats.peers.assembly import AGAIN, Intrinsics, PeerCamera, described, files_with, number, only
+from blender_nep.capture.formats.poses import FROM_OPENCV
+from blender_nep.errors import CaptureError
+from blender_nep.safety.plain_files import MEGABYTE, read_text
+
+_MARK = b"#name,x,y,alt,"
+_MOST_BYTES = 64 * MEGABYTE
+_OTHER_NAMES = {"yaw": "heading", "f_35mm": "f", "px_norm": "px", "py_norm": "py"}
+_NEEDED = ("name", "x", "y", "alt", "heading", "pitch", "roll", "f")
+_OPTIONAL = ("px", "py", "k1", "k2", "k3", "k4", "t1", "t2")
+_FAR = 1e4
+"""Cameras that are so many times as far from the origin as from each other are moved to the origin."""
+
+
+def recognizes(folder: Path) -> bool:
+    """Whether the folder holds such a file."""
+    return bool(_exports(folder))
+
+
+def _exports(folder: Path) -> list[Path]:
+    return files_with(folder, ("*.csv",), _MARK)
+
+
+def read(folder: Path) -> CaptureDescription:
+    """What the file says; photos are opened only for their size. Raises CaptureError."""
+    path = only(_exports(folder), "exports of RealityScan")
+    rows = _rows(path)
+    check_number(len(rows), path.name)
+    positions = np.array([[row["x"], row["y"], row["alt"]] for _, row in rows]).reshape(-1, 3)
+    origin = _origin(positions)
+    cameras = [
+        PeerCamera(name, _rotation(row["heading"], row["pitch"], row["roll"]), position - origin, partial(_intrinsics, row))
+        for (name, row), position in zip(rows, positions, strict=True)
+    ]
+    return described(folder, [path], cameras)
+
+
+def _rows(path: Path) -> list[tuple[str, dict[str, float]]]:
+    """The photo's name and the numbers of each line."""
+    try:
+        lines = list(csv.reader(read_text(path, _MOST_BYTES, "utf-8-sig").splitlines()))
+    except (OSError, ValueError, csv.Error) as error:
+        raise CaptureError(f"{path.name} cannot be read ({error})", AGAIN) from error
+    first = next(n for n, line in enumerate(lines) if line and line[0].strip() == "#name")
+    names = [_OTHER_NAMES.get(name, name) for name in (word.strip().lower().removeprefix("#") for word in lines[first])]
+    missing = [name for name in _NEEDED if name not in names]
+    if missing:
+        raise CaptureError(
+            f"{path.name} has no column {', '.join(missing)}",
+            "In RealityScan, export Registration > Internal/External camera parameters.",
+        )
+    rows = []
+    for n, line in enumerate(lines[first + 1 :], first + 2):
+        if not line or line[0].startswith("#"):
+            continue
+        if len(line) != len(names):
+            raise CaptureError(f"{path.name}, line {n}: {len(line)} values instead of {len(names)}", AGAIN)
+        said = dict(zip(names, line, strict=True))
+        values = {name: number(said.get(name, 0), f"{path.name}, line {n}: {name}") for name in (*_NEEDED[1:], *_OPTIONAL)}
+        rows.append((said["name"].strip(), values))
+    return rows
+
+
+def _rotation(heading: float, pitch: float, roll: float) -> np.ndarray:
+    """The matrix [3, 3] from the camera to the world, by OpenCV's axes, for angles in degrees."""
+    (ch, cp, cr), (sh, sp, sr) = (f(np.radians([-heading, pitch, roll])) for f in (np.cos, np.sin))
+    around_z = np.array([[ch, -sh, 0], [sh, ch, 0], [0, 0, 1]])
+    around_x = np.array([[1, 0, 0], [0, cp, -sp], [0, sp, cp]])
+    around_y = np.array([[cr, 0, sr], [0, 1, 0], [-sr, 0, cr]])
+    return around_z @ around_x @ around_y * FROM_OPENCV
+
+
+def _origin(positions: np.ndarray) -> np.ndarray:
+    """What is subtracted from the positions [n, 3]: nothing, or a whole place near them if they have map coordinates.
+
+    Millions of meters from the origin, meshes in single precision would be torn.
+    """
+    if not len(positions):
+        return np.zeros(3)
+    middle = positions.mean(0)
+    spread = np.linalg.norm(positions - middle, axis=1).max()
+    return np.round(middle) if np.linalg.norm(middle) > _FAR * max(spread, 1.0) else np.zeros(3)
+
+
+def _intrinsics(row: dict[str, float], width: int, height: int) -> Intrinsics:
+    side = max(width, height)
+    focal = row["f"] / 36 * side
+    lens = Lens(row["k1"], row["k2"], row["k3"], row["k4"], p1=row["t2"], p2=row["t1"])
+    return Intrinsics(width, height, focal, focal, row["px"] * side + width / 2, row["py"] * side + height / 2, lens)
