@@ -49,8 +49,6 @@ _TABLE: tuple[tuple[str, str, Callable[[bytes], bool], str], ...] = (
     ("*.rsproj", "RealityScan", _always, _REALITYSCAN),
     ("*.rcalign", "RealityScan", _always, _REALITYSCAN),
     ("*.rsalign", "RealityScan", _always, _REALITYSCAN),
-    ("*.xmp", "RealityScan", _holds(b"capturingreality.com/ns/xcr"), _REALITYSCAN),
-    ("images/*.xmp", "RealityScan", _holds(b"capturingreality.com/ns/xcr"), _REALITYSCAN),
     ("*.mg", "Meshroom", _holds(b'"pipelineVersion"'), "Copy cameras.sfm of Meshroom's node StructureFromMotion here."),
     (
         "sfm*.abc",
@@ -71,24 +69,8 @@ _TABLE: tuple[tuple[str, str, Callable[[bytes], bool], str], ...] = (
     ("*.xml", "iTwin Capture", _holds(b"<BlocksExchange"), "Import it into Metashape, and export the cameras there."),
     ("*.log", "Tanks and Temples", _is_trajectory, "It says no focal lengths: use a COLMAP project of the photos."),
     ("*.r3d", "Record3D", _always, "An .r3d file is a zip file: unpack it into this folder."),
-    ("metadata.json", "Record3D", _holds(b'"poses"'), "Convert it with nerfstudio: ns-process-data record3d"),
-    ("odometry.csv", "Stray Scanner", _always, "Convert it with nerfstudio: ns-process-data stray"),
-    ("frame_*.json", "3D Scanner App", _holds(b'"cameraPoseARFrame"'), "In the app, export All Data for COLMAP or NeRF."),
-    ("*-camera.pkl", "NeRO", _always, "A .pkl file may run code, so none is opened: write transforms.json of it."),
-    (
-        "meta_data.json",
-        "sdfstudio",
-        _holds(b'"camtoworld"'),
-        "Use the transforms.json or the COLMAP project of which it was made.",
-    ),
-    ("cams/*_cam.txt", "MVSNet", _holds(b"extrinsic"), "Use the COLMAP project of which it was made."),
-    (
-        "sfm_data*.json",
-        "OpenMVG",
-        _holds(b'"sfm_data_version"'),
-        "Convert it: openMVG_main_openMVG2Colmap -i FILE -o colmap_text",
-    ),
-    ("cameras.json", "3D Gaussian splatting", _holds(b'"img_name"'), "Use the COLMAP project of which it was made."),
+    ("odometry.csv", "Stray Scanner", _always, "Make a transforms.json of camera_matrix.csv and odometry.csv."),
+    ("frame_*.json", "3D Scanner App", _holds(b'"cameraPoseARFrame"'), "Make a transforms.json of these files."),
 )
 """(pattern of the file's place, program, what the file's begin must hold, what to do)"""
 

@@ -1,6 +1,8 @@
 """Cameras of programs that others use: known cameras come back, and files that are not read say whose they are."""
 
 import json
+import os
+import pickle
 from functools import partial
 from pathlib import Path
 
@@ -14,6 +16,15 @@ from blender_nep.capture.cameras.lens import Lens
 from blender_nep.capture.foreign_cameras import foreign_cameras
 from blender_nep.errors import CaptureError
 from support.camera_exports import HEIGHT, NAMES, TARGET, WIDTH, known_cameras
+from support.data_set_exports import (
+    write_gaussians,
+    write_mvsnet,
+    write_nero,
+    write_openmvg,
+    write_realityscan_xmp,
+    write_record3d,
+    write_sdfstudio,
+)
 from support.peer_exports import (
     NEWER_REALITYSCAN,
     write_meshroom,
@@ -60,6 +71,28 @@ CASES = {
     ),
     "visualsfm": (write_visualsfm, known_cameras(centered=True), ["capture.photos_without_pose"]),
     "polycam": (write_polycam, known_cameras(square=False), []),
+    "realityscan, xmp": (write_realityscan_xmp, known_cameras(BROWN_4), ["capture.photos_without_pose"]),
+    "realityscan, xmp in images": (
+        partial(write_realityscan_xmp, place="images"),
+        known_cameras(BROWN_4),
+        ["capture.photos_without_pose"],
+    ),
+    "openmvg, brown": (write_openmvg, known_cameras(BROWN), ["capture.photos_without_pose"]),
+    "openmvg, newer": (
+        partial(write_openmvg, kind="disto_k3", newer=True),
+        known_cameras(RADIAL_3),
+        ["capture.photos_without_pose"],
+    ),
+    "openmvg, fisheye": (partial(write_openmvg, kind="fisheye"), known_cameras(FISHEYE), ["capture.photos_without_pose"]),
+    "openmvg, pinhole": (partial(write_openmvg, kind=""), known_cameras(), ["capture.photos_without_pose"]),
+    "record3d": (write_record3d, known_cameras(square=False), []),
+    "sdfstudio": (write_sdfstudio, known_cameras(Lens(skew=0.01), square=False), []),
+    "mvsnet": (write_mvsnet, known_cameras(Lens(skew=0.01), square=False), []),
+    **{
+        f"nero, protocol {n}": (partial(write_nero, protocol=n), known_cameras(Lens(skew=0.01), square=False), [])
+        for n in (0, 2, 4, 5)
+    },
+    "gaussians": (write_gaussians, known_cameras(centered=True, square=False), []),
     "polycam, not improved": (partial(write_polycam, corrected=False), known_cameras(square=False), []),
 }
 
@@ -72,7 +105,6 @@ FOREIGN = {
     "a_calibrated_camera_parameters.txt": ("Pix4D", ""),
     "blocks.xml": ("iTwin Capture", '<?xml version="1.0"?><BlocksExchange version="3.2"/>'),
     "Barn.log": ("Tanks and Temples", "0 0 0\n1 0 0 0\n0 1 0 0\n0 0 1 0\n0 0 0 1\n"),
-    "0-camera.pkl": ("NeRO", ""),
     "frame_00000.json": ("3D Scanner App", '{"cameraPoseARFrame": []}'),
     "odometry.csv": ("Stray Scanner", ""),
 }
@@ -87,7 +119,8 @@ def refused(folder: Path) -> CaptureError:
 def check(folder: Path, truth: list, formulas: list, *, pixels: float = 1e-6):
     """The capture's poses are those of `truth`, and it shows points where the other program's formulas put them."""
     capture = load_capture(folder)
-    assert [view.name for view in capture.views] == [Path(name).stem for name in NAMES]
+    numbered = [view.name for view in capture.views] == ["0", "1", "2", "3"]
+    assert numbered or [view.name for view in capture.views] == [Path(name).stem for name in NAMES]
     points = TARGET + np.random.default_rng(1).uniform(-0.6, 0.6, (200, 3))
     for view, expected, formula in zip(capture.views, truth, formulas, strict=True):
         np.testing.assert_allclose(view.camera.camera_to_world, expected.camera_to_world, atol=1e-6)
@@ -126,6 +159,40 @@ def test_map_coordinates_of_realityscan_are_moved_to_the_origin(tmp_path):
     near = np.stack([camera.position for camera in known_cameras()])
     assert np.abs(far).max() < 10
     np.testing.assert_allclose(far - far[0], near - near[0], atol=1e-6)
+
+
+def test_one_matrix_of_record3d_counts_for_all_photos(tmp_path):
+    truth = known_cameras()
+    capture = check(tmp_path, truth, write_record3d(tmp_path, truth, each=False))
+    assert {view.camera.fl_x for view in capture.views} == {truth[0].fl_x}
+
+
+class _Attack:
+    """What a pickle of it calls when it is read as pickles are."""
+
+    def __init__(self, *call):
+        self.call = call
+
+    def __reduce__(self):
+        return self.call
+
+
+@pytest.mark.parametrize("protocol", [0, 2, 4])
+def test_a_pickle_runs_no_code(tmp_path, protocol):
+    write_nero(tmp_path, known_cameras())
+    made = tmp_path / "made"
+    (tmp_path / "a-camera.pkl").write_bytes(pickle.dumps((_Attack(os.mkdir, (str(made),)), 0), protocol))
+    error = refused(tmp_path)
+    assert "mkdir, which no array needs" in error.message and not made.exists()
+
+
+def test_a_pickle_of_other_things_is_refused(tmp_path):
+    write_nero(tmp_path, known_cameras())
+    for content in (np.zeros((3, 4)), ("pose", "K"), (np.zeros((30, 40)), 0), (np.array([None] * 12), 0)):
+        (tmp_path / "a-camera.pkl").write_bytes(pickle.dumps(content))
+        assert "a-camera.pkl cannot be read" in refused(tmp_path).message
+    (tmp_path / "a-camera.pkl").write_bytes(b"\x80\x04r\xff\xff\xff\x7f")
+    assert "a-camera.pkl cannot be read" in refused(tmp_path).message
 
 
 def in_json(path: str, change):
@@ -176,6 +243,42 @@ BROKEN = {
         "no JSON object 'v2 a.png'",
     ),
     "visualsfm's file ends early": (write_visualsfm, in_text("model.nvm", "\n4\n", "\n40\n"), "has not 11 parts"),
+    "an xmp file is torn": (write_realityscan_xmp, in_text("a.xmp", "</rdf:RDF>", ""), "a.xmp cannot be read"),
+    "an xmp file has another lens": (
+        partial(write_realityscan_xmp, model="division"),
+        in_text("a.xmp", 'Coeficients="0.0', 'Coeficients="-0.1'),
+        "the distortion model division is not supported",
+    ),
+    "openmvg's lens is unknown": (
+        write_openmvg,
+        in_text("sfm_data.json", '"disto_t2"', '"disto_k1_pba"'),
+        "the distortion disto_k1_pba is not supported",
+    ),
+    "openmvg has no poses yet": (
+        write_openmvg,
+        in_json("sfm_data.json", lambda scene: scene.update(extrinsics=[])),
+        "has no photos with a pose",
+    ),
+    "record3d's quaternion is long": (
+        write_record3d,
+        in_json("metadata.json", lambda said: said["poses"][0].__setitem__(3, 9)),
+        "not rigid",
+    ),
+    "sdfstudio's matrix is short": (
+        write_sdfstudio,
+        in_json("meta_data.json", lambda said: said["frames"][0].update(camtoworld=[[1, 0], [0, 1]])),
+        "camtoworld is not a matrix",
+    ),
+    "mvsnet's file ends early": (
+        write_mvsnet,
+        lambda folder: (folder / "cams/a_cam.txt").write_text("extrinsic 1 0 0 0 intrinsic 1"),
+        "a_cam.txt: extrinsic is not 16 numbers",
+    ),
+    "a camera of gaussians is no object": (
+        write_gaussians,
+        in_json("cameras.json", lambda entries: entries.append(3)),
+        "no text 'img_name'",
+    ),
     "polycam's number is missing": (
         write_polycam,
         in_json("keyframes/corrected_cameras/a.json", lambda said: said.pop("t_12")),

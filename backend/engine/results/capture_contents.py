@@ -44,15 +44,24 @@ _BEGIN_BYTES = 1 << 16
 _METASHAPE_BEGIN = ["document", "chunk"]
 """The first two elements of a Metashape export"""
 _PEERS = (
-    ("*.csv", b"#name,x,y,alt,"),
-    ("*.sfm", b'"version"'),
-    ("reconstruction.json", b'"cameras"'),
-    ("opensfm/reconstruction.json", b'"cameras"'),
-    ("*.nvm", b"NVM_V3"),
-    ("keyframes/corrected_cameras/*.json", b'"t_00"'),
-    ("keyframes/cameras/*.json", b'"t_00"'),
+    ("*.csv", "#name,x,y,alt,"),
+    ("*.xmp", "xcr:Rotation"),
+    ("images/*.xmp", "xcr:Rotation"),
+    ("*.sfm", '"version"'),
+    ("reconstruction.json", '"cameras"'),
+    ("opensfm/reconstruction.json", '"cameras"'),
+    ("*.nvm", "NVM_V3"),
+    ("sfm_data*.json", '"sfm_data_version"'),
+    ("keyframes/corrected_cameras/*.json", '"t_00"'),
+    ("keyframes/cameras/*.json", '"t_00"'),
+    ("meta_data.json", '"camtoworld"'),
+    ("cams/*_cam.txt", "extrinsic"),
+    ("*-camera.pkl", ""),
+    ("cameras.json", '"img_name"'),
 )
 """Where the other programs of blender_nep/capture/formats/peers/ put their cameras, and what these files begin with"""
+_RECORD3D = ("metadata.json", '"poses"')
+"""The same, beside a folder `rgb`"""
 
 
 def photo_count(folder: Path) -> int:
@@ -160,12 +169,13 @@ def _begins_as_bundle(path: Path) -> bool:
 
 
 def _has_peer(folder: Path) -> bool:
-    return any(_holds(path, mark) for pattern, mark in _PEERS for path in folder.glob(pattern) if path.name[0] != ".")
+    places = (*_PEERS, _RECORD3D) if (folder / "rgb").is_dir() else _PEERS
+    return any(_holds(path, mark) for pattern, mark in places for path in folder.glob(pattern) if path.name[0] != ".")
 
 
-def _holds(path: Path, mark: bytes) -> bool:
+def _holds(path: Path, mark: str) -> bool:
     try:
         with open_plain(path, sys.maxsize) as file:
-            return mark in file.read(_BEGIN_BYTES)
+            return mark.encode() in file.read(_BEGIN_BYTES)
     except OSError:
         return False

@@ -37,6 +37,13 @@ FILES = {
     "cameras_sphere": [{"cameras_sphere.npz": ""}, {"cameras.npz": ""}],
     "metashape": [{"export.xml": METASHAPE}],
     "realityscan": [{"cameras.csv": "#cameras 0\n#name,x,y,alt,heading,pitch,roll,f\n"}],
+    "realityscan_xmp": [{f"{place}a.xmp": "<xcr:Rotation>"} for place in ("", "images/")],
+    "openmvg": [{"sfm_data.json": '{"sfm_data_version": "0.3"}'}],
+    "record3d": [{"metadata.json": '{"poses": []}', "rgb/0.jpg": ""}],
+    "sdfstudio": [{"meta_data.json": '{"camtoworld": 1}'}],
+    "mvsnet": [{"cams/00000000_cam.txt": "extrinsic\nintrinsic\n"}],
+    "nero": [{"0-camera.pkl": ""}],
+    "gaussians": [{"cameras.json": '[{"img_name": "a"}]'}],
     "meshroom": [{"cameras.sfm": '{"version": ["1", "2", "6"]}'}],
     "opensfm": [{f"{place}reconstruction.json": '[{"cameras": {}}]'} for place in ("", "opensfm/")],
     "visualsfm": [{"model.nvm": "NVM_V3\n"}],
@@ -45,6 +52,9 @@ FILES = {
 }
 """{format: folders of it, {file: its text}}"""
 NO_CAMERAS = [
+    {"metadata.json": '{"poses": []}'},
+    {"a.xmp": "<xcr:FocalLength35mm>"},
+    {"cameras.json": "{}"},
     {"prices.csv": "name,x,y,alt"},
     {"a.sfm": "{}"},
     {"reconstruction.json": "[]"},

@@ -45,6 +45,11 @@ class Intrinsics(NamedTuple):
     lens: Lens = NO_DISTORTION
 
 
+def fixed(intrinsics: Intrinsics) -> Callable[[int, int], Intrinsics]:
+    """These intrinsics, whatever size the photo has: its file says the size itself."""
+    return lambda width, height: intrinsics
+
+
 class PeerCamera(NamedTuple):
     """A camera as another program has it."""
 
@@ -73,6 +78,25 @@ def _has(path: Path, marks: Sequence[bytes]) -> bool:
     except OSError:
         return False
     return all(mark in begin for mark in marks)
+
+
+Z_UP = [2, 0, 1]
+"""The rows of a matrix of ARKit, whose y is up, that become x, y and z of a capture whose z is up"""
+
+
+def rotation_of_quaternion(quaternion: Sequence[float], what: str) -> np.ndarray:
+    """The matrix [3, 3] of a quaternion w x y z of length 1. Raises CaptureError for other lengths."""
+    length = float(np.linalg.norm(quaternion))
+    if not 0.9 < length < 1.1:
+        raise CaptureError(f"{what}: its pose is not rigid", AGAIN)
+    w, x, y, z = (value / length for value in quaternion)
+    return np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+        ]
+    )
 
 
 def only(found: list[Path], what: str) -> Path:
@@ -129,12 +153,14 @@ def described(
     *,
     without: Sequence[str] = (),
     places: tuple[str, ...] = IMAGES_FIRST,
+    name: str = "",
 ) -> CaptureDescription:
     """The capture of the cameras, with the photos and masks that are there. Raises CaptureError.
 
-    `without`: photos that the files list without a pose. `places`: the folders where the photos lie.
+    `without`: photos that the files list without a pose. `places`: the folders where the photos lie. `name`: what messages
+    call the files; the first file's name, if it is empty.
     """
-    file = files[0].name
+    file = name or files[0].name
     check_number(len(cameras) + len(without), file)
     if not cameras:
         raise CaptureError(f"{file} has no photos with a pose", "Compute the cameras again.")

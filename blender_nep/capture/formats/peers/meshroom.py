@@ -11,7 +11,6 @@ OpenCV's. Numbers are written as text. The intrinsics depend on the version of t
 
 from __future__ import annotations
 
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +23,7 @@ from blender_nep.capture.formats.peers.assembly import (
     PeerCamera,
     described,
     files_with,
+    fixed,
     json_of,
     member,
     number,
@@ -80,12 +80,8 @@ def read(folder: Path) -> CaptureDescription:
         to_world = numbers(transform.get("rotation"), (3, 3), f"{what}: rotation")
         center = numbers(transform.get("center"), (3,), f"{what}: center")
         made = _intrinsics(lens, version, f"{file}: intrinsics {lens.get('intrinsicId')}")
-        cameras.append(PeerCamera(photo, to_world, center, partial(_fixed, made)))
+        cameras.append(PeerCamera(photo, to_world, center, fixed(made)))
     return described(folder, [path], cameras, without=without)
-
-
-def _fixed(intrinsics: Intrinsics, width: int, height: int) -> Intrinsics:
-    return intrinsics
 
 
 def _objects(scene: dict[str, Any], key: str) -> list[dict[str, Any]]:

@@ -15,6 +15,7 @@ import numpy as np
 
 from blender_nep.capture.description import MINIMUM_VIEWS, CaptureDescription, check_number
 from blender_nep.capture.formats.peers.assembly import (
+    Z_UP,
     Intrinsics,
     PeerCamera,
     described,
@@ -30,7 +31,6 @@ _PAIRS = (
     ("keyframes/corrected_cameras", "keyframes/corrected_images"),
     ("keyframes/cameras", "keyframes/images"),
 )
-_UP = [2, 0, 1]
 
 
 def recognizes(folder: Path) -> bool:
@@ -49,7 +49,7 @@ def read(folder: Path) -> CaptureDescription:
         chosen = [path for path in files if path.parent == folder / cameras]
         if len(chosen) >= MINIMUM_VIEWS and len(photos_in(folder / images)) >= MINIMUM_VIEWS:
             check_number(len(chosen), cameras)
-            return described(folder, chosen, [_camera(path) for path in chosen], places=(images,))
+            return described(folder, chosen, [_camera(path) for path in chosen], places=(images,), name=cameras)
     raise CaptureError(
         f"{folder / 'keyframes'} has no {MINIMUM_VIEWS} cameras with photos",
         "Export Raw Data in Polycam again, and keep its folders keyframes/images and keyframes/cameras.",
@@ -63,7 +63,7 @@ def _camera(path: Path) -> PeerCamera:
     values = [
         number(said.get(f"t_{row}{column}"), f"{path.name}: t_{row}{column}") for row in range(3) for column in range(4)
     ]
-    matrix = np.array(values).reshape(3, 4)[_UP]
+    matrix = np.array(values).reshape(3, 4)[Z_UP]
     return PeerCamera(path.stem, matrix[:, :3] * FROM_OPENCV, matrix[:, 3], partial(_intrinsics, said, path.name))
 
 

@@ -17,7 +17,15 @@ import numpy as np
 
 from blender_nep.capture.cameras.lens import NO_DISTORTION, Lens
 from blender_nep.capture.description import CaptureDescription, check_number
-from blender_nep.capture.formats.peers.assembly import AGAIN, Intrinsics, PeerCamera, described, files_with, only
+from blender_nep.capture.formats.peers.assembly import (
+    AGAIN,
+    Intrinsics,
+    PeerCamera,
+    described,
+    files_with,
+    only,
+    rotation_of_quaternion,
+)
 from blender_nep.errors import CaptureError
 from blender_nep.safety.plain_files import MEGABYTE, read_text
 
@@ -45,7 +53,12 @@ def read(folder: Path) -> CaptureDescription:
         raise CaptureError(f"{path.name} cannot be read ({error})", AGAIN) from error
     largest = max(models, key=len)
     cameras = [
-        PeerCamera(name, _rotation(values[1:5], f"{path.name}: {name}").T, values[5:8], partial(_intrinsics, values, fixed))
+        PeerCamera(
+            name,
+            rotation_of_quaternion(values[1:5].tolist(), f"{path.name}: {name}").T,
+            values[5:8],
+            partial(_intrinsics, values, fixed),
+        )
         for name, values in largest
     ]
     placed = {name for name, _ in largest}
@@ -89,21 +102,6 @@ def _cameras(lines: list[str], file: str) -> list[list[tuple[str, np.ndarray]]]:
     if not models:
         raise ValueError("it has no cameras")
     return models
-
-
-def _rotation(quaternion: np.ndarray, what: str) -> np.ndarray:
-    """The matrix [3, 3] of a quaternion w x y z."""
-    length = float(np.linalg.norm(quaternion))
-    if not 0.9 < length < 1.1:
-        raise CaptureError(f"{what}: its pose is not rigid", AGAIN)
-    w, x, y, z = quaternion / length
-    return np.array(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-        ]
-    )
 
 
 def _intrinsics(values: np.ndarray, fixed: tuple[float, float, float, float] | None, width: int, height: int) -> Intrinsics:
