@@ -15,9 +15,9 @@ from blender_nep.errors import CaptureError
 _VIDEOS = (".mp4", ".mov", ".m4v", ".avi", ".mkv", ".webm", ".mts", ".m2ts", ".3gp", ".insv", ".360", ".wmv")
 _SHOWN = 3
 FORMS = (
-    "a COLMAP project, an export of Metashape (.xml), Bundler (.out), RealityScan (.csv), Meshroom (.sfm), OpenSfM "
-    "(reconstruction.json), VisualSFM (.nvm) or Polycam (keyframes), or a data set of NeRF, LLFF (poses_bounds.npy) or NeuS "
-    "(cameras_sphere.npz)"
+    "a COLMAP project, an export of Metashape (.xml), Bundler (.out), RealityScan (.csv), Meshroom (.sfm), OpenSfM, "
+    "OpenMVG, VisualSFM, Polycam or Record3D, or a data set such as NeRF's, LLFF's (poses_bounds.npy) or "
+    "NeuS's (cameras_sphere.npz)"
 )
 
 

@@ -219,6 +219,11 @@ def in_text(path: str, old: str, new: str):
 
 BROKEN = {
     "a line of realityscan is too short": (write_realityscan, in_text("export.csv", "a.png,", ""), "line 3: 15 values"),
+    "a comment stands before realityscan's names": (
+        write_realityscan,
+        in_text("export.csv", "#name", "# #name"),
+        "has no line of names",
+    ),
     "realityscan has no roll": (write_realityscan, in_text("export.csv", ",roll", ",rock"), "no column roll"),
     "a word in a line of realityscan": (write_realityscan, in_text("export.csv", "a.png,", "a.png,x"), "line 3: x is not"),
     "meshroom's file is torn": (write_meshroom, in_text("cameras.sfm", '"poses"', ""), "cannot be read"),

@@ -30,6 +30,8 @@ from blender_nep.errors import CaptureError
 from blender_nep.safety.plain_files import open_plain, read_json
 
 _BEGIN_BYTES = 1 << 16
+_MOST = 1e15
+"""Larger numbers are damage: sizes, angles and places on Earth in millimeters are smaller"""
 AGAIN = "Export the cameras again."
 
 
@@ -125,12 +127,12 @@ def member(holder: object, key: str, kind: type[Any], what: str) -> Any:
 
 
 def number(value: object, what: str) -> float:
-    """The number that a file has as a number or as text. Raises CaptureError if it is none, or not finite."""
+    """The number that a file has as a number or as text. Raises CaptureError if it is none, or too large."""
     try:
         read = math.nan if isinstance(value, bool) else float(value)  # type: ignore[arg-type]
     except (TypeError, ValueError, OverflowError):
         read = math.nan
-    if not math.isfinite(read):
+    if not abs(read) <= _MOST:
         raise CaptureError(f"{what} is not a number: {str(value)[:40]}", AGAIN)
     return read
 
@@ -141,7 +143,7 @@ def numbers(value: object, shape: tuple[int, ...], what: str) -> np.ndarray:
         read = np.array(value, np.float64)
     except (TypeError, ValueError, OverflowError):
         read = np.zeros(0)
-    if read.size != math.prod(shape) or not np.isfinite(read).all():
+    if read.size != math.prod(shape) or not (np.abs(read) <= _MOST).all():
         raise CaptureError(f"{what} is not {math.prod(shape)} numbers", AGAIN)
     return read.reshape(shape)
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 import io
 import math
 import pickle
+import struct
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -24,7 +25,10 @@ from blender_nep.safety.plain_files import read_bytes
 
 _ENDING = "-camera.pkl"
 _MOST_BYTES = 1 << 16
-_DAMAGED = (OSError, pickle.UnpicklingError, ValueError, TypeError, LookupError, AttributeError, EOFError, ArithmeticError)
+_DAMAGED = (
+    *(OSError, pickle.UnpicklingError, struct.error, ValueError, TypeError, LookupError, AttributeError, EOFError),
+    *(ArithmeticError, MemoryError, RecursionError),
+)
 
 
 class _Kept:
@@ -85,7 +89,7 @@ def _camera(path: Path) -> PeerCamera:
     try:
         pair = _Reader(io.BytesIO(read_bytes(path, _MOST_BYTES))).load()
         pose, k = (_array(kept) for kept in pair)
-    except (*_DAMAGED, MemoryError, RecursionError) as error:
+    except _DAMAGED as error:
         raise CaptureError(
             f"{path.name} cannot be read ({error})", "It must hold the arrays pose and K, as in NeRO."
         ) from error

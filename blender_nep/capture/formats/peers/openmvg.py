@@ -50,14 +50,14 @@ def read(folder: Path) -> CaptureDescription:
     path = only(_files(folder), "scenes of OpenMVG")
     scene, file = json_of(path), path.name
     views = member(scene, "views", list, file)
-    lenses = {entry.get("key"): _data(entry, file) for entry in member(scene, "intrinsics", list, file)}
-    poses = {entry.get("key"): member(entry, "value", dict, file) for entry in member(scene, "extrinsics", list, file)}
+    lenses = {_key(entry): _data(entry, file) for entry in member(scene, "intrinsics", list, file)}
+    poses = {_key(entry): member(entry, "value", dict, file) for entry in member(scene, "extrinsics", list, file)}
     cameras, without = [], []
     for view in views:
         said = _data(view, file)
         name = member(said, "filename", str, f"{file}: a view")
         photo = f"{str(said.get('local_path', '')).strip('/')}/{name}".lstrip("/")
-        pose, lens = poses.get(said.get("id_pose")), lenses.get(said.get("id_intrinsic"))
+        pose, lens = poses.get(str(said.get("id_pose"))), lenses.get(str(said.get("id_intrinsic")))
         if pose is None or lens is None:
             without.append(photo)
             continue
@@ -67,6 +67,10 @@ def read(folder: Path) -> CaptureDescription:
         made = _intrinsics(lens, f"{file}: intrinsic {said.get('id_intrinsic')}")
         cameras.append(PeerCamera(photo, rotation.T, center, fixed(made)))
     return described(folder, [path], cameras, without=without)
+
+
+def _key(entry: object) -> str:
+    return str(entry.get("key")) if isinstance(entry, dict) else ""
 
 
 def _data(entry: object, file: str) -> dict[str, Any]:

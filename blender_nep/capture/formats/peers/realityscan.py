@@ -66,7 +66,9 @@ def _rows(path: Path) -> list[tuple[str, dict[str, float]]]:
         lines = list(csv.reader(read_text(path, _MOST_BYTES, "utf-8-sig").splitlines()))
     except (OSError, ValueError, csv.Error) as error:
         raise CaptureError(f"{path.name} cannot be read ({error})", AGAIN) from error
-    first = next(n for n, line in enumerate(lines) if line and line[0].strip() == "#name")
+    first = next((n for n, line in enumerate(lines) if line and line[0].strip() == "#name"), None)
+    if first is None:
+        raise CaptureError(f"{path.name} has no line of names that begins with #name", AGAIN)
     names = [_OTHER_NAMES.get(name, name) for name in (word.strip().lower().removeprefix("#") for word in lines[first])]
     missing = [name for name in _NEEDED if name not in names]
     if missing:

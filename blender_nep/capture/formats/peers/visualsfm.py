@@ -10,6 +10,7 @@ direction u (1 + r |u|^2). Our lens leads from the ray to the photo, so its term
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
 
@@ -27,9 +28,11 @@ from blender_nep.capture.formats.peers.assembly import (
     rotation_of_quaternion,
 )
 from blender_nep.errors import CaptureError
-from blender_nep.safety.plain_files import MEGABYTE, read_text
+from blender_nep.safety.plain_files import MEGABYTE, open_plain
 
-_MOST_BYTES = 2048 * MEGABYTE
+_MOST_BYTES = 4096 * MEGABYTE
+_LONGEST_LINE = 16 * MEGABYTE
+"""Bytes. A line may list all photos that see a point."""
 _SAMPLES = 200
 
 
@@ -46,9 +49,9 @@ def read(folder: Path) -> CaptureDescription:
     """What the file says of its largest model; photos are opened only for their size. Raises CaptureError."""
     path = only(_models(folder), "models of VisualSFM")
     try:
-        lines = read_text(path, _MOST_BYTES, "utf-8-sig").splitlines()
-        fixed = _fixed(lines[0])
-        models = _cameras(lines[1:], path.name)
+        lines = _lines(path)
+        fixed = _fixed(next(lines, ""))
+        models = _cameras(lines, path.name)
     except (OSError, ValueError, IndexError, OverflowError) as error:
         raise CaptureError(f"{path.name} cannot be read ({error})", AGAIN) from error
     largest = max(models, key=len)
@@ -66,6 +69,16 @@ def read(folder: Path) -> CaptureDescription:
     return described(folder, [path], cameras, without=without)
 
 
+def _lines(path: Path) -> Iterator[str]:
+    """The lines of the file that are not empty."""
+    with open_plain(path, _MOST_BYTES) as file:
+        while line := file.readline(_LONGEST_LINE):
+            if len(line) == _LONGEST_LINE:
+                raise ValueError("a line is too long")
+            if line.strip() and not line.startswith(b"#"):
+                yield line.decode("utf-8-sig")
+
+
 def _fixed(line: str) -> tuple[float, float, float, float] | None:
     """fx, cx, fy and cy in pixels, where the first line says them."""
     words = line.split()
@@ -78,10 +91,9 @@ def _fixed(line: str) -> tuple[float, float, float, float] | None:
     return fx, cx, fy, cy
 
 
-def _cameras(lines: list[str], file: str) -> list[list[tuple[str, np.ndarray]]]:
+def _cameras(rows: Iterator[str], file: str) -> list[list[tuple[str, np.ndarray]]]:
     """The photo's name and the ten numbers of each camera, for each model. The lines of the points are passed over."""
     models = []
-    rows = iter([line for line in lines if line.strip() and not line.startswith("#")])
     for row in rows:
         count = int(row)
         if count <= 0:
