@@ -167,6 +167,31 @@ def test_one_matrix_of_record3d_counts_for_all_photos(tmp_path):
     assert {view.camera.fl_x for view in capture.views} == {truth[0].fl_x}
 
 
+def test_degrees_of_realityscan_are_refused(tmp_path):
+    cameras = known_cameras()
+    for camera in cameras:
+        camera.camera_to_world[:2, 3] = [13.4, 52.5] + camera.camera_to_world[:2, 3] * 1e-5
+    write_realityscan(tmp_path, cameras)
+    assert "x and y are degrees of longitude and latitude" in refused(tmp_path).message
+
+
+def test_the_folder_of_polycam_may_be_keyframes_itself(tmp_path):
+    truth = known_cameras(square=False)
+    check(tmp_path / "keyframes", truth, write_polycam(tmp_path, truth))
+
+
+def test_meshroom_may_name_the_distortion_apart_from_the_camera(tmp_path):
+    truth = known_cameras(BROWN, square=False)
+    formulas = write_meshroom(tmp_path, truth)
+
+    def rename(scene):
+        for entry in scene["intrinsics"]:
+            entry |= {"type": "pinhole", "distortionType": "brown", "undistortionType": "none", "undistortionParams": ""}
+
+    in_json("cameras.sfm", rename)(tmp_path)
+    check(tmp_path, truth, formulas)
+
+
 class _Attack:
     """What a pickle of it calls when it is read as pickles are."""
 
@@ -231,6 +256,16 @@ BROKEN = {
         write_meshroom,
         in_json("cameras.sfm", lambda scene: scene["poses"][0]["pose"]["transform"].update(rotation=["2"] * 9)),
         "not rigid",
+    ),
+    "meshroom's distortion is unknown": (
+        write_meshroom,
+        in_json(
+            "cameras.sfm",
+            lambda scene: scene["intrinsics"][0].update(
+                type="pinhole", distortionType="radialk3pt", distortionParams=["0.1"]
+            ),
+        ),
+        "distortion radialk3pt is not supported",
     ),
     "meshroom's lens is unknown": (
         write_meshroom,

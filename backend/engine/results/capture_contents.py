@@ -54,6 +54,8 @@ _PEERS = (
     ("sfm_data*.json", '"sfm_data_version"'),
     ("keyframes/corrected_cameras/*.json", '"t_00"'),
     ("keyframes/cameras/*.json", '"t_00"'),
+    ("corrected_cameras/*.json", '"t_00"'),
+    ("cameras/*.json", '"t_00"'),
     ("meta_data.json", '"camtoworld"'),
     ("cams/*_cam.txt", "extrinsic"),
     ("*-camera.pkl", ""),

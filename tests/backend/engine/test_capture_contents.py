@@ -47,7 +47,10 @@ FILES = {
     "meshroom": [{"cameras.sfm": '{"version": ["1", "2", "6"]}'}],
     "opensfm": [{f"{place}reconstruction.json": '[{"cameras": {}}]'} for place in ("", "opensfm/")],
     "visualsfm": [{"model.nvm": "NVM_V3\n"}],
-    "polycam": [{f"keyframes/{place}/1.json": '{"t_00": 1}'} for place in ("cameras", "corrected_cameras")],
+    "polycam": [
+        {f"{place}/1.json": '{"t_00": 1}'}
+        for place in ("keyframes/cameras", "keyframes/corrected_cameras", "cameras", "corrected_cameras")
+    ],
     "bundler": [{"scene.out": BUNDLER}, {"bundle/bundle.out": BUNDLER}],
 }
 """{format: folders of it, {file: its text}}"""

@@ -30,6 +30,8 @@ from blender_nep.errors import CaptureError
 _PAIRS = (
     ("keyframes/corrected_cameras", "keyframes/corrected_images"),
     ("keyframes/cameras", "keyframes/images"),
+    ("corrected_cameras", "corrected_images"),  # the folder is `keyframes` itself
+    ("cameras", "images"),
 )
 
 

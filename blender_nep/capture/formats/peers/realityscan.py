@@ -22,7 +22,7 @@ from pathlib import Path
 import numpy as np
 
 from blender_nep.capture.cameras.lens import Lens
-from blender_nep.capture.description import CaptureDescription, check_number
+from blender_nep.capture.description import MINIMUM_VIEWS, CaptureDescription, check_number
 from blender_nep.capture.formats.peers.assembly import AGAIN, Intrinsics, PeerCamera, described, files_with, number, only
 from blender_nep.capture.formats.poses import FROM_OPENCV
 from blender_nep.errors import CaptureError
@@ -52,6 +52,7 @@ def read(folder: Path) -> CaptureDescription:
     rows = _rows(path)
     check_number(len(rows), path.name)
     positions = np.array([[row["x"], row["y"], row["alt"]] for _, row in rows]).reshape(-1, 3)
+    _check_meters(positions, path.name)
     origin = _origin(positions)
     cameras = [
         PeerCamera(name, _rotation(row["heading"], row["pitch"], row["roll"]), position - origin, partial(_intrinsics, row))
@@ -95,6 +96,18 @@ def _rotation(heading: float, pitch: float, roll: float) -> np.ndarray:
     around_x = np.array([[1, 0, 0], [0, cp, -sp], [0, sp, cp]])
     around_y = np.array([[cr, 0, sr], [0, 1, 0], [-sr, 0, cr]])
     return around_z @ around_x @ around_y * FROM_OPENCV
+
+
+def _check_meters(positions: np.ndarray, file: str) -> None:
+    """Raises CaptureError if x and y are degrees: then no camera is beside another, compared with their heights."""
+    if len(positions) < MINIMUM_VIEWS or np.abs(positions[:, 0]).max() > 180 or np.abs(positions[:, 1]).max() > 90:
+        return
+    spread = np.ptp(positions, axis=0)
+    if 0 < max(spread[:2]) < 1e-3 * spread[2]:
+        raise CaptureError(
+            f"{file}: x and y are degrees of longitude and latitude, not meters",
+            "In RealityScan, choose Grid plane as the output coordinate system, and export again.",
+        )
 
 
 def _origin(positions: np.ndarray) -> np.ndarray:
