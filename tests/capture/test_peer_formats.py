@@ -249,7 +249,7 @@ BROKEN = {
         in_text("export.csv", "#name", "# #name"),
         "has no line of names",
     ),
-    "realityscan has no roll": (write_realityscan, in_text("export.csv", ",roll", ",rock"), "no column roll"),
+    "realityscan has no pitch": (write_realityscan, in_text("export.csv", ",pitch", ",pinch"), "no column pitch"),
     "a word in a line of realityscan": (write_realityscan, in_text("export.csv", "a.png,", "a.png,x"), "line 3: x is not"),
     "meshroom's file is torn": (write_meshroom, in_text("cameras.sfm", '"poses"', ""), "cannot be read"),
     "meshroom's pose scales": (

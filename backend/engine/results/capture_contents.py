@@ -44,7 +44,7 @@ _BEGIN_BYTES = 1 << 16
 _METASHAPE_BEGIN = ["document", "chunk"]
 """The first two elements of a Metashape export"""
 _PEERS = (
-    ("*.csv", "#name,x,y,alt,"),
+    ("*.csv", "#name,x,y,alt,", ",roll,f"),
     ("*.xmp", "xcr:Rotation"),
     ("images/*.xmp", "xcr:Rotation"),
     ("*.sfm", '"version"'),
@@ -172,12 +172,13 @@ def _begins_as_bundle(path: Path) -> bool:
 
 def _has_peer(folder: Path) -> bool:
     places = (*_PEERS, _RECORD3D) if (folder / "rgb").is_dir() else _PEERS
-    return any(_holds(path, mark) for pattern, mark in places for path in folder.glob(pattern) if path.name[0] != ".")
+    return any(_holds(path, marks) for pattern, *marks in places for path in folder.glob(pattern) if path.name[0] != ".")
 
 
-def _holds(path: Path, mark: str) -> bool:
+def _holds(path: Path, marks: list[str]) -> bool:
     try:
         with open_plain(path, sys.maxsize) as file:
-            return mark.encode() in file.read(_BEGIN_BYTES)
+            begin = file.read(_BEGIN_BYTES)
+            return all(mark.encode() in begin for mark in marks)
     except OSError:
         return False

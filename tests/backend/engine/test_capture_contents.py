@@ -58,6 +58,7 @@ NO_CAMERAS = [
     {"metadata.json": '{"poses": []}'},
     {"a.xmp": "<xcr:FocalLength35mm>"},
     {"cameras.json": "{}"},
+    {"flight.csv": "#name,x,y,alt,yaw,pitch,roll\n"},
     {"prices.csv": "name,x,y,alt"},
     {"a.sfm": "{}"},
     {"reconstruction.json": "[]"},

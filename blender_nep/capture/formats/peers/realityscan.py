@@ -28,7 +28,8 @@ from blender_nep.capture.formats.poses import FROM_OPENCV
 from blender_nep.errors import CaptureError
 from blender_nep.safety.plain_files import MEGABYTE, read_text
 
-_MARK = b"#name,x,y,alt,"
+_MARKS = (b"#name,x,y,alt,", b",roll,f")
+"""A log of flights, which RealityScan reads, has no focal lengths."""
 _MOST_BYTES = 64 * MEGABYTE
 _OTHER_NAMES = {"yaw": "heading", "f_35mm": "f", "px_norm": "px", "py_norm": "py"}
 _NEEDED = ("name", "x", "y", "alt", "heading", "pitch", "roll", "f")
@@ -43,7 +44,7 @@ def recognizes(folder: Path) -> bool:
 
 
 def _exports(folder: Path) -> list[Path]:
-    return files_with(folder, ("*.csv",), _MARK)
+    return files_with(folder, ("*.csv",), *_MARKS)
 
 
 def read(folder: Path) -> CaptureDescription:
