@@ -91,7 +91,8 @@ def _camera(path: Path) -> PeerCamera:
         pose, k = (_array(kept) for kept in pair)
     except _DAMAGED as error:
         raise CaptureError(
-            f"{path.name} cannot be read ({error})", "It must hold the arrays pose and K, as in NeRO."
+            f"{path.name} cannot be read ({str(error) or type(error).__name__})",
+            "It must hold the arrays pose and K, as in NeRO.",
         ) from error
     pose, k = numbers(pose, (3, 4), f"{path.name}: pose"), numbers(k, (3, 3), f"{path.name}: K")
     rotation = pose[:, :3].T

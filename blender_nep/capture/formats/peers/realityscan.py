@@ -30,7 +30,7 @@ from blender_nep.safety.plain_files import MEGABYTE, read_text
 
 _MARKS = (b"#name,x,y,alt,", b",roll,f")
 """A log of flights, which RealityScan reads, has no focal lengths."""
-_MOST_BYTES = 64 * MEGABYTE
+_MOST_BYTES = 16 * MEGABYTE
 _OTHER_NAMES = {"yaw": "heading", "f_35mm": "f", "px_norm": "px", "py_norm": "py"}
 _NEEDED = ("name", "x", "y", "alt", "heading", "pitch", "roll", "f")
 _OPTIONAL = ("px", "py", "k1", "k2", "k3", "k4", "t1", "t2")
