@@ -194,7 +194,7 @@ WORDS: dict[str, str] = {
     "({names}). Look whether the cameras are right",
     "capture.cameras_scaled": "transform_matrix of {count} {count:photo|photos} scales: only its rotation and its "
     "position are used ({names})",
-    "capture.cameras_transposed": "transform_matrix has its rows as columns: it is read so",
+    "capture.cameras_transposed": "the rows and columns of transform_matrix are swapped: it is read that way",
     "capture.world_to_camera": "transform_matrix leads from the world to the camera, and is read so: the cameras fit each "
     "other and the photos better then",
     "capture.rotations_turned": "the rotations of transform_matrix lead from the world to the camera, and are read so: "
@@ -212,12 +212,12 @@ WORDS: dict[str, str] = {
     "capture.photos_missing": "{count} of {photos} photos {count:is|are} missing and {count:is|are} left out: {names}",
     "capture.several_models": "the COLMAP project has {models} models: only the largest, {place}, with "
     "{photos} {photos:photo|photos} is used; {others} {others:photo is|photos are} in the others",
-    "capture.masks_unmatched": "the folder masks holds images, but none has the name of a photo (such as {example}): "
+    "capture.masks_unmatched": "a folder of masks holds images, but none has the name of a photo (such as {example}): "
     "no masks are used",
-    "capture.masks_found": "{count} of {photos} photos have a mask in {place}, which no file names: "
-    "{count:it is used|they are used} (--masks ignore leaves masks out)",
-    "capture.masks_beside": "{count} of {photos} photos have a mask beside them, which no file names: "
-    "{count:it is used|they are used} (--masks ignore leaves masks out)",
+    "capture.masks_found": "{count} of {photos} photos have a mask in {place}. No file names "
+    "{count:this mask|these masks}. --masks ignore leaves masks out",
+    "capture.masks_beside": "{count} of {photos} photos have a mask beside them. No file names "
+    "{count:this mask|these masks}. --masks ignore leaves masks out",
     "capture.masks_other_size": "{count} {count:mask has|masks have} another size than {count:its photo|their photos}, and "
     "{count:is|are} not used: {names}. Save {count:it|them} with the size of {count:its photo|their photos}",
     "capture.masks_dim": "no value in the masks is above {percent:.2g} % of white: that value counts as white",
@@ -235,7 +235,7 @@ WORDS: dict[str, str] = {
     "the object. Otherwise give --masks background, usable or ignore",
     "capture.masks_doubtful": "the masks are not used: white covers {percent:.0f} % of a photo and is not the object, and "
     "black may be the object or not. Say what white means: --masks background or --masks usable",
-    "capture.masks_as_told": "white in the masks means {meaning}, as --masks says, although the masks look otherwise",
+    "capture.masks_as_told": "white in the masks means {meaning}, because --masks says so. The masks look otherwise",
     "capture.same_place": "{count} {count:photo was|photos were} taken from the same place in the same direction as others "
     "and {count:adds|add} nothing to the shape: {names}",
     "capture.exr_is_linear": "OpenEXR photos are taken as linear, although color_space says srgb",

@@ -100,7 +100,7 @@ MESSAGES = {
     "camera has: look whether the cameras are right ({names})",
     "capture.cameras_scaled": "{count} {count:camera is|cameras are} scaled: only {count:its rotation and its position "
     "are|their rotations and positions are} used ({names})",
-    "capture.cameras_transposed": "The cameras have rows in the place of columns, and are read so",
+    "capture.cameras_transposed": "The rows and columns of the cameras' matrices are swapped. They are read that way",
     "capture.world_to_camera": "The cameras are given from the world to the camera, and are read so: they fit each other "
     "and the photos better then",
     "capture.rotations_turned": "The rotations of the cameras are given from the world to the camera, and are read so: "
@@ -117,11 +117,11 @@ MESSAGES = {
     "each bracket to one photo, or leave only one exposure of each",
     "capture.photos_missing": "{count} of {photos} photos {count:is|are} missing and {count:is|are} left out: {names}",
     "capture.several_models": "Of {models} COLMAP models the largest ({photos} photos) is used. The others have {others}",
-    "capture.masks_unmatched": "No image in the folder masks has the name of a photo, such as {example}. They are not used",
-    "capture.masks_found": "{count} of {photos} photos have a mask in {place}, and {count:it is|they are} used. Turn Use "
-    "Masks off if {count:it is|they are} of something else",
-    "capture.masks_beside": "{count} of {photos} photos have a mask beside them, and {count:it is|they are} used. Turn Use "
-    "Masks off if {count:it is|they are} of something else",
+    "capture.masks_unmatched": "No image in the folder of masks has a photo's name, such as {example}. They are not used",
+    "capture.masks_found": "{count} of {photos} photos have a mask in {place}. Turn Use Masks off if {count:it is|they are} "
+    "of something else",
+    "capture.masks_beside": "{count} of {photos} photos have a mask beside them. Turn Use Masks off if {count:it is|they "
+    "are} of something else",
     "capture.masks_other_size": "{count} {count:mask has|masks have} another size than {count:its photo|their photos}, and "
     "{count:is|are} not used: {names}",
     "capture.masks_dim": "No value in the masks is above {percent:.2g} % of white: that value counts as white",

@@ -30,7 +30,7 @@ def exposures_differ(folder: Path) -> bool:
 def response_of(report: dict) -> ResponseCurve | None:
     """The camera's response curve that a job's report tells; None if there is none."""
     found = report.get("stages", {}).get(str(StageName.MATERIAL_LEARNING), {}).get("response")
-    return None if found is None else ResponseCurve(**found)
+    return None if found is None else ResponseCurve.from_state(found)
 
 
 def background_psnr(

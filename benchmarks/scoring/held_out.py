@@ -91,7 +91,9 @@ def score(folder: Path, asset: Path, photos: int | None = None, samples: int = S
             beside &= ~shows_support(support, origins, directions)
         shown.append(rays.photo(index).numpy())
         of_asset = picture.reshape(-1, 4)[:, :3]
-        if response is not None:  # the renderings lack the camera's curve, which photos and F_e have
+        if response is not None and held.color_space == "linear":  # test photos, which lack the curve that F_e has
+            around = response.light(torch.from_numpy(exposure * around)).numpy() / exposure
+        elif response is not None:  # the renderings lack the camera's curve, which photos and F_e have
             light = of_asset / covered.clip(1e-3, 1)[:, None]
             of_asset = covered[:, None] * response.photo(torch.from_numpy(exposure * light)).numpy() / exposure
         rendered.append(of_asset + (1 - covered[:, None]) * around)

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import torch
 
+from blender_nep.capture.rays.response_curve import ResponseCurve
 from blender_nep.color import linear_to_srgb, to_bytes
 from blender_nep.geometry.ray_tracing import RayTracer
 from blender_nep.geometry.uv_raster import look_up
@@ -37,20 +38,25 @@ class PreviewView:
     """[3] the camera's place in the unit frame"""
     directions: np.ndarray
     """[h w, 3] unit vectors"""
+    response: dict[str, float] | None = None
+    """The camera's response curve (`ResponseCurve.state`), which the photo has and the asset has not"""
 
     def check(self) -> None:
         """Raises ValueError unless the arrays fit each other."""
         check_array("photo", self.photo, (None, None, 3))
         check_array("origin", self.origin, (3,))
         check_array("directions", self.directions, (self.photo.shape[0] * self.photo.shape[1], 3))
+        if self.response is not None:
+            ResponseCurve.from_state(self.response)
 
     @classmethod
-    def best(cls, rays: PixelRays, surface: Surface) -> PreviewView:
-        """The photo that `best_view` chooses."""
+    def best(cls, rays: PixelRays, surface: Surface, response: ResponseCurve | None = None) -> PreviewView:
+        """The photo that `best_view` chooses. `response` is the curve that the photos have."""
         view = best_view(rays, RayTracer(surface.vertices, surface.faces))
         index = torch.arange(rays.offset[view], rays.offset[view + 1], device=rays.valid.device)
         origins, directions, _ = (t.cpu().numpy() for t in rays.rays(index))
-        return cls(rays.photo(index).cpu().numpy().reshape(*rays.size[view], 3), origins[0], directions)
+        photo = rays.photo(index).cpu().numpy().reshape(*rays.size[view], 3)
+        return cls(photo, origins[0], directions, None if response is None else response.state())
 
     def render(self, surface: Surface, textures: dict[str, np.ndarray], light: np.ndarray) -> np.ndarray:
         """A picture [h, 2 w, 3] uint8 sRGB: the photo on the left, the asset on the right.
@@ -60,6 +66,8 @@ class PreviewView:
         tracer, lamps = RayTracer(surface.vertices, surface.faces), Pyramid.of(light)
         parts = (self._radiance(directions, tracer, surface, textures, lamps) for directions in self._through_pixels())
         picture = sum(parts, start=np.float32(0)) / RAYS_ACROSS**2
+        if self.response is not None:
+            picture = ResponseCurve.from_state(self.response).photo(torch.from_numpy(picture)).numpy()
         pair = np.concatenate([self.photo, picture.reshape(self.photo.shape)], 1) * exposure(self.photo)
         return to_bytes(linear_to_srgb(pair))
 

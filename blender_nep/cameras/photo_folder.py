@@ -67,11 +67,12 @@ class Photo:
         return (self.width, self.height, *self.camera)
 
 
-def find_photos(folder: Path) -> list[Photo]:
+def find_photos(folder: Path, masked: bool = False) -> list[Photo]:
     """The photos in `folder`, or in its folder `images`, sorted by name, with their masks (capture/formats/mask_search.py).
 
     A file that is no photo is passed over if its ending is none of a photo. Raises CaptureError if the folder is missing, if
-    a photo cannot be read, if a mask has not its photo's size, or if there are too few photos.
+    a photo cannot be read, or if there are too few photos. A mask that cannot be read, or has not its photo's size, is left
+    out; where masks are wanted (`masked`), it raises CaptureError, too.
     """
     if not folder.is_dir():
         raise CaptureError(f"there is no folder {folder}", "Check the path of the folder with photos.", "capture.no_folder")
@@ -112,7 +113,7 @@ def find_photos(folder: Path) -> list[Photo]:
         )
     check_number(len(paths), str(folder))
     masks = find_masks(folder, paths).masks
-    return [_photo(path, mask) for path, mask in zip(paths, masks, strict=True)]
+    return [_photo(path, mask, masked) for path, mask in zip(paths, masks, strict=True)]
 
 
 def photos_of(capture: Capture) -> list[Photo]:
@@ -144,8 +145,10 @@ def _rank(path: Path) -> int:
     return max(SUFFIXES.index(path.suffix.lower()), SUFFIXES.index(".jpeg"))
 
 
-def _photo(path: Path, mask: Path | None) -> Photo:
+def _photo(path: Path, mask: Path | None, masked: bool) -> Photo:
     width, height = _size(path)
+    if mask is not None and not masked and not _has_size(mask, (width, height)):
+        mask = None
     if mask is not None and (size := _size(mask)) != (width, height):
         raise CaptureError(
             f"the mask {mask.name} is {size[0]} x {size[1]} pixels, but {path.name} is {width} x {height}",
@@ -163,6 +166,13 @@ def _photo(path: Path, mask: Path | None) -> Photo:
     words = tuple(str(tags.get(tag, "")).strip("\0 ") for tag in (_MAKE, _MODEL, _LENS_MODEL, _FOCAL_LENGTH, _FILM_LENGTH))
     turns = QUARTER_TURNS.get(tags.get(_ORIENTATION, 1), 0)  # type: ignore[call-overload]
     return Photo(path, width, height, _focal_length(tags, width, height), words, turns, mask, has_exif=bool(tags))
+
+
+def _has_size(mask: Path, size: tuple[int, int]) -> bool:
+    try:
+        return image_size(mask) == size
+    except CaptureError:
+        return False
 
 
 def _size(path: Path) -> tuple[int, int]:

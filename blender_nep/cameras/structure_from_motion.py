@@ -248,7 +248,7 @@ def _pose(camera: Camera) -> dict[str, list[float]]:
 
 def _run(folder: Path, report: Report, stop: StopRequest) -> None:
     """Run `matching_process` to its end."""
-    command = [*isolated_python(), "-m", "blender_nep.cameras.matching_process", str(folder.absolute())]
+    command = [*isolated_python(), "-m", "blender_nep.cameras.matching.matching_process", str(folder.absolute())]
     process = subprocess.Popen(
         command, cwd=NEUTRAL_FOLDER, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.PIPE
     )

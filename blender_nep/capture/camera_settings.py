@@ -31,10 +31,9 @@ def expected_response(capture: Capture) -> float | None:
     with losses but without these names come from anywhere: most were taken by a camera, and some program has removed its
     names. Lossless formats mostly come from renderers and from people who develop by hand, for which sRGB alone is expected.
     """
-    step = max(1, len(capture.views) // _ASKED)
-    asked = [view for view in capture.views[::step] if not _holds_light(capture, view)]
-    if not asked:
+    if any(_holds_light(capture, view) for view in capture.views):  # also where others are developed: one curve fits all
         return None
+    asked = capture.views[:: max(1, len(capture.views) // _ASKED)]
     if all(_names_camera(view) for view in asked):
         return _OF_CAMERAS
     return _WITH_LOSSES if all(view.image_path.suffix.lower() in _LOSSY for view in asked) else 0.0

@@ -66,7 +66,10 @@ def no_capture(folder: Path, file: str, recognized: Callable[[Path], bool]) -> C
 def photos_below(folder: Path) -> tuple[Path, list[Path]]:
     """The folder that holds the photos, `folder` itself or a usual folder in it, and the photos; none if there are few."""
     for name in PLACES:
-        photos = photos_in(folder / name)
+        try:
+            photos = photos_in(folder / name)
+        except OSError:  # a folder that may not be read
+            continue
         if len(photos) >= MINIMUM_VIEWS:
             return (folder if name in ("", "images") else folder / name), photos
     return folder, []
@@ -74,7 +77,10 @@ def photos_below(folder: Path) -> tuple[Path, list[Path]]:
 
 def videos_in(folder: Path) -> list[Path]:
     """The videos in a folder, sorted by their names."""
-    return sorted(path for path in folder.iterdir() if path.suffix.lower() in _VIDEOS and not path.name.startswith("."))
+    try:
+        return sorted(path for path in folder.iterdir() if path.suffix.lower() in _VIDEOS and not path.name.startswith("."))
+    except OSError:
+        return []
 
 
 def video_hint(folder: Path, video: Path) -> str:

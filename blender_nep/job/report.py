@@ -72,7 +72,7 @@ class JobReport:
             "object_radius": capture.object_radius,
             "bounds_source": capture.bounds_source,
             "masks": rays.mask is not None,
-            "mask_meaning": capture.mask_reading.meaning.value,
+            "mask_meaning": capture.mask_reading.meaning.value if any(v.mask_path for v in capture.views) else None,
             "exposure": rays.exposure,
             **({} if rays.gain is None else {"photo_gains": np.round(rays.gain.tolist(), 4).tolist()}),
             **({} if rays.vignetting is None else {"vignetting": asdict(rays.vignetting)}),

@@ -319,7 +319,7 @@ class Job:
 
         capture, scene = prepared.capture, learned.scene
         with section(name), section("preview picture"):
-            view = PreviewView.best(scene.rays, learned.surface.surface)
+            view = PreviewView.best(scene.rays, learned.surface.surface, learned.materials.response)
         radiance = light.detach().float().cpu().numpy()
         if not s.clean:
             prepared.folder.save_result(PREVIEW, {"view": vars(view), "light": radiance}, 0.0)

@@ -245,7 +245,7 @@ class MaterialsStage:
             check_array(name, values, (side, side, 3) if name == "albedo" else (side, side))
         kept = KeptMaterials.from_state(state["kept"]) if state["kept"] is not None else None
         unseen = UnseenLight.from_state(state["unseen"]) if state["unseen"] is not None else None
-        response = ResponseCurve(**state["response"]) if state["response"] is not None else None
+        response = ResponseCurve.from_state(state["response"]) if state["response"] is not None else None
         return Materials(**state["textures"], unseen=unseen, report=state["report"], kept=kept, response=response)
 
 

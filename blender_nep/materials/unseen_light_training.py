@@ -122,7 +122,7 @@ def _with_likely_metals(
     first = best
     most = float(missing_brightness(first.albedo, palette.metallic).max().exp())
     for factor in _METAL_GAINS:
-        if factor > most * _METAL_GAINS[0]:
+        if most == 1 or factor > most * _METAL_GAINS[0]:  # beyond that, no metal is too dark any more
             break
         albedo = brightened(first.albedo, palette.metallic, factor)
         fit = problem.solve(palette, first.light.scaled(1 / factor), preset.unseen_steps, albedo)

@@ -22,8 +22,9 @@ import numpy as np
 import pytest
 
 from benchmarks.scoring.cameras import errors
-from blender_nep.cameras import matching_process, structure_from_motion
+from blender_nep.cameras import structure_from_motion
 from blender_nep.cameras.alignment import similarity
+from blender_nep.cameras.matching import matching_process
 from blender_nep.cameras.object_sphere import ObjectSphere
 from blender_nep.cameras.photo_folder import find_photos
 from blender_nep.cameras.seen_through import Sightlines
@@ -133,7 +134,14 @@ CASES = [
     few("photos in the folder images, a picture beside it", photos.in_images),
     few("the folder is a symbolic link", photos.symbolic_link),
     # masks
-    refused("a mask has half its photo's size", photos.small_masks, 3, "capture.mask_size", "photo_03.png is 160 x 120"),
+    refused(
+        "a mask has half its photo's size",
+        photos.small_masks,
+        3,
+        "capture.mask_size",
+        "photo_03.png is 160 x 120",
+        **ON_OBJECT,
+    ),
     refused("a mask is missing", photos.one_mask_missing, 2, "usage.no_masks", "photo_03.jpg has none", **ON_OBJECT),
     refused("a mask is torn", photos.torn_mask, 3, UNREADABLE, "photo_07.png cannot be read", **ON_OBJECT),
     # where the cameras are written

@@ -15,7 +15,7 @@ def in_pycolmap() -> None:
     """
     import pycolmap
 
-    from blender_nep.cameras.mapping import take_out_unsupported
+    from blender_nep.cameras.matching.mapping import take_out_unsupported
 
     pycolmap.set_random_seed(0)
     options = pycolmap.SyntheticDatasetOptions()

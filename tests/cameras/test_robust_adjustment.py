@@ -18,7 +18,7 @@ def in_pycolmap() -> None:
     """
     import pycolmap
 
-    from blender_nep.cameras.adjustment import adjust_robustly, adjustment
+    from blender_nep.cameras.matching.adjustment import adjust_robustly, adjustment
 
     pycolmap.set_random_seed(0)
     random = np.random.default_rng(0)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+
 import numpy as np
 import pytest
 from PIL import Image
@@ -11,6 +13,7 @@ from blender_nep.cameras.photo_folder import find_photos
 from blender_nep.capture.formats.mask_search import find_masks, masks_beside
 from blender_nep.capture.formats.photo_search import photos_in
 from blender_nep.capture.loading import load_capture
+from blender_nep.errors import CaptureError
 from support.captures import TinyCapture
 
 SIZE = 24
@@ -153,3 +156,24 @@ def test_the_panel_knows_folders_of_masks(tmp_path, place):
     (tmp_path / "train").mkdir()
     (tmp_path / place).parent.rename(tmp_path / "test_masks")
     assert not has_masks(tmp_path)
+
+
+def test_a_mask_of_a_moved_capture_is_found(tiny):
+    put(tiny, "masks/{:03d}.png")
+    file = tiny.folder / "transforms.json"
+    content = json.loads(file.read_text())
+    for number, frame in enumerate(content["frames"]):
+        frame["mask_path"] = f"C:\\cap\\masks\\{number:03d}.png" if number % 2 else f"/home/alice/cap/masks/{number:03d}.png"
+    file.write_text(json.dumps(content))
+    masks = [view.mask_path for view in load_capture(tiny.folder).views]
+    assert masks == [tiny.folder / f"masks/{number:03d}.png" for number in range(4)]
+
+
+def test_masks_that_are_not_wanted_stop_no_search_for_cameras(tiny):
+    put(tiny, "masks/{:03d}.png", size=SIZE // 2, numbers=range(1))
+    (tiny.folder / "masks/001.png").write_bytes(b"no mask")
+    put(tiny, "masks/{:03d}.png", numbers=range(2, 4))
+    masks = [photo.mask for photo in find_photos(tiny.folder)]
+    assert masks[:2] == [None, None] and all(masks[2:])
+    with pytest.raises(CaptureError, match="000"):
+        find_photos(tiny.folder, masked=True)

@@ -56,3 +56,11 @@ def test_pixels_are_the_light_before_the_curve(make_capture):
     lit = rays.with_response(curve)
     torch.testing.assert_close(curve.photo(lit.photo(index)), rays.photo(index))
     assert not torch.allclose(lit.photo(index), rays.photo(index))
+
+
+def test_a_damaged_curve_of_a_checkpoint_is_refused():
+    curve = ResponseCurve.of(1.0, white=1.7, middle=0.2)
+    assert ResponseCurve.from_state(curve.state()) == curve
+    for wrong in ({"strength": -4.0}, {"white": 0.0}, {"scale": float("nan")}):
+        with pytest.raises(ValueError, match="response curve"):
+            ResponseCurve.from_state(curve.state() | wrong)

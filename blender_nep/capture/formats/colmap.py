@@ -147,7 +147,6 @@ def read(folder: Path) -> CaptureDescription:
     files, cameras, poses = _read_model(model)
     if not poses:
         raise CaptureError(f"the COLMAP project in {model} has no photos with a pose", "Run COLMAP's mapper again.")
-    check_number(len(poses), "the COLMAP project")
     photos, missing = photos_named(folder, [pose.name for pose in poses], NAME, _photo_places(folder, model))
     placed = sorted((pose for pose in poses if pose.name in photos), key=lambda pose: pose.name)
     rescaled: list[str] = []
@@ -199,13 +198,16 @@ def _read_model(model: Path) -> tuple[tuple[Path, Path], dict[int, _Intrinsics],
     try:
         if ending == "bin":
             lenses, places = (read_bytes(file, _MOST_BYTES) for file in files)
-            return files, _binary_cameras(lenses), _binary_poses(places)
-        cameras, poses = (read_text(file, _MOST_BYTES, "utf-8-sig") for file in files)
-        return files, _text_cameras(cameras), _text_poses(poses)
+            cameras, poses = _binary_cameras(lenses), _binary_poses(places)
+        else:
+            texts = [read_text(file, _MOST_BYTES, "utf-8-sig") for file in files]
+            cameras, poses = _text_cameras(texts[0]), _text_poses(texts[1])
     except (OSError, ValueError, IndexError, struct.error) as error:
         raise CaptureError(
             f"the COLMAP project in {model} cannot be read ({error})", "Export it again, as text or binary."
         ) from error
+    check_number(len(poses), "the COLMAP project")
+    return files, cameras, poses
 
 
 def _view(

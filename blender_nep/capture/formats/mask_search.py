@@ -133,7 +133,10 @@ def _folders_in(root: Path) -> list[Path]:
 
 
 def _is_asset(folder: Path) -> bool:
-    return any((folder / mark).is_file() for mark in _ASSET)
+    try:
+        return any((folder / mark).is_file() for mark in _ASSET)
+    except OSError:  # a folder that may not be read
+        return False
 
 
 def _images_in(place: Path) -> dict[str, Path]:
@@ -143,6 +146,8 @@ def _images_in(place: Path) -> dict[str, Path]:
         for name in sorted(names):
             if not name.startswith(".") and name.lower().endswith(SUFFIXES):
                 path = Path(root) / name
+                if not path.is_file():
+                    continue
                 found[path.relative_to(place).as_posix().lower()] = path
     return found
 
@@ -165,12 +170,13 @@ def _named(files: dict[str, Path], ways: list[str]) -> Path | None:
 def _beside(photos: Sequence[Path]) -> list[Path | None]:
     """The mask beside each photo; None where there is none."""
     found: dict[tuple[Path, str], Path] = {}
+    known = set(photos)
     for parent in dict.fromkeys(path.parent for path in photos):
         try:
             files = [path for path in parent.iterdir() if path.suffix.lower() in SUFFIXES and path.is_file()]
         except OSError:
             continue
-        masks = [path for path in masks_beside(files) if path.suffix.lower() in _ENDINGS and path not in photos]
+        masks = [path for path in masks_beside(files) if path.suffix.lower() in _ENDINGS and path not in known]
         for path in sorted(masks, key=lambda path: (_ENDINGS.index(path.suffix.lower()), path.name)):
             if match := _ADDED.fullmatch(path.stem.lower()):
                 found.setdefault((parent, match[1]), path)

@@ -21,13 +21,15 @@ from blender_nep.capture.description import CaptureDescription, check_number
 from blender_nep.capture.formats.mask_search import with_masks
 from blender_nep.capture.formats.photo_search import photos_named
 from blender_nep.capture.formats.photos import check_readable, fitted, rescaled_warnings
-from blender_nep.capture.photos.photo_files import find_image, image_size
-from blender_nep.capture.photos.photo_lookup import PLACES, stem
+from blender_nep.capture.photos.photo_files import image_size, refuse_other_computer
+from blender_nep.capture.photos.photo_lookup import PLACES, PhotoLookup, stem
 from blender_nep.errors import CaptureError
 from blender_nep.messages import Message
 from blender_nep.safety.plain_files import read_json
 
 FILE = "transforms.json"
+_MASK_PLACES = ("", "masks", "mask")
+"""Folders of masks in the folder of a capture that was moved"""
 
 
 def recognizes(folder: Path, file: str = FILE) -> bool:
@@ -48,9 +50,9 @@ def read(folder: Path, file: str = FILE) -> CaptureDescription:
     cameras, more = _cameras(meta, named, photos)
     rescaled: list[str] = []
     turned: list[str] = []
-    views = []
+    views, lookup = [], PhotoLookup(folder)
     for (name, frame), camera in zip(named, cameras, strict=True):
-        image, mask = photos[name], _mask(folder, frame)
+        image, mask = photos[name], _mask(lookup, frame)
         views.append(View(stem(image.name), image, mask, fitted(camera, image, name, file, rescaled, turned)))
     views, found = with_masks(folder, views, named_by_file=True)
     return CaptureDescription(
@@ -118,10 +120,12 @@ def _place(meta: dict) -> np.ndarray | None:
     return place if place.shape == (3,) and np.isfinite(place).all() else None
 
 
-def _mask(folder: Path, frame: dict) -> Path | None:
+def _mask(lookup: PhotoLookup, frame: dict) -> Path | None:
     if not frame.get("mask_path"):
         return None
-    mask = find_image(folder, str(frame["mask_path"]))
+    named = str(frame["mask_path"])
+    refuse_other_computer(lookup.folder, named)
+    mask = lookup.find(named, _MASK_PLACES)
     if mask is None:
         raise CaptureError(f"mask {frame['mask_path']} is missing", "Put it back, or take mask_path out of its frame.")
     return mask

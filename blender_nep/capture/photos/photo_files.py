@@ -49,7 +49,7 @@ def find_image(folder: Path, name: str) -> Path | None:
 def refuse_other_computer(folder: Path, name: str) -> None:
     """Raises CaptureError where the name of a photo, which a file in `folder` says, leads to another computer."""
     if is_on_other_computer(name, folder):
-        hint = "Copy the photos into the capture's folder, or connect that computer as a drive."
+        hint = "Copy the photos and masks into the capture's folder, or connect that computer as a drive."
         raise CaptureError(f"{name} lies on another computer", hint)
 
 
@@ -134,6 +134,4 @@ def time_taken(path: Path) -> datetime | None:
 
 
 def _unreadable(path: Path, error: Exception) -> CaptureError:
-    return CaptureError(
-        f"{path.name} cannot be read as an image ({error})", "Replace the file, or leave it out of transforms.json."
-    )
+    return CaptureError(f"{path.name} cannot be read as an image ({error})", "Replace the file, or take it out.")

@@ -11,6 +11,7 @@ Strength 0 is sRGB alone. At strength 1, a gray that fills 12.7 % of the sensor'
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 from torch import Tensor
@@ -57,6 +58,14 @@ class ResponseCurve:
         x = light / self.scale
         power = x.clamp(0, 1) ** n
         return self.white * ((1 + q) * power / (1 + q * power) + (x - 1).clamp_min(0) * n / (1 + q))
+
+    @classmethod
+    def from_state(cls, state: dict[str, float]) -> ResponseCurve:
+        """The inverse of `state`. Raises ValueError if it is no curve."""
+        curve = cls(**{name: float(state[name]) for name in ("strength", "white", "scale")})
+        if not (0 <= curve.strength <= MOST_STRENGTH and 0 < curve.white < math.inf and 0 < curve.scale < math.inf):
+            raise ValueError(f"{state} is no response curve")
+        return curve
 
     def state(self) -> dict[str, float]:
         """The curve as plain numbers, for a checkpoint and a report."""

@@ -52,7 +52,7 @@ def run(search: CameraSearch, events: Events, stop: StopRequest) -> int:
     def work() -> None:
         _refuse_capture(folder, search.overwrite)
         capture = load_capture(search.photos, use_masks=False) if search.improve else None
-        found = find_photos(search.photos) if capture is None else photos_of(capture)
+        found = find_photos(search.photos, search.features != "everywhere") if capture is None else photos_of(capture)
         check_writable(folder)
         of_masks = photo_mask_messages(search.photos, [photo.path for photo in found])
         brackets = bracket_warnings([photo.path for photo in found])

@@ -1,6 +1,6 @@
 """The process that runs pycolmap: features, matches, and the cameras. It is started as a program of its own.
 
-    python -m blender_nep.cameras.matching_process FOLDER
+    python -m blender_nep.cameras.matching.matching_process FOLDER
 
 FOLDER holds `settings.json` (see `structure_from_motion`), which names the folder of the photos. The result is written to
 FOLDER: COLMAP models in `sparse/0`, `sparse/1` and so on, and `result.json`. Standard output carries JSON lines with stage,
@@ -20,11 +20,11 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from blender_nep.cameras.adjustment import SEED, adjust_robustly
-from blender_nep.cameras.feature_matching import extract, near_pairs, similar_pairs
-from blender_nep.cameras.given_adjustment import improve
-from blender_nep.cameras.mapping import forget_focal_lengths, globally_mapped, mapped, placed
-from blender_nep.cameras.matching_output import say, write
+from blender_nep.cameras.matching.adjustment import SEED, adjust_robustly
+from blender_nep.cameras.matching.feature_matching import extract, near_pairs, similar_pairs
+from blender_nep.cameras.matching.given_adjustment import improve
+from blender_nep.cameras.matching.mapping import forget_focal_lengths, globally_mapped, mapped, placed
+from blender_nep.cameras.matching.matching_output import say, write
 
 _LEAST_MATCHES_OF_GIVEN = 8
 """Matches that a pair of photos must have where the cameras are given. These reject most wrong matches."""

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from blender_nep.cameras.adjustment import support
+from blender_nep.cameras.matching.adjustment import support
 
 
 def say(stage: str, step: int, steps: int) -> None:

@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from blender_nep.cameras.adjustment import MEDIAN_3D, SEED, adjustment, agreement, support
-from blender_nep.cameras.matching_output import say, write
+from blender_nep.cameras.matching.adjustment import MEDIAN_3D, SEED, adjustment, agreement, support
+from blender_nep.cameras.matching.matching_output import say, write
 
 _WIDE, _ROUNDS = 12.0, 4
 """Largest distance [pixels] between a feature and its scene point in the first round of improving given cameras, and the

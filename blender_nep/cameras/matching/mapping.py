@@ -8,8 +8,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from blender_nep.cameras.adjustment import SEED
-from blender_nep.cameras.matching_output import say
+from blender_nep.cameras.matching.adjustment import SEED
+from blender_nep.cameras.matching.matching_output import say
 
 _GUESSED_FOCAL = 1.2
 """Focal length in longest sides of a photo, as COLMAP guesses it"""

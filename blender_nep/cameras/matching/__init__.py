@@ -1,0 +1,1 @@
+"""What runs in the process of pycolmap: features, matching, mapping and adjustment."""
