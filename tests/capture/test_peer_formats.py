@@ -167,6 +167,18 @@ def test_one_matrix_of_record3d_counts_for_all_photos(tmp_path):
     assert {view.camera.fl_x for view in capture.views} == {truth[0].fl_x}
 
 
+def test_other_angles_in_realityscans_columns_are_refused(tmp_path):
+    """A ring of cameras, whose heading is the azimuth of their place."""
+    rows = ["#name,x,y,alt,heading,pitch,roll,f,px,py,k1,k2,k3,k4,t1,t2"]
+    for number in range(8):
+        x, y = 4 * np.cos(np.pi * number / 4), 4 * np.sin(np.pi * number / 4)
+        rows.append(f"{number}.png,{x:.6f},{y:.6f},0.8,{45 * number},-78,0,37.5,0,0,0,0,0,0,0,0")
+    (tmp_path / "cameras.csv").write_text("\n".join(rows))
+    with pytest.raises(CaptureError, match=r"6 of 8 cameras look away") as refused:
+        load_capture(tmp_path)
+    assert "COLMAP" in str(refused.value.hint)
+
+
 def test_degrees_of_realityscan_are_refused(tmp_path):
     cameras = known_cameras()
     for camera in cameras:

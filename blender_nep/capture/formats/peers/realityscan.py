@@ -16,11 +16,13 @@ only.
 from __future__ import annotations
 
 import csv
+from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 
 import numpy as np
 
+from blender_nep.capture.cameras.common_place import common_place
 from blender_nep.capture.cameras.lens import Lens
 from blender_nep.capture.description import MINIMUM_VIEWS, CaptureDescription, check_number
 from blender_nep.capture.formats.peers.assembly import AGAIN, Intrinsics, PeerCamera, described, files_with, number, only
@@ -34,6 +36,8 @@ _MOST_BYTES = 16 * MEGABYTE
 _OTHER_NAMES = {"yaw": "heading", "f_35mm": "f", "px_norm": "px", "py_norm": "py"}
 _NEEDED = ("name", "x", "y", "alt", "heading", "pitch", "roll", "f")
 _OPTIONAL = ("px", "py", "k1", "k2", "k3", "k4", "t1", "t2")
+_LEAST_COSINE = 0.5
+"""A camera looks away from a place that is farther than 60 degrees from its optical axis."""
 _FAR = 1e4
 """Cameras that are so many times as far from the origin as from each other are moved to the origin."""
 
@@ -59,6 +63,7 @@ def read(folder: Path) -> CaptureDescription:
         PeerCamera(name, _rotation(row["heading"], row["pitch"], row["roll"]), position - origin, partial(_intrinsics, row))
         for (name, row), position in zip(rows, positions, strict=True)
     ]
+    _check_angles(cameras, path.name)
     return described(folder, [path], cameras)
 
 
@@ -97,6 +102,23 @@ def _rotation(heading: float, pitch: float, roll: float) -> np.ndarray:
     around_x = np.array([[1, 0, 0], [0, cp, -sp], [0, sp, cp]])
     around_y = np.array([[cr, 0, sr], [0, 1, 0], [-sr, 0, cr]])
     return around_z @ around_x @ around_y * FROM_OPENCV
+
+
+def _check_angles(cameras: Sequence[PeerCamera], file: str) -> None:
+    """Raises CaptureError if most cameras look away from the place at which they look together.
+
+    A script may have written other angles into the same columns.
+    """
+    position, axis = np.array([c.position for c in cameras]), np.array([c.rotation[:, 2] for c in cameras])
+    place = common_place(position, axis) if len(cameras) >= MINIMUM_VIEWS else None
+    if place is None:
+        return
+    away = np.einsum("ni,ni->n", place - position, axis) < _LEAST_COSINE * np.linalg.norm(place - position, axis=1)
+    if away.mean() > 0.5:
+        raise CaptureError(
+            f"{file}: {away.sum()} of {len(away)} cameras look away from the others: its angles are not RealityScan's",
+            "In RealityScan, export the registration as COLMAP or Bundler.",
+        )
 
 
 def _check_meters(positions: np.ndarray, file: str) -> None:
