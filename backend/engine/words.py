@@ -315,6 +315,10 @@ ERRORS = {
         "{count} of {photos} photos {count:is|are} missing: {names}",
         "Put {count:it|them} into {folder}. At least 3 photos are needed.",
     ),
+    "capture.foreign_cameras": (
+        "{folder} holds cameras of {program} ({file}) that cannot be read",
+        "Export them in another form, such as a COLMAP project, or press Find Cameras.",
+    ),
     "capture.no_cameras": ("{folder} holds {photos} photos, but no cameras", "Press Find Cameras first."),
     "capture.video": (
         "{folder} holds a video ({video}), but no photos",

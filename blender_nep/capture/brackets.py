@@ -25,10 +25,14 @@ _LEAST_BRACKETS = 2
 
 def bracket_warnings(photos: Sequence[Path]) -> list[Message]:
     """The warning about photos in brackets; none where EXIF tells no exposures. `photos` may have any order."""
-    stops = [_stops(photo) for photo in sorted(photos)]
-    known = [stop for stop in stops if stop is not None]
-    if len(known) < len(stops) or len(stops) < 2 * _LEAST_BRACKETS:
+    if len(photos) < 2 * _LEAST_BRACKETS:
         return []
+    known = []
+    for photo in sorted(photos):
+        stop = _stops(photo)
+        if stop is None:  # the others need not be asked
+            return []
+        known.append(stop)
     for size in _SIZES:
         groups = [known[start : start + size] for start in range(0, len(known) - size + 1, size)]
         if len(groups) < _LEAST_BRACKETS or len(known) % size:

@@ -61,9 +61,12 @@ def told_gains(capture: Capture) -> np.ndarray | None:
 
     The geometric mean is 1. Apertures in EXIF are rounded to a third of a stop, exposure times to some percent.
     """
-    told = [_exposure(view) for view in capture.views]
-    if not told or None in told:
-        return None
+    told = []
+    for view in capture.views:
+        exposure = _exposure(view)
+        if exposure is None:  # the others need not be asked
+            return None
+        told.append(exposure)
     log = np.log(np.array(told, np.float64))
     return np.exp(log - log.mean())
 

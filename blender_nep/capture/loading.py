@@ -16,6 +16,7 @@ from blender_nep.capture.cameras.plausible_lens import lens_warnings
 from blender_nep.capture.capture import Capture, View
 from blender_nep.capture.description import MINIMUM_VIEWS, CaptureDescription
 from blender_nep.capture.formats import bundler, cameras_sphere, colmap, llff, metashape, nerf_synthetic, transforms
+from blender_nep.capture.formats.peers import PEERS
 from blender_nep.capture.mask_meaning import read_masks
 from blender_nep.capture.photos.mask_files import MaskMeaning
 from blender_nep.capture.photos.photo_files import is_linear
@@ -23,7 +24,7 @@ from blender_nep.capture.without_cameras import no_capture
 from blender_nep.errors import CaptureError
 from blender_nep.messages import Message
 
-_OTHER_FORMATS = (nerf_synthetic, colmap, llff, cameras_sphere, metashape, bundler)
+_OTHER_FORMATS = (nerf_synthetic, colmap, llff, cameras_sphere, metashape, bundler, *PEERS)
 """All formats but the first one, in the order in which they are asked"""
 
 

@@ -7,6 +7,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from blender_nep.capture.description import MINIMUM_VIEWS
+from blender_nep.capture.foreign_cameras import foreign_cameras
 from blender_nep.capture.formats.photo_search import photos_in
 from blender_nep.capture.photos.photo_lookup import PLACES
 from blender_nep.errors import CaptureError
@@ -14,8 +15,9 @@ from blender_nep.errors import CaptureError
 _VIDEOS = (".mp4", ".mov", ".m4v", ".avi", ".mkv", ".webm", ".mts", ".m2ts", ".3gp", ".insv", ".360", ".wmv")
 _SHOWN = 3
 FORMS = (
-    "a COLMAP project, an export of Metashape (.xml) or Bundler (.out), or a data set of NeRF, LLFF (poses_bounds.npy) or "
-    "NeuS (cameras_sphere.npz)"
+    "a COLMAP project, an export of Metashape (.xml), Bundler (.out), RealityScan (.csv), Meshroom (.sfm), OpenSfM, "
+    "OpenMVG, VisualSFM, Polycam or Record3D, or a data set such as NeRF's, LLFF's (poses_bounds.npy) or "
+    "NeuS's (cameras_sphere.npz)"
 )
 
 
@@ -24,6 +26,17 @@ def no_capture(folder: Path, file: str, recognized: Callable[[Path], bool]) -> C
     names = sorted(path.name for path in folder.iterdir())
     place, photos = photos_below(folder)
     state = "is empty" if not names else f"has no {file}"
+    if foreign := foreign_cameras(folder):
+        name = foreign.file.relative_to(folder).as_posix()
+        again = f" Or find the cameras again: {find_cameras(place)}" if len(photos) >= MINIMUM_VIEWS else ""
+        return CaptureError(
+            f"{folder} holds cameras of {foreign.program} ({name}) that cannot be read: it {state}",
+            f"{foreign.hint}{again}",
+            "capture.foreign_cameras",
+            folder=folder,
+            program=foreign.program,
+            file=name,
+        )
     if len(photos) >= MINIMUM_VIEWS:
         return CaptureError(
             f"{folder} holds {len(photos)} photos, but no cameras: it {state}",

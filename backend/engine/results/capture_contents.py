@@ -43,6 +43,27 @@ _BUNDLER_BEGIN = b"# Bundle file v0.3"
 _BEGIN_BYTES = 1 << 16
 _METASHAPE_BEGIN = ["document", "chunk"]
 """The first two elements of a Metashape export"""
+_PEERS = (
+    ("*.csv", "#name,x,y,alt,", ",roll,f"),
+    ("*.xmp", "xcr:Rotation"),
+    ("images/*.xmp", "xcr:Rotation"),
+    ("*.sfm", '"version"'),
+    ("reconstruction.json", '"cameras"'),
+    ("opensfm/reconstruction.json", '"cameras"'),
+    ("*.nvm", "NVM_V3"),
+    ("sfm_data*.json", '"sfm_data_version"'),
+    ("keyframes/corrected_cameras/*.json", '"t_00"'),
+    ("keyframes/cameras/*.json", '"t_00"'),
+    ("corrected_cameras/*.json", '"t_00"'),
+    ("cameras/*.json", '"t_00"'),
+    ("meta_data.json", '"camtoworld"'),
+    ("cams/*_cam.txt", "extrinsic"),
+    ("*-camera.pkl", ""),
+    ("cameras.json", '"img_name"'),
+)
+"""Where the other programs of blender_nep/capture/formats/peers/ put their cameras, and what these files begin with"""
+_RECORD3D = ("metadata.json", '"poses"')
+"""The same, beside a folder `rgb`"""
 
 
 def photo_count(folder: Path) -> int:
@@ -105,7 +126,7 @@ def _is_mask_folder(name: str) -> bool:
 
 def has_cameras(folder: Path) -> bool:
     """Whether the folder holds cameras, in any of the forms that the engine reads. A folder that cannot be read has none."""
-    forms = (_is_colmap_project, _has_metashape_export, _has_bundle)
+    forms = (_is_colmap_project, _has_metashape_export, _has_bundle, _has_peer)
     try:
         return any((folder / name).is_file() for name in _FILES) or any(is_form(folder) for is_form in forms)
     except OSError:  # such as no permission, or a name that is too long
@@ -145,5 +166,19 @@ def _begins_as_bundle(path: Path) -> bool:
     try:
         with open_plain(path, sys.maxsize) as file:
             return file.read(len(_BUNDLER_BEGIN)) == _BUNDLER_BEGIN
+    except OSError:
+        return False
+
+
+def _has_peer(folder: Path) -> bool:
+    places = (*_PEERS, _RECORD3D) if (folder / "rgb").is_dir() else _PEERS
+    return any(_holds(path, marks) for pattern, *marks in places for path in folder.glob(pattern) if path.name[0] != ".")
+
+
+def _holds(path: Path, marks: list[str]) -> bool:
+    try:
+        with open_plain(path, sys.maxsize) as file:
+            begin = file.read(_BEGIN_BYTES)
+            return all(mark.encode() in begin for mark in marks)
     except OSError:
         return False

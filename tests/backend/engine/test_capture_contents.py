@@ -15,6 +15,7 @@ from backend.engine.results.capture_contents import (
 )
 from blender_nep.cameras.photo_folder import _photo_files
 from blender_nep.capture import formats
+from blender_nep.capture.formats import peers
 from blender_nep.capture.loading import MINIMUM_VIEWS
 from blender_nep.capture.photos.photo_files import SUFFIXES
 
@@ -35,10 +36,40 @@ FILES = {
     "llff": [{"poses_bounds.npy": ""}],
     "cameras_sphere": [{"cameras_sphere.npz": ""}, {"cameras.npz": ""}],
     "metashape": [{"export.xml": METASHAPE}],
+    "realityscan": [{"cameras.csv": "#cameras 0\n#name,x,y,alt,heading,pitch,roll,f\n"}],
+    "realityscan_xmp": [{f"{place}a.xmp": "<xcr:Rotation>"} for place in ("", "images/")],
+    "openmvg": [{"sfm_data.json": '{"sfm_data_version": "0.3"}'}],
+    "record3d": [{"metadata.json": '{"poses": []}', "rgb/0.jpg": ""}],
+    "sdfstudio": [{"meta_data.json": '{"camtoworld": 1}'}],
+    "mvsnet": [{"cams/00000000_cam.txt": "extrinsic\nintrinsic\n"}],
+    "nero": [{"0-camera.pkl": ""}],
+    "gaussians": [{"cameras.json": '[{"img_name": "a"}]'}],
+    "meshroom": [{"cameras.sfm": '{"version": ["1", "2", "6"]}'}],
+    "opensfm": [{f"{place}reconstruction.json": '[{"cameras": {}}]'} for place in ("", "opensfm/")],
+    "visualsfm": [{"model.nvm": "NVM_V3\n"}],
+    "polycam": [
+        {f"{place}/1.json": '{"t_00": 1}'}
+        for place in ("keyframes/cameras", "keyframes/corrected_cameras", "cameras", "corrected_cameras")
+    ],
     "bundler": [{"scene.out": BUNDLER}, {"bundle/bundle.out": BUNDLER}],
 }
 """{format: folders of it, {file: its text}}"""
-NO_CAMERAS = [{}, {"notes.xml": "<video><clip/></video>"}, {"torn.xml": "<document"}, {"a.out": "#"}, {"cameras.bin": ""}]
+NO_CAMERAS = [
+    {"metadata.json": '{"poses": []}'},
+    {"a.xmp": "<xcr:FocalLength35mm>"},
+    {"cameras.json": "{}"},
+    {"flight.csv": "#name,x,y,alt,yaw,pitch,roll\n"},
+    {"prices.csv": "name,x,y,alt"},
+    {"a.sfm": "{}"},
+    {"reconstruction.json": "[]"},
+    {"a.nvm": "NVM"},
+    {"keyframes/cameras/1.json": "{}"},
+    {},
+    {"notes.xml": "<video><clip/></video>"},
+    {"torn.xml": "<document"},
+    {"a.out": "#"},
+    {"cameras.bin": ""},
+]
 
 
 def written(folder, files: dict[str, str]):
@@ -51,7 +82,9 @@ def written(folder, files: dict[str, str]):
 def modules() -> dict[str, object]:
     """The engine's formats by their names."""
     found = {
-        name: importlib.import_module(f"{formats.__name__}.{name}") for _, name, _ in pkgutil.iter_modules(formats.__path__)
+        name: importlib.import_module(f"{package.__name__}.{name}")
+        for package in (formats, peers)
+        for _, name, _ in pkgutil.iter_modules(package.__path__)
     }
     return {name: module for name, module in found.items() if hasattr(module, "recognizes")}
 

@@ -38,7 +38,8 @@ def size(path: Path) -> tuple[int, int]:
 def tags(path: Path) -> dict[int, object]:
     """What EXIF says, {tag: value}. The orientation is not applied by `read`."""
     with open_picture(path) as image:
-        exif = image.getexif()
+        # The method of PNG files decodes all pixels first, because EXIF may lie behind them. That is rare.
+        exif = Image.Image.getexif(image)
         return {**exif, **exif.get_ifd(ExifTags.IFD.Exif)}
 
 
