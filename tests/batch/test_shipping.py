@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import io
+import tarfile
 from pathlib import Path
 
 import pytest
@@ -83,3 +85,25 @@ def test_a_root_that_is_not_absolute(tmp_path, node, monkeypatch):
     (tmp_path / "meta.json").write_bytes(b"{}")
     unpack(pack([Path("meta.json")], Path(".")), node)
     assert files_of(node) == {"meta.json": b"{}"}
+
+
+@pytest.mark.parametrize("name", ["../outside.json", "/outside.json", "a/../../outside.json"])
+def test_a_path_that_leaves_the_root_is_refused(node, name):
+    packed = io.BytesIO()
+    with tarfile.open(fileobj=packed, mode="w") as archive:
+        member = tarfile.TarInfo(name)
+        member.size = 2
+        archive.addfile(member, io.BytesIO(b"{}"))
+    with pytest.raises(ValueError, match="leads out of the folder"):
+        unpack(packed.getvalue(), node)
+    assert not files_of(node) and not (node.parent / "outside.json").exists()
+
+
+def test_a_folder_that_is_a_link_is_not_followed(tmp_path, store, node):
+    (tmp_path / "asset").mkdir()
+    (tmp_path / "asset/report.json").write_bytes(b"{}")
+    packed = pack([], tmp_path, tmp_path / "asset")
+    (node / "asset").symlink_to(store)
+    with pytest.raises(ValueError, match="leads out of the folder"):
+        unpack(packed, node)
+    assert not (store / "report.json").exists()

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import io
 import os
+import shutil
 import tarfile
 from collections.abc import Iterable
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 
 from blender_nep.files import is_link
 from blender_nep.job.folders.own_files import ENTRIES
@@ -33,10 +34,23 @@ def pack(paths: Iterable[Path], root: Path, run: Path | None = None) -> bytes:
 def unpack(packed: bytes, root: Path) -> None:
     """Write what was packed below `root`. Files that are there are replaced, and so are links.
 
-    Paths that leave `root` are refused.
+    Only files and folders are unpacked. Raises ValueError for a path that leaves `root`, also through a link. (The filters of
+    tarfile are newer than the first releases of Python 3.11.)
     """
+    inside = root.resolve()
     with tarfile.open(fileobj=io.BytesIO(packed)) as archive:
         for member in archive:
-            if is_link(root / member.name):
-                (root / member.name).unlink()
-            archive.extract(member, root, filter="data")
+            path = PurePosixPath(member.name)
+            target = root.joinpath(*path.parts)
+            if path.is_absolute() or ".." in path.parts or not target.parent.resolve().is_relative_to(inside):
+                raise ValueError(f"{member.name} leads out of the folder")
+            if is_link(target):
+                target.unlink()
+            content = archive.extractfile(member) if member.isreg() else None
+            if content is not None:
+                target.parent.mkdir(parents=True, exist_ok=True)
+                with open(target, "wb") as file:
+                    shutil.copyfileobj(content, file)
+                os.utime(target, (member.mtime, member.mtime))
+            elif member.isdir():
+                target.mkdir(parents=True, exist_ok=True)
