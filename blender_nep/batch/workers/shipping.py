@@ -34,8 +34,8 @@ def pack(paths: Iterable[Path], root: Path, run: Path | None = None) -> bytes:
 def unpack(packed: bytes, root: Path) -> None:
     """Write what was packed below `root`. Files that are there are replaced, and so are links.
 
-    Only files and folders are unpacked. Raises ValueError for a path that leaves `root`, also through a link. (The filters of
-    tarfile are newer than the first releases of Python 3.11.)
+    Only files and folders are unpacked. Raises ValueError for a path that leaves `root`, also through a link. The filters of
+    tarfile are newer than the first releases of Python 3.11.
     """
     inside = root.resolve()
     with tarfile.open(fileobj=io.BytesIO(packed)) as archive:
