@@ -51,10 +51,8 @@ def _background_psnr(
 ) -> float:
     environment = Fields.from_state(load_state(kept)["result"], preset, device).environment
     report = read_row(asset / "report.json")
-    learned, response = (
-        report["capture"],
-        fields.response_of(report),
-    )  # F_e has the unit frame and exposure of the job that learned it
+    # F_e has the unit frame, the exposure and the response curve of the job that learned it.
+    learned, response = report["capture"], fields.response_of(report)
     for one in (capture, test):
         one.object_center, one.object_radius = np.array(learned["object_center"]), learned["object_radius"]
     rays = PixelRays.from_capture(test, BACKGROUND_PIXELS, False, device).with_exposure(learned["exposure"])

@@ -6,10 +6,7 @@ import math
 from collections.abc import Sequence
 from pathlib import Path
 
-from PIL import ExifTags
-
-from blender_nep.capture.photos.photo_files import exif
-from blender_nep.errors import CaptureError
+from blender_nep.capture.photos.exif_exposure import exif_exposure
 from blender_nep.messages import Message
 
 _SIZES = (3, 5, 7, 9, 2)
@@ -48,24 +45,7 @@ def bracket_warnings(photos: Sequence[Path]) -> list[Message]:
 
 def _stops(photo: Path) -> float | None:
     """The exposure in stops, as EXIF tells it: by time, aperture and ISO; None where it does not tell the time."""
-    try:
-        tags = exif(photo)
-    except CaptureError:
+    seconds, f_number, iso = exif_exposure(photo)
+    if seconds is None:
         return None
-    time, aperture, iso = (_number(tags.get(tag)) for tag in (ExifTags.Base.ExposureTime, ExifTags.Base.FNumber, _ISO))
-    if time is None:
-        return None
-    return math.log2(time) - 2 * math.log2(aperture or 1.0) + math.log2(iso or 100.0)
-
-
-_ISO = ExifTags.Base.ISOSpeedRatings
-
-
-def _number(value: object) -> float | None:
-    """A positive number of EXIF, or None."""
-    first = value[0] if isinstance(value, tuple) and value else value
-    try:
-        number = float(first)  # type: ignore[arg-type]
-    except (TypeError, ValueError, ZeroDivisionError):
-        return None
-    return number if math.isfinite(number) and number > 0 else None
+    return math.log2(seconds) - 2 * math.log2(f_number or 1.0) + math.log2(iso or 100.0)

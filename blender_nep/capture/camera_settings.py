@@ -8,6 +8,7 @@ from PIL import ExifTags
 
 from blender_nep.capture.capture import Capture, View
 from blender_nep.capture.exposure import LEAST_SPREAD, Comparison, Exposures
+from blender_nep.capture.photos.exif_exposure import exif_exposure
 from blender_nep.capture.photos.photo_files import exif, is_linear
 from blender_nep.errors import CaptureError
 
@@ -44,16 +45,11 @@ def _holds_light(capture: Capture, view: View) -> bool:
 
 
 def _names_camera(view: View) -> bool:
-    tags = _tags(view)
-    return all(str(tags.get(tag) or "").strip("\0 ") for tag in (ExifTags.Base.Make, ExifTags.Base.Model))
-
-
-def _tags(view: View) -> dict[int, object]:
-    """The EXIF tags of a photo; empty where its file cannot be read. Whether its pixels are sound is seen elsewhere."""
     try:
-        return exif(view.image_path)
-    except CaptureError:
-        return {}
+        tags = exif(view.image_path)
+    except CaptureError:  # whether the pixels are sound is seen elsewhere
+        return False
+    return all(str(tags.get(tag) or "").strip("\0 ") for tag in (ExifTags.Base.Make, ExifTags.Base.Model))
 
 
 def told_gains(capture: Capture) -> np.ndarray | None:
@@ -72,16 +68,11 @@ def told_gains(capture: Capture) -> np.ndarray | None:
 
 
 def _exposure(view: View) -> float | None:
-    """Exposure time x ISO / f-number^2 of a photo. None: its file does not tell all three, or not as positive numbers."""
-    tags = _tags(view)
-    try:
-        seconds, number = float(tags[ExifTags.Base.ExposureTime]), float(tags[ExifTags.Base.FNumber])  # type: ignore[arg-type]
-        said = tags[ExifTags.Base.ISOSpeedRatings]
-        iso = float(said[0] if isinstance(said, (tuple, list)) else said)  # type: ignore[arg-type]
-    except (KeyError, TypeError, ValueError, ZeroDivisionError, IndexError):
+    """Exposure time x ISO / f-number^2 of a photo. None: its file does not tell all three."""
+    seconds, f_number, iso = exif_exposure(view.image_path)
+    if seconds is None or f_number is None or iso is None:
         return None
-    value = seconds * iso / number**2 if number else 0.0
-    return value if np.isfinite(value) and value > 0 else None
+    return seconds * iso / f_number**2
 
 
 def told_exposures(told: np.ndarray | None, compared: Comparison | None, device: torch.device | str) -> Exposures | None:
