@@ -15,7 +15,8 @@ from trimesh.nsphere import minimum_nsphere
 from blender_nep.cameras.seen_through import Sightlines, seen_through, without_free_space
 from blender_nep.capture.brightness import to_brightness
 from blender_nep.capture.capture import Capture
-from blender_nep.capture.exposure import find_exposures
+from blender_nep.capture.exposure.surroundings import compare_exposures
+from blender_nep.capture.exposure.told import exposures_of
 from blender_nep.capture.rays.pixel_rays import PixelRays
 from blender_nep.evidence.observation import visible
 from blender_nep.evidence.occluders import MeshOccluder
@@ -108,7 +109,7 @@ def _hull_sphere(capture: Capture, lines: Sightlines, seed: int, check: Callable
     quick = preset("preview")
     quick = replace(quick, fields=replace(quick.fields, background_steps=_STEPS))
     rays = PixelRays.from_capture(capture, _PIXELS, use_masks=False, progress=check)
-    exposures = find_exposures(rays)
+    exposures = exposures_of(capture, compare_exposures(rays))
     rays = to_brightness(rays.with_gain(exposures.gain, exposures.vignetting), quick.brightness)
     learning = FieldsLearning(Scene.of(rays), quick, seed)
     while learning.schedule.learns_background:

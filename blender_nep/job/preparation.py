@@ -11,11 +11,13 @@ import torch
 
 from blender_nep.capture import Capture, PixelRays, load_capture
 from blender_nep.capture.brightness import to_brightness
-from blender_nep.capture.camera_settings import expected_response, told_exposures, told_gains
+from blender_nep.capture.camera_settings import expected_response
 from blender_nep.capture.doctor.turntable import refuse_turntable
-from blender_nep.capture.exposure import Comparison, Exposures, compare_exposures
+from blender_nep.capture.exposure.other_light import other_light
+from blender_nep.capture.exposure.sessions import times_of
+from blender_nep.capture.exposure.surroundings import Comparison, compare_exposures
+from blender_nep.capture.exposure.told import exposures_of
 from blender_nep.capture.held_out import split
-from blender_nep.capture.other_light import other_light, times_of
 from blender_nep.capture.rays.pixel_store import PixelMemory
 from blender_nep.errors import OutputError, Stopped, UsageError
 from blender_nep.files import output_errors, refuse_links
@@ -254,14 +256,8 @@ class Preparation:
         return found
 
     def _even_out(self, rays: PixelRays, photos: _Photos) -> PixelRays:
-        """The same pixels with the gains of the photos, if the photos' exposures differ, and without vignetting.
-
-        What the files tell of the exposures counts more than what the surroundings tell.
-        """
-        compared, device = photos.compared, rays.radiance.device
-        found = told_exposures(told_gains(photos.capture), compared, device)
-        if found is None:
-            found = Exposures(None) if compared is None else compared.exposures(device)
+        """The same pixels with the gains of the photos, if the photos' exposures differ, and without vignetting."""
+        found = exposures_of(photos.capture, photos.compared, rays.radiance.device)
         if found.warning:
             self._events.warning(found.warning)
         return rays.with_gain(found.gain, found.vignetting)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import torch
 
-from blender_nep.capture.exposure import stops
+from blender_nep.capture.exposure.surroundings import stops
 from blender_nep.capture.rays.pixel_rays import BRIGHTEST_CLIPPED, SATURATED
 from blender_nep.capture.rays.pixel_width import pixel_width
 from blender_nep.messages import Message, Part

@@ -19,7 +19,7 @@ from blender_nep.capture.doctor.coverage_picture import LIMITS, SHADES, SIZE, dr
 from blender_nep.capture.doctor.sharpness import blurred
 from blender_nep.capture.doctor.summary import describe, summarize
 from blender_nep.capture.doctor.turntable import refuse_turntable, still_share
-from blender_nep.capture.exposure import compare_exposures, find_exposures
+from blender_nep.capture.exposure.surroundings import compare_exposures
 from blender_nep.cli import main
 from blender_nep.errors import CaptureError
 from blender_nep.job import runner as job
@@ -27,6 +27,7 @@ from blender_nep.job.reporting.events import Events
 from blender_nep.presets import preset
 from blender_nep.stop_request import StopRequest
 from support.captures import look_at, write_exr
+from support.exposures import find_exposures
 from support.paths import SUZANNE_SMALL
 from support.printed_room import printed
 

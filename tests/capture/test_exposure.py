@@ -7,8 +7,9 @@ import pytest
 import torch
 
 from blender_nep.asset.preview import PreviewView
-from blender_nep.capture import PixelRays, exposure, load_capture
-from blender_nep.capture.exposure import SPHERES, Exposures, find_exposures, stops
+from blender_nep.capture import PixelRays, load_capture
+from blender_nep.capture.exposure import surroundings
+from blender_nep.capture.exposure.surroundings import SPHERES, Exposures, stops
 from blender_nep.checkpoints import NoCheckpoint
 from blender_nep.fields.training import FieldsLearning, learn_fields
 from blender_nep.geometry.ray_tracing import RayTracer
@@ -21,6 +22,7 @@ from blender_nep.scene.scene import Scene
 from blender_nep.scene.surface_analysis import view_dependence
 from blender_nep.surface.mesh_file import load_surface
 from support.brief_preset import brief_preset
+from support.exposures import find_exposures
 from support.paths import SUZANNE_SMALL
 from support.table_scene import write_table_scene
 
@@ -84,7 +86,7 @@ def test_exposures_are_found_above_a_table_too(tmp_path, monkeypatch, tilt):
     assert find_exposures(table).gain is None
     true = gains(table.views, 0.4, 1)
     with_planes = difference(find_exposures(taken_with(table, true)).gain, true)
-    monkeypatch.setattr(exposure, "PLANES", ())
+    monkeypatch.setattr(surroundings, "PLANES", ())
     spheres_alone = find_exposures(taken_with(table, true)).gain
     assert with_planes < min(TENTH_OF_A_STOP, 0.7 * difference(spheres_alone, true))
 
@@ -104,7 +106,7 @@ def test_clipped_pixels_are_left_out_when_exposures_are_found(in_a_ball, monkeyp
     clipped = replace(clipped, radiance=clipped.radiance.clamp(max=1))
     assert (clipped.radiance == 1).any(-1).float().mean() > 0.1
     without_white = difference(find_exposures(clipped).gain, true)
-    monkeypatch.setattr(exposure, "SATURATED", 2.0)
+    monkeypatch.setattr(surroundings, "SATURATED", 2.0)
     assert without_white < min(0.1, 0.8 * difference(find_exposures(clipped).gain, true))
 
 

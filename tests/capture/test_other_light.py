@@ -8,9 +8,10 @@ import torch
 from PIL import ExifTags, Image
 
 from blender_nep.capture import PixelRays, load_capture
-from blender_nep.capture import other_light as other_light_module
-from blender_nep.capture.exposure import SPHERES, compare_exposures
-from blender_nep.capture.other_light import other_light, times_of
+from blender_nep.capture.exposure import other_light as other_light_module
+from blender_nep.capture.exposure.other_light import other_light
+from blender_nep.capture.exposure.sessions import times_of
+from blender_nep.capture.exposure.surroundings import SPHERES, compare_exposures
 from blender_nep.capture.photos.photo_files import time_taken
 
 PHOTOS, EVENING = 40, (8, 9, 10, 25, 26, 27, 28)

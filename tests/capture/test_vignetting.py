@@ -8,9 +8,9 @@ import torch
 
 from blender_nep.capture import PixelRays, load_capture
 from blender_nep.capture.doctor.summary import describe, summarize
-from blender_nep.capture.exposure import find_exposures
 from blender_nep.capture.rays.vignetting import Vignetting
 from blender_nep.scene.photo_analysis import PhotoAnalysis
+from support.exposures import find_exposures
 from support.paths import SUZANNE_SMALL
 
 HALF_A_STOP, A_STOP = Vignetting(-0.35, 0.0), Vignetting(-0.3, -0.4)

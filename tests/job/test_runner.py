@@ -15,7 +15,7 @@ import torch
 from backend.scene_io.capture_files import read_frames, with_exposures
 from blender_nep import checkpoints
 from blender_nep.capture import load_capture
-from blender_nep.capture.exposure import Exposures
+from blender_nep.capture.exposure.surroundings import Exposures
 from blender_nep.errors import LearningError
 from blender_nep.job import preparation, runner
 from blender_nep.job.stage_names import StageName

@@ -16,9 +16,11 @@ from blender_nep.capture.doctor.coverage import LARGEST_GAP, Coverage
 from blender_nep.capture.doctor.coverage_picture import refuse_foreign_picture, write_picture
 from blender_nep.capture.doctor.sharpness import blurred
 from blender_nep.capture.doctor.turntable import MOST_STILL, still_share
-from blender_nep.capture.exposure import Comparison, compare_exposures, stops
+from blender_nep.capture.exposure.other_light import other_light
+from blender_nep.capture.exposure.sessions import times_of
+from blender_nep.capture.exposure.surroundings import Comparison, Exposures, compare_exposures, stops
+from blender_nep.capture.exposure.told import exposures_of
 from blender_nep.capture.loading import load_capture
-from blender_nep.capture.other_light import other_light, times_of
 from blender_nep.capture.photos.mask_files import MaskMeaning
 from blender_nep.capture.rays.pixel_rays import BRIGHTEST_CLIPPED, SATURATED, PixelRays
 from blender_nep.capture.rays.pixel_store import PixelMemory
@@ -57,6 +59,7 @@ def summarize(
     radiance = rays.radiance[rays.valid][:: max(1, rays.count // 1_000_000)].float()
     size = SphereSize.of(capture)
     compared = compare_exposures(rays)
+    exposures = exposures_of(capture, compared)
     still = still_share(rays)
     has_masks = use_masks and any(view.mask_path for view in capture.views)
     found: dict[str, Any] = {
@@ -82,8 +85,8 @@ def summarize(
         "sphere_cut": round(size.cut, 4),
         "invalid_pixels": int((~rays.valid).sum()),
         "clipped": round(_clipped(rays), 4),
-        "exposure_stops": _exposure_stops(compared),
-        "corner_stops": _corner_stops(compared),
+        "exposure_stops": _exposure_stops(exposures, compared),
+        "corner_stops": _corner_stops(exposures),
         "surroundings_still": None if still is None else round(still, 3),
         "radiance": {
             "median": round(float(radiance.median()), 5),
@@ -92,7 +95,7 @@ def summarize(
         },
     }
     warnings = [*capture.warnings, *rays.warnings, *_turntable(still), *camera_outliers(capture), *size.messages()]
-    warnings += [*_photo_outliers(capture, rays, compared), *_holes(coverage), *_doubts(found)]
+    warnings += [*_photo_outliers(capture, rays, compared, exposures.warning), *_holes(coverage), *_doubts(found)]
     found["warnings"] = [warning.to_dict() for warning in warnings]
     return found
 
@@ -105,18 +108,16 @@ def _clipped(rays: PixelRays) -> float:
     return float((rays.radiance[some].float().amax(-1) > SATURATED).float().mean())
 
 
-def _exposure_stops(compared: Comparison | None) -> float | None:
+def _exposure_stops(exposures: Exposures, compared: Comparison | None) -> float | None:
     """Stops between the photos with the lowest and the highest exposure; 0 if all are about equal, None if nobody knows."""
-    found = None if compared is None else compared.exposures()
-    if found is None or found.warning == Message("capture.exposure_unclear"):
-        return None
-    return 0.0 if found.gain is None else round(float(np.ptp(stops(found.gain))), 2)
+    if exposures.gain is not None:
+        return round(float(np.ptp(stops(exposures.gain))), 2)
+    return None if compared is None or exposures.warning == Message("capture.exposure_unclear") else 0.0
 
 
-def _corner_stops(compared: Comparison | None) -> float:
+def _corner_stops(exposures: Exposures) -> float:
     """Stops by which the photos' corners are brighter than their middles: negative, or 0 if there is no vignetting."""
-    vignetting = None if compared is None else compared.exposures().vignetting
-    return 0.0 if vignetting is None else round(vignetting.corner_stops, 2)
+    return 0.0 if exposures.vignetting is None else round(exposures.vignetting.corner_stops, 2)
 
 
 def _turntable(still: float | None) -> list[Message]:
@@ -125,14 +126,15 @@ def _turntable(still: float | None) -> list[Message]:
     return [Message("capture.on_turntable", {"percent": 100 * still})]
 
 
-def _photo_outliers(capture: Capture, rays: PixelRays, compared: Comparison | None) -> list[Message]:
+def _photo_outliers(
+    capture: Capture, rays: PixelRays, compared: Comparison | None, warning: Message | None
+) -> list[Message]:
     """Messages on blurred photos, and on photos whose exposure differs from the others'."""
     names = [view.name for view in capture.views]
     soft = [names[i] for i in blurred(rays)]
     found = [Message("capture.photos_blurred", {"count": len(soft), "names": soft})] if soft else []
     if compared is None:
         return found
-    warning = compared.exposures().warning
     evening = other_light(compared, times_of(capture))
     if evening:
         found.append(Message("capture.other_light", {"count": len(evening), "names": [names[i] for i in evening]}))

@@ -10,23 +10,18 @@ sides are elsewhere. White balance alone is no proof: a camera may have changed 
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Sequence
-from datetime import datetime, timedelta
+from datetime import datetime
 
 import numpy as np
 
-from blender_nep.capture.capture import Capture
-from blender_nep.capture.exposure import Comparison
+from blender_nep.capture.exposure.sessions import sessions
+from blender_nep.capture.exposure.surroundings import Comparison
 from blender_nep.capture.loading import MINIMUM_VIEWS
-from blender_nep.capture.photos.photo_files import time_taken
-from blender_nep.errors import CaptureError
 
 COLOR_GAP = 0.5
 """Photos are two groups where the logarithms of red to blue have such a gap. Measured on one series of photographs: 1.0
 between daylight and lamps; the largest step within daylight was 0.1."""
-PAUSE = timedelta(hours=1)
-"""Photos before and after such a pause are two groups."""
 LEAST_APART, DEVIATIONS_APART = 0.3, 3.0
 """The white balance of a group is another one if its logarithm of red to blue, as a median, differs from that of the main
 group by the first, and by so many of the deviations within the groups. Measured on the same series: 1.8 and 6."""
@@ -46,7 +41,7 @@ def other_light(compared: Comparison, times: Sequence[datetime | None]) -> tuple
     Empty, too, if the others are fewer than MINIMUM_VIEWS, from which nothing can be learned. times: when each photo was
     taken; None where nobody knows.
     """
-    by_color, by_time = _groups_by_color(compared.log), _groups_by_time(times)
+    by_color, by_time = _groups_by_color(compared.log), sessions(times)
     labels = by_color * (by_time.max() + 1) + by_time
     others = [np.flatnonzero(labels == label) for label in np.unique(labels)]
     others.sort(key=len, reverse=True)
@@ -59,35 +54,12 @@ def other_light(compared: Comparison, times: Sequence[datetime | None]) -> tuple
     return tuple(sorted(int(photo) for group in others for photo in group))
 
 
-def times_of(capture: Capture) -> list[datetime | None]:
-    """When each photo of a capture was taken; None where its file does not say."""
-    times: list[datetime | None] = []
-    for view in capture.views:
-        try:
-            times.append(time_taken(view.image_path))
-        except CaptureError:  # whether the pixels are sound is seen when they are read
-            times.append(None)
-    return times
-
-
 def _groups_by_color(log: np.ndarray) -> np.ndarray:
     """The group [n] of each photo by its white balance, from the logarithms [n, 3] of the gains."""
     balance = log[:, 0] - log[:, 2]
     order = balance.argsort()
     groups = np.zeros(len(log), int)
     groups[order[1:]] = np.cumsum(np.diff(balance[order]) > COLOR_GAP)
-    return groups
-
-
-def _groups_by_time(times: Sequence[datetime | None]) -> np.ndarray:
-    """The group [n] of each photo by pauses. All photos are one group where a time is not known."""
-    groups = np.zeros(len(times), int)
-    known = [time for time in times if time is not None]
-    if len(known) < len(times):
-        return groups
-    order = sorted(range(len(known)), key=known.__getitem__)
-    pauses = [known[after] - known[before] > PAUSE for before, after in itertools.pairwise(order)]
-    groups[order[1:]] = np.cumsum(pauses)
     return groups
 
 

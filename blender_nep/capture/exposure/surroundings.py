@@ -1,4 +1,4 @@
-"""Finds the exposure and white balance of each photo, where an automatic camera has changed them.
+"""Finds the exposure and white balance of each photo by the surroundings that photos share.
 
 Many photos show the same surroundings. If one photo shows the same surroundings brighter than the other photos do, the ratio
 is its gain. How far the surroundings are is unknown. So several spheres around the object are tried at once, and several
@@ -152,9 +152,16 @@ class Comparison:
         one, other = (found.falloff.sum() for found in self._halves)
         return abs(one - other) / 2
 
+    def rest(self, log: np.ndarray) -> float:
+        """How much photos differ where they show the same, if `log` [views, 3] are the logarithms of their gains.
+
+        It is the mean of the logarithms' absolute differences, in which cells that agree between photos count most.
+        """
+        return _rest(self._entries, log, self.falloff)
+
     def exposures(self, device: torch.device | str = "cpu") -> Exposures:
         """The gains, if the photos differ and the gains are known well enough, and the vignetting alike."""
-        vignetting = self._vignetting()
+        vignetting = self.vignetting
         if math.sqrt((self.log**2).mean()) < LEAST_SPREAD or self.left > MOST_LEFT:
             return Exposures(None, vignetting=vignetting)
         if np.median(self.error) > MOST_ERROR:
@@ -164,7 +171,9 @@ class Comparison:
         warning = Message("capture.exposure_guessed", {"count": doubtful}) if doubtful else None
         return Exposures(gain, warning, vignetting)
 
-    def _vignetting(self) -> Vignetting | None:
+    @property
+    def vignetting(self) -> Vignetting | None:
+        """How much darker the photos are towards their corners. None: they are not, or nobody can tell."""
         corner = float(self.falloff.sum())
         if not -MOST_FALLOFF < corner < -LEAST_FALLOFF or self.falloff_error > -CLEAR_FALLOFF * corner:
             return None
@@ -195,12 +204,6 @@ def compare_exposures(rays: PixelRays) -> Comparison | None:
         return None
     found = _solve(entries)
     return Comparison(found.log, found.left, shared, found.falloff, entries)
-
-
-def find_exposures(rays: PixelRays) -> Exposures:
-    """Compare how bright photos show the same surroundings. Takes a second for 60 photos."""
-    compared = compare_exposures(rays)
-    return Exposures(None) if compared is None else compared.exposures(rays.radiance.device)
 
 
 def stops(gain: torch.Tensor) -> list[float]:
@@ -295,6 +298,24 @@ def _on_surfaces(
         cells.append(((k * ROWS + row) * 2 * ROWS + column).cpu().numpy())
         whose.append(ray.cpu().numpy())
     return np.concatenate(cells), np.concatenate(whose)
+
+
+def _rest(entries: _Entries, log: np.ndarray, falloff: np.ndarray) -> float:
+    """The mean absolute difference of the entries from the means of their cells, as in `Comparison.rest`."""
+    cells = (len(SPHERES) + len(PLANES)) * ROWS * 2 * ROWS
+    entries = entries.where(np.bincount(entries.cell, minlength=cells)[entries.cell] > 1)
+    cell, base = entries.cell, np.sqrt(entries.count)
+    evened = entries.value - log[entries.view] - (entries.terms @ falloff)[:, None]
+
+    def sizes(weight: np.ndarray) -> np.ndarray:
+        """Sizes [n] of the differences from the cells' means with these weights [n]."""
+        total = np.maximum(np.bincount(cell, weight, cells), 1e-12)
+        means = np.stack([np.bincount(cell, weight * column, cells) / total for column in evened.T], 1)
+        return np.abs(evened - means[cell]).mean(1)
+
+    disagreement = np.bincount(cell, base * sizes(base), cells) / np.maximum(np.bincount(cell, base, cells), 1e-12)
+    agreement = base / np.maximum(disagreement[cell], SMALLEST) ** 3
+    return float((agreement * sizes(agreement)).sum() / max(agreement.sum(), 1e-12))
 
 
 @dataclass(frozen=True)
