@@ -28,7 +28,7 @@ SMALLEST_SIDE = 64
 _FORMATS = ("mov", "mp4", "m4a", "3gp", "3g2", "mj2", "matroska", "webm", "avi", "mpegts", "mpeg", "asf")
 _CODECS = (
     *("h264", "hevc", "libdav1d", "av1", "vp8", "vp9", "libvpx", "libvpx-vp9", "mpeg4", "mjpeg", "mpeg2video"),
-    *("mpeg1video", "prores", "dnxhd", "h263", "vc1", "wmv3", "msmpeg4v3", "msmpeg4"),
+    *("mpeg1video", "prores", "dnxhd", "h263", "vc1", "wmv1", "wmv2", "wmv3", "msmpeg4v3", "msmpeg4"),
 )
 _READ_BYTES = 1 << 20
 _MOST_THREADS = 16
