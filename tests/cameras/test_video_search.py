@@ -1,5 +1,6 @@
 """`blender-nep cameras film.mp4`: frames and cameras become a capture, or nothing is written."""
 
+import errno
 import io
 import json
 import shutil
@@ -11,6 +12,7 @@ import pytest
 from benchmarks.scoring.cameras import errors
 from blender_nep import command_line
 from blender_nep.cameras.structure_from_motion import Group, PlacedPhoto
+from blender_nep.cameras.video import kept_frames
 from blender_nep.capture import load_capture
 from blender_nep.capture.camera_settings import expected_response
 from blender_nep.job.commands import camera_search
@@ -140,6 +142,17 @@ def test_where_the_cameras_cannot_be_written_no_frames_stay(film, tmp_path, monk
     monkeypatch.setattr(camera_search, "write_capture", full)
     code, _ = run(film)
     assert code == 5 and list((tmp_path / "film").iterdir()) == []
+
+
+def test_a_full_disk_is_said_and_leaves_nothing(film, tmp_path, monkeypatch):
+    def full(*_, **__):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(kept_frames.shutil, "copytree", full)
+    code, events = run(film)
+    error = one(events, "error")
+    assert code == 5 and error["name"] == "output.disk_full" and "--resume" not in error["hint"]
+    assert list((tmp_path / "film").iterdir()) == []
 
 
 def test_what_is_no_video_is_one_message(tmp_path):

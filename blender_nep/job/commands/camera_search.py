@@ -18,7 +18,7 @@ from blender_nep.cameras.structure_from_motion import find_groups, stop_if_asked
 from blender_nep.cameras.video.kept_frames import FOLDER as FRAMES
 from blender_nep.cameras.video.kept_frames import keep_frames
 from blender_nep.cameras.video.named_video import video_of
-from blender_nep.cameras.written_capture import check_writable, keep_present_file, write_capture
+from blender_nep.cameras.written_capture import check_writable, keep_present_file, without_resume, write_capture
 from blender_nep.capture.brackets import bracket_warnings
 from blender_nep.capture.formats import transforms
 from blender_nep.capture.formats.mask_search import photo_mask_messages
@@ -149,7 +149,8 @@ def _frames_of(video: Path, search: CameraSearch, folder: Path, events: Events, 
         stop_if_asked(stop)
         progress("video", step, steps)
 
-    taken = take_frames(video, search.frames, folder / FRAMES, report, search.threads)
+    with without_resume():
+        taken = take_frames(video, search.frames, folder / FRAMES, report, search.threads)
     for warning in taken.warnings:
         events.warning(warning)
     return _Frames(taken.said, progress)
@@ -157,7 +158,8 @@ def _frames_of(video: Path, search: CameraSearch, folder: Path, events: Events, 
 
 def _write_with_frames(cameras: FoundCameras, folder: Path, scratch: Path) -> None:
     """Write the capture together with the frames, which are in `scratch`. Raises OutputError; then both are missing."""
-    frames = keep_frames(scratch / FRAMES, folder)
+    with without_resume():
+        frames = keep_frames(scratch / FRAMES, folder)
     placed = [replace(one, photo=replace(one.photo, path=frames / one.photo.path.name)) for one in cameras.placed]
     try:
         write_capture(replace(cameras, placed=placed), folder)
