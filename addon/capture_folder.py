@@ -8,7 +8,14 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-from ..backend.engine.results.capture_contents import LEAST_PHOTOS, has_cameras, has_masks, photo_count, transforms_time
+from ..backend.engine.results.capture_contents import (
+    LEAST_PHOTOS,
+    has_cameras,
+    has_masks,
+    photo_count,
+    transforms_time,
+    video_count,
+)
 
 KEPT_S = 2.0
 """So long an answer is kept at least."""
@@ -28,6 +35,8 @@ class CaptureFolder:
     """When transforms.json was last written, in nanoseconds; 0 where there is none"""
     has_masks: bool = False
     """Whether there is a folder with masks"""
+    videos: int = 0
+    """Videos in the folder"""
 
     @property
     def has_transforms(self) -> bool:
@@ -50,7 +59,8 @@ _kept: dict[Path, tuple[float, CaptureFolder]] = {}  # folder -> (until when the
 
 def look_into(folder: Path) -> CaptureFolder:
     """What the folder holds now."""
-    return CaptureFolder(photo_count(folder), has_cameras(folder), transforms_time(folder), has_masks(folder))
+    found = photo_count(folder), has_cameras(folder), transforms_time(folder), has_masks(folder), video_count(folder)
+    return CaptureFolder(*found)
 
 
 def last_look_into(folder: Path, clock: Callable[[], float] = time.monotonic) -> CaptureFolder:

@@ -105,7 +105,13 @@ def _cameras(options: argparse.Namespace) -> int:
         stop.watch()
     with stop.signals():
         wanted = camera_search.CameraSearch(
-            options.photos, options.out, options.features, options.improve, options.overwrite, options.threads
+            options.photos,
+            options.out,
+            options.features,
+            options.improve,
+            options.overwrite,
+            options.threads,
+            options.frames,
         )
         return camera_search.run(wanted, events, stop)
 

@@ -34,6 +34,10 @@ Events for programs are JSON lines on standard output (none when that is a termi
 """
 
 
+FRAMES, MOST_FRAMES = 80, 250
+"""--frames: how many frames of a video become photos, usually and at most"""
+
+
 class _Parser(argparse.ArgumentParser):
     """A parser whose errors are one line, whatever the arguments are: a shell's `*` gives names that strangers chose."""
 
@@ -97,8 +101,20 @@ def _add_masks(command: argparse.ArgumentParser) -> None:
 
 def _add_cameras(commands: argparse._SubParsersAction) -> None:
     find = _command_with_exit_codes(commands, "cameras", "find the cameras of photos, so that they become a capture")
-    find.add_argument("photos", type=_path, metavar="PHOTOS", help="folder with photos")
-    find.add_argument("--out", type=_path, metavar="CAPTURE", help="folder of the capture (the folder of the photos)")
+    find.add_argument("photos", type=_path, metavar="PHOTOS", help="folder with photos, or a video")
+    find.add_argument(
+        "--out",
+        type=_path,
+        metavar="CAPTURE",
+        help="folder of the capture (the folder of the photos; for film.mp4, the folder film beside it)",
+    )
+    find.add_argument(
+        "--frames",
+        type=_at_least(3, MOST_FRAMES),
+        default=FRAMES,
+        metavar="N",
+        help=f"of a video: take at most so many frames, at most {MOST_FRAMES} (%(default)s)",
+    )
     find.add_argument(
         "--features",
         choices=("everywhere", "object", "surroundings"),

@@ -145,6 +145,17 @@ PARTS: dict[str, str] = {
 
 WORDS: dict[str, str] = {
     # cameras that were found from photos alone
+    "cameras.video": "taking frames from the video ({percent:.0f} %)",
+    "cameras.video_frames": "{count} of the {frames} frames of {video} became photos. Most cameras read the rows of a frame "
+    "one after the other, which bends what moves: film slowly; photos give better cameras",
+    "cameras.video_fast": "the camera moved fast: in many frames, the picture moves by {percent:.0f} % of its width in a "
+    "second. Such frames are blurred and bent. Film more slowly",
+    "cameras.video_damaged": "{count} of {frames} frames of the video cannot be read. It may be damaged, or not copied to "
+    "its end",
+    "cameras.video_interlaced": "the video is interlaced: each frame shows two moments. Film progressively (such as 30p), "
+    "or deinterlace the video first",
+    "cameras.video_hdr": "the video is HDR (HLG): its curve was undone as the standard says, but what the camera did to the "
+    "contrast remains. Film without HDR, if you can",
     "cameras.photos": "reading photo {step} of {steps}",
     "cameras.features": "finding features in photo {step} of {steps}",
     "cameras.matches": "comparing photos: pair {step} of {steps}",

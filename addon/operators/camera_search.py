@@ -1,5 +1,7 @@
 """The operators of the search for the cameras of photos: begin it, improve cameras, cancel it."""
 
+from pathlib import Path
+
 import bpy
 from bpy.app.translations import pgettext_iface
 
@@ -22,23 +24,37 @@ class CameraOperator:
         if registry.running(CameraSearch) is not None:
             cls.poll_message_set("Cameras are being found")
             return False
+        if not context.scene.nep.capture:
+            cls.poll_message_set("Choose a folder with photos first")
+            return False
+        return cls._no_job_runs(context)
+
+    @classmethod
+    def _no_job_runs(cls, context: bpy.types.Context) -> bool:
         job = job_of(context.scene)
         if job is not None and not job.ended:  # it could not be resumed with other cameras
             cls.poll_message_set("A job is running in the output folder")
             return False
-        if not context.scene.nep.capture:
-            cls.poll_message_set("Choose a folder with photos first")
-            return False
         return True
 
-    def _find(self, context: bpy.types.Context, *, wait: bool, replace: bool, improve: bool = False) -> set[str]:
+    def _find(
+        self,
+        context: bpy.types.Context,
+        *,
+        wait: bool,
+        replace: bool,
+        improve: bool = False,
+        video: Path | None = None,
+        frames: int | None = None,
+    ) -> set[str]:
+        """Start the search. `video`: of its frames, at most `frames`, which are put into the capture folder."""
         settings = context.scene.nep
         folder = resolve_folder(settings.capture)
         if folder is None:
             self.report({"ERROR"}, SAVE_FILE_FIRST)
             return {"CANCELLED"}
         try:
-            check_writable(folder)
+            check_writable(folder if video is None else video.parent)
             python = find_engine_python(configured=engine_python(context))
             search = start_search(
                 python,
@@ -47,6 +63,8 @@ class CameraOperator:
                 features=settings.features if look_into(folder).has_masks else "everywhere",
                 replace=replace,
                 improve=improve,
+                video=video,
+                frames=frames,
                 wait=wait,
             )
         except EngineError as error:

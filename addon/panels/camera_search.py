@@ -12,6 +12,7 @@ from ..tasks import registry
 from ..tasks.camera_search import CameraSearch
 from ..wrapped_text import draw_wrapped
 from .failure import draw_failure
+from .video import draw_choose_video, draw_videos
 
 NO_CAMERAS_YET = "{count} photos, no cameras yet"
 TOO_FEW = "Too few photos: {count} of at least {least}"
@@ -28,6 +29,7 @@ def draw_camera_search(layout: bpy.types.UILayout, context: bpy.types.Context) -
     """Draw the box. Nothing is drawn for a capture with cameras that were not found just now."""
     folder = resolve_folder(context.scene.nep.capture)
     if folder is None:
+        draw_choose_video(layout)
         return
     running = registry.running(CameraSearch, folder)
     if running is not None:
@@ -46,8 +48,10 @@ def draw_camera_search(layout: bpy.types.UILayout, context: bpy.types.Context) -
         header.label(text=FOUND)
         if body is not None:
             _draw_found(body.box(), context, search)
-    elif not holds.photos and not holds.has_cameras and os.path.isdir(folder):
+    elif not holds.photos and not holds.videos and not holds.has_cameras and os.path.isdir(folder):
         layout.label(text=NO_PHOTOS, icon="INFO")
+    if not holds.photos and not holds.has_cameras:
+        draw_videos(layout, holds.videos)
 
 
 def _draw_offer(box: bpy.types.UILayout, context: bpy.types.Context, holds: CaptureFolder) -> None:

@@ -42,14 +42,21 @@ def start_search(
     features: str = "everywhere",
     replace: bool = False,
     improve: bool = False,
+    video: Path | None = None,
+    frames: int | None = None,
     wait: bool,
 ) -> CameraSearch:
     """Find the cameras of the photos in the folder, and write them into it. `replace`: also where it has cameras.
 
+    `video`: the photos are its frames, at most `frames`, which are written into the folder, too.
+
     `improve`: begin with the cameras that it has. `features`: as in `cameras_arguments`. With `wait` this function returns
     after that; else it returns at once. NoEngineError where the engine cannot be started.
     """
-    process = CameraProcess(python, folder, threads=threads, overwrite=replace, improve=improve, features=features)
+    options = {"threads": threads, "overwrite": replace, "improve": improve, "features": features}
+    if video is not None:
+        options |= {"out": folder, "frames": frames}
+    process = CameraProcess(python, video or folder, **options)
     search = CameraSearch(folder, process)
     search.replaces, search.improves = replace, improve
     return registry.start(search, wait=wait)

@@ -172,8 +172,12 @@ def cameras_arguments(
     overwrite: bool = False,
     improve: bool = False,
     features: str = "everywhere",
+    out: Path | str | None = None,
+    frames: int | None = None,
 ) -> list[str]:
     """The engine's command line that finds the cameras of the photos in a folder, and writes them into the folder.
+
+    photos: or a video. out: another folder for the cameras, and for a video's frames; frames: how many at most.
 
     The engine ends, and writes nothing, when its standard input is closed. overwrite: replace cameras that are there.
     improve: begin with the cameras that are there. features: "everywhere", or, where the photos have masks, "object" or
@@ -181,6 +185,8 @@ def cameras_arguments(
     """
     options = [] if threads is None else ["--threads", str(threads)]
     options += [] if features == "everywhere" else ["--features", features]
+    options += [] if out is None else ["--out", _whole(out)]
+    options += [] if frames is None else ["--frames", str(frames)]
     flags = {"--improve": improve, "--overwrite": overwrite}
     return ["cameras", _whole(photos), "--watch-stdin", *options, *(name for name, wanted in flags.items() if wanted)]
 

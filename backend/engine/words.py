@@ -54,6 +54,17 @@ PARTS = {
 
 MESSAGES = {
     # cameras that were found from photos alone
+    "cameras.video": "Taking frames from the video ({percent:.0f} %)",
+    "cameras.video_frames": "{count} of the {frames} frames of {video} became photos. Most cameras read the rows of a frame "
+    "one after the other, which bends what moves: film slowly. Photos give better cameras.",
+    "cameras.video_fast": "The camera moved fast: in many frames, the picture moves by {percent:.0f} % of its width in a "
+    "second. Such frames are blurred and bent. Film more slowly",
+    "cameras.video_damaged": "{count} of {frames} frames of the video cannot be read. It may be damaged, or not copied to "
+    "its end",
+    "cameras.video_interlaced": "The video is interlaced: each frame shows two moments. Film progressively (such as 30p), "
+    "or deinterlace the video first",
+    "cameras.video_hdr": "The video is HDR (HLG): its curve was undone as the standard says, but what the camera did to the "
+    "contrast remains. Film without HDR, if you can",
     "cameras.photos": "Read {step} of {steps} photos",
     "cameras.features": "Looked for details in {step} of {steps} photos",
     "cameras.matches": "Compared {step} of {steps} pairs of photos",
@@ -310,6 +321,7 @@ ERRORS = {
         "Use them, or press Find Cameras Again in Cameras and Bounds, which replaces them.",
     ),
     "usage.no_masks": ("Each photo needs a mask for this", "Put the masks into {folder}."),
+    "unexpected.no_pyav": ("The installed engine cannot read videos", "Install the engine again in the preferences."),
     "unexpected.no_pycolmap": ("The installed engine cannot find cameras", "Install the engine again in the preferences."),
     "capture.photos_not_there": (
         "{count} of {photos} photos {count:is|are} missing: {names}",
@@ -320,9 +332,32 @@ ERRORS = {
         "Export them in another form, such as a COLMAP project, or press Find Cameras.",
     ),
     "capture.no_cameras": ("{folder} holds {photos} photos, but no cameras", "Press Find Cameras first."),
-    "capture.video": (
-        "{folder} holds a video ({video}), but no photos",
-        "Take photos, or make some of the video with another program, such as two a second.",
+    "capture.video": ("{folder} holds a video ({video}), but no photos", "Press Find Cameras first."),
+    "capture.several_videos": (
+        "{folder} holds {videos} videos, and no photos",
+        "Press From a Video, and choose one of them.",
+    ),
+    "capture.video_unreadable": (
+        "{video} cannot be read as a video ({reason})",
+        "It may be damaged, or not copied to its end. MP4, MOV, MKV, WebM, AVI, MTS and WMV files are read.",
+    ),
+    "capture.no_video_stream": ("{video} holds no video", "Choose a video of the object."),
+    "capture.video_size": ("The frames of {video} have {size} pixels, which cannot be read", "Save it in another size."),
+    "capture.video_size_changes": (
+        "The frames of {video} change their size within the video",
+        "Cut the video where its size changes, and use one part.",
+    ),
+    "capture.video_colors": (
+        "",
+        "Film without HDR (no HDR10, no Dolby Vision, no log), or convert the video to SDR (BT.709).",
+    ),
+    "capture.video_without_frames": (
+        "No frame of {video} can be read",
+        "The file may be damaged, or not copied to its end.",
+    ),
+    "capture.video_too_still": (
+        "{video} shows hardly more than one view: the camera stands still",
+        "Walk around the object while you film it, and film its surroundings, too.",
     ),
     "capture.photos_elsewhere": ("{folder} holds the photos ({photos})", "Choose that folder."),
     "capture.too_few_photos": (

@@ -12,7 +12,7 @@ from blender_nep.cameras.photo_folder import find_photos
 from blender_nep.capture.formats.photo_search import photos_in
 from blender_nep.capture.loading import MINIMUM_VIEWS, describe, recognized
 from blender_nep.capture.photos.photo_lookup import PLACES
-from blender_nep.capture.without_cameras import find_cameras, photos_below, video_hint, videos_in
+from blender_nep.capture.without_cameras import find_cameras, is_video, photos_below, video_hint, videos_in
 from blender_nep.errors import UsageError
 from blender_nep.job.folders.own_files import is_ours
 from blender_nep.messages import Message
@@ -55,6 +55,8 @@ def find_captures(named: Sequence[Path], out: Path) -> list[FoundCapture]:
     """
     found: dict[Path, FoundCapture] = {}
     for path in named:
+        if is_video(path):
+            raise UsageError(f"{path} is a video, and no capture", video_hint([path]), "usage.no_captures", path=path)
         if path.is_file():
             here = [one for line in _listed(path) for one in _in_list(line, out)]
         elif path.is_dir():
@@ -134,7 +136,7 @@ def _next_step(path: Path) -> str:
         if photos or others:
             return f"There are photos in {place if photos else others[0]}: {find_cameras(place if photos else others[0])}"
         if videos := videos_in(path):
-            return video_hint(path, videos[0])
+            return video_hint(videos)
     return "Name capture folders, a folder that holds captures, or a text file with one folder a line."
 
 

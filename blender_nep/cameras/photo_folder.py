@@ -89,7 +89,7 @@ def find_photos(folder: Path, masked: bool = False) -> list[Photo]:
     if not paths and (videos := videos_in(folder)):
         raise CaptureError(
             f"{folder} holds a video ({videos[0].name}), but no photos",
-            video_hint(folder, videos[0]),
+            video_hint(videos),
             "capture.video",
             folder=folder,
             video=videos[0].name,

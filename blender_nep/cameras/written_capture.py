@@ -53,7 +53,7 @@ def keep_present_file(folder: Path) -> Path | None:
         return None
     names = (f"{path.stem}.before{number or ''}{path.suffix}" for number in itertools.chain([0], itertools.count(2)))
     kept = next(folder / name for name in names if not os.path.lexists(folder / name))
-    with _without_resume():
+    with without_resume():
         write_atomically(kept, lambda temporary: shutil.copyfile(path, temporary))
     return kept
 
@@ -73,14 +73,14 @@ def write_capture(found: FoundCameras, folder: Path, color_space: str | None = N
     color = {} if color_space is None else {"color_space": color_space}
     content = {**_MARK, **shared, **color, **sphere, "frames": frames}
     path = folder / transforms.FILE
-    with _without_resume(), output_errors(path):
+    with without_resume(), output_errors(path):
         folder.mkdir(parents=True, exist_ok=True)
         write_text(path, json.dumps(content, indent=1) + "\n")
     return path
 
 
 @contextmanager
-def _without_resume() -> Iterator[None]:
+def without_resume() -> Iterator[None]:
     """A context whose OutputError for a full disk does not speak of a job that can be resumed."""
     try:
         yield

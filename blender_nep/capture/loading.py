@@ -20,7 +20,7 @@ from blender_nep.capture.formats.peers import PEERS
 from blender_nep.capture.mask_meaning import read_masks
 from blender_nep.capture.photos.mask_files import MaskMeaning
 from blender_nep.capture.photos.photo_files import is_linear
-from blender_nep.capture.without_cameras import no_capture
+from blender_nep.capture.without_cameras import is_video, no_capture, video_hint
 from blender_nep.errors import CaptureError
 from blender_nep.messages import Message
 
@@ -84,6 +84,9 @@ def describe(folder: Path, file: str = transforms.FILE) -> CaptureDescription:
     if not folder.exists():
         raise CaptureError(f"there is no folder {folder}", "Check the path of the capture.")
     if not folder.is_dir():
+        if is_video(folder):
+            message, values = f"{folder} is a video, and not a capture", {"folder": folder.parent, "video": folder.name}
+            raise CaptureError(message, video_hint([folder]), "capture.video", **values)
         raise CaptureError(f"{folder} is not a folder", "A capture is a folder with photos and their cameras.")
     if not os.access(folder, os.R_OK | os.X_OK):
         reason = os.strerror(errno.EACCES)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from blender_nep.capture.description import MINIMUM_VIEWS
@@ -48,7 +48,7 @@ def no_capture(folder: Path, file: str, recognized: Callable[[Path], bool]) -> C
     if videos := videos_in(folder):
         return CaptureError(
             f"{folder} holds a video ({videos[0].name}), but no photos and no cameras: it {state}",
-            video_hint(folder, videos[0]),
+            video_hint(videos),
             "capture.video",
             folder=folder,
             video=videos[0].name,
@@ -83,18 +83,19 @@ def videos_in(folder: Path) -> list[Path]:
         return []
 
 
-def video_hint(folder: Path, video: Path) -> str:
-    """What to do with a video instead of photos."""
-    frames = folder / "frames"
-    source, target, made = (shlex.quote(str(path)) for path in (video, frames / "%04d.jpg", frames))
-    return (
-        f"Take photos, or make some of the video, such as two a second: mkdir {made} && ffmpeg -i {source} -vf fps=2 "
-        f"-qscale:v 2 {target}. Then find their cameras: {find_cameras(frames)}"
-    )
+def is_video(path: Path) -> bool:
+    """Whether a path leads to a file whose name is that of a video."""
+    return path.suffix.lower() in _VIDEOS and path.is_file()
+
+
+def video_hint(videos: Sequence[Path]) -> str:
+    """What to do with videos, at least one, instead of photos."""
+    which = "it" if len(videos) == 1 else f"one of the {len(videos)} videos"
+    return f"Take frames from {which}, and find their cameras: {find_cameras(videos[0])}"
 
 
 def find_cameras(folder: Path) -> str:
-    """The command that finds the cameras of the photos in `folder`."""
+    """The command that finds the cameras of the photos in `folder`, or of a video's frames."""
     return f"blender-nep cameras {shlex.quote(str(folder))}"
 
 

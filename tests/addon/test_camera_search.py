@@ -243,6 +243,46 @@ def check_offers(folder):
     assert not [text for text in panel(bpy, addon) if "photos" in text and "small photos" not in text]
 
 
+def test_the_frames_of_a_video_are_searched(folder):
+    in_blender(check_video, folder)
+
+
+def check_video(folder):
+    bpy, addon, settings = set_up(folder)
+    film = folder / "films" / "walk.MP4"
+    film.parent.mkdir()
+    film.touch()
+    settings.capture = ""
+    assert "nep.find_cameras_of_video" in panel(bpy, addon)
+    fails(lambda: bpy.ops.nep.find_cameras_of_video(filepath=str(folder / "photos" / "photo_0.jpg")), "Choose a video")
+    fails(lambda: bpy.ops.nep.find_cameras_of_video(), "Choose a video")
+    assert settings.capture == ""
+    assert bpy.ops.nep.find_cameras_of_video(filepath=str(film), frames=40) == {"FINISHED"}
+    given = json.loads((folder / "arguments.json").read_text())
+    assert given == ["--watch-stdin", "--out", str(folder / "films" / "walk"), "--frames", "40"]
+    assert settings.capture == str(folder / "films" / "walk")
+    assert "5 of 6 photos were placed." in " ".join(panel(bpy, addon))
+    fails(lambda: bpy.ops.nep.find_cameras_of_video(filepath=str(film)), "press Find Cameras Again")
+
+
+def test_a_folder_with_a_video_offers_the_search(folder):
+    in_blender(check_video_folder, folder)
+
+
+def check_video_folder(folder):
+    bpy, addon, settings = set_up(folder)
+    films = folder / "films"
+    films.mkdir()
+    (films / "walk.mov").touch()
+    settings.capture = str(films)
+    texts = panel(bpy, addon)
+    assert "A video, no photos yet" in texts and "nep.find_cameras" in texts and "This folder holds no photos" not in texts
+    (films / "second.mov").touch()
+    addon.capture_folder.forget_looks()
+    texts = panel(bpy, addon)
+    assert "2 videos, no photos yet" in texts and "nep.find_cameras" not in texts and "nep.find_cameras_of_video" in texts
+
+
 def test_a_look_into_a_folder_is_kept_longer_on_a_slow_drive(folder):
     in_blender(check_kept_looks, folder)
 

@@ -49,11 +49,24 @@ def test_photos_in_another_folder_are_named(tmp_path, place):
 
 
 @pytest.mark.parametrize("ask", [load_capture, find_photos])
-def test_a_video_leads_to_photos(tmp_path, ask):
+def test_a_video_leads_to_the_command_that_takes_frames(tmp_path, ask):
     (tmp_path / "my clip.MP4").touch()
     error = refused(tmp_path, ask)
     assert error.name == "capture.video" and "holds a video (my clip.MP4), but no photos" in error.message
-    assert "ffmpeg -i" in error.hint and f"blender-nep cameras {tmp_path / 'frames'}" in error.hint
+    assert error.hint.endswith(f"blender-nep cameras '{tmp_path / 'my clip.MP4'}'")
+    (tmp_path / "second.mov").touch()
+    assert "one of the 2 videos" in refused(tmp_path, ask).hint
+
+
+def test_a_video_in_a_captures_place_leads_to_that_command(tmp_path):
+    film = tmp_path / "film.mov"
+    film.touch()
+    error = refused(film)
+    assert error.name == "capture.video" and error.hint.endswith(f"blender-nep cameras {film}")
+    for named in (film, tmp_path):
+        with pytest.raises(UsageError) as caught:
+            find_captures([named], tmp_path / "out")
+        assert caught.value.hint.endswith(f"blender-nep cameras {film}")
 
 
 def test_a_folder_of_captures_leads_to_the_batch(tmp_path, make_capture):

@@ -1,5 +1,6 @@
 """An executable that plays the engine's Python for `blender_nep cameras`, and photos for it.
 
+Of a video, it puts the photos into the folder that --out names, which it makes.
 It writes its arguments to arguments.json beside itself. Then it does what the file `mode` beside it says: well (or no such
 file): it writes transforms.json into the folder of photos, and leaves the last photo out. sure: the same with all photos.
 improve: it says that it has improved the cameras.
@@ -18,10 +19,13 @@ from support.captures import look_at
 from support.executable import write_executable
 
 SCRIPT = """
-import json, os, pathlib, select, signal, sys, time
+import json, os, pathlib, select, shutil, signal, sys, time
 assert sys.argv[1:5] == ["-I", "-m", "blender_nep", "cameras"], sys.argv
 here, photos = pathlib.Path(__file__).parent, pathlib.Path(sys.argv[5])
 (here / "arguments.json").write_text(json.dumps(sys.argv[6:]))
+if photos.is_file():  # a video, or a folder with one
+    photos = pathlib.Path(sys.argv[sys.argv.index("--out") + 1])
+    shutil.copytree(here / "photos", photos, ignore=shutil.ignore_patterns("transforms*"), dirs_exist_ok=True)
 mode = (here / "mode").read_text() if (here / "mode").exists() else "well"
 def say(**event):
     print(json.dumps(event), flush=True)

@@ -23,6 +23,7 @@ OTHER_ENDINGS = (
     *(".dng", ".cr2", ".cr3", ".nef", ".arw", ".raf", ".orf", ".rw2"),
 )
 """A photo with such an ending does not count beside a photo with the same name and a plain ending."""
+VIDEO_ENDINGS = (".mp4", ".mov", ".m4v", ".avi", ".mkv", ".webm", ".mts", ".m2ts", ".3gp", ".insv", ".360", ".wmv")
 TRANSFORMS = "transforms.json"
 _FILES = (TRANSFORMS, "transforms_train.json", "poses_bounds.npy", "cameras_sphere.npz", "cameras.npz")
 _MASK_BESIDE = re.compile(r"(.+)[._-]masks?", re.IGNORECASE)
@@ -69,6 +70,14 @@ _RECORD3D = ("metadata.json", '"poses"')
 def photo_count(folder: Path) -> int:
     """Number of photos in the folder, or else in its folder `images`; 0 where the folder cannot be read."""
     return _count(folder) or _count(folder / "images")
+
+
+def video_count(folder: Path) -> int:
+    """Number of videos in the folder; 0 where it cannot be read."""
+    try:
+        return sum(path.suffix.lower() in VIDEO_ENDINGS and path.name[0] != "." for path in folder.iterdir())
+    except OSError:
+        return 0
 
 
 def _count(folder: Path) -> int:

@@ -1,23 +1,30 @@
-"""The command that finds the cameras of photos, or improves given ones, and writes a capture with them."""
+"""The command that finds the cameras of photos or of a video's frames, or improves given ones, and writes a capture."""
 
 from __future__ import annotations
 
 import os
+import shutil
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from importlib.util import find_spec
 from pathlib import Path
+from types import MappingProxyType
 
 from blender_nep.cameras.found_cameras import FoundCameras, choose, messages
 from blender_nep.cameras.improved_cameras import take_over
 from blender_nep.cameras.object_sphere import ObjectSphere, find_object_sphere
 from blender_nep.cameras.photo_folder import Photo, find_photos, photos_of
 from blender_nep.cameras.structure_from_motion import find_groups, stop_if_asked, working_folder
-from blender_nep.cameras.written_capture import check_writable, keep_present_file, write_capture
+from blender_nep.cameras.video.kept_frames import FOLDER as FRAMES
+from blender_nep.cameras.video.kept_frames import keep_frames
+from blender_nep.cameras.video.named_video import video_of
+from blender_nep.cameras.written_capture import check_writable, keep_present_file, without_resume, write_capture
 from blender_nep.capture.brackets import bracket_warnings
 from blender_nep.capture.formats import transforms
 from blender_nep.capture.formats.mask_search import photo_mask_messages
 from blender_nep.capture.loading import load_capture
 from blender_nep.capture.mask_meaning import read_photo_masks
-from blender_nep.errors import BoundsError, CaptureError, UsageError
+from blender_nep.errors import BoundsError, CaptureError, NepError, OutputError, UsageError
 from blender_nep.job.exit_code import exit_code
 from blender_nep.job.reporting.events import Events
 from blender_nep.job.reporting.timeline import Timeline
@@ -27,6 +34,8 @@ from blender_nep.stop_request import StopRequest
 
 _SECONDS = {"photos": 0.1, "features": 2.0, "matches": 4.0, "places": 2.0, "sphere": 0.3}
 """First guess of the seconds that a photo takes in each step"""
+_VIDEO_SECONDS = 0.7
+"""The same for a frame that is taken from a video: some 20 others are looked at for it"""
 
 
 @dataclass(frozen=True)
@@ -34,27 +43,46 @@ class CameraSearch:
     """What the command `cameras` is asked for."""
 
     photos: Path
-    """Folder with photos; to improve cameras, a capture"""
+    """Folder with photos, or a video; to improve cameras, a capture"""
     out: Path | None = None
-    """Folder of the capture that is written; None: `photos`"""
+    """Folder of the capture that is written; None: `photos`, and for a video the folder with its name, without the ending"""
     features: str = "everywhere"
     """Where features count: 'everywhere', or where masks allow them: on the 'object', or in its 'surroundings'"""
     improve: bool = False
     """Improve the capture's cameras instead of finding cameras anew"""
     overwrite: bool = False
     threads: int | None = None
+    frames: int = 80
+    """So many frames of a video become photos at most"""
+
+    @property
+    def capture(self) -> Path:
+        """Folder of the capture that is written"""
+        if self.out is not None:
+            return self.out
+        return self.photos.with_suffix("") if self.photos.is_file() else self.photos
 
 
 def run(search: CameraSearch, events: Events, stop: StopRequest) -> int:
     """Find or improve the cameras, write the capture, and return the exit code. A stopped search writes nothing."""
-    folder = search.photos if search.out is None else search.out
+    folder = search.capture
 
     def work() -> None:
         _refuse_capture(folder, search.overwrite)
-        capture = load_capture(search.photos, use_masks=False) if search.improve else None
-        found = find_photos(search.photos, search.features != "everywhere") if capture is None else photos_of(capture)
+        video = None if search.improve else video_of(search.photos)
+        if video is None:
+            find(search.photos, None)
+            return
+        _refuse_masks(search, video)
         check_writable(folder)
-        of_masks = photo_mask_messages(search.photos, [photo.path for photo in found])
+        with working_folder() as scratch:
+            find(scratch, _frames_of(video, search, scratch, events, stop))
+
+    def find(photos: Path, frames: _Frames | None) -> None:
+        capture = load_capture(photos, use_masks=False) if search.improve else None
+        found = find_photos(photos, search.features != "everywhere") if capture is None else photos_of(capture)
+        check_writable(folder)
+        of_masks = photo_mask_messages(photos, [photo.path for photo in found])
         brackets = bracket_warnings([photo.path for photo in found])
         for warning in of_masks + brackets if capture is None else capture.warnings:
             events.warning(warning)
@@ -64,7 +92,7 @@ def run(search: CameraSearch, events: Events, stop: StopRequest) -> int:
             found = [replace(photo, mask_reading=reading) for photo in found]
             for warning in said:
                 events.warning(warning)
-        progress = _Progress(events, len(found))
+        progress = _Progress(events, len(found)) if frames is None else frames.progress
         given = None if capture is None else [view.camera for view in capture.views]
         with working_folder() as scratch:
             groups = find_groups(found, scratch, progress, stop, masked=masked, threads=search.threads, given=given)
@@ -79,7 +107,10 @@ def run(search: CameraSearch, events: Events, stop: StopRequest) -> int:
         if capture is None or improved.worthwhile or search.out is not None:
             stop_if_asked(stop)
             said += _keep_present(folder)
-            if capture is None:
+            if frames is not None:
+                said = frames.said + said
+                _write_with_frames(cameras, folder, photos)
+            elif capture is None:
                 write_capture(cameras, folder)
             else:  # a sphere that is only a guess from the cameras would keep later jobs from asking the masks
                 stated = capture.bounds_source != "cameras"
@@ -93,6 +124,48 @@ def run(search: CameraSearch, events: Events, stop: StopRequest) -> int:
         events.done(folder)
 
     return exit_code(work, events, search.photos, "Start it again.")
+
+
+@dataclass(frozen=True)
+class _Frames:
+    """What is known of a video's frames when they are photos."""
+
+    said: list[Message]
+    progress: _Progress
+
+
+def _frames_of(video: Path, search: CameraSearch, folder: Path, events: Events, stop: StopRequest) -> _Frames:
+    """Write the video's frames as photos into the folder `images` in `folder`, and report the warnings about them.
+
+    Raises NepError where PyAV is not installed: photos need no PyAV.
+    """
+    if find_spec("av") is None:
+        raise NepError("PyAV is not installed", "Install it: pip install av.", "unexpected.no_pyav")
+    from blender_nep.cameras.video.taken_frames import take_frames
+
+    progress = _Progress(events, search.frames, of_video=True)
+
+    def report(step: int, steps: int) -> None:
+        stop_if_asked(stop)
+        progress("video", step, steps)
+
+    with without_resume():
+        taken = take_frames(video, search.frames, folder / FRAMES, report, search.threads)
+    for warning in taken.warnings:
+        events.warning(warning)
+    return _Frames(taken.said, progress)
+
+
+def _write_with_frames(cameras: FoundCameras, folder: Path, scratch: Path) -> None:
+    """Write the capture together with the frames, which are in `scratch`. Raises OutputError; then both are missing."""
+    with without_resume():
+        frames = keep_frames(scratch / FRAMES, folder)
+    placed = [replace(one, photo=replace(one.photo, path=frames / one.photo.path.name)) for one in cameras.placed]
+    try:
+        write_capture(replace(cameras, placed=placed), folder)
+    except OutputError:
+        shutil.rmtree(frames, ignore_errors=True)
+        raise
 
 
 def _with_sphere(
@@ -138,6 +211,18 @@ def _masked(search: CameraSearch, photos: list[Photo]) -> bool | None:
     return search.features == "object"
 
 
+def _refuse_masks(search: CameraSearch, video: Path) -> None:
+    """Raises UsageError where masks are wanted for a video."""
+    if search.features != "everywhere":
+        folder = search.capture / "masks"
+        raise UsageError(
+            f"--features {search.features} needs a mask for each photo, and {video.name} has none",
+            f"Find the cameras without it, put masks of the frames into {folder}, and find the cameras of the folder again.",
+            "usage.no_masks",
+            folder=folder,
+        )
+
+
 def _refuse_capture(folder: Path, overwrite: bool) -> None:
     if os.path.exists(folder / transforms.FILE) and not overwrite:  # False in a folder that may not be read
         raise UsageError(
@@ -151,12 +236,13 @@ def _refuse_capture(folder: Path, overwrite: bool) -> None:
 class _Progress:
     """Turns the steps of structure from motion into progress events with the time left."""
 
-    def __init__(self, events: Events, photos: int) -> None:
+    def __init__(self, events: Events, photos: int, *, of_video: bool = False) -> None:
         self._events, self._photos = events, photos
-        self._begin()
+        self._begin({"video": _VIDEO_SECONDS} if of_video else {})
 
-    def _begin(self) -> None:
-        self._timeline = Timeline({name: seconds * self._photos for name, seconds in _SECONDS.items()})
+    def _begin(self, before: Mapping[str, float] = MappingProxyType({})) -> None:
+        seconds = {**before, **_SECONDS}
+        self._timeline = Timeline({name: each * self._photos for name, each in seconds.items()})
         self._stage = ""
 
     def __call__(self, stage: str, step: int, steps: int) -> None:
@@ -174,6 +260,7 @@ class _Progress:
         fraction, left = self._timeline.at(step / max(steps, 1))
         values = {"step": step, "steps": steps}
         notes = {
+            "video": Message("cameras.video", {"percent": 100 * step / max(steps, 1)}),
             "photos": Message("cameras.photos", values),
             "features": Message("cameras.features", values),
             "matches": Message("cameras.matches", values),

@@ -56,6 +56,8 @@ def test_the_library_understands_the_arguments():
     assert cameras_arguments("/photos") == ["cameras", "/photos", "--watch-stdin"]
     found = command_line.parser().parse_args(cameras_arguments("photos", overwrite=True, improve=True, features="object"))
     assert (found.improve, found.overwrite, found.features) == (True, True, "object")
+    found = command_line.parser().parse_args(cameras_arguments("film.mp4", out="capture", frames=40))
+    assert found.frames == 40 and found.out.is_absolute() and found.out.name == "capture"
 
 
 def test_what_was_found_is_told(engine, photos, tmp_path):

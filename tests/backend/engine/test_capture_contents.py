@@ -9,12 +9,14 @@ from backend.engine.results.capture_contents import (
     LEAST_PHOTOS,
     OTHER_ENDINGS,
     PLAIN_ENDINGS,
+    VIDEO_ENDINGS,
     has_cameras,
     photo_count,
     transforms_time,
+    video_count,
 )
 from blender_nep.cameras.photo_folder import _photo_files
-from blender_nep.capture import formats
+from blender_nep.capture import formats, without_cameras
 from blender_nep.capture.formats import peers
 from blender_nep.capture.loading import MINIMUM_VIEWS
 from blender_nep.capture.photos.photo_files import SUFFIXES
@@ -116,6 +118,13 @@ def test_both_sides_count_the_same_photos(tmp_path):
         (tmp_path / name).touch()
     (tmp_path / "folder.jpg").mkdir()
     assert photo_count(tmp_path) == len(_photo_files(tmp_path)) == len(SUFFIXES) + 3
+
+
+def test_both_sides_know_the_same_videos(tmp_path):
+    assert VIDEO_ENDINGS == without_cameras._VIDEOS and video_count(tmp_path / "none") == 0
+    for name in ("a.MP4", "b.mov", ".hidden.mp4", "c.mp4.part"):
+        (tmp_path / name).touch()
+    assert video_count(tmp_path) == len(without_cameras.videos_in(tmp_path)) == 2
 
 
 def test_photos_may_lie_in_the_folder_images(tmp_path):
