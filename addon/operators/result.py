@@ -3,7 +3,10 @@
 import bpy
 
 from ..folders import resolve_folder
-from ..scene.imported_result import is_recovered_light_used, place_result, switch_light
+from ..scene import lit_view
+from ..scene.imported_result import is_lit, is_recovered_light_used, place_result, result_object, switch_light
+
+IMPORT_FIRST = "Import a result first: its light comes with it"
 
 
 class NEP_OT_import_result(bpy.types.Operator):
@@ -52,13 +55,15 @@ class NEP_OT_use_recovered_light(bpy.types.Operator):
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
         if context.scene.nep.recovered_world is None:
-            cls.poll_message_set("Import a result first: its light comes with it")
+            cls.poll_message_set(IMPORT_FIRST)
             return False
         return True
 
     def execute(self, context: bpy.types.Context) -> set[str]:
-        scene = context.scene
+        scene, shown = context.scene, lit_view.viewport(context)
         switch_light(scene)
+        if shown is not None and not is_recovered_light_used(scene):
+            lit_view.shading_back(*shown)
         if is_recovered_light_used(scene):
             self.report({"INFO"}, f"The recovered light: {scene.world.name}")
         else:
@@ -66,4 +71,41 @@ class NEP_OT_use_recovered_light(bpy.types.Operator):
         return {"FINISHED"}
 
 
-CLASSES = (NEP_OT_import_result, NEP_OT_use_recovered_light)
+class NEP_OT_show_lit(bpy.types.Operator):
+    bl_idname = "nep.show_lit"
+    bl_label = "Show Lit"
+    bl_description = (
+        "See the object as in the photos: the recovered light, your lamps off, the viewport in Material Preview or Rendered "
+        "with the scene's World, and the object framed. Press again for your own light, lamps and shading"
+    )
+    bl_options = {"REGISTER", "UNDO"}
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        if context.scene.nep.recovered_world is None:
+            cls.poll_message_set(IMPORT_FIRST)
+            return False
+        return True
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        scene, shown = context.scene, lit_view.viewport(context)
+        if is_lit(scene, shown):
+            lit_view.lamps_back(scene)
+            if shown is not None:
+                lit_view.shading_back(*shown)
+            switch_light(scene)
+            self.report({"INFO"}, "Your own light, lamps and shading")
+            return {"FINISHED"}
+        if not is_recovered_light_used(scene):
+            switch_light(scene)
+        count = lit_view.lamps_off(scene)
+        item = result_object(scene)
+        if shown is not None:
+            lit_view.show_world(*shown)
+            if item is not None:
+                lit_view.frame_object(shown[1], item)
+        self.report({"INFO"}, f"The recovered light: {scene.world.name}. Lamps turned off: {count}")
+        return {"FINISHED"}
+
+
+CLASSES = (NEP_OT_import_result, NEP_OT_use_recovered_light, NEP_OT_show_lit)

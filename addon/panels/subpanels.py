@@ -2,9 +2,11 @@
 
 import bpy
 
+from ...backend.scene_io.world import strength_input, turn_input
 from ..engine_errors import error_text
+from ..scene import lit_view
 from ..scene.comparison_image import comparison_image
-from ..scene.imported_result import is_recovered_light_used
+from ..scene.imported_result import is_lit, is_recovered_light_used
 from ..scene.object_bounds import bounds_object, bounds_warning
 from ..tasks import registry
 from ..tasks.bounds_estimate import BoundsEstimate
@@ -68,9 +70,18 @@ class NEP_PT_result_and_light(SubPanel, bpy.types.Panel):
         row.label(text="Images")
         row.prop(settings, "images", expand=True)
         column = layout.column(align=True)
+        lit = is_lit(context.scene, lit_view.viewport(context))
+        column.operator("nep.show_lit", icon="SHADING_RENDERED", depress=lit)
         column.operator("nep.use_recovered_light", icon="WORLD", depress=is_recovered_light_used(context.scene))
-        if settings.recovered_world is not None:
+        world = settings.recovered_world
+        if world is not None:
             column.prop(settings, "recovered_world", text="")
+            turn, strength = turn_input(world), strength_input(world)
+            column = layout.column(align=True)
+            if turn is not None:
+                column.prop(turn, "default_value", index=2, text="Turn")
+            if strength is not None:
+                column.prop(strength, "default_value", text="Strength")
 
 
 class NEP_PT_relit_comparison(SubPanel, bpy.types.Panel):

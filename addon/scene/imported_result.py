@@ -8,7 +8,10 @@ from ...backend.engine.results.job_files import is_asset, read_job
 from ...backend.scene_io.image_files import relative_path
 from ...backend.scene_io.result import import_result
 from ..folders import folder_key, resolve_folder
+from . import lit_view
 from .imported_materials import fill_materials
+
+JOB_KEY = "nep_job"  # property of an imported object: the job that has made it
 
 
 def place_result(scene: bpy.types.Scene, folder: Path) -> bpy.types.Object:
@@ -26,7 +29,7 @@ def place_result(scene: bpy.types.Scene, folder: Path) -> bpy.types.Object:
     relative = bpy.data.is_saved and settings.output.startswith("//")  # then it is found after the project was moved
     settings.recovered_world, settings.asset = world, relative_path(folder) if relative else str(folder)
     fill_materials(settings, folder)
-    settings.imported_job = _last_job_identifier(folder)
+    settings.imported_job = item[JOB_KEY] = _last_job_identifier(folder)
     layer = scene.view_layers[0]
     for other in layer.objects.selected:
         other.select_set(False, view_layer=layer)
@@ -36,9 +39,20 @@ def place_result(scene: bpy.types.Scene, folder: Path) -> bpy.types.Object:
 
 
 def has_new_result(scene: bpy.types.Scene) -> bool:
-    """Whether the scene's output folder holds an asset that was not imported into the scene yet."""
+    """Whether the scene's output folder holds an asset whose object is not in the scene, or not any more."""
     output = resolve_folder(scene.nep.output)
-    return output is not None and is_asset(output) and _last_job_identifier(output) != scene.nep.imported_job
+    return output is not None and is_asset(output) and not _objects_of(scene, _last_job_identifier(output))
+
+
+def result_object(scene: bpy.types.Scene) -> bpy.types.Object | None:
+    """The object that was imported last: of several, the active one, or else the newest. None where it was deleted."""
+    found = _objects_of(scene, scene.nep.imported_job)
+    active = scene.view_layers[0].objects.active
+    return active if active in found else max(found, key=lambda item: item.session_uid, default=None)
+
+
+def _objects_of(scene: bpy.types.Scene, job: str) -> list[bpy.types.Object]:
+    return [item for item in scene.objects if item.get(JOB_KEY) == job] if job else []
 
 
 def _last_job_identifier(output: Path) -> str:
@@ -52,9 +66,15 @@ def is_recovered_light_used(scene: bpy.types.Scene) -> bool:
 
 
 def switch_light(scene: bpy.types.Scene) -> None:
-    """Change between the recovered light and the artist's own World."""
+    """Change between the recovered light and the artist's own World. With the own World, the own lamps are on again."""
     settings = scene.nep
     if is_recovered_light_used(scene):
         scene.world, settings.own_world = settings.own_world, None
+        lit_view.lamps_back(scene)
     else:
         settings.own_world, scene.world = scene.world, settings.recovered_world
+
+
+def is_lit(scene: bpy.types.Scene, viewport: tuple[bpy.types.Screen, bpy.types.Area] | None) -> bool:
+    """Whether this viewport was made to show the recovered light, and the scene has it still."""
+    return is_recovered_light_used(scene) and (viewport is None or lit_view.is_shown(*viewport))

@@ -21,7 +21,7 @@ SIZE_KEY, ASPECT_KEY = "nep_photo_size", "nep_pixel_aspect"
 # is found after both were moved. A capture from the scene gets both.
 DISTORTION_KEY, MASK_KEY = "nep_distortion", "nep_mask"
 PHOTO_KEY = "nep_photo"  # custom property that marks an image which `load_cameras` has loaded
-# Custom properties of the scene: its camera before, and its render size and pixel aspect before and as `load_cameras` set them.
+# Custom properties of the scene: its camera before `load_cameras`, its render size and pixel aspect before, and those given.
 CAMERA_BEFORE_KEY, RENDER_BEFORE_KEY, RENDER_GIVEN_KEY = "nep_camera_before", "nep_render_before", "nep_render_given"
 RENDER_SETTINGS = ("resolution_x", "resolution_y", "pixel_aspect_x", "pixel_aspect_y")
 DISPLAY_SIZE = 0.06  # drawn size of a camera, relative to the median distance of the cameras from their mean position
@@ -88,7 +88,9 @@ def _give_back(scene: bpy.types.Scene, removed: list[bpy.types.Object]) -> None:
     if scene.camera in removed:
         scene.camera = before if before is not None and before.name in scene.objects else None
     if RENDER_BEFORE_KEY in scene and RENDER_GIVEN_KEY in scene:
-        values = zip(RENDER_SETTINGS, scene[RENDER_BEFORE_KEY], scene[RENDER_GIVEN_KEY], _render_settings(scene), strict=True)
+        values = zip(
+            RENDER_SETTINGS, scene[RENDER_BEFORE_KEY], scene[RENDER_GIVEN_KEY], _render_settings(scene), strict=True
+        )
         for name, own, given, now in values:
             if now == given:
                 setattr(scene.render, name, int(own) if name.startswith("resolution") else own)
