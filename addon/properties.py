@@ -111,6 +111,12 @@ class NepSettings(bpy.types.PropertyGroup):
         options=PATH_OPTIONS,
         update=folder_changes.notify_output,
     )
+    default_output: bpy.props.StringProperty(
+        name="Default Output",
+        description="The folder that was proposed for the result, beside the capture",
+        subtype="DIR_PATH",
+        options=PATH_OPTIONS | {"HIDDEN"},
+    )
     preset: bpy.props.EnumProperty(name="Preset", description="How much time to spend", items=PRESETS, default="balanced")
     use_masks: bpy.props.BoolProperty(
         name="Use Masks", description="Use the capture's object masks where it has them", default=True

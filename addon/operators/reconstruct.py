@@ -17,7 +17,7 @@ from ..engine_paths import engine_python
 from ..folders import SAVE_FILE_FIRST, resolve_folder
 from ..properties import PRESETS
 from ..scene.object_bounds import bounds_arguments, bounds_warning
-from ..tasks import registry
+from ..tasks import clock, registry
 from ..tasks.camera_search import why_not_usable
 from ..tasks.material_correction import MaterialCorrection
 from ..tasks.running_jobs import Job, import_job_result, job_of
@@ -213,4 +213,16 @@ def _log_files(scene: bpy.types.Scene) -> list[Path]:
     return [] if output is None else [output / "log.txt", output / FOLDER / "engine.log"]
 
 
-CLASSES = (NEP_OT_reconstruct, NEP_OT_cancel, NEP_OT_open_log)
+class NEP_OT_dismiss(bpy.types.Operator):
+    bl_idname = "nep.dismiss"
+    bl_label = "Dismiss"
+    bl_description = "Take what has ended out of the status bar"
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        for task in registry.tasks_of(registry.Task):
+            task.is_news = False
+        clock.redraw(clock.STATUS_BAR)
+        return {"FINISHED"}
+
+
+CLASSES = (NEP_OT_reconstruct, NEP_OT_cancel, NEP_OT_open_log, NEP_OT_dismiss)

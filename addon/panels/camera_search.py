@@ -13,7 +13,7 @@ from ..tasks.camera_search import CameraSearch
 from ..wrapped_text import draw_wrapped
 from .failure import draw_failure
 
-NO_CAMERAS_YET = "{count} photos, no cameras yet"
+PHOTOS, CAMERAS, MASKS, NO_CAMERAS_YET = "{count} photos", "cameras", "masks", "no cameras yet"
 TOO_FEW = "Too few photos: {count} of at least {least}"
 FOUND = "What the Search Has Found"
 NO_PHOTOS = "This folder holds no photos"
@@ -25,7 +25,7 @@ PROGRESS_LINES = 3  # always as many, so that the buttons below do not move whil
 
 
 def draw_camera_search(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
-    """Draw the box. Nothing is drawn for a capture with cameras that were not found just now."""
+    """Draw what the folder holds, and the box. There is no box for a capture with cameras that were not found just now."""
     folder = resolve_folder(context.scene.nep.capture)
     if folder is None:
         return
@@ -34,6 +34,8 @@ def draw_camera_search(layout: bpy.types.UILayout, context: bpy.types.Context) -
         _draw_progress(layout.box(), running)
         return
     holds, search = last_look_into(folder), registry.ended(CameraSearch, folder)
+    if holds.has_cameras:
+        draw_wrapped(layout, context, contents_line(holds), "CHECKMARK")
     if holds.lacks_cameras:
         box = layout.box()
         _draw_offer(box, context, holds)
@@ -51,11 +53,23 @@ def draw_camera_search(layout: bpy.types.UILayout, context: bpy.types.Context) -
 
 
 def _draw_offer(box: bpy.types.UILayout, context: bpy.types.Context, holds: CaptureFolder) -> None:
-    text = NO_CAMERAS_YET if holds.has_enough_photos else TOO_FEW
-    box.label(text=pgettext_iface(text).format(count=holds.photos, least=LEAST_PHOTOS), icon="CAMERA_DATA")
-    if holds.has_enough_photos:
+    if not holds.has_enough_photos:
+        text = pgettext_iface(TOO_FEW).format(count=holds.photos, least=LEAST_PHOTOS)
+        draw_wrapped(box, context, text, "CAMERA_DATA")
+    else:
+        draw_wrapped(box, context, contents_line(holds), "CAMERA_DATA")
         _draw_features(box, context, holds)
         box.operator("nep.find_cameras", icon="VIEWZOOM")
+
+
+def contents_line(holds: CaptureFolder) -> str:
+    """What the folder holds, such as "40 photos, cameras, masks"; an empty string for a folder without any of it."""
+    found = [pgettext_iface(PHOTOS).format(count=holds.photos)] if holds.photos else []
+    found += [pgettext_iface(CAMERAS)] if holds.has_cameras else []
+    found += [pgettext_iface(MASKS)] if found and holds.has_masks else []
+    found += [pgettext_iface(NO_CAMERAS_YET)] if holds.lacks_cameras else []
+    line = ", ".join(found)
+    return line[:1].upper() + line[1:]
 
 
 def _draw_features(layout: bpy.types.UILayout, context: bpy.types.Context, holds: CaptureFolder) -> None:

@@ -10,6 +10,7 @@ from ...backend.engine.timings import expected_seconds
 from ..engine_paths import engine_python, timings_file
 from ..folders import resolve_folder
 from ..scene.imported_result import has_new_result
+from ..tasks import registry
 from ..tasks.running_jobs import Job, job_of
 from ..wrapped_text import draw_wrapped
 from .camera_search import draw_camera_search
@@ -29,6 +30,7 @@ class NEP_PT_reconstruct(bpy.types.Panel):
         job = job_of(context.scene)
         if job is not None and not job.ended:
             _draw_running(self.layout, context, job)
+            _draw_other_jobs(self.layout, job)
             return
         _draw_settings(self.layout, context)
         _draw_engine(self.layout, context)
@@ -37,6 +39,7 @@ class NEP_PT_reconstruct(bpy.types.Panel):
         _draw_buttons(self.layout, context.scene)
         if job is not None:
             _draw_scene_analysis(self.layout, context, job)
+        _draw_other_jobs(self.layout, job)
 
 
 def _draw_settings(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
@@ -116,6 +119,13 @@ def _draw_scene_analysis(layout: bpy.types.UILayout, context: bpy.types.Context,
     if body is not None:
         for line in job.scene_analysis:
             draw_wrapped(body, context, line.words(pgettext_iface))
+
+
+def _draw_other_jobs(layout: bpy.types.UILayout, shown: Job | None) -> None:
+    """The running jobs of other scenes, files and output folders. They stand below all buttons, because they come and go."""
+    for job in registry.tasks_of(Job):
+        if job is not shown and not job.ended:
+            layout.progress(factor=job.fraction, text=f"{job.folder.name}: {100 * job.fraction:.0f} %")
 
 
 def _draw_picture(layout: bpy.types.UILayout, context: bpy.types.Context, job: Job) -> None:

@@ -44,7 +44,7 @@ def in_blender(function, folder: Path, *, code=0, **variables) -> str:
 
 
 # scripts and key maps of artists name them: none may be renamed
-OPERATORS = {"reconstruct", "cancel", "open_log", "import_result", "use_recovered_light", "show_lit"} | {
+OPERATORS = {"reconstruct", "cancel", "open_log", "import_result", "use_recovered_light", "show_lit", "dismiss"} | {
     *(
         "find_cameras",
         "cancel_find_cameras",
