@@ -4,7 +4,7 @@ import bpy
 
 from ..folders import resolve_folder
 from ..scene import lit_view
-from ..scene.imported_result import is_lit, is_recovered_light_used, place_result, result_object, switch_light
+from ..scene.imported_result import is_lit, is_recovered_light_used, place_result, relink, result_object, switch_light
 
 IMPORT_FIRST = "Import a result first: its light comes with it"
 
@@ -13,8 +13,8 @@ class NEP_OT_import_result(bpy.types.Operator):
     bl_idname = "nep.import_result"
     bl_label = "Import Result"
     bl_description = (
-        "Import a finished reconstruction: the object in place with its material, and the recovered light "
-        "as a World. Importing it again makes another object"
+        "Import a finished reconstruction into the active collection: the object in place with its material, and the "
+        "recovered light as a World. Importing it again makes another object with the same images and World"
     )
     bl_options = {"REGISTER", "UNDO"}
 
@@ -38,11 +38,51 @@ class NEP_OT_import_result(bpy.types.Operator):
             self.report({"ERROR"}, "Choose the output folder of a reconstruction first")
             return {"CANCELLED"}
         try:
-            item = place_result(context.scene, folder)
+            item = place_result(context.scene, folder, _active_collection(context))
         except OSError as error:
             self.report({"ERROR"}, f"The result cannot be imported: {error}")
             return {"CANCELLED"}
         self.report({"INFO"}, f"Imported {item.name}; its light is the World '{context.scene.nep.recovered_world.name}'")
+        return {"FINISHED"}
+
+
+def _active_collection(context: bpy.types.Context) -> bpy.types.Collection | None:
+    """The collection into which new objects come; None where it is linked from a library and cannot take them."""
+    return context.collection if context.collection is not None and context.collection.is_editable else None
+
+
+class NEP_OT_relink_result(bpy.types.Operator):
+    bl_idname = "nep.relink_result"
+    bl_label = "Relink"
+    bl_description = (
+        "Choose the folder of the imported result again, after it was renamed or moved. The object keeps its corrections"
+    )
+    bl_options = {"REGISTER", "UNDO"}
+
+    directory: bpy.props.StringProperty(name="Folder", subtype="DIR_PATH", options={"SKIP_SAVE"})
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        if not context.scene.nep.asset:
+            cls.poll_message_set("Import a result first")
+            return False
+        return True
+
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        context.window_manager.fileselect_add(self)
+        return {"RUNNING_MODAL"}
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        folder = resolve_folder(self.directory)
+        if folder is None:
+            self.report({"ERROR"}, "Choose the folder of the result")
+            return {"CANCELLED"}
+        try:
+            relink(context.scene, folder)
+        except ValueError as error:
+            self.report({"ERROR"}, str(error))
+            return {"CANCELLED"}
+        self.report({"INFO"}, f"The result is now {folder.name}")
         return {"FINISHED"}
 
 
@@ -108,4 +148,4 @@ class NEP_OT_show_lit(bpy.types.Operator):
         return {"FINISHED"}
 
 
-CLASSES = (NEP_OT_import_result, NEP_OT_use_recovered_light, NEP_OT_show_lit)
+CLASSES = (NEP_OT_import_result, NEP_OT_use_recovered_light, NEP_OT_show_lit, NEP_OT_relink_result)

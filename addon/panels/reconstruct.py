@@ -125,7 +125,7 @@ def _draw_other_jobs(layout: bpy.types.UILayout, shown: Job | None) -> None:
     """The running jobs of other scenes, files and output folders. They stand below all buttons, because they come and go."""
     for job in registry.tasks_of(Job):
         if job is not shown and not job.ended:
-            layout.progress(factor=job.fraction, text=f"{job.folder.name}: {100 * job.fraction:.0f} %")
+            layout.progress(factor=job.done_fraction, text=f"{job.folder.name}: {100 * job.done_fraction:.0f} %")
 
 
 def _draw_picture(layout: bpy.types.UILayout, context: bpy.types.Context, job: Job) -> None:

@@ -16,7 +16,7 @@ def draw_status(header: bpy.types.Header, context: bpy.types.Context) -> None:
     for task in [task for task in tasks if not task.ended and task.status_name()][-MOST_SHOWN:]:
         row = layout.row(align=True)
         row.ui_units_x = WIDTH
-        row.progress(factor=task.fraction, text=f"{task.status_name()}: {100 * task.fraction:.0f} %")
+        row.progress(factor=task.done_fraction, text=f"{task.status_name()}: {100 * task.done_fraction:.0f} %")
     news = [task for task in tasks if task.is_news][-MOST_SHOWN:]
     for task in news:
         layout.label(text=task.end_status(), icon="ERROR" if task.has_failed else "CHECKMARK")

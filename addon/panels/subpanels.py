@@ -1,12 +1,14 @@
 """The sub-panels of the sidebar panel: cameras and bounds, result and light, relit comparison."""
 
 import bpy
+from bpy.app.translations import pgettext_iface
 
 from ...backend.scene_io.world import strength_input, turn_input
 from ..engine_errors import error_text
+from ..folders import resolve_folder
 from ..scene import lit_view
 from ..scene.comparison_image import comparison_image
-from ..scene.imported_result import is_lit, is_recovered_light_used
+from ..scene.imported_result import is_lit, is_recovered_light_used, is_result_gone
 from ..scene.object_bounds import bounds_object, bounds_warning
 from ..tasks import registry
 from ..tasks.bounds_estimate import BoundsEstimate
@@ -14,6 +16,8 @@ from ..tasks.comparison_render import ComparisonRender, last_message
 from ..wrapped_text import draw_wrapped
 from .camera_search import draw_find_again
 from .photo_check import draw_photo_check
+
+GONE = "The folder {name} of the result was renamed, moved or removed"
 
 
 class SubPanel:
@@ -66,6 +70,7 @@ class NEP_PT_result_and_light(SubPanel, bpy.types.Panel):
 
     def draw(self, context: bpy.types.Context) -> None:
         layout, settings = self.layout, context.scene.nep
+        draw_relink(layout, context)
         row = layout.row(align=True)
         row.label(text="Images")
         row.prop(settings, "images", expand=True)
@@ -82,6 +87,15 @@ class NEP_PT_result_and_light(SubPanel, bpy.types.Panel):
                 column.prop(turn, "default_value", index=2, text="Turn")
             if strength is not None:
                 column.prop(strength, "default_value", text="Strength")
+
+
+def draw_relink(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
+    """Where the folder of the imported result is gone: its name, and the button that asks where it is now."""
+    settings = context.scene.nep
+    if is_result_gone(settings):
+        text = pgettext_iface(GONE).format(name=resolve_folder(settings.asset).name)
+        draw_wrapped(layout, context, text, "ERROR")
+        layout.operator("nep.relink_result", icon="FILE_FOLDER")
 
 
 class NEP_PT_relit_comparison(SubPanel, bpy.types.Panel):

@@ -32,7 +32,7 @@ class CameraSearch(CommandTask):
         return self.process.progress, self.process.stopping
 
     @property
-    def fraction(self) -> float:
+    def done_fraction(self) -> float:
         return self.process.progress.fraction
 
     @property

@@ -45,7 +45,7 @@ class Task:
         return None
 
     @property
-    def fraction(self) -> float:
+    def done_fraction(self) -> float:
         """The part of the work that is done, 0..1, of a task with a `status_name`."""
         return 0.0
 

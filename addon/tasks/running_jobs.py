@@ -101,7 +101,7 @@ class Job(Task):
         self.engine.request_stop()
 
     @property
-    def fraction(self) -> float:
+    def done_fraction(self) -> float:
         return self.progress.fraction
 
     @property

@@ -9,8 +9,8 @@ from pathlib import Path
 
 import bpy
 
-from .asset_import import load_image
 from .color_spaces import LINEAR
+from .data_blocks.asset_images import shared_image
 
 TURN_NODE, STRENGTH_NODE = "turn", "strength"  # names of the Mapping node and of the Background node
 # The order is such that the first few HDRIs differ most from each other.
@@ -22,7 +22,7 @@ def build_world(path: Path, *, name: str, pack: bool = True) -> bpy.types.World:
 
     Raises OSError where the image cannot be read.
     """
-    image = load_image(path, color_space=LINEAR, pack=pack)
+    image = shared_image(path, name, color_space=LINEAR, pack=pack)
     world = bpy.data.worlds.new(name)
     if not world.use_nodes:
         world.use_nodes = True
@@ -45,6 +45,23 @@ def build_world(path: Path, *, name: str, pack: bool = True) -> bpy.types.World:
     links.new(background.outputs["Background"], output.inputs["Surface"])
     world.use_fake_user = True  # keeps the World in the file while the scene uses another one
     return world
+
+
+def renew_world(world: bpy.types.World, path: Path, *, pack: bool = True) -> bool:
+    """Let a World of `build_world` shine with the image as it is now. False where the artist has removed its image node.
+
+    Raises OSError where the image cannot be read.
+    """
+    nodes = world.node_tree.nodes if world.node_tree is not None else ()
+    texture = next((node for node in nodes if node.type == "TEX_ENVIRONMENT"), None)
+    if texture is None:
+        return False
+    before, texture.image = texture.image, shared_image(path, world.name, color_space=LINEAR, pack=pack)
+    if before is not None and before != texture.image and not before.users:
+        name = before.name
+        bpy.data.images.remove(before)
+        texture.image.name = name
+    return True
 
 
 def turn_input(world: bpy.types.World) -> bpy.types.NodeSocket | None:

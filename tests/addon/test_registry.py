@@ -92,7 +92,7 @@ def check_status_bar(bpy, registry, kind, folder):
     from nep_addon.addon.tasks.clock import tick
 
     class Told(kind):
-        fraction, has_failed = 0.43, False
+        done_fraction, has_failed = 0.43, False
 
         def status_name(self):
             return self.folder.name

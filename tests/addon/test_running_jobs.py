@@ -44,7 +44,16 @@ def in_blender(function, folder: Path, *, code=0, **variables) -> str:
 
 
 # scripts and key maps of artists name them: none may be renamed
-OPERATORS = {"reconstruct", "cancel", "open_log", "import_result", "use_recovered_light", "show_lit", "dismiss"} | {
+OPERATORS = {
+    "reconstruct",
+    "cancel",
+    "open_log",
+    "import_result",
+    "use_recovered_light",
+    "show_lit",
+    "dismiss",
+    "relink_result",
+} | {
     *(
         "find_cameras",
         "cancel_find_cameras",
@@ -285,7 +294,10 @@ def check_own_world(folder):
     first = bpy.context.scene.world
     assert first is settings.recovered_world and settings.own_world is own
     assert bpy.ops.nep.import_result() == {"FINISHED"}
-    assert bpy.context.scene.world is settings.recovered_world and settings.recovered_world is not first
+    assert bpy.context.scene.world is settings.recovered_world is first, "a second import needs no second World"
+    settings.output, second = str(folder / "second"), settings.recovered_world
+    assert bpy.ops.nep.reconstruct() == {"FINISHED"} and settings.recovered_world is not second
+    assert bpy.context.scene.world is settings.recovered_world
     assert bpy.ops.nep.use_recovered_light() == {"FINISHED"} and bpy.context.scene.world is own
 
 
