@@ -22,7 +22,7 @@ import atexit
 import bpy
 
 from . import capture_choice, folder_changes, halved_pictures, operators, panels, preferences, properties, saved_elsewhere
-from .panels import status_bar, swatches
+from .panels import menus, status_bar, swatches
 from .scene import shelf_scene
 from .tasks import clock, material_correction, photo_check, registry, running_jobs
 
@@ -60,6 +60,7 @@ def register() -> None:
     for event, handler in HANDLERS:
         getattr(bpy.app.handlers, event).append(handler)
     status_bar.add()
+    menus.add()
     clock.call_until_false(_attach_jobs_once)  # later: in `register` bpy.data has no scenes
     atexit.register(_close_all)
 
@@ -82,6 +83,7 @@ def _attach_jobs_once() -> bool:
 def _close_all() -> None:
     """Stop the timer, the handlers and all work under way. A timer or handler that is left makes Blender hang at its end."""
     status_bar.remove()
+    menus.remove()
     folder_changes.output_callbacks.clear()
     folder_changes.capture_callbacks.clear()
     clock.stop()

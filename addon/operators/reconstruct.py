@@ -72,6 +72,8 @@ class NEP_OT_reconstruct(bpy.types.Operator):
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         output = self._output(context.scene)
+        if not (self.capture or context.scene.nep.capture) and not bpy.app.background:
+            return set(bpy.ops.nep.choose_folder("INVOKE_DEFAULT"))  # from the search of menus, for example
         if self.overwrite and output is not None and (is_asset(output) or has_checkpoint(output)):
             return context.window_manager.invoke_confirm(
                 self,

@@ -6,9 +6,10 @@ from bpy.app.translations import pgettext_iface
 from ...backend.scene_io.world import strength_input, turn_input
 from ..engine_errors import error_text
 from ..folders import resolve_folder
+from ..operators.exchange import FORMATS, has_exporter
 from ..scene import lit_view
 from ..scene.comparison_image import comparison_image
-from ..scene.imported_result import is_lit, is_recovered_light_used, is_result_gone
+from ..scene.imported_result import is_lit, is_recovered_light_used, is_result_gone, result_object
 from ..scene.object_bounds import bounds_object, bounds_warning
 from ..tasks import registry
 from ..tasks.bounds_estimate import BoundsEstimate
@@ -87,6 +88,13 @@ class NEP_PT_result_and_light(SubPanel, bpy.types.Panel):
                 column.prop(turn, "default_value", index=2, text="Turn")
             if strength is not None:
                 column.prop(strength, "default_value", text="Strength")
+        layout.operator("nep.open_result_folder", icon="FILE_FOLDER")
+        if result_object(context.scene) is not None:
+            layout.label(text="Export")
+            row = layout.row(align=True)
+            for name, title, _ in FORMATS:
+                if has_exporter(name):
+                    row.operator("nep.export_result", text=title).format = name
 
 
 def draw_relink(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:

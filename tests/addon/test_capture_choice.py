@@ -4,7 +4,8 @@ import shutil
 import sys
 from pathlib import Path
 
-from support.blender_checks import drawn_by, register
+from support import correcting_engine
+from support.blender_checks import drawn_by, fails, register
 from support.own_process import in_blender
 
 
@@ -54,6 +55,19 @@ def check_choice(folder):
         settings.output = ""
         settings.capture = unusable
         assert settings.output == ("" if unusable == "/" else str(folder / "none_result"))
+
+    choose = bpy.ops.nep.choose_folder
+    settings.output = settings.capture = ""
+    fails(choose, "Choose a folder")
+    fails(lambda: choose(directory=str(folder / "package" / "none")), "neither photos nor a finished result")
+    for given in ({"directory": str(folder / "capture" / "images")}, {"filepath": str(folder / "capture/transforms.json")}):
+        assert choose(**given) == {"FINISHED"} and chosen() == (str(folder / "capture"), str(folder / "capture_result"))
+    correcting_engine.make_asset(folder / "asset")
+    assert choose(filepath=str(folder / "asset" / "report.json")) == {"FINISHED"}
+    assert "asset" in bpy.data.objects and settings.capture == str(folder / "capture")
+    menus = addon.panels.menus
+    for menu, draw in menus._places():
+        assert draw in menu._dyn_ui_initialize()
 
 
 if __name__ == "__main__":

@@ -18,7 +18,7 @@ def check_results(folder):
     import bpy
 
     addon = register()
-    for check in (check_lit_view, check_tidy_imports, check_states, check_relink):
+    for check in (check_lit_view, check_tidy_imports, check_states, check_relink, check_export):
         with told_in(check.__name__):
             bpy.ops.wm.read_factory_settings(use_empty=True)
             check(bpy, addon, folder)
@@ -146,6 +146,32 @@ def check_relink(bpy, addon, folder):
         (folder / "renamed").rename(folder / "asset")
         bpy.ops.wm.read_factory_settings(use_empty=True)
         scene, settings = bpy.context.scene, bpy.context.scene.nep
+
+
+def check_export(bpy, addon, folder):
+    """Each of Blender's exporters that is there writes the object alone, with its textures; the selection stays."""
+    scene, exchange = bpy.context.scene, addon.operators.exchange
+    assert not bpy.ops.nep.export_result.poll() and not bpy.ops.nep.open_result_folder.poll()
+    bpy.ops.mesh.primitive_cube_add()
+    cube = bpy.context.object
+    assert bpy.ops.nep.import_result(folder=str(folder / "asset")) == {"FINISHED"} and bpy.ops.nep.open_result_folder.poll()
+    texts = drawn_by(bpy, addon.panels.subpanels.NEP_PT_result_and_light)
+    for name, exporter in exchange.EXPORTERS.items():
+        assert (texts.count("nep.export_result") == 3) or not exchange.has_exporter(name)
+        if exchange.has_exporter(name):
+            (folder / f"pot{exporter.ending}").write_bytes(b"an earlier one")
+            assert bpy.ops.nep.export_result(format=name, filepath=str(folder / "pot")) == {"FINISHED"}
+            assert (folder / f"pot{exporter.ending}").stat().st_size > 1000
+            assert list(bpy.context.selected_objects) == [cube] == [bpy.context.view_layer.objects.active]
+    assert not list(folder.glob("partial_*"))
+    fails(lambda: bpy.ops.nep.export_result(format="GLTF", filepath=str(folder / "pot.fbx" / "pot")), "cannot be written")
+    addon.scene.imported_result.result_object(scene).hide_set(True)
+    fails(lambda: bpy.ops.nep.export_result(format="GLTF", filepath=str(folder / "pot")), "is hidden")
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    bpy.ops.import_scene.gltf(filepath=str(folder / "pot.glb"))
+    (item,) = [item for item in bpy.data.objects if item.type == "MESH"]
+    principled = next(node for node in item.data.materials[0].node_tree.nodes if node.type == "BSDF_PRINCIPLED")
+    assert all(principled.inputs[name].is_linked for name in ("Base Color", "Roughness", "Metallic"))
 
 
 if __name__ == "__main__":

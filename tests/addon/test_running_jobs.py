@@ -54,6 +54,7 @@ OPERATORS = {
     "dismiss",
     "relink_result",
 } | {
+    *("export_result", "open_result_folder", "choose_folder"),
     *(
         "find_cameras",
         "cancel_find_cameras",
