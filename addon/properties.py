@@ -134,8 +134,8 @@ class NepSettings(bpy.types.PropertyGroup):
     )
     device: bpy.props.EnumProperty(name="Device", description="What to compute on", items=DEVICES, default="auto")
     metal: bpy.props.EnumProperty(
-        name="Material",
-        description="Whether the object is metal, where you know it and the photos do not tell",
+        name="Whole Object",
+        description="Whether all of the object is metal, where you know it and the photos do not tell",
         items=METAL,
         default="auto",
     )

@@ -1,4 +1,4 @@
-"""Texts in the sidebar that are wider than the sidebar: they are broken into lines."""
+"""Texts in the sidebar that are wider than the sidebar: they are broken into lines, or shorter ones are taken."""
 
 from collections.abc import Callable
 
@@ -9,6 +9,8 @@ from bpy.app.translations import pgettext_iface
 MARGINS = 64  # of a panel in a sidebar, with the sidebar's tabs; in pixels at an interface scale of 1
 ICON = 20  # width of an icon, in the same pixels
 UNKNOWN_WIDTH = 280  # of a sidebar, where the context has no region
+NARROW = 200  # a panel with less width has the names of settings above their fields
+BUTTON = 16  # margins of a text in a button, in pixels at an interface scale of 1
 SHORTEST_LINE = "m" * 12  # a line is never narrower than this text
 
 
@@ -29,6 +31,30 @@ def draw_wrapped(layout: bpy.types.UILayout, context: bpy.types.Context, text: s
     limit = panel_width(context) - (ICON if icon != "NONE" else 0)
     for index, line in enumerate(wrap(pgettext_iface(text), limit, lambda words: blf.dimensions(0, words)[0])):
         column.label(text=line, icon=icon if index == 0 else "BLANK1" if icon != "NONE" else "NONE")
+
+
+def fitting(context: bpy.types.Context, *texts: str, parts: int = 1) -> str:
+    """The first of the texts that fits into a button with an icon, in the panel's language; else the last one.
+
+    `parts`: how many buttons of equal width share the line.
+    """
+    blf.size(0, context.preferences.ui_styles[0].widget.points)
+    limit = panel_width(context) / parts - ICON - BUTTON
+    translated = [pgettext_iface(text) for text in texts]
+    return next((text for text in translated if blf.dimensions(0, text)[0] <= limit), translated[-1])
+
+
+def draw_setting(
+    layout: bpy.types.UILayout, context: bpy.types.Context, settings: bpy.types.PropertyGroup, name: str, **options: object
+) -> None:
+    """Draw a setting with its name beside its field, or above it in a narrow sidebar. `options`: those of `prop`."""
+    kind = settings.bl_rna.properties[name]
+    if panel_width(context) >= NARROW or kind.type == "BOOLEAN":
+        layout.prop(settings, name, **options)
+        return
+    column = layout.column(align=True)
+    column.label(text=kind.name)
+    column.prop(settings, name, text="", **options)
 
 
 def wrap(text: str, limit: float, width: Callable[[str], float] = len) -> list[str]:

@@ -10,7 +10,7 @@ from ..capture_folder import CaptureFolder, last_look_into
 from ..folders import resolve_folder
 from ..tasks import registry
 from ..tasks.camera_search import CameraSearch
-from ..wrapped_text import draw_wrapped
+from ..wrapped_text import draw_setting, draw_wrapped, fitting
 from .failure import draw_failure
 
 PHOTOS, CAMERAS, MASKS, NO_CAMERAS_YET = "{count} photos", "cameras", "masks", "no cameras yet"
@@ -31,7 +31,7 @@ def draw_camera_search(layout: bpy.types.UILayout, context: bpy.types.Context) -
         return
     running = registry.running(CameraSearch, folder)
     if running is not None:
-        _draw_progress(layout.box(), running)
+        _draw_progress(layout.box(), context, running)
         return
     holds, search = last_look_into(folder), registry.ended(CameraSearch, folder)
     if holds.has_cameras:
@@ -49,7 +49,7 @@ def draw_camera_search(layout: bpy.types.UILayout, context: bpy.types.Context) -
         if body is not None:
             _draw_found(body.box(), context, search)
     elif not holds.photos and not holds.has_cameras and os.path.isdir(folder):
-        layout.label(text=NO_PHOTOS, icon="INFO")
+        draw_wrapped(layout, context, NO_PHOTOS, "INFO")
 
 
 def _draw_offer(box: bpy.types.UILayout, context: bpy.types.Context, holds: CaptureFolder) -> None:
@@ -75,10 +75,10 @@ def contents_line(holds: CaptureFolder) -> str:
 def _draw_features(layout: bpy.types.UILayout, context: bpy.types.Context, holds: CaptureFolder) -> None:
     """The choice where to look for details, for a folder with masks."""
     if holds.has_masks:
-        layout.prop(context.scene.nep, "features")
+        draw_setting(layout, context, context.scene.nep, "features")
 
 
-def _draw_progress(box: bpy.types.UILayout, search: CameraSearch) -> None:
+def _draw_progress(box: bpy.types.UILayout, context: bpy.types.Context, search: CameraSearch) -> None:
     """The bar, with Cancel beside it: a second click on Find Cameras, which stood below, must not cancel."""
     process, progress = search.process, search.process.progress
     row = box.split(factor=0.66, align=True)
@@ -87,7 +87,7 @@ def _draw_progress(box: bpy.types.UILayout, search: CameraSearch) -> None:
     column = box.column(align=True)
     lines = [pgettext_iface(STOPPING)] if process.stopping else progress.lines(pgettext_iface)
     for line in lines + [""] * (PROGRESS_LINES - len(lines)):
-        column.label(text=line)
+        column.label(text=line) if not line else draw_wrapped(column, context, line)
 
 
 def _draw_found(box: bpy.types.UILayout, context: bpy.types.Context, search: CameraSearch) -> None:
@@ -110,5 +110,6 @@ def draw_find_again(layout: bpy.types.UILayout, context: bpy.types.Context) -> N
         return
     _draw_features(layout, context, holds)
     if holds.has_transforms and holds.has_enough_photos:
-        layout.operator("nep.find_cameras", text="Find Cameras Again", icon="FILE_REFRESH").overwrite = True
+        text = fitting(context, "Find Cameras Again", "Find Again")
+        layout.operator("nep.find_cameras", text=text, icon="FILE_REFRESH").overwrite = True
     layout.operator("nep.improve_cameras", icon="MODIFIER")

@@ -60,7 +60,7 @@ def _columns(layout: bpy.types.UILayout) -> tuple[bpy.types.UILayout, bpy.types.
 
 
 class NEP_PT_materials(SubPanel, bpy.types.Panel):
-    bl_label = "Materials"
+    bl_label = "Correct Materials"
     bl_idname = "NEP_PT_materials"
     bl_options = {"DEFAULT_CLOSED"}
     bl_order = 3

@@ -14,7 +14,7 @@ from ..scene.object_bounds import bounds_object, bounds_warning
 from ..tasks import registry
 from ..tasks.bounds_estimate import BoundsEstimate
 from ..tasks.comparison_render import ComparisonRender, last_message
-from ..wrapped_text import draw_wrapped
+from ..wrapped_text import NARROW, draw_wrapped, fitting, panel_width
 from .camera_search import draw_find_again
 from .photo_check import draw_photo_check
 
@@ -40,7 +40,8 @@ class NEP_PT_cameras_and_bounds(SubPanel, bpy.types.Panel):
         row = column.row(align=True)
         row.operator("nep.load_cameras", icon="CAMERA_DATA")
         row.operator("nep.clear_cameras", text="", icon="X")
-        column.operator("nep.capture_from_scene", icon="SCENE_DATA")
+        text = fitting(context, "Capture from This Scene", "From This Scene", "From Scene")
+        column.operator("nep.capture_from_scene", text=text, icon="SCENE_DATA")
         draw_find_again(column, context)
         column = self.layout.column(align=True)
         row = column.row(align=True)
@@ -50,7 +51,7 @@ class NEP_PT_cameras_and_bounds(SubPanel, bpy.types.Panel):
         if estimate is not None and not estimate.ended:
             column.label(text="Looking for the object...", icon="TIME")
         elif bounds_object(context.scene) is None:
-            column.label(text="Bounds: found automatically")
+            draw_wrapped(column, context, "Bounds: found automatically")
         else:
             draw_wrapped(
                 column,
@@ -72,13 +73,13 @@ class NEP_PT_result_and_light(SubPanel, bpy.types.Panel):
     def draw(self, context: bpy.types.Context) -> None:
         layout, settings = self.layout, context.scene.nep
         draw_relink(layout, context)
-        row = layout.row(align=True)
-        row.label(text="Images")
-        row.prop(settings, "images", expand=True)
+        layout.label(text="Images")
+        layout.row(align=True).prop(settings, "images", expand=True)
         column = layout.column(align=True)
         lit = is_lit(context.scene, lit_view.viewport(context))
         column.operator("nep.show_lit", icon="SHADING_RENDERED", depress=lit)
-        column.operator("nep.use_recovered_light", icon="WORLD", depress=is_recovered_light_used(context.scene))
+        text = fitting(context, "Use Recovered Light", "Recovered Light", "Light")
+        column.operator("nep.use_recovered_light", text=text, icon="WORLD", depress=is_recovered_light_used(context.scene))
         world = settings.recovered_world
         if world is not None:
             column.prop(settings, "recovered_world", text="")
@@ -117,13 +118,15 @@ class NEP_PT_relit_comparison(SubPanel, bpy.types.Panel):
         column = layout.column()
         column.enabled = render is None
         column.label(text="Show the object under:")
-        column.grid_flow(row_major=True, columns=2, align=True).prop(settings, "comparison_lights")
+        columns = 2 if panel_width(context) >= NARROW else 1
+        column.grid_flow(row_major=True, columns=columns, align=True).prop(settings, "comparison_lights")
         column.prop(settings, "comparison_light_file", text="", placeholder="Another light (.hdr, .exr)")
         numbers = column.column(align=True)
         for name in ("comparison_photos", "comparison_turntable", "comparison_samples"):
             numbers.prop(settings, name)
         if render is None:
-            layout.operator("nep.render_comparison", icon="RENDER_STILL")
+            text = fitting(context, "Render Relit Comparison", "Render Comparison", "Render")
+            layout.operator("nep.render_comparison", text=text, icon="RENDER_STILL")
         else:
             process = render.process
             text = "Stopping" if process.cancelled else f"Picture {process.done} of {process.total}"
