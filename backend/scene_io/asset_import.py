@@ -22,7 +22,7 @@ from .data_blocks.asset_images import (
 )
 from .data_blocks.selection import kept_selection
 
-_MOST_BYTES, _LONGEST_LINE = 1 << 32, 1 << 16
+_MOST_BYTES, _PART = 1 << 32, 1 << 24
 _BLANKS = bytes(range(33))
 """What Blender passes over at the beginning of a line"""
 
@@ -127,6 +127,10 @@ def _texture_image(owner: str, folder: Path, texture: Texture, pack: bool) -> bp
 
 def _shade_smooth(mesh: bpy.types.Mesh) -> None:
     """Make all faces smooth, and keep the normals that the file gives, if it gives any."""
+    smooth = np.empty(len(mesh.polygons), bool)
+    mesh.polygons.foreach_get("use_smooth", smooth)
+    if smooth.all():  # as Blender makes faces of files with normals; to compute the normals would take as long as the import
+        return
     normals, custom = _corner_normals(mesh), mesh.has_custom_normals
     mesh.polygons.foreach_set("use_smooth", np.ones(len(mesh.polygons), bool))
     # Blender 4.2 stores the file's normals relative to the mesh's own ones, which the line above has just changed. They are
@@ -166,14 +170,51 @@ def _copy_without_materials(path: Path, target: Path) -> None:
     """Copy an OBJ file without the lines that name its .mtl files. Raises OSError.
 
     The material is built from the textures anyway, and a .mtl file of a stranger makes Blender open pictures anywhere.
-    Blender also takes the .mtl file of the OBJ file's own name, if there is one beside it.
+    Blender also takes the .mtl file of the OBJ file's own name, if there is one beside it. The file is copied in large
+    parts: line by line, a mesh of 300,000 faces would stall Blender for most of a second.
     """
-    begins = True
+    begins, leaving_out, rest = (
+        True,
+        False,
+        b"",
+    )  # whether a part begins a line, or a line that is left out; what is undecided
     with open_plain(path, _MOST_BYTES) as source, open(target, "wb") as out:
-        while line := source.readline(_LONGEST_LINE):
-            if not (begins and line.lstrip(_BLANKS).startswith(b"mtllib")):
-                out.write(line)
-            begins = line.endswith(b"\n")
+        while read := source.read(_PART):
+            part = rest + read
+            if leaving_out:
+                end = part.find(b"\n") + 1
+                if not end:
+                    continue
+                part, begins = part[end:], True
+            kept, leaving_out = _without_naming_lines(part, begins)
+            line = kept.rfind(b"\n") + 1
+            rest, at_begin = kept[line:].lstrip(_BLANKS), bool(line) or begins
+            if at_begin and b"mtllib".startswith(rest):
+                out.write(kept[:line])  # blanks at the beginning of a line mean nothing
+                begins = True
+            else:
+                out.write(kept)
+                begins, rest = False, b""
+        out.write(rest)
+
+
+def _without_naming_lines(part: bytes, begins: bool) -> tuple[bytes, bool]:
+    """(the part of an OBJ file without the lines that begin with mtllib, whether it ends inside such a line).
+
+    `begins`: whether the part begins with the beginning of a line.
+    """
+    kept, start, search = [], 0, 0
+    while (found := part.find(b"mtllib", search)) >= 0:
+        line = part.rfind(b"\n", 0, found) + 1
+        search = found + 1
+        if part[line:found].strip(_BLANKS) or not (line or begins):
+            continue
+        kept.append(part[start:line])
+        end = part.find(b"\n", found) + 1
+        if not end:
+            return b"".join(kept), True
+        start = search = end
+    return b"".join([*kept, part[start:]]), False
 
 
 def _import_mesh(path: Path, collection: bpy.types.Collection) -> bpy.types.Object:
