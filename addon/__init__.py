@@ -10,7 +10,7 @@ The modules form layers. A module imports only modules of the layers below its o
     engine_errors, engine_paths, editors, halved_pictures, wrapped_text   what Blender and the preferences offer
     capture_choice, saved_elsewhere                                       the capture's parts and result; Save As
     capture_folder, folders, properties                                   the settings, `scene.nep`, and their folders
-    folder_changes                                                        who is told of a changed folder
+    folder_changes, languages                                             who is told of a changed folder; translations
 
 `register` puts functions of the upper layers among the callbacks of `folder_changes`.
 Panels and `tasks/running_jobs` call operators by their names in Blender (`nep.import_result`), not by an import.
@@ -21,7 +21,17 @@ import atexit
 
 import bpy
 
-from . import capture_choice, folder_changes, halved_pictures, operators, panels, preferences, properties, saved_elsewhere
+from . import (
+    capture_choice,
+    folder_changes,
+    halved_pictures,
+    languages,
+    operators,
+    panels,
+    preferences,
+    properties,
+    saved_elsewhere,
+)
 from .panels import menus, status_bar, swatches
 from .scene import shelf_scene
 from .tasks import clock, material_correction, photo_check, registry, running_jobs
@@ -51,6 +61,7 @@ HANDLERS = (
 
 def register() -> None:
     """Make the add-on known to Blender, and find the jobs of a file that is open already."""
+    languages.register()
     for cls in CLASSES:
         bpy.utils.register_class(cls)
     bpy.types.Scene.nep = bpy.props.PointerProperty(type=properties.NepSettings)
@@ -82,6 +93,7 @@ def _attach_jobs_once() -> bool:
 
 def _close_all() -> None:
     """Stop the timer, the handlers and all work under way. A timer or handler that is left makes Blender hang at its end."""
+    languages.unregister()
     status_bar.remove()
     menus.remove()
     folder_changes.output_callbacks.clear()
