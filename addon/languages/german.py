@@ -118,7 +118,7 @@ TEXTS = {
     "The folder {name} of the result was renamed, moved or removed": (
         "Der Ordner {name} des Ergebnisses wurde umbenannt, verschoben oder entfernt"
     ),
-    "Photos of a Glossy Object": "Fotos eines glänzenden Objekts",
+    "Choose Photos": "Fotos wählen",
     "Photos of a Glossy Object (NeP)": "Fotos eines glänzenden Objekts (NeP)",
     "Correct Materials": "Materialien korrigieren",
     "Share": "Anteil",

@@ -120,7 +120,7 @@ TEXTS = {
     "The folder {name} of the result was renamed, moved or removed": (
         "La carpeta {name} del resultado fue renombrada, movida o eliminada"
     ),
-    "Photos of a Glossy Object": "Fotos de un objeto brillante",
+    "Choose Photos": "Elegir fotos",
     "Photos of a Glossy Object (NeP)": "Fotos de un objeto brillante (NeP)",
     "Correct Materials": "Corregir materiales",
     "Share": "Parte",

@@ -1,7 +1,8 @@
 """The operators between Blender and other programs: export the object, open the result's folder, take a folder in."""
 
 import os
-from contextlib import suppress
+from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
@@ -13,8 +14,9 @@ from ...backend.scene_io.image_files import fresh_partial
 from ..capture_folder import look_into
 from ..folders import SAVE_FILE_FIRST, resolve_folder
 from ..scene.imported_result import result_object
+from ..tasks import clock
 
-SIDEBAR_TAB = "NeP"
+SIDEBAR_TAB, MOST_TRIES = "NeP", 20  # tries of a clock period each
 NOTHING_IN_IT = "{folder} holds neither photos nor a finished result. Choose the folder of the photos"
 
 
@@ -140,7 +142,7 @@ def _result_folder(scene: bpy.types.Scene) -> Path | None:
 
 class NEP_OT_choose_folder(bpy.types.Operator):
     bl_idname = "nep.choose_folder"
-    bl_label = "Photos of a Glossy Object"
+    bl_label = "Choose Photos"
     bl_description = (
         "Choose the folder with the photos of an object, to reconstruct it in the sidebar (tab NeP). "
         "The folder of a finished result is imported"
@@ -150,7 +152,11 @@ class NEP_OT_choose_folder(bpy.types.Operator):
     filepath: bpy.props.StringProperty(  # what Blender sets where a file is dropped
         name="File", description="A file of that folder", subtype="FILE_PATH", options={"SKIP_SAVE", "HIDDEN"}
     )
+    files: bpy.props.CollectionProperty(  # Blender warns where an operator with `directory` lacks it
+        type=bpy.types.OperatorFileListElement, options={"SKIP_SAVE", "HIDDEN"}
+    )
     filter_folder: bpy.props.BoolProperty(default=True, options={"HIDDEN", "SKIP_SAVE"})
+    filter_image: bpy.props.BoolProperty(default=True, options={"HIDDEN", "SKIP_SAVE"})
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         if self.directory or self.filepath:
@@ -180,9 +186,22 @@ def _show_sidebar(context: bpy.types.Context) -> None:
     for area in context.screen.areas if context.screen is not None else ():
         if area.type == "VIEW_3D":
             area.spaces.active.show_region_ui = True
-            region = next(region for region in area.regions if region.type == "UI")
-            with suppress(AttributeError, TypeError):  # a sidebar that was never drawn has no tabs yet
-                region.active_panel_category = SIDEBAR_TAB
+    clock.call_until_false(partial(_choose_tab, iter(range(MOST_TRIES))))
+
+
+def _choose_tab(tries: Iterator[int]) -> bool:
+    """Choose the tab in all sidebars that are open. Returns whether to try again: a new one has no tabs yet."""
+    left = False
+    for window in bpy.context.window_manager.windows:
+        for area in window.screen.areas:
+            for region in area.regions if area.type == "VIEW_3D" and area.spaces.active.show_region_ui else ():
+                if region.type == "UI":
+                    try:
+                        region.active_panel_category = SIDEBAR_TAB
+                    except (AttributeError, TypeError):
+                        left = True
+                    region.tag_redraw()
+    return left and next(tries, None) is not None
 
 
 class NEP_FH_capture(bpy.types.FileHandler):

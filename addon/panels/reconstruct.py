@@ -11,7 +11,8 @@ from ..capture_folder import last_look_into
 from ..engine_paths import engine_python, timings_file
 from ..folders import resolve_folder
 from ..properties import NepSettings
-from ..scene.imported_result import has_new_result
+from ..scene.imported_result import has_new_result, is_lit, result_object
+from ..scene.lit_view import viewport
 from ..tasks import registry
 from ..tasks.running_jobs import Job, job_of
 from ..wrapped_text import draw_setting, draw_wrapped, fitting
@@ -161,6 +162,8 @@ def _draw_end(layout: bpy.types.UILayout, context: bpy.types.Context, job: Job) 
             else "The object is in the scene."
         )
         draw_wrapped(layout, context, text, "CHECKMARK")
+        if result_object(context.scene) is not None:
+            layout.operator("nep.show_lit", icon="SHADING_RENDERED", depress=is_lit(context.scene, viewport(context)))
         for warning in job.warnings[-2:]:
             draw_wrapped(layout, context, warning.words(pgettext_iface), "INFO")
         return
