@@ -11,7 +11,7 @@ ICON = 20  # width of an icon, in the same pixels
 UNKNOWN_WIDTH = 280  # of a sidebar, where the context has no region
 NARROW = 200  # a panel with less width has the names of settings above their fields
 BUTTON = 16  # margins of a text in a button, in pixels at an interface scale of 1
-SHORTEST_LINE = "m" * 12  # a line is never narrower than this text
+SHORTEST_LINE = "m" * 6  # a line is never narrower than this text
 
 
 def panel_width(context: bpy.types.Context) -> float:
@@ -20,23 +20,26 @@ def panel_width(context: bpy.types.Context) -> float:
     return width / context.preferences.system.ui_scale - MARGINS
 
 
-def draw_wrapped(layout: bpy.types.UILayout, context: bpy.types.Context, text: str, icon: str = "NONE") -> None:
+def draw_wrapped(
+    layout: bpy.types.UILayout, context: bpy.types.Context, text: str, icon: str = "NONE", *, parts: int = 1
+) -> None:
     """Draw a text in as many lines as the sidebar's width needs, with the icon before the first line.
 
-    An empty text draws nothing. Blender translates the lines of labels only, so the whole text is translated before.
+    `parts`: how many such texts stand side by side. An empty text draws nothing. Blender translates the lines of labels
+    only, so the whole text is translated before.
     """
     blf.size(0, context.preferences.ui_styles[0].widget.points)
     column = layout.column(align=True)
     column.scale_y = 0.8
-    limit = panel_width(context) - (ICON if icon != "NONE" else 0)
+    limit = panel_width(context) / parts - (ICON if icon != "NONE" else 0)
     for index, line in enumerate(wrap(pgettext_iface(text), limit, lambda words: blf.dimensions(0, words)[0])):
         column.label(text=line, icon=icon if index == 0 else "BLANK1" if icon != "NONE" else "NONE")
 
 
-def fitting(context: bpy.types.Context, *texts: str, parts: int = 1) -> str:
+def fitting(context: bpy.types.Context, *texts: str, parts: float = 1) -> str:
     """The first of the texts that fits into a button with an icon, in the panel's language; else the last one.
 
-    `parts`: how many buttons of equal width share the line.
+    `parts`: how many buttons of this width share the line.
     """
     blf.size(0, context.preferences.ui_styles[0].widget.points)
     limit = panel_width(context) / parts - ICON - BUTTON

@@ -87,6 +87,7 @@ TEXTS = {
     "Capture from This Scene": "Aufnahme aus dieser Szene",
     "From This Scene": "Aus dieser Szene",
     "From Scene": "Aus Szene",
+    "Bounds": "Grenzen",
     "Propose Bounds": "Grenzen vorschlagen",
     "Clear Bounds": "Grenzen entfernen",
     "Object Bounds": "Grenzen des Objekts",

@@ -59,7 +59,7 @@ TEXTS = {
     "What the Photos Show": "Lo que muestran las fotos",
     "Photos Show": "Las fotos",
     "Photo": "Foto",
-    "Learned so far": "Aprendido hasta ahora",
+    "Learned so far": "Aprendido",
     "The object is in the scene.": "El objeto está en la escena.",
     "The result is ready. Import Result brings it into the scene.": (
         "El resultado está listo. Importar resultado lo trae a la escena."
@@ -87,6 +87,7 @@ TEXTS = {
     "Capture from This Scene": "Captura desde esta escena",
     "From This Scene": "Desde esta escena",
     "From Scene": "De la escena",
+    "Bounds": "Límites",
     "Propose Bounds": "Proponer límites",
     "Clear Bounds": "Quitar límites",
     "Object Bounds": "Límites del objeto",

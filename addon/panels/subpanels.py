@@ -18,6 +18,7 @@ from ..wrapped_text import NARROW, draw_wrapped, fitting, panel_width
 from .camera_search import draw_find_again
 from .photo_check import draw_photo_check
 
+BESIDE_X = 1.25  # the width of a line, relative to a button that has one with an X beside it
 GONE = "The folder {name} of the result was renamed, moved or removed"
 
 
@@ -38,14 +39,16 @@ class NEP_PT_cameras_and_bounds(SubPanel, bpy.types.Panel):
     def draw(self, context: bpy.types.Context) -> None:
         column = self.layout.column(align=True)
         row = column.row(align=True)
-        row.operator("nep.load_cameras", icon="CAMERA_DATA")
+        text = fitting(context, "Load Cameras", "Cameras", parts=BESIDE_X)
+        row.operator("nep.load_cameras", text=text, icon="CAMERA_DATA")
         row.operator("nep.clear_cameras", text="", icon="X")
         text = fitting(context, "Capture from This Scene", "From This Scene", "From Scene")
         column.operator("nep.capture_from_scene", text=text, icon="SCENE_DATA")
         draw_find_again(column, context)
         column = self.layout.column(align=True)
         row = column.row(align=True)
-        row.operator("nep.propose_bounds", icon="MESH_UVSPHERE")
+        text = fitting(context, "Propose Bounds", "Bounds", parts=BESIDE_X)
+        row.operator("nep.propose_bounds", text=text, icon="MESH_UVSPHERE")
         row.operator("nep.clear_bounds", text="", icon="X")
         estimate = registry.find(BoundsEstimate)
         if estimate is not None and not estimate.ended:
