@@ -116,7 +116,7 @@ class NEP_OT_show_lit(bpy.types.Operator):
     bl_label = "Show Lit"
     bl_description = (
         "See the object as in the photos: the recovered light, your lamps off, the viewport in Material Preview or Rendered "
-        "with the scene's World, and the object framed. Press again for your own light, lamps and shading"
+        "with the scene's World, the object alone and framed. Press again for your own light, lamps and shading"
     )
     bl_options = {"REGISTER", "UNDO"}
 
@@ -143,6 +143,7 @@ class NEP_OT_show_lit(bpy.types.Operator):
         if shown is not None:
             lit_view.show_world(*shown)
             if item is not None:
+                lit_view.show_alone(*shown, item)
                 lit_view.frame_object(shown[1], item)
         self.report({"INFO"}, f"The recovered light: {scene.world.name}. Lamps turned off: {count}")
         return {"FINISHED"}

@@ -16,7 +16,7 @@ from ..scene.lit_view import viewport
 from ..tasks import registry
 from ..tasks.running_jobs import Job, job_of
 from ..wrapped_text import draw_setting, draw_wrapped, fitting
-from .camera_search import draw_camera_search
+from .camera_search import PROGRESS_LINES, draw_camera_search
 from .pictures import draw_halves
 
 STOPPING = "Stopping: writing the checkpoint"
@@ -119,8 +119,9 @@ def _draw_running(layout: bpy.types.UILayout, context: bpy.types.Context, job: J
     row.operator("nep.cancel", icon="CANCEL")
     row.operator("nep.open_log", text="", icon="TEXT")
     column = layout.column(align=True)
-    for line in [pgettext_iface(STOPPING)] if job.stopping else progress.lines(pgettext_iface):
-        draw_wrapped(column, context, line)
+    lines = [pgettext_iface(STOPPING)] if job.stopping else progress.lines(pgettext_iface)
+    for line in lines + [""] * (PROGRESS_LINES - len(lines)):
+        draw_wrapped(column, context, line) if line else column.label(text="")
     _draw_picture(layout, context, job)
     for warning in job.warnings[-2:]:
         draw_wrapped(layout, context, warning.words(pgettext_iface), "INFO")

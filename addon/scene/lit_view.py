@@ -5,12 +5,16 @@ lamp. So both come back also after the file was saved and opened.
 """
 
 import math
+from contextlib import suppress
 
 import bpy
 from mathutils import Vector
 
+from ...backend.scene_io.data_blocks.selection import kept_selection
+
 LAMP_KEY = "nep_lit_off"  # property of a lamp that `lamps_off` has turned off: [hide_viewport, hide_render] before
 SHADING_KEY = "nep_shading"  # property of a screen: number of the area -> the shading before
+ALONE = "alone"  # in such a shading: whether `show_alone` has made the Local View
 SHADING_SETTINGS = {
     "SOLID": (),
     "WIREFRAME": (),
@@ -61,6 +65,8 @@ def shading_back(screen: bpy.types.Screen, area: bpy.types.Area) -> None:
     if known is None or key not in known:
         return
     before, shading = known[key].to_dict(), area.spaces.active.shading
+    if before.pop(ALONE, 0) and area.spaces.active.local_view is not None:
+        _switch_local_view(area)
     if shading.type in ("MATERIAL", "RENDERED"):
         for name, value in before.items():
             setattr(shading, name, value if name == "type" else bool(value))
@@ -76,6 +82,28 @@ def is_shown(screen: bpy.types.Screen, area: bpy.types.Area) -> bool:
 
 def _key(screen: bpy.types.Screen, area: bpy.types.Area) -> str:
     return str(list(screen.areas).index(area))
+
+
+def show_alone(screen: bpy.types.Screen, area: bpy.types.Area, item: bpy.types.Object) -> None:
+    """Let the viewport show nothing but the object, by Blender's Local View. A Local View of the artist stays as it is.
+
+    The selection stays. A viewport in which the object is hidden shows all that it has shown.
+    """
+    if area.spaces.active.local_view is None and item.visible_get():
+        with kept_selection() as layer:
+            for other in list(layer.objects.selected):
+                other.select_set(False, view_layer=layer)
+            item.select_set(True, view_layer=layer)
+            _switch_local_view(area)
+        if area.spaces.active.local_view is not None:
+            screen[SHADING_KEY][_key(screen, area)][ALONE] = 1
+
+
+def _switch_local_view(area: bpy.types.Area) -> None:
+    region = next(region for region in area.regions if region.type == "WINDOW")
+    window = next(window for window in bpy.context.window_manager.windows if area in window.screen.areas[:])
+    with bpy.context.temp_override(window=window, area=area, region=region), suppress(RuntimeError):
+        bpy.ops.view3d.localview(frame_selected=False)
 
 
 def frame_object(area: bpy.types.Area, item: bpy.types.Object) -> None:
