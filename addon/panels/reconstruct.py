@@ -54,9 +54,9 @@ class NEP_PT_reconstruct(bpy.types.Panel):
 
 def _draw_settings(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
     settings = context.scene.nep
-    draw_setting(layout, context, settings, "capture", placeholder="Folder with the photos")
+    draw_setting(layout, context, settings, "capture", placeholder="Photos")
     draw_camera_search(layout, context)
-    draw_setting(layout, context, settings, "output", placeholder="Folder for the result")
+    draw_setting(layout, context, settings, "output", placeholder="Result")
     draw_setting(layout, context, settings, "preset")
     draw_wrapped(layout, context, _expected_time(settings), "TIME")
     draw_setting(layout, context, settings, "use_masks")

@@ -14,6 +14,7 @@ from ...backend.scene_io.data_blocks.selection import kept_selection
 
 LAMP_KEY = "nep_lit_off"  # property of a lamp that `lamps_off` has turned off: [hide_viewport, hide_render] before
 SHADING_KEY = "nep_shading"  # property of a screen: number of the area -> the shading before
+VIEW = "view"  # in such a shading: location [3], rotation [4], distance, and whether it was a camera's view
 ALONE = "alone"  # in such a shading: whether `show_alone` has made the Local View
 SHADING_SETTINGS = {
     "SOLID": (),
@@ -52,6 +53,9 @@ def show_world(screen: bpy.types.Screen, area: bpy.types.Area) -> None:
     if key not in known:
         settings = [name for names in SHADING_SETTINGS.values() for name in names]
         known[key] = {"type": shading.type} | {name: int(getattr(shading, name)) for name in settings}
+        view = area.spaces.active.region_3d
+        in_camera = float(view.view_perspective == "CAMERA")
+        known[key][VIEW] = [*view.view_location, *view.view_rotation, view.view_distance, in_camera]
         screen[SHADING_KEY] = known
     if shading.type != "RENDERED":
         shading.type = "MATERIAL"
@@ -60,13 +64,18 @@ def show_world(screen: bpy.types.Screen, area: bpy.types.Area) -> None:
 
 
 def shading_back(screen: bpy.types.Screen, area: bpy.types.Area) -> None:
-    """Give the viewport the shading that it had before `show_world`, unless the artist has chosen another one since."""
+    """Give the viewport the shading and the view that it had before `show_world`. A shading that was chosen since stays."""
     known, key = screen.get(SHADING_KEY), _key(screen, area)
     if known is None or key not in known:
         return
     before, shading = known[key].to_dict(), area.spaces.active.shading
     if before.pop(ALONE, 0) and area.spaces.active.local_view is not None:
         _switch_local_view(area)
+    if place := before.pop(VIEW, None):
+        view = area.spaces.active.region_3d
+        view.view_location, view.view_rotation, view.view_distance = place[:3], place[3:7], place[7]
+        if place[8]:
+            view.view_perspective = "CAMERA"
     if shading.type in ("MATERIAL", "RENDERED"):
         for name, value in before.items():
             setattr(shading, name, value if name == "type" else bool(value))

@@ -53,6 +53,7 @@ def check_lit_view(bpy, addon, folder):
         assert max(item.dimensions) / 2 < space.region_3d.view_distance < 20 * max(item.dimensions)
         assert bpy.ops.nep.show_lit() == {"FINISHED"}
         assert area.spaces.active.local_view is None
+        assert tuple(space.region_3d.view_location) == (50, 50, 50), "and the view"
         assert scene.world == own and [(lamp.hide_viewport, lamp.hide_render) for lamp in lamps] == hidden
         assert space.shading.type == kind and not space.shading.use_scene_world and not space.shading.use_scene_world_render
         assert not screen.keys() and not any(lamp.keys() for lamp in lamps)
