@@ -52,10 +52,14 @@ def draw_setting(
 ) -> None:
     """Draw a setting with its name beside its field, or above it in a narrow sidebar. `options`: those of `prop`."""
     kind = settings.bl_rna.properties[name]
-    if panel_width(context) >= NARROW or kind.type == "BOOLEAN":
+    if panel_width(context) >= NARROW:
         layout.prop(settings, name, **options)
         return
     column = layout.column(align=True)
+    column.use_property_split = False
+    if kind.type == "BOOLEAN":
+        column.prop(settings, name, **options)
+        return
     column.label(text=kind.name)
     column.prop(settings, name, text="", **options)
 
