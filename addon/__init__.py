@@ -10,7 +10,7 @@ The modules form layers. A module imports only modules of the layers below its o
     engine_errors, engine_paths, editors, halved_pictures, wrapped_text   what Blender and the preferences offer
     capture_choice, saved_elsewhere                                       the capture's parts and result; Save As
     capture_folder, folders, properties                                   the settings, `scene.nep`, and their folders
-    folder_changes, languages                                             who is told of a changed folder; translations
+    face_limit, folder_changes, languages                                 changes of settings; translations
 
 `register` puts functions of the upper layers among the callbacks of `folder_changes`.
 Panels and `tasks/running_jobs` call operators by their names in Blender (`nep.import_result`), not by an import.

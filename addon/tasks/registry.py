@@ -7,6 +7,8 @@ its place, when another .blend file is opened, and when Blender or the add-on en
 A task survives File > New, and undo. So it keeps no reference to Blender's data.
 """
 
+from __future__ import annotations  # else `typing` would keep `Kind | None` to Python's end, and with it all of this module
+
 import time
 from pathlib import Path
 from typing import ClassVar, TypeVar
