@@ -8,9 +8,9 @@ The modules form layers. A module imports only modules of the layers below its o
     tasks/                                                                jobs and all other work in other processes
     scene/                                                                objects, images and settings in the .blend file
     engine_errors, engine_paths, editors, halved_pictures, wrapped_text   what Blender and the preferences offer
-    saved_elsewhere                                                       the settings' paths after Save As
+    capture_choice, saved_elsewhere                                       the capture's parts and result; Save As
     capture_folder, folders, properties                                   the settings, `scene.nep`, and their folders
-    folder_changes                                                        who is told of a changed folder
+    face_limit, folder_changes, languages                                 changes of settings; translations
 
 `register` puts functions of the upper layers among the callbacks of `folder_changes`.
 Panels and `tasks/running_jobs` call operators by their names in Blender (`nep.import_result`), not by an import.
@@ -21,8 +21,18 @@ import atexit
 
 import bpy
 
-from . import folder_changes, halved_pictures, operators, panels, preferences, properties, saved_elsewhere
-from .panels import swatches
+from . import (
+    capture_choice,
+    folder_changes,
+    halved_pictures,
+    languages,
+    operators,
+    panels,
+    preferences,
+    properties,
+    saved_elsewhere,
+)
+from .panels import menus, status_bar, swatches
 from .scene import shelf_scene
 from .tasks import clock, material_correction, photo_check, registry, running_jobs
 
@@ -51,13 +61,17 @@ HANDLERS = (
 
 def register() -> None:
     """Make the add-on known to Blender, and find the jobs of a file that is open already."""
+    languages.register()
     for cls in CLASSES:
         bpy.utils.register_class(cls)
     bpy.types.Scene.nep = bpy.props.PointerProperty(type=properties.NepSettings)
     folder_changes.output_callbacks.append(running_jobs.attach_job)
+    folder_changes.capture_callbacks.append(capture_choice.on_capture_chosen)  # first: it may name the whole capture
     folder_changes.capture_callbacks.append(photo_check.on_capture_chosen)
     for event, handler in HANDLERS:
         getattr(bpy.app.handlers, event).append(handler)
+    status_bar.add()
+    menus.add()
     clock.call_until_false(_attach_jobs_once)  # later: in `register` bpy.data has no scenes
     atexit.register(_close_all)
 
@@ -79,6 +93,9 @@ def _attach_jobs_once() -> bool:
 
 def _close_all() -> None:
     """Stop the timer, the handlers and all work under way. A timer or handler that is left makes Blender hang at its end."""
+    languages.unregister()
+    status_bar.remove()
+    menus.remove()
     folder_changes.output_callbacks.clear()
     folder_changes.capture_callbacks.clear()
     clock.stop()

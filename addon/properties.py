@@ -2,8 +2,7 @@
 
 import bpy
 
-from ..backend.engine.command import LEAST_FACES
-from . import folder_changes
+from . import face_limit, folder_changes
 
 PATH_OPTIONS = {"ANIMATABLE"} | ({"PATH_SUPPORTS_BLEND_RELATIVE"} if bpy.app.version >= (4, 5, 0) else set())
 """Of paths that may begin with `//`. Blender 5 draws them in red without the second option; 4.2 does not know it."""
@@ -90,11 +89,6 @@ class NepShelfFolder(bpy.types.PropertyGroup):
     )
 
 
-def _enough_faces(settings: "NepSettings", context: bpy.types.Context) -> None:
-    if 0 < settings.faces < LEAST_FACES:
-        settings.faces = LEAST_FACES
-
-
 class NepSettings(bpy.types.PropertyGroup):
     capture: bpy.props.StringProperty(
         name="Capture",
@@ -110,6 +104,12 @@ class NepSettings(bpy.types.PropertyGroup):
         subtype="DIR_PATH",
         options=PATH_OPTIONS,
         update=folder_changes.notify_output,
+    )
+    default_output: bpy.props.StringProperty(
+        name="Default Output",
+        description="The folder that was proposed for the result, beside the capture",
+        subtype="DIR_PATH",
+        options=PATH_OPTIONS | {"HIDDEN"},
     )
     preset: bpy.props.EnumProperty(name="Preset", description="How much time to spend", items=PRESETS, default="balanced")
     use_masks: bpy.props.BoolProperty(
@@ -128,8 +128,8 @@ class NepSettings(bpy.types.PropertyGroup):
     )
     device: bpy.props.EnumProperty(name="Device", description="What to compute on", items=DEVICES, default="auto")
     metal: bpy.props.EnumProperty(
-        name="Material",
-        description="Whether the object is metal, where you know it and the photos do not tell",
+        name="Whole Object",
+        description="Whether all of the object is metal, where you know it and the photos do not tell",
         items=METAL,
         default="auto",
     )
@@ -139,7 +139,7 @@ class NepSettings(bpy.types.PropertyGroup):
         "0: as many as the preset makes, without a normal map. Not used with a known mesh",
         min=0,
         max=1_000_000,
-        update=_enough_faces,
+        update=face_limit.keep_enough_faces,
     )
     closing: bpy.props.EnumProperty(
         name="When Blender Closes", description="What happens to a running job", items=CLOSINGS, default="STOP"

@@ -1,6 +1,19 @@
 """The operators: what the buttons of the panels do, and the commands of scripts (`bpy.ops.nep.…`)."""
 
-from . import bounds, camera_search, cameras, comparison, engine, materials, photo_check, reconstruct, result, shelf, video
+from . import (
+    bounds,
+    camera_search,
+    cameras,
+    comparison,
+    engine,
+    exchange,
+    materials,
+    photo_check,
+    reconstruct,
+    result,
+    shelf,
+    video,
+)
 
 CLASSES = (
     *reconstruct.CLASSES,
@@ -11,6 +24,7 @@ CLASSES = (
     *bounds.CLASSES,
     *photo_check.CLASSES,
     *result.CLASSES,
+    *exchange.CLASSES,
     *materials.CLASSES,
     *comparison.CLASSES,
     *shelf.CLASSES,

@@ -14,9 +14,10 @@ from ..folders import SAVE_FILE_FIRST, resolve_folder
 from ..tasks import registry
 from ..tasks.camera_search import CameraSearch, start_search
 from ..tasks.running_jobs import job_of
+from .confirmation import Asks
 
 
-class CameraOperator:
+class CameraOperator(Asks):
     """What the operators that find and that improve cameras share."""
 
     @classmethod
@@ -104,16 +105,13 @@ class NEP_OT_find_cameras(CameraOperator, bpy.types.Operator):
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         folder = resolve_folder(context.scene.nep.capture)
         if self.overwrite and folder is not None and look_into(folder).has_cameras:
-            return context.window_manager.invoke_confirm(
-                self,
-                event,
-                title="Find Cameras Again",
-                confirm_text="Find Cameras Again",
-                message="This replaces the cameras in the capture folder. A copy of the present ones is kept there.",
-            )
+            message = "This replaces the cameras in the capture folder. A copy of the present ones is kept there."
+            return self._ask(context, event, title="Find Cameras Again", message=message)
         return self._find(context, wait=bpy.app.background, replace=self.overwrite)
 
     def execute(self, context: bpy.types.Context) -> set[str]:
+        if self._is_double_click():
+            return {"CANCELLED"}
         wait = not self.options.is_invoke  # is_invoke: the artist has confirmed the question
         return self._find(context, wait=wait, replace=self.overwrite)
 
@@ -137,15 +135,12 @@ class NEP_OT_improve_cameras(CameraOperator, bpy.types.Operator):
         return True
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
-        return context.window_manager.invoke_confirm(
-            self,
-            event,
-            title="Improve Cameras",
-            confirm_text="Improve Cameras",
-            message="Better cameras replace those of the capture. A copy of the present ones is kept in its folder.",
-        )
+        message = "Better cameras replace those of the capture. A copy of the present ones is kept in its folder."
+        return self._ask(context, event, title="Improve Cameras", message=message)
 
     def execute(self, context: bpy.types.Context) -> set[str]:
+        if self._is_double_click():
+            return {"CANCELLED"}
         return self._find(context, wait=not self.options.is_invoke, replace=True, improve=True)
 
 

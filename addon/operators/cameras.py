@@ -5,7 +5,7 @@ from pathlib import Path
 import bpy
 
 from ...backend.scene_io.capture_files import read_frames
-from ...backend.scene_io.photo_cameras import camera_collections, load_cameras, remove_cameras
+from ...backend.scene_io.photo_cameras import has_loaded_cameras, load_cameras, remove_cameras
 from ...backend.scene_io.scene_capture import MINIMUM_PHOTOS, photo_cameras, write_scene_capture
 from ..tasks.camera_search import usable_capture
 
@@ -25,7 +25,8 @@ class NEP_OT_load_cameras(bpy.types.Operator):
     match_render: bpy.props.BoolProperty(
         name="Match Render Size",
         default=True,
-        description="Give the scene the photos' render size and pixel aspect, so that photo and 3D view line up",
+        description="Give the scene the photos' render size and pixel aspect, so that photo and 3D view line up. "
+        "Clear Cameras gives the scene's own ones back",
     )
 
     @classmethod
@@ -67,12 +68,15 @@ class NEP_OT_load_cameras(bpy.types.Operator):
 class NEP_OT_clear_cameras(bpy.types.Operator):
     bl_idname = "nep.clear_cameras"
     bl_label = "Clear Cameras"
-    bl_description = "Remove the cameras that Load Cameras made, and their photos, from the scene"
+    bl_description = (
+        "Remove the cameras that Load Cameras made, and their photos, from the scene. "
+        "The scene gets back its own camera and render size"
+    )
     bl_options = {"REGISTER", "UNDO"}
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        if context.mode != "OBJECT" or not camera_collections(context.scene):
+        if context.mode != "OBJECT" or not has_loaded_cameras(context.scene):
             cls.poll_message_set("Leave Edit Mode first" if context.mode != "OBJECT" else "No cameras are loaded")
             return False
         return True

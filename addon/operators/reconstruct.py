@@ -17,15 +17,16 @@ from ..engine_paths import engine_python
 from ..folders import SAVE_FILE_FIRST, resolve_folder
 from ..properties import PRESETS
 from ..scene.object_bounds import bounds_arguments, bounds_warning
-from ..tasks import registry
+from ..tasks import clock, registry
 from ..tasks.camera_search import why_not_usable
 from ..tasks.material_correction import MaterialCorrection
 from ..tasks.running_jobs import Job, import_job_result, job_of
+from .confirmation import Asks
 
 LOG_LETTERS = 200_000  # of the end of each log file
 
 
-class NEP_OT_reconstruct(bpy.types.Operator):
+class NEP_OT_reconstruct(Asks, bpy.types.Operator):
     bl_idname = "nep.reconstruct"
     bl_label = "Reconstruct Glossy Object"
     bl_description = "Make a mesh with materials, and the light around it, from the photos of the capture folder"
@@ -72,17 +73,16 @@ class NEP_OT_reconstruct(bpy.types.Operator):
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         output = self._output(context.scene)
+        if not (self.capture or context.scene.nep.capture) and not bpy.app.background:
+            return set(bpy.ops.nep.choose_folder("INVOKE_DEFAULT"))  # from the search of menus, for example
         if self.overwrite and output is not None and (is_asset(output) or has_checkpoint(output)):
-            return context.window_manager.invoke_confirm(
-                self,
-                event,
-                title="Start Again",
-                confirm_text="Start Again",
-                message="This replaces the result or the unfinished job in the output folder.",
-            )
+            message = "This replaces the result or the unfinished job in the output folder."
+            return self._ask(context, event, title="Start Again", message=message)
         return {"FINISHED"} if self._start(context, wait=False) else {"CANCELLED"}
 
     def execute(self, context: bpy.types.Context) -> set[str]:
+        if self._is_double_click():
+            return {"CANCELLED"}
         wait = self.wait and not self.options.is_invoke  # is_invoke: the artist has confirmed the question of `invoke`
         job = self._start(context, wait)
         if job is None:
@@ -213,4 +213,16 @@ def _log_files(scene: bpy.types.Scene) -> list[Path]:
     return [] if output is None else [output / "log.txt", output / FOLDER / "engine.log"]
 
 
-CLASSES = (NEP_OT_reconstruct, NEP_OT_cancel, NEP_OT_open_log)
+class NEP_OT_dismiss(bpy.types.Operator):
+    bl_idname = "nep.dismiss"
+    bl_label = "Dismiss"
+    bl_description = "Take what has ended out of the status bar"
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        for task in registry.tasks_of(registry.Task):
+            task.is_news = False
+        clock.redraw(clock.STATUS_BAR)
+        return {"FINISHED"}
+
+
+CLASSES = (NEP_OT_reconstruct, NEP_OT_cancel, NEP_OT_open_log, NEP_OT_dismiss)

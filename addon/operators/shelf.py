@@ -14,6 +14,7 @@ from ..scene import shelf_scene
 from ..tasks import registry
 from ..tasks.gallery_pages import GalleryPages
 from ..tasks.shelf_batch import batch_in, keep_failed_start, start_batch
+from .confirmation import Asks
 
 REPLACES_LISTED = "This replaces the results of all objects of the listed captures."
 REPLACES_ALL = "This replaces the results of all objects in the folder."
@@ -54,7 +55,7 @@ class NEP_OT_remove_shelf_captures(bpy.types.Operator):
         return {"FINISHED"}
 
 
-class NEP_OT_reconstruct_shelf(bpy.types.Operator):
+class NEP_OT_reconstruct_shelf(Asks, bpy.types.Operator):
     bl_idname = "nep.reconstruct_shelf"
     bl_label = "Reconstruct Shelf"
     bl_description = (
@@ -86,16 +87,13 @@ class NEP_OT_reconstruct_shelf(bpy.types.Operator):
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         if self.overwrite:
-            return context.window_manager.invoke_confirm(
-                self,
-                event,
-                title="Start All Again",
-                confirm_text="Start All Again",
-                message=REPLACES_LISTED if _captures(context.scene) else REPLACES_ALL,
-            )
+            message = REPLACES_LISTED if _captures(context.scene) else REPLACES_ALL
+            return self._ask(context, event, title="Start All Again", message=message)
         return self._start(context, wait=bpy.app.background)
 
     def execute(self, context: bpy.types.Context) -> set[str]:
+        if self._is_double_click():
+            return {"CANCELLED"}
         return self._start(context, wait=not self.options.is_invoke)  # is_invoke: the artist has confirmed the question
 
     def _start(self, context: bpy.types.Context, wait: bool) -> set[str]:

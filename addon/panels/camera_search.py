@@ -10,11 +10,11 @@ from ..capture_folder import CaptureFolder, last_look_into
 from ..folders import resolve_folder
 from ..tasks import registry
 from ..tasks.camera_search import CameraSearch
-from ..wrapped_text import draw_wrapped
+from ..wrapped_text import draw_setting, draw_wrapped, fitting
 from .failure import draw_failure
 from .video import draw_choose_video, draw_videos
 
-NO_CAMERAS_YET = "{count} photos, no cameras yet"
+PHOTOS, CAMERAS, MASKS, NO_CAMERAS_YET = "{count} photos", "cameras", "masks", "no cameras yet"
 TOO_FEW = "Too few photos: {count} of at least {least}"
 FOUND = "What the Search Has Found"
 NO_PHOTOS = "This folder holds no photos"
@@ -26,16 +26,18 @@ PROGRESS_LINES = 3  # always as many, so that the buttons below do not move whil
 
 
 def draw_camera_search(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
-    """Draw the box. Nothing is drawn for a capture with cameras that were not found just now."""
+    """Draw what the folder holds, and the box. There is no box for a capture with cameras that were not found just now."""
     folder = resolve_folder(context.scene.nep.capture)
     if folder is None:
         draw_choose_video(layout)
         return
     running = registry.running(CameraSearch, folder)
     if running is not None:
-        _draw_progress(layout.box(), running)
+        _draw_progress(layout.box(), context, running)
         return
     holds, search = last_look_into(folder), registry.ended(CameraSearch, folder)
+    if holds.has_cameras:
+        draw_wrapped(layout, context, contents_line(holds), "CHECKMARK")
     if holds.lacks_cameras:
         box = layout.box()
         _draw_offer(box, context, holds)
@@ -49,26 +51,38 @@ def draw_camera_search(layout: bpy.types.UILayout, context: bpy.types.Context) -
         if body is not None:
             _draw_found(body.box(), context, search)
     elif not holds.photos and not holds.videos and not holds.has_cameras and os.path.isdir(folder):
-        layout.label(text=NO_PHOTOS, icon="INFO")
+        draw_wrapped(layout, context, NO_PHOTOS, "INFO")
     if not holds.photos and not holds.has_cameras:
         draw_videos(layout, holds.videos)
 
 
 def _draw_offer(box: bpy.types.UILayout, context: bpy.types.Context, holds: CaptureFolder) -> None:
-    text = NO_CAMERAS_YET if holds.has_enough_photos else TOO_FEW
-    box.label(text=pgettext_iface(text).format(count=holds.photos, least=LEAST_PHOTOS), icon="CAMERA_DATA")
-    if holds.has_enough_photos:
+    if not holds.has_enough_photos:
+        text = pgettext_iface(TOO_FEW).format(count=holds.photos, least=LEAST_PHOTOS)
+        draw_wrapped(box, context, text, "CAMERA_DATA")
+    else:
+        draw_wrapped(box, context, contents_line(holds), "CAMERA_DATA")
         _draw_features(box, context, holds)
         box.operator("nep.find_cameras", icon="VIEWZOOM")
+
+
+def contents_line(holds: CaptureFolder) -> str:
+    """What the folder holds, such as "40 photos, cameras, masks"; an empty string for a folder without any of it."""
+    found = [pgettext_iface(PHOTOS).format(count=holds.photos)] if holds.photos else []
+    found += [pgettext_iface(CAMERAS)] if holds.has_cameras else []
+    found += [pgettext_iface(MASKS)] if found and holds.has_masks else []
+    found += [pgettext_iface(NO_CAMERAS_YET)] if holds.lacks_cameras else []
+    line = ", ".join(found)
+    return line[:1].upper() + line[1:]
 
 
 def _draw_features(layout: bpy.types.UILayout, context: bpy.types.Context, holds: CaptureFolder) -> None:
     """The choice where to look for details, for a folder with masks."""
     if holds.has_masks:
-        layout.prop(context.scene.nep, "features")
+        draw_setting(layout, context, context.scene.nep, "features")
 
 
-def _draw_progress(box: bpy.types.UILayout, search: CameraSearch) -> None:
+def _draw_progress(box: bpy.types.UILayout, context: bpy.types.Context, search: CameraSearch) -> None:
     """The bar, with Cancel beside it: a second click on Find Cameras, which stood below, must not cancel."""
     process, progress = search.process, search.process.progress
     row = box.split(factor=0.66, align=True)
@@ -77,7 +91,7 @@ def _draw_progress(box: bpy.types.UILayout, search: CameraSearch) -> None:
     column = box.column(align=True)
     lines = [pgettext_iface(STOPPING)] if process.stopping else progress.lines(pgettext_iface)
     for line in lines + [""] * (PROGRESS_LINES - len(lines)):
-        column.label(text=line)
+        column.label(text=line) if not line else draw_wrapped(column, context, line)
 
 
 def _draw_found(box: bpy.types.UILayout, context: bpy.types.Context, search: CameraSearch) -> None:
@@ -100,5 +114,6 @@ def draw_find_again(layout: bpy.types.UILayout, context: bpy.types.Context) -> N
         return
     _draw_features(layout, context, holds)
     if holds.has_transforms and holds.has_enough_photos:
-        layout.operator("nep.find_cameras", text="Find Cameras Again", icon="FILE_REFRESH").overwrite = True
+        text = fitting(context, "Find Cameras Again", "Find Again")
+        layout.operator("nep.find_cameras", text=text, icon="FILE_REFRESH").overwrite = True
     layout.operator("nep.improve_cameras", icon="MODIFIER")

@@ -6,11 +6,12 @@ from bpy.app.translations import pgettext_iface
 from ..folders import resolve_folder
 from ..properties import NepMaterial, NepSettings
 from ..scene.imported_materials import applied_correction, applied_corrections, chosen_corrections
+from ..scene.imported_result import result_object
 from ..tasks import registry
 from ..tasks.material_correction import NOT_IN_FILE, MaterialCorrection
 from ..wrapped_text import draw_wrapped
 from .failure import draw_failure
-from .subpanels import SubPanel
+from .subpanels import SubPanel, draw_relink
 from .swatches import swatch_icon
 
 CORRECTED = "GREASEPENCIL"  # the icon beside a value that the artist corrects
@@ -19,6 +20,7 @@ NO_MATERIALS = (
     "This result does not name its materials, because an older version of the engine has made it. "
     "Reconstruct again to correct them."
 )
+NO_OBJECT = "The object is not in the scene any more. Import Result brings it back, with the corrections."
 NOW_METAL = "Now: roughness {roughness:.2f}, metal"
 NOW_NOT_METAL = "Now: roughness {roughness:.2f}, not metal"
 LEARNED_METAL = "Learned: roughness {roughness:.2f}, metal"
@@ -58,7 +60,7 @@ def _columns(layout: bpy.types.UILayout) -> tuple[bpy.types.UILayout, bpy.types.
 
 
 class NEP_PT_materials(SubPanel, bpy.types.Panel):
-    bl_label = "Materials"
+    bl_label = "Correct Materials"
     bl_idname = "NEP_PT_materials"
     bl_options = {"DEFAULT_CLOSED"}
     bl_order = 3
@@ -69,6 +71,9 @@ class NEP_PT_materials(SubPanel, bpy.types.Panel):
             text = NO_MATERIALS if settings.asset else "Import a result first: its materials are listed here."
             draw_wrapped(layout, context, pgettext_iface(text), "INFO")
             return
+        draw_relink(layout, context)
+        if result_object(context.scene) is None:
+            draw_wrapped(layout, context, pgettext_iface(NO_OBJECT), "INFO")
         column, running = layout.column(), registry.running(MaterialCorrection)
         column.enabled = running is None
         for heading, text in zip(_columns(column), ("Share", "Roughness", "Metal"), strict=True):

@@ -3,7 +3,7 @@
 import bpy
 
 from ..halved_pictures import picture_halves
-from ..wrapped_text import panel_width
+from ..wrapped_text import draw_wrapped, panel_width
 
 ROW_HEIGHT = 20  # in pixels at an interface scale of 1; template_icon counts in rows
 
@@ -15,4 +15,4 @@ def draw_halves(layout: bpy.types.UILayout, context: bpy.types.Context, key: str
     for picture, title in zip(halves, titles, strict=False):
         column = row.column(align=True)
         column.template_icon(picture.icon_id, scale=max(3, panel_width(context) / len(halves) / ROW_HEIGHT))
-        column.label(text=title)
+        draw_wrapped(column, context, title, parts=len(halves))

@@ -6,14 +6,25 @@ from bpy.app.translations import pgettext_iface
 from ...backend.engine.command import NoEngineError, engine_is_at_hand
 from ...backend.engine.progress import duration
 from ...backend.engine.results.job_files import has_checkpoint, is_asset
-from ...backend.engine.timings import expected_seconds
+from ...backend.engine.timings import GUESS, THESE_PHOTOS, THIS_COMPUTER, expected_seconds
+from ..capture_folder import last_look_into
 from ..engine_paths import engine_python, timings_file
 from ..folders import resolve_folder
-from ..scene.imported_result import has_new_result
+from ..properties import NepSettings
+from ..scene.imported_result import has_new_result, is_lit, result_object
+from ..scene.lit_view import viewport
+from ..tasks import registry
 from ..tasks.running_jobs import Job, job_of
-from ..wrapped_text import draw_wrapped
-from .camera_search import draw_camera_search
+from ..wrapped_text import draw_setting, draw_wrapped, fitting
+from .camera_search import PROGRESS_LINES, draw_camera_search
 from .pictures import draw_halves
+
+STOPPING = "Stopping: writing the checkpoint"
+TIMES = {
+    THESE_PHOTOS: "{time}, as measured with these photos",
+    THIS_COMPUTER: "{time} for these photos, by the last jobs here",
+    GUESS: "{time}: a guess until the first job has ended",
+}
 
 
 class NEP_PT_reconstruct(bpy.types.Panel):
@@ -29,29 +40,27 @@ class NEP_PT_reconstruct(bpy.types.Panel):
         job = job_of(context.scene)
         if job is not None and not job.ended:
             _draw_running(self.layout, context, job)
+            _draw_other_jobs(self.layout, job)
             return
         _draw_settings(self.layout, context)
         _draw_engine(self.layout, context)
         if job is not None:
             _draw_end(self.layout, context, job)
-        _draw_buttons(self.layout, context.scene)
+        _draw_buttons(self.layout, context)
         if job is not None:
             _draw_scene_analysis(self.layout, context, job)
+        _draw_other_jobs(self.layout, job)
 
 
 def _draw_settings(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
     settings = context.scene.nep
-    layout.prop(settings, "capture", placeholder="Folder with the photos")
+    draw_setting(layout, context, settings, "capture", placeholder="Photos")
     draw_camera_search(layout, context)
-    layout.prop(settings, "output", placeholder="Folder for the result")
-    layout.prop(settings, "preset")
-    seconds, measured = expected_seconds(timings_file(), settings.preset)
-    text = duration(seconds, pgettext_iface)
-    row = layout.row()
-    row.alignment = "RIGHT"
-    row.label(text=f"{text} on this machine" if measured else f"{text} for 60 small photos", icon="TIME")
-    layout.prop(settings, "use_masks")
-    layout.prop(settings, "device")
+    draw_setting(layout, context, settings, "output", placeholder="Result")
+    draw_setting(layout, context, settings, "preset")
+    draw_wrapped(layout, context, _expected_time(settings), "TIME")
+    draw_setting(layout, context, settings, "use_masks")
+    draw_setting(layout, context, settings, "device")
     header, body = layout.panel("nep_advanced", default_closed=True)
     header.label(text="Advanced")
     if body is not None:
@@ -59,7 +68,16 @@ def _draw_settings(layout: bpy.types.UILayout, context: bpy.types.Context) -> No
         column.label(text="When Blender closes:")
         column.prop(settings, "closing", text="")
         for name in ("metal", "all_photos", "faces", "use_preview", "seed", "threads", "mesh"):
-            body.prop(settings, name)
+            draw_setting(body, context, settings, name)
+
+
+def _expected_time(settings: NepSettings) -> str:
+    """How long a job takes with the chosen photos and preset, and where that is known from."""
+    capture = resolve_folder(settings.capture)
+    photos = 0 if capture is None else last_look_into(capture).photos
+    expected = expected_seconds(timings_file(), settings.preset, capture, photos)
+    text = pgettext_iface(TIMES[expected.basis])
+    return text.format(time=duration(expected.seconds, pgettext_iface))
 
 
 def _draw_engine(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
@@ -70,7 +88,8 @@ def _draw_engine(layout: bpy.types.UILayout, context: bpy.types.Context) -> None
     layout.operator("nep.open_preferences", icon="PREFERENCES")
 
 
-def _draw_buttons(layout: bpy.types.UILayout, scene: bpy.types.Scene) -> None:
+def _draw_buttons(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
+    scene = context.scene
     output = resolve_folder(scene.nep.output)
     finished, unfinished = output is not None and is_asset(output), output is not None and has_checkpoint(output)
     column = layout.column()
@@ -80,27 +99,32 @@ def _draw_buttons(layout: bpy.types.UILayout, scene: bpy.types.Scene) -> None:
     if unfinished:
         column.operator("nep.reconstruct", text="Resume", icon="PLAY").resume = True
     if not (finished or unfinished):
-        column.operator("nep.reconstruct", icon="PLAY")
+        column.operator("nep.reconstruct", text=fitting(context, "Reconstruct Glossy Object", "Reconstruct"), icon="PLAY")
         return
     row = layout.row(align=True)
     if finished and not has_new_result(scene):
-        row.operator("nep.import_result", text="Import Again", icon="IMPORT").folder = str(output)
-    row.operator("nep.reconstruct", text="Start Again", icon="FILE_REFRESH").overwrite = True
+        again = fitting(context, "Import Again", "Import", parts=2)
+        row.operator("nep.import_result", text=again, icon="IMPORT").folder = str(output)
+    row.operator(
+        "nep.reconstruct", text=fitting(context, "Start Again", "Again", parts=2), icon="FILE_REFRESH"
+    ).overwrite = True
 
 
 def _draw_running(layout: bpy.types.UILayout, context: bpy.types.Context, job: Job) -> None:
+    """The bar, with Cancel below it. What changes its length stands below both, so that no button moves under the mouse."""
     layout.label(text=job.folder.name, icon="FILE_FOLDER")
     progress = job.progress
     layout.progress(factor=progress.fraction, text=f"{100 * progress.fraction:.0f} %")
-    column = layout.column(align=True)
-    for line in ["Stopping: writing the checkpoint"] if job.stopping else progress.lines(pgettext_iface):
-        column.label(text=line)
-    _draw_picture(layout, context, job)
-    for warning in job.warnings[-2:]:
-        draw_wrapped(layout, context, warning.words(pgettext_iface), "INFO")
     row = layout.row(align=True)
     row.operator("nep.cancel", icon="CANCEL")
     row.operator("nep.open_log", text="", icon="TEXT")
+    column = layout.column(align=True)
+    lines = [pgettext_iface(STOPPING)] if job.stopping else progress.lines(pgettext_iface)
+    for line in lines + [""] * (PROGRESS_LINES - len(lines)):
+        draw_wrapped(column, context, line) if line else column.label(text="")
+    _draw_picture(layout, context, job)
+    for warning in job.warnings[-2:]:
+        draw_wrapped(layout, context, warning.words(pgettext_iface), "INFO")
     _draw_scene_analysis(layout, context, job)
 
 
@@ -112,10 +136,17 @@ def _draw_scene_analysis(layout: bpy.types.UILayout, context: bpy.types.Context,
     if not job.scene_analysis:
         return
     header, body = layout.panel("nep_scene", default_closed=True)
-    header.label(text="What the Photos Show")
+    header.label(text=fitting(context, "What the Photos Show", "Photos Show"))
     if body is not None:
         for line in job.scene_analysis:
             draw_wrapped(body, context, line.words(pgettext_iface))
+
+
+def _draw_other_jobs(layout: bpy.types.UILayout, shown: Job | None) -> None:
+    """The running jobs of other scenes, files and output folders. They stand below all buttons, because they come and go."""
+    for job in registry.tasks_of(Job):
+        if job is not shown and not job.ended:
+            layout.progress(factor=job.done_fraction, text=f"{job.folder.name}: {100 * job.done_fraction:.0f} %")
 
 
 def _draw_picture(layout: bpy.types.UILayout, context: bpy.types.Context, job: Job) -> None:
@@ -132,6 +163,8 @@ def _draw_end(layout: bpy.types.UILayout, context: bpy.types.Context, job: Job) 
             else "The object is in the scene."
         )
         draw_wrapped(layout, context, text, "CHECKMARK")
+        if result_object(context.scene) is not None:
+            layout.operator("nep.show_lit", icon="SHADING_RENDERED", depress=is_lit(context.scene, viewport(context)))
         for warning in job.warnings[-2:]:
             draw_wrapped(layout, context, warning.words(pgettext_iface), "INFO")
         return

@@ -10,7 +10,7 @@ from ...backend.engine.words import BATCH_HINTS, error_words
 from ..folders import resolve_folder
 from ..scene import shelf_scene
 from ..tasks.shelf_batch import ShelfBatch, batch_in
-from ..wrapped_text import draw_wrapped
+from ..wrapped_text import draw_setting, draw_wrapped, fitting
 from .failure import draw_failure
 from .subpanels import SubPanel
 
@@ -37,12 +37,12 @@ class NEP_PT_shelf(SubPanel, bpy.types.Panel):
         folder = resolve_folder(scene.nep.shelf_output)
         batch = None if folder is None else batch_in(folder)
         running = batch is not None and not batch.ended
-        _draw_captures(layout, scene.nep, enabled=not running)
+        _draw_captures(layout, context, enabled=not running)
         column = layout.column()
         column.use_property_split, column.use_property_decorate = True, False
-        column.prop(scene.nep, "shelf_output", placeholder="Folder for all results")
+        draw_setting(column, context, scene.nep, "shelf_output", placeholder="Folder for all results")
         if not running:
-            column.prop(scene.nep, "preset")
+            draw_setting(column, context, scene.nep, "preset")
         if batch is None:
             layout.operator("nep.reconstruct_shelf", icon="PLAY")
             return
@@ -58,14 +58,16 @@ class NEP_PT_shelf(SubPanel, bpy.types.Panel):
             draw_wrapped(layout, context, batch.problem, "ERROR")
 
 
-def _draw_captures(layout: bpy.types.UILayout, settings: bpy.types.PropertyGroup, *, enabled: bool) -> None:
+def _draw_captures(layout: bpy.types.UILayout, context: bpy.types.Context, *, enabled: bool) -> None:
+    settings = context.scene.nep
     column = layout.column(align=True)
     column.enabled = enabled
     for index, entry in enumerate(settings.shelf_captures):
         row = column.row(align=True)
         row.prop(entry, "path", text="", placeholder="Folder with captures")
         row.operator("nep.remove_shelf_captures", text="", icon="X").index = index
-    column.operator("nep.add_shelf_captures", text="Add Folder with Captures", icon="ADD")
+    text = fitting(context, "Add Folder with Captures", "Add Folder", "Add")
+    column.operator("nep.add_shelf_captures", text=text, icon="ADD")
 
 
 def _draw_start(layout: bpy.types.UILayout, batch: ShelfBatch) -> None:
@@ -84,7 +86,7 @@ def _draw_progress(layout: bpy.types.UILayout, context: bpy.types.Context, batch
     row.progress(factor=fraction, text=f"{100 * fraction:.0f} %")
     row.operator("nep.stop_shelf")
     if batch.stopping:
-        layout.label(text=STOPPING)
+        draw_wrapped(layout, context, STOPPING)
     elif progress is None:
         draw_wrapped(layout, context, pgettext_iface(ELSEWHERE))
     else:  # without what the list says
@@ -99,7 +101,8 @@ def _draw_objects(layout: bpy.types.UILayout, context: bpy.types.Context, batch:
     row = column.row()
     row.scale_y = 1.4
     row.operator("nep.bring_in_objects", icon="IMPORT")
-    column.operator("nep.add_asset_library", icon="ASSET_MANAGER")
+    text = fitting(context, "Add to Asset Libraries", "Asset Library")
+    column.operator("nep.add_asset_library", text=text, icon="ASSET_MANAGER")
     column.operator("nep.open_gallery", icon="URL")
     if missing:
         layout.label(text=pgettext_iface(READY).format(count=missing), icon="INFO")

@@ -1,17 +1,25 @@
 """The sub-panels of the sidebar panel: cameras and bounds, result and light, relit comparison."""
 
 import bpy
+from bpy.app.translations import pgettext_iface
 
+from ...backend.scene_io.world import strength_input, turn_input
 from ..engine_errors import error_text
+from ..folders import resolve_folder
+from ..operators.exchange import FORMATS, has_exporter
+from ..scene import lit_view
 from ..scene.comparison_image import comparison_image
-from ..scene.imported_result import is_recovered_light_used
+from ..scene.imported_result import is_lit, is_recovered_light_used, is_result_gone, result_object
 from ..scene.object_bounds import bounds_object, bounds_warning
 from ..tasks import registry
 from ..tasks.bounds_estimate import BoundsEstimate
 from ..tasks.comparison_render import ComparisonRender, last_message
-from ..wrapped_text import draw_wrapped
+from ..wrapped_text import NARROW, draw_wrapped, fitting, panel_width
 from .camera_search import draw_find_again
 from .photo_check import draw_photo_check
+
+BESIDE_X = 1.25  # the width of a line, relative to a button that has one with an X beside it
+GONE = "The folder {name} of the result was renamed, moved or removed"
 
 
 class SubPanel:
@@ -31,19 +39,22 @@ class NEP_PT_cameras_and_bounds(SubPanel, bpy.types.Panel):
     def draw(self, context: bpy.types.Context) -> None:
         column = self.layout.column(align=True)
         row = column.row(align=True)
-        row.operator("nep.load_cameras", icon="CAMERA_DATA")
+        text = fitting(context, "Load Cameras", "Cameras", parts=BESIDE_X)
+        row.operator("nep.load_cameras", text=text, icon="CAMERA_DATA")
         row.operator("nep.clear_cameras", text="", icon="X")
-        column.operator("nep.capture_from_scene", icon="SCENE_DATA")
+        text = fitting(context, "Capture from This Scene", "From This Scene", "From Scene")
+        column.operator("nep.capture_from_scene", text=text, icon="SCENE_DATA")
         draw_find_again(column, context)
         column = self.layout.column(align=True)
         row = column.row(align=True)
-        row.operator("nep.propose_bounds", icon="MESH_UVSPHERE")
+        text = fitting(context, "Propose Bounds", "Bounds", parts=BESIDE_X)
+        row.operator("nep.propose_bounds", text=text, icon="MESH_UVSPHERE")
         row.operator("nep.clear_bounds", text="", icon="X")
         estimate = registry.find(BoundsEstimate)
         if estimate is not None and not estimate.ended:
             column.label(text="Looking for the object...", icon="TIME")
         elif bounds_object(context.scene) is None:
-            column.label(text="Bounds: found automatically")
+            draw_wrapped(column, context, "Bounds: found automatically")
         else:
             draw_wrapped(
                 column,
@@ -64,13 +75,39 @@ class NEP_PT_result_and_light(SubPanel, bpy.types.Panel):
 
     def draw(self, context: bpy.types.Context) -> None:
         layout, settings = self.layout, context.scene.nep
-        row = layout.row(align=True)
-        row.label(text="Images")
-        row.prop(settings, "images", expand=True)
+        draw_relink(layout, context)
+        layout.label(text="Images")
+        layout.row(align=True).prop(settings, "images", expand=True)
         column = layout.column(align=True)
-        column.operator("nep.use_recovered_light", icon="WORLD", depress=is_recovered_light_used(context.scene))
-        if settings.recovered_world is not None:
+        lit = is_lit(context.scene, lit_view.viewport(context))
+        column.operator("nep.show_lit", icon="SHADING_RENDERED", depress=lit)
+        text = fitting(context, "Use Recovered Light", "Recovered Light", "Light")
+        column.operator("nep.use_recovered_light", text=text, icon="WORLD", depress=is_recovered_light_used(context.scene))
+        world = settings.recovered_world
+        if world is not None:
             column.prop(settings, "recovered_world", text="")
+            turn, strength = turn_input(world), strength_input(world)
+            column = layout.column(align=True)
+            if turn is not None:
+                column.prop(turn, "default_value", index=2, text="Turn")
+            if strength is not None:
+                column.prop(strength, "default_value", text="Strength")
+        layout.operator("nep.open_result_folder", icon="FILE_FOLDER")
+        if result_object(context.scene) is not None:
+            layout.label(text="Export")
+            row = layout.row(align=True)
+            for name, title, _ in FORMATS:
+                if has_exporter(name):
+                    row.operator("nep.export_result", text=title).format = name
+
+
+def draw_relink(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
+    """Where the folder of the imported result is gone: its name, and the button that asks where it is now."""
+    settings = context.scene.nep
+    if is_result_gone(settings):
+        text = pgettext_iface(GONE).format(name=resolve_folder(settings.asset).name)
+        draw_wrapped(layout, context, text, "ERROR")
+        layout.operator("nep.relink_result", icon="FILE_FOLDER")
 
 
 class NEP_PT_relit_comparison(SubPanel, bpy.types.Panel):
@@ -84,13 +121,15 @@ class NEP_PT_relit_comparison(SubPanel, bpy.types.Panel):
         column = layout.column()
         column.enabled = render is None
         column.label(text="Show the object under:")
-        column.grid_flow(row_major=True, columns=2, align=True).prop(settings, "comparison_lights")
+        columns = 2 if panel_width(context) >= NARROW else 1
+        column.grid_flow(row_major=True, columns=columns, align=True).prop(settings, "comparison_lights")
         column.prop(settings, "comparison_light_file", text="", placeholder="Another light (.hdr, .exr)")
         numbers = column.column(align=True)
         for name in ("comparison_photos", "comparison_turntable", "comparison_samples"):
             numbers.prop(settings, name)
         if render is None:
-            layout.operator("nep.render_comparison", icon="RENDER_STILL")
+            text = fitting(context, "Render Relit Comparison", "Render Comparison", "Render")
+            layout.operator("nep.render_comparison", text=text, icon="RENDER_STILL")
         else:
             process = render.process
             text = "Stopping" if process.cancelled else f"Picture {process.done} of {process.total}"

@@ -9,7 +9,7 @@ from pathlib import Path
 import bpy
 
 from ...backend.engine.results.asset_materials import AssetMaterial, read_materials
-from ...backend.scene_io.asset_import import reload_textures
+from ...backend.scene_io.data_blocks.asset_images import reload_textures
 from ..folders import folder_key, resolve_folder
 from ..properties import NepMaterial, NepSettings
 

@@ -15,6 +15,7 @@ from .engine_task import CommandTask
 
 NO_CAMERAS = "{folder} holds photos, but no cameras yet: press Find Cameras first"
 CHOOSE_CAPTURE = "Choose a capture folder first"
+CAMERAS, FOUND = "Cameras", "The cameras were found"
 AT_WORK = "The cameras of the photos in {folder} are being found: wait until that has ended"
 
 
@@ -29,6 +30,20 @@ class CameraSearch(CommandTask):
 
     def displayed_state(self) -> object:
         return self.process.progress, self.process.stopping
+
+    @property
+    def done_fraction(self) -> float:
+        return self.process.progress.fraction
+
+    @property
+    def has_failed(self) -> bool:
+        return self.failed is not None
+
+    def status_name(self) -> str:
+        return pgettext_iface(CAMERAS)
+
+    def end_status(self) -> str:
+        return self.failed.words(pgettext_iface)[0] if self.failed is not None else pgettext_iface(FOUND)
 
     def finish(self) -> None:
         forget_looks()

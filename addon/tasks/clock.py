@@ -11,6 +11,7 @@ import bpy
 
 PERIOD_S = 0.1
 
+STATUS_BAR = "STATUSBAR"
 REDRAW_PERIODS = 10  # drawing an area every 0.1 s would cost more than it shows
 
 _functions: list[Callable[[], bool]] = []
@@ -62,9 +63,22 @@ def redraw_soon(area_type: str) -> None:
 
 def redraw(area_type: str) -> None:
     """Draw all areas of this type again now; of 3D viewports ("VIEW_3D") only the sidebars."""
+    if area_type == STATUS_BAR:
+        _redraw_status_bar()
     for window in bpy.context.window_manager.windows:
         for area in window.screen.areas:
             if area.type == area_type:
                 for region in area.regions:
                     if region.type == "UI" or area_type != "VIEW_3D":
                         region.tag_redraw()
+
+
+def _redraw_status_bar() -> None:
+    """Draw the status bars again. Blender lists no area for them, but draws them when their text is set.
+
+    That would take away the text of a tool that the artist is using. So the windows with such a tool are left out.
+    """
+    for window in () if bpy.app.background else bpy.context.window_manager.windows:
+        if not len(getattr(window, "modal_operators", ())):
+            with bpy.context.temp_override(window=window):  # without it, Blender 4.3 crashes after File > New
+                window.workspace.status_text_set(None)

@@ -7,6 +7,8 @@ its place, when another .blend file is opened, and when Blender or the add-on en
 A task survives File > New, and undo. So it keeps no reference to Blender's data.
 """
 
+from __future__ import annotations  # else `typing` would keep `Kind | None` to Python's end, and with it all of this module
+
 import time
 from pathlib import Path
 from typing import ClassVar, TypeVar
@@ -33,6 +35,7 @@ class Task:
         self.folder, self.key = folder, "" if folder is None else folder_key(folder)
         self.ended = False
         self.is_of_open_file = True
+        self.is_news = False  # whether the status bar tells of its end
         self._displayed: object = None
 
     def poll(self) -> bool:
@@ -42,6 +45,24 @@ class Task:
     def displayed_state(self) -> object:
         """What `shown_in` shows of the work. It is drawn again when this value changes, and when the work has ended."""
         return None
+
+    @property
+    def done_fraction(self) -> float:
+        """The part of the work that is done, 0..1, of a task with a `status_name`."""
+        return 0.0
+
+    @property
+    def has_failed(self) -> bool:
+        """Whether the work has ended without its result."""
+        return False
+
+    def status_name(self) -> str:
+        """What the status bar calls the work while it is under way; an empty string where it says nothing of it."""
+        return ""
+
+    def end_status(self) -> str:
+        """What the status bar says of the end of a task with a `status_name`."""
+        return ""
 
     def finish(self) -> None:
         """Called once, when the work has ended."""
@@ -62,7 +83,10 @@ class Task:
         if self.ended or displayed != self._displayed:
             self._displayed = displayed
             clock.redraw_soon(self.shown_in)
+            if self.status_name():
+                clock.redraw_soon(clock.STATUS_BAR)
         if self.ended:
+            self.is_news = bool(self.status_name())
             self.finish()
         return not self.ended
 
@@ -82,6 +106,7 @@ def start(task: Kind, *, wait: bool = False) -> Kind:
         clock.call_until_false(task.advance)
     while wait and task.advance():
         time.sleep(clock.PERIOD_S)
+    task.is_news = task.is_news and not wait
     return task
 
 

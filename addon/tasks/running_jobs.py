@@ -8,6 +8,7 @@ from pathlib import Path
 
 import bpy
 from bpy.app.handlers import persistent
+from bpy.app.translations import pgettext_iface
 
 from ...backend.engine import timings
 from ...backend.engine.command import EngineError
@@ -19,6 +20,8 @@ from ..folders import resolve_folder
 from ..scene import live_preview
 from . import clock, registry
 from .registry import Task
+
+DONE = "{name}: the object is done"
 
 
 class Job(Task):
@@ -96,6 +99,22 @@ class Job(Task):
         """Ask the engine to write its checkpoint and to end."""
         self.stopping = True
         self.engine.request_stop()
+
+    @property
+    def done_fraction(self) -> float:
+        return self.progress.fraction
+
+    @property
+    def has_failed(self) -> bool:
+        return self.failed is not None
+
+    def status_name(self) -> str:
+        return self.folder.name
+
+    def end_status(self) -> str:
+        if self.failed is not None:
+            return f"{self.folder.name}: {self.failed.words(pgettext_iface)[0]}"
+        return pgettext_iface(DONE).format(name=self.folder.name)
 
     @property
     def was_stopped(self) -> bool:

@@ -4,61 +4,46 @@ import os
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
 from pathlib import Path
 
 import bpy
 import numpy as np
 
 from ..plain_files import open_plain
-from .color_spaces import DATA, LINEAR, SRGB, set_color_space
-from .image_files import relative_path
+from .color_spaces import DATA, LINEAR, SRGB
+from .data_blocks.asset_images import (
+    ASSET_KEY,
+    CONFIDENCE,
+    NORMAL_MAP,
+    TEXTURES,
+    Texture,
+    remove_leftovers,
+    shared_image,
+)
+from .data_blocks.selection import kept_selection
 
-
-@dataclass(frozen=True)
-class Texture:
-    """A texture of an asset.
-
-    `socket`: the input of the Principled BSDF, empty for a texture that is not connected. `is_color`: whether the texture's
-    PNG file is sRGB-encoded. `label`: the text on the image node.
-    """
-
-    name: str
-    socket: str
-    is_color: bool
-    label: str
-
-
-# The name of a texture, of its image node and of an attribute of the mesh. Their value is 1 where the photos decided the
-# material.
-CONFIDENCE = "confidence"
-_MOST_BYTES, _LONGEST_LINE = 1 << 32, 1 << 16
+_MOST_BYTES, _PART = 1 << 32, 1 << 24
 _BLANKS = bytes(range(33))
 """What Blender passes over at the beginning of a line"""
-FILE_OF_TEXTURE = "nep_file"  # an image's property: the absolute path of the asset's file that it shows
-NORMAL_MAP = Texture("normal", "Normal", False, "normal map")  # only assets with few faces have it
-TEXTURES = (
-    Texture("albedo", "Base Color", True, "albedo"),
-    Texture("roughness", "Roughness", False, "roughness"),
-    Texture("metallic", "Metallic", False, "metallic"),
-    Texture(CONFIDENCE, "", False, "confidence (not connected)"),
-)
 
 
 def import_asset(folder: Path, collection: bpy.types.Collection, *, name: str = "", pack: bool = True) -> bpy.types.Object:
     """Import the mesh and the material of an asset into `collection`, and return the object.
 
     The mesh keeps the capture's coordinates, the file's smooth normals and its UV map. Its attribute `confidence` (a float
-    for each vertex) says where the photos decided the material. `pack`: whether the images are stored in the .blend. Where
-    the name is taken, Blender adds a number. Raises OSError where a file is missing or unreadable; nothing is left in the
-    .blend then.
+    for each vertex) says where the photos decided the material. `pack`: whether the images are stored in the .blend. Images
+    that show the same files already are used again. Where the name is taken, Blender adds a number. The selection stays.
+    What is left of deleted objects of this asset is removed. Raises OSError where a file is missing or unreadable; nothing
+    is left in the .blend then.
     """
     folder = Path(folder)
     check_asset(folder)
+    remove_leftovers(folder)
     with removed_on_error():
         item = _import_mesh(folder / "mesh.obj", collection)
         item.name = item.data.name = name or folder.resolve().name
         material = build_material(item.name, folder / "textures", pack=pack)
+        item.data[ASSET_KEY] = material[ASSET_KEY] = os.path.abspath(folder)
         item.data.materials.clear()
         item.data.materials.append(material)
         _add_confidence(item.data, material.node_tree.nodes[CONFIDENCE].image)
@@ -112,14 +97,14 @@ def build_material(name: str, textures: Path, *, pack: bool = True) -> bpy.types
         node = nodes.new("ShaderNodeTexImage")
         node.name, node.label = texture.name, texture.label
         node.location = (-420, 320 - 290 * row)
-        node.image = _texture_image(textures, texture, pack)
+        node.image = _texture_image(name, textures, texture, pack)
         if texture.socket:
             links.new(node.outputs["Color"], principled.inputs[texture.socket])
     if any((textures / f"{NORMAL_MAP.name}{suffix}").is_file() for suffix in (".png", ".exr")):
         node = nodes.new("ShaderNodeTexImage")
         node.name, node.label = NORMAL_MAP.name, NORMAL_MAP.label
         node.location = (-420, 320 - 290 * len(TEXTURES))
-        node.image = _texture_image(textures, NORMAL_MAP, pack)
+        node.image = _texture_image(name, textures, NORMAL_MAP, pack)
         tilt = nodes.new("ShaderNodeNormalMap")
         tilt.location = (-120, node.location.y)
         links.new(node.outputs["Color"], tilt.inputs["Color"])
@@ -127,59 +112,8 @@ def build_material(name: str, textures: Path, *, pack: bool = True) -> bpy.types
     return material
 
 
-def load_image(path: Path, *, color_space: str, pack: bool) -> bpy.types.Image:
-    """Load an image file as a data-block. Raises OSError where Blender cannot read the file.
-
-    With `pack` the image is stored in the .blend. It refers to its file, by a relative path if the .blend is saved.
-    """
-    if not path.is_file():  # Blender would wait for ever for a pipe
-        raise OSError(f"there is no image file {path}")
-    try:
-        image = bpy.data.images.load(str(path), check_existing=False)
-    except RuntimeError as error:
-        raise OSError(f"Blender cannot read the image {path}") from error
-    if not image.size[0]:  # Blender reads the pixels only when asked, and does not report a damaged file
-        bpy.data.images.remove(image)
-        raise OSError(f"Blender cannot read the image {path}")
-    set_color_space(image, color_space)
-    if bpy.data.is_saved:
-        image.filepath = relative_path(path)
-    if pack:
-        image.pack()
-    return image
-
-
-def reload_textures(folder: Path) -> int:
-    """Read the textures of an asset from their files again, in every image of the .blend that was loaded from them.
-
-    The data-blocks stay, and so does all that uses them. A packed image is packed again. An image whose file is gone keeps
-    its pixels. Returns the number of images that were read.
-
-    An image also knows its file by the property FILE_OF_TEXTURE. The reason: Blender makes the paths of images relative when
-    it saves, and a .blend with packed images may be moved.
-    """
-    every, ends = (*TEXTURES, NORMAL_MAP), (".png", ".exr")
-    files = {_path_key(folder / "textures" / (texture.name + end)) for texture in every for end in ends}
-    count = 0
-    for image in bpy.data.images:
-        path = bpy.path.abspath(image.filepath, library=image.library)
-        known = str(image.get(FILE_OF_TEXTURE, ""))
-        if _path_key(path) not in files and known and _path_key(known) in files and image.library is None:
-            path = image.filepath = known
-        if image.source == "FILE" and _path_key(path) in files and os.path.isfile(path):
-            image.reload()
-            image.update_tag()  # viewports that render show the new pixels
-            count += 1
-    return count
-
-
-def _path_key(path: Path | str) -> str:
-    """One string for all ways to write the path of the same file."""
-    return os.path.normcase(os.path.abspath(path))
-
-
-def _texture_image(folder: Path, texture: Texture, pack: bool) -> bpy.types.Image:
-    """Load the texture's PNG file where there is one, otherwise its EXR file.
+def _texture_image(owner: str, folder: Path, texture: Texture, pack: bool) -> bpy.types.Image:
+    """Load the texture's PNG file where there is one, otherwise its EXR file. Its name is the owner's and the texture's.
 
     The PNG file has a quarter of the size, and it is the file that other programs read.
     """
@@ -188,13 +122,15 @@ def _texture_image(folder: Path, texture: Texture, pack: bool) -> bpy.types.Imag
     if not path.is_file():
         path = folder / f"{texture.name}.exr"
         space = LINEAR if texture.is_color else DATA
-    image = load_image(path, color_space=space, pack=pack)
-    image[FILE_OF_TEXTURE] = os.path.abspath(path)
-    return image
+    return shared_image(path, f"{owner} {texture.name}", color_space=space, pack=pack)
 
 
 def _shade_smooth(mesh: bpy.types.Mesh) -> None:
     """Make all faces smooth, and keep the normals that the file gives, if it gives any."""
+    smooth = np.empty(len(mesh.polygons), bool)
+    mesh.polygons.foreach_get("use_smooth", smooth)
+    if smooth.all():  # as Blender makes faces of files with normals; to compute the normals would take as long as the import
+        return
     normals, custom = _corner_normals(mesh), mesh.has_custom_normals
     mesh.polygons.foreach_set("use_smooth", np.ones(len(mesh.polygons), bool))
     # Blender 4.2 stores the file's normals relative to the mesh's own ones, which the line above has just changed. They are
@@ -234,14 +170,51 @@ def _copy_without_materials(path: Path, target: Path) -> None:
     """Copy an OBJ file without the lines that name its .mtl files. Raises OSError.
 
     The material is built from the textures anyway, and a .mtl file of a stranger makes Blender open pictures anywhere.
-    Blender also takes the .mtl file of the OBJ file's own name, if there is one beside it.
+    Blender also takes the .mtl file of the OBJ file's own name, if there is one beside it. The file is copied in large
+    parts: line by line, a mesh of 300,000 faces would stall Blender for most of a second.
     """
-    begins = True
+    begins, leaving_out, rest = (
+        True,
+        False,
+        b"",
+    )  # whether a part begins a line, or a line that is left out; what is undecided
     with open_plain(path, _MOST_BYTES) as source, open(target, "wb") as out:
-        while line := source.readline(_LONGEST_LINE):
-            if not (begins and line.lstrip(_BLANKS).startswith(b"mtllib")):
-                out.write(line)
-            begins = line.endswith(b"\n")
+        while read := source.read(_PART):
+            part = rest + read
+            if leaving_out:
+                end = part.find(b"\n") + 1
+                if not end:
+                    continue
+                part, begins = part[end:], True
+            kept, leaving_out = _without_naming_lines(part, begins)
+            line = kept.rfind(b"\n") + 1
+            rest, at_begin = kept[line:].lstrip(_BLANKS), bool(line) or begins
+            if at_begin and b"mtllib".startswith(rest):
+                out.write(kept[:line])  # blanks at the beginning of a line mean nothing
+                begins = True
+            else:
+                out.write(kept)
+                begins, rest = False, b""
+        out.write(rest)
+
+
+def _without_naming_lines(part: bytes, begins: bool) -> tuple[bytes, bool]:
+    """(the part of an OBJ file without the lines that begin with mtllib, whether it ends inside such a line).
+
+    `begins`: whether the part begins with the beginning of a line.
+    """
+    kept, start, search = [], 0, 0
+    while (found := part.find(b"mtllib", search)) >= 0:
+        line = part.rfind(b"\n", 0, found) + 1
+        search = found + 1
+        if part[line:found].strip(_BLANKS) or not (line or begins):
+            continue
+        kept.append(part[start:line])
+        end = part.find(b"\n", found) + 1
+        if not end:
+            return b"".join(kept), True
+        start = search = end
+    return b"".join([*kept, part[start:]]), False
 
 
 def _import_mesh(path: Path, collection: bpy.types.Collection) -> bpy.types.Object:
@@ -251,7 +224,8 @@ def _import_mesh(path: Path, collection: bpy.types.Collection) -> bpy.types.Obje
         _copy_without_materials(path, alone)
         try:
             # With these axes Blender does not turn the mesh: it keeps the capture's coordinates.
-            bpy.ops.wm.obj_import(filepath=str(alone), forward_axis="Y", up_axis="Z", validate_meshes=True)
+            with kept_selection():
+                bpy.ops.wm.obj_import(filepath=str(alone), forward_axis="Y", up_axis="Z", validate_meshes=True)
         except RuntimeError as error:
             raise OSError(f"Blender cannot read the mesh {path}: {error}") from error
     imported = [item for item in bpy.data.objects if item not in objects]

@@ -21,6 +21,9 @@ SIZE_KEY, ASPECT_KEY = "nep_photo_size", "nep_pixel_aspect"
 # is found after both were moved. A capture from the scene gets both.
 DISTORTION_KEY, MASK_KEY = "nep_distortion", "nep_mask"
 PHOTO_KEY = "nep_photo"  # custom property that marks an image which `load_cameras` has loaded
+# Custom properties of the scene: its camera before `load_cameras`, its render size and pixel aspect before, and those given.
+CAMERA_BEFORE_KEY, RENDER_BEFORE_KEY, RENDER_GIVEN_KEY = "nep_camera_before", "nep_render_before", "nep_render_given"
+RENDER_SETTINGS = ("resolution_x", "resolution_y", "pixel_aspect_x", "pixel_aspect_y")
 DISPLAY_SIZE = 0.06  # drawn size of a camera, relative to the median distance of the cameras from their mean position
 
 
@@ -31,7 +34,7 @@ def load_cameras(
 
     The cameras of an earlier call are removed first. Blender reads a photo only when somebody looks through its camera, so
     hundreds of photos take no time here. With `match_render` the scene gets the first photo's size and pixel aspect, so that
-    photo and view line up.
+    photo and view line up. `remove_cameras` gives the scene's own values back.
     """
     remove_cameras(scene)
     collection = bpy.data.collections.new(COLLECTION_NAME.format(Path(capture).resolve().name))
@@ -62,10 +65,38 @@ def load_cameras(
             camera.data.show_background_images = True
         cameras.append(camera)
     if match_render:
+        scene[RENDER_BEFORE_KEY] = _render_settings(scene)
         scene.render.resolution_x, scene.render.resolution_y = frames[0].width, frames[0].height
         scene.render.pixel_aspect_x, scene.render.pixel_aspect_y = pixel_aspect(frames[0])
+        scene[RENDER_GIVEN_KEY] = _render_settings(scene)
+    if scene.camera is not None:
+        scene[CAMERA_BEFORE_KEY] = scene.camera
     scene.camera = scene.camera or cameras[0]
     return cameras, missing, not_shown
+
+
+def _render_settings(scene: bpy.types.Scene) -> list[float]:
+    return [float(getattr(scene.render, name)) for name in RENDER_SETTINGS]
+
+
+def _give_back(scene: bpy.types.Scene, removed: list[bpy.types.Object]) -> None:
+    """Give the scene the camera and the render size that it had before `load_cameras`.
+
+    What the artist has chosen since then stays: another camera than one of a photo, and each setting that has changed.
+    """
+    before = scene.get(CAMERA_BEFORE_KEY)
+    if scene.camera in removed:
+        scene.camera = before if before is not None and before.name in scene.objects else None
+    if RENDER_BEFORE_KEY in scene and RENDER_GIVEN_KEY in scene:
+        values = zip(
+            RENDER_SETTINGS, scene[RENDER_BEFORE_KEY], scene[RENDER_GIVEN_KEY], _render_settings(scene), strict=True
+        )
+        for name, own, given, now in values:
+            if now == given:
+                setattr(scene.render, name, int(own) if name.startswith("resolution") else own)
+    for key in (CAMERA_BEFORE_KEY, RENDER_BEFORE_KEY, RENDER_GIVEN_KEY):
+        if key in scene:
+            del scene[key]
 
 
 def _from_folder(photo: Path, mask: Path) -> str:
@@ -77,9 +108,13 @@ def _from_folder(photo: Path, mask: Path) -> str:
 
 
 def remove_cameras(scene: bpy.types.Scene) -> int:
-    """Remove the cameras that `load_cameras` made in this scene, and their photos. Returns the number of cameras."""
+    """Remove the cameras that `load_cameras` made in this scene, and their photos. Returns the number of cameras.
+
+    The scene gets back its own camera and render size, where it still has those of the photos.
+    """
     collections = camera_collections(scene)
     cameras = [item for collection in collections for item in collection.objects if SIZE_KEY in item]
+    _give_back(scene, cameras)
     data = [camera.data for camera in cameras]
     bpy.data.batch_remove(cameras)
     bpy.data.batch_remove([block for block in data if not block.users])
@@ -91,6 +126,11 @@ def remove_cameras(scene: bpy.types.Scene) -> int:
         else:
             del collection[CAPTURE_KEY]
     return len(cameras)
+
+
+def has_loaded_cameras(scene: bpy.types.Scene) -> bool:
+    """Whether there is something that `remove_cameras` removes or gives back."""
+    return bool(camera_collections(scene)) or RENDER_BEFORE_KEY in scene
 
 
 def camera_collections(scene: bpy.types.Scene) -> list[bpy.types.Collection]:

@@ -21,6 +21,9 @@ def take_over(old: Sequence[bpy.types.Object], new: bpy.types.Object) -> None:
     for blocks in (meshes, materials, images):
         bpy.data.batch_remove([block for block in blocks if block.users == 0])
     mesh.name = mesh.materials[0].name = name
+    for node in mesh.materials[0].node_tree.nodes:
+        if node.type == "TEX_IMAGE" and node.image is not None and node.image.users == 1:
+            node.image.name = f"{name} {node.name}"
 
 
 def _images(material: bpy.types.Material) -> list[bpy.types.Image]:

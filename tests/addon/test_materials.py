@@ -167,7 +167,7 @@ def check_beside(folder):
     with held(folder / "asset"):  # as the engine does while it corrects; the played one does not
         fails(lambda: bpy.ops.nep.reconstruct(overwrite=True), "are being corrected")
     assert bpy.ops.nep.import_result() == {"FINISHED"}, "a second object of the result"
-    second = bpy.context.view_layer.objects.active.data.materials[0].node_tree.nodes["metallic"].image
+    second = bpy.data.objects["asset.001"].data.materials[0].node_tree.nodes["metallic"].image
     (folder / "go").touch()
     rounds(addon, bpy.ops.nep.correct_materials.poll)
     assert texels(bpy, "metallic") == [1, 1, 0] and second.pixels[0] == 1 and addon.tasks.clock.tick() is None

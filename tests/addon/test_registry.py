@@ -5,7 +5,7 @@ import io
 import sys
 from pathlib import Path
 
-from support.blender_checks import register
+from support.blender_checks import Drawn, register
 from support.own_process import in_blender
 
 
@@ -79,8 +79,44 @@ def check_registry(folder):
     assert one.calls[-1] == dropped.calls[-1] == "close" and "close" not in two.calls + kept.calls
     tick()
     assert dropped.calls == ("poll", "close") and two.calls.count("poll") > kept.calls.count("poll")
+    check_status_bar(bpy, registry, InFolder, folder)
     registry.close_all()
     assert not registry.find(registry.Task) and two.calls[-1] == kept.calls[-1] == "close" and tick() is None
+
+
+def check_status_bar(bpy, registry, kind, folder):
+    """Work under way is told whatever scene is shown, and its end until it is dismissed. A script needs no news."""
+    from types import SimpleNamespace
+
+    from nep_addon.addon.panels.status_bar import draw_status
+    from nep_addon.addon.tasks.clock import tick
+
+    class Told(kind):
+        done_fraction, has_failed = 0.43, False
+
+        def status_name(self):
+            return self.folder.name
+
+        def end_status(self):
+            return f"{self.folder.name} is done"
+
+    def told() -> list[str]:
+        layout = Drawn()
+        draw_status(SimpleNamespace(layout=layout), bpy.context)
+        return [text for text in layout.log if text]
+
+    task = registry.start(Told(folder / "pot"))
+    tick()
+    assert told() == ["pot: 43 %"]
+    bpy.context.window.scene = bpy.data.scenes.new("another")
+    assert told() == ["pot: 43 %"]
+    task.done = True
+    tick()
+    assert told() == ["pot is done", "nep.dismiss"]
+    assert bpy.ops.nep.dismiss() == {"FINISHED"} and told() == []
+    waited = Told(folder / "script")
+    waited.done = True
+    assert registry.start(waited, wait=True).ended and told() == []
 
 
 if __name__ == "__main__":

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from support import ball_engine, correcting_engine, scripted_engine
-from support.blender_checks import drawn_by, fails, register, rounds
+from support.blender_checks import Drawn, drawn_by, fails, register, rounds
 from support.own_process import run_file
 
 LIMIT_S = 180
@@ -44,7 +44,17 @@ def in_blender(function, folder: Path, *, code=0, **variables) -> str:
 
 
 # scripts and key maps of artists name them: none may be renamed
-OPERATORS = {"reconstruct", "cancel", "open_log", "import_result", "use_recovered_light"} | {
+OPERATORS = {
+    "reconstruct",
+    "cancel",
+    "open_log",
+    "import_result",
+    "use_recovered_light",
+    "show_lit",
+    "dismiss",
+    "relink_result",
+} | {
+    *("export_result", "open_result_folder", "choose_folder"),
     *(
         "find_cameras",
         "cancel_find_cameras",
@@ -119,10 +129,10 @@ def check_life_of_a_job(folder):
 
     from nep_addon.backend.engine.words import EngineMessage
 
-    def texts_with(words: str) -> list[str]:
-        return [text for text in drawn(bpy, addon) if words in text]
+    def says(words: str) -> bool:
+        return words in " ".join(drawn(bpy, addon))
 
-    assert texts_with("for 60 small photos") and not texts_with("on this machine"), "a guess"
+    assert says("a guess until the first job") and not says("these photos")
     job = start(bpy, addon)
     assert not bpy.ops.nep.reconstruct.poll() and bpy.ops.nep.cancel.poll()
     assert not bpy.ops.nep.find_cameras.poll(), "other cameras would keep the job from being resumed"
@@ -131,6 +141,8 @@ def check_life_of_a_job(folder):
     preview = bpy.data.objects["NeP preview"]
     assert len(preview.data.polygons) == 320 and preview.hide_render
     assert len(addon.halved_pictures.picture_halves(job.key)) == 2, "photo and what was learned"
+    texts = drawn(bpy, addon)
+    assert texts.index("nep.cancel") < texts.index("Photo"), "what changes its height stands below Cancel"
     bpy.data.objects.remove(preview)  # as undo does
     rounds(addon, lambda: job.progress.stage == "Learning the materials")
     bpy.ops.wm.read_factory_settings(use_empty=True)  # File > New, in the middle
@@ -146,7 +158,7 @@ def check_life_of_a_job(folder):
     assert job.scene_analysis[-1].code == "scene.left_out" and "Left out: " in job.scene_analysis[-1].words()
     assert "stage fields_learning" in log(bpy)
     bpy.context.scene.nep.preset = "preview"
-    assert texts_with("on this machine") and not texts_with("for 60 small photos"), "measured"
+    assert says("as measured with these photos") and not says("a guess")
     fails(bpy.ops.nep.reconstruct, "already holds an asset")
     assert bpy.ops.nep.reconstruct(overwrite=True) == {"FINISHED"} and len(meshes(bpy)) == 2
 
@@ -270,6 +282,22 @@ def check_forgotten_options(folder):
     assert press(overwrite=True) == {"--overwrite"}
     bpy.context.scene.nep.output = str(folder / "another")
     assert press() == set()
+    check_double_click(addon)
+
+
+def check_double_click(addon):
+    """The second half of a double click is no answer to the question that the first half has asked."""
+    from types import SimpleNamespace
+
+    asks = addon.operators.confirmation.Asks()
+    manager = SimpleNamespace(invoke_confirm=lambda operator, event, **texts: {"RUNNING_MODAL"})
+    asks.options = SimpleNamespace(is_invoke=True)
+    assert asks._ask(SimpleNamespace(window_manager=manager), None, title="", message="") == {"RUNNING_MODAL"}
+    assert asks._is_double_click()
+    asks._asked_at -= addon.operators.confirmation.LEAST_S
+    assert not asks._is_double_click()
+    asks._asked_at, asks.options.is_invoke = asks._asked_at + 9, False
+    assert not asks._is_double_click(), "a script asks nobody"
 
 
 def test_the_artists_world_outlives_a_second_result(played):
@@ -285,7 +313,10 @@ def check_own_world(folder):
     first = bpy.context.scene.world
     assert first is settings.recovered_world and settings.own_world is own
     assert bpy.ops.nep.import_result() == {"FINISHED"}
-    assert bpy.context.scene.world is settings.recovered_world and settings.recovered_world is not first
+    assert bpy.context.scene.world is settings.recovered_world is first, "a second import needs no second World"
+    settings.output, second = str(folder / "second"), settings.recovered_world
+    assert bpy.ops.nep.reconstruct() == {"FINISHED"} and settings.recovered_world is not second
+    assert bpy.context.scene.world is settings.recovered_world
     assert bpy.ops.nep.use_recovered_light() == {"FINISHED"} and bpy.context.scene.world is own
 
 
@@ -468,6 +499,29 @@ def check_wrapping(folder):
     assert max(map(len, lines)) <= 20 and len(lines) > 3 and lines[-1] == "Install it." and "lacks torch." in " ".join(lines)
     assert "".join(lines).replace(" ", "") == text.replace(" ", "").replace("\n", "")
     assert wrap("", 20) == []
+    check_narrow_sidebar()
+
+
+def check_narrow_sidebar():
+    """In any width, a button has a text that fits, as long as one does; the names of settings come above their fields."""
+    from types import SimpleNamespace
+
+    import blf
+    import bpy
+
+    addon, real = register(), bpy.context.preferences
+    styles = {"system": SimpleNamespace(ui_scale=1.0), "ui_styles": real.ui_styles}
+    texts = "Reconstruct Glossy Object", "Reconstruct", "Go"
+    shown = []
+    for width in (600, 200, 120):
+        context = SimpleNamespace(region=SimpleNamespace(width=width), preferences=SimpleNamespace(**styles))
+        shown.append(addon.wrapped_text.fitting(context, *texts))
+        assert shown[-1] == "Go" or blf.dimensions(0, shown[-1])[0] < width - 64
+        layout = Drawn()
+        addon.wrapped_text.draw_setting(layout, context, bpy.context.scene.nep, "preset")
+        addon.wrapped_text.draw_setting(layout, context, bpy.context.scene.nep, "use_masks")
+        assert ("Preset" in layout.log) == (width < 264), "above its field"
+    assert shown == list(texts), shown
 
 
 def test_registering_twice_leaves_nothing_and_warns_of_nothing(package):

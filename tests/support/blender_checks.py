@@ -71,7 +71,8 @@ def drawn_by(bpy, panel, **attributes) -> list[str]:
     """The texts and operators that a panel, or preferences with these attributes, draw for the scene, in their order."""
     real = bpy.context.preferences
     preferences = SimpleNamespace(system=SimpleNamespace(ui_scale=1.0), ui_styles=real.ui_styles, addons=real.addons)
-    context = SimpleNamespace(scene=bpy.context.scene, region=None, preferences=preferences)  # as a screen has it
+    # as a screen has it
+    context = SimpleNamespace(scene=bpy.context.scene, region=None, screen=None, area=None, preferences=preferences)
     layout = Drawn()
     panel.draw(SimpleNamespace(layout=layout, **attributes), context)
     return layout.log

@@ -167,8 +167,8 @@ def check_job(capture: Path, asset: Path) -> None:
     """The engine ends a job that is complete; with other bounds it refuses. The result is in place."""
     nep().capture, nep().output, nep().preset = str(capture), str(asset), "preview"
     assert bpy.ops.nep.reconstruct(resume=True) == {"FINISHED"}
-    item = bpy.context.view_layer.objects.active
-    assert item.name == asset.name and item.select_get() and nep().recovered_world.name == f"{asset.name} light"
+    item = addon("scene.imported_result").result_object(bpy.context.scene)
+    assert item.name == asset.name and nep().recovered_world.name == f"{asset.name} light"
     check_object(item, asset)
     bpy.ops.nep.propose_bounds()
     nep().bounds.location.x += 0.25
@@ -209,8 +209,8 @@ def check_import(asset: Path, folder: Path) -> None:
     bpy.ops.wm.save_as_mainfile(filepath=str(folder / "artist.blend"))
     nep().images = "RELATIVE"
     assert bpy.ops.nep.import_result(folder=str(asset)) == {"FINISHED"}
-    item = bpy.context.view_layer.objects.active
-    assert item.name == f"{asset.name}.001" and nep().recovered_world.name == f"{asset.name}.001 light"
+    item = addon("scene.imported_result").result_object(bpy.context.scene)
+    assert item.name == f"{asset.name}.001" and nep().recovered_world.name == f"{asset.name} light"
     image = item.data.materials[0].node_tree.nodes["albedo"].image
     assert image.filepath.startswith("//") and not image.packed_file
     damaged = folder / "damaged"

@@ -18,7 +18,7 @@ def test_assets_are_imported_as_their_files_say_or_refused(asset):
 def check_assets(asset):
     """Each check is on a copy of the asset, which it may change, and begins with a new file."""
     checks = (check_import, check_confidence, check_exr_texture, check_without_mesh, check_damaged_texture)
-    for check in (*checks, check_foreign_materials):
+    for check in (*checks, check_parts, check_foreign_materials):
         with told_in(check.__name__):
             check(Path(shutil.copytree(asset, Path(asset).with_name(check.__name__))))
 
@@ -47,6 +47,27 @@ def check_import(asset):
         assert link.from_node.name == name and link.from_node.image.colorspace_settings.name == space
     assert nodes["confidence"].image.colorspace_settings.name == "Non-Color"
     assert len(bpy.data.images) == 4 and all(image.packed_file for image in bpy.data.images)
+
+
+def check_parts(asset):
+    """A large file is copied in parts. Wherever these end, the lines are left out that a rule for whole lines leaves out."""
+    from backend.scene_io import asset_import
+
+    blanks = " \t\r\x01"
+    content = "".join(
+        [
+            "mtllib a\nv 1 2 3\n mtllib b\n# mtllib c\nmtllibd\nmtl\nmtlli",
+            f"\n{blanks * 9}mtllib e mtllib f\n{blanks}\n\nvn 0 0 1 mtllib\nmtllib g",
+        ]
+    ).encode()
+    lines = content.split(b"\n")
+    expected = [line.lstrip(bytes(range(33))) for line in lines if not line.lstrip(bytes(range(33))).startswith(b"mtllib")]
+    for end in (b"", b"\n", b" mtl"):
+        (asset / "mesh.obj").write_bytes(content + end)
+        for asset_import._PART in (1, 2, 5, 6, 7, 50, 1 << 24):
+            asset_import._copy_without_materials(asset / "mesh.obj", asset / "copy.obj")
+            copied = [line.lstrip(bytes(range(33))) for line in (asset / "copy.obj").read_bytes().split(b"\n")]
+            assert [line for line in copied if line] == [line for line in expected if line], (end, asset_import._PART)
 
 
 def check_foreign_materials(asset):

@@ -14,7 +14,7 @@ def test_cameras_in_both_directions():
 
 
 def check_cameras():
-    for check in (check_camera, check_intrinsics):
+    for check in (check_camera, check_intrinsics, check_what_is_given_back):
         with told_in(check.__name__):
             check()
 
@@ -71,6 +71,48 @@ def check_intrinsics():
                     x, y, _ = world_to_camera_view(scene, camera, Vector(point))
                     expected = lens.cx + lens.fl_x * point[0] / -point[2], lens.cy - lens.fl_y * point[1] / -point[2]
                     np.testing.assert_allclose((x * size[0], (1 - y) * size[1]), expected, atol=1e-3)
+
+
+def check_what_is_given_back():
+    """The scene's own camera and render size come back, but for what the artist has changed since."""
+    import bpy
+
+    from backend.scene_io.capture_files import Frame
+    from backend.scene_io.photo_cameras import RENDER_SETTINGS, has_loaded_cameras, load_cameras, remove_cameras
+
+    frames = [Frame(Path(f"none/{n}.png"), 120, 90, 130.0, 100.0, 66.0, 40.0, np.eye(4), "linear") for n in range(3)]
+
+    def settings() -> tuple[float, ...]:
+        return tuple(getattr(scene.render, name) for name in RENDER_SETTINGS)
+
+    for own_camera, times, changed in ((True, 1, False), (False, 2, False), (True, 2, True)):
+        bpy.ops.wm.read_factory_settings(use_empty=True)
+        scene = bpy.context.scene
+        before = None
+        if own_camera:
+            before = scene.camera = bpy.data.objects.new("own", bpy.data.cameras.new("own"))
+            scene.collection.objects.link(before)
+        scene.render.resolution_x, scene.render.resolution_y, scene.render.pixel_aspect_x = 1000, 500, 1.5
+        own = settings()
+        for _ in range(times):
+            cameras, *_ = load_cameras(scene, Path("none"), frames)
+        assert settings()[:2] == (120, 90) and settings() != own
+        assert scene.camera == (before or cameras[0])
+        scene.camera = cameras[1]  # the artist looks through a photo
+        if changed:
+            scene.render.resolution_x = 640
+        assert remove_cameras(scene) == 3 and not has_loaded_cameras(scene)
+        assert scene.camera == before
+        assert settings() == ((640, *own[1:]) if changed else own)
+        assert not [key for key in scene.keys() if key.startswith("nep_")]
+    load_cameras(scene, Path("none"), frames, match_render=False)
+    assert settings() == (640, *own[1:])
+    bpy.data.collections.remove(scene.collection.children[0])  # by the artist, in the Outliner
+    load_cameras(scene, Path("none"), frames)
+    bpy.data.collections.remove(scene.collection.children[0])
+    assert has_loaded_cameras(scene)
+    remove_cameras(scene)
+    assert settings() == (640, *own[1:]) and not has_loaded_cameras(scene)
 
 
 if __name__ == "__main__":
