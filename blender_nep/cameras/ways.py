@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 from blender_nep.messages import Message
 
-ENOUGH = 0.9
+ENOUGH = 0.95
 """No further way is tried if this share of the photos is placed, or all but one. Below, a warning lists those missing."""
 LONGEST_SIDE = 1600
 """Pixels. Larger photos are scaled down before pycolmap sees them."""
