@@ -22,9 +22,7 @@ class RigidMotions:
     """[n, 3], in object radii"""
 
     @classmethod
-    def of_still_camera(
-        cls, rotation: Tensor, origin: Tensor, first: tuple[Tensor, Tensor] | None = None
-    ) -> RigidMotions:
+    def of_still_camera(cls, rotation: Tensor, origin: Tensor, first: tuple[Tensor, Tensor] | None = None) -> RigidMotions:
         """The motions of n photos from one camera that stands still.
 
         `rotation` [n, 3, 3] are the camera-to-world rotations and `origin` [n, 3] the positions of the cameras, in the
