@@ -30,8 +30,11 @@ class RayBundle:
         return iter((self.origins, self.directions, self.half_angle))
 
     def __getitem__(self, index: Tensor) -> RayBundle:
-        motion = None if self.motion is None else self.motion[index]
-        return RayBundle(self.origins[index], self.directions[index], self.half_angle[index], motion)
+        return RayBundle(self.origins[index], self.directions[index], self.half_angle[index], self.motion_of(index))
+
+    def motion_of(self, index: Tensor) -> RigidMotions | None:
+        """The motions of the rays index [m]; None if the object stood still."""
+        return None if self.motion is None else self.motion[index]
 
     def in_room(self) -> RayBundle:
         """The same rays in the room's frame, where the light stands still. Distances along a ray stay the same."""
