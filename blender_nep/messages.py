@@ -337,6 +337,8 @@ WORDS: dict[str, str] = {
     # sentences about the scene
     "scene.surroundings": "The photos ({photos}) show the object among its surroundings, which are learned as its light.",
     "scene.cut_outs": "The photos ({photos}) are cut-outs: the light is learned from the object's reflections alone.",
+    "scene.turntable": "The object turned, and the camera and the light stood still. environment.exr is the light around "
+    "the object as it stood in the first photo.",
     "scene.masks_used": "Masks are there and are used.",
     "scene.masks_not_used": "No masks are used: the object is where the photos do not look like its surroundings.",
     "scene.object_clipped": "{percent:g} % of the object's pixels are burnt out (clipped) and say nothing about the "
@@ -397,5 +399,6 @@ WORDS: dict[str, str] = {
     "reason.linear_photos": "the photos hold linear values",
     "reason.no_tone_curve": "the photos show none",
     "reason.light_not_shown": "the photos show too little of the light",
+    "reason.turntable": "the object turned in the light",
     "reason.no_self_reflection": "the object does not reflect in itself",
 }

@@ -176,7 +176,7 @@ class UnseenLightProblem:
         self.light, self.unseen, self.preset = light, unseen, preset
         self.samples, self.label, self.goal = samples, label[samples], tone_map(target[samples])
         self.cones = light.uncovered_cones(samples)
-        self.transport = UnseenTransport(unseen.missing, unseen.radius, self.cones, light.points.position[samples])
+        self.transport = UnseenTransport(unseen.missing, unseen.radius, self.cones, light.points[samples].room_position)
         rows = len(unseen.missing)
         area = torch.sin((torch.arange(rows, device=self.goal.device) + 0.5) * math.pi / rows)[:, None, None]
         self._area, self._expected = area / area.mean(), tone_map(unseen.expected)

@@ -59,7 +59,10 @@ class UnseenLight:
         return replace(self, radiance=self.radiance * gain)
 
     def __call__(self, origins: Tensor, directions: Tensor, half_angle: Tensor) -> Tensor:
-        """Mean radiance [n, 3] in cones from origins [n, 3] along unit directions [n, 3] with half_angle [n] radians."""
+        """Mean radiance [n, 3] in cones from origins [n, 3] along unit directions [n, 3] with half_angle [n] radians.
+
+        Both are in the room's frame.
+        """
         index, weight = taps(self.missing, self.radius, origins, directions, half_angle)
         return (pyramid(self.radiance, self.missing)[index] * weight[..., None]).sum(1)
 
@@ -156,7 +159,7 @@ class UncoveredCones:
     row: Tensor
     """[k] int64, ascending: index of the surface point"""
     direction: Tensor
-    """[k, 3] unit vectors"""
+    """[k, 3] unit vectors in the room's frame"""
     half_angle: Tensor
     """[k] radians"""
     share: Tensor

@@ -157,8 +157,11 @@ class PixelRays:
             omega = density / (fl_x * fl_y)
         direction = torch.einsum("nij,nj->ni", self._rotation[view], camera)
         half_angle = 2 * torch.asin(torch.sqrt(omega / (4 * math.pi)))
-        motion = None if self.turntable is None else self.turntable[view]
-        return RayBundle(self._origin[view], direction, half_angle, motion)
+        return RayBundle(self._origin[view], direction, half_angle, self.motion_in(view))
+
+    def motion_in(self, view: Tensor) -> RigidMotions | None:
+        """How the object stood in the photos view [n] int64: n motions to the room; None if it always stood still."""
+        return None if self.turntable is None else self.turntable[view]
 
     def from_middle(self, index: Tensor) -> Tensor:
         """Squared distance [n] of the pixels index [n] int64 from the middle of their photo, in half diagonals: 0 .. 1."""

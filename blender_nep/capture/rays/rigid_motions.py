@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import torch
@@ -32,6 +33,11 @@ class RigidMotions:
         to, place = (rotation[0], origin[0]) if first is None else first
         turns = to @ rotation.mT
         return cls(turns, place - torch.einsum("nij,nj->ni", turns, origin))
+
+    @classmethod
+    def joined(cls, parts: Sequence[RigidMotions]) -> RigidMotions:
+        """The motions of all parts, one part after the other."""
+        return cls(torch.cat([part.rotation for part in parts]), torch.cat([part.offset for part in parts]))
 
     def __len__(self) -> int:
         return len(self.rotation)

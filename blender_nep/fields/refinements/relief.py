@@ -252,8 +252,7 @@ def _observe(field: ObjectField, rays: PixelRays, places: _Places) -> _Observati
     order = place.argsort(stable=True)
     place = place[order]
     rank = torch.arange(len(place), device=place.device) - torch.searchsorted(place, place)
-    motion = None if rays.turntable is None else rays.turntable[view[order]]
-    return _Observations(place, directions[order], color[order], rank % 2 == 1, motion)
+    return _Observations(place, directions[order], color[order], rank % 2 == 1, rays.motion_in(view[order]))
 
 
 def _errors(field: ObjectField, places: _Places, seen: _Observations, slopes: Tensor) -> tuple[Tensor, Tensor]:
