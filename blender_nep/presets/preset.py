@@ -38,6 +38,9 @@ class Preset:
     """The photos are made so bright that the typical radiance of the pixels that see the object's sphere is this
     (`capture.brightness`). Here the tone mapping turns from linear to logarithmic. 0: they stay as they are, which is an
     ablation."""
+    turntable: bool = True
+    """Whether the light stands still where the object turned (`PixelRays.turntable`). False: the light turns with it,
+    as if the camera had moved around it, which is an ablation."""
     skip_needless: bool = True
     """Whether parts that the scene does not need are left out (the package `scene`). False: nothing is left out."""
     environment_height: int = 256
