@@ -289,9 +289,12 @@ WORDS: dict[str, str] = {
     "larger photos, or make object_radius smaller if the object is smaller",
     "capture.sphere_at_edges": "{percent:.0f} % of the photos cut off a part of the object's sphere: if object_radius is "
     "not too large, step back, so that the photos show the whole object and its surroundings",
-    "capture.on_turntable": "in {percent:.0f} % of the photos the surroundings stay at the same place although the "
-    "cameras differ: the object turned while the camera and the surroundings stood still, and reconstruct refuses such "
-    "photos. Mask the surroundings out (cut-outs with alpha), or photograph by walking around the object",
+    "capture.on_turntable": "in {percent:.0f} % of the photos the surroundings stand still although the cameras differ: "
+    "taken as a turntable, on which the object turned. If you walked around the object, give --turntable no",
+    "capture.turntable_side": "the capture does not say how far the turntable had turned between the {rows} places of the "
+    "camera: they are taken to be on the same side of the object. If they were not, tell 'turn' in transforms.json",
+    "capture.turntable_left_out": "{count} {count:photo|photos} left out, because the camera did not stand still for at "
+    "least 3 photos: {names}",
     "capture.highlights_clipped": "8-bit photos clip highlights: mirror-like parts will come out darker than they are",
     "capture.cut_outs": "cut-outs show no surroundings: light can be learned from reflections alone",
     # warnings of a job

@@ -188,9 +188,12 @@ MESSAGES = {
     "larger photos, or make the bounds smaller if the object is smaller",
     "capture.sphere_at_edges": "{percent:.0f} % of the photos cut off a part of the object's sphere: if the bounds are not "
     "too large, step back, so that the photos show the whole object and its surroundings",
-    "capture.on_turntable": "In {percent:.0f} % of the photos the surroundings stay at the same place although the "
-    "cameras differ: the object turned while the camera and the surroundings stood still. Such photos cannot be used as "
-    "they are. Mask the surroundings out (cut-outs with alpha), or photograph by walking around the object",
+    "capture.on_turntable": "In {percent:.0f} % of the photos the surroundings stand still although the cameras differ: "
+    "taken as a turntable, on which the object turned",
+    "capture.turntable_side": "The capture does not say how far the turntable had turned between the {rows} places of the "
+    "camera: they are taken to be on the same side of the object",
+    "capture.turntable_left_out": "{count} {count:photo|photos} left out, because the camera did not stand still for at "
+    "least 3 photos: {names}",
     "capture.highlights_clipped": "8-bit photos clip highlights: mirror-like parts will come out darker than they are",
     "capture.cut_outs": "Cut-outs show no surroundings: light can be learned from reflections alone",
     # warnings of a job
@@ -361,9 +364,14 @@ ERRORS = {
         "The system's folder for temporary files cannot be written ({reason})",
         "Change its permissions, or let the system's variable TMPDIR name another folder, and start Blender again.",
     ),
-    "capture.turntable": (
-        "The object turned while the camera and the surroundings stood still, so no light fits the photos",
-        "Mask the surroundings out (cut-outs with alpha), or photograph by walking around the object.",
+    "capture.turntable_no_rows": (
+        "The camera stood still in only {kept} of {photos} photos: they are not from a turntable",
+        "Photograph again with the camera on a tripod. If you walked around the object, correct the capture's file: it says "
+        "that the object turned.",
+    ),
+    "capture.turntable_row_moved": (
+        "The camera did not stand still in a row of the turntable: {names}",
+        "Correct the rows in the capture's file, or take them out, so that they are found from the cameras.",
     ),
     "usage.too_many_held_out": (
         "Of {photos} photos, only {learned} are left to learn from",

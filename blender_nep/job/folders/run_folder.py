@@ -49,11 +49,12 @@ def fingerprint(
     all_photos: bool = False,
     hold_out: int | None = None,
     mask_meaning: MaskMeaning | None = None,
+    turntable: bool | None = None,
 ) -> dict[str, object]:
     """{name: value} of all inputs that decide the result of a run. A resume must agree with all of them.
 
     Photos and masks enter by their names and file sizes, the capture's own files and a given mesh by their content. The
-    object's sphere, the wish for all photos and `hold_out` enter only if they were given as options.
+    object's sphere, the wish for all photos, `hold_out` and `turntable` enter only if they were given as options.
     """
     paths = [p for v in capture.views for p in (v.image_path, v.mask_path) if p is not None]
     photos = "\n".join(f"{_place(p, capture.folder)} {p.stat().st_size}" for p in paths)
@@ -74,6 +75,8 @@ def fingerprint(
         what["photos"] = "all"
     if hold_out is not None:
         what["photos held out"] = hold_out
+    if turntable is not None:
+        what["turntable"] = turntable
     return what if sphere is None else what | {"object bounds": [*map(float, sphere[0]), float(sphere[1])]}
 
 
