@@ -213,6 +213,8 @@ class _MaterialLearner:
         self._grow_palette()
         for k in range(preset.rounds):
             self._find_unseen_light()
+            if self._turned:  # photos showed hardly any of the light that the object has reflected to itself so far
+                self._reflect_itself()
             self._grow_palette()
             self.progress.step(75 + 5 * k)
         self._reflect_itself()
@@ -244,6 +246,11 @@ class _MaterialLearner:
     def _reflect_itself(self) -> None:
         self.search = self.search.under(self.light.updated(self.search.materials_at(self.found), self.generator))
         self._residual()
+
+    @property
+    def _turned(self) -> bool:
+        """Whether the object turned while the light stood still."""
+        return self.seen.points.motion is not None
 
     @property
     def light(self) -> IncomingLight:
@@ -282,7 +289,7 @@ class _MaterialLearner:
             trials.append(time.monotonic())
             self.progress.step(self.progress.done)
 
-        if light.points.motion is not None and not self.unseen_learned:
+        if self._turned and not self.unseen_learned:
             radius = likely_radius(light, found.palette, found.label, self.search.target, p, self.generator, tried)
             light = light.with_unseen(replace(light.unseen, radius=radius))
             self.search = self.search.under(light)
