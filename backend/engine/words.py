@@ -291,6 +291,7 @@ MESSAGES = {
     "reason.light_changes_fast": "light changes too fast between the samples of a photo",
     "reason.found_nothing": "nothing was found",
     "reason.few_pixels_beside": "the photos show too little beside the object",
+    "reason.turntable_hides": "the photos of a turntable do not show what is behind the object",
     "reason.masks_show_outline": "the masks show the outline",
     "reason.no_hull": "the shape does not start from an outline",
     "reason.levels_there": "the shape has them already",
