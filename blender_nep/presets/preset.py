@@ -65,7 +65,13 @@ PRESETS = {
             grid=192, unwrapped_faces=8_000, faces=80_000, chord_error=2.5e-4, normal_texels=1024, atlas_texels=512
         ),
         material=MaterialPreset(
-            samples=12_000, label_pixels=60_000, terminal_steps=150, unseen_samples=4000, unseen_steps=60, most_texels=512
+            samples=12_000,
+            label_pixels=60_000,
+            terminal_steps=150,
+            unseen_samples=4000,
+            turning_unseen_samples=12_000,
+            unseen_steps=60,
+            most_texels=512,
         ),
     ),
     "balanced": Preset(),

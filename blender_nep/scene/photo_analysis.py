@@ -123,7 +123,9 @@ class PhotoAnalysis(Analysis):
         """The preset without the parts that these photos do not need, for fields learning and material learning."""
         skipped: dict[str, Message] = {}
         if self.turntable:  # the diffuse light differs between photos, too, and has the hue of the object
-            preset = replace(preset, material=replace(preset.material, without=(*preset.material.without, "hue")))
+            material = preset.material
+            without, samples = (*material.without, "hue"), max(material.unseen_samples, material.turning_unseen_samples)
+            preset = replace(preset, material=replace(material, without=without, unseen_samples=samples))
             skipped[Part.HUE] = Message("reason.turntable")
         if not preset.skip_needless:
             return Plan(preset, skipped)
