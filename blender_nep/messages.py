@@ -150,6 +150,11 @@ WORDS: dict[str, str] = {
     "cameras.matches": "comparing photos: pair {step} of {steps}",
     "cameras.places": "placing photo {step} of {steps}",
     "cameras.placed": "{count} of {photos} photos were placed; their features agree within {error:.2f} pixels",
+    "cameras.turntable": "in {percent:.0f} % of the photos the surroundings stand still: taken as a turntable, so only "
+    "features on what turned were used",
+    "cameras.turntable_shifted": "in {percent:.0f} % of the photos the surroundings stand still, but shifted: taken as a "
+    "turntable. Features on the surroundings were used, too. If the cameras are wrong, put masks of the object into "
+    "PHOTOS/masks",
     "cameras.sure": "the cameras look right",
     "cameras.not_placed": "{count} {count:photo was|photos were} not placed, because {count:it shares|they share} too few "
     "points with the others: {names}. Take more photos in between, or leave {count:it|them} out",

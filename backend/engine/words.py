@@ -59,6 +59,11 @@ MESSAGES = {
     "cameras.matches": "Compared {step} of {steps} pairs of photos",
     "cameras.places": "Placed {step} of {steps} photos",
     "cameras.placed": "{count} of {photos} photos were placed. The details that they share agree within {error:.2f} pixels.",
+    "cameras.turntable": "In {percent:.0f} % of the photos the surroundings stand still: taken as a turntable, so only "
+    "details on what turned were used.",
+    "cameras.turntable_shifted": "In {percent:.0f} % of the photos the surroundings stand still, but shifted: taken as a "
+    "turntable. Details of the surroundings were used, too. If the cameras are wrong, put masks of the object into the "
+    "folder masks",
     "cameras.sure": "The cameras look right.",
     "cameras.not_placed": "{count} {count:photo was|photos were} not placed, because {count:it shares|they share} too few "
     "details with the others: {names}. Take more photos in between, or leave {count:it|them} out",

@@ -65,7 +65,7 @@ def build_fixed_scene(
         layout = Layout(living_room.ELEVATIONS, heights=(-math.inf, math.inf))
     surroundings = surroundings or Surroundings(obstacles)
     if rows:
-        return _on_turntable(target, stage, surroundings, layout, rng, views, rows, walk)
+        return _on_turntable(target, stage, surroundings, layout, rng, views, rows, walk, patterned)
     train = choose_viewpoints(views[0], surroundings, rng, layout)
     test = choose_viewpoints(views[1], surroundings, rng, layout)
     return BuiltScene(target, arranged(train, effects, seed), test, stage)
@@ -80,9 +80,10 @@ def _on_turntable(
     views: tuple[int, int],
     rows: int,
     walk: bool,
+    patterned: bool,
 ) -> BuiltScene:
     """The scene with a plate below the object. For the test views, the object stands as in the first photo."""
-    axis, plate = build_plate(target, rng)
+    axis, plate = build_plate(target, rng, patterned)
     train = still_viewpoints(views[0], rows, axis, surroundings, rng)
     test = choose_viewpoints(views[1], surroundings, rng, layout)
     return BuiltScene(target, walked(train) if walk else train, test, stage, (target, *plate))

@@ -23,13 +23,20 @@ ECCENTRICITY = 0.12
 PLATE_RADIUS, PLATE_THICKNESS, FOOT_RADIUS = 0.8, 0.06, 0.25
 
 
-def build_plate(target: bpy.types.Object, rng: np.random.Generator) -> tuple[Vector, list[bpy.types.Object]]:
-    """Add the plate below the object. Returns a point [3] of the vertical turning axis, and what turns with the object."""
+def build_plate(
+    target: bpy.types.Object, rng: np.random.Generator, patterned: bool = False
+) -> tuple[Vector, list[bpy.types.Object]]:
+    """Add the plate below the object. Returns a point [3] of the vertical turning axis, and what turns with the object.
+
+    `patterned`: the plate has a print, so that structure from motion finds features that turn with the object.
+    """
     angle = rng.uniform(0, 2 * math.pi)
     axis = Vector((ECCENTRICITY * math.cos(angle), ECCENTRICITY * math.sin(angle), 0))
     foot = float(scenes.triangles(target)[0][:, 2].min())
     plate = _disk("plate", axis, foot - PLATE_THICKNESS, foot, PLATE_RADIUS)
-    plate.data.materials.append(scenes.plain("plate", rng.uniform(0.15, 0.5, 3), 0.6))
+    color = rng.uniform(0.15, 0.5, 3)
+    plain = scenes.plain("plate", color, 0.6)
+    plate.data.materials.append(scenes.printed("print on the plate", rng, moves=True) if patterned else plain)
     stand = _disk("stand", axis, scenes.FLOOR, foot - PLATE_THICKNESS, FOOT_RADIUS)
     stand.data.materials.append(scenes.plain("stand", (0.1, 0.1, 0.1), 0.6))
     return axis, [plate]

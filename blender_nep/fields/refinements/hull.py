@@ -81,11 +81,13 @@ def hull_without_masks(stage: StageOne) -> VisualHull | None:
     these colors.
     """
     scores = background_scores(stage)
+    if stage.rays.turntable is not None:
+        return carve(scores, on_support=True)  # it stands on the plate
     hull = carve(scores)
     if hull is None:
         return None
     colors = stage.scene.plane_colors
-    if colors is None or stage.rays.turntable is not None:
+    if colors is None:
         return hull
     return _hull_on_support(stage, carve(scores, on_support=True) or hull, colors)
 
