@@ -71,7 +71,8 @@ def still_silhouettes(rays: PixelRays) -> list[Tensor]:
     rows = rows_of(rays)
     block = min(max(1, round(min(min(size) for size in rays.size) / BLOCKS)), 4)
     first = _differences(rays, rows, block, None)
-    hull = carve(score_cells(rays, first, _FIRST_CELLS, FIRST_SHARE), on_support=True)
+    filled = [_without_holes(values) for values in first]
+    hull = carve(score_cells(rays, filled, _FIRST_CELLS, FIRST_SHARE), on_support=True)
     if hull is None:
         return first
     grid = SdfGrid(hull.sdf)
@@ -97,6 +98,13 @@ def _differences(rays: PixelRays, rows: list[list[int]], block: int, covered: li
     return maps
 
 
+def _without_holes(values: Tensor) -> Tensor:
+    """The map [rows, columns] with 1 in holes that what differs encloses, but for gaps of two blocks in its rim."""
+    solid = np.pad(values.cpu().numpy() >= 0.5, 1)
+    filled = ndimage.binary_fill_holes(ndimage.binary_closing(solid))[1:-1, 1:-1]
+    return torch.where(torch.from_numpy(filled).to(values.device), 1.0, values)
+
+
 def _covered(rays: PixelRays, view: int, points: Tensor, shape: tuple[int, ...]) -> Tensor:
     """Which blocks [rows, columns] bool of a photo points [n, 3] cover, without gaps, and the blocks beside these."""
     place, ahead = rays.project(view, points)
@@ -107,7 +115,7 @@ def _covered(rays: PixelRays, view: int, points: Tensor, shape: tuple[int, ...])
     shown[row[inside], column[inside]] = True
     reach = max(2, round(GAP * max(shape)))
     shown = ndimage.binary_fill_holes(ndimage.binary_closing(np.pad(shown, reach), iterations=reach))
-    shown = ndimage.binary_dilation(shown, iterations=2)[reach:-reach, reach:-reach]
+    shown = ndimage.binary_dilation(shown)[reach:-reach, reach:-reach]
     return torch.from_numpy(shown).to(place.device)
 
 

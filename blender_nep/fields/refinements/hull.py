@@ -78,16 +78,14 @@ def hull_without_masks(stage: StageOne) -> VisualHull | None:
     """The hull from the residuals of F_e, as it is now, or from what turns on a turntable. None if F_e explains all.
 
     On a support plane, the hull is carved again: with a lower threshold, and with the colors of the plane. F_e does not know
-    these colors.
+    these colors. On a turntable, what stands still is known with the plane.
     """
     scores = background_scores(stage)
-    if stage.rays.turntable is not None:
-        return carve(scores, on_support=True)  # it stands on the plate
     hull = carve(scores)
     if hull is None:
         return None
     colors = stage.scene.plane_colors
-    if colors is None:
+    if colors is None or stage.rays.turntable is not None:
         return hull
     return _hull_on_support(stage, carve(scores, on_support=True) or hull, colors)
 
