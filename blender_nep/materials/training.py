@@ -260,11 +260,13 @@ class _MaterialLearner:
     def _first_unseen_light(self, in_photos: bool) -> UnseenLight:
         """The unseen light to begin with; in_photos: whether the photos show any light.
 
-        It is gray if they show none (cut-outs), because without light all materials look alike.
+        It is gray if they show none (cut-outs), because without light all materials look alike. It is gray, too, if the
+        object turned: what is behind the object in its photos says little of the light from all other sides.
         """
         environment, rows = self.seen.f_p.environment, self.preset.unseen_rows
         if in_photos or not self.preset.learn_unseen_light:
-            return UnseenLight.expected_beside(environment, rows)
+            unseen = UnseenLight.expected_beside(environment, rows)
+            return unseen.grayed() if self._turned and self.preset.learn_unseen_light else unseen
         gray = 2 * float(self.seen.samples.radiance.mean(-1).median())
         return UnseenLight.uniform(rows, environment.typical_distance(), self.seen.device, gray)
 
@@ -289,7 +291,7 @@ class _MaterialLearner:
             trials.append(time.monotonic())
             self.progress.step(self.progress.done)
 
-        if self._turned and not self.unseen_learned:
+        if self._turned and not by_hue:  # the palette was fitted in a better light than the last time
             radius = likely_radius(light, found.palette, found.label, self.search.target, p, self.generator, tried)
             light = light.with_unseen(replace(light.unseen, radius=radius))
             self.search = self.search.under(light)

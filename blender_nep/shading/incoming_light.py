@@ -98,7 +98,7 @@ class TracedLight:
     @classmethod
     def from_state(cls, state: dict, device: torch.device) -> TracedLight:
         """The inverse of `state`."""
-        hits, motion = state["hits"], state["hits"].get("motion")
+        hits, motion = state["hits"], state["hits"]["motion"]
         return cls(
             specular=state["direct_specular"].to(device),
             diffuse=state["direct_diffuse"].to(device),

@@ -54,6 +54,11 @@ class UnseenLight:
         expected = environment.extrapolated(rows)
         return cls(environment.typical_distance(), expected, (1 - coverage).clamp(_LEAST_MISSING, 1), expected)
 
+    def grayed(self) -> UnseenLight:
+        """The same light before anything is known of it: the mean of what is expected, gray, everywhere."""
+        mean = self.expected.mean().expand_as(self.expected).contiguous()
+        return replace(self, radiance=mean, expected=mean)
+
     def scaled(self, gain: float) -> UnseenLight:
         """The same light, `gain` times as bright."""
         return replace(self, radiance=self.radiance * gain)

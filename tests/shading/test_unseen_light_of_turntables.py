@@ -80,3 +80,11 @@ def test_fits_are_judged_by_samples_that_they_have_not_seen() -> None:
     judged, itself = (each.solve(METAL, light.unseen, 40) for each in (problem, alone))
     assert torch.equal(judged.light.radiance, itself.light.radiance)
     assert judged.error > itself.error, "the map follows the noise of the samples that it sees"
+
+
+def test_before_anything_is_known_the_light_is_gray() -> None:
+    expected = torch.rand(8, 16, 3, generator=torch.Generator().manual_seed(2))
+    light = replace(UnseenLight.uniform(8, 3.0, "cpu"), expected=expected, radiance=expected)
+    gray = light.grayed()
+    assert torch.equal(gray.radiance, expected.mean().expand(8, 16, 3)) and torch.equal(gray.expected, gray.radiance)
+    assert gray.radius == light.radius and torch.equal(gray.missing, light.missing)
