@@ -44,8 +44,11 @@ LEAST_STILL = 0.6
 """It is a turntable if this share of the photos have surroundings that stand still."""
 RECURS = 0.2
 """A value recurs at a place if at least this share of the photos of a row, and at least three, have it."""
-DIFFERS = 14.0
-"""Gray values of 255 by which what turns differs from what stands still"""
+DIFFERS, NOISE = (4.0, 14.0), 2.5
+"""Gray values of 255 by which what turns differs from what stands still: within these limits, NOISE times what nine of ten
+pixels at the edges of the photos differ by. A print on a plate in the shadow has little contrast."""
+EDGE = 0.06
+"""The edges are so wide, as a share of the longer side."""
 REACH = 3
 """Pixels of a copy. So far around what turns, features count, too. Gaps up to four times as wide are closed."""
 
@@ -135,20 +138,26 @@ def _difference(one: np.ndarray, other: np.ndarray, shift: tuple[int, int]) -> f
 def _moving(copies: np.ndarray, same: np.ndarray) -> list[np.ndarray]:
     """Where each of the copies [n, h, w] shows what turns: what does not have the value that recurs there in its row."""
     moving: list[np.ndarray] = [np.ones(copies.shape[1:], bool)] * len(copies)
+    width = max(1, round(EDGE * max(copies.shape[1:])))
+    edges = np.ones(copies.shape[1:], bool)
+    edges[width:-width, width:-width] = False
     count, labels = connected_components(same, directed=False)
     for label in range(int(count)):
         row = np.flatnonzero(labels == label)
         if len(row) < 3:
             continue
         values = copies[row]
-        values = values * (np.median(values) / np.maximum(np.median(values, axis=(1, 2), keepdims=True), 1))
+        usual = np.maximum(np.median(values[:, edges], axis=0), 1)
+        exposure = np.median(values[:, edges] / usual, axis=1)
+        values = values / np.maximum(exposure, 0.1)[:, None, None]
         needed = max(3, round(RECURS * len(row)))
         tried = values[:: max(1, len(row) // 16)]
         spreads = np.stack([np.partition(np.abs(values - one), needed - 1, axis=0)[needed - 1] for one in tried])
         color = np.take_along_axis(tried, spreads.argmin(0)[None], 0)[0]
-        unknown = spreads.min(0) > DIFFERS
+        limit = float(np.clip(NOISE * np.quantile(np.abs(values - color)[:, edges], 0.9), *DIFFERS))
+        unknown = spreads.min(0) > limit
         for photo, value in zip(row, values, strict=True):
-            differs = ndimage.median_filter((np.abs(value - color) > DIFFERS) | unknown, 3)
+            differs = ndimage.median_filter((np.abs(value - color) > limit) | unknown, 3)
             rim = 2 * REACH
             closed = ndimage.binary_fill_holes(ndimage.binary_closing(np.pad(differs, rim), iterations=rim))
             moving[photo] = ndimage.binary_dilation(closed, iterations=REACH)[rim:-rim, rim:-rim]

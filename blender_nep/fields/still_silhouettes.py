@@ -115,7 +115,7 @@ def _covered(rays: PixelRays, view: int, points: Tensor, shape: tuple[int, ...])
     shown[row[inside], column[inside]] = True
     reach = max(2, round(GAP * max(shape)))
     shown = ndimage.binary_fill_holes(ndimage.binary_closing(np.pad(shown, reach), iterations=reach))
-    shown = ndimage.binary_dilation(shown)[reach:-reach, reach:-reach]
+    shown = ndimage.binary_dilation(shown, iterations=2)[reach:-reach, reach:-reach]
     return torch.from_numpy(shown).to(place.device)
 
 
