@@ -55,6 +55,11 @@ def parse(arguments: list[str]) -> argparse.Namespace:
     parser.add_argument("--engine-python", help="the Python that has blender-nep and torch")
     parser.add_argument("--masks", choices=("use", "object", "background", "usable", "ignore"))
     parser.add_argument(
+        "--turntable",
+        choices=("auto", "yes", "no"),
+        help="whether the object turned while the camera and the light stood still",
+    )
+    parser.add_argument(
         "--all-photos", action="store_true", help="also learn from photos that were taken in another light than most"
     )
     parser.add_argument("--metal", choices=("auto", "yes", "no"), help="whether it is metal, where photos do not tell")

@@ -5,6 +5,7 @@
     python backend/synthetic.py --random SEED --out DIR [--meshes FILE...]
     python backend/synthetic.py --scene suzanne --snapshots --out DIR
     python backend/synthetic.py --scene suzanne --photograph EFFECT... --out DIR
+    python backend/synthetic.py --scene suzanne --turntable 2 --out DIR
     python backend/synthetic.py --develop CAPTURE --photograph EFFECT... --out DIR
 
 DIR becomes a capture (transforms.json, images/NNN.exr, masks/NNN.png). The capture has test views (transforms_test.json,
@@ -22,6 +23,10 @@ capture of the same photos with the true cameras, test views, and ground truth.
 depth of field, a camera's tone curve and noise, and others (docs/photographs.md), which DIR/photographs.json tells. The test
 views and the ground truth stay clean. `--develop` does the camera's part of it with the photos of a capture of linear
 radiance, without rendering again.
+
+`--turntable ROWS` turns the object on a plate, while the camera stands still, at one height for each row of photos. The
+cameras are written in the frame of the object, as it stands in the first photo. turns.json has the true turns. In the test
+views the object stands as in the first photo. `--walk` takes the same photos by walking around the object: the control.
 
 The same arguments give the same capture in the same version of Blender, except for the last digits of the photos, because
 Cycles adds in no fixed order. Blender 5 draws other Voronoi cells for the pattern `patches` than Blender 4.
@@ -51,13 +56,25 @@ from backend.synthetic_capture.exr_channels import write_channels
 from backend.synthetic_capture.ground_truth import ViewRenderer
 from backend.synthetic_capture.photo_files import BRIGHTNESS, ENDINGS, automatic_gain, gain_for, write_photo
 from backend.synthetic_capture.photograph.develop_capture import develop_capture
-from backend.synthetic_capture.photograph.effects import DEVELOPMENT, EFFECTS, GROUPS, MATERIALS, ROOM, SCENE, Stage, chosen
+from backend.synthetic_capture.photograph.effects import (
+    DEVELOPMENT,
+    EFFECTS,
+    FRAMING,
+    GROUPS,
+    MATERIALS,
+    ROOM,
+    SCENE,
+    TWO_DAYS,
+    Stage,
+    chosen,
+)
 from backend.synthetic_capture.photograph.living_room import in_living_room
 from backend.synthetic_capture.photograph.object_changes import SUBSTANCES
 from backend.synthetic_capture.photograph.session import PHOTOGRAPHS, Camera, Session, write_description
 from backend.synthetic_capture.random_scene import Photography, SceneDescription, draw_scene
-from backend.synthetic_capture.scene_building import build_fixed_scene, build_random_scene
+from backend.synthetic_capture.scene_building import BuiltScene, build_fixed_scene, build_random_scene
 from backend.synthetic_capture.snapshots import Phone
+from backend.synthetic_capture.turntable import ELEVATIONS, TURNS, turn_to, write_turns
 from backend.synthetic_capture.viewpoints import FIELD_OF_VIEW, Viewpoint
 
 MARK = "gt_mesh.ply"
@@ -71,8 +88,8 @@ METER_SIZE, METER_SAMPLES, METER_VIEWS = 48, 8, 8
 SCENE_OPTIONS = ("views", "test_views", "size", "samples", "threads")
 UNUSED = {
     None: ("meshes",),
-    "random": ("seed", "snapshots", "material"),
-    "develop": ("meshes", "snapshots", "material", *SCENE_OPTIONS),
+    "random": ("seed", "snapshots", "material", "turntable", "walk"),
+    "develop": ("meshes", "snapshots", "material", "turntable", "walk", *SCENE_OPTIONS),
 }
 """What is rendered, where it is no --scene -> options without effect"""
 LARGEST_SEED = 2**31 - 1
@@ -107,6 +124,15 @@ def parse(arguments: list[str]) -> argparse.Namespace:
         help=f"photos as people take them: {', '.join(EFFECTS)}; camera (the last four); all",
     )
     parser.add_argument(
+        "--turntable",
+        type=int,
+        default=0,
+        choices=range(len(ELEVATIONS) + 1),
+        metavar="ROWS",
+        help=f"the object turns, for 1 to {len(ELEVATIONS)} heights of a still camera; not with --random",
+    )
+    parser.add_argument("--walk", action="store_true", help="with --turntable: walk around the object instead")
+    parser.add_argument(
         "--material", choices=sorted(scenes.MATERIALS), help="default: gold; the box: patches; not with --random"
     )
     options = parser.parse_args(arguments)
@@ -124,6 +150,11 @@ def parse(arguments: list[str]) -> argparse.Namespace:
             f"--develop does not render {', '.join(rendered) or 'anything'}: give --photograph with some of "
             f"{', '.join(DEVELOPMENT)}"
         )
+    if options.walk and not options.turntable:
+        parser.error("--walk has no effect without --turntable")
+    moving = sorted(options.photograph & {FRAMING, TWO_DAYS})
+    if options.turntable and moving:
+        parser.error(f"--turntable keeps the camera still, and --photograph {' '.join(moving)} does not")
     options.seed = options.seed or 0
     return options
 
@@ -157,13 +188,14 @@ def main(arguments: list[str]) -> int:
         elif options.random is None:
             views = (62 if options.views is None else options.views, options.test_views)
             drawn = (options.scene, options.material, options.seed)
-            built = build_fixed_scene(*drawn, views, options.snapshots, options.photograph)
+            turntable = (options.turntable, options.walk)
+            built = build_fixed_scene(*drawn, views, options.snapshots, options.photograph, *turntable)
             photographing = Photographing(session=session_of(options, FIELD_OF_VIEW, built.stage, len(built.train)))
             if options.snapshots:
                 photographing = Photographing(phone=Phone(options.size, FIELD_OF_VIEW))
                 options.out /= WITH_CAMERAS
                 (options.out.parent / "photos").mkdir(parents=True, exist_ok=True)
-            write_capture(options, built.target, built.train, built.test, photographing)
+            write_capture(options, built, photographing)
         else:
             write_random_capture(options)
     except (ValueError, OSError) as error:
@@ -220,7 +252,7 @@ def write_random_capture(options: argparse.Namespace) -> None:
     bpy.context.scene.cycles.denoising_prefilter, bpy.context.scene.cycles.use_light_tree = "FAST", False
     session = session_of(options, field_of_view, built.stage, len(built.train), scene.photography.brightness)
     photographing = Photographing(field_of_view, scene.photography, session=session)
-    write_capture(options, built.target, built.train, built.test, photographing)
+    write_capture(options, built, photographing)
 
 
 def told(scene: SceneDescription, effects: frozenset[str]) -> dict:
@@ -287,27 +319,21 @@ class Photographing:
         return photo * np.float32(gain)
 
 
-def write_capture(
-    options: argparse.Namespace,
-    target: bpy.types.Object,
-    train: list[Viewpoint],
-    test: list[Viewpoint],
-    photographing: Photographing,
-) -> None:
+def write_capture(options: argparse.Namespace, built: BuiltScene, photographing: Photographing) -> None:
     """Render every viewpoint and write the capture folder. Raises OSError where the folder cannot be written.
 
     A phone's photos of an earlier run are removed, because `photos` may hold no others than those of this capture.
     """
-    out = options.out
+    out, train, test = options.out, built.train, built.test
     for name in PARTS:
         (out / name).mkdir(parents=True, exist_ok=True)
-    write_ply(out / MARK, *scenes.triangles(target))
-    for name in ("transforms.json", PHOTOGRAPHS):
+    write_ply(out / MARK, *scenes.triangles(built.target))
+    for name in ("transforms.json", PHOTOGRAPHS, TURNS):
         (out / name).unlink(missing_ok=True)
     phone = photographing.phone
     for old in _phone_photos(out) if phone else ():
         old.unlink()
-    gain = photographing.meter(options, train)
+    gain = photographing.meter(options, train)  # with the object at its first turn
     size = phone.rendered_size if phone else options.size
     field_of_view = phone.rendered_field_of_view if phone else photographing.field_of_view
     renderer = ViewRenderer(bpy.context.scene, size, options.samples, field_of_view, options.seed)
@@ -319,12 +345,15 @@ def write_capture(
         images, masks = ("test", "test_masks") if group == "test" else ("images", "masks")
         renderer.scene.cycles.seed = (options.seed + number) % (LARGEST_SEED + 1)  # two photos must not have the same noise
         photographing.set_up(renderer.camera.data, viewpoint, index if group == "train" else None)
+        turn_to(built.turning, viewpoint)
         photo, truth = renderer.render(viewpoint.matrix)
         frame = {
             "file_path": f"{images}/{index:03d}{ENDINGS[photographing.format]}",
             "mask_path": f"{masks}/{index:03d}.png",
-            "transform_matrix": [list(row) for row in viewpoint.matrix],
+            "transform_matrix": [list(row) for row in viewpoint.in_object],
         }
+        if viewpoint.row is not None:
+            frame["row"] = viewpoint.row
         frames[group].append(frame)
         if phone and group == "train":
             frame["file_path"] = f"../photos/IMG_{index + 1:04d}.jpg"
@@ -345,6 +374,9 @@ def write_capture(
     if photographing.session:
         write_description(out, photographing.session.camera, taken)
     own = phone.intrinsics if phone else {"color_space": "srgb"} if photographing.develops else {}
+    if train[0].row is not None:
+        own = own | {"turntable": True}
+        write_turns(out, train)
     write_transforms(out, renderer, color_space, frames, own)
 
 

@@ -99,6 +99,16 @@ def _add_masks(command: argparse.ArgumentParser) -> None:
     )
 
 
+def _add_turntable(command: argparse.ArgumentParser) -> None:
+    command.add_argument(
+        "--turntable",
+        choices=("auto", "yes", "no"),
+        default="auto",
+        help="whether the object turned while the camera and the light stood still. auto: as the capture says, or as the "
+        "photos show (%(default)s)",
+    )
+
+
 def _add_cameras(commands: argparse._SubParsersAction) -> None:
     find = _command_with_exit_codes(commands, "cameras", "find the cameras of photos, so that they become a capture")
     find.add_argument("photos", type=_path, metavar="PHOTOS", help="folder with photos, or a video")
@@ -137,6 +147,7 @@ def _add_reconstruct(commands: argparse._SubParsersAction) -> None:
     run.add_argument("--device", choices=("auto", "cpu", "cuda"), default="auto", help="(%(default)s)")
     run.add_argument("--seed", type=_seed, default=0, metavar="N", help="the same seed gives the same asset (%(default)s)")
     _add_masks(run)
+    _add_turntable(run)
     _add_all_photos(run)
     run.add_argument("--mesh", type=_path, metavar="FILE", help="learn materials on this mesh (capture coordinates)")
     _add_sphere(run)
@@ -185,6 +196,7 @@ def _add_batch(commands: argparse._SubParsersAction) -> None:
     batch.add_argument("--out", type=_path, required=True, metavar="FOLDER", help="folder of the assets and of batch.json")
     _add_preset(batch)
     _add_masks(batch)
+    _add_turntable(batch)
     _add_all_photos(batch)
     batch.add_argument("--metal", choices=("auto", "yes", "no"), default="auto", help="(%(default)s)")
     _add_faces(batch)

@@ -161,6 +161,11 @@ WORDS: dict[str, str] = {
     "cameras.matches": "comparing photos: pair {step} of {steps}",
     "cameras.places": "placing photo {step} of {steps}",
     "cameras.placed": "{count} of {photos} photos were placed; their features agree within {error:.2f} pixels",
+    "cameras.turntable": "in {percent:.0f} % of the photos the surroundings stand still: taken as a turntable, so only "
+    "features on what turned were used",
+    "cameras.turntable_shifted": "in {percent:.0f} % of the photos the surroundings stand still, but shifted: taken as a "
+    "turntable. Features on the surroundings were used, too. If the cameras are wrong, put masks of the object into "
+    "PHOTOS/masks",
     "cameras.sure": "the cameras look right",
     "cameras.not_placed": "{count} {count:photo was|photos were} not placed, because {count:it shares|they share} too few "
     "points with the others: {names}. Take more photos in between, or leave {count:it|them} out",
@@ -300,9 +305,12 @@ WORDS: dict[str, str] = {
     "larger photos, or make object_radius smaller if the object is smaller",
     "capture.sphere_at_edges": "{percent:.0f} % of the photos cut off a part of the object's sphere: if object_radius is "
     "not too large, step back, so that the photos show the whole object and its surroundings",
-    "capture.on_turntable": "in {percent:.0f} % of the photos the surroundings stay at the same place although the "
-    "cameras differ: the object turned while the camera and the surroundings stood still, and reconstruct refuses such "
-    "photos. Mask the surroundings out (cut-outs with alpha), or photograph by walking around the object",
+    "capture.on_turntable": "in {percent:.0f} % of the photos the surroundings stand still although the cameras differ: "
+    "taken as a turntable, on which the object turned. If you walked around the object, give --turntable no",
+    "capture.turntable_side": "the capture does not say how far the turntable had turned between the {rows} places of the "
+    "camera: they are taken to be on the same side of the object. If they were not, tell 'turn' in transforms.json",
+    "capture.turntable_left_out": "{count} {count:photo|photos} left out, because the camera did not stand still for at "
+    "least 3 photos: {names}",
     "capture.highlights_clipped": "8-bit photos clip highlights: mirror-like parts will come out darker than they are",
     "capture.cut_outs": "cut-outs show no surroundings: light can be learned from reflections alone",
     # warnings of a job
@@ -348,6 +356,8 @@ WORDS: dict[str, str] = {
     # sentences about the scene
     "scene.surroundings": "The photos ({photos}) show the object among its surroundings, which are learned as its light.",
     "scene.cut_outs": "The photos ({photos}) are cut-outs: the light is learned from the object's reflections alone.",
+    "scene.turntable": "The object turned, and the camera and the light stood still. environment.exr is the light around "
+    "the object as it stood in the first photo.",
     "scene.masks_used": "Masks are there and are used.",
     "scene.masks_not_used": "No masks are used: the object is where the photos do not look like its surroundings.",
     "scene.object_clipped": "{percent:g} % of the object's pixels are burnt out (clipped) and say nothing about the "
@@ -401,6 +411,7 @@ WORDS: dict[str, str] = {
     "reason.light_changes_fast": "light changes too fast between the samples of a photo",
     "reason.found_nothing": "nothing was found",
     "reason.few_pixels_beside": "the photos show too little beside the object",
+    "reason.turntable_hides": "the photos of a turntable do not show what is behind the object",
     "reason.masks_show_outline": "the masks show the outline",
     "reason.no_hull": "the shape does not start from an outline",
     "reason.levels_there": "the shape has them already",
@@ -408,5 +419,6 @@ WORDS: dict[str, str] = {
     "reason.linear_photos": "the photos hold linear values",
     "reason.no_tone_curve": "the photos show none",
     "reason.light_not_shown": "the photos show too little of the light",
+    "reason.turntable": "the object turned in the light",
     "reason.no_self_reflection": "the object does not reflect in itself",
 }

@@ -70,6 +70,11 @@ MESSAGES = {
     "cameras.matches": "Compared {step} of {steps} pairs of photos",
     "cameras.places": "Placed {step} of {steps} photos",
     "cameras.placed": "{count} of {photos} photos were placed. The details that they share agree within {error:.2f} pixels.",
+    "cameras.turntable": "In {percent:.0f} % of the photos the surroundings stand still: taken as a turntable, so only "
+    "details on what turned were used.",
+    "cameras.turntable_shifted": "In {percent:.0f} % of the photos the surroundings stand still, but shifted: taken as a "
+    "turntable. Details of the surroundings were used, too. If the cameras are wrong, put masks of the object into the "
+    "folder masks",
     "cameras.sure": "The cameras look right.",
     "cameras.not_placed": "{count} {count:photo was|photos were} not placed, because {count:it shares|they share} too few "
     "details with the others: {names}. Take more photos in between, or leave {count:it|them} out",
@@ -199,9 +204,12 @@ MESSAGES = {
     "larger photos, or make the bounds smaller if the object is smaller",
     "capture.sphere_at_edges": "{percent:.0f} % of the photos cut off a part of the object's sphere: if the bounds are not "
     "too large, step back, so that the photos show the whole object and its surroundings",
-    "capture.on_turntable": "In {percent:.0f} % of the photos the surroundings stay at the same place although the "
-    "cameras differ: the object turned while the camera and the surroundings stood still. Such photos cannot be used as "
-    "they are. Mask the surroundings out (cut-outs with alpha), or photograph by walking around the object",
+    "capture.on_turntable": "In {percent:.0f} % of the photos the surroundings stand still although the cameras differ: "
+    "taken as a turntable, on which the object turned",
+    "capture.turntable_side": "The capture does not say how far the turntable had turned between the {rows} places of the "
+    "camera: they are taken to be on the same side of the object",
+    "capture.turntable_left_out": "{count} {count:photo|photos} left out, because the camera did not stand still for at "
+    "least 3 photos: {names}",
     "capture.highlights_clipped": "8-bit photos clip highlights: mirror-like parts will come out darker than they are",
     "capture.cut_outs": "Cut-outs show no surroundings: light can be learned from reflections alone",
     # warnings of a job
@@ -246,6 +254,8 @@ MESSAGES = {
     # sentences about the scene
     "scene.surroundings": "The photos ({photos}) show the object among its surroundings, which are learned as its light.",
     "scene.cut_outs": "The photos ({photos}) are cut-outs: the light is learned from the object's reflections alone.",
+    "scene.turntable": "The object turned, and the camera and the light stood still. environment.exr is the light around "
+    "the object as it stood in the first photo.",
     "scene.masks_used": "Masks are there and are used.",
     "scene.masks_not_used": "No masks are used: the object is where the photos do not look like its surroundings.",
     "scene.object_clipped": "{percent:g} % of the object's pixels are burnt out and say nothing about the material.",
@@ -297,6 +307,7 @@ MESSAGES = {
     "reason.light_changes_fast": "light changes too fast between the samples of a photo",
     "reason.found_nothing": "nothing was found",
     "reason.few_pixels_beside": "the photos show too little beside the object",
+    "reason.turntable_hides": "the photos of a turntable do not show what is behind the object",
     "reason.masks_show_outline": "the masks show the outline",
     "reason.no_hull": "the shape does not start from an outline",
     "reason.levels_there": "the shape has them already",
@@ -304,6 +315,7 @@ MESSAGES = {
     "reason.linear_photos": "the photos hold linear values",
     "reason.no_tone_curve": "the photos show none",
     "reason.light_not_shown": "the photos show too little of the light",
+    "reason.turntable": "the object turned in the light",
     "reason.no_self_reflection": "the object does not reflect in itself",
 }
 
@@ -393,9 +405,14 @@ ERRORS = {
         "The system's folder for temporary files cannot be written ({reason})",
         "Change its permissions, or let the system's variable TMPDIR name another folder, and start Blender again.",
     ),
-    "capture.turntable": (
-        "The object turned while the camera and the surroundings stood still, so no light fits the photos",
-        "Mask the surroundings out (cut-outs with alpha), or photograph by walking around the object.",
+    "capture.turntable_no_rows": (
+        "The camera stood still in only {kept} of {photos} photos: they are not from a turntable",
+        "Photograph again with the camera on a tripod. If you walked around the object, correct the capture's file: it says "
+        "that the object turned.",
+    ),
+    "capture.turntable_row_moved": (
+        "The camera did not stand still in a row of the turntable: {names}",
+        "Correct the rows in the capture's file, or take them out, so that they are found from the cameras.",
     ),
     "usage.too_many_held_out": (
         "Of {photos} photos, only {learned} are left to learn from",

@@ -45,6 +45,7 @@ def _reconstruct(options: argparse.Namespace, stop: StopRequests) -> None:
             seed=options.seed,
             masks=options.masks,
             metal=options.metal,
+            turntable=options.turntable,
             faces=options.faces,
             mesh=options.mesh,
             threads=options.threads,

@@ -54,6 +54,7 @@ def _reconstruct(python: str, options: argparse.Namespace, stop: StopRequests) -
         seed=options.seed,
         masks=options.masks,
         metal=options.metal,
+        turntable=options.turntable,
         faces=options.faces,
         workers=options.workers,
         threads=options.threads,

@@ -2,10 +2,12 @@
 
 import os
 import tempfile
+from dataclasses import replace
 from pathlib import Path
 
 import bpy
 import numpy as np
+from mathutils import Matrix
 
 from ..scene_io.cameras import new_camera, pixel_aspect
 from ..scene_io.capture_files import Frame
@@ -18,10 +20,14 @@ SAMPLES_FACTOR_WITHOUT_DENOISER = 4  # halves the noise
 
 
 class RelitScene:
-    """A scene that holds only the object. `close`, or the end of a `with` block, removes the scene but not the object."""
+    """A scene that holds only the object. `close`, or the end of a `with` block, removes the scene but not the object.
+
+    For a photo from a turntable, object and camera are moved as they were (`Frame.object_to_room`), since the light stands
+    still. Afterwards the object is where it was.
+    """
 
     def __init__(self, item: bpy.types.Object, width: int, height: int, samples: int, seed: int = 0):
-        self.scene = bpy.data.scenes.new(SCENE_NAME)
+        self.item, self.scene = item, bpy.data.scenes.new(SCENE_NAME)
         self.scene.collection.objects.link(item)
         use_cycles(self.scene, samples * (1 if has_denoiser() else SAMPLES_FACTOR_WITHOUT_DENOISER), seed)
         self.scene.render.use_persistent_data = True
@@ -49,8 +55,13 @@ class RelitScene:
             self.scene.render.film_transparent = False
 
     def _rendered(self, frame: Frame, world: bpy.types.World, channels: str) -> np.ndarray:
+        at_rest = self.item.matrix_world.copy()
+        if frame.object_to_room is not None:  # the object turned in the light, and the camera saw it there
+            frame = replace(frame, matrix=frame.object_to_room @ frame.matrix)
         camera = add_camera(frame, self.scene)
         try:
+            if frame.object_to_room is not None:
+                self.item.matrix_world = Matrix(frame.object_to_room.tolist()) @ at_rest
             self.scene.camera, self.scene.world = camera, world
             settings = self.scene.render.image_settings
             set_media_type(settings)
@@ -63,6 +74,8 @@ class RelitScene:
                 bpy.ops.render.render(write_still=True, scene=self.scene.name)
                 pixels = load_pixels(path)
         finally:
+            if frame.object_to_room is not None:
+                self.item.matrix_world = at_rest
             data = camera.data
             bpy.data.objects.remove(camera)
             bpy.data.cameras.remove(data)

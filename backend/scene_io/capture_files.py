@@ -44,6 +44,8 @@ class Frame:
     gain: tuple[float, float, float] = (1.0, 1.0, 1.0)  # exposure and white balance, relative to the other photos
     distortion: dict[str, Any] = field(default_factory=dict)  # entries of transforms.json that Blender's cameras lack
     mask: Path | None = None
+    # How the object of a turntable had moved since the first photo [4,4]. The light of the asset stood still.
+    object_to_room: np.ndarray | None = None
 
     def photo(self) -> np.ndarray:
         """The photo as linear radiance [H,W,3], over GRAY where the file is transparent.
@@ -204,6 +206,7 @@ def _frame(lookup: PhotoLookup, meta: dict, entry: dict) -> Frame:
         space,
         distortion={name: found for name, found in distortion.items() if found},
         mask=lookup.at(str(mask)) or folder / str(mask) if mask else None,
+        object_to_room=_matrix(entry["object_to_room"], path, "object_to_room") if "object_to_room" in entry else None,
     )
 
 
@@ -223,10 +226,10 @@ def _color_space(path: Path) -> str:
         return "srgb"
 
 
-def _matrix(rows: list, path: Path) -> np.ndarray:
+def _matrix(rows: list, path: Path, name: str = "transform_matrix") -> np.ndarray:
     matrix = np.array(rows, np.float64)
     if matrix.shape == (3, 4):
         matrix = np.concatenate([matrix, [[0.0, 0.0, 0.0, 1.0]]])
     if matrix.shape != (4, 4) or not np.isfinite(matrix).all():
-        raise ValueError(f"{path.name}: transform_matrix is not a 4 x 4 matrix of numbers")
+        raise ValueError(f"{path.name}: {name} is not a 4 x 4 matrix of numbers")
     return matrix

@@ -383,10 +383,10 @@ def plain(name: str, color: Sequence[float], roughness: float) -> bpy.types.Mate
     return material
 
 
-def printed(name: str, rng: np.random.Generator, scale: float = 1.0) -> bpy.types.Material:
+def printed(name: str, rng: np.random.Generator, scale: float = 1.0, moves: bool = False) -> bpy.types.Material:
     """A dielectric material with a print of colored cells of several sizes, which repeats nowhere.
 
-    The largest cells have a width of about 0.4 / `scale`.
+    `moves`: the print moves with the thing that has it. The largest cells have a width of about 0.4 / `scale`.
     """
     material = bpy.data.materials.new(name)
     material.use_nodes = True
@@ -395,7 +395,8 @@ def printed(name: str, rng: np.random.Generator, scale: float = 1.0) -> bpy.type
     principled.inputs["Roughness"].default_value = 0.7
     shift = nodes.new("ShaderNodeVectorMath")
     shift.inputs[1].default_value = rng.uniform(-50, 50, 3)
-    links.new(nodes.new("ShaderNodeNewGeometry").outputs["Position"], shift.inputs[0])
+    place = ("ShaderNodeTexCoord", "Object") if moves else ("ShaderNodeNewGeometry", "Position")
+    links.new(nodes.new(place[0]).outputs[place[1]], shift.inputs[0])
     color = None
     for cells_of_unit in (2.5, 9.0, 30.0):
         cells = nodes.new("ShaderNodeTexVoronoi")

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import bpy
 import numpy as np
@@ -24,6 +24,15 @@ class Viewpoint:
     """The pose of a camera. `matrix` is camera-to-world; the camera looks down -z, and y points up."""
 
     matrix: Matrix
+    turn: Matrix = field(default_factory=lambda: Matrix.Identity(4))
+    """The pose of the object: from the frame in which its mesh is given to the world. It differs on a turntable."""
+    row: int | None = None
+    """The row of photos of a turntable, each from one place of the camera. None: no turntable"""
+
+    @property
+    def in_object(self) -> Matrix:
+        """Camera-to-object: the pose of the camera relative to the object."""
+        return self.turn.inverted() @ self.matrix
 
 
 @dataclass(frozen=True)

@@ -27,7 +27,8 @@ BACKGROUND_PIXELS = 40_000
 def score_asset(folder: Path, asset: Path, preset: Preset, device: str, picture: Path) -> dict:
     """The scores of geometry, materials and F_e; {} for a capture without ground truth.
 
-    F_e is scored only where the asset still has the checkpoint of stage 1.
+    F_e is scored only where the asset still has the checkpoint of stage 1. It is not scored for a turntable, because test
+    views do not tell how the object stood in the room.
     """
     if not (folder / "gt_mesh.ply").is_file():
         return {}
@@ -41,7 +42,7 @@ def score_asset(folder: Path, asset: Path, preset: Preset, device: str, picture:
     out |= shading_normals.score(surface, folder, capture, test, normal_map)
     out |= materials.score(surface, learned, folder, capture, test, picture)
     kept = asset / "checkpoints" / f"{StageName.FIELDS_LEARNING}.done.pt"
-    if kept.is_file():
+    if kept.is_file() and not read_row(asset / "report.json")["scene"]["photos"].get("turntable", False):
         out["background_psnr"] = _background_psnr(folder, asset, kept, capture, test, preset, choose_device(device))
     return out
 

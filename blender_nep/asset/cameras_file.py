@@ -2,6 +2,10 @@
 
 Blender's side reads it where the capture has no transforms.json (`read_frames_of` in backend/scene_io/capture_files.py). Its
 keys are those of transforms.json; photos are named relative to the asset's folder.
+
+If the object turned, each frame also has `object_to_room`: the motion [4, 4] of the object, in capture units, from the first
+photo to this one. The light of environment.exr stands still. So object and camera are moved by it where a photo is rendered
+again.
 """
 
 from __future__ import annotations
@@ -10,10 +14,12 @@ import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from blender_nep.capture.cameras.lens_keys import intrinsics_of
 
 if TYPE_CHECKING:
-    from blender_nep.capture import Capture
+    from blender_nep.capture import Capture, View
 
 CAMERAS = "cameras.json"
 """The file's name. `CAMERAS` in backend/scene_io/capture_files.py repeats it for Blender's Python."""
@@ -26,6 +32,7 @@ def cameras_content(capture: Capture, folder: Path) -> dict[str, Any]:
             "file_path": _place(view.image_path, folder),
             **intrinsics_of(view.camera),
             "transform_matrix": view.camera.camera_to_world.tolist(),
+            **_motion(view, capture.views[0]),
         }
         for view in capture.views
     ]
@@ -35,6 +42,13 @@ def cameras_content(capture: Capture, folder: Path) -> dict[str, Any]:
         "object_radius": capture.object_radius,
         "frames": frames,
     }
+
+
+def _motion(view: View, first: View) -> dict[str, list]:
+    """The motion of the object from the first photo to this one; empty if the object stood still."""
+    if view.in_room is None or first.in_room is None:
+        return {}
+    return {"object_to_room": (np.linalg.inv(first.in_room) @ view.in_room).tolist()}
 
 
 def _place(photo: Path, folder: Path) -> str:

@@ -275,6 +275,7 @@ class Batch:
     def _job(self, one: ObjectState, threads: int, memory_mb: float) -> Job:
         s = self._settings
         options = ["--preset", s.preset, "--masks", s.masks, "--metal", s.metal, "--seed", str(s.seed)]
+        options += [] if s.turntable == "auto" else ["--turntable", s.turntable]
         options += [] if s.faces is None else ["--faces", str(s.faces)]
         options += ["--all-photos"] if s.all_photos else []
         # a task of Ray may use the cards of its node without being counted, if it has asked for none

@@ -21,6 +21,7 @@ class BatchSettings:
     preset: str = "balanced"
     masks: str = "use"
     metal: str = "auto"
+    turntable: str = "auto"
     all_photos: bool = False
     """Learn also from photos that were taken in another light than most"""
     faces: int | None = None
@@ -48,6 +49,7 @@ class BatchSettings:
             "preset": self.preset,
             "masks": self.masks,
             "metal": self.metal,
+            "turntable": self.turntable,
             "all_photos": self.all_photos,
             "faces": self.faces,
             "seed": self.seed,

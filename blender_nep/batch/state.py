@@ -153,6 +153,7 @@ def read_state(folder: Path) -> BatchState | None:
         arguments = dict(content["arguments"])
         identity = {"preset": content["preset"], **{key: arguments[key] for key in ("masks", "metal", "seed")}}
         identity |= {"faces": arguments.get("faces"), "all_photos": arguments.get("all_photos", False)}
+        identity["turntable"] = arguments.get("turntable", "auto")
         objects = [ObjectState.from_dict(told) for told in content["objects"]]
         _check_names(path, [one.name for one in objects])
         return BatchState(identity, arguments, content["started"], objects=objects)

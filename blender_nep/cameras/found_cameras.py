@@ -46,6 +46,8 @@ class FoundCameras:
     not_placed: list[Photo]
     object_center: np.ndarray = field(default_factory=lambda: np.zeros(3))
     object_radius: float = 1.0
+    turntable: bool = False
+    """Whether the object turned while the camera and the surroundings stood still"""
 
     @property
     def median_error(self) -> float:

@@ -98,6 +98,7 @@ def find_groups(
     stop: StopRequest,
     *,
     masked: bool | None = None,
+    moving: Sequence[np.ndarray] | None = None,
     threads: int | None = None,
     given: Sequence[Camera] | None = None,
 ) -> list[Group]:
@@ -106,6 +107,7 @@ def find_groups(
     While fewer photos than `enough` are in one group, the next way of `WAYS` is tried. The result is that of the way
     with the largest group.
     masked: None uses features everywhere; True only those on the object that the masks show, False only those beside it.
+    moving: without masks, features are used only where these pictures [h, w] bool of the photos say so; None: everywhere.
     given: cameras of the photos that are only improved. There is one group then, in a frame near the given one. Raises
     CaptureError where a photo cannot be read, OutputError where the disk is full, Stopped on request, and NepError where
     pycolmap fails.
@@ -119,6 +121,9 @@ def find_groups(
         _save(gray_copy(photo, reduction), folder / "images" / name)
         if masked is not None and (mask := mask_copy(photo, reduction)) is not None:
             _save(np.uint8(255) * (mask == masked), folder / "masks" / f"{name}.png")
+        if moving is not None:
+            used = Image.fromarray(np.uint8(255) * moving[number])
+            _save(np.asarray(reduction.copy(used, Image.Resampling.NEAREST)), folder / "masks" / f"{name}.png")
     lenses = _lenses(photos, reductions, given)
     longest = max(max(reduction.width, reduction.height) for reduction in reductions.values())
     best: list[Group] = []
@@ -130,7 +135,7 @@ def find_groups(
             "lenses": lenses,
             "given": {} if given is None else {name: _pose(camera) for name, camera in zip(reductions, given, strict=True)},
             "images": str((folder / "images").absolute()),
-            "masks": "" if masked is None else str((folder / "masks").absolute()),
+            "masks": "" if masked is None and moving is None else str((folder / "masks").absolute()),
             "threads": threads or os.cpu_count() or 1,
         }
         with _working_file(folder):

@@ -71,7 +71,8 @@ def write_capture(found: FoundCameras, folder: Path, color_space: str | None = N
     stated = {"object_center": found.object_center.tolist(), "object_radius": found.object_radius}
     sphere = stated if with_sphere else {}
     color = {} if color_space is None else {"color_space": color_space}
-    content = {**_MARK, **shared, **color, **sphere, "frames": frames}
+    turntable = {"turntable": True} if found.turntable else {}
+    content = {**_MARK, **shared, **color, **sphere, **turntable, "frames": frames}
     path = folder / transforms.FILE
     with without_resume(), output_errors(path):
         folder.mkdir(parents=True, exist_ok=True)

@@ -22,6 +22,13 @@ class View:
     image_path: Path
     mask_path: Path | None
     camera: Camera
+    row: int | None = None
+    """On a turntable: the photos of one row were taken from one place of the camera. None: not told, or no turntable"""
+    turn: float | None = None
+    """On a turntable: the angle of the table in degrees, as the capture tells it. None: not told"""
+    in_room: np.ndarray | None = None
+    """[4, 4] float64: how the object of a turntable stood: from the capture's frame, in which the object rests, to the
+    room's. None: not known, or no turntable"""
 
 
 @dataclass
@@ -39,6 +46,8 @@ class Capture:
     warnings: list[Message] = field(default_factory=list)
     files: tuple[Path, ...] = ()
     """The files that describe the capture, without photos and masks."""
+    turntable: bool | None = None
+    """Whether the object turned on a turntable, as the files say. None: they do not say"""
     mask_reading: MaskReading = field(default_factory=MaskReading)
     """What the mask files mean. Photos' alpha always means the object."""
 

@@ -38,3 +38,5 @@ class CaptureDescription:
     object_radius: Any = None
     """As `object_center`"""
     warnings: list[Message] = field(default_factory=list)
+    turntable: bool | None = None
+    """Whether the object turned on a turntable; None: not said"""

@@ -56,7 +56,7 @@ def load_capture(
     warnings += bracket_warnings([v.image_path for v in said.views])
     warnings += lens_warnings([v.name for v in said.views], [v.camera for v in said.views])
     color_space = _color_space(said, warnings)
-    capture = Capture(folder, said.views, color_space, np.zeros(3), 1.0, "", warnings, said.files)
+    capture = Capture(folder, said.views, color_space, np.zeros(3), 1.0, "", warnings, said.files, said.turntable)
     if sphere is None:
         _set_bounds(capture, said)
     else:

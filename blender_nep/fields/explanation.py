@@ -33,10 +33,11 @@ def explanation_ratio(
         return 0.0
     covered = bundle[ray]
     normal = functional.normalize(surface.gradient[solid], dim=-1, eps=1e-6)
-    color = renderer.object_field.appearance(surface.point[solid], normal, covered.directions).color
+    color = renderer.object_field.appearance(surface.point[solid], normal, covered.directions, covered.motion).color
     near = torch.full_like(covered.half_angle, environment.preset.camera_near)
     infinity = torch.full_like(near, torch.inf)
-    behind = environment.render(covered.origins, covered.directions, near, infinity, covered.half_angle, None).radiance
+    origins, directions, half_angle = covered.in_room()
+    behind = environment.render(origins, directions, near, infinity, half_angle, None).radiance
     photo = tone_map(rays.photo(index[ray]))
     error = (tone_map(color) - photo).abs().mean().clamp(min=1e-6)  # the error of entirely black photos may be 0
     return float((tone_map(behind) - photo).abs().mean() / error)

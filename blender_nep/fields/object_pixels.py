@@ -12,6 +12,7 @@ from torch.nn import functional
 
 from blender_nep.capture.rays.pixel_rays import PixelRays
 from blender_nep.capture.rays.pixel_set import GrowingPixelSet, PixelSet, random_places
+from blender_nep.capture.rays.ray_bundle import RayBundle
 from blender_nep.fields.object.field import SplineShape
 from blender_nep.geometry.mesh import Surface
 from blender_nep.geometry.ray_tracing import RayTracer
@@ -62,15 +63,15 @@ def find_object_pixels(
     rays: PixelRays,
     shape: SplineShape,
     band: float,
-    transmittance: Callable[[Tensor, Tensor], Tensor] | None,
+    transmittance: Callable[[RayBundle], Tensor] | None,
     block: int = 4,
 ) -> ObjectPixels:
     """The object pixels: valid pixels whose rays come nearer to the surface than `band` (unit frame), and some around them.
 
     One ray for each block of `block` x `block` pixels is tried. A block is taken if its ray comes so near that the ray of
     one of its pixels may be near; rays that miss the sphere do not count. It is clear if F_e lets through nearly all light
-    along its ray and its neighbors' rays: transmittance(origins [n, 3], directions [n, 3]) gives the share [n]; None: no
-    block is clear. If there are no object pixels, all pixels that see the object's sphere are taken for veiled ones.
+    along its ray and its neighbors' rays: transmittance(rays) gives the share [n] of n rays; None: no block is clear. If
+    there are no object pixels, all pixels that see the object's sphere are taken for veiled ones.
     """
     device = rays.valid.device
     clear, veiled = GrowingPixelSet(device), GrowingPixelSet(device)
@@ -78,13 +79,13 @@ def find_object_pixels(
         row = torch.arange(0, height, block, device=device).add(block // 2).clamp(max=height - 1)
         column = torch.arange(0, width, block, device=device).add(block // 2).clamp(max=width - 1)
         index = (rays.offset[view] + row[:, None] * width + column).flatten()
-        origins, directions, half_angle = rays.rays(index)
-        far = origins[0].norm() + 1  # the far side of the sphere, where pixels are widest
-        corner = math.sqrt(2) * block * float(half_angle.max() * far)
-        seen = shape.near(origins, directions, band + corner)
+        bundle = rays.rays(index)
+        far = bundle.origins[0].norm() + 1  # the far side of the sphere, where pixels are widest
+        corner = math.sqrt(2) * block * float(bundle.half_angle.max() * far)
+        seen = shape.near(bundle.origins, bundle.directions, band + corner)
         veil = seen.clone()
         if transmittance is not None and seen.any():
-            veil[seen] = transmittance(origins[seen], directions[seen]) < _CLEAR
+            veil[seen] = transmittance(bundle[seen]) < _CLEAR
         veil = _around(veil, len(row), len(column))
         valid = rays.valid[rays.offset[view] : rays.offset[view + 1]]
         for blocks, found in ((seen & ~veil, clear), (seen & veil, veiled)):

@@ -2,6 +2,9 @@
 
 The border between the fields is the unit sphere. A ray that misses the sphere is rendered by F_e alone.
 
+F_o is in the object's frame, and F_e in the room's. On a turntable the object turns, so each photo has its own motion from
+the one to the other (`RayBundle.in_room`). The sphere moves with the object, and distances along a ray stay the same.
+
 If the object stands on a support plane, the part of the plane in the sphere is opaque. Its color comes from F_o's color
 heads, as that of the object's surface. A ray that meets the plane before the sphere is rendered by F_e alone.
 """
@@ -131,7 +134,7 @@ class FieldsRenderer:
         # 1e-6: if the samples' gradients cancel out, the mean gradient is 0
         normal = functional.normalize(surface.gradient, dim=-1, eps=1e-6)
         with section("appearance"):
-            appearance = self.object_field.appearance(surface.point, normal, rays.directions[ray])
+            appearance = self.object_field.appearance(surface.point, normal, rays.directions[ray], rays.motion_of(ray))
         opacity = surface.opacity.clamp(max=1)
         clear = torch.ones(len(meets), device=device).index_add(0, surface.ray, -opacity)
         idle = torch.zeros(n, dtype=torch.bool, device=device)
@@ -165,7 +168,8 @@ class FieldsRenderer:
         hits = SphereHits.of(rays, self.object_field.shape())
         near = torch.full_like(hits.entry, self.environment.preset.camera_near)
         end = torch.where(hits.on_support, hits.entry, torch.inf)
-        radiance, transmittance, _ = self.environment.render(rays.origins, rays.directions, near, end, rays.half_angle)
+        origins, directions, half_angle = rays.in_room()
+        radiance, transmittance, _ = self.environment.render(origins, directions, near, end, half_angle)
         below = hits.on_support.nonzero()[:, 0]
         if len(below):
             radiance[below] += transmittance[below, None] * self._support_color(rays[below], hits.leave[below])
@@ -176,17 +180,18 @@ class FieldsRenderer:
         assert self.object_field.support is not None, "a ray has met the support plane"
         point = rays.origins + distance[:, None] * rays.directions
         normal = torch.as_tensor(self.object_field.support.normal, dtype=point.dtype, device=point.device)
-        return self.object_field.appearance(point, normal.expand_as(point), rays.directions).color
+        return self.object_field.appearance(point, normal.expand_as(point), rays.directions, rays.motion).color
 
-    def front(self, shape: SplineShape) -> Callable[[Tensor, Tensor], Tensor]:
-        """A function of origins and directions [n, 3] of rays that meet the sphere. It gives the transmittance [n] of F_e
-        in front of the sphere, or in front of the support plane of `shape`."""
+    def front(self, shape: SplineShape) -> Callable[[RayBundle], Tensor]:
+        """A function of n rays that meet the sphere. It gives the transmittance [n] of F_e in front of the sphere, or in
+        front of the support plane of `shape`."""
 
-        def transmittance(origins: Tensor, directions: Tensor) -> Tensor:
-            entry = shape.interval(origins, directions)[0]
+        def transmittance(rays: RayBundle) -> Tensor:
+            entry = shape.interval(rays.origins, rays.directions)[0]
             near = torch.full_like(entry, self.environment.preset.camera_near)
+            room = rays.in_room()
             with torch.no_grad():
-                return self.environment.render(origins, directions, near, entry).transmittance
+                return self.environment.render(room.origins, room.directions, near, entry).transmittance
 
         return transmittance
 
@@ -208,7 +213,7 @@ class FieldsRenderer:
         near = torch.full_like(hits.entry, self.environment.preset.camera_near)
         infinity = torch.full_like(hits.entry, torch.inf)
         index = torch.cat([front, behind])
-        part = rays[index]
+        part = rays[index].in_room()
         start = torch.cat([near[front], hits.leave[behind]])
         end = torch.cat([torch.where(hits.leave > hits.entry, hits.entry, infinity)[front], infinity[behind]])
         radiance, transmittance, distortion = self.environment.render(

@@ -140,4 +140,5 @@ class StageOne:
     def _environment(self, rays: RayBundle, start: Tensor) -> Tensor:
         """The radiance [n, 3] of F_e along rays [n], from the distances `start` [n] on."""
         end = torch.full_like(start, torch.inf)
-        return self.environment.render(rays.origins, rays.directions, start, end, rays.half_angle).radiance
+        origins, directions, half_angle = rays.in_room()
+        return self.environment.render(origins, directions, start, end, half_angle).radiance

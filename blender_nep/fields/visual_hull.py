@@ -114,17 +114,18 @@ def mask_silhouettes(rays: PixelRays, block: int = 4, views: list[int] | None = 
     return maps
 
 
-def score_cells(rays: PixelRays, silhouettes: list[torch.Tensor], cells: int) -> np.ndarray:
+def score_cells(rays: PixelRays, silhouettes: list[torch.Tensor], cells: int, share: float = LOWEST_SHARE) -> np.ndarray:
     """Scores [cells, cells, cells] of the cells of [-1, 1]^3: how much nearly all views see an object there.
 
-    NaN outside the unit sphere, and where no view sees the cell.
+    share: the score is this quantile of the silhouettes' values over the views. NaN outside the unit sphere, and where no
+    view sees the cell.
     """
     axis = cell_centers(cells)
     centers = np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), -1)
     in_sphere = np.linalg.norm(centers, axis=-1) < 1
     points = torch.from_numpy(centers[in_sphere].astype(np.float32)).to(rays.radiance.device)
     score = np.full(in_sphere.shape, np.nan, np.float32)
-    score[in_sphere] = _score(rays, silhouettes, points).cpu().numpy()
+    score[in_sphere] = _score(rays, silhouettes, points, share).cpu().numpy()
     return score
 
 
@@ -171,8 +172,14 @@ def excess(rays: PixelRays, silhouettes: list[torch.Tensor], sdf: np.ndarray) ->
     return np.where(free, distances_to(solid & ~free, grid.cell) - sdf, 0.0).astype(np.float32)
 
 
-def _score(rays: PixelRays, silhouettes: list[torch.Tensor], points: torch.Tensor, values: int = 1 << 22) -> torch.Tensor:
-    """The LOWEST_SHARE quantile [n] of the silhouette values at points [n, 3], over the views that see the point.
+def _score(
+    rays: PixelRays,
+    silhouettes: list[torch.Tensor],
+    points: torch.Tensor,
+    share: float = LOWEST_SHARE,
+    values: int = 1 << 22,
+) -> torch.Tensor:
+    """The `share` quantile [n] of the silhouette values at points [n, 3], over the views that see the point.
 
     NaN where no view does. About `values` silhouette values are held in memory at a time.
     """
@@ -184,7 +191,7 @@ def _score(rays: PixelRays, silhouettes: list[torch.Tensor], points: torch.Tenso
             sample = functional.grid_sample(silhouette[None, None], place[None, :, None], align_corners=False)[0, 0, :, 0]
             seen = ahead & (place.abs() < 1).all(-1)
             samples.append(torch.where(seen, sample, torch.nan))
-        scores.append(low_quantile(torch.stack(samples), LOWEST_SHARE))
+        scores.append(low_quantile(torch.stack(samples), share))
     return torch.cat(scores)
 
 

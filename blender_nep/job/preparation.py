@@ -12,13 +12,15 @@ import torch
 from blender_nep.capture import Capture, PixelRays, load_capture
 from blender_nep.capture.brightness import to_brightness
 from blender_nep.capture.camera_settings import expected_response
-from blender_nep.capture.doctor.turntable import refuse_turntable
+from blender_nep.capture.capture import View
+from blender_nep.capture.doctor.turntable import MOST_STILL, still_share
 from blender_nep.capture.exposure.other_light import other_light
 from blender_nep.capture.exposure.sessions import times_of
 from blender_nep.capture.exposure.surroundings import Comparison, compare_exposures
 from blender_nep.capture.exposure.told import exposures_of
 from blender_nep.capture.held_out import split
 from blender_nep.capture.rays.pixel_store import PixelMemory
+from blender_nep.capture.turntable.motions import in_unit_frame, on_turntable
 from blender_nep.errors import OutputError, Stopped, UsageError
 from blender_nep.files import output_errors, refuse_links
 from blender_nep.job.device import usable_cores
@@ -60,7 +62,8 @@ class Prepared:
     """All inputs that decide the result of the run (`run_folder.fingerprint`)"""
     folder: RunFolder
     left_out: tuple[int, ...] = ()
-    """Which photos were taken in another light than most and left out, counted from 0. `capture` and `rays` lack them."""
+    """Which photos were left out, counted from 0: those in another light than most; on a turntable, those whose camera did
+    not stand still. `capture` and `rays` lack them."""
 
 
 @dataclass(frozen=True)
@@ -143,7 +146,7 @@ class Preparation:
         s = self._settings
         capture = self._load_capture()
         what = fingerprint(
-            capture, s.preset, s.seed, s.use_masks, s.mesh, s.sphere, s.all_photos, s.hold_out, s.mask_meaning
+            capture, s.preset, s.seed, s.use_masks, s.mesh, s.sphere, s.all_photos, s.hold_out, s.mask_meaning, s.turntable
         )
         refuse_folder_of_photos(s.out, capture, s.mesh)
         if s.hold_out is not None:
@@ -157,7 +160,8 @@ class Preparation:
             self._folder.can_be_resumed(what)  # to refuse another run before the photos are read
         photos = self._choose_photos(capture)
         scene = self._look(photos)
-        scored = None if photos.held_out is None else self._read_held_out(photos.held_out, scene.rays)
+        first = photos.capture.views[0]
+        scored = None if photos.held_out is None else self._read_held_out(photos.held_out, scene.rays, first)
         self._make_output()
         if s.resume and self._folder.can_be_resumed(what):
             self._events.say(f"resuming the run in {s.out}")
@@ -169,20 +173,30 @@ class Preparation:
         return Prepared(photos.capture, scene, scored, plan, self._device, what, self._folder, photos.left_out)
 
     def _choose_photos(self, capture: Capture) -> _Photos:
-        """Read the photos, but for those in another light than most and those that are held out.
+        """Read the photos, but for those in another light than most and those that are held out. Raises CaptureError.
 
-        Raises CaptureError for photos of a turntable.
+        If the object turned, the rays know how it stood. A photo whose camera did not stand still is left out then.
         """
         rays, held_out = self._read_photos(capture), None
+        views = len(capture.views)
+        kept = list(range(views))
+        if self._is_turntable(capture, rays):
+            capture, moved = self._with_motions(capture)
+            kept = [i for i in kept if i not in moved]
+            if moved:
+                del rays  # before the others are in memory, too
+                rays = self._read_photos(capture)
+            else:
+                rays = self._moved(rays, capture, capture.views[0])
         with section("scene analysis"):
-            refuse_turntable(rays)
             compared = compare_exposures(rays)
-            left_out = () if compared is None else self._in_other_light(capture, compared)
-        if left_out:
-            capture = replace(capture, views=[view for i, view in enumerate(capture.views) if i not in left_out])
+            other = () if compared is None else self._in_other_light(capture, compared)
+        left_out = tuple(i for i in range(views) if i not in kept or kept.index(i) in other)
+        if other:
+            capture = replace(capture, views=[view for i, view in enumerate(capture.views) if i not in other])
         if self._settings.hold_out is not None:
             capture, held_out = split(capture, self._settings.hold_out)
-        if left_out or held_out is not None:
+        if other or held_out is not None:
             del rays  # before the others are in memory, too
             rays = self._read_photos(capture)
             with section("scene analysis"):
@@ -190,6 +204,38 @@ class Preparation:
         for warning in rays.warnings:
             self._events.warning(warning)
         return _Photos(capture, rays, compared, left_out, held_out)
+
+    def _is_turntable(self, capture: Capture, rays: PixelRays) -> bool:
+        """Whether the object turned while camera and light stood still: as was asked for, as told, or as it looks."""
+        wanted = capture.turntable if self._settings.turntable is None else self._settings.turntable
+        if not self._settings.preset.turntable or wanted is not None:
+            return bool(wanted) and self._settings.preset.turntable
+        with section("scene analysis"):
+            share = still_share(rays)
+        if share is None or share <= MOST_STILL:
+            return False
+        self._events.warning(Message("capture.on_turntable", {"percent": 100 * share}))
+        return True
+
+    def _with_motions(self, capture: Capture) -> tuple[Capture, tuple[int, ...]]:
+        """The capture whose views know how the object stood on the turntable, and the photos that it lacks.
+
+        The user is told what is not known.
+        """
+        found = on_turntable(capture)
+        if found.left_out:
+            names = [capture.views[i].name for i in found.left_out]
+            self._events.warning(Message("capture.turntable_left_out", {"count": len(names), "names": names}))
+        if not found.angles_known:
+            self._events.warning(Message("capture.turntable_side", {"rows": found.rows}))
+        return found.capture, found.left_out
+
+    @staticmethod
+    def _moved(rays: PixelRays, capture: Capture, first: View) -> PixelRays:
+        """The pixels of the capture's photos with the motions of the object, if it turned. In `first`, it had not moved."""
+        if first.in_room is None:
+            return rays
+        return rays.with_turntable(in_unit_frame(capture, first, rays.radiance.device))
 
     @profiled("scene analysis")
     def _look(self, photos: _Photos) -> Scene:
@@ -232,14 +278,17 @@ class Preparation:
             capture, s.preset.max_pixels_per_photo, s.use_masks, self._device, memory=memory, progress=self._photo_read
         )
         self._tracker.report(StageName.CAPTURE, 1, 1)
-        return rays
+        return self._moved(rays, capture, capture.views[0])
 
     @profiled("capture")
-    def _read_held_out(self, held_out: Capture, learned: PixelRays) -> PixelRays:
-        """The pixels of the photos that are held out, with the vignetting and the exposure of those that are not."""
+    def _read_held_out(self, held_out: Capture, learned: PixelRays, first: View) -> PixelRays:
+        """The pixels of the photos that are held out, with the vignetting and the exposure of those that are not.
+
+        `first` is the first photo that is learned from. A turntable's object stands in its room as it stood there.
+        """
         s = self._settings
         rays = PixelRays.from_capture(held_out, s.preset.max_pixels_per_photo, s.use_masks, self._device)
-        return rays.with_gain(None, learned.vignetting).with_exposure(learned.exposure)
+        return self._moved(rays, held_out, first).with_gain(None, learned.vignetting).with_exposure(learned.exposure)
 
     def _photo_read(self, done: int, photos: int) -> None:
         self._tracker.report(StageName.CAPTURE, done, photos)

@@ -21,6 +21,8 @@ class Settings:
     use_masks: bool = True
     mask_meaning: MaskMeaning | None = None
     """What white in the masks means. None: as the masks look"""
+    turntable: bool | None = None
+    """Whether the object turned while the camera and the light stood still. None: as the capture says, or as it looks"""
     all_photos: bool = False
     """Learn from all photos, also from those that were taken in another light than most (`capture.other_light`)."""
     mesh: Path | None = None

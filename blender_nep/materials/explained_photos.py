@@ -117,7 +117,8 @@ def explain_photos(
     """
     random = np.random.default_rng(seed)
     index = _drawn(rays.sphere, every, _TRIED * _PIXELS, random)
-    origins, directions, half_angle = (x.cpu().numpy() for x in rays.rays(index))
+    bundle = rays.rays(index)
+    origins, directions, half_angle = (x.cpu().numpy() for x in bundle)
     distance, face, barycentric = f_p.tracer.intersect(origins, directions)
     hit = np.isfinite(distance)
     if rays.mask is None:
@@ -140,7 +141,8 @@ def explain_photos(
     generator = torch.Generator().manual_seed(seed)
     device = index.device
     of_asset = np.zeros((len(index), 3), np.float32)
-    points = f_p.points(face[seen], barycentric[seen], -torch.from_numpy(directions[seen]).to(device))
+    shown = torch.from_numpy(seen).to(device)
+    points = f_p.points(face[seen], barycentric[seen], -bundle.directions[shown], bundle.motion_of(shown))
     light = _radiance(asset, f_p, points, torch.from_numpy(variance[seen]).float().to(device), generator)
     of_asset[seen] = (light if response is None else response.photo(light)).cpu()
     missed = chosen[~hit[chosen]]
@@ -208,7 +210,7 @@ def shows_support(support: Support, origins: np.ndarray, directions: np.ndarray)
 
 def behind(environment: EnvironmentField, rays: PixelRays, index: Tensor) -> np.ndarray:
     """The radiance [n, 3] of F_e in the pixels index [n], as if the object were not there."""
-    origins, directions, half_angle = rays.rays(index)
+    origins, directions, half_angle = rays.rays(index).in_room()
     near = torch.full_like(half_angle, environment.preset.camera_near)
     shown = environment.render(origins, directions, near, torch.full_like(near, torch.inf), half_angle)
     return shown.radiance.detach().cpu().numpy()

@@ -24,6 +24,9 @@ _ROUGHNESS = 28
 """Steps of the roughness scan, evenly in sqrt(roughness)."""
 _ITERATIONS = 4
 """Iterations of the reweighted least squares."""
+_LEAST_KNOWN = 0.25
+"""If the samples' mean weight by what photos show is smaller, they count alike. Measured share of the light that photos
+show: 0.1 on two turntables, 0.6 and 0.7 after walks around the same objects."""
 
 
 def roughness_scan(least: float, device: torch.device) -> Tensor:
@@ -65,6 +68,16 @@ def weight_of_known_light(light: LightMoments) -> Tensor:
     The narrower half of the roughness levels counts: wide lobes see much that no photo shows, and tell little.
     """
     return 0.05 + light.coverage[:, : light.coverage.shape[1] // 2].mean(1)
+
+
+def weight_of_found_light(light: LightMoments) -> Tensor:
+    """As `weight_of_known_light`, once the light that no photo shows is found, too.
+
+    If photos show little of the light, as on a turntable, reflections have told nearly all of it. Then the few samples that
+    reflect the rest are no better than the others, and all count alike.
+    """
+    weight = weight_of_known_light(light)
+    return weight if float(weight.mean()) >= _LEAST_KNOWN else weight.min().expand_as(weight)
 
 
 def regions(position: np.ndarray, width: float) -> tuple[np.ndarray, np.ndarray]:

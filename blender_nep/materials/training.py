@@ -53,7 +53,7 @@ from blender_nep.materials.segments.varied_materials import (
 from blender_nep.materials.shown_faces import ShownParts
 from blender_nep.materials.training_progress import TrainingProgress
 from blender_nep.materials.training_report import MaterialReport
-from blender_nep.materials.unseen_light_training import learn_unseen_light
+from blender_nep.materials.unseen_light_training import learn_unseen_light, likely_radius
 from blender_nep.messages import Message, Part
 from blender_nep.shading.incoming_light import IncomingLight
 from blender_nep.shading.light_moments import LightMoments
@@ -213,6 +213,8 @@ class _MaterialLearner:
         self._grow_palette()
         for k in range(preset.rounds):
             self._find_unseen_light()
+            if self._turned:  # photos showed hardly any of the light that the object has reflected to itself so far
+                self._reflect_itself()
             self._grow_palette()
             self.progress.step(75 + 5 * k)
         self._reflect_itself()
@@ -246,6 +248,11 @@ class _MaterialLearner:
         self._residual()
 
     @property
+    def _turned(self) -> bool:
+        """Whether the object turned while the light stood still."""
+        return self.seen.points.motion is not None
+
+    @property
     def light(self) -> IncomingLight:
         """The known and the unseen light, with the materials found so far."""
         return self.search.light
@@ -253,11 +260,13 @@ class _MaterialLearner:
     def _first_unseen_light(self, in_photos: bool) -> UnseenLight:
         """The unseen light to begin with; in_photos: whether the photos show any light.
 
-        It is gray if they show none (cut-outs), because without light all materials look alike.
+        It is gray if they show none (cut-outs), because without light all materials look alike. It is gray, too, if the
+        object turned: what is behind the object in its photos says little of the light from all other sides.
         """
         environment, rows = self.seen.f_p.environment, self.preset.unseen_rows
         if in_photos or not self.preset.learn_unseen_light:
-            return UnseenLight.expected_beside(environment, rows)
+            unseen = UnseenLight.expected_beside(environment, rows)
+            return unseen.grayed() if self._turned and self.preset.learn_unseen_light else unseen
         gray = 2 * float(self.seen.samples.radiance.mean(-1).median())
         return UnseenLight.uniform(rows, environment.typical_distance(), self.seen.device, gray)
 
@@ -276,14 +285,20 @@ class _MaterialLearner:
             self._skip(Part.UNSEEN_LIGHT, Message("reason.light_seen") if p.learn_unseen_light else Message("reason.preset"))
             return
         assert light.unseen is not None  # it was added before the first fit
-        self.unseen_learned = True
-        self.report.unseen_light_radius = round(light.unseen.radius, 3)
-        trials, start = [], time.monotonic()
+        radius, trials = light.unseen.radius, list[float]()
 
         def tried() -> None:
             trials.append(time.monotonic())
             self.progress.step(self.progress.done)
 
+        if self._turned and not by_hue:  # the palette was fitted in a better light than the last time
+            radius = likely_radius(light, found.palette, found.label, self.search.target, p, self.generator, tried)
+            light = light.with_unseen(replace(light.unseen, radius=radius))
+            self.search = self.search.under(light)
+            trials.clear()
+        self.unseen_learned = True
+        self.report.unseen_light_radius = round(radius, 3)
+        start = time.monotonic()
         others = self._metallic_swapped()
         scan = time.monotonic() - start
         said = self.search.metal_by_hue(found) if by_hue else torch.zeros_like(found.palette.metallic)

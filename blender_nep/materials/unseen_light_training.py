@@ -30,6 +30,10 @@ _ALBEDOS = tuple(0.02 * k for k in range(1, 50))
 """Albedos that are tried with each factor."""
 _METAL_GAINS = (1.25, 1.6, 2.0, 2.5, 3.2, 4.0)
 """Factors by which all metals together may be too dark"""
+_JUDGES = 4
+"""One of so many samples judges the fits, if the object turned."""
+_RADII = (2.5, 4.0, 6.0, 10.0, 1000.0)
+"""Radii of the map's sphere that are tried if the object turned, in object radii. The last one stands for infinity."""
 _LEAST_START = 0.005
 """Darker texels start from this radiance, because the gradient of the log radiance vanishes at black."""
 
@@ -66,6 +70,8 @@ def learn_unseen_light(
     if start is None:
         raise ValueError("light.unseen must hold the map to go on from")
     problem = UnseenLightProblem(light, start, label, target, rows, preset)
+    if light.points.motion is not None:
+        problem = judged_problem(light, start, label, target, rows, preset)
 
     def solve(tried: Palette, steps: int, start: UnseenLight) -> UnseenFit:
         fit = problem.solve(tried, start, steps)
@@ -146,6 +152,46 @@ def _unexplained_samples(
     return torch.multinomial(chance, min(count, len(left)), generator=generator).sort()[0].to(target.device)
 
 
+def judged_problem(
+    light: IncomingLight, unseen: UnseenLight, label: Tensor, target: Tensor, samples: Tensor, preset: MaterialPreset
+) -> UnseenLightProblem:
+    """The problem for most of the samples [m]. The other samples judge its fits.
+
+    If the object turned, its reflections alone tell nearly all of the light. Then a material that is too smooth explains the
+    samples that are fitted best, because a map under sharp cones is free to follow them.
+    """
+    judges = torch.arange(len(samples), device=samples.device) % _JUDGES == 0
+    judge = UnseenLightProblem(light, unseen, label, target, samples[judges], preset)
+    return UnseenLightProblem(light, unseen, label, target, samples[~judges], preset, judge)
+
+
+@profiled("unseen light's distance")
+def likely_radius(
+    light: IncomingLight,
+    palette: Palette,
+    label: Tensor,
+    target: Tensor,
+    preset: MaterialPreset,
+    generator: torch.Generator,
+    after_trial: Callable[[], None],
+) -> float:
+    """The radius of the map's sphere with which the fits explain samples best that they have not seen.
+
+    It is asked only if the object turned. Then all of its places have seen the light from many sides, so their parallax
+    tells. Otherwise the smallest radius always wins (docs/lab/unseen-light.md). Raises ValueError without `light.unseen`.
+    """
+    rows = _unexplained_samples(light, palette, label, target, preset.unseen_samples, generator)
+    if light.unseen is None:
+        raise ValueError("light.unseen must hold the map to begin with")
+    errors = {}
+    for radius in (light.unseen.radius, *_RADII):
+        start = replace(light.unseen, radius=radius)
+        problem = judged_problem(light, start, label, target, rows, preset)
+        errors[radius] = problem.solve(palette, start, preset.unseen_steps // 2).error
+        after_trial()
+    return min(errors, key=errors.__getitem__)
+
+
 @dataclass
 class UnseenFit:
     """The result of one trial."""
@@ -154,14 +200,15 @@ class UnseenFit:
     albedo: Tensor
     """[K, 3] albedos of the palette, learned together with the light"""
     error: float
-    """Mean tone-mapped error, plus the priors"""
+    """Mean tone-mapped error, plus the priors. If the problem has a judge, the error is that of the judge's samples"""
 
 
 class UnseenLightProblem:
     """Some photo samples [m] and the known light on them. `solve` finds the unseen light.
 
     `unseen` describes the map of the unseen light; samples [m] are indices into `light`; label [n] and target [n, 3] are
-    those of all samples.
+    those of all samples. `judge` is the same problem for other samples, whose error judges the fits. None: they judge
+    themselves.
     """
 
     def __init__(
@@ -172,11 +219,12 @@ class UnseenLightProblem:
         target: Tensor,
         samples: Tensor,
         preset: MaterialPreset,
+        judge: UnseenLightProblem | None = None,
     ) -> None:
-        self.light, self.unseen, self.preset = light, unseen, preset
+        self.light, self.unseen, self.preset, self.judge = light, unseen, preset, judge
         self.samples, self.label, self.goal = samples, label[samples], tone_map(target[samples])
         self.cones = light.uncovered_cones(samples)
-        self.transport = UnseenTransport(unseen.missing, unseen.radius, self.cones, light.points.position[samples])
+        self.transport = UnseenTransport(unseen.missing, unseen.radius, self.cones, light.points.room_position[samples])
         rows = len(unseen.missing)
         area = torch.sin((torch.arange(rows, device=self.goal.device) + 0.5) * math.pi / rows)[:, None, None]
         self._area, self._expected = area / area.mean(), tone_map(unseen.expected)
@@ -190,15 +238,8 @@ class UnseenLightProblem:
         the expected one, and its color. The prior on the deviation makes a few lamps more likely than a bright sky. The one
         on the color is needed because colored light on a gray object looks like gray light on a colored object.
         """
-        p, device, light, samples = self.preset, self.goal.device, self.light, self.samples
-        missing = self.unseen.missing
-        material = palette.at(self.label)
-        moments = light.known_moments(material.roughness, samples)
-        offset, slope = affine_in_albedo(material, moments, light.known_diffuse[samples], light.cos_v[samples])
-        response = torch.stack(light.uncovered_response(self.cones, samples, material), 1).float().cpu().numpy()
-        # A cone of a lobe counts only if a material has about the roughness of that lobe. The others are left out.
-        answers = response.any((1, 2))
-        response, transport = response[answers], self.transport.of(answers)
+        p, device, missing = self.preset, self.goal.device, self.unseen.missing
+        offset, slope, response, transport = self._lines(palette)
 
         def sent_by(part: Tensor) -> Tensor:
             levels = pyramid(part, missing).cpu().numpy().astype(np.float32)
@@ -234,7 +275,33 @@ class UnseenLightProblem:
             logit.grad[held] = 0
             optimizer.step()
         unseen = replace(self.unseen, radiance=raw.detach().clamp(_DARKEST, _BRIGHTEST).exp())
-        return UnseenFit(unseen, torch.sigmoid(logit).detach(), error)
+        fit = UnseenFit(unseen, torch.sigmoid(logit).detach(), error)
+        if self.judge is None:
+            return fit
+        return replace(fit, error=self.judge.photometric(fit, palette) + float(self._prior(unseen.radiance)))
+
+    @torch.no_grad()
+    def photometric(self, fit: UnseenFit, palette: Palette) -> float:
+        """Mean tone-mapped error of the samples in the light of a fit, with its albedos and the rest of the palette."""
+        offset, slope, response, transport = self._lines(palette)
+        levels = pyramid(fit.light.radiance, self.unseen.missing).cpu().numpy().astype(np.float32)
+        sent = torch.from_numpy(transport.sent(response, levels)).to(self.goal.device)
+        predicted = offset + sent[:, 0] + fit.albedo[self.label] * (slope + sent[:, 1])
+        return float((tone_map(predicted) - self.goal).abs().mean())
+
+    def _lines(self, palette: Palette) -> tuple[Tensor, Tensor, np.ndarray, UnseenTransport]:
+        """The radiance of the samples [m] as a function of albedo and map, with the palette's roughness and metallic.
+
+        Returns offset and slope [m, 3] of the known light (`affine_in_albedo`), the response [k, 2, 3] of both to a radiance
+        of 1 in k cones, and the transport through these cones.
+        """
+        light, samples, material = self.light, self.samples, palette.at(self.label)
+        moments = light.known_moments(material.roughness, samples)
+        offset, slope = affine_in_albedo(material, moments, light.known_diffuse[samples], light.cos_v[samples])
+        response = torch.stack(light.uncovered_response(self.cones, samples, material), 1).float().cpu().numpy()
+        # A cone of a lobe counts only if a material has about the roughness of that lobe. The others are left out.
+        answers = response.any((1, 2))
+        return offset, slope, response[answers], self.transport.of(answers)
 
     def _prior(self, radiance: Tensor) -> Tensor:
         """The cost of a map [rows, 2 rows, 3], whatever it explains."""

@@ -50,6 +50,9 @@ class MaterialPreset:
     """Rows of the map of the unseen light; there are twice as many columns."""
     unseen_samples: int = 8000
     """Number of photo pixels from which the unseen light is learned."""
+    turning_unseen_samples: int = 24_000
+    """The same, if the object turned: then reflections tell nearly all of the light, and with few samples, the map follows
+    their noise."""
     unseen_steps: int = 80
     """Adam's steps each time that the unseen light is learned. A trial of another roughness takes half as many."""
     unseen_smoothness: float = 0.02

@@ -38,6 +38,9 @@ class Preset:
     """The photos are made so bright that the typical radiance of the pixels that see the object's sphere is this
     (`capture.brightness`). Here the tone mapping turns from linear to logarithmic. 0: they stay as they are, which is an
     ablation."""
+    turntable: bool = True
+    """Whether the light stands still where the object turned (`PixelRays.turntable`). False: the light turns with it,
+    as if the camera had moved around it, which is an ablation."""
     skip_needless: bool = True
     """Whether parts that the scene does not need are left out (the package `scene`). False: nothing is left out."""
     environment_height: int = 256
@@ -62,7 +65,13 @@ PRESETS = {
             grid=192, unwrapped_faces=8_000, faces=80_000, chord_error=2.5e-4, normal_texels=1024, atlas_texels=512
         ),
         material=MaterialPreset(
-            samples=12_000, label_pixels=60_000, terminal_steps=150, unseen_samples=4000, unseen_steps=60, most_texels=512
+            samples=12_000,
+            label_pixels=60_000,
+            terminal_steps=150,
+            unseen_samples=4000,
+            turning_unseen_samples=12_000,
+            unseen_steps=60,
+            most_texels=512,
         ),
     ),
     "balanced": Preset(),

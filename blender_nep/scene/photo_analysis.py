@@ -50,6 +50,8 @@ class PhotoAnalysis(Analysis):
     white_balance: float
     """Standard deviation of the logarithms of the channels' gains from their mean over the channels; 0 if all photos have
     one white balance, or if it cannot be found"""
+    turntable: bool = False
+    """The object turned while the camera and the light stood still."""
 
     @classmethod
     def of(cls, rays: PixelRays) -> PhotoAnalysis:
@@ -77,6 +79,7 @@ class PhotoAnalysis(Analysis):
             exposure_stops=0.0 if rays.gain is None else float(np.ptp(stops(rays.gain))),
             corner_stops=0.0 if rays.vignetting is None else rays.vignetting.corner_stops,
             white_balance=0.0 if rays.gain is None else float(_color(rays.gain).square().mean().sqrt()),
+            turntable=rays.turntable is not None,
         )
 
     def sentences(self) -> list[Message]:
@@ -85,6 +88,8 @@ class PhotoAnalysis(Analysis):
             lines = [Message("scene.surroundings", {"photos": self.photos})]
         else:
             lines = [Message("scene.cut_outs", {"photos": self.photos})]
+        if self.turntable:
+            lines.append(Message("scene.turntable"))
         lines.append(Message("scene.masks_used") if self.masks else Message("scene.masks_not_used"))
         lines.append(self._range())
         exposure, white_balance = self.exposure_stops >= 0.1, self.white_balance > _CAST
@@ -117,6 +122,11 @@ class PhotoAnalysis(Analysis):
     def plan(self, preset: Preset) -> Plan:
         """The preset without the parts that these photos do not need, for fields learning and material learning."""
         skipped: dict[str, Message] = {}
+        if self.turntable:  # the diffuse light differs between photos, too, and has the hue of the object
+            material = preset.material
+            without, samples = (*material.without, "hue"), max(material.unseen_samples, material.turning_unseen_samples)
+            preset = replace(preset, material=replace(material, without=without, unseen_samples=samples))
+            skipped[Part.HUE] = Message("reason.turntable")
         if not preset.skip_needless:
             return Plan(preset, skipped)
         if not self.backdrop:

@@ -15,6 +15,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from blender_nep.capture.rays.rigid_motions import RigidMotions
 from blender_nep.ops.materials.lobe_sums import add_to_lobes
 from blender_nep.profiling import profiled
 from blender_nep.shading import brdf
@@ -72,6 +73,7 @@ class TracedLight:
             "face": torch.from_numpy(self.hits.face.astype(np.int64)),
             "normal": self.hits.normal,
             "view": self.hits.view,
+            "motion": None if self.hits.motion is None else vars(self.hits.motion),
         }
         own = {name: getattr(self, name) for name in self._TENSORS}
         direct = {"direct_specular": self.specular, "direct_diffuse": self.diffuse}
@@ -96,13 +98,17 @@ class TracedLight:
     @classmethod
     def from_state(cls, state: dict, device: torch.device) -> TracedLight:
         """The inverse of `state`."""
-        hits = state["hits"]
+        hits, motion = state["hits"], state["hits"]["motion"]
         return cls(
             specular=state["direct_specular"].to(device),
             diffuse=state["direct_diffuse"].to(device),
             **{name: state[name].to(device) for name in cls._TENSORS},
             hits=SurfacePoints(
-                hits["position"].to(device), hits["face"].cpu().numpy(), hits["normal"].to(device), hits["view"].to(device)
+                hits["position"].to(device),
+                hits["face"].cpu().numpy(),
+                hits["normal"].to(device),
+                hits["view"].to(device),
+                None if motion is None else RigidMotions(**{name: part.to(device) for name, part in motion.items()}),
             ),
             uncovered=UncoveredCones(**{name: value.to(device) for name, value in state["uncovered"].items()}),
             rays=state["rays"],
@@ -141,7 +147,7 @@ class IncomingLight(LightMoments):
         """
         if plenoptic.unseen is not None:
             raise ValueError("the unseen light is added by `with_unseen`")
-        mean = IrradianceMean(points.position, points.normal)
+        mean = IrradianceMean.over(points)
         known = traced.specular, mean(traced.diffuse)
         levels = torch.tensor(roughness_levels, device=points.position.device)
         cos_v = (points.normal * points.view).sum(-1)
@@ -206,9 +212,9 @@ class IncomingLight(LightMoments):
         plenoptic = replace(self.plenoptic, unseen=unseen)
         if unseen is None:
             return replace(self, plenoptic=plenoptic, specular=self.known_specular, diffuse=self.known_diffuse)
-        far, position = self.traced.uncovered, self.points.position
+        far, position = self.traced.uncovered, self.points.room_position
         parts = torch.arange(len(far), device=position.device).split(_UNSEEN_CHUNK)
-        light = torch.cat([self._unseen_light(unseen, far[part]) for part in parts])
+        light = torch.cat([_unseen_light(unseen, position, far[part]) for part in parts])
         # `row` is ascending, so the cones of a point lie together.
         starts = torch.searchsorted(far.row, torch.arange(len(position) + 1, device=far.row.device))
         specular, diffuse = self.known_specular.cpu().numpy().copy(), self.known_diffuse.cpu().numpy().copy()
@@ -216,10 +222,6 @@ class IncomingLight(LightMoments):
         add_to_lobes(starts.numpy(), weight.numpy(), fresnel.numpy(), light.numpy(), diffuse, specular)
         whole = [torch.from_numpy(x).to(position.device) for x in (specular, diffuse)]
         return replace(self, plenoptic=plenoptic, specular=whole[0], diffuse=whole[1])
-
-    def _unseen_light(self, unseen: UnseenLight, cones: UncoveredCones) -> Tensor:
-        """The unseen light [k, 3] in k cones, times the share of each cone that the photos do not show."""
-        return unseen(self.points.position[cones.row], cones.direction, cones.half_angle) * cones.share[:, None]
 
     def without_unseen(self) -> LightMoments:
         """The known light alone."""
@@ -249,6 +251,14 @@ class IncomingLight(LightMoments):
     def known_moments(self, roughness: Tensor, rows: Tensor | slice = slice(None)) -> SpecularMoments:
         """`moments` without the unseen light."""
         return self.between_levels(self.known_specular, roughness, rows)
+
+
+def _unseen_light(unseen: UnseenLight, position: Tensor, cones: UncoveredCones) -> Tensor:
+    """The unseen light [k, 3] in k cones, times the share of each cone that the photos do not show.
+
+    position [n, 3] are those of the points in the room's frame.
+    """
+    return unseen(position[cones.row], cones.direction, cones.half_angle) * cones.share[:, None]
 
 
 def _trace(
@@ -292,7 +302,12 @@ def _trace(
         hit_weight=weight[traced.row],
         hits=traced.hits,
         uncovered=UncoveredCones(
-            first + each[far], direction[far], angle[far], 1 - traced.coverage[far], weight[far, :, _FULL], terms
+            first + each[far],
+            points[each[far]].in_room(direction[far]),
+            angle[far],
+            1 - traced.coverage[far],
+            weight[far, :, _FULL],
+            terms,
         ),
         rays=len(live),
     )

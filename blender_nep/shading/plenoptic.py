@@ -14,6 +14,7 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
+from blender_nep.capture.rays.rigid_motions import RigidMotions
 from blender_nep.geometry.ray_tracing import RayTracer
 from blender_nep.shading import brdf
 from blender_nep.shading.cones import diffuse_cones, specular_cones
@@ -45,22 +46,40 @@ class SurfacePoints:
     """[n, 3] smooth unit normals on the side of the eye"""
     view: Tensor
     """[n, 3] unit vectors towards the eye"""
+    motion: RigidMotions | None = None
+    """n motions to the room, where the light stands still: how the object stood when the eye saw the point. None: it always
+    stood still"""
 
     def __len__(self) -> int:
         return len(self.position)
 
     def __getitem__(self, index: Tensor) -> SurfacePoints:
         i = index.cpu().numpy()
-        return SurfacePoints(self.position[index], self.face[i], self.normal[index], self.view[index])
+        return SurfacePoints(self.position[index], self.face[i], self.normal[index], self.view[index], self.motion_of(index))
+
+    def motion_of(self, index: Tensor) -> RigidMotions | None:
+        """The motions of the points index [m] int64; None if the object stood still."""
+        return None if self.motion is None else self.motion[index]
+
+    @property
+    def room_position(self) -> Tensor:
+        """[n, 3] the positions in the room's frame"""
+        return self.position if self.motion is None else self.motion.points(self.position)
+
+    def in_room(self, directions: Tensor) -> Tensor:
+        """Directions [n, 3], one at each point, in the room's frame."""
+        return directions if self.motion is None else self.motion.directions(directions)
 
     @classmethod
     def joined(cls, parts: Sequence[SurfacePoints]) -> SurfacePoints:
         """The points of all parts, one part after the other."""
+        motions = [part.motion for part in parts if part.motion is not None]
         return cls(
             torch.cat([part.position for part in parts]),
             np.concatenate([part.face for part in parts]),
             torch.cat([part.normal for part in parts]),
             torch.cat([part.view for part in parts]),
+            RigidMotions.joined(motions) if motions else None,
         )
 
 
@@ -101,8 +120,8 @@ class TerminalRadiance(nn.Module):
         """log(1 + 4 radiance) [n, 3]: the tone-mapped radiance up to a factor."""
         scaled = points.position[:, None] * (2.0 ** torch.arange(self.octaves, device=points.position.device))[:, None]
         encoded = torch.cat([scaled.sin().flatten(1), scaled.cos().flatten(1)], 1)
-        mirrored = brdf.reflect(points.view, points.normal)
-        return nn.functional.softplus(self.net(torch.cat([points.position, encoded, points.normal, mirrored], 1)))
+        normal, mirrored = points.in_room(points.normal), points.in_room(brdf.reflect(points.view, points.normal))
+        return nn.functional.softplus(self.net(torch.cat([points.position, encoded, normal, mirrored], 1)))
 
 
 @dataclass(frozen=True)
@@ -140,14 +159,19 @@ class PlenopticFunction:
     unseen: UnseenLight | None = None
     """Light that no photo shows. None: there is none"""
 
-    def points(self, face: np.ndarray, barycentric: np.ndarray, view: Tensor) -> SurfacePoints:
-        """Surface points from hits of the ray tracer, face [n] and barycentric [n, 3]; view [n, 3] points to the eye."""
+    def points(
+        self, face: np.ndarray, barycentric: np.ndarray, view: Tensor, motion: RigidMotions | None = None
+    ) -> SurfacePoints:
+        """Surface points from hits of the ray tracer, face [n] and barycentric [n, 3]; view [n, 3] points to the eye.
+
+        `motion` are n motions to the room; None: the object stands still.
+        """
         position = self.tracer.interpolate(self.tracer.vertices, face, barycentric).astype(np.float32)
         flat = torch.from_numpy(self.tracer.face_normals[face]).to(self.device)
         normal = torch.from_numpy(self.tracer.smooth_normals(self.normals, face, barycentric)).to(self.device)
         # The mesh is two-sided: the normal is that of the side that the eye sees.
         side = torch.where((flat * view).sum(-1, keepdim=True) < 0, -1.0, 1.0)
-        return SurfacePoints(torch.from_numpy(position).to(self.device), face, facing(normal * side, view), view)
+        return SurfacePoints(torch.from_numpy(position).to(self.device), face, facing(normal * side, view), view, motion)
 
     @torch.no_grad()
     def trace(self, start: SurfacePoints, directions: Tensor, half_angle: Tensor) -> TraceResult:
@@ -167,21 +191,35 @@ class PlenopticFunction:
             half_angle = torch.full_like(half_angle, 2e-3)
         for index in free.split(_CHUNK):
             radiance[index], coverage[index] = self._surroundings(
-                start.position[index], directions[index], half_angle[index]
+                start.position[index], directions[index], half_angle[index], start.motion_of(index)
             )
         row = torch.from_numpy(np.flatnonzero(hit)).to(self.device)
-        hits = self.points(face[hit], barycentric[hit], -directions[row])
+        hits = self.points(face[hit], barycentric[hit], -directions[row], start.motion_of(row))
         return TraceResult(radiance.clamp_min(0), coverage.clamp(0, 1), row, hits)
 
-    def _surroundings(self, origins: Tensor, directions: Tensor, half_angle: Tensor) -> tuple[Tensor, Tensor]:
-        """Mean radiance [n, 3] and coverage [n] of cones that leave the object: of the support plane, or of F_e."""
+    def _surroundings(
+        self, origins: Tensor, directions: Tensor, half_angle: Tensor, motion: RigidMotions | None
+    ) -> tuple[Tensor, Tensor]:
+        """Mean radiance [n, 3] and coverage [n] of cones that leave the object: of the support plane, or of F_e.
+
+        The plane turns with the object, if that turns. F_e stands still.
+        """
         if self.support_light is None:
-            return self.environment.query_cone(origins, directions, half_angle)
+            return self._environment(origins, directions, half_angle, motion)
         radiance, meets = self.support_light.query_cone(origins, directions, half_angle)
         coverage = torch.ones_like(radiance[:, 0])
         far = (~meets).nonzero()[:, 0]
-        radiance[far], coverage[far] = self.environment.query_cone(origins[far], directions[far], half_angle[far])
+        moved = None if motion is None else motion[far]
+        radiance[far], coverage[far] = self._environment(origins[far], directions[far], half_angle[far], moved)
         return radiance, coverage
+
+    def _environment(
+        self, origins: Tensor, directions: Tensor, half_angle: Tensor, motion: RigidMotions | None
+    ) -> tuple[Tensor, Tensor]:
+        """Mean radiance [n, 3] of F_e in cones that begin in the object's frame, and their coverage [n]."""
+        if motion is not None:
+            origins, directions = motion.points(origins), motion.directions(directions)
+        return self.environment.query_cone(origins, directions, half_angle)
 
     @torch.no_grad()
     def outgoing(
@@ -217,13 +255,14 @@ class PlenopticFunction:
     ) -> Tensor:
         """f_p [n, 3]: the radiance that arrives at the points start [n] from directions [n, 3], in cones of half_angle [n].
 
-        `level` is the level of these points; points that the eye sees have level 1.
+        `level` is the level of these points; points that the eye sees have level 1. The object's frame has the directions.
         """
         traced = self.trace(start, directions, half_angle)
         radiance = traced.radiance
         if self.unseen is not None:
             far = (traced.coverage < 1).nonzero().squeeze(-1)
-            more = self.unseen(start.position[far], directions[far], half_angle[far])
+            seeing = start[far]
+            more = self.unseen(seeing.room_position, seeing.in_room(directions[far]), half_angle[far])
             radiance[far] += more * (1 - traced.coverage[far])[:, None]
         if len(traced.row):
             radiance[traced.row] = self.outgoing(traced.hits, materials_at, level + 1, generator)

@@ -11,6 +11,8 @@ import torch
 from scipy.spatial import cKDTree
 from torch import Tensor
 
+from blender_nep.shading.plenoptic import SurfacePoints
+
 _COUNT = 16
 """Most points that a mean is taken over, the point itself included."""
 _BEND = 0.2
@@ -22,8 +24,17 @@ _REACH = 0.05
 class IrradianceMean:
     """Takes the mean of values at n surface points over the neighbors of each point."""
 
+    @classmethod
+    def over(cls, points: SurfacePoints) -> IrradianceMean:
+        """The mean over surface points.
+
+        If the object turned, the irradiance of a place changes from photo to photo with its normal in the room. The object
+        hides light from the place as before. So neighbors lie side by side on the object, and face the same way in the room.
+        """
+        return cls(points.position, points.in_room(points.normal))
+
     def __init__(self, position: Tensor, normal: Tensor) -> None:
-        """position [n, 3] in the unit frame; normal [n, 3] unit vectors."""
+        """position [n, 3] in the unit frame; normal [n, 3] unit vectors, as the light sees them."""
         n = len(position)
         place = np.concatenate([position.cpu().numpy(), _BEND * normal.cpu().numpy()], 1)
         if n == 0:

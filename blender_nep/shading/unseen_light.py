@@ -54,12 +54,20 @@ class UnseenLight:
         expected = environment.extrapolated(rows)
         return cls(environment.typical_distance(), expected, (1 - coverage).clamp(_LEAST_MISSING, 1), expected)
 
+    def grayed(self) -> UnseenLight:
+        """The same light before anything is known of it: the mean of what is expected, gray, everywhere."""
+        mean = self.expected.mean().expand_as(self.expected).contiguous()
+        return replace(self, radiance=mean, expected=mean)
+
     def scaled(self, gain: float) -> UnseenLight:
         """The same light, `gain` times as bright."""
         return replace(self, radiance=self.radiance * gain)
 
     def __call__(self, origins: Tensor, directions: Tensor, half_angle: Tensor) -> Tensor:
-        """Mean radiance [n, 3] in cones from origins [n, 3] along unit directions [n, 3] with half_angle [n] radians."""
+        """Mean radiance [n, 3] in cones from origins [n, 3] along unit directions [n, 3] with half_angle [n] radians.
+
+        Both are in the room's frame.
+        """
         index, weight = taps(self.missing, self.radius, origins, directions, half_angle)
         return (pyramid(self.radiance, self.missing)[index] * weight[..., None]).sum(1)
 
@@ -156,7 +164,7 @@ class UncoveredCones:
     row: Tensor
     """[k] int64, ascending: index of the surface point"""
     direction: Tensor
-    """[k, 3] unit vectors"""
+    """[k, 3] unit vectors in the room's frame"""
     half_angle: Tensor
     """[k] radians"""
     share: Tensor

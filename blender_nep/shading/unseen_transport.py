@@ -22,8 +22,8 @@ _PARTS = 32
 class UnseenTransport:
     """Transports the light of a map to n surface points, through their uncovered cones.
 
-    The map lies at `radius`; photos do not show `missing` [rows, 2 rows] of its texels. position [n, 3] are the points. The
-    work is done on the CPU, whatever the device of the cones.
+    The map lies at `radius`; photos do not show `missing` [rows, 2 rows] of its texels. position [n, 3] are the points, in
+    the room's frame. The work is done on the CPU, whatever the device of the cones.
     """
 
     def __init__(self, missing: Tensor, radius: float, cones: UncoveredCones, position: Tensor) -> None:

@@ -2,6 +2,7 @@
 
 import json
 import shutil
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -93,3 +94,22 @@ def test_the_sidebar_asks_the_engine_for_bounds_of_other_forms(make_capture):
     assert read_bounds(tiny.folder) is None
     with pytest.raises(OSError, match="no folder"):
         read_bounds(tiny.folder / "nowhere")
+
+
+def test_the_object_of_a_turntable_stands_still_in_the_first_photo(make_capture, tmp_path):
+    """The engine's room may be that of another photo: what counts is how the object moved since the first one."""
+    capture = load_capture(make_capture(views=4).folder)
+    turns = [np.eye(4) for _ in capture.views]
+    for angle, turn in zip((0.3, 0.8, 1.3, 1.8), turns, strict=True):
+        turn[:2, :2] = [[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]]
+        turn[0, 3] = 0.2 * angle
+    capture.views = [replace(view, in_room=turn) for view, turn in zip(capture.views, turns, strict=True)]
+    frames = read_frames(written(capture, tmp_path / "asset"), CAMERAS)
+    np.testing.assert_allclose(frames[0].object_to_room, np.eye(4), atol=1e-12)
+    for frame, turn in zip(frames, turns, strict=True):
+        np.testing.assert_allclose(turns[0] @ frame.object_to_room, turn, atol=1e-12)
+
+
+def test_an_object_that_stood_still_has_no_motion(make_capture, tmp_path):
+    capture = load_capture(make_capture(views=4).folder)
+    assert all(frame.object_to_room is None for frame in read_frames(written(capture, tmp_path / "asset"), CAMERAS))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import json
 import math
 from pathlib import Path
@@ -18,14 +17,10 @@ from blender_nep.capture.doctor.coverage import Coverage
 from blender_nep.capture.doctor.coverage_picture import LIMITS, SHADES, SIZE, draw_coverage, place, shade
 from blender_nep.capture.doctor.sharpness import blurred
 from blender_nep.capture.doctor.summary import describe, summarize
-from blender_nep.capture.doctor.turntable import refuse_turntable, still_share
+from blender_nep.capture.doctor.turntable import MOST_STILL, still_share
 from blender_nep.capture.exposure.surroundings import compare_exposures
+from blender_nep.capture.turntable import motions
 from blender_nep.cli import main
-from blender_nep.errors import CaptureError
-from blender_nep.job import runner as job
-from blender_nep.job.reporting.events import Events
-from blender_nep.presets import preset
-from blender_nep.stop_request import StopRequest
 from support.captures import look_at, write_exr
 from support.exposures import find_exposures
 from support.paths import SUZANNE_SMALL
@@ -331,50 +326,50 @@ def on_turntable(elevations, turns=tuple(range(0, 360, 30)), surroundings=room) 
     "elevations",
     [pytest.param((20,), id="one height"), pytest.param((0, 25, 50), id="three heights", marks=pytest.mark.slow)],
 )
-def test_a_turntable_is_refused(tmp_path, elevations):
+def test_a_turntable_is_recognized(tmp_path, elevations):
     cameras, found = on_turntable(elevations)
     gain = 2 ** np.random.default_rng(0).normal(0, 0.3, len(found))
     folder = write(tmp_path / "a", cameras, [k * pixels for k, pixels in zip(gain, found, strict=True)])
     assert warned(folder)["capture.on_turntable"]["percent"] == pytest.approx(100)
-    protocol = io.StringIO()
-    settings = job.Settings(capture=folder, out=tmp_path / "asset", preset=preset("preview"))
-    code = job.run(settings, Events(protocol, io.StringIO()), StopRequest())
-    last = json.loads(protocol.getvalue().splitlines()[-1])
-    assert code == 3 and last["event"] == "error" and last["name"] == "capture.turntable" and "walking" in last["hint"]
-    assert not (tmp_path / "asset").exists()
 
 
-def test_a_turntable_whose_platter_is_seen_is_refused(tmp_path):
+def test_a_turntable_whose_platter_is_seen_is_recognized(tmp_path):
     cameras, found = on_turntable((20,))
     for matrix, pixels in zip(cameras, found, strict=True):
         pixels[70:] = photo(matrix)[70:]
-    with pytest.raises(CaptureError) as refused:
-        refuse_turntable(pixels_of(write(tmp_path / "a", cameras, found)))
-    assert refused.value.name == "capture.turntable" and refused.value.code == 3
+    assert still_share(pixels_of(write(tmp_path / "a", cameras, found))) > MOST_STILL
 
 
-def test_a_walk_around_the_object_is_not_refused(tmp_path, photos):
+def test_exposures_of_a_turntable_are_compared_in_the_room(tmp_path):
+    cameras, found = on_turntable((20,))
+    gain = 2 ** np.random.default_rng(0).normal(0, 0.3, len(found))
+    capture = load_capture(write(tmp_path / "a", cameras, [k * pixels for k, pixels in zip(gain, found, strict=True)]))
+    rays = PixelRays.from_capture(capture, 10**6, use_masks=False)
+    told = motions.on_turntable(capture).capture
+    still = rays.with_turntable(motions.in_unit_frame(told, told.views[0]))
+    log = compare_exposures(still).log.mean(1)
+    assert np.abs(log - (np.log(gain) - np.log(gain).mean())).max() < 0.02
+
+
+def test_a_walk_around_the_object_is_no_turntable(tmp_path, photos):
     rays = pixels_of(write(tmp_path / "a", CAMERAS, photos))
     assert still_share(rays) == 0
-    refuse_turntable(rays)
 
 
 @pytest.mark.parametrize("surroundings", [studio, field], ids=["white sweep", "floor and sky"])
 @pytest.mark.parametrize("turned", [False, True], ids=["walk", "turntable"])
 @pytest.mark.parametrize("portrait", [False, True], ids=["landscape", "portrait"])
-def test_plain_surroundings_are_not_refused(tmp_path, surroundings, turned, portrait):
+def test_plain_surroundings_do_not_tell_a_turntable(tmp_path, surroundings, turned, portrait):
     cameras = [matrix @ ROLL if portrait else matrix for matrix in around((20,), range(0, 360, 30))]
     found = [photo(matrix, surroundings, cameras[0] if turned else None) for matrix in cameras]
     assert still_share(pixels_of(write(tmp_path / "a", cameras, found))) == 0
 
 
-def test_cut_outs_from_a_turntable_are_not_refused(tmp_path):
+def test_cut_outs_do_not_tell_a_turntable(tmp_path):
     cameras, found = on_turntable((20,))
     plain = np.linalg.norm(np.mgrid[:WIDE, :WIDE] - WIDE / 2, axis=0) > 20
     cut = [np.concatenate([pixels * ~plain[..., None], ~plain[..., None]], -1).astype(np.float32) for pixels in found]
     folder = write(tmp_path / "a", cameras, cut)
-    for use_masks in (True, False):
-        refuse_turntable(pixels_of(folder, use_masks))
     assert still_share(pixels_of(folder)) is None
 
 

@@ -27,9 +27,9 @@ def rays():
     return PixelRays.from_capture(load_capture(SUZANNE_SMALL), 10_000, False)
 
 
-def clear_above(origins, directions):
+def clear_above(rays):
     """Transmittances of a veil that hides the object from all cameras below its center."""
-    return torch.where(origins[:, 2] > 0, 1.0, 0.5)
+    return torch.where(rays.origins[:, 2] > 0, 1.0, 0.5)
 
 
 def test_the_object_is_found_in_the_pixels_that_show_it(rays):
@@ -55,8 +55,8 @@ def test_pixels_behind_a_veil_are_told_from_clear_ones(rays):
 def test_pixels_beside_a_veil_are_veiled_too(rays):
     """One ray in 16 is asked, so the border of what stands before the object lies somewhere between two rays."""
     band = 0.02
-    whole = find_object_pixels(rays, ObjectField(64, 0.6).shape(), band, lambda o, d: torch.ones(len(o)))
-    half = find_object_pixels(rays, ObjectField(64, 0.6).shape(), band, lambda o, d: (d[:, 2] < 0).float())
+    whole = find_object_pixels(rays, ObjectField(64, 0.6).shape(), band, lambda r: torch.ones(len(r)))
+    half = find_object_pixels(rays, ObjectField(64, 0.6).shape(), band, lambda r: (r.directions[:, 2] < 0).float())
     assert len(whole.veiled) == 0 and len(half) == len(whole)
     _, directions, _ = rays.rays(half.clear.tensor())
     assert (directions[:, 2] < 0).all(), "no pixel of a clear block looks through the veil"

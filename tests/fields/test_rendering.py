@@ -100,7 +100,7 @@ def test_rays_for_the_object_alone_do_not_count_beside_it():
     assert out.weight[:, 0].tolist() == [1, 0, 0, 1, 1], "the second ray passes the object, the third one its sphere"
     torch.testing.assert_close(out.radiance[3:], full.radiance[3:])
     torch.testing.assert_close(out.opacity, full.opacity)
-    opacity = 1 - fields.front(fields.object_field.shape())(seen.origins, seen.directions)
+    opacity = 1 - fields.front(fields.object_field.shape())(seen)
     torch.testing.assert_close(full.foreground_opacity, opacity[[0, 1, 3, 4]].mean())
     torch.testing.assert_close(out.foreground_opacity, opacity[[3, 4]].sum() / 4)
 

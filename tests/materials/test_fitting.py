@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import torch
 
-from blender_nep.materials.fitting import fit_groups, roughness_scan
+from blender_nep.materials.fitting import fit_groups, roughness_scan, weight_of_found_light, weight_of_known_light
 from blender_nep.shading.light_moments import LightMoments
 from blender_nep.shading.plenoptic import Material, SpecularMoments, affine_in_albedo, reflected
 from blender_nep.tone_mapping import tone_map
@@ -135,3 +135,12 @@ def test_a_metal_with_misplaced_reflections_keeps_its_brightness():
     _, found = fit_groups(light, photo, torch.ones(n), group, 1, least_roughness=LEAST, clip=10.0, hypotheses=(1.0,))
     j = int((roughness_scan(LEAST, torch.device("cpu")) - 0.3).abs().argmin())
     torch.testing.assert_close(found[0, j, 0], albedo, rtol=0.04, atol=0.01)
+
+
+def test_samples_count_alike_where_photos_show_little_of_the_light():
+    """After a walk the photos show most of the light, on a turntable a tenth, and cut-outs show none."""
+    share = torch.linspace(0, 1, 20)[:, None].expand(20, 5)
+    walk, turntable, cut_outs = (replace(lit(20), coverage=part) for part in (share, (share > 0.9).float(), 0 * share))
+    assert torch.equal(weight_of_found_light(walk), weight_of_known_light(walk))
+    assert len(weight_of_known_light(turntable).unique()) == 2 and len(weight_of_found_light(turntable).unique()) == 1
+    assert torch.equal(weight_of_found_light(cut_outs), weight_of_known_light(cut_outs))

@@ -349,7 +349,7 @@ def test_many_samples_on_many_threads_are_solved_the_same():
     )
     moments = SpecularMoments(random(n, 3), 0.1 * random(n, 3), 0.05 * random(n, 3))
     light = SimpleNamespace(
-        points=SimpleNamespace(position=random(n, 3) - 0.5),
+        points=SimpleNamespace(room_position=random(n, 3) - 0.5, motion=None),
         cos_v=0.2 + 0.8 * random(n),
         known_diffuse=random(n, 3),
         known_moments=lambda *_: moments,

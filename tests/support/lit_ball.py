@@ -9,7 +9,9 @@ import torch
 import trimesh
 
 from blender_nep.capture.rays.pixel_width import pixel_width
+from blender_nep.capture.rays.ray_bundle import RayBundle
 from blender_nep.capture.rays.response_curve import ResponseCurve
+from blender_nep.capture.rays.rigid_motions import RigidMotions
 from blender_nep.geometry.mesh import Surface
 from blender_nep.materials.training import learn_materials
 from blender_nep.presets import MaterialPreset, SurfacePreset
@@ -115,6 +117,7 @@ class SyntheticRays:
     mask: None = None
     exposure: float = 1.0
     response: ResponseCurve | None = None
+    turntable: RigidMotions | None = None
 
     @property
     def views(self) -> int:
@@ -132,7 +135,11 @@ class SyntheticRays:
         self.brightest = float(self.radiance.max())
 
     def rays(self, index):
-        return self.origin[index], self.direction[index], torch.full((len(index),), HALF_ANGLE)
+        motion = self.motion_in(self.view[index])
+        return RayBundle(self.origin[index], self.direction[index], torch.full((len(index),), HALF_ANGLE), motion)
+
+    def motion_in(self, view):
+        return None if self.turntable is None else self.turntable[view]
 
     def view_of(self, index):
         return self.view[index]
@@ -165,8 +172,11 @@ class MemoryCheckpoint:
         return self.state
 
 
-def make_photos(materials, views=10, side=32, rays=160, environment=None):
-    """Photos of the sphere in all of the light; materials(points [n,3]) -> albedo, roughness, metallic."""
+def make_photos(materials, views=10, side=32, rays=160, environment=None, turntable=None):
+    """Photos of the sphere in all of the light; materials(points [n,3]) -> albedo, roughness, metallic.
+
+    `turntable` are the motions of the sphere to the room, where the light stands still; None: the sphere stands still.
+    """
     environment, generator = environment or AnalyticEnvironment(), torch.Generator().manual_seed(11)
     eye = torch.nn.functional.normalize(torch.randn(views, 3, generator=generator), dim=-1) * 3
     u = (torch.arange(side) + 0.5) / side * 0.5 - 0.25
@@ -192,8 +202,11 @@ def make_photos(materials, views=10, side=32, rays=160, environment=None):
     f = brdf.frame(torch.nn.functional.normalize(eyes + spread * t[..., None], dim=-1))
     v = torch.einsum("nkij,nki->nkj", f, -spread)
 
+    view = torch.arange(views).repeat_interleave(side * side)
+
     def incoming(to_light):
-        d = torch.einsum("nkij,nkj->nki", f, to_light).reshape(-1, 3)
+        d = torch.einsum("nkij,nkj->nki", f, to_light)
+        d = (d if turntable is None else turntable[view[hit]].directions(d)).reshape(-1, 3)
         return AnalyticEnvironment.query_cone(environment, d, d, torch.zeros(len(d)))[0].reshape(n, rays, 3)
 
     # Balance heuristic between the two samplers: an estimator that shares nothing with the cones.
@@ -208,7 +221,7 @@ def make_photos(materials, views=10, side=32, rays=160, environment=None):
         total += (value * incoming(to_light) / pdf[..., None].clamp_min(1e-9)).mean(1)
     radiance = torch.zeros(len(origin), 3)
     radiance[hit] = total
-    return SyntheticRays(radiance, origin, direction, torch.arange(views).repeat_interleave(side * side))
+    return SyntheticRays(radiance, origin, direction, view, turntable=turntable)
 
 
 def lit_scene(photos: SyntheticRays) -> Scene:

@@ -24,6 +24,7 @@ from blender_nep.capture.loading import load_capture
 from blender_nep.capture.photos.mask_files import MaskMeaning
 from blender_nep.capture.rays.pixel_rays import BRIGHTEST_CLIPPED, SATURATED, PixelRays
 from blender_nep.capture.rays.pixel_store import PixelMemory
+from blender_nep.capture.turntable.motions import in_unit_frame, on_turntable
 from blender_nep.messages import Message
 from blender_nep.safety.printed_text import one_line
 
@@ -58,9 +59,10 @@ def summarize(
     sizes = Counter(f"{c.width} x {c.height}" for c in cameras)
     radiance = rays.radiance[rays.valid][:: max(1, rays.count // 1_000_000)].float()
     size = SphereSize.of(capture)
+    still = still_share(rays)
+    rays = _turned(capture, rays, still)
     compared = compare_exposures(rays)
     exposures = exposures_of(capture, compared)
-    still = still_share(rays)
     has_masks = use_masks and any(view.mask_path for view in capture.views)
     found: dict[str, Any] = {
         "folder": str(folder),
@@ -94,7 +96,7 @@ def summarize(
             "largest": round(rays.brightest, 4),
         },
     }
-    warnings = [*capture.warnings, *rays.warnings, *_turntable(still), *camera_outliers(capture), *size.messages()]
+    warnings = [*capture.warnings, *rays.warnings, *_turntable(capture, still), *camera_outliers(capture), *size.messages()]
     warnings += [*_photo_outliers(capture, rays, compared, exposures.warning), *_holes(coverage), *_doubts(found)]
     found["warnings"] = [warning.to_dict() for warning in warnings]
     return found
@@ -120,8 +122,21 @@ def _corner_stops(exposures: Exposures) -> float:
     return 0.0 if exposures.vignetting is None else round(exposures.vignetting.corner_stops, 2)
 
 
-def _turntable(still: float | None) -> list[Message]:
-    if still is None or still <= MOST_STILL:
+def _turned(capture: Capture, rays: PixelRays, still: float | None) -> PixelRays:
+    """The pixels with the motions of the object, if it turned on a turntable, so that exposures are compared in the room.
+
+    Where a job would leave a photo out, they stay without motions. Raises CaptureError.
+    """
+    if not (capture.turntable or _turntable(capture, still)):
+        return rays
+    found = on_turntable(capture)
+    if found.left_out:
+        return rays
+    return rays.with_turntable(in_unit_frame(found.capture, found.capture.views[0]))
+
+
+def _turntable(capture: Capture, still: float | None) -> list[Message]:
+    if capture.turntable is not None or still is None or still <= MOST_STILL:
         return []
     return [Message("capture.on_turntable", {"percent": 100 * still})]
 

@@ -1,8 +1,8 @@
 """Tells whether the object turned while the camera and the surroundings stood still: photos from a turntable.
 
 The cameras of such photos are given relative to the object, so they seem to move around it. The surroundings do not fit
-these cameras: they stay at the same pixels. F_e would learn a light that never was. When the photographer walks around
-the object, equal pixels show other surroundings.
+these cameras: they stay at the same pixels. Without the turns of the object, F_e would learn a light that never was. When
+the photographer walks around the object, equal pixels show other surroundings.
 
 Two photos of a plain background agree too, and so do two photos of a scene that looks the same from all sides, such as a
 floor under a sky. So the agreement at equal places is compared with that at mirrored places. A backdrop of one color, with
@@ -17,7 +17,6 @@ from torch import Tensor
 from torch.nn import functional
 
 from blender_nep.capture.rays.pixel_rays import PixelRays
-from blender_nep.errors import CaptureError
 
 PHOTOS = 80
 """At most this many photos, evenly chosen, are compared with each other."""
@@ -66,18 +65,6 @@ def still_share(rays: PixelRays) -> float | None:
     judged = ((~ratio.isnan()).sum(1) >= PARTNERS).sum()
     still = ((ratio < SAME).sum(1) >= PARTNERS).sum()
     return float(still / judged) if judged else None
-
-
-def refuse_turntable(rays: PixelRays) -> None:
-    """Raises CaptureError if the surroundings of most photos stay at the same pixels."""
-    share = still_share(rays)
-    if share is not None and share > MOST_STILL:
-        raise CaptureError(
-            "the surroundings stay at the same place in the photos although the cameras differ: the object turned while the "
-            "camera and the surroundings stood still, so no light fits the photos",
-            "Mask the surroundings out (cut-outs with alpha), or photograph by walking around the object.",
-            "capture.turntable",
-        )
 
 
 def _comparable(rays: PixelRays, chosen: list[int]) -> Tensor:

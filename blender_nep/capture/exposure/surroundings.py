@@ -240,9 +240,11 @@ def _cells(rays: PixelRays) -> _Entries:
         if ends:
             good &= (radiance <= SATURATED).all(-1).all(-1)
         middle = corner + side // 2 * (width + 1)
-        origins, directions, _ = rays.rays(middle)
+        bundle = rays.rays(middle)
+        origins, directions, _ = bundle
         along = -(origins * directions).sum(-1)
         good &= (along <= 0) | ((origins + along[:, None] * directions).square().sum(-1) >= 1)  # beside the object's sphere
+        origins, directions, _ = bundle.in_room()  # where the surroundings stand still
         value = mean[good].log().double().cpu().numpy()
         terms = falloff_terms(rays.from_middle(middle[good])).double().cpu().numpy()
         cell, of = _on_surfaces(origins[good], directions[good], distance, planes)

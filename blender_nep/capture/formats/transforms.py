@@ -1,11 +1,12 @@
 """Reads `transforms.json`, the format of instant-ngp and nerfstudio.
 
-Three optional keys are added: `object_center`, `object_radius` and `color_space`. `cameras/lens_keys.py` reads the
-intrinsics and the lens, which stand at the top or in a frame.
+Optional keys are added: `object_center`, `object_radius`, `color_space`; `turntable`, with `row` and `turn` in the frames.
+`cameras/lens_keys.py` reads the intrinsics and the lens, which stand at the top or in a frame.
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -53,7 +54,8 @@ def read(folder: Path, file: str = FILE) -> CaptureDescription:
     views, lookup = [], PhotoLookup(folder)
     for (name, frame), camera in zip(named, cameras, strict=True):
         image, mask = photos[name], _mask(lookup, frame)
-        views.append(View(stem(image.name), image, mask, fitted(camera, image, name, file, rescaled, turned)))
+        camera = fitted(camera, image, name, file, rescaled, turned)
+        views.append(View(stem(image.name), image, mask, camera, *_place_on_turntable(meta, frame, name)))
     views, found = with_masks(folder, views, named_by_file=True)
     return CaptureDescription(
         name=file,
@@ -62,6 +64,7 @@ def read(folder: Path, file: str = FILE) -> CaptureDescription:
         color_space=meta.get("color_space"),
         object_center=meta.get("object_center"),
         object_radius=meta.get("object_radius"),
+        turntable=_turntable(meta, named),
         warnings=warnings + more + found + rescaled_warnings(rescaled, turned),
     )
 
@@ -118,6 +121,34 @@ def _place(meta: dict) -> np.ndarray | None:
     except (TypeError, ValueError, OverflowError):
         return None
     return place if place.shape == (3,) and np.isfinite(place).all() else None
+
+
+def _turntable(meta: dict, named: list[tuple[str, dict]]) -> bool | None:
+    """Whether the object turned on a turntable; None: the file does not say. Raises CaptureError."""
+    said = meta.get("turntable")
+    if said is not None and not isinstance(said, bool):
+        raise CaptureError(f"turntable is {said!r}", "It must be true or false.")
+    for key in ("row", "turn") if said else ():
+        missing = [name for name, frame in named if frame.get(key) is None]
+        if 0 < len(missing) < len(named):
+            raise CaptureError(
+                f"{missing[0]} has no {key}, but other frames have one", "Give it for all frames, or for none."
+            )
+    return said
+
+
+def _place_on_turntable(meta: dict, frame: dict, name: str) -> tuple[int | None, float | None]:
+    """The frame's row, and the table's angle in degrees; None where the file does not say it. Raises CaptureError."""
+    if not meta.get("turntable"):
+        return None, None
+    row, turn = frame.get("row"), frame.get("turn")
+    if row is not None and (not isinstance(row, int) or isinstance(row, bool) or row < 0):
+        raise CaptureError(f"{name}: row is {row!r}", "It must be a whole number: 0 for the first place of the camera.")
+    if turn is None:
+        return row, None
+    if isinstance(turn, bool) or not isinstance(turn, int | float) or not math.isfinite(turn):
+        raise CaptureError(f"{name}: turn is {turn!r}", "It must be the table's angle in degrees.")
+    return row, float(turn)
 
 
 def _mask(lookup: PhotoLookup, frame: dict) -> Path | None:

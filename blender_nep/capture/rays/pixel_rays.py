@@ -21,6 +21,7 @@ from blender_nep.capture.rays.pixel_set import GrowingPixelSet, PixelSet
 from blender_nep.capture.rays.pixel_store import PixelMemory
 from blender_nep.capture.rays.ray_bundle import RayBundle
 from blender_nep.capture.rays.response_curve import ResponseCurve
+from blender_nep.capture.rays.rigid_motions import RigidMotions
 from blender_nep.capture.rays.vignetting import Vignetting
 from blender_nep.errors import BoundsError, CaptureError
 from blender_nep.messages import Message
@@ -76,6 +77,9 @@ class PixelRays:
     """`photo` multiplies the radiance by this, so that the method sees all captures about equally bright."""
     response: ResponseCurve | None = None
     """The camera's response curve, which `photo` undoes. None: photos are taken as they are."""
+    turntable: RigidMotions | None = None
+    """[views] motions from the object's unit frame to the room's, if the object turned while the camera and the light stood
+    still. The first is the identity. None: the object stood still."""
 
     @property
     def count(self) -> int:
@@ -116,6 +120,10 @@ class PixelRays:
         """The same pixels, as light before this response curve."""
         return self._still_knowing_the_brightest(replace(self, response=response))
 
+    def with_turntable(self, turntable: RigidMotions | None) -> PixelRays:
+        """The same pixels, with these motions [views] of the object."""
+        return self._still_knowing_the_brightest(replace(self, turntable=turntable))
+
     def _still_knowing_the_brightest(self, rays: PixelRays) -> PixelRays:
         if "brightest" in vars(self):  # all pixels need not be searched again
             rays.brightest = self.brightest
@@ -148,7 +156,12 @@ class PixelRays:
             camera = seen * seen.new_tensor([1.0, -1.0, -1.0])
             omega = density / (fl_x * fl_y)
         direction = torch.einsum("nij,nj->ni", self._rotation[view], camera)
-        return RayBundle(self._origin[view], direction, 2 * torch.asin(torch.sqrt(omega / (4 * math.pi))))
+        half_angle = 2 * torch.asin(torch.sqrt(omega / (4 * math.pi)))
+        return RayBundle(self._origin[view], direction, half_angle, self.motion_in(view))
+
+    def motion_in(self, view: Tensor) -> RigidMotions | None:
+        """How the object stood in the photos view [n] int64: n motions to the room; None if it always stood still."""
+        return None if self.turntable is None else self.turntable[view]
 
     def from_middle(self, index: Tensor) -> Tensor:
         """Squared distance [n] of the pixels index [n] int64 from the middle of their photo, in half diagonals: 0 .. 1."""
@@ -162,6 +175,10 @@ class PixelRays:
     def camera(self, view: int) -> tuple[Tensor, Tensor]:
         """Position [3] (unit frame) and camera-to-world rotation [3, 3] of a view."""
         return self._origin[view], self._rotation[view]
+
+    def cameras(self) -> tuple[Tensor, Tensor]:
+        """Positions [views, 3] (unit frame) and camera-to-world rotations [views, 3, 3] of all views."""
+        return self._origin, self._rotation
 
     def project(self, view: int, points: Tensor) -> tuple[Tensor, Tensor]:
         """Image coordinates [n, 2] of points [n, 3] (unit frame) in a view, and whether they lie in front of it [n] bool.

@@ -1,4 +1,4 @@
-"""The prefiltered environment field F_e: the radiance of everything outside the object's unit sphere.
+"""The prefiltered environment field F_e: the radiance of everything outside the object's unit sphere, in the room's frame.
 
 F_e is a spherical volume centered on the object, from the border |x| = 1 to infinity. Its shells lie at equal steps of the
 contracted distance (`ops.environment.segments`): log |x| near the object, 1 / |x| far away. Every shell is an

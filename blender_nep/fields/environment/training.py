@@ -69,7 +69,7 @@ def refine(environment: EnvironmentField, rays: PixelRays, background: PixelSet 
     preset, changed = environment.preset, environment.refine(fraction)
     if environment.known and fraction >= preset.detail_at and not environment.detail_decided:
         pick = torch.arange(0, len(background), max(1, len(background) // preset.detail_rays), device=background.device)
-        origins, directions, _ = rays.rays(background[pick])
+        origins, directions, _ = rays.rays(background[pick]).in_room()
         changed = environment.decide_detail(origins, directions) or changed
     return changed
 
@@ -85,7 +85,7 @@ def freeze(environment: EnvironmentField, rays: PixelRays, background: PixelSet 
     """End the learning of F_e: measure its coverage with random pixels out of `background` (indices)."""
     generator = torch.Generator(background.device).manual_seed(seed)
     pick = random_places(environment.preset.coverage_rays, len(background), generator)
-    origins, directions, _ = rays.rays(background[pick])
+    origins, directions, _ = rays.rays(background[pick]).in_room()
     environment.freeze(origins, directions)
 
 
@@ -107,7 +107,7 @@ def learn_step(
 
     If the loss or its gradient is not finite, the step changes nothing and the result is NaN.
     """
-    origins, directions, half_angle = rays.rays(index)
+    origins, directions, half_angle = rays.rays(index).in_room()
     n, near = len(index), torch.full_like(half_angle, environment.preset.camera_near)
     middle = torch.maximum(near, -(origins * directions).sum(-1))
     radiance, transmittance, distortion = environment.render(

@@ -14,6 +14,7 @@ import numpy as np
 import torch
 from torch import nn
 
+from blender_nep.capture.rays.rigid_motions import RigidMotions
 from blender_nep.evidence.sdf_grid import cell_centers
 from blender_nep.fields.object.albedo_detail import AlbedoDetail
 from blender_nep.fields.object.fine_level import FineLevel
@@ -83,9 +84,21 @@ class SurfaceColor(nn.Module):
         self.albedo_detail: AlbedoDetail | None = None
         """Paint that is finer than what the MLPs can paint; None if the object has none."""
 
-    def appearance(self, points: torch.Tensor, normals: torch.Tensor, directions: torch.Tensor) -> Appearance:
-        """Color of surface points [n, 3] with unit normals, seen along unit view directions [n, 3] (camera to point)."""
-        return self.lit(self.paint(points), points, normals, directions)
+    def appearance(
+        self,
+        points: torch.Tensor,
+        normals: torch.Tensor,
+        directions: torch.Tensor,
+        motion: RigidMotions | None = None,
+    ) -> Appearance:
+        """Color of surface points [n, 3] with unit normals, seen along unit view directions [n, 3] (camera to point).
+
+        `motion` are n motions of the object to the room, where the light stands still. None: the object stands still.
+        """
+        paint = self.paint(points)
+        if motion is not None:
+            points, normals, directions = motion.points(points), motion.directions(normals), motion.directions(directions)
+        return self.lit(paint, points, normals, directions)
 
     def paint(self, points: torch.Tensor) -> Paint:
         """What does not depend on normal and view at points [n, 3]."""
@@ -96,7 +109,7 @@ class SurfaceColor(nn.Module):
         return Paint(logits.sigmoid(), roughness, feature)
 
     def lit(self, paint: Paint, points: torch.Tensor, normals: torch.Tensor, directions: torch.Tensor) -> Appearance:
-        """The appearance of points [n, 3] of that paint, as `appearance`."""
+        """The appearance of points [n, 3] of that paint, as `appearance`. All arguments are those in the room's frame."""
         albedo, roughness, feature = paint
         if self.decomposed:
             cosine = (directions * normals).sum(-1, keepdim=True)

@@ -25,6 +25,8 @@ class Carving:
     def skipped(self, stage: StageOne) -> Message | None:
         if stage.scene.photos.masks:
             return Message("reason.masks_show_outline")
+        if stage.rays.turntable is not None:
+            return Message("reason.turntable_hides")
         return None if stage.schedule.background_steps else Message("reason.few_pixels_beside")
 
     @profiled("visual hull")

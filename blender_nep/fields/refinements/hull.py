@@ -10,6 +10,7 @@ from torch import Tensor
 from blender_nep.capture.rays.ray_bundle import RayBundle
 from blender_nep.fields.refinements.refinement import Change
 from blender_nep.fields.stage import StageOne
+from blender_nep.fields.still_silhouettes import LOWEST_SHARE, still_silhouettes
 from blender_nep.fields.visual_hull import (
     VisualHull,
     background_silhouettes,
@@ -35,7 +36,8 @@ class HullStart:
     at = (0.0,)
 
     def skipped(self, stage: StageOne) -> Message | None:
-        if not stage.scene.photos.masks and not stage.schedule.background_steps:
+        by_environment = not stage.scene.photos.masks and stage.rays.turntable is None
+        if by_environment and not stage.schedule.background_steps:
             return Message("reason.few_pixels_beside")
         return None
 
@@ -62,25 +64,30 @@ def start_sdf(hull: VisualHull, support: Support | None) -> np.ndarray:
 def background_scores(stage: StageOne) -> np.ndarray:
     """Scores [n, n, n] of the SDF's cells: how much nearly all photos differ there from F_e alone (`score_cells`).
 
-    They are computed once before the first step of both fields.
+    On a turntable they differ from what stands still (`still_silhouettes`): F_e does not know what is behind the object. The
+    scores are computed once before the first step of both fields.
     """
+    if stage.cell_scores is None and stage.rays.turntable is not None:
+        stage.cell_scores = score_cells(stage.rays, still_silhouettes(stage.rays), stage.cells, LOWEST_SHARE)
     if stage.cell_scores is None:
         stage.cell_scores = _scores(stage, stage.environment_alone)
     return stage.cell_scores
 
 
 def hull_without_masks(stage: StageOne) -> VisualHull | None:
-    """The hull from the residuals of F_e, as it is now. None if F_e explains all.
+    """The hull from the residuals of F_e, as it is now, or from what turns on a turntable. None if F_e explains all.
 
     On a support plane, the hull is carved again: with a lower threshold, and with the colors of the plane. F_e does not know
-    these colors.
+    these colors. On a turntable, what stands still is known with the plane.
     """
     scores = background_scores(stage)
     hull = carve(scores)
     if hull is None:
         return None
     colors = stage.scene.plane_colors
-    return hull if colors is None else _hull_on_support(stage, carve(scores, on_support=True) or hull, colors)
+    if colors is None or stage.rays.turntable is not None:
+        return hull
+    return _hull_on_support(stage, carve(scores, on_support=True) or hull, colors)
 
 
 def _hull_on_support(stage: StageOne, hull: VisualHull, colors: AgreedColors) -> VisualHull:

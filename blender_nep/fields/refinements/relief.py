@@ -21,6 +21,7 @@ from torch.nn import functional
 
 from blender_nep.capture.rays.pixel_rays import PixelRays
 from blender_nep.capture.rays.pixel_width import pixel_footprint
+from blender_nep.capture.rays.rigid_motions import RigidMotions
 from blender_nep.evidence.full_photos import FullPhotos, Sampling
 from blender_nep.evidence.observation import LinesOfSight, observe
 from blender_nep.evidence.sdf_grid import SdfGrid
@@ -108,6 +109,10 @@ class _Places(NamedTuple):
     def of(self, chosen: Tensor | slice) -> _Places:
         return _Places(*(part[chosen] for part in self))
 
+    def moved(self, motion: RigidMotions) -> _Places:
+        """The places after n motions, one for each."""
+        return _Places(motion.points(self.points), *(motion.directions(part) for part in self[1:]))
+
 
 class _Observations(NamedTuple):
     """What photos show of the places."""
@@ -120,6 +125,8 @@ class _Observations(NamedTuple):
     """[m, 3] tone-mapped"""
     second: Tensor
     """[m] bool: whether the photo belongs to the second half of those that show the place"""
+    motion: RigidMotions | None
+    """m motions of the object to the room; None: the object stands still"""
 
 
 class _Tilts(NamedTuple):
@@ -240,12 +247,12 @@ def _observe(field: ObjectField, rays: PixelRays, places: _Places) -> _Observati
     """What the photos show of the places."""
     found, photos = [], FullPhotos(rays, Sampling.FOUR_PIXELS, MOST_VIEWS)
     for seen in observe(photos, places.points, places.normals, _SurfaceOccluder(field.shape()), least_cosine=_FACING):
-        found.append((seen.index, -seen.towards, tone_map(seen.color)))
-    place, directions, color = (torch.cat(part) for part in zip(*found, strict=True))
+        found.append((seen.index, -seen.towards, tone_map(seen.color), torch.full_like(seen.index, seen.view)))
+    place, directions, color, view = (torch.cat(part) for part in zip(*found, strict=True))
     order = place.argsort(stable=True)
     place = place[order]
     rank = torch.arange(len(place), device=place.device) - torch.searchsorted(place, place)
-    return _Observations(place, directions[order], color[order], rank % 2 == 1)
+    return _Observations(place, directions[order], color[order], rank % 2 == 1, rays.motion_in(view[order]))
 
 
 def _errors(field: ObjectField, places: _Places, seen: _Observations, slopes: Tensor) -> tuple[Tensor, Tensor]:
@@ -258,12 +265,14 @@ def _errors(field: ObjectField, places: _Places, seen: _Observations, slopes: Te
     paint = Paint(*(torch.cat(part) for part in zip(*paints, strict=True)))
     for chunk in torch.arange(len(slot), device=device).split(_CHUNK):
         k = seen.place[chunk]
-        here = places.of(k)
+        here, directions = places.of(k), seen.direction[chunk]
         paint_here = Paint(*(part[k] for part in paint))
         found = []
+        if seen.motion is not None:
+            here, directions = here.moved(seen.motion[chunk]), seen.motion[chunk].directions(directions)
         for slope in slopes:
             normals = functional.normalize(here.normals + slope[0] * here.tangent + slope[1] * here.bitangent, dim=-1)
-            color = field.lit(paint_here, here.points, normals, seen.direction[chunk]).color
+            color = field.lit(paint_here, here.points, normals, directions).color
             found.append((tone_map(color) - seen.color[chunk]).abs().mean(-1).clamp(max=LARGEST_ERROR))
         errors.index_add_(0, slot[chunk], torch.stack(found, 1))
     return errors.view(2, n, -1), counts.view(2, n)

@@ -14,6 +14,7 @@ from blender_nep.cameras.found_cameras import FoundCameras, choose, messages
 from blender_nep.cameras.improved_cameras import take_over
 from blender_nep.cameras.object_sphere import ObjectSphere, find_object_sphere
 from blender_nep.cameras.photo_folder import Photo, find_photos, photos_of
+from blender_nep.cameras.still_surroundings import StillSurroundings, look_for_still_surroundings
 from blender_nep.cameras.structure_from_motion import find_groups, stop_if_asked, working_folder
 from blender_nep.cameras.video.kept_frames import FOLDER as FRAMES
 from blender_nep.cameras.video.kept_frames import keep_frames
@@ -86,7 +87,11 @@ def run(search: CameraSearch, events: Events, stop: StopRequest) -> int:
         brackets = bracket_warnings([photo.path for photo in found])
         for warning in of_masks + brackets if capture is None else capture.warnings:
             events.warning(warning)
-        masked = _masked(search, found)
+        masked, still = _masked(search, found), None
+        if capture is None and masked is None:
+            still = look_for_still_surroundings(found, lambda: stop_if_asked(stop))
+            if still.turntable and all(photo.mask is not None for photo in found):
+                masked = True
         if masked is not None:
             reading, said = read_photo_masks([photo.mask for photo in found if photo.mask is not None])
             found = [replace(photo, mask_reading=reading) for photo in found]
@@ -95,15 +100,23 @@ def run(search: CameraSearch, events: Events, stop: StopRequest) -> int:
         progress = _Progress(events, len(found)) if frames is None else frames.progress
         given = None if capture is None else [view.camera for view in capture.views]
         with working_folder() as scratch:
-            groups = find_groups(found, scratch, progress, stop, masked=masked, threads=search.threads, given=given)
+            moving = still.moving if still is not None and masked is None else None
+            groups = find_groups(
+                found, scratch, progress, stop, masked=masked, moving=moving, threads=search.threads, given=given
+            )
             if capture is None:
                 cameras = choose(found, groups)
                 said, warnings = messages(cameras, groups)
+                if still is not None and still.turntable:
+                    cameras = replace(cameras, turntable=True)
+                    known = masked is not None or moving is not None
+                    (said if known else warnings).append(_of_turntable(still, known))
                 cameras = _with_sphere(cameras, scratch, progress, stop, warnings)
         if capture is not None:
             improved = take_over(found, [view.camera for view in capture.views], groups[0], capture.object_center)
             said, warnings = improved.messages()
-            cameras = FoundCameras(improved.chosen, groups[0].points, [], capture.object_center, capture.object_radius)
+            sphere = (capture.object_center, capture.object_radius)
+            cameras = FoundCameras(improved.chosen, groups[0].points, [], *sphere, bool(capture.turntable))
         if capture is None or improved.worthwhile or search.out is not None:
             stop_if_asked(stop)
             said += _keep_present(folder)
@@ -166,6 +179,13 @@ def _write_with_frames(cameras: FoundCameras, folder: Path, scratch: Path) -> No
     except OutputError:
         shutil.rmtree(frames, ignore_errors=True)
         raise
+
+
+def _of_turntable(still: StillSurroundings, known: bool) -> Message:
+    """What is said of a turntable. known: whether it was known what turned."""
+    if not known:
+        return Message("cameras.turntable_shifted", {"percent": 100 * still.share})
+    return Message("cameras.turntable", {"percent": 100 * still.share})
 
 
 def _with_sphere(

@@ -27,7 +27,7 @@ from blender_nep.presets import Preset
 from blender_nep.safety.plain_files import read_json
 from blender_nep.stop_request import StopRequest
 
-FORMAT = 16
+FORMAT = 17
 """Version of the files in `checkpoints/` and of `report.json`. A run of another version is refused.
 
 Version 3 has new names: the stages (rooms before), and the fields of the preset. Version 6 keeps what a correction of the
@@ -35,7 +35,7 @@ materials needs. Version 7 keeps the lean mesh and its normal map. Version 8 kee
 Version 9 keeps clear and veiled object pixels apart. Version 11 counts F_e as light only as far as photos show it.
 Version 12 keeps the normals of labeled points. Version 13 keeps which parts of a face the photos show. Version 14
 keeps the moments of our own optimizers. Version 15 keeps what each refinement of stage 1 has done. Version 16 keeps the
-camera's response curve.
+camera's response curve. Version 17 keeps how the object of a turntable stood where it reflects itself.
 """
 
 
@@ -49,11 +49,12 @@ def fingerprint(
     all_photos: bool = False,
     hold_out: int | None = None,
     mask_meaning: MaskMeaning | None = None,
+    turntable: bool | None = None,
 ) -> dict[str, object]:
     """{name: value} of all inputs that decide the result of a run. A resume must agree with all of them.
 
     Photos and masks enter by their names and file sizes, the capture's own files and a given mesh by their content. The
-    object's sphere, the wish for all photos and `hold_out` enter only if they were given as options.
+    object's sphere, the wish for all photos, `hold_out` and `turntable` enter only if they were given as options.
     """
     paths = [p for v in capture.views for p in (v.image_path, v.mask_path) if p is not None]
     photos = "\n".join(f"{_place(p, capture.folder)} {p.stat().st_size}" for p in paths)
@@ -74,6 +75,8 @@ def fingerprint(
         what["photos"] = "all"
     if hold_out is not None:
         what["photos held out"] = hold_out
+    if turntable is not None:
+        what["turntable"] = turntable
     return what if sphere is None else what | {"object bounds": [*map(float, sphere[0]), float(sphere[1])]}
 
 

@@ -22,7 +22,7 @@ import torch
 from torch import Tensor
 
 from blender_nep.materials.evidence.protocol import Evidence, FittedMaterials, OfMetallic, OfRoughness
-from blender_nep.materials.fitting import fit_groups, weight_of_known_light
+from blender_nep.materials.fitting import fit_groups, weight_of_found_light
 from blender_nep.messages import Message, Part
 from blender_nep.profiling import profiled
 
@@ -90,7 +90,7 @@ def residual_of_reflections(
     count. Returns the mean residual [R, K] and the weight of the samples [K] that it comes from; 0 where no region has
     enough samples.
     """
-    weight = weight_of_known_light(light)
+    weight = weight_of_found_light(light)
     voxel = np.floor(position / preset.region).astype(np.int64)
     place = np.concatenate([label.cpu().numpy()[:, None], voxel], 1)
     region, inverse, count = np.unique(place, axis=0, return_inverse=True, return_counts=True)

@@ -15,7 +15,7 @@ import torch
 from torch import Tensor
 
 from blender_nep.materials.evidence.protocol import Evidence, FittedMaterials, OfRoughness
-from blender_nep.materials.fitting import roughness_scan, weight_of_known_light
+from blender_nep.materials.fitting import roughness_scan, weight_of_found_light
 from blender_nep.messages import Message, Part
 from blender_nep.shading.plenoptic import Material, reflected
 
@@ -39,7 +39,7 @@ class Spread(Evidence):
     def _of_metal(self, fitted: FittedMaterials, k: int) -> OfRoughness:
         light, own = fitted.light, fitted.samples_of(k)
         scan, region = roughness_scan(fitted.preset.least_roughness, own.device), fitted.region_of(own)
-        weight = weight_of_known_light(light)[own]
+        weight = weight_of_found_light(light)[own]
         photo = fitted.target[own].mean(-1)
         darkest = 0.1 * photo.median().clamp_min(1e-6)  # what is darker says more about noise than about the light
         of_photo = max(spread(photo + darkest, weight, region), _LEAST_SPREAD)

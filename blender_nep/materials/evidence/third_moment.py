@@ -24,7 +24,7 @@ import torch
 from torch import Tensor
 
 from blender_nep.materials.evidence.protocol import Evidence, FittedMaterials, OfRoughness
-from blender_nep.materials.fitting import roughness_scan, weight_of_known_light
+from blender_nep.materials.fitting import roughness_scan, weight_of_found_light
 from blender_nep.messages import Message, Part
 from blender_nep.profiling import profiled
 from blender_nep.shading.plenoptic import Material, affine_in_albedo
@@ -118,7 +118,7 @@ class _DiffuseFree:
 
     def __init__(self, light: LightMoments, target: Tensor, samples: Tensor, albedo: Tensor, region: Tensor) -> None:
         self.light, self.samples, self.region = light, samples, region
-        self.weight = weight_of_known_light(light)[samples]
+        self.weight = weight_of_found_light(light)[samples]
         self.slope = 1 / (1 + 4 * target.mean(-1))
         """[m] how much a difference in radiance counts, as in the tone mapping"""
         diffuse = light.diffuse[samples] * albedo

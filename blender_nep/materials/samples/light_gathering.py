@@ -66,7 +66,7 @@ class Observations:
         terminal = TerminalRadiance().to(device)
         support_light = None if support is None else SupportLight.of(support, rays, tracer)
         f_p = PlenopticFunction(tracer, surface.normals, environment, terminal, settings, device, support_light)
-        points = f_p.points(samples.face, samples.barycentric, samples.view)
+        points = f_p.points(samples.face, samples.barycentric, samples.view, rays.motion_in(samples.photo))
         return cls(surface, rays, samples, points, f_p, pixel_footprint(rays), device)
 
 
@@ -151,15 +151,15 @@ def with_more_samples(
     called after each chunk.
     """
     more = _selected(seen.rays, seen.f_p.tracer, seen.surface.normals, preset, np.random.default_rng([seed, 1]))
-    points = seen.f_p.points(more.face, more.barycentric, more.view)
+    points = seen.f_p.points(more.face, more.barycentric, more.view, seen.rays.motion_in(more.photo))
     of_more = IncomingLight.gathered(
         seen.f_p, points, preset.roughness_levels, preset.irradiance_cones, more.reflection_variance, generator, progress
     )
     of_more = of_more.updated(materials_at, generator, light.unseen)
     both = LightMoments.joined(light, of_more)
     known = LightMoments.joined(light.without_unseen(), of_more.without_unseen())
-    position, normal = torch.cat([light.points.position, points.position]), torch.cat([light.points.normal, points.normal])
-    diffuse = known.diffuse + IrradianceMean(position, normal)(both.diffuse - known.diffuse)
+    mean = IrradianceMean.over(SurfacePoints.joined([light.points, points]))
+    diffuse = known.diffuse + mean(both.diffuse - known.diffuse)
     return LitSamples(PhotoSamples.joined(seen.samples, more), replace(both, diffuse=diffuse), known)
 
 

@@ -27,7 +27,7 @@ from blender_nep.materials.fitting import (
     place_in_scan,
     place_of_least,
     roughness_scan,
-    weight_of_known_light,
+    weight_of_found_light,
 )
 from blender_nep.materials.labels.pixel_votes import Surfels, nearest_samples
 from blender_nep.materials.palette.palette import Palette, error
@@ -174,7 +174,7 @@ def fit_segments(
     """
     p, count = preset, len(segments)
     classes = p.metallic if metallic is None else (0.0, 1.0)
-    weight = weight_of_known_light(light)
+    weight = weight_of_found_light(light)
     residual, albedo = fit_groups(
         light,
         target,
