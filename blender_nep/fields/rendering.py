@@ -25,7 +25,7 @@ from blender_nep.presets import FieldsPreset
 from blender_nep.profiling import profiled, section
 
 _LEAST_OPACITY = 0.01
-"""Rays that are there for the object alone count from this opacity of the object on."""
+"""The object covers a ray from this opacity on. Rays that are there for the object alone count then."""
 
 
 @dataclass(frozen=True)
@@ -37,7 +37,9 @@ class RenderSettings:
     samples: int
     """Samples of the object field on each ray"""
     environment_gradient_scale: float = 1.0
-    """Scale of F_e's gradients from rays that meet the object's sphere"""
+    """Scale of F_e's gradients from rays that may show the object"""
+    object_is_known: bool = False
+    """Only rays that the object covers may show it. False: all that meet its sphere"""
 
 
 @dataclass
@@ -143,7 +145,8 @@ class FieldsRenderer:
         behind = ((clear.detach() > p.transmittance_limit) & ~idle[meets]).nonzero()[:, 0]
         on_support = hits.on_support[meets[behind]]
         below, behind = behind[on_support], behind[~on_support]
-        parts = self._render_environment(rays, hits, meets[behind], settings, generator, clear_rays)
+        of_object = meets[clear.detach() < 1 - _LEAST_OPACITY] if settings.object_is_known else meets
+        parts = self._render_environment(rays, hits, meets[behind], of_object, settings, generator, clear_rays)
         inside = torch.zeros(len(meets), 3, device=device)
         inside = inside.index_add(0, surface.ray, opacity[:, None] * appearance.color)
         inside = inside.index_add(0, behind, clear[behind, None] * parts.back)
@@ -200,13 +203,14 @@ class FieldsRenderer:
         rays: RayBundle,
         hits: SphereHits,
         behind: Tensor,
+        of_object: Tensor,
         settings: RenderSettings,
         generator: torch.Generator | None,
         clear_rays: int,
     ) -> EnvironmentParts:
         """Render F_e in front of the sphere for all rays but the clear ones, and behind it for the rays `behind` [k] int64.
 
-        One call of the kernel renders both.
+        One call of the kernel renders both. The rays `of_object` [m] int64 may show the object.
         """
         n, device = len(rays), rays.origins.device
         front = torch.arange(clear_rays, n, device=device)
@@ -224,7 +228,7 @@ class FieldsRenderer:
         foreground_opacity = (1 - passed[hits.rays]).mean() if len(hits.rays) else radiance.sum() * 0
         if settings.environment_gradient_scale != 1:
             # F_e shall follow the pixels beside the object, and not change so that the object's error becomes small
-            scale = everywhere.index_fill(0, hits.rays, settings.environment_gradient_scale)[index]
+            scale = everywhere.index_fill(0, of_object, settings.environment_gradient_scale)[index]
             radiance = torch.lerp(radiance.detach(), radiance, scale[:, None])
             passed = everywhere.index_copy(0, front, torch.lerp(transmittance.detach(), transmittance, scale)[:k])
         before = torch.zeros(n, 3, device=device).index_copy(0, front, radiance[:k])

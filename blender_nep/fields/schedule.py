@@ -113,7 +113,7 @@ class Schedule:
 
     @property
     def environment_gradient_scale(self) -> float:
-        """Scale of F_e's gradients from pixels that see the object's sphere."""
+        """Scale of F_e's gradients from pixels that may show the object."""
         p = self.preset
         return p.environment_gradient_scale if self.fraction < p.environment_gradient_scale_until else 1.0
 

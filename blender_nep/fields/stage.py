@@ -111,7 +111,7 @@ class StageOne:
     def render_rays(self, rays: RayBundle, generator: torch.Generator | None, clear_rays: int = 0) -> Rendering:
         """Render rays [n] through both fields. The first `clear_rays` of them have a clear F_e in front of the object."""
         now = self.schedule
-        settings = RenderSettings(now.sharpness, now.samples, now.environment_gradient_scale)
+        settings = RenderSettings(now.sharpness, now.samples, now.environment_gradient_scale, object_is_known=now.from_hull)
         return self.renderer.render(rays, settings, generator, clear_rays)
 
     @torch.no_grad()

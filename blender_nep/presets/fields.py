@@ -39,8 +39,9 @@ class FieldsPreset:
     """Smallest contrast of a usable visual hull: mean silhouette value inside divided by that outside. With less, the SDF
     starts from a sphere. inf: always so (an ablation). The poorest hull that helped had 2.1."""
     environment_gradient_scale: float = 0.1
-    """Scale of F_e's gradients from pixels that see the object's sphere. With a small scale, the other pixels decide what
-    the surroundings are, before the object is known. 1: no scaling (an ablation)."""
+    """Scale of F_e's gradients from pixels that may show the object: those that it covers as it is now, if the SDF starts
+    from a hull, or else all that see its sphere. With a small scale, the other pixels decide what the surroundings are,
+    before the object is known. 1: no scaling (an ablation)."""
     environment_gradient_scale_until: float = 0.5
     """Fraction until which `environment_gradient_scale` holds."""
     object_rays: int = 6144

@@ -163,15 +163,17 @@ def test_without_decomposition_there_is_no_w_s():
     assert (fields.render(rays([0.0, 0.1]), SHARP, None).weight == 1).all()
 
 
-def test_the_gradient_scale_is_for_sphere_rays_and_no_radiance():
+@pytest.mark.parametrize("known", [False, True])
+def test_the_gradient_scale_is_for_rays_that_may_show_the_object(known):
+    """The object is a ball of radius 0.6. Radiance is not scaled."""
     found = {}
     for scale in (1.0, 0.25):
         for off_axis in (0.5, 0.8, 1.5):
-            fields = renderer(brief_preset())
-            out = fields.render(rays([off_axis]), replace(SHARP, environment_gradient_scale=scale), None)
+            fields, settings = renderer(brief_preset()), replace(SHARP, environment_gradient_scale=scale)
+            out = fields.render(rays([off_axis]), replace(settings, object_is_known=known), None)
             out.radiance.sum().backward()
             found[scale, off_axis] = out.radiance.detach(), fields.environment.raw.grad
-    for off_axis, share in ((0.5, 0.25), (0.8, 0.25), (1.5, 1.0)):
+    for off_axis, share in ((0.5, 0.25), (0.8, 1.0 if known else 0.25), (1.5, 1.0)):
         (full, gradient), (scaled, smaller) = found[1.0, off_axis], found[0.25, off_axis]
         torch.testing.assert_close(scaled, full)
         assert gradient.abs().max() > 0
