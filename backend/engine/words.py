@@ -205,7 +205,8 @@ MESSAGES = {
     "capture.sphere_at_edges": "{percent:.0f} % of the photos cut off a part of the object's sphere: if the bounds are not "
     "too large, step back, so that the photos show the whole object and its surroundings",
     "capture.on_turntable": "In {percent:.0f} % of the photos the surroundings stand still although the cameras differ: "
-    "taken as a turntable, on which the object turned",
+    "taken as a turntable, on which the object turned. If you walked around the object, choose No in Advanced > On a "
+    "Turntable",
     "capture.turntable_side": "The capture does not say how far the turntable had turned between the {rows} places of the "
     "camera: they are taken to be on the same side of the object",
     "capture.turntable_left_out": "{count} {count:photo|photos} left out, because the camera did not stand still for at "
@@ -407,8 +408,8 @@ ERRORS = {
     ),
     "capture.turntable_no_rows": (
         "The camera stood still in only {kept} of {photos} photos: they are not from a turntable",
-        "Photograph again with the camera on a tripod. If you walked around the object, correct the capture's file: it says "
-        "that the object turned.",
+        "If you walked around the object, choose No in Advanced > On a Turntable. Else photograph again with the camera on "
+        "a tripod.",
     ),
     "capture.turntable_row_moved": (
         "The camera did not stand still in a row of the turntable: {names}",
