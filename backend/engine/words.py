@@ -331,7 +331,8 @@ ERRORS = {
     ),
     "usage.cameras_exist": (
         "{folder} has cameras already",
-        "Use them, or press Find Cameras Again in Cameras and Bounds, which replaces them.",
+        "Use them, or press Find Cameras Again in Cameras and Bounds, which replaces them. To take other frames of a video, "
+        "choose the video again with Overwrite.",
     ),
     "usage.no_masks": ("Each photo needs a mask for this", "Put the masks into {folder}."),
     "unexpected.no_pyav": ("The installed engine cannot read videos", "Install the engine again in the preferences."),

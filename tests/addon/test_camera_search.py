@@ -263,6 +263,8 @@ def check_video(folder):
     assert settings.capture == str(folder / "films" / "walk")
     assert "5 of 6 photos were placed." in " ".join(panel(bpy, addon))
     fails(lambda: bpy.ops.nep.find_cameras_of_video(filepath=str(film)), "press Find Cameras Again")
+    assert bpy.ops.nep.find_cameras_of_video(filepath=str(film), overwrite=True) == {"FINISHED"}
+    assert "--overwrite" in json.loads((folder / "arguments.json").read_text())
 
 
 def test_a_folder_with_a_video_offers_the_search(folder):

@@ -9,8 +9,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from backend.engine.results import capture_contents
+from backend.engine.results.capture_contents import photo_count
 from benchmarks.scoring.cameras import errors
 from blender_nep import command_line
+from blender_nep.cameras.photo_folder import find_photos
 from blender_nep.cameras.structure_from_motion import Group, PlacedPhoto
 from blender_nep.cameras.video import kept_frames
 from blender_nep.capture import load_capture
@@ -84,6 +87,23 @@ def test_a_second_run_refuses_or_loses_nothing(film, tmp_path):
     assert {name: after[name] for name in before if name != "transforms.json"}.items() <= before.items()
     assert after["transforms.before.json"] == before["transforms.json"]
     assert {view.image_path.parent.name for view in load_capture(out).views} == {"images2"}
+
+
+def test_cameras_are_found_again_of_the_frames_taken_last(film, tmp_path):
+    out = tmp_path / "out"
+    assert run(film, out)[0] == 0 and run(film, out, frames=4, overwrite=True)[0] == 0
+    assert photo_count(out) == len(find_photos(out)) == 4, "the panel counts the same"
+    assert run(out, overwrite=True)[0] == 0
+    assert [view.image_path.parent.name for view in load_capture(out).views] == ["images2"] * 4
+    (out / "transforms.json").unlink()
+    assert photo_count(out) == len(find_photos(out)) == FRAMES
+
+
+@pytest.mark.parametrize("content", ["no JSON", "[]", '{"frames": 3}', '{"frames": [{"file_path": "../a/b.jpg"}]}'])
+def test_another_transforms_json_names_no_frames(tmp_path, content):
+    (tmp_path / "images2").mkdir()
+    (tmp_path / "transforms.json").write_text(content)
+    assert kept_frames.frames_folder(tmp_path) == tmp_path / "images" == capture_contents._frames_folder(tmp_path)
 
 
 def test_a_folder_with_one_video_and_no_photos(film, tmp_path):
