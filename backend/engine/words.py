@@ -346,9 +346,9 @@ ERRORS = {
         "Export them in another form, such as a COLMAP project, or press Find Cameras.",
     ),
     "capture.no_cameras": ("{folder} holds {photos} photos, but no cameras", "Press Find Cameras first."),
-    "capture.video": ("{folder} holds a video ({video}), but no photos", "Press Find Cameras first."),
+    "capture.video": ("{folder} holds a video ({video}), but no photos or too few", "Press Find Cameras first."),
     "capture.several_videos": (
-        "{folder} holds {videos} videos, and no photos",
+        "{folder} holds {videos} videos, and no photos or too few",
         "Press From a Video, and choose one of them.",
     ),
     "capture.video_unreadable": (

@@ -90,14 +90,6 @@ def find_photos(folder: Path, masked: bool = False) -> list[Photo]:
         raise CaptureError(
             message, "Change its permissions.", "capture.folder_unreadable", folder=folder, reason=reason
         ) from error
-    if not paths and (videos := videos_in(folder)):
-        raise CaptureError(
-            f"{folder} holds a video ({videos[0].name}), but no photos",
-            video_hint(videos),
-            "capture.video",
-            folder=folder,
-            video=videos[0].name,
-        )
     place, inside = photos_below(folder)
     if len(paths) < MINIMUM_VIEWS <= len(inside):
         raise CaptureError(
@@ -106,6 +98,14 @@ def find_photos(folder: Path, masked: bool = False) -> list[Photo]:
             "capture.photos_elsewhere",
             folder=place,
             photos=len(inside),
+        )
+    if len(paths) < MINIMUM_VIEWS and (videos := videos_in(folder)):
+        raise CaptureError(
+            f"{folder} holds a video ({videos[0].name}), but no photos or too few",
+            video_hint(videos),
+            "capture.video",
+            folder=folder,
+            video=videos[0].name,
         )
     if len(paths) < MINIMUM_VIEWS:
         allowed = ", ".join(suffix[1:] for suffix in SUFFIXES)

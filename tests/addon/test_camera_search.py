@@ -279,6 +279,10 @@ def check_video_folder(folder):
     settings.capture = str(films)
     texts = panel(bpy, addon)
     assert "A video, no photos yet" in texts and "nep.find_cameras" in texts and "This folder holds no photos" not in texts
+    (films / "walk.jpg").touch()
+    addon.capture_folder.forget_looks()
+    texts = panel(bpy, addon)
+    assert "A video, no photos yet" in texts and "nep.find_cameras" in texts, "a picture of the phone lies beside it"
     (films / "second.mov").touch()
     addon.capture_folder.forget_looks()
     texts = panel(bpy, addon)

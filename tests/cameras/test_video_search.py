@@ -18,6 +18,7 @@ from blender_nep.cameras.structure_from_motion import Group, PlacedPhoto
 from blender_nep.cameras.video import kept_frames
 from blender_nep.capture import load_capture
 from blender_nep.capture.camera_settings import expected_response
+from blender_nep.errors import CaptureError
 from blender_nep.job.commands import camera_search
 from blender_nep.job.commands.camera_search import CameraSearch
 from blender_nep.job.reporting.events import Events
@@ -109,6 +110,25 @@ def test_another_transforms_json_names_no_frames(tmp_path, content):
 def test_a_folder_with_one_video_and_no_photos(film, tmp_path):
     assert run(tmp_path)[0] == 0
     assert len(load_capture(tmp_path).views) == FRAMES and (tmp_path / "images").is_dir()
+
+
+@pytest.mark.parametrize("place", ["", "images"])
+def test_a_poster_beside_a_video_is_no_photo(film, tmp_path, place):
+    write_photos(tmp_path / place, 1)
+    code, events = run(tmp_path)
+    assert code == 0, events[-1]
+    assert one(events, "scene")["lines"][0]["values"]["video"] == "film.mp4"
+    views = load_capture(tmp_path).views
+    assert len(views) == FRAMES and {view.image_path.name[:6] for view in views} == {"frame_"}
+    assert run(tmp_path, overwrite=True)[0] == 0
+    assert [view.image_path for view in load_capture(tmp_path).views] == [view.image_path for view in views], "no new frames"
+
+
+def test_who_needs_photos_hears_of_the_video_beside_a_poster(film, tmp_path):
+    write_photos(tmp_path, 2)
+    with pytest.raises(CaptureError, match=r"film\.mp4") as refused:
+        find_photos(tmp_path)
+    assert refused.value.name == "capture.video"
 
 
 def test_a_folder_with_photos_is_not_one_of_videos(film, tmp_path):
