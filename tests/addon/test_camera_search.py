@@ -263,8 +263,13 @@ def check_video(folder):
     assert settings.capture == str(folder / "films" / "walk")
     assert "5 of 6 photos were placed." in " ".join(panel(bpy, addon))
     fails(lambda: bpy.ops.nep.find_cameras_of_video(filepath=str(film)), "press Find Cameras Again")
+    (folder / "films" / "walk" / "masks").mkdir()
+    (folder / "films" / "walk" / "masks" / "frame_0.png").touch()
+    addon.capture_folder.forget_looks()
+    settings.features = "object"
     assert bpy.ops.nep.find_cameras_of_video(filepath=str(film), overwrite=True) == {"FINISHED"}
-    assert "--overwrite" in json.loads((folder / "arguments.json").read_text())
+    given = json.loads((folder / "arguments.json").read_text())
+    assert "--overwrite" in given and "--features" not in given, "new frames have no masks yet"
 
 
 def test_a_folder_with_a_video_offers_the_search(folder):
