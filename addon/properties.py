@@ -26,6 +26,11 @@ METAL = (
     ("yes", "Metal", "All of the object is metal"),
     ("no", "Not Metal", "Paint, plastic, glaze, stone: no part of the object is metal"),
 )
+TURNTABLE = (  # the names are those of the engine's option --turntable
+    ("auto", "Automatic", "As the capture says, or as the photos show; a plain backdrop shows nothing"),
+    ("yes", "Yes", "The object turned while the camera and the light stood still"),
+    ("no", "No", "The object stood still while the camera moved"),
+)
 CLOSINGS = (
     ("STOP", "Stop and Keep the Checkpoint", "The job ends with Blender; Resume goes on from its checkpoint"),
     ("KEEP", "Keep Going", "The job goes on; it is found again when this file is opened"),
@@ -131,6 +136,12 @@ class NepSettings(bpy.types.PropertyGroup):
         name="Whole Object",
         description="Whether all of the object is metal, where you know it and the photos do not tell",
         items=METAL,
+        default="auto",
+    )
+    turntable: bpy.props.EnumProperty(
+        name="On a Turntable",
+        description="Whether the object turned on a turntable while the camera and the light stood still",
+        items=TURNTABLE,
         default="auto",
     )
     faces: bpy.props.IntProperty(

@@ -22,6 +22,7 @@ TEXTS = {
     "From the Photos": "Wie die Fotos sagen",
     "Metal": "Metall",
     "Not Metal": "Kein Metall",
+    "On a Turntable": "Auf einem Drehteller",
     "As Learned": "Wie gelernt",
     "Faces": "Flächen",
     "When Blender Closes": "Wenn Blender schließt",

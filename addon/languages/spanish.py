@@ -22,6 +22,7 @@ TEXTS = {
     "From the Photos": "Según las fotos",
     "Metal": "Metal",
     "Not Metal": "No es metal",
+    "On a Turntable": "En un plato giratorio",
     "As Learned": "Como se aprendió",
     "Faces": "Caras",
     "When Blender Closes": "Al cerrar Blender",

@@ -57,11 +57,14 @@ class CameraOperator(Asks):
         try:
             check_writable(folder if video is None else video.parent)
             python = find_engine_python(configured=engine_python(context))
+            holds = look_into(folder)
+            # what is found there now are no masks of frames that are yet to be taken
+            of_video = video is not None or (holds.videos > 0 and not holds.has_enough_photos)
             search = start_search(
                 python,
                 folder,
                 threads=settings.threads or None,
-                features=settings.features if look_into(folder).has_masks else "everywhere",
+                features=settings.features if holds.has_masks and not of_video else "everywhere",
                 replace=replace,
                 improve=improve,
                 video=video,

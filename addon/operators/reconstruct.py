@@ -147,6 +147,7 @@ class NEP_OT_reconstruct(Asks, bpy.types.Operator):
             seed=settings.seed,
             masks="use" if settings.use_masks else "ignore",
             metal=settings.metal,
+            turntable=settings.turntable,
             faces=(settings.faces or None) if not settings.mesh else None,
             mesh=bpy.path.abspath(settings.mesh) if settings.mesh else None,
             threads=settings.threads or None,

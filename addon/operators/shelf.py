@@ -114,6 +114,7 @@ class NEP_OT_reconstruct_shelf(Asks, bpy.types.Operator):
                 seed=settings.seed,
                 masks="use" if settings.use_masks else "ignore",
                 metal=settings.metal,
+                turntable=settings.turntable,
                 faces=settings.faces or None,
                 all_photos=settings.all_photos,
                 overwrite=self.overwrite,

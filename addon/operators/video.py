@@ -26,6 +26,12 @@ class NEP_OT_find_cameras_of_video(CameraOperator, bpy.types.Operator):
     frames: bpy.props.IntProperty(
         name="Frames", description="So many frames become photos at most", default=FRAMES, min=20, max=MOST_FRAMES
     )
+    overwrite: bpy.props.BoolProperty(
+        name="Overwrite",
+        description="Take frames again, and replace the cameras of those that were taken. The present frames, and a copy of "
+        "their cameras, stay in the folder",
+        options={"SKIP_SAVE"},
+    )
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
@@ -44,7 +50,7 @@ class NEP_OT_find_cameras_of_video(CameraOperator, bpy.types.Operator):
             self.report({"ERROR"}, "Choose a video")
             return {"CANCELLED"}
         context.scene.nep.capture = str(video.with_suffix(""))
-        return self._find(context, wait=not self.options.is_invoke, replace=False, video=video, frames=self.frames)
+        return self._find(context, wait=not self.options.is_invoke, replace=self.overwrite, video=video, frames=self.frames)
 
 
 CLASSES = (NEP_OT_find_cameras_of_video,)

@@ -38,7 +38,8 @@ def draw_camera_search(layout: bpy.types.UILayout, context: bpy.types.Context) -
     holds, search = last_look_into(folder), registry.ended(CameraSearch, folder)
     if holds.has_cameras:
         draw_wrapped(layout, context, contents_line(holds), "CHECKMARK")
-    if holds.lacks_cameras:
+    only_video = bool(holds.videos) and not holds.has_enough_photos and not holds.has_cameras
+    if holds.lacks_cameras and not only_video:
         box = layout.box()
         _draw_offer(box, context, holds)
         if search is not None and search.failed is not None:
@@ -52,7 +53,7 @@ def draw_camera_search(layout: bpy.types.UILayout, context: bpy.types.Context) -
             _draw_found(body.box(), context, search)
     elif not holds.photos and not holds.videos and not holds.has_cameras and os.path.isdir(folder):
         draw_wrapped(layout, context, NO_PHOTOS, "INFO")
-    if not holds.photos and not holds.has_cameras:
+    if only_video or (not holds.photos and not holds.has_cameras):
         draw_videos(layout, holds.videos)
 
 

@@ -67,7 +67,7 @@ def _draw_settings(layout: bpy.types.UILayout, context: bpy.types.Context) -> No
         column = body.column(align=True)
         column.label(text="When Blender closes:")
         column.prop(settings, "closing", text="")
-        for name in ("metal", "all_photos", "faces", "use_preview", "seed", "threads", "mesh"):
+        for name in ("metal", "turntable", "all_photos", "faces", "use_preview", "seed", "threads", "mesh"):
             draw_setting(body, context, settings, name)
 
 

@@ -205,7 +205,8 @@ MESSAGES = {
     "capture.sphere_at_edges": "{percent:.0f} % of the photos cut off a part of the object's sphere: if the bounds are not "
     "too large, step back, so that the photos show the whole object and its surroundings",
     "capture.on_turntable": "In {percent:.0f} % of the photos the surroundings stand still although the cameras differ: "
-    "taken as a turntable, on which the object turned",
+    "taken as a turntable, on which the object turned. If you walked around the object, choose No in Advanced > On a "
+    "Turntable",
     "capture.turntable_side": "The capture does not say how far the turntable had turned between the {rows} places of the "
     "camera: they are taken to be on the same side of the object",
     "capture.turntable_left_out": "{count} {count:photo|photos} left out, because the camera did not stand still for at "
@@ -330,7 +331,8 @@ ERRORS = {
     ),
     "usage.cameras_exist": (
         "{folder} has cameras already",
-        "Use them, or press Find Cameras Again in Cameras and Bounds, which replaces them.",
+        "Use them, or press Find Cameras Again in Cameras and Bounds, which replaces them. To take other frames of a video, "
+        "choose the video again with Overwrite.",
     ),
     "usage.no_masks": ("Each photo needs a mask for this", "Put the masks into {folder}."),
     "unexpected.no_pyav": ("The installed engine cannot read videos", "Install the engine again in the preferences."),
@@ -344,9 +346,9 @@ ERRORS = {
         "Export them in another form, such as a COLMAP project, or press Find Cameras.",
     ),
     "capture.no_cameras": ("{folder} holds {photos} photos, but no cameras", "Press Find Cameras first."),
-    "capture.video": ("{folder} holds a video ({video}), but no photos", "Press Find Cameras first."),
+    "capture.video": ("{folder} holds a video ({video}), but no photos or too few", "Press Find Cameras first."),
     "capture.several_videos": (
-        "{folder} holds {videos} videos, and no photos",
+        "{folder} holds {videos} videos, and no photos or too few",
         "Press From a Video, and choose one of them.",
     ),
     "capture.video_unreadable": (
@@ -407,8 +409,8 @@ ERRORS = {
     ),
     "capture.turntable_no_rows": (
         "The camera stood still in only {kept} of {photos} photos: they are not from a turntable",
-        "Photograph again with the camera on a tripod. If you walked around the object, correct the capture's file: it says "
-        "that the object turned.",
+        "If you walked around the object, choose No in Advanced > On a Turntable. Else photograph again with the camera on "
+        "a tripod.",
     ),
     "capture.turntable_row_moved": (
         "The camera did not stand still in a row of the turntable: {names}",

@@ -7,6 +7,7 @@ what a valid capture is. It is not used here, because Blender's Python cannot im
 import math
 import os
 from dataclasses import dataclass, field, replace
+from itertools import takewhile
 from pathlib import Path
 from typing import Any
 
@@ -86,14 +87,43 @@ def read_frames_of(capture: Path, asset: Path) -> list[Frame]:
     """The frames of the capture from which `asset` was made.
 
     The asset's cameras.json tells them as the engine has read them, whatever the form of the capture. Its photos must be
-    there. If the capture has been moved or has changed, its own transforms.json counts. Raises as `read_frames`.
+    there. If the capture has been moved or has changed, its own transforms.json counts. How the object of a turntable had
+    moved is then taken from cameras.json by the photo's name; photos that are not there are left out. Raises as
+    `read_frames`.
     """
-    if (Path(asset) / CAMERAS).is_file():
-        frames = read_frames(Path(asset).resolve(), CAMERAS)
-        own = (Path(capture) / "transforms.json").is_file()
-        if all(frame.path.is_file() and (own or _lies_in(frame.path, Path(capture))) for frame in frames):
-            return frames
-    return read_frames(capture)
+    if not (Path(asset) / CAMERAS).is_file():
+        return read_frames(capture)
+    frames = read_frames(Path(asset).resolve(), CAMERAS)
+    own = (Path(capture) / "transforms.json").is_file()
+    if all(frame.path.is_file() and (own or _lies_in(frame.path, Path(capture))) for frame in frames):
+        return frames
+    found = read_frames(capture)
+    return _with_motions(found, frames) if any(frame.object_to_room is not None for frame in frames) else found
+
+
+def _with_motions(frames: list[Frame], known: list[Frame]) -> list[Frame]:
+    """Those of `frames` whose photo is in `known`, with its motion. The photos may lie in another folder than then.
+
+    Raises ValueError where it is not clear which photo is which.
+    """
+    moved, taken = [], set()
+    for frame in frames:
+        alike = [_shared_end(frame.path, other.path) for other in known]
+        best = max(alike)
+        if best and (alike.count(best) > 1 or alike.index(best) in taken):
+            raise ValueError(f"the asset has several photos {frame.path.name}. Put the photos back where they were")
+        if best:
+            taken.add(alike.index(best))
+            moved.append(replace(frame, object_to_room=known[alike.index(best)].object_to_room))
+    if not moved:
+        raise ValueError("the asset was made from photos of other names. Put them back, or reconstruct the object again")
+    return moved
+
+
+def _shared_end(one: Path, other: Path) -> int:
+    """How many names at the end of two paths are the same. Endings do not count: a photo may have been converted."""
+    pairs = zip(reversed(one.with_suffix("").parts), reversed(other.with_suffix("").parts), strict=False)
+    return sum(1 for _ in takewhile(lambda pair: pair[0] == pair[1], pairs))
 
 
 def _lies_in(path: Path, folder: Path) -> bool:

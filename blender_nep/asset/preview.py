@@ -40,6 +40,8 @@ class PreviewView:
     """[h w, 3] unit vectors"""
     response: dict[str, float] | None = None
     """The camera's response curve (`ResponseCurve.state`), which the photo has and the asset has not"""
+    to_room: np.ndarray | None = None
+    """[3, 3] the rotation from the object's frame to the room's, where the light stands; None if the object stood still"""
 
     def check(self) -> None:
         """Raises ValueError unless the arrays fit each other."""
@@ -48,6 +50,8 @@ class PreviewView:
         check_array("directions", self.directions, (self.photo.shape[0] * self.photo.shape[1], 3))
         if self.response is not None:
             ResponseCurve.from_state(self.response)
+        if self.to_room is not None:
+            check_array("to_room", self.to_room, (3, 3))
 
     @classmethod
     def best(cls, rays: PixelRays, surface: Surface, response: ResponseCurve | None = None) -> PreviewView:
@@ -56,12 +60,14 @@ class PreviewView:
         index = torch.arange(rays.offset[view], rays.offset[view + 1], device=rays.valid.device)
         origins, directions, _ = (t.cpu().numpy() for t in rays.rays(index))
         photo = rays.photo(index).cpu().numpy().reshape(*rays.size[view], 3)
-        return cls(photo, origins[0], directions, None if response is None else response.state())
+        curve = None if response is None else response.state()
+        to_room = None if rays.turntable is None else rays.turntable.rotation[view].cpu().numpy()
+        return cls(photo, origins[0], directions, curve, to_room)
 
     def render(self, surface: Surface, textures: dict[str, np.ndarray], light: np.ndarray) -> np.ndarray:
         """A picture [h, 2 w, 3] uint8 sRGB: the photo on the left, the asset on the right.
 
-        `textures` are [S, S] or [S, S, 3]; `light` [H, 2H, 3] is linear radiance.
+        `textures` are [S, S] or [S, S, 3]; `light` [H, 2H, 3] is linear radiance in the room's frame.
         """
         tracer, lamps = RayTracer(surface.vertices, surface.faces), Pyramid.of(light)
         parts = (self._radiance(directions, tracer, surface, textures, lamps) for directions in self._through_pixels())
@@ -91,15 +97,20 @@ class PreviewView:
         """Radiance [n, 3] that the camera sees in unit directions [n, 3]: the asset in front of its light."""
         distance, face, barycentric = tracer.intersect(np.broadcast_to(self.origin, directions.shape), directions)
         hit = np.flatnonzero(np.isfinite(distance))
-        radiance = lamps.lookup(directions, np.zeros(len(directions)))
+        radiance = lamps.lookup(self._in_room(directions), np.zeros(len(directions)))
         if len(hit):
             corners = np.asarray(surface.faces)[face[hit]]
             weights = barycentric[hit][..., None]
             normal = (np.asarray(surface.normals)[corners] * weights).sum(1)
             normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-9)
             uv = (surface.atlas[corners] * weights).sum(1)
-            radiance[hit] = shade(normal, -directions[hit], {k: look_up(t, uv) for k, t in textures.items()}, lamps)
+            material = {k: look_up(t, uv) for k, t in textures.items()}
+            radiance[hit] = shade(self._in_room(normal), -self._in_room(directions[hit]), material, lamps)
         return radiance
+
+    def _in_room(self, directions: np.ndarray) -> np.ndarray:
+        """Directions [n, 3] of the object's frame in the room's."""
+        return directions if self.to_room is None else directions @ self.to_room.T
 
 
 def exposure(photo: np.ndarray) -> float:

@@ -9,6 +9,7 @@ import numpy as np
 from PIL import Image
 
 from blender_nep.cameras.reduction import Reduction
+from blender_nep.cameras.video.kept_frames import frames_folder
 from blender_nep.capture.capture import Capture
 from blender_nep.capture.description import check_number
 from blender_nep.capture.formats.mask_search import find_masks, masks_beside
@@ -70,6 +71,8 @@ class Photo:
 def find_photos(folder: Path, masked: bool = False) -> list[Photo]:
     """The photos in `folder`, or in its folder `images`, sorted by name, with their masks (capture/formats/mask_search.py).
 
+    If frames of a video were taken again, those count that transforms.json names (`frames_folder`).
+
     A file that is no photo is passed over if its ending is none of a photo. Raises CaptureError if the folder is missing, if
     a photo cannot be read, or if there are too few photos. A mask that cannot be read, or has not its photo's size, is left
     out; where masks are wanted (`masked`), it raises CaptureError, too.
@@ -78,22 +81,15 @@ def find_photos(folder: Path, masked: bool = False) -> list[Photo]:
         raise CaptureError(f"there is no folder {folder}", "Check the path of the folder with photos.", "capture.no_folder")
     try:
         paths = _photo_files(folder)
-        if len(paths) < MINIMUM_VIEWS and (folder / "images").is_dir():  # a picture may lie beside the folder of photos
-            paths = _photo_files(folder / "images") or paths
+        inner = frames_folder(folder)
+        if len(paths) < MINIMUM_VIEWS and inner.is_dir():  # a picture may lie beside the folder of photos
+            paths = _photo_files(inner) or paths
     except OSError as error:
         reason = error.strerror or str(error)
         message = f"{folder} cannot be read ({reason})"
         raise CaptureError(
             message, "Change its permissions.", "capture.folder_unreadable", folder=folder, reason=reason
         ) from error
-    if not paths and (videos := videos_in(folder)):
-        raise CaptureError(
-            f"{folder} holds a video ({videos[0].name}), but no photos",
-            video_hint(videos),
-            "capture.video",
-            folder=folder,
-            video=videos[0].name,
-        )
     place, inside = photos_below(folder)
     if len(paths) < MINIMUM_VIEWS <= len(inside):
         raise CaptureError(
@@ -102,6 +98,14 @@ def find_photos(folder: Path, masked: bool = False) -> list[Photo]:
             "capture.photos_elsewhere",
             folder=place,
             photos=len(inside),
+        )
+    if len(paths) < MINIMUM_VIEWS and (videos := videos_in(folder)):
+        raise CaptureError(
+            f"{folder} holds a video ({videos[0].name}), but no photos or too few",
+            video_hint(videos),
+            "capture.video",
+            folder=folder,
+            video=videos[0].name,
         )
     if len(paths) < MINIMUM_VIEWS:
         allowed = ", ".join(suffix[1:] for suffix in SUFFIXES)

@@ -263,6 +263,13 @@ def check_video(folder):
     assert settings.capture == str(folder / "films" / "walk")
     assert "5 of 6 photos were placed." in " ".join(panel(bpy, addon))
     fails(lambda: bpy.ops.nep.find_cameras_of_video(filepath=str(film)), "press Find Cameras Again")
+    (folder / "films" / "walk" / "masks").mkdir()
+    (folder / "films" / "walk" / "masks" / "frame_0.png").touch()
+    addon.capture_folder.forget_looks()
+    settings.features = "object"
+    assert bpy.ops.nep.find_cameras_of_video(filepath=str(film), overwrite=True) == {"FINISHED"}
+    given = json.loads((folder / "arguments.json").read_text())
+    assert "--overwrite" in given and "--features" not in given, "new frames have no masks yet"
 
 
 def test_a_folder_with_a_video_offers_the_search(folder):
@@ -277,6 +284,10 @@ def check_video_folder(folder):
     settings.capture = str(films)
     texts = panel(bpy, addon)
     assert "A video, no photos yet" in texts and "nep.find_cameras" in texts and "This folder holds no photos" not in texts
+    (films / "walk.jpg").touch()
+    addon.capture_folder.forget_looks()
+    texts = panel(bpy, addon)
+    assert "A video, no photos yet" in texts and "nep.find_cameras" in texts, "a picture of the phone lies beside it"
     (films / "second.mov").touch()
     addon.capture_folder.forget_looks()
     texts = panel(bpy, addon)

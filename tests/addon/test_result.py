@@ -4,6 +4,9 @@ import shutil
 import sys
 from pathlib import Path
 
+import numpy as np
+from PIL import Image
+
 from support import correcting_engine
 from support.blender_checks import drawn_by, fails, register, told_in
 from support.own_process import in_blender
@@ -145,10 +148,34 @@ def check_relink(bpy, addon, folder):
         assert addon.folders.resolve_folder(settings.output) == folder / "renamed"
         image = item.data.materials[0].node_tree.nodes["albedo"].image
         assert Path(image.filepath) == folder / "renamed" / "textures" / "albedo.png" and image.pixels[0] > 0
-        assert addon.scene.imported_materials.reload_result(folder / "renamed") >= 4
-        (folder / "renamed").rename(folder / "asset")
+        check_pixels_after_relink(bpy, addon, item, folder)
         bpy.ops.wm.read_factory_settings(use_empty=True)
         scene, settings = bpy.context.scene, bpy.context.scene.nep
+
+
+def check_pixels_after_relink(bpy, addon, item, folder):
+    """Images show the files of the folder's new place: after a correction there, and if the next place has others."""
+    nodes = item.data.materials[0].node_tree.nodes
+    texture, metallic = nodes["roughness"].image, nodes["metallic"].image
+    whole = [(folder / "renamed" / "textures" / f"{name}.png").read_bytes() for name in ("roughness", "metallic")]
+    write_gray(folder / "renamed", "roughness", 120)
+    assert addon.scene.imported_materials.reload_result(folder / "renamed") >= 4
+    assert round(255 * texture.pixels[0]) == 120
+    metallic.pixels = [0.1] * len(metallic.pixels)
+    (folder / "renamed").rename(folder / "asset")
+    write_gray(folder / "asset", "roughness", 200)
+    write_gray(folder / "asset", "metallic", 200)
+    assert bpy.ops.nep.relink_result(directory=str(folder / "asset")) == {"FINISHED"}
+    assert round(255 * texture.pixels[0]) == 200, "it was corrected before the new place was known"
+    assert abs(metallic.pixels[0] - 0.1) < 0.01 and metallic.is_dirty, "the artist has painted on it"
+    if texture.packed_file is not None:
+        assert texture.packed_file.data == (folder / "asset" / "textures" / "roughness.png").read_bytes()
+    for name, content in zip(("roughness", "metallic"), whole, strict=True):
+        (folder / "asset" / "textures" / f"{name}.png").write_bytes(content)
+
+
+def write_gray(asset, texture, value):
+    Image.fromarray(np.full((8, 8, 3), value, np.uint8)).save(asset / "textures" / f"{texture}.png")
 
 
 def check_export(bpy, addon, folder):

@@ -271,6 +271,8 @@ def check_forgotten_options(folder):
     whole = operators.reconstruct_arguments
     operators.reconstruct_arguments = lambda *a, **k: begun.append(whole(*a, **k)) or begun[-1]
 
+    bpy.context.scene.nep.turntable = "no"
+
     def press(**options):
         """As a button does: Blender then remembers the options of an operator."""
         assert bpy.ops.nep.reconstruct("EXEC_DEFAULT", True, **options) == {"FINISHED"}
@@ -282,6 +284,7 @@ def check_forgotten_options(folder):
     assert press(overwrite=True) == {"--overwrite"}
     bpy.context.scene.nep.output = str(folder / "another")
     assert press() == set()
+    assert begun[-1][begun[-1].index("--turntable") + 1] == "no", "a setting of the scene is handed on"
     check_double_click(addon)
 
 

@@ -63,11 +63,12 @@ def check_shelf(folder):
     for name in ("ant", "bad_bee", "no"):
         bpy.ops.nep.add_shelf_captures(directory=str(folder / name))
     assert bpy.ops.nep.remove_shelf_captures(index=2) == {"FINISHED"} and len(settings.shelf_captures) == 2
-    settings.preset, settings.metal = "preview", "yes"
+    settings.preset, settings.metal, settings.turntable = "preview", "yes", "no"
     fails(bpy.ops.nep.reconstruct_shelf, "Some objects failed: bad_bee")
     given = json.loads((folder / "arguments.json").read_text())
     assert given[:2] == [str(folder / "ant"), str(folder / "bad_bee")] and "--watch-stdin" in given
     assert given[given.index("--preset") + 1] == "preview" and given[given.index("--metal") + 1] == "yes"
+    assert given[given.index("--turntable") + 1] == "no"
     texts = panel(bpy, addon)
     told = " ".join(texts)
     assert "1 of 2 done, 1 failed" in texts and "The photos are no good. Take others." in told and "New objects: 1" in texts

@@ -7,6 +7,7 @@ import json
 import numpy as np
 import OpenEXR
 import pytest
+import torch
 import trimesh
 from PIL import Image
 
@@ -14,6 +15,7 @@ from blender_nep.asset import export as asset
 from blender_nep.asset import preview
 from blender_nep.asset.preview import PreviewView, Pyramid, shade
 from blender_nep.capture import PixelRays, load_capture
+from blender_nep.capture.rays.rigid_motions import RigidMotions
 from blender_nep.color import srgb_to_linear
 from blender_nep.errors import OutputError
 from blender_nep.job.stages import AssetInput, AssetStage, SurfaceResult, SurfaceStage
@@ -232,6 +234,34 @@ def test_a_preview_may_have_one_row_of_pixels():
     assert picture.shape == (1, 6, 3)
     np.testing.assert_array_equal(picture[0, 3], picture[0, 5])
     assert (picture[0, 4] != picture[0, 3]).any(), "the ball stands in the middle"
+
+
+def test_the_preview_of_a_turned_object_has_the_still_light():
+    """The other way to it: the object stands still, and the light map is turned back by the same quarter."""
+    y, x = ((np.mgrid[:24, :24] + 0.5) / 24 - 0.5) * 1.6
+    directions = np.stack([-np.ones_like(x), x, -y], -1)
+    directions /= np.linalg.norm(directions, axis=-1, keepdims=True)
+    photo, origin = np.full((24, 24, 3), 0.8, np.float32), np.array([2.0, 0, 0])
+    light = np.random.default_rng(0).uniform(0.1, 0.8, (8, 16, 3)).astype(np.float32)
+    quarter = np.array([[0, -1.0, 0], [1, 0, 0], [0, 0, 1]])  # to the left, which are 4 of the map's 16 columns
+
+    def render(light, to_room=None):
+        view = PreviewView(photo, origin, directions.reshape(-1, 3), to_room=to_room)
+        view.check()
+        return view.render(ball_surface(), ball_textures(), light).astype(int)
+
+    turned = render(light, quarter)
+    assert np.abs(turned - render(np.roll(light, 4, axis=1))).max() <= 1
+    assert np.abs(turned - render(light))[:, 24:].mean() > 5, "the test would see a light that turns with the object"
+
+
+def test_the_view_of_the_preview_knows_how_the_object_stood(make_capture):
+    rays = PixelRays.from_capture(load_capture(make_capture(masks=True).folder), 10**6, use_masks=True)
+    assert PreviewView.best(rays, ball_surface()).to_room is None
+    turns = torch.stack([(n + 1.0) * torch.eye(3) for n in range(rays.views)])
+    view = PreviewView.best(rays.with_turntable(RigidMotions(turns, torch.zeros(rays.views, 3))), ball_surface())
+    shown = next(n for n in range(rays.views) if np.array_equal(rays.camera(n)[0].numpy(), view.origin))
+    np.testing.assert_array_equal(view.to_room, turns[shown].numpy())
 
 
 def test_preview_light_of_one_color_shades_in_closed_form():

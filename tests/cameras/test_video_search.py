@@ -9,12 +9,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from backend.engine.results import capture_contents
+from backend.engine.results.capture_contents import photo_count
 from benchmarks.scoring.cameras import errors
 from blender_nep import command_line
+from blender_nep.cameras.photo_folder import find_photos
 from blender_nep.cameras.structure_from_motion import Group, PlacedPhoto
 from blender_nep.cameras.video import kept_frames
 from blender_nep.capture import load_capture
 from blender_nep.capture.camera_settings import expected_response
+from blender_nep.errors import CaptureError
 from blender_nep.job.commands import camera_search
 from blender_nep.job.commands.camera_search import CameraSearch
 from blender_nep.job.reporting.events import Events
@@ -86,9 +90,45 @@ def test_a_second_run_refuses_or_loses_nothing(film, tmp_path):
     assert {view.image_path.parent.name for view in load_capture(out).views} == {"images2"}
 
 
+def test_cameras_are_found_again_of_the_frames_taken_last(film, tmp_path):
+    out = tmp_path / "out"
+    assert run(film, out)[0] == 0 and run(film, out, frames=4, overwrite=True)[0] == 0
+    assert photo_count(out) == len(find_photos(out)) == 4, "the panel counts the same"
+    assert run(out, overwrite=True)[0] == 0
+    assert [view.image_path.parent.name for view in load_capture(out).views] == ["images2"] * 4
+    (out / "transforms.json").unlink()
+    assert photo_count(out) == len(find_photos(out)) == FRAMES
+
+
+@pytest.mark.parametrize("content", ["no JSON", "[]", '{"frames": 3}', '{"frames": [{"file_path": "../a/b.jpg"}]}'])
+def test_another_transforms_json_names_no_frames(tmp_path, content):
+    (tmp_path / "images2").mkdir()
+    (tmp_path / "transforms.json").write_text(content)
+    assert kept_frames.frames_folder(tmp_path) == tmp_path / "images" == capture_contents._frames_folder(tmp_path)
+
+
 def test_a_folder_with_one_video_and_no_photos(film, tmp_path):
     assert run(tmp_path)[0] == 0
     assert len(load_capture(tmp_path).views) == FRAMES and (tmp_path / "images").is_dir()
+
+
+@pytest.mark.parametrize("place", ["", "images"])
+def test_a_poster_beside_a_video_is_no_photo(film, tmp_path, place):
+    write_photos(tmp_path / place, 1)
+    code, events = run(tmp_path)
+    assert code == 0, events[-1]
+    assert one(events, "scene")["lines"][0]["values"]["video"] == "film.mp4"
+    views = load_capture(tmp_path).views
+    assert len(views) == FRAMES and {view.image_path.name[:6] for view in views} == {"frame_"}
+    assert run(tmp_path, overwrite=True)[0] == 0
+    assert [view.image_path for view in load_capture(tmp_path).views] == [view.image_path for view in views], "no new frames"
+
+
+def test_who_needs_photos_hears_of_the_video_beside_a_poster(film, tmp_path):
+    write_photos(tmp_path, 2)
+    with pytest.raises(CaptureError, match=r"film\.mp4") as refused:
+        find_photos(tmp_path)
+    assert refused.value.name == "capture.video"
 
 
 def test_a_folder_with_photos_is_not_one_of_videos(film, tmp_path):

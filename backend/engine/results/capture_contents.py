@@ -9,11 +9,11 @@ import os
 import re
 import sys
 from itertools import islice
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import Any
 from xml.etree import ElementTree
 
-from ...plain_files import open_plain
+from ...plain_files import open_plain, read_json
 
 LEAST_PHOTOS = 3
 """The engine finds no cameras of fewer photos."""
@@ -25,6 +25,7 @@ OTHER_ENDINGS = (
 """A photo with such an ending does not count beside a photo with the same name and a plain ending."""
 VIDEO_ENDINGS = (".mp4", ".mov", ".m4v", ".avi", ".mkv", ".webm", ".mts", ".m2ts", ".3gp", ".insv", ".360", ".wmv")
 TRANSFORMS = "transforms.json"
+_IMAGES = "images"
 _FILES = (TRANSFORMS, "transforms_train.json", "poses_bounds.npy", "cameras_sphere.npz", "cameras.npz")
 _MASK_BESIDE = re.compile(r"(.+)[._-]masks?", re.IGNORECASE)
 """The stem of a mask beside its photo, as blender_nep/capture/formats/mask_search.py has it"""
@@ -68,8 +69,24 @@ _RECORD3D = ("metadata.json", '"poses"')
 
 
 def photo_count(folder: Path) -> int:
-    """Number of photos in the folder, or else in its folder `images`; 0 where the folder cannot be read."""
-    return _count(folder) or _count(folder / "images")
+    """Number of photos in the folder, or else in its folder `images`; 0 where the folder cannot be read.
+
+    If frames of a video were taken again, those count that transforms.json names.
+    """
+    return _count(folder) or _count(_frames_folder(folder))
+
+
+def _frames_folder(folder: Path) -> Path:
+    """`images`, or `images2` and so on, as `frames_folder` of blender_nep/cameras/video/kept_frames.py finds it."""
+    if not (folder / f"{_IMAGES}2").is_dir():  # transforms.json is read only where that may change the answer
+        return folder / _IMAGES
+    try:
+        frames = read_json(folder / TRANSFORMS)["frames"]
+        named = {PurePosixPath(frame["file_path"]).parent.as_posix() for frame in frames}
+    except (OSError, ValueError, KeyError, TypeError):
+        return folder / _IMAGES
+    name = named.pop() if len(named) == 1 else _IMAGES
+    return folder / (name if re.fullmatch(rf"{_IMAGES}\d*", name) and (folder / name).is_dir() else _IMAGES)
 
 
 def video_count(folder: Path) -> int:

@@ -109,18 +109,28 @@ def reload_textures(folder: Path) -> int:
         if _path_key(path) not in files and known and _path_key(known) in files and image.library is None:
             path = image.filepath = known
         if image.source == "FILE" and _path_key(path) in files and os.path.isfile(path):
-            image.reload()
-            image.update_tag()  # viewports that render show the new pixels
+            _read_again(image, path)
             if known:
                 image[STATE_OF_FILE] = _state_of_file(path)
             count += 1
     return count
 
 
+def _read_again(image: bpy.types.Image, path: Path | str) -> None:
+    """Read the pixels of an image from `path`, which is its own path. What was painted on it is gone."""
+    if image.is_dirty:
+        image.reload()  # else `pack` would pack what was painted
+    if image.packed_file is not None and image.library is None and os.access(path, os.R_OK):
+        image.pack()  # Blender's `reload` packs the file from which the image was packed before: it may lie elsewhere now
+    image.reload()
+    image.update_tag()  # viewports that render show the new pixels
+
+
 def move_images(old: Path, new: Path) -> None:
     """Let the images of the asset `old` show the files of the asset `new`, which is the same one under another name.
 
-    Packed images are packed again. Meshes, materials and Worlds are marked with the new folder.
+    The images are read again, and packed ones are packed again: the asset may have been corrected since. An image on which
+    the artist has painted keeps its pixels. Meshes, materials and Worlds are marked with the new folder.
     """
     for kind in (bpy.data.meshes, bpy.data.materials, bpy.data.worlds):
         for block in kind:
@@ -131,8 +141,17 @@ def move_images(old: Path, new: Path) -> None:
         if image.library is None and known and _path_key(known).startswith(_path_key(old) + os.sep):
             path = Path(new) / os.path.relpath(known, old)
             if path.is_file():
-                image.filepath = relative_path(path) if bpy.data.is_saved else str(path)
-                image[FILE_OF_TEXTURE], image[STATE_OF_FILE] = os.path.abspath(path), _state_of_file(path)
+                image.filepath_raw = relative_path(path) if bpy.data.is_saved else str(path)  # `filepath` would read it
+                image[FILE_OF_TEXTURE] = os.path.abspath(path)
+                if not _is_painted(image):
+                    _read_again(image, path)
+                    image[STATE_OF_FILE] = _state_of_file(path)
+
+
+def _is_painted(image: bpy.types.Image) -> bool:
+    """Whether the image has other pixels than the file had when it was read."""
+    size = str(image.get(STATE_OF_FILE, "")).split(" ")[-1]
+    return image.is_dirty or (image.packed_file is not None and str(image.packed_file.size) != size)
 
 
 def remove_leftovers(folder: Path) -> None:

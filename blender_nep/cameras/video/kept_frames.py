@@ -1,13 +1,16 @@
-"""Puts the frames of a video into the capture that is written."""
+"""Puts the frames of a video into the capture that is written, and finds them there again."""
 
 from __future__ import annotations
 
 import itertools
 import os
+import re
 import shutil
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 
+from blender_nep.capture.formats import transforms
 from blender_nep.files import output_errors
+from blender_nep.safety.plain_files import read_json
 
 FOLDER = "images"
 """The folder of the frames in the capture"""
@@ -31,3 +34,17 @@ def keep_frames(frames: Path, capture: Path) -> Path:
         finally:
             shutil.rmtree(temporary, ignore_errors=True)
     return kept
+
+
+def frames_folder(capture: Path) -> Path:
+    """The folder of the frames in the folder `capture`: `images`, or `images2` and so on, where its transforms.json says so.
+
+    It says so if it names photos of that folder alone, and if the folder is there.
+    """
+    try:
+        frames = read_json(capture / transforms.FILE)["frames"]
+        named = {PurePosixPath(frame["file_path"]).parent.as_posix() for frame in frames}
+    except (OSError, ValueError, KeyError, TypeError):  # no transforms.json, or none of the usual form
+        return capture / FOLDER
+    name = named.pop() if len(named) == 1 else FOLDER
+    return capture / (name if re.fullmatch(rf"{FOLDER}\d*", name) and (capture / name).is_dir() else FOLDER)

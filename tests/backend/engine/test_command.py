@@ -51,6 +51,7 @@ def test_the_engine_understands_every_argument():
             seed=3,
             masks="ignore",
             metal="no",
+            turntable="yes",
             faces=5000,
             threads=2,
             resume=True,
@@ -59,7 +60,7 @@ def test_the_engine_understands_every_argument():
         )
     )
     assert (found.preset, found.device, found.seed, found.masks, found.metal) == ("quality", "cpu", 3, "ignore", "no")
-    assert found.faces == 5000 and found.threads == 2
+    assert found.faces == 5000 and found.threads == 2 and found.turntable == "yes"
     assert found.resume and found.overwrite and found.preview and found.watch_stdin and found.job_files
     known = command_line.parser().parse_args(reconstruct_arguments("/photos", "/out", mesh="/known.obj"))
     assert str(known.mesh) == "/known.obj" and known.faces is None
