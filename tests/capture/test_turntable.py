@@ -93,6 +93,20 @@ def test_a_walk_by_hand_has_no_rows():
     assert rows is None or (rows >= 0).mean() < 0.3
 
 
+@pytest.mark.parametrize(("count", "arc", "jitter"), [(24, 60, 0.03), (48, 360, 0.02), (80, 200, 0.02), (80, 360, 0.01)])
+def test_a_careful_walk_by_hand_is_refused(make_capture, count, arc, jitter):
+    """Each photo is near another one of the walk, but the camera did not stand still."""
+    rng = np.random.default_rng(count)
+    poses = []
+    for azimuth in np.linspace(0, arc, count):
+        pose = camera(azimuth, 25 + np.degrees(rng.normal(0, jitter)), 4 * (1 + rng.normal(0, jitter)))
+        pose[:3, :3] = pose[:3, :3] @ rotation(rng.normal(0, jitter, 3))
+        poses.append(pose)
+    with pytest.raises(CaptureError) as refused:
+        on_turntable(load_capture(write(make_capture, np.stack(poses), turntable=True)))
+    assert refused.value.name == "capture.turntable_no_rows"
+
+
 @pytest.mark.parametrize("told", [True, False], ids=["rows told", "rows found"])
 def test_how_the_object_stood_is_found(make_capture, told):
     motions, poses = photographed(TWO_ROWS)
