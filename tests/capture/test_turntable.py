@@ -177,6 +177,8 @@ def test_a_row_whose_camera_moved_is_refused(make_capture):
         (True, {"row": 1.5}, "row is 1.5"),
         (True, {"turn": "x"}, "turn is 'x'"),
         (True, {"turn": float("nan")}, "turn is nan"),
+        (None, {"turn": "x"}, "turn is 'x'"),
+        (None, {"row": 0}, "001.exr has no row"),
         (True, {"row": 0}, "001.exr has no row"),
         (True, {"turn": 10}, "001.exr has no turn"),
     ],
@@ -189,5 +191,17 @@ def test_nonsense_in_the_file_is_told(make_capture, top, frame, message):
 
 def test_without_a_turntable_the_keys_of_frames_mean_nothing(make_capture):
     _, poses = photographed(TWO_ROWS[:1])
-    capture = load_capture(write(make_capture, poses, [{"row": "a", "turn": "b"}] * 18))
-    assert capture.turntable is None and all(view.row is None and view.turn is None for view in capture.views)
+    capture = load_capture(write(make_capture, poses, [{"row": "a", "turn": "b"}] * 18, turntable=False))
+    assert capture.turntable is False and all(view.row is None and view.turn is None for view in capture.views)
+
+
+def test_rows_and_turns_are_read_before_it_is_known_to_be_one(make_capture):
+    """`--turntable yes` and the photos may say so later."""
+    motions, poses = photographed(((camera(10, 15), range(0, 360, 20)), (camera(75, 40), range(70, 430, 30))))
+    frames = [{"row": 0, "turn": angle} for angle in range(0, 360, 20)]
+    frames += [{"row": 1, "turn": angle} for angle in range(70, 430, 30)]
+    capture = load_capture(write(make_capture, poses, frames))
+    found = on_turntable(capture)
+    assert capture.turntable is None and found.rows == 2 and found.angles_known
+    degrees, _ = error(np.stack([view.in_room for view in found.capture.views]), motions)
+    assert degrees < 1e-3
