@@ -112,6 +112,7 @@ def _cameras(options: argparse.Namespace) -> int:
             options.overwrite,
             options.threads,
             options.frames,
+            None if options.turntable == "auto" else options.turntable == "yes",
         )
         return camera_search.run(wanted, events, stop)
 

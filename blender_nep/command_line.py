@@ -131,6 +131,7 @@ def _add_cameras(commands: argparse._SubParsersAction) -> None:
         default="everywhere",
         help="where to look for points, if PHOTOS/masks shows the object: on a turntable, only on the object (%(default)s)",
     )
+    _add_turntable(find)
     find.add_argument(
         "--improve", action="store_true", help="PHOTOS has cameras: improve them by the photos, in the same frame"
     )
