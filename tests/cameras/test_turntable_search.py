@@ -7,10 +7,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import torch
 from PIL import Image
 from scipy.spatial.transform import Rotation
 
 from benchmarks.scoring.cameras import errors
+from blender_nep.cameras import object_sphere
 from blender_nep.cameras.found_cameras import FoundCameras
 from blender_nep.cameras.improved_cameras import ImprovedCameras
 from blender_nep.cameras.photo_folder import find_photos
@@ -214,3 +216,24 @@ def test_improved_cameras_keep_what_the_file_tells(turned, tmp_path, monkeypatch
     expected = [(None, None) if turntable is False else (number % 2, 15.0 * number) for number in range(COUNT)]
     assert [(frame.get("row"), frame.get("turn")) for frame in frames] == expected
     assert (asked["moving"] is None) == (turntable is not True)
+
+
+@pytest.mark.parametrize(("change", "fits"), [(list, True), (shaken, False)], ids=["turntable", "walk"])
+def test_the_search_for_the_sphere_knows_the_turns(turned, tmp_path, monkeypatch, change, fits):
+    """Cameras that do not fit a turntable are searched as those of a walk."""
+    placed = [PlacedPhoto(*one, 0, 0.0) for one in zip(find_photos(turned[0]), change(turned[1]), strict=True)]
+    write_capture(FoundCameras(placed, np.zeros((0, 3)), [], printed_turntable.CENTER, 1.5, True), tmp_path / "out")
+    seen = []
+
+    def look(rays):
+        seen.append(rays.turntable)
+        raise Stopped("stopped")
+
+    monkeypatch.setattr(object_sphere.Scene, "of", look)
+    with pytest.raises(Stopped):
+        object_sphere.find_object_sphere(load_capture(tmp_path / "out", use_masks=False))
+    assert (seen[0] is not None) == fits
+    if fits:
+        places = np.stack([camera.position for camera in turned[1]])
+        in_room = seen[0].points(torch.tensor((places - printed_turntable.CENTER) / 1.5, dtype=torch.float32))
+        assert np.allclose(in_room, in_room[0], atol=1e-4), "the camera stood still"
