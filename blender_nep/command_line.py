@@ -80,6 +80,7 @@ def _add_info(commands: argparse._SubParsersAction) -> None:
     _add_capture(info)
     info.add_argument("--json", action="store_true", help="as one JSON object")
     _add_masks(info)
+    _add_turntable(info)
     _add_sphere(info)
     info.add_argument(
         "--picture",

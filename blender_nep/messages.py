@@ -313,6 +313,8 @@ WORDS: dict[str, str] = {
     "taken as a turntable, on which the object turned. If you walked around the object, give --turntable no",
     "capture.turntable_side": "the capture does not say how far the turntable had turned between the {rows} places of the "
     "camera: they are taken to be on the same side of the object. If they were not, tell 'turn' in transforms.json",
+    "capture.turntable_unfit": "the cameras do not fit a turntable, so a job would end: {reason}. If you walked around the "
+    "object, give --turntable no",
     "capture.turntable_left_out": "{count} {count:photo|photos} left out, because the camera did not stand still for at "
     "least 3 photos: {names}",
     "capture.highlights_clipped": "8-bit photos clip highlights: mirror-like parts will come out darker than they are",

@@ -211,6 +211,7 @@ MESSAGES = {
     "taken as a turntable, on which the object turned",
     "capture.turntable_side": "The capture does not say how far the turntable had turned between the {rows} places of the "
     "camera: they are taken to be on the same side of the object",
+    "capture.turntable_unfit": "The cameras do not fit a turntable, so a reconstruction would end: {reason}",
     "capture.turntable_left_out": "{count} {count:photo|photos} left out, because the camera did not stand still for at "
     "least 3 photos: {names}",
     "capture.highlights_clipped": "8-bit photos clip highlights: mirror-like parts will come out darker than they are",
