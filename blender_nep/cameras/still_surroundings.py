@@ -64,10 +64,10 @@ class StillSurroundings:
     share: float
     """Share of the photos whose surroundings stand still; 0 where these drift, because the photographer walked"""
     shifted: bool
-    """Whether the surroundings of some photos are shifted"""
+    """Whether the surroundings of some photos are shifted, or the photos have several sizes"""
     moving: list[np.ndarray] | None
-    """For each photo, where its copy [h, w] bool shows what turns. None: that is not known, because photos are shifted or
-    have several sizes"""
+    """For each photo, where its copy [h, w] bool shows what turns. None: that is not known, because photos are shifted, or
+    because it is no turntable"""
 
     @property
     def turntable(self) -> bool:
@@ -107,8 +107,10 @@ def look_for_still_surroundings(
     share = float(still.mean())
     if _drift(np.array(shifts, float).reshape(-1, 3), count):
         return StillSurroundings(0.0, True, None)
-    shifted = any(max(abs(rows), abs(columns)) > 1 for _, rows, columns in shifts)
-    if share < LEAST_STILL or shifted or len({copy.shape for copy in copies}) > 1:
+    shifted = (
+        any(max(abs(rows), abs(columns)) > 1 for _, rows, columns in shifts) or len({copy.shape for copy in copies}) > 1
+    )
+    if share < LEAST_STILL or shifted:
         return StillSurroundings(share, shifted, None)
     return StillSurroundings(share, False, _moving(np.stack(copies), same))
 

@@ -36,9 +36,10 @@ from blender_nep.job.stage_names import CAMERA_SEARCH
 from blender_nep.messages import Message
 from blender_nep.stop_request import StopRequest
 
-_SURROUNDINGS_SECONDS = 0.1
 _SECONDS = {"photos": 0.1, "features": 2.0, "matches": 4.0, "places": 2.0, "sphere": 0.3}
 """First guess of the seconds that a photo takes in each step"""
+_SURROUNDINGS_SECONDS = 0.1
+"""The same for the comparison that tells a turntable"""
 _VIDEO_SECONDS = 0.7
 """The same for a frame that is taken from a video: some 20 others are looked at for it"""
 
