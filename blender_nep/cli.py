@@ -67,6 +67,7 @@ def _info(options: argparse.Namespace) -> int:
             sphere(options),
             use_masks=options.masks != "ignore",
             mask_meaning=_mask_meaning(options),
+            turntable=_turntable(options),
         )
     except NepError as error:
         if options.json:
@@ -112,8 +113,14 @@ def _cameras(options: argparse.Namespace) -> int:
             options.overwrite,
             options.threads,
             options.frames,
+            _turntable(options),
         )
         return camera_search.run(wanted, events, stop)
+
+
+def _turntable(options: argparse.Namespace) -> bool | None:
+    """Whether the object turned, as the user says; None: as the capture says, or as the photos show."""
+    return None if options.turntable == "auto" else options.turntable == "yes"
 
 
 def _mask_meaning(options: argparse.Namespace) -> MaskMeaning | None:
@@ -151,7 +158,7 @@ def _reconstruct(options: argparse.Namespace) -> int:
         seed=options.seed,
         use_masks=options.masks != "ignore",
         mask_meaning=_mask_meaning(options),
-        turntable=None if options.turntable == "auto" else options.turntable == "yes",
+        turntable=_turntable(options),
         all_photos=options.all_photos,
         mesh=options.mesh,
         sphere=sphere(options),

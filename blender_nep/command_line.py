@@ -80,6 +80,7 @@ def _add_info(commands: argparse._SubParsersAction) -> None:
     _add_capture(info)
     info.add_argument("--json", action="store_true", help="as one JSON object")
     _add_masks(info)
+    _add_turntable(info)
     _add_sphere(info)
     info.add_argument(
         "--picture",
@@ -131,6 +132,7 @@ def _add_cameras(commands: argparse._SubParsersAction) -> None:
         default="everywhere",
         help="where to look for points, if PHOTOS/masks shows the object: on a turntable, only on the object (%(default)s)",
     )
+    _add_turntable(find)
     find.add_argument(
         "--improve", action="store_true", help="PHOTOS has cameras: improve them by the photos, in the same frame"
     )

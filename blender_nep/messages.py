@@ -157,15 +157,19 @@ WORDS: dict[str, str] = {
     "cameras.video_hdr": "the video is HDR (HLG): its curve was undone as the standard says, but what the camera did to the "
     "contrast remains. Film without HDR, if you can",
     "cameras.photos": "reading photo {step} of {steps}",
+    "cameras.surroundings": "looking for surroundings that stand still: {percent:.0f} %",
     "cameras.features": "finding features in photo {step} of {steps}",
     "cameras.matches": "comparing photos: pair {step} of {steps}",
     "cameras.places": "placing photo {step} of {steps}",
     "cameras.placed": "{count} of {photos} photos were placed; their features agree within {error:.2f} pixels",
     "cameras.turntable": "in {percent:.0f} % of the photos the surroundings stand still: taken as a turntable, so only "
     "features on what turned were used",
-    "cameras.turntable_shifted": "in {percent:.0f} % of the photos the surroundings stand still, but shifted: taken as a "
-    "turntable. Features on the surroundings were used, too. If the cameras are wrong, put masks of the object into "
-    "PHOTOS/masks",
+    "cameras.turntable_shifted": "in {percent:.0f} % of the photos the surroundings stand still, but shifted. "
+    "Features on them were used, too. If the object turned on a turntable, put masks of the object into PHOTOS/masks, and "
+    "give --turntable yes",
+    "cameras.turntable_unsure": "in {percent:.0f} % of the photos the surroundings stand still, but the cameras that were "
+    "found did not. If the object turned on a turntable, put masks of the object into PHOTOS/masks. If you walked around "
+    "the object, give --turntable no",
     "cameras.sure": "the cameras look right",
     "cameras.not_placed": "{count} {count:photo was|photos were} not placed, because {count:it shares|they share} too few "
     "points with the others: {names}. Take more photos in between, or leave {count:it|them} out",
@@ -309,6 +313,8 @@ WORDS: dict[str, str] = {
     "taken as a turntable, on which the object turned. If you walked around the object, give --turntable no",
     "capture.turntable_side": "the capture does not say how far the turntable had turned between the {rows} places of the "
     "camera: they are taken to be on the same side of the object. If they were not, tell 'turn' in transforms.json",
+    "capture.turntable_unfit": "the cameras do not fit a turntable, so a job would end: {reason}. If you walked around the "
+    "object, give --turntable no",
     "capture.turntable_left_out": "{count} {count:photo|photos} left out, because the camera did not stand still for at "
     "least 3 photos: {names}",
     "capture.highlights_clipped": "8-bit photos clip highlights: mirror-like parts will come out darker than they are",

@@ -66,15 +66,18 @@ MESSAGES = {
     "cameras.video_hdr": "The video is HDR (HLG): its curve was undone as the standard says, but what the camera did to the "
     "contrast remains. Film without HDR, if you can",
     "cameras.photos": "Read {step} of {steps} photos",
+    "cameras.surroundings": "Looked for surroundings that stand still: {percent:.0f} %",
     "cameras.features": "Looked for details in {step} of {steps} photos",
     "cameras.matches": "Compared {step} of {steps} pairs of photos",
     "cameras.places": "Placed {step} of {steps} photos",
     "cameras.placed": "{count} of {photos} photos were placed. The details that they share agree within {error:.2f} pixels.",
     "cameras.turntable": "In {percent:.0f} % of the photos the surroundings stand still: taken as a turntable, so only "
     "details on what turned were used.",
-    "cameras.turntable_shifted": "In {percent:.0f} % of the photos the surroundings stand still, but shifted: taken as a "
-    "turntable. Details of the surroundings were used, too. If the cameras are wrong, put masks of the object into the "
+    "cameras.turntable_shifted": "In {percent:.0f} % of the photos the surroundings stand still, but shifted. "
+    "Details of the surroundings were used, too. If the object turned on a turntable, put masks of the object into the "
     "folder masks",
+    "cameras.turntable_unsure": "In {percent:.0f} % of the photos the surroundings stand still, but the cameras that were "
+    "found did not. If the object turned on a turntable, put masks of the object into the folder masks",
     "cameras.sure": "The cameras look right.",
     "cameras.not_placed": "{count} {count:photo was|photos were} not placed, because {count:it shares|they share} too few "
     "details with the others: {names}. Take more photos in between, or leave {count:it|them} out",
@@ -209,6 +212,7 @@ MESSAGES = {
     "Turntable",
     "capture.turntable_side": "The capture does not say how far the turntable had turned between the {rows} places of the "
     "camera: they are taken to be on the same side of the object",
+    "capture.turntable_unfit": "The cameras do not fit a turntable, so a reconstruction would end: {reason}",
     "capture.turntable_left_out": "{count} {count:photo|photos} left out, because the camera did not stand still for at "
     "least 3 photos: {names}",
     "capture.highlights_clipped": "8-bit photos clip highlights: mirror-like parts will come out darker than they are",

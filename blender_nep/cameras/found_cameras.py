@@ -46,8 +46,8 @@ class FoundCameras:
     not_placed: list[Photo]
     object_center: np.ndarray = field(default_factory=lambda: np.zeros(3))
     object_radius: float = 1.0
-    turntable: bool = False
-    """Whether the object turned while the camera and the surroundings stood still"""
+    turntable: bool | None = None
+    """Whether the object turned while the camera and the surroundings stood still. None: that is not known"""
 
     @property
     def median_error(self) -> float:

@@ -18,6 +18,8 @@ from blender_nep.capture.capture import Capture
 from blender_nep.capture.exposure.surroundings import compare_exposures
 from blender_nep.capture.exposure.told import exposures_of
 from blender_nep.capture.rays.pixel_rays import PixelRays
+from blender_nep.capture.turntable.motions import in_unit_frame, on_turntable
+from blender_nep.errors import CaptureError
 from blender_nep.evidence.observation import visible
 from blender_nep.evidence.occluders import MeshOccluder
 from blender_nep.evidence.sdf_grid import SdfGrid
@@ -108,7 +110,10 @@ def _hull_sphere(capture: Capture, lines: Sightlines, seed: int, check: Callable
     """The sphere around the hull that the photos show in the capture's sphere. None without a clear hull."""
     quick = preset("preview")
     quick = replace(quick, fields=replace(quick.fields, background_steps=_STEPS))
+    capture = _knowing_turns(capture)
     rays = PixelRays.from_capture(capture, _PIXELS, use_masks=False, progress=check)
+    if capture.views[0].in_room is not None:
+        rays = rays.with_turntable(in_unit_frame(capture, capture.views[0]))
     exposures = exposures_of(capture, compare_exposures(rays))
     rays = to_brightness(rays.with_gain(exposures.gain, exposures.vignetting), quick.brightness)
     learning = FieldsLearning(Scene.of(rays), quick, seed)
@@ -128,6 +133,16 @@ def _hull_sphere(capture: Capture, lines: Sightlines, seed: int, check: Callable
     middle, reach = minimum_nsphere(seen)
     cut = (np.linalg.norm(seen, axis=1) > _BORDER).mean() > _MOST_AT_BORDER
     return _HullSphere(middle, float(reach), bool(cut))
+
+
+def _knowing_turns(capture: Capture) -> Capture:
+    """The capture with the motions of a turntable's object. Where the cameras do not fit a turntable, as it is."""
+    if not capture.turntable:
+        return capture
+    try:
+        return on_turntable(capture).capture
+    except CaptureError:  # the job says so
+        return capture
 
 
 def _seen_surface(hull: np.ndarray, rays: PixelRays) -> np.ndarray:

@@ -5,7 +5,8 @@ them: all at one place. So only what turns may count. No camera is known yet, so
 details, without the smooth parts that exposures and backdrops differ in. Two photos of a row show the same details at equal
 places, but for the object. Two photos of a walk do not, and photos of a plain backdrop have no details there.
 
-A photo may be cropped, so that its surroundings are shifted.
+A photo may be cropped, so that its surroundings are shifted. Along an arc before a far background they are shifted, too, but
+more and more from photo to photo.
 """
 
 from __future__ import annotations
@@ -37,6 +38,9 @@ one of them were mirrored. Measured: 0.09 to 0.43 for nearly all pairs of a came
 pairs of four walks."""
 MOST_SHIFT = 0.15
 """Largest shift of the surroundings between two photos, as a share of the longer side"""
+DRIFT, DRIFTS = 0.04, 0.7
+"""The surroundings drift if the shifts grow with the photos' numbers: by more than the first number from the first photo to
+the last, as a share of the longer side, and with a correlation of more than the second number."""
 SAME_AS = 0.2
 """A photo's surroundings stand still if this share of the photos that it is compared with show the same, and at least two.
 The camera may stand at several heights, and only photos from one height agree."""
@@ -58,10 +62,12 @@ class StillSurroundings:
     """What the photos of a folder show that stands still."""
 
     share: float
-    """Share of the photos whose surroundings stand still"""
+    """Share of the photos whose surroundings stand still; 0 where these drift, because the photographer walked"""
+    shifted: bool
+    """Whether the surroundings of some photos are shifted, or the photos have several sizes"""
     moving: list[np.ndarray] | None
-    """For each photo, where its copy [h, w] bool shows what turns. None: that is not known, because photos are shifted or
-    have several sizes"""
+    """For each photo, where its copy [h, w] bool shows what turns. None: that is not known, because photos are shifted, or
+    because it is no turntable"""
 
     @property
     def turntable(self) -> bool:
@@ -69,22 +75,25 @@ class StillSurroundings:
         return self.share >= LEAST_STILL
 
 
-def look_for_still_surroundings(photos: Sequence[Photo], check: Callable[[], None] = lambda: None) -> StillSurroundings:
+def look_for_still_surroundings(
+    photos: Sequence[Photo], report: Callable[[int, int], None] = lambda step, steps: None
+) -> StillSurroundings:
     """Compare the photos with each other. Raises CaptureError where one cannot be read. Takes 0.1 s a photo.
 
-    check() is called for each photo and may raise.
+    report(step, steps) is called twice for each photo: when it is read, and when it is compared. It may raise to end this.
     """
     copies = []
-    for photo in photos:
-        check()
+    for number, photo in enumerate(photos):
+        report(number, 2 * len(photos))
         copies.append(gray_copy(photo, Reduction.of(photo.width, photo.height, SIDE)).astype(np.float32))
     details = [copy - ndimage.gaussian_filter(copy, SMOOTH) for copy in copies]
     count = len(photos)
     same = np.zeros((count, count), bool)
-    shifted = False
+    shifts: list[tuple[int, int, int]] = []
     step = max(1, count // PARTNERS)
     agreeing, compared = np.zeros((2, count), int)
     for one in range(count):
+        report(count + one, 2 * count)
         for other in range((one + step) % step, count, step):
             if other == one or details[one].shape != details[other].shape:
                 continue
@@ -93,12 +102,27 @@ def look_for_still_surroundings(photos: Sequence[Photo], check: Callable[[], Non
             if alike:
                 agreeing[one] += 1
                 same[one, other] = same[other, one] = True
-                shifted |= max(map(abs, shift)) > 1
+                shifts.append((other - one, *shift))
     still = (agreeing >= 2) & (agreeing >= SAME_AS * compared)
     share = float(still.mean())
-    if share < LEAST_STILL or shifted or len({copy.shape for copy in copies}) > 1:
-        return StillSurroundings(share, None)
-    return StillSurroundings(share, _moving(np.stack(copies), same))
+    if _drift(np.array(shifts, float).reshape(-1, 3), count):
+        return StillSurroundings(0.0, True, None)
+    shifted = (
+        any(max(abs(rows), abs(columns)) > 1 for _, rows, columns in shifts) or len({copy.shape for copy in copies}) > 1
+    )
+    if share < LEAST_STILL or shifted:
+        return StillSurroundings(share, shifted, None)
+    return StillSurroundings(share, False, _moving(np.stack(copies), same))
+
+
+def _drift(shifts: np.ndarray, count: int) -> bool:
+    """Whether the surroundings drift in `count` photos. shifts [n, 3]: difference of two numbers, rows, columns."""
+    apart, size = shifts[:, 0], np.linalg.norm(shifts[:, 0])
+    for shift in shifts[:, 1:].T:
+        product = float(apart @ shift)
+        if abs(product) * count > DRIFT * SIDE * size**2 and abs(product) > DRIFTS * size * np.linalg.norm(shift):
+            return True
+    return False
 
 
 def _same(one: np.ndarray, other: np.ndarray) -> tuple[bool, tuple[int, int]]:

@@ -71,6 +71,9 @@ class PlacedPhoto:
     """Median distance [pixels of the full photo] between its features and the projections of their scene points"""
     seen: np.ndarray = field(default_factory=lambda: np.zeros((0, 5)))
     """[n, 5] places of these features [pixels of the full photo], and their scene points"""
+    row: int | None = None
+    turn: float | None = None
+    """Of a turntable, as the capture told them whose cameras are improved: see `View`"""
 
     def moved(self, turn: np.ndarray, scale: float, shift: np.ndarray) -> PlacedPhoto:
         """The photo with its camera and its scene points after the similarity x -> scale * turn @ x + shift."""

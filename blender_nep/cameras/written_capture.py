@@ -71,7 +71,7 @@ def write_capture(found: FoundCameras, folder: Path, color_space: str | None = N
     stated = {"object_center": found.object_center.tolist(), "object_radius": found.object_radius}
     sphere = stated if with_sphere else {}
     color = {} if color_space is None else {"color_space": color_space}
-    turntable = {"turntable": True} if found.turntable else {}
+    turntable = {} if found.turntable is None else {"turntable": found.turntable}
     content = {**_MARK, **shared, **color, **sphere, **turntable, "frames": frames}
     path = folder / transforms.FILE
     with without_resume(), output_errors(path):
@@ -96,6 +96,8 @@ def _frame(placed: PlacedPhoto, folder: Path) -> dict:
     frame: dict = {"file_path": _relative(placed.photo.path, folder)}
     if placed.photo.mask is not None:
         frame["mask_path"] = _relative(placed.photo.mask, folder)
+    told = {"row": placed.row, "turn": placed.turn}
+    frame |= {key: value for key, value in told.items() if value is not None}
     return frame | {"transform_matrix": placed.camera.camera_to_world.tolist()}
 
 

@@ -13,11 +13,13 @@ from PIL import Image
 from scipy.ndimage import gaussian_filter, uniform_filter1d
 
 from blender_nep.capture import PixelRays, load_capture
+from blender_nep.capture.doctor import summary
 from blender_nep.capture.doctor.coverage import Coverage
 from blender_nep.capture.doctor.coverage_picture import LIMITS, SHADES, SIZE, draw_coverage, place, shade
 from blender_nep.capture.doctor.sharpness import blurred
 from blender_nep.capture.doctor.summary import describe, summarize
 from blender_nep.capture.doctor.turntable import MOST_STILL, still_share
+from blender_nep.capture.exposure import told
 from blender_nep.capture.exposure.surroundings import compare_exposures
 from blender_nep.capture.turntable import motions
 from blender_nep.cli import main
@@ -345,10 +347,53 @@ def test_exposures_of_a_turntable_are_compared_in_the_room(tmp_path):
     gain = 2 ** np.random.default_rng(0).normal(0, 0.3, len(found))
     capture = load_capture(write(tmp_path / "a", cameras, [k * pixels for k, pixels in zip(gain, found, strict=True)]))
     rays = PixelRays.from_capture(capture, 10**6, use_masks=False)
-    told = motions.on_turntable(capture).capture
-    still = rays.with_turntable(motions.in_unit_frame(told, told.views[0]))
+    turned = motions.on_turntable(capture).capture
+    still = rays.with_turntable(motions.in_unit_frame(turned, turned.views[0]))
     log = compare_exposures(still).log.mean(1)
     assert np.abs(log - (np.log(gain) - np.log(gain).mean())).max() < 0.02
+
+
+def test_a_photo_that_a_job_leaves_out_is_no_hindrance(tmp_path):
+    """The exposures of the others are still compared in the room."""
+    cameras, found = on_turntable((20,))
+    cameras[5], found[5] = around((60,), (200,), 4.5)[0], found[5]
+    gain = 2 ** np.linspace(-0.5, 0.5, len(found))
+    folder = write(tmp_path / "a", cameras, [k * pixels for k, pixels in zip(gain, found, strict=True)])
+    facts = summarize(folder)
+    said = {w["code"]: w["values"] for w in facts["warnings"]}
+    assert said["capture.turntable_left_out"]["count"] == 1 and facts["turntable"] is True
+    assert facts["exposure_stops"] == pytest.approx(1, abs=0.1)
+    assert "the object turned" in describe(facts)
+
+
+def test_two_rows_of_a_turntable_are_said_to_be_on_one_side(tmp_path):
+    cameras, found = on_turntable((10, 40))
+    warnings = summarize(write(tmp_path / "a", cameras, found), turntable=True)["warnings"]
+    assert [w["values"]["rows"] for w in warnings if w["code"] == "capture.turntable_side"] == [2]
+
+
+def test_cameras_that_fit_no_turntable_are_described_all_the_same(tmp_path, capsys):
+    """A job would end. `info` says all that it knows, and that."""
+    _, found = on_turntable((20,))
+    rng = np.random.default_rng(0)
+    walk = [around((float(rng.uniform(0, 60)),), (turn,), rng.uniform(3, 4))[0] for turn in range(0, 360, 30)]
+    folder = write(tmp_path / "a", walk, found)
+    facts = summarize(folder)
+    said = {w["code"]: w["values"] for w in facts["warnings"]}
+    assert "of 12 photos" in said["capture.turntable_unfit"]["reason"] and facts["turntable"] is True
+    assert summarize(folder, turntable=False)["turntable"] is False
+    assert main(["info", str(folder), "--json", "--turntable", "no"]) == 0
+    codes = {w["code"] for w in json.loads(capsys.readouterr().out)["warnings"]}
+    assert not {"capture.on_turntable", "capture.turntable_unfit"} & codes
+
+
+def test_equal_exposures_that_exif_tells_are_known(tmp_path, monkeypatch):
+    """The photos share too little, but their files tell the same."""
+    folder = write(tmp_path / "a", CAMERAS[:3], [photo(matrix) for matrix in CAMERAS[:3]])
+    monkeypatch.setattr(summary, "compare_exposures", lambda rays: None)
+    assert summarize(folder)["exposure_stops"] is None
+    monkeypatch.setattr(told, "exif_exposure", lambda path: (0.01, 8.0, 100.0))
+    assert summarize(folder)["exposure_stops"] == 0
 
 
 def test_a_walk_around_the_object_is_no_turntable(tmp_path, photos):

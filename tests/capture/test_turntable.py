@@ -93,6 +93,20 @@ def test_a_walk_by_hand_has_no_rows():
     assert rows is None or (rows >= 0).mean() < 0.3
 
 
+@pytest.mark.parametrize(("count", "arc", "jitter"), [(24, 60, 0.03), (48, 360, 0.02), (80, 200, 0.02), (80, 360, 0.01)])
+def test_a_careful_walk_by_hand_is_refused(make_capture, count, arc, jitter):
+    """Each photo is near another one of the walk, but the camera did not stand still."""
+    rng = np.random.default_rng(count)
+    poses = []
+    for azimuth in np.linspace(0, arc, count):
+        pose = camera(azimuth, 25 + np.degrees(rng.normal(0, jitter)), 4 * (1 + rng.normal(0, jitter)))
+        pose[:3, :3] = pose[:3, :3] @ rotation(rng.normal(0, jitter, 3))
+        poses.append(pose)
+    with pytest.raises(CaptureError) as refused:
+        on_turntable(load_capture(write(make_capture, np.stack(poses), turntable=True)))
+    assert refused.value.name == "capture.turntable_no_rows"
+
+
 @pytest.mark.parametrize("told", [True, False], ids=["rows told", "rows found"])
 def test_how_the_object_stood_is_found(make_capture, told):
     motions, poses = photographed(TWO_ROWS)
@@ -163,6 +177,8 @@ def test_a_row_whose_camera_moved_is_refused(make_capture):
         (True, {"row": 1.5}, "row is 1.5"),
         (True, {"turn": "x"}, "turn is 'x'"),
         (True, {"turn": float("nan")}, "turn is nan"),
+        (None, {"turn": "x"}, "turn is 'x'"),
+        (None, {"row": 0}, "001.exr has no row"),
         (True, {"row": 0}, "001.exr has no row"),
         (True, {"turn": 10}, "001.exr has no turn"),
     ],
@@ -175,5 +191,17 @@ def test_nonsense_in_the_file_is_told(make_capture, top, frame, message):
 
 def test_without_a_turntable_the_keys_of_frames_mean_nothing(make_capture):
     _, poses = photographed(TWO_ROWS[:1])
-    capture = load_capture(write(make_capture, poses, [{"row": "a", "turn": "b"}] * 18))
-    assert capture.turntable is None and all(view.row is None and view.turn is None for view in capture.views)
+    capture = load_capture(write(make_capture, poses, [{"row": "a", "turn": "b"}] * 18, turntable=False))
+    assert capture.turntable is False and all(view.row is None and view.turn is None for view in capture.views)
+
+
+def test_rows_and_turns_are_read_before_it_is_known_to_be_one(make_capture):
+    """`--turntable yes` and the photos may say so later."""
+    motions, poses = photographed(((camera(10, 15), range(0, 360, 20)), (camera(75, 40), range(70, 430, 30))))
+    frames = [{"row": 0, "turn": angle} for angle in range(0, 360, 20)]
+    frames += [{"row": 1, "turn": angle} for angle in range(70, 430, 30)]
+    capture = load_capture(write(make_capture, poses, frames))
+    found = on_turntable(capture)
+    assert capture.turntable is None and found.rows == 2 and found.angles_known
+    degrees, _ = error(np.stack([view.in_room for view in found.capture.views]), motions)
+    assert degrees < 1e-3

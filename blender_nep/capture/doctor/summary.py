@@ -15,16 +15,17 @@ from blender_nep.capture.doctor.camera_checks import SphereSize, camera_outliers
 from blender_nep.capture.doctor.coverage import LARGEST_GAP, Coverage
 from blender_nep.capture.doctor.coverage_picture import refuse_foreign_picture, write_picture
 from blender_nep.capture.doctor.sharpness import blurred
-from blender_nep.capture.doctor.turntable import MOST_STILL, still_share
+from blender_nep.capture.doctor.turns import Turns
+from blender_nep.capture.doctor.turntable import still_share
 from blender_nep.capture.exposure.other_light import other_light
 from blender_nep.capture.exposure.sessions import times_of
 from blender_nep.capture.exposure.surroundings import Comparison, Exposures, compare_exposures, stops
-from blender_nep.capture.exposure.told import exposures_of
+from blender_nep.capture.exposure.told import exposures_of, told_gains
 from blender_nep.capture.loading import load_capture
 from blender_nep.capture.photos.mask_files import MaskMeaning
 from blender_nep.capture.rays.pixel_rays import BRIGHTEST_CLIPPED, SATURATED, PixelRays
 from blender_nep.capture.rays.pixel_store import PixelMemory
-from blender_nep.capture.turntable.motions import in_unit_frame, on_turntable
+from blender_nep.capture.turntable.motions import in_unit_frame
 from blender_nep.messages import Message
 from blender_nep.safety.printed_text import one_line
 
@@ -39,11 +40,14 @@ def summarize(
     *,
     use_masks: bool = True,
     mask_meaning: MaskMeaning | None = None,
+    turntable: bool | None = None,
 ) -> dict:
-    """Facts about a capture as plain values, ready for JSON. Every photo is read once.
+    """Facts about a capture as plain values, ready for JSON. Every photo is read once, or twice where a turntable's camera
+    moved.
 
     picture: where a PNG of the directions of the photos is written. sphere: the object's (center [3], radius), which
-    then counts instead of the capture's. use_masks, mask_meaning: as in `load_capture`. Raises CaptureError,
+    then counts instead of the capture's. use_masks, mask_meaning: as in `load_capture`. turntable: whether the object
+    turned; None: as the capture says, or as the photos show. Raises CaptureError,
     BoundsError and OutputError, and UsageError where `picture` is another file that is there.
     """
     if picture is not None:
@@ -60,9 +64,15 @@ def summarize(
     radiance = rays.radiance[rays.valid][:: max(1, rays.count // 1_000_000)].float()
     size = SphereSize.of(capture)
     still = still_share(rays)
-    rays = _turned(capture, rays, still)
-    compared = compare_exposures(rays)
-    exposures = exposures_of(capture, compared)
+    turns = Turns.of(capture, still, turntable)
+    seen, photos = rays, capture
+    if turns.capture is not None:
+        photos = turns.capture
+        if turns.left_out:  # a job does not see these photos either
+            seen = PixelRays.from_capture(photos, 250_000, use_masks, memory=PixelMemory(most=32_000_000))
+        seen = seen.with_turntable(in_unit_frame(photos, photos.views[0]))
+    compared = compare_exposures(seen)
+    exposures = exposures_of(photos, compared)
     has_masks = use_masks and any(view.mask_path for view in capture.views)
     found: dict[str, Any] = {
         "folder": str(folder),
@@ -87,8 +97,9 @@ def summarize(
         "sphere_cut": round(size.cut, 4),
         "invalid_pixels": int((~rays.valid).sum()),
         "clipped": round(_clipped(rays), 4),
-        "exposure_stops": _exposure_stops(exposures, compared),
+        "exposure_stops": _exposure_stops(photos, exposures, compared),
         "corner_stops": _corner_stops(exposures),
+        "turntable": turns.turntable,
         "surroundings_still": None if still is None else round(still, 3),
         "radiance": {
             "median": round(float(radiance.median()), 5),
@@ -96,8 +107,8 @@ def summarize(
             "largest": round(rays.brightest, 4),
         },
     }
-    warnings = [*capture.warnings, *rays.warnings, *_turntable(capture, still), *camera_outliers(capture), *size.messages()]
-    warnings += [*_photo_outliers(capture, rays, compared, exposures.warning), *_holes(coverage), *_doubts(found)]
+    warnings = [*capture.warnings, *rays.warnings, *turns.messages, *camera_outliers(capture), *size.messages()]
+    warnings += [*_photo_outliers(photos, seen, compared, exposures.warning), *_holes(coverage), *_doubts(found)]
     found["warnings"] = [warning.to_dict() for warning in warnings]
     return found
 
@@ -110,35 +121,18 @@ def _clipped(rays: PixelRays) -> float:
     return float((rays.radiance[some].float().amax(-1) > SATURATED).float().mean())
 
 
-def _exposure_stops(exposures: Exposures, compared: Comparison | None) -> float | None:
+def _exposure_stops(capture: Capture, exposures: Exposures, compared: Comparison | None) -> float | None:
     """Stops between the photos with the lowest and the highest exposure; 0 if all are about equal, None if nobody knows."""
     if exposures.gain is not None:
         return round(float(np.ptp(stops(exposures.gain))), 2)
-    return None if compared is None or exposures.warning == Message("capture.exposure_unclear") else 0.0
+    if compared is None:
+        return None if told_gains(capture) is None else 0.0
+    return None if exposures.warning == Message("capture.exposure_unclear") else 0.0
 
 
 def _corner_stops(exposures: Exposures) -> float:
     """Stops by which the photos' corners are brighter than their middles: negative, or 0 if there is no vignetting."""
     return 0.0 if exposures.vignetting is None else round(exposures.vignetting.corner_stops, 2)
-
-
-def _turned(capture: Capture, rays: PixelRays, still: float | None) -> PixelRays:
-    """The pixels with the motions of the object, if it turned on a turntable, so that exposures are compared in the room.
-
-    Where a job would leave a photo out, they stay without motions. Raises CaptureError.
-    """
-    if not (capture.turntable or _turntable(capture, still)):
-        return rays
-    found = on_turntable(capture)
-    if found.left_out:
-        return rays
-    return rays.with_turntable(in_unit_frame(found.capture, found.capture.views[0]))
-
-
-def _turntable(capture: Capture, still: float | None) -> list[Message]:
-    if capture.turntable is not None or still is None or still <= MOST_STILL:
-        return []
-    return [Message("capture.on_turntable", {"percent": 100 * still})]
 
 
 def _photo_outliers(
@@ -206,6 +200,7 @@ def describe(found: dict) -> str:
         f"  largest hole   {found['largest_hole']['message']}" + ("" if found["z_up"] else " (up as in the photos, not z)"),
         f"  sphere         about {found['sphere_width']:.0f} pixels wide, {found['sphere_pixels']:.0%} of the pixels; "
         f"{found['sphere_cut']:.0%} of the photos cut it off",
+        f"  turntable      {'the object turned' if found['turntable'] else 'no'}",
         f"  pixels         {found['invalid_pixels']} unusable",
         "  masks          "
         + (f"the object covers {found['mask_coverage']:.0%} of the pixels" if found["masks"] else "none")

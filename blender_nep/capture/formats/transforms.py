@@ -55,7 +55,8 @@ def read(folder: Path, file: str = FILE) -> CaptureDescription:
     for (name, frame), camera in zip(named, cameras, strict=True):
         image, mask = photos[name], _mask(lookup, frame)
         camera = fitted(camera, image, name, file, rescaled, turned)
-        views.append(View(stem(image.name), image, mask, camera, *_place_on_turntable(meta, frame, name)))
+        place = (None, None) if meta.get("turntable") is False else _place_on_turntable(frame, name)
+        views.append(View(stem(image.name), image, mask, camera, *place))
     views, found = with_masks(folder, views, named_by_file=True)
     return CaptureDescription(
         name=file,
@@ -128,7 +129,7 @@ def _turntable(meta: dict, named: list[tuple[str, dict]]) -> bool | None:
     said = meta.get("turntable")
     if said is not None and not isinstance(said, bool):
         raise CaptureError(f"turntable is {said!r}", "It must be true or false.")
-    for key in ("row", "turn") if said else ():
+    for key in () if said is False else ("row", "turn"):
         missing = [name for name, frame in named if frame.get(key) is None]
         if 0 < len(missing) < len(named):
             raise CaptureError(
@@ -137,10 +138,8 @@ def _turntable(meta: dict, named: list[tuple[str, dict]]) -> bool | None:
     return said
 
 
-def _place_on_turntable(meta: dict, frame: dict, name: str) -> tuple[int | None, float | None]:
+def _place_on_turntable(frame: dict, name: str) -> tuple[int | None, float | None]:
     """The frame's row, and the table's angle in degrees; None where the file does not say it. Raises CaptureError."""
-    if not meta.get("turntable"):
-        return None, None
     row, turn = frame.get("row"), frame.get("turn")
     if row is not None and (not isinstance(row, int) or isinstance(row, bool) or row < 0):
         raise CaptureError(f"{name}: row is {row!r}", "It must be a whole number: 0 for the first place of the camera.")

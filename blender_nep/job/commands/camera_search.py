@@ -6,6 +6,7 @@ import os
 import shutil
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
 from types import MappingProxyType
@@ -15,16 +16,18 @@ from blender_nep.cameras.improved_cameras import take_over
 from blender_nep.cameras.object_sphere import ObjectSphere, find_object_sphere
 from blender_nep.cameras.photo_folder import Photo, find_photos, photos_of
 from blender_nep.cameras.still_surroundings import StillSurroundings, look_for_still_surroundings
-from blender_nep.cameras.structure_from_motion import find_groups, stop_if_asked, working_folder
+from blender_nep.cameras.structure_from_motion import PlacedPhoto, find_groups, stop_if_asked, working_folder
 from blender_nep.cameras.video.kept_frames import FOLDER as FRAMES
 from blender_nep.cameras.video.kept_frames import keep_frames
 from blender_nep.cameras.video.named_video import video_of
 from blender_nep.cameras.written_capture import check_writable, keep_present_file, without_resume, write_capture
 from blender_nep.capture.brackets import bracket_warnings
+from blender_nep.capture.capture import Capture, View
 from blender_nep.capture.formats import transforms
 from blender_nep.capture.formats.mask_search import photo_mask_messages
 from blender_nep.capture.loading import load_capture
 from blender_nep.capture.mask_meaning import read_photo_masks
+from blender_nep.capture.turntable.motions import on_turntable
 from blender_nep.errors import BoundsError, CaptureError, NepError, OutputError, UsageError
 from blender_nep.job.exit_code import exit_code
 from blender_nep.job.reporting.events import Events
@@ -35,6 +38,8 @@ from blender_nep.stop_request import StopRequest
 
 _SECONDS = {"photos": 0.1, "features": 2.0, "matches": 4.0, "places": 2.0, "sphere": 0.3}
 """First guess of the seconds that a photo takes in each step"""
+_SURROUNDINGS_SECONDS = 0.1
+"""The same for the comparison that tells a turntable"""
 _VIDEO_SECONDS = 0.7
 """The same for a frame that is taken from a video: some 20 others are looked at for it"""
 
@@ -55,6 +60,8 @@ class CameraSearch:
     threads: int | None = None
     frames: int = 80
     """So many frames of a video become photos at most"""
+    turntable: bool | None = None
+    """Whether the object turned on a turntable; None: as the capture says, or as the photos show"""
 
     @property
     def capture(self) -> Path:
@@ -88,16 +95,20 @@ def run(search: CameraSearch, events: Events, stop: StopRequest) -> int:
         for warning in of_masks + brackets if capture is None else capture.warnings:
             events.warning(warning)
         masked, still = _masked(search, found), None
-        if capture is None and masked is None:
-            still = look_for_still_surroundings(found, lambda: stop_if_asked(stop))
-            if still.turntable and all(photo.mask is not None for photo in found):
+        told = capture.turntable if capture is not None and search.turntable is None else search.turntable
+        looks = masked is None and (capture is None if told is None else told)
+        progress = _Progress(events, len(found), looks=looks) if frames is None else frames.progress
+        turned = bool(told)
+        if looks:
+            still = look_for_still_surroundings(found, partial(_report_surroundings, progress, stop))
+            turned |= still.turntable
+            if turned and all(photo.mask is not None for photo in found):
                 masked = True
         if masked is not None:
             reading, said = read_photo_masks([photo.mask for photo in found if photo.mask is not None])
             found = [replace(photo, mask_reading=reading) for photo in found]
             for warning in said:
                 events.warning(warning)
-        progress = _Progress(events, len(found)) if frames is None else frames.progress
         given = None if capture is None else [view.camera for view in capture.views]
         with working_folder() as scratch:
             moving = still.moving if still is not None and masked is None else None
@@ -107,16 +118,18 @@ def run(search: CameraSearch, events: Events, stop: StopRequest) -> int:
             if capture is None:
                 cameras = choose(found, groups)
                 said, warnings = messages(cameras, groups)
-                if still is not None and still.turntable:
-                    cameras = replace(cameras, turntable=True)
+                sure = still is not None and still.turntable and not still.shifted and _form_rows(cameras)
+                cameras = replace(cameras, turntable=told if told is not None or not sure else True)
+                if told is None and still is not None and still.turntable:
                     known = masked is not None or moving is not None
-                    (said if known else warnings).append(_of_turntable(still, known))
+                    message = _of_turntable(still, known, sure)
+                    (said if message.code == "cameras.turntable" else warnings).append(message)
                 cameras = _with_sphere(cameras, scratch, progress, stop, warnings)
         if capture is not None:
             improved = take_over(found, [view.camera for view in capture.views], groups[0], capture.object_center)
             said, warnings = improved.messages()
             sphere = (capture.object_center, capture.object_radius)
-            cameras = FoundCameras(improved.chosen, groups[0].points, [], *sphere, bool(capture.turntable))
+            cameras = FoundCameras(_with_rows(improved.chosen, capture), groups[0].points, [], *sphere, told)
         if capture is None or improved.worthwhile or search.out is not None:
             stop_if_asked(stop)
             said += _keep_present(folder)
@@ -156,7 +169,7 @@ def _frames_of(video: Path, search: CameraSearch, folder: Path, events: Events, 
         raise NepError("PyAV is not installed", "Install it: pip install av.", "unexpected.no_pyav")
     from blender_nep.cameras.video.taken_frames import take_frames
 
-    progress = _Progress(events, search.frames, of_video=True)
+    progress = _Progress(events, search.frames, of_video=True, looks=search.turntable is not False)
 
     def report(step: int, steps: int) -> None:
         stop_if_asked(stop)
@@ -181,11 +194,34 @@ def _write_with_frames(cameras: FoundCameras, folder: Path, scratch: Path) -> No
         raise
 
 
-def _of_turntable(still: StillSurroundings, known: bool) -> Message:
-    """What is said of a turntable. known: whether it was known what turned."""
-    if not known:
-        return Message("cameras.turntable_shifted", {"percent": 100 * still.share})
-    return Message("cameras.turntable", {"percent": 100 * still.share})
+def _report_surroundings(progress: _Progress, stop: StopRequest, step: int, steps: int) -> None:
+    """Raises Stopped on request."""
+    stop_if_asked(stop)
+    progress("surroundings", step, steps)
+
+
+def _form_rows(cameras: FoundCameras) -> bool:
+    """Whether the cameras are such as a turntable gives: in most photos, a camera stood still while the object turned."""
+    views = [View(placed.photo.path.name, placed.photo.path, None, placed.camera) for placed in cameras.placed]
+    try:
+        on_turntable(Capture(Path(), views, "srgb", cameras.object_center, cameras.object_radius, "cameras"))
+    except CaptureError:
+        return False
+    return True
+
+
+def _with_rows(placed: list[PlacedPhoto], capture: Capture) -> list[PlacedPhoto]:
+    """The photos with the rows and turns that the capture tells."""
+    views = {view.image_path: view for view in capture.views}
+    return [replace(one, row=views[one.photo.path].row, turn=views[one.photo.path].turn) for one in placed]
+
+
+def _of_turntable(still: StillSurroundings, known: bool, sure: bool) -> Message:
+    """What is said of a turntable. known: whether it was known what turned. sure: the cameras that were found fit."""
+    values = {"percent": 100 * still.share}
+    if sure or (known and still.shifted):
+        return Message("cameras.turntable", values)
+    return Message("cameras.turntable_shifted", values) if still.shifted else Message("cameras.turntable_unsure", values)
 
 
 def _with_sphere(
@@ -256,9 +292,11 @@ def _refuse_capture(folder: Path, overwrite: bool) -> None:
 class _Progress:
     """Turns the steps of structure from motion into progress events with the time left."""
 
-    def __init__(self, events: Events, photos: int, *, of_video: bool = False) -> None:
+    def __init__(self, events: Events, photos: int, *, of_video: bool = False, looks: bool) -> None:
+        """looks: the photos are compared, to find out whether they are from a turntable."""
         self._events, self._photos = events, photos
-        self._begin({"video": _VIDEO_SECONDS} if of_video else {})
+        before = {"video": _VIDEO_SECONDS} if of_video else {}
+        self._begin(before | ({"surroundings": _SURROUNDINGS_SECONDS} if looks else {}))
 
     def _begin(self, before: Mapping[str, float] = MappingProxyType({})) -> None:
         seconds = {**before, **_SECONDS}
@@ -281,6 +319,7 @@ class _Progress:
         values = {"step": step, "steps": steps}
         notes = {
             "video": Message("cameras.video", {"percent": 100 * step / max(steps, 1)}),
+            "surroundings": Message("cameras.surroundings", {"percent": 100 * step / max(steps, 1)}),
             "photos": Message("cameras.photos", values),
             "features": Message("cameras.features", values),
             "matches": Message("cameras.matches", values),
