@@ -57,6 +57,7 @@ OPERATORS = {
     *("export_result", "open_result_folder", "choose_folder"),
     *(
         "find_cameras",
+        "find_cameras_of_video",
         "cancel_find_cameras",
         "improve_cameras",
         "check_photos",

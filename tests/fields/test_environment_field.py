@@ -7,6 +7,7 @@ from types import SimpleNamespace
 import pytest
 import torch
 
+from blender_nep.capture.rays.ray_bundle import RayBundle
 from blender_nep.checkpoints import NoCheckpoint
 from blender_nep.errors import LearningError
 from blender_nep.fields.environment.field import EnvironmentField
@@ -181,7 +182,9 @@ def test_refining_keeps_the_field():
 def test_far_walls_get_a_color_detail_and_near_walls_do_not(size, far):
     """The contraction radius is 20: the walls of the small room lie inside it, those of the large room outside."""
     field, directions = box_field(size), random_directions(500, 8)
-    rays = SimpleNamespace(rays=lambda index: (-2 * directions.flip(0)[index], directions[index], None))
+    rays = SimpleNamespace(
+        rays=lambda index: RayBundle(-2 * directions.flip(0)[index], directions[index], torch.zeros(len(index)))
+    )
     before = field.raw.detach().clone()
     assert not refine(field, rays, torch.arange(500), 0.5 * PRESET.detail_at) and not field.detail_decided
     assert refine(field, rays, torch.arange(500), PRESET.detail_at) == far
@@ -272,9 +275,8 @@ def pixel_rays(room: EnvironmentField, n: int, seed: int) -> SimpleNamespace:
     with torch.no_grad():
         radiance = room.render(origins, directions, torch.full((n,), 0.6), torch.full((n,), math.inf))[0]
     half_angle = torch.full((n,), 1e-3)
-    return SimpleNamespace(
-        radiance=radiance, count=n, rays=lambda i: (origins[i], directions[i], half_angle[i]), photo=lambda i: radiance[i]
-    )
+    rays = RayBundle(origins, directions, half_angle)
+    return SimpleNamespace(radiance=radiance, count=n, rays=lambda i: rays[i], photo=lambda i: radiance[i])
 
 
 def learn_room(seed: int):
