@@ -168,7 +168,7 @@ WORDS: dict[str, str] = {
     "Features on them were used, too. If the object turned on a turntable, put masks of the object into PHOTOS/masks, and "
     "give --turntable yes",
     "cameras.turntable_unsure": "in {percent:.0f} % of the photos the surroundings stand still, but the cameras that were "
-    "found did not. If the object turned on a turntable, put masks of the object into PHOTOS/masks. If you walked around "
+    "found move. If the object turned on a turntable, put masks of the object into PHOTOS/masks. If you walked around "
     "the object, give --turntable no",
     "cameras.sure": "the cameras look right",
     "cameras.not_placed": "{count} {count:photo was|photos were} not placed, because {count:it shares|they share} too few "
@@ -312,11 +312,11 @@ WORDS: dict[str, str] = {
     "capture.on_turntable": "in {percent:.0f} % of the photos the surroundings stand still although the cameras differ: "
     "taken as a turntable, on which the object turned. If you walked around the object, give --turntable no",
     "capture.turntable_side": "the capture does not say how far the turntable had turned between the {rows} places of the "
-    "camera: they are taken to be on the same side of the object. If they were not, tell 'turn' in transforms.json",
+    "camera: they are taken to be on the same side of the object. If they were not, write 'turn' into transforms.json",
     "capture.turntable_unfit": "the cameras do not fit a turntable, so a job would end: {reason}. If you walked around the "
     "object, give --turntable no",
-    "capture.turntable_left_out": "{count} {count:photo|photos} left out, because the camera did not stand still for at "
-    "least 3 photos: {names}",
+    "capture.turntable_left_out": "{count} {count:photo was|photos were} left out, because the camera did not stand still "
+    "for at least 3 photos: {names}",
     "capture.highlights_clipped": "8-bit photos clip highlights: mirror-like parts will come out darker than they are",
     "capture.cut_outs": "cut-outs show no surroundings: light can be learned from reflections alone",
     # warnings of a job

@@ -86,11 +86,8 @@ class NEP_OT_relink_result(bpy.types.Operator):
         return {"FINISHED"}
 
 
-class NEP_OT_use_recovered_light(bpy.types.Operator):
-    bl_idname = "nep.use_recovered_light"
-    bl_label = "Use Recovered Light"
-    bl_description = "Light the scene with the World that was recovered from the photos; press again for your own World"
-    bl_options = {"REGISTER", "UNDO"}
+class OfRecoveredLight:
+    """For operators that need the World of an imported result."""
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
@@ -98,6 +95,13 @@ class NEP_OT_use_recovered_light(bpy.types.Operator):
             cls.poll_message_set(IMPORT_FIRST)
             return False
         return True
+
+
+class NEP_OT_use_recovered_light(OfRecoveredLight, bpy.types.Operator):
+    bl_idname = "nep.use_recovered_light"
+    bl_label = "Use Recovered Light"
+    bl_description = "Light the scene with the World that was recovered from the photos; press again for your own World"
+    bl_options = {"REGISTER", "UNDO"}
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         scene, shown = context.scene, lit_view.viewport(context)
@@ -111,7 +115,7 @@ class NEP_OT_use_recovered_light(bpy.types.Operator):
         return {"FINISHED"}
 
 
-class NEP_OT_show_lit(bpy.types.Operator):
+class NEP_OT_show_lit(OfRecoveredLight, bpy.types.Operator):
     bl_idname = "nep.show_lit"
     bl_label = "Show Lit"
     bl_description = (
@@ -119,13 +123,6 @@ class NEP_OT_show_lit(bpy.types.Operator):
         "with the scene's World, the object alone and framed. Press again for your own light, lamps and shading"
     )
     bl_options = {"REGISTER", "UNDO"}
-
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        if context.scene.nep.recovered_world is None:
-            cls.poll_message_set(IMPORT_FIRST)
-            return False
-        return True
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         scene, shown = context.scene, lit_view.viewport(context)

@@ -77,7 +77,7 @@ MESSAGES = {
     "Details of the surroundings were used, too. If the object turned on a turntable, put masks of the object into the "
     "folder masks",
     "cameras.turntable_unsure": "In {percent:.0f} % of the photos the surroundings stand still, but the cameras that were "
-    "found did not. If the object turned on a turntable, put masks of the object into the folder masks",
+    "found move. If the object turned on a turntable, put masks of the object into the folder masks",
     "cameras.sure": "The cameras look right.",
     "cameras.not_placed": "{count} {count:photo was|photos were} not placed, because {count:it shares|they share} too few "
     "details with the others: {names}. Take more photos in between, or leave {count:it|them} out",
@@ -213,8 +213,8 @@ MESSAGES = {
     "capture.turntable_side": "The capture does not say how far the turntable had turned between the {rows} places of the "
     "camera: they are taken to be on the same side of the object",
     "capture.turntable_unfit": "The cameras do not fit a turntable, so a reconstruction would end: {reason}",
-    "capture.turntable_left_out": "{count} {count:photo|photos} left out, because the camera did not stand still for at "
-    "least 3 photos: {names}",
+    "capture.turntable_left_out": "{count} {count:photo was|photos were} left out, because the camera did not stand still "
+    "for at least 3 photos: {names}",
     "capture.highlights_clipped": "8-bit photos clip highlights: mirror-like parts will come out darker than they are",
     "capture.cut_outs": "Cut-outs show no surroundings: light can be learned from reflections alone",
     # warnings of a job

@@ -19,17 +19,22 @@ import bpy
 import numpy as np
 
 
+def open_image(path: Path) -> bpy.types.Image:
+    """A new data-block of an image file. Raises OSError where Blender cannot read the file."""
+    if not path.is_file():  # Blender would wait for ever for a pipe
+        raise OSError(f"there is no image file {path}")
+    try:
+        return bpy.data.images.load(str(path), check_existing=False)
+    except RuntimeError as error:
+        raise OSError(f"Blender cannot read the image {path}: {error}") from error
+
+
 def load_pixels(path: Path) -> np.ndarray:
     """The pixels [H,W,4] of an image file as float32, as they are stored (8-bit files: 0..1, still sRGB-encoded).
 
     Raises OSError where Blender cannot read the file.
     """
-    if not path.is_file():  # Blender would wait for ever for a pipe
-        raise OSError(f"there is no image file {path}")
-    try:
-        image = bpy.data.images.load(str(path), check_existing=False)
-    except RuntimeError as error:
-        raise OSError(f"Blender cannot read the image {path}: {error}") from error
+    image = open_image(path)
     try:
         image.colorspace_settings.is_data = True
         width, height = image.size

@@ -15,8 +15,8 @@ from trimesh.nsphere import minimum_nsphere
 from blender_nep.cameras.seen_through import Sightlines, seen_through, without_free_space
 from blender_nep.capture.brightness import to_brightness
 from blender_nep.capture.capture import Capture
+from blender_nep.capture.exposure.from_exif import exposures_of
 from blender_nep.capture.exposure.surroundings import compare_exposures
-from blender_nep.capture.exposure.told import exposures_of
 from blender_nep.capture.rays.pixel_rays import PixelRays
 from blender_nep.capture.turntable.motions import in_unit_frame, on_turntable
 from blender_nep.errors import CaptureError

@@ -24,7 +24,7 @@ from blender_nep.capture.photos.photo_files import (
     image_size,
     open_image,
 )
-from blender_nep.capture.without_cameras import find_cameras, photos_below, video_hint, videos_in
+from blender_nep.capture.without_cameras import find_cameras, only_videos, photos_below, videos_in
 from blender_nep.color import linear_to_srgb, to_bytes
 from blender_nep.errors import CaptureError
 from blender_nep.safety.pictures import DAMAGED, open_picture
@@ -100,13 +100,7 @@ def find_photos(folder: Path, masked: bool = False) -> list[Photo]:
             photos=len(inside),
         )
     if len(paths) < MINIMUM_VIEWS and (videos := videos_in(folder)):
-        raise CaptureError(
-            f"{folder} holds a video ({videos[0].name}), but no photos or too few",
-            video_hint(videos),
-            "capture.video",
-            folder=folder,
-            video=videos[0].name,
-        )
+        raise only_videos(folder, videos, "no photos or too few")
     if len(paths) < MINIMUM_VIEWS:
         allowed = ", ".join(suffix[1:] for suffix in SUFFIXES)
         raise CaptureError(

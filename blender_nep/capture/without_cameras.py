@@ -46,13 +46,7 @@ def no_capture(folder: Path, file: str, recognized: Callable[[Path], bool]) -> C
             photos=len(photos),
         )
     if videos := videos_in(folder):
-        return CaptureError(
-            f"{folder} holds a video ({videos[0].name}), but no photos and no cameras: it {state}",
-            video_hint(videos),
-            "capture.video",
-            folder=folder,
-            video=videos[0].name,
-        )
+        return only_videos(folder, videos, f"no photos and no cameras: it {state}")
     inner = [path.name for path in sorted(folder.iterdir()) if path.is_dir() and _is_or_could_be(path, recognized)]
     if inner:
         more = f" and {len(inner) - _SHOWN} more" if len(inner) > _SHOWN else ""
@@ -92,6 +86,17 @@ def video_hint(videos: Sequence[Path]) -> str:
     """What to do with videos, at least one, instead of photos."""
     which = "it" if len(videos) == 1 else f"one of the {len(videos)} videos"
     return f"Take frames from {which}, and find their cameras: {find_cameras(videos[0])}"
+
+
+def only_videos(folder: Path, videos: Sequence[Path], lacks: str) -> CaptureError:
+    """What is wrong with a folder that holds videos, at least one, instead of photos. lacks: what it does not hold."""
+    return CaptureError(
+        f"{folder} holds a video ({videos[0].name}), but {lacks}",
+        video_hint(videos),
+        "capture.video",
+        folder=folder,
+        video=videos[0].name,
+    )
 
 
 def find_cameras(folder: Path) -> str:

@@ -25,7 +25,7 @@ from blender_nep.capture.turntable.rows import LEAST_PHOTOS
 from blender_nep.evidence.sdf_grid import SdfGrid
 from blender_nep.fields.visual_hull import carve, score_cells
 from blender_nep.profiling import profiled
-from blender_nep.tone_mapping import tone_map
+from blender_nep.tone_mapping import inverse_tone_map, tone_map
 
 RECURS = 0.15
 """A color recurs at a pixel if at least this share of the row's photos have it, and at least three."""
@@ -55,6 +55,8 @@ _TRIED = 12
 """Photos of a row whose colors are tried as those of the surroundings, at each pixel"""
 _FIRST_CELLS = 48
 """Cells along each side of the cube in which the first hull is carved"""
+_DARK = 0.005
+"""Radiance that is added before factors are compared, so that noise in the dark has no hue"""
 _AT_A_TIME = 4096
 """Blocks that are looked at at a time"""
 
@@ -184,14 +186,10 @@ def _recurring(colors: Tensor) -> tuple[Tensor, Tensor]:
 
 def _may_be_shadow(colors: Tensor, still: Tensor) -> Tensor:
     """Whether tone-mapped colors [photos, n, 3] are those of the surroundings, still [n, 3], in a shadow: [photos, n]."""
-    factor = ((torch.expm1(colors * _LOG) + _DARK) / (torch.expm1(still * _LOG) + _DARK)).log()
+    factor = ((inverse_tone_map(colors) + _DARK) / (inverse_tone_map(still) + _DARK)).log()
     mean = factor.mean(-1)
     low, high = (torch.tensor(limit).log() for limit in SHADOW)
     return (mean > low) & (mean < high) & ((factor - mean[..., None]).abs().amax(-1) < SHADOW_HUE)
-
-
-_LOG, _DARK = float(torch.log(torch.tensor(5.0))), 0.02
-"""`tone_map` is log(1 + 4 x) / log 5. Four times the radiance that is added, so that noise in the dark has no hue"""
 
 
 def _colors(rays: PixelRays, view: int, block: int) -> Tensor:

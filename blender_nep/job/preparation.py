@@ -14,10 +14,10 @@ from blender_nep.capture.brightness import to_brightness
 from blender_nep.capture.camera_settings import expected_response
 from blender_nep.capture.capture import View
 from blender_nep.capture.doctor.turntable import MOST_STILL, still_share
+from blender_nep.capture.exposure.from_exif import exposures_of
 from blender_nep.capture.exposure.other_light import other_light
 from blender_nep.capture.exposure.sessions import times_of
 from blender_nep.capture.exposure.surroundings import Comparison, compare_exposures
-from blender_nep.capture.exposure.told import exposures_of
 from blender_nep.capture.held_out import split
 from blender_nep.capture.rays.pixel_store import PixelMemory
 from blender_nep.capture.turntable.motions import in_unit_frame, on_turntable

@@ -19,7 +19,7 @@ from blender_nep.capture.doctor.coverage_picture import LIMITS, SHADES, SIZE, dr
 from blender_nep.capture.doctor.sharpness import blurred
 from blender_nep.capture.doctor.summary import describe, summarize
 from blender_nep.capture.doctor.turntable import MOST_STILL, still_share
-from blender_nep.capture.exposure import told
+from blender_nep.capture.exposure import from_exif
 from blender_nep.capture.exposure.surroundings import compare_exposures
 from blender_nep.capture.turntable import motions
 from blender_nep.cli import main
@@ -392,7 +392,7 @@ def test_equal_exposures_that_exif_tells_are_known(tmp_path, monkeypatch):
     folder = write(tmp_path / "a", CAMERAS[:3], [photo(matrix) for matrix in CAMERAS[:3]])
     monkeypatch.setattr(summary, "compare_exposures", lambda rays: None)
     assert summarize(folder)["exposure_stops"] is None
-    monkeypatch.setattr(told, "exif_exposure", lambda path: (0.01, 8.0, 100.0))
+    monkeypatch.setattr(from_exif, "exif_exposure", lambda path: (0.01, 8.0, 100.0))
     assert summarize(folder)["exposure_stops"] == 0
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import bpy
 
 from ..color_spaces import set_color_space
-from ..image_files import relative_path
+from ..image_files import open_image, relative_path
 
 
 @dataclass(frozen=True)
@@ -44,12 +44,7 @@ def load_image(path: Path, *, color_space: str, pack: bool) -> bpy.types.Image:
 
     With `pack` the image is stored in the .blend. It refers to its file, by a relative path if the .blend is saved.
     """
-    if not path.is_file():  # Blender would wait for ever for a pipe
-        raise OSError(f"there is no image file {path}")
-    try:
-        image = bpy.data.images.load(str(path), check_existing=False)
-    except RuntimeError as error:
-        raise OSError(f"Blender cannot read the image {path}") from error
+    image = open_image(path)
     if not image.size[0]:  # Blender reads the pixels only when asked, and does not report a damaged file
         bpy.data.images.remove(image)
         raise OSError(f"Blender cannot read the image {path}")

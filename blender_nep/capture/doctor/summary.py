@@ -17,10 +17,10 @@ from blender_nep.capture.doctor.coverage_picture import refuse_foreign_picture, 
 from blender_nep.capture.doctor.sharpness import blurred
 from blender_nep.capture.doctor.turns import Turns
 from blender_nep.capture.doctor.turntable import still_share
+from blender_nep.capture.exposure.from_exif import exif_gains, exposures_of
 from blender_nep.capture.exposure.other_light import other_light
 from blender_nep.capture.exposure.sessions import times_of
 from blender_nep.capture.exposure.surroundings import Comparison, Exposures, compare_exposures, stops
-from blender_nep.capture.exposure.told import exposures_of, told_gains
 from blender_nep.capture.loading import load_capture
 from blender_nep.capture.photos.mask_files import MaskMeaning
 from blender_nep.capture.rays.pixel_rays import BRIGHTEST_CLIPPED, SATURATED, PixelRays
@@ -126,7 +126,7 @@ def _exposure_stops(capture: Capture, exposures: Exposures, compared: Comparison
     if exposures.gain is not None:
         return round(float(np.ptp(stops(exposures.gain))), 2)
     if compared is None:
-        return None if told_gains(capture) is None else 0.0
+        return None if exif_gains(capture) is None else 0.0
     return None if exposures.warning == Message("capture.exposure_unclear") else 0.0
 
 

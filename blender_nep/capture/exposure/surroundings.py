@@ -99,6 +99,10 @@ class _Entries:
         of_entries = {name: getattr(self, name)[which] for name in ("view", "cell", "value", "terms", "count")}
         return replace(self, **of_entries)
 
+    def shared(self) -> _Entries:
+        """The entries of cells that more than one photo shows."""
+        return self.where(np.bincount(self.cell)[self.cell] > 1) if len(self.cell) else self
+
 
 @dataclass(frozen=True)
 class Exposures:
@@ -304,20 +308,31 @@ def _on_surfaces(
 
 def _rest(entries: _Entries, log: np.ndarray, falloff: np.ndarray) -> float:
     """The mean absolute difference of the entries from the means of their cells, as in `Comparison.rest`."""
-    cells = (len(SPHERES) + len(PLANES)) * ROWS * 2 * ROWS
-    entries = entries.where(np.bincount(entries.cell, minlength=cells)[entries.cell] > 1)
+    entries = entries.shared()
     cell, base = entries.cell, np.sqrt(entries.count)
     evened = entries.value - log[entries.view] - (entries.terms @ falloff)[:, None]
+    agreement = _agreement(cell, base, np.abs(_from_means(cell, evened, base)).mean(1), base)
+    size = np.abs(_from_means(cell, evened, agreement)).mean(1)
+    return float((agreement * size).sum() / max(agreement.sum(), 1e-12))
 
-    def sizes(weight: np.ndarray) -> np.ndarray:
-        """Sizes [n] of the differences from the cells' means with these weights [n]."""
-        total = np.maximum(np.bincount(cell, weight, cells), 1e-12)
-        means = np.stack([np.bincount(cell, weight * column, cells) / total for column in evened.T], 1)
-        return np.abs(evened - means[cell]).mean(1)
 
-    disagreement = np.bincount(cell, base * sizes(base), cells) / np.maximum(np.bincount(cell, base, cells), 1e-12)
-    agreement = base / np.maximum(disagreement[cell], SMALLEST) ** 3
-    return float((agreement * sizes(agreement)).sum() / max(agreement.sum(), 1e-12))
+def _cell_count() -> int:
+    """Number of cells on all spheres and planes."""
+    return (len(SPHERES) + len(PLANES)) * ROWS * 2 * ROWS
+
+
+def _from_means(cell: np.ndarray, values: np.ndarray, weight: np.ndarray) -> np.ndarray:
+    """The columns of values [n, k] minus the means of their cells [n] with weights [n]."""
+    cells = _cell_count()
+    total = np.maximum(np.bincount(cell, weight, cells), 1e-12)
+    return values - np.stack([np.bincount(cell, weight * column, cells) / total for column in values.T], 1)[cell]
+
+
+def _agreement(cell: np.ndarray, base: np.ndarray, size: np.ndarray, weight: np.ndarray) -> np.ndarray:
+    """Weights [n] of entries: base [n], and more in cells whose differences of these sizes [n] are small."""
+    cells = _cell_count()
+    disagreement = np.bincount(cell, weight * size, cells) / np.maximum(np.bincount(cell, weight, cells), 1e-12)
+    return base / np.maximum(disagreement[cell], SMALLEST) ** 3
 
 
 @dataclass(frozen=True)
@@ -337,21 +352,16 @@ def _solve(entries: _Entries) -> _Solution:
     cells' means are eliminated from the equations. The gains and the vignetting are solved for in turn: they hardly depend
     on each other, because every photo shows cells at all distances from its middle.
     """
-    cells, brightness = (len(SPHERES) + len(PLANES)) * ROWS * 2 * ROWS, entries.brightness
+    cells, brightness = _cell_count(), entries.brightness
     views = len(brightness)
-    entries = entries.where(np.bincount(entries.cell, minlength=cells)[entries.cell] > 1)
+    entries = entries.shared()
     view, cell, value, terms, base = entries.view, entries.cell, entries.value, entries.terms, np.sqrt(entries.count)
     guess = np.nan_to_num(brightness - np.nanmean(brightness))[:, None].repeat(3, 1)
     log, falloff, weight, agreement = np.zeros((views, 3)), np.zeros(TERMS), base, base
 
-    def from_means(rest: np.ndarray, weight: np.ndarray) -> np.ndarray:
-        """The columns rest [n, k] minus the weighted means of their cells."""
-        total = np.maximum(np.bincount(cell, weight, cells), 1e-12)
-        return rest - np.stack([np.bincount(cell, weight * column, cells) / total for column in rest.T], 1)[cell]
-
     def differences(log: np.ndarray, falloff: np.ndarray, weight: np.ndarray) -> np.ndarray:
         """Differences [n, 3] of the entries, without gains and vignetting, from the weighted means of their cells."""
-        return from_means(value - log[view] - (terms @ falloff)[:, None], weight)
+        return _from_means(cell, value - log[view] - (terms @ falloff)[:, None], weight)
 
     for _ in range(ROUNDS):
         table = sparse.csr_matrix((weight, (view, cell)), shape=(views, cells))
@@ -362,12 +372,11 @@ def _solve(entries: _Entries) -> _Solution:
         right = np.stack([np.bincount(view, weight * d, views) for d in difference.T], 1) + prior * (guess - log)
         log = log + np.linalg.solve(matrix + prior * np.eye(views), right)
         log -= log.mean(0)
-        slope = from_means(terms, weight)
+        slope = _from_means(cell, terms, weight)
         square = (weight[:, None] * slope).T @ slope + 1e-6 * weight.sum() * np.eye(TERMS)
         falloff = falloff + np.linalg.solve(square, (weight[:, None] * slope).T @ differences(log, falloff, weight).mean(1))
         size = np.abs(differences(log, falloff, weight)).mean(1)
-        disagreement = np.bincount(cell, weight * size, cells) / np.maximum(np.bincount(cell, weight, cells), 1e-12)
-        agreement = base / np.maximum(disagreement[cell], SMALLEST) ** 3
+        agreement = _agreement(cell, base, size, weight)
         weight = agreement / np.maximum(size, SMALLEST)
     left = [float((agreement * np.abs(differences(gains, falloff, agreement)).mean(1)).sum()) for gains in (log, 0 * log)]
     return _Solution(log, falloff, left[0] / max(left[1], 1e-12))

@@ -35,31 +35,6 @@ def check_viewpoints():
     assert all(view.row is None and np.allclose(view.turn, np.eye(4)) for view in built.test)
 
 
-def test_options_of_a_turntable_are_checked():
-    in_blender(check_options)
-
-
-def check_options():
-    import contextlib
-    import io
-
-    from backend import synthetic
-
-    for words, message in (
-        ("--walk", "--walk has no effect without --turntable"),
-        ("--random 3 --turntable 2", "--turntable has no effect with --random"),
-        ("--turntable 9", "invalid choice: 9"),
-        ("--turntable 1 --photograph framing two_days", "--photograph framing two_days does not"),
-    ):
-        said = io.StringIO()
-        with contextlib.redirect_stderr(said):
-            try:
-                found = synthetic.parse(["--out", "x", *words.split()])
-            except SystemExit as ended:
-                found = ended.code
-        assert found == 2 and message in said.getvalue(), (words, found, said.getvalue())
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("walk", [False, True], ids=["turntable", "walk"])
 def test_a_rendered_turntable_is_what_its_files_say(tmp_path, walk):

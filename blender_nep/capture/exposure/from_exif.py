@@ -1,4 +1,4 @@
-"""What the files of photos tell of their exposures, and what counts where the surroundings tell something else.
+"""Exposures from EXIF, and what counts where the surroundings tell something else.
 
 EXIF tells how much light the camera took in, and not how bright the scene was. So it compares the photos of one session, and
 the surroundings compare the sessions. Within a session it tells more than the surroundings do. These hardly look the same
@@ -14,10 +14,11 @@ from blender_nep.capture.capture import Capture, View
 from blender_nep.capture.exposure.sessions import sessions, times_of
 from blender_nep.capture.exposure.surroundings import LEAST_SPREAD, Comparison, Exposures
 from blender_nep.capture.photos.exif_exposure import exif_exposure
+from blender_nep.capture.rays.vignetting import Vignetting
 
 LEAST_AGREEMENT = 0.75
-"""Told exposures do not count if the surroundings differ less than this share as much with the gains that fit them best.
-Measured (docs/lab/exposure.md): 0.89 to 1.00 where EXIF is right, 0.62 where automatic exposures are not told."""
+"""EXIF does not count if the surroundings differ less than this share as much with the gains that fit them best.
+Measured (docs/lab/exposure.md): 0.89 to 1.00 where EXIF is right, 0.62 where it lacks automatic exposures."""
 USUAL_BALANCE = 0.05
 """Usual standard deviation of the logarithms of a camera's white balance within a session."""
 USUAL_BALANCE_OF_SESSIONS = 0.2
@@ -25,68 +26,66 @@ USUAL_BALANCE_OF_SESSIONS = 0.2
 
 
 def exposures_of(capture: Capture, compared: Comparison | None, device: torch.device | str = "cpu") -> Exposures:
-    """The exposures of the photos, as they are learned from: what their files tell, or else what the surroundings tell.
+    """The exposures of the photos, as they are learned from: those of EXIF, or else those of the surroundings.
 
     compared: None if the photos share too little of the surroundings.
     """
-    told = told_exposures(told_gains(capture), sessions(times_of(capture)), compared, device)
-    if told is not None:
-        return told
+    found = exposures_from_exif(exif_gains(capture), sessions(times_of(capture)), compared, device)
+    if found is not None:
+        return found
     return Exposures(None) if compared is None else compared.exposures(device)
 
 
-def told_gains(capture: Capture) -> np.ndarray | None:
-    """How much brighter [views] each photo was taken than the average, from time x ISO / f-number^2. None: not all tell.
+def exif_gains(capture: Capture) -> np.ndarray | None:
+    """How much brighter [views] each photo was taken than the average, from time x ISO / f-number^2. None: not all have it.
 
     The geometric mean is 1. Apertures in EXIF are rounded to a third of a stop, exposure times to some percent.
     """
-    told = []
+    exposures = []
     for view in capture.views:
         exposure = _exposure(view)
         if exposure is None:  # the others need not be asked
             return None
-        told.append(exposure)
-    log = np.log(np.array(told, np.float64))
+        exposures.append(exposure)
+    log = np.log(np.array(exposures, np.float64))
     return np.exp(log - log.mean())
 
 
 def _exposure(view: View) -> float | None:
-    """Exposure time x ISO / f-number^2 of a photo. None: its file does not tell all three."""
+    """Exposure time x ISO / f-number^2 of a photo. None: its file lacks one of them."""
     seconds, f_number, iso = exif_exposure(view.image_path)
     if seconds is None or f_number is None or iso is None:
         return None
     return seconds * iso / f_number**2
 
 
-def told_exposures(
-    told: np.ndarray | None, session: np.ndarray, compared: Comparison | None, device: torch.device | str
+def exposures_from_exif(
+    gains: np.ndarray | None, session: np.ndarray, compared: Comparison | None, device: torch.device | str
 ) -> Exposures | None:
-    """The exposures that the files tell. None: they do not tell, or the surroundings deny it.
+    """The exposures by EXIF. None: the files lack them, or the surroundings deny them.
 
-    told [views] is that of `told_gains`, and session [views] that of `sessions`. The surroundings tell the brightness of
-    each session, and the white balance. The worse they agree with the files, the less their white balance counts. They deny
-    what the files tell where a flash was used, or where a program has changed the photos' brightness.
+    gains [views] are `exif_gains`, and session [views] is that of `sessions`. The surroundings tell the brightness of each
+    session, and the white balance. The worse they agree with EXIF, the less their white balance counts. They deny EXIF where
+    a flash was used, or where a program has changed the photos' brightness.
     """
-    if told is None:
+    if gains is None:
         return None
-    told = np.log(told)
+    gray = np.log(gains)
     if compared is None:
-        log = (told - _means(told, session))[:, None].repeat(3, 1)
-        return _used(log, Exposures(None), device)
+        return _exposures((gray - _means(gray, session))[:, None].repeat(3, 1), None, device)
     bright = compared.log.mean(1)
-    told = told + _medians(bright - told, session)
+    gray = gray + _medians(bright - gray, session)
     balance = compared.log - bright[:, None]
-    if compared.rest(compared.log) < LEAST_AGREEMENT * compared.rest(told[:, None] + balance):
+    if compared.rest(compared.log) < LEAST_AGREEMENT * compared.rest(gray[:, None] + balance):
         return None
-    log = told[:, None] + _likely_balance(balance, session, doubt=float((bright - told).std()))
-    return _used(log - log.mean(0), Exposures(None, vignetting=compared.vignetting), device)
+    log = gray[:, None] + _likely_balance(balance, session, doubt=float((bright - gray).std()))
+    return _exposures(log - log.mean(0), compared.vignetting, device)
 
 
-def _used(log: np.ndarray, equal: Exposures, device: torch.device | str) -> Exposures:
-    """The exposures with these logarithms [views, 3]; `equal` if they hardly differ."""
-    if np.sqrt((log**2).mean()) < LEAST_SPREAD:
-        return equal
-    return Exposures(torch.from_numpy(np.exp(log).astype(np.float32)).to(device), None, equal.vignetting)
+def _exposures(log: np.ndarray, vignetting: Vignetting | None, device: torch.device | str) -> Exposures:
+    """The exposures with these logarithms [views, 3] of the gains; equal ones if they hardly differ."""
+    gain = torch.from_numpy(np.exp(log).astype(np.float32)).to(device) if np.sqrt((log**2).mean()) >= LEAST_SPREAD else None
+    return Exposures(gain, vignetting=vignetting)
 
 
 def _likely_balance(found: np.ndarray, session: np.ndarray, doubt: float) -> np.ndarray:
