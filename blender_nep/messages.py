@@ -30,6 +30,7 @@ class Part(StrEnum):
     NARROW_CONES = "narrow cones"
     UNSEEN_LIGHT = "unseen light"
     CAMERA_RESPONSE = "camera response"
+    OBJECT_GAINS = "object gains"
     FURTHER_STEPS = "further steps of both fields"
     MATERIAL_BOUNDARIES = "material boundaries"
     VARIED_MATERIALS = "materials that vary from place to place"
@@ -121,6 +122,7 @@ PARTS: dict[str, str] = {
     Part.NARROW_CONES: "sharp reflections",
     Part.UNSEEN_LIGHT: "light that no photo shows",
     Part.CAMERA_RESPONSE: "the camera's tone curve",
+    Part.OBJECT_GAINS: "evening out how bright the object is from photo to photo",
     Part.FURTHER_STEPS: "the rest of learning shape and light",
     Part.MATERIAL_BOUNDARIES: "boundaries between materials",
     Part.VARIED_MATERIALS: "materials that vary from place to place",
@@ -422,6 +424,8 @@ WORDS: dict[str, str] = {
     "reason.no_hull": "the shape does not start from an outline",
     "reason.levels_there": "the shape has them already",
     "reason.wide_pixels": "the photos have too few pixels for it",
+    "reason.curve_told": "the exposures of the photos told it",
+    "reason.equally_bright": "it is as bright in all photos",
     "reason.linear_photos": "the photos hold linear values",
     "reason.no_tone_curve": "the photos show none",
     "reason.light_not_shown": "the photos show too little of the light",

@@ -29,6 +29,7 @@ from blender_nep.asset.photo_score import PhotoScore, photo_score
 from blender_nep.capture import PixelRays, load_capture
 from blender_nep.capture.capture import Capture
 from blender_nep.capture.held_out import split
+from blender_nep.capture.rays.response_curve import ResponseCurve
 from blender_nep.checkpoints import load_state
 from blender_nep.errors import UsageError
 from blender_nep.fields.fields import Fields
@@ -76,6 +77,8 @@ def score(folder: Path, asset: Path, photos: int | None = None, samples: int = S
     rays = PixelRays.from_capture(held, PIXELS, report["capture"]["masks"] or bool(held.views[0].mask_path))
     fields, support = _learned(asset, report["preset"])
     exposure, response = report["capture"]["exposure"], response_of(report)
+    curve = report["capture"].get("camera_curve")  # F_e and the renderings are light then, and the photos are not
+    files = None if curve is None or held.color_space == "linear" else ResponseCurve.of_files(curve)
     shown, rendered, numbers, kinds, surroundings = [], [], [], [], []
     for number, picture in enumerate(_render(asset, held, rays, samples)):
         index = torch.arange(rays.offset[number], rays.offset[number + 1])
@@ -94,9 +97,10 @@ def score(folder: Path, asset: Path, photos: int | None = None, samples: int = S
         if response is not None and held.color_space == "linear":  # test photos, which lack the curve that F_e has
             around = response.light(torch.from_numpy(exposure * around)).numpy() / exposure
         elif response is not None:  # the renderings lack the camera's curve, which photos and F_e have
-            light = of_asset / covered.clip(1e-3, 1)[:, None]
-            of_asset = covered[:, None] * response.photo(torch.from_numpy(exposure * light)).numpy() / exposure
-        rendered.append(of_asset + (1 - covered[:, None]) * around)
+            full = of_asset / covered.clip(1e-3, 1)[:, None]
+            of_asset = covered[:, None] * response.photo(torch.from_numpy(exposure * full)).numpy() / exposure
+        light = of_asset + (1 - covered[:, None]) * around
+        rendered.append(light if files is None else files.photo(torch.from_numpy(light)).numpy())
         numbers.append(np.full(len(index), number))
         kinds.append(usable & (mask >= _WHOLE))
         surroundings.append(beside)

@@ -32,6 +32,8 @@ ABLATIONS: dict[str, dict[str, dict]] = {
     WITHOUT_F_E: {"material": {}},
     "no cones": {"material": {"use_cones": False}},
     "no camera response": {"material": {"camera_response": False}},
+    "no object gains": {"material": {"object_gains": False}},
+    "no smooth classes": {"material": {"unclear_classes": float("inf")}},
     "metals of any brightness": {"material": {"metals_are_bright": 0.0}},
     "no unseen light": {"material": {"learn_unseen_light": False}},
     "no indirect light": {"material": {"levels": 0}},

@@ -107,5 +107,6 @@ def explained(
     asset = TexturedSurface(mesh, {name: getattr(materials, name) for name in TEXTURES})
     scored = rays if held_out is None else held_out
     every = fitted_to_widths(preset.fields, rays).held_out_every if held_out is None else 1
-    found = explain_photos(asset, f_p, light, scored, every, held_out is not None, seed, curve)
+    gain = materials.object_gain if held_out is None else None
+    found = explain_photos(asset, f_p, light, scored, every, held_out is not None, seed, curve, gain)
     return ExplainedReport(found, hold_out)

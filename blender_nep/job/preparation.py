@@ -14,9 +14,10 @@ from blender_nep.capture.brightness import to_brightness
 from blender_nep.capture.camera_settings import expected_response
 from blender_nep.capture.capture import View
 from blender_nep.capture.doctor.turntable import MOST_STILL, still_share
-from blender_nep.capture.exposure.from_exif import exposures_of
+from blender_nep.capture.exposure.curve_of_files import curve_of_files
+from blender_nep.capture.exposure.from_exif import exif_gains, exposures_of
 from blender_nep.capture.exposure.other_light import other_light
-from blender_nep.capture.exposure.sessions import times_of
+from blender_nep.capture.exposure.sessions import sessions, times_of
 from blender_nep.capture.exposure.surroundings import Comparison, compare_exposures
 from blender_nep.capture.held_out import split
 from blender_nep.capture.rays.pixel_store import PixelMemory
@@ -241,11 +242,12 @@ class Preparation:
     def _look(self, photos: _Photos) -> Scene:
         """The photos as bright as they are learned from, and what they show."""
         preset, rays = self._settings.preset, photos.rays
+        response = expected_response(photos.capture)
         if preset.even_exposure:
-            rays = self._even_out(rays, photos)
+            rays = self._even_out(rays, photos, response)
         if preset.brightness > 0:
             rays = to_brightness(rays, preset.brightness)
-        return Scene.of(rays, expected_response(photos.capture))
+        return Scene.of(rays, response)
 
     def _finish_complete(self, what: dict[str, object]) -> None:
         """End a resume of an asset that is complete. Raises UsageError if it is not the asset that was asked for."""
@@ -288,7 +290,8 @@ class Preparation:
         """
         s = self._settings
         rays = PixelRays.from_capture(held_out, s.preset.max_pixels_per_photo, s.use_masks, self._device)
-        return self._moved(rays, held_out, first).with_gain(None, learned.vignetting).with_exposure(learned.exposure)
+        rays = self._moved(rays, held_out, first).with_curve_of_files(learned.curve_of_files)
+        return rays.with_gain(None, learned.vignetting).with_exposure(learned.exposure)
 
     def _photo_read(self, done: int, photos: int) -> None:
         self._tracker.report(StageName.CAPTURE, done, photos)
@@ -304,12 +307,23 @@ class Preparation:
             self._events.warning(Message("capture.other_light", {"count": len(found), "names": names}))
         return found
 
-    def _even_out(self, rays: PixelRays, photos: _Photos) -> PixelRays:
-        """The same pixels with the gains of the photos, if the photos' exposures differ, and without vignetting."""
-        found = exposures_of(photos.capture, photos.compared, rays.radiance.device)
-        if found.warning:
-            self._events.warning(found.warning)
-        return rays.with_gain(found.gain, found.vignetting)
+    def _even_out(self, rays: PixelRays, photos: _Photos, expected: float | None) -> PixelRays:
+        """The same pixels with the gains of the photos, if the photos' exposures differ, and without vignetting.
+
+        `expected` is the likely strength of the camera's response curve. If EXIF's exposures tell the curve, it is undone
+        before they are evened out.
+        """
+        compared, capture, material = photos.compared, photos.capture, self._settings.preset.material
+        if compared is not None and material.camera_response:
+            told = exif_gains(capture), sessions(times_of(capture))
+            curve = curve_of_files(rays, *told, expected, material.response_prior)
+            if curve is not None:
+                rays = rays.with_curve_of_files(curve)
+                compared = compare_exposures(rays)
+        exposures = exposures_of(capture, compared, rays.radiance.device)
+        if exposures.warning:
+            self._events.warning(exposures.warning)
+        return rays.with_gain(exposures.gain, exposures.vignetting)
 
     def _make_output(self) -> None:
         out = self._settings.out

@@ -74,6 +74,7 @@ class JobReport:
             "masks": rays.mask is not None,
             "mask_meaning": capture.mask_reading.meaning.value if any(v.mask_path for v in capture.views) else None,
             "exposure": rays.exposure,
+            **({} if rays.curve_of_files is None else {"camera_curve": rays.curve_of_files.strength}),
             **({} if rays.gain is None else {"photo_gains": np.round(rays.gain.tolist(), 4).tolist()}),
             **({} if rays.vignetting is None else {"vignetting": asdict(rays.vignetting)}),
         }

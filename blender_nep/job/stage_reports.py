@@ -32,6 +32,7 @@ class StageReportView:
             seconds_saved=report.get("seconds_saved", {}),
             acted=(
                 *((Part.CAMERA_RESPONSE,) if "response" in report else ()),
+                *((Part.OBJECT_GAINS,) if "object_gains" in report else ()),
                 *(name for name, entry in entries.items() if "acted" in entry),
             ),
         )

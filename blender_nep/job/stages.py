@@ -8,7 +8,7 @@ messages do not wait for them.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol, TypeVar
 
@@ -232,7 +232,8 @@ class MaterialsStage:
         unseen = result.unseen.state() if result.unseen is not None else None
         kept = result.kept.state() if result.kept is not None else None
         response = result.response.state() if result.response is not None else None
-        return {"textures": textures, "unseen": unseen, "report": result.report, "kept": kept, "response": response}
+        packed = {"textures": textures, "unseen": unseen, "report": result.report, "kept": kept, "response": response}
+        return packed | {"object_gain": result.object_gain}
 
     def unpack(self, state: dict, given: MaterialsInput) -> Materials:
         from blender_nep.capture.rays.response_curve import ResponseCurve
@@ -246,7 +247,12 @@ class MaterialsStage:
         kept = KeptMaterials.from_state(state["kept"]) if state["kept"] is not None else None
         unseen = UnseenLight.from_state(state["unseen"]) if state["unseen"] is not None else None
         response = ResponseCurve.from_state(state["response"]) if state["response"] is not None else None
-        return Materials(**state["textures"], unseen=unseen, report=state["report"], kept=kept, response=response)
+        gain = state["object_gain"]
+        if gain is not None:
+            check_array("object_gain", gain, (given.scene.rays.views,))
+            gain = gain.to(given.scene.device)
+        found = Materials(**state["textures"], unseen=unseen, report=state["report"], kept=kept, response=response)
+        return replace(found, object_gain=gain)
 
 
 @dataclass(frozen=True)

@@ -19,6 +19,7 @@ import torch
 from torch import Tensor
 
 from blender_nep.capture.rays.response_curve import MOST_STRENGTH, ResponseCurve
+from blender_nep.capture.rays.tried_strengths import TriedStrengths
 from blender_nep.materials.fitting import fit_groups, regions
 from blender_nep.materials.palette.palette import best_of
 from blender_nep.profiling import profiled
@@ -46,31 +47,6 @@ _STRENGTHS = tuple(np.linspace(0, MOST_STRENGTH, 9).tolist())
 """Strengths that are tried"""
 _LEAST_WEIGHT = 0.05
 """The strength is looked for if the mean weight of the samples is at least this: the photos must show the light."""
-_LEAST_STRENGTH = 0.05
-"""Weaker curves are left out."""
-
-
-@dataclass(frozen=True)
-class TriedStrengths:
-    """How well the photos are explained under several strengths of the curve."""
-
-    strengths: tuple[float, ...]
-    errors: tuple[float, ...]
-    """Mean tone-mapped errors, in the photos' own values"""
-
-    def best(self, expected: float, prior: float) -> float:
-        """The strength with the least cost: the error as a multiple of the least one, plus prior * (strength - expected)^2.
-
-        It is refined by a parabola through three strengths, and 0 if it is below 0.05.
-        """
-        strengths = np.array(self.strengths)
-        cost = np.array(self.errors) / min(self.errors) + prior * (strengths - expected) ** 2
-        k = int(np.clip(cost.argmin(), 1, len(cost) - 2))
-        left, middle, right = cost[k - 1 : k + 2]
-        bend = left - 2 * middle + right
-        shift = np.clip(0.5 * (left - right) / bend, -1, 1) if bend > 1e-12 else np.sign(left - right)
-        found = float(np.clip(strengths[k] + shift * (strengths[1] - strengths[0]), strengths[0], strengths[-1]))
-        return found if found >= _LEAST_STRENGTH else 0.0
 
 
 @profiled("response curve")

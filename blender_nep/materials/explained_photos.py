@@ -107,6 +107,7 @@ def explain_photos(
     own_gains: bool,
     seed: int,
     response: ResponseCurve | None = None,
+    object_gain: Tensor | None = None,
 ) -> Explained:
     """Score one of `every` pixels of the photos, at most _PIXELS of the object and as many beside it.
 
@@ -114,6 +115,7 @@ def explain_photos(
     `own_gains`, each photo has a gain of its own. Without, all have one, because their exposures are evened out.
 
     `response` is the camera's response curve, which photos and F_e have, and the asset has not. None: there is none.
+    object_gain [views]: how much brighter the object is in each photo than in the others. None: it is as bright in all.
     """
     random = np.random.default_rng(seed)
     index = _drawn(rays.sphere, every, _TRIED * _PIXELS, random)
@@ -149,7 +151,8 @@ def explain_photos(
     of_asset[missed] = behind(environment, rays, index[torch.from_numpy(missed).to(device)])
     at = torch.from_numpy(chosen).to(device)
     scored = index[at]
-    found = photo_score(rays.photo(scored).cpu().numpy(), of_asset[chosen], _numbers(rays, scored, own_gains))
+    compared = _in_files(rays.with_object_gain(object_gain), scored, of_asset[chosen])
+    found = photo_score(*compared, _numbers(rays, scored, own_gains))
     in_sphere = index[torch.from_numpy(beside).to(device)]
     return Explained(found, _surroundings(environment, rays, in_sphere, every, own_gains, random))
 
@@ -169,8 +172,14 @@ def _surroundings(
     index = torch.cat([outside[torch.from_numpy(~burnt_out(rays, outside)).to(outside.device)], beside]).sort().values
     if len(index) > _PIXELS:
         index = index[torch.from_numpy(np.sort(random.choice(len(index), _PIXELS, replace=False))).to(index.device)]
-    shown = rays.photo(index).cpu().numpy()
-    return photo_score(shown, behind(environment, rays, index), _numbers(rays, index, own_gains))
+    return photo_score(*_in_files(rays, index, behind(environment, rays, index)), _numbers(rays, index, own_gains))
+
+
+def _in_files(rays: PixelRays, index: Tensor, radiance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """What photos of one exposure show in the pixels index [n], and what they would show of `radiance` [n, 3]."""
+    both = rays.photo(index), torch.from_numpy(np.asarray(radiance, np.float32)).to(index.device)
+    shown, predicted = (rays.as_in_files(values).cpu().numpy() for values in both)
+    return shown, predicted
 
 
 def _drawn(pixels: PixelSet, every: int, most: int, random: np.random.Generator) -> Tensor:

@@ -11,7 +11,7 @@ import math
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -41,6 +41,7 @@ from blender_nep.materials.labels.labeled_points import (
 )
 from blender_nep.materials.palette.palette import Palette
 from blender_nep.materials.palette.search import PaletteSearch
+from blender_nep.materials.photo_gains import gains_of_photos
 from blender_nep.materials.samples.light_gathering import LitSamples, Observations, gathered_light, with_more_samples
 from blender_nep.materials.segments.varied_materials import (
     PlacedPixels,
@@ -94,6 +95,8 @@ class Materials:
     """What a correction by the artist needs"""
     response: ResponseCurve | None = None
     """The camera's response curve, which F_e and the photos still have, and `unseen` has not. None: there is none"""
+    object_gain: Tensor | None = None
+    """[views]: how much brighter the object is in each photo than in the others. None: it is as bright in all"""
 
 
 def learn_materials(
@@ -128,13 +131,16 @@ def _before_the_camera(
 ) -> Observations:
     """The observations without the camera's response curve, if there is one. The report tells what was found."""
     part = str(Part.CAMERA_RESPONSE)
+    if seen.rays.curve_of_files is not None:
+        report.skipped[part] = Message("reason.curve_told").state()
+        return seen
     if not preset.camera_response or expected is None:
         why = Message("reason.linear_photos") if preset.camera_response else Message("reason.preset")
         report.skipped[part] = why.state()
         return seen
     curve, tried = found_curve(seen, expected, preset, seed)
     if tried is not None:
-        report.response_errors = {f"{strength:g}": round(e, 5) for strength, e in zip(*vars(tried).values(), strict=True)}
+        report.response_errors = tried.rounded()
     if curve is None:
         why = Message("reason.light_not_shown") if tried is None else Message("reason.no_tone_curve")
         report.skipped[part] = why.state()
@@ -202,7 +208,8 @@ class _MaterialLearner:
             raise LearningError(message, "Try another --seed.", "learning.diverged")
         report = self.report.as_dict()
         response = seen.rays.response
-        return Materials(albedo, roughness, metallic, confidence, self.light.unseen, report, kept, response)
+        gain = seen.rays.object_gain
+        return Materials(albedo, roughness, metallic, confidence, self.light.unseen, report, kept, response, gain)
 
     def _learn_palette(self) -> float:
         """Fit one material, then learn the palette and the unseen light in turns. Returns the residual with one material."""
@@ -226,7 +233,28 @@ class _MaterialLearner:
             self.progress.step(85 + 5 * k)
         return single
 
+    def _even_out_object(self) -> None:
+        """Find how much brighter the object is in some photos than in others, and divide by it."""
+        if not self.preset.object_gains:
+            self._skip(Part.OBJECT_GAINS, Message("reason.preset"))
+            return
+        search, rays = self.search, self.seen.rays
+        region, predicted = search.of_regions()
+        gain = gains_of_photos(search.samples, predicted, region, search.weight, rays.views)
+        if gain is None:
+            if rays.object_gain is None:
+                self._skip(Part.OBJECT_GAINS, Message("reason.equally_bright"))
+            return
+        self.report.skipped.pop(str(Part.OBJECT_GAINS), None)
+        whole = gain if rays.object_gain is None else rays.object_gain * gain
+        self.report.object_gains = whole.cpu().numpy().round(3).tolist()
+        radiance = search.samples.radiance / gain[search.samples.photo][:, None]
+        samples = replace(search.samples, radiance=radiance)
+        self.seen = replace(self.seen, samples=samples, rays=rays.with_object_gain(whole))
+        self.search = replace(search, samples=samples)
+
     def _grow_palette(self) -> None:
+        self._even_out_object()
         self.found = self.search.grown(self.found, lambda: self.progress.step(75))
 
     def _metallic_swapped(self) -> Palette | None:
@@ -292,7 +320,7 @@ class _MaterialLearner:
             self.progress.step(self.progress.done)
 
         if self._turned and not by_hue:  # the palette was fitted in a better light than the last time
-            radius = likely_radius(light, found.palette, found.label, self.search.target, p, self.generator, tried)
+            radius = likely_radius(light, found.palette, found.label_of_fits, self.search.target, p, self.generator, tried)
             light = light.with_unseen(replace(light.unseen, radius=radius))
             self.search = self.search.under(light)
             trials.clear()
@@ -304,7 +332,16 @@ class _MaterialLearner:
         said = self.search.metal_by_hue(found) if by_hue else torch.zeros_like(found.palette.metallic)
         most_trials = _LATER_TRIALS if by_hue else _FIRST_TRIALS
         unseen, palette, margins = learn_unseen_light(
-            light, found.palette, others, found.label, self.search.target, said, most_trials, p, self.generator, tried
+            light,
+            found.palette,
+            others,
+            found.label_of_fits,
+            self.search.target,
+            said,
+            most_trials,
+            p,
+            self.generator,
+            tried,
         )
         self.found = replace(found, palette=palette)
         if margins:
@@ -381,7 +418,9 @@ class _MaterialLearner:
             pixels = PlacedPixels.of(surfels(chosen, tracer, normals), chosen.radiance, near, self.seen.footprint)
             return CorrectableSegments(lit.light, lit.samples.radiance, materials, groups_of_segments(materials), pixels)
         if predicted:
-            points = labeled_pixels(found.palette, self.preset, samples, shown, rays, tracer, normals, self.seed)
+            points = labeled_pixels(
+                found.palette, self.preset, samples, shown, rays, tracer, normals, self.seed, partial(search.excluded, found)
+            )
             return self._correctable_palette(points)
         return self._correctable_palette(of_samples)
 

@@ -25,6 +25,8 @@ class MaterialReport:
     """The camera's response curve (`ResponseCurve.state`), if there is one"""
     response_errors: dict[str, float] = field(default_factory=dict)
     """{strength of the response curve that was tried: mean tone-mapped error}"""
+    object_gains: list[float] = field(default_factory=list)
+    """[views] how much brighter the object is in each photo than in the others, if that differs"""
     unseen_light_radius: float | None = None
     """Radius of the sphere on which the unseen light lies, in the unit frame"""
     unseen_light_gain: float | None = None

@@ -143,13 +143,13 @@ def _unexplained_samples(
 ) -> Tensor:
     """Indices [m] of random samples to learn from, m at most `count`.
 
-    Samples that the light does not explain yet, such as highlights, are chosen more often.
+    Samples that the light does not explain yet, such as highlights, are chosen more often. Those of label -1 never are.
     """
-    material = palette.at(label)
+    material = palette.at(label.clamp_min(0))
     predicted = reflected(material, light.moments(material.roughness), light.diffuse, light.cos_v)
     left = (tone_map(predicted) - tone_map(target)).abs().mean(-1)
-    chance = (left + left.mean()).clamp_min(1e-6).cpu()
-    return torch.multinomial(chance, min(count, len(left)), generator=generator).sort()[0].to(target.device)
+    chance = ((left + left.mean()).clamp_min(1e-6) * (label >= 0)).cpu()
+    return torch.multinomial(chance, min(count, int((label >= 0).sum())), generator=generator).sort()[0].to(target.device)
 
 
 def judged_problem(

@@ -116,7 +116,9 @@ class SyntheticRays:
     view: torch.Tensor
     mask: None = None
     exposure: float = 1.0
+    curve_of_files: ResponseCurve | None = None
     response: ResponseCurve | None = None
+    object_gain: torch.Tensor | None = None
     turntable: RigidMotions | None = None
 
     @property
@@ -145,7 +147,14 @@ class SyntheticRays:
         return self.view[index]
 
     def photo(self, index):
-        return self.radiance[index] if self.response is None else self.response.light(self.radiance[index])
+        radiance = self.radiance[index] if self.response is None else self.response.light(self.radiance[index])
+        return radiance if self.object_gain is None else radiance / self.object_gain[self.view[index]][:, None]
+
+    def as_in_files(self, radiance):
+        return radiance
+
+    def with_object_gain(self, gain):
+        return replace(self, object_gain=gain)
 
     def with_response(self, response):
         return replace(self, response=response)

@@ -73,13 +73,24 @@ def exposures_from_exif(
     gray = np.log(gains)
     if compared is None:
         return _exposures((gray - _means(gray, session))[:, None].repeat(3, 1), None, device)
+    if agreement(gains, session, compared) < LEAST_AGREEMENT:
+        return None
     bright = compared.log.mean(1)
     gray = gray + _medians(bright - gray, session)
     balance = compared.log - bright[:, None]
-    if compared.rest(compared.log) < LEAST_AGREEMENT * compared.rest(gray[:, None] + balance):
-        return None
     log = gray[:, None] + _likely_balance(balance, session, doubt=float((bright - gray).std()))
     return _exposures(log - log.mean(0), compared.vignetting, device)
+
+
+def agreement(gains: np.ndarray, session: np.ndarray, compared: Comparison) -> float:
+    """How much the surroundings differ with the gains that fit them best, as a share of how much with EXIF's gains [views].
+
+    The surroundings tell the brightness of each session, and the white balance.
+    """
+    bright, gray = compared.log.mean(1), np.log(gains)
+    gray = gray + _medians(bright - gray, session)
+    left = compared.rest(gray[:, None] + compared.log - bright[:, None])
+    return compared.rest(compared.log) / left if left > 0 else 1.0
 
 
 def _exposures(log: np.ndarray, vignetting: Vignetting | None, device: torch.device | str) -> Exposures:

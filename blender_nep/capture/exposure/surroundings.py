@@ -234,15 +234,14 @@ def _cells(rays: PixelRays) -> _Entries:
         )
         inside = torch.arange(0, side, -(-side // BLOCK_SIDE), device=device)
         index = corner[:, None] + (inside[:, None] * width + inside).flatten()
-        radiance, whole = rays.radiance[index].float(), rays.valid[index].all(1)
-        mean = radiance.mean(1)
+        whole, mean = rays.valid[index].all(1), rays.in_files(index).mean(1)
         shown = mean[whole & (mean.amin(-1) > 0)]
         if not len(shown):
             continue
         brightness[view] = float(shown.log().mean())
         good = whole & (mean.amin(-1) > DARK * shown.median())
         if ends:
-            good &= (radiance <= SATURATED).all(-1).all(-1)
+            good &= (rays.radiance[index] <= SATURATED).all(-1).all(-1)
         middle = corner + side // 2 * (width + 1)
         bundle = rays.rays(middle)
         origins, directions, _ = bundle

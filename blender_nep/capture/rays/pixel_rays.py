@@ -75,8 +75,14 @@ class PixelRays:
     """How much darker photos are towards their corners. None: they are not, or nobody can tell."""
     exposure: float = 1.0
     """`photo` multiplies the radiance by this, so that the method sees all captures about equally bright."""
+    curve_of_files: ResponseCurve | None = None
+    """The camera's response curve in the files' own values, where white is 1. `photo` undoes it before exposures are evened
+    out. None: the files' values are taken as they are."""
     response: ResponseCurve | None = None
-    """The camera's response curve, which `photo` undoes. None: photos are taken as they are."""
+    """The camera's response curve in evened photos, which `photo` undoes last. None: photos are taken as they are."""
+    object_gain: Tensor | None = None
+    """[views]: how much brighter the object was in each photo than in the others, beside the exposures. `photo` divides by
+    it in the end. None: it was as bright in all."""
     turntable: RigidMotions | None = None
     """[views] motions from the object's unit frame to the room's, if the object turned while the camera and the light stood
     still. The first is the identity. None: the object stood still."""
@@ -101,12 +107,29 @@ class PixelRays:
 
         It is without vignetting.
         """
-        radiance = self.radiance[index].float() * self.exposure
+        radiance = self.in_files(index) * self.exposure
         if self.vignetting is not None:
             radiance = radiance / self.vignetting.at(self.from_middle(index))[:, None]
         if self.gain is not None:
             radiance = radiance / self.gain[self.view_of(index)]
-        return radiance if self.response is None else self.response.light(radiance)
+        if self.response is not None:
+            radiance = self.response.light(radiance)
+        return radiance if self.object_gain is None else radiance / self.object_gain[self.view_of(index)][:, None]
+
+    def in_files(self, index: Tensor) -> Tensor:
+        """The radiance [..., 3] float32 of the pixels index [...] int64 as their files have it, without `curve_of_files`."""
+        radiance = self.radiance[index].float()
+        return radiance if self.curve_of_files is None else self.curve_of_files.light(radiance)
+
+    def as_in_files(self, radiance: Tensor) -> Tensor:
+        """What files of the photos' usual exposure show of `radiance` [..., 3], which is as `photo` gives it."""
+        if self.curve_of_files is None:
+            return radiance
+        return self.curve_of_files.photo(radiance / self.exposure) * self.exposure
+
+    def with_curve_of_files(self, curve: ResponseCurve | None) -> PixelRays:
+        """The same pixels, with this response curve in the files' own values."""
+        return self._still_knowing_the_brightest(replace(self, curve_of_files=curve))
 
     def with_gain(self, gain: Tensor | None, vignetting: Vignetting | None = None) -> PixelRays:
         """The same pixels, with these gains [views, 3] of the photos and this vignetting."""
@@ -119,6 +142,10 @@ class PixelRays:
     def with_response(self, response: ResponseCurve | None) -> PixelRays:
         """The same pixels, as light before this response curve."""
         return self._still_knowing_the_brightest(replace(self, response=response))
+
+    def with_object_gain(self, gain: Tensor | None) -> PixelRays:
+        """The same pixels, with these gains [views] of the object."""
+        return self._still_knowing_the_brightest(replace(self, object_gain=gain))
 
     def with_turntable(self, turntable: RigidMotions | None) -> PixelRays:
         """The same pixels, with these motions [views] of the object."""

@@ -45,6 +45,11 @@ class ResponseCurve:
         relative = min(max(middle / white, 1e-4), 1.0)
         return cls(strength, white, middle / (relative / (1 + q * (1 - relative))) ** (1 / n))
 
+    @classmethod
+    def of_files(cls, strength: float) -> ResponseCurve:
+        """The curve in the files' own values: white is 1, and the light that makes it is 1. Raises ValueError as `of`."""
+        return cls.of(strength, 1.0, 1.0)
+
     def light(self, photo: Tensor) -> Tensor:
         """The light [...] that made a photo's linear radiance [...] >= 0. Beyond white the curve goes on straight."""
         n, q = _constants(self.strength)

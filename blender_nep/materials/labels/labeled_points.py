@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -22,6 +23,8 @@ if TYPE_CHECKING:
     from blender_nep.materials.samples.photo_samples import PhotoSamples
     from blender_nep.presets import MaterialPreset
 
+_NEVER = 1e3
+"""The cost of a material that is not there. It is far above all residuals."""
 _CANDIDATES = 3
 """Pixels that are tried for each label pixel. Nearly all pixels that show the surface become label pixels, so few are
 enough."""
@@ -36,7 +39,13 @@ def labeled_samples(search: PaletteSearch, found: FoundPalette) -> BlendedPoints
     label = found.label.cpu().numpy()
     own = cost[np.arange(len(label)), label] / search.weight.cpu().numpy()
     samples = Surfels(*search.places, search.samples.photo.cpu().numpy())
-    return BlendedPoints(*samples, own, *find_blends(search.smoothed(cost), found.palette, search.preset.blend_margin))
+    smoothed = possible(search.smoothed(cost), search.excluded(found, search.places))
+    return BlendedPoints(*samples, own, *find_blends(smoothed, found.palette, search.preset.blend_margin))
+
+
+def possible(cost: np.ndarray, excluded: np.ndarray | None) -> np.ndarray:
+    """The costs [n, K] with `_NEVER` for the materials that are `excluded` [n, K]; None: no material is."""
+    return cost if excluded is None else np.where(excluded, _NEVER, cost)
 
 
 def error_of_neighbors(found: FoundPalette, samples: Surfels, shown: np.ndarray) -> float:
@@ -58,11 +67,12 @@ def labeled_pixels(
     tracer: RayTracer,
     normals: np.ndarray,
     seed: int,
+    excluded: Callable[[Places], np.ndarray | None],
 ) -> BlendedPoints:
     """At most `preset.label_pixels` pixels as blended points, so that boundaries are as sharp as the photos.
 
     The light of a pixel is taken from the nearest samples of its photo. shown [n, K, 3] is the tone-mapped radiance that
-    each sample would have with each material.
+    each sample would have with each material. excluded(places) tells which materials places cannot have (`possible`).
     """
     p = preset
     label_pixels = select_label_pixels(rays, tracer, normals, p, seed)
@@ -74,6 +84,7 @@ def labeled_pixels(
     there = Places(pixels.position, pixels.normal)
     around = on_same_side(neighbors(tree, pixels.position, 2 * NEIGHBORS), there, there)
     smoothed = weighted_mean(cost, *around)
+    smoothed = possible(smoothed, excluded(there))
     inner = shows_one_material(smoothed, blended, tree)
     smoothed[np.ix_(inner, blended)] *= (1 + p.inner_blend_margin) / (1 + p.blend_margin)
     own = cost[np.arange(len(cost)), smoothed.argmin(1)]

@@ -16,7 +16,7 @@ import torch
 from scipy.spatial import cKDTree
 from torch import Tensor
 
-from blender_nep.materials.baking import NEIGHBORS, Places, labels_at, neighbors, on_same_side, vote, weighted_mean
+from blender_nep.materials.baking import NEIGHBORS, Places, labels_at, neighbors, on_same_side, weighted_mean
 from blender_nep.materials.evidence.decision import Account, decide_metallic, decide_roughness
 from blender_nep.materials.evidence.hue import Hue, evidence_of_metal, places
 from blender_nep.materials.evidence.protocol import FittedMaterials
@@ -29,6 +29,8 @@ from blender_nep.materials.fitting import (
     weight_of_known_light,
 )
 from blender_nep.materials.palette.palette import Palette, best_of, choose, error, of_classes, same_material
+from blender_nep.materials.palette.places_of_metal import PlacesOfMetal
+from blender_nep.materials.segments.segments import median_color
 from blender_nep.profiling import profiled, section
 from blender_nep.shading.plenoptic import Material, SurfacePoints, reflected
 from blender_nep.tone_mapping import tone_map
@@ -40,6 +42,10 @@ if TYPE_CHECKING:
 
 _MOST_REFITS = 4
 """Largest number of fits to the samples that show one material alone."""
+_LEAST_SURE = 0.1
+"""A material is fitted to its sure samples alone if they are this share of its samples."""
+_CLASS_NEIGHBORS = 4
+"""Samples around a place that tell whether it is metal"""
 _SHADES = 2.5
 """Largest albedo of a dielectric until shades of one hue are merged. It is above 1, because F_e may be too dark."""
 
@@ -55,6 +61,20 @@ class FoundPalette:
     """Number of materials that the last merge has removed"""
     account: Account = field(default_factory=Account)
     """What told the class and the roughness of the materials. It is empty as long as they were fitted alone"""
+    metal: np.ndarray | None = None
+    """[n] bool: which samples lie where the surface is metal, up to edges of color. None: each place decides alone"""
+    doubtful: Tensor | None = None
+    """[n] bool: samples that a material of the other class explains better. They tell nothing of the materials, because
+    their light is not known well. None: there are none"""
+
+    @property
+    def label_of_fits(self) -> Tensor:
+        """[n] int64: `label`, or -1 for samples that no fit uses. No material loses nearly all of its samples."""
+        if self.doubtful is None:
+            return self.label
+        sure = torch.bincount(self.label[~self.doubtful], minlength=len(self.palette))
+        enough = sure >= _LEAST_SURE * torch.bincount(self.label, minlength=len(self.palette))
+        return torch.where(self.doubtful & enough[self.label], -1, self.label)
 
     def shares(self) -> Tensor:
         """Share [K] of the samples that have each material."""
@@ -73,6 +93,8 @@ class PaletteSearch:
     """[n] how much a sample counts. Until the unseen light is found: 0.05 + the share of its light that is known"""
     places: Places
     """Where the samples are"""
+    metals: PlacesOfMetal
+    """Decides where the surface is metal"""
     _tree: cKDTree
     _around: tuple[np.ndarray, np.ndarray]
     """Distances and indices of the neighbors of each sample"""
@@ -84,8 +106,11 @@ class PaletteSearch:
         """The samples, and their neighbors on the surface."""
         tree = cKDTree(samples.position)
         where = Places(samples.position, light.points.normal.cpu().numpy())
-        around = on_same_side(neighbors(tree, samples.position, 2 * NEIGHBORS), where, where)
-        return cls(samples, light, preset, device, weight_of_known_light(light), where, tree, around, places(*where))
+        found = neighbors(tree, samples.position, 2 * NEIGHBORS)
+        color = median_color(tree, samples.radiance.cpu().numpy(), samples.position, 2 * NEIGHBORS)
+        metals = PlacesOfMetal.of(where, color, found[1])
+        around = on_same_side(found, where, where)
+        return cls(samples, light, preset, device, weight_of_known_light(light), where, metals, tree, around, places(*where))
 
     def under(self, light: IncomingLight) -> PaletteSearch:
         """The same samples in another light."""
@@ -108,7 +133,7 @@ class PaletteSearch:
     def metallic_swapped(self, found: FoundPalette) -> Palette:
         """The palette with every metal fitted as a dielectric, and every dielectric fitted as a metal."""
         p, swapped = self.preset, found.palette
-        cost, albedo = self._scan(found.label, len(found.palette))
+        cost, albedo = self._scan(found.label_of_fits, len(found.palette))
         for i, metallic in enumerate(p.metallic):
             fitted = best_of(cost[i : i + 1], albedo[i : i + 1], p.least_roughness, (metallic,), 1.0)
             for k in (found.palette.metallic != metallic).nonzero().squeeze(-1).tolist():
@@ -123,7 +148,7 @@ class PaletteSearch:
         """
         if Hue.name in self.preset.without:
             return torch.zeros_like(found.palette.metallic)
-        return evidence_of_metal(self.light, self.target, self._place, found.label, len(found.palette))
+        return evidence_of_metal(self.light, self.target, self._place, found.label_of_fits, len(found.palette))
 
     def grown(self, found: FoundPalette, after_choice: Callable[[], None]) -> FoundPalette:
         """Choose materials among those found and candidates from small regions of the surface, and assign the samples.
@@ -150,8 +175,15 @@ class PaletteSearch:
             share = found.shares()
             keep = (share >= p.least_share).nonzero().squeeze(-1).tolist() or [int(share.argmax())]
             found = self.assigned(found, found.palette.pick(keep))
-            found = self.assigned(found, self._fit(found.label, len(found.palette), _SHADES))
+            found = self.assigned(found, self._fit(found.label_of_fits, len(found.palette), _SHADES))
         return self.without_superfluous(self.with_shades_merged(found))
+
+    def of_regions(self) -> tuple[Tensor, Tensor]:
+        """The small region [n] int64 of each sample, and its radiance [n, 3] with the material that fits best there."""
+        region, count = regions(self.samples.position, self.preset.region)
+        group = torch.from_numpy(region).to(self.device)
+        material = self._fit(group, len(count), _SHADES).at(group)
+        return group, reflected(material, self.light.moments(material.roughness), self.light.diffuse, self.light.cos_v)
 
     def without_superfluous(self, found: FoundPalette) -> FoundPalette:
         """Without the materials that explain hardly more than the other materials and their blends.
@@ -182,7 +214,7 @@ class PaletteSearch:
         if len(kept) < len(found.palette):
             label = torch.tensor([kept.index(k) for k in into], device=self.device)[found.label]
             found = FoundPalette(found.palette.pick(kept), label, len(found.palette) - len(kept))
-        cost, albedos = self._scan(found.label, len(kept))
+        cost, albedos = self._scan(found.label_of_fits, len(kept))
         chosen, account = decide_metallic(self._fitted(found, cost), () if by_hue else (Hue.name,))
         palette = of_classes(chosen, cost, albedos, p.least_roughness, p.metallic)
         return self._decided(replace(found, palette=palette, account=account), cost, albedos)
@@ -210,14 +242,14 @@ class PaletteSearch:
     def _fitted_unblended(self, found: FoundPalette) -> FoundPalette | None:
         """Each material fitted to its unblended samples, in its class, with blends. None if one has hardly any."""
         count = len(found.palette) - found.palette.blends
-        alone = torch.where(found.label < count, found.label, -1)  # -1: in no group of the fits
+        alone = torch.where(found.label < count, found.label_of_fits, -1)  # -1: in no group of the fits
         if int(torch.bincount(alone + 1, minlength=count + 1)[1:].min()) < self.preset.least_share * len(alone):
             return None
         palette = found.palette.pick(list(range(count)))
         cost, albedos = self._scan(alone, count)
         place = place_of_least(torch.stack([cost[i, :, k] for k, i in enumerate(self._classes(palette))], 1))
         palette = self._at(palette, place, torch.ones_like(palette.metallic, dtype=torch.bool), albedos)
-        own = self._decided(replace(found, palette=palette, label=alone), cost, albedos)
+        own = self._decided(replace(found, palette=palette, label=alone, doubtful=None), cost, albedos)
         return self.assigned(own, own.palette.with_blends())
 
     def _classes(self, palette: Palette) -> list[int]:
@@ -251,17 +283,65 @@ class PaletteSearch:
         """What is known of the materials, for the evidence. cost [M, R, K] is that of the hypotheses."""
         light, position, palette = self.light, self.samples.position, found.palette
         return FittedMaterials(
-            light, self.target, position, self._place, found.label, palette.albedo, palette.metallic, cost, self.preset
+            light,
+            self.target,
+            position,
+            self._place,
+            found.label_of_fits,
+            palette.albedo,
+            palette.metallic,
+            cost,
+            self.preset,
         )
 
     def assigned(self, found: FoundPalette, palette: Palette) -> FoundPalette:
         """What was found, with another palette. Every sample gets the material for which its neighbors vote."""
         if len(palette) == 1:
-            return replace(found, palette=palette, label=torch.zeros_like(found.label))
+            return replace(found, palette=palette, label=torch.zeros_like(found.label), metal=None, doubtful=None)
         costs = self.costs(palette).cpu().numpy()
+        metal = self._places_of_metal(palette, costs)
         with section("votes"):
-            label = torch.from_numpy(vote(costs, *self._around)).to(self.device)
-        return replace(found, palette=palette, label=label)
+            votes = self.smoothed(costs)
+            label, doubtful = votes.argmin(1), None
+            if metal is not None:
+                doubtful = torch.from_numpy((palette.metallic.cpu().numpy()[label] > 0.5) != metal).to(self.device)
+                excluded = self.not_there(palette, metal, self.metals.at_boundaries(metal))
+                label = np.where(excluded, np.inf, votes).argmin(1)
+        own = torch.from_numpy(label).to(self.device)
+        return replace(found, palette=palette, label=own, metal=metal, doubtful=doubtful)
+
+    def _places_of_metal(self, palette: Palette, costs: np.ndarray) -> np.ndarray | None:
+        """Which samples [n] bool lie on metal, by costs [n, K]. None with one class, or if the photos tell both apart.
+
+        They do if most samples have a residual that is small beside the difference of the residuals of both classes.
+        """
+        alone = len(palette) - palette.blends
+        is_metal = palette.metallic[:alone].cpu().numpy() > 0.5
+        if is_metal.all() or not is_metal.any():
+            return None
+        dielectric, metal = costs[:, :alone][:, ~is_metal].min(1), costs[:, :alone][:, is_metal].min(1)
+        if np.minimum(dielectric, metal).mean() < self.preset.unclear_classes * np.abs(dielectric - metal).mean():
+            return None
+        return self.metals.decide(dielectric - metal, self.preset.smooth_classes)
+
+    @staticmethod
+    def not_there(palette: Palette, metal: np.ndarray, boundary: np.ndarray) -> np.ndarray:
+        """Which of the K materials m places cannot have [m, K] bool, if `metal` [m] says where the surface is metal.
+
+        Mixtures of both classes are possible at a `boundary` [m] only.
+        """
+        metallic = palette.metallic.cpu().numpy()
+        mixed = (metallic > 0.01) & (metallic < 0.99)
+        wrong = (metallic > 0.5) != metal[:, None]
+        return np.where(mixed, ~boundary[:, None], wrong & ~boundary[:, None])
+
+    def excluded(self, found: FoundPalette, at: Places) -> np.ndarray | None:
+        """Which materials of the palette m places cannot have [m, K] bool, by the samples around them. None: all can be."""
+        if found.metal is None:
+            return None
+        _, near = on_same_side(neighbors(self._tree, at.position, _CLASS_NEIGHBORS), at, self.places, enough=1)
+        metal, boundary = found.metal[near], self.metals.at_boundaries(found.metal)[near[:, 0]]
+        return self.not_there(found.palette, metal[:, 0], boundary | (metal.any(1) & ~metal.all(1)))
 
     @profiled("residuals")
     def costs(self, palette: Palette) -> Tensor:

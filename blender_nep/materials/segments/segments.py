@@ -44,8 +44,13 @@ def median_color(tree: cKDTree, radiance: np.ndarray, at: np.ndarray, count: int
 
 def features(position: np.ndarray, color: np.ndarray) -> np.ndarray:
     """Coordinates [n, 7] in which points of one segment are near: position [n, 3], unit frame, and log color [n, 3]."""
+    return np.concatenate([position / _PLACE, features_of_color(color)], 1)
+
+
+def features_of_color(color: np.ndarray) -> np.ndarray:
+    """Coordinates [n, 4] in which log colors [n, 3] of one segment are near."""
     brightness = color.mean(1, keepdims=True)
-    return np.concatenate([position / _PLACE, (color - brightness) / _HUE, brightness / _BRIGHTNESS], 1)
+    return np.concatenate([(color - brightness) / _HUE, brightness / _BRIGHTNESS], 1)
 
 
 @dataclass

@@ -1,0 +1,67 @@
+"""Decides which places of the surface are metal where a palette has metals and dielectrics.
+
+The residuals of single places say it badly in photos: where the known light is too bright, a dark paint explains a metal
+best, and a uniform metal gets blotches of paint. But a thing of one material hardly changes its color, and where metal ends
+the color changes. So the advantage of the metals over the dielectrics is smoothed over the surface, up to edges of color.
+The smooth advantage is the minimum of a data term and of a Dirichlet term on the graph of neighbors, as in random walker
+segmentation with priors (Grady 2005).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import sparse
+from scipy.sparse.linalg import cg
+
+from blender_nep.materials.baking import Places
+from blender_nep.materials.segments.segments import features_of_color
+from blender_nep.profiling import profiled
+
+_NEIGHBORS = 12
+"""Neighbors of a sample in the graph"""
+_TOLERANCE = 1e-3
+"""Relative error of the solution; only its sign counts."""
+
+
+@dataclass(frozen=True, eq=False)
+class PlacesOfMetal:
+    """The graph of neighboring samples."""
+
+    _laplacian: sparse.csr_matrix
+    """[n, n]"""
+    _index: np.ndarray
+    """[n, k] the neighbors of each sample"""
+
+    @classmethod
+    def of(cls, places: Places, color: np.ndarray, index: np.ndarray) -> PlacesOfMetal:
+        """The graph of n samples at their `places`; color [n, 3] is the median log radiance there (`segments.median_color`).
+
+        index [n, m] are the neighbors of each sample, of which the nearest ones count. They may hold the sample itself.
+        """
+        index, count = index[:, : _NEIGHBORS + 1], len(index)
+        feature = features_of_color(color)
+        away = ((feature[index] - feature[:, None]) ** 2).sum(-1)
+        weight = np.exp(-0.5 * away) * (np.einsum("nkc,nc->nk", places.normal[index], places.normal) > 0)
+        rows = np.repeat(np.arange(count), index.shape[1])
+        one_way = sparse.csr_matrix((weight.ravel(), (rows, index.ravel())), shape=(count, count))
+        both = 0.5 * (one_way + one_way.T)
+        both.setdiag(0)
+        return cls(sparse.diags(np.asarray(both.sum(1)).ravel()) - both, index)
+
+    @profiled("places of metal")
+    def decide(self, advantage: np.ndarray, smoothness: float) -> np.ndarray:
+        """Whether each place is metal [n] bool.
+
+        advantage [n]: how much less a metal leaves unexplained than a dielectric does. `smoothness` is the weight of the
+        differences between neighbors of one color.
+        """
+        system = sparse.eye(len(advantage)) + smoothness * self._laplacian
+        smooth, _ = cg(system, advantage.astype(np.float64), rtol=_TOLERANCE)
+        return smooth > 0
+
+    def at_boundaries(self, metal: np.ndarray) -> np.ndarray:
+        """Which places [n] bool have neighbors of both kinds."""
+        near = metal[self._index]
+        return near.any(1) & ~near.all(1)
