@@ -1,5 +1,6 @@
 """Residuals of materials, and when a material of the palette is dropped."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import pytest
@@ -62,3 +63,13 @@ def test_the_residual_of_one_material_is_that_at_each_sample():
         residual = error(light, target, weight, one, 0.2)
         torch.testing.assert_close(residual, error(light, target, weight, each, 0.2))
         assert residual.shape == (n,) and 0 < residual.max() <= 0.2
+
+
+def test_fits_leave_out_doubtful_samples_but_no_whole_material():
+    palette = Palette(torch.rand(3, 3), torch.rand(3), torch.tensor([1.0, 0.0, 0.0]))
+    label = torch.tensor([0] * 20 + [1] * 20 + [2] * 20)
+    found = FoundPalette(palette, label)
+    assert torch.equal(found.label_of_fits, label)
+    doubtful = (torch.arange(60) % 4 == 0) & (label == 0) | (label == 1) | (torch.arange(60) < 1)
+    left = replace(found, doubtful=doubtful).label_of_fits
+    assert (left[:20] == -1).sum() == 5 and (left[20:40] == 1).all() and (left[40:] == 2).all()

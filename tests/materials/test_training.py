@@ -43,7 +43,8 @@ def test_one_material_is_recovered(ball, albedo, roughness, metallic, tolerance)
     assert result.confidence.max() > 0.5 and result.confidence.min() >= 0
 
 
-def test_paint_and_metal_are_told_apart_where_they_lie(ball):
+@pytest.mark.parametrize("unclear", [PRESET.unclear_classes, 0.0], ids=["each place", "up to edges of color"])
+def test_paint_and_metal_are_told_apart_where_they_lie(ball, unclear):
     def two(points):
         metal = (points[:, 0] > 0).float()
         red, pale = torch.tensor([0.6, 0.06, 0.05]), torch.tensor([0.85, 0.8, 0.7])
