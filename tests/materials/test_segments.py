@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
-from blender_nep.materials.segments.segments import Segments, features, median_color
+from blender_nep.materials.place_colors import median_color
+from blender_nep.materials.segments.segments import Segments, features
 
 
 def checkered(n, seed):

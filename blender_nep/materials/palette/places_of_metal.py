@@ -16,7 +16,7 @@ from scipy import sparse
 from scipy.sparse.linalg import cg
 
 from blender_nep.materials.baking import Places
-from blender_nep.materials.segments.segments import features_of_color
+from blender_nep.materials.place_colors import features_of_color
 from blender_nep.profiling import profiled
 
 _NEIGHBORS = 12
@@ -36,7 +36,7 @@ class PlacesOfMetal:
 
     @classmethod
     def of(cls, places: Places, color: np.ndarray, index: np.ndarray) -> PlacesOfMetal:
-        """The graph of n samples at their `places`; color [n, 3] is the median log radiance there (`segments.median_color`).
+        """The graph of n samples at their `places`; color [n, 3] is the median log radiance there (`place_colors`).
 
         index [n, m] are the neighbors of each sample, of which the nearest ones count. They may hold the sample itself.
         """

@@ -30,7 +30,7 @@ from blender_nep.materials.fitting import (
 )
 from blender_nep.materials.palette.palette import Palette, best_of, choose, error, of_classes, same_material
 from blender_nep.materials.palette.places_of_metal import PlacesOfMetal
-from blender_nep.materials.segments.segments import median_color
+from blender_nep.materials.place_colors import median_color
 from blender_nep.profiling import profiled, section
 from blender_nep.shading.plenoptic import Material, SurfacePoints, reflected
 from blender_nep.tone_mapping import tone_map

@@ -31,7 +31,8 @@ from blender_nep.materials.fitting import (
 )
 from blender_nep.materials.labels.pixel_votes import Surfels, nearest_samples
 from blender_nep.materials.palette.palette import Palette, error
-from blender_nep.materials.segments.segments import Segments, features, median_color
+from blender_nep.materials.place_colors import median_color
+from blender_nep.materials.segments.segments import Segments, features
 from blender_nep.ops.materials.local_albedo import fit_local_albedos
 from blender_nep.profiling import profiled
 from blender_nep.shading.plenoptic import Material, affine_in_albedo
