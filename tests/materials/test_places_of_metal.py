@@ -2,13 +2,10 @@
 
 import numpy as np
 import pytest
-import torch
 from scipy.spatial import cKDTree
 
 from blender_nep.materials.baking import Places, neighbors
-from blender_nep.materials.palette.palette import Palette
-from blender_nep.materials.palette.places_of_metal import PlacesOfMetal
-from blender_nep.materials.palette.search import PaletteSearch
+from blender_nep.materials.palette.places_of_metal import PlacesOfMetal, advantage_of_metal, not_there
 
 SIDE = 40
 SMOOTHNESS = 30.0
@@ -25,7 +22,8 @@ def plate():
 
 
 def graph(places, color):
-    return PlacesOfMetal.of(places, color, neighbors(cKDTree(places.position), places.position, 32)[1])
+    tree = cKDTree(places.position)
+    return PlacesOfMetal.of(places, tree, color, neighbors(tree, places.position, 32)[1])
 
 
 def blotches(places, seed=0):
@@ -55,7 +53,7 @@ def test_the_smooth_advantage_solves_its_equation():
     """On a chain of places of one color, the smoothing is a convolution with a known kernel: r^|i - j|."""
     places = Places(np.stack([np.arange(400.0), np.zeros(400), np.zeros(400)], 1), np.tile([0.0, 0, 1], (400, 1)))
     index = np.clip(np.arange(400)[:, None] + [0, -1, 1], 0, 399)
-    chain = PlacesOfMetal.of(places, np.zeros((400, 3)), index)
+    chain = PlacesOfMetal.of(places, cKDTree(places.position), np.zeros((400, 3)), index)
     smoothness = 6.0
     r = 1 + 1 / (2 * smoothness) - np.sqrt((1 + 1 / (2 * smoothness)) ** 2 - 1)
     for height, width in ((1.0, 20), (3.0, 4)):  # a wide weak blotch in a metal, and a narrow strong one
@@ -67,7 +65,24 @@ def test_the_smooth_advantage_solves_its_equation():
 
 
 def test_mixtures_of_both_classes_lie_at_boundaries_only():
-    blends = Palette(torch.rand(2, 3), torch.rand(2), torch.tensor([1.0, 0.0])).with_blends()
+    metallic = np.array([1.0, 0.0, 0.75, 0.5, 0.25])
     metal, boundary = np.array([True, False, True]), np.array([False, False, True])
-    excluded = PaletteSearch.not_there(blends, metal, boundary)
+    excluded = not_there(metallic, metal, boundary)
     assert excluded.tolist() == [[False, True, True, True, True], [True, False, True, True, True], [False] * 5]
+
+
+def test_other_places_are_as_the_samples_around_them(plate):
+    places, color, brown = plate
+    away = np.array([[0.2, 0.31, 0.0], [0.9, 0.52, 0.0], [0.6, 0.41, 0.0]])
+    at = Places(away, np.tile([0.0, 0, 1], (3, 1)))
+    metal, boundary = graph(places, color).around(brown, at)
+    assert metal[:2].tolist() == [True, False] and boundary.tolist() == [False, False, True]
+
+
+def test_classes_that_photos_tell_apart_need_no_smoothing():
+    cost = np.array([[0.02, 0.2, 0.3], [0.2, 0.03, 0.1]] * 10)
+    metallic = np.array([1.0, 0.0, 0.0])
+    assert advantage_of_metal(cost, metallic, 0.6) is None
+    np.testing.assert_allclose(advantage_of_metal(cost + 0.2, metallic, 0.6)[:2], [0.18, -0.17])
+    assert advantage_of_metal(cost + 0.2, np.ones(3), 0.6) is None
+    assert advantage_of_metal(cost + 0.2, metallic, np.inf) is None

@@ -29,7 +29,7 @@ from blender_nep.materials.fitting import (
     weight_of_known_light,
 )
 from blender_nep.materials.palette.palette import Palette, best_of, choose, error, of_classes, same_material
-from blender_nep.materials.palette.places_of_metal import PlacesOfMetal
+from blender_nep.materials.palette.places_of_metal import PlacesOfMetal, advantage_of_metal, not_there
 from blender_nep.materials.place_colors import median_color
 from blender_nep.profiling import profiled, section
 from blender_nep.shading.plenoptic import Material, SurfacePoints, reflected
@@ -44,8 +44,6 @@ _MOST_REFITS = 4
 """Largest number of fits to the samples that show one material alone."""
 _LEAST_SURE = 0.1
 """A material is fitted to its sure samples alone if they are this share of its samples."""
-_CLASS_NEIGHBORS = 4
-"""Samples around a place that tell whether it is metal"""
 _SHADES = 2.5
 """Largest albedo of a dielectric until shades of one hue are merged. It is above 1, because F_e may be too dark."""
 
@@ -108,7 +106,7 @@ class PaletteSearch:
         where = Places(samples.position, light.points.normal.cpu().numpy())
         found = neighbors(tree, samples.position, 2 * NEIGHBORS)
         color = median_color(tree, samples.radiance.cpu().numpy(), samples.position, 2 * NEIGHBORS)
-        metals = PlacesOfMetal.of(where, color, found[1])
+        metals = PlacesOfMetal.of(where, tree, color, found[1])
         around = on_same_side(found, where, where)
         return cls(samples, light, preset, device, weight_of_known_light(light), where, metals, tree, around, places(*where))
 
@@ -305,43 +303,23 @@ class PaletteSearch:
             label, doubtful = votes.argmin(1), None
             if metal is not None:
                 doubtful = torch.from_numpy((palette.metallic.cpu().numpy()[label] > 0.5) != metal).to(self.device)
-                excluded = self.not_there(palette, metal, self.metals.at_boundaries(metal))
+                excluded = not_there(palette.metallic.cpu().numpy(), metal, self.metals.at_boundaries(metal))
                 label = np.where(excluded, np.inf, votes).argmin(1)
         own = torch.from_numpy(label).to(self.device)
         return replace(found, palette=palette, label=own, metal=metal, doubtful=doubtful)
 
     def _places_of_metal(self, palette: Palette, costs: np.ndarray) -> np.ndarray | None:
-        """Which samples [n] bool lie on metal, by costs [n, K]. None with one class, or if the photos tell both apart.
-
-        They do if most samples have a residual that is small beside the difference of the residuals of both classes.
-        """
+        """Which samples [n] bool lie on metal, by costs [n, K]. None with one class, or if the photos tell both apart."""
         alone = len(palette) - palette.blends
-        is_metal = palette.metallic[:alone].cpu().numpy() > 0.5
-        if is_metal.all() or not is_metal.any():
-            return None
-        dielectric, metal = costs[:, :alone][:, ~is_metal].min(1), costs[:, :alone][:, is_metal].min(1)
-        if np.minimum(dielectric, metal).mean() < self.preset.unclear_classes * np.abs(dielectric - metal).mean():
-            return None
-        return self.metals.decide(dielectric - metal, self.preset.smooth_classes)
-
-    @staticmethod
-    def not_there(palette: Palette, metal: np.ndarray, boundary: np.ndarray) -> np.ndarray:
-        """Which of the K materials m places cannot have [m, K] bool, if `metal` [m] says where the surface is metal.
-
-        Mixtures of both classes are possible at a `boundary` [m] only.
-        """
-        metallic = palette.metallic.cpu().numpy()
-        mixed = (metallic > 0.01) & (metallic < 0.99)
-        wrong = (metallic > 0.5) != metal[:, None]
-        return np.where(mixed, ~boundary[:, None], wrong & ~boundary[:, None])
+        metallic = palette.metallic[:alone].cpu().numpy()
+        advantage = advantage_of_metal(costs[:, :alone], metallic, self.preset.unclear_classes)
+        return None if advantage is None else self.metals.decide(advantage, self.preset.smooth_classes)
 
     def excluded(self, found: FoundPalette, at: Places) -> np.ndarray | None:
         """Which materials of the palette m places cannot have [m, K] bool, by the samples around them. None: all can be."""
         if found.metal is None:
             return None
-        _, near = on_same_side(neighbors(self._tree, at.position, _CLASS_NEIGHBORS), at, self.places, enough=1)
-        metal, boundary = found.metal[near], self.metals.at_boundaries(found.metal)[near[:, 0]]
-        return self.not_there(found.palette, metal[:, 0], boundary | (metal.any(1) & ~metal.all(1)))
+        return not_there(found.palette.metallic.cpu().numpy(), *self.metals.around(found.metal, at))
 
     @profiled("residuals")
     def costs(self, palette: Palette) -> Tensor:
