@@ -180,6 +180,7 @@ WORDS: dict[str, str] = {
     "placed ones show the whole object",
     "cameras.next_way": "{count} of {photos} photos are placed so far: trying another way, which takes longer",
     "cameras.way_all_pairs": "the second way found them: finer features, and all photos compared with each other",
+    "cameras.way_affine": "the third way found them: features of surfaces that are seen at a grazing angle",
     "cameras.groups": "the photos fall into {count} groups that share no points; the largest one is used. Take photos "
     "between the groups",
     "cameras.unsure": "the {count:place of this photo is|places of these photos are} unsure: {names}. Look whether "

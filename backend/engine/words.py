@@ -87,6 +87,7 @@ MESSAGES = {
     "placed ones show the whole object",
     "cameras.next_way": "{count} of {photos} photos are placed so far: trying another way, which takes longer",
     "cameras.way_all_pairs": "The second way found them: finer details, and all photos compared with each other.",
+    "cameras.way_affine": "The third way found them: details of surfaces that are seen at a grazing angle.",
     "cameras.groups": "The photos fall into {count} groups that share no details; the largest one is used. Take photos "
     "between the groups",
     "cameras.unsure": "The {count:place of this photo is|places of these photos are} unsure: {names}. Look whether "

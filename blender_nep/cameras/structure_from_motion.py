@@ -130,9 +130,13 @@ def find_groups(
     lenses = _lenses(photos, reductions, given)
     longest = max(max(reduction.width, reduction.height) for reduction in reductions.values())
     best: list[Group] = []
+    earlier = None
     for number, way in enumerate(WAYS if given is None else WAYS[:1]):
         if number:
             report("way", _placed(best), len(photos))
+        if earlier is not None and not way.added:
+            shutil.rmtree(earlier, ignore_errors=True)  # a database of many photos has gigabytes
+            earlier = None
         place = folder / f"way_{number}"
         settings = way.settings(longest, len(photos)) | {
             "lenses": lenses,
@@ -140,6 +144,7 @@ def find_groups(
             "images": str((folder / "images").absolute()),
             "masks": "" if masked is None and moving is None else str((folder / "masks").absolute()),
             "threads": threads or os.cpu_count() or 1,
+            "earlier": "" if earlier is None else str((earlier / "database.db").absolute()),
         }
         with _working_file(folder):
             place.mkdir()
@@ -149,7 +154,7 @@ def find_groups(
         found = [replace(group, way=number) for group in _read(place, photos, reductions)]
         if not best or _placed(found) > _placed(best):  # a group of given cameras may have no photo that is placed
             best = found
-        shutil.rmtree(place, ignore_errors=True)  # a database of many photos has gigabytes
+        earlier = place
         if _placed(best) >= enough(len(photos)):
             break
     return best

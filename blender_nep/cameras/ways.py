@@ -39,6 +39,11 @@ class Way:
     """Photos that each photo is compared with, if there are more"""
     globally: bool = False
     """If one photo after the other does not place enough, all are placed together (global mapping)."""
+    affine: bool = False
+    """Features are compared as if each was seen from straight above (affine shape), and in several sizes (domain size
+    pooling; Dong and Soatto, CVPR 2015). So a floor is found again that other photos see at a grazing angle."""
+    added: bool = False
+    """The features and matches of the way before count, too."""
 
     def settings(self, longest: int, photos: int) -> dict:
         """What the settings of `matching_process` say of the way.
@@ -51,6 +56,7 @@ class Way:
             "all_pairs_up_to": self.all_pairs_up_to,
             "partners": self.partners,
             "global": self.globally,
+            "affine": self.affine,
             "enough": enough(photos),
         }
 
@@ -64,6 +70,15 @@ WAYS = (
         all_pairs_up_to=150,
         globally=True,
     ),
+    Way(
+        Message("cameras.way_affine"),
+        features=8192,
+        doubled_below=LONGEST_SIDE + 1,
+        all_pairs_up_to=150,
+        globally=True,
+        affine=True,
+        added=True,
+    ),
 )
 """The first one is cheap and finds the cameras of most captures. The second one has pycolmap's own features
-and pairs."""
+and pairs. The third one takes twice as long for its features, and adds them to those of the second."""

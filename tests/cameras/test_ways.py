@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -69,6 +70,12 @@ def test_a_further_way_is_tried_with_too_few_photos(climbed):
     assert taken[0]["all_pairs_up_to"] < 66 < taken[1]["all_pairs_up_to"]
 
 
+def test_the_third_way_adds_to_the_second_ones_features(climbed):
+    _, taken, _ = climbed(12, 13, 20)
+    assert [way["affine"] for way in taken] == [False, False, True]
+    assert [way["earlier"] and Path(way["earlier"]).parent.name for way in taken] == ["", "", "way_1"]
+
+
 def test_the_way_that_places_most_photos_counts(climbed):
     groups, taken, _ = climbed(12, 11, 11, 11)
     assert (len(groups[0].placed), groups[0].way, len(taken)) == (12, 0, len(WAYS))
@@ -102,8 +109,9 @@ def test_missing_photos_are_named(photos, placed, code):
 
 def test_the_way_is_said_where_it_was_not_the_first(photos):
     found = choose(photos, [group(photos, COUNT)])
-    codes = [[said.code for said in messages(found, [replace(group(photos, COUNT), way=way)])[0]] for way in (0, 1)]
-    assert "cameras.way_all_pairs" in codes[1] and "cameras.way_all_pairs" not in codes[0]
+    codes = [{said.code for said in messages(found, [replace(group(photos, COUNT), way=way)])[0]} for way in (0, 1, 2)]
+    ways = {"cameras.way_all_pairs", "cameras.way_affine"}
+    assert [sorted(code & ways) for code in codes] == [[], ["cameras.way_all_pairs"], ["cameras.way_affine"]]
 
 
 def test_all_but_one_photo_is_enough():

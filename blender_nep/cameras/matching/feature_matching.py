@@ -29,6 +29,7 @@ def extract(pycolmap: Any, database: Path, lens: dict, settings: dict) -> None:
     features.num_threads = settings["threads"]
     features.sift.max_num_features = settings["features"]
     features.sift.first_octave = settings["first_octave"]
+    features.sift.estimate_affine_shape = features.sift.domain_size_pooling = settings["affine"]
     mode = pycolmap.CameraMode.SINGLE
     pycolmap.extract_features(database, images, lens["names"], mode, reader, features, pycolmap.Device.cpu)
 

@@ -7,9 +7,9 @@ FOLDER: COLMAP models in `sparse/0`, `sparse/1` and so on, and `result.json`. St
 step and steps. Standard error carries pycolmap's log.
 
 pycolmap brings a zlib of its own, with which Python's zlib can crash. So this process compresses nothing, reads no PNG by
-Pillow, and imports nothing of the package but the modules that do its work: `feature_matching`, `mapping`, `adjustment`,
-`given_adjustment` and `matching_output`. It brings an SQLite of its own, too: Python's SQLite must not open the database
-here, because each of the two would release the other's locks.
+Pillow, and imports nothing of the package but the modules that do its work: `feature_matching`, `added_features`, `mapping`,
+`adjustment`, `given_adjustment` and `matching_output`. It brings an SQLite of its own, too: Python's SQLite must not open
+the database here, because each of the two would release the other's locks.
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
+from blender_nep.cameras.matching.added_features import add_features
 from blender_nep.cameras.matching.adjustment import SEED, adjust_robustly
 from blender_nep.cameras.matching.feature_matching import extract, near_pairs, similar_pairs
 from blender_nep.cameras.matching.given_adjustment import improve
@@ -62,6 +63,8 @@ def _find(pycolmap: Any, folder: Path, settings: dict) -> None:
     say("matches", 0, len(pairs))
     pycolmap.match_image_pairs(database, matching, pairing, verification, pycolmap.Device.cpu)
     say("matches", len(pairs), len(pairs))
+    if settings["earlier"]:
+        add_features(pycolmap, folder, Path(settings["earlier"]), verification)
     if given:
         improve(pycolmap, folder, settings)
     else:
