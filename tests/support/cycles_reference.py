@@ -14,7 +14,8 @@ from pathlib import Path
 import bpy
 import numpy as np
 
-sys.path[:0] = [str(Path(__file__).resolve().parents[2]), str(Path(__file__).resolve().parents[1])]
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 from backend.scene_io.image_files import load_pixels
 from backend.scene_io.world import build_world
 from support.blender_checks import with_small_light_map
