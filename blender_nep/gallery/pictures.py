@@ -13,7 +13,6 @@ import numpy as np
 import OpenEXR
 from PIL import Image
 
-from blender_nep.capture.photos.formats import exr_files
 from blender_nep.safety.pictures import DAMAGED, open_picture
 
 WEBP_QUALITY = 78
@@ -76,6 +75,8 @@ def viewer_light(path: Path) -> ViewerLight | None:
     An equirectangular map in Blender's World orientation, z up, has the same rows and columns as glTF's, y up: asset.glb has
     (x, z, -y) for (x, y, z), and the viewer looks up u = 0.5 + atan2(z, x) / (2 pi) there. So no pixel moves.
     """
+    from blender_nep.capture.photos.formats import exr_files  # imports torch, which a batch without a light does not need
+
     try:
         exr_files.check(path, _MOST_LIGHT)
         light = np.asarray(OpenEXR.File(str(path)).channels()["RGB"].pixels, np.float32)

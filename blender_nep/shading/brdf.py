@@ -194,22 +194,23 @@ def _look_up(table: torch.Tensor, cos_v: torch.Tensor, roughness: torch.Tensor) 
 def _tables() -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
     """Tables on the CPU, float32: E [T, T], E of the dielectric lobe [T, T] and E_avg [T].
 
-    They are computed by stratified quadrature over samples of the visible normals.
+    They are computed by stratified quadrature over samples of the visible normals. The lobe is symmetric to the plane of v
+    and n, so half of the azimuths are enough.
     """
     axis = torch.linspace(0, 1, _TABLE, dtype=torch.float64)
-    alpha = alpha_of(axis)[:, None, None]
-    cos_v = (axis**2).clamp_min(1e-4)[None, :, None]
     side = 48
     strata = (torch.arange(side, dtype=torch.float64) + 0.5) / side
-    u = torch.stack(torch.meshgrid(strata, strata, indexing="ij"), -1).reshape(1, 1, -1, 2)
-    shape = torch.broadcast_shapes(alpha.shape, cos_v.shape, u.shape[:-1])
-    cosine = cos_v.expand(shape)
-    v = torch.stack([(1 - cosine**2).sqrt(), torch.zeros(shape, dtype=torch.float64), cosine], -1)
-    h, _ = sample_vndf(v, alpha.expand(shape), u.expand(*shape, 2))
-    cos_l = reflect(v, h)[..., 2]
-    weight = smith_g2(cosine, cos_l, alpha) / smith_g1(cosine, alpha) * (cos_l > 0)
-    e = weight.mean(-1)
-    single = (weight * dielectric_fresnel((v * h).sum(-1))).mean(-1)
+    u = torch.stack(torch.meshgrid(strata[: side // 2], strata, indexing="ij"), -1).reshape(-1, 2).expand(_TABLE, -1, 2)
+    cosine = (axis**2).clamp_min(1e-4)[:, None].expand(u.shape[:-1])
+    v = torch.stack([(1 - cosine**2).sqrt(), torch.zeros_like(cosine), cosine], -1)
+    albedo, dielectric_single = [], []
+    for alpha in alpha_of(axis):  # one roughness after the other: what is computed at once stays in the processor's cache
+        h, _ = sample_vndf(v, alpha, u)
+        cos_l = reflect(v, h)[..., 2]
+        weight = smith_g2(cosine, cos_l, alpha) / smith_g1(cosine, alpha) * (cos_l > 0)
+        albedo.append(weight.mean(-1))
+        dielectric_single.append((weight * dielectric_fresnel((v * h).sum(-1))).mean(-1))
+    e, single = torch.stack(albedo), torch.stack(dielectric_single)
     mu = axis**2  # E_avg is the integral of 2 mu E(mu) dmu with mu = axis^2
     average = torch.trapezoid(2 * mu * e * 2 * axis, axis, dim=1)
     average = average / torch.trapezoid(2 * mu * 2 * axis, axis)

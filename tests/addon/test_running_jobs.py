@@ -75,7 +75,7 @@ OPERATORS = {
     *("check_engine", "install_engine", "cancel_install", "open_preferences"),
 }
 SLOW = {"BALL_STEPS": "4000", "BALL_DELAY": "0.02"}
-BRISK = {"BALL_STEPS": "100", "BALL_DELAY": "0.03"}
+BRISK = {"BALL_STEPS": "60", "BALL_DELAY": "0.03"}
 
 
 def set_up(folder: Path):

@@ -1,5 +1,7 @@
 """A small synthetic capture. Its cameras, masks and ground truth must agree with its mesh file, which is written apart."""
 
+import contextlib
+import io
 import json
 import subprocess
 import sys
@@ -11,7 +13,8 @@ import pytest
 import trimesh
 from PIL import Image
 
-from blender_nep.capture.photos.formats.png16 import read_png16
+from support.blender_checks import told_in
+from support.own_process import in_blender
 from support.paths import ROOT
 
 LIMIT_S = 120
@@ -32,25 +35,34 @@ def capture(tmp_path_factory) -> Path:
     return folder
 
 
-@pytest.mark.parametrize(
-    ("file", "options"),
-    [
-        ("images/000.exr", ()),
-        ("transforms.json", ()),
-        ("gt/notes.txt", ()),
-        ("scene.json", ("--random", "1")),
-        ("photos/IMG_0001.jpg", ("--snapshots",)),
-        ("with_cameras/transforms.json", ("--snapshots",)),
-    ],
-)
-def test_somebody_elses_files_are_not_replaced(tmp_path, file, options):
-    (tmp_path / file).parent.mkdir(exist_ok=True)
-    (tmp_path / file).write_text("mine")
+FOREIGN = {
+    "images/000.exr": (),
+    "transforms.json": (),
+    "gt/notes.txt": (),
+    "scene.json": ("--random", "1"),
+    "photos/IMG_0001.jpg": ("--snapshots",),
+    "with_cameras/transforms.json": ("--snapshots",),
+}
+"""{somebody else's file in the folder: options with which it would be replaced}"""
+
+
+def test_somebody_elses_files_are_not_replaced(tmp_path):
+    in_blender(check_foreign_files, tmp_path)
+
+
+def check_foreign_files(folder):
+    from backend.synthetic import main
+
     small = ("--views", "3", "--test-views", "1", "--size", "16", "--samples", "1")
-    done = render(tmp_path, *small, *options)
-    assert done.returncode == 2 and "choose another --out" in done.stderr and Path(file).name in done.stderr
-    assert [path for path in tmp_path.rglob("*") if path.is_file()] == [tmp_path / file]
-    assert (tmp_path / file).read_text() == "mine"
+    for number, (name, options) in enumerate(FOREIGN.items()):
+        out, said = Path(folder) / str(number), io.StringIO()
+        file = out / name
+        file.parent.mkdir(parents=True)
+        file.write_text("mine")
+        with told_in(name), contextlib.redirect_stderr(said):
+            assert main(["--out", str(out), *small, *options]) == 2
+            assert "choose another --out" in said.getvalue() and file.name in said.getvalue()
+            assert [path for path in out.rglob("*") if path.is_file()] == [file] and file.read_text() == "mine"
 
 
 def test_a_capture_of_ours_is_rendered_again(tmp_path):
@@ -191,6 +203,8 @@ def test_a_mesh_file_is_scaled_to_fit_or_refused_if_missing(tmp_path):
 
 
 def test_a_random_scene_has_photos_of_its_format_and_brightness(tmp_path):
+    from blender_nep.capture.photos.formats.png16 import read_png16  # imports torch, which the Blender above does not need
+
     done = render(tmp_path, "--random", "1", "--views", "4", "--test-views", "1", "--size", str(SIZE), "--samples", "8")
     assert done.returncode == 0, done.stderr
     scene = json.loads((tmp_path / "scene.json").read_text())
@@ -215,3 +229,7 @@ def test_bundled_capture_is_whole_and_small():
     assert len(listed) == 44
     assert all((bundled / frame[key]).is_file() for _, frame in listed for key in ("file_path", "mask_path"))
     assert len(list((bundled / "gt").glob("*.exr"))) == 4 and (bundled / "gt_mesh.ply").is_file()
+
+
+if __name__ == "__main__":
+    globals()[sys.argv[1]](*sys.argv[2:])

@@ -25,12 +25,12 @@ from blender_nep.capture import PixelRays, load_capture
 from blender_nep.errors import LearningError, Stopped
 from blender_nep.geometry.mesh import Surface
 from blender_nep.presets import preset
-from blender_nep.surface.mesh_file import load_surface
 from blender_nep.tone_mapping import tone_map
 from support.ball_stages import ball_surface
 from support.own_process import in_blender
 from support.paths import SUZANNE_SMALL
 from support.rescaled_albedo import check_rescaled_albedo
+from support.true_mesh import true_surface
 
 
 def test_the_truth_scores_perfectly_and_a_copy_by_its_shift():
@@ -81,7 +81,7 @@ def test_a_silhouette_has_no_inner_pixels_at_the_border():
 def test_normals_that_are_wrong_only_in_hollows_are_scored_there(monkeypatch):
     capture = load_capture(SUZANNE_SMALL)
     test = load_test_views(SUZANNE_SMALL, capture)
-    surface, _ = load_surface(SUZANNE_SMALL / "gt_mesh.ply", capture, preset("preview").surface)
+    surface = true_surface()
     sky = Body(surface.vertices, surface.faces).sky_visibility(surface.vertices, surface.normals)
     turned = np.cross(surface.normals, [0.6, 0.0, 0.8])
     wrong = np.where((sky < shading_normals.HOLLOW)[:, None], turned, surface.normals)
@@ -144,7 +144,7 @@ def test_the_truth_scores_perfectly_except_for_a_planted_error(tmp_path, monkeyp
         assert gold[name][inside].std(0).max() < 0.01  # one material
         write_exr(asset / "textures" / f"{name}.exr", np.full((8, 8, *np.shape(value)), value, np.float32) + wrong)
     capture = load_capture(SUZANNE_SMALL)
-    surface, _ = load_surface(SUZANNE_SMALL / "gt_mesh.ply", capture, preset("preview").surface)
+    surface = true_surface()
     vertices = surface.vertices * capture.object_radius + capture.object_center
     write_obj(asset / "mesh.obj", TexturedMesh(vertices, surface.faces, surface.normals, surface.uv, {}))
     found = score_asset(SUZANNE_SMALL, asset, preset("preview"), "cpu", picture)

@@ -16,15 +16,14 @@ from blender_nep.geometry.ray_tracing import RayTracer
 from blender_nep.job.reporting.live_preview import render_pair
 from blender_nep.materials.samples.photo_samples import select_samples
 from blender_nep.messages import Message
-from blender_nep.presets import preset
 from blender_nep.scene.photo_analysis import PhotoAnalysis
 from blender_nep.scene.scene import Scene
 from blender_nep.scene.surface_analysis import view_dependence
-from blender_nep.surface.mesh_file import load_surface
 from support.brief_preset import brief_preset
 from support.exposures import find_exposures
 from support.paths import SUZANNE_SMALL
 from support.table_scene import write_table_scene
+from support.true_mesh import true_surface
 
 TENTH_OF_A_STOP = 0.07
 """ln 2 / 10"""
@@ -170,7 +169,7 @@ def test_no_result_depends_on_the_exposures_of_the_photos(tmp_path):
     rays = PixelRays.from_capture(load_capture(SUZANNE_SMALL), 2500, True)
     true = 2.0 ** torch.randint(-2, 3, (rays.views, 1), generator=torch.Generator().manual_seed(3)).expand(-1, 3).float()
     other = taken_with(rays, true).with_gain(true)
-    surface, _ = load_surface(SUZANNE_SMALL / "gt_mesh.ply", load_capture(SUZANNE_SMALL), preset("preview").surface)
+    surface = true_surface()
     tracer = RayTracer(surface.vertices, surface.faces)
     rays_per_step = {"object_rays": 128, "sphere_rays": 128, "outside_rays": 128}
     p = brief_preset(background_steps=8, least_explanation_ratio=0, **rays_per_step)

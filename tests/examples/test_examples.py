@@ -14,7 +14,7 @@ from examples.capture_to_asset import make_asset
 from examples.correct_material import make_metal
 from support.ball_stages import BallStages
 from support.captures import write_exr
-from support.paths import ROOT
+from support.paths import CHEAP_CYCLES, ROOT
 from support.two_materials import KeepingStages
 
 LIMIT_S = 400
@@ -33,7 +33,7 @@ def test_an_asset_is_shown_in_another_light(make_capture, tmp_path, monkeypatch)
     monkeypatch.setattr(runner, "Stages", BallStages)
     assert make_asset(make_capture(masks=True).folder, asset) == 0
     write_exr(light, np.tile(np.array([1.0, 0.0, 0.0], np.float32), (8, 16, 1)))
-    command = [sys.executable, "-m", "examples.relight_asset", asset, light, picture]
+    command = [sys.executable, CHEAP_CYCLES, "-m", "examples.relight_asset", asset, light, picture]
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=LIMIT_S)
     assert done.returncode == 0, done.stdout[-2000:] + done.stderr[-2000:]
     views = np.array(Image.open(picture)).reshape(160, 8, 160, 3).swapaxes(0, 1).astype(float)

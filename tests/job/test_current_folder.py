@@ -10,18 +10,17 @@ import sys
 import pytest
 
 from blender_nep.safety.isolated_python import NEUTRAL_FOLDER, isolated_python
-from support.paths import SUZANNE_SMALL
 from support.traps import set_traps
 
 LIMIT_S = 120
 
 
 @pytest.mark.parametrize("own", [(), ("-I",)], ids=["plain", "isolated"])
-def test_python_m_leaves_the_current_folder_out(own, tmp_path):
+def test_python_m_leaves_the_current_folder_out(own, make_capture, tmp_path):
     sprung = set_traps(tmp_path / "stranger")
-    command = [sys.executable, *own, "-m", "blender_nep", "info", SUZANNE_SMALL]
+    command = [sys.executable, *own, "-m", "blender_nep", "info", make_capture().folder]
     ended = subprocess.run(command, cwd=sprung.parent, capture_output=True, text=True, timeout=LIMIT_S)
-    assert ended.returncode == 0 and "40 photos" in ended.stdout, ended.stderr
+    assert ended.returncode == 0 and "6 photos" in ended.stdout, ended.stderr
     assert not sprung.exists()
 
 

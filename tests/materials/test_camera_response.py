@@ -1,5 +1,7 @@
 """The strength of the camera's response curve, found from what a ball reflects of analytic light."""
 
+import copy
+import functools
 from dataclasses import replace
 
 import numpy as np
@@ -30,8 +32,14 @@ class Photographed(AnalyticEnvironment):
         return coverage[:, None] * self.curve.photo(radiance / coverage.clamp_min(1e-6)[:, None]), coverage
 
 
-def developed(material, curve, rays=160):
-    photos = make_photos(constant(*material), rays=rays)
+@pytest.fixture(scope="module")
+def linear():
+    """linear(material) -> photos before any curve, which are made once. No test may change them."""
+    return functools.cache(lambda material: make_photos(constant(*material)))
+
+
+def developed(photos, curve):
+    photos = copy.copy(photos)
     photos.radiance = curve.photo(photos.radiance)
     photos.exposure = WHITE
     return photos
@@ -47,19 +55,19 @@ def observed(ball, photos, environment):
 
 @pytest.mark.parametrize("material", [COPPER, PAINT])
 @pytest.mark.parametrize("strength", [0.0, pytest.param(0.5, marks=pytest.mark.slow), 1.0])
-def test_the_strength_is_found_whatever_is_expected(ball, material, strength):
+def test_the_strength_is_found_whatever_is_expected(ball, linear, material, strength):
     curve = curve_of(strength)
-    seen = observed(ball, developed(material, curve), Photographed(curve))
+    seen = observed(ball, developed(linear(material), curve), Photographed(curve))
     for expected in (0.0, 1.0):
         found, tried = found_curve(seen, expected, PRESET, 0)
         assert (0 if found is None else found.strength) == pytest.approx(strength, abs=0.25)
         assert len(tried.errors) == len(tried.strengths)
 
 
-def test_the_albedo_is_that_of_the_light_before_the_curve(ball):
+def test_the_albedo_is_that_of_the_light_before_the_curve(ball, linear):
     albedo, *_ = BRONZE
     curve = curve_of(1.0)
-    photos, environment = developed(BRONZE, curve), Photographed(curve)
+    photos, environment = developed(linear(BRONZE), curve), Photographed(curve)
 
     def learned(expected, preset=PRESET):
         scene = Scene(photos, photos=None, expected_response=expected)
@@ -80,7 +88,7 @@ def test_without_shown_light_no_curve_is_looked_for(ball):
         def query_cone(self, origins, directions, half_angle):
             return torch.zeros_like(directions), torch.zeros(len(directions))
 
-    seen = observed(ball, developed(COPPER, curve_of(1.0), rays=4), Unseen())
+    seen = observed(ball, developed(make_photos(constant(*COPPER), rays=4), curve_of(1.0)), Unseen())
     assert found_curve(seen, 1.0, PRESET, 0) == (None, None)
 
 

@@ -6,10 +6,9 @@ import numpy as np
 import pytest
 import torch
 
-from blender_nep.checkpoints import load_state, save_state
-from blender_nep.materials.corrections import Correction, KeptMaterials
+from blender_nep.materials.corrections import Correction
 from blender_nep.shading.light_moments import LightMoments
-from support.lit_ball import PRESET, RADIUS, learn, make_photos
+from support.lit_ball import PRESET, RADIUS, check_kept, learn, make_photos
 
 MORE = replace(PRESET, samples=3000, label_pixels=6000)
 GOLD, RED = torch.tensor([0.95, 0.7, 0.35]), torch.tensor([0.6, 0.1, 0.08])
@@ -62,14 +61,8 @@ def test_without_corrections_the_textures_are_as_learned(ball, learned):
     assert all(entry["learned"] == {k: entry[k] for k in ("roughness", "metallic")} for entry in listed)
 
 
-@pytest.mark.parametrize("name", ["learned", "varied"])
-def test_what_is_kept_survives_the_disk(ball, request, name, tmp_path):
-    kept = request.getfixturevalue(name).kept
-    save_state(tmp_path / "kept.pt", kept.state())
-    restored = KeptMaterials.from_state(load_state(tmp_path / "kept.pt"))
-    wanted = {0: Correction(metallic=1.0, roughness=0.3)}
-    for one, other in zip(restored.bake(ball, wanted, MORE)[0], kept.bake(ball, wanted, MORE)[0], strict=True):
-        np.testing.assert_array_equal(one, other)
+def test_what_is_kept_survives_the_disk(ball, learned, tmp_path):
+    check_kept(learned.kept, ball, tmp_path / "kept.pt", MORE)
 
 
 def test_saying_that_it_is_metal_finds_albedo_and_roughness(ball, without_metal):
@@ -126,66 +119,3 @@ def test_the_learned_class_and_roughness_give_the_learned_albedo(ball, learned):
     for k, entry in enumerate(learned.kept.listed()):
         wanted = {k: Correction(metallic=entry["metallic"], roughness=entry["roughness"])}
         assert learned.kept.bake(ball, wanted, MORE)[1][k]["albedo"] == pytest.approx(entry["albedo"], abs=0.03)
-
-
-def many_fields(points):
-    """Twenty paints, and gold leaf on four fields of 24."""
-    center = torch.nn.functional.normalize(torch.randn(24, 3, generator=torch.Generator().manual_seed(5)), dim=-1)
-    at = torch.cdist(points / RADIUS, center).argmin(1)
-    paint = torch.rand(24, 3, generator=torch.Generator().manual_seed(6)) * 0.8 + 0.05
-    gold = torch.arange(24) % 6 == 0
-    paint[gold] = GOLD
-    return paint[at], torch.where(gold, 0.2, 0.3)[at], gold.float()[at]
-
-
-@pytest.fixture(scope="module")
-def varied(ball):
-    return learn(ball, make_photos(many_fields, views=16, side=48, rays=64), replace(MORE, samples=5000, label_pixels=9000))
-
-
-def test_segments_are_listed_in_few_groups_of_one_class(varied):
-    assert varied.report["segments"] > 50
-    groups, palette = varied.kept.materials.group, varied.kept.materials.varied.palette
-    listed = varied.kept.listed()
-    assert 4 <= len(listed) <= 12 and sum(entry["share"] for entry in listed) == pytest.approx(1, abs=0.01)
-    assert [entry["share"] for entry in listed] == sorted((entry["share"] for entry in listed), reverse=True)
-    for number, entry in enumerate(listed):
-        assert (palette.metallic.numpy()[groups == number] == entry["metallic"]).all()
-
-
-def test_a_group_of_segments_is_corrected_and_the_others_stay(ball, varied):
-    listed = varied.kept.listed()
-    gold = next(k for k, entry in enumerate(listed) if entry["metallic"] == 1)
-    restored = KeptMaterials.from_state(varied.kept.state())
-    (_, roughness, metallic, _), corrected = restored.bake(ball, {gold: Correction(metallic=0.0, roughness=0.7)}, MORE)
-    assert corrected[gold]["metallic"] == 0 and corrected[gold]["roughness"] == pytest.approx(0.7, abs=1e-4)
-    changed = (varied.metallic > 0.99) & (metallic < 0.01)
-    assert changed.mean() > 0.02 and np.abs(roughness[changed] - 0.7).max() < 0.1
-    for k in set(range(len(listed))) - {gold}:
-        assert corrected[k] == listed[k]
-    others = (varied.metallic < 0.01) & (np.abs(roughness - 0.7) > 0.1)
-    assert np.abs(metallic - varied.metallic)[others].max() < 0.01
-
-
-@pytest.mark.parametrize(
-    ("metal", "correction"), [(0, Correction(roughness=0.9)), (1, Correction(metallic=0.0)), (1, Correction(0.0, 0.9))]
-)
-def test_segments_that_are_not_named_keep_their_roughness(varied, metal, correction):
-    materials = varied.kept.materials
-    number = next(k for k, entry in enumerate(materials.listed()) if entry.metallic == metal)
-    corrected = materials.corrected({number: correction}, MORE)
-    before, after = materials.labeled(MORE), corrected.labeled(MORE)
-    named = after.metallic != before.metallic if correction.roughness is None else np.abs(after.roughness - 0.9) < 1e-5
-    assert 0.02 < named.mean() < 0.5
-    np.testing.assert_array_equal(after.roughness[~named], before.roughness[~named])
-    np.testing.assert_array_equal(after.metallic[~named], before.metallic[~named])
-
-
-def test_the_list_has_the_albedo_of_a_corrected_roughness(varied):
-    materials = varied.kept.materials
-    gold = next(k for k, entry in enumerate(materials.listed()) if entry.metallic == 1)
-    corrected = materials.corrected({gold: Correction(roughness=0.9)}, MORE)
-    points = corrected.labeled(MORE)
-    shown = points.albedo[np.abs(points.roughness - 0.9) < 1e-5].mean(0)
-    learned, listed = (np.array(each.listed()[gold].albedo) for each in (materials, corrected))
-    assert np.abs(listed - shown).max() < 0.3 * np.abs(learned - shown).max()

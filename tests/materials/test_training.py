@@ -1,5 +1,6 @@
 """Material learning end to end: photos of a sphere made by brute-force Monte Carlo, materials known."""
 
+import functools
 import itertools
 import math
 from dataclasses import replace
@@ -24,18 +25,26 @@ from support.lit_ball import (
     make_photos,
 )
 
+GOLD = ((0.9, 0.6, 0.3), 0.18, 1.0)
+
+
+@pytest.fixture(scope="module")
+def photos_of():
+    """photos_of(albedo, roughness, metallic, ...) -> photos, which are made once. No test may change them."""
+    return functools.cache(lambda *material, **options: make_photos(constant(*material), **options))
+
 
 @pytest.mark.parametrize(
     ("albedo", "roughness", "metallic", "tolerance"),
     [
-        ((0.9, 0.6, 0.3), 0.18, 1.0, 0.03),
+        (*GOLD, 0.03),
         ((0.5, 0.1, 0.1), 0.15, 0.0, 0.03),
         pytest.param((0.7, 0.7, 0.7), 0.5, 1.0, 0.03, marks=pytest.mark.slow),
         pytest.param((0.2, 0.4, 0.7), 0.6, 0.0, 0.1, marks=pytest.mark.slow),
     ],
 )  # a rough coat is 4 % of the light and shows little of its width
-def test_one_material_is_recovered(ball, albedo, roughness, metallic, tolerance):
-    result = learn(ball, make_photos(constant(albedo, roughness, metallic)))
+def test_one_material_is_recovered(ball, photos_of, albedo, roughness, metallic, tolerance):
+    result = learn(ball, photos_of(albedo, roughness, metallic))
     assert np.abs(result.albedo - albedo).max() < 0.04
     assert np.abs(result.roughness - roughness).max() < tolerance
     assert (result.metallic == metallic).all()
@@ -153,21 +162,26 @@ def test_black_and_blinding_light_give_finite_textures(ball, scale):
         assert np.isfinite(texture).all() and texture.min() >= 0 and texture.max() <= 1
 
 
-def test_a_handful_of_pixels_still_gives_one_material(ball):
-    photos = make_photos(constant((0.9, 0.6, 0.3), 0.18, 1.0))
-    result = learn(ball, photos, replace(PRESET, samples=60))
-    assert len(result.report["materials"]) == 1 and np.abs(result.albedo - (0.9, 0.6, 0.3)).max() < 0.15
+def test_a_handful_of_pixels_still_gives_one_material(ball, photos_of):
+    result = learn(ball, photos_of(*GOLD), replace(PRESET, samples=60))
+    assert len(result.report["materials"]) == 1 and np.abs(result.albedo - GOLD[0]).max() < 0.15
+
+
+EVERYTHING = replace(PRESET, samples=600, most_materials=1, unseen_rows=8, sure_margin=math.inf, uniform_texels=256)
+
+
+@pytest.fixture(scope="module")
+def with_everything(ball, photos_of):
+    """What is learned of a convex metal ball if nothing is left out."""
+    return learn(ball, photos_of((0.9, 0.6, 0.3), 0.2, 1.0, views=5, rays=64), EVERYTHING, environment=HalfSeen())
 
 
 @pytest.mark.parametrize(
     "left_out", [{"levels": 0}, {"irradiance_cones": 0, "metallic": (1.0,)}, {"sure_margin": 0.15, "uniform_texels": 16}]
 )
-def test_what_a_convex_metal_ball_does_not_need_changes_nothing(ball, left_out):
-    photos = make_photos(constant((0.9, 0.6, 0.3), 0.2, 1.0), views=5, rays=64)
-    everything = replace(PRESET, samples=600, most_materials=1, unseen_rows=8, sure_margin=math.inf, uniform_texels=256)
-    whole, less = (
-        learn(ball, photos, preset, environment=HalfSeen()) for preset in (everything, replace(everything, **left_out))
-    )
+def test_what_a_convex_metal_ball_does_not_need_changes_nothing(ball, photos_of, with_everything, left_out):
+    photos, whole = photos_of((0.9, 0.6, 0.3), 0.2, 1.0, views=5, rays=64), with_everything
+    less = learn(ball, photos, replace(EVERYTHING, **left_out), environment=HalfSeen())
     for name in ("albedo", "roughness", "metallic"):
         a, b = (getattr(result, name) for result in (whole, less))
         assert np.abs(a.mean((0, 1)) - b.mean((0, 1))).max() < 0.02 and np.ptp(b, (0, 1)).max() < 1e-6, name

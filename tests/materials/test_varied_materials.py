@@ -10,10 +10,11 @@ from scipy.spatial import cKDTree
 
 from blender_nep.geometry.uv_raster import rasterize
 from blender_nep.materials import training
+from blender_nep.materials.corrections import Correction, KeptMaterials
 from blender_nep.materials.labels.pixel_votes import Surfels
 from blender_nep.materials.samples.photo_samples import PhotoSamples
 from blender_nep.materials.segments.varied_materials import PlacedPixels, majority, segments_of
-from support.lit_ball import PRESET, RADIUS, learn, make_photos
+from support.lit_ball import PRESET, RADIUS, check_kept, learn, make_photos
 
 MORE = replace(PRESET, samples=5000, label_pixels=9000)
 FEW = replace(MORE, varied_gain=math.inf)
@@ -194,3 +195,55 @@ def test_a_thin_outline_gets_its_own_segments_by_color():
 
     assert pure(segments_of(samples, 0, pixels)) > 0.8
     assert pure(segments_of(samples, 0)) < 0.2
+
+
+def test_what_is_kept_of_segments_survives_the_disk(ball, varied, tmp_path):
+    check_kept(varied.kept, ball, tmp_path / "kept.pt", MORE)
+
+
+def test_segments_are_listed_in_few_groups_of_one_class(varied):
+    assert varied.report["segments"] > 50
+    groups, palette = varied.kept.materials.group, varied.kept.materials.varied.palette
+    listed = varied.kept.listed()
+    assert 4 <= len(listed) <= 12 and sum(entry["share"] for entry in listed) == pytest.approx(1, abs=0.01)
+    assert [entry["share"] for entry in listed] == sorted((entry["share"] for entry in listed), reverse=True)
+    for number, entry in enumerate(listed):
+        assert (palette.metallic.numpy()[groups == number] == entry["metallic"]).all()
+
+
+def test_a_group_of_segments_is_corrected_and_the_others_stay(ball, varied):
+    listed = varied.kept.listed()
+    gold = next(k for k, entry in enumerate(listed) if entry["metallic"] == 1)
+    restored = KeptMaterials.from_state(varied.kept.state())
+    (_, roughness, metallic, _), corrected = restored.bake(ball, {gold: Correction(metallic=0.0, roughness=0.7)}, MORE)
+    assert corrected[gold]["metallic"] == 0 and corrected[gold]["roughness"] == pytest.approx(0.7, abs=1e-4)
+    changed = (varied.metallic > 0.99) & (metallic < 0.01)
+    assert changed.mean() > 0.02 and np.abs(roughness[changed] - 0.7).max() < 0.1
+    for k in set(range(len(listed))) - {gold}:
+        assert corrected[k] == listed[k]
+    others = (varied.metallic < 0.01) & (np.abs(roughness - 0.7) > 0.1)
+    assert np.abs(metallic - varied.metallic)[others].max() < 0.01
+
+
+@pytest.mark.parametrize(
+    ("metal", "correction"), [(0, Correction(roughness=0.9)), (1, Correction(metallic=0.0)), (1, Correction(0.0, 0.9))]
+)
+def test_segments_that_are_not_named_keep_their_roughness(varied, metal, correction):
+    materials = varied.kept.materials
+    number = next(k for k, entry in enumerate(materials.listed()) if entry.metallic == metal)
+    corrected = materials.corrected({number: correction}, MORE)
+    before, after = materials.labeled(MORE), corrected.labeled(MORE)
+    named = after.metallic != before.metallic if correction.roughness is None else np.abs(after.roughness - 0.9) < 1e-5
+    assert 0.02 < named.mean() < 0.5
+    np.testing.assert_array_equal(after.roughness[~named], before.roughness[~named])
+    np.testing.assert_array_equal(after.metallic[~named], before.metallic[~named])
+
+
+def test_the_list_has_the_albedo_of_a_corrected_roughness(varied):
+    materials = varied.kept.materials
+    gold = next(k for k, entry in enumerate(materials.listed()) if entry.metallic == 1)
+    corrected = materials.corrected({gold: Correction(roughness=0.9)}, MORE)
+    points = corrected.labeled(MORE)
+    shown = points.albedo[np.abs(points.roughness - 0.9) < 1e-5].mean(0)
+    learned, listed = (np.array(each.listed()[gold].albedo) for each in (materials, corrected))
+    assert np.abs(listed - shown).max() < 0.3 * np.abs(learned - shown).max()

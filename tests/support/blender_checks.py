@@ -49,6 +49,15 @@ def rounds(addon, until) -> None:
         time.sleep(0.02)
 
 
+def with_small_light_map(world):
+    """The World, for which Cycles draws directions of light from a small map.
+
+    The map is made anew for each render of another World. Cycles' own has 4096 x 2048 cells and takes 1.1 CPU seconds.
+    """
+    world.cycles.sampling_method, world.cycles.sample_map_resolution = "MANUAL", 256
+    return world
+
+
 class Drawn:
     """A layout for a panel's `draw` that draws nothing. `log` holds the texts and operators in their order."""
 

@@ -14,9 +14,11 @@ from pathlib import Path
 import bpy
 import numpy as np
 
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 from backend.scene_io.image_files import load_pixels
 from backend.scene_io.world import build_world
+from support.blender_checks import with_small_light_map
 
 SIZE, SAMPLES, WIDTH = 64, 256, 2.0
 
@@ -38,7 +40,7 @@ camera.type, camera.ortho_scale = "ORTHO", WIDTH
 eye = bpy.data.objects.new("camera", camera)
 eye.location, eye.rotation_euler = (5, 0, 0), (np.pi / 2, 0, np.pi / 2)
 scene.collection.objects.link(eye)
-scene.camera, scene.world = eye, build_world(Path(light), name="light")
+scene.camera, scene.world = eye, with_small_light_map(build_world(Path(light), name="light"))
 scene.render.engine, scene.cycles.device = "CYCLES", "CPU"
 scene.cycles.samples, scene.cycles.use_adaptive_sampling, scene.cycles.use_denoising = SAMPLES, False, False
 scene.cycles.filter_width = 0.01  # a pixel is what its own center sees, as far as Cycles allows

@@ -3,6 +3,7 @@
 import functools
 import math
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 import torch
@@ -12,7 +13,9 @@ from blender_nep.capture.rays.pixel_width import pixel_width
 from blender_nep.capture.rays.ray_bundle import RayBundle
 from blender_nep.capture.rays.response_curve import ResponseCurve
 from blender_nep.capture.rays.rigid_motions import RigidMotions
+from blender_nep.checkpoints import load_state, save_state
 from blender_nep.geometry.mesh import Surface
+from blender_nep.materials.corrections import Correction, KeptMaterials
 from blender_nep.materials.training import learn_materials
 from blender_nep.presets import MaterialPreset, SurfacePreset
 from blender_nep.scene.scene import Scene
@@ -259,3 +262,12 @@ def constant(albedo, roughness, metallic):
         return torch.tensor(albedo).expand(n, 3), torch.full((n,), roughness), torch.full((n,), metallic)
 
     return materials
+
+
+def check_kept(kept: KeptMaterials, ball: Surface, file: Path, preset: MaterialPreset) -> None:
+    """Assert that what is kept of materials gives the same textures when it was written to `file` and read again."""
+    save_state(file, kept.state())
+    restored = KeptMaterials.from_state(load_state(file))
+    wanted = {0: Correction(metallic=1.0, roughness=0.3)}
+    for one, other in zip(restored.bake(ball, wanted, preset)[0], kept.bake(ball, wanted, preset)[0], strict=True):
+        np.testing.assert_array_equal(one, other)

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from support.blender_checks import with_small_light_map
 from support.own_process import in_blender
 
 CONFIGURATION = """ocio_profile_version: 2
@@ -55,7 +56,7 @@ def check_asset_and_render(asset, texture, linear):
     albedo, roughness = (nodes[name].image for name in ("albedo", "roughness"))
     assert albedo.colorspace_settings.name == texture and not is_linear(albedo)
     assert roughness.colorspace_settings.is_data and is_linear(roughness)
-    world = build_world(Path(asset) / "environment.exr", name="light")
+    world = with_small_light_map(build_world(Path(asset) / "environment.exr", name="light"))
     (light,) = (node.image for node in world.node_tree.nodes if node.type == "TEX_ENVIRONMENT")
     assert light.colorspace_settings.name == linear
     with RelitScene(bpy.data.objects.new("nothing", None), 8, 8, samples=1) as relit:
@@ -88,7 +89,7 @@ def check_primaries(asset):
 
     bpy.ops.wm.read_factory_settings(use_empty=True)
     write_exr(Path(asset) / "red.exr", np.tile([1.0, 0.1, 0.1], (4, 8, 1)))
-    world = build_world(Path(asset) / "red.exr", name="light")
+    world = with_small_light_map(build_world(Path(asset) / "red.exr", name="light"))
     with RelitScene(bpy.data.objects.new("nothing", None), 8, 8, samples=1) as relit:
         seen = relit.render(Frame(Path("none"), 8, 8, 8.0, 8.0, 4.0, 4.0, np.eye(4), "linear"), world)
     np.testing.assert_allclose(seen.mean((0, 1)), [1.0, 0.1, 0.1], rtol=0.02)

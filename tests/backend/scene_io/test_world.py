@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
+from support.blender_checks import with_small_light_map
 from support.captures import write_exr
 from support.own_process import in_blender
 
@@ -35,7 +36,7 @@ def check_world(folder, directions):
     bpy.ops.wm.read_factory_settings(use_empty=True)
     relit = RelitScene(bpy.data.objects.new("nothing", None), 32, 32, samples=4)
     for index, direction in enumerate(json.loads(directions)):
-        world = build_world(Path(folder) / f"{index}.exr", name=str(index))
+        world = with_small_light_map(build_world(Path(folder) / f"{index}.exr", name=str(index)))
         # the camera looks 12 degrees left of and below the spot, which must then be right of and above the middle
         turned = Vector(direction).to_track_quat("-Z", "Y").to_matrix()
         aside = turned @ Vector((-np.tan(np.radians(12)), -np.tan(np.radians(12)), -1))

@@ -35,7 +35,7 @@ def snapshots(tmp_path_factory):
 def test_the_true_cameras_fit_the_masks(snapshots):
     capture = load_capture(snapshots / "with_cameras")
     mesh = trimesh.load(snapshots / "with_cameras" / "gt_mesh.ply", process=False)
-    points = np.asarray(trimesh.sample.sample_surface(mesh, 1_500_000, seed=0)[0])
+    points = np.asarray(trimesh.sample.sample_surface(mesh, 500_000, seed=0)[0])
     for number, view in enumerate(capture.views):
         mask = capture.load_mask(number)
         with_lens = np.abs(coverage(view.camera, points) - mask).sum()
