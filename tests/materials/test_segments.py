@@ -27,7 +27,7 @@ def test_the_color_does_not_depend_on_the_block(monkeypatch):
     position, white = checkered(500, 0)
     radiance = np.where(white[:, None], 0.8, 0.1) * np.ones(3)
     whole = median_color(cKDTree(position), radiance, position, 5)
-    monkeypatch.setattr("blender_nep.materials.segments.segments._BLOCK", 37)
+    monkeypatch.setattr("blender_nep.materials.place_colors._BLOCK", 37)
     assert np.array_equal(median_color(cKDTree(position), radiance, position, 5), whole)
 
 
