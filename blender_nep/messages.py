@@ -243,6 +243,20 @@ WORDS: dict[str, str] = {
     "capture.masks_dim": "no value in the masks is above {percent:.2g} % of white: that value counts as white",
     "capture.masks_background": "white in the masks covers the surroundings, and black the object: the masks are "
     "inverted. If white is the object, give --masks object",
+    "capture.masks_turned": "{count} {count:mask is|masks are} black where the others are white, "
+    "and {count:is|are} inverted: {names}",
+    "capture.masks_labels": "the masks show {count} things in different colors: the color where the cameras look "
+    "({color}) is taken as the object, and all others as its surroundings. If that is wrong, save masks whose white is the "
+    "object",
+    "capture.masks_pictures": "the masks are pictures before one color ({color}): what has another color is taken as the "
+    "object. Masks in black and white are more exact",
+    "capture.masks_colors_unclear": "the masks are colored, and no color covers the borders: only their red channel "
+    "counts. Save masks whose white is the object",
+    "capture.alpha_inverted": "the photos are transparent where the object is: their alpha is inverted, and the photos "
+    "count as whole ones. If that is wrong, give --masks object",
+    "capture.masks_rescaled": "{count} {count:mask has|masks have} another size than {count:its photo|their photos}, with "
+    "the same aspect, and {count:is|are} scaled: {names}",
+    "capture.masks_other_kind": "the files in {place} cannot be read as masks ({kinds}): save them as PNG",
     "capture.masks_usable": "white in the masks is not the object but what may be used: the black pixels ({percent:.1f} % "
     "of a photo) are left out, and the object is found without masks. If white is the object, give --masks object",
     "capture.masks_not_used": "the masks are not used: {percent:.0f} % of a photo is black, and white does not show the "
@@ -279,6 +293,8 @@ WORDS: dict[str, str] = {
     "capture.photos_reduced": "there are {photos} photos: each is scaled down to {pixels} pixels, because all photos "
     "together may have {limit}",
     "capture.masks_missing": "masks are not used: {count} {count:photo has|photos have} none ({names})",
+    "capture.masks_lacking": "{count} {count:photo is|photos are} left out: {count:it has|they have} no mask, unlike the "
+    "others ({names})",
     "capture.masks_empty": "{count} {count:photo is|photos are} left out: {count:its mask shows|their masks show} nothing "
     "({names})",
     "capture.cut_outs_need_masks": "the photos are cut-outs (alpha) and their surroundings are black; results need the "

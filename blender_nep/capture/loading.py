@@ -14,10 +14,10 @@ from blender_nep.capture.bounds import check_sphere, sphere_from_cameras, sphere
 from blender_nep.capture.brackets import bracket_warnings
 from blender_nep.capture.cameras.plausible_lens import lens_warnings
 from blender_nep.capture.capture import Capture, View
-from blender_nep.capture.description import MINIMUM_VIEWS, CaptureDescription
+from blender_nep.capture.description import MINIMUM_VIEWS, MOST_LACKING, CaptureDescription
 from blender_nep.capture.formats import bundler, cameras_sphere, colmap, llff, metashape, nerf_synthetic, transforms
 from blender_nep.capture.formats.peers import PEERS
-from blender_nep.capture.mask_meaning import read_masks
+from blender_nep.capture.mask_meaning import read_alpha, read_masks
 from blender_nep.capture.photos.mask_files import MaskMeaning
 from blender_nep.capture.photos.photo_files import is_linear
 from blender_nep.capture.without_cameras import is_video, no_capture, video_hint
@@ -62,8 +62,15 @@ def load_capture(
     else:
         capture.object_center, capture.object_radius = np.array(sphere[0], np.float64), float(sphere[1])
         capture.bounds_source = "options"
+    if use_masks and said.missing_masks:
+        first, more = said.missing_masks[0], len(said.missing_masks) - 1
+        raise CaptureError(
+            f"mask {first} is missing" + (f", and {more} more" if more else ""),
+            "Put it back, or take mask_path out of its frame. --masks ignore leaves masks out.",
+        )
     if use_masks:
-        warnings += read_masks(capture, mask_meaning)
+        warnings += read_alpha(capture) if mask_meaning is None else []
+        warnings += [] if capture.ignores_alpha else read_masks(capture, mask_meaning)
         if capture.bounds_source == "cameras":
             _shrink_to_masks(capture)
     cameras = [v.camera for v in said.views]
@@ -164,22 +171,22 @@ def _set_bounds(capture: Capture, said: CaptureDescription) -> None:
 
 
 def _shrink_to_masks(capture: Capture) -> None:
-    """The object's sphere as the masks show it, where every photo has one and they agree."""
-    cameras = [v.camera for v in capture.views]
-    wanted = range(len(cameras)) if _may_have_masks(capture) else range(0)
-    masks = [mask for i in wanted if (mask := _coarse_mask(capture, i)) is not None]
-    if len(masks) == len(cameras):
+    """The object's sphere as the masks show it, where nearly every photo has one and they agree."""
+    wanted = range(len(capture.views)) if _may_have_masks(capture) else range(0)
+    found = {i: mask for i in wanted if (mask := _coarse_mask(capture, i)) is not None}
+    cameras, masks = [capture.views[i].camera for i in found], list(found.values())
+    if len(masks) >= max(MINIMUM_VIEWS, (1 - MOST_LACKING) * len(capture.views)):
         sphere = sphere_from_masks(cameras, masks, capture.object_center, capture.object_radius)
         if sphere is None:
             capture.warnings.append(Message("capture.masks_disagree"))
             return
-        nearest = min(float(np.linalg.norm(c.position - sphere[0])) for c in cameras)
+        nearest = min(float(np.linalg.norm(view.camera.position - sphere[0])) for view in capture.views)
         capture.object_center, capture.object_radius = sphere[0], min(sphere[1], 0.9 * nearest)
         capture.bounds_source = "masks"
 
 
 def _may_have_masks(capture: Capture) -> bool:
-    return all(v.mask_path for v in capture.views) or _coarse_mask(capture, 0) is not None
+    return any(v.mask_path for v in capture.views) or _coarse_mask(capture, 0) is not None
 
 
 def _coarse_mask(capture: Capture, i: int) -> np.ndarray | None:

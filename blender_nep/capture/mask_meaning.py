@@ -12,16 +12,18 @@ the masks, white and black, is asked whether it can be such an object.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
 from blender_nep.capture.bounds import carve, sphere_from_masks
 from blender_nep.capture.cameras.camera import Camera
 from blender_nep.capture.capture import Capture
-from blender_nep.capture.photos.mask_files import MaskMeaning, MaskRaster, MaskReading
+from blender_nep.capture.mask_colors import find_mask_color
+from blender_nep.capture.photos.mask_files import MaskColor, MaskMeaning, MaskRaster, MaskReading
 from blender_nep.errors import CaptureError
 from blender_nep.messages import Message
 
@@ -52,6 +54,10 @@ _LOOKED_AT = 0.8
 """If so much is white where the cameras look, black is not the object, or it has a hole there."""
 _EXPLAINED = 0.6
 """So much of the silhouettes must lie in the sphere around the body that they agree on."""
+_CLEARLY = 0.7
+"""So much white where its camera looks, and none at the border, tells the sort of a single mask, or so much black there."""
+_NO_COLORS = 1e-3
+"""Colors that differ by less are one color."""
 _PATCH = 0.05
 """Half the side of the patch where the cameras look, as a part of the photo's shorter side"""
 
@@ -73,10 +79,20 @@ def read_masks(capture: Capture, told: MaskMeaning | None = None) -> list[Messag
     if not masked:
         return []
     chosen = [masked[k] for k in np.unique(np.linspace(0, len(masked) - 1, _MOST_MASKS).round().astype(int))]
-    raw = {i: mask for i in chosen if (mask := _coarse(capture, i)) is not None}
+    first = {i: seen for i in chosen if (mask := capture.open_mask(i)) is not None and (seen := _first_look(mask))}
+    places = [_looked_at(capture.views[i].camera, capture.object_center) for i in first]
+    color, of_color = _color([seen.colors for seen in first.values()], places)
+    raw = {i: seen.coverage for i, seen in first.items()}
+    if color is not None:
+        capture.mask_reading = MaskReading(color=color)
+        raw = {i: again for i in first if (again := _coarse(capture, i)) is not None}
     white, messages = _white(list(raw.values()))
     masks = [np.clip(mask / white, 0, 1) > 0.5 for mask in raw.values()]
-    sides = Sides([capture.views[i].camera for i in raw], masks, capture.object_center, capture.object_radius)
+    cameras = [capture.views[i].camera for i in raw]
+    sorts = [_sort(camera, mask, capture.object_center) for camera, mask in zip(cameras, masks, strict=True)]
+    usual = 1 if sum(sorts) >= 0 else -1
+    masks = [~mask if sort == -usual else mask for mask, sort in zip(masks, sorts, strict=True)]
+    sides = Sides(cameras, masks, capture.object_center, capture.object_radius)
     one_file = len(masked) > 1 and len({capture.views[i].mask_path for i in masked}) == 1
     looks = judge(sides, one_file) if any(mask.any() for mask in masks) else Judgment(MaskReading(), [])
     if told is None:
@@ -85,15 +101,104 @@ def read_masks(capture: Capture, told: MaskMeaning | None = None) -> list[Messag
         meaning = told
         differs = looks.reading.meaning not in (told, MaskMeaning.NOTHING)
         said = [Message("capture.masks_as_told", {"meaning": str(told)})] if differs else []
-    capture.mask_reading = MaskReading(meaning, white)
-    return messages + said
+    capture.mask_reading = MaskReading(meaning, white, color)
+    if -usual in sorts and meaning in (MaskMeaning.OBJECT, MaskMeaning.BACKGROUND):
+        said = said + _turn(capture, masked, usual)
+    return of_color + messages + said
 
 
-def _first_look(path: Path) -> np.ndarray:
-    """The coverage of a mask at a small size. Raises CaptureError."""
+def _sort(camera: Camera, mask: np.ndarray, center: np.ndarray) -> int:
+    """1 if a mask is clearly white where its camera looks and black at the border, -1 the other way round; else 0."""
+    at = _looked_at(camera, center)
+    if at is None:
+        return 0
+    border, middle = _border([mask]), float(_patch(mask, at).mean())
+    if border >= _BORDER and middle <= 1 - _CLEARLY:
+        return -1
+    return 1 if border <= 1 - _BORDER and middle >= _CLEARLY else 0
+
+
+def _turn(capture: Capture, masked: Sequence[int], usual: int) -> list[Message]:
+    """Turn the masks that are not of the usual sort, and say so."""
+    inverted = capture.mask_reading.meaning == MaskMeaning.BACKGROUND
+    odd = []
+    for i in masked:
+        coverage = _coarse(capture, i)
+        if coverage is None:
+            continue
+        white = (coverage > 0.5) != inverted
+        if _sort(capture.views[i].camera, white, capture.object_center) == -usual:
+            odd.append(i)
+    turned = frozenset(path for i in odd if (path := capture.views[i].mask_path) is not None)
+    capture.mask_reading = replace(capture.mask_reading, turned=turned)
+    return [Message("capture.masks_turned", {"count": len(odd), "names": [capture.views[i].name for i in odd]})]
+
+
+def read_alpha(capture: Capture) -> list[Message]:
+    """Recognize photos whose alpha is 0 where the object is, and 1 in the surroundings. Then it becomes their mask.
+
+    For captures without mask files. Raises CaptureError where the photos have lost the colors of the object.
+    """
+    views = capture.views
+    if any(view.mask_path is not None for view in views) or not capture.open_photo(0).has_alpha:
+        return []
+    chosen = np.unique(np.linspace(0, len(views) - 1, _MOST_MASKS).round().astype(int)).tolist()
+    masks = []
+    for i in chosen:
+        photo = capture.open_photo(i)
+        step = max(1, min(max(photo.size) // _ROWS, min(photo.size)))
+        alpha = photo.alpha(step)
+        if alpha is None or photo.least_alpha() >= 0.5:
+            return []
+        masks.append(alpha > 0.5)
+    sides = Sides([views[i].camera for i in chosen], masks, capture.object_center, capture.object_radius)
+    if judge(sides, one_file=False).reading.meaning != MaskMeaning.BACKGROUND:
+        return []
+    if not any(_has_colors(capture, i, mask) for i, mask in zip(chosen, masks, strict=True)):
+        raise CaptureError(
+            "the photos are transparent where the object is, and have no colors there: their alpha is inverted",
+            "Export them again with the surroundings transparent, or without transparency.",
+        )
+    capture.views = [replace(view, mask_path=view.image_path) for view in views]
+    capture.mask_reading, capture.ignores_alpha = MaskReading(MaskMeaning.BACKGROUND), True
+    return [Message("capture.alpha_inverted")]
+
+
+def _has_colors(capture: Capture, i: int, opaque: np.ndarray) -> bool:
+    """Whether photo `i` has colors where it is transparent. opaque: [h, w] bool of some pixels."""
+    photo = capture.open_photo(i)
+    step = max(1, min(max(photo.size) // _ROWS, min(photo.size)))
+    kept = range(step // 2, photo.size[0], step)
+    hidden = np.concatenate([photo.rows(row, row + 1)[0][:, step // 2 :: step] for row in kept])[~opaque]
+    return len(hidden) > 0 and bool(np.ptp(np.nan_to_num(hidden), axis=0).max() >= _NO_COLORS)
+
+
+class _Seen(NamedTuple):
+    """What is looked at of a mask."""
+
+    coverage: np.ndarray
+    """[h, w] as `MaskRaster.coverage` has it"""
+    colors: np.ndarray | None
+    """[h, w, 3] as `MaskRaster.colors` has them"""
+
+
+def _first_look(mask: MaskRaster) -> _Seen:
+    size = mask.raster.size
+    return _Seen(*mask.look(max(1, min(max(size) // _ROWS, min(size)))))
+
+
+def _color(
+    pictures: Sequence[np.ndarray | None], looked_at: Sequence[tuple[float, float] | None]
+) -> tuple[MaskColor | None, list[Message]]:
+    """The color that decides; None where alpha decides in some masks."""
+    known = [picture for picture in pictures if picture is not None]
+    return find_mask_color(known, looked_at) if known and len(known) == len(pictures) else (None, [])
+
+
+def _opened(path: Path, reading: MaskReading | None = None) -> MaskRaster:
+    """The mask of a photo without a camera. Raises CaptureError."""
     try:
-        file = MaskRaster.of(path)
-        return file.coverage(max(1, min(max(file.size) // _ROWS, min(file.size))))
+        return MaskRaster.of(path, reading)
     except CaptureError as error:
         hint = "Take it out, or copy it again."
         raise CaptureError(str(error), hint, "capture.photo_unreadable", photo=path.name) from error
@@ -102,20 +207,25 @@ def _first_look(path: Path) -> np.ndarray:
 def read_photo_masks(paths: Sequence[Path]) -> tuple[MaskReading, list[Message]]:
     """How the masks of photos without cameras are read, and what was assumed.
 
-    The middle of a photo counts as the place where its camera looks. Only inverted masks and masks with another white are
-    recognized. Raises CaptureError where a mask cannot be read.
+    The middle of a photo counts as the place where its camera looks. Only inverted masks, masks with another white and
+    colored masks are recognized. Raises CaptureError where a mask cannot be read.
     """
     chosen = np.unique(np.linspace(0, len(paths) - 1, _MOST_MASKS).round().astype(int))
-    raw = [_first_look(paths[k]) for k in chosen]
+    first = [_first_look(_opened(paths[k])) for k in chosen]
+    color, of_color = _color([seen.colors for seen in first], [(0.5, 0.5)] * len(first))
+    raw = [seen.coverage for seen in first]
+    if color is not None:
+        raw = [mask.coverage(_step(mask)) for k in chosen if (mask := _opened(paths[k], MaskReading(color=color)))]
     white, messages = _white(raw)
+    messages = of_color + messages
     masks = [mask / white > 0.5 for mask in raw]
     middles = [mask[len(mask) // 3 : -(len(mask) // 3), mask.shape[1] // 3 : -(mask.shape[1] // 3)] for mask in masks]
     middle = float(np.median([part.mean() for part in middles]))
     black = 1 - float(np.median([mask.mean() for mask in masks]))
     inverted = len(set(paths)) > 1 and _border(masks) >= _BORDER and black >= _LEAST_OBJECT and middle < 0.5
     if inverted:
-        return MaskReading(MaskMeaning.BACKGROUND, white), [*messages, *_background().messages]
-    return MaskReading(white=white), messages
+        return MaskReading(MaskMeaning.BACKGROUND, white, color), [*messages, *_background().messages]
+    return MaskReading(white=white, color=color), messages
 
 
 def _border(masks: Sequence[np.ndarray]) -> float:
@@ -125,10 +235,28 @@ def _border(masks: Sequence[np.ndarray]) -> float:
 
 def _coarse(capture: Capture, i: int) -> np.ndarray | None:
     """Values [h, w] in 0..1 of some pixels of mask `i`, as its file stores them."""
-    camera = capture.views[i].camera
-    sides = camera.width, camera.height
     mask = capture.open_mask(i)
-    return None if mask is None else mask.coverage(max(1, min(max(sides) // _ROWS, min(sides))))
+    return None if mask is None else mask.coverage(_step(mask))
+
+
+def _step(mask: MaskRaster) -> int:
+    """So many pixels of a mask are passed over from one that is looked at to the next one."""
+    return max(1, min(max(mask.size) // _ROWS, min(mask.size)))
+
+
+def _looked_at(camera: Camera, center: np.ndarray) -> tuple[float, float] | None:
+    """Where the photo shows `center` [3], as parts of its height and width; None where it does not."""
+    x, y, depth = (float(value[0]) for value in camera.project(center[None]))
+    if depth > 0 and 0 <= x < camera.width and 0 <= y < camera.height:
+        return y / camera.height, x / camera.width
+    return None
+
+
+def _patch(mask: np.ndarray, at: tuple[float, float]) -> np.ndarray:
+    """The pixels around the place `at`, given as parts of height and width."""
+    height, width = mask.shape
+    row, column, half = int(at[0] * height), int(at[1] * width), max(1, round(_PATCH * min(height, width)))
+    return mask[max(0, row - half) : row + half + 1, max(0, column - half) : column + half + 1]
 
 
 def _white(masks: list[np.ndarray]) -> tuple[float, list[Message]]:
@@ -172,13 +300,9 @@ class Sides:
         """How much is white where the cameras look, 0..1 (median); 0.5 if no photo shows that place."""
         found = []
         for camera, mask in zip(self.cameras, self.white, strict=True):
-            x, y, depth = (float(value[0]) for value in camera.project(self.center[None]))
-            if depth > 0 and 0 <= x < camera.width and 0 <= y < camera.height:
-                height, width = mask.shape
-                row, column = int(y * height / camera.height), int(x * width / camera.width)
-                half = max(1, round(_PATCH * min(height, width)))
-                patch = mask[max(0, row - half) : row + half + 1, max(0, column - half) : column + half + 1]
-                found.append(float(patch.mean()))
+            at = _looked_at(camera, self.center)
+            if at is not None:
+                found.append(float(_patch(mask, at).mean()))
         return float(np.median(found)) if found else 0.5
 
     @cached_property

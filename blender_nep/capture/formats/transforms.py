@@ -52,8 +52,9 @@ def read(folder: Path, file: str = FILE) -> CaptureDescription:
     rescaled: list[str] = []
     turned: list[str] = []
     views, lookup = [], PhotoLookup(folder)
+    missing_masks: list[str] = []
     for (name, frame), camera in zip(named, cameras, strict=True):
-        image, mask = photos[name], _mask(lookup, frame)
+        image, mask = photos[name], _mask(lookup, frame, missing_masks)
         camera = fitted(camera, image, name, file, rescaled, turned)
         place = (None, None) if meta.get("turntable") is False else _place_on_turntable(frame, name)
         views.append(View(stem(image.name), image, mask, camera, *place))
@@ -67,6 +68,7 @@ def read(folder: Path, file: str = FILE) -> CaptureDescription:
         object_radius=meta.get("object_radius"),
         turntable=_turntable(meta, named),
         warnings=warnings + more + found + rescaled_warnings(rescaled, turned),
+        missing_masks=missing_masks,
     )
 
 
@@ -150,14 +152,15 @@ def _place_on_turntable(frame: dict, name: str) -> tuple[int | None, float | Non
     return row, float(turn)
 
 
-def _mask(lookup: PhotoLookup, frame: dict) -> Path | None:
+def _mask(lookup: PhotoLookup, frame: dict, missing: list[str]) -> Path | None:
+    """The mask that the frame names. If that is not there, its name is added to `missing`."""
     if not frame.get("mask_path"):
         return None
     named = str(frame["mask_path"])
     refuse_other_computer(lookup.folder, named)
     mask = lookup.find(named, _MASK_PLACES)
     if mask is None:
-        raise CaptureError(f"mask {frame['mask_path']} is missing", "Put it back, or take mask_path out of its frame.")
+        missing.append(named)
     return mask
 
 

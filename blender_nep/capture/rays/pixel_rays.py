@@ -16,6 +16,8 @@ from torch import Tensor
 from blender_nep.capture.cameras.camera import Camera
 from blender_nep.capture.cameras.lens import Lenses
 from blender_nep.capture.capture import Capture
+from blender_nep.capture.description import MINIMUM_VIEWS, MOST_LACKING
+from blender_nep.capture.photos.mask_files import MaskMeaning
 from blender_nep.capture.rays.downscaling import box, factor_for
 from blender_nep.capture.rays.pixel_set import GrowingPixelSet, PixelSet
 from blender_nep.capture.rays.pixel_store import PixelMemory
@@ -223,8 +225,11 @@ class PixelRays:
         sizes = [(c.height // f, c.width // f) for c, f in zip(cameras, factors, strict=True)]
         offset = np.concatenate([[0], np.cumsum([h * w for h, w in sizes])]).tolist()
         stores = memory.stores(offset[-1], use_masks, device)
-        facts = []
+        facts: list[_Facts] = []
+        lacking = _lacking(capture) if use_masks else []
         for photo, camera, size in zip(_loaded(capture, factors, use_masks), cameras, sizes, strict=True):
+            if len(facts) in lacking and photo.mask is None:
+                photo.mask, photo.facts.has_mask = np.zeros(len(photo.valid), np.uint8), True
             facts.append(photo.facts)
             stores.append(photo.radiance, photo.valid & camera.shown_pixels(size[1], size[0]), photo.mask)
             progress(len(facts), len(cameras))
@@ -244,7 +249,11 @@ class PixelRays:
                 "the masks are empty: no pixel belongs to the object",
                 "Check mask_path and the masks' polarity (white is object).",
             )
-        empty = [i for i, p in enumerate(facts) if masked and not p.covered and _sees_center(capture, cameras[i])]
+        if lacking:
+            names = [capture.views[i].name for i in lacking]
+            warnings.append(Message("capture.masks_lacking", {"count": len(names), "names": names}))
+        unknown = [i for i, p in enumerate(facts) if masked and not p.covered and _sees_center(capture, cameras[i])]
+        empty = [i for i in unknown if i not in lacking]
         if empty:
             names = [capture.views[i].name for i in empty]
             warnings.append(Message("capture.masks_empty", {"count": len(empty), "names": names}))
@@ -256,7 +265,7 @@ class PixelRays:
 
         nothing = PixelSet.of(torch.zeros(0, dtype=torch.int64, device=device))
         radiance, valid, mask = stores.finished()
-        for i in empty:  # where the object is in such a photo is not known
+        for i in {*unknown, *lacking}:  # where the object is in such a photo is not known
             valid[offset[i] : offset[i + 1]] = False
         rays = cls(
             radiance=radiance,
@@ -422,6 +431,15 @@ def _load(capture: Capture, i: int, factor: int, use_masks: bool) -> _Photo:
     if brightest <= _BLACK:
         valid[:] = False
     return _Photo(radiance, valid, mask, facts)
+
+
+def _lacking(capture: Capture) -> list[int]:
+    """The photos that have no mask file, if nearly all others have one. Many such photos would be too many to leave out."""
+    if capture.mask_reading.meaning not in (MaskMeaning.OBJECT, MaskMeaning.BACKGROUND):
+        return []
+    without = [i for i, view in enumerate(capture.views) if view.mask_path is None]
+    enough = len(without) <= MOST_LACKING * len(capture.views) and len(capture.views) - len(without) >= MINIMUM_VIEWS
+    return without if enough else []
 
 
 def _sees_center(capture: Capture, camera: Camera) -> bool:
