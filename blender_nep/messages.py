@@ -197,6 +197,11 @@ WORDS: dict[str, str] = {
     # warnings about a capture
     "capture.photos_rescaled": "{count} {count:photo differs|photos differ} in size from the declared w x h (same aspect; "
     "intrinsics rescaled): {names}",
+    "capture.frames_twice": "{count} {count:photo is|photos are} listed twice with the same camera: {names}",
+    "capture.cameras_in_object": "{count} {count:photo is|photos are} left out: {count:its camera stands|their cameras "
+    "stand} where the object is, as if no place had been found: {names}",
+    "capture.two_forms": "{place} holds the model as binary and as text, and they differ: {used} counts ({photos} photos). "
+    "Delete the other one, or the wrong one",
     "capture.photos_without_pose": "{count} {count:photo is|photos are} left out, because {count:it has|they have} no "
     "camera pose or {count:is|are} disabled: {names}",
     "capture.angles_disagree": "camera_angle_y (or y_fov) of {count} {count:photo|photos} does not fit camera_angle_x: "

@@ -103,6 +103,10 @@ MESSAGES = {
     # warnings about a capture
     "capture.photos_rescaled": "{count} {count:photo differs|photos differ} in size from what the capture says, and "
     "{count:is|are} used all the same: {names}",
+    "capture.frames_twice": "{count} {count:photo is|photos are} listed twice with the same camera: {names}",
+    "capture.cameras_in_object": "{count} {count:photo is|photos are} left out: {count:its camera stands|their cameras "
+    "stand} where the object is, as if no place had been found: {names}",
+    "capture.two_forms": "{place} holds the model as binary and as text, and they differ: {used} counts ({photos} photos)",
     "capture.photos_without_pose": "{count} {count:photo is|photos are} left out, because {count:it has|they have} no "
     "camera pose or {count:is|are} disabled: {names}",
     "capture.angles_disagree": "The vertical angle of view of {count} {count:photo|photos} does not fit the horizontal "
@@ -363,6 +367,10 @@ ERRORS = {
     "capture.foreign_cameras": (
         "{folder} holds cameras of {program} ({file}) that cannot be read",
         "Export them in another form, such as a COLMAP project, or press Find Cameras.",
+    ),
+    "capture.photos_of_other_kinds": (
+        "{folder} holds {photos} photos that cannot be read ({kinds})",
+        "Convert them to PNG, TIFF or JPEG of the best quality.",
     ),
     "capture.no_cameras": ("{folder} holds {photos} photos, but no cameras", "Press Find Cameras first."),
     "capture.video": ("{folder} holds a video ({video}), but no photos or too few", "Press Find Cameras first."),

@@ -188,7 +188,7 @@ def _read_meta(path: Path) -> dict:
     if not path.is_file():
         raise OSError(f"{path.parent} has no {path.name}" if path.parent.is_dir() else f"there is no folder {path.parent}")
     try:
-        meta = read_json(path, "utf-8-sig")  # some editors write a byte order mark
+        meta = read_json(path, None)
     except ValueError as error:
         raise ValueError(f"{path} is no JSON text: {error}") from error
     if not isinstance(meta, dict):

@@ -24,7 +24,14 @@ from blender_nep.capture.photos.photo_files import (
     image_size,
     open_image,
 )
-from blender_nep.capture.without_cameras import find_cameras, only_videos, photos_below, videos_in
+from blender_nep.capture.without_cameras import (
+    find_cameras,
+    only_videos,
+    photos_below,
+    unreadable_kinds,
+    unreadable_photos,
+    videos_in,
+)
 from blender_nep.color import linear_to_srgb, to_bytes
 from blender_nep.errors import CaptureError
 from blender_nep.safety.pictures import DAMAGED, open_picture
@@ -101,6 +108,8 @@ def find_photos(folder: Path, masked: bool = False) -> list[Photo]:
         )
     if len(paths) < MINIMUM_VIEWS and (videos := videos_in(folder)):
         raise only_videos(folder, videos, "no photos or too few")
+    if len(paths) < MINIMUM_VIEWS and (kinds := unreadable_kinds(folder)):
+        raise unreadable_photos(folder, kinds, f"has {len(paths) or 'no'} others")
     if len(paths) < MINIMUM_VIEWS:
         allowed = ", ".join(suffix[1:] for suffix in SUFFIXES)
         raise CaptureError(

@@ -14,6 +14,11 @@ _HINT = (
     "(object_center and object_radius in transforms.json, or --object-center and --object-radius)."
 )
 
+_STRAY = 0.1
+"""A camera stands where the object is, if it is nearer to it than this, relative to the median of all."""
+_MOST_STRAYS = 0.1
+"""If more of the cameras stand there, the place is wrong."""
+
 
 def sphere_from_cameras(cameras: list[Camera]) -> tuple[np.ndarray, float]:
     """Center [3] nearest to all optical axes, and radius of the largest sphere that a tenth of the cameras see whole.
@@ -34,6 +39,17 @@ def sphere_from_cameras(cameras: list[Camera]) -> tuple[np.ndarray, float]:
         raise BoundsError("the cameras do not look at a common place: the object cannot be located", _HINT)
     radius = np.percentile(seen[in_front & (seen > 0)], 90)
     return center, float(min(radius, 0.7 * np.linalg.norm(position - center, axis=1).min()))
+
+
+def stray_cameras(cameras: list[Camera]) -> list[int]:
+    """The cameras that stand at the place at which the others look, if they are few; else none."""
+    position = np.stack([c.position for c in cameras])
+    center = common_place(position, np.stack([c.optical_axis for c in cameras]))
+    if center is None:
+        return []
+    distance = np.linalg.norm(position - center, axis=1)
+    strays = np.flatnonzero(distance < _STRAY * np.median(distance))
+    return strays.tolist() if len(strays) <= max(1, _MOST_STRAYS * len(cameras)) else []
 
 
 def sphere_from_masks(

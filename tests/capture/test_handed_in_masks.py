@@ -109,7 +109,7 @@ def test_a_few_masks_of_the_other_kind_are_turned(ball, usual):
         Image.fromarray(np.uint8(255) * (mask != (usual != (i in (1, 4))))).save(ball.folder / f"masks/{i:03d}.png")
     masks, said = loaded(ball)
     alike = ["capture.masks_alike"]  # the ball is in the middle of all photos
-    assert said == (["capture.masks_background"] + alike) * usual + ["capture.masks_turned"]
+    assert said == ["capture.masks_background", *alike] * usual + ["capture.masks_turned"]
     assert all((a == b).all() for a, b in zip(masks, expected, strict=True))
 
 

@@ -118,7 +118,8 @@ def mirrored_matrix(tiny):
 
 
 def nan_matrix(tiny):
-    tiny.meta["frames"][2]["transform_matrix"][0][3] = float("nan")
+    for frame in tiny.meta["frames"][2:]:
+        frame["transform_matrix"][0][3] = float("nan")
     tiny.save()
 
 

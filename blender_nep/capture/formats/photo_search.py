@@ -91,10 +91,10 @@ def _taken_by_others(found: dict[str, Path]) -> list[str]:
         names.setdefault(photo, []).append(name)
     out = []
     for photo, same in names.items():
-        exact = [name for name in same if photo.as_posix().endswith(name.replace("\\", "/").removeprefix("./"))]
-        own = max(exact, key=len) if exact else None
+        paths = {name: name.replace("\\", "/").removeprefix("./") for name in same}
+        own = max((path for path in paths.values() if photo.as_posix().endswith(path)), key=len, default=None)
         if len(same) > 1:
-            out += [name for name in same if name != own and _has_ending(name)]
+            out += [name for name in same if paths[name] != own and _has_ending(name)]
     return out
 
 

@@ -18,10 +18,11 @@ from blender_nep.capture.cameras.conventions import MITSUBA, OPENGL, read_poses
 from blender_nep.capture.cameras.lens_keys import LensKeys
 from blender_nep.capture.cameras.photo_agreement import PhotoAgreement
 from blender_nep.capture.capture import View
-from blender_nep.capture.description import CaptureDescription, check_number
+from blender_nep.capture.description import MINIMUM_VIEWS, CaptureDescription, check_number
 from blender_nep.capture.formats.mask_search import with_masks
 from blender_nep.capture.formats.photo_search import photos_named
 from blender_nep.capture.formats.photos import check_readable, fitted, rescaled_warnings
+from blender_nep.capture.formats.poses import without_pose_warnings
 from blender_nep.capture.photos.photo_files import image_size, refuse_other_computer
 from blender_nep.capture.photos.photo_lookup import PLACES, PhotoLookup, stem
 from blender_nep.errors import CaptureError
@@ -47,7 +48,9 @@ def read(folder: Path, file: str = FILE) -> CaptureDescription:
     check_number(len(frames), file)
     named = [(_photo_name(frame, n), frame) for n, frame in enumerate(frames)]
     photos, warnings = photos_named(folder, [name for name, _ in named], file, PLACES, absolute_first=True)
-    named = [(name, frame) for name, frame in named if name in photos]
+    named, without = _with_pose([(name, frame) for name, frame in named if name in photos])
+    named, twice = _once(named, photos, file)
+    warnings += without + twice
     cameras, more = _cameras(meta, named, photos)
     rescaled: list[str] = []
     turned: list[str] = []
@@ -74,9 +77,12 @@ def read(folder: Path, file: str = FILE) -> CaptureDescription:
 
 def _read_json(path: Path) -> dict:
     try:
-        meta = read_json(path, "utf-8-sig")  # some editors write a byte order mark
+        meta = read_json(path, None)
     except (OSError, ValueError) as error:
-        raise CaptureError(f"{path.name} cannot be read ({error})", "It must be JSON text.") from error
+        raise CaptureError(
+            f"{path.name} cannot be read ({error})",
+            "It must be JSON: no comments, no comma after a last entry, nothing missing at its end.",
+        ) from error
     if not isinstance(meta, dict):
         raise CaptureError(f"{path.name} does not hold a JSON object")
     return meta
@@ -89,6 +95,44 @@ def _photo_name(frame: object, n: int) -> str:
     if not isinstance(frame.get("file_path"), str):
         raise CaptureError(f"frame {n} has no file_path")
     return frame["file_path"]
+
+
+def _with_pose(named: list[tuple[str, dict]]) -> tuple[list[tuple[str, dict]], list[Message]]:
+    """The frames that have a pose, and a warning about the others. Programs write NaN, null or zeros where they find none.
+
+    If too few frames have one, all are kept: their reader says what is wrong.
+    """
+    blank = [_is_blank(frame.get("transform_matrix")) for _, frame in named]
+    if not any(blank) or blank.count(False) < MINIMUM_VIEWS:
+        return named, []
+    without = [name for (name, _), none in zip(named, blank, strict=True) if none]
+    return [one for one, none in zip(named, blank, strict=True) if not none], without_pose_warnings(without)
+
+
+def _is_blank(value: object) -> bool:
+    """Whether a matrix says that there is no pose."""
+    if value is None:
+        return True
+    try:
+        matrix = np.array(value, np.float64)
+    except (TypeError, ValueError, OverflowError):
+        return False
+    return matrix.size in (12, 16) and not (np.isfinite(matrix).all() and matrix.ravel()[:12].any())
+
+
+def _once(named: list[tuple[str, dict]], photos: dict[str, Path], file: str) -> tuple[list[tuple[str, dict]], list[Message]]:
+    """The first frame of each photo, and a warning about equal ones. Raises CaptureError where two poses differ."""
+    first: dict[Path, dict] = {}
+    kept, again = [], []
+    for name, frame in named:
+        known = first.setdefault(photos[name], frame)
+        if known is frame:
+            kept.append((name, frame))
+        elif known.get("transform_matrix") == frame.get("transform_matrix"):
+            again.append(name)
+        else:
+            raise CaptureError(f"{file} has several cameras for {photos[name].name}", "Leave one frame of each photo.")
+    return kept, [Message("capture.frames_twice", {"count": len(again), "names": again})] if again else []
 
 
 def _cameras(meta: dict, named: list[tuple[str, dict]], photos: dict[str, Path]) -> tuple[list[Camera], list[Message]]:

@@ -30,6 +30,8 @@ from blender_nep.safety.plain_files import is_on_other_computer, open_plain
 
 SUFFIXES = photo_lookup.ENDINGS
 
+_LFS = b"version https://git-lfs"
+"""The beginning of a file whose content Git LFS has not fetched"""
 QUARTER_TURNS = {1: 0, 2: 0, 6: 1, 5: 1, 3: 2, 4: 2, 8: 3, 7: 3}
 """{EXIF orientation: by how many quarter turns clockwise the stored image must be turned to stand upright}
 
@@ -134,4 +136,14 @@ def time_taken(path: Path) -> datetime | None:
 
 
 def _unreadable(path: Path, error: Exception) -> CaptureError:
-    return CaptureError(f"{path.name} cannot be read as an image ({error})", "Replace the file, or take it out.")
+    reason, hint = str(error), "Replace the file, or take it out."
+    try:
+        with open_plain(path, sys.maxsize) as file:
+            start = file.read(len(_LFS))
+    except OSError:
+        start = None
+    if start == b"":
+        reason, hint = "it is empty", "Copy it again, or take it out."
+    elif start == _LFS:
+        reason, hint = "it is only a pointer of Git LFS", "Fetch the photos: git lfs pull"
+    return CaptureError(f"{path.name} cannot be read as an image ({reason})", hint)
