@@ -326,7 +326,8 @@ def run_damaged(case: DamagedFile, folder: Path) -> dict:
     if "Traceback" in told or "RuntimeWarning" in told:
         failures.append(f"traceback or numerical warning: {told[-1500:]}")
     message = found.get("error", {}).get("message", "")
-    if code and code in CODES and not (message and "\n" not in message and told.startswith("error: ")):
+    has_words = any(line.startswith("error: ") for line in told.splitlines())
+    if code and code in CODES and not (message and "\n" not in message and has_words):
         failures.append(f"unclear error: {told[:300]}")
     if megabytes > MOST_MEGABYTES:
         failures.append(f"memory: {megabytes:.0f} MB")
