@@ -14,7 +14,7 @@ from blender_nep.capture.capture import Capture
 from blender_nep.capture.description import check_number
 from blender_nep.capture.formats.mask_search import find_masks, masks_beside
 from blender_nep.capture.loading import MINIMUM_VIEWS
-from blender_nep.capture.photos.mask_files import MaskRaster, MaskReading
+from blender_nep.capture.photos.mask_files import MaskRaster, MaskReading, same_aspect
 from blender_nep.capture.photos.photo_files import (
     QUARTER_TURNS,
     SUFFIXES,
@@ -81,8 +81,8 @@ def find_photos(folder: Path, masked: bool = False) -> list[Photo]:
     If frames of a video were taken again, those count that transforms.json names (`frames_folder`).
 
     A file that is no photo is passed over if its ending is none of a photo. Raises CaptureError if the folder is missing, if
-    a photo cannot be read, or if there are too few photos. A mask that cannot be read, or has not its photo's size, is left
-    out; where masks are wanted (`masked`), it raises CaptureError, too.
+    a photo cannot be read, or if there are too few photos. A mask that cannot be read, or has another aspect than its photo,
+    is left out; where masks are wanted (`masked`), it raises CaptureError, too.
     """
     if not folder.is_dir():
         raise CaptureError(f"there is no folder {folder}", "Check the path of the folder with photos.", "capture.no_folder")
@@ -154,12 +154,12 @@ def _rank(path: Path) -> int:
 
 def _photo(path: Path, mask: Path | None, masked: bool) -> Photo:
     width, height = _size(path)
-    if mask is not None and not masked and not _has_size(mask, (width, height)):
+    if mask is not None and not masked and not _fits(mask, (width, height)):
         mask = None
-    if mask is not None and (size := _size(mask)) != (width, height):
+    if mask is not None and not same_aspect(size := _size(mask), (width, height)):
         raise CaptureError(
             f"the mask {mask.name} is {size[0]} x {size[1]} pixels, but {path.name} is {width} x {height}",
-            "A mask needs the size of its photo, as the file stores it: EXIF's orientation is not applied.",
+            "A mask needs the aspect of its photo, as the file stores it: EXIF's orientation is not applied.",
             "capture.mask_size",
             mask=mask.name,
             photo=path.name,
@@ -175,9 +175,9 @@ def _photo(path: Path, mask: Path | None, masked: bool) -> Photo:
     return Photo(path, width, height, _focal_length(tags, width, height), words, turns, mask, has_exif=bool(tags))
 
 
-def _has_size(mask: Path, size: tuple[int, int]) -> bool:
+def _fits(mask: Path, size: tuple[int, int]) -> bool:
     try:
-        return image_size(mask) == size
+        return same_aspect(image_size(mask), size)
     except CaptureError:
         return False
 
@@ -254,7 +254,7 @@ def mask_copy(photo: Photo, reduction: Reduction) -> np.ndarray | None:
     if photo.mask is None:
         return None
     try:
-        mask = MaskRaster.of(photo.mask, photo.mask_reading)
+        mask = MaskRaster.of(photo.mask, photo.mask_reading).fitted(photo.height, photo.width)
         starts = range(0, mask.size[0], _STRIP)
         gray = np.concatenate([to_bytes(mask.rows(start, start + _STRIP)) for start in starts])
     except (CaptureError, *DAMAGED) as error:
