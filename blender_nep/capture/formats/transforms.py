@@ -54,13 +54,13 @@ def read(folder: Path, file: str = FILE) -> CaptureDescription:
     cameras, more = _cameras(meta, named, photos)
     rescaled: list[str] = []
     turned: list[str] = []
+    places = _places_on_turntable(named, strict=meta.get("turntable") is not False)
     views, lookup = [], PhotoLookup(folder)
     missing_masks: list[str] = []
     for (name, frame), camera in zip(named, cameras, strict=True):
         image, mask = photos[name], _mask(lookup, frame, missing_masks)
         camera = fitted(camera, image, name, file, rescaled, turned)
-        place = (None, None) if meta.get("turntable") is False else _place_on_turntable(frame, name)
-        views.append(View(stem(image.name), image, mask, camera, *place))
+        views.append(View(stem(image.name), image, mask, camera, *places[name]))
     views, found = with_masks(folder, views, named_by_file=True)
     return CaptureDescription(
         name=file,
@@ -182,6 +182,23 @@ def _turntable(meta: dict, named: list[tuple[str, dict]]) -> bool | None:
                 f"{missing[0]} has no {key}, but other frames have one", "Give it for all frames, or for none."
             )
     return said
+
+
+def _places_on_turntable(named: list[tuple[str, dict]], strict: bool) -> dict[str, tuple[int | None, float | None]]:
+    """{name: row and turn}. Where the object did not turn (not `strict`), they count only if the user says otherwise.
+
+    Then wrong values, or those of a part of the frames, are passed over. Raises CaptureError where `strict`.
+    """
+    try:
+        found = {name: _place_on_turntable(frame, name) for name, frame in named}
+    except CaptureError:
+        if strict:
+            raise
+        return {name: (None, None) for name, _ in named}
+    if strict:
+        return found
+    has_row, has_turn = (all(place[k] is not None for place in found.values()) for k in (0, 1))
+    return {name: (row if has_row else None, turn if has_turn else None) for name, (row, turn) in found.items()}
 
 
 def _place_on_turntable(frame: dict, name: str) -> tuple[int | None, float | None]:
