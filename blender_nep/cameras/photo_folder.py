@@ -13,6 +13,7 @@ from blender_nep.cameras.video.kept_frames import frames_folder
 from blender_nep.capture.capture import Capture
 from blender_nep.capture.description import check_number
 from blender_nep.capture.formats.mask_search import find_masks, masks_beside
+from blender_nep.capture.formats.photo_search import without_second_files
 from blender_nep.capture.loading import MINIMUM_VIEWS
 from blender_nep.capture.photos.mask_files import MaskRaster, MaskReading, same_aspect
 from blender_nep.capture.photos.photo_files import (
@@ -133,23 +134,10 @@ def photos_of(capture: Capture) -> list[Photo]:
 
 
 def _photo_files(folder: Path) -> list[Path]:
-    """The photos in a folder, sorted by name.
-
-    A photo is often there twice: a camera writes a JPEG beside a raw file, and people export TIFF or JPEG files into the
-    folder. Masks beside their photos do not count. Of files with one stem, EXR, PNG and JPEG files count, or else the file
-    whose ending comes first in `SUFFIXES`.
-    """
+    """The photos in a folder, sorted by name. Masks beside their photos and second files of a photo do not count."""
     named = (path for path in folder.iterdir() if path.suffix.lower() in SUFFIXES and not path.name.startswith("."))
     present = {path for path in named if path.is_file()}
-    files = sorted(present - masks_beside(present))
-    best: dict[str, int] = {}
-    for path in files:
-        best[path.stem] = min(_rank(path), best.get(path.stem, len(SUFFIXES)))
-    return [path for path in files if _rank(path) == best[path.stem]]
-
-
-def _rank(path: Path) -> int:
-    return max(SUFFIXES.index(path.suffix.lower()), SUFFIXES.index(".jpeg"))
+    return sorted(without_second_files(present - masks_beside(present)))
 
 
 def _photo(path: Path, mask: Path | None, masked: bool) -> Photo:

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from backend.engine.results.capture_contents import photo_count
 from blender_nep import cli
 from blender_nep.cameras.photo_folder import find_photos
 from blender_nep.capture import load_capture
@@ -152,6 +153,20 @@ def test_a_part_of_a_capture_leads_to_the_whole(tiny, part):
 def test_photos_beside_a_capture_are_no_part_of_it(tiny):
     shutil.copytree(tiny.folder / "images", tiny.folder / "vase")
     assert refused(tiny.folder / "vase").name == "capture.no_cameras"
+
+
+@pytest.mark.parametrize("second", ["CR2", "JPG", "tif"])
+def test_a_photo_that_is_there_twice_counts_once(tmp_path, second):
+    for i in range(4):
+        Image.new("RGB", (8, 8)).save(tmp_path / f"{i}.jpg")
+        (tmp_path / f"{i}.{second}").touch()
+    if len(list(tmp_path.iterdir())) < 8:
+        pytest.skip("the file system takes both names for one")
+    assert "holds 4 photos, but no cameras" in refused(tmp_path).message
+    assert photo_count(tmp_path) == 4
+    for i in range(4):
+        shutil.copy(tmp_path / f"{i}.jpg", tmp_path / f"{i}.JPG") if second == "JPG" else None
+    assert len(find_photos(tmp_path)) == 4
 
 
 def test_archives_are_to_be_unpacked(tmp_path):

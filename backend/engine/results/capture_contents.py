@@ -104,9 +104,9 @@ def _count(folder: Path) -> int:
     images = _images_in(folder)
     masks = _masks_beside(images)
     names = [os.path.splitext(name) for name in images if name not in masks]
-    plain = [stem for stem, ending in names if ending.lower() in PLAIN_ENDINGS]
+    plain = {(stem, ending.lower()) for stem, ending in names if ending.lower() in PLAIN_ENDINGS}
     others = {stem for stem, ending in names if ending.lower() not in PLAIN_ENDINGS}
-    return len(plain) + len(others.difference(plain))
+    return len(plain) + len(others.difference(stem for stem, _ in plain))
 
 
 def _images_in(folder: Path) -> list[str]:
