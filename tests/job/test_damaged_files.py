@@ -38,6 +38,14 @@ def test_a_damaged_file_is_read_or_refused(tmp_path_factory, case):
         assert error.message and "\n" not in error.message
 
 
+def test_a_photo_without_pixels_is_refused(tmp_path):
+    """A TIFF file may say that it has no rows."""
+    case = DamagedFile(form="record3d", target="photo", change="length", ending=".tif", times=3, number=83047)
+    write_damaged(case, tmp_path)
+    with pytest.raises(CaptureError, match=r"2\.tif cannot be read as an image \(it has no pixels\)"):
+        summarize(tmp_path)
+
+
 @pytest.mark.parametrize("form", FORMS)
 def test_every_form_is_read_where_nothing_is_damaged(tmp_path, monkeypatch, form):
     """Otherwise all cases of a form would be refused for the same reason."""

@@ -73,9 +73,12 @@ def image_size(path: Path) -> tuple[int, int]:
     """(width, height) in pixels, from the file's header. Raises CaptureError."""
     sizes = {"exr": exr_files.size, "raw": raw_files.size, "tiff": tiff_files.size, "heif": heif_files.size}
     try:
-        return sizes.get(file_kind(path), pillow_files.size)(path)
+        size = sizes.get(file_kind(path), pillow_files.size)(path)
     except DAMAGED as error:
         raise _unreadable(path, error) from error
+    if min(size) < 1:
+        raise _unreadable(path, ValueError("it has no pixels"))
+    return size
 
 
 def is_linear(path: Path) -> bool:
@@ -93,16 +96,20 @@ def is_linear(path: Path) -> bool:
 def open_image(path: Path, color_space: str) -> Raster:
     """Open an image file; its values stay as stored. Raises CaptureError if it cannot be read as an image."""
     tagged = color_space != "linear"
+    reads = {"tiff": tiff_files.read, "heif": heif_files.read}
     try:
         kind = file_kind(path)
         if kind == "exr":
-            return exr_files.read(path)
-        if kind == "raw":
-            return raw_files.read(path)
-        reads = {"tiff": tiff_files.read, "heif": heif_files.read}
-        return reads.get(kind, pillow_files.read)(path, tagged)
+            raster = exr_files.read(path)
+        elif kind == "raw":
+            raster = raw_files.read(path)
+        else:
+            raster = reads.get(kind, pillow_files.read)(path, tagged)
     except DAMAGED as error:
         raise _unreadable(path, error) from error
+    if not raster.stored.size:
+        raise _unreadable(path, ValueError("it has no pixels"))
+    return raster
 
 
 def exif(path: Path) -> dict[int, object]:
