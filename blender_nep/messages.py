@@ -259,6 +259,15 @@ WORDS: dict[str, str] = {
     "counts. Save masks whose white is the object",
     "capture.alpha_inverted": "the photos are transparent where the object is: their alpha is inverted, and the photos "
     "count as whole ones. If that is wrong, give --masks object",
+    "capture.masks_do_not_fit": "the masks are not used: seen from the places of their cameras, they show no common body "
+    "(it would explain {percent:.0f} % of a mask). Look whether each mask is that of its photo. To use them all the same, "
+    "give --masks object",
+    "capture.masks_hardly_fit": "the masks hardly fit each other: seen from the places of their cameras, a common body "
+    "explains {percent:.0f} % of a mask. Look whether each mask is that of its photo, and whether the cameras are right",
+    "capture.masks_full": "{count} {count:photo is|photos are} left out: {count:its mask is|their masks are} white "
+    "everywhere ({names})",
+    "capture.alpha_usable": "the transparent pixels of the photos are not their surroundings: they ({percent:.1f} % of a "
+    "photo) are left out, and the object is found without masks. If alpha shows the object, give --masks object",
     "capture.masks_rescaled": "{count} {count:mask has|masks have} another size than {count:its photo|their photos}, with "
     "the same aspect, and {count:is|are} scaled: {names}",
     "capture.masks_other_kind": "the files in {place} cannot be read as masks ({kinds}): save them as PNG",

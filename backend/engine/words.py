@@ -160,6 +160,14 @@ MESSAGES = {
     "counts. Paint the object white and the rest black",
     "capture.alpha_inverted": "The photos are transparent where the object is: their alpha is inverted, and the photos "
     "count as whole ones. Turn Use Masks off if that is wrong",
+    "capture.masks_do_not_fit": "The masks are not used: seen from the places of their cameras, they show no common body "
+    "(it would explain {percent:.0f} % of a mask). Look whether each mask is that of its photo",
+    "capture.masks_hardly_fit": "The masks hardly fit each other: seen from the places of their cameras, a common body "
+    "explains {percent:.0f} % of a mask. Look whether each mask is that of its photo, and whether the cameras are right",
+    "capture.masks_full": "{count} {count:photo|photos} left out: {count:its mask is|their masks are} white "
+    "everywhere: {names}",
+    "capture.alpha_usable": "The transparent pixels of the photos are not their surroundings: they ({percent:.1f} % of a "
+    "photo) are left out, and the object is found without masks. Turn Use Masks off if that is wrong",
     "capture.masks_rescaled": "{count} {count:mask has|masks have} another size than {count:its photo|their photos}, and "
     "{count:is|are} scaled: {names}",
     "capture.masks_other_kind": "The files in {place} cannot be read as masks ({kinds}): save them as PNG",

@@ -62,6 +62,18 @@ def sphere_from_masks(
     the mask covers it. It is not 100 %, because masks may have errors. Masks that show nothing do not count. `masks` [h, w]
     are in 0..1, of any resolution.
     """
+    hull = hull_of_masks(cameras, masks, center, radius, resolution)
+    if hull is None:
+        return None
+    kept, voxel = hull
+    middle = (kept.min(0) + kept.max(0)) / 2
+    return middle, float(1.05 * np.linalg.norm(kept - middle, axis=1).max() + np.linalg.norm(voxel) / 2)
+
+
+def hull_of_masks(
+    cameras: list[Camera], masks: list[np.ndarray], center: np.ndarray, radius: float, resolution: int = 48
+) -> tuple[np.ndarray, np.ndarray] | None:
+    """The middles [n, 3] of the voxels of a coarse visual hull, and the sides [3] of a voxel: see `sphere_from_masks`."""
     low, high = center - 1.5 * radius, center + 1.5 * radius
     for _ in range(2):
         axes = [np.linspace(low[i], high[i], resolution) for i in range(3)]
@@ -72,8 +84,7 @@ def sphere_from_masks(
         voxel = (high - low) / (resolution - 1)
         kept = points[inside]
         low, high = kept.min(0) - 2 * voxel, kept.max(0) + 2 * voxel
-    middle = (kept.min(0) + kept.max(0)) / 2
-    return middle, float(1.05 * np.linalg.norm(kept - middle, axis=1).max() + np.linalg.norm(voxel) / 2)
+    return kept, voxel
 
 
 def carve(cameras: list[Camera], masks: list[np.ndarray], points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -51,7 +51,7 @@ class Capture:
     mask_reading: MaskReading = field(default_factory=MaskReading)
     """What the mask files mean"""
     ignores_alpha: bool = False
-    """The photos' alpha does not cut out the object. Else it means the object."""
+    """The photos' alpha does not cut out the object, and they count as whole ones. Else alpha means the object."""
 
     @property
     def to_unit(self) -> np.ndarray:

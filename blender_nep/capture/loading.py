@@ -163,13 +163,18 @@ def _check_places(views: list[View], warnings: list[Message]) -> None:
 def _color_space(said: CaptureDescription, warnings: list[Message]) -> str:
     """'linear' if the capture says so, or if the formats of all its photos do; else 'srgb'. Raises CaptureError."""
     declared = "srgb" if said.color_space is None else said.color_space
+    declared = declared.lower() if isinstance(declared, str) else declared
     if declared not in ("linear", "srgb"):
         raise CaptureError(f"color_space {declared!r} is not known", "Use 'linear' or 'srgb'.")
     if declared == "linear" or all(is_linear(v.image_path) for v in said.views):
         space = "linear"
     else:
         space = "srgb"
-    if said.color_space == "srgb" and any(v.image_path.suffix.lower() == ".exr" for v in said.views):
+    if (
+        said.color_space is not None
+        and declared == "srgb"
+        and any(v.image_path.suffix.lower() == ".exr" for v in said.views)
+    ):
         warnings.append(Message("capture.exr_is_linear"))
     return space
 
@@ -212,8 +217,11 @@ def _shrink_to_masks(capture: Capture) -> None:
     """The object's sphere as the masks show it, where nearly every photo has one and they agree."""
     wanted = range(len(capture.views)) if _may_have_masks(capture) else range(0)
     found = {i: mask for i in wanted if (mask := _coarse_mask(capture, i)) is not None}
-    cameras, masks = [capture.views[i].camera for i in found], list(found.values())
-    if len(masks) >= max(MINIMUM_VIEWS, (1 - MOST_LACKING) * len(capture.views)):
+    showing = {i: mask for i, mask in found.items() if not (mask > 0.5).all()}  # a white mask is one that failed
+    if 2 * len(showing) < len(found):
+        showing = found
+    cameras, masks = [capture.views[i].camera for i in showing], list(showing.values())
+    if len(found) >= max(MINIMUM_VIEWS, (1 - MOST_LACKING) * len(capture.views)):
         sphere = sphere_from_masks(cameras, masks, capture.object_center, capture.object_radius)
         if sphere is None:
             capture.warnings.append(Message("capture.masks_disagree"))

@@ -11,6 +11,7 @@ the masks, white and black, is asked whether it can be such an object.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -18,8 +19,9 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+from scipy import ndimage
 
-from blender_nep.capture.bounds import carve, sphere_from_masks
+from blender_nep.capture.bounds import carve, hull_of_masks, sphere_from_masks
 from blender_nep.capture.cameras.camera import Camera
 from blender_nep.capture.capture import Capture
 from blender_nep.capture.mask_colors import find_mask_color
@@ -54,6 +56,10 @@ _LOOKED_AT = 0.8
 """If so much is white where the cameras look, black is not the object, or it has a hole there."""
 _EXPLAINED = 0.6
 """So much of the silhouettes must lie in the sphere around the body that they agree on."""
+_FITS, _HARDLY_FITS = 0.9, 0.7
+"""A body explains so much of the silhouettes of right masks. Less than the second: the masks are of other photos."""
+_LEAST_MASKS = 6
+"""Fewer silhouettes hardly contradict each other."""
 _CLEARLY = 0.7
 """So much white where its camera looks, and none at the border, tells the sort of a single mask, or so much black there."""
 _NO_COLORS = 1e-3
@@ -92,6 +98,9 @@ def read_masks(capture: Capture, told: MaskMeaning | None = None) -> list[Messag
     sorts = [_sort(camera, mask, capture.object_center) for camera, mask in zip(cameras, masks, strict=True)]
     usual = 1 if sum(sorts) >= 0 else -1
     masks = [~mask if sort == -usual else mask for mask, sort in zip(masks, sorts, strict=True)]
+    told_apart = [k for k, mask in enumerate(masks) if not mask.all()]  # a white mask is one that failed
+    if 2 * len(told_apart) >= len(masks):
+        cameras, masks = [cameras[k] for k in told_apart], [masks[k] for k in told_apart]
     sides = Sides(cameras, masks, capture.object_center, capture.object_radius)
     one_file = len(masked) > 1 and len({capture.views[i].mask_path for i in masked}) == 1
     looks = judge(sides, one_file) if any(mask.any() for mask in masks) else Judgment(MaskReading(), [])
@@ -104,7 +113,40 @@ def read_masks(capture: Capture, told: MaskMeaning | None = None) -> list[Messag
     capture.mask_reading = MaskReading(meaning, white, color)
     if -usual in sorts and meaning in (MaskMeaning.OBJECT, MaskMeaning.BACKGROUND):
         said = said + _turn(capture, masked, usual)
+    if meaning in (MaskMeaning.OBJECT, MaskMeaning.BACKGROUND):
+        said = said + _judge_fit(capture, sides, told)
+    if capture.mask_reading.meaning != MaskMeaning.NOTHING and _alpha_hides(capture, chosen):
+        capture.ignores_alpha = True
+        said = [*said, Message("capture.alpha_inverted")]
     return of_color + messages + said
+
+
+def _judge_fit(capture: Capture, sides: Sides, told: MaskMeaning | None) -> list[Message]:
+    """Whether the masks show one body from the places of their cameras. If they clearly do not, they are passed over."""
+    covered = sides.covered(sides.white if capture.mask_reading.meaning == MaskMeaning.OBJECT else sides.black)
+    if covered is None or covered >= _FITS:
+        return []
+    if not covered and capture.bounds_source != "cameras":  # the given sphere may be elsewhere
+        return []
+    percent = 100 * covered
+    if covered >= _HARDLY_FITS or told is not None:
+        return [Message("capture.masks_hardly_fit", {"percent": percent})]
+    capture.mask_reading = replace(capture.mask_reading, meaning=MaskMeaning.NOTHING)
+    return [Message("capture.masks_do_not_fit", {"percent": percent})]
+
+
+def _alpha_hides(capture: Capture, chosen: Sequence[int]) -> bool:
+    """Whether the photos are transparent where their masks show the object, so that alpha means something else."""
+    if capture.mask_reading.meaning == MaskMeaning.USABLE or capture.open_photo(chosen[0]).least_alpha() >= 0.5:
+        return False
+    hidden = []
+    for i in chosen:
+        photo, mask = capture.open_photo(i), capture.open_mask(i)
+        step = 1 if mask is None else _step(mask)
+        alpha = photo.alpha(step)
+        if mask is not None and alpha is not None and (shown := mask.coverage(step) > 0.5).any():
+            hidden.append(float((alpha[shown] < 0.5).mean()))
+    return bool(hidden) and float(np.median(hidden)) > 0.5
 
 
 def _sort(camera: Camera, mask: np.ndarray, center: np.ndarray) -> int:
@@ -135,9 +177,10 @@ def _turn(capture: Capture, masked: Sequence[int], usual: int) -> list[Message]:
 
 
 def read_alpha(capture: Capture) -> list[Message]:
-    """Recognize photos whose alpha is 0 where the object is, and 1 in the surroundings. Then it becomes their mask.
+    """Recognize photos whose alpha is no cut-out of the object. Then it becomes their mask.
 
-    For captures without mask files. Raises CaptureError where the photos have lost the colors of the object.
+    It may be 0 where the object is, and 1 in the surroundings, or 0 in a part that may not be used, such as a corner. For
+    captures without mask files. Raises CaptureError where the photos have lost the colors of the object.
     """
     views = capture.views
     if any(view.mask_path is not None for view in views) or not capture.open_photo(0).has_alpha:
@@ -152,7 +195,12 @@ def read_alpha(capture: Capture) -> list[Message]:
             return []
         masks.append(alpha > 0.5)
     sides = Sides([views[i].camera for i in chosen], masks, capture.object_center, capture.object_radius)
-    if judge(sides, one_file=False).reading.meaning != MaskMeaning.BACKGROUND:
+    looks = judge(sides, one_file=False)
+    if looks.reading.meaning == MaskMeaning.USABLE:
+        capture.views = [replace(view, mask_path=view.image_path) for view in views]
+        capture.mask_reading, capture.ignores_alpha = looks.reading, True
+        return [Message("capture.alpha_usable", {"percent": 100 * (1 - sides.mean_share)})]
+    if looks.reading.meaning != MaskMeaning.BACKGROUND:
         return []
     if not any(_has_colors(capture, i, mask) for i, mask in zip(chosen, masks, strict=True)):
         raise CaptureError(
@@ -338,6 +386,33 @@ class Sides:
         points = self.center + np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), -1).reshape(-1, 3)
         framed, kept = carve(self.cameras, masks, points)
         return float(kept.sum() / max(1, framed.sum()))
+
+    def covered(self, masks: list[np.ndarray]) -> float | None:
+        """The part of a silhouette that the body explains on which all silhouettes agree, 0..1 (median).
+
+        Right silhouettes have 0.98 and more, those of other photos 0.2 to 0.85. None: there are too few.
+        """
+        if sum(mask.any() for mask in masks) < _LEAST_MASKS:
+            return None
+        scaled = [mask.astype(np.float32) for mask in masks]
+        hull = hull_of_masks(self.cameras, scaled, self.center, self.radius)
+        if hull is None:
+            return 0.0
+        points, voxel = hull
+        parts = []
+        for camera, mask in zip(self.cameras, masks, strict=True):
+            height, width = mask.shape
+            x, y, depth = camera.project(points)
+            with np.errstate(invalid="ignore"):
+                row, column = np.floor(y * height / camera.height), np.floor(x * width / camera.width)
+            ok = (depth > 0) & (row >= 0) & (row < height) & (column >= 0) & (column < width)
+            if mask.any() and ok.any():
+                body = np.zeros_like(mask)
+                body[row[ok].astype(int), column[ok].astype(int)] = True
+                pixels = voxel.max() * camera.fl_x * width / camera.width / float(np.median(depth[ok]))
+                body = ndimage.binary_dilation(body, iterations=max(1, min(width, math.ceil(pixels))))
+                parts.append(float((mask & body).sum() / mask.sum()))
+        return float(np.median(parts)) if parts else None
 
     def is_body(self, masks: list[np.ndarray]) -> bool:
         """Whether the silhouettes agree on a body around the place where the cameras look, and show little beside it."""

@@ -115,6 +115,13 @@ def test_names_of_addresses_are_found(tiny):
     assert len(load_capture(tiny.save()).views) == VIEWS
 
 
+def test_spaces_around_names_and_capitals_of_keys_do_not_matter(tiny):
+    for frame in tiny.meta["frames"]:
+        frame["file_path"] = f" {frame['file_path']} "
+    tiny.meta["color_space"] = "Linear"
+    assert load_capture(tiny.save()).color_space == "linear"
+
+
 def test_names_of_either_unicode_form_are_found(tiny):
     for frame in tiny.meta["frames"]:
         photo = tiny.folder / frame["file_path"]

@@ -14,7 +14,7 @@ from blender_nep.capture.loading import load_capture
 from blender_nep.capture.photos.mask_files import MaskMeaning
 from blender_nep.capture.rays.pixel_rays import PixelRays
 from blender_nep.errors import CaptureError
-from support.captures import TinyCapture
+from support.captures import CENTER, TinyCapture
 
 VIEWS, SIZE = 6, 40
 
@@ -214,6 +214,80 @@ def test_inverted_alpha_is_the_mask(ball, kept):
     assert (
         capture.mask_reading.meaning == MaskMeaning.BACKGROUND and PixelRays.from_capture(capture, 10_000, True).background
     )
+
+
+def silhouettes(tiny: TinyCapture) -> list[np.ndarray]:
+    """Of two balls of different size, beside each other, which look different in each photo."""
+    rows, columns = np.mgrid[:SIZE, :SIZE] + 0.5
+    found = []
+    for view in load_capture(tiny.folder, use_masks=False).views:
+        direction = view.camera.directions(columns.ravel(), rows.ravel())
+        shown = np.zeros(SIZE * SIZE, bool)
+        for center, radius in ((CENTER - [-0.45, 0.0, 0.0], 0.3), (CENTER - [0.3, 0.3, 0.2], 0.12)):
+            to_center = center - view.camera.position
+            shown |= np.linalg.norm(to_center - (direction @ to_center)[:, None] * direction, axis=1) < radius
+        found.append(shown.reshape(SIZE, SIZE))
+    return found
+
+
+@pytest.mark.parametrize(("shift", "code"), [(0, []), (1, ["capture.masks_do_not_fit"])], ids=["right", "of other photos"])
+def test_masks_of_other_photos_are_not_used(make_capture, shift, code):
+    tiny = make_capture(views=10, size=SIZE, suffix=".png", bounds=False)
+    masks = silhouettes(tiny)
+    for i in range(10):
+        Image.fromarray(np.uint8(255) * masks[(i + shift) % 10]).save(tiny.folder / f"masks/{i:03d}.png")
+    capture = load_capture(tiny.folder)
+    said = [one for one in codes(capture.warnings) if one not in ("capture.masks_found", "capture.sphere_cut")]
+    assert said == code and (capture.open_mask(0) is None) == bool(code)
+    if code:
+        told = load_capture(tiny.folder, mask_meaning=MaskMeaning.OBJECT)
+        assert "capture.masks_hardly_fit" in codes(told.warnings) and told.open_mask(0) is not None
+
+
+@pytest.mark.parametrize("count", [1, 2])
+def test_photos_with_white_masks_are_left_out(ball, count):
+    for i in range(count):
+        Image.fromarray(np.full((SIZE, SIZE), 255, np.uint8)).save(ball.folder / f"masks/{i:03d}.png")
+    capture = load_capture(ball.folder)
+    rays = PixelRays.from_capture(capture, 10_000, True)
+    (news,) = (message for message in rays.warnings if "masks" in message.code)
+    assert news.code == "capture.masks_full" and news.values["names"] == [f"{i:03d}" for i in range(count)]
+    assert not any(rays.valid[rays.offset[i] : rays.offset[i + 1]].any() for i in range(count))
+    assert capture.bounds_source == "masks" and "capture.masks_unclear" not in codes(capture.warnings)
+
+
+def alpha_of(tiny: TinyCapture, alpha: list[np.ndarray]) -> None:
+    for i, one in enumerate(alpha):
+        path = tiny.folder / f"images/{i:03d}.png"
+        photo = np.asarray(Image.open(path).convert("RGB"))
+        Image.fromarray(np.dstack([photo, np.uint8(255) * one])).save(path)
+
+
+def test_alpha_that_hides_a_corner_is_no_cut_out(ball):
+    shutil.rmtree(ball.folder / "masks")
+    corner = np.ones((SIZE, SIZE), bool)
+    corner[:6, :9] = False
+    alpha_of(ball, [corner] * VIEWS)
+    capture = load_capture(ball.folder)
+    rays = PixelRays.from_capture(capture, 10_000, True)
+    assert "capture.alpha_usable" in codes(capture.warnings) and rays.background and rays.mask is None
+    assert int((~rays.valid).sum()) == VIEWS * 6 * 9
+
+
+def test_masks_count_before_alpha_that_hides_the_object(ball):
+    expected = truth(ball)
+    alpha_of(ball, [~mask for mask in expected])
+    capture = load_capture(ball.folder)
+    rays = PixelRays.from_capture(capture, 10_000, True)
+    assert "capture.alpha_inverted" in codes(capture.warnings) and rays.background
+    assert int((rays.mask > 127).sum()) == sum(int(mask.sum()) for mask in expected)
+
+
+def test_masks_in_a_folder_of_their_own_are_found(ball):
+    (ball.folder / "masks").rename(ball.folder / "inner")
+    (ball.folder / "masks").mkdir()
+    (ball.folder / "inner").rename(ball.folder / "masks/set 1")
+    assert all(view.mask_path for view in load_capture(ball.folder).views)
 
 
 def test_masks_that_are_missing_end_nothing_that_ignores_them(ball):

@@ -105,7 +105,12 @@ def find_masks(folder: Path, photos: Sequence[Path]) -> FoundMasks:
     alone = {path: names[_plain(path.stem)] == 1 for path in photos}
     best: list[Path | None] = [None] * len(photos)
     for _, files in indices:
-        masks = [_named(files, _ways(folder, path, alone[path])) for path in photos]
+        ways = [_ways(folder, path, alone[path]) for path in photos]
+        masks = [_named(files, names) for names in ways]
+        if not any(masks):  # in folders of their own, under names that are there once
+            single = Counter(name.rpartition("/")[2] for name in files)
+            flat = {last: path for name, path in files.items() if single[last := name.rpartition("/")[2]] == 1}
+            masks = [_named(flat, names) if alone[path] else None for path, names in zip(photos, ways, strict=True)]
         if sum(map(bool, masks)) > sum(map(bool, best)):
             best = masks
     if not any(best):

@@ -53,6 +53,8 @@ class PhotoLookup:
                 found = self._in(self.folder, (*PurePosixPath(place).parts, *parts[first:]))
                 if found:
                     return found
+        if name != name.strip():
+            return self.find(name.strip(), places, absolute_first=absolute_first)
         if "%" in name and (plain := unquote(name)) != name:  # the name of an address, with %20 for a space
             return self.find(plain, places, absolute_first=absolute_first)
         # A job names photos relative to the capture's folder, which another drive does not allow.

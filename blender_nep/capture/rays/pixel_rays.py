@@ -247,12 +247,16 @@ class PixelRays:
         if masked and not any(p.covered for p in facts):
             raise CaptureError(
                 "the masks are empty: no pixel belongs to the object",
-                "Check mask_path and the masks' polarity (white is object).",
+                "Check mask_path and the masks' polarity (white is object), or the photos' alpha (0 is not the object).",
             )
         if lacking:
             names = [capture.views[i].name for i in lacking]
             warnings.append(Message("capture.masks_lacking", {"count": len(names), "names": names}))
         unknown = [i for i, p in enumerate(facts) if masked and not p.covered and _sees_center(capture, cameras[i])]
+        full = _full(facts) if masked and not cut_out else []
+        if full:
+            names = [capture.views[i].name for i in full]
+            warnings.append(Message("capture.masks_full", {"count": len(full), "names": names}))
         empty = [i for i in unknown if i not in lacking]
         if empty:
             names = [capture.views[i].name for i in empty]
@@ -265,7 +269,7 @@ class PixelRays:
 
         nothing = PixelSet.of(torch.zeros(0, dtype=torch.int64, device=device))
         radiance, valid, mask = stores.finished()
-        for i in {*unknown, *lacking}:  # where the object is in such a photo is not known
+        for i in {*unknown, *lacking, *full}:  # where the object is in such a photo is not known
             valid[offset[i] : offset[i + 1]] = False
         rays = cls(
             radiance=radiance,
@@ -330,8 +334,8 @@ class _Facts:
     brightest: float
     cut_out: bool
     has_mask: bool
-    covered: bool
-    """The mask shows at least one object pixel."""
+    covered: float
+    """The part of the photo that the mask shows as the object, 0 .. 1"""
 
 
 @dataclass
@@ -426,11 +430,18 @@ def _load(capture: Capture, i: int, factor: int, use_masks: bool) -> _Photo:
         brightest,
         cut_out,
         mask is not None,
-        mask is not None and bool((mask > 127).any()),
+        0.0 if mask is None else float((mask > 127).mean()),
     )
     if brightest <= _BLACK:
         valid[:] = False
     return _Photo(radiance, valid, mask, facts)
+
+
+def _full(facts: list[_Facts]) -> list[int]:
+    """The photos whose masks are white everywhere, if those of others show an object: what made the masks failed there."""
+    full = [i for i, p in enumerate(facts) if p.covered >= 0.999]
+    others = [p.covered for p in facts if p.covered < 0.999]
+    return full if 2 * len(full) <= len(facts) and len(others) >= MINIMUM_VIEWS and np.median(others) < 0.5 else []
 
 
 def _lacking(capture: Capture) -> list[int]:
