@@ -80,7 +80,17 @@ def read_frames(folder: Path, transforms: str = "transforms.json") -> list[Frame
     if not isinstance(entries, list) or not entries or not all(isinstance(entry, dict) for entry in entries):
         raise ValueError(f"{path} lists no frames")
     lookup = PhotoLookup(Path(folder))
-    return [_frame(lookup, meta, entry) for entry in entries]
+    placed = [entry for entry in entries if not _is_blank(entry.get("transform_matrix"))]
+    return [_frame(lookup, meta, entry) for entry in placed or entries]
+
+
+def _is_blank(rows: object) -> bool:
+    """Whether a matrix says that its photo has no pose: see blender_nep/capture/formats/transforms.py."""
+    try:
+        matrix = np.array(rows, np.float64)
+    except (TypeError, ValueError, OverflowError):
+        return rows is None
+    return rows is None or (matrix.size in (12, 16) and not (np.isfinite(matrix).all() and matrix.ravel()[:12].any()))
 
 
 def read_frames_of(capture: Path, asset: Path) -> list[Frame]:
@@ -223,7 +233,7 @@ def _frame(lookup: PhotoLookup, meta: dict, entry: dict) -> Frame:
     given_y = entry.get("fl_y", meta.get("fl_y"))
     fl_x = float(value("fl_x", given_y if across is None and given_y else across or down))
     # As in the engine, OpenEXR is linear, whatever the capture says of its other photos.
-    space = "linear" if path.suffix.lower() == ".exr" else meta.get("color_space") or _color_space(path)
+    space = "linear" if path.suffix.lower() == ".exr" else str(meta.get("color_space") or _color_space(path)).lower()
     return Frame(
         path,
         width,

@@ -13,6 +13,7 @@ import pytest
 from PIL import Image
 
 from backend.engine.results.capture_contents import photo_count
+from backend.scene_io.capture_files import read_frames
 from blender_nep import cli
 from blender_nep.cameras.photo_folder import find_photos
 from blender_nep.capture import load_capture
@@ -69,7 +70,9 @@ BLANK = {
 @pytest.mark.parametrize("case", BLANK)
 def test_a_photo_without_a_pose_is_left_out(tiny, case):
     tiny.meta["frames"][2]["transform_matrix"] = BLANK[case]
-    assert only_code(load_capture(tiny.save())) == ("capture.photos_without_pose", ["images/002.png"])
+    capture = load_capture(tiny.save())
+    assert only_code(capture) == ("capture.photos_without_pose", ["images/002.png"])
+    assert [frame.path for frame in read_frames(tiny.folder)] == [view.image_path for view in capture.views], "in Blender"
     for frame in tiny.meta["frames"][2:]:
         frame["transform_matrix"] = BLANK[case]
     assert "images/00" in refused(tiny.save()).message
