@@ -47,6 +47,8 @@ class Frame:
     mask: Path | None = None
     # How the object of a turntable had moved since the first photo [4,4]. The light of the asset stood still.
     object_to_room: np.ndarray | None = None
+    # Strength, white and scale of the camera's response curve, which the photo has and the asset has not
+    response: tuple[float, float, float] | None = None
 
     def photo(self) -> np.ndarray:
         """The photo as linear radiance [H,W,3], over GRAY where the file is transparent.
@@ -162,25 +164,39 @@ def read_bounds(folder: Path) -> tuple[list[float], float] | None:
 
 
 def with_exposures(frames: list[Frame], asset: Path) -> list[Frame]:
-    """The frames from which `asset` was made, with the exposures that its report gives.
+    """The frames from which `asset` was made, with the exposures and the camera's response curve that its report gives.
 
     `frames` must be all frames of the capture, or those from which the asset was made, as its cameras.json has them. They
     come back unchanged where the report does not fit them.
     """
     try:
-        capture = read_json(Path(asset) / "report.json")["capture"]
+        report = read_json(Path(asset) / "report.json")
+        capture = report["capture"]
         left_out = set(capture.get("photos_left_out", ()))
         used = frames
         if len(frames) != capture["views"]:
             used = [frame for index, frame in enumerate(frames) if index not in left_out]
         if len(used) != capture["views"]:  # the asset was made from other photos
             return frames
+        used = [replace(frame, response=_response(report)) for frame in used]
         if "photo_gains" not in capture:  # all photos have one exposure
             return used
         gains = [(float(red), float(green), float(blue)) for red, green, blue in capture["photo_gains"]]
         return [replace(frame, gain=gain) for frame, gain in zip(used, gains, strict=True)]
     except (OSError, ValueError, KeyError, TypeError, AttributeError):  # another program wrote the asset
         return frames
+
+
+def _response(report: dict) -> tuple[float, float, float] | None:
+    """The response curve of an asset's report, in the brightness of the photos' files; None where there is none."""
+    try:
+        curve = report["stages"]["material_learning"]["response"]
+        strength, white, scale = (float(curve[name]) for name in ("strength", "white", "scale"))
+        brighter = float(report["capture"].get("exposure", 1.0))  # as the engine saw the photos
+    except (KeyError, TypeError, ValueError, AttributeError):
+        return None
+    found = strength, white / brighter, scale / brighter
+    return found if np.isfinite(found).all() and strength >= 0 and min(found[1:]) > 0 else None
 
 
 def spread_frames(frames: list[Frame], count: int) -> list[Frame]:
