@@ -27,6 +27,7 @@ from PIL import Image
 from benchmarks.stress.checks import strict_json
 from benchmarks.stress.scenes import Case, write_capture
 from blender_nep import cli
+from blender_nep.safety.pictures import open_picture
 
 sys.path.append(str(Path(__file__).parents[2] / "tests"))  # its writers of other programs' files
 from support import camera_exports, data_set_exports, peer_exports
@@ -154,7 +155,7 @@ def write_damaged(case: DamagedFile, folder: Path) -> Path:
         _paint(photo, i)
         mask = folder / "masks" / f"{photo.stem}.png"
         mask.parent.mkdir(exist_ok=True)
-        with Image.open(photo) as image:
+        with open_picture(photo) as image:
             width, height = image.size
         row, column = np.mgrid[:height, :width]
         disc = np.hypot(row - height / 2, column - width / 2) < height / 3
@@ -175,7 +176,7 @@ def write_damaged(case: DamagedFile, folder: Path) -> Path:
 
 def _paint(path: Path, number: int) -> None:
     """Give a photo that a writer has left black some colors."""
-    with Image.open(path) as image:
+    with open_picture(path) as image:
         width, height = image.size
     draw = np.random.default_rng(number)
     row, column = np.mgrid[:height, :width] / max(height, width)
@@ -185,7 +186,7 @@ def _paint(path: Path, number: int) -> None:
 
 def _with_ending(path: Path, ending: str) -> Path:
     """The photo with that ending. The original is removed. Its files of cameras may name another ending: it is found."""
-    with Image.open(path) as image:
+    with open_picture(path) as image:
         pixels = np.asarray(image.convert("RGB"))
     path.unlink()
     new = path.with_suffix("." + ending.rpartition(".")[2])
