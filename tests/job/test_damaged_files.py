@@ -12,7 +12,8 @@ from hypothesis import HealthCheck, Phase, given, settings
 
 from benchmarks.stress import damaged_files
 from benchmarks.stress.checks import strict_json
-from benchmarks.stress.damaged_files import CHANGES, ENDINGS, FORMS, DamagedFile, changed, run_damaged, write_damaged
+from benchmarks.stress.damaged_files import ENDINGS, FORMS, DamagedFile, run_damaged, write_damaged
+from benchmarks.stress.file_changes import CHANGES, changed
 from blender_nep import cli
 from blender_nep.capture.doctor.summary import summarize
 from blender_nep.errors import BoundsError, CaptureError
